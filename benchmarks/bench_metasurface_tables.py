@@ -6,7 +6,6 @@ The peer SMUTHI is not installed: on these machines it took 0.3-0.75 s per (wave
 inaccurate default, 2-4 s at an accurate one; the table is 47 x 180 x 2 of those. The ratio is by these figures.
 CPU time over two cores stands for the clock of two free cores; the clock of a shared machine is in the note.
 The materials of 16 wavelengths are by the mean field, on an opaque stack and on glass, whose light is of both sides.
-The dense grid streams 2.2e9 values: 18e9 multiply-adds and 9 GB written, 8 s; with the optics of 180 angles 20 s.
 Outcome: see RESULTS.md.
 """
 
@@ -23,7 +22,7 @@ from common import Row, interleaved, parser, report, timed
 import nacre
 from nacre.bsdf import Bsdf
 from nacre.core.parallel import single_threaded_blas
-from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack
+from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack
 from nacre.material.material import load, material
 from nacre.matter.mie import mie_coefficients
 
@@ -48,18 +47,10 @@ def harmonic_table(made: object, wavelengths_nm: np.ndarray) -> float:
         surface = made.surface(wavelength)  # type: ignore[attr-defined]  # a Metasurface
         n = complex(made.core.n_complex(np.array([wavelength]))[0])  # type: ignore[attr-defined]
         a, b = mie_coefficients(15, [surface.wavenumber * 90.0], [n])
-        sphere = SphereOnStack(surface, 90.0, np.concatenate([-b, -a]))
+        sphere = ParticleOnStack(surface, 90.0, np.concatenate([-b, -a]))
         directions = sphere.directions(cosines)
         total += float(np.abs(sphere.harmonics(directions, directions)[0, 0, 0, 0, 0]))
     return total
-
-
-def dense_grid(made: object, wavelengths_nm: np.ndarray) -> float:
-    """Stream 47 x 180 x 180 x 361 x 4 values in float32; return the sum of one of each wavelength."""
-    from nacre.families.metasurface.dense import stream_dense
-
-    theta, phi = np.radians(np.arange(180) * 0.5), np.radians(np.arange(361.0))
-    return sum(float(f[0, 0, 90, 60, 180]) for _, f in stream_dense(made, wavelengths_nm, theta, phi))  # type: ignore[arg-type]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -97,8 +88,6 @@ def main(arguments: list[str] | None = None) -> int:
         spent = times[name]
         return Row(claim, spent.median_cpu / cores, "s", bar, False, f"{spent.median_wall:.2f} s by the clock")
 
-    # on its own and once: it is long, and a material that is loaded anew has nothing solved yet
-    times |= interleaved({"dense": lambda: timed(lambda: dense_grid(load(EXAMPLE).model, wavelengths))}, 1)
     table = times["table"].median_cpu
     rows = [
         row("harmonic table 47 x 180 x 180 x 4, lmax 15", "table", 5.0, 1),
@@ -106,7 +95,6 @@ def main(arguments: list[str] | None = None) -> int:
         row("mean-field material of 16 wavelengths, silver on oxide on silicon, CPU", "few opaque", 1.0, 1),
         row("mean-field material of 16 wavelengths, silver on glass, CPU", "few on glass", 1.0, 1),
         row("material from its file", "file", 1.0, 1),
-        row("dense grid 47 x 180 x 180 x 361 x 4, streamed", "dense", 60.0, 1),
         Row("memory of its tables", size, "MB", 100.0, False),
         Row("random look-ups", len(wi) * len(wavelengths) / times["look-ups"].median_cpu, "values/s", 1e6),
         Row("table against SMUTHI's own figures", 47 * 180 * 2 * SMUTHI_SECONDS / table, "x", 1000.0),

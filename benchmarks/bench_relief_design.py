@@ -45,7 +45,7 @@ def target_data(designs: Any, i: int, time_limit_s: float | None) -> dict[str, A
     }
     if str(designs["image"][i]):
         target["image"] = str(designs["image"][i])
-    search: dict[str, Any] = {} if time_limit_s is None else {"time_limit_s": time_limit_s}
+    search: dict[str, Any] = {} if time_limit_s is None else {"seconds": time_limit_s}
     return {
         "family": "relief",
         "features": 32,
@@ -112,8 +112,8 @@ def main(arguments: list[str] | None = None) -> int:
 
     options = parser.parse_args(arguments)
     limit_s = options.time_limit_s or (MINUTE_S if options.all else 10.0)
+    from nacre.core.parallel import single_threaded_blas
     from nacre.optimise.relief.merit import measure_design
-    from nacre.optimise.relief.search import single_threaded_blas
 
     with np.load(REFERENCE / "published_designs.npz") as data:
         designs = {name: data[name] for name in data.files}

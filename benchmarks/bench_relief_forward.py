@@ -58,10 +58,10 @@ def median_seconds(function: Any, repeats: int) -> tuple[float, float]:
 
 def bench_slice(repeats: int) -> dict[str, Any]:
     """Time a slice and a part of the direct sum, in the same run."""
+    from nacre.core.parallel import single_threaded_blas
     from nacre.families.relief.coherence import Coherence
     from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
     from nacre.families.relief.surface import Tile
-    from nacre.optimise.relief.search import single_threaded_blas
 
     tile = Tile(800.0 * np.random.default_rng(1).random((FEATURES, FEATURES)), 800.0, 200.0)
     coherence = Coherence.from_sigma(2.6)
@@ -122,11 +122,11 @@ def bench_cache() -> dict[str, Any]:
 
 def bench_large(features: int = 512) -> dict[str, Any]:
     """Time a large tile's slice, the choice of its sampling included."""
+    from nacre.core.parallel import single_threaded_blas
     from nacre.families.relief.coherence import Coherence
     from nacre.families.relief.diffraction_orders import choose_sampling
     from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
     from nacre.families.relief.surface import Tile
-    from nacre.optimise.relief.search import single_threaded_blas
 
     t, c = time.perf_counter(), time.process_time()
     tile = Tile(600.0 * np.random.default_rng(1).random((features, features)), 1600.0, 500.0)

@@ -32,7 +32,7 @@ from scipy.ndimage import gaussian_filter
 import nacre
 from nacre.light import delta_e_2000, srgb_decode, srgb_encode, srgb_linear_to_xyz, xyz_to_lab
 from nacre.light.display import clip_to_srgb
-from nacre.studio.appearance import looks
+from nacre.studio.appearance import appearances
 
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 LAYERS = [{"material": ("TiO2", "SiO2")[i % 2], "thickness_nm": (60, 92)[i % 2] + i} for i in range(10)]
@@ -104,7 +104,7 @@ def drafts(name: str, path: str) -> tuple[list[float], float, float]:
     began = material.get(path)
     took: list[float] = []
     for step in range(DRAFTS):
-        solving = looks(material.vary({path: began * (1.0 + 0.01 * step)}), "D65", lambda: False)
+        solving = appearances(material.vary({path: began * (1.0 + 0.01 * step)}), "D65", lambda: False)
         started = time.perf_counter()
         draft = next(solving)
         took.append(time.perf_counter() - started)

@@ -46,7 +46,7 @@ resolution = 12
 intensity_scale = 0.2
 [search]
 starts = 1
-shakes = 1
+perturbed_restarts = 1
 """
 
 

@@ -11,9 +11,8 @@ import sys
 
 import numpy as np
 
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, truncated
-from nacre.families.metasurface.tmatrix.full_tmatrix import spread, tilted_whole
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, spread_blocks, tilted_full
 from nacre.families.metasurface.tmatrix.particle_shapes import SolvedBody
 from nacre.families.metasurface.tmatrix.tmatrix_file import write_tmatrices
 from nacre.matter.indices.spec import IndexSpec
@@ -27,9 +26,11 @@ def lying_spheroid(length_nm: float, width_nm: float, material: str, around: flo
                    order: int) -> AxialTMatrices:  # fmt: skip
     """Return the T-matrices of a prolate spheroid whose long axis is x, in a medium of a constant index."""
     core, medium = (IndexSpec.model_validate(spec).build() for spec in (material, {"n": around}))
-    upright = SolvedBody("spheroid", width_nm / 2, length_nm, core, medium, "lying rod").all_known(wavelengths_nm)
+    upright = SolvedBody("spheroid", width_nm / 2, length_nm, core, medium, "lying rod").exported_t_matrices(
+        wavelengths_nm
+    )
     kept = np.stack([truncated(blocks, order) for blocks in upright.blocks])
-    whole = np.stack([tilted_whole(spread(blocks, multipole_index(order)), np.pi / 2) for blocks in kept])
+    whole = np.stack([tilted_full(spread_blocks(blocks, multipole_index(order)), np.pi / 2) for blocks in kept])
     step = KEPT * np.abs(whole).max()
     whole = np.round(whole / step) * step
     name = f"lying spheroid of {material}, {length_nm:g} x {width_nm:g} nm"

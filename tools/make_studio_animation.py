@@ -130,7 +130,7 @@ def play(film: Film) -> None:
         film.take()
     page.mouse.up()
     film.click(page.get_by_role("tab", name="Design"))
-    page.wait_for_selector("#free .free-row")
+    page.wait_for_selector("#parameters .parameter-row")
     page.get_by_role("button", name="Add colour").click()
     for number, (angle, colour) in enumerate(WANTED, start=1):
         page.get_by_label(f"Angle of colour {number}").fill(str(angle))
@@ -152,7 +152,7 @@ def play(film: Film) -> None:
         said = now
     page.locator("#solutions").scroll_into_view_if_needed()
     film.take(REST_MS)
-    film.click(page.get_by_role("button", name="Load answer 1"))
+    film.click(page.get_by_role("button", name="Load solution 1"))
     settle(page)
     page.wait_for_timeout(600)
     film.take(1500)

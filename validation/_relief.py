@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
+from nacre.core.parallel import single_threaded_blas
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
 from nacre.families.relief.prefactor import coating_reflectance
 from nacre.families.relief.surface import Tile
 from nacre.matter.indices.library import index
-from nacre.optimise.relief.merit import Evaluator, Measurement, Problem, measure_design
-from nacre.optimise.relief.search import Search, single_threaded_blas
+from nacre.optimise.relief.merit import ConvergedMeasurement, Evaluator, Problem, measure_design
+from nacre.optimise.relief.search import Search
 from nacre.optimise.relief.target import TargetSpec
 from nacre.recipe.model import RecipeContext, validate
 from validation.relief_published_renders import REFERENCE, load
@@ -107,7 +108,7 @@ def short_design(problem: Problem, starts: int = STARTS, seed: int = 1) -> Array
     return Search(problem, starts, seed, workers=2).run(None) * problem.height_max_nm
 
 
-def measured(problem: Problem, heights_nm: Array) -> Measurement:
+def measured(problem: Problem, heights_nm: Array) -> ConvergedMeasurement:
     """Return losses and picture at a sampling that no longer matters."""
     with single_threaded_blas():
         return measure_design(problem, heights_nm)

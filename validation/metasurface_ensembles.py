@@ -24,7 +24,7 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.parallel import in_threads
 from nacre.families.metasurface.ensemble.ensemble import ANGLES, WIDEST, Ensemble, Side, middle_sizes, same_order
 from nacre.families.metasurface.ensemble.multisphere import Coupling, Period, PlaneWaves
-from nacre.families.metasurface.ensemble.supercells import Cell, cells, dealt, with_kinds
+from nacre.families.metasurface.ensemble.supercells import Supercell, draw_species, supercells, with_species
 from nacre.families.metasurface.monolayer.arrangement import Arrangement, Pattern
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.ensemble_ratio import Block, Pairs, Ratio, Sums, block_sums
@@ -35,6 +35,7 @@ from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hem
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.mie import mie_coefficients
 from validation._rows import finish, row
+from validation.metasurface_helpers import plane_waves
 
 REFERENCE = Path(__file__).resolve().parents[2] / "shared" / "reference" / "metasurface"
 NAMES = "BCDEF"
@@ -65,8 +66,8 @@ def judged(layer: Monolayer, spheres: int, realisations: int, seed: int = 0) -> 
     def pattern(count: int, seed: int) -> Pattern:
         return Arrangement("hard-disk", density, packing, seed).pattern(count)
 
-    made = cells(pattern, density, layer.structure.diameter_nm, spheres, realisations, seed)
-    one = Ensemble(same_order(layer, 2, *middle_sizes(layer)), with_kinds(made, layer.shares, seed))
+    made = supercells(pattern, density, layer.structure.diameter_nm, spheres, realisations, seed)
+    one = Ensemble(same_order(layer, 2, *middle_sizes(layer)), with_species(made, layer.shares, seed))
     one.prepare()
     ratio, errors = one.ratio(in_threads(one.solve, range(realisations)))
     return ratio, errors, one.angles_rad
@@ -88,7 +89,7 @@ def disc_places(layer: Monolayer, discs: int, spheres: float = SPHERES) -> tuple
         xy = (made.xy_nm + rng.uniform(0, made.box_nm, 2)) % made.box_nm - made.box_nm / 2
         places.append(xy[np.hypot(*xy.T) < radius])
     edges = np.cumsum([len(xy) for xy in places])
-    return places, np.split(dealt(int(edges[-1]), layer.shares, rng), edges[:-1])
+    return places, np.split(draw_species(int(edges[-1]), layer.shares, rng), edges[:-1])
 
 
 def with_disc_structure(layer: Monolayer, spheres: float) -> Monolayer:
@@ -118,8 +119,8 @@ def judged_by_discs(
     """
     layer = same_order(layer, 2, *middle_sizes(layer))
     places, kinds = disc_places(layer, discs, in_each)
-    cells = [Cell(xy, Period(0.0, np.zeros(2)), n, which) for n, (xy, which) in enumerate(zip(places, kinds))]
-    one = Ensemble(layer, cells)
+    supercells = [Supercell(xy, Period(0.0, np.zeros(2)), n, which) for n, (xy, which) in enumerate(zip(places, kinds))]
+    one = Ensemble(layer, supercells)
     first, *others = layer.particles
     reach = 2 * max(float(np.hypot(*xy.T).max()) for xy in places)
     coupling = Coupling.build(layer.surface, first, layer.structure.diameter_nm, reach, *others)
@@ -184,7 +185,7 @@ def disc_by_disc(layer: Monolayer, theta_s: Array, theta_i: Array, discs: int, s
 
     def waves(theta: Array, around: Array) -> PlaneWaves:
         seen, *more = (Directions.build(layer.surface, p.centre_nm, 2, 2, np.cos(theta)) for p in layer.particles)
-        return PlaneWaves.build(seen, around, 2, k, *more)
+        return plane_waves(seen, around, 2, k, *more)
 
     arriving, leaving = waves(theta_i, few), waves(theta_s, azimuths)
 
@@ -206,10 +207,10 @@ def light(layer: Monolayer, theta_s: Array, theta_i: Array, ratio: Ratio | None)
     layer = dataclasses.replace(layer, ratio=ratio)
     mu, w = hemisphere_rule(24)
     cos = np.concatenate([mu, np.cos(theta_i), np.cos(theta_s)])
-    sides = [(layer.light(cos), np.concatenate([w, np.zeros(len(cos) - 24)]))]
-    if layer.has_below:
+    sides = [(layer.illuminate(cos), np.concatenate([w, np.zeros(len(cos) - 24)]))]
+    if layer.transmits_below:
         mu_b, w_b = hemisphere_rule(20, layer.surface.index_below)
-        sides.append((layer.light(mu_b, True), w_b))
+        sides.append((layer.illuminate(mu_b, True), w_b))
     term = diffuse_term(layer, sides, 14)
     kappa, phi = np.sqrt(1 - cos**2), 2 * np.pi * np.arange(72) / 72
     s, i = 24 + len(theta_i) + np.arange(len(theta_s)), 24 + np.arange(len(theta_i))
@@ -325,8 +326,8 @@ def main(out_dir: str | Path = ".") -> list[dict[str, Any]]:
         ours, mean_field = light(layer, theta_s, theta_i, ratio), light(layer, theta_s, theta_i, None)
         few = theta_i < UP_TO
         found[name] = [distance(ours[:, which], truth[:, which], theta_s) for which in (few, few | True)]
-        passed_on = light(dataclasses.replace(layer, correction=LADDER), theta_s, theta_i, None)
-        ladder[name] = distance(passed_on, truth, theta_s)
+        ladder_power = light(dataclasses.replace(layer, correction=LADDER), theta_s, theta_i, None)
+        ladder[name] = distance(ladder_power, truth, theta_s)
         plain[name] = [distance(mean_field[:, which], truth[:, which], theta_s) for which in (few, few | True)]
         raw, spread = disc_light(layer, theta_s, theta_i, 24, theirs.spheres)
         discs[name] = distance(raw, truth, theta_s)

@@ -47,7 +47,7 @@ def mixture(wavelength_nm: float, first: Any, second: Any, share: float, coverag
     particles = []
     for number, ((radius, index), part) in enumerate(((first, 1 - share), (second, share))):
         a, b = mie_coefficients(2, np.array([surface.wavenumber * radius]), np.array([index]))
-        particles.append(Particle(part, radius, np.concatenate([-b, -a]), kind=number))
+        particles.append(Particle(part, radius, np.concatenate([-b, -a]), species=number))
     area = sum(p.share * np.pi * p.centre_nm**2 for p in particles)
     density = coverage / area
     packing = density * np.pi * max(p.centre_nm for p in particles) ** 2

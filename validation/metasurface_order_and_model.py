@@ -18,7 +18,12 @@ from nacre.core.arrays import Array
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack, amplitude, choose_order, hemisphere_rule
+from nacre.families.metasurface.tmatrix.particle_on_stack import (
+    ParticleOnStack,
+    amplitude,
+    choose_order,
+    hemisphere_rule,
+)
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.light import spectrum_to_xyz, srgb_encode, xyz_to_srgb_linear
 from nacre.material.material import material
@@ -74,7 +79,7 @@ def backscatter_rows(axis: Any) -> list[Row]:
         values = []
         for wavelength in wavelengths:
             surface = made.surface(float(wavelength))
-            sphere = SphereOnStack(surface, 90.0 + made.gap_nm, made.t_matrix(12, surface, 90.0))
+            sphere = ParticleOnStack(surface, 90.0 + made.gap_nm, made.t_matrix(12, surface, 90.0))
             normal = sphere.directions([np.cos(1e-3)])
             f = amplitude(sphere.harmonics(normal, normal), [np.pi])
             values.append(0.5 * float((np.abs(f) ** 2).sum()) * 4 * np.pi / (np.pi * 90.0**2))
@@ -143,10 +148,10 @@ def phi_mean(layer: Monolayer, theta_i: Array, theta_s: Array) -> Array:
     """Incoherent power per particle, azimuth-averaged, both outgoing polarisations, `[s, i, pol]`."""
     mu, w = hemisphere_rule(24)
     cosines = np.concatenate([mu, np.cos(theta_i), np.cos(theta_s)])
-    sides = [(layer.light(cosines), np.concatenate([w, np.zeros(cosines.size - 24)]))]
-    if layer.has_below:
+    sides = [(layer.illuminate(cosines), np.concatenate([w, np.zeros(cosines.size - 24)]))]
+    if layer.transmits_below:
         mu_b, w_b = hemisphere_rule(20, layer.surface.index_below)
-        sides.append((layer.light(mu_b, True), w_b))
+        sides.append((layer.illuminate(mu_b, True), w_b))
     term = diffuse_term(layer, sides, 14, symmetric=False)
     k, density = layer.surface.wavenumber, layer.structure.density_per_nm2
     phi = 2 * np.pi * np.arange(72) / 72

@@ -13,12 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack, amplitude, cross_sections, cut_of
+from nacre.families.metasurface.tmatrix.particle_on_stack import (
+    ParticleOnStack,
+    amplitude,
+    wavenumber_cutoff,
+)
 from nacre.families.metasurface.tmatrix.particle_shapes import SolvedBody
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.indices.spec import IndexSpec
 from validation._film import canvas
 from validation._rows import finish, row
+from validation.metasurface_helpers import cross_sections
 
 REFERENCE = Path(__file__).resolve().parents[1] / ".." / "shared" / "reference" / "metasurface" / "particles_open.npz"
 FIGURE = "metasurface_particles.png"
@@ -47,7 +52,7 @@ def kind(data: Any, i: int) -> str:
 def alone_error(data: Any, i: int, t: NDArray[np.complex128]) -> float:
     """The largest relative error of extinction and scattering at 0, 45 and 90 degrees."""
     air = Substrate(float(data["wavelength_nm"][i]), np.ones(2, complex), np.zeros(0))
-    found = cross_sections(SphereOnStack(air, 200.0, t, AZIMUTHS), np.cos(np.radians([0.0, 45.0, 89.999])))
+    found = cross_sections(ParticleOnStack(air, 200.0, t, AZIMUTHS), np.cos(np.radians([0.0, 45.0, 89.999])))
     scattered = (found.scattered_up + found.scattered_down).T
     errors = found.extinction.T / data["sigma_ext_nm2"][i] - 1, scattered / data["sigma_sca_nm2"][i] - 1
     return float(np.max(np.abs(errors)))
@@ -59,9 +64,9 @@ def over_stack(data: Any, which: str, line: int, made: SolvedBody) -> tuple[Any,
     film = data[f"{which}_substrate"][line] != "glass"
     indices = np.array([1.0, *([data["n_film"]] if film else []), data[f"{which}_n_substrate"][line]], complex)
     stack = Substrate(lam, indices, np.array([data[f"{which}_film_h_nm"][line]] if film else []))
-    cut = cut_of(ORDER, stack.wavenumber, made.circumscribing_nm) if which == "near" else None
+    cut = wavenumber_cutoff(ORDER, stack.wavenumber, made.circumscribing_nm) if which == "near" else None
     centre = made.height_nm / 2 + float(data[f"{which}_gap_nm"][line])
-    alone = SphereOnStack(stack, centre, made.azimuthal(lam, AZIMUTHS), AZIMUTHS, cut)
+    alone = ParticleOnStack(stack, centre, made.azimuthal(lam, AZIMUTHS), AZIMUTHS, cut)
     light = alone.directions([np.cos(np.radians(data[f"{which}_theta_i_deg"][line]))])
     f = amplitude(alone.harmonics(alone.directions(np.cos(data["sub_theta_s_rad"])), light), data["sub_phi_rad"])
     return np.abs(f[:, :, int(data[f"{which}_pol_in"][line]), 0]) ** 2 * 1e-6, data[f"{which}_dsigma_fem_um2_per_sr"][

@@ -31,7 +31,8 @@ begun = time.monotonic()
 from benchmarks import bench_relief_design as tool
 import numpy as np
 from nacre.optimise.relief.merit import measure_design
-from nacre.optimise.relief.search import Search, single_threaded_blas
+from nacre.core.parallel import single_threaded_blas
+from nacre.optimise.relief.search import Search
 with np.load(tool.REFERENCE / "published_designs.npz") as data:
     designs = {name: data[name] for name in data.files}
 problem = tool.checked(designs, int(sys.argv[1]), None)[0].build(tool.checked(designs, 0, None)[1])

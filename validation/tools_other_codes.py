@@ -18,7 +18,7 @@ from nacre.families.glass.composite import bruggeman
 from nacre.families.glass.medium import Spheres, solve_medium
 from nacre.families.glass.radiative_transfer import Slab
 from nacre.families.metasurface.monolayer.structure import baus_colot
-from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack, amplitude
+from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack, amplitude
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter import solve
 from nacre.matter.mie import default_order, mie_coefficients, mie_efficiencies
@@ -70,7 +70,7 @@ def smuthi_difference() -> float:
         radius, order = float(data["radius_nm"][i]), int(data["lmax"])
         a, b = mie_coefficients(order, [below.wavenumber * radius], [data["n_sphere"][i]])
         height = radius + float(data["gap_nm"][i])
-        ours = SphereOnStack(below, height, np.concatenate([-b, -a]), int(data["mmax"]))
+        ours = ParticleOnStack(below, height, np.concatenate([-b, -a]), int(data["mmax"]))
         arriving = ours.directions([np.cos(np.radians(data["theta_i_deg"][i]))])
         leaving = ours.directions(np.cos(data["theta_s_rad"]))
         f = amplitude(ours.harmonics(leaving, arriving), data["phi_rad"])

@@ -196,7 +196,7 @@ def gamut(
     table = free if isinstance(free, Mapping) else parse_parameters(free)
     return find_gamut(
         as_material(thing), table, at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
-        within=within, samples=samples, seed=seed,
+        tolerance=within, samples=samples, seed=seed,
     )  # fmt: skip
 
 

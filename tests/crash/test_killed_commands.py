@@ -72,7 +72,7 @@ resolution = 12
 intensity_scale = 0.2
 [search]
 starts = 2
-shakes = 1
+perturbed_restarts = 1
 """
 BYSTANDER = "notes.txt"
 MOST_ATTEMPTS = 20  # a kill: what takes some milliseconds alone on a quick machine is often over before it comes

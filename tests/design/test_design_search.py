@@ -17,11 +17,11 @@ from nacre.optimise.relief.merit import (
     Evaluator,
     Problem,
     default_weights,
-    measure,
+    exact_losses,
     measure_design,
     objective,
 )
-from nacre.optimise.relief.run import load_target, run
+from nacre.optimise.relief.run import CHECKPOINT, load_target, run
 from nacre.optimise.relief.search import Search, robust_objective
 
 GRADIENT = 1e-5  # the issue's bar against finite differences
@@ -42,7 +42,7 @@ resolution = 12
 intensity_scale = 0.2
 [search]
 starts = 3
-shakes = 4
+perturbed_restarts = 4
 seed = 4
 """
 
@@ -60,7 +60,7 @@ def write(folder: Path, text: str = TARGET, **changes: str) -> Path:
         changed = len(lines) < len(text.splitlines())
         text = "\n".join(lines)
         if changed and not key.startswith(
-            ("starts", "shakes", "seed", "levels", "noise", "time", "blur_error", "incidence")
+            ("starts", "perturbed_restarts", "seed", "levels", "noise", "seconds", "blur_error", "incidence")
         ):
             where = "[target]" if key in TARGET_KEYS else "family"
             head, mark, tail = text.partition(where)
@@ -107,23 +107,23 @@ def test_gradient_of_the_robust_loss_agrees_with_finite_differences(tmp_path: Pa
 def test_a_free_scale_is_the_best_scale() -> None:
     generator = np.random.default_rng(2)
     rgb, target = generator.random((50, 3)) * 5, generator.random((50, 3))
-    best = measure(rgb, target, None)
+    best = exact_losses(rgb, target, None)
     assert best.fixed == pytest.approx(best.free)
     for factor in (0.9, 1.1):
-        assert measure(rgb, target, best.scale_free * factor).fixed > best.free
-    assert measure(rgb, target, 0.1).black == pytest.approx(float((target**2).mean()))
+        assert exact_losses(rgb, target, best.scale_free * factor).fixed > best.free
+    assert exact_losses(rgb, target, 0.1).black == pytest.approx(float((target**2).mean()))
 
 
 def test_the_brightness_floor_makes_a_dark_answer_worse() -> None:
     generator = np.random.default_rng(3)
     rgb, target = generator.random((50, 3)), generator.random((50, 3))
-    scale = measure(rgb, target, None).scale_free
+    scale = exact_losses(rgb, target, None).scale_free
     plain = objective(rgb, target, None)[0]
     assert objective(rgb, target, None, brightness_floor=0.5 / scale)[0] == pytest.approx(plain)
     assert objective(rgb, target, None, brightness_floor=2.0 / scale)[0] > plain + 0.1
 
 
-def test_a_dark_free_design_is_lifted_to_the_floor_and_reported(tmp_path: Path) -> None:
+def test_a_dark_free_scale_design_is_lifted_to_the_floor_and_reported(tmp_path: Path) -> None:
     plain, lifted = (
         run(write(tmp_path, intensity_scale='"free"', brightness_floor=floor, starts="1"), tmp_path / floor).summary
         for floor in ("0.0", "120.0")
@@ -148,7 +148,7 @@ def test_result_folder_holds_what_was_promised(tmp_path: Path) -> None:
     assert (
         seen
         and seen[-1].evaluations > 0
-        and {p.stage for p in seen} == {"explore", "improve", "refine", "finish", "shake"}
+        and {p.stage for p in seen} == {"explore", "improve", "refine", "finish", "perturb"}
     )
     assert 0 < summary["efficiency"] <= 1 and 0 < summary["slope_rms_deg"] < summary["slope_max_deg"] < 90
     assert summary["brightness"] == pytest.approx(1 / 0.2) and summary["brightness_floor"] is None
@@ -182,11 +182,11 @@ def test_the_same_seed_gives_the_same_design_on_any_number_of_cores(tmp_path: Pa
     assert not np.array_equal(maps[0], other)
 
 
-def test_shaking_a_finished_design_only_makes_it_better(tmp_path: Path) -> None:
+def test_perturbed_restarts_lower_the_objective(tmp_path: Path) -> None:
     problem = problem_of(tmp_path)
-    plain, shaken = Search(problem, 2, 4), Search(problem, 2, 4, shakes=12)
+    plain, perturbed = Search(problem, 2, 4), Search(problem, 2, 4, perturbed_restarts=12)
     values = []
-    for search in (plain, shaken):
+    for search in (plain, perturbed):
         search.run()
         values.append(search.best.value)
     assert values[1] < values[0]
@@ -218,7 +218,7 @@ def test_a_stopped_search_leaves_its_best_and_goes_on(tmp_path: Path) -> None:
         run(write(tmp_path, colour='"red"'), tmp_path / "out", resume=True)
 
 
-def test_an_interrupt_from_the_keyboard_is_a_clean_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_keyboard_interrupt_stops_cleanly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import nacre.optimise.relief.search as module
 
     calls = threading.Event()
@@ -247,7 +247,7 @@ def test_files_are_complete_before_the_search_ends(tmp_path: Path) -> None:
 
 
 def test_a_time_limit_is_kept(tmp_path: Path) -> None:
-    result = run(write(tmp_path, features="24", resolution="48", time_limit_s="0.6"), tmp_path / "out")
+    result = run(write(tmp_path, features="24", resolution="48", seconds="0.6"), tmp_path / "out")
     assert result.summary["status"] == "time limit"
     assert result.summary["seconds"] < 3.0  # the machine may be shared
 
@@ -287,3 +287,12 @@ def test_a_full_disk_is_one_clear_line(tmp_path: Path, monkeypatch: pytest.Monke
 def test_default_spectrum_gives_a_white_mirror_its_white() -> None:
     spectrum = default_weights()
     assert np.abs(spectrum.rgb_weights.sum(axis=1) - 1.0).max() < 5e-3
+
+
+def test_a_truncated_checkpoint_gives_one_line(tmp_path: Path) -> None:
+    run(write(tmp_path, starts="1", perturbed_restarts="0"), tmp_path / "out")
+    checkpoint = tmp_path / "out" / CHECKPOINT
+    checkpoint.write_bytes(checkpoint.read_bytes()[:200])
+    with pytest.raises(NacreError) as caught:
+        run(write(tmp_path, starts="1", perturbed_restarts="0"), tmp_path / "out", resume=True)
+    assert str(checkpoint) in str(caught.value) and "\n" not in str(caught.value)

@@ -23,6 +23,7 @@ coherence = {sigma = 0.9}
 [target]
 """
 EXAMPLES = sorted((Path(__file__).resolve().parents[2] / "examples" / "targets").glob("*.toml"))
+EXAMPLES = [path for path in EXAMPLES if "[target]" in path.read_text().splitlines()]
 
 
 def built(folder: Path, target: str, search: str = "", base: str = BASE) -> np.ndarray:
@@ -146,7 +147,7 @@ def test_what_is_clear_in_a_drawing_is_dark(tmp_path: Path) -> None:
     np.testing.assert_allclose(white_on_clear, opaque, atol=1.0 / 255)
     black = np.zeros_like(drawing)
     Image.fromarray(np.dstack([black, black, black, drawing])).save(tmp_path / "black.png")
-    with pytest.raises(RecipeError, match="blank; .* what is clear in it is taken as black"):
+    with pytest.raises(RecipeError, match="is blank"):
         pictures.load_picture(tmp_path / "black.png", "t")
 
 

@@ -13,7 +13,7 @@ import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.light import lab_to_xyz, spectrum_to_xyz, table_wavelengths_nm, white_xyz, xyz_to_lab
-from nacre.optimise.gamut import _answered, optimal_colours, parse_parameters, share_within, srgb_colours
+from nacre.optimise.gamut import applicable_geometry, optimal_colours, parse_parameters, share_within, srgb_colours
 
 OXIDE = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]}
 FREE = ["layers[0].thickness_nm=0:400"]
@@ -106,7 +106,7 @@ def test_a_pearl_is_looked_at_where_its_flakes_show() -> None:
     pearl = {"family": "pearl", "strata": [{"resin": {"n": 1.5}, "thickness_um": 25, "platelets": [flakes]}]}
     free = ["strata[0].platelets[0].coatings[0].thickness_nm=40:160"]
     found = nacre.gamut(nacre.material(pearl), free, points=8, samples=64)
-    assert found.at == "45as15" and np.ptp(found.lab[:, 1:], axis=0).min() > 20.0
+    assert found.geometry == "45as15" and np.ptp(found.lab[:, 1:], axis=0).min() > 20.0
 
 
 def test_words_alone_are_tried_once_each(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -120,27 +120,23 @@ def test_words_alone_are_tried_once_each(capsys: pytest.CaptureFixture[str], tmp
 
 def _relief(folder: Path) -> dict[str, Any]:
     np.save(folder / "h.npy", np.random.default_rng(3).uniform(0.0, 0.2, (8, 8)))
-    return {
-        "family": "relief",
-        "heights": str(folder / "h.npy"),
-        "feature_um": 1,
-        "blur_um": 0.3,
-        "coherence": {"sigma": 0.8},
-        "bounded": False,
-        "accuracy": 0.1,
-    }
+    return {"family": "relief", "heights": str(folder / "h.npy"), "feature_um": 1, "blur_um": 0.3,
+            "coherence": {"sigma": 0.8}, "bounded": False, "accuracy": 0.1}  # fmt: skip
 
 
 def test_a_relief_is_looked_at_beside_its_mirror(tmp_path: Path) -> None:
     """It has no part that is a mirror's alone."""
     relief = nacre.material(_relief(tmp_path))
-    assert str(_answered([relief], None, "r: at")) == "45as15"
+    assert str(applicable_geometry([relief], None, "r: at")) == "45as15"
     with pytest.raises(NacreError, match="no mirror-like part"):
-        _answered([relief], "specular 0", "r: at")
+        applicable_geometry([relief], "specular 0", "r: at")
 
 
 def test_what_a_recipe_has_no_mirror_for_is_looked_at_elsewhere(tmp_path: Path) -> None:
     """The usual look of blends is that of films, and both reliefs of this one only scatter."""
     relief = _relief(tmp_path)
     blend = nacre.material({"family": "blend", "first": relief, "second": {**relief, "coating": "Cu"}, "mask": 0.5})
-    assert blend.model.traits.default_geometry == "specular 0" and str(_answered([blend], None, "r: at")) == "45as15"
+    assert (
+        blend.model.traits.default_geometry == "specular 0"
+        and str(applicable_geometry([blend], None, "r: at")) == "45as15"
+    )

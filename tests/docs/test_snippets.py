@@ -58,7 +58,6 @@ def _write(text: str) -> None:
     first = text.splitlines()[0]
     match = NAME.match(first)
     assert match, f'a file\'s first line should be a comment with its name, not "{first}"'
-    text = re.sub(r"time_limit_s = \d+", f"time_limit_s = {QUICK_SEARCH_S}", text)
     text = re.sub(r"^seconds = \d+", f"seconds = {QUICK_SEARCH_S}", text, flags=re.MULTILINE)
     Path(match[1]).parent.mkdir(parents=True, exist_ok=True)
     Path(match[1]).write_text(text, encoding="utf-8")

@@ -11,7 +11,7 @@ import nacre
 from nacre.analysis.fit import CORRECTION_SEEDS, CORRECTIONS, Measured, fit_parameters, run_fit
 from nacre.families.glass import material as glass_material
 from nacre.formats.gonio_csv import GonioData
-from nacre.studio.appearance import looks
+from nacre.studio.appearance import appearances
 
 WAVES = np.arange(400.0, 701.0, 40.0)
 ANGLES = np.array([0.0])
@@ -86,7 +86,7 @@ def test_the_studios_draft_is_not_walked(monkeypatch: pytest.MonkeyPatch) -> Non
         raise AssertionError("a draft is walked")
 
     monkeypatch.setattr(glass_material, "walk", never)
-    draft = next(looks(material, "D65", lambda: False))
+    draft = next(appearances(material, "D65", lambda: False))
     assert draft.is_draft
     shown = np.interp([440.0, 560.0], draft.wavelengths_nm, draft.total[0])
     np.testing.assert_allclose(shown, walked[0], atol=0.03)  # of a draft: at this roughness its form errs by .02

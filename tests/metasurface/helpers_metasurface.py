@@ -7,7 +7,7 @@ import pytest
 
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack
+from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.mie import mie_coefficients
 
@@ -34,7 +34,7 @@ def surface(wavelength, substrate, films=()):
 def sphere(wavelength, radius, m, substrate, films=(), lmax=8, gap=0.0, mmax=4):
     below = surface(wavelength, substrate, films)
     t = t_matrix(lmax, below.wavenumber * radius, m)
-    return SphereOnStack(below, radius + gap, t, min(mmax, lmax))
+    return ParticleOnStack(below, radius + gap, t, min(mmax, lmax))
 
 
 def monolayer(wavelength, radius, m, substrate, coverage, packing, films=(), lmax=6, correction="qca-balanced", **more):

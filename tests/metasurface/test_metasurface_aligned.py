@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers_metasurface import monolayer, surface, t_matrix
+from validation.metasurface_helpers import plane_waves
 
 import nacre
 from nacre.bsdf.bsdf import Bsdf
@@ -16,7 +17,7 @@ from nacre.bsdf.lobe import SpecularResponse
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.monolayer import PolarGrid
 from nacre.bsdf.texture import Texture
-from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves
+from nacre.families.metasurface.ensemble.multisphere import Coupling
 from nacre.families.metasurface.monolayer import aligned as aligned_compile
 from nacre.families.metasurface.monolayer.aligned import (
     AlignedLayer,
@@ -28,13 +29,19 @@ from nacre.families.metasurface.monolayer.aligned import (
     tabulate_aligned,
 )
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
-from nacre.families.metasurface.monolayer.evaluation import Grids, few_powers, few_values, tabulate
+from nacre.families.metasurface.monolayer.evaluation import Grids, direct_powers, direct_values, tabulate
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix import tmatrix_file
 from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks
-from nacre.families.metasurface.tmatrix.full_tmatrix import reversed_whole, spread, tilted_whole, turned_whole
+from nacre.families.metasurface.tmatrix.full_tmatrix import (
+    multipole_index,
+    reversed_full,
+    rotated_full,
+    spread_blocks,
+    tilted_full,
+    with_negative_orders,
+)
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 from nacre.families.metasurface.tmatrix.substrate import Embedded
 from nacre.families.metasurface.tmatrix.tmatrix_file import TMatrixFileError, read_tmatrices, write_tmatrices
@@ -71,7 +78,7 @@ def dimers(substrate, coverage=0.1, packing=0.4, films=(), gap=60.0, whole=None,
 def spheres(substrate, lmax=4):
     """Return a monolayer of spheres by today's way, and by this one."""
     layer = monolayer(520.0, 75.0, 4 + 0.05j, substrate, 0.1, 0.3, lmax=lmax)
-    return layer, AlignedLayer(layer, spread(as_blocks(layer.particles[0].t_matrix), multipole_index(lmax)))
+    return layer, AlignedLayer(layer, spread_blocks(as_blocks(layer.particles[0].t_matrix), multipole_index(lmax)))
 
 
 def lobes(layer, above=24, below=None, turn=0.0):
@@ -110,10 +117,10 @@ def test_axisymmetric_particles_send_what_they_always_did(substrate):
         assert np.abs(power - known_power).max() <= SAME
     count = 36  # azimuths: as many as today's sums over the azimuth have points
     rules = [(*hemisphere_rule(6), False)]
-    if today.has_below:
+    if today.transmits_below:
         rules.append((*hemisphere_rule(4, 1.5), True))
         assert np.abs(here.specular_below(cosines, turns) - today.specular_below(cosines)).max() <= SAME
-    wanted = diffuse_term(today, [(today.light(mu, below), w) for mu, w, below in rules], 8)
+    wanted = diffuse_term(today, [(today.illuminate(mu, below), w) for mu, w, below in rules], 8)
     found = aligned_term(here, [(light_of(here, mu, below, count), w) for mu, w, below in rules])
     # from wavevector to wavevector: that of the light runs the other way than its direction
     waves = np.cos(np.multiply.outer(azimuth_nodes(count) - np.pi, np.arange(8)))
@@ -143,7 +150,7 @@ def test_their_lobes_are_the_same_too(below, monkeypatch):
 def test_and_their_few_powers():
     today, here = spheres(1.5)
     cosines = np.array([0.2, 0.8])
-    for expected, found in zip(few_powers(today, cosines), aligned_powers(here, cosines, 0.3), strict=True):
+    for expected, found in zip(direct_powers(today, cosines), aligned_powers(here, cosines, 0.3), strict=True):
         assert np.abs(found - expected).max() <= 1e-6  # another rule over the azimuth
 
 
@@ -153,7 +160,7 @@ def test_and_their_values_at_a_few_pairs(substrate):
     wi, wo = vectors(5, 12), vectors(5, 13)
     wi[:, 2], wo[:, 2] = np.maximum(wi[:, 2], 0.2), np.maximum(wo[:, 2], 0.2)
     wi, wo = (w / np.linalg.norm(w, axis=1)[:, None] for w in (wi, wo))
-    expected = few_values(today, wi, wo)
+    expected = direct_values(today, wi, wo)
     assert (
         np.abs(aligned_values(here, wi, wo, 0.3) - expected).max() <= 1e-4 * expected.max()
     )  # other sums over the azimuth
@@ -180,7 +187,7 @@ def test_values_at_a_few_pairs_are_those_of_the_lobe_between_its_angles(turn):
 def test_a_tilted_particle_is_light_and_view_tilted_back(tilt_deg):
     """In free space, of the lopsided particle of the file: all |F|^2 over both polarisations stay."""
     tilt, layer = np.radians(tilt_deg), dimers(1.0, mmax=5)
-    tilted = AlignedLayer(layer.mean, tilted_whole(layer.whole, tilt))
+    tilted = AlignedLayer(layer.mean, tilted_full(layer.whole, tilt))
     a = vectors(6, 8)
     b = about_y(a, tilt)
     keep = b[:, 2] > 0.05
@@ -205,7 +212,7 @@ def test_a_turned_particle_is_the_material_turned(turn_deg, monkeypatch):
     turn = np.radians(turn_deg)
     films = ((1.46, 120.0),)
     straight, turned = dimers(4.3 + 0.07j, films=films), dimers(4.3 + 0.07j, films=films)
-    turned = AlignedLayer(turned.mean, turned_whole(turned.whole, turn))
+    turned = AlignedLayer(turned.mean, rotated_full(turned.whole, turn))
     mirror, diffuse = lobes(straight, 10)
     mirror_turned, diffuse_turned = lobes(turned, 10)
     a, b = vectors(1000, 2), vectors(1000, 3)
@@ -257,7 +264,7 @@ def _alone(layer, light, views, wave, away, is_lit_from_below=False):
 def test_the_mean_over_turns_is_the_averaged_particle(monkeypatch):
     """Its field exactly, alone in space; the power that it leaves out is what the file's reader says."""
     layer = dimers(1.0, mmax=5)
-    averaged = AlignedLayer(layer.mean, spread(known().blocks[0], multipole_index(known().lmax)))
+    averaged = AlignedLayer(layer.mean, spread_blocks(known().blocks[0], multipole_index(known().lmax)))
     views, away = np.array([0.3, 0.9]), np.array([0.5, 2.0])
     turns = azimuth_nodes(16)
     fields = np.stack([_alone(layer, 0.6, views, 0.2 - t, away - t) for t in turns])
@@ -319,7 +326,7 @@ def _two_spheres(below, centre, theta_i, wave, theta_s, away, is_lit_from_below=
 
     def waves(theta, azimuths, is_below=False):
         made = Directions.build(below, centre, order, order, np.cos(theta), is_below)
-        return PlaneWaves.build(made, np.asarray(azimuths), order, below.wavenumber, made)
+        return plane_waves(made, np.asarray(azimuths), order, below.wavenumber, made)
 
     light, views = waves(np.array([theta_i]), [wave], is_lit_from_below), waves(theta_s, away)
     found = coupling.far_field(places, coupling.solve(places, light, kinds), views, kinds)
@@ -405,7 +412,7 @@ def _lossless():
 def test_where_nothing_absorbs_all_light_comes_back(substrate, coverage, packing):
     """At each azimuth, though R, T and what is scattered change with it: the mean field's own balance of energy."""
     layer = dimers(substrate, coverage, packing, whole=_lossless())
-    assert np.abs(reversed_whole(layer.whole) - layer.whole).max() <= SAME
+    assert np.abs(reversed_full(layer.whole) - layer.whole).max() <= SAME
     cosines = np.cos(np.radians([0.0, 30.0, 55.0]))
     parts = np.stack([np.stack(aligned_powers(layer, cosines, a)) for a in (0.0, 0.5, np.pi / 2)])
     assert np.abs(parts.sum(axis=1) - 1.0).max() <= QCA_ENERGY
@@ -475,5 +482,5 @@ def test_the_example_s_file_is_what_its_tool_writes_and_a_turned_upright_rod():
     held = read_tmatrices(EXAMPLE.with_name("silver_rods.tmat.h5"), is_aligned=True)
     at = int(np.argmin(np.abs(held.wavelengths_nm - 640.0)))
     assert np.abs(held.whole[at] - again.whole[0]).max() <= 2 * tool.KEPT * np.abs(held.whole).max()
-    upright = spread(again.blocks[0], multipole_index(tool.ORDER))
-    assert np.abs(tilted_whole(again.whole[0], -np.pi / 2) - upright).max() <= 1e-7 * np.abs(upright).max()
+    upright = spread_blocks(again.blocks[0], multipole_index(tool.ORDER))
+    assert np.abs(tilted_full(again.whole[0], -np.pi / 2) - upright).max() <= 1e-7 * np.abs(upright).max()

@@ -5,25 +5,25 @@ import dataclasses
 import numpy as np
 import pytest
 from helpers_metasurface import REFERENCE, reference, surface
+from validation.metasurface_helpers import cross_sections, plane_waves
 
 import nacre
 from nacre.families.metasurface.ensemble.ensemble import same_order
-from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves
+from nacre.families.metasurface.ensemble.multisphere import Coupling
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
 from nacre.families.metasurface.species import place, refuse
-from nacre.families.metasurface.tmatrix.axisymmetric import KnownBody, as_blocks, truncated
+from nacre.families.metasurface.tmatrix.axisymmetric import TabulatedBody, as_blocks, truncated
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     NODES,
     Directions,
-    SphereOnStack,
+    ParticleOnStack,
     amplitude,
-    cross_sections,
-    cut_of,
-    cut_reflection_operator,
     hemisphere_rule,
     reflection_operator,
+    truncated_reflection_operator,
+    wavenumber_cutoff,
 )
 from nacre.families.metasurface.tmatrix.tmatrix_file import read_tmatrices
 
@@ -62,10 +62,10 @@ def test_over_glass_and_film_spheroids_and_discs_scatter_as_finite_elements_say(
     data = reference("particles_open.npz")
     for row in range(len(data["sub_particle"])):
         known, below, gap = _row(data, "sub", row)
-        body = KnownBody(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
+        body = TabulatedBody(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
         placed = place(body, below, gap)
         assert not placed.is_near and placed.change <= 0.02
-        alone = SphereOnStack(below, placed.particle.centre_nm, placed.particle.t_matrix, int(data["sub_mmax"]))
+        alone = ParticleOnStack(below, placed.particle.centre_nm, placed.particle.t_matrix, int(data["sub_mmax"]))
         found = _pattern(alone, data, "sub", row)
         bar = FEM_SPHEROID if "spheroid" in known.name else FEM_DISC
         assert _error(found, data["sub_dsigma_fem_um2_per_sr"][row]) <= bar, (row, known.name)
@@ -76,18 +76,18 @@ def test_close_to_the_stack_flat_particles_scatter_as_finite_elements_say():
     data = reference("particles_open.npz")
     for row in range(len(data["near_particle"])):
         known, below, gap = _row(data, "near", row)
-        body = KnownBody(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
+        body = TabulatedBody(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
         placed = place(body, below, gap)
         assert placed.is_near and placed.change <= 0.02
         p = placed.particle
-        found = _pattern(SphereOnStack(below, p.centre_nm, p.t_matrix, 6, p.cut), data, "near", row)
+        found = _pattern(ParticleOnStack(below, p.centre_nm, p.t_matrix, 6, p.cut), data, "near", row)
         assert _error(found, data["near_dsigma_fem_um2_per_sr"][row]) <= FEM_NEAR, (row, known.name)
 
 
 def test_where_two_cuts_disagree_the_least_gap_is_named_and_works():
     known = _known(1)
     low = dataclasses.replace(known, blocks=truncated(known.blocks[0], 4)[None])
-    body = KnownBody(low, known.radius_nm, known.height_nm, known.circumscribing_nm, "disc.toml")
+    body = TabulatedBody(low, known.radius_nm, known.height_nm, known.circumscribing_nm, "disc.toml")
     below = surface(620.0, 4.0 + 0.03j)
     placed = place(body, below, 1.0)
     assert placed.is_near and placed.change > 0.02
@@ -100,18 +100,18 @@ def test_where_two_cuts_disagree_the_least_gap_is_named_and_works():
 def test_a_cut_far_out_is_no_cut():
     below = surface(600.0, 1.5)
     whole = reflection_operator(below, 120.0, 3, 3)
-    found = cut_reflection_operator(below, 120.0, 3, 3, 30.0, nodes=800)
+    found = truncated_reflection_operator(below, 120.0, 3, 3, 30.0, nodes=800)
     assert np.abs(found - whole).max() <= 1e-7 * np.abs(whole).max()
-    usual, fine = (cut_reflection_operator(below, 40.0, 10, 4, 7.0, nodes=n) for n in (NODES, 900))
+    usual, fine = (truncated_reflection_operator(below, 40.0, 10, 4, 7.0, nodes=n) for n in (NODES, 900))
     assert np.abs(usual - fine).max() <= 1e-7 * np.abs(fine).max()
-    assert cut_of(10, 0.01, 72.0) == pytest.approx(6.0 / 0.72)
+    assert wavenumber_cutoff(10, 0.01, 72.0) == pytest.approx(6.0 / 0.72)
 
 
 def test_blocks_of_a_sphere_are_dressed_as_its_diagonal_is():
     t = np.array([-0.3 + 0.4j, -0.02 + 0.1j, 1e-3j - 1e-6, -0.5 + 0.4j, -0.1 + 0.2j, 2e-3j - 4e-6])
     below = surface(500.0, 4.0 + 0.05j)
-    diagonal = SphereOnStack(below, 80.0, t, 3).dressed
-    whole = SphereOnStack(below, 80.0, as_blocks(t), 3).dressed
+    diagonal = ParticleOnStack(below, 80.0, t, 3).dressed
+    whole = ParticleOnStack(below, 80.0, as_blocks(t), 3).dressed
     l = np.tile(np.arange(1, 4), 2)
     seen = (l >= np.arange(4)[:, None])[:, :, None] & (l >= np.arange(4)[:, None])[:, None]
     assert np.abs(np.where(seen, whole - diagonal, 0.0)).max() < 1e-13
@@ -121,10 +121,10 @@ def test_blocks_of_a_sphere_are_dressed_as_its_diagonal_is():
 @pytest.mark.parametrize(("particle", "gap"), [(3, 12.0), (5, 8.0)])
 def test_one_disc_is_reciprocal(substrate, particle, gap):
     known = _known(particle)
-    body = KnownBody(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
+    body = TabulatedBody(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
     below = surface(known.wavelengths_nm[0], substrate, [(1.46, 200.0)])
     p = place(body, below, gap).particle
-    alone = SphereOnStack(below, p.centre_nm, p.t_matrix, 4, p.cut)
+    alone = ParticleOnStack(below, p.centre_nm, p.t_matrix, 4, p.cut)
     sides = [alone.directions(np.cos([0.1, 0.7, 1.3]))]
     if substrate == 1.5:
         sides.append(alone.directions(np.cos([0.2, 0.8, 1.4]), below=True))
@@ -139,11 +139,11 @@ def test_a_disc_on_glass_absorbs_what_it_does_not_scatter():
     """Extinction (two interferences) and scattering (an integral) share no formula; the index says how much is lost."""
     known = _known(3)
     p = Particle(1.0, known.height_nm / 2 + 12.0, known.blocks[0])
-    alone = SphereOnStack(surface(600.0, 1.5), p.centre_nm, p.t_matrix, 6)
+    alone = ParticleOnStack(surface(600.0, 1.5), p.centre_nm, p.t_matrix, 6)
     found = cross_sections(alone, np.cos([0.0, 0.6, 1.1]))
     lost = found.absorption / found.extinction
     assert np.all(lost > 0.0) and np.all(lost < 0.2)
-    free = SphereOnStack(surface(600.0, 1.0), p.centre_nm, p.t_matrix, 6)
+    free = ParticleOnStack(surface(600.0, 1.0), p.centre_nm, p.t_matrix, 6)
     data = reference("particles_open.npz")
     there = cross_sections(free, np.cos(np.radians([0.0, 45.0])))
     assert there.extinction.T == pytest.approx(data["sigma_ext_nm2"][3, :2], rel=2e-4)
@@ -153,7 +153,7 @@ def test_a_disc_on_glass_absorbs_what_it_does_not_scatter():
 
 def _layer(particle, gap, coverage=0.06, substrate=1.5, **more):
     known = _known(particle)
-    body = KnownBody(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
+    body = TabulatedBody(known, known.radius_nm, known.height_nm, known.circumscribing_nm, "x")
     below = surface(known.wavelengths_nm[0], substrate)
     density = coverage / np.pi / known.radius_nm**2
     packing = max(0.12, 1.01 * coverage * (known.circumscribing_nm / known.radius_nm) ** 2)
@@ -166,7 +166,7 @@ def test_the_mean_field_of_discs_is_reciprocal_and_keeps_energy(particle, gap):
     layer = _layer(particle, gap)
     mu, weights = hemisphere_rule(16)
     below_mu, below_weights = hemisphere_rule(14, 1.5)
-    sides = [(layer.light(mu), weights), (layer.light(below_mu, True), below_weights)]
+    sides = [(layer.illuminate(mu), weights), (layer.illuminate(below_mu, True), below_weights)]
     term = diffuse_term(layer, sides, 8)
     swapped = term.coherent.transpose(1, 0, 3, 2, 4)
     assert np.abs(term.coherent - swapped).max() <= RECIPROCITY * np.abs(term.coherent).max()
@@ -198,11 +198,11 @@ def test_one_disc_of_an_ensemble_is_the_disc_on_the_stack(gap):
     coupling = Coupling.build(below, particle, 200.0, 400.0)
     light = Directions.build(below, particle.centre_nm, 2, 2, np.cos([0.3, 0.9]))
     azimuths = 2 * np.pi * np.arange(8) / 8
-    waves = PlaneWaves.build(light, np.array([0.0]), 2, below.wavenumber)
-    views = PlaneWaves.build(light, azimuths, 2, below.wavenumber)
+    waves = plane_waves(light, np.array([0.0]), 2, below.wavenumber)
+    views = plane_waves(light, azimuths, 2, below.wavenumber)
     place_nm = np.array([[0.0, 0.0]])
     f = coupling.far_field(place_nm, coupling.solve(place_nm, waves), views).reshape(2, 2, 8, 2, 2)
-    alone = SphereOnStack(below, particle.centre_nm, particle.t_matrix, 2, particle.cut)
+    alone = ParticleOnStack(below, particle.centre_nm, particle.t_matrix, 2, particle.cut)
     wanted = amplitude(alone.harmonics(light, light), azimuths)
     assert np.abs(f.transpose(0, 1, 3, 4, 2) - wanted).max() <= 2e-5 * np.abs(wanted).max()
 

@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
+from validation.metasurface_helpers import plane_waves
 
-from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves, direct_coupling, reflected_coupling
+from nacre.families.metasurface.ensemble.multisphere import Coupling, direct_coupling, reflected_coupling
 from nacre.families.metasurface.monolayer.monolayer import Particle
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, reciprocal
 from nacre.families.metasurface.tmatrix.bem import Mesh, block_t_matrix
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     Directions,
-    SphereOnStack,
+    ParticleOnStack,
     amplitude,
     hemisphere_rule,
     reflection_operator,
@@ -27,7 +28,7 @@ PLACES = np.array([[0.0, 0.0], [190.0, 30.0], [-120.0, 260.0], [900.0, -640.0], 
 
 def _waves(below, centre, order, theta, azimuths, under=False):
     directions = Directions.build(below, centre, order, order, np.cos(theta), under)
-    return PlaneWaves.build(directions, np.asarray(azimuths), order, below.wavenumber)
+    return plane_waves(directions, np.asarray(azimuths), order, below.wavenumber)
 
 
 def _coupled(below, radius, m, order, places=PLACES):
@@ -42,7 +43,7 @@ def test_one_sphere_alone_is_the_sphere_on_the_stack(name):
     coupling = _coupled(below, 90.0, 0.05 + 3.1j, 3, PLACES[:1])
     light, view = _waves(below, 90.0, 3, theta, [0.4]), _waves(below, 90.0, 3, theta, AROUND)
     found = coupling.far_field(PLACES[:1], coupling.solve(PLACES[:1], light), view).reshape(2, 2, 12, 2, 2)
-    alone = SphereOnStack(below, 90.0, t_matrix(3, below.wavenumber * 90.0, 0.05 + 3.1j), 3)
+    alone = ParticleOnStack(below, 90.0, t_matrix(3, below.wavenumber * 90.0, 0.05 + 3.1j), 3)
     directions = alone.directions(np.cos(theta))
     plain = np.moveaxis(amplitude(alone.harmonics(directions, directions), AROUND - 0.4), 4, 2)
     assert np.abs(found - plain).max() <= SINGLE * np.abs(plain).max()

@@ -198,7 +198,7 @@ def test_a_recipe_counts_distances_by_the_outside_and_draws_it(tmp_path, capsys,
     path = tmp_path / "coated.toml"
     path.write_text(RECIPE % shape)
     model = nacre.load(path).model
-    assert (model.outer_radius_nm, model.kinds[0].height_nm) == (50.0, 80.0)
+    assert (model.outer_radius_nm, model.all_species[0].height_nm) == (50.0, 80.0)
     assert model.structure.density_per_nm2 * np.pi * 50.0**2 == pytest.approx(0.05)
     assert model.structure.diameter_nm == pytest.approx(2 * reach)
     up, down = model.powers([0.8], 550.0)[:2]
@@ -213,11 +213,11 @@ def test_a_recipe_counts_distances_by_the_outside_and_draws_it(tmp_path, capsys,
 def test_sizes_spread_as_the_cores_do(tmp_path):
     path = tmp_path / "coated.toml"
     path.write_text((RECIPE % "cylinder").replace("gap_nm", 'deviation_nm = 5\ndistribution = "lognormal"\ngap_nm'))
-    kind = nacre.load(path).model.kinds[0]
+    kind = nacre.load(path).model.all_species[0]
     assert kind.outer_radius_nm == pytest.approx(50.0) and kind.core_radius_nm == pytest.approx(40.0)
     bare = Sizes.of(40.0, 5.0, "lognormal")
     assert np.array(kind.sizes.radii_nm) - 10.0 == pytest.approx(np.array(bare.radii_nm))
-    assert kind.body.of_radius(kind.sizes.radii_nm[0]).core_extents_nm[0] == pytest.approx(bare.radii_nm[0])
+    assert kind.body.with_radius(kind.sizes.radii_nm[0]).core_extents_nm[0] == pytest.approx(bare.radii_nm[0])
 
 
 @pytest.mark.parametrize(
@@ -234,7 +234,7 @@ def test_an_exported_body_is_read_with_its_own_sphere_around_it(tmp_path, capsys
     model = nacre.load(path).model
     wide, high = 2 * model.body.radius_nm, model.body.height_nm
     assert high / 2 + 24 > model.body.circumscribing_nm < np.hypot(wide, high) / 2 - 1.0
-    known = model.body.all_known(np.array([550.0]))
+    known = model.body.exported_t_matrices(np.array([550.0]))
     assert "in 10 nm of" in known.name or not coat
     write_tmatrices(tmp_path / "coated.tmat.h5", known, named)
     particle = text[text.index("[particle]") : text.index("[monolayer]")]
@@ -279,7 +279,7 @@ def test_a_rounded_edge_settles_where_a_sharp_one_has_no_finite_field():
         _rounded(45.0, 40.0, 0.0, relative).azimuthal(420.0, 1)
     made = _rounded(45.0, 40.0, 1.0, relative)
     made.azimuthal(420.0, 1)
-    assert made.stated_error < 1e-3
+    assert made.estimated_error < 1e-3
 
 
 def test_a_cylinders_edge_is_a_key_of_the_recipe_and_refused_where_it_does_not_fit():
@@ -287,7 +287,7 @@ def test_a_cylinders_edge_is_a_key_of_the_recipe_and_refused_where_it_does_not_f
         particle = {"material": "Si", "gap_nm": 2, "shape": "cylinder", "diameter_nm": 80, "height_nm": 60, **keys}
         return {"family": "metasurface", "substrate": "glass", "particle": particle, "monolayer": {"coverage": 0.1}}
 
-    (kind,) = nacre.material(recipe(edge_radius_nm=3, shell={"material": "SiO2", "thickness_nm": 5})).model.kinds
+    (kind,) = nacre.material(recipe(edge_radius_nm=3, shell={"material": "SiO2", "thickness_nm": 5})).model.all_species
     assert kind.body.edge_nm == 3.0 and kind.body.height_nm == 70.0
     assert "edges of 3 nm" in kind.body.name
     assert kind.body.circumscribing_nm == pytest.approx(np.hypot(37.0, 27.0) + 8.0)

@@ -69,10 +69,10 @@ def test_closed_form_is_the_matrix_form_with_the_free_t_matrix(substrate, films)
 def _solved(layer, theta, nodes=20, kept=11):
     x = np.cos(theta)
     mu, w = hemisphere_rule(nodes)
-    sides = [(layer.light(np.concatenate([mu, x])), np.concatenate([w, 0 * x]))]
-    if layer.has_below:
+    sides = [(layer.illuminate(np.concatenate([mu, x])), np.concatenate([w, 0 * x]))]
+    if layer.transmits_below:
         mu_b, w_b = hemisphere_rule(16, layer.surface.index_below)
-        sides.append((layer.light(np.concatenate([mu_b, x]), True), np.concatenate([w_b, 0 * x])))
+        sides.append((layer.illuminate(np.concatenate([mu_b, x]), True), np.concatenate([w_b, 0 * x])))
     term = diffuse_term(layer, sides, kept)
     total = (term.above + term.below)[:, nodes : nodes + len(x)] / x
     return sum(layer.specular_above(x)) + total, term
@@ -93,7 +93,7 @@ def test_absorption_closes_the_energy_of_a_lossy_layer(packing):
     layer = monolayer(450.0, 75.0, 0.05 + 2.6j, 1.0, 0.1, packing, lmax=4)
     theta = np.array([0.0, 0.5, 0.96, 1.3])
     total, _ = _solved(layer, theta)
-    b = layer.light(np.cos(theta)).response[0]
+    b = layer.illuminate(np.cos(theta)).response[0]
     both = np.concatenate([b, b[1:]])  # orders -m carry what m do
     t = layer.particles[0].t_matrix[:, None]
     k = layer.surface.wavenumber
@@ -121,7 +121,10 @@ def test_light_from_below_loses_nothing_either(packing):
     mu, w = hemisphere_rule(20)
     mu_b, w_b = hemisphere_rule(16, 1.5)
     x = np.cos(inner)
-    sides = [(layer.light(mu), w), (layer.light(np.concatenate([mu_b, x]), True), np.concatenate([w_b, 0 * x]))]
+    sides = [
+        (layer.illuminate(mu), w),
+        (layer.illuminate(np.concatenate([mu_b, x]), True), np.concatenate([w_b, 0 * x])),
+    ]
     term = diffuse_term(layer, sides, 1)
     diffuse = (term.above + term.below)[:, -4:] / x
     passed = np.zeros((2, 4))
@@ -142,10 +145,10 @@ def _metric(name, correction):
     theta_i, theta_s = data["theta_i_rad"], data["theta_s_rad"]
     mu, w = hemisphere_rule(24)
     cos = np.concatenate([mu, np.cos(theta_i), np.cos(theta_s)])
-    sides = [(layer.light(cos), np.concatenate([w, np.zeros(len(cos) - 24)]))]
-    if layer.has_below:
+    sides = [(layer.illuminate(cos), np.concatenate([w, np.zeros(len(cos) - 24)]))]
+    if layer.transmits_below:
         mu_b, w_b = hemisphere_rule(20, below.index_below)
-        sides.append((layer.light(mu_b, True), w_b))
+        sides.append((layer.illuminate(mu_b, True), w_b))
     term = diffuse_term(layer, sides, 14, symmetric=False)
     phi = 2 * np.pi * np.arange(72) / 72
     errors, totals = [], []

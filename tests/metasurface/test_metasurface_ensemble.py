@@ -15,14 +15,14 @@ from nacre.core.progress import on_progress
 from nacre.families.metasurface import model_selection
 from nacre.families.metasurface.ensemble import interpolation
 from nacre.families.metasurface.ensemble.ensemble import ANGLES, Ensemble, same_order
-from nacre.families.metasurface.ensemble.supercells import cells, orders, with_kinds
+from nacre.families.metasurface.ensemble.supercells import orders, supercells, with_species
 from nacre.families.metasurface.monolayer.arrangement import Arrangement
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.ensemble_ratio import (
     BLOCKS_ABOVE,
     Pairs,
     Ratio,
-    Ways,
+    RatioDirections,
     _terms,
     block_sums,
     blocks,
@@ -53,23 +53,27 @@ def recipe(model=None, **more):
     }
 
 
-def some_ratio(has_below, seed=0):
+def some_ratio(transmits_below, seed=0):
     g = np.random.default_rng(seed)
-    sizes = {b: len(_terms(bool(b[0]), bool(b[1]), "same" if b[2] == b[3] else "cross")) for b in blocks(has_below)}
+    sizes = {
+        b: len(_terms(bool(b[0]), bool(b[1]), "same" if b[2] == b[3] else "cross")) for b in blocks(transmits_below)
+    }
     return Ratio({b: np.tile(0.1 * g.normal(size=n), (3, 1)) for b, n in sizes.items()})
 
 
 def ways(count=6, below=0):
     kappa = np.concatenate([np.sin(np.linspace(0.05, 1.4, count)), np.linspace(0.1, 1.4, below)])
     is_below = np.arange(count + below) >= count
-    return Ways.of(kappa, np.where(is_below, 1.5, 1.0), is_below)
+    return RatioDirections.of(kappa, np.where(is_below, 1.5, 1.0), is_below)
 
 
 def _planted(true, block, generator, follows=0.0, count=24):
     """One pattern of random light over 8 bins of the angle, which is `true` times its model."""
     theta = np.sort(generator.uniform(0.05, 1.4, (2, count)), axis=1)
     left, right = (
-        Ways.of(np.sin(t) * (1.3 if side else 1.0), np.full(count, 1.5 if side else 1.0), np.full(count, bool(side)))
+        RatioDirections.of(
+            np.sin(t) * (1.3 if side else 1.0), np.full(count, 1.5 if side else 1.0), np.full(count, bool(side))
+        )
         for t, side in zip(theta, block[:2])
     )
     phi = generator.uniform(0, 2 * np.pi, (count, count))
@@ -82,15 +86,15 @@ def _planted(true, block, generator, follows=0.0, count=24):
     return pairs, model, factor
 
 
-@pytest.mark.parametrize("has_below", [False, True])
-def test_a_planted_ratio_is_found_through_the_speckle_and_its_errors_are_its_own(has_below):
+@pytest.mark.parametrize("transmits_below", [False, True])
+def test_a_planted_ratio_is_found_through_the_speckle_and_its_errors_are_its_own(transmits_below):
     scores = []
     for seed in range(3):
-        g, true = np.random.default_rng(seed), some_ratio(has_below, seed)
+        g, true = np.random.default_rng(seed), some_ratio(transmits_below, seed)
         patterns, light, model = [], np.zeros(ANGLES**2), np.zeros(ANGLES**2)
         for _ in range(12):
             one = {}
-            for block in blocks(has_below):
+            for block in blocks(transmits_below):
                 pairs, _, factor = _planted(true, block, g)
                 one[block] = block_sums(block, pairs, ANGLES)
                 if block in BLOCKS_ABOVE:
@@ -121,7 +125,7 @@ def test_what_a_pattern_s_own_structure_explains_is_taken_off_and_costs_no_truth
         found, errors = fit_ratio(patterns)
         spread.append(np.sqrt(np.mean(errors**2)))
         theta = np.linspace(0.1, 1.3, 7)
-        way = Ways.of(np.sin(theta), np.ones(7), np.zeros(7, bool))
+        way = RatioDirections.of(np.sin(theta), np.ones(7), np.zeros(7, bool))
         phi = np.linspace(0, np.pi, 9)
         off = found.at(way, way, block, phi).mean(-1) / true.at(way, way, block, phi).mean(-1) - 1
         assert np.abs(off).max() < 0.3
@@ -134,7 +138,7 @@ def test_light_with_a_ratio_is_reciprocal_and_its_totals_are_its_own():
     layer = dataclasses.replace(plain, ratio=some_ratio(True))
     mu, w = hemisphere_rule(12)
     mu_b, w_b = hemisphere_rule(10, 1.5)
-    term = diffuse_term(layer, [(layer.light(mu), w), (layer.light(mu_b, True), w_b)], 14)
+    term = diffuse_term(layer, [(layer.illuminate(mu), w), (layer.illuminate(mu_b, True), w_b)], 14)
     swapped = term.coherent.transpose(1, 0, 3, 2, 4)
     assert np.abs(term.coherent - swapped).max() <= RECIPROCITY_BAR * np.abs(term.coherent).max()
     assert np.abs(term.unpolarised - term.unpolarised.T).max() <= RECIPROCITY_BAR * term.unpolarised.max()
@@ -154,9 +158,9 @@ def test_no_ratio_and_one_of_one_are_the_same_light():
     plain = monolayer(500.0, 90.0, 0.05 + 3.1j, 1.0, 0.1, 0.3, lmax=3)
     ones = Ratio({b: np.zeros_like(c) for b, c in some_ratio(True).coefficients.items()})
     mu, w = hemisphere_rule(8)
-    a = diffuse_term(plain, [(plain.light(mu), w), (plain.light(mu, True), w)], 8)
+    a = diffuse_term(plain, [(plain.illuminate(mu), w), (plain.illuminate(mu, True), w)], 8)
     layer = dataclasses.replace(plain, ratio=ones)
-    b = diffuse_term(layer, [(layer.light(mu), w), (layer.light(mu, True), w)], 8)
+    b = diffuse_term(layer, [(layer.illuminate(mu), w), (layer.illuminate(mu, True), w)], 8)
     assert np.abs(a.coherent - b.coherent).max() <= 1e-12 * np.abs(a.coherent).max()
     assert np.abs(a.above / b.above - 1).max() < 1e-3
 
@@ -182,8 +186,8 @@ def _patterns(layer, density, packing, spheres, realisations):
     def pattern(count, seed):
         return Arrangement("hard-disk", density, packing, seed).pattern(count)
 
-    made = cells(pattern, density, layer.structure.diameter_nm, spheres, realisations, 0)
-    one = Ensemble(same_order(layer, 2, *layer.particles), with_kinds(made, layer.shares, 0))
+    made = supercells(pattern, density, layer.structure.diameter_nm, spheres, realisations, 0)
+    one = Ensemble(same_order(layer, 2, *layer.particles), with_species(made, layer.shares, 0))
     one.prepare()
     return one
 
@@ -238,12 +242,14 @@ def test_far_apart_spheres_need_no_ratio():
     assert errors.max() < 0.2
 
 
-@pytest.mark.parametrize("system", model_selection.MEASURED, ids=lambda m: f"{m.system}, f {m.coverage:g}")
+@pytest.mark.parametrize("system", model_selection.MEASURED, ids=lambda m: f"{m.name}, f {m.coverage:g}")
 def test_the_choice_keeps_the_mean_field_where_it_was_measured_to_hold(system):
     """One that fails decides for all like it that are as dense, also at wavelengths where it would do."""
-    holds, _ = model_selection.mean_field_holds(system.kinds, system.on_substrate, system.coverage)
-    alike = [m for m in model_selection.MEASURED if (m.kinds, m.on_substrate) == (system.kinds, system.on_substrate)]
-    assert holds == all(m.error <= model_selection.HOLDS for m in alike if m.coverage <= system.coverage)
+    holds, _ = model_selection.mean_field_holds(system.species, system.on_substrate, system.coverage)
+    alike = [
+        m for m in model_selection.MEASURED if (m.species, m.on_substrate) == (system.species, system.on_substrate)
+    ]
+    assert holds == all(m.error <= model_selection.MAX_ERROR for m in alike if m.coverage <= system.coverage)
 
 
 DISC = {"shape": "cylinder", "material": "Ag", "diameter_nm": 150, "height_nm": 60, "gap_nm": 10}
@@ -273,7 +279,7 @@ def test_discs_and_mixtures_are_judged_by_their_own_kind(particle, substrate, co
 
 def test_a_shape_that_only_a_t_matrix_tells_is_not_taken_for_a_sphere():
     assert not model_selection.mean_field_holds(
-        [model_selection.Like(model_selection.SHAPES[""], model_selection.METAL)], True, 0.01
+        [model_selection.SystemClass(model_selection.SHAPES[""], model_selection.METAL)], True, 0.01
     )[0]
 
 
@@ -421,14 +427,14 @@ def test_squares_cut_from_a_list_stay_inside_it_and_a_close_pair_loses_one():
     xy = np.random.default_rng(2).uniform(0, 8000, (600, 2))
     listed = Pattern(xy, 8000.0)
     wanted = np.sqrt(60 / (600 / 8000.0**2))
-    for one in cells(lambda count, seed: listed, 600 / 8000.0**2, 60.0, 60, 5, 0, True):
+    for one in supercells(lambda count, seed: listed, 600 / 8000.0**2, 60.0, 60, 5, 0, True):
         side = one.period.side_nm
         assert side == pytest.approx(wanted)
         gap = (one.xy_nm[:, None] - one.xy_nm + side / 2) % side - side / 2
         assert (np.linalg.norm(gap, axis=2) + 1e9 * np.eye(len(gap))).min() >= 60.0 * (1 - 1e-6)
         # each is a point of the list, moved by one and the same step or brought back by the period
         assert np.all(np.abs(one.period.bloch) <= np.pi / side)
-    whole = cells(lambda count, seed: listed, 600 / 8000.0**2, 0.0, 550, 2, 0, True)
+    whole = supercells(lambda count, seed: listed, 600 / 8000.0**2, 0.0, 550, 2, 0, True)
     assert all(len(one.xy_nm) == 600 and one.period.side_nm == 8000.0 for one in whole)
 
 
@@ -465,13 +471,13 @@ def test_each_endless_pattern_of_lossless_spheres_sends_out_what_arrives(substra
     particles = [Particle(1.0, height, t_matrix(2, below.inner_wavenumber * radius, 3.9 / below.inner_index))]
     if is_mixture:  # of unlike heights
         small = Particle(
-            0.4, height - 35.0, t_matrix(2, below.inner_wavenumber * 60.0, 3.0 / below.inner_index), kind=1
+            0.4, height - 35.0, t_matrix(2, below.inner_wavenumber * 60.0, 3.0 / below.inner_index), species=1
         )
         particles = [dataclasses.replace(particles[0], share=0.6), small]
     layer = Monolayer(below, tuple(particles), hard_disk_structure(density, 0.2, 7 * below.wavenumber))
     one = _patterns(layer, density, 0.2, 30, 2)
     k, low = below.wavenumber, below.index_below
-    for cell in one.cells:
+    for cell in one.supercells:
         wave = orders(cell.period, 0.97 * k)[::7]
         sine = np.hypot(*wave.T) / k
         solved = one.lattice.solve(cell, one.waves(one.side(wave, False), False))
@@ -480,7 +486,7 @@ def test_each_endless_pattern_of_lossless_spheres_sends_out_what_arrives(substra
             index = low if under else 1.0
             every = orders(cell.period, index * k * (1 - 1e-9))
             side = one.side(every, under)
-            f = one.coupling.far_field(cell.xy_nm, solved, one.waves(side, True), cell.kinds)
+            f = one.coupling.far_field(cell.xy_nm, solved, one.waves(side, True), cell.species)
             f = f.reshape(2, len(every), 2, -1)
             cos = side.directions.cosines
             amplitude = (
@@ -519,21 +525,21 @@ def test_where_the_window_ends_changes_no_coupling(second, place):
     Light that a film guides goes far too: without the waves beyond its index they miss by 2.6 %.
     """
     from nacre.families.metasurface.ensemble.multisphere import Coupling
-    from nacre.families.metasurface.ensemble.supercells import Lattice
+    from nacre.families.metasurface.ensemble.supercells import PeriodicCoupling
 
     stacks = {"glass": (surface(500.0, 1.5), 90.0), "film": (surface(500.0, 1.5, ((2.4, 120.0),)), 90.0), **INSIDE}
     (below, height), radius = stacks[place], 90.0
     density = 0.1 / np.pi / radius**2
     particles = [Particle(1.0, height, t_matrix(2, below.inner_wavenumber * radius, 0.05 + 3.1j))]
     if second is not None:
-        small = Particle(0.5, height - 40.0, t_matrix(2, below.inner_wavenumber * 80.0, second), kind=1)
+        small = Particle(0.5, height - 40.0, t_matrix(2, below.inner_wavenumber * 80.0, second), species=1)
         particles = [dataclasses.replace(particles[0], share=0.5), small]
     layer = Monolayer(below, tuple(particles), hard_disk_structure(density, 0.1, 7 * below.wavenumber))
     one = _patterns(layer, density, 0.1, 20, 1)
     found = []
     for share in (0.9, 1.7):
-        reach = share * one.cells[0].period.side_nm
+        reach = share * one.supercells[0].period.side_nm
         first, *others = one.layer.particles
         near = Coupling.build(below, first, 2 * radius, reach, *others, fades=True)
-        found.append(Lattice.build(one.layer, near, reach).matrix(one.cells[0]))
+        found.append(PeriodicCoupling.build(one.layer, near, reach).matrix(one.supercells[0]))
     assert np.abs(found[0] - found[1]).max() <= 3e-3 * np.abs(found[1] - np.eye(len(found[1]))).max()

@@ -8,7 +8,7 @@ import pytest
 from nacre.bsdf.grids import direction
 from nacre.families.metasurface.material import MetasurfaceWarning
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
-from nacre.families.metasurface.monolayer.evaluation import few_powers, few_values
+from nacre.families.metasurface.monolayer.evaluation import direct_powers, direct_values
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 from nacre.material.material import material
 
@@ -38,13 +38,13 @@ def test_a_few_directions_send_what_the_balanced_term_sends(substrate, particle)
     layer = model.monolayer(520.0)
     cos = np.cos(np.radians([0.0, 30.0, 60.0]))
     mu, weights = hemisphere_rule(24)
-    sides = [(layer.light(np.concatenate([mu, cos])), np.concatenate([weights, np.zeros(3)]))]
+    sides = [(layer.illuminate(np.concatenate([mu, cos])), np.concatenate([weights, np.zeros(3)]))]
     if model.transmits:
         below, below_weights = hemisphere_rule(20, layer.surface.index_below)
-        sides.append((layer.light(below, True), below_weights))
+        sides.append((layer.illuminate(below, True), below_weights))
     term = diffuse_term(layer, sides, 1)
     whole = (*layer.specular_above(cos), term.above[:, 24:27] / cos, term.below[:, 24:27] / cos)
-    for ours, theirs in zip(few_powers(layer, cos), whole, strict=True):
+    for ours, theirs in zip(direct_powers(layer, cos), whole, strict=True):
         assert np.max(np.abs(ours - theirs)) <= INTERPOLATION
 
 
@@ -69,7 +69,7 @@ def test_pairs_near_grazing_or_of_many_angles_are_left_to_the_tables():
 def test_values_are_reciprocal():
     layer = _made().model.monolayer(500.0)
     one, other = direction(np.radians([25.0])), direction(np.radians([55.0]))
-    forth, back = few_values(layer, one, other), few_values(layer, other, one)
+    forth, back = direct_values(layer, one, other), direct_values(layer, other, one)
     assert abs(forth / back - 1.0).max() <= 1e-9
 
 

@@ -5,25 +5,25 @@ import dataclasses
 import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
+from validation.metasurface_helpers import cross_sections
 
 import nacre
 from nacre.core.errors import NacreError
 from nacre.families.metasurface.ensemble.ensemble import Ensemble, EnsembleSettings
 from nacre.families.metasurface.ensemble.multisphere import reflected_coupling
-from nacre.families.metasurface.ensemble.supercells import BEYOND_IN_A_LAYER, cells, lift, orders, with_kinds
+from nacre.families.metasurface.ensemble.supercells import BEYOND_IN_A_LAYER, lift, orders, supercells, with_species
 from nacre.families.metasurface.monolayer.arrangement import Arrangement
-from nacre.families.metasurface.monolayer.evaluation import few_powers
+from nacre.families.metasurface.monolayer.evaluation import direct_powers
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
-    SphereOnStack,
+    ParticleOnStack,
     amplitude,
-    cross_sections,
     reflection_operator,
 )
 from nacre.families.metasurface.tmatrix.special_functions import adjoint, mirrored, plane_wave_vectors
-from nacre.families.metasurface.tmatrix.substrate import Echo, Embedded
+from nacre.families.metasurface.tmatrix.substrate import Embedded, StackReflection
 
 WAVELENGTH, RADIUS = 550.0, 75.0
 SAME, ENERGY_ALONE, RECIPROCITY = 1e-12, 1e-8, 1e-10
@@ -40,7 +40,7 @@ def inside(indices, thicknesses, host=1):
 
 def alone(below, centre, index, lmax=8):
     x = below.inner_wavenumber * RADIUS
-    return SphereOnStack(below, centre, t_matrix(lmax, x, index / below.inner_index), min(4, lmax))
+    return ParticleOnStack(below, centre, t_matrix(lmax, x, index / below.inner_index), min(4, lmax))
 
 
 def fields(sphere, lit_below=False, seen_below=False):
@@ -61,7 +61,7 @@ def test_in_a_layer_of_the_ambient_s_index_they_are_as_in_a_gap():
     for sides in ((False, False), (False, True), (True, False), (True, True)):
         f, g = np.abs(fields(a, *sides)), np.abs(fields(b, *sides))  # the phase counts from the top of each stack
         assert np.abs(f - g).max() <= SAME * f.max()
-    for f, g in zip(few_powers(layer(over, 150.0, 2.5), LIGHT), few_powers(layer(within, 150.0, 2.5), LIGHT)):
+    for f, g in zip(direct_powers(layer(over, 150.0, 2.5), LIGHT), direct_powers(layer(within, 150.0, 2.5), LIGHT)):
         assert np.abs(f - g).max() <= SAME
 
 
@@ -73,7 +73,9 @@ def test_cutting_their_layer_in_two_changes_nothing(cut, below):
     parts = inside([1.0, 1.46, 1.46, below], [first, second], host)
     f, g = fields(alone(whole, whole_height, 2.5)), fields(alone(parts, height, 2.5))
     assert np.abs(f - g).max() <= 1e-11 * np.abs(f).max()
-    for a, b in zip(few_powers(layer(whole, whole_height, 2.5), LIGHT), few_powers(layer(parts, height, 2.5), LIGHT)):
+    for a, b in zip(
+        direct_powers(layer(whole, whole_height, 2.5), LIGHT), direct_powers(layer(parts, height, 2.5), LIGHT)
+    ):
         # a search takes few nodes, 1e-4 at the worst of stacks, and another number of them for the cut layer
         assert np.abs(a - b).max() <= 1e-9
 
@@ -125,7 +127,7 @@ def test_a_dipole_in_a_layer_decays_as_the_published_integral_says(host):
 
 @pytest.mark.parametrize(("host", "below", "guides"), [(1.33, 1.5, False), (1.5, 1.5, False), (1.7, 1.5, True)])
 def test_a_layer_of_lossless_spheres_sends_out_what_arrives_less_what_is_guided(host, below, guides):
-    total = sum(few_powers(layer(inside([1.0, host, below], [400.0]), 150.0, 2.5), LIGHT))
+    total = sum(direct_powers(layer(inside([1.0, host, below], [400.0]), 150.0, 2.5), LIGHT))
     assert total.max() <= 1.0 + ENERGY
     assert (total.max() < 1.0) if guides else (total.min() >= 1.0 - ENERGY)
 
@@ -134,7 +136,7 @@ def test_the_table_of_neighbours_serves_angles_on_both_sides_of_a_layer():
     made = layer(inside([1.0, 1.7, 1.5], [400.0]), 150.0, 2.5)
     for below in (False, True):
         cosines = np.cos(np.radians([2.0, 33.0, 61.0, 84.0]))
-        table, direct = made.light(cosines, below), made.light(cosines, below, at_once=True)
+        table, direct = made.illuminate(cosines, below), made.illuminate(cosines, below, untabulated=True)
         size = np.abs(direct.response[0]).max()
         assert np.abs(table.response[0] - direct.response[0]).max() <= INTERPOLATED * size
 
@@ -144,7 +146,7 @@ def test_both_forms_of_an_echo_are_the_same():
     w = np.array([0.3 + 0.1j, 0.9 + 0j])
     below, above = (0.6 * (g.normal(size=(2, 2)) + 1j * g.normal(size=(2, 2))) for _ in range(2))
     risen, fallen = (g.normal(size=(2, 2)) + 1j * g.normal(size=(2, 2)) for _ in range(2))
-    echo, b = Echo.between(below, above, risen, fallen), plane_wave_vectors(w, 3, 3)
+    echo, b = StackReflection.between(below, above, risen, fallen), plane_wave_vectors(w, 3, 3)
     sign = mirrored(np.ones((*b.shape[:3], 1), complex)).real[..., 0]
     for m, pol in np.ndindex(4, 2):
         whole = sum(left[m, pol][:, None] * right[m, pol] for left, right in echo.pairs(b))
@@ -215,20 +217,20 @@ def test_an_ensemble_in_a_layer_of_the_ambient_s_index_is_that_of_a_gap(is_mixtu
     )  # where both end their sums
     density, found = 0.1 / np.pi / RADIUS**2, []
     made = Arrangement("hard-disk", density, 0.1, 0)
-    patterns = cells(lambda count, _: made.pattern(count), density, 2 * RADIUS, 20, 1, 0)
+    patterns = supercells(lambda count, _: made.pattern(count), density, 2 * RADIUS, 20, 1, 0)
     for below in (surface(WAVELENGTH, 1.5), inside([1.0, 1.0, 1.5], [400.0])):
         kinds = [Particle(1.0, 150.0, t_matrix(2, below.inner_wavenumber * RADIUS, 3.5))]
         if is_mixture:
             half = dataclasses.replace(kinds[0], share=0.5)
-            kinds = [half, dataclasses.replace(half, centre_nm=210.0, kind=1)]
+            kinds = [half, dataclasses.replace(half, centre_nm=210.0, species=1)]
         layer_of = Monolayer(below, tuple(kinds), hard_disk_structure(density, 0.1, 7 * below.wavenumber))
-        patterns = with_kinds(patterns, layer_of.shares, 0) if is_mixture else patterns
+        patterns = with_species(patterns, layer_of.shares, 0) if is_mixture else patterns
         one = Ensemble(layer_of, patterns)
         every = orders(patterns[0].period, 0.97 * below.wavenumber)
         solved = one.lattice.solve(patterns[0], one.waves(one.side(every[::5], False), False))
         for under in (False, True):
             view = one.waves(one.side(every, under), True)
-            found.append(one.coupling.far_field(patterns[0].xy_nm, solved, view, patterns[0].kinds))
+            found.append(one.coupling.far_field(patterns[0].xy_nm, solved, view, patterns[0].species))
     for a, b in zip(found[:2], found[2:]):
         assert np.linalg.norm(np.abs(a) - np.abs(b)) <= SINGLE * np.linalg.norm(a)
 
@@ -270,7 +272,7 @@ def test_a_mixture_lies_in_a_layer_level_by_its_own_depths():
     given["monolayer"] = {"coverage": 0.05, "packing": 0.3}
     given["model"]["correction"] = "qca-balanced"
     mixed = nacre.material(given).model
-    assert [kind.gap_nm for kind in mixed.kinds] == [pytest.approx(100), pytest.approx(80)]
+    assert [kind.gap_nm for kind in mixed.all_species] == [pytest.approx(100), pytest.approx(80)]
     assert sum(mixed.powers([0.9], 550.0)).max() <= 1.0
     assert nacre.material({**given, "model": {}}).model.chosen_correction[0] == "ensemble"
 

@@ -15,7 +15,7 @@ from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.ladder import Modes
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.monolayer.translation_sums import all_orders, multipole_index
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, spread_blocks
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 
 FAINT = 1e-3  # of M: what is passed on twice is then nothing
@@ -33,7 +33,10 @@ def ladder(*args, **more):
 def _whole(layer, x):
     mu, w = hemisphere_rule(20)
     mu_b, w_b = hemisphere_rule(16, layer.surface.index_below)
-    sides = [(layer.light(np.concatenate([mu, x])), np.concatenate([w, 0 * x])), (layer.light(mu_b, True), w_b)]
+    sides = [
+        (layer.illuminate(np.concatenate([mu, x])), np.concatenate([w, 0 * x])),
+        (layer.illuminate(mu_b, True), w_b),
+    ]
     term = diffuse_term(layer, sides, 11)
     return sum(layer.specular_above(x)) + (term.above + term.below)[:, 20 : 20 + x.size] / x, term
 
@@ -42,7 +45,7 @@ def _whole(layer, x):
 def test_what_neighbours_send_back_is_a_sum_over_pairs_in_space(packing, monkeypatch):
     """To first order 2 pi rho int g^2 W(-R) M W(R) R dR, of equal azimuthal orders; what is left falls as 1/kappa."""
     layer = monolayer(600.0, 75.0, 3.9, 1.5, 0.1, packing, lmax=2)
-    faint = FAINT * all_orders(layer.spheres[0].dressed, 2)
+    faint = FAINT * spread_blocks(layer.spheres[0].dressed, multipole_index(2))
     k, a = layer.surface.wavenumber, layer.structure.diameter_nm
     x, weight = np.polynomial.legendre.leggauss(400)
     edge, end = a * k, 60.0
@@ -72,9 +75,9 @@ def test_the_ladder_gives_out_what_a_lossless_layer_takes(index, wavelength):
 def test_emission_through_the_neighbours_is_their_light_backwards():
     """u D M_i D_i v of one way and of the other: the same to rounding, before anything is made symmetric."""
     layer = ladder(550.0, 80.0, SILVER, 1.5, 0.1, 0.3, lmax=3)
-    lit = layer.light(np.cos(np.array([0.1, 0.5, 0.9, 1.3])))
+    lit = layer.illuminate(np.cos(np.array([0.1, 0.5, 0.9, 1.3])))
     first = lit.directions[0]
-    x = layer.fields([first.emission + diffuse.emission_added(lit.added)], lit.response)[0]  # m, q, s, p, i
+    x = layer.fields([first.emission + diffuse.neighbour_emission(lit.added)], lit.response)[0]  # m, q, s, p, i
     there, back = np.abs(x), np.abs(x.transpose(0, 3, 4, 1, 2))
     assert np.abs(there - back).max() <= 1e-9 * there.max()
 
@@ -84,11 +87,11 @@ def test_passed_on_light_is_reciprocal_between_its_nodes_already():
     layer = ladder(550.0, 80.0, SILVER, 1.5, 0.1, 0.3, lmax=2)
     modes = layer.modes
     mu = np.cos(np.array([0.2, 0.7, 1.2]))
-    lit = layer.light(mu)
+    lit = layer.illuminate(mu)
     order = 2
     met = diffuse._lights([diffuse._low(b, order) for b in lit.response])
     kappa = lit.directions[0].inner
-    found = modes.passed_on(met, np.tile(kappa, 2), diffuse._low(diffuse._leaving(layer, lit), order), kappa, 8)
+    found = modes.ladder_power(met, np.tile(kappa, 2), diffuse._low(diffuse._leaving(layer, lit), order), kappa, 8)
     power = found.reshape(3, 2, 2, 3, 8)  # s, q, p, i, k
     swapped = power.transpose(3, 2, 1, 0, 4)
     assert np.abs(power - swapped).max() <= 1e-4 * np.abs(power).max()
@@ -101,10 +104,10 @@ def test_the_nodes_of_passed_on_light_are_enough(substrate, films, monkeypatch):
     """Also of the radiance towards grazing, where the power falls as the cosine."""
     layer = ladder(500.0, 90.0, SILVER, substrate, 0.1, 0.1, films=films, lmax=2)
     mu = np.cos(np.radians([0.5, 20.0, 40.0, 55.0, 70.0, 80.0, 86.0, 89.0]))
-    lit = layer.light(mu)
-    few = diffuse.passed_on(layer, [(lit, mu)], 8)
+    lit = layer.illuminate(mu)
+    few = diffuse.ladder_power(layer, [(lit, mu)], 8)
     monkeypatch.setattr(diffuse, "NODES", (24, 12, 14))
-    many = diffuse.passed_on(layer, [(lit, mu)], 8)
+    many = diffuse.ladder_power(layer, [(lit, mu)], 8)
     steep = np.outer(mu, mu)[..., None, None, None]
     assert np.abs(few - many).max() <= 0.01 * np.abs(many).max()
     assert np.abs((few - many) / steep).max() <= 0.02 * np.abs(many / steep).max()
@@ -113,7 +116,7 @@ def test_the_nodes_of_passed_on_light_are_enough(substrate, films, monkeypatch):
 def test_a_mixture_of_two_equal_kinds_is_one_kind():
     one = ladder(550.0, 75.0, SILVER, 1.5, 0.1, 0.2, lmax=2)
     particle = one.particles[0]
-    halves = (dataclasses.replace(particle, share=0.5), dataclasses.replace(particle, share=0.5, kind=1))
+    halves = (dataclasses.replace(particle, share=0.5), dataclasses.replace(particle, share=0.5, species=1))
     two = dataclasses.replace(one, particles=halves)
     x = np.cos([0.1, 0.8, 1.3])
     alone, both = (_whole(layer, x)[1].above for layer in (one, two))
@@ -126,12 +129,12 @@ def test_a_mixture_with_a_dark_kind_passes_on_by_chance_of_who_is_who():
     density = 0.02 / np.pi / 75.0**2
     t = t_matrix(2, below.wavenumber * 75.0, SILVER)
     whole, half = (hard_disk_structure(n * density, n * 0.02, 4.5 * below.wavenumber * 1.5) for n in (1.0, 0.5))
-    mixed = Monolayer(below, (Particle(0.5, 75.0, t), Particle(0.5, 75.0, 1e-3 * t, kind=1)), whole, "qca-ladder")
+    mixed = Monolayer(below, (Particle(0.5, 75.0, t), Particle(0.5, 75.0, 1e-3 * t, species=1)), whole, "qca-ladder")
     alone = Monolayer(below, (Particle(1.0, 75.0, t),), half, "qca-ladder")
     mu, w = hemisphere_rule(12)
     passed = []
     for layer in (mixed, alone):
-        part = diffuse.passed_on(layer, [(layer.light(mu), w)], 1)
+        part = diffuse.ladder_power(layer, [(layer.illuminate(mu), w)], 1)
         passed.append(part * layer.structure.density_per_nm2)
     assert np.abs(passed[0] - passed[1]).max() <= DARK_BAR * passed[1].max()
 

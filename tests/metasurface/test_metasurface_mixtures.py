@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
 from validation.metasurface_ensembles import distance, judged, light, of_discs
+from validation.metasurface_helpers import plane_waves
 from validation.metasurface_mixtures import SILICON as DARK_SILICON
 from validation.metasurface_mixtures import SILVER as MIE_SILVER
 from validation.metasurface_mixtures import mixture
@@ -15,13 +16,13 @@ from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings, _kind_factor
 from nacre.families.metasurface.ensemble.interpolation import expected_seconds
-from nacre.families.metasurface.ensemble.multisphere import Coupling, Period, PlaneWaves, direct_coupling
-from nacre.families.metasurface.ensemble.supercells import Cell, lift, with_kinds
+from nacre.families.metasurface.ensemble.multisphere import Coupling, Period, direct_coupling
+from nacre.families.metasurface.ensemble.supercells import Supercell, lift, with_species
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index
 from nacre.families.metasurface.species import widened
 from nacre.families.metasurface.tmatrix.axisymmetric import as_blocks
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions
 from nacre.material.material import material
 
@@ -103,7 +104,7 @@ def unlike(below, order):
     k = below.wavenumber
     return (
         Particle(0.5, 85.0, t_matrix(order, k * 85.0, 3.9 + 0.02j)),
-        Particle(0.5, 50.0, t_matrix(order, k * 50.0, 0.05 + 3.1j), kind=1),
+        Particle(0.5, 50.0, t_matrix(order, k * 50.0, 0.05 + 3.1j), species=1),
     )  # fmt: skip
 
 
@@ -116,7 +117,7 @@ def _far(below, order, theta_i, theta_s, azimuths, views):
 
     def waves(theta, around):
         each = [Directions.build(below, p.centre_nm, order, order, np.cos(theta)) for p in particles]
-        return PlaneWaves.build(each[0], np.asarray(around), order, below.wavenumber, each[1])
+        return plane_waves(each[0], np.asarray(around), order, below.wavenumber, each[1])
 
     solved = coupling.solve(PLACES, waves(theta_i, azimuths), KINDS)
     return coupling.far_field(PLACES, solved, waves(theta_s, views), KINDS)
@@ -200,8 +201,8 @@ def test_a_mixture_s_ensemble_is_told_to_take_longer_where_its_kinds_lie_at_unli
 
 
 def test_each_kind_has_its_share_of_all_patterns():
-    made = [Cell(np.zeros((n, 2)), Period(1.0, np.zeros(2)), 0) for n in (31, 24, 45)]
-    kinds, others = ([one.kinds for one in with_kinds(made, np.array([0.7, 0.3]), seed)] for seed in (3, 4))
+    made = [Supercell(np.zeros((n, 2)), Period(1.0, np.zeros(2)), 0) for n in (31, 24, 45)]
+    kinds, others = ([one.species for one in with_species(made, np.array([0.7, 0.3]), seed)] for seed in (3, 4))
     assert [len(k) for k in kinds] == [31, 24, 45] and sum(int(k.sum()) for k in kinds) == 30
     assert not np.array_equal(np.concatenate(kinds), np.concatenate(others))
 
@@ -211,10 +212,10 @@ def test_how_a_pattern_s_kinds_lie_adds_nothing_on_average():
     g = np.random.default_rng(5)
     xy, shares, q = g.uniform(0, 2000, (40, 2)), np.array([0.7, 0.3]), g.uniform(0.003, 0.01, (6, 2))
     waves = np.exp(-1j * xy @ q.T), np.ones((40, 1))
-    cells_of_it = with_kinds([Cell(xy, Period(2000.0, np.zeros(2)), 0)] * 400, shares, 1)
+    cells_of_it = with_species([Supercell(xy, Period(2000.0, np.zeros(2)), 0)] * 400, shares, 1)
     found = np.stack([_kind_factor(one, shares, *waves) for one in cells_of_it])
     assert np.all(np.abs(found.mean(axis=0) - 1) <= 4 * found.std(axis=0) / 20) and found.std() > 0.5
-    pair = dataclasses.replace(cells_of_it[0], xy_nm=xy[:2], kinds=np.array([0, 1]))
+    pair = dataclasses.replace(cells_of_it[0], xy_nm=xy[:2], species=np.array([0, 1]))
     turn = np.exp(-1j * (xy[1] - xy[0]) @ q[0])
     by_hand = np.abs(0.3 - 0.7 * turn) ** 2 / (2 * 0.21)
     assert _kind_factor(pair, shares, waves[0][:2], waves[1][:2])[0, 0] == pytest.approx(by_hand)
@@ -279,7 +280,7 @@ def test_figures_and_files_of_a_mixture(tmp_path):
     assert np.all(drawn["reflectance"] >= 0) and drawn["reflectance"].max() < 1
     narrow = dataclasses.replace(made, range_nm=(500.0, 510.0))
     lost = narrow.own_formats["tmat"](tmp_path / "first.tmat.h5", "")
-    assert any("second kind" in line for line in lost)
+    assert any("second species" in line for line in lost)
 
 
 def test_what_a_mixture_cannot_be_gets_one_line():
@@ -293,7 +294,7 @@ def test_what_a_mixture_cannot_be_gets_one_line():
         with pytest.raises(NacreError, match=said) as told:
             material(recipe({**ball, "second": second}))
         assert "particle.second" in str(told.value) and "\n" not in str(told.value)
-    with pytest.raises(NacreError, match="for the larger kind"):
+    with pytest.raises(NacreError, match="for the larger species"):
         material(
             recipe(
                 two({"material": SILVER, "radius_nm": 40}, {**ball, "radius_nm": 120}, 0.05),

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from helpers_metasurface import reference, sphere, surface, t_matrix
+from validation.metasurface_helpers import cross_sections
 
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
-    ConvergenceRefusal,
+    MultipoleConvergenceError,
     amplitude,
     choose_order,
-    cross_sections,
     reflection_operator,
 )
 from nacre.matter.mie import mie_coefficients, mie_efficiencies
@@ -122,7 +122,7 @@ def test_chosen_order_changes_by_a_thousandth_when_doubled(wavelength, m, films,
 
 def test_metal_touching_silicon_is_refused():
     below = surface(450.0, 4.68 + 0.15j)
-    with pytest.raises(ConvergenceRefusal, match="does not converge"):
+    with pytest.raises(MultipoleConvergenceError, match="does not converge"):
         choose_order(below, 90.0, lambda lmax: t_matrix(lmax, below.wavenumber * 90.0, 0.04 + 2.66j))
     assert choose_order(below, 92.0, lambda lmax: t_matrix(lmax, below.wavenumber * 90.0, 0.04 + 2.66j)) <= 40
 

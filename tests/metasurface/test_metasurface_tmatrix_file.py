@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 from helpers_metasurface import REFERENCE, reference, t_matrix
+from validation.metasurface_helpers import cross_sections
 
 import nacre
 from nacre.cli import run
@@ -115,12 +116,12 @@ def test_scattering_of_a_disc_is_that_of_treams(tmp_path):
     """Far fields of a lone disc at slanted light: phases between m, l and polarisations all count."""
     treams = pytest.importorskip("treams.io").treams
 
-    from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack, amplitude, cross_sections
+    from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack, amplitude
     from nacre.families.metasurface.tmatrix.substrate import Substrate
 
     known = read_tmatrices(_disc())
     lam = known.wavelengths_nm[0]
-    alone = SphereOnStack(
+    alone = ParticleOnStack(
         Substrate(lam, np.array([1.0, 1.0], complex), np.array([])), 100.0, known.blocks[0], known.lmax
     )
     theta, phi = np.radians([0.0, 25.0, 70.0]), np.radians([0.0, 40.0, 110.0])
@@ -231,10 +232,10 @@ def test_a_file_of_too_few_multipoles_of_a_sphere_says_so(tmp_path, caplog):
 
 def _pattern_over_glass(lmax, views):
     """d sigma/d Omega of the sphere at four incidences, `[pol out, view, pol, light, azimuth]`."""
-    from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack, amplitude
+    from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack, amplitude
     from nacre.families.metasurface.tmatrix.substrate import Substrate
 
-    one = SphereOnStack(
+    one = ParticleOnStack(
         Substrate(500.0, np.array([1.0, 1.5], complex), np.array([])), 62.0,
         t_matrix(lmax, 2 * np.pi * 60 / 500, 4.0 + 0.05j), min(4, lmax),
     )  # fmt: skip
@@ -516,14 +517,14 @@ def _saved(treams, matrix, path):
 def test_a_particle_with_corners_is_taken_as_the_mean_over_its_turns(tmp_path, capsys):
     """Against the code that made it: extinction at slanted light, averaged over turns about the normal."""
     treams = pytest.importorskip("treams.io").treams
-    from nacre.families.metasurface.tmatrix.particle_on_stack import SphereOnStack, cross_sections
+    from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack
     from nacre.families.metasurface.tmatrix.substrate import Substrate
 
     matrix = _cluster(treams, 4)
     _saved(treams, matrix, tmp_path / "square.tmat.h5")
     known = read_tmatrices(tmp_path / "square.tmat.h5")
     assert 1e-6 < known.turn_loss < 0.05
-    alone = SphereOnStack(
+    alone = ParticleOnStack(
         Substrate(500.0, np.array([1.0, 1.0], complex), np.array([])), 100.0, known.blocks[0], known.lmax
     )
     light, k = np.radians(50.0), float(matrix.k0)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nacre.optimise.relief.merit import measure
+from nacre.optimise.relief.merit import exact_losses
 from nacre.optimise.relief.target import TargetSpec
 from nacre.recipe.model import RecipeContext, validate
 
@@ -59,7 +59,7 @@ def test_targets_and_loss_give_the_check_values(reference: Any, i: int) -> None:
     designs, _ = reference
     context = RecipeContext("published", VALIDATION.REFERENCE / "targets")
     problem = validate(TargetSpec, BENCH.target_data(designs, i, None), context).build(context)
-    losses = measure(designs["render_rgb"][i].reshape(-1, 3), problem.target, problem.intensity_scale)
+    losses = exact_losses(designs["render_rgb"][i].reshape(-1, 3), problem.target, problem.intensity_scale)
     assert abs(losses.fixed / CHECK_VALUES[i] - 1.0) <= 0.01
 
 

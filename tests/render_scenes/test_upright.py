@@ -385,7 +385,7 @@ def test_a_designed_letter_reads_as_drawn_on_the_screen_and_in_the_preview(tmp_p
     (tmp_path / "r.toml").write_text(
         'family = "relief"\nfeatures = 32\nfeature_um = 2.0\nblur_um = 0.4\nheight_max_um = 0.6\ncoating = "Al"\n'
         '[coherence]\nsigma = 2.0\n[target]\nkind = "image"\nimage = "r.png"\nrange = 0.25\nresolution = 24\n'
-        "image_scale = 2.0\n[search]\nstarts = 1\ntime_limit_s = 40\nseed = 1\n"
+        "image_scale = 2.0\n[search]\nstarts = 1\nseconds = 40\nseed = 1\n"
     )
     run(tmp_path / "r.toml", tmp_path / "out")
     screen = nacre.render.render(nacre.load(tmp_path / "out"), scene="screen", size=(128, 128)).xyz[..., 1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib.util
 from typing import Any
 
 import jax
@@ -11,8 +12,9 @@ import numpy as np
 import oracle_jax
 import pytest
 
+from nacre.core.errors import MachineError
 from nacre.matter import powers, solve
-from nacre.matter.stack.gradient import double_precision
+from nacre.matter.stack.gradient import double_precision, value_and_grad
 
 TWINS = 1e-12  # numba and JAX
 GRADIENT = 1e-6  # relative; the bar of the film issue
@@ -161,3 +163,9 @@ def test_global_precision_is_left_alone() -> None:
     compiled(np.array([10.0]))
     assert jax.config.jax_enable_x64 == before
     assert jnp.ones(1).dtype == (jnp.float64 if before else jnp.float32)
+
+
+def test_a_missing_jax_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(MachineError, match=r"nacre\[gradient\]"):
+        value_and_grad(lambda powers: powers.reflectance.sum(), [[1.0], [1.4], [1.5]], [550.0], [0.0])

@@ -11,7 +11,7 @@ from helpers_studio import COMMENTED_FILM, FILM, PATIENCE_S, PORT, TOKEN, Server
 from playwright.sync_api import Browser, Page, sync_playwright
 from starlette.testclient import TestClient
 
-from nacre.studio.folder import Opened
+from nacre.studio.folder import OpenedFolder
 from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
 
@@ -52,6 +52,6 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def client(folder: Path) -> Iterator[TestClient]:
-    app = make_app(Opened.of(str(folder)), TOKEN, PORT)
+    app = make_app(OpenedFolder.of(str(folder)), TOKEN, PORT)
     with TestClient(app, base_url=f"http://127.0.0.1:{PORT}", headers={HEADER: TOKEN}) as client:
         yield client

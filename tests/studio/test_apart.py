@@ -18,13 +18,13 @@ from starlette.testclient import TestClient
 
 import nacre
 from nacre.light import delta_e_2000
-from nacre.studio.folder import Opened
+from nacre.studio.folder import OpenedFolder
 from nacre.studio.server import make_app
 
 
-@pytest.mark.parametrize("place", ["/api/report", "/api/targets", "/api/file", "/api/mesh?name=a.obj"])
+@pytest.mark.parametrize("place", ["/api/report", "/api/formats", "/api/file", "/api/mesh?name=a.obj"])
 def test_without_the_token_nothing_is_made(folder: Path, place: str) -> None:
-    app = make_app(Opened.of(str(folder)), TOKEN, PORT)
+    app = make_app(OpenedFolder.of(str(folder)), TOKEN, PORT)
     with TestClient(app, base_url=f"http://127.0.0.1:{PORT}") as stranger:
         assert stranger.post(place, json={"name": "film.toml", "text": FILM}).status_code == 403
 
@@ -95,12 +95,12 @@ def test_a_file_that_cannot_be_is_one_line(client: TestClient, change: dict[str,
 def test_the_formats_are_those_of_the_material(client: TestClient, folder: Path) -> None:
     np.save(folder / "heights.npy", np.eye(4))
     relief = 'family = "relief"\nheights = "heights.npy"\nfeature_um = 2\nblur_um = 0.6\ncoherence = {sigma = 1}\n'
-    found = client.post("/api/targets", json={"name": "film.toml", "text": FILM}).json()
+    found = client.post("/api/formats", json={"name": "film.toml", "text": FILM}).json()
     assert found["fabricate"] == ["sheet"] and {"lut", "gltf", "nacre"} <= set(found["export"])
-    found = client.post("/api/targets", json={"name": "relief.toml", "text": relief}).json()
+    found = client.post("/api/formats", json={"name": "relief.toml", "text": relief}).json()
     assert {"stl", "png16", "gds"} <= set(found["fabricate"])
     outside = client.post(
-        "/api/targets", json={"name": "a.toml", "text": relief.replace("heights.npy", "../heights.npy")}
+        "/api/formats", json={"name": "a.toml", "text": relief.replace("heights.npy", "../heights.npy")}
     )
     assert outside.status_code == 422 and "outside the opened folder" in outside.json()["error"]
 
@@ -117,7 +117,7 @@ def test_the_layer_sheet_is_that_of_the_command(client: TestClient, folder: Path
 def test_a_folder_of_tables_comes_as_a_zip_and_says_its_error(client: TestClient) -> None:
     answer = client.post("/api/file", json={**SHEET, "verb": "export", "to": "lut", "lamp": "A"})
     assert "film-lut.zip" in answer.headers["content-disposition"]
-    assert any("dE00" in line for line in json.loads(answer.headers["x-nacre-said"]))
+    assert any("dE00" in line for line in json.loads(answer.headers["x-nacre-remarks"]))
     with zipfile.ZipFile(io.BytesIO(answer.content)) as held:
         names = held.namelist()
         assert {"film-lut/shader.glsl", "film-lut/table.json"} <= set(names)

@@ -21,9 +21,9 @@ from playwright.sync_api import Browser
 
 import nacre
 from nacre.light import spectrum_to_rgb_linear
-from nacre.studio import bundle as room
-from nacre.studio.answers import Answers, sliders
-from nacre.studio.appearance import Look, looks
+from nacre.studio import notebook
+from nacre.studio.appearance import Appearance, appearances
+from nacre.studio.notebook import NotebookView, sliders
 
 Messages = list[tuple[dict[str, Any], bytes]]
 FILM = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 300}]}
@@ -53,9 +53,9 @@ STUB = """async ([source, style]) => {
 }"""
 
 
-def answers(lamp: str = "D65") -> tuple[Answers, Messages]:
+def answers(lamp: str = "D65") -> tuple[NotebookView, Messages]:
     told: Messages = []
-    return Answers(lambda content, *buffers: told.append((content, b"".join(buffers))), lamp), told
+    return NotebookView(lambda content, *buffers: told.append((content, b"".join(buffers))), lamp), told
 
 
 def header(packed: bytes) -> dict[str, Any]:
@@ -73,10 +73,10 @@ def test_a_film_is_told_settled_at_once_with_its_colours_and_sliders() -> None:
     asked, told = answers()
     film = nacre.material(FILM)
     asked.show(film)
-    assert asked.wait(PATIENCE_S)
+    assert asked.worker.wait(PATIENCE_S)
     ((content, packed),) = told
-    assert content == {"kind": "look"} and header(packed)["draft"] is False
-    assert header(packed)["numbers"] == [{"path": FIRST, "value": 300.0, "most": 600.0}]
+    assert content == {"kind": "appearance"} and header(packed)["draft"] is False
+    assert header(packed)["numbers"] == [{"path": FIRST, "value": 300.0, "max": 600.0}]
     found = nacre.spectrum(film, [0.0, 60.0])
     assert found.specular_reflectance is not None
     wanted = spectrum_to_rgb_linear(found.specular_reflectance, found.wavelengths_nm)
@@ -86,7 +86,7 @@ def test_a_film_is_told_settled_at_once_with_its_colours_and_sliders() -> None:
 def test_a_slow_material_is_told_as_a_draft_and_then_settled() -> None:
     asked, told = answers()
     asked.show(nacre.material(OVER_BASE))
-    assert asked.wait(PATIENCE_S)
+    assert asked.worker.wait(PATIENCE_S)
     assert [header(packed)["draft"] for _, packed in told] == [True, False]
 
 
@@ -95,7 +95,7 @@ def test_the_newest_material_is_told_last_and_nothing_after_it() -> None:
     for thickness in (100, 150, 200):
         asked.show(nacre.material({**OVER_BASE, "layers": [{"material": "SiO2", "thickness_nm": thickness}]}))
     assert asked.material.get(FIRST) == 200
-    assert asked.wait(PATIENCE_S)
+    assert asked.worker.wait(PATIENCE_S)
     seen = [header(packed) for _, packed in told]
     assert [look["seq"] for look in seen] == sorted(look["seq"] for look in seen)
     assert seen[-1]["numbers"][0]["value"] == 200 and seen[-1]["draft"] is False
@@ -103,18 +103,18 @@ def test_the_newest_material_is_told_last_and_nothing_after_it() -> None:
 
 @pytest.mark.parametrize("is_stopped", [False, True])
 def test_a_look_that_is_not_wanted_any_more_is_not_told(is_stopped: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    look = next(looks(nacre.material(FILM), "D65", lambda: False))
+    look = next(appearances(nacre.material(FILM), "D65", lambda: False))
     asked, told = answers()
 
-    def drafted(material: nacre.Material, *_: Any) -> Iterator[Look]:
+    def drafted(material: nacre.Material, *_: Any) -> Iterator[Appearance]:
         if material.get(FIRST) == 300:  # while it is solved, another one is shown
-            asked.stop() if is_stopped else asked.show(material.vary({FIRST: 120}))
+            asked.worker.cancel() if is_stopped else asked.show(material.vary({FIRST: 120}))
         for is_draft in (True, False):
             yield dataclasses.replace(look, is_draft=is_draft)
 
-    monkeypatch.setattr("nacre.studio.answers.looks", drafted)
+    monkeypatch.setattr("nacre.studio.notebook.appearances", drafted)
     asked.show(nacre.material(FILM))
-    assert asked.wait(PATIENCE_S)
+    assert asked.worker.wait(PATIENCE_S)
     seen = [(header(packed)["seq"], header(packed)["draft"]) for _, packed in told]
     assert seen == ([] if is_stopped else [(2, True), (2, False)])
 
@@ -123,16 +123,16 @@ def test_a_slider_changes_the_material_and_nonsense_does_not() -> None:
     asked, told = answers()
     asked.show(nacre.material(FILM))
     for nonsense in ("x", {}, {"kind": "vary", "path": "substrate", "value": 1}, {"kind": "vary", "path": FIRST}):
-        asked.hear(nonsense)
+        asked.receive(nonsense)
     assert asked.material.get(FIRST) == 300
-    asked.hear({"kind": "vary", "path": FIRST, "value": 120})
+    asked.receive({"kind": "vary", "path": FIRST, "value": 120})
     assert asked.material.get(FIRST) == 120
-    asked.hear({"kind": "vary", "path": FIRST, "value": -1})
+    asked.receive({"kind": "vary", "path": FIRST, "value": -1})
     assert asked.material.get(FIRST) == 120
-    assert asked.wait(PATIENCE_S)
+    assert asked.worker.wait(PATIENCE_S)
     (said,) = [content["message"] for content, _ in told if content["kind"] == "error"]
     assert FIRST in said and "\n" not in said
-    assert header(told[-1][1] or told[-2][1])["numbers"][0] == {"path": FIRST, "value": 120.0, "most": 600.0}
+    assert header(told[-1][1] or told[-2][1])["numbers"][0] == {"path": FIRST, "value": 120.0, "max": 600.0}
 
 
 def test_sliders_leave_out_constants_of_media_and_zeros() -> None:
@@ -147,10 +147,10 @@ def test_without_anywidget_one_line_says_what_to_install(monkeypatch: pytest.Mon
     assert "\n" not in str(told.value)
 
 
-@pytest.mark.parametrize("first", ["import nacre; nacre.studio", "from nacre.studio.answers import Answers"])
+@pytest.mark.parametrize("first", ["import nacre; nacre.studio", "from nacre.studio.notebook import NotebookView"])
 def test_the_studio_is_a_function_and_a_package_whichever_is_used_first(first: str) -> None:
-    code = f"{first}\nimport nacre\nfrom nacre.studio.folder import Opened\nassert callable(nacre.studio), nacre.studio"
-    code += "\nimport sys; assert 'anywidget' not in sys.modules and nacre.studio.folder.Opened is Opened"
+    code = f"{first}\nimport nacre\nfrom nacre.studio.folder import OpenedFolder\nassert callable(nacre.studio)"
+    code += "\nimport sys; assert 'anywidget' not in sys.modules and nacre.studio.folder.OpenedFolder is OpenedFolder"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
 
@@ -159,9 +159,9 @@ def test_the_widget_shows_another_material_and_refuses_what_is_none(monkeypatch:
     widget = nacre.studio(nacre.material(FILM))
     told: Messages = []
     monkeypatch.setattr(widget, "send", lambda content, buffers: told.append((content, b"".join(buffers))))
-    assert widget._answers.wait(PATIENCE_S)
+    assert widget.view.worker.wait(PATIENCE_S)
     widget.material = "bragg-mirror"
-    assert widget._answers.wait(PATIENCE_S)
+    assert widget.view.worker.wait(PATIENCE_S)
     assert widget.material.name == "bragg-mirror" and header(told[-1][1])["name"] == "bragg-mirror"
     for wrong in (3, "no-such-recipe"):
         with pytest.raises(nacre.NacreError):
@@ -173,7 +173,7 @@ def test_the_widget_shows_another_material_and_refuses_what_is_none(monkeypatch:
 
 
 def test_the_module_reaches_for_no_network_and_leaves_nothing_to_import() -> None:
-    text = room.bundle("widget.js")
+    text = notebook.bundle("widget.js")
     lines = text.splitlines()
     assert not [line for line in lines if line.startswith("import ")]
     assert [line for line in lines if line.startswith("export ")] == ["export default _widget_js;"]
@@ -196,11 +196,11 @@ def test_what_the_bundler_does_not_understand_is_an_error(
     source: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
 ) -> None:
     folder = tmp_path / "studio"
-    shutil.copytree(room.files("nacre.studio").joinpath("page"), folder / "page")  # type: ignore[arg-type]
+    shutil.copytree(notebook.files("nacre.studio").joinpath("page"), folder / "page")  # type: ignore[arg-type]
     (folder / "entry.js").write_text(source)
-    monkeypatch.setattr(room, "files", lambda _: folder)
+    monkeypatch.setattr(notebook, "files", lambda _: folder)
     with pytest.raises(ValueError):
-        room.bundle("entry.js")
+        notebook.bundle("entry.js")
 
 
 @pytest.mark.full
@@ -211,13 +211,13 @@ def test_the_sphere_is_seen_in_a_cell_and_follows_the_material_and_its_slider(br
     page.on("pageerror", lambda error: troubles.append(str(error)))
     page.on("console", lambda said: troubles.append(said.text) if said.type == "error" else None)
     page.on("request", lambda request: troubles.append(request.url) if request.url.startswith("http") else None)
-    style = room.files("nacre.studio").joinpath("widget.css").read_text(encoding="utf-8")
-    page.evaluate(STUB, [room.bundle("widget.js"), style])
+    style = notebook.files("nacre.studio").joinpath("widget.css").read_text(encoding="utf-8")
+    page.evaluate(STUB, [notebook.bundle("widget.js"), style])
     asked, told = answers()
 
     def hand_over() -> None:
         for content in page.evaluate("window.sent.splice(0)"):
-            asked.hear(content)
+            asked.receive(content)
         while told:
             content, packed = told.pop(0)
             page.evaluate("([c, b]) => window.tell(c, b)", [content, [base64.b64encode(packed).decode()]])
@@ -263,7 +263,9 @@ def test_the_sphere_is_seen_in_a_cell_and_follows_the_material_and_its_slider(br
     until(page, lambda: settles(4))
     assert np.abs(ball(picture(page)) - seen).max() > SEEN
     assert page.locator(".sliders label").count() == 6
-    asked.hear({"kind": "vary", "path": page.locator(".sliders input").first.get_attribute("data-path"), "value": -1})
+    asked.receive(
+        {"kind": "vary", "path": page.locator(".sliders input").first.get_attribute("data-path"), "value": -1}
+    )
     until(page, lambda: not hand_over() and page.locator(".nacre-studio").get_attribute("data-state") == "error")
     page.evaluate("window.end()")
     page.close()
@@ -294,13 +296,13 @@ def test_a_notebook_of_more_materials_than_a_browser_has_contexts_shows_each_whe
     page.set_default_timeout(1e3 * PATIENCE_S)
     troubles: list[str] = []
     page.on("console", lambda said: troubles.append(said.text) if said.type in ("error", "warning") else None)
-    style = room.files("nacre.studio").joinpath("widget.css").read_text(encoding="utf-8")
-    page.evaluate(CELLS, [room.bundle("widget.js"), style, MANY])
+    style = notebook.files("nacre.studio").joinpath("widget.css").read_text(encoding="utf-8")
+    page.evaluate(CELLS, [notebook.bundle("widget.js"), style, MANY])
     for cell in range(MANY):
         asked, told = answers()
         asked.show(nacre.material({**FILM, "layers": [{"material": "SiO2", "thickness_nm": 100 + 20 * cell}]}))
-        assert asked.wait(PATIENCE_S)
-        asked._furnish()
+        assert asked.worker.wait(PATIENCE_S)
+        asked.send_room()
         for content, packed in told:
             page.evaluate("([i, c, b]) => window.cells[i](c, b)", [cell, content, base64.b64encode(packed).decode()])
 

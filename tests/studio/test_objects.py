@@ -21,9 +21,9 @@ from nacre.core.errors import NacreError
 from nacre.picture.lights.environments import directions
 from nacre.picture.scenes.subjects import read_mesh
 from nacre.picture.shapes.mesh import Mesh, parametric
-from nacre.studio import objects, server
-from nacre.studio.folder import Opened
-from nacre.studio.objects import OBJECTS, OwnMeshes, simplified
+from nacre.studio import objects, routes
+from nacre.studio.folder import OpenedFolder
+from nacre.studio.objects import OBJECTS, MeshStore, simplified
 from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
 from nacre.studio.surroundings import ALPHAS, GREY, LAYERS, ROWS, without_lamp
@@ -39,7 +39,7 @@ f 1 2 3\nf 4 6 5\nf 1 3 6\nf 1 6 4\nf 2 5 6\nf 2 6 3\nf 1 4 5\nf 1 5 2
 @pytest.fixture
 def client(tmp_path: Path) -> Iterator[TestClient]:
     (tmp_path / "film.toml").write_text(FILM)
-    app = make_app(Opened.of(str(tmp_path)), TOKEN, PORT)
+    app = make_app(OpenedFolder.of(str(tmp_path)), TOKEN, PORT)
     with TestClient(app, base_url=f"http://127.0.0.1:{PORT}", headers={HEADER: TOKEN}) as client:
         yield client
 
@@ -77,7 +77,7 @@ def unpack_place(data: bytes) -> tuple[NDArray[np.float32], NDArray[np.float64]]
 )
 def test_an_object_is_whole_and_small_enough(client: TestClient, name: str) -> None:
     found = unpack(client.get(f"/api/object?name={name}").content)
-    assert found["indices"] <= 3 * objects.MOST_FACES and found["order"].max() < found["vertices"]
+    assert found["indices"] <= 3 * objects.MAX_FACES and found["order"].max() < found["vertices"]
     assert sum(part["count"] for part in found["parts"]) == found["indices"]
     assert any("plain" not in part for part in found["parts"])
     np.testing.assert_allclose(np.linalg.norm(found["corners"][:, 3:6], axis=1), 1.0, atol=1e-4)
@@ -142,7 +142,7 @@ BROKEN = [
     ("roof.stl", b"no mesh at all", "roof.stl"),
     ("roof.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "roof.ply"),
     ("line.obj", b"v 0 0 0\nv 1 1 1\nv 2 2 2\nv 3 3 3\nf 1 2 3\nf 2 3 4\n", "no triangle of it has an area"),
-    ("roof.txt", ROOF.encode(), "no mesh that can be read"),
+    ("roof.txt", ROOF.encode(), "is not a mesh"),
     ("../../x.obj", b"junk", "x.obj"),
 ]
 
@@ -155,7 +155,7 @@ def test_a_mesh_that_cannot_be_read_is_one_line(client: TestClient, name: str, c
 
 
 def test_a_large_mesh_is_refused(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "MAX_UPLOAD", 100)
+    monkeypatch.setattr(routes, "MAX_UPLOAD", 100)
     answer = client.post("/api/mesh?name=roof.obj", content=ROOF.encode())
     assert answer.status_code == 422 and "MiB" in answer.json()["error"]
     assert client.post("/api/mesh?name=roof.obj&up=w", content=b"v 0 0 0").status_code == 422
@@ -172,7 +172,7 @@ def test_a_mesh_alone_reads_no_other_file(tmp_path: Path) -> None:
 
 
 def test_only_the_last_few_own_meshes_are_kept() -> None:
-    meshes = OwnMeshes(most=2)
+    meshes = MeshStore(capacity=2)
     names = []
     for _ in range(3):
         name, _, keep = meshes.place(".obj")
@@ -180,7 +180,7 @@ def test_only_the_last_few_own_meshes_are_kept() -> None:
         names.append(name)
     assert meshes.path(names[2]).is_file() and meshes.path(names[1]).is_file()
     for gone in (names[0], "../film", "own-9", ""):
-        with pytest.raises(NacreError, match="no longer holds"):
+        with pytest.raises(NacreError, match="no longer has"):
             meshes.path(gone)
 
 
@@ -206,7 +206,7 @@ def test_a_sky_lights_the_floor_as_mitsuba_says(name: str) -> None:
     from nacre.device.variant import use_variant
     from nacre.light import xyz_to_srgb_linear
     from nacre.picture.lights.named import make_light
-    from nacre.studio.skies import sky_layers
+    from nacre.studio.surroundings import sky_job
 
     mi = use_variant()
     above = mi.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])
@@ -217,7 +217,7 @@ def test_a_sky_lights_the_floor_as_mitsuba_says(name: str) -> None:
         "sensor": {"type": "orthographic", "to_world": above, "film": film},
     })  # fmt: skip
     shown = mi.render(scene, spp=2048, integrator=mi.load_dict({"type": "path", "max_depth": 2}))
-    rooms, lamp = unpack_place(sky_layers({"name": name}))
+    rooms, lamp = unpack_place(sky_job({"name": name}))
     assert (lamp.max() > 0) == (name == "sun")
     wanted = xyz_to_srgb_linear(np.array(shown).mean(axis=(0, 1)))
     # rows of 1.4 degrees, wavelengths of 10 nm, and the noise of what is rendered
@@ -229,14 +229,14 @@ def test_a_sky_lights_the_floor_as_mitsuba_says(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["interior", "street"])
 def test_a_place_lights_the_floor_as_in_pictures_and_has_colours(client: TestClient, name: str) -> None:
-    answer = client.get(f"/api/surround?name={name}")
+    answer = client.get(f"/api/surroundings?name={name}")
     rooms, lamp = unpack_place(answer.content)
     on_floor = rooms[len(ALPHAS), 0].mean(axis=0) + lamp  # a matt white floor, by the layer's row at the zenith
     # its luminance as pictures balance every place, `_Canvas.finish`; the rows are 1.4 degrees wide
     assert on_floor @ [0.2126, 0.7152, 0.0722] == pytest.approx(0.6, rel=0.03)
     assert np.ptp(rooms[0], axis=2).max() > 0.1 and rooms.min() >= -1e-3
     assert (lamp.max() > 0) == (name == "street")
-    unknown = client.get("/api/surround?name=moon")
+    unknown = client.get("/api/surroundings?name=moon")
     assert unknown.status_code == 422 and "moon" in unknown.json()["error"]
 
 

@@ -97,7 +97,7 @@ def test_a_new_colour_drawn_over_the_ball_alone_is_the_picture_drawn_whole(page:
     check("180")
     page.locator("#exposure").fill("1")
     check("120")
-    page.get_by_role("button", name="Keep as B").click()
+    page.get_by_role("button", name="Store as B").click()
     check("200")
 
 
@@ -128,7 +128,7 @@ def test_layers_are_added_moved_and_taken_out_and_all_that_is_undone(page: Page)
     until(page, lambda: names() == ["SiO2", "SiO2", "TiO2"])
     page.get_by_role("button", name="Move Layer 3 up").click()
     until(page, lambda: names() == ["SiO2", "TiO2", "SiO2"])
-    page.get_by_role("button", name="Take out Layer 1").click()
+    page.get_by_role("button", name="Remove Layer 1").click()
     until(page, lambda: names() == ["TiO2", "SiO2"])
     settled(page)
     for wanted in (["SiO2", "TiO2", "SiO2"], ["SiO2", "SiO2", "TiO2"], ["SiO2", "TiO2"]):
@@ -284,7 +284,7 @@ def test_a_kept_look_stands_beside_the_new_one_and_steps_are_gone_back_to_by_the
         own, others = drawn_by_pens(page, drawing)
         assert own > A_CURVE and others == 0
     expect(page.locator("#history img")).to_have_attribute("src", PICTURE)
-    page.get_by_role("button", name="Keep as B").click()
+    page.get_by_role("button", name="Store as B").click()
     slider(page, THICKNESS).fill("110")
     until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 110)
     settled(page)

@@ -21,7 +21,7 @@ def violations(page: Page) -> list[str]:
 def test_axe_finds_nothing(page: Page, theme: str) -> None:
     page.get_by_label("Theme").select_option(theme)
     assert violations(page) == []
-    page.get_by_role("button", name="Keep as B").click()
+    page.get_by_role("button", name="Store as B").click()
     slider(page, THICKNESS).fill("90")
     until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 90)
     page.locator("#object").select_option("knob")
@@ -36,21 +36,21 @@ def test_axe_finds_nothing(page: Page, theme: str) -> None:
     assert violations(page) == []
     page.get_by_role("button", name="Undo").click()
     settled(page)
-    page.get_by_label("As made: layers vary by").check()
-    expect(page.locator("#cloud-ribbon")).to_be_visible()
+    page.get_by_label("Manufacturing tolerance: layers ±").check()
+    expect(page.locator("#tolerance-ribbon")).to_be_visible()
     page.get_by_role("tab", name="Design").click()
     page.locator("#design-seconds").fill("2")
     page.get_by_role("button", name="Show gamut").click()
-    expect(page.locator("#gamut-said")).to_contain_text("specular 0")
+    expect(page.locator("#gamut-text")).to_contain_text("specular 0")
     page.get_by_role("button", name="Design", exact=True).click()
-    expect(page.get_by_role("button", name="Load answer 1")).to_be_visible()
+    expect(page.get_by_role("button", name="Load solution 1")).to_be_visible()
     assert violations(page) == []
     page.get_by_label("Hue over angle").check()
     page.locator("#design-seconds").fill("1")
     page.get_by_role("button", name="Design", exact=True).click()
     expect(page.locator("#design-error")).to_contain_text("seconds = 1")
     assert violations(page) == []
-    page.get_by_role("button", name="Make a file").click()
+    page.get_by_role("button", name="Create a file").click()
     expect(page.locator("#file-make")).to_be_enabled()
     assert violations(page) == []
     page.keyboard.press("Escape")

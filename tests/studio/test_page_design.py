@@ -12,7 +12,7 @@ OPEN = "(e, name) => { e.value = 'example:' + name; e.dispatchEvent(new Event('c
 
 def begin(page: Page, seconds: float) -> None:
     page.get_by_role("tab", name="Design").click()
-    expect(page.locator("#free .free-row")).to_have_count(2)
+    expect(page.locator("#parameters .parameter-row")).to_have_count(2)
     page.locator("#design-seconds").fill(str(seconds))
     page.get_by_role("button", name="Design", exact=True).click()
 
@@ -27,11 +27,11 @@ def test_a_design_comes_and_is_loaded_and_undone(page: Page) -> None:
     expect(page.get_by_role("tab", name="Design")).to_be_focused()
     page.get_by_label("Choose colour 1").fill("#2f7f8f")
     begin(page, 2)
-    expect(page.get_by_role("button", name="Load answer 1")).to_be_visible()
+    expect(page.get_by_role("button", name="Load solution 1")).to_be_visible()
     expect(page.locator("#solutions")).to_contain_text("worst ΔE")
     expect(page.get_by_role("button", name="Design", exact=True)).to_be_visible()
     assert thickness(page) == 300  # nothing is changed before it is asked for
-    page.get_by_role("button", name="Load answer 1").click()
+    page.get_by_role("button", name="Load solution 1").click()
     until(page, lambda: thickness(page) != 300)
     settled(page)
     assert 5 <= thickness(page) <= 600 and "# a comment" in page.locator("#text").input_value()
@@ -58,28 +58,28 @@ def test_hues_are_drawn_by_the_pointer_and_by_keys(page: Page) -> None:
     after = page.evaluate(handles)
     assert int(at_0.input_value()) == pytest.approx(180, abs=25)  # the middle of 360
     assert after[:3] != before[:3]
-    page.get_by_label("15 degrees is wanted").uncheck()
+    page.get_by_label("15 degrees is a target").uncheck()
     assert len(page.evaluate(handles)) == len(after) - 1
 
 
 def test_what_cannot_be_designed_is_said_in_the_page(page: Page) -> None:
     page.get_by_role("tab", name="Design").click()
-    expect(page.locator("#free .free-row")).to_have_count(2)
+    expect(page.locator("#parameters .parameter-row")).to_have_count(2)
     page.locator("#design-seconds").fill("6000")
     page.get_by_role("button", name="Design", exact=True).click()
     expect(page.locator("#design-error")).to_contain_text("seconds = 6000 is not allowed; it should be from 2 to 600")
     for row in range(2):
-        page.locator("#free input[type=checkbox]").nth(row).uncheck()
+        page.locator("#parameters input[type=checkbox]").nth(row).uncheck()
     page.locator("#design-seconds").fill("2")
     page.get_by_role("button", name="Design", exact=True).click()
-    expect(page.locator("#design-error")).to_contain_text("tick what may change")
+    expect(page.locator("#design-error")).to_contain_text("tick the ones that may change")
 
 
 @pytest.mark.full
 def test_a_recipe_without_numbers_is_left_to_the_command(page: Page) -> None:
     page.get_by_role("tab", name="Design").click()
     page.locator("#all-examples").evaluate(OPEN, "morpho")  # its numbers are those of a preset
-    expect(page.locator("#design-refused")).to_contain_text("has no number that may change")
+    expect(page.locator("#design-refused")).to_contain_text("has no variable number")
     expect(page.locator("#design-box")).to_be_hidden()
     page.locator("#all-examples").evaluate(OPEN, "blue-oxide")
     expect(page.locator("#design-box")).to_be_visible()
@@ -97,7 +97,7 @@ def test_a_long_design_is_stopped_with_what_it_has_and_the_page_stays_free(page:
     settled(page)
     page.get_by_role("tab", name="Design").click()
     page.get_by_role("button", name="Stop").click()
-    expect(page.locator("#solutions")).to_contain_text("Answer 1")
+    expect(page.locator("#solutions")).to_contain_text("Solution 1")
     expect(page.locator("#design-state")).to_contain_text("topped")
     expect(page.get_by_role("button", name="Design", exact=True)).to_be_visible()
 
@@ -132,45 +132,43 @@ def test_a_search_ends_with_its_page_and_with_its_server(page: Page, server: Ser
 @pytest.mark.full
 def test_who_asks_before_the_free_numbers_have_come_is_answered(page: Page) -> None:
     held: list[Route] = []
-    page.route("**/api/free*", lambda route: held.append(route))
+    page.route("**/api/parameters*", lambda route: held.append(route))
     page.get_by_role("tab", name="Design").click()
     page.locator("#design-seconds").fill("2")
     page.get_by_role("button", name="Show gamut").click()
     until(page, lambda: bool(held))
     held[0].continue_()
-    expect(page.locator("#gamut-said")).to_contain_text("specular 0")  # "tick what may change" was said
+    expect(page.locator("#gamut-text")).to_contain_text("specular 0")  # "tick the ones that may change" was said
 
 
 @pytest.mark.full
 def test_the_gamut_is_shown_with_what_is_asked_in_it(page: Page) -> None:
     page.get_by_role("tab", name="Design").click()
-    expect(page.locator("#free .free-row")).to_have_count(2)
+    expect(page.locator("#parameters .parameter-row")).to_have_count(2)
     page.locator("#design-seconds").fill("4")  # the gamut takes no longer than a search
     page.get_by_role("button", name="Show gamut").click()
-    expect(page.locator("#gamut-said")).to_contain_text("specular 0: #8a4fb0 is")
+    expect(page.locator("#gamut-text")).to_contain_text("specular 0: #8a4fb0 is")
     expect(page.locator("#gamut .reached").nth(60)).to_be_attached()
-    expect(page.locator("#gamut .asked")).to_have_count(1)
+    expect(page.locator("#gamut .target")).to_have_count(1)
     page.get_by_label("Angle of colour 1").fill("30")  # another question: what was marked is no answer to it
     expect(page.locator("#gamut-box")).to_be_hidden()
 
 
 @pytest.mark.full
 def test_the_cloud_is_of_the_recipe_as_it_stands(page: Page) -> None:
-    page.get_by_label("As made: layers vary by").check()
-    expect(page.locator("#cloud-text")).to_contain_text("95 % of 64 draws")
-    expect(page.locator("#cloud-ribbon")).to_be_visible()
-    assert page.locator("#track .cloud circle").count() == 3 * 64
+    page.get_by_label("Manufacturing tolerance: layers ±").check()
+    expect(page.locator("#tolerance-text")).to_contain_text("95 % of 64 draws")
+    expect(page.locator("#tolerance-ribbon")).to_be_visible()
+    assert page.locator("#track .scatter circle").count() == 3 * 64
     field(page, THICKNESS).fill("120")
-    expect(page.locator("#cloud-ribbon")).to_be_hidden()
-    expect(page.locator("#cloud-ribbon")).to_be_visible()
-    said = page.locator("#cloud-text").inner_text()
-    page.locator("#spread").fill("6")
-    page.locator("#spread").press("Tab")
-    until(
-        page, lambda: page.locator("#cloud-text").inner_text() not in (said, "Drawing materials as they would be made")
-    )
-    page.get_by_label("As made: layers vary by").uncheck()
-    expect(page.locator("#cloud-ribbon")).to_be_hidden()
+    expect(page.locator("#tolerance-ribbon")).to_be_hidden()
+    expect(page.locator("#tolerance-ribbon")).to_be_visible()
+    said = page.locator("#tolerance-text").inner_text()
+    page.locator("#percent").fill("6")
+    page.locator("#percent").press("Tab")
+    until(page, lambda: page.locator("#tolerance-text").inner_text() not in (said, "Sampling manufactured materials"))
+    page.get_by_label("Manufacturing tolerance: layers ±").uncheck()
+    expect(page.locator("#tolerance-ribbon")).to_be_hidden()
 
 
 @pytest.mark.full

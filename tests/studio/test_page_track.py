@@ -50,7 +50,7 @@ def test_labels_of_the_track_stand_apart(browser: Browser, server: Server, width
     with opened(browser, server, color_scheme=theme) as page:
         page.set_viewport_size({"width": width, "height": 900})
         check(page, 5)
-        page.get_by_role("button", name="Keep as B").click()
+        page.get_by_role("button", name="Store as B").click()
         slider(page, THICKNESS).fill("303")
         until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 303)
         settled(page)

@@ -49,7 +49,7 @@ def test_the_report_comes_while_the_page_stays_free_and_can_be_cancelled(page: P
     page.get_by_role("button", name="Measure").click()
     page.locator("#report-cancel").click()
     expect(page.locator("#report-state")).to_have_text("Cancelled.")
-    page.get_by_role("button", name="Keep as B").click()
+    page.get_by_role("button", name="Store as B").click()
     slider(page, THICKNESS).fill("200")
     until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 200)
     page.get_by_role("button", name="Measure").click()
@@ -61,9 +61,9 @@ def test_the_report_comes_while_the_page_stays_free_and_can_be_cancelled(page: P
 
 @pytest.mark.full
 def test_files_are_made_by_keyboard_and_come_as_downloads(page: Page, server: Server) -> None:
-    page.get_by_role("button", name="Make a file").focus()
+    page.get_by_role("button", name="Create a file").focus()
     page.keyboard.press("Enter")
-    expect(page.get_by_role("dialog", name="Make a file")).to_be_visible()
+    expect(page.get_by_role("dialog", name="Create a file")).to_be_visible()
     expect(page.locator("#file-to option", has_text="sheet")).to_be_attached()
     page.locator("#file-to").focus()
     page.keyboard.type("sheet")
@@ -167,20 +167,20 @@ def test_a_ball_of_triangles_has_the_light_of_the_sphere(page: Page, tmp_path: P
 def test_another_place_is_seen_around_the_object(page: Page) -> None:
     before = picture(page).astype(int)
     assert np.ptp(before[-20:].mean(axis=(0, 1))) < 2  # the studio's floor is grey
-    page.get_by_label("Around").select_option("interior")
+    page.get_by_label("Surroundings").select_option("interior")
     expect(page.locator("#view")).to_have_attribute("data-surround", "interior")
     expect(page.locator("#surround-note")).to_contain_text("light of its own colours")
     room = picture(page).astype(int)
     floor = room[-20:].mean(axis=(0, 1))
     assert floor[0] > floor[2] + 20  # boards of wood
     assert np.abs(ball(room.astype(np.uint8)) - ball(before.astype(np.uint8))).max() > SEEN
-    page.get_by_label("Around").select_option("studio")
+    page.get_by_label("Surroundings").select_option("studio")
     until(page, lambda: bool(np.array_equal(picture(page), before)))
 
 
 @pytest.mark.full
 def test_a_kept_look_follows_the_lamp(page: Page) -> None:
-    page.get_by_role("button", name="Keep as B").click()
+    page.get_by_role("button", name="Store as B").click()
     slider(page, THICKNESS).fill("110")
     until(page, lambda: toml(page)["layers"][0]["thickness_nm"] == 110)
     settled(page)

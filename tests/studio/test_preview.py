@@ -12,7 +12,15 @@ from nacre.light import spectrum_to_rgb_linear, spectrum_to_xyz
 from nacre.picture.lights.environments import studio
 from nacre.recipe.toml import parse_toml
 from nacre.studio import appearance, surroundings
-from nacre.studio.appearance import DRAFTS, LOBE_NM, SHAPE, SLOW_S, Drafts, lobe_picture, looks
+from nacre.studio.appearance import (
+    DRAFTS,
+    LOBE_NM,
+    LOBE_SHAPE,
+    SLOW_DRAFT_S,
+    AdaptiveQuality,
+    appearances,
+    lobe_image,
+)
 from nacre.studio.edit import edited
 
 ROWS = 64
@@ -24,7 +32,7 @@ def test_a_balls_shade_in_an_even_room_is_its_form_factor() -> None:
     """Of a sphere from a plane element below it that faces up: cos / d^2, here (r^2 + 1)^(-3/2)."""
     left = surroundings.ball_shade(np.ones((ROWS, 2 * ROWS)))
     share = (np.arange(ROWS) + 0.5) / ROWS
-    far = surroundings.HALF_WAY * share / (1.0 - share)
+    far = surroundings.MEDIAN_DISTANCE * share / (1.0 - share)
     known = 1.0 - (far**2 + 1.0) ** -1.5
     inner = slice(1, ROWS - 1)  # the outermost rows hold the values of the middle of larger cells
     np.testing.assert_allclose(left[inner].mean(axis=1), known[inner], atol=QUADRATURE)
@@ -42,11 +50,11 @@ def test_a_balls_shade_falls_away_from_the_light() -> None:
 def test_a_place_that_is_kept_between_runs_is_the_place_that_was_made(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    surroundings._blurred_surround.cache_clear()
-    made = surroundings.blurred_surround(name)
-    surroundings._blurred_surround.cache_clear()  # as in the next run
-    monkeypatch.setattr(surroundings, "_made", lambda name: pytest.fail("it was made anew"))
-    kept = surroundings.blurred_surround(name)
+    surroundings._blurred_surroundings.cache_clear()
+    made = surroundings.blurred_surroundings(name)
+    surroundings._blurred_surroundings.cache_clear()  # as in the next run
+    monkeypatch.setattr(surroundings, "_computed", lambda name: pytest.fail("it was made anew"))
+    kept = surroundings.blurred_surroundings(name)
     assert kept.layers.dtype == np.float32
     assert kept.packed() == made.packed()
 
@@ -76,10 +84,10 @@ def test_rays_meet_the_floor_the_bend_and_the_wall() -> None:
 def test_a_picture_of_where_light_goes_holds_the_materials_own_values() -> None:
     material = nacre.load("metasurface/silver_on_oxide").at_low_fidelity()
     same = lambda values, wavelengths: values[:, :3]  # three wavelengths in place of colours
-    made = lobe_picture(material, None, same)
-    assert made is not None and made.shape == (*SHAPE, 3)
-    wi, wo = lobe_directions(*SHAPE)
-    row, column = SHAPE[1] // 2, SHAPE[2] // 2
+    made = lobe_image(material, None, same)
+    assert made is not None and made.shape == (*LOBE_SHAPE, 3)
+    wi, wo = lobe_directions(*LOBE_SHAPE)
+    row, column = LOBE_SHAPE[1] // 2, LOBE_SHAPE[2] // 2
     pair = wi[1, row, column], wo[1, row, column]
     own = material.bsdf(LOBE_NM[:3]).evaluate(*pair)
     np.testing.assert_allclose(made[1, row, column], np.pi * own * lobe_weight(*pair), rtol=0.02)
@@ -99,44 +107,44 @@ def test_a_pearls_picture_is_made_of_the_colours_that_its_walk_sends_there() -> 
 
 
 def test_a_film_has_no_such_picture_and_needs_no_draft() -> None:
-    found = list(looks(nacre.load("blue-oxide"), "D65", lambda: False))
+    found = list(appearances(nacre.load("blue-oxide"), "D65", lambda: False))
     assert [one.is_draft for one in found] == [False] and found[0].lobe is None
     assert found[0].facets["distribution"] == "ggx" and not found[0].is_clear
-    assert next(looks(nacre.load("gold"), "D65", lambda: False)).is_clear  # its glass is, as pictures count it
+    assert next(appearances(nacre.load("gold"), "D65", lambda: False)).is_clear  # its glass is, as pictures count it
 
 
 def test_only_a_free_film_is_seen_through_in_the_preview() -> None:
     """Light goes on straight; what it leaves is what it does not mirror, as a soap film takes up nothing."""
-    bubble = next(looks(nacre.load("soap"), "D65", lambda: False))
-    assert bubble.through_rgb is not None
+    bubble = next(appearances(nacre.load("soap"), "D65", lambda: False))
+    assert bubble.transmitted_rgb is not None
     white = spectrum_to_rgb_linear(np.ones((1, 471)), np.arange(360.0, 831.0))
-    np.testing.assert_allclose(bubble.through_rgb + bubble.mirror_rgb, white * np.ones((91, 1)), atol=2e-3)
+    np.testing.assert_allclose(bubble.transmitted_rgb + bubble.mirror_rgb, white * np.ones((91, 1)), atol=2e-3)
     glass = nacre.load("coated-glass-400")  # bends what passes
-    found = next(looks(glass, "D65", lambda: False))
-    assert found.through_rgb is None and any("goes through the substrate" in note for note in found.notes)
+    found = next(appearances(glass, "D65", lambda: False))
+    assert found.transmitted_rgb is None and any("through the substrate" in note for note in found.notes)
 
 
 def test_a_film_that_was_quick_once_needs_no_draft_on_a_busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     layers = [{"material": "SiO2", "thickness_nm": 130}, {"material": "Ag", "thickness_nm": 7}]
     film = nacre.material({"family": "film", "substrate": "Si", "layers": layers})
-    next(looks(film, "D65", lambda: False))
+    next(appearances(film, "D65", lambda: False))
     monkeypatch.setattr(appearance, "QUICK_S", 0.0)  # no clock is that fast
     varied = film.vary({"layers[0].thickness_nm": 140.0})
-    assert [found.is_draft for found in looks(varied, "D65", lambda: False)] == [False]
+    assert [found.is_draft for found in appearances(varied, "D65", lambda: False)] == [False]
     other = nacre.material({"family": "film", "substrate": "Ge", "layers": layers})
-    assert next(looks(other, "D65", lambda: False)).is_draft
+    assert next(appearances(other, "D65", lambda: False)).is_draft
 
 
 def test_drafts_grow_coarser_where_they_are_slow_and_finer_where_they_are_swift() -> None:
-    drafts = Drafts()
+    drafts = AdaptiveQuality()
     for _ in range(2):
-        drafts.took("pearl", 2 * SLOW_S)
+        drafts.update("pearl", 2 * SLOW_DRAFT_S)
     assert drafts.of("pearl") is DRAFTS[1] and drafts.of("relief") is DRAFTS[0]
     for _ in range(9):
-        drafts.took("pearl", 2 * SLOW_S)
+        drafts.update("pearl", 2 * SLOW_DRAFT_S)
     assert drafts.of("pearl") is DRAFTS[-1]
     for _ in range(9):
-        drafts.took("pearl", 0.0)
+        drafts.update("pearl", 0.0)
     assert drafts.of("pearl") is DRAFTS[0]
     counts = [(len(care.angles_deg), len(care.wavelengths_nm), care.nodes) for care in DRAFTS]  # type: ignore[arg-type]
     assert counts == sorted(counts, reverse=True)
@@ -167,10 +175,12 @@ def test_a_number_is_exchanged_where_it_stands(path: str, value: float) -> None:
 
 @pytest.mark.full
 def test_aligned_particles_are_drawn_in_the_plane_of_u_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(appearance, "lobe_picture", lambda *_: pytest.fail("its picture would hold no azimuth"))
+    monkeypatch.setattr(appearance, "lobe_image", lambda *_: pytest.fail("its picture would hold no azimuth"))
     rods = nacre.load("silver_rods")
-    seen = {turn: list(looks(rods.vary({"particle.turn_deg": turn}), "D65", lambda: False)) for turn in (0.0, 90.0)}
+    seen = {
+        turn: list(appearances(rods.vary({"particle.turn_deg": turn}), "D65", lambda: False)) for turn in (0.0, 90.0)
+    }
     for one in (each for both in seen.values() for each in both):
-        assert appearance.ALIGNED in one.notes and one.lobe is None
+        assert appearance.ALIGNED_NOTE in one.notes and one.lobe is None
     mirrors = [both[-1].mirror_rgb for both in seen.values()]
     assert np.abs(mirrors[0] - mirrors[1]).max() > 0.1 * mirrors[0].max()

@@ -20,13 +20,15 @@ import nacre
 from nacre.core.errors import NacreError
 from nacre.families.registry import FAMILIES
 from nacre.light import delta_e_2000, spectrum_to_rgb_linear, spectrum_to_srgb, srgb_to_hex
-from nacre.studio.appearance import SupersededError, looks
+from nacre.studio.appearance import appearances
 from nacre.studio.edit import edited, line_of
-from nacre.studio.folder import STARTS, Opened
+from nacre.studio.folder import STARTS, OpenedFolder
 from nacre.studio.form import family_form
+from nacre.studio.latest_only_worker import SupersededError
 from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
-from nacre.studio.surroundings import ALPHAS, LAYERS, blurred_surround
+from nacre.studio.session import json_data
+from nacre.studio.surroundings import ALPHAS, LAYERS, blurred_surroundings
 
 PORT, TOKEN = 8123, "a-token-for-the-tests"
 SOCKET = f"ws://127.0.0.1:{PORT}/ws"
@@ -47,13 +49,17 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def page(folder: Path) -> Iterator[TestClient]:
-    with TestClient(make_app(Opened.of(str(folder)), TOKEN, PORT), base_url=HERE, headers={HEADER: TOKEN}) as client:
+    with TestClient(
+        make_app(OpenedFolder.of(str(folder)), TOKEN, PORT), base_url=HERE, headers={HEADER: TOKEN}
+    ) as client:
         yield client
 
 
 @pytest.fixture
 def stranger(folder: Path) -> Iterator[TestClient]:
-    with TestClient(make_app(Opened.of(str(folder)), TOKEN, PORT), base_url=HERE, follow_redirects=False) as client:
+    with TestClient(
+        make_app(OpenedFolder.of(str(folder)), TOKEN, PORT), base_url=HERE, follow_redirects=False
+    ) as client:
         yield client
 
 
@@ -89,7 +95,7 @@ PLACES = [
 ]
 
 
-@pytest.mark.parametrize("place", [*PLACES, "/api/surround", "/nothing"])
+@pytest.mark.parametrize("place", [*PLACES, "/api/surroundings", "/nothing"])
 @pytest.mark.parametrize("token", [{}, {HEADER: "wrong"}, {"cookie": f"nacre_studio_{PORT}=wrong"}])
 def test_without_the_token_everything_is_refused(stranger: TestClient, place: str, token: dict[str, str]) -> None:
     assert stranger.get(place, headers=token).status_code == 403
@@ -134,7 +140,7 @@ def test_a_foreign_origin_is_refused_even_with_the_token(page: TestClient, origi
 def test_what_another_servers_page_asks_for_is_refused_even_with_the_token(page: TestClient, site: str) -> None:
     """As an image or a script, which has no origin; a page on another port of this host is sent our cookie."""
     asked = {"sec-fetch-site": site, "sec-fetch-mode": "no-cors", "sec-fetch-dest": "image"}
-    assert page.get("/api/surround?name=sky", headers=asked).status_code == 403
+    assert page.get("/api/surroundings?name=sky", headers=asked).status_code == 403
     assert page.get("/", headers=asked).status_code == 403
     framed = {**asked, "sec-fetch-mode": "navigate", "sec-fetch-dest": "iframe"}
     assert page.get("/", headers=framed).status_code == 403
@@ -169,7 +175,7 @@ OUTSIDE = ["../secret.toml", "/etc/passwd", "../recipes/../secret.toml", "film.t
 @pytest.mark.parametrize("name", [*OUTSIDE, "example:../README", "example:/etc/passwd"])
 def test_no_name_leads_out_of_the_folder(page: TestClient, name: str) -> None:
     assert page.get("/api/recipe", params={"name": name}).status_code == 422
-    assert page.post("/api/save", json={"name": name, "text": "x", "mark": ""}).status_code == 422
+    assert page.post("/api/save", json={"name": name, "text": "x", "version": ""}).status_code == 422
 
 
 def test_a_link_in_the_folder_leads_not_out_of_it(page: TestClient, folder: Path) -> None:
@@ -219,13 +225,13 @@ def test_another_lamp_gives_other_swatches_of_the_same_spectrum(page: TestClient
 def test_an_answer_tells_how_far_its_colours_are_from_a_kept_look(page: TestClient) -> None:
     with page.websocket_connect(SOCKET) as ws:
         kept = [swatch["lab"] for swatch in ask(ws, 1)["swatches"]]
-        assert not np.any(ask(ws, 2, beside=kept)["difference"])
-        other = ask(ws, 3, beside=kept, text=FILM.replace("300", "290"))
+        assert not np.any(ask(ws, 2, compared_lab=kept)["difference"])
+        other = ask(ws, 3, compared_lab=kept, text=FILM.replace("300", "290"))
         far = delta_e_2000(np.array(kept), np.array([swatch["lab"] for swatch in other["swatches"]]))
         np.testing.assert_allclose(other["difference"], far, atol=0.006)  # two digits
         assert far.min() > 1
         for nonsense in ([], "x", [[1, 2]], [[[None] * 3] * 3] * 3, [[[1e300] * 3] * 3] * 3):
-            assert "difference" not in ask(ws, 4, beside=nonsense)
+            assert "difference" not in ask(ws, 4, compared_lab=nonsense)
 
 
 def test_changes_are_written_into_the_text_and_its_comments_stay(page: TestClient) -> None:
@@ -308,7 +314,7 @@ def test_a_newer_question_ends_a_slow_answer() -> None:
     """The slow one stops between its parts: nothing of it may come after the newer one."""
     pearl = nacre.load("pearl/bottle3").vary({"strata[0].platelets[0].volume_fraction": 0.02})
     with pytest.raises(SupersededError):
-        list(looks(pearl, "D65", lambda: True))
+        list(appearances(pearl, "D65", lambda: True))
 
 
 def test_answers_come_in_the_order_of_their_questions(page: TestClient) -> None:
@@ -340,7 +346,7 @@ def test_nonsense_on_the_socket_closes_it(page: TestClient, message: str) -> Non
 def test_a_large_recipe_is_refused_before_it_is_read(page: TestClient) -> None:
     with page.websocket_connect(SOCKET) as ws:
         assert "at most" in ask(ws, 1, text="#" * 400_000)["error"]
-    big = {"name": "big.toml", "text": "#" * 400_000, "mark": ""}
+    big = {"name": "big.toml", "text": "#" * 400_000, "version": ""}
     assert page.post("/api/save", json=big).status_code == 422
     assert page.post("/api/save", content=b" " * 2_000_000).status_code == 422
 
@@ -348,13 +354,13 @@ def test_a_large_recipe_is_refused_before_it_is_read(page: TestClient) -> None:
 def test_saving_never_overwrites_what_the_page_has_not_read(page: TestClient, folder: Path) -> None:
     read = page.get("/api/recipe", params={"name": "film.toml"}).json()
     assert read["text"] == FILM
-    saved = page.post("/api/save", json={"name": "film.toml", "text": FILM + "# more\n", "mark": read["mark"]})
+    saved = page.post("/api/save", json={"name": "film.toml", "text": FILM + "# more\n", "version": read["version"]})
     assert saved.status_code == 200 and (folder / "film.toml").read_text().endswith("# more\n")
-    again = page.post("/api/save", json={"name": "film.toml", "text": "x", "mark": read["mark"]})
+    again = page.post("/api/save", json={"name": "film.toml", "text": "x", "version": read["version"]})
     assert again.status_code == 422 and "another program" in again.json()["error"]
-    assert page.post("/api/save", json={"name": "new.toml", "text": FILM, "mark": ""}).status_code == 200
+    assert page.post("/api/save", json={"name": "new.toml", "text": FILM, "version": ""}).status_code == 200
     assert (folder / "new.toml").read_text() == FILM
-    shipped = page.post("/api/save", json={"name": "example:soap", "text": FILM, "mark": ""})
+    shipped = page.post("/api/save", json={"name": "example:soap", "text": FILM, "version": ""})
     assert shipped.status_code == 422 and "example" in shipped.json()["error"]
 
 
@@ -393,14 +399,14 @@ def test_a_relief_comes_with_a_line_of_its_heights(page: TestClient, folder: Pat
     heights[2:5, 3] = 0.4
     np.save(folder / "heights.npy", heights)
     text = 'family = "relief"\nheights = "heights.npy"\nfeature_um = 2\nblur_um = 0.6\ncoherence = {sigma = 1}\n'
-    look = next(looks(Opened.of(str(folder)).material(text, "relief.toml"), "D65", lambda: False))
+    look = next(appearances(OpenedFolder.of(str(folder)).material(text, "relief.toml"), "D65", lambda: False))
     assert look.profile is not None
     assert look.profile["heights_um"] == [0, 0, 0.4, 0.4, 0.4, 0, 0, 0]  # through the step, along x
     assert look.profile["length_um"] == 16 and look.profile["depth_um"] == pytest.approx(0.4)
 
 
 def test_the_blurred_surround_keeps_a_uniform_room_and_the_key_light() -> None:
-    layers = blurred_surround().layers
+    layers = blurred_surroundings().layers
     assert layers.shape[0] == LAYERS
     layers = layers[: len(ALPHAS) + 1]  # the others are no directions
     peaks = [float(layer.max()) for layer in layers]
@@ -464,3 +470,9 @@ def test_the_settled_picture_is_a_picture_of_the_text(page: TestClient) -> None:
     assert last["kind"] == "picture" and last["is_last"]
     picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(last["png"].partition(",")[2]))))
     assert picture.shape == (128, 128, 3) and picture.std() > 5
+
+
+def test_numbers_that_json_lacks_become_null_and_text_is_unchanged() -> None:
+    data = {"title": "NaN glass, Infinity edition", "thickness_nm": float("inf"), "list": [float("nan"), 1.5, True]}
+    expected = {"title": "NaN glass, Infinity edition", "thickness_nm": None, "list": [None, 1.5, True]}
+    assert json_data(data) == expected

@@ -1,4 +1,4 @@
-"""From a stratified medium to the tables of an interface, with controlled errors of the tables."""
+"""Interface tables of a stratified medium, with controlled interpolation errors."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from nacre.light import delta_e_2000, spans_colour, spectrum_to_xyz, white_xyz, 
 from nacre.matter.stack import solve as solver
 from nacre.matter.stack.inputs import clear_ambient
 
-TRANSPARENT_K = 1e-4  # a millimetre of the substrate then transmits more than a tenth at 550 nm
-SAME_INDEX = 1e-3  # relative indices this close to one refract invisibly little
-TABLE_ERROR = 1e-4  # absolute error of R and T at the worst angle and wavelength, where node counts allow
+TRANSPARENT_K = 1e-4  # 1 mm of the substrate then transmits more than 10 % at 550 nm
+SAME_INDEX = 1e-3  # smaller index differences refract invisibly little
+TABLE_ERROR = 1e-4  # absolute R and T error at the worst angle and wavelength, if node counts allow
 COS_NODES = (129, 257, 513)
 COS_NODES_VARYING = 65
 TOTAL_NODES = 129
-COLOUR_ERROR = 0.5  # dE00 between neighbouring nodes of a parameter
+COLOUR_ERROR = 0.5  # dE00 midway between parameter nodes
 PARAMETER_NODES = (9, 17, 33, 65, 129, 257, 513)
-MAX_STILL_VALUES = 2_000_000  # of one table without varying numbers; only films of tens of um come near it
-MAX_TABLE_VALUES = 60_000_000  # of one table; 480 MB
-BLOCK_VALUES = 2_000_000  # solved at once
-BYTES_A_VALUE = 72  # of a table: reflectance and transmittance, from outside and inside, and their clipped copies
-BYTES_SOLVED = 350  # of a value while it is solved
+MAX_STILL_VALUES = 2_000_000  # table size without varying parameters; reached only by films of tens of um
+MAX_TABLE_VALUES = 60_000_000  # 480 MB
+BLOCK_VALUES = 2_000_000  # values solved at once
+BYTES_A_VALUE = 72  # memory per table value: R and T from outside and inside, and their clipped copies
+BYTES_SOLVED = 350  # memory per value during solution
 
 
 class StackTables:
@@ -37,7 +37,7 @@ class StackTables:
 
     Attributes:
         n: complex indices `[medium, wavelength]`, ambient first.
-        incoherent: one flag a layer.
+        incoherent: one flag for each layer.
     """
 
     def __init__(self, n: ComplexArray, incoherent: Sequence[bool], wavelengths_nm: Array, transmits: bool) -> None:
@@ -102,7 +102,7 @@ class StackTables:
         columns_of = []
         for row in d.reshape(-1, d.shape[-1]):
             columns = [
-                # each wavelength has its own angle inside, since one angle outside is shared
+                # each wavelength has its own angle inside for the common angle outside
                 incoherent_powers(n[:, [l]], row, flags, self.wavelengths_nm[[l]], np.arcsin(sin[:, l])).reflectance
                 for l in range(len(self.wavelengths_nm))
             ]
@@ -131,8 +131,8 @@ class StackTables:
             if self.eta == 1.0:
                 behind = np.where(cos[:, None] == 0.0, reflectance[..., :1, :], behind)
             else:
-                # in-plane wavevectors run from the critical one to grazing at every wavelength, though one eta
-                # bends all: the squares are stretched to the index of each
+                # in-plane wavevectors run from critical to grazing at every wavelength: stretch their squares to each
+                # wavelength's index, although all share one eta
                 share = np.square(np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, TOTAL_NODES)))[:, None]
                 square = rare**2 + np.maximum(dense**2 - rare**2, 0.0) * share
                 total = self.inside(d, np.sqrt(square))
@@ -151,7 +151,7 @@ class StackTables:
         )
 
     def adaptive(self, thicknesses_nm: Array) -> InterfaceResponse:
-        """Tabulate on as many cosines as keep the error of R and T below `TABLE_ERROR`, within `COS_NODES`."""
+        """Tabulate on enough cosines for an R and T error below `TABLE_ERROR`, within `COS_NODES`."""
         count = len(self.wavelengths_nm)
         check_memory(
             float(BYTES_SOLVED) * COS_NODES[0] * count, f"a table of {COS_NODES[0]} angles x {count} wavelengths"
@@ -172,21 +172,21 @@ class StackTables:
 
 
 def _blocks(rows: int, values: int) -> Iterator[slice]:
-    """Yield the rows of a table in blocks of a bounded number of values: amplitudes take twenty times its memory."""
+    """Yield table rows in blocks of bounded size: amplitudes take twenty times a table's memory."""
     step = max(1, BLOCK_VALUES // values)
     for start in range(0, rows, step):
         yield slice(start, start + step)
 
 
 def is_transparent(n: ComplexArray) -> bool:
-    """Whether a body of visible size of index `n` `[wavelength]` is transparent."""
+    """Whether a macroscopic body with index `n` `[wavelength]` is transparent."""
     return bool(np.max(n.imag) < TRANSPARENT_K)
 
 
 def comparison_xyz(spectra: Array, wavelengths_nm: Array) -> Array:
-    """Return what tables and grids are judged by: the colours of spectra `[..., wavelength]`, `[..., 3]`.
+    """Return the colours `[..., 3]` of spectra `[..., wavelength]`, for error control of tables and grids.
 
-    Where the wavelengths do not span the colours, each is judged by itself, as a grey of that power:
+    If the wavelengths do not span the visible range, each wavelength counts as a grey with that power:
     `[..., wavelength, 3]`. Linear in the spectra.
     """
     if spans_colour(wavelengths_nm):
@@ -195,7 +195,7 @@ def comparison_xyz(spectra: Array, wavelengths_nm: Array) -> Array:
 
 
 def reflected_lab(reflectance: Array, wavelengths_nm: Array) -> Array:
-    """Return Lab under D65 of what `comparison_xyz` judges of spectra `[..., wavelength]`."""
+    """Return CIELAB under D65 of `comparison_xyz` for spectra `[..., wavelength]`."""
     return np.asarray(xyz_to_lab(comparison_xyz(reflectance, wavelengths_nm)))
 
 
@@ -203,7 +203,7 @@ def interpolation_colour_error(spectra: Callable[[Array], Array], values: Array,
     """Return the largest dE00 midway between nodes.
 
     Args:
-        spectra: power `[value, ..., wavelength]` of the material at the values given.
+        spectra: maps parameter values to power `[value, ..., wavelength]`.
     """
     nodes = spectra(values)
     exact = spectra(0.5 * (values[1:] + values[:-1]))
@@ -215,11 +215,11 @@ def interpolation_colour_error(spectra: Callable[[Array], Array], values: Array,
 def choose_nodes(
     spectra: Callable[[Array], Array], low: float, high: float, wavelengths_nm: Array
 ) -> tuple[Array, float]:
-    """Return uniform nodes of a varying number, fine enough for `COLOUR_ERROR`, and the dE00 reached.
+    """Return uniform nodes of a parameter, fine enough for `COLOUR_ERROR`, and the dE00 reached.
 
     Args:
-        spectra: power `[value, ..., wavelength]` of the material at the values given.
-        low, high: range of the number.
+        spectra: maps parameter values to power `[value, ..., wavelength]`.
+        low, high: parameter range.
     """
     values, worst = np.array([low, high]), 0.0
     for count in PARAMETER_NODES:
@@ -231,10 +231,10 @@ def choose_nodes(
 
 
 def check_size(counts: Sequence[int], cos_nodes: int, wavelengths: int) -> None:
-    """Refuse tables that would not fit in memory, before they are computed.
+    """Check that tables fit in memory before they are computed.
 
     Raises:
-        UnsupportedError: naming the sizes.
+        UnsupportedError: the tables are too large; the message gives the sizes.
     """
     size = math.prod(counts) * cos_nodes * wavelengths
     if size > MAX_TABLE_VALUES:

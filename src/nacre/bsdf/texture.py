@@ -1,7 +1,7 @@
-"""Numbers that vary over a surface: a constant, an image or a formula of u and v, in pictures also of x, y and z.
+"""Spatially varying numbers: an image, or a formula in u and v (in pictures also x, y and z).
 
-A formula is parsed into a small tree of known operations and never executed as code, so a recipe from a
-stranger is safe to load. The same tree runs on numpy arrays here and on Dr.Jit arrays in the plugins.
+A formula is parsed to a small tree of known operations and never executed as code, so recipes from strangers are
+safe to load. The same tree runs on numpy arrays here and on Dr.Jit arrays in the plugins.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from nacre.recipe.named_numbers import with_values
 MAX_FORMULA_LENGTH = 1000
 MAX_FORMULA_NODES = 200
 SURFACE = ("u", "v")
-# a place on the object of a picture, from the centre of its bounding ball in radii of it, z up
+# position on a rendered object, from its bounding sphere's centre, in sphere radii, z up
 PLACE = ("x", "y", "z")
 _CONSTANTS = {"pi": math.pi, "e": math.e}
 _BINARY: dict[type, str] = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.Div: "div", ast.Pow: "pow"}
@@ -35,11 +35,11 @@ _FUNCTIONS = {
 
 @dataclass(frozen=True)
 class Formula:
-    """A parsed formula of u, v, x, y and z: nested tuples (operation, operand, ...), numbers and those names.
+    """A parsed formula in u, v, x, y and z: nested tuples (operation, operand, ...), numbers and those names.
 
     Attributes:
-        text: with values in place of a recipe's own names, so that it can be read without the recipe.
-        written: as its author wrote it, for messages.
+        text: the formula with values instead of the recipe's own names, readable without the recipe.
+        written: the author's text, for messages.
     """
 
     text: str
@@ -54,30 +54,30 @@ class Formula:
         constants: Mapping[str, Any] | None = None,
         place: Any = (),
     ) -> Any:
-        """Evaluate on arrays; `operations` maps the words of `_FUNCTIONS` and add..neg to a backend's functions.
+        """Evaluate on arrays; `operations` maps the names in `_FUNCTIONS` and add..neg to a backend's functions.
 
         Args:
-            constants: of a formula with holes, what fills them.
-            place: x, y and z, of a formula that uses them.
+            constants: values for the placeholders of `with_holes`.
+            place: x, y and z, if the formula uses them.
         """
         names = {"u": u, "v": v, **dict(zip(PLACE, place, strict=False)), **(constants or {})}
         return _evaluate(self.tree, names, operations or NUMPY_OPERATIONS)
 
     @property
     def uses_place(self) -> bool:
-        """Whether x, y or z stands in it, which only an object in a picture has."""
+        """Whether the formula uses x, y or z, which exist only in pictures."""
         return _uses(self.tree, PLACE)
 
     @property
     def uses_surface(self) -> bool:
-        """Whether u or v stands in it."""
+        """Whether the formula uses u or v."""
         return _uses(self.tree, SURFACE)
 
     def with_holes(self) -> tuple[Formula, dict[str, float]]:
-        """Return the formula with names in place of its numbers, and those numbers.
+        """Return the formula with placeholders instead of numbers, and the numbers.
 
-        Formulas that differ in numbers alone are one and the same with holes: a kernel made for one serves all.
-        Exponents stay, since whole ones take any base and others do not.
+        Formulas that differ only in numbers then share one compiled kernel. Exponents stay, since integer exponents
+        accept any base and others do not.
         """
         numbers: dict[str, float] = {}
         tree = _holed(self.tree, numbers)
@@ -85,13 +85,13 @@ class Formula:
 
 
 def parse_formula(text: str, names: Mapping[str, float] | None = None) -> Formula:
-    """Parse a formula of u and v such as `100 + 600*v`, or of x, y and z.
+    """Parse a formula in u and v such as `100 + 600*v`, or in x, y and z.
 
     Args:
-        names: numbers that the recipe names, and the time `t`.
+        names: the recipe's named numbers, and the time `t`.
 
     Raises:
-        RecipeError: the text is not a formula of u, v, x, y, z, numbers, those names and the known functions.
+        RecipeError: the text is not a formula in u, v, x, y, z, numbers, those names and the known functions.
     """
     names = names or {}
     filled = with_values(text, names)
@@ -164,9 +164,9 @@ def _evaluate(tree: Any, variables: Mapping[str, Any], operations: Mapping[str, 
 
 
 def smooth_noise(u: Any, v: Any, sin: Callable[[Any], Any]) -> Any:
-    """Return a smooth, deterministic ripple in [-1, 1]: six plane waves of incommensurate directions.
+    """Return a smooth, deterministic ripple in [-1, 1]: six plane waves in incommensurate directions.
 
-    Cheap and the same on every backend; meant for drifts of thickness, not for texture synthesis.
+    Cheap and equal on every backend; meant for thickness drifts, not for texture synthesis.
     """
     total = 0.0
     for i in range(6):
@@ -191,10 +191,10 @@ class Texture:
     """A scalar over uv: either a formula, or an image `[row, column]` in [0, 1] scaled to [low, high].
 
     Attributes:
-        formula: parsed formula, or None.
-        image: grey values in [0, 1]; row 0 is v = 1 (the top of the picture), repeated outside [0, 1].
+        formula: parsed formula, or unset.
+        image: grey values in [0, 1], or unset; row 0 is v = 1 (the top of the picture), repeated outside [0, 1].
         low, high: the range; a formula is clipped to it, an image is scaled to it.
-        is_stepped: of an image, whether each pixel is one value to its edge; else values run between pixels' middles.
+        is_stepped: nearest-neighbour instead of bilinear interpolation of the image.
     """
 
     low: float
@@ -204,10 +204,10 @@ class Texture:
     is_stepped: bool = False
 
     def __call__(self, uv: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Evaluate at `uv[..., 2]`, giving `[...]` within [low, high].
+        """Evaluate at `uv[..., 2]`: `[...]` within [low, high].
 
         Raises:
-            UnsupportedError: a formula of x, y or z.
+            UnsupportedError: a formula in x, y or z.
         """
         refuse_place(self)
         u, v = uv[..., 0], uv[..., 1]
@@ -219,7 +219,7 @@ class Texture:
 
     @property
     def middle(self) -> float:
-        """The value at the middle: u = v = 0.5, and x = y = z = 0 of a formula of them."""
+        """The value at the middle: u = v = 0.5, x = y = z = 0."""
         half = np.array(0.5)
         if self.formula is not None:
             return float(self._of_formula(half, half, np.zeros(3)))
@@ -233,13 +233,13 @@ class Texture:
 
 
 def _stepped(image: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the pixel that a place lies in, wrapping round."""
+    """Return the nearest pixel, periodically."""
     rows, columns = image.shape
     return np.asarray(image[np.floor((1.0 - v) * rows).astype(int) % rows, np.floor(u * columns).astype(int) % columns])
 
 
 def _bilinear(image: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Interpolate texel centres, wrapping round: what Mitsuba's bitmap texture does by default."""
+    """Interpolate between texel centres, periodically, as Mitsuba's bitmap texture does by default."""
     rows, columns = image.shape
     x, y = u * columns - 0.5, (1.0 - v) * rows - 0.5
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
@@ -250,9 +250,9 @@ def _bilinear(image: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.
 
 
 def place_formula(thing: Any) -> str | None:
-    """Return a formula of x, y or z within a texture, a Bsdf, a model or tables of them; None where there is none."""
+    """Return a formula in x, y or z within a texture, a Bsdf, a model or tables of them, if any."""
     if thing is None or isinstance(thing, str | int | float | complex | np.ndarray) or hasattr(thing, "n_complex"):
-        return None  # most of what is met, and quickest told apart; a medium is the same everywhere
+        return None  # the most frequent types first; a medium does not vary
     if isinstance(thing, Texture):
         return thing.formula.written if thing.formula is not None and thing.formula.uses_place else None
     if isinstance(thing, Mapping):
@@ -265,7 +265,7 @@ def place_formula(thing: Any) -> str | None:
 
 
 def at_the_middle(thing: Any) -> Any:
-    """Return a lobe or another part of a Bsdf with its value at the middle in place of each formula of x, y or z."""
+    """Return a lobe or another part of a Bsdf with each formula in x, y or z replaced by its value at the middle."""
     if place_formula(thing) is None:
         return thing
     if isinstance(thing, Texture):
@@ -277,32 +277,32 @@ def at_the_middle(thing: Any) -> Any:
 
 
 def refuse_place(thing: Any, where: str = "") -> None:
-    """Refuse formulas of x, y and z where no object is: everywhere but in pictures.
+    """Refuse formulas in x, y and z outside pictures, which alone have an object.
 
     Args:
         thing: see `place_formula`.
-        where: what has no object, such as "spectrum".
+        where: the operation without an object, such as "spectrum".
 
     Raises:
-        UnsupportedError: there is such a formula.
+        UnsupportedError: `thing` contains such a formula.
     """
     formula = place_formula(thing)
     if formula is not None:
         head = f"{where}: " if where else ""
         raise UnsupportedError(
-            f'{head}formula "{formula[:80]}" runs over x, y, z of the object in a picture (nacre render), '
-            "and here is no object; use u and v"
+            f'{head}formula "{formula[:80]}" uses x, y, z of the object in a picture (nacre render), '
+            "which do not exist here; use u and v"
         )
 
 
 @dataclass(frozen=True)
 class ParameterAxis:
-    """One material number that varies over the surface: its tabulated values and the texture that drives it.
+    """A material parameter that varies over the surface: its tabulated values and its texture.
 
     Attributes:
-        name: what varies, as users know it, such as "layers[0].thickness_nm".
+        name: recipe path such as "layers[0].thickness_nm".
         values: `[node]`, ascending and uniform; tables are interpolated linearly between them.
-        texture: gives the number at uv, within [values[0], values[-1]].
+        texture: the parameter at uv, within [values[0], values[-1]].
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Recipe form of a number that varies over the surface: an image with a range, or a formula of uv."""
+"""Recipe form of a spatially varying number: an image with a range, or a formula in u and v."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ logger = logging.getLogger("nacre")
 
 MAX_IMAGE_PIXELS = 64_000_000
 BYTES_A_PIXEL = 24  # as read, in double precision, and scaled
-ROUNDING = 1e-5  # by which numbers of an image in floating point may pass black and white
-TOLD_GAPS = 0.01  # share of the surface: 0/0 at a point or along a line is left alone
-FORMULA_SAMPLES = 257  # a side of u and v
-PLACE_SAMPLES, SURFACE_SAMPLES = 17, 9  # of formulas of the place: along a side of space, and of u and v beside it
+ROUNDING = 1e-5  # tolerance of floating-point images beyond black and white
+REPORTED_GAPS = 0.01  # undefined share of the surface above which a warning is logged
+FORMULA_SAMPLES = 257  # along u and v
+PLACE_SAMPLES, SURFACE_SAMPLES = 17, 9  # for formulas in x, y, z: along each of them, and along u and v
 
 
 class TextureSpec(RecipeModel):
-    """A number that varies over the surface: an image with a range, or a formula of u and v.
+    """A spatially varying number: an image with a range, or a formula in u and v.
 
-    An image's grey values run linearly from min (black) to max (white). A formula gives the number itself, and is
-    clipped to min and max where they are given.
+    An image's grey values run linearly from min (black) to max (white). A formula gives the number itself, clipped to
+    min and max if given.
     """
 
     noun: ClassVar[str] = "texture"
@@ -51,9 +51,9 @@ class TextureSpec(RecipeModel):
     )
     formula: str | None = pydantic.Field(
         default=None,
-        description="an expression of the surface's coordinates u and v, each from 0 to 1, of the names in "
-        "`[numbers]`, and of the time t of an animation; in pictures also of the place x, y, z on the object: from the "
-        "centre of its bounding sphere, in radii of it, x to the right, z up, turning with it",
+        description="an expression in the surface coordinates u and v, each from 0 to 1, the names in "
+        "`[numbers]`, and the time t of an animation; in pictures also in the position x, y, z on the object: from the "
+        "centre of its bounding sphere, in sphere radii, x to the right, z up, turning with the object",
         examples=["0.1 + 0.6*v", "0.4 - 0.3*z"],
     )
     min: float | None = pydantic.Field(
@@ -65,12 +65,12 @@ class TextureSpec(RecipeModel):
 
     interpolation: Literal["linear", "nearest"] = pydantic.Field(
         default="linear",
-        description="of an image: linear runs evenly from pixel to pixel, nearest keeps each pixel's value to its "
-        "edge, as steps of a process",
+        description="of an image: linear between pixel centres, or nearest, which gives each pixel one value up to its "
+        "edge, as for process steps",
         examples=["nearest"],
     )
 
-    _names: dict[str, float] = pydantic.PrivateAttr(default_factory=dict)  # of the recipe, which formulas know
+    _names: dict[str, float] = pydantic.PrivateAttr(default_factory=dict)  # the recipe's named numbers
 
     @pydantic.model_validator(mode="after")
     def _one_of_two(self, info: pydantic.ValidationInfo) -> TextureSpec:
@@ -79,7 +79,7 @@ class TextureSpec(RecipeModel):
         if self.texture is not None and (self.min is None or self.max is None):
             raise ValueError("a texture needs min and max: the values of black and of white")
         if self.formula is not None and self.interpolation != "linear":
-            raise ValueError('interpolation = "nearest" is of images; a formula has no pixels')
+            raise ValueError('interpolation = "nearest" applies to images; a formula has no pixels')
         if self.min is not None and self.max is not None and self.min > self.max:
             raise ValueError(f"min = {self.min:g} is above max = {self.max:g}")
         if self.formula is not None:
@@ -98,7 +98,7 @@ class TextureSpec(RecipeModel):
             key: the recipe's key, for messages.
 
         Raises:
-            RecipeError: the image is missing, broken or too large, or the formula has no finite range.
+            RecipeError: a missing, broken or too large image, or a formula without a finite range.
         """
         if self.texture is not None:
             assert self.min is not None and self.max is not None
@@ -112,26 +112,26 @@ class TextureSpec(RecipeModel):
         gaps = float(np.isnan(values).mean())
         values = values[np.isfinite(values)]
         if not values.size:
-            raise context.fail(f"{key}.formula", self.formula, "has no finite value anywhere")
+            raise context.fail(f"{key}.formula", self.formula, "has no finite value on the surface")
         low = self.min if self.min is not None else float(values.min())
         high = self.max if self.max is not None else float(values.max())
         if low > high:
             raise context.fail(f"{key}.formula", self.formula, f"leaves no range between {low:g} and {high:g}")
-        if gaps > TOLD_GAPS:
-            _tell_gaps(f'{context.source}: {key}.formula = "{self.formula}"', gaps, low)
+        if gaps > REPORTED_GAPS:
+            _warn_of_gaps(f'{context.source}: {key}.formula = "{self.formula}"', gaps, low)
         return Texture(low, high, formula=formula)
 
 
 @functools.lru_cache(maxsize=256)
-def _tell_gaps(what: str, share: float, low: float) -> None:
-    """Say once that a formula has no value in places."""
-    logger.warning("%s is no number at %.0f %% of the places; its lowest, %g, stands there", what, 100 * share, low)
+def _warn_of_gaps(formula: str, share: float, low: float) -> None:
+    """Warn once that a formula is undefined on part of the surface."""
+    logger.warning("%s is undefined on %.0f %% of the surface; %g, its minimum, fills it", formula, 100 * share, low)
 
 
 def _everywhere(formula: Formula) -> tuple[Array, Array, Array]:
-    """Return u, v and x, y, z to judge a formula's range at: a fine grid of those that it uses.
+    """Return sample points u, v and x, y, z for a formula's range: a fine grid in the variables that it uses.
 
-    Places fill the unit ball in shells, along the axes and diagonals, where sums have their ends, and between.
+    Positions fill the unit ball in shells that contain the axes and diagonals, at which sums have their extrema.
     """
     if not formula.uses_place:
         axis = np.linspace(0.0, 1.0, FORMULA_SAMPLES)
@@ -139,7 +139,7 @@ def _everywhere(formula: Formula) -> tuple[Array, Array, Array]:
         return u, v, np.zeros((3, 1, 1))
     steps = np.linspace(-1.0, 1.0, PLACE_SAMPLES)
     cube = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
-    outside = np.abs(cube).max(axis=1) == 1.0  # the faces of a cube, whose rays go everywhere
+    outside = np.abs(cube).max(axis=1) == 1.0  # the faces of a cube
     rays = cube[outside] / np.linalg.norm(cube[outside], axis=1, keepdims=True)
     place = np.concatenate([rays * radius for radius in np.linspace(0.0, 1.0, PLACE_SAMPLES)]).T
     if not formula.uses_surface:
@@ -150,7 +150,7 @@ def _everywhere(formula: Formula) -> tuple[Array, Array, Array]:
 
 
 def texture_or_number(value: Any) -> str:
-    """Return the union member a recipe's value is meant for, so that its own message reaches the user."""
+    """Return the union member for a recipe's value, which selects the validation message."""
     return "Texture" if isinstance(value, Mapping | TextureSpec) else "Number"
 
 
@@ -161,22 +161,22 @@ NumberOrTexture = Annotated[
 
 
 def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> NDArray[np.float64]:
-    """Read an image as grey values in [0, 1], `[row, column]`; 8 and 16 bit, colours by their mean luma.
+    """Read an image as grey values in [0, 1], `[row, column]`; 8 and 16 bit, colours by their luma.
 
-    Turned upright where its camera says how it was held.
+    The camera's orientation tag is applied.
 
     Args:
-        where: file and key of the recipe, for messages.
+        where: the recipe's file and key, for messages.
 
     Raises:
-        RecipeError: missing, not an image, transparent in places, of numbers beyond black and white, larger than
+        RecipeError: missing, not an image, partly transparent, values beyond black and white, larger than
             `MAX_IMAGE_PIXELS` or longer than `longest_side`.
     """
     from PIL import Image, UnidentifiedImageError
 
     try:
         with warnings.catch_warnings():
-            # of large images, for which the limit below is stricter, and of broken tags, which are read or are not
+            # warnings about large images (the limit below is stricter) and about broken tags
             warnings.simplefilter("ignore")
             opened = Image.open(plain(path))
         with warnings.catch_warnings(), opened as image:
@@ -188,7 +188,7 @@ def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> N
             if max(image.size) > longest_side:
                 raise RecipeError(f"{where}: {path.name} is {image.size} pixels; at most {longest_side} a side")
             if opacity(image) is not None:
-                raise RecipeError(f"{where}: {path.name} is transparent in places; lay it on a ground first")
+                raise RecipeError(f"{where}: {path.name} is partly transparent; flatten it first")
             picture = upright(image)
             if picture.mode.startswith("I") or picture.mode == "F":
                 values = np.asarray(picture, dtype=float)
@@ -198,7 +198,7 @@ def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> N
     except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError):
         raise RecipeError(f'{where} = "{path.name}" is not a readable image') from None
     except OSError as error:
-        # Pillow's own errors of a broken file have no number
+        # Pillow's own errors about broken files have no errno
         reason = why_unreadable(error) if error.errno else "is not a readable image"
         raise RecipeError(f'{where} = "{path.name}" {reason}') from None
     values = values / scale
@@ -207,6 +207,6 @@ def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> N
         most = f"{LARGEST_16_BIT:.0f}" if scale == LARGEST_16_BIT else "1"
         raise RecipeError(
             f'{where} = "{path.name}" holds {low * scale:g} to {high * scale:g}; black is 0 and white {most} in an '
-            "image of this kind: scale its numbers, and say by min and max what black and white mean"
+            "image of this type: scale its values, and give the values of black and white by min and max"
         )
     return np.clip(values, 0.0, 1.0)

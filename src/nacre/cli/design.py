@@ -217,7 +217,7 @@ def gamut(
     material = common.load_material(recipe, changes)
     found = find_gamut(
         material, parse_parameters(free), at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
-        within=within, samples=samples, seed=seed,
+        tolerance=within, samples=samples, seed=seed,
     )  # fmt: skip
     if path is not None:
         if path.suffix == ".json":
@@ -227,12 +227,12 @@ def gamut(
         else:
             from nacre.plot import save_figure
 
-            save_figure(gamut_chart(found, title=f"{material.name}, {found.at}"), path, {"recipe": material.text})
+            save_figure(gamut_chart(found, title=f"{material.name}, {found.geometry}"), path, {"recipe": material.text})
     if as_json:
         click.echo(json.dumps(found.document()))
     else:
         low, high = found.lab.min(axis=0), found.lab.max(axis=0)
-        click.echo(f"{material.name}: {found.at}, {illuminant}, {observer} observer, {len(found.lab)} points")
+        click.echo(f"{material.name}: {found.geometry}, {illuminant}, {observer} observer, {len(found.lab)} points")
         click.echo("  " + ", ".join(f"{n} {a:.0f} to {b:.0f}" for n, a, b in zip(("L*", "a*", "b*"), low, high)))
         click.echo(f"  within dE00 {within:g}: {100 * found.share_of_srgb:.1f} % of the colours of sRGB, "
                    f"{100 * found.share_of_optimal:.1f} % of the optimal colours")  # fmt: skip

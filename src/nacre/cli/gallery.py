@@ -313,7 +313,7 @@ def _design(folder: Path, out: Path, spec: DesignSpec, is_quick: bool) -> Item:
         from nacre.optimise.relief.run import design, load_target
 
         target, context = load_target(folder / spec.target)
-        search = target.search.model_copy(update={"time_limit_s": seconds})
+        search = target.search.model_copy(update={"seconds": seconds})
         design(target.model_copy(update={"search": search}), context, path)
 
     return Item(spec.title, path, seconds + 3, make)

@@ -1,4 +1,4 @@
-"""`nacre studio`: a page on the user's own machine on which a recipe is turned like a knob."""
+"""`nacre studio`: a local web page that shows a recipe live while its parameters change."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def studio(what: str | None, port: int | None, no_browser: bool) -> None:
     Prints one address, with a token without which nobody else on this machine can use it, and serves until Ctrl-C.
     Recipes are read from the folder and saved into it; default: the current one. Needs no network.
     """
-    from nacre.studio.folder import Opened
+    from nacre.studio.folder import OpenedFolder
 
-    opened = Opened.of(what)
+    opened = OpenedFolder.of(what)
     from nacre.studio.server import serve
 
     serve(opened, port, not no_browser)

@@ -1,6 +1,6 @@
-"""The lobes in Mitsuba: one plugin for each kind of lobe, and the random walk through strata.
+"""The lobes in Mitsuba: one plugin for each lobe, and the random walk through strata.
 
-Whatever is imported from here first points drjit to an LLVM that works; no variant is set.
+Importing this package points drjit to a working LLVM; it does not set a variant.
 """
 
 import importlib.util

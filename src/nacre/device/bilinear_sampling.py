@@ -1,8 +1,7 @@
-"""Directions drawn from a density that is linear between the nodes of a square, by one read of a table.
+"""Exact sampling of bilinearly interpolated densities on unit squares, with one table read.
 
-A density that is bilinear between nodes is a sum of tents, one on each node. So a node is chosen by the alias method
-(Walker 1977, Vose 1991: one read, no search), then a place under its tent; tents at an edge are folded inwards. What is
-drawn has the density exactly.
+A density that is bilinear between nodes is a sum of tent functions. The alias method (Walker 1977, Vose 1991) chooses
+a node, then a point is drawn from its tent; tents at an edge are folded inwards.
 """
 
 from __future__ import annotations
@@ -17,19 +16,19 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.device.plugin import device_array, larger, read4, smaller
 
-CHANCES = 65535  # of the 16 bits that hold the chance of a column
+CHANCES = 65535  # the largest 16-bit probability
 
 
 class BilinearDensity:
-    """Densities on the unit squares of some faces, one set for each of some rows; between two rows they are mixed.
+    """Densities on the unit squares of several faces, tabulated for several rows and mixed between rows.
 
     Args:
-        weights: at the nodes, `[row, face, y, x]`, > 0, of any size.
+        weights: node values, `[row, face, y, x]`, > 0, with any normalisation.
     """
 
     def __init__(self, weights: Array) -> None:
         rows, faces, height, width = weights.shape
-        share = _edge_halves(height)[:, None] * _edge_halves(width)  # of the tents that lies within
+        share = _edge_halves(height)[:, None] * _edge_halves(width)  # part of each tent inside
         chance = weights * share
         total = chance.sum(axis=(1, 2, 3), keepdims=True)
         density = weights / total * (height - 1) * (width - 1)
@@ -39,11 +38,11 @@ class BilinearDensity:
         self.rows, self.size = rows, (faces, height, width)
 
     def sample(self, row: Any, part: Any, number: Any, square: Any, active: Any) -> tuple[Any, Any, Any, Any]:
-        """Return the face, x and y in [0, 1], and what is left of `number`, uniform again to some bits.
+        """Return the face, x and y in [0, 1], and the unused part of `number`, again uniform to some bits.
 
         Args:
             row: the lower row, at most `rows - 2`.
-            part: how far beyond it, in [0, 1].
+            part: fraction above it, in [0, 1].
             number: uniform.
             square: two uniform numbers.
             active: mask.
@@ -66,7 +65,7 @@ class BilinearDensity:
         return face, x, y, number
 
     def density(self, row: Any, part: Any, face: Any, x: Any, y: Any, active: Any) -> Any:
-        """Return the density on the faces, whose integral over all of them is one."""
+        """Return the density, whose integral over all faces is one."""
         faces, height, width = self.size
         u, v = x * (width - 1), y * (height - 1)
         i = larger(smaller(dr.floor(u), width - 2.0), 0.0)
@@ -93,19 +92,19 @@ def _edge_halves(count: int) -> Array:
 
 
 def _tent(number: Any) -> Any:
-    """Return a number in (-1, 1) with the density of a tent."""
+    """Return a number in (-1, 1) with a tent density."""
     low = dr.sqrt(2.0 * number) - 1.0
     return dr.select(number < 0.5, low, 1.0 - dr.sqrt(larger(2.0 - 2.0 * number, 0.0)))
 
 
 def _folded(x: Any, top: float) -> Any:
-    """Fold what lies beyond either end back, and bring [0, top] to [0, 1]."""
+    """Fold numbers beyond either end back, and map [0, top] to [0, 1]."""
     x = dr.abs(x)
     return smaller(x, 2.0 * top - x) * (1.0 / top)
 
 
 def _columns(chances: Array) -> Any:
-    """Return the alias table of each row, `[row, column]`: the chance to keep a column in 16 bits, the other above."""
+    """Return each row's alias table, `[row, column]`: the probability of the column in 16 bits, the alias above."""
     rows, count = chances.shape
     words = np.empty((rows, count), dtype=np.uint32)
     for row in range(rows):
@@ -115,7 +114,7 @@ def _columns(chances: Array) -> Any:
 
 
 def _alias(heights: Array) -> NDArray[np.uint32]:
-    """Vose's method for chances times their number."""
+    """Return Vose's alias table for probabilities times their number."""
     heights = heights.copy()
     keep, other = np.ones(len(heights)), np.arange(len(heights))
     small, large = list(np.nonzero(heights < 1.0)[0]), list(np.nonzero(heights >= 1.0)[0])

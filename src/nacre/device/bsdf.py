@@ -1,4 +1,8 @@
-"""From a Bsdf to a `mi.BSDF` of the current variant."""
+"""From a Bsdf to a `mi.BSDF` of the current variant, and the registry of Mitsuba plugins.
+
+A new lobe needs one line here and one in `nacre.bsdf.registry`; a lobe of another package names its plugin in
+its entry point. Plugins do not import this file: those that contain other lobes receive `make_plugin`.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +21,8 @@ from nacre.device.plugin import LobePlugin, logger
 from nacre.device.texture import ObjectFrame, ObjectSpace
 from nacre.device.variant import VARIANTS
 
-# The renderer draws wavelengths from 360 to 830 nm; nearly all that the eye sees lies within this.
-SEEN_NM = (400.0, 700.0)
+# The renderer samples wavelengths from 360 to 830 nm; nearly the whole luminance is in this range.
+VISIBLE_NM = (400.0, 700.0)
 
 
 def make_bsdf(
@@ -28,36 +32,36 @@ def make_bsdf(
     object_frame: ObjectFrame | None = None,
     v_up: bool = True,
 ) -> Any:
-    """Turn a Bsdf into a `mi.BSDF` of the current variant.
+    """Convert a Bsdf to a `mi.BSDF` of the current variant.
 
     Args:
         bsdf: the material's lobes.
-        two_sided: an opaque material looks the same from behind instead of black; a transmitting one has a back side
-            of its own in any case.
-        properties: Mitsuba's properties when called by the scene loader.
-        object_frame: where the object stands, for formulas of x, y and z.
-        v_up: whether v runs up on the shapes that wear it (not on Mitsuba's sphere and in its OBJ reader).
+        two_sided: give an opaque material the same appearance from behind instead of black; a transmitting one always
+            has its own back side.
+        properties: Mitsuba's properties, from the scene loader.
+        object_frame: the object's position, for formulas in x, y and z.
+        v_up: whether v runs upward on the shapes with this BSDF (not on Mitsuba's sphere and in its OBJ reader).
 
     Raises:
-        UnsupportedError: a lobe kind has no plugin, the variant carries no spectra, or a formula runs over x, y, z
-            and no object was told.
+        UnsupportedError: a lobe without plugin, a non-spectral variant, or a formula in x, y, z without
+            `object_frame`.
 
     Example: `mi.load_dict({"type": "sphere", "bsdf": make_bsdf(nacre.load("soap.toml").bsdf())})`.
     """
     if mi.variant() not in VARIANTS:
         raise UnsupportedError(f"Mitsuba variant {mi.variant()} cannot carry spectral materials; use {VARIANTS[0]}")
     grid = bsdf.wavelengths_nm
-    if grid[0] > SEEN_NM[0] or grid[-1] < SEEN_NM[1]:
+    if grid[0] > VISIBLE_NM[0] or grid[-1] < VISIBLE_NM[1]:
         logger.warning(
-            "the material is known from %g to %g nm only; its ends go on beyond, so colours are not exact",
+            "the material is known only from %g to %g nm; its end values continue, so colours are inexact",
             grid[0],
             grid[-1],
         )
     formula = place_formula(bsdf)
     if formula is not None and object_frame is None:
         raise UnsupportedError(
-            f'formula "{formula[:80]}" runs over x, y, z of the object, which a Mitsuba scene of your own does not '
-            "tell; use u and v, one of nacre's scenes with shape = your mesh, or make_bsdf(..., object_frame=...)"
+            f'formula "{formula[:80]}" uses x, y, z of the object, which are unknown in your own Mitsuba scene; '
+            "use u and v, one of nacre's scenes with shape = your mesh, or make_bsdf(..., object_frame=...)"
         )
     frame = object_frame if formula is not None else None
     space = None if frame is None and v_up else ObjectSpace(frame, v_up)
@@ -67,22 +71,20 @@ def make_bsdf(
 
 
 def update_bsdf(target: Any, bsdf: Bsdf) -> None:
-    """Give a BSDF in a built scene the numbers of another Bsdf of the same structure; no new kernel is compiled.
+    """Replace a BSDF's data in a built scene by another Bsdf's with the same structure, without a new kernel.
 
     Raises:
-        UnsupportedError: number, kinds or shapes of the lobes differ, or formulas of x, y, z came or went: build the
-            scene again.
+        UnsupportedError: number, kinds or shapes of the lobes differ, or formulas in x, y, z appeared or vanished:
+            build the scene again.
     """
     has_place = target.object_space is not None and target.object_space.has_place
     if (place_formula(bsdf) is not None) != has_place:
-        raise UnsupportedError("formulas of x, y, z came or went; build the scene again")
+        raise UnsupportedError("formulas in x, y, z appeared or vanished; build the scene again")
     update_lobes(target, bsdf.lobes)
 
 
-# Which plugin class renders which kind of lobe: the only list of Mitsuba plugins.
-
 PLUGINS: dict[str, str] = {
-    # lobe kind -> "module:class", imported when first needed
+    # lobe kind -> "module:class", imported on first use
     "specular": "nacre.device.lobes.specular:SpecularPlugin",
     "microfacet": "nacre.device.lobes.microfacet:MicrofacetPlugin",
     "diffuse": "nacre.device.lobes.diffuse:DiffusePlugin",
@@ -99,11 +101,11 @@ PLUGINS: dict[str, str] = {
 
 
 def plugin_class(kind: str) -> type[LobePlugin[Any]]:
-    """Return the class that renders a lobe kind, importing its module.
+    """Return the plugin class for a lobe kind, importing its module.
 
     Raises:
-        UnsupportedError: no plugin renders this kind.
-        NacreError: another package registers this kind, but not with a `LobePlugin`.
+        UnsupportedError: unknown kind.
+        NacreError: another package registers this kind without a `LobePlugin`.
     """
     if kind in PLUGINS:
         module, name = PLUGINS[kind].split(":")
@@ -113,17 +115,17 @@ def plugin_class(kind: str) -> type[LobePlugin[Any]]:
         outside = outside_lobe(kind).twin()
     except KeyError:
         known = ", ".join(PLUGINS)
-        raise UnsupportedError(f'no Mitsuba plugin renders a lobe of kind "{kind}"; known: {known}') from None
+        raise UnsupportedError(f'a lobe of kind "{kind}" has no Mitsuba plugin; known: {known}') from None
     if not (isinstance(outside, type) and issubclass(outside, LobePlugin)):
         raise NacreError(f'the Mitsuba plugin of the lobe "{kind}" is not a LobePlugin')
     return outside
 
 
 def make_plugin(lobe: Lobe) -> LobePlugin[Any]:
-    """Put one lobe on the device of the current variant.
+    """Return one lobe's plugin for the current variant.
 
     Raises:
-        UnsupportedError: no plugin renders this kind.
+        UnsupportedError: a kind without plugin.
     """
     cls: Any = plugin_class(lobe.kind)
     plugin: LobePlugin[Any] = cls(lobe, make_plugin) if cls.holds_lobes else cls(lobe)

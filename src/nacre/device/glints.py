@@ -1,4 +1,4 @@
-"""Glints on the device: the factor of `nacre.bsdf.glints`, with the same hash."""
+"""Glints on the device: the factor from `nacre.bsdf.glints`, with the same hash."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from nacre.core.arrays import Array
 from nacre.device.plugin import device_array, opaque, opaque_int, read
 
 WORD = 0xFFFFFFFF
-FLATTEST = 1e-4  # a normal in the plane of the flakes has no slope
-WIDE = 1e3  # in uv: of a footprint in which no flake is seen apart
+FLATTEST = 1e-4  # lower limit of |z|: the slope of an in-plane normal is infinite
+WIDE = 1e3  # uv footprint that marks unresolved flakes
 
 
 def blurred(si: Any, where: Any) -> Any:
-    """Return a copy of an interaction that sees the mean over the flakes instead of single ones, where asked for.
+    """Return a copy of an interaction that uses the mean over the flakes for lanes in `where`.
 
-    Mitsuba leaves the footprint at 0 unless it is asked for one.
+    Marked by a wide footprint; Mitsuba's default footprint is 0.
     """
     other = mi.SurfaceInteraction3f(si)
     other.duv_dx = dr.select(where, mi.Vector2f(WIDE, 0.0), si.duv_dx)
@@ -29,30 +29,30 @@ def blurred(si: Any, where: Any) -> Any:
 
 
 def seen_apart(si: Any) -> Any:
-    """Tell whether an interaction sees flakes one by one; see `blurred`."""
+    """Whether an interaction resolves single flakes; see `blurred`."""
     return dr.abs(si.duv_dx.x) < WIDE
 
 
 class DeviceGlints:
-    """The flakes of one stratum that are resolved one by one; all numbers are data."""
+    """The resolved flakes of one stratum; all numbers are data."""
 
     def __init__(self, numbers: Array, radii: Array, ratio: Array) -> None:
         self.kinds = [_Kind(*row) for row in zip(numbers, radii, ratio, strict=True)]
 
     @staticmethod
     def of(lobe: PlateletLayer | Layered) -> DeviceGlints | None:
-        """Return the glints of a lobe; None if it has none."""
+        """Return a lobe's glints, if any."""
         if lobe.glint_numbers is None:
             return None
         assert lobe.glint_radii is not None and lobe.glint_ratio is not None
         return DeviceGlints(lobe.glint_numbers, lobe.glint_radii, lobe.glint_ratio)
 
     def factor(self, kind: int, uv: Any, tx: Any, ty: Any, active: Any) -> Any:
-        """Return g of a kind at a point for the slope (tx, ty) over the flakes' deviation; see `nacre.bsdf.glints`."""
+        """Return a species' g at a point for the slope (tx, ty) over the flakes' deviation; see `nacre.bsdf.glints`."""
         return self.answers(kind, uv, tx, ty, active)[0] / self.mean(kind, tx, ty, active)
 
     def answers(self, kind: int, uv: Any, tx: Any, ty: Any, active: Any) -> tuple[Any, Any]:
-        """Return the sum of the kernels of a kind's discs that hold a point, and how many discs do."""
+        """Return the kernel sum over a species' discs at a point, and the number of these discs."""
         row = self.kinds[kind]
 
         def body(n: Any, total: Any, count: Any) -> tuple[Any, Any, Any]:
@@ -69,17 +69,17 @@ class DeviceGlints:
         return total, count
 
     def mean(self, kind: int, tx: Any, ty: Any, active: Any) -> Any:
-        """Return the mean of that sum over the surface."""
+        """Return the surface mean of that sum."""
         row = self.kinds[kind]
         t2 = tx * tx + ty * ty
         t = dr.sqrt(t2)
         return row.read(row.ratio, t / (1.0 + t), active) * row.area / dr.square(1.0 + t2)
 
     def one_of(self, uv: Any, sample: Any, active: Any) -> tuple[Any, Any, Any, Any]:
-        """Draw one of the discs that hold a point.
+        """Draw one of the discs at a point.
 
         Returns:
-            Its kind, the slope (x, y) of its normal over the deviation, and how many discs hold the point.
+            its species, the slope (x, y) of its normal over the deviation, and the number of discs at the point.
         """
         found = (mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0), mi.Float(sample))
         for k, row in enumerate(self.kinds):
@@ -89,7 +89,7 @@ class DeviceGlints:
             ) -> tuple[Any, ...]:
                 holds, cx, cy = row.disc(n, uv, active)
                 count = count + dr.select(holds, 1.0, 0.0)
-                share = dr.rcp(dr.maximum(count, 1.0))  # the newest of so many
+                share = dr.rcp(dr.maximum(count, 1.0))  # reservoir sampling
                 is_it = left < share
                 rest = dr.select(is_it, left / share, (left - share) / dr.maximum(1.0 - share, 1e-6))
                 left = dr.select(holds, dr.clip(rest, 0.0, dr.one_minus_epsilon(mi.Float)), left)
@@ -105,7 +105,7 @@ class DeviceGlints:
         return found[:4]
 
     def factor_of(self, slot: Any, axes: Any, m: Any, si: Any, active: Any) -> Any:
-        """Return g for a normal in its flake's frame, `axes` being the semi-axes of that kind, lane by lane."""
+        """Return g for a normal in its flake's frame, with the semi-axes `axes` of that species."""
         active = active & seen_apart(si)
         z = dr.select(dr.abs(m.z) < FLATTEST, FLATTEST, m.z)
         tx, ty = m.x / (z * axes.x), m.y / (z * axes.y)
@@ -128,7 +128,7 @@ class _Kind:
         self.last_cell = opaque_int(len(radii) - 2)
 
     def disc(self, n: Any, uv: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Return whether the n-th of the discs about a point holds it, and the slope of its normal (x, y)."""
+        """Return whether the n-th disc near a point contains it, and the slope of its normal (x, y)."""
         x, y = uv.x * self.cells_u, uv.y * self.cells_v
         i = mi.Int32(dr.floor(x - 0.5)) + mi.Int32(n & 1)
         j = mi.Int32(dr.floor(y - 0.5)) + mi.Int32((n >> 1) & 1)
@@ -149,8 +149,8 @@ class _Kind:
 
 
 def mix(x: Any) -> Any:
-    """Scatter the bits of a number."""
-    # the masks are for scalar variants, whose integers are Python's and do not wrap
+    """Hash a number."""
+    # the masks are for scalar variants, whose Python integers do not wrap
     x = x & WORD
     x = ((x ^ (x >> 16)) * 0x7FEB352D) & WORD
     x = ((x ^ (x >> 15)) * 0x846CA68B) & WORD
@@ -158,10 +158,10 @@ def mix(x: Any) -> Any:
 
 
 def _word(x: Any) -> Any:
-    """Return the bits of a signed number."""
+    """Return a signed number's bits."""
     return mi.UInt32(x) if dr.is_jit_v(mi.Float) else int(x) & WORD
 
 
 def uniform(key: Any, draw: int) -> Any:
-    """Return one of a flake's numbers, in [0, 1)."""
+    """Return one of a flake's random numbers, in [0, 1)."""
     return mi.Float(mix(key + DRAWS[draw]) >> 8) * 5.9604644775390625e-08

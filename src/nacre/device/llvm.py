@@ -1,9 +1,9 @@
-"""Find a libLLVM that Dr.Jit can use, and test it in a process of its own.
+"""Find a libLLVM for Dr.Jit, and test it in a subprocess.
 
-Mitsuba on the CPU compiles its kernels with whatever LLVM it finds when drjit is imported. LLVM 14 is refused
-by drjit and 15 and 16 abort the whole process at the first minimum or maximum, so a library is never trusted
-by its name: a child process loads it, compiles a small kernel and compares the numbers. The verdict is kept in
-the user's cache folder under the file's path, size and time, so that only the first start pays for it.
+Mitsuba's CPU variants compile kernels with the LLVM found when drjit is imported. drjit refuses LLVM 14, and 15 and 16
+abort the process at the first minimum or maximum. A library's name is therefore insufficient: a subprocess loads it,
+compiles a small kernel and checks the numbers. The result is cached in the user's cache folder under the file's path,
+size and time.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ PROJECT_VARIABLE = "NACRE_PROJECT"  # the checkout, set by make
 PREFERRED_VERSIONS = (19, 20, 21, 22)
 UNTRIED_VERSIONS = (18, 17)
 PROBE_TIMEOUT_S = 120
-WHEEL = "karellen-llvm-core"  # a libLLVM on the package index: Apache-2.0, Linux x86-64, a dependency there
-WHEEL_VERSION = "19.1.7"  # as in pyproject.toml; the series that the pictures were checked with
+WHEEL = "karellen-llvm-core"  # a libLLVM wheel (Apache-2.0), a dependency on Linux x86-64
+WHEEL_VERSION = "19.1.7"  # as in pyproject.toml; the version of the reference pictures
 
-# The kernel uses what kills old versions (minimum, maximum) and what the plugins live on: a gather, a loop.
+# The kernel uses the operations that fail in old versions (minimum, maximum), a gather and a loop.
 _PROBE = """
 import ctypes
 import sys
@@ -52,13 +52,13 @@ sys.exit(0 if good else 3)
 
 @dataclass(frozen=True)
 class Probe:
-    """The verdict on one library.
+    """The test result for one library.
 
     Attributes:
         path: the library; "" is drjit's own search.
-        version: what drjit says of it, such as "19.1.7".
-        reason: why it fails; empty if it works.
-        needs: libraries that must be loaded before it (see `companions`).
+        version: drjit's version string, such as "19.1.7".
+        reason: reason of the failure; empty if it works.
+        needs: libraries to load before it (see `companions`).
     """
 
     path: str
@@ -68,16 +68,16 @@ class Probe:
 
     @property
     def works(self) -> bool:
-        """Whether a kernel compiled and gave the right numbers."""
+        """Whether a kernel compiled and gave correct numbers."""
         return not self.reason
 
 
 def advice(system: str | None = None, machine: str | None = None) -> str:
-    """Return the command that brings a good LLVM to a machine, this one by default, in one sentence.
+    """Return one sentence with the command that installs a suitable LLVM, by default for this machine.
 
     Args:
-        system: as `platform.system()` says it: "Linux", "Darwin", "Windows".
-        machine: as `platform.machine()` says it: "x86_64", "aarch64", "arm64".
+        system: value of `platform.system()`: "Linux", "Darwin", "Windows".
+        machine: value of `platform.machine()`: "x86_64", "aarch64", "arm64".
     """
     system, machine = system or platform.system(), machine or platform.machine()
     if system == "Darwin":
@@ -100,10 +100,10 @@ def advice(system: str | None = None, machine: str | None = None) -> str:
 
 @functools.cache
 def find_llvm() -> tuple[Probe | None, tuple[Probe, ...]]:
-    """Return the library to use, or None, and every verdict on the way to it.
+    """Return the first working library, or None, and all test results.
 
-    The library of the environment variable comes first; when it fails, the search goes on and the report
-    keeps the reason, since a picture from another LLVM is better than no picture.
+    The environment variable's library is tested first. If it fails, the search continues and the report contains the
+    reason.
     """
     tried: list[Probe] = []
     for path in candidates():
@@ -115,12 +115,12 @@ def find_llvm() -> tuple[Probe | None, tuple[Probe, ...]]:
 
 
 def use_llvm() -> Probe | None:
-    """Point drjit to a working library; call it before drjit is imported.
+    """Point drjit to a working library; must be called before drjit is imported.
 
-    When drjit is already in memory its choice is fixed, so that choice is judged instead.
+    If drjit is already imported, its choice is fixed and is tested instead.
     """
     if "drjit" in sys.modules:
-        return _judge_loaded()
+        return _test_loaded()
     found, _ = find_llvm()
     if found is not None and found.path:
         os.environ[ENVIRONMENT_VARIABLE] = found.path
@@ -130,48 +130,47 @@ def use_llvm() -> Probe | None:
 
 
 def companions(path: str) -> list[str]:
-    """Return the libraries that must be in memory before `path` loads, in order.
+    """Return the libraries to load before `path`, in order.
 
-    An LLVM that was unpacked without installing it stands beside its own libz3, libedit and so on, where the
-    system's loader does not look; a library already in memory is taken by its name instead. The wheel's stands
-    beside its own libc++, whose short name is made at the first start of an interpreter that may write there:
-    in an environment that belongs to another user it may be lacking for ever.
+    An unpacked (not installed) LLVM has its own libz3, libedit and so on beside it, unknown to the system's loader,
+    which accepts libraries already in memory by name. The wheel has its own libc++ beside it, whose short name is
+    created at the first start of an interpreter with write permission; in another user's environment it may be missing.
     """
     if path in _wheel_libraries():
         root, ending = Path(path).parent, "*"
     elif ".llvm" in Path(path).parts:
         root, ending = Path(*Path(path).parts[: Path(path).parts.index(".llvm") + 1]), ""
     else:
-        return []  # an installed LLVM finds its libraries by itself
+        return []  # an installed LLVM finds its libraries
     needed: list[str] = []
     for _ in range(20):
         missing = _missing_library([*needed, path])
         found = next(iter(sorted(root.rglob(missing + ending))), None) if missing else None
         if found is None or str(found) in needed:
             break
-        needed.insert(0, str(found))  # what a companion needs must come before it
+        needed.insert(0, str(found))  # dependencies of a companion come first
     return needed
 
 
 def _missing_library(paths: list[str]) -> str | None:
-    """Return the file name of the first library that cannot be found when `paths` are loaded in a child process."""
+    """Return the file name of the first library missing when a subprocess loads `paths`."""
     script = "import ctypes, sys\nfor name in sys.argv[1:]: ctypes.CDLL(name)"
     done = subprocess.run([sys.executable, "-c", script, *paths], capture_output=True, text=True)
     match = re.search(r"OSError: (\S+): cannot open shared object file", done.stderr)
     return os.path.basename(match.group(1)) if done.returncode and match else None
 
 
-def _judge_loaded() -> Probe | None:
-    """Judge the LLVM that drjit loaded before nacre could choose one."""
+def _test_loaded() -> Probe | None:
+    """Test the LLVM that drjit loaded before nacre could choose one."""
     path = os.environ.get(ENVIRONMENT_VARIABLE, "")
     probe = probe_library(path)
     return probe if probe.works else None
 
 
 def candidates() -> list[str]:
-    """Return the libraries worth a probe, best first, without duplicates; "" is drjit's own search.
+    """Return the candidate libraries, best first, without duplicates; "" is drjit's own search.
 
-    The one named by the environment variable, then the wheel's, whose version is pinned, then what is installed.
+    Order: the environment variable's library, the wheel's (pinned version), installed libraries.
     """
     given = os.environ.get(ENVIRONMENT_VARIABLE)
     found: dict[str, str] = {}
@@ -183,7 +182,7 @@ def candidates() -> list[str]:
 
 
 def _wheel_libraries() -> list[str]:
-    """Return the libLLVM that pip installed for this Python, wherever it put it (a user's folder, a prefix)."""
+    """Return the libLLVM installed by pip for this Python, in any installation folder."""
     try:
         files = metadata.files(WHEEL) or []
     except metadata.PackageNotFoundError:
@@ -193,7 +192,7 @@ def _wheel_libraries() -> list[str]:
 
 
 def wheel_version() -> str | None:
-    """Return the version of the wheel with a libLLVM in this Python's environment, or None."""
+    """Return the version of the libLLVM wheel in this Python's environment, or None."""
     try:
         return metadata.version(WHEEL)
     except metadata.PackageNotFoundError:
@@ -201,12 +200,12 @@ def wheel_version() -> str | None:
 
 
 def from_wheel(path: str) -> bool:
-    """Whether a library is the one that the wheel brought."""
+    """Whether a library belongs to the wheel."""
     return bool(path) and os.path.realpath(path) in _wheel_libraries()
 
 
 def _installed() -> Iterator[str]:
-    """Yield every libLLVM in the project's own folder and the usual places."""
+    """Yield every libLLVM in the project's own folder and the usual folders."""
     project = os.environ.get(PROJECT_VARIABLE)
     checkout = Path(__file__).resolve().parents[3]
     for folder in dict.fromkeys((Path(project) if project else checkout, checkout, Path.cwd())):
@@ -227,7 +226,7 @@ def _installed() -> Iterator[str]:
 
 
 def _rank(path: str) -> int | None:
-    """Order a library by the version in its name; None for those known to fail, unknown ones last."""
+    """Return a library's rank by the version in its name; None for failing versions, unknown ones last."""
     match = re.search(r"(?:libLLVM[-.](?:so\.|dylib\.)?|llvm[-@]?)(\d+)", os.path.realpath(path))
     version = int(match.group(1)) if match else None
     order = (*PREFERRED_VERSIONS, None, *UNTRIED_VERSIONS)
@@ -237,7 +236,7 @@ def _rank(path: str) -> int | None:
 
 
 def probe_library(path: str) -> Probe:
-    """Try one library in a child process, or recall the verdict of an earlier trial."""
+    """Test one library in a subprocess, or return the cached result."""
     key = _cache_key(path)
     cache = _read_cache()
     if key in cache:
@@ -273,7 +272,7 @@ def _run_probe(path: str) -> Probe:
 
 
 def _reason(status: int, message: str) -> str:
-    """Put a failed probe into a few words."""
+    """Summarise a failed test."""
     if "No module named 'drjit'" in message:
         return "drjit is not installed"
     if match := re.search(r"LLVM ERROR: (Cannot select): .*?= (\w+)", message):
@@ -286,19 +285,19 @@ def _reason(status: int, message: str) -> str:
 
 
 def _cache_key(path: str) -> str:
-    """Key by everything that may change the verdict: the file, drjit and the interpreter."""
+    """Return a key of everything that may change the result: the file, drjit and the interpreter."""
     stamp = ""
     if path and os.path.exists(path):
         status = os.stat(path)
         stamp = f"{status.st_size}:{status.st_mtime_ns}"
-    if not path:  # drjit's own search: any installed file may change its outcome
+    if not path:  # drjit's own search depends on all installed files
         stamp = ";".join(sorted(_installed()))
     return "|".join((path, stamp, _drjit_version(), sys.executable))
 
 
 @functools.cache
 def _drjit_version() -> str:
-    """Of this process: a picture asks some twenty times, and each answer takes 4 ms."""
+    """Return drjit's version; cached, since a look-up takes 4 ms and a picture needs twenty."""
     try:
         return metadata.version("drjit")
     except metadata.PackageNotFoundError:
@@ -320,9 +319,9 @@ def _read_cache() -> dict[str, list[str]]:
 
 
 def _write_cache(key: str, probe: Probe) -> None:
-    """Keep a verdict; a cache that cannot be written costs a second at each start and nothing else."""
+    """Store a result; an unwritable cache only costs a second at each start."""
     if probe.reason.startswith(("it gave no answer", "it could not be tried")):
-        return  # the machine's fault perhaps, not the library's
+        return  # possibly caused by the machine, not by the library
     with contextlib.suppress(OSError):
         file = _cache_file()
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -333,7 +332,7 @@ def _write_cache(key: str, probe: Probe) -> None:
         os.replace(name, file)
 
 
-if __name__ == "__main__":  # the set-up asks this way whether an LLVM works, and what to say if none does
+if __name__ == "__main__":  # for the set-up: whether an LLVM works, and the advice otherwise
     if sys.argv[1:] == ["--advice"]:
         sys.exit(print(advice()))
     sys.exit(0 if find_llvm()[0] is not None else 1)

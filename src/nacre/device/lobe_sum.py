@@ -1,6 +1,6 @@
-"""The one Mitsuba BSDF around one or several lobes: mixing, two sides, component masks, updates.
+"""The Mitsuba BSDF around one or several lobes: mixing, two sides, component masks, updates.
 
-It is given its lobes as plugins and imports no list of them, so that a lobe may hold such a sum itself.
+It receives its lobes as plugins and imports no list of them: a lobe may contain such a sum itself.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from nacre.device.texture import ObjectSpace
 
 
 def update_lobes(target: Any, lobes: Sequence[Lobe]) -> None:
-    """Give a sum of lobes the numbers of other lobes of the same kinds and shapes.
+    """Replace the data of a lobe sum by other lobes with the same kinds and shapes.
 
     Raises:
         UnsupportedError: number, kinds or shapes of the lobes differ: build the scene again.
@@ -30,9 +30,158 @@ def update_lobes(target: Any, lobes: Sequence[Lobe]) -> None:
         plugin.update(lobe)
 
 
+class LobeSum:
+    """The methods of the Mitsuba BSDF, independent of the variant's base class.
+
+    Attributes:
+        plugins: the lobes.
+        words: Mitsuba's flag word for each component of all lobes.
+        delta: whether each lobe is a pure delta distribution.
+        object_space: converts interactions for the textures; optional.
+    """
+
+    def __init__(
+        self, plugins: Sequence[LobePlugin[Any]], mirrors_back: bool, object_space: ObjectSpace | None
+    ) -> None:
+        self.plugins = list(plugins)
+        self.mirrors_back = mirrors_back
+        self.object_space = object_space
+        back = int(mi.BSDFFlags.BackSide) if mirrors_back else 0
+        self.words = [word | back for plugin in self.plugins for word in plugin.components]
+        self._all_flags = int(mi.BSDFFlags.All)
+        self._delta_flags = int(mi.BSDFFlags.Delta | mi.BSDFFlags.Null)
+        self.delta = [all(self._is_delta(word) for word in plugin.components) for plugin in self.plugins]
+
+    def _is_delta(self, word: int) -> bool:
+        return word & self._delta_flags == word & self._all_flags
+
+    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any) -> Any:
+        si, turned = self._front(si)
+        enabled = self._enabled(ctx)
+        if len(self.plugins) == 1:
+            bs, weight = self.plugins[0].sample(ctx, si, sample1, sample2, active, enabled[0])
+        else:
+            bs, weight = self._sample_sum(ctx, si, sample1, sample2, active, enabled)
+        if turned is not None:
+            bs.wo = mi.Vector3f(bs.wo.x, bs.wo.y, dr.select(turned, -bs.wo.z, bs.wo.z))
+        return bs, weight
+
+    def eval(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
+        si, wo = self._front_pair(si, wo)
+        total = mi.Spectrum(0.0)
+        for plugin, enabled, delta in zip(self.plugins, self._enabled(ctx), self.delta, strict=True):
+            if not delta:
+                total = total + plugin.eval(ctx, si, wo, active, enabled)
+        return total
+
+    def pdf(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
+        si, wo = self._front_pair(si, wo)
+        enabled = self._enabled(ctx)
+        if len(self.plugins) == 1:
+            return self.plugins[0].pdf(ctx, si, wo, active, enabled[0])
+        return self._eval_pdf_sum(ctx, si, wo, active, enabled)[1]
+
+    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
+        si, wo = self._front_pair(si, wo)
+        enabled = self._enabled(ctx)
+        if len(self.plugins) == 1:
+            return self.plugins[0].eval_pdf(ctx, si, wo, active, enabled[0])
+        return self._eval_pdf_sum(ctx, si, wo, active, enabled)
+
+    def null_transmission(self, si: Any, active: Any) -> Any:
+        total = mi.Spectrum(0.0)
+        si = self._placed(si)
+        for plugin in self.plugins:
+            null = getattr(plugin, "null_transmission", None)
+            if null is not None:
+                total = total + null(si, active)
+        return total
+
+    def _placed(self, si: Any) -> Any:
+        return si if self.object_space is None else self.object_space(si)
+
+    def _front(self, si: Any) -> tuple[Any, Any]:
+        si = self._placed(si)
+        if not self.mirrors_back:
+            return si, None
+        turned = si.wi.z < 0
+        return with_wi(si, mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))), turned
+
+    def _front_pair(self, si: Any, wo: Any) -> tuple[Any, Any]:
+        si, turned = self._front(si)
+        if turned is not None:
+            wo = mi.Vector3f(wo.x, wo.y, dr.select(turned, -wo.z, wo.z))
+        return si, wo
+
+    def _enabled(self, ctx: Any) -> list[tuple[bool, ...]]:
+        """Return which components of each lobe the context enables."""
+        masks, index = [], 0
+        for plugin in self.plugins:
+            words = self.words[index : index + len(plugin.components)]
+            masks.append(tuple(self._is_enabled(ctx, word, index + i) for i, word in enumerate(words)))
+            index += len(words)
+        return masks
+
+    def _is_enabled(self, ctx: Any, word: int, index: int) -> bool:
+        """Whether any type of a component is enabled: that of a random walk may be glossy and specular."""
+        word &= self._all_flags
+        types = [1 << bit for bit in range(word.bit_length()) if word >> bit & 1]
+        return any(bool(ctx.is_enabled(mi.BSDFFlags(flag), index)) for flag in types)
+
+    def _shares(self, si: Any, active: Any, enabled: list[tuple[bool, ...]]) -> list[Any]:
+        """Return each lobe's share of the samples."""
+        weights = [
+            plugin.choice_weight(si, active) if any(mask) else mi.Float(0.0)
+            for plugin, mask in zip(self.plugins, enabled, strict=True)
+        ]
+        total = sum(weights[1:], weights[0])
+        inverse = dr.select(total > 0.0, 1.0 / larger(total, 1e-20), 0.0)
+        return [weight * inverse for weight in weights]
+
+    def _sample_sum(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: Any) -> Any:
+        shares = self._shares(si, active, enabled)
+        bs, weight = dr.zeros(mi.BSDFSample3f), mi.Spectrum(0.0)
+        below, first = mi.Float(0.0), 0
+        is_delta = mi.Bool(False)
+        for k, (plugin, share) in enumerate(zip(self.plugins, shares, strict=True)):
+            above = below + share
+            chosen = active & (sample1 >= below) & (share > 0.0)
+            if k + 1 < len(self.plugins):  # rounding may leave the last bound below 1
+                chosen = chosen & (sample1 < above)
+            rest = larger(smaller((sample1 - below) / larger(share, 1e-20), 0.99999994), 0.0)
+            # a specular lobe repeats the look-up of its share: with an equal mask both are one read
+            mask = active if self.delta[k] else chosen
+            one, value = plugin.sample(ctx, si, rest, sample2, mask, enabled[k])
+            one.pdf = one.pdf * share
+            one.sampled_component = one.sampled_component + first
+            bs = dr.select(chosen, one, bs)
+            weight = dr.select(chosen, value * dr.rcp(larger(share, 1e-20)), weight)
+            is_delta = dr.select(chosen, (one.sampled_type & self._delta_flags) != 0, is_delta)
+            below, first = above, first + len(plugin.components)
+        if sum(not delta for delta in self.delta) > 1 and all(p.pdf_is_exact for p in self.plugins):
+            # two broad lobes may overlap: use value and density of the sum, as in multiple importance sampling
+            value, pdf = self._eval_pdf_sum(ctx, si, bs.wo, active & negated(is_delta), enabled, shares)
+            broad = active & negated(is_delta) & (pdf > 0.0) & (bs.pdf > 0.0)
+            weight = dr.select(broad, value / larger(pdf, 1e-20), weight)
+            bs.pdf = dr.select(broad, pdf, bs.pdf)
+        return bs, weight & active
+
+    def _eval_pdf_sum(
+        self, ctx: Any, si: Any, wo: Any, active: Any, enabled: Any, shares: list[Any] | None = None
+    ) -> Any:
+        shares = self._shares(si, active, enabled) if shares is None else shares
+        total, density = mi.Spectrum(0.0), mi.Float(0.0)
+        for plugin, mask, share, delta in zip(self.plugins, enabled, shares, self.delta, strict=True):
+            if delta:
+                continue
+            value, pdf = plugin.eval_pdf(ctx, si, wo, active, mask)
+            total, density = total + value, density + share * pdf
+        return total, density
+
+
 @functools.cache
 def bsdf_class(variant: str) -> type:
-    """Define the class for a variant: Mitsuba's base class differs from variant to variant."""
+    """Define the BSDF class for a variant, since Mitsuba's base class depends on the variant."""
 
     class NacreBSDF(mi.BSDF):
         """A sum of lobes."""
@@ -45,59 +194,25 @@ def bsdf_class(variant: str) -> type:
             object_space: ObjectSpace | None = None,
         ) -> None:
             super().__init__(properties)
-            self.object_space = object_space  # None: uv and p are read as they are
-            self.plugins = list(plugins)
-            self.mirrors_back = mirrors_back
-            back = int(mi.BSDFFlags.BackSide) if self.mirrors_back else 0
-            words = [word | back for plugin in self.plugins for word in plugin.components]
-            self.words = words
-            self.m_components = words
-            self.m_flags = functools.reduce(lambda a, b: a | b, words)
-            self.delta = [all(word & _DELTA == word & _ALL for word in plugin.components) for plugin in self.plugins]
-
-        # -- what Mitsuba calls -------------------------------------------------------------------------
+            self.sum = LobeSum(plugins, mirrors_back, object_space)
+            self.plugins, self.delta, self.object_space = self.sum.plugins, self.sum.delta, object_space
+            self.m_components = self.sum.words
+            self.m_flags = functools.reduce(lambda a, b: a | b, self.sum.words)
 
         def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> Any:
-            si, turned = self._front(si)
-            enabled = self._enabled(ctx)
-            if len(self.plugins) == 1:
-                bs, weight = self.plugins[0].sample(ctx, si, sample1, sample2, active, enabled[0])
-            else:
-                bs, weight = self._sample_sum(ctx, si, sample1, sample2, active, enabled)
-            if turned is not None:
-                bs.wo = mi.Vector3f(bs.wo.x, bs.wo.y, dr.select(turned, -bs.wo.z, bs.wo.z))
-            return bs, weight
+            return self.sum.sample(ctx, si, sample1, sample2, active)
 
         def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            si, wo = self._front_pair(si, wo)
-            total = mi.Spectrum(0.0)
-            for plugin, enabled, delta in zip(self.plugins, self._enabled(ctx), self.delta, strict=True):
-                if not delta:
-                    total = total + plugin.eval(ctx, si, wo, active, enabled)
-            return total
+            return self.sum.eval(ctx, si, wo, active)
 
         def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            si, wo = self._front_pair(si, wo)
-            enabled = self._enabled(ctx)
-            if len(self.plugins) == 1:
-                return self.plugins[0].pdf(ctx, si, wo, active, enabled[0])
-            return self._eval_pdf_sum(ctx, si, wo, active, enabled)[1]
+            return self.sum.pdf(ctx, si, wo, active)
 
         def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
-            si, wo = self._front_pair(si, wo)
-            enabled = self._enabled(ctx)
-            if len(self.plugins) == 1:
-                return self.plugins[0].eval_pdf(ctx, si, wo, active, enabled[0])
-            return self._eval_pdf_sum(ctx, si, wo, active, enabled)
+            return self.sum.eval_pdf(ctx, si, wo, active)
 
         def eval_null_transmission(self, si: Any, active: Any = True) -> Any:
-            total = mi.Spectrum(0.0)
-            si = self._placed(si)
-            for plugin in self.plugins:
-                null = getattr(plugin, "null_transmission", None)
-                if null is not None:
-                    total = total + null(si, active)
-            return total
+            return self.sum.null_transmission(si, active)
 
         def traverse(self, callback: Any) -> None:
             for i, plugin in enumerate(self.plugins):
@@ -110,92 +225,4 @@ def bsdf_class(variant: str) -> type:
         def to_string(self) -> str:
             return f"NacreBSDF[{', '.join(plugin.kind for plugin in self.plugins)}]"
 
-        # -- where, and one side or two -----------------------------------------------------------------
-
-        def _placed(self, si: Any) -> Any:
-            return si if self.object_space is None else self.object_space(si)
-
-        def _front(self, si: Any) -> tuple[Any, Any]:
-            si = self._placed(si)
-            if not self.mirrors_back:
-                return si, None
-            turned = si.wi.z < 0
-            return with_wi(si, mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))), turned
-
-        def _front_pair(self, si: Any, wo: Any) -> tuple[Any, Any]:
-            si, turned = self._front(si)
-            if turned is not None:
-                wo = mi.Vector3f(wo.x, wo.y, dr.select(turned, -wo.z, wo.z))
-            return si, wo
-
-        # -- sums ---------------------------------------------------------------------------------------
-
-        def _enabled(self, ctx: Any) -> list[tuple[bool, ...]]:
-            """Tell each lobe which of its components the caller wants."""
-            masks, index = [], 0
-            for plugin in self.plugins:
-                mask = []
-                for _ in plugin.components:
-                    mask.append(_is_enabled(ctx, self.words[index] & _ALL, index))
-                    index += 1
-                masks.append(tuple(mask))
-            return masks
-
-        def _shares(self, si: Any, active: Any, enabled: list[tuple[bool, ...]]) -> list[Any]:
-            """Return each lobe's share of the samples."""
-            weights = [
-                plugin.choice_weight(si, active) if any(mask) else mi.Float(0.0)
-                for plugin, mask in zip(self.plugins, enabled, strict=True)
-            ]
-            total = sum(weights[1:], weights[0])
-            inverse = dr.select(total > 0.0, 1.0 / larger(total, 1e-20), 0.0)
-            return [weight * inverse for weight in weights]
-
-        def _sample_sum(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: Any) -> Any:
-            shares = self._shares(si, active, enabled)
-            bs, weight = dr.zeros(mi.BSDFSample3f), mi.Spectrum(0.0)
-            below, first = mi.Float(0.0), 0
-            is_delta = mi.Bool(False)
-            for k, (plugin, share) in enumerate(zip(self.plugins, shares, strict=True)):
-                above = below + share
-                chosen = active & (sample1 >= below) & (share > 0.0)
-                if k + 1 < len(self.plugins):  # rounding may leave the last bound below 1
-                    chosen = chosen & (sample1 < above)
-                rest = larger(smaller((sample1 - below) / larger(share, 1e-20), 0.99999994), 0.0)
-                # a mirror reads what its share was made of: asked with the same mask, that is one read
-                asked = active if self.delta[k] else chosen
-                one, value = plugin.sample(ctx, si, rest, sample2, asked, enabled[k])
-                one.pdf = one.pdf * share
-                one.sampled_component = one.sampled_component + first
-                bs = dr.select(chosen, one, bs)
-                weight = dr.select(chosen, value * dr.rcp(larger(share, 1e-20)), weight)
-                is_delta = dr.select(chosen, (one.sampled_type & _DELTA) != 0, is_delta)
-                below, first = above, first + len(plugin.components)
-            if sum(not delta for delta in self.delta) > 1 and all(p.pdf_is_exact for p in self.plugins):
-                # two broad lobes may overlap: weigh by the whole sum, as multiple importance sampling would
-                value, pdf = self._eval_pdf_sum(ctx, si, bs.wo, active & negated(is_delta), enabled, shares)
-                broad = active & negated(is_delta) & (pdf > 0.0) & (bs.pdf > 0.0)
-                weight = dr.select(broad, value / larger(pdf, 1e-20), weight)
-                bs.pdf = dr.select(broad, pdf, bs.pdf)
-            return bs, weight & active
-
-        def _eval_pdf_sum(
-            self, ctx: Any, si: Any, wo: Any, active: Any, enabled: Any, shares: list[Any] | None = None
-        ) -> Any:
-            shares = self._shares(si, active, enabled) if shares is None else shares
-            total, density = mi.Spectrum(0.0), mi.Float(0.0)
-            for plugin, mask, share, delta in zip(self.plugins, enabled, shares, self.delta, strict=True):
-                if delta:
-                    continue
-                value, pdf = plugin.eval_pdf(ctx, si, wo, active, mask)
-                total, density = total + value, density + share * pdf
-            return total, density
-
-    def _is_enabled(ctx: Any, word: int, index: int) -> bool:
-        """Tell whether any kind of light of a component is wanted: a walk's own may be glossy and mirror-like."""
-        kinds = [1 << bit for bit in range(word.bit_length()) if word >> bit & 1]
-        return any(bool(ctx.is_enabled(mi.BSDFFlags(kind), index)) for kind in kinds)
-
-    _ALL = int(mi.BSDFFlags.All)
-    _DELTA = int(mi.BSDFFlags.Delta | mi.BSDFFlags.Null)
     return NacreBSDF

@@ -1,4 +1,4 @@
-"""Cosine series in words (`nacre.bsdf.packed_series`) on the device."""
+"""Packed cosine series (`nacre.bsdf.packed_series`) on the device."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ class PackedSeries:
     """A table `[row, number, wavelength]` as words `[row, wavelength, packet, word]`.
 
     Attributes:
-        words: 32-bit words of a packet.
-        units: of each number, to be multiplied by what it multiplies; the higher ones are small.
+        words: 32-bit words per packet.
+        units: unit of each number, a factor on its harmonic.
     """
 
     def __init__(self, rows: NDArray[np.float32], packets: int) -> None:
         if rows.shape[2] == 1:
             rows = np.repeat(rows, 2, axis=2)
         if math.prod((rows.shape[0], rows.shape[2], packets, 4)) >= 2**32:
-            raise UnsupportedError("the harmonic table is too large to be rendered; give fewer wavelengths")
+            raise UnsupportedError("the harmonic table is too large for rendering; use fewer wavelengths")
         made = encode(rows, packets)
         self.words = made.words.shape[3]
         self.packets = packets
@@ -35,7 +35,7 @@ class PackedSeries:
         self.places = [word for word, _, _ in made.fields]
         self.on_device = dr.is_jit_v(mi.Float)
         shifts = [WORD - low - bits for _, low, bits in made.fields]
-        # None: a field that is at the top already, which the layout of the words tells, not the numbers
+        # fields at the top of a word, known from the layout, need no shift
         tops = [members[0] for members in SHARED[self.words]]
         self.shifts: list[Any] = [
             None if k % PACKET in tops else dr.opaque(mi.UInt32, s) if self.on_device else s
@@ -45,11 +45,11 @@ class PackedSeries:
         self.values = mi.UInt32(aligned(flat, np.uint32)) if self.on_device else flat
 
     def read(self, index: Any, packet: int, active: Any) -> tuple[list[Any], Any]:
-        """Return the numbers of a packet, which `units` make true to size, and a factor of all of them.
+        """Return a packet's numbers, in `units`, and their common factor.
 
         Args:
             index: (row * wavelengths + wavelength) * packets + packet.
-            packet: which of the series' packets it is.
+            packet: number of the packet within the series.
             active: mask.
         """
         here = slice(PACKET * packet, PACKET * (packet + 1))
@@ -61,15 +61,15 @@ class PackedSeries:
             numbers = [_signed((words[at] << (shift or 0)) & 0xFFFFFFFF) for at, shift in fields]
             return numbers, 2.0 ** -(words[0] & DARKEST)
         words = dr.gather(mi.ArrayXu, self.values, index, active, shape=(self.words, dr.width(index)))
-        factor = dr.reinterpret_array(mi.Float, (127 - (words[0] & DARKEST)) << 23)  # a power of two by its bits
+        factor = dr.reinterpret_array(mi.Float, (127 - (words[0] & DARKEST)) << 23)  # a power of two from its bits
         return [mi.Float(mi.Int32(words[at] if shift is None else words[at] << shift)) for at, shift in fields], factor
 
     def sum(self, place: Any, harmonics: list[Any], active: Any) -> Any:
-        """Return the series at a place, row * wavelengths + wavelength.
+        """Return the sum of a series.
 
         Args:
-            place: where.
-            harmonics: what the numbers multiply, times `units`.
+            place: row * wavelengths + wavelength.
+            harmonics: the harmonics, times `units`.
             active: mask.
         """
         total = mi.Float(0.0)

@@ -1,4 +1,4 @@
-"""The interface tables of `nacre.bsdf.response` on the device: reflectance and transmittance in one look-up."""
+"""The interface tables of `nacre.bsdf.response` on the device, with R and T in one look-up."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from nacre.device.plugin import larger, opaque, smaller
 from nacre.device.tables import DeviceTable, Located, WavelengthAxis
 from nacre.device.texture import DeviceParameters
 
-MIN_SHARE = 0.1  # bounds the weight of a wavelength that differs much from the mean
-# of the power: as near as lobes on the device come to their arrays. A soap film, which absorbs up to 0.7e-4, is then
-# read from a quarter of the places
+MIN_SHARE = 0.1  # limits the weight of wavelengths far from the mean
+# relative power, comparable to the device's precision: a soap film, which absorbs up to 0.7e-4, then needs a quarter
+# of the reads
 LOSSLESS = 1e-4
 DIM, DIM_SHARE = 1e-3, 0.1
 
@@ -27,20 +27,20 @@ DIM, DIM_SHARE = 1e-3, 0.1
 class DeviceResponse:
     """R and T of an interface from both sides.
 
-    All angles live in one table, its rows in regions one after another: light from outside (R, T), from inside
-    below the critical angle (R_inside, T), from inside beyond it (total, 0). So the region is chosen first and
-    a single look-up brings both numbers. An opaque interface keeps the first region and R alone; so does one
-    that absorbs nothing, where T = 1 - R, R is the same from both sides, and all is reflected beyond.
+    All angles share one table with consecutive row regions: light from outside (R, T), from inside below the critical
+    angle (R_inside, T), from inside beyond it (total, 0). The region is chosen first, and a single look-up returns both
+    numbers. Opaque interfaces store only R in the first region. So do lossless ones, with T = 1 - R, equal R from
+    both sides, and total reflection beyond the critical angle.
 
     Attributes:
         is_lossless: whether R + T = 1 to `LOSSLESS`, from both sides.
-        eta: n_inside/n_outside, opaque; `bends` says whether it differs from 1 (refraction).
-        transmits: whether there are an inside and a T.
-        flipped: whether outside lies at -z.
+        eta: n_inside/n_outside, opaque; `bends` is whether it differs from 1 (refraction).
+        transmits: whether the interface transmits.
+        flipped: whether outside is at -z.
 
     Args:
         response: the tables.
-        nodes: what finds the nodes of a leading axis that no texture drives, as `DeviceParameters` does; None: that.
+        nodes: locates the nodes of a leading axis; default: `DeviceParameters` of the texture-driven axes.
     """
 
     def __init__(self, response: InterfaceResponse, nodes: Any = None) -> None:
@@ -61,7 +61,7 @@ class DeviceResponse:
         beyond = response.total.shape[-2]
         self.eta = opaque(response.eta)
         self.inv_eta = opaque(1.0 / response.eta)
-        # opaque, so that tables of other sizes run in the same kernel
+        # opaque: tables of other sizes reuse the kernel
         self.top = opaque(self.nodes - 1)
         self.max_low = opaque(max(self.nodes - 2, 0))
         self.inside_row = opaque(self.nodes)
@@ -72,7 +72,7 @@ class DeviceResponse:
         self.inv_critical = opaque(1.0 / max(response.cos_critical, 1e-6))
 
     def update(self, response: InterfaceResponse) -> None:
-        """Take over other tables of the same structure.
+        """Replace the tables by others with the same structure.
 
         Raises:
             UnsupportedError: the structure (sides, parameters, sizes) differs.
@@ -89,7 +89,7 @@ class DeviceResponse:
         self._set_numbers(response)
 
     def traverse(self, callback: Any, prefix: str) -> None:
-        """Expose the stacked tables `[*params, row, wavelength, channel]` of R, or of R and T."""
+        """Expose the stacked tables `[*params, row, wavelength, channel]` for R, or for R and T."""
         if dr.is_jit_v(mi.Float):
             callback.put(f"{prefix}response", self.table.values, mi.ParamFlags.Differentiable)
 
@@ -98,8 +98,8 @@ class DeviceResponse:
 
         Args:
             cos: cosine (>= 0) between light and (micro-)normal in the light's own medium.
-            inside: mask of the light that comes from inside; ignored by an opaque interface.
-            si: gives wavelengths and uv.
+            inside: mask of light from inside; ignored by an opaque interface.
+            si: contains wavelengths and uv.
             active: mask of the reads.
         """
         where = self.axis.locate(si.wavelengths, active)
@@ -117,10 +117,10 @@ class DeviceResponse:
         return reflected, transmitted
 
     def split(self, cos: Any, inside: Any, si: Any, active: Any) -> tuple[Any, Callable[[Any], Any]]:
-        """Return the probability to reflect, and a function of the mask of reflections that gives R there, T elsewhere.
+        """Return the reflection probability, and a function from a reflection mask to R or T.
 
-        Without absorption both numbers come from R, and the probability follows the ray's own wavelengths. With
-        it, a second spectrum would double the cost: the probability then follows the mean over all wavelengths.
+        Without absorption both numbers follow from R, and the probability uses the ray's own wavelengths. With
+        absorption a second spectrum would double the cost: the probability then uses the mean over all wavelengths.
         """
         if self.shares is None:
             reflected, transmitted = self.look_up(cos, inside, si, active)
@@ -155,7 +155,7 @@ class DeviceResponse:
         return reflected, 1.0 - reflected
 
     def _row(self, cos: Any, inside: Any) -> tuple[Any, Any]:
-        """Find the row of a transmitting interface."""
+        """Return a transmitting interface's row."""
         if not self.bends:
             position = cos * self.top
             low = smaller(dr.floor(position), self.max_low)
@@ -171,7 +171,7 @@ class DeviceResponse:
 
 
 def _is_lossless(response: InterfaceResponse) -> bool:
-    """Whether the tables of a transmitting interface follow from its reflectance alone."""
+    """Whether a transmitting interface's tables follow from its reflectance."""
     if not response.transmits:
         return False
     missing = max(
@@ -183,13 +183,13 @@ def _is_lossless(response: InterfaceResponse) -> bool:
 
 
 def _is_bright(stacked: NDArray[np.float64]) -> bool:
-    """Whether hardly any place is so dim that 16 bits a number would round it by more than a hundredth."""
+    """Whether few entries are so dim that 16-bit rounding exceeds 1 %."""
     lit = stacked[stacked > 0.0]
     return bool(lit.size and np.mean(lit < DIM) < DIM_SHARE)
 
 
 def _stacked(response: InterfaceResponse, is_lossless: bool) -> NDArray[np.float64]:
-    """Lay the regions one after another: `[*params, row, wavelength, channel]`."""
+    """Return the concatenated regions: `[*params, row, wavelength, channel]`."""
     if not response.transmits or is_lossless:
         return np.asarray(response.reflectance[..., None], dtype=float)
     regions = [
@@ -202,7 +202,7 @@ def _stacked(response: InterfaceResponse, is_lossless: bool) -> NDArray[np.float
 
 
 def _shares(response: InterfaceResponse) -> NDArray[np.float64]:
-    """Return the probability to reflect `[*params, row, 1, 1]`, neither chance below `MIN_SHARE` where both occur."""
+    """Return the reflection probability `[*params, row, 1, 1]`, at least `MIN_SHARE` from 0 and 1 if both occur."""
     stacked = _stacked(response, False).mean(axis=-2, keepdims=True)
     reflected, transmitted = stacked[..., :1], stacked[..., 1:]
     whole = reflected + transmitted
@@ -212,7 +212,7 @@ def _shares(response: InterfaceResponse) -> NDArray[np.float64]:
 
 
 def share_reflected(reflected: Any, transmitted: Any) -> Any:
-    """Return the probability to reflect: R/(R + T), each averaged over the ray's wavelengths; 1 if opaque."""
+    """Return the reflection probability R/(R + T), each averaged over the ray's wavelengths; 1 if opaque."""
     if transmitted is None:
         return mi.Float(1.0)
     r, t = dr.sum(reflected), dr.sum(transmitted)

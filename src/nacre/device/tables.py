@@ -1,8 +1,8 @@
 """Tables over (parameters, row, wavelength) on the device, read at four wavelengths at once.
 
-The values are those of the arrays and the interpolation is the same multilinear one. Small tables are stored
-as *cells*: the four corners of each (row, wavelength) cell lie side by side, so that one packet load fetches
-what a bilinear look-up needs. That quadruples the memory; large ones (many texture-driven nodes) stay plain.
+Values and multilinear interpolation are those of the arrays. Small tables are stored as *cells*: the four corners of
+each (row, wavelength) cell are adjacent, and one packet load fetches a bilinear look-up. This quadruples the memory;
+large tables (many texture-driven nodes) stay plain.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import aligned, device_array, larger, opaque, opaque_int, read, read2, read4, replaced, smaller
 
 MAX_CELL_BYTES = 48 * 2**20
-HALF = 0xFFFF  # the largest number of 16 bits
+HALF = 0xFFFF  # the largest 16-bit number
 
 
 @dataclass
 class Located:
-    """Where the wavelengths of the rays fall in a grid: the lower node and the fraction above it, for each.
+    """The rays' wavelengths in a grid: lower node and fraction above it, for each wavelength.
 
-    `site` is the surface interaction, for a base whose lobes have grids of their own. `nodes` are the wavelengths'
-    own nodes, where they lie on such.
+    `site` is the surface interaction, for a base with its own wavelength grid. `nodes` are the wavelengths'
+    nodes after `on_nodes`.
     """
 
     low: list[Any]
@@ -37,9 +37,9 @@ class Located:
     nodes: list[Any] | None = None
 
     def on_nodes(self, u: Any) -> Located:
-        """Move each wavelength to one of its two nodes, by a number in [0, 1), as often as its fraction says.
+        """Move each wavelength to one of its two nodes at random, by a number in [0, 1) and its fraction.
 
-        What is estimated at nodes is on average what interpolates linearly between them, at half the reads.
+        The mean equals linear interpolation between the nodes, with half the reads.
         """
         upper = [u < part for part in self.fraction]
         fraction = [dr.select(up, mi.Float(1.0), 0.0) for up in upper]
@@ -48,13 +48,13 @@ class Located:
 
 
 class WavelengthAxis:
-    """Finds the cell of a wavelength in a grid, uniform or not; outside the grid its ends go on."""
+    """Locates wavelengths in a uniform or irregular grid; the ends continue outside."""
 
     def __init__(self, wavelengths_nm: Array) -> None:
         self.update(wavelengths_nm)
 
     def update(self, wavelengths_nm: Array) -> None:
-        """Take over another grid; a uniform and an irregular one need different kernels."""
+        """Replace the grid; uniform and irregular grids need different kernels."""
         grid = np.asarray(wavelengths_nm, dtype=float)
         if len(grid) == 1:
             grid = np.array([grid[0], grid[0] + 1.0])
@@ -67,10 +67,10 @@ class WavelengthAxis:
         if self.is_uniform:
             self.per_nm = opaque((self.size - 1) / (grid[-1] - grid[0]))
             return
-        # bins no wider than the finest step: the node below a wavelength is the bin's, or the next one
+        # bins are not wider than the finest step: the node below a wavelength is the bin's or the next one
         bins = int(np.ceil((grid[-1] - grid[0]) / step.min())) + 1
         if bins > 10**6:
-            raise UnsupportedError(f"wavelength steps of {step.min():.3g} nm in a wide grid cannot be rendered")
+            raise UnsupportedError(f"wavelength steps of {step.min():.3g} nm in a wide grid are too fine for rendering")
         width = (grid[-1] - grid[0]) / bins
         starts = grid[0] + width * np.arange(bins)
         below = np.clip(np.searchsorted(grid, starts, side="right") - 1, 0, self.size - 2)
@@ -80,7 +80,7 @@ class WavelengthAxis:
         self.nodes = device_array(grid)
 
     def locate(self, wavelengths: Any, active: Any = True) -> Located:
-        """Locate `si.wavelengths`; a wavelength outside (such as the 0 of test harnesses) goes to the end."""
+        """Locate `si.wavelengths`; wavelengths outside (such as the 0 of test harnesses) move to the end."""
         low, fraction = [], []
         for k in range(dr.size_v(mi.Spectrum)):
             a, b = self._locate_one(wavelengths[k], active)
@@ -107,11 +107,11 @@ class DeviceTable:
     Args:
         values: the array.
         as_cells: False for a table that is read at its nodes (`at_nodes`).
-        may_halve: whether 16 bits a number are enough, where nobody asks for gradients: 8e-6 of the largest.
+        may_halve: whether 16-bit numbers (8e-6 of the largest) are precise enough, without gradients.
 
     Attributes:
-        shape: that of the values; channels: 1 or 2.
-        values: the tensor itself, for `traverse`; call `repack()` after a change.
+        shape: the values' shape; channels: 1 or 2.
+        values: the tensor, for `traverse`; call `repack()` after a change.
     """
 
     def __init__(self, values: Array, as_cells: bool = True, may_halve: bool = False) -> None:
@@ -124,10 +124,10 @@ class DeviceTable:
         self._set(values)
 
     def update(self, values: Array) -> None:
-        """Replace all values; their number may change, since sizes are data, too.
+        """Replace all values; their number may change, since sizes are data.
 
         Raises:
-            UnsupportedError: the number of axes or channels, or the layout for their size, differs.
+            UnsupportedError: the number of axes or channels, or the memory layout, differs.
         """
         values = _padded(np.asarray(values, dtype=float))
         same = len(values.shape) == len(self.shape) and values.shape[-1] == self.channels
@@ -146,7 +146,7 @@ class DeviceTable:
         self.repack()
 
     def repack(self) -> None:
-        """Derive the layout that look-ups read from `values`."""
+        """Update the look-up layout from `values`."""
         flat = self.values.array if dr.is_jit_v(mi.Float) else self.values.ravel()
         self.halves: Any = None
         if self.may_halve and dr.is_jit_v(mi.Float) and not dr.grad_enabled(self.values):
@@ -162,7 +162,7 @@ class DeviceTable:
             self.packed = flat[order]
 
     def _halve(self, flat: NDArray[np.float32]) -> None:
-        """Keep cells as four words of two numbers, 16 bits each: one load for both channels, of half the memory."""
+        """Store cells as four words of two 16-bit numbers: one load for both channels and half the memory."""
         top = max(float(flat.max()), 1e-30)
         steps = np.rint(flat * (HALF / top)).astype(np.uint32)[_cell_order(self.shape)].reshape(-1, 2)
         words = aligned(steps[:, 0] | steps[:, 1] << np.uint32(16), np.uint32)
@@ -171,13 +171,13 @@ class DeviceTable:
     def look_up(
         self, row: Any, fraction: Any, where: Located, corners: list[tuple[Any, Any]] | None = None, active: Any = True
     ) -> list[Any]:
-        """Interpolate at `row + fraction`, with `row <= rows - 2`: one `mi.Spectrum` for each channel.
+        """Interpolate at `row + fraction`, `row <= rows - 2`: one `mi.Spectrum` for each channel.
 
         Args:
             row: lower row.
             fraction: in [0, 1].
             where: the wavelengths.
-            corners: `(flat index, weight)` of the parameter nodes around the point; None without parameters.
+            corners: `(flat index, weight)` of the surrounding parameter nodes, if any.
             active: mask of the reads.
         """
         totals = None
@@ -191,7 +191,7 @@ class DeviceTable:
         return totals
 
     def at_nodes(self, row: Any, where: Located, active: Any = True) -> list[Any]:
-        """Read a row at the wavelengths' nodes: one `mi.Spectrum` for each channel."""
+        """Read a row at the wavelength nodes: one `mi.Spectrum` for each channel."""
         assert where.nodes is not None
         assert not self.is_packed
         results = [mi.Spectrum(0.0) for _ in range(self.channels)]
@@ -210,7 +210,7 @@ class DeviceTable:
         channel: Any,
         active: Any = True,
     ) -> Any:
-        """Interpolate one channel, chosen for each lane: one `mi.Spectrum` at the cost of a one-channel table."""
+        """Interpolate one channel, chosen per lane: one `mi.Spectrum` at the cost of a one-channel table."""
         total = mi.Spectrum(0.0)
         for index, weight in corners or [(None, None)]:
             start = (row if index is None else index * self.rows_opaque + row) * self.row_stride
@@ -262,22 +262,22 @@ class DeviceTable:
         ]
 
     def _corner(self, at: Any, active: Any) -> Any:
-        """Read all channels of one place in the plain layout."""
+        """Read all channels of one entry in the plain layout."""
         return [read(self.packed, at, active)] if self.channels == 1 else read2(self.packed, at, active)
 
 
 def _between_halves(word: Any, part: Any) -> Any:
-    """Interpolate between the two numbers of a word."""
+    """Interpolate between a word's two numbers."""
     return dr.lerp(mi.Float(word & HALF), mi.Float(word >> 16), part)
 
 
 def _fits_as_cells(shape: tuple[int, ...]) -> bool:
-    """Whether four single-precision corners for each value stay within `MAX_CELL_BYTES`."""
+    """Whether four single-precision corners per value fit in `MAX_CELL_BYTES`."""
     return int(np.prod(shape)) * 16 <= MAX_CELL_BYTES
 
 
 def _padded(values: Array) -> Array:
-    """Give a table at least two rows and two columns by repeating single ones."""
+    """Repeat a single row or column, for at least two of each."""
     for axis in (-3, -2):
         if values.shape[axis] == 1:
             values = np.repeat(values, 2, axis=axis)
@@ -285,7 +285,7 @@ def _padded(values: Array) -> Array:
 
 
 def _cell_order(shape: tuple[int, ...]) -> NDArray[np.uint32]:
-    """Return the flat positions that put each cell's corners side by side: near/far row, low/high wavelength."""
+    """Return the flat positions of each cell's corners: near/far row, low/high wavelength."""
     *params, rows, columns, channels = shape
     index = np.arange(int(np.prod(shape)), dtype=np.uint32).reshape(-1, rows, columns, channels)
     near, far = index, np.concatenate([index[:, 1:], index[:, -1:]], axis=1)

@@ -1,4 +1,4 @@
-"""What textures are told of a point on a surface: v as nacre counts it, and the place in the object's own space."""
+"""Textures on the device: formula trees and images from `nacre.bsdf.texture`, and the object's own space."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from nacre.device.plugin import device_array, opaque, opaque_int, read
 
 @dataclass(frozen=True)
 class ObjectFrame:
-    """An object's own space: from the centre of its bounding ball, in radii of that ball, z up.
+    """An object's own space: from its bounding sphere's centre, in sphere radii, z up.
 
     Attributes:
-        centre, radius: of the ball before the object was turned, in the scene's units.
-        turn_deg: how far the object was then turned about the scene's z axis.
+        centre, radius: the sphere before the object's rotation, in scene units.
+        turn_deg: the object's rotation about the scene's z axis.
     """
 
     centre: Sequence[float]
@@ -31,12 +31,12 @@ class ObjectFrame:
 
 
 class ObjectSpace:
-    """Turns interactions in the scene into interactions as textures read them.
+    """Converts scene interactions to the textures' coordinates.
 
     Args:
-        frame: where the object stands, for formulas of x, y and z; None: they are not told a place.
-        v_up: whether v runs up on the shapes, as on nacre's own and on Mitsuba's rectangle; it runs down on Mitsuba's
-            sphere and on what its OBJ reader reads, which turns a file's v about.
+        frame: the object's position, for formulas in x, y and z; optional.
+        v_up: whether v runs upward on the shapes, as on nacre's own shapes and Mitsuba's rectangle; it runs downward on
+            Mitsuba's sphere and in its OBJ reader, which inverts a file's v.
     """
 
     def __init__(self, frame: ObjectFrame | None, v_up: bool = True) -> None:
@@ -49,7 +49,7 @@ class ObjectSpace:
         self._per_radius = opaque(1.0 / frame.radius)
 
     def __call__(self, si: Any) -> Any:
-        """Return a copy of an interaction whose v runs up and whose p is the place on the object; all else stays."""
+        """Return a copy of an interaction with v upward and p in the object's own space."""
         own = mi.SurfaceInteraction3f(si)
         if not self.v_up:
             own.uv = mi.Point2f(si.uv.x, 1.0 - si.uv.y)
@@ -61,8 +61,6 @@ class ObjectSpace:
             own.p = mi.Point3f(*placed)
         return own
 
-
-# Textures over uv on the device: the formula trees and images of `nacre.bsdf.texture`, and what they drive.
 
 DRJIT_OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": lambda a, b: a + b,
@@ -90,7 +88,7 @@ DRJIT_OPERATIONS: dict[str, Callable[..., Any]] = {
 
 
 def _power(base: Any, exponent: Any) -> Any:
-    """Raise as numpy does: small whole exponents keep the sign of the base, others need a positive one."""
+    """Return a power as numpy does: small integer exponents accept negative bases."""
     if isinstance(exponent, float) and exponent.is_integer() and abs(exponent) <= 64:
         whole = int(abs(exponent))
         result = mi.Float(1.0)
@@ -101,7 +99,7 @@ def _power(base: Any, exponent: Any) -> Any:
 
 
 class DeviceTexture:
-    """A scalar over a surface: `texture(si)` within [low, high], as `nacre.bsdf.texture.Texture` gives it."""
+    """A scalar over a surface: `texture(si)` within [low, high], equal to `nacre.bsdf.texture.Texture`."""
 
     def __init__(self, texture: Texture) -> None:
         self.formula: Formula | None = None
@@ -119,22 +117,22 @@ class DeviceTexture:
             self.image = device_array(texture.image)
 
     def fits(self, texture: Texture) -> bool:
-        """Whether another texture differs in numbers or pixels alone, so that the same kernel serves it."""
+        """Whether another texture differs only in numbers or pixels and can reuse the kernel."""
         formula = texture.formula.with_holes()[0] if texture.formula else None
         return bool(self.formula == formula and self.is_stepped == texture.is_stepped)
 
     def update(self, texture: Texture) -> None:
-        """Take over the range and image of another texture.
+        """Replace the range and image by another texture's.
 
         Raises:
-            UnsupportedError: another formula, or an image instead of a formula: that needs a new kernel.
+            UnsupportedError: another formula, or an image instead of a formula, which needs a new kernel.
         """
         if not self.fits(texture):
             raise UnsupportedError("another texture formula cannot be swapped in; build the scene again")
         self.__init__(texture)  # type: ignore[misc]  # the object starts anew with the same structure
 
     def __call__(self, si: Any, active: Any = True) -> Any:
-        """Evaluate at an interaction: its uv, and its p, which has to lie in the object's own space."""
+        """Evaluate at an interaction: its uv, and its p in the object's own space."""
         u, v = mi.Float(si.uv[0]), mi.Float(si.uv[1])
         if self.formula is not None:
             place = [mi.Float(si.p[axis]) for axis in range(3)] if self.formula.uses_place else ()
@@ -144,7 +142,7 @@ class DeviceTexture:
         return dr.lerp(self.low, self.high, self._bilinear(u, v, active))
 
     def _bilinear(self, u: Any, v: Any, active: Any) -> Any:
-        """Interpolate texel centres, wrapping round; or return the texel that the place lies in."""
+        """Interpolate texel centres periodically, or return the nearest texel."""
         if self.is_stepped:
             column = _wrap(dr.floor(u * self.size[0]), self.size[0])
             row = _wrap(dr.floor((1.0 - v) * self.size[1]), self.size[1])
@@ -161,13 +159,13 @@ class DeviceTexture:
 
 
 def _wrap(index: Any, size: Any) -> Any:
-    """Return a whole number modulo `size` as UInt32; exact below 2^24, which covers every image."""
+    """Return an integer modulo `size` as UInt32; exact below 2^24, enough for every image."""
     rest = index - dr.floor(index / size) * size
     return mi.UInt32(dr.minimum(dr.maximum(rest, 0.0), size - 1.0))
 
 
 class DeviceParameters:
-    """The parameter axes of a table: at a place, which nodes and with which weights."""
+    """The parameter axes of a table: nodes and weights at a surface point."""
 
     def __init__(self, parameters: tuple[ParameterAxis, ...]) -> None:
         self.names = tuple(axis.name for axis in parameters)
@@ -184,10 +182,10 @@ class DeviceParameters:
         self.sizes_o = [opaque_int(n) for n in self.sizes]
 
     def update(self, parameters: tuple[ParameterAxis, ...]) -> None:
-        """Take over other ranges and textures of the same structure.
+        """Replace ranges and textures by others with the same structure.
 
         Raises:
-            UnsupportedError: the number of axes differs, or one became or ceased to be a single node.
+            UnsupportedError: the number of axes differs, or an axis changed between single and multiple nodes.
         """
         sizes = tuple(len(axis.values) for axis in parameters)
         if [n > 1 for n in sizes] != [n > 1 for n in self.sizes]:
@@ -198,7 +196,7 @@ class DeviceParameters:
         self._set_ranges(parameters)
 
     def corners(self, si: Any, active: Any = True) -> list[tuple[Any, Any]] | None:
-        """Return `(flat node index, weight)` for the 2^n nodes around a place; None without parameters."""
+        """Return `(flat node index, weight)` for the 2^n nodes around a point, or None without parameters."""
         if not self.sizes:
             return None
         axes = []

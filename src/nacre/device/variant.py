@@ -1,8 +1,8 @@
-"""The one place where a Mitsuba variant is chosen, and the one way to get hold of mitsuba.
+"""Choice of the Mitsuba variant, and import of mitsuba.
 
-Order: what the caller or `NACRE_VARIANT` asks for; what the user's own code has set already; the GPU where one
-works; LLVM; and scalar_spectral with a warning, hundreds of times slower. Only unpolarised spectral variants
-carry our materials, because a structural colour is a spectrum.
+Order: the caller's or `NACRE_VARIANT`'s variant; a variant already set by the user's code; the GPU if one works;
+LLVM; and scalar_spectral with a warning, hundreds of times slower. Only unpolarised spectral variants are supported,
+because a structural colour is a spectrum.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ def use_variant(requested: str | None = None) -> ModuleType:
     """Return mitsuba with a spectral variant set.
 
     Args:
-        requested: a variant of `VARIANTS`; None takes `NACRE_VARIANT`, else the variant that is already set,
-            else the best that works here.
+        requested: a variant in `VARIANTS`; default: `NACRE_VARIANT`, else the variant already set, else the best
+            working one.
 
-    Raises:
-        UnsupportedError: the variant is not one of `VARIANTS`.
-        MachineError: mitsuba is missing, or the variant asked for does not work on this machine.
+        Raises:
+            UnsupportedError: the variant is not in `VARIANTS`.
+            MachineError: mitsuba is missing, or the requested variant does not work on this machine.
     """
     wanted = requested or os.environ.get(ENVIRONMENT_VARIABLE) or None
     if wanted is not None:
@@ -51,7 +51,7 @@ def use_variant(requested: str | None = None) -> ModuleType:
 
 
 def import_mitsuba() -> ModuleType:
-    """Import mitsuba after pointing drjit to a working LLVM; no variant is set.
+    """Import mitsuba after pointing drjit to a working LLVM, without setting a variant.
 
     Raises:
         MachineError: mitsuba is not installed.
@@ -73,7 +73,7 @@ def _check_name(name: str) -> None:
 
 
 def _available(wanted: str | None, mi: ModuleType) -> str:
-    """Return the wanted variant or the best working one."""
+    """Return the requested variant or the best working one."""
     if wanted is not None:
         if reason := _why_not(wanted, mi):
             raise MachineError(f"Mitsuba variant {wanted} does not work here: {reason}")
@@ -81,19 +81,19 @@ def _available(wanted: str | None, mi: ModuleType) -> str:
     for name in ("cuda_ad_spectral", "llvm_ad_spectral"):
         if not _why_not(name, mi):
             return name
-    # stacklevel: the line that called use_variant
+    # stacklevel: the caller of use_variant
     warnings.warn(_scalar_warning(), RuntimeWarning, stacklevel=3)
     return "scalar_spectral"
 
 
 @functools.cache
 def _why_set_fails(name: str) -> str:
-    """Say why a variant that is set already does not work here; an empty string if it does."""
+    """Return the reason why an already set variant does not work, or an empty string."""
     return why_no_llvm() if name.startswith("llvm") else ""
 
 
 def check_set_variant(name: str) -> None:
-    """Refuse a variant that is set already, maybe by others, and whose first kernel would end the whole process.
+    """Check an already set variant, whose first kernel might otherwise abort the process.
 
     Raises:
         MachineError: it does not work on this machine.
@@ -103,7 +103,7 @@ def check_set_variant(name: str) -> None:
 
 
 def _scalar_warning() -> str:
-    """Say why the slowest variant is taken, and what mends it: an LLVM, or the order of imports."""
+    """Return the reason for the slowest variant, and the remedy: an LLVM, or another import order."""
     found, _ = llvm.find_llvm()
     if found is not None and llvm.use_llvm() is None:
         what = f"import nacre.render first, or set {llvm.ENVIRONMENT_VARIABLE}={found.path}"
@@ -114,7 +114,7 @@ def _scalar_warning() -> str:
 
 
 def _why_not(name: str, mi: ModuleType) -> str:
-    """Say why a variant does not work here; an empty string if it does."""
+    """Return the reason why a variant does not work, or an empty string."""
     if name not in mi.variants():
         return "this build of mitsuba does not contain it"
     if name.startswith("cuda"):
@@ -125,7 +125,7 @@ def _why_not(name: str, mi: ModuleType) -> str:
 
 
 def why_no_cuda() -> str:
-    """Try one small kernel on the GPU."""
+    """Test a small kernel on the GPU; return the reason of a failure, or an empty string."""
     import drjit as dr
 
     if not dr.has_backend(dr.JitBackend.CUDA):
@@ -134,13 +134,13 @@ def why_no_cuda() -> str:
         from drjit.cuda import Float
 
         good = float(dr.sum(dr.maximum(dr.arange(Float, 8), 2.0))[0]) == 29.0
-    except Exception as error:  # drivers fail in many ways; any of them means: not here
+    except Exception as error:  # drivers have various exceptions
         return f"the GPU failed a test kernel: {str(error).splitlines()[0][:120]}"
     return "" if good else "the GPU returned wrong numbers"
 
 
 def why_no_llvm() -> str:
-    """Say why no LLVM can be used, naming each that was tried; an empty string if one works."""
+    """Return the reasons why every tested LLVM fails, or an empty string if one works."""
     if llvm.use_llvm() is not None:
         return ""
     if "drjit" in sys.modules:
@@ -158,7 +158,7 @@ def why_no_llvm() -> str:
 
 @dataclass(frozen=True)
 class VariantReport:
-    """What `nacre doctor` shows about rendering."""
+    """Rendering diagnosis for `nacre doctor`."""
 
     variant: str | None
     variants: dict[str, str]
@@ -169,7 +169,7 @@ class VariantReport:
     advice: str
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain data for `nacre doctor --json`."""
+        """Return the report as plain data for `nacre doctor --json`."""
         return {
             "variant": self.variant,
             "variants": self.variants,
@@ -181,7 +181,7 @@ class VariantReport:
 
 
 def report() -> VariantReport:
-    """Examine the machine without choosing a variant: which would be used, why others fail, what to do."""
+    """Examine the machine without setting a variant: best variant, failures, advice."""
     found, tried = llvm.find_llvm()
     path = (found.path or "default of drjit") if found else ""
     version = found.version if found else ""

@@ -1,13 +1,13 @@
-"""What can be reached: the colours that a material's free numbers make at one geometry, and the structure under each.
+"""Gamut of a material: the colours that its parameters reach at one geometry, with the structure of each.
 
-Shares are of colours, not of area: of the colours of a solid (all that sRGB shows, all that a surface can have under
-the lamp), spread evenly over its volume in CIELAB, how many lie within a dE00 of one that is reached.
+Shares count colours: of the colours of a solid (sRGB, or all optimal colours under the lamp), distributed evenly over
+its volume in CIELAB, the share that lies within a dE00 of a reached colour.
 """
 
 from __future__ import annotations
 
 import functools
-import html
+import itertools
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
+from nacre.core.html import render_page
 from nacre.light import (
     SRGB_WHITE_XYZ,
     adapt_xyz,
@@ -46,92 +47,89 @@ from nacre.recipe.model import RecipeContext
 if TYPE_CHECKING:
     from nacre.plot import Figure
 
-
-EVEN_SHARE = 0.5  # of the points are drawn evenly; the others around those at the rim
-RIM_STEP = 0.12  # of the bounds: how far a point of the rim is moved
-HUES = 36  # directions in which the rim is pushed outward
+EVEN_SHARE = 0.5  # of the points; the others are drawn near the most extreme colours
+RIM_STEP = 0.12  # standard deviation of a step near an extreme colour, relative to the bounds
+HUES = 36  # directions of the extremes
 SOLID_POINTS, BATCH = 1200, 2048
 NEIGHBOURS = 12
-LIMIT_STEP_NM = 10.0  # of the optimal colours' edges
-OTHER_LOOKS = ("45as15", "45as45", "transmitted 0")  # tried in turn where the usual one is not answered
-SECONDS = 60.0  # unless told; films are done with in a few
-LEAST_POINTS, MOST_POINTS = 8, 1_000_000
+EDGE_STEP_NM = 10.0  # between the edges of the optimal colours
+OTHER_GEOMETRIES = ("45as15", "45as45", "transmitted 0")  # in turn, if the usual one does not apply
+MIN_POINTS, MAX_POINTS = 8, 1_000_000
+STACKS, REPORT_POINTS = 800, 400  # points of the gamut in a report: thin films, other materials
+THIN_SHARE = 0.3  # of the drawn thicknesses lie near the lower bound: thin metals transmit
+
+Light = tuple[str, str]  # illuminant and observer
 
 
 @dataclass(frozen=True, eq=False)
 class Gamut:
-    """The colours that can be reached.
+    """TargetResult colours.
 
     Attributes:
-        at: the geometry.
+        geometry: of the measurement.
         illuminant, observer: of the colours.
-        lab: `[point, 3]`; xyy: `[point, 3]`, chromaticity and luminance (white has 1).
-        structures: the free numbers and words of each point, by path.
-        within: the dE00 that counts as reached.
-        share_of_srgb: of the colours of sRGB, how many lie within that of a point.
-        share_of_optimal: the same of the optimal colours, the limits of MacAdam: all that a reflectance can be.
+        lab: `[point, 3]`.
+        xyy: `[point, 3]`, chromaticity and luminance (white has 1).
+        structures: parameter values of each point, by path.
+        tolerance: dE00 within which a colour counts as reached.
+        share_of_srgb: share of the colours of sRGB that are reached.
+        share_of_optimal: share of the optimal colours (MacAdam limits) that are reached.
         failed: points that could not be computed.
-        possible: all that there are where only words and whole numbers are free; None: without end.
+        possible: number of combinations if all parameters are discrete; None otherwise.
     """
 
-    at: str
+    geometry: str
     illuminant: str
     observer: str
     lab: Array
     xyy: Array
     structures: list[dict[str, Any]]
-    within: float
+    tolerance: float
     share_of_srgb: float
     share_of_optimal: float
     failed: int
     possible: int | None = None
 
+    @property
+    def light(self) -> Light:
+        """Illuminant and observer."""
+        return self.illuminant, self.observer
+
     def document(self) -> dict[str, Any]:
-        """Return it as JSON can hold it."""
-        white = white_xyz(self.illuminant, self.observer)
+        """Return the gamut as JSON data."""
+        white = white_xyz(*self.light)
         points = [
             {"lab": lab.tolist(), "xyY": xyy.tolist(), "colour": lab_hex(lab, white), "structure": structure}
             for lab, xyy, structure in zip(self.lab, self.xyy, self.structures, strict=True)
         ]
-        return {
-            "at": self.at,
-            "illuminant": self.illuminant,
-            "observer": self.observer,
-            "within": self.within,
-            "share_of_srgb": self.share_of_srgb,
-            "share_of_optimal": self.share_of_optimal,
-            "count": len(points),
-            "failed": self.failed,
-            "points": points,
-        }
+        keys = ("geometry", "illuminant", "observer", "tolerance", "share_of_srgb", "share_of_optimal", "failed")
+        return {**{key: getattr(self, key) for key in keys}, "count": len(points), "points": points}
 
 
 def parse_parameters(options: Iterable[str]) -> dict[str, Any]:
-    """Read `PATH=A:B` (bounds) and `PATH=a,b,c` (choices) into a table as `[free]` has it.
+    """Read `PATH=A:B` (bounds) and `PATH=a,b,c` (choices) into a table of parameters.
 
     Raises:
-        RecipeError: an option is written otherwise.
+        RecipeError: an option has another form.
     """
     found: dict[str, Any] = {}
     for option in options:
-        path, equals, text = option.rpartition("=")
-        if not equals or not path.strip() or not text.strip():
+        path, equals, text = (part.strip() for part in option.rpartition("="))
+        if not equals or not path or not text:
             raise RecipeError(
                 f'--free "{option}" cannot be read; write it like layers[0].thickness_nm=50:400 or substrate=Al,Ag'
             )
-        if path.strip() in found:
-            raise RecipeError(f"--free {path.strip()} is given twice; keep one")
-        ends = text.split(":")
-        try:
-            found[path.strip()] = [float(ends[0]), float(ends[1])] if len(ends) == 2 else None
-        except ValueError:
-            found[path.strip()] = None
-        if found[path.strip()] is None:
-            found[path.strip()] = {"choices": [_word(word) for word in text.split(",")]}
+        if path in found:
+            raise RecipeError(f"--free {path} is given twice; keep one")
+        ends = [_number_or_text(end) for end in text.split(":")]
+        if len(ends) == 2 and all(isinstance(end, float) for end in ends):
+            found[path] = ends
+        else:
+            found[path] = {"choices": [_number_or_text(word) for word in text.split(",")]}
     return found
 
 
-def _word(text: str) -> Any:
+def _number_or_text(text: str) -> float | str:
     try:
         return float(text)
     except ValueError:
@@ -140,30 +138,30 @@ def _word(text: str) -> Any:
 
 def find_gamut(
     material: Material,
-    free: Mapping[str, Any],
-    at: str | None = None,
+    table: Mapping[str, Any],
+    geometry: str | None = None,
     *,
     points: int = 1000,
-    seconds: float = SECONDS,
+    seconds: float = 60.0,
     illuminant: str = "D65",
     observer: str = "10deg",
-    within: float = 2.0,
+    tolerance: float = 2.0,
     samples: int | None = None,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Gamut:
-    """Return the colours that a material's free numbers reach at a geometry.
+    """Return the colours that a material's parameters reach at a geometry.
 
-    Half of the points are drawn evenly, the others around those that lie farthest out, hue by hue.
+    Half of the points are drawn evenly, the others near the most extreme colours of each hue.
 
     Args:
-        free: path -> bounds or choices, as the table `[free]` of a design.
-        at: "specular 0", "45as15" and so on, as in a want; None: what shows a family's colour, such as the mirror of a
-            film, light from 45 degrees that is seen from the normal of a photonic glass, or near the mirror of a pearl
-            or a relief; or another that the recipe answers.
-        points: number of materials; fewer where the seconds are up.
-        seconds: after which what is there is told.
-        within: dE00 within which a colour counts as reached.
+        table: path -> bounds or choices, as in the parameters of a design.
+        geometry: "specular 0", "45as15" and so on, as in a target; None: the default geometry of the family (mirror
+            direction of a film, 45 degrees for a photonic glass, near the mirror direction for a pearl or a relief),
+            or another one that applies.
+        points: number of materials.
+        seconds: time limit.
+        tolerance: dE00 within which a colour counts as reached.
         samples: of random walks.
         progress: called with (done, points).
 
@@ -171,43 +169,32 @@ def find_gamut(
         NacreError: the geometry or a path is not known, or no point can be computed.
     """
     source = material.context.source
-    if not LEAST_POINTS <= points <= MOST_POINTS:
-        raise NacreError(f"--points = {points} must lie in [{LEAST_POINTS}, {MOST_POINTS}]")
-    if not within > 0:
-        raise NacreError(f"--within = {within:g} must be above 0")
+    if not MIN_POINTS <= points <= MAX_POINTS:
+        raise NacreError(f"--points = {points} must lie in [{MIN_POINTS}, {MAX_POINTS}]")
+    if not tolerance > 0:
+        raise NacreError(f"--within = {tolerance:g} must be above 0")
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
-    material = material.at_low_fidelity().with_parts_loaded(free)
-    numbers = read_parameters(dict(free), material, source)
-    if not numbers:
+    material = material.at_low_fidelity().with_parts_loaded(table)
+    parameters = read_parameters(dict(table), material, source)
+    if not parameters:
         raise RecipeError(f"{source}: nothing is free; use --free PATH=LOW:HIGH")
-    where = _answered([material, *_tried(material, numbers)], at, f"{source}: at")
-    return gamut_of_free(
-        material,
-        numbers,
-        where,
-        points=points,
-        seconds=seconds,
-        illuminant=illuminant,
-        observer=observer,
-        within=within,
-        samples=samples,
-        seed=seed,
-        progress=progress,
-    )
+    at = applicable_geometry([material, *_variants(material, parameters)], geometry, f"{source}: at")
+    draws = (points, seconds, seed)
+    return _parameter_gamut(material, parameters, at, (illuminant, observer), draws, tolerance, samples, progress)
 
 
-def _answered(materials: Sequence[Material], at: str | None, where: str) -> Geometry:
-    """Return the geometry asked for; of none the family's usual one, or the first other that is answered.
+def applicable_geometry(materials: Sequence[Material], geometry: str | None, where: str) -> Geometry:
+    """Return the given geometry; default: that of the family, or the first other one that applies.
 
-    What a family usually shows may be missing in one of its recipes: a blend of two pearls has no mirror.
+    The default geometry may not apply to a recipe: a blend of two pearls has no specular part.
 
     Raises:
-        RecipeError: the geometry is not known or not answered.
+        RecipeError: the geometry is not known or does not apply.
     """
     usual = materials[0].model.traits.default_geometry
-    asked = [usual, *(look for look in OTHER_LOOKS if look != usual)] if at is None else [at]
+    others = [other for other in OTHER_GEOMETRIES if other != usual]
     refused: list[RecipeError] = []
-    for text in asked:
+    for text in [usual, *others] if geometry is None else [geometry]:
         found = Geometry.read(text, where)
         try:
             check_answers(materials, [found], [where])
@@ -218,174 +205,188 @@ def _answered(materials: Sequence[Material], at: str | None, where: str) -> Geom
     raise refused[0]
 
 
-def gamut_of_free(
+def target_gamut(target: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
+    """Return the gamut at the first target colour, and the target colours there `[target, 3]` (CIELAB), for a report.
+
+    None if all targets are spectra, or if no point can be computed.
+
+    Args:
+        seconds: time limit, unless the material is a thin film.
+    """
+    colours = [want for want in target.targets if want.spectrum is None]
+    if not colours:
+        return None
+    at, light = colours[0].geometry, (target.spec.light.illuminants[0], target.spec.light.observer)
+    labs = [want.target_lab(white_xyz(*light)) for want in colours if want.geometry == at]
+    marks = np.array([lab for lab in labs if lab is not None]).reshape(-1, 3)
+    seed = target.spec.search.seed
+    try:
+        search = thin_film_search(target, 0)
+        if search is not None:
+            return _stack_gamut(search, at, light, seed), marks
+        draws = (REPORT_POINTS, seconds, seed)
+        return _parameter_gamut(target.material, target.parameters, at, light, draws), marks
+    except NacreError:
+        return None
+
+
+def _parameter_gamut(
     material: Material,
-    numbers: Sequence[Parameter],
+    parameters: Sequence[Parameter],
     at: Geometry,
-    *,
-    points: int,
-    seconds: float = np.inf,
-    illuminant: str,
-    observer: str,
-    within: float = 2.0,
+    light: Light,
+    draws: tuple[int, float, int],
+    tolerance: float = 2.0,
     samples: int | None = None,
-    seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Gamut:
-    """As `find_gamut`, of numbers and a geometry that are checked already.
+    """Draw points evenly, then near the most extreme colours.
+
+    Args:
+        draws: number of points, time limit in seconds, seed.
 
     Raises:
         NacreError: no point can be computed.
     """
-    grid = search_wavelengths([material, *_tried(material, numbers)][-1], [illuminant])
+    from scipy.stats import qmc
 
-    memory: dict[Any, Any] = {}
-
-    def look(values: Mapping[str, Any]) -> Array:
-        return simulate_measurement(
-            material.vary(values), [at], grid, samples=samples, seed=seed, memory=memory
-        ).factors[0]
-
-    light = (illuminant, observer)
-    places, factors, failed = _draw(numbers, look, material, points, seconds, seed, grid, light, progress)
-    if not len(factors):
+    count, seconds, seed = draws
+    start = time.monotonic()
+    grid = search_wavelengths([material, *_variants(material, parameters)][-1], [light[0]])
+    weights, white = xyz_weights(grid, *light), white_xyz(*light)
+    combinations = _combinations(parameters, count)
+    if combinations:
+        planned, count = combinations, len(combinations)
+    else:
+        even = max(MIN_POINTS, int(EVEN_SHARE * count)) if len(parameters) > 1 else count
+        sobol = qmc.Sobol(len(parameters), scramble=True, rng=np.random.default_rng(seed))
+        planned = list(sobol.random(1 << int(np.ceil(np.log2(max(even, 2)))))[:even])
+        nominal = nominal_point(parameters, material)
+        planned[:0] = [nominal] if nominal is not None else []
+    generator = np.random.default_rng([seed, 4])
+    cache: dict[Any, Any] = {}
+    points: list[Array] = []
+    factors: list[Array] = []
+    labs: list[Array] = []
+    failed = done = 0
+    while done < count and (time.monotonic() - start < seconds or done < MIN_POINTS):
+        point = planned[done] if done < len(planned) else _near_extreme(points, np.array(labs), done, generator)
+        done += 1
+        try:
+            variant = material.vary(values_at(parameters, point))
+            factor = simulate_measurement(variant, [at], grid, samples=samples, seed=seed, memory=cache).factors[0]
+            factors.append(factor)
+            labs.append(np.asarray(xyz_to_lab(factor @ weights, white)))
+            points.append(point)
+        except NacreError:
+            failed += 1
+        if progress is not None:
+            progress(done, count)
+    if not points:
         raise NacreError(f"{material.context.source}: no point of the gamut can be computed")
-    structures = [values_at(numbers, place) for place in places]
-    found = gamut_of(factors, grid, structures, str(at), illuminant, observer, within, failed)
-    return replace(found, possible=len(every) if (every := _every_place(numbers, points)) else None)
+    structures = [values_at(parameters, point) for point in points]
+    found = _spectra_gamut(np.array(factors), grid, structures, at, light, tolerance)
+    return replace(found, failed=failed, possible=len(combinations) or None)
 
 
-def gamut_of(
-    factors: Array,
-    wavelengths_nm: Array,
-    structures: Sequence[Mapping[str, Any]],
-    at: str,
-    illuminant: str,
-    observer: str,
-    within: float = 2.0,
-    failed: int = 0,
-) -> Gamut:
-    """Return the gamut of spectra `[point, wavelength]` that are known already."""
-    white = white_xyz(illuminant, observer)
-    xyz = np.asarray(spectrum_to_xyz(factors, wavelengths_nm, illuminant, observer))
-    lab = np.asarray(xyz_to_lab(xyz, white))
-    solids = (srgb_colours(illuminant, observer), optimal_colours(illuminant, observer))
-    of_srgb, of_optimal = (share_within(lab, solid, within) for solid in solids)
-    return Gamut(
-        at,
-        illuminant,
-        observer,
-        lab,
-        np.asarray(xyz_to_xyy(xyz)),
-        [dict(s) for s in structures],
-        within,
-        of_srgb,
-        of_optimal,
-        failed,
-    )
-
-
-def _tried(material: Material, numbers: Sequence[Parameter]) -> list[Material]:
+def _variants(material: Material, parameters: Sequence[Parameter]) -> list[Material]:
     found = []
     for share in (0.5, 0.99):
         try:
-            found.append(material.vary(values_at(numbers, np.full(len(numbers), share))))
+            found.append(material.vary(values_at(parameters, np.full(len(parameters), share))))
         except NacreError:
             continue
     return found
 
 
-def _draw(
-    numbers: Sequence[Parameter],
-    look: Callable[[Mapping[str, Any]], Array],
-    material: Material,
-    points: int,
-    seconds: float,
-    seed: int,
-    grid: Array,
-    light: tuple[str, str],
-    progress: Callable[[int, int], None] | None,
-) -> tuple[list[Array], Array, int]:
-    """Draw places evenly, then around those at the rim; return places, factors and how many failed."""
-    from scipy.stats import qmc
-
-    begun = time.monotonic()
-    even = max(LEAST_POINTS, int(EVEN_SHARE * points)) if len(numbers) > 1 else points
-    places = list(qmc.Sobol(len(numbers), scramble=True, rng=np.random.default_rng(seed)).random(_power(even))[:even])
-    own = nominal_point(numbers, material)
-    places[:0] = [own] if own is not None else []
-    if every := _every_place(numbers, points):
-        places, points = every, len(every)
-    generator = np.random.default_rng([seed, 4])
-    white, weights = white_xyz(*light), xyz_weights(grid, *light)
-    kept: list[Array] = []
-    factors: list[Array] = []
-    labs: list[Array] = []
-    failed = done = 0
-    while done < points and (time.monotonic() - begun < seconds or done < LEAST_POINTS):
-        if done < len(places):
-            place = places[done]
-        else:
-            place = _at_the_rim(kept, np.array(labs), done, generator)
-        done += 1
-        try:
-            seen = look(values_at(numbers, place))
-            factors.append(seen)
-            labs.append(np.asarray(xyz_to_lab(seen @ weights, white)))
-            kept.append(place)
-        except NacreError:
-            failed += 1
-        if progress is not None:
-            progress(done, points)
-    return kept, np.array(factors), failed
-
-
-def _every_place(numbers: Sequence[Parameter], most: int) -> list[Array]:
-    """Return each combination of words and whole numbers once; none where other numbers are free, or of too many."""
-    if not all(n.choices or n.is_whole for n in numbers):
+def _combinations(parameters: Sequence[Parameter], most: int) -> list[Array]:
+    """Return every combination of discrete parameters; empty if a parameter is continuous, or if they are too many."""
+    if not all(p.choices or p.is_whole for p in parameters):
         return []
-    counts = [len(n.choices) if n.choices else int(n.high - n.low) + 1 for n in numbers]
+    counts = [len(p.choices) if p.choices else int(p.high - p.low) + 1 for p in parameters]
     if np.prod(counts, dtype=float) > most:
         return []
-    return [
-        np.array(
-            [
-                (pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
-                for n, pick, count in zip(numbers, picks, counts, strict=True)
-            ]
-        )
-        for picks in np.ndindex(*counts)
+    axes = [
+        (np.arange(count) + 0.5) / count if p.choices else np.arange(count) / max(count - 1, 1)
+        for p, count in zip(parameters, counts, strict=True)
     ]
+    return [np.array(point) for point in itertools.product(*axes)]
 
 
-def _power(count: int) -> int:
-    return 1 << int(np.ceil(np.log2(max(count, 2))))
-
-
-def _at_the_rim(places: Sequence[Array], labs: Array, turn: int, generator: np.random.Generator) -> Array:
-    """Return a place beside the one that lies farthest out in one direction of hue and lightness."""
+def _near_extreme(points: Sequence[Array], labs: Array, turn: int, generator: np.random.Generator) -> Array:
+    """Return a point near the most extreme one in one direction of hue and lightness."""
     if not len(labs):
         return generator.random(0)
     hue = 2.0 * np.pi * (turn % HUES) / HUES
     tilt = (-0.5, 0.0, 0.5)[turn // HUES % 3]
-    out = labs[:, 1] * np.cos(hue) + labs[:, 2] * np.sin(hue) + tilt * labs[:, 0]
-    place = places[int(np.argmax(out))]
-    return np.asarray(np.clip(place + RIM_STEP * generator.standard_normal(len(place)), 0.0, 1.0))
+    extent = labs[:, 1] * np.cos(hue) + labs[:, 2] * np.sin(hue) + tilt * labs[:, 0]
+    point = points[int(np.argmax(extent))]
+    return np.asarray(np.clip(point + RIM_STEP * generator.standard_normal(len(point)), 0.0, 1.0))
 
 
-def share_within(lab: Array, solid: Array, within: float) -> float:
+def _stack_gamut(search: ThinFilmSearch, at: Geometry, light: Light, seed: int) -> Gamut:
+    """Draw stacks that a target allows, computed in batches."""
+    problem = search.problem
+    generator = np.random.default_rng([seed, 5])
+    grid = problem.merit.wavelengths_nm
+    media = {m.name: m.n for m in problem.palette}
+    factors: list[Array] = []
+    structures: list[dict[str, Any]] = []
+    counts = range(1, problem.layers + 1) if problem.slots is None else [problem.layers]
+    for count in counts:
+        share = max(STACKS // len(counts), 1)
+        n = np.empty((share, count + 2, len(grid)), dtype=complex)
+        d = np.zeros((share, count))
+        n[:, 0] = problem.ambient
+        for k in range(share):
+            slots = [None] * count if problem.slots is None else problem.slots
+            palettes = [list(media) if slot is None else slot.materials for slot in slots]
+            names = [str(palette[int(generator.integers(len(palette)))]) for palette in palettes]
+            below = problem.substrates[int(generator.integers(len(problem.substrates)))]
+            n[k, 1:-1] = [media[name] for name in names] if names else np.zeros((0, len(grid)))
+            n[k, -1] = below.n
+            for j, (name, slot) in enumerate(zip(names, slots)):
+                low, high = problem.bounds_of(name) if slot is None else (slot.low_nm, slot.high_nm)
+                unit = generator.random() * (THIN_SHARE if generator.random() < THIN_SHARE else 1.0)
+                d[k, j] = low + unit * (min(high, 1e5) - low)
+            d[k] *= min(1.0, problem.max_total_nm / max(float(d[k].sum()), 1e-9))
+            layers = [{"material": name, "thickness_nm": float(t)} for name, t in zip(names, d[k])]
+            structures.append({"layers": layers, "substrate": below.name})
+        found = powers(n, d, grid, np.radians([at.theta_deg]))
+        part = found.reflectance if at.kind == "specular" else found.transmittance
+        factors.append(np.asarray(part[..., 0, :]))
+    return _spectra_gamut(np.concatenate(factors), grid, structures, at, light)
+
+
+def _spectra_gamut(
+    factors: Array,
+    wavelengths_nm: Array,
+    structures: list[dict[str, Any]],
+    at: Geometry,
+    light: Light,
+    tolerance: float = 2.0,
+) -> Gamut:
+    """Return the gamut of spectra `[point, wavelength]`."""
+    xyz = np.asarray(spectrum_to_xyz(factors, wavelengths_nm, *light))
+    lab = np.asarray(xyz_to_lab(xyz, white_xyz(*light)))
+    shares = [share_within(lab, solid(*light), tolerance) for solid in (srgb_colours, optimal_colours)]
+    xyy = np.asarray(xyz_to_xyy(xyz))
+    return Gamut(str(at), *light, lab, xyy, structures, tolerance, shares[0], shares[1], failed=0)
+
+
+def share_within(lab: Array, solid: Array, tolerance: float) -> float:
     """Return the share of the colours of a solid `[n, 3]` that lie within a dE00 of one of the points `[m, 3]`."""
     from scipy.spatial import cKDTree
 
     count = min(NEIGHBOURS, len(lab))
     _, nearest = cKDTree(lab).query(solid, k=count)
     near = lab[np.reshape(nearest, (len(solid), count))]
-    return float(np.mean(np.min(delta_e_2000(solid[:, None], near), axis=1) <= within))
+    return float(np.mean(np.min(delta_e_2000(solid[:, None], near), axis=1) <= tolerance))
 
 
 @functools.lru_cache(maxsize=16)
 def srgb_colours(illuminant: str, observer: str) -> Array:
-    """Return colours of sRGB, spread evenly over its volume in CIELAB, for an eye adapted to the lamp, `[n, 3]`."""
+    """Return colours of sRGB, distributed evenly over its volume in CIELAB, adapted to the lamp, `[n, 3]`."""
     white = white_xyz(illuminant, observer)
 
     def is_inside(xyz: Array) -> Any:
@@ -393,29 +394,30 @@ def srgb_colours(illuminant: str, observer: str) -> Array:
         return np.all((rgb >= 0.0) & (rgb <= 1.0), axis=-1)
 
     corners = np.stack(np.meshgrid(*[[0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
-    edge = np.asarray(xyz_to_lab(adapt_xyz(srgb_linear_to_xyz(corners), SRGB_WHITE_XYZ, white), white))
-    return _fill(is_inside, edge, white)
+    return _fill(is_inside, _srgb_to_lab(corners, white), white)
 
 
 @functools.lru_cache(maxsize=16)
 def srgb_limits(illuminant: str, observer: str) -> Array:
-    """Return colours on the surface of sRGB, for an eye adapted to the lamp, CIELAB `[n, 3]`."""
-    white = white_xyz(illuminant, observer)
+    """Return colours on the surface of sRGB, adapted to the lamp, CIELAB `[n, 3]`."""
     face = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 33) ** 2.2] * 2), axis=-1).reshape(-1, 2)
     faces = [np.insert(face, axis, end, axis=1) for axis in range(3) for end in (0.0, 1.0)]
-    return np.asarray(xyz_to_lab(adapt_xyz(srgb_linear_to_xyz(np.concatenate(faces)), SRGB_WHITE_XYZ, white), white))
+    return _srgb_to_lab(np.concatenate(faces), white_xyz(illuminant, observer))
+
+
+def _srgb_to_lab(linear: Array, white: Array) -> Array:
+    return np.asarray(xyz_to_lab(adapt_xyz(srgb_linear_to_xyz(linear), SRGB_WHITE_XYZ, white), white))
 
 
 @functools.lru_cache(maxsize=16)
 def optimal_limits(illuminant: str, observer: str) -> Array:
-    """Return XYZ of optimal colours, `[n, 3]`: reflectances of 0 and 1 with two edges at most.
+    """Return XYZ of the optimal colours, `[n, 3]`: reflectances of 0 and 1 with at most two edges.
 
-    Source: MacAdam 1935 (Schroedinger 1920): no surface that does not glow has a colour beyond them.
+    These are the limits of all non-fluorescent surfaces (Schroedinger 1920, MacAdam 1935).
     """
-    grid = table_wavelengths_nm()
-    weights = xyz_weights(grid, illuminant, observer)
+    weights = xyz_weights(table_wavelengths_nm(), illuminant, observer)
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(weights, axis=0)])
-    edges = total[:: int(LIMIT_STEP_NM)]
+    edges = total[:: int(EDGE_STEP_NM)]
     first, second = np.triu_indices(len(edges), 1)
     bands = edges[second] - edges[first]
     return np.concatenate([bands, total[-1] - bands])
@@ -423,7 +425,7 @@ def optimal_limits(illuminant: str, observer: str) -> Array:
 
 @functools.lru_cache(maxsize=16)
 def optimal_colours(illuminant: str, observer: str) -> Array:
-    """Return colours inside the limits of MacAdam, spread evenly over their volume in CIELAB, `[n, 3]`."""
+    """Return colours inside the MacAdam limits, distributed evenly over their volume in CIELAB, `[n, 3]`."""
     from scipy.spatial import ConvexHull
 
     white = white_xyz(illuminant, observer)
@@ -437,7 +439,7 @@ def optimal_colours(illuminant: str, observer: str) -> Array:
 
 
 def _fill(is_inside: Callable[[Array], Any], rim: Array, white: Array) -> Array:
-    """Return the points of a regular sequence inside a solid, drawn in the box about its rim."""
+    """Return the points of a Halton sequence inside a solid."""
     from scipy.stats import qmc
 
     low, high = rim.min(axis=0) - 1.0, rim.max(axis=0) + 1.0
@@ -449,52 +451,45 @@ def _fill(is_inside: Callable[[Array], Any], rim: Array, white: Array) -> Array:
     return inside[:SOLID_POINTS]
 
 
-def gamut_chart(found: Gamut, wanted: ArrayLike | None = None, title: str = "") -> Figure:
-    """Return the figure of a gamut; `wanted` `[n, 3]`, CIELAB, is marked in it."""
+def colour_chart(xyz: Array, light: Light, title: str, note: str, marks: ArrayLike | None = None) -> Figure:
+    """Draw colours XYZ `[point, 3]` within the limits of sRGB and of the optimal colours.
+
+    Args:
+        marks: `[n, 3]`, CIELAB, drawn as crosses.
+    """
     from nacre.plot import reach_figure
 
-    light = (found.illuminant, found.observer)
     white = white_xyz(*light)
+    lab, limits = (np.asarray(xyz_to_lab(each, white)) for each in (xyz, optimal_limits(*light)))
+    return reach_figure(lab, np.asarray(xyz_to_xyy(xyz)), srgb_limits(*light), limits, white, title, note, marks)
+
+
+def gamut_chart(found: Gamut, marks: ArrayLike | None = None, title: str = "") -> Figure:
+    """Return the figure of a gamut; `marks` `[n, 3]` (CIELAB) are drawn as crosses."""
     note = (
-        f"{found.illuminant}, {found.observer} observer; within dE00 {found.within:g} of {len(found.lab)} points: "
-        f"{_percent(found.share_of_srgb)} of sRGB, {_percent(found.share_of_optimal)} of the optimal colours"
+        f"{found.illuminant}, {found.observer} observer; within dE00 {found.tolerance:g} of {len(found.lab)} points: "
+        f"{100 * found.share_of_srgb:.2g} % of sRGB, {100 * found.share_of_optimal:.2g} % of the optimal colours"
     )
-    limits = np.asarray(xyz_to_lab(optimal_limits(*light), white))
-    return reach_figure(found.lab, found.xyy, srgb_limits(*light), limits, white, title or found.at, note, wanted)
+    xyz = np.asarray(lab_to_xyz(found.lab, white_xyz(*found.light)))
+    return colour_chart(xyz, found.light, title or found.geometry, note, marks)
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %"
-
-
-def gamut_svg(found: Gamut, wanted: ArrayLike | None = None) -> str:
-    """Return a*b* as SVG in which every point tells its colour and its structure when the pointer rests on it."""
-    light = (found.illuminant, found.observer)
-    white = white_xyz(*light)
-    outlines = (np.asarray(xyz_to_lab(optimal_limits(*light), white)), srgb_limits(*light))
-    reach = float(max(np.abs(solid[:, 1:]).max() for solid in outlines)) * 1.05
-    marks = [f'<circle r="{round(r * 300 / reach)}" fill="none" stroke="#ddd"/>' for r in (50, 100)]
-    marks.append('<path d="M-300 0H300M0 -300V300" stroke="#ddd"/>')
-    for solid, dash in zip(outlines, ("", ' stroke-dasharray="5 4"')):
-        turn = np.linspace(0.0, 2.0 * np.pi, 181)
-        rim = solid[np.argmax(solid[:, 1:] @ np.stack([np.cos(turn), np.sin(turn)]), axis=0), 1:] * 300 / reach
-        path = " ".join(f"{a:.0f},{-b:.0f}" for a, b in rim)
-        marks.append(f'<polyline points="{path}" fill="none" stroke="#999"{dash}/>')
-    for lab, structure in zip(found.lab, found.structures, strict=True):
-        a, b = lab[1] * 300 / reach, -lab[2] * 300 / reach
-        said = html.escape("\n".join([f"Lab {lab[0]:.1f}, {lab[1]:.1f}, {lab[2]:.1f}", *_lines(structure)]))
-        colour = lab_hex(lab, white)
-        marks.append(
-            f'<circle cx="{a:.1f}" cy="{b:.1f}" r="4" fill="{colour}" stroke="#222" stroke-width=".4">'
-            f"<title>{said}</title></circle>"
-        )
-    for lab in np.atleast_2d(np.asarray(wanted, float)) if wanted is not None and len(np.atleast_2d(wanted)) else ():
-        a, b = lab[1] * 300 / reach, -lab[2] * 300 / reach
-        marks.append(f'<path d="M{a - 6:.1f} {b - 6:.1f}l12 12m0 -12l-12 12" stroke="#000" stroke-width="2"/>')
-    return (
-        '<svg width="640" height="640" viewBox="-320 -320 640 640" font-family="system-ui" font-size="14">'
-        + "".join(marks)
-        + '<text x="290" y="-6">a*</text><text x="6" y="-300">b*</text></svg>'
+def gamut_svg(found: Gamut, marks: ArrayLike | None = None) -> str:
+    """Return the a*b* plane as SVG; a point shows its colour and structure as a tooltip."""
+    white = white_xyz(*found.light)
+    outlines = np.asarray(xyz_to_lab(optimal_limits(*found.light), white)), srgb_limits(*found.light)
+    scale = 300 / (1.05 * max(float(np.abs(solid[:, 1:]).max()) for solid in outlines))
+    turn = np.linspace(0.0, 2.0 * np.pi, 181)
+    directions = np.stack([np.cos(turn), np.sin(turn)])
+    return render_page(
+        "gamut_svg.html",
+        scale=scale,
+        outlines=[solid[np.argmax(solid[:, 1:] @ directions, axis=0)] for solid in outlines],
+        points=[
+            (lab, lab_hex(lab, white), _lines(structure))
+            for lab, structure in zip(found.lab, found.structures, strict=True)
+        ],
+        marks=[] if marks is None else np.reshape(np.asarray(marks, float), (-1, 3)),
     )
 
 
@@ -509,122 +504,6 @@ def _lines(structure: Mapping[str, Any]) -> list[str]:
 
 
 def gamut_page(found: Gamut, name: str) -> str:
-    """Return a gamut as one HTML file that needs nothing else: the shares, and a chart with structures to point at."""
-    facts = (
-        f"Within dE00 {found.within:g} of one of {len(found.lab)} reachable colours lie "
-        f"{_percent(found.share_of_srgb)} of the colours of sRGB and {_percent(found.share_of_optimal)} of the optimal "
-        "colours, which no surface goes beyond. Let the pointer rest on a point to see its structure."
-    )
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>nacre: {html.escape(name)}</title></head>'
-        f'<body style="font:15px/1.5 system-ui,sans-serif;max-width:900px;margin:2em auto"><h1>{html.escape(name)}: '
-        f"{html.escape(found.at)}, {found.illuminant}</h1><p>{facts}</p>{gamut_svg(found)}</body></html>\n"
-    )
-
-
-__all__ = [
-    "Gamut",
-    "find_gamut",
-    "gamut_chart",
-    "gamut_of",
-    "gamut_of_free",
-    "gamut_page",
-    "gamut_svg",
-    "parse_parameters",
-]
-
-
-# What a design's freedom reaches at its first colour: the gamut behind its report.
-
-STACKS = 800
-POINTS = 400
-SHORT_SHARE = 0.3  # of thicknesses: drawn near the lower bound, where metals let light through
-
-
-def reach_of(target: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
-    """Return the gamut at the first colour that is wanted, and the colours wanted there `[want, 3]`, CIELAB.
-
-    None where only spectra are wanted.
-
-    Args:
-        seconds: time allowed where a material is computed one by one.
-
-    Raises:
-        NacreError: nothing can be computed.
-    """
-    colours = [want for want in target.targets if want.spectrum is None]
-    if not colours:
-        return None
-    at, light = colours[0].geometry, target.spec.light
-    white = white_xyz(light.illuminants[0], light.observer)
-    wanted = [want.target_lab(white) for want in colours if want.geometry == at]
-    marks = np.array([lab for lab in wanted if lab is not None]).reshape(-1, 3)
-    search = thin_film_search(target, 0)
-    if search is not None:
-        return _of_stacks(search, target, at), marks
-    seed = target.spec.search.seed
-    found = gamut_of_free(
-        target.material,
-        target.parameters,
-        at,
-        points=POINTS,
-        seconds=seconds,
-        illuminant=light.illuminants[0],
-        observer=light.observer,
-        seed=seed,
-    )
-    return found, marks
-
-
-def _of_stacks(search: ThinFilmSearch, target: DesignTask, at: Geometry) -> Gamut:
-    """Draw stacks that the target allows, many at once."""
-    problem, light = search.problem, target.spec.light
-    generator = np.random.default_rng([target.spec.search.seed, 5])
-    grid = problem.merit.wavelengths_nm
-    media = {m.name: m.n for m in problem.palette}
-    factors: list[Array] = []
-    structures: list[dict[str, Any]] = []
-    counts = range(1, problem.layers + 1) if problem.slots is None else [problem.layers]
-    for count in counts:
-        share = max(STACKS // len(counts), 1)
-        n = np.empty((share, count + 2, len(grid)), dtype=complex)
-        d = np.zeros((share, count))
-        n[:, 0] = problem.ambient
-        for k in range(share):
-            names = [_pick(search, j, generator) for j in range(count)]
-            below = problem.substrates[int(generator.integers(len(problem.substrates)))]
-            n[k, 1:-1] = [media[name] for name in names] if names else np.zeros((0, len(grid)))
-            n[k, -1] = below.n
-            for j, name in enumerate(names):
-                slot = None if problem.slots is None else problem.slots[j]
-                low, high = problem.bounds_of(name) if slot is None else (slot.low_nm, slot.high_nm)
-                unit = generator.random() * (SHORT_SHARE if generator.random() < SHORT_SHARE else 1.0)
-                d[k, j] = low + unit * (min(high, 1e5) - low)
-            d[k] *= min(1.0, problem.max_total_nm / max(float(d[k].sum()), 1e-9))
-            structures.append(
-                {
-                    "layers": [{"material": m, "thickness_nm": float(t)} for m, t in zip(names, d[k])],
-                    "substrate": below.name,
-                }
-            )
-        found = powers(n, d, grid, np.radians([at.theta_deg]))
-        part = found.reflectance if at.kind == "specular" else found.transmittance
-        factors.append(np.asarray(part[..., 0, :]))
-    return gamut_of(np.concatenate(factors), grid, structures, str(at), light.illuminants[0], light.observer)
-
-
-def _pick(search: ThinFilmSearch, slot: int, generator: np.random.Generator) -> str:
-    slots = search.problem.slots
-    names = [m.name for m in search.problem.palette] if slots is None else slots[slot].materials
-    return str(names[int(generator.integers(len(names)))])
-
-
-def reach_of_or_none(target: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
-    """As `reach_of`; None where it cannot be computed: the report then goes without."""
-    try:
-        return reach_of(target, seconds)
-    except NacreError:
-        return None
-
-
-__all__ = ["reach_of", "reach_of_or_none"]
+    """Return a gamut as a self-contained HTML page: shares, and a chart with tooltips."""
+    title = f"{name}: {found.geometry}, {found.illuminant}"
+    return render_page("gamut.html", title=title, gamut=found, svg=gamut_svg(found))

@@ -17,7 +17,7 @@ from nacre.families.contract import is_direct
 from nacre.light import lamp_lines_nm, white_xyz
 from nacre.material.material import Material, layers_of
 from nacre.optimise.evaluation import TargetResult, geometries_of
-from nacre.optimise.gamut import LEAST_POINTS, gamut_chart, gamut_svg, reach_of_or_none
+from nacre.optimise.gamut import MIN_POINTS, gamut_chart, gamut_svg, target_gamut
 from nacre.optimise.measurement import Geometry, evaluation_wavelengths, search_wavelengths, simulate_measurement
 from nacre.optimise.solutions import Solution
 from nacre.optimise.sparsify import is_chosen
@@ -255,15 +255,15 @@ def _gamut(target: DesignTask, seconds: float, judging_s: float) -> list[str]:
     """
     lamps = target.spec.light.illuminants
     few, every = (len(choose(target.material, lamps)) for choose in (search_wavelengths, evaluation_wavelengths))
-    if seconds <= 0.0 or (is_direct(target.material.model) and LEAST_POINTS * judging_s * few / every > seconds):
+    if seconds <= 0.0 or (is_direct(target.material.model) and MIN_POINTS * judging_s * few / every > seconds):
         return []
-    found = reach_of_or_none(target, seconds)
+    found = target_gamut(target, seconds)
     if found is None:
         return []
     gamut, wanted = found
     facts = (
-        f"{html.escape(gamut.at)}, {gamut.illuminant}: within dE00 {gamut.within:g} of one of {len(gamut.lab)} colours "
-        f"that the free numbers make lie {100 * gamut.share_of_srgb:.2g} % of the colours of sRGB and "
+        f"{html.escape(gamut.geometry)}, {gamut.illuminant}: within dE00 {gamut.tolerance:g} of one of "
+        f"{len(gamut.lab)} reached colours lie {100 * gamut.share_of_srgb:.2g} % of the colours of sRGB and "
         f"{100 * gamut.share_of_optimal:.2g} % of the optimal colours (solid line), which no surface goes beyond. Let "
         "the pointer rest on a point to see its structure; crosses are what was wanted."
     )

@@ -16,7 +16,7 @@ from nacre.core.files import read_text
 from nacre.material.material import Material, load, material
 from nacre.matter.indices.spec import IndexSpec
 from nacre.optimise.evaluation import geometries_of
-from nacre.optimise.image.validation import check_free
+from nacre.optimise.image.validation import check_picture_target
 from nacre.optimise.measurement import check_answers
 from nacre.optimise.parameters import Parameter, read_parameters, values_at
 from nacre.optimise.spec import DesignSpec, LayersSpec
@@ -193,7 +193,7 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
     if spec.limits.within_validity:
         raise RecipeError(f"{source}: limits.within_validity = true is of a relief whose heights are sought")
     if wants[0].image is not None:
-        check_free(spec, base, free, source)
+        check_picture_target(spec, base, free, source)
     else:
         check_limits(spec, base, free, source)
     found = DesignTask(spec, context, base, wants, free)

@@ -1,6 +1,6 @@
-"""The studio: a page on the user's own machine on which a recipe is turned like a knob and seen at once.
+"""The studio: a local web page that shows a recipe live while its parameters change.
 
-`nacre.studio(material)` shows its object in a notebook.
+`nacre.studio(material)` shows the object in a notebook.
 """
 
 from nacre.core.lazy import make_callable

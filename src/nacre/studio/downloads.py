@@ -1,7 +1,4 @@
-"""Files to take away: what `nacre export`, `nacre fabricate` and `nacre render` write of the recipe on the page.
-
-One file is sent as it is, several as a zip. They are written into a temporary folder of the process that makes them.
-"""
+"""Jobs that produce the page's reports, files and pictures: `nacre report`, `export`, `fabricate` and `render`."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ import tempfile
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from nacre.core.errors import NacreError
 from nacre.families.contract import OwnFormats, fabrications
@@ -24,30 +21,73 @@ from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
 from nacre.material.material import Material
 from nacre.material.number_maps import number_maps
 from nacre.picture.scenes.catalogue import SCENE_NAMES
-from nacre.studio.folder import Opened
-from nacre.studio.measured import built, placed, read_lamp
-from nacre.studio.picture_job import shape_of
+from nacre.studio.folder import OpenedFolder, built, read_lamp, read_number, read_recipe
+from nacre.studio.objects import OBJECTS
+from nacre.studio.subprocess_jobs import Emit
 from nacre.studio.surroundings import NAMES
 
-MAX_FILE = 96 << 20  # bytes that are sent; the command writes larger ones
-MAX_SAID = 30
+if TYPE_CHECKING:
+    from nacre.picture.images import RenderResult
+
+MAX_RECIPES = 2  # of a report
+MAX_FILE = 96 << 20  # bytes; the command has no such limit
+MAX_REMARKS = 30
 PICTURES = (".png", ".jpg", ".webp", ".exr", ".spectral.exr")
-# option -> kind, lowest and highest value
+# option -> type, lowest and highest value
 NUMBERS: dict[str, tuple[type, float, float]] = {
     "angle_step_deg": (float, 0.5, 30.0), "wavelength_nm": (float, 1.0, 1e6), "levels": (int, 2, 256),
     "seed": (int, 0, 2**32 - 1), "width_mm": (float, 1e-6, 1000.0), "height_mm": (float, 1e-6, 1000.0),
     "width": (int, 16, 4096), "height": (int, 16, 4096), "noise": (float, 0.002, 1.0),
     "azimuth": (float, -360.0, 360.0), "elevation": (float, -89.0, 89.0),
 }  # fmt: skip
-TAKEN = {
+OPTIONS = {
     "export": ("angle_step_deg", "wavelength_nm"),
     "fabricate": ("levels", "seed", "width_mm", "height_mm"),
     "picture": ("width", "height", "noise", "azimuth", "elevation", "seed"),
 }
+SCENES = ("sphere", "probe", *OBJECTS)  # of rendered pictures on the page
+SIZES, SECONDS = (128, 640), (1.0, 120.0)
 
 
-def targets(material: Material) -> dict[str, list[str]]:
-    """Return what can be written of a material: `export`, `fabricate` and `picture`, each a list of formats.
+def read_report(body: Mapping[str, Any], opened: OpenedFolder) -> dict[str, Any]:
+    """Return a validated report request: `recipes` and `lamp`.
+
+    Raises:
+        NacreError: not one or two recipes, or a recipe outside the folder.
+    """
+    recipes = body.get("recipes")
+    if not isinstance(recipes, list) or not 1 <= len(recipes) <= MAX_RECIPES:
+        raise NacreError("a report takes one recipe or two")
+    return {"lamp": read_lamp(body), "recipes": [read_recipe(recipe, opened) for recipe in recipes]}
+
+
+def report(request: Mapping[str, Any], emit: Emit) -> bytes:
+    """Return as JSON: `reports` with `colours` and `numbers`, and `differences` of two recipes.
+
+    Raises:
+        NacreError: a material cannot be computed.
+    """
+    from nacre.analysis.html_report import report_json, report_numbers
+    from nacre.analysis.report import make_report
+
+    reports = [make_report(built(recipe), request["lamp"]) for recipe in request["recipes"]]
+    documents = report_json(reports)
+    found: dict[str, Any] = {
+        "reports": [
+            {
+                "colours": [{"kind": kind, **document[kind]} for kind in ("aspecular", "specular") if document[kind]],
+                "numbers": report_numbers(one),
+            }
+            for one, document in zip(reports, documents["reports"], strict=True)
+        ]
+    }
+    if len(reports) > 1:
+        found["differences"] = documents["delta_e_2000_to_first"][0]
+    return json.dumps(found).encode()
+
+
+def formats_of(material: Material) -> dict[str, list[str]]:
+    """Return the formats of a material by command: `export`, `fabricate` and `picture`.
 
     Raises:
         NacreError: an image of the recipe cannot be read.
@@ -59,119 +99,180 @@ def targets(material: Material) -> dict[str, list[str]]:
     return {"export": sorted(exports), "fabricate": [*drawn, *maps], "picture": list(PICTURES)}
 
 
-def read_wanted(body: Mapping[str, Any], opened: Opened) -> dict[str, Any]:
-    """Return the bounded question of a file: `recipe`, `verb`, `to`, `lamp`, `scene`, `light`, `options`.
+def read_file(body: Mapping[str, Any], opened: OpenedFolder) -> dict[str, Any]:
+    """Return a validated file request: `recipe`, `verb`, `to`, `lamp`, `scene`, `light`, `options`.
 
     Raises:
-        NacreError: a value that is not allowed, or a recipe outside the folder.
+        NacreError: a value is not allowed, or the recipe is outside the folder.
     """
-    verb, to, scene = (body.get(key, usual) for key, usual in (("verb", ""), ("to", ""), ("scene", "sphere")))
+    verb, to = body.get("verb", ""), body.get("to", "")
     known = {"export": EXPORTS, "fabricate": SUFFIXES | MAP_SUFFIXES, "picture": PICTURES}
     if not isinstance(verb, str) or verb not in known:
-        raise NacreError("a file is an export, to fabricate or a picture")
+        raise NacreError(f'verb "{str(verb)[:40]}" is not known; choose from {", ".join(known)}')
     if not isinstance(to, str) or to not in known[verb]:
         raise NacreError(f'{verb} to "{str(to)[:40]}" is not known; choose from {", ".join(known[verb])}')
-    lamp = read_lamp(body)
-    if not isinstance(scene, str) or scene not in SCENE_NAMES:
-        raise NacreError(f'scene "{str(scene)[:40]}" is not known; choose from {", ".join(SCENE_NAMES)}')
-    light = body.get("light")
-    if light is not None and light not in NAMES:
-        raise NacreError(f'light "{str(light)[:40]}" is not known; choose from {", ".join(NAMES)}')
+    scene = _choice(body, "scene", "sphere", SCENE_NAMES)
+    light = _choice(body, "light", None, NAMES)
     given = body.get("options", {})
     if not isinstance(given, dict):
         raise NacreError("the options of a file are not a table")
     options = {}
-    for key in TAKEN[verb]:
+    for key in OPTIONS[verb]:
         if given.get(key) is not None:
             kind, low, high = NUMBERS[key]
-            value = given[key]
-            if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-                raise NacreError(f"{key} = {str(value)[:20]} is not allowed; it should be from {low:g} to {high:g}")
+            value = read_number(given[key], key, low, high)
             if kind is int and value != int(value):
-                raise NacreError(f"{key} = {str(value)[:20]} is not allowed; it should be a whole number")
+                raise NacreError(f"{key} = {value:g} is not allowed; it should be a whole number")
             options[key] = kind(value)
     if ("width_mm" in options) != ("height_mm" in options):
-        raise NacreError("an area has a width and a height in mm; give both, or none")
+        raise NacreError("an area has a width and a height in mm; give both, or neither")
     return {
-        "recipe": placed(body, opened), "verb": verb, "to": to, "lamp": lamp, "scene": scene, "light": light,
-        "options": options,
+        "recipe": read_recipe(body, opened), "verb": verb, "to": to, "lamp": read_lamp(body), "scene": scene,
+        "light": light, "options": options,
     }  # fmt: skip
 
 
-def made(question: Mapping[str, Any]) -> bytes:
-    """Return the length of a header, the header (`name` of the file, what is `said` of it) and the file.
+def _choice(body: Mapping[str, Any], key: str, default: str | None, known: tuple[str, ...]) -> str | None:
+    value = body.get(key)
+    if value is None:
+        return default
+    if not isinstance(value, str) or value not in known:
+        raise NacreError(f'{key} "{str(value)[:40]}" is not known; choose from {", ".join(known)}')
+    return value
+
+
+def make_file(request: Mapping[str, Any], emit: Emit) -> bytes:
+    """Return the length of a header, the header (the file's `name` and `remarks`) and the file; several are zipped.
 
     Raises:
-        NacreError: it cannot be made, or is too large to be sent.
+        NacreError: it cannot be written, or is too large for the page.
     """
-    material = built(question["recipe"])
-    stem = Path(question["recipe"]["path"]).stem
+    material = built(request["recipe"])
+    stem = Path(request["recipe"]["path"]).stem
     with tempfile.TemporaryDirectory(prefix="nacre-studio-") as place:
         folder = Path(place)
-        said = WRITERS[question["verb"]](material, question, folder, stem)
+        remarks = WRITERS[request["verb"]](material, request, folder, stem)
         written = sorted(path for path in folder.rglob("*") if path.is_file())
         total = sum(path.stat().st_size for path in written)
         if total > MAX_FILE:
             raise NacreError(
-                f"{total >> 20} MiB; the page takes files of {MAX_FILE >> 20} MiB at most, the command nacre any"
+                f"{total >> 20} MiB; the page takes files up to {MAX_FILE >> 20} MiB, the command nacre larger ones"
             )
         if len(written) == 1:
             name, content = written[0].name, written[0].read_bytes()
         else:
-            name, content = f"{stem}-{question['to']}.zip", _zipped(written, folder)
-    # a message names the folder that the files were written in; nobody finds it any more
-    lines = [line.replace(f"{place}/", "")[:300] for line in said[:MAX_SAID]]
-    header = json.dumps({"name": name, "said": lines}).encode()
+            name, content = f"{stem}-{request['to']}.zip", _zipped(written, folder)
+    lines = [line.replace(f"{place}/", "")[:300] for line in remarks[:MAX_REMARKS]]  # the folder no longer exists
+    header = json.dumps({"name": name, "remarks": lines}).encode()
     return struct.pack("<I", len(header)) + header + content
 
 
 def unpacked(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Return the header and the file that `made` put together."""
+    """Return the header and the file from `make_file`."""
     (length,) = struct.unpack_from("<I", data)
     return json.loads(data[4 : 4 + length]), data[4 + length :]
 
 
 def _zipped(written: list[Path], folder: Path) -> bytes:
-    held = io.BytesIO()
-    with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as packed:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in written:
-            packed.write(path, path.relative_to(folder).as_posix())
-    return held.getvalue()
+            archive.write(path, path.relative_to(folder).as_posix())
+    return buffer.getvalue()
 
 
-def _export(material: Material, question: Mapping[str, Any], folder: Path, stem: str) -> list[str]:
+def _export(material: Material, request: Mapping[str, Any], folder: Path, stem: str) -> list[str]:
     from nacre.analysis.import_export import export_material
 
-    to, options = question["to"], dict(question["options"])
-    path = folder / f"{stem}{EXPORTS[to]}"
+    to, options = request["to"], dict(request["options"])
     if to == FOLDER:
-        options["illuminant"] = question["lamp"]
-    return said_of(export_material(material, to, path, **options))
+        options["illuminant"] = request["lamp"]
+    return said_of(export_material(material, to, folder / f"{stem}{EXPORTS[to]}", **options))
 
 
-def _fabricate(material: Material, question: Mapping[str, Any], folder: Path, stem: str) -> list[str]:
+def _fabricate(material: Material, request: Mapping[str, Any], folder: Path, stem: str) -> list[str]:
     from nacre.api import fabricate
 
-    to, options = question["to"], dict(question["options"])
+    to, options = request["to"], dict(request["options"])
     area = (options.pop("width_mm", math.nan), options.pop("height_mm", math.nan))
     path = folder / f"{stem}-{to}{(MAP_SUFFIXES | SUFFIXES)[to]}"
     fabricate(material, to, path, size_mm=None if math.isnan(area[0]) else area, **options)
     return []
 
 
-def _picture(material: Material, question: Mapping[str, Any], folder: Path, stem: str) -> list[str]:
+def _picture(material: Material, request: Mapping[str, Any], folder: Path, stem: str) -> list[str]:
     from nacre.picture.picture import render
 
-    options, scene = dict(question["options"]), question["scene"]
+    options, scene = dict(request["options"]), request["scene"]
     view = [options.pop(key, None) for key in ("azimuth", "elevation")]
     size = [options.pop(key, None) for key in ("width", "height")]
     result = render(
-        material, scene, **shape_of(question), light=question["light"], illuminant=question["lamp"],
+        material, scene, **_mesh_options(request), light=request["light"], illuminant=request["lamp"],
         size=None if None in size else tuple(size), view=None if None in view or scene == "screen" else view,
-        output=folder / f"{stem}-{scene}{question['to']}", progress=False, **({} if scene == "screen" else options),
+        output=folder / f"{stem}-{scene}{request['to']}", progress=False, **({} if scene == "screen" else options),
     )  # fmt: skip
-    told = result.stats
-    return [f"{told['spp']} samples a pixel, noise {told['noise']:.3f}"] if told.get("noise") else []
+    stats = result.stats
+    return [f"{stats['spp']} samples per pixel, noise {stats['noise']:.3f}"] if stats.get("noise") else []
 
 
 WRITERS = {"export": _export, "fabricate": _fabricate, "picture": _picture}
+
+
+def _mesh_options(request: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the render options of the user's mesh, which is stored with z up."""
+    return {"shape": request["mesh"], "up": "z"} if request.get("mesh") else {}
+
+
+def read_picture(body: Mapping[str, Any], opened: OpenedFolder) -> dict[str, Any]:
+    """Return a validated request for a rendered picture.
+
+    Raises:
+        NacreError: a value is not allowed.
+    """
+    return {
+        "recipe": read_recipe(body, opened),
+        "lamp": read_lamp(body),
+        "scene": _choice(body, "scene", "sphere", SCENES),
+        "light": _choice(body, "light", "studio", NAMES),
+        "size": int(read_number(body.get("size", 320), "size", *SIZES)),
+        "seconds": read_number(body.get("seconds", 6), "seconds", *SECONDS),
+    }
+
+
+def render_picture(request: Mapping[str, Any], emit: Emit) -> None:
+    """Emit "begun", "progress", and "picture" with a PNG data URI each time the samples have doubled.
+
+    Raises:
+        NacreError: the recipe is invalid, or this machine cannot render.
+    """
+    from nacre.picture.picture import render
+
+    material = built(request["recipe"])
+    side, scene = request["size"], request["scene"]
+    emit({"kind": "begun"})
+
+    def progress(done: int, passes: int, seconds_left: float) -> None:
+        emit({"kind": "progress", "done": done, "of": passes, "seconds_left": round(seconds_left, 1)})
+
+    def send(result: RenderResult, is_last: bool = False) -> None:
+        emit({"kind": "picture", "spp": result.stats["spp"], "is_last": is_last, "png": _png(result)})
+
+    exposure: Any = 0.0 if scene == "sphere" else "auto"
+    result = render(
+        material, scene, **_mesh_options(request), light=request["light"], illuminant=request["lamp"],
+        size=(side, side), seconds=request["seconds"], exposure=exposure, progress=progress, on_better=send,
+    )  # fmt: skip
+    send(result, is_last=True)
+
+
+def _png(result: RenderResult) -> str:
+    from PIL import Image
+
+    from nacre.light import clip_to_srgb
+    from nacre.light.spaces import srgb_encode
+    from nacre.plot.html import png_uri
+
+    pixels = (255.0 * srgb_encode(clip_to_srgb(result.rgb).rgb) + 0.5).astype("uint8")
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG")
+    return png_uri(buffer.getvalue())

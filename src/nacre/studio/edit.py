@@ -1,4 +1,4 @@
-"""Changes of a recipe's text by its numbers, layers and tables; the author's comments stay where they can."""
+"""Edits of a recipe's text: numbers, layers and tables. Comments are preserved if possible."""
 
 from __future__ import annotations
 
@@ -17,65 +17,66 @@ from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
 MAX_EDITS = 2000
 LONGEST_LINE = 100
 NUMBER = r"[+-]?\d[\d_]*(?:\.\d+)?(?:[eE][+-]?\d+)?"
-WORD = r"[A-Za-z_][A-Za-z_0-9]*(?:\[\d+\])*"  # of a path, with the places in lists
 
 
 def edited(text: str, edits: Sequence[Mapping[str, Any]], source: str) -> str:
-    """Return a recipe's text after some changes, in their order.
+    """Apply edits to a recipe's text, in order.
 
     Args:
         text: TOML.
-        edits: each has `path` and `op`: "set" (`value`), "remove"; of a list "insert" (`index`, `value`) or "move"
+        edits: each has `path` and `op`: "set" (`value`), "remove"; for lists "insert" (`index`, `value`) or "move"
             (`from`, `to`).
-        source: the recipe's name, for messages.
+        source: name of the recipe in messages.
 
     Raises:
-        RecipeError: the text is not TOML, a path leads nowhere, or a change is none of those.
+        RecipeError: the text is not TOML, a path does not exist, or an edit is invalid.
     """
     if len(edits) > MAX_EDITS:
-        raise RecipeError(f"{source}: {len(edits)} changes at once; at most {MAX_EDITS} are allowed")
+        raise RecipeError(f"{source}: {len(edits)} edits at once; at most {MAX_EDITS} are allowed")
     for edit in edits:
-        text = _one(text, edit, source)
+        text = _apply(text, edit, source)
     return text
 
 
-def _one(text: str, edit: Mapping[str, Any], source: str) -> str:
+def _apply(text: str, edit: Mapping[str, Any], source: str) -> str:
     path, op = edit.get("path"), edit.get("op", "set")
     if not isinstance(path, str):
-        raise RecipeError(f"{source}: a change without a path")
+        raise RecipeError(f"{source}: an edit without a path")
     before = parse_toml(text, source)
-    wanted = copy.deepcopy(before)
+    expected = copy.deepcopy(before)
     if op == "set":
         value = edit.get("value")
         if value is None:
-            raise RecipeError(f"{source}: {path} cannot be set to nothing; take it out")
-        set_by_path(wanted, path, value, source)
-        made = _number_put(text, path, value, wanted) or _try(lambda: edit_toml(text, {path: value}, source), wanted)
-        return made or _written(wanted)
+            raise RecipeError(f"{source}: {path} cannot be set to null; remove it")
+        set_by_path(expected, path, value, source)
+        made = _with_number(text, path, value, expected) or _try(
+            lambda: edit_toml(text, {path: value}, source), expected
+        )
+        return made or _written(expected)
     if op == "remove":
-        holder, last = find_by_path(wanted, path, source)
+        holder, last = find_by_path(expected, path, source)
         if isinstance(last, str) and last not in holder:
             return text
         del holder[last]
-        return _try(lambda: _removed(text, path, source), wanted) or _written(wanted)
-    holder, last = find_by_path(wanted, path, source)
+        return _try(lambda: _removed(text, path, source), expected) or _written(expected)
+    holder, last = find_by_path(expected, path, source)
     listed = holder.setdefault(last, []) if isinstance(last, str) else holder[last]
     if not isinstance(listed, list):
-        raise RecipeError(f"{source}: {path} is no list")
+        raise RecipeError(f"{source}: {path} is not a list")
     if op == "insert":
         listed.insert(_index(edit.get("index"), len(listed) + 1, path, source), edit.get("value"))
     elif op == "move":
         moved = listed.pop(_index(edit.get("from"), len(listed), path, source))
         listed.insert(_index(edit.get("to"), len(listed) + 1, path, source), moved)
     else:
-        raise RecipeError(f'{source}: "{str(op)[:40]}" is no change; use set, remove, insert or move')
-    return _try(lambda: _with_list(text, path, listed, source), wanted) or _written(wanted)
+        raise RecipeError(f'{source}: "{str(op)[:40]}" is not an edit; use set, remove, insert or move')
+    return _try(lambda: _with_list(text, path, listed, source), expected) or _written(expected)
 
 
-def _number_put(text: str, path: str, value: Any, wanted: Mapping[str, Any]) -> str:
-    """Return the text with a number exchanged where it stands, or nothing where that is not plain to see.
+def _with_number(text: str, path: str, value: Any, expected: Mapping[str, Any]) -> str:
+    """Return the text with a number replaced in place, or "" if its position is ambiguous.
 
-    A slider asks for it many times a second, and to read a text with its comments takes as long as to solve a film.
+    Sliders call this many times a second, and parsing a text with its comments takes as long as solving a film.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return ""
@@ -88,22 +89,22 @@ def _number_put(text: str, path: str, value: Any, wanted: Mapping[str, Any]) -> 
     place = places[guess]
     made = f"{text[: place.start(1)]}{value!r}{text[place.end(1) :]}"
     try:
-        return made if parse_toml(made, "recipe") == wanted else ""
+        return made if parse_toml(made, "recipe") == expected else ""
     except NacreError:
         return ""
 
 
 def _index(value: Any, count: int, path: str, source: str) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
-        raise RecipeError(f"{source}: {path} has no place {str(value)[:20]}")
+        raise RecipeError(f"{source}: {path} has no index {str(value)[:20]}")
     return value
 
 
-def _try(make: Any, wanted: Mapping[str, Any]) -> str:
-    """Return the text that keeps the comments, if it says what is wanted: tomlkit moves some tables wrongly."""
+def _try(make: Any, expected: Mapping[str, Any]) -> str:
+    """Return an edited text if its data are the expected ones: tomlkit misplaces some tables."""
     try:
         made: str = make()
-        return made if parse_toml(made, "recipe") == wanted else ""
+        return made if parse_toml(made, "recipe") == expected else ""
     except (NacreError, tomlkit.exceptions.TOMLKitError, KeyError, IndexError, TypeError, ValueError):
         return ""
 
@@ -116,7 +117,7 @@ def _removed(text: str, path: str, source: str) -> str:
 
 
 def _with_list(text: str, path: str, listed: list[Any], source: str) -> str:
-    """Write a list anew, an entry a line where one line is too long."""
+    """Rewrite a list, with one entry per line if a single line is too long."""
     made = edit_toml(text, {path: listed}, source)
     if max(map(len, made.splitlines()), default=0) <= LONGEST_LINE:
         return made
@@ -128,7 +129,7 @@ def _with_list(text: str, path: str, listed: list[Any], source: str) -> str:
 
 
 def _written(data: Mapping[str, Any]) -> str:
-    """Write a recipe without its author's comments: long lists an entry a line."""
+    """Write a recipe without comments; long lists have one entry per line."""
     document = tomlkit.parse(dump_toml(data))
     for value in document.values():
         if isinstance(value, tomlkit.items.Array) and len(value.as_string()) > LONGEST_LINE:
@@ -137,10 +138,10 @@ def _written(data: Mapping[str, Any]) -> str:
 
 
 def line_of(text: str, message: str) -> int | None:
-    """Return the line, counted from 1, that an error message speaks of; None where it cannot be told.
+    """Return the line number, from 1, of an error message; None if it is unknown.
 
-    A mistake of TOML names its line; one of a recipe names a key such as `layers[1].material`: the line is that of the
-    key's last word, counted up to the entry of its list.
+    TOML errors contain their line. Recipe errors name a key such as `layers[1].material`: the line is the occurrence of
+    the key's last word with the list index.
     """
     if found := re.search(r"at line (\d+)", message):
         return int(found[1])

@@ -1,4 +1,4 @@
-"""The opened folder: its recipes, and the fence around it that no recipe of the page reaches across."""
+"""The opened folder: its recipes, and the fence that keeps a recipe of the page from reading other files."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import atomic_path, check_writable, read_text, real
+from nacre.light import ILLUMINANTS
 from nacre.material.examples import examples, examples_folder
 from nacre.material.material import MAX_NESTED_RECIPES, Material, material_from_data
 from nacre.recipe.model import RecipeContext
@@ -18,45 +19,45 @@ from nacre.recipe.toml import parse_toml
 
 MAX_TEXT = 300_000  # characters of a recipe
 MAX_LISTED = 500
-DEEPEST = 3  # folders below the opened one
-OF_TARGETS = ("target", "want", "recipe")  # keys of files of other kinds, of which some give a family too
-EXAMPLE = "example:"  # what the names of shipped recipes begin with
-# one of each kind of look, the first thing that a visitor sees
+MAX_DEPTH = 3  # of folders below the opened one
+OTHER_FILE_KEYS = ("target", "recipe")  # files with these keys are targets and sweeps, even if they name a family
+EXAMPLE = "example:"  # prefix of the names of shipped recipes
+# the starting points offered to a visitor, one for each type of appearance
 STARTS = ("jewel-beetle", "bragg-mirror", "blue-oxide", "morpho-film", "metasurface/silver_on_oxide", "pearl/bottle3")
 
 
 @dataclass(frozen=True)
 class FencedContext(RecipeContext):
-    """Where a recipe of the page stands; files outside `fence` are refused.
+    """Context of a recipe of the page; files outside `fence` are refused.
 
     Attributes:
-        fence: the folder that all paths of the recipe must lie in.
-        depth: of recipes inside recipes.
+        fence: folder that must contain all paths of the recipe.
+        depth: nesting depth of recipes.
     """
 
     fence: Path = dataclasses.field(default_factory=Path)
     depth: int = 0
 
     def path(self, name: str) -> Path:
-        """Resolve a path of the recipe, links included.
+        """Resolve a path of the recipe, including links.
 
         Raises:
             RecipeError: it leads outside the fence.
         """
         try:
-            inside = (self.folder / name).resolve().is_relative_to(self.fence)
+            is_inside = (self.folder / name).resolve().is_relative_to(self.fence)
         except (OSError, ValueError, RuntimeError):
-            inside = False
-        if not inside:
+            is_inside = False
+        if not is_inside:
             raise RecipeError(f'{self.source}: the file "{str(name)[:80]}" is outside the opened folder')
         return super().path(name)
 
 
 def build(text: str, source: str, folder: Path, fence: Path, depth: int = 0, ambient: Any = None) -> Material:
-    """Build a recipe's text as it would be built from a file in `folder`.
+    """Build a recipe's text as if it were a file in `folder`.
 
     Raises:
-        RecipeError: naming key, value and what is allowed, or a file outside the fence.
+        RecipeError: an invalid value, or a file outside the fence.
     """
     if depth > MAX_NESTED_RECIPES:
         raise RecipeError(f"{source}: recipes are nested more than {MAX_NESTED_RECIPES} deep; is there a circle?")
@@ -75,20 +76,20 @@ def build(text: str, source: str, folder: Path, fence: Path, depth: int = 0, amb
 
 
 @dataclass(frozen=True)
-class Opened:
-    """What `nacre studio` was started with.
+class OpenedFolder:
+    """The folder that `nacre studio` serves.
 
     Attributes:
         folder: resolved; recipes are read from it and saved into it.
-        first: name of the recipe that is shown first, or "" for the choice of starting points.
+        first: name of the recipe that is shown first, or "" to offer the starting points.
     """
 
     folder: Path
     first: str = ""
 
     @classmethod
-    def of(cls, path: str | None) -> Opened:
-        """Open a recipe or a folder; None: the current folder, of which no recipe is asked.
+    def of(cls, path: str | None) -> OpenedFolder:
+        """Open a recipe or a folder; None: the current folder, which need not contain a recipe.
 
         Raises:
             NacreError: no such file, or a folder without recipes.
@@ -99,10 +100,12 @@ class Opened:
         if given.is_dir():
             opened = cls(given.resolve())
             if not opened.names():
-                raise NacreError(f"{path}: holds no recipe (.toml with a family); nacre examples -o {path} brings some")
+                raise NacreError(
+                    f"{path}: contains no recipe (.toml with a family); nacre examples -o {path} writes some"
+                )
             return opened
         if given.suffix not in (".toml", "") or (given.suffix == "" and given.exists()):
-            raise NacreError(f"{path}: is no recipe; the studio opens a .toml file or a folder of them")
+            raise NacreError(f"{path}: is not a recipe; the studio opens a .toml file or a folder of them")
         if given.is_file():
             read_text(given, "recipe")
             return cls(given.resolve().parent, given.name)
@@ -111,23 +114,23 @@ class Opened:
         raise NacreError(f"{path}: no such file or folder, and no example of that name")
 
     def names(self) -> list[str]:
-        """Return the recipes of the folder by their names from it: .toml files that give a family."""
-        found = []
+        """Return the relative names of the folder's recipes: .toml files with a family."""
+        found: list[str] = []
         for path in sorted(self.folder.rglob("*.toml")):
             inner = path.relative_to(self.folder)
-            if len(inner.parts) > DEEPEST + 1 or any(part.startswith(".") for part in inner.parts):
+            if len(inner.parts) > MAX_DEPTH + 1 or any(part.startswith(".") for part in inner.parts):
                 continue
-            if _gives_family(path):
+            if _has_family(path):
                 found.append(inner.as_posix())
             if len(found) == MAX_LISTED:
                 break
         return found
 
     def place(self, name: str) -> tuple[Path, Path]:
-        """Return a recipe's file and the fence that holds for it.
+        """Return a recipe's file and its fence.
 
         Raises:
-            NacreError: a name that leads outside the folder, or is no recipe's.
+            NacreError: the name leads outside the folder, or is not the name of a recipe.
         """
         fence = self.folder
         if name.startswith(EXAMPLE):
@@ -135,9 +138,9 @@ class Opened:
         try:
             path = (fence / name).resolve()
         except (OSError, ValueError, RuntimeError):
-            raise NacreError(f'"{name[:80]}" is no name of a recipe') from None
+            raise NacreError(f'"{name[:80]}" is not the name of a recipe') from None
         if not path.is_relative_to(fence) or path.suffix != ".toml" or not name or "\0" in name:
-            raise NacreError(f'"{name[:80]}" is no recipe in the opened folder')
+            raise NacreError(f'"{name[:80]}" is not a recipe in the opened folder')
         return path, fence
 
     def read(self, name: str) -> str:
@@ -146,11 +149,10 @@ class Opened:
         Raises:
             NacreError: it cannot be read.
         """
-        path, _ = self.place(name)
-        return read_text(path, "recipe")
+        return read_text(self.place(name)[0], "recipe")
 
     def is_readable(self, name: str) -> bool:
-        """Whether a recipe of the folder is TOML; what it says may still be wrong."""
+        """Whether a recipe of the folder is TOML; its values may still be invalid."""
         try:
             parse_toml(self.read(name), name)
         except NacreError:
@@ -167,35 +169,35 @@ class Opened:
         return build(text, path.name, path.parent, fence)
 
     def save(self, name: str, text: str, known: str) -> str:
-        """Write a recipe into the folder, whole or not at all; return its mark.
+        """Write a recipe into the folder atomically; return its version.
 
         Args:
-            name: from the folder; examples are not written to.
-            text: TOML; it need not be a valid recipe yet.
-            known: the mark of what the page last read or wrote there; "" for a file that should not be there yet.
+            name: relative to the folder; examples are read-only.
+            text: TOML; it may be an invalid recipe.
+            known: version that the page last read or wrote; "" for a new file.
 
         Raises:
-            NacreError: it cannot be written, or another program has changed it since.
+            NacreError: it cannot be written, or another program has changed it.
         """
         if name.startswith(EXAMPLE):
             raise NacreError("an example cannot be changed; save it under a name of your own")
         path, _ = self.place(name)
-        if path.exists() and mark_of(read_text(path, "recipe")) != known:
-            raise NacreError(f"{name}: is there already, or was changed by another program; choose another name")
+        if path.exists() and version_of(read_text(path, "recipe")) != known:
+            raise NacreError(f"{name}: exists already, or was changed by another program; choose another name")
         if not path.parent.is_dir():
             raise NacreError(f"{name}: there is no such folder")
         check_writable(path)
         with atomic_path(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
-        return mark_of(text)
+        return version_of(text)
 
 
-def mark_of(text: str) -> str:
-    """Return a mark by which two versions of a file are told apart."""
+def version_of(text: str) -> str:
+    """Return a hash that distinguishes two versions of a file."""
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _gives_family(path: Path) -> bool:
+def _has_family(path: Path) -> bool:
     try:
         if path.stat().st_size > MAX_TEXT:
             return False
@@ -204,6 +206,53 @@ def _gives_family(path: Path) -> bool:
         return False
     try:
         data = parse_toml(text, path.name)
-        return isinstance(data.get("family"), str) and not any(key in data for key in OF_TARGETS)
+        return isinstance(data.get("family"), str) and not any(key in data for key in OTHER_FILE_KEYS)
     except RecipeError:
-        return "family" in text  # broken, and to be shown with its line
+        return "family" in text  # invalid TOML is listed too: the page shows the line of the mistake
+
+
+def read_lamp(body: Mapping[str, Any]) -> str:
+    """Return the lamp of a request, by default D65.
+
+    Raises:
+        NacreError: it is not known.
+    """
+    lamp = body.get("lamp", "D65")
+    if not isinstance(lamp, str) or lamp not in ILLUMINANTS:
+        raise NacreError(f'lamp "{str(lamp)[:40]}" is not known')
+    return lamp
+
+
+def read_recipe(recipe: Any, opened: OpenedFolder) -> dict[str, str]:
+    """Return `text`, `path` and `fence` of a recipe in a request.
+
+    Raises:
+        NacreError: it has no text or name, is too long, or leads outside the folder.
+    """
+    if not isinstance(recipe, dict) or not all(isinstance(recipe.get(key), str) for key in ("text", "name")):
+        raise NacreError("a recipe needs text and name")
+    if len(recipe["text"]) > MAX_TEXT:
+        raise NacreError(f"{recipe['name'][:80]}: a recipe of {len(recipe['text'])} characters; at most {MAX_TEXT}")
+    path, fence = opened.place(recipe["name"])
+    return {"text": recipe["text"], "path": str(path), "fence": str(fence)}
+
+
+def read_number(value: Any, name: str, low: float, high: float) -> float:
+    """Return a number of a request that lies within its limits.
+
+    Raises:
+        NacreError: it is not a number, or is outside the limits.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise NacreError(f"{name} = {str(value)[:20]} is not allowed; it should be from {low:g} to {high:g}")
+    return float(value)
+
+
+def built(recipe: Mapping[str, str]) -> Material:
+    """Return the material of a recipe from `read_recipe`.
+
+    Raises:
+        NacreError: the recipe is invalid, or reads a file outside its fence.
+    """
+    path = Path(recipe["path"])
+    return build(recipe["text"], path.name, path.parent, Path(recipe["fence"]))

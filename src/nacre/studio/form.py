@@ -1,6 +1,6 @@
-"""The form of a family: its recipe model as data that a page can lay out.
+"""Form of a family: its recipe model as JSON data for the page.
 
-Nothing is written down twice: names, meanings, units, ranges and defaults are those of `nacre keys`.
+Names, meanings, units, ranges and defaults are those of `nacre keys`.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ LIMITS = ("ge", "gt", "le", "lt")
 
 
 def family_form(family: object, source: str = "recipe") -> dict[str, Any]:
-    """Return the tables of a family's recipe by name, and the name of the first, as JSON can hold them.
+    """Return the tables of a family's recipe by name, and the name of the root table.
 
-    Each key has `name`, `meaning`, `unit`, `value` (what is allowed, in words), `default`, `kind` (number, bool,
-    choice, text, material, table, tables, other), and where they apply `limits`, `choices`, `tables`, `template` (a
-    new entry of a list) and `spellings` (other names of a length and what a value is multiplied by).
+    Each key has `name`, `meaning`, `unit`, `value` (allowed values in words), `default`, `kind` (number, bool, choice,
+    text, material, table, tables, other), and if applicable `limits`, `choices`, `tables`, `template` (a new list
+    entry) and `spellings` (other names of a length, with their unit factor).
 
     Raises:
         NacreError: no such family.
@@ -93,7 +93,7 @@ def _kind(key: Key, annotation: Any, metadata: Sequence[Any]) -> str:
 
 
 def _arms(annotation: Any) -> Iterator[Any]:
-    """Yield the alternatives of an annotation, without None and without what Pydantic adds."""
+    """Yield the alternatives of an annotation, without None and Pydantic metadata."""
     origin = typing.get_origin(annotation)
     if origin in (typing.Union, types.UnionType):
         for arm in typing.get_args(annotation):
@@ -111,7 +111,7 @@ def _choices(annotation: Any) -> list[Any]:
 
 
 def _number(annotation: Any, metadata: Sequence[Any] = ()) -> dict[str, Any] | None:
-    """Return the limits of the number that may stand there (`ge`, `gt`, `le`, `lt`, `whole`); None if none may."""
+    """Return the limits of a numeric annotation (`ge`, `gt`, `le`, `lt`, `whole`); None: it is not numeric."""
     if annotation in (float, int):
         limits: dict[str, Any] = {"whole": annotation is int}
         for item in metadata:
@@ -127,7 +127,7 @@ def _number(annotation: Any, metadata: Sequence[Any] = ()) -> dict[str, Any] | N
 
 
 def _template(key: Key) -> Any:
-    """Return what a page puts in for a new entry: the first example that is TOML."""
+    """Return the initial value of a new entry: the first example that is valid TOML."""
     for line in key.snippet:
         try:
             value = parse_toml(line, "example")[key.name]

@@ -1,8 +1,4 @@
-"""The objects of pictures as triangles for the page: fewer of them, packed as bytes, with where they are seen from.
-
-The page draws them with the same look-ups as its sphere. Shapes come from the scenes of pictures, own meshes from the
-reader of pictures, stood on the floor as there.
-"""
+"""Objects of the page: simplified triangle meshes of picture scenes or of the user, packed with their camera."""
 
 from __future__ import annotations
 
@@ -31,19 +27,18 @@ from nacre.picture.shapes.printed import banknote_print
 OBJECTS = (
     "speedshape", "knob", "body", "bottle", "panel", "butterfly", "beetle", "ring", "cuff", "banknote", "card",
 )  # fmt: skip
-MOST_FACES = 160_000  # all parts together: what a page without a graphics card still turns
-MAX_UPLOAD = 64 << 20  # bytes of an own mesh
+MAX_FACES = 160_000  # of all parts; a browser without a graphics card still turns it
 BISECTIONS = 10
 MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93, 0xA0761D6478BD642F,
                 0xE7037ED1A0B428DB], dtype=np.uint64).astype(np.int64)  # fmt: skip
-WELD = 1e-6  # of the extent: corners so near are one
-METAL_F0 = 0.55  # of chrome, about the luminance that Mitsuba's tables of chromium give at normal incidence
+WELD_TOLERANCE = 1e-6  # relative to the extent
+METAL_F0 = 0.55  # luminance of Mitsuba's chromium at normal incidence
 PRINTED, PRINT_ROWS = "banknote", 512
-FOOT_SHARE = 0.72  # of the half extent: how wide the shade below an object is
+SHADE_SHARE = 0.72  # width of the shade on the floor, relative to the object
 
 
 def packed_object(name: str) -> bytes:
-    """Return one of `OBJECTS` as `packed`; made once.
+    """Return one of `OBJECTS`, packed and cached.
 
     Raises:
         NacreError: no such object.
@@ -57,85 +52,84 @@ def packed_object(name: str) -> bytes:
 def _built(name: str) -> bytes:
     scene = SCENES[name]
     width, height = scene.size
-    # the page is as high as it is wide
+    # the page is square
     half = math.tan(math.radians(0.5 * scene.view.fov_deg)) * max(1.0, height / width)
     view = replace(scene.view, fov_deg=2.0 * math.degrees(math.atan(half)))
     return packed(scene.parts(), view, dark=scene.backdrop == "acrylic")
 
 
-def own_mesh(question: Mapping[str, Any]) -> bytes:
-    """Return a user's mesh, read and stood on the floor as pictures do, as `packed`.
+def mesh_job(request: Mapping[str, Any], emit: Any = None) -> bytes:
+    """Return a user's mesh, placed on the floor as in pictures, packed; write it as PLY for pictures.
 
     Args:
-        question: `path` of the file as it came, `name` that the user knows it by, `up` ("" for its format's own),
-            `keep`, where the mesh is written as one that pictures can use, and `id`, which the page asks for it by.
+        request: `path` of the uploaded file, its original `name`, its `up` axis ("": the format's default), the path
+            `stored` of the PLY file, and the `id` by which the page refers to it.
 
     Raises:
-        NacreError: it cannot be read as a mesh; says the user's name of it.
+        NacreError: it cannot be read as a mesh; names the original file.
     """
-    path, name = Path(question["path"]), question["name"]
+    path, name = Path(request["path"]), request["name"]
     try:
-        surface = read_mesh(path, question["up"] or None, is_alone=True)
+        surface = read_mesh(path, request["up"] or None, is_alone=True)
     except NacreError as error:
         raise NacreError(str(error).replace(str(path), name)) from None
     scene = SCENES["sphere"]
     surface = stand_on_floor(surface, scene)
-    _write_ply(Path(question["keep"]), surface)
-    return packed([Part(surface)], scene.view, name=name, id=question["id"])
+    _write_ply(Path(request["stored"]), surface)
+    return packed([Part(surface)], scene.view, name=name, id=request["id"])
 
 
 def read_upload(name: str, up: str) -> str:
-    """Return the suffix that an own mesh is read by.
+    """Return the file suffix of an uploaded mesh.
 
     Raises:
-        NacreError: no format that is read, or no axis.
+        NacreError: an unknown format or axis.
     """
     suffix = Path(name).suffix.lower()
     if suffix not in MESH_SUFFIXES:
-        raise NacreError(f"{name[:80]}: is no mesh that can be read ({', '.join(MESH_SUFFIXES)})")
+        raise NacreError(f"{name[:80]}: is not a mesh of a known format ({', '.join(MESH_SUFFIXES)})")
     if up and up not in TO_Z_UP:
         raise NacreError(f'up = "{up[:10]}" should be one of {", ".join(TO_Z_UP)}')
     return suffix
 
 
 def packed(parts: Sequence[Part], view: View, **about: str | bool) -> bytes:
-    """Return length of the header, header as JSON, then float32 `[vertex, 8]` (place, normal, uv), uint32 indices, and
-    the reflectances of what is printed on one of the parts, a byte each, rows from below.
+    """Return the header's length, the header as JSON, float32 `[vertex, 8]` (position, normal, uv), uint32 indices, and
+    the reflectances of a print as bytes, bottom row first.
 
-    The header has `vertices`, `indices`, `parts` (each `start`, `count` of indices and, where it is not of the
-    material, its `plain` look: matt reflectance, mirror reflectance, roughness; whether it is `printed`), the rows and
-    columns of the `print`, the camera (`target`, `distance`,
-    `fov`, `azimuth`, `elevation` in degrees), the shade on the floor (`foot`: x, y and half its extents), and how many
-    triangles there are in full (`faces`), beside what `about` says (`dark`: pictures have it on a black stage).
+    The header has `vertices`, `indices`, `parts` (each `start` and `count` of indices; of companion objects the `plain`
+    reflectances and roughness; whether it is `printed`), the shape of the `print`, the camera (`target`, `distance`,
+    `fov`, `azimuth`, `elevation` in degrees), the shade on the floor (`foot`: centre and half extents), the number of
+    `faces` before simplification, and `about` (`dark`: the stage is black).
     """
     full = [part for part in parts if isinstance(part.shape, Mesh)]
     total = sum(len(part.shape.faces) for part in full if isinstance(part.shape, Mesh))
-    told, blocks, indices, start, first = [], [], [], 0, 0
+    entries, blocks, indices, start, first = [], [], [], 0, 0
     sheet = np.zeros((0, 0), dtype=np.uint8)
     for part in full:
         assert isinstance(part.shape, Mesh)
         surface = part.shape
-        if total > MOST_FACES:
-            surface = simplified(surface, max(MOST_FACES * len(surface.faces) // total, 200))
+        if total > MAX_FACES:
+            surface = simplified(surface, max(MAX_FACES * len(surface.faces) // total, 200))
         blocks.append(np.concatenate([surface.vertices, surface.normals, surface.uv], axis=1))
         indices.append(surface.faces.ravel() + first)
         entry: dict[str, Any] = {"start": start, "count": int(surface.faces.size)}
         if part.material != SUBJECT:
-            entry["plain"] = plain_look(part.material)
+            entry["plain"] = plain_reflectance(part.material)
         if part.material == PRINTED:
             entry["printed"] = True
             sheet = _print()
-        told.append(entry)
+        entries.append(entry)
         start, first = start + int(surface.faces.size), first + len(surface.vertices)
     corners, order = np.concatenate(blocks), np.concatenate(indices)
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     offset = np.array(view.origin) - np.array(view.target)
     header = json.dumps({
-        **about, "vertices": len(corners), "indices": len(order), "parts": told, "faces": total, "print": sheet.shape,
-        "target": view.target, "distance": float(np.linalg.norm(offset)), "fov": view.fov_deg,
+        **about, "vertices": len(corners), "indices": len(order), "parts": entries, "faces": total,
+        "print": sheet.shape, "target": view.target, "distance": float(np.linalg.norm(offset)), "fov": view.fov_deg,
         "azimuth": math.degrees(math.atan2(offset[0], -offset[1])),
         "elevation": math.degrees(math.asin(offset[2] / np.linalg.norm(offset))),
-        "foot": [*(0.5 * (low + high)).tolist(), *(FOOT_SHARE * 0.5 * (high - low)).tolist()],
+        "foot": [*(0.5 * (low + high)).tolist(), *(SHADE_SHARE * 0.5 * (high - low)).tolist()],
         "height": float(corners[:, 2].max()),
     }).encode()  # fmt: skip
     header += b" " * (-len(header) % 4)
@@ -144,15 +138,15 @@ def packed(parts: Sequence[Part], view: View, **about: str | bool) -> bytes:
 
 
 def _print() -> NDArray[np.uint8]:
-    """Return the reflectance of the printed paper as bytes `[row, column]`, first row below."""
+    """Return the reflectance of the printed paper as bytes `[row, column]`, bottom row first."""
     return np.asarray(np.round(255.0 * banknote_print(PRINT_ROWS)[::-1]), dtype=np.uint8)
 
 
-def plain_look(name: str) -> list[float]:
-    """Return matt reflectance, mirror reflectance at normal incidence and roughness of a companion of the subject.
+def plain_reflectance(name: str) -> list[float]:
+    """Return diffuse reflectance, specular reflectance at normal incidence and roughness of a companion object.
 
     Args:
-        name: of its material, as in the scenes of pictures; of what is printed the print tells the reflectance.
+        name: its material in the scenes of pictures; the reflectance of a print is in its image.
     """
     if name == PRINTED:
         return [1.0, 0.0, 1.0]
@@ -165,22 +159,21 @@ def plain_look(name: str) -> list[float]:
     return [float(material["diffuse_reflectance"]), ((index - 1) / (index + 1)) ** 2, float(material.get("alpha", 0.0))]
 
 
-def simplified(surface: Mesh, most_faces: int) -> Mesh:
-    """Return a surface of at most so many triangles: corners that share a cell of a grid become one.
+def simplified(surface: Mesh, max_faces: int) -> Mesh:
+    """Simplify a surface by vertex clustering (Rossignac and Borrel, 1993).
 
-    Corners whose normals or uv lie apart stay apart, so that thin sheets keep both sides and seams stay; those of open
-    edges stay where they are, so that parts that were cut from one another still fit. Normals are the means of the
-    exact ones, and shade as before. (Vertex clustering: Rossignac and Borrel, 1993.)
+    Vertices with different normals or uv are not merged, which preserves thin sheets and seams; vertices of open edges
+    are not moved, so that adjacent parts still fit. Normals are means of the exact ones.
     """
-    if len(surface.faces) <= most_faces:
+    if len(surface.faces) <= max_faces:
         return surface
     extent = float(np.ptp(surface.vertices, axis=0).max())
-    for kept in (_open_corners(surface, extent * WELD), np.zeros(len(surface.vertices), dtype=bool)):
+    for fixed in (_open_corners(surface, extent * WELD_TOLERANCE), np.zeros(len(surface.vertices), dtype=bool)):
         small, large, best = extent * 1e-4, extent, None
         for _ in range(BISECTIONS):
             cell = math.sqrt(small * large)
-            made = _clustered(surface, cell, kept)
-            if len(made.faces) > most_faces:
+            made = _clustered(surface, cell, fixed)
+            if len(made.faces) > max_faces:
                 small = cell
             else:
                 large, best = cell, made
@@ -190,7 +183,7 @@ def simplified(surface: Mesh, most_faces: int) -> Mesh:
 
 
 def _open_corners(surface: Mesh, tolerance: float) -> NDArray[np.bool_]:
-    """Return which corners lie on an edge of one triangle only, once corners at one place are counted as one."""
+    """Return which vertices lie on an edge of a single triangle, after welding."""
     _, welded = np.unique(np.round(surface.vertices / tolerance).astype(np.int64) @ MIX[:3], return_inverse=True)
     welded = welded.reshape(-1)
     faces = welded[surface.faces]
@@ -204,13 +197,13 @@ def _open_corners(surface: Mesh, tolerance: float) -> NDArray[np.bool_]:
     return np.asarray(is_open[welded])
 
 
-def _clustered(surface: Mesh, cell: float, kept: NDArray[np.bool_]) -> Mesh:
+def _clustered(surface: Mesh, cell: float, fixed: NDArray[np.bool_]) -> Mesh:
     low, _ = surface.bounds
     places = np.floor((surface.vertices - low) / cell).astype(np.int64)
     facing = (surface.normals > 0).astype(np.int64) @ np.array([1, 2, 4])
     seam = np.floor(4.0 * surface.uv[:, 0]).astype(np.int64)
-    single = np.where(kept, np.arange(1, len(kept) + 1), 0)
-    # one number for all that tells corners apart, mixed by large odd factors: two that differ hardly ever share one
+    single = np.where(fixed, np.arange(1, len(fixed) + 1), 0)
+    # a hash of all distinguishing features; large odd factors make collisions improbable
     key = (places @ MIX[:3] + facing * MIX[3] + seam * MIX[4] + single * MIX[5]).astype(np.int64)
     _, where = np.unique(key, return_inverse=True)
     where = where.reshape(-1)
@@ -227,7 +220,7 @@ def _clustered(surface: Mesh, cell: float, kept: NDArray[np.bool_]) -> Mesh:
 
 
 def _write_ply(path: Path, surface: Mesh) -> None:
-    """Write a mesh that names no other file, z up."""
+    """Write a self-contained PLY file, z up."""
     corners = np.concatenate([surface.vertices, surface.normals, surface.uv], axis=1).astype("<f4")
     faces = np.empty(len(surface.faces), dtype=[("count", "u1"), ("corner", "<i4", 3)])
     faces["count"], faces["corner"] = 3, surface.faces
@@ -242,38 +235,38 @@ def _write_ply(path: Path, surface: Mesh) -> None:
         file.write(faces.tobytes())
 
 
-class OwnMeshes:
-    """The last few meshes that the pages of a server were given, as files that pictures can use; gone with it."""
+class MeshStore:
+    """The last few uploaded meshes of a server, as PLY files for pictures; deleted at its end."""
 
-    def __init__(self, most: int = 4) -> None:
+    def __init__(self, capacity: int = 4) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="nacre-studio-meshes-"))
-        weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)  # at the latest when Python ends
-        self._most = most
-        self._kept: list[str] = []
+        weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+        self._capacity = capacity
+        self._names: list[str] = []
         self._count = 0
 
     def place(self, suffix: str) -> tuple[str, Path, Path]:
-        """Return the name of a new mesh, where it is to be written as it came, and where as it is kept."""
+        """Return the key of a new mesh, the path of its upload and that of its PLY file."""
         self._count += 1
         name = f"own-{self._count}"
-        self._kept.append(name)
-        for old in self._kept[: -self._most]:
+        self._names.append(name)
+        for old in self._names[: -self._capacity]:
             self.drop(old)
-        return name, self._folder / f"{name}-came{suffix}", self._folder / f"{name}.ply"
+        return name, self._folder / f"{name}-upload{suffix}", self._folder / f"{name}.ply"
 
     def drop(self, name: str) -> None:
-        """Forget a mesh."""
-        if name in self._kept:
-            self._kept.remove(name)
+        """Delete a mesh."""
+        if name in self._names:
+            self._names.remove(name)
         (self._folder / f"{name}.ply").unlink(missing_ok=True)
 
     def path(self, name: str) -> Path:
-        """Return the file of a mesh that is kept.
+        """Return the PLY file of a mesh.
 
         Raises:
-            NacreError: it is not kept any more.
+            NacreError: it was deleted.
         """
         path = self._folder / f"{name}.ply"
-        if name not in self._kept or not path.is_file():
-            raise NacreError("the studio no longer holds that mesh; drop it on the page again")
+        if name not in self._names or not path.is_file():
+            raise NacreError("the studio no longer has this mesh; drop it on the page again")
         return path

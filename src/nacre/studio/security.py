@@ -1,7 +1,7 @@
-"""Who may talk to the studio: this user's own page, and nobody else.
+"""Access control of the studio: only the user's own page may send requests.
 
-The server listens on loopback, which every page of the user's browser can reach too. So each request must carry the
-token, name this server as its host, and come from no foreign page; and the page itself may load nothing from elsewhere.
+The server listens on loopback, which every page in the user's browser can reach. Each request must therefore carry the
+token, name this server as its host, and come from no foreign page; the page itself may load nothing from elsewhere.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from nacre.material.cache import cache_folder
 HOSTS = ("127.0.0.1", "localhost", "[::1]")
 HEADER = "x-nacre-token"
 TOKEN_LENGTH = 43  # characters of 256 bits
-KEPT_S = 7 * 24 * 3600
-REFUSED = 4403  # close code of a socket that was refused
+TOKEN_LIFETIME_S = 7 * 24 * 3600
+REFUSED = 4403  # close code of a refused socket
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -44,14 +44,14 @@ Asgi = Callable[[dict[str, Any], Receive, Send], Awaitable[None]]
 
 
 def new_token() -> str:
-    """Return a token of 256 bits that cannot be guessed."""
+    """Return a random token of 256 bits."""
     return secrets.token_urlsafe(32)
 
 
-def kept_token(port: int) -> str:
-    """Return the token of the server on a port: the last one's if that was lately, so that its pages find it again.
+def stored_token(port: int) -> str:
+    """Return the token of the server on a port: the previous one if it is recent, so that open pages stay valid.
 
-    It is kept in the user's cache folder, in a file that nobody else can read; without such a folder it is new.
+    It is stored in the user's cache folder, readable by the user only; without such a folder it is new.
     """
     folder = cache_folder()
     if folder is None:
@@ -61,9 +61,9 @@ def kept_token(port: int) -> str:
         status = path.lstat()
         token = path.read_text("ascii").strip()
         is_secret = stat.S_ISREG(status.st_mode)
-        if os.name == "posix":  # elsewhere the user's own folder is all the protection there is
+        if os.name == "posix":  # other systems protect the user's folder
             is_secret = is_secret and not status.st_mode & 0o077 and status.st_uid == os.getuid()
-        if is_secret and len(token) >= TOKEN_LENGTH and time.time() - status.st_mtime < KEPT_S:
+        if is_secret and len(token) >= TOKEN_LENGTH and time.time() - status.st_mtime < TOKEN_LIFETIME_S:
             return token
     except (OSError, UnicodeDecodeError):
         pass
@@ -77,23 +77,25 @@ def kept_token(port: int) -> str:
 
 
 class Gate:
-    """Stands before the whole server, the socket among it: refuses with 403, and sets the headers of every answer."""
+    """ASGI middleware before all routes and the socket: refuses with 403, and sets security headers."""
 
     def __init__(self, app: Asgi, token: str, port: int) -> None:
         self._app = app
         self._token = token
-        self._cookie = f"nacre_studio_{port}"  # servers on other ports share the cookies of a host
+        self._cookie = f"nacre_studio_{port}"  # cookies are shared by all ports of a host
         self._hosts = {f"{name}:{port}" for name in HOSTS} | (set(HOSTS) if port == 80 else set())
 
     async def __call__(self, scope: dict[str, Any], receive: Receive, send: Send) -> None:
-        """Answer one connection."""
+        """Handle one connection."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
         headers = {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
-        why = self._why_foreign(headers, is_socket=scope["type"] == "websocket") or _why_from_elsewhere(headers, scope)
-        if why:
-            await _refuse(scope, send, why)
+        reason = self._foreign_reason(headers, is_socket=scope["type"] == "websocket") or _cross_site_reason(
+            headers, scope
+        )
+        if reason:
+            await _refuse(scope, send, reason)
             return
         given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[-1]
         if scope["type"] == "http" and scope["path"] == "/" and given and self._is_token(given):
@@ -110,12 +112,12 @@ class Gate:
 
         await self._app(scope, receive, with_headers)
 
-    def _why_foreign(self, headers: Mapping[str, str], is_socket: bool) -> str:
+    def _foreign_reason(self, headers: Mapping[str, str], is_socket: bool) -> str:
         if headers.get("host", "").lower() not in self._hosts:
             return "this host name is not the studio's"
         origin = headers.get("origin")
         if origin is None:
-            # a browser names the page that opens a socket; what has no origin must show the token in a header
+            # browsers send the origin of a socket; other clients must send the token in a header
             return "a socket without an origin" if is_socket and not self._is_token(headers.get(HEADER, "")) else ""
         own = origin.lower().removeprefix("http://")
         if not origin.lower().startswith("http://") or own != headers["host"].lower():
@@ -133,7 +135,7 @@ class Gate:
         return cookies[self._cookie].value if self._cookie in cookies else ""
 
     async def _welcome(self, send: Send) -> None:
-        """Keep the token in a cookie that scripts cannot read, and lead on to an address without it."""
+        """Store the token in a cookie that scripts cannot read, and redirect to an address without it."""
         body = b"".join((
             b'<!doctype html><meta charset="utf-8"><title>nacre</title>',
             b'<link rel="icon" href="data:,"><meta http-equiv="refresh" content="0;url=/">',
@@ -144,11 +146,11 @@ class Gate:
         await send({"type": "http.response.body", "body": body})
 
 
-def _why_from_elsewhere(headers: Mapping[str, str], scope: Mapping[str, Any]) -> str:
-    """Refuse what a page of another server asks for without an origin, as images and scripts are.
+def _cross_site_reason(headers: Mapping[str, str], scope: Mapping[str, Any]) -> str:
+    """Refuse requests of other servers' pages without an origin, such as images and scripts.
 
-    A server on another port of this host is of the same site: browsers send it our cookie. It cannot read the answer,
-    but it could set us to work. It may lead to the page itself, as any link may.
+    Another port of this host is the same site, so that browsers attach the cookie. Such a page cannot read the answer,
+    but could start jobs. Links to the page itself are allowed.
     """
     if headers.get("sec-fetch-site", "none") in ("none", "same-origin"):
         return ""
@@ -158,13 +160,13 @@ def _why_from_elsewhere(headers: Mapping[str, str], scope: Mapping[str, Any]) ->
     return "another page may not talk to the studio"
 
 
-async def _refuse(scope: Mapping[str, Any], send: Send, why: str) -> None:
+async def _refuse(scope: Mapping[str, Any], send: Send, reason: str) -> None:
     if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": REFUSED, "reason": why})  # before accepting: 403
+        await send({"type": "websocket.close", "code": REFUSED, "reason": reason})  # before accepting: 403
         return
     headers = {**HEADERS, "content-type": "text/plain; charset=utf-8"}
     await send({"type": "http.response.start", "status": 403, "headers": _encoded(headers)})
-    await send({"type": "http.response.body", "body": f"403: {why}\n".encode()})
+    await send({"type": "http.response.body", "body": f"403: {reason}\n".encode()})
 
 
 def _encoded(headers: Mapping[str, str]) -> list[tuple[bytes, bytes]]:

@@ -1,7 +1,8 @@
-"""Long work in a process of its own that tells how far it is: designs, gamuts, clouds of tolerance, pictures.
+"""Run a long job in a subprocess that reports events as JSON lines.
 
-What it tells are lines of JSON, each a table with its `kind`. It ends when nobody listens any more: its stdin then
-closes. A line "stop" there asks for an end with what there is.
+A job is a function `(request, emit)`, named "module:function". It calls `emit` with JSON objects that have a `kind`,
+and may return bytes. The job is cancelled when the client disconnects (stdin closes); the line "stop" on stdin
+interrupts it, and a job that handles `KeyboardInterrupt` then finishes with its current best result.
 """
 
 from __future__ import annotations
@@ -15,127 +16,161 @@ import signal
 import sys
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from nacre.core.errors import NacreError
 
-# what is told of -> module and function; imported by the process alone, as they take long to import
-WORK = {
-    "design": "nacre.studio.design_job:designed",
-    "reach": "nacre.studio.gamut_job:reachable",
-    "cloud": "nacre.studio.tolerance_job:clouded",
-    "picture": "nacre.studio.picture_job:drawn",
-}
-LOOKED_UP_S = 0.2
-STOPPING_S = 20.0  # from being asked to stop to being ended
-LONGEST_LINE = 32 << 20  # bytes: a picture in base 64
-MOST_MEMORY = 4 << 30  # bytes that a process may hold
+Emit = Callable[[Mapping[str, Any]], None]
+POLL_S = 0.2
+STOP_GRACE_S = 20.0
+MAX_LINE_BYTES = 32 << 20  # one event holds a base64 picture
+MODULE = "nacre.studio.subprocess_jobs"
 
 
-async def stream_apart(
-    kind: str, question: Mapping[str, Any], is_wanted: Callable[[], Awaitable[bool]], stop: asyncio.Event,
-    most_seconds: float,
-) -> AsyncIterator[bytes]:  # fmt: skip
-    """Yield what a kind of work tells, a line of JSON each; the last is of kind "done" or "error".
+@dataclass
+class SubprocessJob:
+    """One run of a job.
 
-    Args:
-        kind: one of `WORK`.
-        question: what that function takes, as JSON can hold it.
-        is_wanted: asked several times a second; when it is not, the process is ended.
-        stop: set to ask for an end with what there is.
-        most_seconds: after which the process is ended all the same.
+    Attributes:
+        name: a noun for messages.
+        function: "module:function"; only the subprocess imports it.
+        request: the function's first argument, serialisable as JSON.
+        is_connected: polled several times a second; the job is killed once it returns False.
+        max_seconds: the job is killed after this time.
+        max_bytes: largest resident memory; None: unlimited.
+        stop: set to finish the job early with its current best result.
+        result: bytes that the function returned, available after the last event.
     """
-    process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "nacre.studio.subprocess_jobs", kind, stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.DEVNULL, start_new_session=True, limit=LONGEST_LINE,
-    )  # fmt: skip
-    assert process.stdin is not None and process.stdout is not None
-    loop = asyncio.get_running_loop()
-    ends = loop.time() + most_seconds
-    is_asked = False
-    reading = asyncio.create_task(process.stdout.readline())
-    try:
-        process.stdin.write(json.dumps(question).encode() + b"\n")
-        while True:
-            await asyncio.wait({reading}, timeout=LOOKED_UP_S)
-            if reading.done():
-                line = reading.result()
-                if not line:
-                    yield _line({"kind": "error", "error": f"the {kind} ended without an answer"})
+
+    name: str
+    function: str
+    request: Mapping[str, Any]
+    is_connected: Callable[[], Awaitable[bool]]
+    max_seconds: float
+    max_bytes: int | None = None
+    stop: asyncio.Event = field(default_factory=asyncio.Event)
+    result: bytes = b""
+
+    async def run(self) -> bytes:
+        """Return the bytes of the job's result.
+
+        Raises:
+            NacreError: the job failed, was cancelled or exceeded a limit.
+        """
+        event: dict[str, Any] = {}
+        async for line in self.events():
+            event = json.loads(line)
+        if event.get("kind") != "done":
+            raise NacreError(event.get("error", f"the {self.name} was cancelled"))
+        return self.result
+
+    async def events(self) -> AsyncIterator[bytes]:
+        """Yield the job's events, one JSON line each; the last is of kind "done" or "error" unless it is cancelled."""
+        process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", MODULE, self.function, stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.DEVNULL, start_new_session=True, limit=MAX_LINE_BYTES,
+        )  # fmt: skip
+        assert process.stdin is not None and process.stdout is not None
+        now = asyncio.get_running_loop().time
+        deadline, is_stopping = now() + self.max_seconds, False
+        reading = asyncio.create_task(self._read(process.stdout))
+        try:
+            process.stdin.write(json.dumps(self.request).encode() + b"\n")
+            while True:
+                await asyncio.wait({reading}, timeout=POLL_S)
+                if reading.done():
+                    line = reading.result() or _line(
+                        {"kind": "error", "error": f"the {self.name} ended without a result"}
+                    )
+                    yield line
+                    if json.loads(line).get("kind") in ("done", "error"):
+                        return
+                    reading = asyncio.create_task(self._read(process.stdout))
+                if not await self.is_connected():
                     return
-                yield line
-                if json.loads(line).get("kind") in ("done", "error"):
+                if self.stop.is_set() and not is_stopping:
+                    is_stopping, deadline = True, min(deadline, now() + STOP_GRACE_S)
+                    process.stdin.write(b"stop\n")
+                if reason := self._exceeded_limit(process.pid, now() > deadline):
+                    yield _line({"kind": "error", "error": reason})
                     return
-                reading = asyncio.create_task(process.stdout.readline())
-            if not await is_wanted():
-                return
-            if stop.is_set() and not is_asked:
-                is_asked, ends = True, min(ends, loop.time() + STOPPING_S)
-                process.stdin.write(b"stop\n")
-            why = _why_too_much(process.pid, loop.time() > ends, kind)
-            if why:
-                yield _line({"kind": "error", "error": why})
-                return
-    finally:
-        reading.cancel()
-        if process.returncode is None:
+        finally:
+            reading.cancel()
             with contextlib.suppress(ProcessLookupError):
                 process.kill()
-        with contextlib.suppress(Exception):
-            await asyncio.shield(process.wait())
+            with contextlib.suppress(Exception):
+                await asyncio.shield(process.wait())
+
+    async def _read(self, stdout: asyncio.StreamReader) -> bytes:
+        """Return the next event; store a result that precedes it."""
+        line = await stdout.readline()
+        if line.startswith(b'{"result_bytes": '):
+            self.result = await stdout.readexactly(json.loads(line)["result_bytes"])
+            line = await stdout.readline()
+        return line
+
+    def _exceeded_limit(self, pid: int, is_late: bool) -> str:
+        if is_late:
+            return f"the {self.name} took too long and was cancelled"
+        if self.max_bytes is None:
+            return ""
+        try:
+            pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+        except (OSError, ValueError, IndexError):  # other systems have no /proc
+            return ""
+        if pages * os.sysconf("SC_PAGE_SIZE") <= self.max_bytes:
+            return ""
+        return f"the {self.name} took more than {self.max_bytes >> 30} GiB of memory and was cancelled; make it smaller"
 
 
 def _line(event: Mapping[str, Any]) -> bytes:
-    return json.dumps(event).encode() + b"\n"
-
-
-def _why_too_much(pid: int, is_late: bool, kind: str) -> str:
-    if is_late:
-        return f"the {kind} took too long and was given up"
-    try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    except (OSError, ValueError, IndexError):
-        return ""  # not everywhere can one ask
-    if pages * os.sysconf("SC_PAGE_SIZE") <= MOST_MEMORY:
-        return ""
-    return f"the {kind} took more than {MOST_MEMORY >> 30} GiB of memory and was given up; make it smaller"
+    return json.dumps(event, default=float).encode() + b"\n"
 
 
 def main() -> int:
-    """Read one question from stdin and tell what comes of it on stdout."""
-    out = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # whatever else is printed is no line of ours
+    """Run the job that the command line names: read its request from stdin and write its events to stdout."""
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # other output of the process must not mix with the events
     lock = threading.Lock()
 
-    def tell(event: Mapping[str, Any]) -> None:
+    def write(*parts: bytes) -> None:
         with lock:
-            out.write(json.dumps(event, default=float) + "\n")
+            for part in parts:
+                out.write(part)
             out.flush()
 
     try:
-        question = json.loads(sys.stdin.readline())
+        request = json.loads(sys.stdin.readline())
         threading.Thread(target=_listen, daemon=True).start()
-        module, _, function = WORK[sys.argv[1]].partition(":")
-        getattr(importlib.import_module(module), function)(question, tell)
-        tell({"kind": "done"})
-    except NacreError as error:
-        tell({"kind": "error", "error": str(error)})
-    except MemoryError:
-        tell({"kind": "error", "error": "not enough memory for this"})
+        module, _, function = sys.argv[1].partition(":")
+        result = getattr(importlib.import_module(module), function)(request, lambda event: write(_line(event)))
+        if result is not None:
+            write(_line({"result_bytes": len(result)}), result)
+        last = {"kind": "done"}
     except KeyboardInterrupt:
-        tell({"kind": "done"})
-    except Exception as error:  # whatever it was: the page must hear of it
-        what = f"{type(error).__name__}: {str(error)[:200]}"
-        tell({"kind": "error", "error": f"this is a bug in nacre, please report it: {what}"})
+        last = {"kind": "done"}
+    except Exception as error:  # the page must show any failure
+        last = {"kind": "error", "error": failure_text(error)}
+    write(_line(last))
     return 0
+
+
+def failure_text(error: Exception, name: str = "") -> str:
+    """Return one line for the user about a failed request for the recipe `name`."""
+    if isinstance(error, NacreError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return f"{name}: not enough memory for this recipe" if name else "not enough memory for this"
+    return f"this is a bug in nacre, please report it: {type(error).__name__}: {str(error)[:200]}"
 
 
 def _listen() -> None:
     for line in sys.stdin:
         if line.strip() == "stop":
             os.kill(os.getpid(), signal.SIGINT)
-    os._exit(3)  # the server has gone, or wants no answer any more
+    os._exit(3)  # stdin closed: the server ended or cancelled the job
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-// The object in a cell of a notebook: messages come from the kernel, there is no server.
+// The object in a notebook cell; messages come from the kernel.
 
 import { drawRibbon, drawSpectrum } from "./page/charts.js";
 import { unpack } from "./page/unpack.js";
 import { View } from "./page/view.js";
 
-const PATIENCE_MS = 40;         // between two messages of a slider that is dragged
-const OWN_KEYS = { "data-lm-suppress-shortcuts": "true" };  // JupyterLab takes the arrow keys from what has the focus, unless it says so
-// VS Code hears of every key that leaves the output, and moves to another cell.
+const MESSAGE_MS = 40;         // between two messages during a drag
+const OWN_KEYS = { "data-lm-suppress-shortcuts": "true" };  // otherwise JupyterLab handles the arrow keys
+// VS Code would move to another cell on these keys.
 const MOVES = new Set(["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"]);
 const LABEL = "Sphere of the material in the studio's light; arrow keys turn the view";
 
@@ -17,7 +17,7 @@ function make(root, tag, props = {}, space = "http://www.w3.org/1999/xhtml") {
   return made;
 }
 
-// Each number's latest value is sent, at most once in a while.
+// Send the latest value of each number at a limited rate.
 function sender(model) {
   const waiting = new Map();
   let timer = null;
@@ -26,7 +26,7 @@ function sender(model) {
     if (!waiting.size) return;
     for (const [path, value] of waiting) model.send({ kind: "vary", path, value });
     waiting.clear();
-    timer = setTimeout(send, PATIENCE_MS);
+    timer = setTimeout(send, MESSAGE_MS);
   };
   return (path, value) => {
     waiting.set(path, value);
@@ -37,48 +37,48 @@ function sender(model) {
 const written = (value) => String(Number(value.toPrecision(4)));
 
 function fillSliders(root, look, vary) {
-  if (root.dataset.given !== String(look.given)) {
+  if (root.dataset.shown !== String(look.shown)) {
     root.replaceChildren();
-    root.dataset.given = look.given;
-    for (const { path, most } of look.numbers) {
-      const label = make(root, "label"), range = { ...OWN_KEYS, type: "range", min: most / 200, max: most, step: most / 200, "data-path": path, "aria-label": path };
+    root.dataset.shown = look.shown;
+    for (const { path, max } of look.numbers) {
+      const label = make(root, "label"), range = { ...OWN_KEYS, type: "range", min: max / 200, max, step: max / 200, "data-path": path, "aria-label": path };
       make(label, "span", { textContent: path });
-      const slider = make(label, "input", range), told = make(label, "output");
+      const slider = make(label, "input", range), output = make(label, "output");
       slider.addEventListener("input", () => {
-        told.textContent = written(Number(slider.value));
+        output.textContent = written(Number(slider.value));
         vary(path, Number(slider.value));
       });
     }
   }
   const held = root.getRootNode().activeElement;
   look.numbers.forEach(({ value }, i) => {
-    const [, slider, told] = root.children[i].children;
-    if (slider === held) return;        // its own value is newer than the answer
+    const [, slider, output] = root.children[i].children;
+    if (slider === held) return;        // its value is newer than the answer
     slider.value = value;
-    told.textContent = written(value);
+    output.textContent = written(value);
   });
 }
 
 export function render({ model, el }) {
   const root = make(el, "div", { class: "nacre-studio" }), stage = make(root, "div", { class: "stage" });
   const canvas = make(stage, "canvas", { ...OWN_KEYS, class: "view", tabindex: "0", role: "img", "aria-label": LABEL });
-  const picture = make(stage, "img", { alt: "", hidden: "" });       // of the sphere while it sleeps
+  const picture = make(stage, "img", { alt: "", hidden: "" });       // replaces the sphere while its context is released
   const side = make(root, "div", { class: "side" });
   const state = make(side, "p", { class: "state", role: "status", textContent: "Solving" });
   const ribbon = make(side, "canvas", { class: "ribbon", width: "182", height: "1", role: "img", "aria-label": "Colour over angle, 0 to 90 degrees" });
   const colours = make(side, "p", { class: "quiet" });
   const chart = make(side, "div", { class: "chart" });
-  make(chart, "canvas", { "aria-hidden": "true" });     // of its curves
+  make(chart, "canvas", { "aria-hidden": "true" });
   const spectrum = make(chart, "svg", { viewBox: "0 0 280 150", role: "img", "aria-label": "Reflectance over wavelength" }, "http://www.w3.org/2000/svg");
   const sliders = make(side, "div", { class: "sliders" }), notes = make(side, "p", { class: "quiet" });
   const vary = sender(model);
   root.addEventListener("keydown", (event) => {
     if (MOVES.has(event.key) && !event.ctrlKey && !event.metaKey && !event.altKey) event.stopPropagation();
   });
-  let view = null, look = null, room = null, card = null, isNear = false;      // card: what takes the context away, and gives it back
+  let view = null, look = null, room = null, card = null, isNear = false;      // card: the WEBGL_lose_context extension
 
-  // A browser has 16 contexts of WebGL and blanks the oldest when one more is made: a notebook of many materials holds those that
-  // are on the screen, or nearly, and pictures of the others.
+  // A browser has 16 WebGL contexts and blanks the oldest when another is created: only views near the screen have one, the others
+  // show a picture.
   function wake() {
     if (!isNear || !room || canvas.hidden) return;
     if (view) { if (view.gl.isContextLost()) card?.restoreContext(); return; }
@@ -90,7 +90,7 @@ export function render({ model, el }) {
       return;
     }
     card = view.gl.getExtension("WEBGL_lose_context");
-    canvas.addEventListener("webglcontextrestored", () => { picture.hidden = true; });        // the view has drawn itself anew
+    canvas.addEventListener("webglcontextrestored", () => { picture.hidden = true; });
     view.setRoom(new Float32Array(room.buffer), room, null);
     if (look) view.setLook(look);
   }
@@ -111,7 +111,7 @@ export function render({ model, el }) {
 
   function show(made) {
     look = made;
-    state.textContent = `${look.name}: ${look.draft ? "draft, settling" : "settled"}`;
+    state.textContent = `${look.name}: ${look.draft ? "draft" : "solved"}`;
     root.dataset.state = look.draft ? "draft" : "settled";
     root.dataset.seq = look.seq;
     drawRibbon(ribbon, colours, look);
@@ -121,25 +121,25 @@ export function render({ model, el }) {
     view?.setLook(look);
   }
 
-  function hear(content, buffers) {
-    // floats must begin at a multiple of four bytes, which a buffer of several messages does not promise; hosts give a view or all of it
+  function receive(content, buffers) {
+    // floats must be aligned to four bytes, which buffers of a host need not be; hosts pass a view or a buffer
     const [buffer] = (buffers ?? []).map((given) => ArrayBuffer.isView(given)
       ? given.buffer.slice(given.byteOffset, given.byteOffset + given.byteLength) : given);
     if (content.kind === "room") {
-      room ??= { ...content, buffer };  // another view of this material may have asked as well
+      room ??= { ...content, buffer };
       wake();
     }
-    else if (content.kind === "look") show(unpack(buffer));
+    else if (content.kind === "appearance") show(unpack(buffer));
     else if (content.kind === "error") {
       state.textContent = content.message;
       root.dataset.state = "error";
     }
   }
 
-  model.on("msg:custom", hear);
+  model.on("msg:custom", receive);
   model.send({ kind: "ready" });
   return () => {
-    model.off("msg:custom", hear);
+    model.off("msg:custom", receive);
     watch.disconnect();
     card?.loseContext();
   };

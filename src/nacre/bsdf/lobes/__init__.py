@@ -1,1 +1,1 @@
-"""The terms of which a Bsdf is the sum, one file each."""
+"""The lobes, one file each."""

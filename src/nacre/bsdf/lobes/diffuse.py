@@ -1,4 +1,4 @@
-"""A diffuse base, bare or seen through a film."""
+"""A diffuse base, bare or below a film."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from nacre.core.errors import UnsupportedError
 
 @dataclass(frozen=True)
 class Diffuse(Lobe):
-    """Lambertian reflection, weighted by the transmittance of the film above, in and out; lit from +z only.
+    """Lambertian reflection, weighted by the film's transmittance on the way in and out; lit from +z only.
 
     f = scale(p, lambda) entry(p, cos_i, lambda) entry(p, cos_o, lambda) / pi, zero unless both directions have
-    z > 0. A bare base has entry = 1 and scale = albedo. Under a film with relative index eta, entry is the
-    transmittance by the cosine in the ambient, and scale = albedo / (eta^2 (1 - albedo R_inside)) sums the
-    round trips between base and film (R_inside: hemispherical reflectance of the film from below).
+    z > 0. A bare base has entry = 1 and scale = albedo. Below a film with relative index eta, entry is the
+    transmittance over the ambient's cosine, and scale = albedo / (eta^2 (1 - albedo R_inside)) sums the
+    round trips between base and film (R_inside: the film's hemispherical reflectance from below).
 
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
         scale: `[*params, wavelength]`.
-        entry: `[*params, cos, wavelength]` over uniform nodes of the ambient's cosine from 0 to 1, linear;
+        entry: `[*params, cos, wavelength]` over uniform nodes in the ambient's cosine from 0 to 1, linear;
             one node (constant 1) for a bare base.
-        parameters: the axes that textures drive.
-        under_smooth: `[*params, cos, wavelength]`, what the base would send back in all through the smooth film, for
-            light at the cosine in the ambient. Spectra add it to the smooth film's mirror values, since `entry` is that
-            of the facets under a rough one; None where the two are the same.
+        parameters: the texture-driven axes.
+        under_smooth: `[*params, cos, wavelength]`, the base's total reflection through the smooth film, over the
+            ambient's cosine. Spectra add it to the smooth film's specular values, since `entry` is averaged over the
+            facets of a rough film; unset if the two agree.
     """
 
     kind: ClassVar[str] = "diffuse"
@@ -50,10 +50,10 @@ class Diffuse(Lobe):
     }
 
     def check(self) -> None:
-        """Check that the tables fit together.
+        """Check that the tables are consistent.
 
         Raises:
-            ValueError: saying which does not.
+            ValueError: names the inconsistent table.
         """
         check_wavelengths(self.wavelengths_nm)
         leading, count = check_parameters(self.parameters), len(self.wavelengths_nm)
@@ -81,7 +81,7 @@ class Diffuse(Lobe):
         """Return `under_smooth` at cosines `[...]` in the ambient, `[..., wavelength]`.
 
         Raises:
-            UnsupportedError: the film above is none, or smooth: then `hemispherical` is the same.
+            UnsupportedError: without a film or with a smooth one, for which `hemispherical` is equal.
         """
         if self.under_smooth is None:
             raise UnsupportedError("a base without a rough film above it has no albedo under the smooth one")
@@ -91,7 +91,7 @@ class Diffuse(Lobe):
 
 
 def bare_base(wavelengths_nm: Array, albedo: Array) -> Diffuse:
-    """Return a Lambertian base of the given albedo spectrum, with nothing above it."""
+    """Return a bare Lambertian base with the given albedo spectrum."""
     wavelengths_nm = np.asarray(wavelengths_nm, dtype=float)
     scale = np.broadcast_to(np.asarray(albedo, dtype=float), wavelengths_nm.shape).copy()
     return Diffuse(wavelengths_nm, scale, np.ones((1, len(wavelengths_nm))))

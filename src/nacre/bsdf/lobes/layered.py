@@ -1,11 +1,10 @@
-"""Strata of scattering flakes between interfaces: the arrays of a position-free random walk.
+"""Strata with scattering flakes between interfaces: the arrays of a position-free random walk.
 
-The optics of the flakes is solved; the transport is not: the lobe's Mitsuba plugin walks through the strata when it
-samples or evaluates the lobe, and `nacre.evaluate` calls the plugin.
+The flake optics is precomputed; the transport is not: the lobe's Mitsuba plugin runs a random walk through the strata
+to sample or evaluate the lobe, and `nacre.evaluate` calls the plugin.
 
-Its delta part is light that meets nothing but smooth interfaces. Powers add, since a
-stratum is too thick to interfere. A rough interface or a base that scatters ends the chain; light that scatters on
-the way is lost to it.
+The delta part is the light that passes only smooth interfaces. Powers add, since a stratum is too thick for
+interference. A rough interface or a scattering base ends the chain, and scattered light does not contribute.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from nacre.bsdf.lobe import Lobe, SpecularResponse
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 
-MATCHED = 1e-4  # resins closer in index than this have no interface between them, for mirrors and for walks
+MATCHED = 1e-4  # smaller index differences between resins do not form an interface
 
 BY_WALK = "a layered lobe is a random walk that Mitsuba runs: ask nacre.evaluate(material, wi, wo) for its values"
 BASES = ("none", "diffuse", "specular", "lobes")
@@ -33,36 +32,36 @@ BASES = ("none", "diffuse", "specular", "lobes")
 class Layered(Lobe):
     """Any number of strata, each a resin with flakes and dye, over a base or open below.
 
-    Depths are counted in units of the stratum, so every extinction is an optical thickness along the normal.
-    Interface i lies above stratum i; interface `strata` is the bottom (towards the ambient again, or the base's
-    own surface). Power is transported; refraction factors of entry and exit cancel between equal ambients.
+    Depths are in units of the stratum, so every extinction is an optical thickness along the normal.
+    Interface i is above stratum i; interface `strata` is the bottom (towards the ambient again, or the base's
+    own surface). Power is transported; refraction factors at entry and exit cancel between equal ambients.
 
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
         index: `[stratum]`, real refractive index over the ambient's, one for all wavelengths.
         alpha: `[interface, 2]`, roughness along x and y; 0 is smooth.
         is_beckmann: `[interface]`, Beckmann normals instead of GGX.
-        loss: `[interface, side, cos]` share of the light lost by single scattering at a rough interface, over
-            uniform nodes of sqrt(cos), side 0 above; zeros where it is not compensated. None: nowhere.
-        flake_stratum: `[kind]`, the stratum each kind of flake lies in, ascending.
-        flake_number: `[kind]`, flakes met along their mean normal while crossing the stratum.
+        loss: `[interface, side, cos]` light fraction lost by single scattering at a rough interface, over uniform
+            nodes in sqrt(cos), side 0 above; zeros without compensation; unset if all interfaces lack compensation.
+        flake_stratum: `[kind]`, the stratum of each flake species, ascending.
+        flake_number: `[kind]`, flakes crossed along their mean normal in the stratum.
         flake_axes: `[kind, 3]`, semi-axes of the SGGX ellipsoid; the third is 1.
         flake_frame: `[kind, 3, 3]`, columns are the ellipsoid's axes in the surface frame.
-        flake_response: `[kind, cos, wavelength, 2]`, R and T of a flake over uniform nodes of sqrt|cos|.
-        flake_extinction: `[kind, azimuth, elevation, wavelength]`, mean of 1 - T over the normals that a
-            direction of the flake frame sees; azimuth uniform over a quarter turn, elevation uniform in
-            sqrt|z|; one azimuth where isotropic.
-        dye: `[stratum, wavelength, 2]`, extinction and scattering of a dye across the stratum; None: no dye.
-        dye_phase: `[stratum, cos, wavelength]`, phase function, 1/sr, uniform nodes of cos in [-1, 1]; None if no
-            dye scatters.
-        dye_quantile: `[stratum, u, wavelength]`, cos by cumulative share u, uniform nodes in [0, 1]; with `dye_phase`.
-        glint_numbers, glint_radii, glint_ratio: of the uppermost stratum's kinds, `[kind, number]`, `[kind, quantile]`,
-            `[kind, node]`, see `nacre.bsdf.glints`; None: flakes too small to be seen.
+        flake_response: `[kind, cos, wavelength, 2]`, a flake's R and T over uniform nodes in sqrt|cos|.
+        flake_extinction: `[kind, azimuth, elevation, wavelength]`, mean of 1 - T over the normals visible from a
+            direction in the flake frame; azimuth uniform over a quarter turn, elevation uniform in
+            sqrt|z|; one azimuth if isotropic.
+        dye: `[stratum, wavelength, 2]`, dye extinction and scattering across the stratum; optional.
+        dye_phase: `[stratum, cos, wavelength]`, phase function, 1/sr, uniform nodes in cos over [-1, 1]; only for
+            scattering dyes.
+        dye_quantile: `[stratum, u, wavelength]`, cos by cumulative probability u, uniform nodes; with `dye_phase`.
+        glint_numbers, glint_radii, glint_ratio: for the uppermost stratum's species, `[kind, number]`,
+            `[kind, quantile]`, `[kind, node]`, see `nacre.bsdf.glints`; unset without glints.
         base: "none" (open), "diffuse", "specular" or "lobes".
-        base_reflectance: `[cos, wavelength]`, albedo (one row) or reflectance by the cosine in the last
+        base_reflectance: `[cos, wavelength]`, albedo (one row) or reflectance over the cosine in the last
             resin, uniform nodes in [0, 1]; ignored without base.
-        base_lobes: of a base of "lobes": another opaque material, on wavelengths of its own, whose directions are
-            those inside the last resin.
+        base_lobes: for the base "lobes": another opaque material, on its own wavelengths, with directions inside the
+            last resin.
     """
 
     kind: ClassVar[str] = "layered"
@@ -114,7 +113,7 @@ class Layered(Lobe):
 
     @property
     def kinds(self) -> int:
-        """Number of flake kinds in all strata."""
+        """Number of flake species in all strata."""
         return len(self.flake_number)
 
     @property
@@ -129,14 +128,14 @@ class Layered(Lobe):
 
     @property
     def varying(self) -> tuple[str, ...]:
-        """What varies over the base."""
+        """Names of the base's varying numbers."""
         return tuple(dict.fromkeys(f"base.{name}" for lobe in self.base_lobes for name in lobe.varying))
 
     def check(self) -> None:
-        """Check that the arrays fit together.
+        """Check that the arrays are consistent.
 
         Raises:
-            ValueError: saying which does not.
+            ValueError: names the inconsistent array.
         """
         super().check()
         s, k, count = self.strata, self.kinds, len(self.wavelengths_nm)
@@ -149,7 +148,7 @@ class Layered(Lobe):
             if inner.transmits or inner.is_stochastic or inner.kind in ("layered", "platelet-layer"):
                 raise ValueError(f'a lobe of kind "{inner.kind}" that transmits or is a pearl cannot be a base')
         if s < 1 or self.index.shape != (s,) or not np.all(self.index >= 1):
-            raise ValueError("index needs one number of at least 1 a stratum")
+            raise ValueError("index needs one number >= 1 for each stratum")
         shapes = {
             "alpha": (self.alpha, (s + 1, 2)),
             "is_beckmann": (self.is_beckmann, (s + 1,)),
@@ -174,26 +173,26 @@ class Layered(Lobe):
             upper = int(np.count_nonzero(self.flake_stratum == 0))
             check_glints(self.glint_numbers, self.glint_radii, self.glint_ratio, upper)
         if k and (np.any(self.flake_stratum < 0) or np.any(self.flake_stratum >= s)):
-            raise ValueError("flake_stratum names a stratum that is not there")
+            raise ValueError("flake_stratum is not a stratum's index")
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Refuse: values come from a random walk that Mitsuba runs.
+        """Refuse: values come from a Mitsuba random walk.
 
         Raises:
-            UnsupportedError: always; `nacre.evaluate` walks.
+            UnsupportedError: always; use `nacre.evaluate`.
         """
         raise UnsupportedError(BY_WALK)
 
     def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
-        """Refuse: sums come from a random walk that Mitsuba runs.
+        """Refuse: integrals come from a Mitsuba random walk.
 
         Raises:
-            UnsupportedError: always; `Material.spectrum` walks.
+            UnsupportedError: always; use `Material.spectrum`.
         """
         raise UnsupportedError(BY_WALK)
 
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
-        """Return the light that meets nothing but smooth interfaces, on its way in and out, in the plane y = 0."""
+        """Return the light that passes only smooth interfaces, in the plane y = 0."""
         cos_i = np.asarray(cos_i, dtype=float)
         places = None if uv is None else np.broadcast_to(uv, (*cos_i.shape, 2)).reshape(-1, 2)
         shape = (*cos_i.shape, len(self.wavelengths_nm))
@@ -202,12 +201,12 @@ class Layered(Lobe):
 
 
 def _mirror_powers(lobe: Layered, cos_i: Array, uv: Array | None) -> tuple[Array, Array]:
-    """Return reflectance and transmittance of mirrors, `[n, wavelength]`, for light in the plane y = 0.
+    """Return specular reflectance and transmittance, `[n, wavelength]`, for light in the plane y = 0.
 
     Args:
         lobe: the strata.
-        cos_i: `[n]`, below 0 for light from behind (none is sent back then, if there is a base).
-        uv: `[n, 2]` or None, of a base that varies.
+        cos_i: `[n]`, below 0 for light from behind (with a base the result is then 0).
+        uv: optional `[n, 2]`, for a varying base.
     """
     count, bands = lobe.strata, len(lobe.wavelengths_nm)
     cos = np.clip(np.abs(cos_i), 1e-9, 1.0)
@@ -220,7 +219,7 @@ def _mirror_powers(lobe: Layered, cos_i: Array, uv: Array | None) -> tuple[Array
         if not lanes.any() or (from_below and not lobe.transmits):
             continue
         order = list(range(count))[:: -1 if from_below else 1]
-        # from the far end: reflectance and transmittance of all that lies beyond
+        # from the far end: reflectance and transmittance of everything beyond
         far = count + 1 if not from_below else 0
         beyond_r, beyond_t = _last(lobe, inside[lanes], n, order[-1], far, None if uv is None else uv[lanes])
         for s in reversed(order):
@@ -230,14 +229,14 @@ def _mirror_powers(lobe: Layered, cos_i: Array, uv: Array | None) -> tuple[Array
             r, t = _interface(lobe, inside[lanes], n, near, medium)
             r, t = r[:, None], t[:, None]
             echo = 1.0 / (1.0 - r * fall * rise * beyond_r)
-            # power transmittance of a bare interface is the same both ways
+            # a bare interface has equal power transmittance in both directions
             beyond_r, beyond_t = r + t * t * fall * rise * beyond_r * echo, t * fall * beyond_t * echo
         total_r[lanes], total_t[lanes] = beyond_r, beyond_t
     return total_r, total_t
 
 
 def _last(lobe: Layered, inside: Array, n: Array, stratum: int, far: int, uv: Array | None) -> tuple[Array, Array]:
-    """Return what the far end of the last stratum reflects and transmits, `[n, wavelength]`."""
+    """Return reflectance and transmittance at the far end of the last stratum, `[n, wavelength]`."""
     lanes, bands = len(inside), len(lobe.wavelengths_nm)
     cos = inside[:, stratum + 1]
     if lobe.transmits:
@@ -255,7 +254,7 @@ def _last(lobe: Layered, inside: Array, n: Array, stratum: int, far: int, uv: Ar
 
 
 def _interface(lobe: Layered, inside: Array, n: Array, first: int, second: int) -> tuple[Array, Array]:
-    """Return the mirror reflectance and transmittance, `[n]`, between two neighbouring media; a rough one has none."""
+    """Return specular reflectance and transmittance, `[n]`, between neighbouring media; 0 for a rough interface."""
     contrast = abs(n[first] - n[second]) > MATCHED
     if contrast and np.any(lobe.alpha[min(first, second)] > 0):
         return np.zeros(len(inside)), np.zeros(len(inside))
@@ -264,7 +263,7 @@ def _interface(lobe: Layered, inside: Array, n: Array, first: int, second: int) 
 
 
 def _depth(lobe: Layered, stratum: int, cos: Array, upward: bool) -> Array:
-    """Return the optical thickness of a stratum along its ray, `[n, wavelength]`."""
+    """Return a stratum's optical thickness along its ray, `[n, wavelength]`."""
     bands = len(lobe.wavelengths_nm)
     depth = np.zeros((len(cos), bands))
     ray = np.stack([np.sqrt(1.0 - cos**2), np.zeros(len(cos)), cos if upward else -cos], axis=-1)

@@ -1,7 +1,7 @@
-"""A lobe multiplied by a weight that a texture gives over the surface.
+"""A lobe multiplied by a texture.
 
-That blends two materials by a mask, and it lets a number vary over the surface for any family: the material is
-solved at some values of the number (nodes), and each node's lobes are weighted by a hat function of the texture.
+This blends two materials by a mask. It also lets a parameter of any family vary over the surface: the material is
+solved at some parameter values (nodes), and each node's lobes are weighted by a hat function of the texture.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from nacre.core.arrays import Array
 
 @dataclass(frozen=True)
 class MaskedLobe(Lobe):
-    """`mask(uv)` times another lobe, or `1 - mask(uv)` times it, or a hat function of `mask(uv)` times it.
+    """`mask(uv)`, `1 - mask(uv)` or a hat function of `mask(uv)` times another lobe.
 
     Attributes:
-        wavelengths_nm: of the inner lobe.
-        inner: the lobe that is masked.
-        mask: the share of the surface that it covers, within [0, 1]; with `nodes`, a number in their range.
-        inverted: take 1 - mask: the other material of a blend.
-        nodes: `[node]`, ascending, or None: values of the number at which materials are known.
-        node: index of the one that this lobe is solved at; its share falls from 1 there to 0 at its neighbours.
-        name: of the number that the texture gives, as users know it.
+        wavelengths_nm: the inner lobe's wavelengths.
+        inner: the masked lobe.
+        mask: covered fraction of the surface, within [0, 1]; with `nodes`, the parameter.
+        inverted: use 1 - mask, for the other material of a blend.
+        nodes: `[node]`, ascending parameter values with solved materials, or unset.
+        node: index of this lobe's parameter value; the weight falls from 1 there to 0 at its neighbours.
+        name: parameter name for users.
     """
 
     wavelengths_nm: Array
@@ -44,7 +44,7 @@ class MaskedLobe(Lobe):
         """Check the inner lobe and the mask's range.
 
         Raises:
-            ValueError: saying what does not fit.
+            ValueError: names the invalid part.
         """
         self.inner.check()
         if not np.array_equal(self.inner.wavelengths_nm, self.wavelengths_nm):
@@ -53,13 +53,13 @@ class MaskedLobe(Lobe):
             if self.nodes.ndim != 1 or len(self.nodes) < 2 or np.any(np.diff(self.nodes) <= 0):
                 raise ValueError("the nodes of a varying number must be two or more and ascend")
             if not 0 <= self.node < len(self.nodes):
-                raise ValueError(f"node {self.node} is none of {len(self.nodes)}")
+                raise ValueError(f"node {self.node} is not one of {len(self.nodes)}")
         elif not 0.0 <= self.mask.low <= self.mask.high <= 1.0:
             raise ValueError(f"a mask reaches from {self.mask.low} to {self.mask.high}, not within [0, 1]")
 
     @property
     def is_delta(self) -> bool:
-        """Whether the inner lobe is a delta distribution only."""
+        """Whether the inner lobe is a pure delta distribution."""
         return self.inner.is_delta
 
     @property
@@ -74,11 +74,11 @@ class MaskedLobe(Lobe):
 
     @property
     def varying(self) -> tuple[str, ...]:
-        """The mask, and what varies inside."""
+        """The mask's name, and the inner lobe's varying numbers."""
         return (self.name, *self.inner.varying)
 
     def share(self, uv: Array | None, shape: tuple[int, ...]) -> Array:
-        """Return the covered share at uv, `shape`; without uv that of the middle of the surface."""
+        """Return the weight at uv, `shape`; the default uv is the middle of the surface."""
         place = np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(uv, (*shape, 2))
         value = self.mask(place)
         if self.nodes is not None:
@@ -86,28 +86,28 @@ class MaskedLobe(Lobe):
         return 1.0 - value if self.inverted else value
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Return the inner lobe's value times the share, `[..., wavelength]`."""
+        """Return the inner lobe's value times the weight, `[..., wavelength]`."""
         shape = np.broadcast_shapes(wi.shape, wo.shape)[:-1]
         return self.inner.evaluate(wi, wo, uv) * self.share(uv, shape)[..., None]
 
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
-        """Return the inner lobe's delta part times the share."""
+        """Return the inner lobe's delta part times the weight."""
         return self.specular_at(cos_i, 0.0, uv)
 
     def specular_at(self, cos_i: Array, phi_rad: Array | float, uv: Array | None = None) -> SpecularResponse:
-        """Return the same for light from an azimuth."""
+        """As `specular`, for light from an azimuth."""
         cos_i, phi = np.broadcast_arrays(np.asarray(cos_i, dtype=float), np.asarray(phi_rad, dtype=float))
         inner = specular_at(self.inner, cos_i, phi, uv)
         share = self.share(uv, cos_i.shape)[..., None]
         return SpecularResponse(inner.reflectance * share, inner.transmittance * share)
 
     def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
-        """Return the inner lobe's reflected and transmitted sums times the share."""
+        """Return the inner lobe's hemispherical integrals times the weight."""
         share = float(self.share(uv, ()))
         reflected, transmitted = self.inner.hemispherical(wi, uv, nodes)
         return reflected * share, transmitted * share
 
 
 def hat(value: Array, nodes: Array, node: int) -> Array:
-    """Return the weight of a node in linear interpolation at `value`, clamped to the ends of `nodes`."""
+    """Return a node's weight in linear interpolation at `value`, clamped to the range of `nodes`."""
     return np.interp(value, nodes, np.arange(len(nodes)) == node)

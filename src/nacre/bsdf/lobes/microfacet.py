@@ -1,4 +1,4 @@
-"""The rough interface: the tables of a smooth one, spread by a distribution of microfacet normals."""
+"""The rough interface: smooth-interface tables with a microfacet normal distribution."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ from nacre.core.errors import UnsupportedError
 
 @dataclass(frozen=True)
 class Microfacet(Lobe):
-    """Facets that each reflect and refract as the smooth interface of `response` does.
+    """Facets with the reflectance and transmittance of the smooth interface `response`.
 
-    With h the facet normal, h_z > 0, and D, G of `nacre.bsdf.facet_distributions`:
+    With h the facet normal, h_z > 0, and D, G from `nacre.bsdf.facet_distributions`:
 
-    - reflection, both directions on one side: h = normalize(wi + wo), turned to h_z > 0;
+    - reflection, both directions on one side: h = normalize(wi + wo), with the sign of h_z > 0;
       f = R(|wi.h|) D(h) G / (4 |cos_i cos_o|);
-    - transmission: h = normalize(n_i wi + n_o wo), turned to h_z > 0, n = 1 outside and eta inside;
+    - transmission: h = normalize(n_i wi + n_o wo), with the sign of h_z > 0, n = 1 outside and eta inside;
       f = T(|wi.h|) D(h) G |wi.h| |wo.h| n_o^2 / (|cos_i cos_o| (n_i wi.h + n_o wo.h)^2),
-      the radiance BTDF: f(wi, wo)/n_o^2 = f(wo, wi)/n_i^2. For eta = 1 nothing is transmitted here: a rough
-      free film bends no ray, so its material adds a `Specular` lobe that transmits light undeviated.
-    - plus, where `loss` is given, the light scattered between facets:
+      the radiance BTDF: f(wi, wo)/n_o^2 = f(wo, wi)/n_i^2. For eta = 1 this transmission is zero: a rough
+      free film does not refract, and its material adds a `Specular` lobe that transmits light undeviated.
+      - plus, if `loss` is given, the light scattered between facets:
       f = exchange[side_i, side_o](lambda) loss[side_i](wi, lambda) loss[side_o](wo, lambda),
       side 0 outside, 1 inside; reciprocal like the rest.
 
-    If `response.flipped`, the z of both directions is negated first. Then directions are turned by -rotation
-    about z, so that x is the axis of alpha_x.
+    If `response.flipped`, the z of both directions is negated first. Then directions are rotated by -rotation
+    about z, which makes x the axis of alpha_x.
 
     Attributes:
-        response: the tables of the smooth interface.
+        response: smooth-interface tables.
         distribution: "ggx", "beckmann", "blinn" or "ashikhmin-shirley".
         alpha_x, alpha_y: widths along the two axes; exponents are e = 2/alpha^2 - 2.
-        alpha_texture: multiplies both widths (it is 0.001 or more); None: constant. Excludes `loss`.
-        rotation: angle in rad of the x axis of the roughness about the normal, from +x to +y; None: 0.
-        loss: `[side, s, t, wavelength or 1]` over uniform nodes of s = sqrt(|cos|) and
-            t = w_x^2/(w_x^2 + w_y^2), each in [0, 1]; one side for an opaque interface, one t if isotropic; None:
-            no compensation.
-        exchange: `[*params, side, side, wavelength]`, 1/sr; None with `loss`.
+        alpha_texture: optional factor on both widths (>= 0.001). Excludes `loss`.
+        rotation: optional angle of the roughness x axis about the normal, rad, from +x to +y.
+        loss: `[side, s, t, wavelength or 1]` over uniform nodes in s = sqrt(|cos|) and
+            t = w_x^2/(w_x^2 + w_y^2), each in [0, 1]; one side for an opaque interface, one t if isotropic; only
+            with compensation.
+        exchange: `[*params, side, side, wavelength]`, 1/sr; only with `loss`.
     """
 
     kind: ClassVar[str] = "microfacet"
@@ -61,10 +61,10 @@ class Microfacet(Lobe):
     AXES: ClassVar[dict[str, str]] = {"loss": "side s t wavelength", "exchange": "*params side side wavelength"}
 
     def check(self) -> None:
-        """Check that the tables fit together.
+        """Check that the tables are consistent.
 
         Raises:
-            ValueError: saying which does not.
+            ValueError: names the inconsistent table.
         """
         self.response.check()
         if self.distribution not in DISTRIBUTIONS:
@@ -83,7 +83,7 @@ class Microfacet(Lobe):
 
     @property
     def wavelengths_nm(self) -> Array:  # type: ignore[override]  # the base declares a plain attribute
-        """The wavelength grid of the tables."""
+        """The tables' wavelength grid."""
         return self.response.wavelengths_nm
 
     @property
@@ -93,11 +93,11 @@ class Microfacet(Lobe):
 
     @property
     def parameters(self) -> tuple[ParameterAxis, ...]:
-        """The axes that textures drive."""
+        """The texture-driven axes."""
         return self.response.parameters
 
     def local_frame(self, w: Array, uv: Array | None) -> Array:
-        """Turn directions `[..., 3]` into the frame of the roughness: side flipped, x along alpha_x."""
+        """Transform directions `[..., 3]` to the roughness frame: side flipped, x along alpha_x."""
         if self.response.flipped:
             w = w * np.array([1.0, 1.0, -1.0])
         if self.rotation is None:
@@ -147,7 +147,7 @@ class Microfacet(Lobe):
     def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
         """Integrate over all exits, for light along one `wi[3]`; see `Lobe.hemispherical`.
 
-        Exits follow the facets' normals, so that narrow lobes need no more nodes than wide ones.
+        Exits follow the facet normals: narrow and wide lobes then need equal node counts.
         """
         w = self.local_frame(np.asarray(wi, dtype=float), uv)
         inside = bool(w[2] < 0)
@@ -204,13 +204,13 @@ class Microfacet(Lobe):
         return total
 
     def lost_towards(self, w: Array, side: int) -> Array:
-        """Return `loss` of one side at directions `[..., 3]` in the frame of the roughness, `[..., wavelength or 1]`.
+        """Return one side's `loss` at directions `[..., 3]` in the roughness frame, `[..., wavelength or 1]`.
 
         Raises:
-            UnsupportedError: nothing makes up for what facets lose.
+            UnsupportedError: the interface is not compensated.
         """
         if self.loss is None:
-            raise UnsupportedError("this rough interface has no table of what its facets lose")
+            raise UnsupportedError("this rough interface is not compensated: it has no loss table")
         s = np.sqrt(np.clip(np.abs(w[..., 2]), 0.0, 1.0))
         x2, y2 = np.square(w[..., 0]), np.square(w[..., 1])
         t = np.where(x2 + y2 > 1e-20, x2 / np.maximum(x2 + y2, 1e-20), 0.5)
@@ -219,5 +219,5 @@ class Microfacet(Lobe):
 
 
 def _where(uv: Array | None, shape: tuple[int, ...]) -> Array:
-    """Broadcast `uv` to `shape`; without it, the middle of the surface."""
+    """Broadcast `uv` to `shape`; the default is the middle of the surface."""
     return np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(np.asarray(uv, dtype=float), (*shape, 2))

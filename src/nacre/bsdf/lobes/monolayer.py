@@ -1,7 +1,17 @@
-"""What the lobes of monolayers have in common: a grid of polar angles on each side, and where light passes."""
+"""Diffuse light of a disordered monolayer, isotropic (`Harmonic`) or with aligned particles (`Aligned`).
+
+`Harmonic`: f / n_o^2 = S(|q|) sum_k H_k(theta_i, theta_o) cos(k dphi), plus the same sum without S.
+`Aligned`: f / n_o^2 = S(|q|) sum_t H_t(theta_1, theta_2) cos(a_t phi_1 + b_t phi_2) (or the sine), with azimuths
+phi. The first direction is the one below, or the one farther from the normal: one triangle then holds
+all pairs, and f is symmetric in the two directions.
+
+H is smooth and tabulated. The structure factor S has sharp rings and is evaluated at each pair's exact
+|q| = |k_par,i - k_par,o|, without interpolation error.
+"""
 
 from __future__ import annotations
 
+import abc
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -12,18 +22,20 @@ from nacre.bsdf.lobe import Lobe
 from nacre.core.arrays import Array, SingleArray
 from nacre.core.jit import compiled
 
+HIGHEST_ORDER = 64
+
 
 @dataclass(frozen=True)
 class PolarGrid:
-    """Polar angles of one side of a surface, uniform in a coordinate x = 0..count-1.
+    """Polar angles on one side of a surface, uniform in a coordinate x = 0..count-1.
 
-    Above, and below down to the critical angle, x is uniform in the angle of the rarer medium; beyond, the root
-    of the distance to the critical angle takes over. Fields have a square-root kink there, which this resolves.
+    Above, and below up to the critical angle, x is uniform in the angle in the rarer medium. Beyond the critical angle
+    it is uniform in the square root of the distance to it, which resolves the fields' square-root kink.
 
     Attributes:
-        count: nodes below the critical angle (all of them above).
+        count: nodes up to the critical angle (all nodes above the surface).
         beyond: nodes beyond the critical angle; 0 above.
-        eta: index of this side over the other's; 1 above.
+        eta: index on this side over the index on the other side; 1 above.
     """
 
     count: int
@@ -37,11 +49,11 @@ class PolarGrid:
 
     @property
     def critical_rad(self) -> float:
-        """The critical angle; pi/2 where there is none."""
+        """The critical angle; pi/2 for eta = 1."""
         return float(np.arcsin(min(1.0, 1.0 / self.eta)))
 
     def theta(self, x: ArrayLike) -> Array:
-        """Return the angle against the normal, in this side's medium, rad, at coordinates x >= 0."""
+        """Return the polar angle in this side's medium, rad, at coordinates x >= 0."""
         x = np.asarray(x, dtype=float)
         edge = self.count - 0.5
         outer = np.sin(np.clip(x / edge, 0.0, 1.0) * np.pi / 2)
@@ -53,12 +65,12 @@ class PolarGrid:
 
     @property
     def nodes(self) -> Array:
-        """Angles of the nodes, rad, `[node]`."""
+        """Node angles, rad, `[node]`."""
         return self.theta(np.arange(self.size))
 
     @property
     def weights(self) -> Array:
-        """Solid-angle weights dmu of the cells round the nodes, `[node]`; they sum to 1."""
+        """Solid-angle weights dmu of the node cells, `[node]`; they sum to 1."""
         edges = np.cos(self.theta(np.concatenate([[0.0], np.arange(self.size - 1) + 0.5, [self.size - 0.5]])))
         edges[0], edges[-1] = 1.0, 0.0
         return edges[:-1] - edges[1:]
@@ -66,6 +78,7 @@ class PolarGrid:
 
 @compiled(nogil=True)
 def coordinate(sine, cosine, count, beyond, eta):  # type: ignore[no-untyped-def]  # numba
+    """Return the coordinate x of `PolarGrid`."""
     edge = count - 0.5
     outer = eta * sine
     if outer < 1.0 or beyond == 0:
@@ -77,14 +90,65 @@ def coordinate(sine, cosine, count, beyond, eta):  # type: ignore[no-untyped-def
     return min(max(x, 0.0), count + beyond - 1.0)
 
 
+@compiled(nogil=True)
+def _locate(w, grids, eta):  # type: ignore[no-untyped-def]  # numba
+    """Return the side (0 above), the sine, the lower node and the fraction above it."""
+    side = 0 if w[2] > 0.0 else 1
+    sine = np.sqrt(w[0] ** 2 + w[1] ** 2)
+    x = coordinate(sine, abs(w[2]), grids[side, 0], grids[side, 1], eta if side else 1.0)
+    node = min(int(x), grids[side, 0] + grids[side, 1] - 2)
+    return side, sine, node, x - node
+
+
+@compiled(nogil=True)
+def _corner(number, a, b, fraction_a, fraction_b):  # type: ignore[no-untyped-def]  # numba
+    """Return nodes and weight of a corner of the cell's triangle: symmetric, with fewer reads than bilinear."""
+    if number == 0:
+        return a, b, 1.0 - max(fraction_a, fraction_b)
+    if number == 1:
+        return a + 1, b + 1, min(fraction_a, fraction_b)
+    if fraction_a > fraction_b:
+        return a + 1, b, abs(fraction_a - fraction_b)
+    return a, b + 1, abs(fraction_a - fraction_b)
+
+
+@compiled(nogil=True, fastmath=True)
+def _accumulate(table, row, weight, harmonics, out):  # type: ignore[no-untyped-def]  # numba
+    for k in range(table.shape[1]):
+        c = weight * harmonics[k]  # double precision: single sums would break reciprocity at 1e-7
+        for l in range(table.shape[2]):
+            out[l] += c * table[row, k, l]
+
+
+@compiled(nogil=True)
+def _combine(wi, wo, smooth, bare, grid, spectrum, out):  # type: ignore[no-untyped-def]  # numba
+    """Multiply `smooth` by the structure factor, add `bare`, and scale to f; negative series values count as 0."""
+    last_cos, eta = grid
+    wavenumbers, index, step, s = spectrum
+    gi, go = (0 if wi[2] > 0.0 else 1), (0 if wo[2] > 0.0 else 1)
+    sin_i, sin_o = np.sqrt(wi[0] ** 2 + wi[1] ** 2), np.sqrt(wo[0] ** 2 + wo[1] ** 2)
+    dot = wi[0] * wo[0] + wi[1] * wo[1]
+    scale = eta * eta if go else 1.0
+    # beyond the last node f decreases to zero like the cosine
+    scale *= min(abs(wi[2]) / last_cos[gi], 1.0) * min(abs(wo[2]) / last_cos[go], 1.0)
+    last = s.size - 1
+    for l in range(out.size):
+        ni, no = (index[l] if gi else 1.0), (index[l] if go else 1.0)
+        q2 = (ni * sin_i) ** 2 + (no * sin_o) ** 2 + 2.0 * ni * no * dot
+        x = wavenumbers[l] * np.sqrt(max(q2, 0.0)) / step
+        j = int(x)
+        factor = 1.0 if j >= last else s[j] + (x - j) * (s[j + 1] - s[j])
+        out[l] = scale * (max(smooth[l], 0.0) * factor + max(bare[l], 0.0))
+
+
 class MonolayerLobe(Lobe):
     """Diffuse light of a monolayer, tabulated over the polar angles of both directions.
 
     Attributes:
-        count_above, count_below, count_beyond: nodes of `PolarGrid` above, and below; 0 below what is opaque.
-        eta: index of the substrate over the ambient's, one number, as for the specular lobe.
-        wavenumbers: `[wavelength]`, k of the ambient, 1/nm.
-        index_below: `[wavelength]`, index of the substrate over the ambient's; ones where nothing is transmitted.
+        count_above, count_below, count_beyond: `PolarGrid` nodes above and below; 0 below an opaque surface.
+        eta: substrate index over the ambient's, one number, as for the specular lobe.
+        wavenumbers: `[wavelength]`, the ambient's k, 1/nm.
+        index_below: `[wavelength]`, substrate index over the ambient's; ones for an opaque surface.
         q_step: step of `structure` in 1/nm, from 0.
         structure: `[q]`, the structure factor; 1 beyond the table.
     """
@@ -110,23 +174,23 @@ class MonolayerLobe(Lobe):
 
     @property
     def grids(self) -> NDArray[np.int64]:
-        """Nodes up to the critical angle and beyond, `[side, 2]`, as the kernels read them."""
+        """Node counts up to the critical angle and beyond, `[side, 2]`, for the kernels."""
         return np.array([[self.count_above, 0], [self.count_below, self.count_beyond]])
 
     @property
     def last_cosines(self) -> Array:
-        """Cosines of the last nodes above and below, from where f falls to zero as the cosine does, `[2]`."""
+        """Cosines of the last nodes above and below, `[2]`; f decreases to zero beyond."""
         sides = (PolarGrid(self.count_above), self.grid_below)
         return np.array([np.cos(side.nodes[-1]) if side.size else 1.0 for side in sides])
 
     def check_grids(self, wavelengths: int) -> None:
-        """Check what both kinds of tables stand on.
+        """Check the data that both lobes share.
 
         Args:
-            wavelengths: of the tables.
+            wavelengths: wavelength count of the tables.
 
         Raises:
-            ValueError: saying what does not fit.
+            ValueError: names the inconsistent part.
         """
         below = self.count_below + self.count_beyond
         if self.count_above < 2 or (below and self.count_below < 2) or self.count_beyond < 0 or not self.eta >= 1.0:
@@ -136,94 +200,72 @@ class MonolayerLobe(Lobe):
         if self.wavenumbers.shape != self.wavelengths_nm.shape or self.index_below.shape != self.wavelengths_nm.shape:
             raise ValueError("wavenumbers or index_below do not fit")
 
+    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
+        """Return f, `[..., wavelength]`, 1/sr, for unit vectors `[..., 3]`; zero below an opaque surface."""
+        wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
+        out = np.zeros((wi.size // 3, len(self.wavelengths_nm)))
+        flat_i, flat_o = np.ascontiguousarray(wi).reshape(-1, 3), np.ascontiguousarray(wo).reshape(-1, 3)
+        self._evaluate(flat_i, flat_o, out)
+        return out.reshape(*wi.shape[:-1], -1)
 
-# Diffuse light of a disordered monolayer: harmonics over the azimuth, times the sharp structure factor.
+    @abc.abstractmethod
+    def _evaluate(self, wi: Array, wo: Array, out: Array) -> None:
+        """Fill `out[n, wavelength]` for directions `[n, 3]`."""
 
+    @property
+    def _grid(self) -> tuple[Array, float]:
+        return self.last_cosines, float(self.eta)
 
-@compiled(nogil=True, fastmath=True)
-def _accumulate(table, row, weight, cosines, out):  # type: ignore[no-untyped-def]  # numba
-    for k in range(table.shape[1]):
-        c = weight * cosines[k]  # double: single sums would break reciprocity at 1e-7
-        for l in range(table.shape[2]):
-            out[l] += c * table[row, k, l]
+    @property
+    def _spectrum(self) -> tuple[Array, Array, float, Array]:
+        return self.wavenumbers, self.index_below, float(self.q_step), self.structure
 
 
 @compiled(nogil=True)
-def _evaluate(wi, wo, above, below, across, free, grids, last_cos, eta, wavenumbers, index, step, s, out):  # type: ignore[no-untyped-def]  # numba
-    kept, count = above.shape[1], above.shape[2]
+def _evaluate_harmonic(wi, wo, tables, free, grids, grid, spectrum, out):  # type: ignore[no-untyped-def]  # numba
+    """Fill `out`; `tables` and `free` are the pairs above, across and below."""
+    kept, count, eta = tables[0].shape[1], tables[0].shape[2], grid[1]
     cosines = np.empty(kept)
     smooth, bare = np.empty(count), np.empty(count)
-    last = s.size - 1
+    above = grids[0, 0] + grids[0, 1]
     for n in range(wi.shape[0]):
-        up_i, up_o = wi[n, 2] > 0.0, wo[n, 2] > 0.0
-        if wi[n, 2] == 0.0 or wo[n, 2] == 0.0 or (across.shape[0] == 0 and not (up_i and up_o)):
+        is_above = wi[n, 2] > 0.0 and wo[n, 2] > 0.0
+        if wi[n, 2] == 0.0 or wo[n, 2] == 0.0 or (tables[1].shape[0] == 0 and not is_above):
             continue
-        sin_i, sin_o = np.sqrt(wi[n, 0] ** 2 + wi[n, 1] ** 2), np.sqrt(wo[n, 0] ** 2 + wo[n, 1] ** 2)
+        gi, sin_i, i0, fi = _locate(wi[n], grids, eta)
+        go, sin_o, o0, fo = _locate(wo[n], grids, eta)
         dot = wi[n, 0] * wo[n, 0] + wi[n, 1] * wo[n, 1]
         size = sin_i * sin_o
-        # dphi lies between the in-plane wavevectors, -wi and wo
+        # dphi is the angle between the in-plane wavevectors, -wi and wo
         c = min(max(-dot / size, -1.0), 1.0) if size > 1e-14 else 1.0
         cosines[0] = 1.0
         if kept > 1:
             cosines[1] = c
         for k in range(2, kept):
             cosines[k] = 2.0 * c * cosines[k - 1] - cosines[k - 2]
-        gi, go = (0 if up_i else 1), (0 if up_o else 1)
-        xi = coordinate(sin_i, abs(wi[n, 2]), grids[gi, 0], grids[gi, 1], eta if gi else 1.0)
-        xo = coordinate(sin_o, abs(wo[n, 2]), grids[go, 0], grids[go, 1], eta if go else 1.0)
-        i0 = min(int(xi), grids[gi, 0] + grids[gi, 1] - 2)
-        o0 = min(int(xo), grids[go, 0] + grids[go, 1] - 2)
-        fi, fo = xi - i0, xo - o0
         smooth[:] = 0.0
         bare[:] = 0.0
-        for corner in range(3):
-            # linear on the triangle of the cell that holds the point: one corner less to read, and as symmetric
-            if corner == 0:
-                a, b, weight = i0, o0, 1.0 - max(fi, fo)
-            elif corner == 1:
-                a, b, weight = i0 + 1, o0 + 1, min(fi, fo)
-            else:
-                a, b, weight = i0 + (1 if fi > fo else 0), o0 + (0 if fi > fo else 1), abs(fi - fo)
+        for number in range(3):
+            a, b, weight = _corner(number, i0, o0, fi, fo)
             if weight == 0.0:
                 continue
-            if gi == go:
-                row = a * (a + 1) // 2 + b if a >= b else b * (b + 1) // 2 + a
-            elif gi:
-                row = a * (grids[0, 0] + grids[0, 1]) + b
-            else:
-                row = b * (grids[0, 0] + grids[0, 1]) + a
             if gi != go:
-                _accumulate(across, row, weight, cosines, smooth)
-                if free[2].shape[0]:
-                    _accumulate(free[2], row, weight, cosines, bare)
-            elif gi:
-                _accumulate(below, row, weight, cosines, smooth)
-                if free[1].shape[0]:
-                    _accumulate(free[1], row, weight, cosines, bare)
+                row = a * above + b if gi else b * above + a
             else:
-                _accumulate(above, row, weight, cosines, smooth)
-                if free[0].shape[0]:
-                    _accumulate(free[0], row, weight, cosines, bare)
-        scale = eta * eta if go else 1.0
-        # beyond the last node f falls to zero as the cosine
-        scale *= min(abs(wi[n, 2]) / last_cos[gi], 1.0) * min(abs(wo[n, 2]) / last_cos[go], 1.0)
-        for l in range(count):
-            ni, no = (index[l] if gi else 1.0), (index[l] if go else 1.0)
-            q2 = (ni * sin_i) ** 2 + (no * sin_o) ** 2 + 2.0 * ni * no * dot
-            x = wavenumbers[l] * np.sqrt(max(q2, 0.0)) / step
-            j = int(x)
-            factor = 1.0 if j >= last else s[j] + (x - j) * (s[j + 1] - s[j])
-            # a cut cosine series may dip below zero where the light is next to nothing
-            out[n, l] = scale * (max(smooth[l], 0.0) * factor + max(bare[l], 0.0))
+                row = max(a, b) * (max(a, b) + 1) // 2 + min(a, b)
+            _accumulate(tables[gi + go], row, weight, cosines, smooth)
+            if free[gi + go].shape[0]:
+                _accumulate(free[gi + go], row, weight, cosines, bare)
+        _combine(wi[n], wo[n], smooth, bare, grid, spectrum, out[n])
 
 
 @dataclass(frozen=True)
 class Harmonic(MonolayerLobe):
-    """Diffuse reflection, and transmission where `across` is not empty, of a monolayer of particles.
+    """Diffuse reflection, and transmission if `across` is not empty, of a monolayer of particles.
 
-    Tables are float32 and hold f / n_o^2, which is symmetric in the two directions: `above` and `below` keep one
+    Tables are float32 and hold f / n_o^2, which is symmetric in the two directions: `above` and `below` store one
     triangle (row i (i+1)/2 + j, j <= i), `across` has rows below * count_above + above. The `_free` tables
-    hold the light that S does not multiply (from the spread of particle sizes); empty for equal particles.
+    hold the light without the factor S (from the particle size distribution); empty for equal particles.
 
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
@@ -260,10 +302,10 @@ class Harmonic(MonolayerLobe):
     }
 
     def check(self) -> None:
-        """Check that the tables fit together.
+        """Check that the tables are consistent.
 
         Raises:
-            ValueError: saying what does not fit.
+            ValueError: names the inconsistent table.
         """
         n = self.count_above
         m = self.count_below + self.count_beyond
@@ -279,59 +321,30 @@ class Harmonic(MonolayerLobe):
                 if table.shape[0] and table.shape[1:] != self.above.shape[1:]:
                     raise ValueError(f"{name + suffix} has the shape {table.shape}")
 
-    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Return f, `[..., wavelength]`, 1/sr, for unit vectors `[..., 3]`; zero where no light can go."""
-        wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
-        flat = (np.ascontiguousarray(wi).reshape(-1, 3), np.ascontiguousarray(wo).reshape(-1, 3))
-        out = np.zeros((flat[0].shape[0], len(self.wavelengths_nm)))
-        _evaluate(
-            *flat,
-            self.above,
-            self.below,
-            self.across,
-            (self.above_free, self.below_free, self.across_free),
-            self.grids,
-            self.last_cosines,
-            float(self.eta),
-            self.wavenumbers,
-            self.index_below,
-            float(self.q_step),
-            self.structure,
-            out,
-        )
-        return out.reshape(*wi.shape[:-1], -1)
+    def _evaluate(self, wi: Array, wo: Array, out: Array) -> None:
+        tables = (self.above, self.across, self.below)
+        free = (self.above_free, self.across_free, self.below_free)
+        _evaluate_harmonic(wi, wo, tables, free, self.grids, self._grid, self._spectrum, out)
 
 
 def pack_triangle(full: NDArray) -> SingleArray:
-    """Return the lower triangle of a symmetric `[s, i, ...]` as `[pair, ...]`, float32."""
+    """Return the lower triangle of a symmetric `[s, i, ...]` array as `[pair, ...]`, float32."""
     rows, columns = np.tril_indices(full.shape[0])
     return np.ascontiguousarray(full[rows, columns], dtype=np.float32)
 
 
-# Diffuse light of a disordered monolayer whose particles all point one way: a double Fourier series, times S.
-
-HIGHEST_ORDER = 64
-
-
 @compiled(nogil=True)
-def _evaluate_aligned(wi, wo, table, orders, grids, last_cos, eta, rotation, wavenumbers, index, step, s, out):  # type: ignore[no-untyped-def]  # numba
-    terms, count = table.shape[1], table.shape[2]
+def _evaluate_aligned(wi, wo, table, orders, rotation, grids, grid, spectrum, out):  # type: ignore[no-untyped-def]  # numba
+    terms, count, eta = table.shape[1], table.shape[2], grid[1]
     waves = np.empty(terms)
-    smooth = np.empty(count)
-    last = s.size - 1
+    smooth, bare = np.empty(count), np.zeros(count)
     above = grids[0, 0] + grids[0, 1]
-    transmits = grids[1, 0] > 0
     for n in range(wi.shape[0]):
-        up_i, up_o = wi[n, 2] > 0.0, wo[n, 2] > 0.0
-        if wi[n, 2] == 0.0 or wo[n, 2] == 0.0 or (not transmits and not (up_i and up_o)):
+        is_above = wi[n, 2] > 0.0 and wo[n, 2] > 0.0
+        if wi[n, 2] == 0.0 or wo[n, 2] == 0.0 or (grids[1, 0] == 0 and not is_above):
             continue
-        sin_i, sin_o = np.sqrt(wi[n, 0] ** 2 + wi[n, 1] ** 2), np.sqrt(wo[n, 0] ** 2 + wo[n, 1] ** 2)
-        gi, go = (0 if up_i else 1), (0 if up_o else 1)
-        xi = coordinate(sin_i, abs(wi[n, 2]), grids[gi, 0], grids[gi, 1], eta if gi else 1.0)
-        xo = coordinate(sin_o, abs(wo[n, 2]), grids[go, 0], grids[go, 1], eta if go else 1.0)
-        i0 = min(int(xi), grids[gi, 0] + grids[gi, 1] - 2)
-        o0 = min(int(xo), grids[go, 0] + grids[go, 1] - 2)
-        fi, fo = xi - i0, xo - o0
+        gi, _, i0, fi = _locate(wi[n], grids, eta)
+        go, _, o0, fo = _locate(wo[n], grids, eta)
         ti, to = i0 + gi * above, o0 + go * above
         phi_i = np.arctan2(wi[n, 1], wi[n, 0]) - rotation
         phi_o = np.arctan2(wo[n, 1], wo[n, 0]) - rotation
@@ -343,45 +356,23 @@ def _evaluate_aligned(wi, wo, table, orders, grids, last_cos, eta, rotation, wav
             angle = orders[t, 0] * one + orders[t, 1] * two
             waves[t] = np.sin(angle) if orders[t, 2] > 0 else np.cos(angle)
         smooth[:] = 0.0
-        for corner in range(3):
-            # linear on the triangle of the cell that holds the point, as in `harmonic`
-            if corner == 0:
-                a, b, weight = high, low, 1.0 - max(fh, fl)
-            elif corner == 1:
-                a, b, weight = high + 1, low + 1, min(fh, fl)
-            else:
-                a, b, weight = high + (1 if fh > fl else 0), low + (0 if fh > fl else 1), abs(fh - fl)
-            if weight == 0.0:
-                continue
-            row = a * (a + 1) // 2 + b
-            for t in range(terms):
-                c = weight * waves[t]
-                for l in range(count):
-                    smooth[l] += c * table[row, t, l]
-        scale = eta * eta if go else 1.0
-        # beyond the last node f falls to zero as the cosine
-        scale *= min(abs(wi[n, 2]) / last_cos[gi], 1.0) * min(abs(wo[n, 2]) / last_cos[go], 1.0)
-        dot = wi[n, 0] * wo[n, 0] + wi[n, 1] * wo[n, 1]
-        for l in range(count):
-            ni, no = (index[l] if gi else 1.0), (index[l] if go else 1.0)
-            q2 = (ni * sin_i) ** 2 + (no * sin_o) ** 2 + 2.0 * ni * no * dot
-            x = wavenumbers[l] * np.sqrt(max(q2, 0.0)) / step
-            j = int(x)
-            factor = 1.0 if j >= last else s[j] + (x - j) * (s[j + 1] - s[j])
-            # a cut series may dip below zero where the light is next to nothing
-            out[n, l] = scale * max(smooth[l], 0.0) * factor
+        for number in range(3):
+            a, b, weight = _corner(number, high, low, fh, fl)
+            if weight != 0.0:
+                _accumulate(table, a * (a + 1) // 2 + b, weight, waves, smooth)
+        _combine(wi[n], wo[n], smooth, bare, grid, spectrum, out[n])
 
 
 @dataclass(frozen=True)
 class Aligned(MonolayerLobe):
-    """Diffuse reflection, and transmission where there are nodes below, of a monolayer of aligned particles.
+    """Diffuse reflection, and transmission with nodes below, of a monolayer of aligned particles.
 
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
-        table: `[pair, term, wavelength]`, f / n_o^2 in 1/sr; row a (a + 1)/2 + b of the nodes a >= b, those below
+        table: `[pair, term, wavelength]`, f / n_o^2 in 1/sr; row a (a + 1)/2 + b for nodes a >= b, nodes below
             after those above.
-        orders: `[term, 3]`: whole numbers a_t, b_t of the azimuths at the nodes a and b, and 0 (cosine) or 1 (sine).
-        rotation: angle in rad about the normal, from +x to +y, by which the particles are turned.
+        orders: `[term, 3]`: integers a_t, b_t for the azimuths at the nodes a and b, and 0 (cosine) or 1 (sine).
+        rotation: the particles' rotation about the normal, rad, from +x to +y.
         the others: see `MonolayerLobe`.
     """
 
@@ -409,10 +400,10 @@ class Aligned(MonolayerLobe):
     }
 
     def check(self) -> None:
-        """Check that the tables fit together.
+        """Check that the tables are consistent.
 
         Raises:
-            ValueError: saying what does not fit.
+            ValueError: names the inconsistent table.
         """
         self.check_grids(self.table.shape[-1])
         nodes = self.count_above + self.count_below + self.count_beyond
@@ -422,15 +413,8 @@ class Aligned(MonolayerLobe):
             raise ValueError(f"orders has the shape {self.orders.shape}, for {self.table.shape[1]} terms")
         whole = np.array_equal(self.orders, np.round(self.orders)) and np.abs(self.orders).max() <= HIGHEST_ORDER
         if not whole or not np.isin(self.orders[:, 2], (0, 1)).all() or not np.isfinite(self.rotation):
-            raise ValueError(f"orders are not whole, or above {HIGHEST_ORDER}")
+            raise ValueError(f"orders are not integers, or above {HIGHEST_ORDER}")
 
-    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Return f, `[..., wavelength]`, 1/sr, for unit vectors `[..., 3]`; zero where no light can go."""
-        wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
-        flat = (np.ascontiguousarray(wi).reshape(-1, 3), np.ascontiguousarray(wo).reshape(-1, 3))
-        out = np.zeros((flat[0].shape[0], len(self.wavelengths_nm)))
-        _evaluate_aligned(
-            *flat, self.table, np.asarray(self.orders, dtype=float), self.grids, self.last_cosines, float(self.eta),
-            float(self.rotation), self.wavenumbers, self.index_below, float(self.q_step), self.structure, out,
-        )  # fmt: skip
-        return out.reshape(*wi.shape[:-1], -1)
+    def _evaluate(self, wi: Array, wo: Array, out: Array) -> None:
+        orders, rotation = np.asarray(self.orders, dtype=float), float(self.rotation)
+        _evaluate_aligned(wi, wo, self.table, orders, rotation, self.grids, self._grid, self._spectrum, out)

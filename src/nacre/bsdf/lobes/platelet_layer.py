@@ -1,20 +1,20 @@
-"""Flakes in a resin over a diffuse base, noise-free: an analytic interface and flake lobe, and smooth tables.
+"""Noise-free platelet layer: flakes in a resin over a diffuse base, as an analytic lobe times smooth tables.
 
-With t the share of light that enters at an angle, the value is
+With t the fraction of light that enters at an angle, the value is
 
     F D G / (4 cos_i cos_o)  +  t_i t_o [ K(wi, wo) M(q, c, phi)  +  b(cos_i) b(cos_o) ].
 
-The first term is the interface's own reflection. K is the sharp lobe of a single flake: its normals' density at
-the half vector inside the resin, widened by the facets that refract the light on its way in and out. M, a smooth
-table, is all light that the flakes reflect (once and many times) over K. A diffuse base scatters independently of the
-direction of incidence, so light that has met it is a product of two functions of one angle each: exact, not fitted.
+The first term is the interface's own reflection. K is a single flake's sharp lobe: the density of flake normals at
+the half vector inside the resin, widened by the facets that refract the light on entry and exit. M, a smooth
+table, is all light reflected by flakes (once and many times) over K. A diffuse base scatters independently of the
+direction of incidence, so light scattered by it is exactly a product of two functions of one angle each.
 
 M is read at q = wi + wo and c = (wi - wo)/2, both in the surface's plane: q vanishes for mirror reflection, c for
-light sent straight back. |q| is taken on an asinh scale of the lobe's width, |c| as a share of the largest that
-both directions allow, and phi is the angle between the two, folded: f(wi, wo) = f(wo, wi) holds by construction.
+retroreflection. |q| has an asinh scale with the lobe's width, |c| is relative to its largest value for this q, and
+phi is the folded angle between q and c: f(wi, wo) = f(wo, wi) holds by construction.
 
-Where flakes are resolved (`nacre.bsdf.glints`), the part of M that one flake reflects is multiplied by the factor
-g of the point of the surface, whose mean over the surface is 1.
+With glints (`nacre.bsdf.glints`), the part of M reflected by one flake is multiplied by the local factor g, whose
+mean over the surface is 1.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ MIN_COS = 1e-6
 
 @compiled(nogil=True)
 def place(ax, ay, bx, by, spread, out):  # type: ignore[no-untyped-def]  # numba
-    """Put the coordinates of M, each in [0, 1], into `out[3]` for two directions' parts in the surface's plane."""
+    """Write M's coordinates, each in [0, 1], to `out[3]` for two directions' components in the surface's plane."""
     qx, qy = ax + bx, ay + by
     cx, cy = 0.5 * (ax - bx), 0.5 * (ay - by)
     q, c = math.sqrt(qx * qx + qy * qy), math.sqrt(cx * cx + cy * cy)
@@ -51,7 +51,7 @@ def place(ax, ay, bx, by, spread, out):  # type: ignore[no-untyped-def]  # numba
 
 @compiled(nogil=True)
 def inner_half(ax, ay, cos_a, bx, by, cos_b, index):  # type: ignore[no-untyped-def]  # numba
-    """Return both cosines inside the resin, the half vector's length along the normal there, and its slope (x, y)."""
+    """Return both cosines inside the resin, the half vector's normal component there, and its slope (x, y)."""
     inner_a = math.sqrt(1.0 - (1.0 - cos_a * cos_a) / (index * index))
     inner_b = math.sqrt(1.0 - (1.0 - cos_b * cos_b) / (index * index))
     tall = index * (inner_a + inner_b)
@@ -60,7 +60,7 @@ def inner_half(ax, ay, cos_a, bx, by, cos_b, index):  # type: ignore[no-untyped-
 
 @compiled(nogil=True)
 def flake_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha, number, deviation):  # type: ignore[no-untyped-def]  # numba
-    """Return K of two directions above the surface, given by their parts in the plane and their cosines."""
+    """Return K for two directions above the surface, given by in-plane components and cosines."""
     inner_a, inner_b, tall, sx, sy = inner_half(ax, ay, cos_a, bx, by, cos_b, index)
     bend = ((index * inner_a - cos_a) ** 2 + (index * inner_b - cos_b) ** 2) * (alpha / tall) ** 2
     slope2 = sx * sx + sy * sy
@@ -76,22 +76,23 @@ def flake_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha, number, deviation):  
 
 
 @compiled(nogil=True)
-def sparkle(ax, ay, cos_a, bx, by, cos_b, index, number, deviation, glints, radii, ratio, u, v):  # type: ignore[no-untyped-def]  # numba
-    """Return g of two directions at a point, the kinds weighted by their densities at the half vector."""
+def sparkle(ax, ay, cos_a, bx, by, cos_b, index, number, deviation, glints, uv):  # type: ignore[no-untyped-def]  # numba
+    """Return g for two directions at a point; species are weighted by their densities at the half vector."""
+    numbers, radii, ratio = glints
     _, _, _, sx, sy = inner_half(ax, ay, cos_a, bx, by, cos_b, index)
     total, weights = 0.0, 0.0
     for k in range(number.size):
         ratio2 = 1.0 / (1.0 + (sx * sx + sy * sy) / (deviation[k] * deviation[k]))
         weight = number[k] * ratio2 * ratio2 / (deviation[k] * deviation[k])
         tx, ty = sx / deviation[k], sy / deviation[k]
-        total += weight * factor(glints[k], radii[k], ratio[k], u, v, tx, ty)
+        total += weight * factor(numbers[k], radii[k], ratio[k], uv[0], uv[1], tx, ty)
         weights += weight
     return total / weights
 
 
 @compiled(nogil=True)
 def reflected(cos, eta):  # type: ignore[no-untyped-def]  # numba
-    """Return the reflectance of a bare interface and the cosine beyond it; (1, 0) where nothing passes."""
+    """Return a bare interface's reflectance and the refracted cosine; (1, 0) for total reflection."""
     sin2 = (1.0 - cos * cos) / (eta * eta)
     if sin2 >= 1.0:
         return 1.0, 0.0
@@ -103,14 +104,14 @@ def reflected(cos, eta):  # type: ignore[no-untyped-def]  # numba
 
 @compiled(nogil=True)
 def masking(cos, alpha):  # type: ignore[no-untyped-def]  # numba
-    """Return Smith's G1 of isotropic GGX at a cosine."""
+    """Return Smith's G1 for isotropic GGX at a cosine."""
     tan2 = alpha * alpha * (1.0 - cos * cos) / max(cos * cos, 1e-18)
     return 2.0 / (1.0 + math.sqrt(1.0 + tan2))
 
 
 @compiled(nogil=True)
 def surface_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha):  # type: ignore[no-untyped-def]  # numba
-    """Return the reflection of the rough interface itself; 0 where it is smooth."""
+    """Return the rough interface's own reflection; 0 for a smooth one."""
     if alpha <= 0.0:
         return 0.0
     hx, hy, hz = ax + bx, ay + by, cos_a + cos_b
@@ -124,7 +125,7 @@ def surface_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha):  # type: ignore[no
 
 @compiled(nogil=True)
 def _row(values, position, out, weight):  # type: ignore[no-untyped-def]  # numba
-    """Write `weight` times the interpolated row of `values[node, l]` to `out`."""
+    """Write `weight` times the interpolated row from `values[node, l]` to `out`."""
     i = min(int(position), values.shape[0] - 2)
     f = position - i
     for l in range(values.shape[1]):
@@ -132,9 +133,9 @@ def _row(values, position, out, weight):  # type: ignore[no-untyped-def]  # numb
 
 
 @compiled(nogil=True)
-def _evaluate(  # type: ignore[no-untyped-def]  # numba
-    wi, wo, uv, index, alpha, number, deviation, spread, entry, flakes, base, single, glints, radii, ratio, out
-):
+def _evaluate(wi, wo, uv, index, alpha, species, spread, entry, tables, base, glints, out):  # type: ignore[no-untyped-def]  # numba
+    number, deviation = species
+    flakes, single = tables
     count = flakes.shape[3]
     x = np.empty(3)
     low, part = np.empty(3, np.int64), np.empty(3)
@@ -162,8 +163,7 @@ def _evaluate(  # type: ignore[no-untyped-def]  # numba
         more = 0.0
         if len(uv):
             more = -1.0 + sparkle(
-                wi[n, 0], wi[n, 1], cos_i, wo[n, 0], wo[n, 1], cos_o, index, number, deviation,
-                glints, radii, ratio, uv[n, 0], uv[n, 1],
+                wi[n, 0], wi[n, 1], cos_i, wo[n, 0], wo[n, 1], cos_o, index, number, deviation, glints, uv[n],
             )  # fmt: skip
         place(wi[n, 0], wi[n, 1], wo[n, 0], wo[n, 1], spread, x)
         for axis in range(3):
@@ -182,7 +182,7 @@ def _evaluate(  # type: ignore[no-untyped-def]  # numba
 
 @compiled(nogil=True)
 def surface_values(wi, wo, index, alpha):  # type: ignore[no-untyped-def]  # numba
-    """Return the interface's own reflection for pairs of directions above, `[n]`."""
+    """Return the interface's own reflection for direction pairs above the surface, `[n]`."""
     out = np.zeros(wi.shape[0])
     for n in range(wi.shape[0]):
         a, b = wi[n], wo[n]
@@ -192,23 +192,23 @@ def surface_values(wi, wo, index, alpha):  # type: ignore[no-untyped-def]  # num
 
 @dataclass(frozen=True)
 class PlateletLayer(Lobe):
-    """One stratum of isotropic flakes under a smooth or GGX interface, over a diffuse base.
+    """One stratum with isotropic flakes below a smooth or GGX interface, over a diffuse base.
 
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
-        index: refractive index of the resin over the ambient's.
-        alpha: roughness of the interface; 0 is smooth.
-        number, deviation: `[kind]`, flakes met along the normal, and the semi-axis of their SGGX normals.
-        spread: |q| where its scale goes from linear to logarithmic.
-        entry: `[cos]`, t over uniform nodes of sqrt(cos).
+        index: resin index over the ambient's.
+        alpha: interface roughness; 0 is smooth.
+        number, deviation: `[kind]`, flakes crossed along the normal, and the semi-axis of their SGGX normals.
+        spread: |q| at the transition from linear to logarithmic scale.
+        entry: `[cos]`, t over uniform nodes in sqrt(cos).
         flakes: `[q, c, phi, wavelength]`, M, float32, uniform nodes.
-        base: `[cos, wavelength]`, b over uniform nodes of cos.
-        albedo: `[cos, 3]`, power of the interface, the flakes and the base, averaged over wavelengths, over uniform
-            nodes of sqrt(cos): shares of the samples.
-        error: `[wavelength]`, stated error: L2 of f cos over three incidences against the random walk, relative.
-        single: `[q, c, phi, wavelength]`, the part of M that has met one flake; only with glints.
+        base: `[cos, wavelength]`, b over uniform nodes in cos.
+        albedo: `[cos, 3]`, wavelength-averaged power of the interface, the flakes and the base, over uniform
+            nodes in sqrt(cos), for sampling.
+        error: `[wavelength]`, relative L2 error of f cos at three incidences against the random walk.
+        single: `[q, c, phi, wavelength]`, the part of M reflected by one flake; only with glints.
         glint_numbers, glint_radii, glint_ratio: `[kind, number]`, `[kind, quantile]`, `[kind, node]`, see
-            `nacre.bsdf.glints`; None: flakes too small to be seen.
+            `nacre.bsdf.glints`; unset without glints.
     """
 
     kind: ClassVar[str] = "platelet-layer"
@@ -244,17 +244,17 @@ class PlateletLayer(Lobe):
     }
 
     def check(self) -> None:
-        """Check that the tables fit together.
+        """Check that the tables are consistent.
 
         Raises:
-            ValueError: saying what does not fit.
+            ValueError: names the inconsistent table.
         """
         super().check()
         count = len(self.wavelengths_nm)
         if not (self.index >= 1 and 0 <= self.alpha <= 1 and self.spread > 0):
             raise ValueError("index, alpha or spread is out of range")
         if self.number.ndim != 1 or self.number.shape != self.deviation.shape or np.any(self.deviation <= 0):
-            raise ValueError("number and deviation need one positive number a kind of flake")
+            raise ValueError("number and deviation need one positive number for each flake species")
         if self.flakes.ndim != 4 or min(self.flakes.shape[:3]) < 2 or self.flakes.shape[3] != count:
             raise ValueError(f"flakes has the shape {self.flakes.shape}")
         if self.base.ndim != 2 or len(self.base) < 2 or self.base.shape[1] != count:
@@ -269,9 +269,9 @@ class PlateletLayer(Lobe):
                 raise ValueError("single does not fit flakes")
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Return f, `[..., wavelength]`, 1/sr, for unit vectors `[..., 3]`; zero from and to below.
+        """Return f, `[..., wavelength]`, 1/sr, for unit vectors `[..., 3]`; zero below the surface.
 
-        Without `uv`, `[..., 2]`, glints are left out: the answer is the mean over the surface.
+        Without `uv`, `[..., 2]`, the result is the mean over the surface, without glints.
         """
         wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
         flat = (np.ascontiguousarray(wi).reshape(-1, 3), np.ascontiguousarray(wo).reshape(-1, 3))
@@ -281,14 +281,13 @@ class PlateletLayer(Lobe):
             assert self.single is not None and self.glint_radii is not None and self.glint_ratio is not None
             points = np.ascontiguousarray(np.broadcast_to(uv, (*wi.shape[:-1], 2)), dtype=float).reshape(-1, 2)
             single, glints = self.single, (self.glint_numbers, self.glint_radii, self.glint_ratio)
-        _evaluate(
-            *flat, points, float(self.index), float(self.alpha), self.number, self.deviation, float(self.spread),
-            self.entry, self.flakes, self.base, single, *glints, out,
-        )  # fmt: skip
+        species, tables = (self.number, self.deviation), (self.flakes, single)
+        numbers = (float(self.index), float(self.alpha), species, float(self.spread))
+        _evaluate(*flat, points, *numbers, self.entry, tables, self.base, glints, out)
         return out.reshape(*wi.shape[:-1], -1)
 
     def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
-        """Integrate over all exits in the plane of q, where area is solid angle times cosine, dense about the mirror.
+        """Integrate over all exits in the plane of q (area = solid angle x cosine), dense around the mirror direction.
 
         Returns:
             power `(to the side of wi, to the other side)`, each `[wavelength]`.
@@ -309,7 +308,7 @@ class PlateletLayer(Lobe):
         return np.asarray(area[keep] @ self.evaluate(np.broadcast_to(wi, wo.shape), wo)), zero
 
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
-        """Return the mirror reflection of a smooth interface; nothing from below."""
+        """Return a smooth interface's mirror reflection; zero from below."""
         cos_i = np.asarray(cos_i, dtype=float)
         shape = (*cos_i.shape, len(self.wavelengths_nm))
         mirror: Any = np.zeros(cos_i.shape)

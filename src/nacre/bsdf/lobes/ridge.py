@@ -1,4 +1,4 @@
-"""Parallel ridges of one lamellar stack: the Morpho scale, coherent within a ridge, irregular in height."""
+"""Parallel lamellar ridges (the Morpho scale): coherent within a ridge, with irregular heights."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from nacre.core.arrays import Array
 
 @dataclass(frozen=True)
 class Ridge(Lobe):
-    """Light reflected by ridges along y, spread across them by diffraction (Kinoshita et al. 2002, made precise).
+    """Light reflected by ridges along y and diffracted across them (after Kinoshita et al. 2002).
 
-    f = fill R(|wi.h|) K(u, v) D_y(wi_y + wo_y) / norm, for both directions at z > 0 (of both, or of neither if
-    `response.flipped` were set, which a ridge never is), with h = normalize(wi + wo), k = 2 pi/lambda,
+    f = fill R(|wi.h|) K(u, v) D_y(wi_y + wo_y) / norm, for both directions at z > 0, with h = normalize(wi + wo),
+    k = 2 pi/lambda,
     u = k (wi_x + wo_x), v = k (cos_i + cos_o), a = pitch, b = width, N = count, s = height deviation,
 
     K = sinc^2(u b/2) [1 - chi^2 + chi^2 (sin(N u a/2)/sin(u a/2))^2 / N],  chi = exp(-v^2 s^2/2), sinc x = sin x/x,
     D_y(q) = exp(-q^2/(2 w^2)) / (w sqrt(2 pi)),  w = spread_along.
 
-    (sin/sin)^2 is N^2 where sin(u a/2) = 0. Energy <= 1 and reciprocal: norm is the largest integral of K D_y
-    over the disc of exits. Directions are turned by -rotation about z first, so that y runs along the ridges.
+    (sin/sin)^2 is N^2 for sin(u a/2) = 0. Energy <= 1 and reciprocal: norm is the largest integral of K D_y
+    over the disc of exits. Directions are first rotated by -rotation about z, so y runs along the ridges.
 
     Attributes:
-        response: tables of the lamellar stack; only `reflectance` is used.
+        response: lamellar stack tables; only `reflectance` is used.
         pitch_nm, width_nm, height_deviation_nm: a, b, s.
         count: N, ridges lit coherently together.
         spread_along: w, dimensionless (sine units).
-        fill: share of the surface that the ridges cover, in [0, 1].
+        fill: fraction of the surface covered by ridges, in [0, 1].
         norm: `[wavelength]`, C(lambda).
-        rotation: angle in rad about the normal, from +x to +y, of the direction across the ridges; None: 0.
+        rotation: optional angle of the direction across the ridges about the normal, rad, from +x to +y.
     """
 
     kind: ClassVar[str] = "ridge"
@@ -51,14 +51,14 @@ class Ridge(Lobe):
     AXES: ClassVar[dict[str, str]] = {"norm": "wavelength"}
 
     def check(self) -> None:
-        """Check that the tables fit together.
+        """Check that the tables are consistent.
 
         Raises:
-            ValueError: saying which does not.
+            ValueError: names the inconsistent table.
         """
         self.response.check()
         if self.norm.shape != self.wavelengths_nm.shape or np.any(self.norm <= 0):
-            raise ValueError("norm must be positive, one number a wavelength")
+            raise ValueError("norm must be positive, one number for each wavelength")
         if not (self.pitch_nm > 0 and self.width_nm > 0 and self.height_deviation_nm >= 0 and self.count >= 1):
             raise ValueError("pitch_nm, width_nm and count must be positive")
         if not (self.spread_along > 0 and 0 <= self.fill <= 1):
@@ -66,12 +66,12 @@ class Ridge(Lobe):
 
     @property
     def wavelengths_nm(self) -> Array:  # type: ignore[override]  # the base declares a plain attribute
-        """The wavelength grid of the tables."""
+        """The tables' wavelength grid."""
         return self.response.wavelengths_nm
 
     @property
     def parameters(self) -> tuple[ParameterAxis, ...]:
-        """The axes that textures drive."""
+        """The texture-driven axes."""
         return self.response.parameters
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
@@ -99,7 +99,7 @@ class Ridge(Lobe):
     def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
         """Integrate over all exits, for light along one `wi[3]`; see `Lobe.hemispherical`.
 
-        The measure cos_o d(omega_o) = ds_x ds_y makes a plain grid in sines the natural one; it resolves the comb.
+        Uses a grid in sines, since cos_o d(omega_o) = ds_x ds_y; it resolves the grating comb.
         """
         wi = np.asarray(wi, dtype=float)
         nothing = np.zeros(len(self.wavelengths_nm))
@@ -122,9 +122,9 @@ class Ridge(Lobe):
 
 
 def chord(along: float, count: int) -> tuple[Array, Array]:
-    """Return `count` points and weights over the exits s_x at one s_y, denser towards the rim of the unit disc.
+    """Return `count` points and weights over the exits s_x at one s_y, denser towards the unit disc's rim.
 
-    The rim, where grating orders appear, is met exactly; a plain grid errs there by half a per cent.
+    The rim, at which grating orders appear, is integrated exactly; a uniform grid errs there by 0.5 %.
     """
     edge = np.sqrt(1.0 - along * along)
     turn = np.pi * ((np.arange(count, dtype=np.float64) + 0.5) / count - 0.5)
@@ -132,7 +132,7 @@ def chord(along: float, count: int) -> tuple[Array, Array]:
 
 
 def gaussian(q: Array, width: float) -> Array:
-    """Return the unit-area Gaussian D_y(q) of standard deviation `width`."""
+    """Return the unit-area Gaussian D_y(q) with standard deviation `width`."""
     return np.asarray(np.exp(-0.5 * np.square(q / width)) / (width * np.sqrt(2.0 * np.pi)))
 
 
@@ -145,12 +145,12 @@ def ridge_interference(
     height_deviation_nm: float,
     count: int,
 ) -> Array:
-    """Return K(u, v), `[..., wavelength]`, for psi components `across` (x) and `normal` (z) of shape `[...]`."""
+    """Return K(u, v), `[..., wavelength]`, for psi components `across` (x) and `normal` (z), each `[...]`."""
     k = 2.0 * np.pi / np.asarray(wavelengths_nm)
     u, v = across[..., None] * k, normal[..., None] * k
     envelope = np.square(np.sinc(u * width_nm / (2.0 * np.pi)))
     chi2 = np.exp(-np.square(v * height_deviation_nm))
-    # reduced to the nearest order, so that the quotient keeps its digits at every order, not only at u = 0
+    # reduced to the nearest order: the quotient is then precise at every order, not only at u = 0
     turns = u * pitch_nm / (2.0 * np.pi)
     rest = np.pi * (turns - np.round(turns))
     comb = np.square(count * np.sinc(count * rest / np.pi) / np.sinc(rest / np.pi))

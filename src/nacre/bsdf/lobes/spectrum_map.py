@@ -1,11 +1,11 @@
-"""The relief's lobe: a power spectrum over psi = w_i + w_o, ready to interpolate.
+"""The relief's lobe: a power spectrum over psi = w_i + w_o, and its compiled look-up.
 
-With (u, v) the lateral and xi the normal part of psi,
+With (u, v) the lateral and xi the normal component of psi,
 
     f = S(u, v, xi, lambda) C(psi, w_i, w_o) F(|psi|/2, lambda) g(w_i, lambda) g(w_o, lambda)
 
-where S is a smoothed power spectrum, C the Kirchhoff or the published factor, F the coating's reflectance at the
-half vector's angle, and the guard g <= 1 keeps the albedo within F. Every factor is symmetric, so f is reciprocal.
+with a smoothed power spectrum S, the Kirchhoff or the published factor C, the coating's reflectance F at the
+half vector's angle, and the guard g <= 1, which limits the albedo to F. All factors are symmetric: f is reciprocal.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from nacre.core.arrays import Array
 from nacre.core.jit import compiled
 from nacre.core.parallel import parallel_for
 
-LEAST_COSINE = 1e-6  # edge-on directions are held this far above the horizon, so that 1/cos is finite
-CHUNK = 1 << 16  # directions handled at once
+LEAST_COSINE = 1e-6  # lower limit of the cosines, to avoid division by zero
+CHUNK = 1 << 16  # directions per chunk
 
 
 @dataclass(frozen=True)
 class SpectrumMap(Lobe):
     """A reflecting surface described by its power spectrum.
 
-    S is a tensor product of quadratic B-splines in psi_x, psi_y and xi and linear in wavelength; values below zero
-    (ripple of the xi interpolation, at the level of its error) count as zero.
+    S is a tensor product of quadratic B-splines in psi_x, psi_y and xi, and linear in wavelength; negative values
+    (interpolation ripple in xi) count as zero.
 
     Attributes:
         wavelengths_nm: `[wavelength]`.
         power: `[psi_x, psi_y, xi, wavelength]`, float32 B-spline coefficients of S, 1/sr.
-        psi_first, psi_step: psi_x and psi_y of the first node, and the step between nodes.
+        psi_first, psi_step: psi_x and psi_y at the first node, and the node spacing.
         xi_first, xi_step: the same for xi.
-        reflectance: `[cosine, wavelength]`, F over uniform nodes of |psi|/2 in [0, 1], linear between.
-        guard: `[t, azimuth, wavelength]`, g over uniform nodes of t = sqrt(cos theta) in [0, 1] and azimuths
+        reflectance: `[cosine, wavelength]`, F over uniform nodes in |psi|/2 on [0, 1], linear between.
+        guard: `[t, azimuth, wavelength]`, g over uniform nodes in t = sqrt(cos theta) on [0, 1] and azimuths
             2 pi k / n, linear between and periodic.
         prefactor: "kirchhoff" or "published".
     """
@@ -60,7 +60,7 @@ class SpectrumMap(Lobe):
         """Check shapes and ranges.
 
         Raises:
-            ValueError: saying which array does not fit.
+            ValueError: names the inconsistent array.
         """
         super().check()
         count = len(self.wavelengths_nm)
@@ -76,7 +76,7 @@ class SpectrumMap(Lobe):
             raise ValueError('prefactor must be "kirchhoff" or "published"')
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Return f in 1/sr, `[..., wavelength]`; zero where either direction is below the surface."""
+        """Return f in 1/sr, `[..., wavelength]`; zero below the surface."""
         wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
         shape = wi.shape[:-1]
         flat_i, flat_o = wi.reshape(-1, 3), wo.reshape(-1, 3)
@@ -91,7 +91,7 @@ class SpectrumMap(Lobe):
         """Return f without the guard, `[n, wavelength]`, for `[n, 3]` directions.
 
         Args:
-            place: node coordinates `[n, 2]` of psi_x and psi_y, for a table that holds only some of the nodes.
+            place: node coordinates `[n, 2]` for psi_x and psi_y, for a table with only some of the nodes.
         """
         above = (wi[:, 2] > 0) & (wo[:, 2] > 0)
         cos_i, cos_o = np.maximum(wi[:, 2], LEAST_COSINE), np.maximum(wo[:, 2], LEAST_COSINE)
@@ -105,7 +105,7 @@ class SpectrumMap(Lobe):
         return self.spectrum_at(u, v, xi, place) * fresnel * np.where(above, factor, 0.0)[:, None]
 
     def spectrum_at(self, u: Array, v: Array, xi: Array, place: Array | None = None) -> Array:
-        """Return S, `[n, wavelength]`, at `[n]` points of psi; `place` as in `bare`."""
+        """Return S, `[n, wavelength]`, at `[n]` psi points; `place` as in `bare`."""
         pass
 
         position = np.stack(
@@ -134,10 +134,10 @@ class SpectrumMap(Lobe):
         return np.asarray(low * (1 - ft) + high * ft)
 
     def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
-        """Integrate over all exits, in cos(theta_o) and azimuth where 1/cos_o does no harm, finer than the peaks."""
+        """Integrate over all exits in cos(theta_o), in which 1/cos_o cancels, and azimuth, finer than the peaks."""
         wo, weight = exits(self.psi_step)
         wi = np.asarray(wi, dtype=float)
-        is_bounded = bool(np.any(self.guard != 1.0))  # a guard of ones is not worth a look-up for each exit
+        is_bounded = bool(np.any(self.guard != 1.0))  # skip the look-up of a unit guard
         total = np.zeros(len(self.wavelengths_nm))
         for start in range(0, len(wo), CHUNK):
             part = wo[start : start + CHUNK]
@@ -148,10 +148,10 @@ class SpectrumMap(Lobe):
 
 @functools.lru_cache(maxsize=2)
 def exits(peak_width: float) -> tuple[Array, Array]:
-    """Return directions `[n, 3]` and weights cos(theta) d(omega) that resolve peaks of `peak_width` in psi.
+    """Return directions `[n, 3]` and weights cos(theta) d(omega) that resolve peaks with `peak_width` in psi.
 
-    Gauss-Legendre in cos(theta): its nodes crowd towards the normal as sin(theta) needs, and the weight cos(theta)
-    cancels the 1/cos(theta) of the BRDF at the horizon.
+    Gauss-Legendre in cos(theta): its nodes are dense towards the normal as sin(theta) requires, and the weight
+    cos(theta) cancels the BRDF's 1/cos(theta) at the horizon.
     """
     count = int(np.ceil(2.0 / peak_width))
     x, w = np.polynomial.legendre.leggauss(count)
@@ -166,16 +166,15 @@ def exits(peak_width: float) -> tuple[Array, Array]:
     return wo.reshape(-1, 3), weights
 
 
-# The look-up in a spectrum map, compiled: 27 nodes a point, all wavelengths together.
-
-WORK_OF_A_VALUE = 4  # of 27 nodes or 4 turns, as `share` counts it
-SERIES_UP_TO = 0.75  # of the sine: three terms of the series leave 1e-8 there for nodes 0.06 apart
+WORK_OF_A_VALUE = 4  # cost of 27 nodes or 4 quarter turns, in units of `parallel_for`
+SERIES_UP_TO = 0.75  # sine up to which three series terms are precise to 1e-8 for nodes 0.06 apart
 
 
 def interpolate(power: Any, position: Any) -> Any:
     """Return the quadratic spline `[n, wavelength]` at node coordinates `position[n, 3]`; negative values become 0.
 
-    Outside the nodes the outermost coefficients go on; the map is zero there anyway.
+    The outermost coefficients continue outside the nodes, where the map is zero. Plain threads share the loop:
+    numba's own parallel loops take three times as long to compile.
 
     Args:
         power: `[x, y, xi, wavelength]`, float32 coefficients.
@@ -192,7 +191,7 @@ def interpolate(power: Any, position: Any) -> Any:
 
 @compiled(nogil=True)
 def _interpolate(power, position, first, last, result):  # type: ignore[no-untyped-def]  # numba
-    """Fill the rows of some points."""
+    """Fill the rows from `first` to `last`."""
     nx, ny, nz, count = power.shape
     weight = np.empty((3, 3))
     index = np.empty((3, 3), dtype=np.int64)
@@ -223,22 +222,22 @@ def _interpolate(power, position, first, last, result):  # type: ignore[no-untyp
 
 def albedo_shares(power: Any, psi_step: float, xi_first: float, xi_step: float, reflectance: Any, ring_cosines: Any,
                   cosines: int, azimuths: int, is_kirchhoff: bool) -> Any:  # fmt: skip
-    """Return how much light of each incidence leaves into each cell of exits, `[incidence, cell, wavelength]`, float32.
+    """Return the light from each incidence to each cell of exits, `[incidence, cell, wavelength]`, float32.
 
-    Incidences lie on rings, those of a ring `azimuths` equal steps from the x axis on. Sums f cos_o d(omega) =
-    f du dv over the map's own nodes in psi, whose coefficients hold its integral; so only xi is interpolated. 1/cos_o,
-    steep at the horizon, is averaged over the radial width of a node. Exits are given to the cells t = sqrt(cos_o) x
-    azimuth of the guard, to the nearest azimuth and linearly in t.
+    Incidences are on rings with `azimuths` equal steps from the x axis. The sum f cos_o d(omega) = f du dv runs over
+    the map's own nodes in psi, whose coefficients contain the integral, so only xi is interpolated. 1/cos_o, steep at
+    the horizon, is averaged over a node's radial width. Exits contribute to the guard's cells t = sqrt(cos_o) x
+    azimuth: to the nearest azimuth and linearly in t.
 
-    The nodes are a centred square, so the geometry of an incidence within the first eighth of a turn is that of the
-    seven others into which quarter turns and the mirror take it; only the map differs.
+    The nodes form a centred square: an incidence in the first eighth of a turn shares its geometry with its seven
+    images under quarter turns and reflection; only the map differs.
 
     Args:
         power: `[psi, psi, xi, wavelength]`, psi centred on 0.
-        psi_step, xi_first, xi_step: of the nodes.
+        psi_step, xi_first, xi_step: node positions.
         reflectance: `[cosine, wavelength]`.
-        ring_cosines: cosines of incidence of the rings.
-        cosines, azimuths: nodes of the guard; azimuths a multiple of 8.
+        ring_cosines: cosine of incidence for each ring.
+        cosines, azimuths: guard nodes; azimuths is a multiple of 8.
     """
     rings = len(ring_cosines)
     shares = np.zeros((rings * azimuths, cosines * azimuths, power.shape[-1]), dtype=np.float32)
@@ -255,7 +254,7 @@ def albedo_shares(power: Any, psi_step: float, xi_first: float, xi_step: float, 
 def _shares(
     power, width, xi_first, xi_step, reflectance, ring_cosines, cosines, azimuths, is_kirchhoff, begin, end, out
 ):  # type: ignore[no-untyped-def]  # numba
-    """Add what some tasks send out: each a ring and an azimuth, whose rows no other task has."""
+    """Process tasks: each is a ring and an azimuth with its own output rows."""
     n, _, nz, count = power.shape
     last = reflectance.shape[0] - 1
     eighth, quarter = azimuths // 8, azimuths // 4
@@ -266,7 +265,7 @@ def _shares(
         cos_i = ring_cosines[ring]
         sin_i = np.sqrt(1.0 - cos_i * cos_i)
         wi_x, wi_y = sin_i * np.cos(2.0 * np.pi * own / azimuths), sin_i * np.sin(2.0 * np.pi * own / azimuths)
-        mirrors = 1 if own == 0 or own == eighth else 2  # on an axis of symmetry its mirror image is itself
+        mirrors = 1 if own == 0 or own == eighth else 2  # on a symmetry axis the mirror image is identical
         for a in range(n):
             u = (a - 0.5 * (n - 1)) * width
             x = u - wi_x
@@ -281,7 +280,7 @@ def _shares(
                 inner = max(radius - 0.5 * width, -1.0)
                 outer = min(radius + 0.5 * width, 1.0)
                 if outer < SERIES_UP_TO:
-                    # the same by its series in the width, whose next term is below single precision there
+                    # series in the width, with the next term below single precision
                     square = radius * radius
                     room = 1.0 / (1.0 - square)
                     inverse_cosine = np.sqrt(room) * (1.0 + width * width * room * room * (

@@ -1,4 +1,4 @@
-"""The smooth interface: light leaves in exactly two directions."""
+"""The smooth interface: specular reflection and refraction, isotropic or with azimuthal tables."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from nacre.core.arrays import Array
 
 
 class InterfaceLobe(Lobe):
-    """A smooth interface: mirror reflection, and refraction with the one relative index `response.eta`.
+    """A smooth interface: mirror reflection, and refraction with one relative index `response.eta`.
 
-    `eta = 1` (a free film) transmits light undeviated. The part is lit from both sides; light from inside
-    an opaque interface gets zero, because its tables are zero.
+    `eta = 1` (a free film) transmits light undeviated. Both sides may be lit; the tables of an opaque interface are
+    zero inside.
 
     Attributes:
         response: the tables.
@@ -28,12 +28,12 @@ class InterfaceLobe(Lobe):
 
     @property
     def wavelengths_nm(self) -> Array:  # type: ignore[override]  # the base declares a plain attribute
-        """The wavelength grid of the tables."""
+        """The tables' wavelength grid."""
         return self.response.wavelengths_nm
 
     @property
     def is_delta(self) -> bool:
-        """Always: a smooth interface has no other part."""
+        """Always True."""
         return True
 
     @property
@@ -42,17 +42,17 @@ class InterfaceLobe(Lobe):
         return self.response.transmits
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Return zeros `[..., wavelength]`: two directions chosen freely never meet a delta."""
+        """Return zeros `[..., wavelength]`: the lobe is a delta distribution."""
         shape = np.broadcast_shapes(np.shape(wi), np.shape(wo))[:-1]
         return np.zeros((*shape, len(self.wavelengths_nm)))
 
 
 @dataclass(frozen=True)
 class Specular(InterfaceLobe):
-    """A smooth interface that looks the same at any turn about its normal.
+    """A smooth interface that is isotropic about its normal.
 
     Attributes:
-        response: the tables; see there for `flipped`.
+        response: the tables, which may be flipped.
     """
 
     kind: ClassVar[str] = "specular"
@@ -60,7 +60,7 @@ class Specular(InterfaceLobe):
 
     @property
     def parameters(self) -> tuple[ParameterAxis, ...]:
-        """The axes that textures drive."""
+        """The texture-driven axes."""
         return self.response.parameters
 
     def check(self) -> None:
@@ -74,17 +74,14 @@ class Specular(InterfaceLobe):
         return SpecularResponse(*self.response.lookup(np.abs(cos_i), inside, uv))
 
 
-# The mirror light of a smooth surface that looks otherwise when it is turned about its normal.
-
-
 @dataclass(frozen=True)
 class AlignedSpecular(InterfaceLobe):
-    """Reflection and refraction as of `Specular`, with powers that depend on the azimuth too.
+    """Reflection and refraction as in `Specular`, with azimuth-dependent powers.
 
     Attributes:
-        response: the tables, with the azimuth of the light as a leading axis: uniform nodes from 0 to 2 pi, both
-            ends; of light from inside it is the azimuth of the way that it leaves by, opposite to its own.
-        rotation: angle in rad about the normal, from +x to +y, by which the surface is turned.
+        response: the tables, with the light's azimuth as a leading axis: uniform nodes from 0 to 2 pi, both ends
+            included; for light from inside, the azimuth of the exit direction.
+        rotation: the surface's rotation about the normal, rad, from +x to +y.
     """
 
     kind: ClassVar[str] = "aligned-specular"
@@ -93,28 +90,28 @@ class AlignedSpecular(InterfaceLobe):
 
     @property
     def azimuths(self) -> int:
-        """Nodes over the azimuth."""
+        """Number of azimuth nodes."""
         return len(self.response.reflectance)
 
     def check(self) -> None:
         """Check the tables; see `InterfaceResponse.check`.
 
         Raises:
-            ValueError: saying what does not fit.
+            ValueError: names the inconsistent table.
         """
         tables = ("reflectance", "transmittance", "reflectance_inside", "total")
         counts = {getattr(self.response, name).shape[0] for name in tables}
         dimensions = {getattr(self.response, name).ndim for name in tables}
         if dimensions != {3} or len(counts) != 1 or self.azimuths < 2 or self.response.parameters:
-            raise ValueError("an aligned interface needs two azimuths or more, the same of all its tables")
+            raise ValueError("an aligned interface needs two or more azimuths, equal for all its tables")
         if self.response.flipped or not np.isfinite(self.rotation):
-            raise ValueError("an aligned interface is flipped, or turned by no number")
+            raise ValueError("an aligned interface is flipped, or its rotation is not finite")
         for node in range(self.azimuths):
             rows = {name: getattr(self.response, name)[node] for name in tables}
             dataclasses.replace(self.response, **rows).check()
 
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
-        """Return reflectance and transmittance for light from the azimuth 0; see `specular_at`."""
+        """Return reflectance and transmittance for light from azimuth 0; see `specular_at`."""
         return self.specular_at(cos_i, 0.0, uv)
 
     def specular_at(self, cos_i: Array, phi_rad: Array | float, uv: Array | None = None) -> SpecularResponse:

@@ -1,11 +1,11 @@
 """A tabulated isotropic BRDF: measurements, imported files, tabulated materials.
 
-Two coordinate systems, each with uniform nodes in transformed angles so that a fetch is one multiply-add:
+Two coordinate systems, each with uniform nodes in transformed angles:
 
 - "direction": theta_i, theta_o and the azimuth difference, for broad lobes and goniometer data;
-- "half": the half and difference angles of Rusinkiewicz, with theta_half by its square root, for sharp ones.
+- "half": Rusinkiewicz' half and difference angles, with sqrt(theta_half), for sharp lobes.
 
-Values may be given a wavelength, or a few channels with a spectrum each (an RGB measurement).
+Values are per wavelength, or per channel with a spectrum for each channel (an RGB measurement).
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ HALF_PI = np.pi / 2
 
 @dataclass(frozen=True)
 class TableLobe(Lobe):
-    """f tabulated over three angles, interpolated linearly, zero below the surface.
+    """A BRDF tabulated over three angles, interpolated linearly, zero below the surface.
 
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
         values: `[a, b, c, channel]`, 1/sr, uniform nodes that include both ends of [0, 1] in each coordinate:
             "direction": a = theta_i/(pi/2), b = theta_o/(pi/2), c = |dphi|/pi with |dphi| in [0, pi], where
-            dphi = 0 puts wo on the light's own side;
+            dphi = 0 is retroreflection;
             "half": a = sqrt(theta_half/(pi/2)), b = theta_diff/(pi/2), c = phi_diff/pi, periodic.
-        basis: `[channel, wavelength]` spectra of the channels.
+        basis: `[channel, wavelength]`, the channels' spectra.
         coordinates: "direction" or "half".
     """
 
@@ -50,10 +50,10 @@ class TableLobe(Lobe):
     }
 
     def check(self) -> None:
-        """Check that the arrays fit together.
+        """Check that the arrays are consistent.
 
         Raises:
-            ValueError: saying which array does not fit.
+            ValueError: names the inconsistent array.
         """
         if self.coordinates not in COORDINATES:
             raise ValueError(f'coordinates = "{self.coordinates}" is not one of {COORDINATES}')
@@ -63,7 +63,7 @@ class TableLobe(Lobe):
             raise ValueError(f"basis has the shape {self.basis.shape}")
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Return f, `[..., wavelength]`, for unit vectors `[..., 3]`; nothing varies over uv."""
+        """Return f, `[..., wavelength]`, for unit vectors `[..., 3]`; uv is ignored."""
         up = (wi[..., 2] > 0) & (wo[..., 2] > 0)
         a, b, c = to_direction(wi, wo) if self.coordinates == "direction" else to_half(wi, wo)
         channels = self._fetch(a, b, c)
@@ -92,13 +92,13 @@ def to_half(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
 def half_difference(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
     """Return theta_half, theta_diff and phi_diff (radians), phi_diff in [0, pi) by reciprocity.
 
-    Source: Rusinkiewicz 1998: the half vector's polar angle, and `wi` seen from the half vector.
+    Source: Rusinkiewicz 1998: the half vector's polar angle, and `wi` in the half vector's frame.
     """
     h = wi + wo
     h = h / np.maximum(np.linalg.norm(h, axis=-1, keepdims=True), 1e-12)
     cos_h = np.clip(h[..., 2], -1.0, 1.0)
     sin_h = np.sqrt(1 - cos_h**2)
-    flat = sin_h < 1e-9  # at the normal the half vector has no azimuth; phi = 0 is taken
+    flat = sin_h < 1e-9  # at the normal the azimuth is arbitrary: 0
     cos_p = np.where(flat, 1.0, h[..., 0] / np.where(flat, 1.0, sin_h))
     sin_p = np.where(flat, 0.0, h[..., 1] / np.where(flat, 1.0, sin_h))
     x = wi[..., 0] * cos_p + wi[..., 1] * sin_p
@@ -108,7 +108,7 @@ def half_difference(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
 
 
 def from_half_difference(theta_half: Array, theta_diff: Array, phi_diff: Array) -> tuple[Array, Array]:
-    """Return (wi, wo) of half and difference angles, the half vector in the plane phi = 0."""
+    """Return (wi, wo) from half and difference angles, with the half vector in the plane phi = 0."""
     sin_d, cos_d = np.sin(theta_diff), np.cos(theta_diff)
     d = np.stack([sin_d * np.cos(phi_diff), sin_d * np.sin(phi_diff), cos_d], axis=-1)
     sin_h, cos_h = np.sin(theta_half), np.cos(theta_half)
@@ -118,7 +118,7 @@ def from_half_difference(theta_half: Array, theta_diff: Array, phi_diff: Array) 
 
 
 def directions_of(coordinates: str, shape: tuple[int, int, int]) -> tuple[Array, Array]:
-    """Return wi and wo at all nodes of a table, each `[a, b, c, 3]`, for filling one."""
+    """Return wi and wo at all table nodes, each `[a, b, c, 3]`, to fill a table."""
     a, b, c = np.meshgrid(*(np.linspace(0, 1, n) for n in shape), indexing="ij")
     if coordinates == "half":
         return from_half_difference(a**2 * HALF_PI, b * HALF_PI, c * np.pi)

@@ -1,1 +1,1 @@
-"""The Mitsuba plugins of the lobes, one file each."""
+"""The lobes' Mitsuba plugins, one file each."""

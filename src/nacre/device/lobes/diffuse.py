@@ -1,4 +1,4 @@
-"""A Lambertian base, bare or under a film, on the device."""
+"""A Lambertian base, bare or below a film, on the device."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class DiffusePlugin(LobePlugin[Diffuse]):
         self.top = opaque(max(lobe.entry.shape[-2], 2) - 1)
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Draw a direction by its cosine."""
+        """Draw a cosine-weighted direction."""
         bs = dr.zeros(mi.BSDFSample3f)
         bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
         active = active & enabled[0] & (si.wi.z > MIN_COS)
@@ -47,7 +47,7 @@ class DiffusePlugin(LobePlugin[Diffuse]):
         return (self._albedo(si, wo.z, active) * pdf) & active, pdf
 
     def _albedo(self, si: Any, cos_o: Any, active: Any) -> Any:
-        """Return pi f: scale, times the way in and the way out."""
+        """Return pi f: scale, times the transmittances on entry and exit."""
         where = self.axis.locate(si.wavelengths, active)
         corners = self.parameters.corners(si, active)
         (value,) = self.scale.look_up(mi.UInt32(0), mi.Float(0.0), where, corners, active)
@@ -60,17 +60,17 @@ class DiffusePlugin(LobePlugin[Diffuse]):
         return value
 
     def choice_weight(self, si: Any, active: Any) -> Any:
-        """Return roughly the albedo from this direction."""
+        """Return the approximate albedo for this direction."""
         return dr.select(si.wi.z > 0, dr.mean(self._albedo(si, mi.Float(0.7), active)), 0.0)
 
     def update(self, lobe: Diffuse) -> None:
-        """Take over another albedo and film.
+        """Replace albedo and film.
 
         Raises:
-            UnsupportedError: shapes differ, or a film came or went.
+            UnsupportedError: shapes differ, or a film appeared or vanished.
         """
         if (lobe.entry.shape[-2] == 1 and bool(np.all(lobe.entry == 1.0))) != self.is_bare:
-            raise UnsupportedError("a film came or went over the base; build the scene again")
+            raise UnsupportedError("the film over the base appeared or vanished; build the scene again")
         self.scale.update(_as_row(lobe.scale))
         if self.entry is not None:
             self.entry.update(_channel(lobe.entry))
@@ -92,7 +92,7 @@ class DiffusePlugin(LobePlugin[Diffuse]):
 
 
 def _as_row(scale: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`[*params, wavelength]` -> `[*params, 1, wavelength, 1]`."""
+    """Convert `[*params, wavelength]` to `[*params, 1, wavelength, 1]`."""
     return np.asarray(scale, dtype=float)[..., None, :, None]
 
 

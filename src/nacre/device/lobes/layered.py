@@ -1,12 +1,12 @@
-"""Strata of flakes on the device: the plugin around the random walk.
+"""Strata with flakes on the device: the plugin around the random walk.
 
-`sample` and `eval` are estimates that agree in the mean; `pdf` is a smooth proxy of the true density, which has
-no closed form. A path tracer stays unbiased with it, since its weights only need the same function in both
-branches; a chi-square test cannot pass and is replaced by `sample` against `eval`.
+`sample` and `eval` are consistent estimates; `pdf` is a smooth proxy of the true density, which lacks a closed form.
+A path tracer stays unbiased, since its weights only need the same function in both branches. A chi-square test is
+impossible and is replaced by a comparison of `sample` with `eval`.
 
-What `pdf` returns is the proxy times a factor, the trust in `sample`. The weights of multiple importance sampling
-assume exact values, but `eval` is one walk, whose narrow flake lobe meets the exit direction rarely and then with
-a large value: coloured fireflies, the more the more flakes there are. Light seen by `sample` has no such peaks.
+`pdf` returns the proxy times a confidence factor for `sample`. Multiple importance sampling assumes exact values, but
+`eval` is one random walk, whose narrow flake lobe rarely contains the exit direction and then has a large value. The
+resulting coloured fireflies grow with the number of flakes; `sample` has no such peaks.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from nacre.device.plugin import MIN_COS, LobePlugin, MakePlugin, flag, opaque
 from nacre.device.walk.strata import Strata
 from nacre.device.walk.walk import eval_walk, joint_walk, make_rng, sample_walk
 
-# Trust in `sample`: 1 + flakes met across the material, at most this. Measured with the power heuristic under the
-# studio: best at 4 (bottle 2, 2.3 flakes), 16 (bottle 1, 24) and 64 (bottle 3, 59; 16 keeps most of it); beyond,
-# small light sources, which `sample` seldom hits, would get noisier.
+# Upper limit of the confidence factor 1 + number of flakes across the material. Measured with the power heuristic in
+# the studio scene: best at 4 (bottle 2, 2.3 flakes), 16 (bottle 1, 24) and 64 (bottle 3, 59; 16 is nearly as good);
+# higher values add noise from small light sources, which `sample` seldom hits.
 MAX_TRUST = 20.0
-# Shares of the proxy density: the interface's own reflection, the flakes' lobe, the diffuse rest.
+# weights in the proxy density: interface reflection, flake lobe, diffuse rest
 SHARES = (0.15, 0.5, 0.35)
-BASE_SHARE = 0.7  # of a bare base of lobes; what the interfaces spread and reflect is the rest
+BASE_SHARE = 0.7  # weight of a bare base's lobes; the rest is light spread or reflected by interfaces
 NO_SCALAR = (
     "a pearl is a random walk that needs an LLVM or CUDA variant of Mitsuba; scalar_spectral cannot run it "
-    "(`nacre doctor` tells how to get LLVM)"
+    "(`nacre doctor` shows how to install LLVM)"
 )
 
 
@@ -56,13 +56,13 @@ class LayeredPlugin(LobePlugin):
         if self.has_mirror:
             self.components = (self.components[0] | int(mi.BSDFFlags.DeltaReflection), *self.components[1:])
         self.passes_straight = self.has_mirror and lobe.transmits
-        if self.passes_straight:  # "Null" lets volumes and shadow rays see through
+        if self.passes_straight:  # "Null" makes the lobe transparent to volumes and shadow rays
             self.components = (*self.components[:-1], self.components[-1] | int(mi.BSDFFlags.Null))
         self.proxy = Proxy(lobe)
         self._waiting: Any = None
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Follow the light through the strata; the weight is what the four wavelengths still carry."""
+        """Run a random walk through the strata; the weight is the remaining throughput of the four wavelengths."""
         active = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
         drawn = self._take(si)
         if drawn is None:
@@ -87,13 +87,13 @@ class LayeredPlugin(LobePlugin):
         return bs, dr.select(alive, weight, 0.0)
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Walk with a connection to `wo` at each vertex; the density is the proxy's.
+        """Run a random walk with a connection to `wo` at each vertex; the density is the proxy's.
 
-        A path tracer asks for value and sample together, and Mitsuba passes this on as `eval_pdf`, then `sample`,
-        of the same interaction: one walk serves both. It is connected to `wo` on its way and leaves by itself.
-        Their noise is correlated, which adds no bias, since their contributions are added.
+        A path tracer requests value and sample together, and Mitsuba calls `eval_pdf`, then `sample`, for the same
+        interaction. One walk serves both: it is connected to `wo` on its way and leaves at random. The noise of the two
+        is correlated, which does not add bias, since the contributions are summed.
         """
-        if not dr.flag(dr.JitFlag.SymbolicScope):  # calls by hand may repeat their arguments: no draw of theirs
+        if not dr.flag(dr.JitFlag.SymbolicScope):  # direct calls may repeat their arguments: independent walks
             return self.eval(ctx, si, wo, active, enabled), self.pdf(ctx, si, wo, active, enabled)
         seen = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
         wanted = seen & self._wanted(si.wi, wo, enabled)
@@ -104,7 +104,7 @@ class LayeredPlugin(LobePlugin):
         return value, dr.select(wanted, self._density(si, wo, wanted), 0.0)
 
     def _take(self, si: Any) -> Any:
-        """Return the draw of the walk that `eval_pdf` has just made for this interaction; None if there is none."""
+        """Return the sample of the preceding `eval_pdf` walk for this interaction, if any."""
         waiting, self._waiting = self._waiting, None
         if waiting is None or _identity(waiting[0]) != _identity(si):
             return None
@@ -118,12 +118,12 @@ class LayeredPlugin(LobePlugin):
         return eval_walk(self.strata, rng, si.wi, wo, where, active)
 
     def pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Return the proxy density times the trust in `sample`."""
+        """Return the proxy density times the confidence factor."""
         active = mi.Bool(active) & self._wanted(si.wi, wo, enabled)
         return dr.select(active, self._density(si, wo, active), 0.0)
 
     def _density(self, si: Any, wo: Any, active: Any) -> Any:
-        """Return the proxy's density times the trust; a base of lobes adds its own, seen through flat interfaces."""
+        """Return the proxy density times the confidence factor, mixed with the base lobes' own refracted density."""
         density = self.proxy.trusted(si.wi, wo)
         lobes = self.strata.lobes
         if lobes is None or not lobes.scatters:
@@ -140,7 +140,7 @@ class LayeredPlugin(LobePlugin):
         return dr.select(reflected, mi.Bool(enabled[0]), mi.Bool(enabled[-1])) & (dr.abs(wi.z) > MIN_COS)
 
     def null_transmission(self, si: Any, active: Any) -> Any:
-        """Estimate by one walk what goes straight through, having met nothing but smooth interfaces."""
+        """Estimate by one walk the light that passes straight through smooth interfaces."""
         active = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
         if not self.passes_straight:
             return mi.Spectrum(0.0)
@@ -153,7 +153,7 @@ class LayeredPlugin(LobePlugin):
         return mi.Float(0.5)
 
     def update(self, lobe: Layered) -> None:
-        """Take over the numbers of another material of the same structure.
+        """Replace the data by another material's with the same structure.
 
         Raises:
             UnsupportedError: the structure differs.
@@ -173,35 +173,35 @@ class LayeredPlugin(LobePlugin):
 
 
 class Proxy:
-    """A smooth density near the true one: two facet lobes and a cosine, on each side that light leaves by."""
+    """A smooth density close to the true one: two facet lobes and a cosine, on each exit side."""
 
     def __init__(self, lobe: Layered) -> None:
         self.transmits = lobe.transmits
         self.update(lobe)
 
     def update(self, lobe: Layered) -> None:
-        """Derive the widths from the material."""
+        """Compute the widths from the material."""
         n = float(lobe.index[0])
         alpha = float(np.mean(lobe.alpha[0]))
         deviation = float(np.min(np.mean(lobe.flake_axes[:, :2], axis=1))) if lobe.kinds else 1.0
         lobe_alpha = np.hypot(n * deviation, (n - 1) * alpha)
         number = float(np.sum(lobe.flake_number))
         self.trust = opaque(min(1.0 + number, MAX_TRUST))
-        self.base_share = opaque(BASE_SHARE * float(np.exp(-number)))  # less where flakes cover it
+        self.base_share = opaque(BASE_SHARE * float(np.exp(-number)))  # reduced by covering flakes
         self.alphas = [opaque(max(alpha, 0.01)), opaque(float(np.clip(lobe_alpha, 0.01, 1.0)))]
         tilt = lobe.flake_frame[0, :, 2] if lobe.kinds else np.array([0.0, 0.0, 1.0])
         tilt = tilt * np.array([n, n, 1.0]) * (1 if tilt[2] >= 0 else -1)
-        if tilt[2] < 0.3:  # flakes on edge have no lobe about the normal
+        if tilt[2] < 0.3:  # edge-on flakes lack a lobe around the normal
             tilt = np.array([0.0, 0.0, 1.0])
         tilt = tilt / np.linalg.norm(tilt)
         self.tilt = mi.Vector3f(*[opaque(float(x)) for x in tilt])
 
     def trusted(self, wi: Any, wo: Any) -> Any:
-        """Return the density times the trust, for the weights of multiple importance sampling only."""
+        """Return the density times the confidence factor, for multiple importance sampling."""
         return self.trust * self.density(wi, wo)
 
     def density(self, wi: Any, wo: Any) -> Any:
-        """Return the density of `wo`, 1/sr."""
+        """Return the density at `wo`, 1/sr."""
         up = mi.Vector3f(wi.x, wi.y, dr.abs(wi.z))
         out = mi.Vector3f(wo.x, wo.y, dr.abs(wo.z))
         first = self._facet(self.alphas[0], up, out)
@@ -220,12 +220,12 @@ class Proxy:
 
 
 def _identity(si: Any) -> tuple[int, ...]:
-    """Tell interactions apart while they are recorded; who holds one keeps its numbers from being given away."""
+    """Return a key of an interaction during recording; its variables stay allocated while it is referenced."""
     return (si.p.x.index, si.p.y.index, si.wi.x.index, si.wi.y.index, si.wavelengths[0].index)
 
 
 def _refracted(w: Any, scale: Any) -> Any:
-    """Return an outer direction as it goes on inside, through flat interfaces; `scale` is outside over inside."""
+    """Return the inside direction of an outer direction through flat interfaces; `scale` is n_outside/n_inside."""
     return mi.Vector3f(w.x * scale, w.y * scale, dr.sqrt(dr.maximum(1.0 - (1.0 - w.z * w.z) * scale * scale, 1e-8)))
 
 

@@ -15,12 +15,12 @@ from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import LobePlugin, MakePlugin, opaque
 from nacre.device.texture import DeviceTexture
 
-# The nodes of a varying number share one texture: one copy on the device, read once.
+# The nodes of a varying parameter share one texture: one device copy, read once.
 _TEXTURES: weakref.WeakValueDictionary[tuple[str, int], _Shared] = weakref.WeakValueDictionary()
 
 
 class _Shared(DeviceTexture):
-    """A device texture that remembers which texture it holds, so that its place in the table stays true."""
+    """A device texture with a reference to its source, which keeps the source's id unique."""
 
     def __init__(self, texture: Texture) -> None:
         super().__init__(texture)
@@ -36,7 +36,7 @@ def _shared(texture: Texture) -> _Shared:
 
 
 class MaskedPlugin(LobePlugin[MaskedLobe]):
-    """The inner lobe samples unchanged; its weight, value and share of samples are multiplied by the mask."""
+    """The inner lobe's sampling; its weight, value and sample share are multiplied by the mask."""
 
     kind = "masked"
     holds_lobes = True
@@ -53,7 +53,7 @@ class MaskedPlugin(LobePlugin[MaskedLobe]):
         self._mask = _shared(lobe.mask)
         if lobe.nodes is not None:
             at, nodes = float(lobe.nodes[lobe.node]), lobe.nodes
-            # beyond an end the weight stays 1: its flank lies infinitely far away
+            # beyond the end nodes the weight stays 1: an infinitely distant flank
             below = at - float(nodes[lobe.node - 1]) if lobe.node > 0 else math.inf
             above = float(nodes[lobe.node + 1]) - at if lobe.node + 1 < len(nodes) else math.inf
             self._at, self._rise, self._fall = opaque(at), opaque(1.0 / below), opaque(1.0 / above)
@@ -66,7 +66,7 @@ class MaskedPlugin(LobePlugin[MaskedLobe]):
         return 1.0 - value if self._inverted else value
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        share = self._share(si)  # a lane with zero share runs no walk
+        share = self._share(si)  # lanes with zero weight skip the random walk
         bs, weight = self._inner.sample(ctx, si, sample1, sample2, active & (share > 0.0), enabled)
         return bs, weight * share
 
@@ -86,14 +86,14 @@ class MaskedPlugin(LobePlugin[MaskedLobe]):
         return self._inner.choice_weight(si, active) * self._share(si)
 
     def null_transmission(self, si: Any, active: Any) -> Any:
-        """Return the undeviated transmission of the inner lobe, times the mask."""
+        """Return the inner lobe's undeviated transmission times the mask."""
         null = getattr(self._inner, "null_transmission", None)
         return mi.Spectrum(0.0) if null is None else null(si, active) * self._share(si)
 
     def update(self, lobe: MaskedLobe) -> None:
         same_kind = lobe.inverted == self._inverted and (lobe.nodes is not None) == self._has_nodes
         if not same_kind or not self._mask.fits(lobe.mask):
-            raise UnsupportedError("the mask changed in kind; build the scene again")
+            raise UnsupportedError("the mask changed its structure; build the scene again")
         self._inner.update(lobe.inner)
         self._take(lobe)
 

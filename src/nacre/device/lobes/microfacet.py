@@ -1,7 +1,7 @@
-"""The rough interface on the device: facets that reflect and refract by the tables of the smooth one.
+"""The rough interface on the device: facets with the reflectance and transmittance of the smooth interface.
 
-A direction from below is handled as one from above by turning everything about the origin (the facets'
-distributions do not change under x, y -> -x, -y); the tables are then read on the other side.
+Directions from below are inverted at the origin and handled as directions from above (the facet distributions are
+invariant under x, y -> -x, -y), with the tables of the other side.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
 
     def _set_alpha(self, lobe: Microfacet) -> None:
         self.alpha_x = replaced(self.alpha_x, opaque(lobe.alpha_x))
-        # one object for both keeps an isotropic kernel shorter
+        # one object for both shortens the isotropic kernel
         self.alpha_y = self.alpha_x if self.is_isotropic else replaced(self.alpha_y, opaque(lobe.alpha_y))
 
     # -- sampling ---------------------------------------------------------------------------------------
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Draw a facet normal, then reflection or refraction by how much each carries."""
+        """Draw a facet normal, then reflection or refraction by their powers."""
         frame = self._frame(si, active)
         wi, sign, inside = self._from_above(frame(si.wi, forward=True))
         active = active & any(enabled) & (wi.z > MIN_COS)
@@ -98,7 +98,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         active: Any,
         enabled: tuple[bool, ...],
     ) -> tuple[Any, Any, Any, Any]:
-        """Return direction, whether it is reflected, weight and density; a failed draw has density 0."""
+        """Return direction, reflection mask, weight and density; a failed draw has density 0."""
         m = facets.sample(wi, sample2)
         wi_m = dr.dot(wi, m)
         active = active & (wi_m > 0.0)
@@ -120,7 +120,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         bent = dr.fma(m, wi_m * inverse - cos_t, -inverse * wi)
         wo = dr.select(reflects, wo, bent)
         wo_m = dr.select(reflects, wi_m, cos_t)
-        # a refraction that fails, or leaves on the wrong side, is lost: turning it into a reflection gains energy
+        # a failed refraction, or one to the wrong side, is lost: converting it to a reflection would gain energy
         good = active & dr.select(reflects, wo.z > MIN_COS, (cos_t2 > 0.0) & (wo.z < -MIN_COS))
         squeeze = inverse * inverse if is_radiance(ctx) else mi.Float(1.0)
         chance = dr.select(reflects, share, 1.0 - share)
@@ -183,7 +183,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         return value & active, dr.select(active, chance * density, 0.0)
 
     def choice_weight(self, si: Any, active: Any) -> Any:
-        """Return what the smooth interface would scatter at the angle of the ray."""
+        """Return the smooth interface's albedo at the ray's angle."""
         wi, _, inside = self._from_above(self._frame(si, active)(si.wi, forward=True))
         reflected, transmitted = self.response.look_up(wi.z, inside, si, active)
         total = dr.mean(reflected + transmitted if self.refracts else reflected)
@@ -192,11 +192,11 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
     # -- helpers ----------------------------------------------------------------------------------------
 
     def _share(self, share: Any, enabled: tuple[bool, ...]) -> Any:
-        """Keep the probability to reflect, unless the caller wants one component only."""
+        """Return the reflection probability, or 0 or 1 if only one component is enabled."""
         return share if all(enabled) else mi.Float(1.0 if enabled[0] else 0.0)
 
     def _eta(self, inside: Any) -> Any:
-        """Return the index beyond the surface over the index here."""
+        """Return the index beyond the surface over the index on this side."""
         return dr.select(inside, self.response.inv_eta, self.response.eta)
 
     def _facets(self, si: Any, active: Any) -> Facets:
@@ -207,14 +207,14 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         return self.facets(alpha_x, alpha_x if self.is_isotropic else self.alpha_y * factor)
 
     def _from_above(self, wi: Any) -> tuple[Any, Any, Any]:
-        """Return `wi` turned to z >= 0, the sign that turns it, and whether it came from inside."""
+        """Return `wi` with z >= 0, the applied sign, and whether it came from inside."""
         if not self.response.transmits:
             return wi, mi.Float(1.0), wi.z < 0.0
         sign = dr.copysign(mi.Float(1.0), wi.z)
         return wi * sign, sign, wi.z < 0.0
 
     def _frame(self, si: Any, active: Any) -> Any:
-        """Return the change between the surface's frame and that of the roughness, outside upward."""
+        """Return the transformation between the surface's frame and the roughness frame, outside upward."""
         flipped = self.response.flipped
         if self.rotation is None and not flipped:
             return lambda w, forward: w
@@ -230,7 +230,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         return turn
 
     def update(self, lobe: Microfacet) -> None:
-        """Take over other tables and widths.
+        """Replace tables and widths.
 
         Raises:
             UnsupportedError: the structure differs (distribution, isotropy, textures, compensation).
@@ -243,7 +243,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
             and (lobe.loss is None) == (self.compensation is None)
         )
         if not same:
-            raise UnsupportedError("the kind of roughness changed; build the scene again")
+            raise UnsupportedError("the structure of the roughness changed; build the scene again")
         self.response.update(lobe.response)
         self._set_alpha(lobe)
         if self.alpha_texture is not None and lobe.alpha_texture is not None:

@@ -1,8 +1,9 @@
-"""The diffuse light of a monolayer on the device: harmonics over the azimuth times the sharp structure factor.
+"""The diffuse light of monolayers on the device: azimuthal series times the sharp structure factor.
 
-A look-up is bound by the cache lines that it touches, then by its arithmetic. So the harmonics of one pair of angles at
-one wavelength lie in two or four words, see `packed_series`, beside those of the next wavelength. S is read at the
-exact |q| of each wavelength. Directions are drawn from a coarse table of where light goes, see `tents`.
+Look-up time is bound by cache lines, then by arithmetic. The harmonics of an angle pair at one wavelength are
+therefore packed in two or four words (`packed_series`), next to those of the next wavelength. S is read at each
+wavelength's exact |q|. Directions are drawn from a coarse table of exits (`bilinear_sampling`). For aligned particles
+this table depends only on the azimuth difference and is averaged over the rotation; the weights contain the rest.
 """
 
 from __future__ import annotations
@@ -38,22 +39,21 @@ from nacre.device.plugin import (
 )
 from nacre.device.tables import WavelengthAxis
 
-HALF = 0xFFFF  # the largest number of 16 bits
-COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grows without bound
-# mean square of the weights up to which an opaque lobe is drawn by the cosine alone: a tenth more variance of each draw
-# for a sixth of the time
+HALF = 0xFFFF  # the largest 16-bit number
+COSINE_SHARE = 0.1  # of the samples: covers all directions and bounds the weights
+# mean square weight below which an opaque lobe uses cosine-weighted sampling: 10 % more variance in a sixth of the time
 BROAD = 1.1
-VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 12, 9, 9  # for each side; with more the noise is the same
+VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 12, 9, 9  # for each side; more nodes do not reduce the noise
 
 AnyMonolayer = TypeVar("AnyMonolayer", bound=MonolayerLobe)
 
 
 class MonolayerPlugin(LobePlugin[AnyMonolayer]):
-    """What the diffuse light of monolayers has in common: polar angles, S, and draws from a table of exits.
+    """Common part of both monolayer plugins: polar angles, S, and sampling from a table of exits.
 
     Attributes:
         tables: names of the lobe's tables.
-        is_turned: whether values depend on both azimuths, not on their difference alone.
+        is_turned: whether values depend on both azimuths instead of only on their difference.
     """
 
     tables: ClassVar[tuple[str, ...]]
@@ -72,22 +72,22 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
 
     @abc.abstractmethod
     def _set_tables(self, lobe: AnyMonolayer) -> None:
-        """Put the series on the device."""
+        """Copy the series to the device."""
 
     @abc.abstractmethod
     def _thinned(self, lobe: AnyMonolayer) -> AnyMonolayer:
-        """Return the lobe at some dozen wavelengths: sampling needs the shape, not the colour."""
+        """Return the lobe at about a dozen wavelengths, enough for sampling."""
 
     @abc.abstractmethod
     def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
         """Interpolate f at the four wavelengths."""
 
     def _mean(self, lobe: AnyMonolayer, light: Array, eye: Array) -> Array:
-        """Return f averaged over wavelengths, `[...]`, of directions `[..., 3]`."""
+        """Return f averaged over wavelengths, `[...]`, for directions `[..., 3]`."""
         return np.asarray(lobe.evaluate(light, eye).mean(axis=-1))
 
     def _shape(self, lobe: AnyMonolayer) -> list[tuple[int, ...]]:
-        """Return the shapes of the tables, which stay when their numbers are replaced."""
+        """Return the shapes of the tables, which are constant in updates."""
         return [getattr(lobe, name).shape for name in self.tables]
 
     def _set(self, lobe: AnyMonolayer) -> None:
@@ -106,7 +106,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
             self.per_beyond = opaque(1.0 / max(math.pi / 2 - critical, 1e-6))
         self.per_last = [opaque(1.0 / cosine) for cosine in lobe.last_cosines]
         self.eta = opaque(lobe.eta)
-        # wavenumber over the table's step, and the index below, at the ends of each interval of wavelengths
+        # wavenumber over the table's step, and the index below, at both ends of each wavelength interval
         self.per_step = None
         if _keeps_index(lobe):
             self.steps_nm = opaque(lobe.wavenumbers[0] * lobe.wavelengths_nm[0] / lobe.q_step)
@@ -119,10 +119,10 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         self._set_sampling(lobe)
 
     def _set_sampling(self, lobe: AnyMonolayer) -> None:
-        """Tabulate f, averaged over wavelengths, on (theta_i; side, |dphi|, sin^2 theta_o), for draws by |cos_o| f."""
+        """Tabulate the wavelength-averaged f on (theta_i; side, |dphi|, sin^2 theta_o), for sampling by |cos_o| f."""
         hemispheres = 2 if self.transmits else 1
         views = VIEW_NODES * hemispheres
-        # uniform in the cosine, which costs no arc to find
+        # uniform in the cosine, which avoids an arc function
         depth = 2.0 if self.transmits else 1.0
         ti = np.arccos(np.clip(1.0 - np.linspace(0.0, depth, views), 1e-3 - (depth - 1.0), 1.0 - 1e-6))
         square = np.clip(np.linspace(0.0, 1.0, EXIT_NODES), 1e-6, 1.0 - 1e-5)
@@ -132,9 +132,9 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         thin = self._thinned(lobe)
         means = np.empty((views, hemispheres, AZIMUTH_NODES, EXIT_NODES))
         for k, angle in enumerate(ti):
-            # the camera is `wi` of the device, the light `wo`; their roles differ by a factor only
+            # on the device `wi` is the camera and `wo` the light; the roles differ only by a factor
             means[k] = self._mean(thin, wo, np.broadcast_to(_directions(angle, 0.0), wo.shape))
-        # equal areas of the square are equal shares of the cosine
+        # equal areas of the square are equal cosine-weighted solid angles
         inner = np.ones((AZIMUTH_NODES, EXIT_NODES))
         inner[[0, -1]] *= 0.5
         inner[:, [0, -1]] *= 0.5
@@ -151,7 +151,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         self.view_max = opaque(views - 2)
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Draw from the table of exits; a broad lobe by the cosine alone."""
+        """Draw from the table of exits; a broad lobe cosine-weighted."""
         active = active & self._visible(si.wi)
         if self.is_broad:
             wo = mi.warp.square_to_cosine_hemisphere(sample2)
@@ -174,7 +174,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         return bs, (value * dr.rcp(larger(pdf, 1e-20))) & (active & (pdf > 0.0))
 
     def _drawn(self, si: Any, sample1: Any, sample2: Any, active: Any) -> tuple[Any, tuple[Any, Any, Any]]:
-        """Return a direction of the table of exits, and where it lies in there."""
+        """Return a direction from the table of exits, and its table coordinates."""
         row, part = self._view(si.wi)
         face, square, turn, rest = self.exits.sample(row, part, sample1, sample2, active)
         azimuth = dr.select(rest < 0.5, -turn, turn) * math.pi
@@ -205,14 +205,14 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         return self._look_up(si, light, eye, active) * dr.abs(wo.z)
 
     def _density(self, si: Any, wo: Any, face: Any, square: Any, turn: Any, active: Any) -> Any:
-        """Return the density at a place of the table of exits: its side, sin^2 theta and azimuth / pi."""
+        """Return the density at table coordinates: side, sin^2 theta and azimuth / pi."""
         row, part = self._view(si.wi)
         density = self.exits.density(row, part, face, square, turn, active)
         # unit square -> sin^2 theta, dphi in [-pi, pi] -> solid angle
         return dr.select(active, density * dr.abs(wo.z) * dr.inv_pi, 0.0)
 
     def _wanted(self, si: Any, wo: Any, enabled: tuple[bool, ...]) -> Any:
-        """Whether a direction out can be seen and is of a component that is asked for."""
+        """Whether an exit direction is visible and its component enabled."""
         if not self.transmits:
             return self._visible(wo) & enabled[0]
         return self._visible(wo) & dr.select(si.wi.z * wo.z > 0.0, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
@@ -221,19 +221,19 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         return dr.abs(w.z) > MIN_COS if self.transmits else w.z > MIN_COS
 
     def _view(self, wi: Any) -> tuple[Any, Any]:
-        """Return the lower row of the direction of view, and the part of the way to the next."""
+        """Return the view direction's lower row, and the fraction to the next."""
         position = larger(1.0 - wi.z, 0.0) * self.per_depth
         low = smaller(dr.floor(position), self.view_max)
         return mi.UInt32(low), position - low
 
     def _coordinate(self, w: Any, sine: Any) -> tuple[Any, Any]:
-        """Return the lower node, those below after those above, and the fraction of a polar angle; see `PolarGrid`."""
+        """Return a polar angle's lower node (nodes below follow those above) and fraction; see `PolarGrid`."""
         if not self.transmits:
             x = dr.atan2(sine, w.z) * (2.0 / math.pi) * self.edge_above
             top = self.top_above
         else:
-            # one arc tangent for three angles: against the normal above, that of the refracted ray below, and
-            # against the critical angle beyond it
+            # one arc tangent for three angles: to the normal above, of the refracted ray below, and to the critical
+            # angle beyond it
             cosine, up = dr.abs(w.z), w.z > 0.0
             outer = self.eta * sine
             past = negated(up) & (outer >= 1.0)
@@ -256,14 +256,14 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         return (node + dr.select(up, 0, self.count_above) if self.transmits else node), x - low
 
     def _fall(self, w: Any, up: Any, below: Any) -> Any:
-        """Return 1 above, and a number below; beyond the last node of its side they fall to zero as the cosine."""
+        """Return 1 above, or `below`; beyond the last node of the side the value decreases to zero like the cosine."""
         fall = smaller(dr.abs(w.z) * self.per_last[0], 1.0)
         if not self.transmits:
             return fall
         return dr.select(up, fall, smaller(dr.abs(w.z) * self.per_last[1], 1.0) * below)
 
     def _squares(self, sin_l: Any, sin_e: Any, dot: Any, up_l: Any, up_e: Any) -> list[Any]:
-        """Return |q|^2 over k^2 as a polynomial of the index below: what both, one and no direction above adds."""
+        """Return |q|^2 over k^2 as a polynomial in the index below: terms of two, one and zero directions above."""
         light, eye, both = sin_l * sin_l, sin_e * sin_e, 2.0 * dot
         if not self.transmits:
             return [light + eye + both]
@@ -280,7 +280,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
             scale = dr.lerp(ends[0], ends[1], part)
         square = squares[0]
         if self.transmits:
-            # a node is always within the table: read without a mask, it is one read for `eval` and `sample`
+            # nodes are always within the table: without a mask, `eval` and `sample` share the read
             ends = read2(self.index, low)
             index = dr.lerp(ends[0], ends[1], part)
             square = dr.fma(dr.fma(squares[2], index, squares[1]), index, square)
@@ -293,19 +293,19 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         return dr.select(inside, value, 1.0)
 
     def choice_weight(self, si: Any, active: Any) -> Any:
-        """Return the albedo from this direction, averaged over wavelengths."""
+        """Return the wavelength-averaged albedo for this direction."""
         row, part = self._view(si.wi)
         ends = read2(self.albedo, row, active)
         return dr.select(self._visible(si.wi), dr.lerp(ends[0], ends[1], part), 0.0)
 
     def update(self, lobe: AnyMonolayer) -> None:
-        """Take over the numbers of another monolayer.
+        """Replace the data by another monolayer's.
 
         Raises:
-            UnsupportedError: the shape of its tables differs.
+            UnsupportedError: the shapes of the tables differ.
         """
         if _keeps_index(lobe) != self.keeps_index:
-            raise UnsupportedError("one ambient disperses and the other does not; build the scene again")
+            raise UnsupportedError("only one of the ambients is dispersive; build the scene again")
         if self._shape(lobe) != self.shape:
             raise UnsupportedError("the harmonic tables changed their shape; build the scene again")
         self._set(lobe)
@@ -342,7 +342,7 @@ class HarmonicPlugin(MonolayerPlugin[Harmonic]):
         low_e, part_e = self._coordinate(eye, sin_e)
         up_l, up_e = light.z > 0.0, eye.z > 0.0
         where = self.axis.locate(si.wavelengths, active)
-        # the three corners of the triangle of the two angles that holds the point, as in the arrays
+        # the three corners of the point's triangle in the two angles, as in the arrays
         first = part_l > part_e
         step_l, step_e = dr.select(first, mi.UInt32(1), mi.UInt32(0)), dr.select(first, mi.UInt32(0), mi.UInt32(1))
         steps = [(0, 0), (step_l, step_e), (1, 1)]
@@ -363,7 +363,7 @@ class HarmonicPlugin(MonolayerPlugin[Harmonic]):
 
 
 def _one_triangle(above: SingleArray, below: SingleArray, across: SingleArray) -> SingleArray:
-    """Return the pairs of all nodes, those below after those above, as one triangle: row a (a + 1) / 2 + b, b <= a."""
+    """Return all node pairs (nodes below follow those above) as one triangle: row a (a + 1) / 2 + b, b <= a."""
     count = int(round(math.sqrt(2.0 * len(below) + 0.25) - 0.5))
     lines = [above]
     for node in range(count):
@@ -379,15 +379,15 @@ def _row(a: Any, b: Any) -> Any:
 
 
 def tetrahedron(rows: list[Any], upper: Any, lower: Any, part: Any) -> list[tuple[Any, Any]]:
-    """Return the corners of the tetrahedron of two angles and the wavelength that holds a point, with their weights.
+    """Return the corners and weights of the point's tetrahedron in the two angles and the wavelength.
 
-    From the lowest corner of the cell to the highest, one coordinate after the other goes up, that with the largest
-    fraction first. So four corners are read, not three at either wavelength; at a wavelength's node it is the triangle.
+    From the lowest corner of the cell to the highest, coordinates increase one after the other, in the order of
+    decreasing fractions: four reads instead of three at each wavelength. At a wavelength node it is the triangle.
 
     Args:
-        rows: places of the triangle's three corners, from the lowest to the highest, at the lower wavelength.
-        upper, lower: the larger and the smaller of the angles' fractions.
-        part: the wavelength's.
+        rows: positions of the triangle's three corners, from lowest to highest, at the lower wavelength.
+        upper, lower: the larger and the smaller angle fraction.
+        part: the wavelength fraction.
     """
     is_first, is_last = part > upper, part <= lower
     one, two = larger(upper, part), smaller(lower, part)
@@ -401,27 +401,27 @@ def tetrahedron(rows: list[Any], upper: Any, lower: Any, part: Any) -> list[tupl
 
 
 def interpolated(source: PackedSeries, corners: list[tuple[Any, Any]], harmonics: list[Any], active: Any) -> Any:
-    """Sum the harmonics at the corners, by their weights."""
+    """Return the weighted sum of the series at the corners."""
     total = mi.Float(0.0)
     for place, weight in corners:
         total = dr.fma(weight, source.sum(place, harmonics, active), total)
-    # a cut cosine series may dip below zero where the light is next to nothing
+    # a truncated series may be slightly negative at low light
     return larger(total, 0.0)
 
 
 def _keeps_index(lobe: Any) -> bool:
-    """Whether the ambient has one index, so that the wavenumber is a number over the wavelength."""
+    """Whether the ambient is dispersionless: the wavenumber is then a constant over the wavelength."""
     product = lobe.wavenumbers * lobe.wavelengths_nm
     return bool(np.allclose(product, product[0], rtol=1e-7, atol=0.0))
 
 
 def _pairs(values: Array) -> Array:
-    """Return `[i, 2]`: each value and the next, which one load then fetches."""
+    """Return `[i, 2]`: each value and the next, for one load."""
     return np.stack([values[:-1], values[1:]], axis=1) if len(values) > 1 else np.stack([values, values], axis=1)
 
 
 def _halves(values: Array) -> tuple[Any, Any]:
-    """Return words of 16 bits for each value and 16 for the next, and their unit."""
+    """Return words with 16 bits for each value and 16 for the next, and the unit."""
     top = max(float(values.max()), 1e-30)
     steps = np.rint(values * (HALF / top)).astype(np.uint32)
     words = steps[:-1] | steps[1:] << np.uint32(16)
@@ -435,7 +435,7 @@ def _word(words: Any, index: Any, active: Any) -> Any:
 
 
 def thinned_rows(lobe: Any, tables: tuple[str, ...]) -> dict[str, Any]:
-    """Return some tables of a lobe, and what else goes by the wavelength, at some dozen wavelengths."""
+    """Return a lobe's tables and spectral data at about a dozen wavelengths."""
     step = max(1, len(lobe.wavelengths_nm) // 12)
     names = (*tables, "wavelengths_nm", "wavenumbers", "index_below")
     return {name: np.ascontiguousarray(getattr(lobe, name)[..., ::step]) for name in names}
@@ -449,15 +449,13 @@ def _directions(theta: Any, phi: Any) -> Array:
 
 
 def _unit(wi: Any) -> tuple[Any, Any]:
-    """Return cosine and sine of the azimuth; any will do at the pole."""
+    """Return cosine and sine of the azimuth, arbitrary at the pole."""
     flat = wi.x * wi.x + wi.y * wi.y
     inverse = dr.rsqrt(larger(flat, 1e-20))
     return dr.select(flat > 1e-14, wi.x * inverse, 1.0), dr.select(flat > 1e-14, wi.y * inverse, 0.0)
 
 
-# The diffuse light of aligned particles on the device: a series in both azimuths times the sharp structure factor.
-
-TURNS = 8  # azimuths of the light that the table of exits is averaged over
+TURNS = 8  # light azimuths in the average for the table of exits
 
 
 class AlignedPlugin(MonolayerPlugin[Aligned]):
@@ -477,7 +475,7 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         return dataclasses.replace(lobe, **thinned_rows(lobe, self.tables))
 
     def _mean(self, lobe: Aligned, light: Array, eye: Array) -> Array:
-        """Return f averaged over wavelengths, turns and mirror images, `[...]`, of directions `[..., 3]`."""
+        """Return f averaged over wavelengths, rotations and mirror images, `[...]`, for directions `[..., 3]`."""
         total = np.zeros(light.shape[:-1])
         for turn in np.arange(TURNS) * (2 * math.pi / TURNS):
             cos, sin = math.cos(turn), math.sin(turn)
@@ -487,7 +485,7 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         return total / (2 * TURNS)
 
     def _waves(self, one: list[tuple[Any, Any]], two: list[tuple[Any, Any]]) -> list[Any]:
-        """Return the cosine or the sine of each term, of the powers of both directions' azimuths."""
+        """Return each term's cosine or sine from the multiples of both directions' azimuths."""
         found = []
         for a, b, is_sine in self.orders.tolist():
             (cos_a, sin_a), (cos_b, sin_b) = one[abs(a)], two[abs(b)]
@@ -499,7 +497,7 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         return found + [mi.Float(0.0)] * (PACKET * self.packets - len(found))
 
     def _powers(self, w: Any, sine: Any) -> list[tuple[Any, Any]]:
-        """Return cosine and sine of the multiples of an azimuth against the particles, from 0 on."""
+        """Return cosine and sine of the multiples (from 0) of an azimuth relative to the particles."""
         inverse = dr.rcp(larger(sine, 1e-12))
         x = dr.select(sine > 1e-12, w.x * inverse, 1.0)
         y = dr.select(sine > 1e-12, w.y * inverse, 0.0)
@@ -519,7 +517,7 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         low_e, part_e = self._coordinate(eye, sin_e)
         up_l, up_e = light.z > 0.0, eye.z > 0.0
         where = self.axis.locate(si.wavelengths, active)
-        # the first direction of a pair is the one with the higher node, in the whole triangle that holds the point
+        # the first direction of a pair is the one with the higher node
         is_first = (low_l > low_e) | ((low_l == low_e) & (part_l >= part_e))
         powers_l, powers_e = self._powers(light, sin_l), self._powers(eye, sin_e)
         one = [tuple(dr.select(is_first, a, b) for a, b in zip(p, q)) for p, q in zip(powers_l, powers_e)]
@@ -542,16 +540,16 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         return result * (self._fall(light, up_l, 1.0) * self._fall(eye, up_e, self.eta * self.eta))
 
     def update(self, lobe: Aligned) -> None:
-        """Take over the numbers of another monolayer.
+        """Replace the data by another monolayer's.
 
         Raises:
-            UnsupportedError: the shape of its tables, or the terms of its series, differ.
+            UnsupportedError: the shapes of the tables, or the terms of the series, differ.
         """
         if not np.array_equal(np.rint(lobe.orders), self.orders):
-            raise UnsupportedError("the series over the azimuths changed its terms; build the scene again")
+            raise UnsupportedError("the azimuthal series changed its terms; build the scene again")
         super().update(lobe)
 
 
 def _row_aligned(a: Any, b: Any) -> Any:
-    """Return the row of a pair of nodes, of which the first is the higher."""
+    """Return the row of a node pair, the higher node first."""
     return ((a * (a + 1)) >> 1) + b

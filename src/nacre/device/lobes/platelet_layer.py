@@ -1,8 +1,8 @@
-"""Noise-free flakes on the device: the interface's facets, the flakes' lobe times its smooth table, and the base.
+"""The noise-free platelet layer on the device: interface facets, the flake lobe times its smooth table, and the base.
 
-Draws come from a mixture: the interface's own facets (or its mirror image), facets as wide as the flakes' lobe
-about the outer half vector, and a cosine; shares follow the power of the three at the angle of the ray. Where flakes
-are resolved, most draws of the second kind come from the lobe of one of the flakes that lie at the point.
+Sampling uses a mixture: the interface's own facets (or its mirror direction), facets as wide as the flake lobe around
+the outer half vector, and a cosine. Probabilities follow the power of the three at the ray's angle. With glints, most
+samples from the flake lobe come from one of the flakes at the point.
 """
 
 from __future__ import annotations
@@ -21,18 +21,17 @@ from nacre.device.glints import DeviceGlints, seen_apart
 from nacre.device.plugin import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, read2
 from nacre.device.tables import DeviceTable, WavelengthAxis
 
-MAX_ALPHA = 2.0  # of the facets that stand for the flakes' lobe; near grazing it is wider than any facets
-# The cosine's share among the draws is that of its power, at least the first number (no weight grows without bound),
-# over the second: path tracers sample lights for diffuse light, too. Variance of bottles 1, 2 and 5 on the knob in the
-# studio at 1 instead of 3: 1.16, 1.5 and 1.1 times as much; for bottle 2 at 2 and 4: 1.13 and 0.93 times.
+MAX_ALPHA = 2.0  # of the facets that sample the flake lobe, which is wider near grazing incidence
+# The cosine's probability follows its power, with the first number as minimum (which bounds the weights), divided by
+# the second, since path tracers also sample lights for diffuse reflection. Relative variance for bottles 1, 2 and 5
+# at 1 instead of 3: 1.16, 1.5 and 1.1; for bottle 2 at 2 and 4: 1.13 and 0.93.
 DIFFUSE_SHARE, DIFFUSE_LESS = 0.1, 3.0
 SMALLEST_ALPHA = 1e-4
-# of the draws by the flakes' lobe, at a point where flakes are seen: the rest of their light is theirs together
-GLINT_SHARE = 0.75
+GLINT_SHARE = 0.75  # of the flake lobe's samples at a point with resolved flakes
 
 
 class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
-    """One stratum of flakes over a diffuse base, without a walk."""
+    """One stratum of flakes over a diffuse base, without a random walk."""
 
     kind = "platelet-layer"
 
@@ -77,7 +76,7 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
     # -- sampling ---------------------------------------------------------------------------------------
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Draw from the mixture; the weight is that of all of it."""
+        """Draw from the mixture; value and density are those of the whole mixture."""
         wi = si.wi
         active = active & any(enabled) & (wi.z > MIN_COS)
         surface, lobe, mirror = self._shares(wi, active, enabled)
@@ -92,7 +91,7 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         m = Ggx(alpha, alpha).sample(wi, sample2)
         drawn = dr.fma(m, 2.0 * dr.dot(wi, m), -wi)
         if self.glints is not None:
-            part = (sample1 - surface) / dr.maximum(lobe, 1e-9)  # uniform among the draws by the flakes' lobe
+            part = (sample1 - surface) / dr.maximum(lobe, 1e-9)  # uniform within the flake lobe's samples
             part = dr.select(sample1 < surface + 0.5 * lobe, 2.0 * part, 2.0 * part - 1.0) if wide is not None else part
             is_flake = active & by_facet & (by_surface ^ True) & (part < GLINT_SHARE) & seen_apart(si)
             glint, is_there = self._by_flake(si, part / GLINT_SHARE, sample2, is_flake)
@@ -117,7 +116,7 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         return bs, weight
 
     def _by_flake(self, si: Any, sample1: Any, sample2: Any, active: Any) -> tuple[Any, Any]:
-        """Draw a direction by one of the flakes at the point; return it and whether there is a flake."""
+        """Draw a direction from one of the flakes at the point; return it and whether a flake exists."""
         assert self.glints is not None
         which = dr.clip(sample1, 0.0, dr.one_minus_epsilon(mi.Float))
         kind, tx, ty, count = self.glints.one_of(si.uv, which, active)
@@ -129,18 +128,18 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         sx, sy = (tx + width * away.x) * deviation, (ty + width * away.y) * deviation
         wi = si.wi
         inner = dr.sqrt(1.0 - (1.0 - dr.square(wi.z)) * self.inverse2)
-        # the mirror image inside the resin, and out of it
+        # reflect inside the resin, then refract outwards
         h = dr.normalize(mi.Vector3f(sx, sy, 1.0))
         into = mi.Vector3f(wi.x / self.index, wi.y / self.index, inner)
         out = dr.fma(h, 2.0 * dr.dot(into, h), -into)
         x, y = out.x * self.index, out.y * self.index
         z2 = 1.0 - x * x - y * y
         leaves = (out.z > 0.0) & (z2 > 0.0) & (dr.dot(into, h) > 0.0)
-        # below the surface where it cannot leave: without a value
+        # directions that cannot leave point below the surface and have zero value
         return mi.Vector3f(x, y, dr.select(leaves, dr.safe_sqrt(z2), -1.0)), count > 0.0
 
     def _shares(self, wi: Any, active: Any, enabled: tuple[bool, ...]) -> tuple[Any, Any, Any]:
-        """Return the chances of the interface's facets, the flakes' facets and the mirror; the rest is a cosine."""
+        """Return the probabilities of the interface's facets, the flakes' facets and the mirror (rest: a cosine)."""
         at = dr.sqrt(dr.clip(wi.z, 0.0, 1.0)) * self.share_top
         low = dr.minimum(mi.UInt32(at), self.share_low)
         part = at - mi.Float(low)
@@ -154,7 +153,7 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         return mi.Float(0.0), lobe, surface
 
     def _alphas(self, wi: Any) -> tuple[Any, Any]:
-        """Return the widths of the flakes' lobes about the outer half vector; the second None if there is one."""
+        """Return the widths of the one or two flake lobes around the outer half vector."""
         inner = self.index * dr.sqrt(1.0 - (1.0 - dr.square(wi.z)) * self.inverse2)
         bend = dr.square(inner - wi.z) * self.bend2 / (2.0 * dr.square(inner))
         found = [dr.clip(inner / wi.z * dr.sqrt(w2 + bend), SMALLEST_ALPHA, MAX_ALPHA) for w2 in self.width2]
@@ -212,7 +211,7 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         return self.base.look_up(low, at - mi.Float(low), where, None, active)[0]
 
     def _half(self, wi: Any, wo: Any) -> tuple[Any, Any, Any, Any, Any]:
-        """Return both cosines inside, the rcp of the half vector's length along the normal, and its slope (x, y)."""
+        """Return both inside cosines, the reciprocal of the half vector's normal component, and its slope (x, y)."""
         inner_i = dr.sqrt(1.0 - (1.0 - dr.square(wi.z)) * self.inverse2)
         inner_o = dr.sqrt(1.0 - (1.0 - dr.square(wo.z)) * self.inverse2)
         per_tall = dr.rcp(self.index * (inner_i + inner_o))
@@ -232,8 +231,8 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         return density * (0.25 * dr.inv_pi) * self.inverse2 / (inner_i * inner_o)
 
     def _sparkle(self, si: Any, wi: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Return g at the half vector inside, the kinds weighted by their densities there; the density of draws by the
-        flakes at the point; and whether there are any. Where flakes are not seen apart, as if there were none."""
+        """Return g at the inside half vector with species weighted by their densities, the flake sampling density,
+        and whether the point has flakes. Unresolved flakes count as absent."""
         assert self.glints is not None
         apart = seen_apart(si)
         active = active & apart
@@ -249,14 +248,14 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
             weights += weight
             draws += answer * self.glints.kinds[k].per_width2 / deviation2
             flakes += count
-        # of the slope, over the solid angle outside
+        # d(slope) / d(outside solid angle)
         turn = dr.abs((wi.x * sx + wi.y * sy) / self.index + inner_i)
         jacobian = dr.square(1.0 + slope2) * wo.z * self.inverse2 / (4.0 * dr.maximum(turn * inner_o, 1e-9))
         density = 0.5 * dr.inv_pi * draws / dr.maximum(flakes, 1.0) * jacobian
         return dr.select(apart, total / weights, 1.0), density, flakes > 0.0
 
     def _flakes(self, wi: Any, wo: Any, where: Any, active: Any) -> Any:
-        """Read M at q, c and phi, and with glints its part of one flake."""
+        """Read M at q, c and phi, and with glints its single-flake part."""
         qx, qy = wi.x + wo.x, wi.y + wo.y
         cx, cy = 0.5 * (wi.x - wo.x), 0.5 * (wi.y - wo.y)
         q2, c2 = qx * qx + qy * qy, cx * cx + cy * cy
@@ -287,15 +286,15 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         return dr.select(si.wi.z > MIN_COS, self.power, mi.Float(0.0))
 
     def update(self, lobe: PlateletLayer) -> None:
-        """Take over the numbers of another material of the same structure.
+        """Replace the data by another material's with the same structure.
 
         Raises:
-            UnsupportedError: smooth became rough, or kinds or shapes changed.
+            UnsupportedError: smooth became rough, or species or shapes changed.
         """
         same = (lobe.alpha > 0) == self.is_rough and len(lobe.number) == self.kinds
         same = same and (lobe.glint_numbers is None) == (self.glints is None)
         if not same or len(_widths(lobe)) != len(self.widths) or lobe.flakes.shape[:3] != self.shape[:3]:
-            raise UnsupportedError("the flakes changed in kind; build the scene again")
+            raise UnsupportedError("the structure of the flakes changed; build the scene again")
         self.axis.update(lobe.wavelengths_nm)
         self.flakes.update(_rows(lobe))
         self.base.update(lobe.base[..., None])
@@ -311,7 +310,7 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
 
 
 def _widths(lobe: PlateletLayer) -> list[float]:
-    """Return the narrowest and the widest deviation, once where they are alike."""
+    """Return the narrowest and the widest deviation, or one if they are similar."""
     if not len(lobe.deviation):
         return [0.5]
     low, high = float(np.min(lobe.deviation)), float(np.max(lobe.deviation))
@@ -319,7 +318,7 @@ def _widths(lobe: PlateletLayer) -> list[float]:
 
 
 def _rows(lobe: PlateletLayer) -> Array:
-    """Return M, and with glints its part of one flake, as `[c * phi, q, wavelength, 1 or 2]`: rows run along q."""
+    """Return M, and with glints its single-flake part, as `[c * phi, q, wavelength, 1 or 2]`: rows run along q."""
     parts = [lobe.flakes] if lobe.single is None else [lobe.flakes, lobe.single]
     values = np.transpose(np.stack(parts, axis=-1).astype(float), (1, 2, 0, 3, 4))
     return np.ascontiguousarray(values.reshape(-1, *values.shape[2:]))

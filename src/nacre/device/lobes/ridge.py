@@ -1,9 +1,9 @@
 """Ridges on the device: a broad diffraction pattern across them, a narrow spread along them.
 
-Sampling works in sines, where cos_o d omega_o = ds_x ds_y: the sine along the ridges from its Gaussian, then the
-sine across from a mixture of the envelope sinc^2 and of grating orders under that envelope (an order by the
-share of the envelope in its period, the place in it by the comb of N ridges). The mixture is averaged over the
-ray's wavelengths, of which one is drawn.
+Sampling works in sines, with cos_o d omega_o = ds_x ds_y: the sine along the ridges from its Gaussian, then the
+sine across from a mixture of the envelope sinc^2 and grating orders (the order by the envelope's integral over its
+period, the position by the comb of N ridges). The mixture is averaged over the ray's wavelengths, one of which is
+drawn.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ class RidgePlugin(LobePlugin[Ridge]):
         self.count, self.spread = opaque(lobe.count), opaque(lobe.spread_along)
         self.deviation = replaced(self.deviation, opaque(lobe.height_deviation_nm))
         self.fill = replaced(self.fill, opaque(lobe.fill))
-        # the envelope in t = u b/2, over all that any wavelength of the renderer (360 nm on) can reach
+        # the envelope in t = u b/2, over the range of the renderer's wavelengths (>= 360 nm)
         shortest = min(float(lobe.wavelengths_nm[0]), 360.0)
         self.envelope = StepDensity(
             lambda t: np.square(np.sinc(t / np.pi)), 2.0 * math.pi * lobe.width_nm / shortest, ENVELOPE_CELLS
         )
-        # a power of two, so that similar counts share a kernel
+        # a power of two: similar counts share a kernel
         wanted = np.clip(COMB_CELLS_PER_RIDGE * lobe.count, MIN_COMB_CELLS, MAX_COMB_CELLS)
         cells = 1 << int(np.ceil(np.log2(wanted)))
         self.comb = StepDensity(
@@ -63,7 +63,7 @@ class RidgePlugin(LobePlugin[Ridge]):
         )
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Draw a direction; see the module's text."""
+        """Draw a direction; see the module docstring."""
         frame = self._frame(si, active)
         wi = frame(si.wi, forward=True)
         active = active & enabled[0] & (wi.z > MIN_COS)
@@ -136,7 +136,7 @@ class RidgePlugin(LobePlugin[Ridge]):
         return envelope * (1.0 - chi2 + chi2 * comb / self.count)
 
     def _across_pdf(self, wi: Any, across: Any, limit: Any, wavelength: Any, active: Any) -> Any:
-        """Return the density of the sine across for one wavelength."""
+        """Return the density of the sine across the ridges at one wavelength."""
         scale = math.pi * self.width / wavelength
         low, high = self.envelope.cdf((wi.x - limit) * scale), self.envelope.cdf((wi.x + limit) * scale)
         whole = dr.maximum(high - low, 1e-12)
@@ -151,16 +151,16 @@ class RidgePlugin(LobePlugin[Ridge]):
         return dr.lerp(broad, narrow, self._comb_share(wi, wavelength))
 
     def _comb_share(self, wi: Any, wavelength: Any) -> Any:
-        """Return how often orders are drawn: the coherence at the most grazing exit, which has the most of it."""
+        """Return the probability of grating orders: the coherence at the most grazing exit, its maximum."""
         chi2 = dr.exp(-dr.square(2.0 * math.pi / wavelength * wi.z * self.deviation))
         return dr.minimum(chi2, MAX_COMB_SHARE)
 
     def _sane(self, wavelength: Any) -> Any:
-        """Keep harnesses that pass a wavelength of 0 from dividing by it."""
+        """Limit the wavelength from below, since test harnesses pass 0."""
         return dr.maximum(wavelength, 200.0)
 
     def _frame(self, si: Any, active: Any) -> Any:
-        """Return the turn that puts x across the ridges."""
+        """Return the rotation to a frame with x across the ridges."""
         if self.rotation is None:
             return lambda w, forward: w
         sin, cos = dr.sincos(self.rotation(si, active))
@@ -172,18 +172,18 @@ class RidgePlugin(LobePlugin[Ridge]):
         return turn
 
     def choice_weight(self, si: Any, active: Any) -> Any:
-        """Return the stack's reflectance at the angle of the ray, times the share covered."""
+        """Return the stack's reflectance at the ray's angle, times the covered fraction."""
         reflected, _ = self.response.look_up(dr.abs(si.wi.z), mi.Bool(False), si, active)
         return dr.select(si.wi.z > 0.0, dr.mean(reflected) * self.fill, 0.0)
 
     def update(self, lobe: Ridge) -> None:
-        """Take over other numbers.
+        """Replace the data.
 
         Raises:
-            UnsupportedError: the rotation became or ceased to be a texture, or tables changed shape.
+            UnsupportedError: the rotation texture appeared or vanished, or tables changed shape.
         """
         if (lobe.rotation is None) != (self.rotation is None):
-            raise UnsupportedError("the direction of the ridges changed its kind; build the scene again")
+            raise UnsupportedError("the rotation of the ridges appeared or vanished; build the scene again")
         self.response.update(lobe.response)
         self.inverse_norm.update(_row(lobe.norm))
         self.axis.update(lobe.wavelengths_nm)
@@ -192,7 +192,7 @@ class RidgePlugin(LobePlugin[Ridge]):
         self._set_numbers(lobe)
 
     def traverse(self, callback: Any, prefix: str) -> None:
-        """Expose the stack's tables and the ridge's sizes."""
+        """Expose the stack's tables and the ridge dimensions."""
         self.response.traverse(callback, prefix)
         if dr.is_jit_v(mi.Float):
             callback.put(f"{prefix}height_deviation_nm", self.deviation, mi.ParamFlags.Differentiable)
@@ -204,18 +204,18 @@ class RidgePlugin(LobePlugin[Ridge]):
 
 
 class StepDensity:
-    """A density over [-reach, reach], constant within each of many cells, so that draws and density agree exactly."""
+    """A piecewise constant density over [-reach, reach], for exactly consistent sampling and density."""
 
     def __init__(self, function: Any, reach: float, cells: int) -> None:
         edges = np.linspace(-reach, reach, cells + 1)
-        # two-point Gauss rule in each cell: exact enough, and positive
+        # two-point Gauss rule in each cell: positive
         middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * (edges[1] - edges[0])
         mass = function(middle - half / math.sqrt(3.0)) + function(middle + half / math.sqrt(3.0))
-        mass = mass + 1e-6 * mass.mean()  # no empty cell: every place stays reachable
+        mass = mass + 1e-6 * mass.mean()  # avoids empty cells
         cdf = np.concatenate([[0.0], np.cumsum(mass)])
         cdf /= cdf[-1]
         self.table = device_array(cdf)
-        self.cell_count = cells  # it sets the number of search steps, so it is part of the kernel
+        self.cell_count = cells  # part of the kernel: it sets the number of search steps
         self.last = opaque_int(cells - 1)
         self.per_unit = opaque(cells / (2.0 * reach))
         self.reach = opaque(reach)
@@ -227,7 +227,7 @@ class StepDensity:
         return low, position - mi.Float(low)
 
     def cdf(self, x: Any, active: Any = True) -> Any:
-        """Return the share below `x`."""
+        """Return the cumulative probability at `x`."""
         low, fraction = self._cell(x)
         return dr.lerp(read(self.table, low, active), read(self.table, low + 1, active), fraction)
 
@@ -238,7 +238,7 @@ class StepDensity:
         return dr.select(dr.abs(x) <= self.reach, step * self.per_unit, 0.0)
 
     def invert(self, share: Any, active: Any = True) -> Any:
-        """Return the place below which `share` lies."""
+        """Return the inverse of `cdf`."""
         low = dr.binary_search(0, self.cell_count, lambda i: read(self.table, i + 1, active) < share)
         low = dr.minimum(mi.UInt32(low), self.last)
         start, end = read(self.table, low, active), read(self.table, low + 1, active)
@@ -247,7 +247,7 @@ class StepDensity:
 
 
 def _row(norm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`[wavelength]` -> its inverse as `[row, wavelength, channel]`."""
+    """Return the inverse of `[wavelength]` as `[row, wavelength, channel]`."""
     return 1.0 / np.asarray(norm, dtype=float)[None, :, None]
 
 

@@ -1,4 +1,4 @@
-"""The relief's spectrum map on the device: a quadratic spline over psi, drawn from its own mean spectrum."""
+"""The relief's spectrum map on the device: a quadratic spline over psi, sampled by its mean spectrum."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read
 from nacre.device.tables import WavelengthAxis
 
-COSINE_SHARE = 0.15  # of the draws: no direction is left out, and no weight grows without bound
-VIEW_NODES = 12  # incidences for which the spectrum to draw from is tabulated
+COSINE_SHARE = 0.15  # of the samples: covers all directions and bounds the weights
+VIEW_NODES = 12  # tabulated incidences of the sampling spectrum
 MAX_VALUES = 1 << 30
 
 
 class SpectrumMapPlugin(LobePlugin[SpectrumMap]):
-    """f(psi, wi, wo): 27 spline nodes a wavelength pair; exits drawn as psi - wi with psi from the mean spectrum."""
+    """f(psi, wi, wo): 27 spline nodes per wavelength pair; exits psi - wi with psi drawn from the mean spectrum."""
 
     kind = "spectrum-map"
 
@@ -32,7 +32,7 @@ class SpectrumMapPlugin(LobePlugin[SpectrumMap]):
     def _set(self, lobe: SpectrumMap) -> None:
         power, reflectance, guard = lobe.power, lobe.reflectance, lobe.guard
         if power.size > MAX_VALUES:
-            raise UnsupportedError(f"a spectrum map of {power.size} values is too large to be rendered")
+            raise UnsupportedError(f"a spectrum map with {power.size} values is too large for rendering")
         if len(lobe.wavelengths_nm) == 1:  # the device interpolates between two
             power = np.repeat(power, 2, axis=-1)
             reflectance, guard = np.repeat(reflectance, 2, axis=-1), np.repeat(guard, 2, axis=-1)
@@ -52,7 +52,7 @@ class SpectrumMapPlugin(LobePlugin[SpectrumMap]):
         self._set_sampling(lobe)
 
     def _set_sampling(self, lobe: SpectrumMap) -> None:
-        """Tabulate the mean spectrum over wavelength at xi = 2 cos_i: exits near the mirror direction have it."""
+        """Tabulate the wavelength-averaged spectrum at xi = 2 cos_i, valid near the mirror direction."""
         nx, ny = lobe.power.shape[:2]
         psi_x = lobe.psi_first + lobe.psi_step * np.arange(nx)
         psi_y = lobe.psi_first + lobe.psi_step * np.arange(ny)
@@ -66,7 +66,7 @@ class SpectrumMapPlugin(LobePlugin[SpectrumMap]):
         self.width = (opaque(psi_x[-1] - psi_x[0]), opaque(psi_y[-1] - psi_y[0]))
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Draw psi from the spectrum, now and then the exit by its cosine; a psi without an exit gives nothing."""
+        """Draw psi from the spectrum, or sometimes a cosine-weighted exit; a psi without an exit gives zero."""
         active = active & enabled[0] & (si.wi.z > MIN_COS)
         place, _ = self.exits.sample(sample2, [_view(si.wi)], active)
         x = self.origin[0] + self.width[0] * place.x - si.wi.x
@@ -100,7 +100,7 @@ class SpectrumMapPlugin(LobePlugin[SpectrumMap]):
         where = self.axis.locate(si.wavelengths, active)
         length = dr.dot(psi, psi)
         over = dr.square(length) / dr.square(psi.z) if self.is_kirchhoff else dr.square(psi.z)
-        # cos_o cancels against the cosine that the renderer wants
+        # cos_o cancels against the renderer's cosine
         factor = over / (4.0 * dr.maximum(si.wi.z, MIN_COS))
         nodes = self._nodes(psi)
         position = dr.clip(0.5 * dr.sqrt(length), 0.0, 1.0) * self.cosine_top
@@ -129,7 +129,7 @@ class SpectrumMapPlugin(LobePlugin[SpectrumMap]):
         return result
 
     def _nodes(self, psi: Any) -> list[tuple[Any, Any]]:
-        """Return the 27 spline nodes round psi: flat index of the first wavelength, and weight."""
+        """Return the 27 spline nodes around psi: flat index of the first wavelength, and weight."""
         axes = []
         for axis, coordinate in enumerate((psi.x, psi.y, psi.z)):
             x = (coordinate - self.origin[axis]) * self.per_step[axis]
@@ -142,7 +142,7 @@ class SpectrumMapPlugin(LobePlugin[SpectrumMap]):
         return [(a + b + c, wa * wb * wc) for a, wa in axes[0] for b, wb in axes[1] for c, wc in axes[2]]
 
     def _guard_corners(self, w: Any) -> list[tuple[Any, Any]]:
-        """Return the four nodes of the guard round a direction: flat index of the first wavelength, and weight."""
+        """Return the four guard nodes around a direction: flat index of the first wavelength, and weight."""
         t = dr.sqrt(dr.clip(w.z, 0.0, 1.0)) * self.guard_top
         t0 = dr.minimum(dr.floor(t), self.guard_top - 1.0)
         azimuths = mi.Float(self.guard_azimuths)
@@ -162,10 +162,10 @@ class SpectrumMapPlugin(LobePlugin[SpectrumMap]):
         return [(index * self.count, weight) for index, weight in corners]
 
     def update(self, lobe: SpectrumMap) -> None:
-        """Take over another relief's map.
+        """Replace the map by another relief's.
 
         Raises:
-            UnsupportedError: the prefactor differs; that is another kernel.
+            UnsupportedError: the prefactor differs, which needs another kernel.
         """
         if (lobe.prefactor == "kirchhoff") != self.is_kirchhoff:
             raise UnsupportedError("the prefactor changed; build the scene again")

@@ -1,4 +1,4 @@
-"""The smooth interface on the device: two exact directions, weighted by the tables."""
+"""The smooth interface on the device: specular reflection and refraction, weighted by the tables."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class InterfacePlugin(LobePlugin[AnyInterface]):
         both = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
         self.components = (flag("DeltaReflection", *both),)
         if lobe.transmits:
-            # "Null" lets volumes and shadow rays see through a film that does not refract
+            # "Null" makes a film without refraction transparent to volumes and shadow rays
             straight = "DeltaTransmission" if self.response.bends else "Null"
             self.components += (flag(straight, *both),)
 
     @abc.abstractmethod
     def _respond(self, lobe: AnyInterface) -> DeviceResponse:
-        """Put the tables on the device."""
+        """Return the tables on the device."""
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Choose between the two directions."""
@@ -38,7 +38,7 @@ class InterfacePlugin(LobePlugin[AnyInterface]):
         wi = flip_z(si.wi) if response.flipped else si.wi
         inside = wi.z < 0
         cos = dr.abs(wi.z)
-        reflected, transmitted = response.look_up(cos, inside, si, active)  # as `choice_weight` does, mask and all
+        reflected, transmitted = response.look_up(cos, inside, si, active)  # identical to the read in `choice_weight`
         active = active & ((cos > MIN_COS) if response.transmits else (wi.z > MIN_COS))
 
         bs = dr.zeros(mi.BSDFSample3f)
@@ -70,31 +70,31 @@ class InterfacePlugin(LobePlugin[AnyInterface]):
         bs.eta = dr.select(reflects, mi.Float(1.0), ratio)
         bs.sampled_component = dr.select(reflects, mi.UInt32(0), mi.UInt32(1))
         bs.sampled_type = dr.select(reflects, mi.UInt32(self.components[0]), mi.UInt32(self.components[1]))
-        # radiance is squeezed into a smaller solid angle by a denser medium, importance is not
+        # a denser medium compresses radiance into a smaller solid angle, but not importance
         squeeze = inverse * inverse if is_radiance(ctx) else mi.Float(1.0)
         value = dr.select(reflects, reflected, transmitted * squeeze)
         return bs, (value * dr.rcp(larger(pdf, 1e-20))) & (active & (pdf > 0.0))
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Return zeros: a direction given from outside never meets a delta."""
+        """Return zeros: the lobe is a delta distribution."""
         return mi.Spectrum(0.0), mi.Float(0.0)
 
     def null_transmission(self, si: Any, active: Any) -> Any:
-        """Return the undeviated transmission: T of a free film, else zero."""
+        """Return the undeviated transmission: T for a free film, else zero."""
         if not self.response.transmits or self.response.bends:
             return mi.Spectrum(0.0)
         _, transmitted = self.response.look_up(dr.abs(si.wi.z), si.wi.z < 0, si, active)
         return transmitted & active
 
     def choice_weight(self, si: Any, active: Any) -> Any:
-        """Return R + T at the angle of the ray."""
+        """Return R + T at the ray's angle."""
         wi = flip_z(si.wi) if self.response.flipped else si.wi
         reflected, transmitted = self.response.look_up(dr.abs(wi.z), wi.z < 0, si, active)
         total = dr.mean(reflected if transmitted is None else reflected + transmitted)
         return total if self.response.transmits else dr.select(wi.z > 0, total, 0.0)
 
     def update(self, lobe: AnyInterface) -> None:
-        """Take over other tables."""
+        """Replace the tables."""
         self.response.update(lobe.response)
 
     def traverse(self, callback: Any, prefix: str) -> None:
@@ -107,7 +107,7 @@ class InterfacePlugin(LobePlugin[AnyInterface]):
 
 
 class SpecularPlugin(InterfacePlugin[Specular]):
-    """A smooth interface that looks the same at any turn."""
+    """An isotropic smooth interface."""
 
     kind = "specular"
 
@@ -115,23 +115,20 @@ class SpecularPlugin(InterfacePlugin[Specular]):
         return DeviceResponse(lobe.response)
 
 
-# The mirror light of aligned particles on the device: that of a smooth interface, with tables over the azimuth.
-
-
 class Azimuths:
-    """The nodes over the azimuth of the light, in place of those of numbers that a texture drives."""
+    """Azimuth nodes, in place of texture-driven parameters."""
 
     def __init__(self, lobe: AlignedSpecular) -> None:
         self.update(lobe)
 
     def update(self, lobe: AlignedSpecular) -> None:
-        """Take over another lobe's."""
+        """Replace the data by another lobe's."""
         self.count = opaque(lobe.azimuths - 1)
         self.max_low = opaque_int(max(lobe.azimuths - 2, 0))
         self.rotation = opaque(lobe.rotation / (2.0 * math.pi))
 
     def corners(self, si: Any, active: Any = True) -> list[tuple[Any, Any]]:
-        """Return `(node, weight)` of the two nodes around the azimuth of `si.wi`; from inside, of the way out."""
+        """Return `(node, weight)` for the two nodes around the azimuth of `si.wi`, or of the exit if from inside."""
         turns = dr.atan2(si.wi.y, si.wi.x) * (0.5 * dr.inv_pi) - self.rotation
         turns = turns + dr.select(si.wi.z < 0.0, 0.5, 0.0)
         position = smaller((turns - dr.floor(turns)) * self.count, self.count)
@@ -141,7 +138,7 @@ class Azimuths:
 
 
 class AlignedSpecularPlugin(InterfacePlugin[AlignedSpecular]):
-    """Mirror reflection, and refraction by one index, by the azimuth too."""
+    """Mirror reflection, and refraction by one index, depending on the azimuth."""
 
     kind = "aligned-specular"
 
@@ -154,7 +151,7 @@ class AlignedSpecularPlugin(InterfacePlugin[AlignedSpecular]):
         return DeviceResponse(lobe.response, self.azimuths)
 
     def update(self, lobe: AlignedSpecular) -> None:
-        """Take over other tables.
+        """Replace the tables.
 
         Raises:
             UnsupportedError: the structure differs.

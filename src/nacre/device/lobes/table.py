@@ -1,7 +1,6 @@
 """Tabulated isotropic BRDFs on the device: trilinear look-up, sampled from a table of exits for each incidence.
 
-Where light leaves nearly as from a matt surface, such a table would gain no noise and cost as much as the look-up:
-directions are drawn by the cosine then.
+Nearly Lambertian tables use cosine-weighted sampling instead, at half the cost and equal noise.
 """
 
 from __future__ import annotations
@@ -19,14 +18,14 @@ from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, read2
 from nacre.device.tables import DeviceTable, WavelengthAxis
 
-COSINE_SHARE = 0.1  # of the draws: no direction is left out, and no weight grows without bound
-BROAD = 1.05  # mean square of the weights at which drawing by the cosine alone is as good; 1 for a matt surface
+COSINE_SHARE = 0.1  # of the samples: covers all directions and bounds the weights
+BROAD = 1.05  # mean square weight below which cosine-weighted sampling is as good; 1 for a Lambertian surface
 VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 48, 96, 96
 MAX_TABLE_VALUES = 1 << 27
 
 
 class TablePlugin(LobePlugin[TableLobe]):
-    """f over three angles; channels with spectra, or one channel a wavelength."""
+    """f over three angles; channels with spectra, or one channel per wavelength."""
 
     kind = "table"
 
@@ -49,10 +48,10 @@ class TablePlugin(LobePlugin[TableLobe]):
                 values = np.repeat(values, 2, axis=3)
             if 2 * values.size > MAX_TABLE_VALUES:
                 raise UnsupportedError(
-                    f"a table of {values.size} values is too large to be rendered; give fewer angles or channels"
+                    f"a table with {values.size} values is too large for rendering; use fewer angles or channels"
                 )
             self.channels = opaque_int(values.shape[3] - 1)
-            # neighbours in wavelength side by side: one load for both
+            # adjacent wavelengths in one load
             self.values = device_array(np.stack([values[..., :-1], values[..., 1:]], axis=-1))
         else:
             self.colours = values.shape[3]
@@ -65,8 +64,8 @@ class TablePlugin(LobePlugin[TableLobe]):
         self._set_sampling(lobe)
 
     def _set_sampling(self, lobe: TableLobe) -> None:
-        """Tabulate f cos_o sin_o, averaged over wavelengths, on (theta_i; theta_o, |dphi|)."""
-        # the ends are left out by a hair: edge-on both ways has no half vector
+        """Tabulate the wavelength-averaged f cos_o sin_o on (theta_i; theta_o, |dphi|)."""
+        # slightly below 90 degrees, at which the half vector is undefined
         ti = np.linspace(0.0, 1.0, VIEW_NODES) * (math.pi / 2 - 1e-4)
         to = np.linspace(0.0, 1.0, EXIT_NODES) * (math.pi / 2 - 1e-4)
         dphi = np.linspace(0.0, math.pi, AZIMUTH_NODES)
@@ -77,7 +76,7 @@ class TablePlugin(LobePlugin[TableLobe]):
         for k, angle in enumerate(ti):
             wi = np.broadcast_to(_directions(angle, 0.0), wo.shape)
             mean = lobe.evaluate(wi, wo).mean(axis=-1)
-            # both angles of the mean density, never empty
+            # a positive density everywhere
             densities[k] = np.maximum(mean, 1e-4 * mean.max() + 1e-9) * weight
             means[k] = math.pi**2 * float(np.mean(mean * weight))
             squares[k] = math.pi**3 * float(np.mean(mean**2 * weight))
@@ -89,7 +88,7 @@ class TablePlugin(LobePlugin[TableLobe]):
         self.view_top, self.view_max = opaque(VIEW_NODES - 1), opaque(VIEW_NODES - 2)
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Draw from the table of exits, now and then by the cosine; a broad lobe by the cosine alone."""
+        """Draw from the table of exits or cosine-weighted; a broad lobe always cosine-weighted."""
         active = active & enabled[0] & (si.wi.z > MIN_COS)
         wo = mi.warp.square_to_cosine_hemisphere(sample2)
         if not self.is_broad:
@@ -101,12 +100,12 @@ class TablePlugin(LobePlugin[TableLobe]):
         return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
 
     def _drawn(self, si: Any, sample1: Any, sample2: Any, cosine: Any, active: Any) -> Any:
-        """Return a direction of the table of exits, or `cosine` with the chance `COSINE_SHARE`."""
+        """Return a direction from the table of exits, or `cosine` with probability `COSINE_SHARE`."""
         by_cosine = sample1 < COSINE_SHARE
         rest = dr.clip((sample1 - COSINE_SHARE) / (1.0 - COSINE_SHARE), 0.0, 1.0)
         place, _ = self.exits.sample(sample2, [_view(si.wi)], active)
         theta = place[0] * (0.5 * math.pi)
-        # |dphi| from the table, its sign from what is left of the first number
+        # |dphi| from the table, its sign from the unused part of the first number
         azimuth = dr.select(rest < 0.5, -place[1], place[1]) * math.pi
         sin_theta, cos_theta = dr.sincos(theta)
         sin_phi, cos_phi = dr.sincos(azimuth)
@@ -132,7 +131,7 @@ class TablePlugin(LobePlugin[TableLobe]):
 
     def _look_up(self, si: Any, wo: Any, active: Any) -> Any:
         """Interpolate f at the four wavelengths."""
-        # the light is the first argument of the arrays; the table is symmetric only as far as the data are
+        # the light is the first argument, as in the arrays; the table is only as symmetric as the data
         place = _to_direction(wo, si.wi) if self.coordinates == "direction" else _to_half(wo, si.wi)
         lows, parts = [], []
         for coordinate, top, most in zip(place, self.tops, self.max_lows, strict=True):
@@ -163,7 +162,7 @@ class TablePlugin(LobePlugin[TableLobe]):
         return dr.maximum(result, 0.0)
 
     def choice_weight(self, si: Any, active: Any) -> Any:
-        """Return the albedo from this direction, averaged over wavelengths."""
+        """Return the wavelength-averaged albedo for this direction."""
         position = _view(si.wi) * self.view_top
         low = dr.minimum(dr.floor(position), self.view_max)
         at = mi.UInt32(low)
@@ -171,7 +170,7 @@ class TablePlugin(LobePlugin[TableLobe]):
         return dr.select(si.wi.z > 0.0, value, 0.0)
 
     def update(self, lobe: TableLobe) -> None:
-        """Take over other values.
+        """Replace the values.
 
         Raises:
             UnsupportedError: coordinates or shape differ.
@@ -183,7 +182,7 @@ class TablePlugin(LobePlugin[TableLobe]):
 
 
 def _trilinear(corners: list[Any], parts: list[Any]) -> Any:
-    """Interpolate between eight numbers, the last coordinate running fastest."""
+    """Interpolate between eight numbers; the last coordinate varies fastest."""
     for part in reversed(parts):
         corners = [dr.lerp(near, far, part) for near, far in zip(corners[::2], corners[1::2], strict=True)]
     return corners[0]
@@ -197,25 +196,25 @@ def _directions(theta: Any, phi: Any) -> Array:
 
 
 def _view(wi: Any) -> Any:
-    """Return theta_i as a share of the quarter turn."""
+    """Return theta_i in units of 90 degrees."""
     return dr.acos(dr.clip(wi.z, 0.0, 1.0)) * (2.0 / math.pi)
 
 
 def _unit(wi: Any) -> tuple[Any, Any]:
-    """Return cosine and sine of the azimuth; any will do at the pole."""
+    """Return cosine and sine of the azimuth, arbitrary at the pole."""
     flat = wi.x * wi.x + wi.y * wi.y
     inverse = dr.rsqrt(dr.maximum(flat, 1e-20))
     return dr.select(flat > 1e-14, wi.x * inverse, 1.0), dr.select(flat > 1e-14, wi.y * inverse, 0.0)
 
 
 def _to_direction(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
-    """Return the "direction" coordinates in [0, 1], as `nacre.bsdf.lobes.table.to_direction` does."""
+    """Return the "direction" coordinates in [0, 1], as `nacre.bsdf.lobes.table.to_direction`."""
     cross, dot = wi.x * wo.y - wi.y * wo.x, wi.x * wo.x + wi.y * wo.y
     return _view(wi), _view(wo), dr.abs(dr.atan2(cross, dot)) * dr.inv_pi
 
 
 def _to_half(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
-    """Return the "half" coordinates in [0, 1], as `nacre.bsdf.lobes.table.to_half` does."""
+    """Return the "half" coordinates in [0, 1], as `nacre.bsdf.lobes.table.to_half`."""
     h = dr.normalize(wi + wo)
     sin_h = dr.sqrt(dr.maximum(h.x * h.x + h.y * h.y, 0.0))
     cos_p, sin_p = _unit(h)
@@ -223,7 +222,7 @@ def _to_half(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
     dx, dz = h.z * x - sin_h * wi.z, sin_h * x + h.z * wi.z
     phi = dr.atan2(y, dx)
     phi = dr.select(phi < 0.0, phi + math.pi, phi)
-    # angles from atan2: acos would lose half of the digits near the pole
+    # atan2, since acos loses half of the digits near the pole
     theta_h = dr.atan2(sin_h, h.z)
     theta_d = dr.atan2(dr.sqrt(dx * dx + y * y), dz)
     return dr.sqrt(theta_h * (2.0 / math.pi)), theta_d * (2.0 / math.pi), phi * dr.inv_pi

@@ -1,1 +1,1 @@
-"""The random walk through strata of flakes, for the renderer and for arrays."""
+"""The random walk through strata with flakes, for the renderer and for arrays."""

@@ -1,4 +1,4 @@
-"""The walk for arrays: values of a layered lobe with their standard error, and its albedo."""
+"""The random walk on arrays: a layered lobe's values with standard errors, and its albedo."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nacre.device.variant import use_variant
 from nacre.device.walk.strata import TOGETHER, Strata
 from nacre.device.walk.walk import eval_walk, make_rng, sample_walk
 
-LANES = 1 << 20  # walks in one launch
+LANES = 1 << 20  # walks per launch
 MIDDLE = np.array([0.5, 0.5])
 
 
@@ -32,15 +32,15 @@ def evaluate_layered(
         lobe: the material.
         wi, wo: unit vectors `[..., 3]`.
         samples: walks for each pair and wavelength.
-        seed: another one gives independent noise.
-        uv: `[..., 2]`, where on the surface, for glints and a base that varies over it; default: the mean over glints,
-            and the middle of the base.
+        seed: random seed.
+        uv: `[..., 2]`, surface coordinates for glints and a varying base; default: the mean over glints, and the
+            middle of the base.
 
     Returns:
         `(f, f_std)`, each `[..., wavelength]`, 1/sr, without the cosine.
 
     Raises:
-        UnsupportedError: no LLVM (or GPU) for the walk.
+        UnsupportedError: LLVM (or a GPU) is missing.
     """
     wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
     shape = wi.shape[:-1]
@@ -66,10 +66,10 @@ def evaluate_layered(
 def hemispherical_layered(
     lobe: Layered, wi: Array, samples: int = 4096, seed: int = 0, uv: Array | None = None
 ) -> tuple[Array, Array]:
-    """Estimate the power that leaves on the side of one `wi[3]` and on the other, `[wavelength]`, deltas left out.
+    """Estimate the power leaving on the side of one `wi[3]` and on the other, `[wavelength]`, without delta parts.
 
     Raises:
-        UnsupportedError: no LLVM (or GPU) for the walk.
+        UnsupportedError: LLVM (or a GPU) is missing.
     """
     count = len(lobe.wavelengths_nm)
     strata = _strata(lobe, uv)
@@ -92,16 +92,16 @@ def hemispherical_layered(
 
 
 class _Lanes:
-    """Lanes of one launch: job j holds lanes j samples ... (j + 1) samples - 1."""
+    """Lanes of one launch: job j has lanes j samples ... (j + 1) samples - 1."""
 
     def __init__(self, first: int, jobs: int, samples: int) -> None:
         lane = dr.arange(mi.UInt32, jobs * samples)
-        # as data, not as numbers in the kernel: other samples run in the one that is compiled
+        # data instead of literals: other sample counts reuse the kernel
         self.job = lane // dr.opaque(mi.UInt32, samples)
         self.index = lane + dr.opaque(mi.UInt32, first * samples % (1 << 24))
 
     def vector(self, values: Array, row: Any) -> Any:
-        """Return each lane's row of `[row, 3]` or `[row, 2]`."""
+        """Return each lane's row from `[row, 3]` or `[row, 2]`."""
         row = dr.gather(mi.UInt32, row, self.job)
         flat = device_array(values)
         parts = [dr.gather(mi.Float, flat, values.shape[1] * row + i) for i in range(values.shape[1])]
@@ -114,7 +114,7 @@ class _Lanes:
 
 
 def _site(wavelengths: Any, uv: Any) -> Any:
-    """Return an interaction that knows its wavelengths and its place on the surface."""
+    """Return an interaction with wavelengths and surface coordinates."""
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.wavelengths, si.uv = wavelengths, uv
     return si
@@ -129,13 +129,13 @@ def _strata(lobe: Layered, uv: Array | None) -> Strata:
     use_variant()
     if not dr.is_jit_v(mi.Float):
         raise UnsupportedError(
-            "a pearl is evaluated by a random walk that needs LLVM, and none was found; see `nacre doctor`"
+            "a pearl is evaluated by a random walk that needs LLVM, which was not found; see `nacre doctor`"
         )
     return Strata(lobe if uv is not None else dataclasses.replace(lobe, glint_numbers=None), make_plugin)
 
 
 def _wavelength_jobs(count: int) -> NDArray[np.int64]:
-    """Group wavelengths by four, far apart: neighbours would carry almost the same light."""
+    """Group distant wavelengths by four, since neighbours would be almost identical."""
     groups = -(-count // TOGETHER)
     return np.minimum(np.arange(groups)[:, None] + groups * np.arange(TOGETHER), count - 1)
 
@@ -154,7 +154,7 @@ def _run(walk: Any, pairs: int, jobs: NDArray[np.int64], count: int, samples: in
             job = all_jobs[first : first + at_once]
             lanes = _Lanes(turn * len(all_jobs) + first, len(job), share)
             results = walk(job, lanes)
-            dr.eval(*results)  # all wavelengths by one walk: each sum would walk anew for its own
+            dr.eval(*results)  # one walk for all wavelengths: otherwise each sum would repeat the walk
             for i, value in enumerate(results):
                 if len(sums) <= i:
                     sums.append(np.zeros((pairs, count)))
@@ -164,7 +164,7 @@ def _run(walk: Any, pairs: int, jobs: NDArray[np.int64], count: int, samples: in
                 dr.eval(*one, *two)
                 for k in range(TOGETHER):
                     column = job[:, 1] + len(jobs) * k
-                    fresh = column < count  # the last group may be filled up with the last wavelength
+                    fresh = column < count  # the last group may be padded with the last wavelength
                     where = (job[fresh, 0], column[fresh])
                     np.add.at(sums[i], where, np.asarray(one[k], dtype=float)[fresh])
                     np.add.at(squares[i], where, np.asarray(two[k], dtype=float)[fresh])

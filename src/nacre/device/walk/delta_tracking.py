@@ -1,15 +1,14 @@
-"""Free paths ("flights") through all flakes that transmit the light, to the next one that reflects or absorbs it.
+"""Delta tracking: free paths ("flights") through all transmitting flakes, to the next reflection or absorption.
 
-Where most flakes transmit most light, a walk that stops at each of them spends its time on those that change nothing.
-Here the free path follows the extinction, which depends on wavelength: it is drawn from the mixture of the four
-wavelengths' distributions, weighted by their throughputs, and each wavelength is weighted by its own density over the
-mixture's, which preserves their sum. At the end a flake normal is drawn from all visible ones; its 1 - T over the mean
-of all is a weight, and the only one that is not 1. Russian roulette undoes it where it falls. Increases would build up
-over a long walk, without bound; light whose weight has risen to `RISEN` therefore goes on as the other form of the
-walk does, flake by flake with weights of 1. Extinctions below `LEAST` are filled up by null collisions, since 1 - T of
-a rare steep normal may be as large as 1, far above the mean.
+If most flakes transmit most light, a walk that stops at each flake wastes its time. Here the free path follows the
+wavelength-dependent extinction: it is drawn from the mixture of the four wavelengths' distributions, weighted by
+throughput, and each wavelength is weighted by its own density over the mixture's, which preserves the sum. At the end a
+flake normal is drawn from all visible ones; its 1 - T over the mean is the only weight different from 1. Russian
+roulette removes weights below 1. Weights above 1 would grow without bound in a long walk; light with a weight above
+`RISEN` therefore continues flake by flake, with unit weights. Extinctions below `LEAST` are raised by null collisions,
+since 1 - T of a rare steep normal may be as large as 1, far above the mean.
 
-Each free path is connected to the exit at one place before the next boundary, whether it ends there or not.
+Each free path is connected to the exit at one point before the next boundary, even if it does not end there.
 """
 
 from __future__ import annotations
@@ -35,8 +34,8 @@ from nacre.device.walk.platelet import (
 )
 from nacre.device.walk.strata import Strata
 
-# Second moment of bottle 1's power over the mean, 1 for the other form: 1.05 at a limit of 1.2 (as slow as the other
-# form), 1.08 at 2 (0.62 of its time), 1.11 at 4 (0.58), 1.15 at 8.
+# Second moment of bottle 1's power relative to flake-by-flake tracking: 1.05 at a limit of 1.2 (equal time), 1.08 at 2
+# (0.62 of its time), 1.11 at 4 (0.58), 1.15 at 8.
 RISEN = 8.0
 LEAST = 0.1
 SMALLEST_RATE = 1e-9
@@ -45,11 +44,11 @@ SMALLEST_RATE = 1e-9
 def delta_flight(
     strata: Strata, where: Located, connection: Exit | None, light: Walker, rng: Any, alive: Any, seen: Any
 ) -> tuple[Walker, Any, Any, Any, Any, Any]:
-    """Move along a free path to a flake that takes light, or to a boundary.
+    """Move along a free path to a reflecting or absorbing flake, or to a boundary.
 
     Returns:
-        the light after what it met, whether it survived, what the exit got, whether it is at the upper or the
-        lower boundary, vertex seen.
+        the light after the event, survival, contribution to the exit, arrival at the upper and at the lower boundary,
+        whether a connected vertex was passed.
     """
     v = -light.d
     carried = dr.sum(light.f)
@@ -71,7 +70,7 @@ def delta_flight(
     chosen, p_pass = one_of((total, passes), light.f, which * carried)
     chosen, u = dr.maximum(chosen, SMALLEST_RATE), rng.next_float32(alive)
     inside = alive & (u < 1 - p_pass)
-    # the place of the connection follows the same distribution, whether the flight ends there or not
+    # the connection point follows the same distribution, even for flights to a boundary
     u = dr.select(inside, u, (1 - p_pass) * dr.clip(1 - (1 - u) / dr.maximum(p_pass, TINY), 0.0, 1.0))
     length = dr.minimum(-dr.log(1 - u) / chosen, wall)
     depth = dr.clip(light.depth - light.d.z * length, 0.0, 1.0)
@@ -112,7 +111,7 @@ def delta_flight(
 
 
 def _slot_of(ways: list[Any], total: Any, shape: Any, rng: Any, active: Any) -> tuple[Any, ...]:
-    """Draw the kind of flake; return its numbers as in `ways`, its slot, and the shape weighted for the choice."""
+    """Draw the flake species; return its entry in `ways`, its slot, and the shape weighted for the choice."""
     row, local, mean, rate, share = ways[0]
     slot = mi.UInt32(0)
     if len(ways) == 1:

@@ -1,8 +1,8 @@
-"""Importance of light inside the strata for a wanted exit direction.
+"""Importance of light inside the strata for a given exit direction.
 
-The exit direction is refracted inward once, through a random facet where an interface on the way is rough. In
-each stratum it then has two directions of travel, mirror images of each other, which the smooth interfaces
-connect; their importance follows from a one-dimensional layer stack.
+The exit direction is refracted inward once, through a random facet at rough interfaces. In each stratum it then has
+two directions of travel, mirror images connected by the smooth interfaces; their importance follows from a
+one-dimensional layer stack.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from nacre.device.tables import Located
 from nacre.device.walk.interface import refract
 from nacre.device.walk.strata import Strata
 
-MIN_COS = 1e-4  # of connections inside; flatter ones carry nothing
+MIN_COS = 1e-4  # smallest cosine of inside connections
 
 
 @dataclass
 class Importance:
-    """Importance in a stratum, for the two directions that mirror reflections connect.
+    """Importance in each stratum, for the two directions connected by mirror reflections.
 
     Attributes:
-        up_direction, down_direction: per stratum, unit, the direction of travel.
-        up, down: per stratum, importance when travelling up at its top, down at its bottom; None where zero.
-        up_extinction, down_extinction: per stratum, optical thickness along the direction over the stratum.
+        up_direction, down_direction: per stratum, unit direction of travel.
+        up, down: per stratum, importance of upward travel at its top, downward travel at its bottom; None if zero.
+        up_extinction, down_extinction: per stratum, optical thickness of the stratum along the direction.
     """
 
     up_direction: list[Any]
@@ -39,7 +39,7 @@ class Importance:
 
 
 def uses_both_directions(strata: Strata) -> bool:
-    """Whether light may reach the exit by way of a mirror, or leave below."""
+    """Whether light may reach the exit by a mirror reflection, or leave below."""
     inner_mirror = any(not rough for rough in strata.is_rough[1 : strata.count])
     return strata.base == "none" or strata.base_mirrors or inner_mirror
 
@@ -52,7 +52,7 @@ def inner_interfaces_scatter(strata: Strata) -> bool:
 
 
 def rough_one(strata: Strata, interface: Any) -> Any:
-    """Tell whether an interface is a rough one."""
+    """Return whether an interface is rough."""
     if strata.all_rough:
         return mi.Bool(True)
     found = mi.Bool(False)
@@ -63,10 +63,10 @@ def rough_one(strata: Strata, interface: Any) -> Any:
 
 
 def exit_importance(strata: Strata, rng: Any, wo: Any, where: Located, active: Any) -> Importance:
-    """Refract the exit direction inward and spread its importance over the strata.
+    """Refract the exit direction inward and compute its importance in the strata.
 
-    Where the exit, or an interface on the way to it, is rough, a facet is drawn from those that are seen from
-    outside. The importance is that of f |cos_o|: power by power, so cos_o / (n^2 |b_z|) times the shares passed.
+    At rough interfaces a facet visible from outside is drawn. The importance refers to f |cos_o| as power transport:
+    cos_o / (n^2 |b_z|) times the transmitted fractions.
     """
     from_above = wo.z > 0
     travel_a, passed_a, entered_a = _inward(strata, rng, wo, True, active & from_above)
@@ -90,8 +90,8 @@ def _inward(strata: Strata, rng: Any, wo: Any, downward: bool, active: Any) -> t
     """Trace the exit direction inward from the top (or the bottom).
 
     Returns:
-        the direction of travel towards the exit in each stratum; the share passed at each inner interface
-        (by interface number); the share passed at the outer one.
+        the direction of travel towards the exit in each stratum; the transmitted fraction at each inner interface
+        (by interface number); the transmitted fraction at the outer one.
     """
     count = strata.count
     order = list(range(count)) if downward else list(range(count - 1, -1, -1))
@@ -114,7 +114,7 @@ def _chain(
     strata: Strata, travel: list[Any], passed_a: list[Any], passed_b: list[Any], entered: Any, exits_above: Any,
     where: Located, active: Any,
 ) -> Importance:  # fmt: skip
-    """Solve for the importance, as power, in all strata: mirrors couple the two directions, media attenuate them."""
+    """Solve for the importance (power) in all strata: mirrors couple the two directions, media attenuate them."""
     count, both = strata.count, uses_both_directions(strata)
     ups, downs, sig_up, sig_down, t_up, t_down, cosines = [], [], [], [], [], [], []
     for s in range(count):
@@ -136,8 +136,8 @@ def _chain(
         for s in range(1, count):
             up[s] = passed_a[s] * t_up[s - 1] * up[s - 1]
         return Importance(ups, downs, up, down, sig_up, sig_down)
-    # of each interface: mirror reflectance, share passed going up, going down. A rough one has no mirror
-    # reflection and is crossed towards the exit only: the other crossing is a vertex of its own.
+    # for each interface: mirror reflectance, transmitted fraction upward and downward. A rough interface has zero
+    # mirror reflectance and is crossed only towards the exit: the other crossing is a separate vertex.
     mirror, rising, sinking = [], [], []
     for i in range(count + 1):
         reflect, rise, sink = mi.Spectrum(0.0), mi.Float(0.0), mi.Float(0.0)
@@ -175,7 +175,7 @@ def _chain(
 
 
 class Exit:
-    """Connects a vertex, at a stratum that differs from lane to lane, to the exit."""
+    """Connects a vertex, in a lane-dependent stratum, to the exit."""
 
     def __init__(self, strata: Strata, importance: Importance) -> None:
         self.strata = strata
@@ -189,14 +189,14 @@ class Exit:
         return result
 
     def upward(self, stratum: Any, depth: Any) -> tuple[Any, Any]:
-        """Return the direction of travel and what it is worth from `depth` of a stratum."""
+        """Return the upward direction and its importance at `depth` in a stratum."""
         zero = mi.Spectrum(0.0)
         worth = self._pick(self.given.up, stratum, zero)
         worth = worth * dr.exp(-self._pick(self.given.up_extinction, stratum, zero) * depth)
         return self._pick(self.given.up_direction, stratum, None), worth
 
     def downward(self, stratum: Any, depth: Any) -> tuple[Any, Any]:
-        """The same for light that goes down first."""
+        """Return the downward direction and its importance at `depth` in a stratum."""
         zero = mi.Spectrum(0.0)
         worth = self._pick(self.given.down, stratum, zero)
         worth = worth * dr.exp(-self._pick(self.given.down_extinction, stratum, zero) * (1 - depth))

@@ -1,6 +1,6 @@
-"""What a walk meets at an interface between resins: the random event, and the value of a rough one.
+"""Random events and values at an interface between resins.
 
-Power is transported: no (n_o/n_i)^2 enters, since entry and exit of the whole stack cancel it.
+Power is transported: the factors (n_o/n_i)^2 at entry and exit of the whole stack cancel.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ TINY = 1e-12
 
 
 def mirrored(v: Any, w: Any) -> Any:
-    """Mirror `w` at the surface where `v` lies below it, so that `v` counts as above."""
+    """Mirror `w` at the surface if `v` is below it: `v` then counts as above."""
     return mi.Vector3f(w.x, w.y, dr.select(v.z < 0, -w.z, w.z))
 
 
 def interface_event(strata: Strata, rng: Any, v: Any, interface: Any, active: Any) -> tuple[Any, Any]:
     """Reflect or refract at random, with weight 1.
 
-    Masked light is lost, or comes back by `Strata.back` where the interface is compensated.
+    Masked light is lost, or returns by `Strata.back` at a compensated interface.
 
     Args:
         strata: the material.
         rng: random numbers, advanced.
-        v: unit direction away from the interface, back to where the light comes from.
-        interface: its number.
+        v: unit direction away from the interface, towards the light's origin.
+        interface: index.
         active: mask.
 
     Returns:
-        the direction away from the interface in which the light goes on, and whether any does.
+        the outgoing direction away from the interface, and survival.
     """
     row = strata.interfaces.read(interface, active)
     above = v.z > 0
@@ -71,10 +71,7 @@ def interface_event(strata: Strata, rng: Any, v: Any, interface: Any, active: An
 
 
 def interface_value(strata: Strata, v: Any, w: Any, interface: Any, active: Any) -> Any:
-    """Return value * |cos w| of a rough interface for light arriving from `v` and leaving along `w`.
-
-    Zero where the interface is smooth.
-    """
+    """Return a rough interface's value * |cos w| for light from `v` to `w`; zero for a smooth interface."""
     row = strata.interfaces.read(interface, active)
     above = v.z > 0
     vm, wm = mirrored(v, v), mirrored(v, w)
@@ -105,9 +102,9 @@ def interface_value(strata: Strata, v: Any, w: Any, interface: Any, active: Any)
 
 
 def refract(strata: Strata, rng: Any, v: Any, interface: Any, active: Any) -> tuple[Any, Any]:
-    """Refract light from `v` through a random facet, with the share of its power that passes as weight.
+    """Refract light from `v` through a random facet, with the transmitted fraction as weight.
 
-    Less noisy than `interface_event`, for light whose reflection is accounted for elsewhere.
+    Less noisy than `interface_event`, if the reflection is treated elsewhere.
     """
     if strata.compensates:
         w, alive = interface_event(strata, rng, v, interface, active)

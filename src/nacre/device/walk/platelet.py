@@ -1,4 +1,4 @@
-"""Light on its way through strata, and the flakes that it meets."""
+"""The state of a random walk, and its events at flakes."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from nacre.device.walk.strata import DENSITY, PER_AXES, Strata
 
 TINY = 1e-12
 BY_NOTHING, BY_FLAKE, BY_MORE = range(3)
-FULL = 4.0  # summed throughput of the four wavelengths when light enters
+FULL = 4.0  # summed initial throughput of the four wavelengths
 
 
 @dataclass
 class Walker:
-    """A walker: direction of travel, stratum, depth in it, throughput of each wavelength.
+    """State of a random walk: direction of travel, stratum, depth in it, throughput of each wavelength.
 
-    With glints `turn` tells what turned it: nothing yet, one flake of the uppermost stratum (with its normal in its
-    own frame and its kind), or anything else; without glints it is empty.
+    With glints `turn` describes the scattering so far: unscattered, by one flake of the uppermost stratum (with its
+    normal in its own frame and its species), or other; without glints it is empty.
     """
 
     d: Any
@@ -32,13 +32,13 @@ class Walker:
     turn: tuple[Any, ...] = ()
 
     def fresh(self, active: Any) -> Any:
-        """Tell where glints are to be seen: on light that nothing has turned before; None without glints."""
+        """Return the mask of unscattered light in the uppermost stratum, which shows glints; None without glints."""
         return active & (self.turn[0] == BY_NOTHING) & (self.stratum == 0) if self.turn else None
 
 
 @dataclass
 class Flake:
-    """A flake that is met: its numbers; the light's way back, the axes, their product and its length, in its frame."""
+    """A flake event: the flake's row, the backward light direction, axes, their product and its length."""
 
     row: list[Any]
     v: Any
@@ -50,19 +50,19 @@ class Flake:
 
     @staticmethod
     def of(strata: Strata, stratum: Any, row: list[Any], v: Any, slot: Any, active: Any) -> Flake:
-        """Return the flake of a slot; `v` is the light's way back in its frame."""
+        """Return the flake of a slot; `v` is the backward light direction in its frame."""
         axes = mi.Vector3f(row[1], row[2], row[3])
         stretched = axes * v
         return Flake(row, v, axes, stretched, dr.norm(stretched), strata.kind_at(stratum, slot, active), slot)
 
     def normal(self, rng: Any, active: Any) -> tuple[Any, Any]:
-        """Draw a normal in proportion to the area it shows; return it and its cosine."""
+        """Draw a normal in proportion to its projected area; return it and its cosine."""
         point = mi.warp.square_to_uniform_sphere(mi.Point2f(rng.next_float32(active), rng.next_float32(active)))
         m = dr.normalize(self.axes * (self.stretched / self.area * (1 + 1e-6) + point))
         return m, dr.dot(self.v, m)
 
     def half(self, strata: Strata, to: Any) -> tuple[Any, Any]:
-        """Return the normal that turns the light towards `to`, and its density; 0 for light that goes straight on."""
+        """Return the normal that reflects the light towards `to`, and its density; 0 for the forward direction."""
         half = self.v + strata.into_flake(self.row, to)
         length = dr.norm(half)
         h = half / dr.maximum(length, 1e-6)
@@ -79,15 +79,15 @@ def flake_gain(
     strata: Strata, connection: Exit, where: Located, light: Walker, depth: Any, flake: Flake, node: Any,
     way: Any, active: Any,
 ) -> Any:  # fmt: skip
-    """Return D(h) R(|v.h|) / (4 sigma(v)) times what it is worth to the exit, with glints times their factor.
+    """Return D(h) R(|v.h|) / (4 sigma(v)) times the importance, and times the glint factor.
 
-    Where two ways lead to the exit one is drawn by what it brings: R is read, and glints are looked for, once.
+    If two directions lead to the exit, one is drawn by its contribution, which needs one read of R and of glints.
 
     Args:
-        strata, connection, where: the material, the wanted exit, the wavelengths.
-        light, depth: which light, and where in its stratum.
-        flake: which flake.
-        node, way: numbers in [0, 1), to choose a row of the table of R, and the way.
+        strata, connection, where: the material, the exit, the wavelengths.
+        light, depth: the light, and its depth in the stratum.
+        flake: the flake.
+        node, way: numbers in [0, 1), to choose a row in the table of R, and the direction.
         active: mask.
     """
     to, worth = connection.upward(light.stratum, depth)
@@ -109,17 +109,17 @@ def flake_gain(
 
 
 def select(mask: Any, new: tuple[Any, ...], old: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Choose between two tuples of numbers."""
+    """Select elementwise between two tuples."""
     return tuple(dr.select(mask, a, b) for a, b in zip(new, old, strict=True))
 
 
 def spoilt(turn: tuple[Any, ...], by: Any) -> tuple[Any, ...]:
-    """Return `Walker.turn` after something that is no single flake turned the light."""
+    """Return `Walker.turn` after scattering by anything but a single flake."""
     return (dr.select(by, mi.UInt32(BY_MORE), turn[0]), *turn[1:]) if turn else ()
 
 
 def turned_by(light: Walker, flake: Flake, m: Any, turns: Any) -> tuple[Any, ...]:
-    """Return `Walker.turn` after a flake with normal `m`, where it turns the light."""
+    """Return `Walker.turn` after reflection by a flake with normal `m`."""
     if not light.turn:
         return ()
     first = (mi.UInt32(BY_FLAKE), m.x, m.y, m.z, flake.slot)
@@ -127,14 +127,14 @@ def turned_by(light: Walker, flake: Flake, m: Any, turns: Any) -> tuple[Any, ...
 
 
 def two_numbers(rng: Any, active: Any) -> tuple[Any, Any]:
-    """Return two uniform numbers of 16 bits by one draw, for choices that need no more."""
+    """Return two uniform 16-bit numbers from one draw, for discrete choices."""
     bits = rng.next_uint32(active)
     scale = 1.0 / 65536.0
     return (mi.Float(bits >> 16) + 0.5) * scale, (mi.Float(bits & 0xFFFF) + 0.5) * scale
 
 
 def one_of(values: tuple[Any, ...], weights: Any, left: Any) -> tuple[Any, ...]:
-    """Return one of the four wavelengths of each value, drawn by weights with `left`, uniform up to their sum."""
+    """Return each value at one of the four wavelengths, drawn by weights with `left`, uniform up to their sum."""
     left = left - weights[0]
     found = tuple(value[0] for value in values)
     for k in range(1, dr.size_v(mi.Spectrum)):
@@ -144,8 +144,8 @@ def one_of(values: tuple[Any, ...], weights: Any, left: Any) -> tuple[Any, ...]:
 
 
 def kept_share(before: Any, after: Any) -> Any:
-    """Return the chance that light lives on, from the sums it carried and will carry.
+    """Return the survival probability from the summed throughput before and after an event.
 
-    That is the share it keeps; a rise above what came in is taken back first.
+    This is the retained fraction; a rise above the initial throughput is reversed first.
     """
     return dr.minimum(after / dr.maximum(before, TINY) * dr.maximum(before / FULL, 1.0), 1.0)

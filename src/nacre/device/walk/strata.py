@@ -1,4 +1,4 @@
-"""The arrays of a layered lobe on the device, and the look-ups that a walk makes in them."""
+"""A layered lobe's arrays on the device, the walk's look-ups, and the base lobes."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from nacre.device.lobe_sum import bsdf_class, update_lobes
 from nacre.device.plugin import MIN_COS, MakePlugin, device_array, opaque, with_wi
 from nacre.device.tables import DeviceTable, Located, WavelengthAxis
 
-MAX_FLIGHTS = 8  # free paths before a walk handles a boundary; 6 to 12 measured alike, 1 costs up to half as much again
-# Of the form of `far.py`: largest share of the light that a flake takes, and largest rise of the weights'
-# second moment over the flakes of a stratum. Measured on 22 recipes, which rise ten times as much in the end.
+MAX_FLIGHTS = 8  # free paths before a boundary event; 6 to 12 have equal speed, 1 costs up to 50 % more
+# Limits for delta tracking: light fraction removed by a flake, and rise of the weights' second moment over a stratum.
+# Measured on 22 recipes, whose total rise is ten times as large.
 MAX_TAKEN, MAX_RISE = 0.6, 0.06
-NORMALS = 512  # to try it on, each seen from two typical directions
+NORMALS = 512  # test normals, each with two typical directions
 TYPICAL = np.array([[0.35, 0.15, 0.925], [0.5, 0.6, 0.624]])
-TOGETHER = 4  # wavelengths of a walk
-# of a row of flakes: number, three axes, nine of the frame, three inverse axes, 1 / (pi times the axes' product)
+TOGETHER = 4  # wavelengths per walk
+# flake row: number, three axes, nine frame components, three inverse axes, 1 / (pi times the axes' product)
 FLAKE_ROW, PER_AXES, DENSITY = 17, slice(13, 16), 16
 
 
 class Rows:
-    """Rows of numbers read by index; where there is only one row, plain opaque numbers and no memory access."""
+    """Rows of numbers read by index; a single row is stored as opaque numbers, without memory access."""
 
     def __init__(self, values: Array) -> None:
         self.rows, self.width = values.shape
         self.update(values)
 
     def update(self, values: Array) -> None:
-        """Take other numbers of the same shape."""
+        """Replace the numbers by others with the same shape."""
         if values.shape != (self.rows, self.width):
             raise UnsupportedError(f"rows of shape {(self.rows, self.width)} cannot be updated with {values.shape}")
         if self.rows == 1:
@@ -48,7 +48,7 @@ class Rows:
             self.flat = device_array(values)
 
     def read(self, row: Any, active: Any = True) -> list[Any]:
-        """Return the numbers of a row."""
+        """Return a row."""
         if self.rows == 1:
             return self.single
         start = mi.UInt32(row) * self.width
@@ -56,7 +56,7 @@ class Rows:
 
 
 class MixedFacets(Facets):
-    """GGX or Beckmann, lane by lane."""
+    """GGX or Beckmann, chosen per lane."""
 
     def __init__(self, alpha_x: Any, alpha_y: Any, is_beckmann: Any) -> None:
         super().__init__(alpha_x, alpha_y)
@@ -80,9 +80,9 @@ class MixedFacets(Facets):
 class Strata:
     """A layered lobe on the device.
 
-    Structure (numbers of strata and kinds, which interfaces are rough, what the base is) is Python and shapes
-    the kernel; every number is data, so another material of the same structure runs in the same kernel.
-    `make_plugin` puts the lobes of a base on the device.
+    The structure (numbers of strata and species, rough interfaces, base type) is Python and determines the kernel; all
+    numbers are data, so other materials with the same structure reuse the kernel. `make_plugin` creates the base lobes'
+    plugins.
     """
 
     def __init__(self, lobe: Layered, make_plugin: MakePlugin | None = None) -> None:
@@ -118,20 +118,20 @@ class Strata:
         self._set(lobe)
 
     def update(self, lobe: Layered) -> None:
-        """Take over the numbers of another lobe of the same structure.
+        """Replace the data by another lobe's with the same structure.
 
         Raises:
             UnsupportedError: the structure differs.
         """
         if (*structure(lobe), uses_delta_tracking(lobe)) != self.structure:
-            raise UnsupportedError("strata, kinds, interfaces or base changed in kind; build the scene again")
+            raise UnsupportedError("the structure of strata, flakes, interfaces or base changed; build the scene again")
         self.axis.update(lobe.wavelengths_nm)
         if self.lobes is not None:
             self.lobes.update(lobe.base_lobes)
         self._set(lobe)
 
     def locate(self, si: Any, active: Any) -> Located:
-        """Locate the wavelengths of an interaction, and keep it where the base or glints ask for it."""
+        """Locate an interaction's wavelengths; store the interaction if the base or glints need it."""
         where = self.axis.locate(si.wavelengths, active)
         if self.lobes is not None or self.glints is not None:
             where.site = si
@@ -166,7 +166,7 @@ class Strata:
             _, azimuths, elevations, _ = lobe.flake_extinction.shape
             self.azimuths, self.elevations = azimuths, elevations
             above = np.concatenate([lobe.flake_extinction[:, :, 1:], lobe.flake_extinction[:, :, -1:]], axis=2)
-            pairs = np.stack([lobe.flake_extinction, above], axis=-1)  # both ends of a cell are read together
+            pairs = np.stack([lobe.flake_extinction, above], axis=-1)  # both ends of a cell in one read
             self.extinction = DeviceTable(pairs.reshape(-1, count, 2), as_cells=False)
         self.base_cells = opaque(max(len(lobe.base_reflectance), 2) - 1)
         self.base_table = DeviceTable(lobe.base_reflectance[..., None])
@@ -183,10 +183,10 @@ class Strata:
         self.glints = DeviceGlints.of(lobe)
 
     def _set_loss(self, loss: Array, n: Array) -> None:
-        """Prepare the compensated light: where it leaves is independent of where it came from.
+        """Prepare the compensation: exit directions are independent of the incidence.
 
-        A share n_b^2 k_b / (n_a^2 k_a + n_b^2 k_b) leaves on side b, with k the cosine-weighted mean of the loss,
-        and its directions follow loss(cos) cos: what is lost returns in full, reciprocally.
+        A fraction n_b^2 k_b / (n_a^2 k_a + n_b^2 k_b) leaves on side b, with the cosine-weighted mean loss k, and its
+        directions follow loss(cos) cos: lost light returns completely and reciprocally.
         """
         mean, quantile = returns(loss)
         up = n[:-1] ** 2 * mean[:, 0]
@@ -201,7 +201,7 @@ class Strata:
     # -- interfaces --------------------------------------------------------------------------------------
 
     def facets(self, row: list[Any]) -> Facets:
-        """Return the facet distribution of an interface row."""
+        """Return an interface row's facet distribution."""
         x, y = dr.maximum(row[2], 1e-4), dr.maximum(row[3], 1e-4)
         if all(self.beckmann):
             return Beckmann(x, y)
@@ -210,12 +210,12 @@ class Strata:
         return MixedFacets(x, y, row[4] > 0.5)
 
     def loss_at(self, interface: Any, above: Any, cos: Any, active: Any) -> Any:
-        """Return the share of light from `above` (or below) at `cos` that single scattering loses."""
+        """Return the single-scattering loss of light from `above` (or below) at `cos`."""
         position = dr.sqrt(dr.clip(cos, 0.0, 1.0)) * (self.loss_nodes - 1)
         return self._read_side(self.loss_values, interface, above, position, self.loss_nodes, active)
 
     def back_cos(self, interface: Any, above: Any, u: Any, active: Any) -> Any:
-        """Draw the cosine at which lost light comes back on a side."""
+        """Draw the cosine of light returning on a side."""
         position = u * (self.quantile_nodes - 1)
         root = self._read_side(self.loss_quantile, interface, above, position, self.quantile_nodes, active)
         return dr.square(root)
@@ -229,16 +229,16 @@ class Strata:
     # -- the medium --------------------------------------------------------------------------------------
 
     def flake_row(self, stratum: Any, slot: int, active: Any) -> list[Any]:
-        """Return number, axes and frame of a stratum's flake kind."""
+        """Return number, axes and frame of a stratum's flake species."""
         return self.flakes.read(mi.UInt32(stratum) * self.slots + slot, active)
 
     def flake_axes(self, slot: Any, active: Any) -> Any:
-        """Return the semi-axes of a kind of the uppermost stratum."""
+        """Return the semi-axes of a species in the uppermost stratum."""
         row = self.flakes.read(slot, active)
         return mi.Vector3f(row[1], row[2], row[3])
 
     def into_flake(self, row: list[Any], w: Any) -> Any:
-        """Turn a direction into the flake frame."""
+        """Transform a direction to the flake frame."""
         if self.upright:
             return w
         f = row[4:]
@@ -249,7 +249,7 @@ class Strata:
         )
 
     def from_flake(self, row: list[Any], w: Any) -> Any:
-        """Turn a direction of the flake frame back."""
+        """Transform a direction from the flake frame."""
         if self.upright:
             return w
         f = row[4:]
@@ -260,23 +260,23 @@ class Strata:
         )
 
     def kind_at(self, stratum: Any, slot: Any, active: Any) -> Any:
-        """Return the number of a stratum's flake kind."""
+        """Return the index of a stratum's flake species."""
         if self.kinds == 1:
             return mi.UInt32(0)
         return mi.UInt32(self.kind_of_row.read(mi.UInt32(stratum) * self.slots + slot, active)[0] + 0.5)
 
     def flake_response(self, kind: Any, cos: Any, u: Any, where: Located, active: Any) -> list[Any]:
-        """Return R and T of a flake met at |cos|, each a Spectrum, at one of the two nodes that hold it.
+        """Return a flake's R and T at |cos|, each a Spectrum, at one of the two neighbouring nodes.
 
-        `u` in [0, 1) chooses the node as often as its weight says. R and T act linearly on what is estimated, and both
-        come from one node, so that they still sum to 1 at most.
+        `u` in [0, 1) chooses the node by its weight. The estimate is linear in R and T, and both come from one node, so
+        their sum is at most 1.
         """
         position = dr.sqrt(dr.clip(cos, 0.0, 1.0)) * self.cos_cells
         row = dr.minimum(mi.UInt32(position + u), self.response_rows - 1)
         return self.response.at_nodes(kind * self.response_rows + row, where, active)
 
     def medium_extinction(self, stratum: int, w: Any, where: Located, active: Any) -> Any:
-        """Return the extinction of a stratum (a Python number) along `w`, across its thickness, as a Spectrum."""
+        """Return the extinction of a stratum (Python index) along `w`, across its thickness, as a Spectrum."""
         total = mi.Spectrum(0.0)
         for slot, kind in enumerate(self.kinds_of[stratum]):
             row = self.flake_row(mi.UInt32(stratum), slot, active)
@@ -287,11 +287,11 @@ class Strata:
         return total
 
     def shown_area(self, row: list[Any], local: Any) -> Any:
-        """Return the area that all flakes of a row show to a direction in their frame: so many a ray meets."""
+        """Return the projected area of a row's flakes in their frame: the number of flakes on the ray."""
         return row[0] * dr.norm(mi.Vector3f(row[1] * local.x, row[2] * local.y, row[3] * local.z))
 
     def mean_extinction(self, kind: Any, local: Any, where: Located, active: Any) -> Any:
-        """Return the share of light that a flake met along `local`, in its frame, takes away, as a Spectrum."""
+        """Return the mean light fraction removed by a flake along `local`, in its frame, as a Spectrum."""
         position = dr.sqrt(dr.clip(dr.abs(local.z), 0.0, 1.0)) * (self.elevations - 1)
         low = dr.minimum(mi.UInt32(position), self.elevations - 2)
         part = position - mi.Float(low)
@@ -317,14 +317,14 @@ class Strata:
         return self.phase.look_up(start, position - mi.Float(low), where, None, active)[0]
 
     def dye_cos(self, stratum: Any, u: Any, where: Located, active: Any) -> Any:
-        """Draw the dye's scattering cosine for each of the four wavelengths with one number."""
+        """Draw the dye's scattering cosine for each of the four wavelengths from one number."""
         position = dr.clip(u, 0.0, 1.0) * (self.quantile_rows - 1)
         low = dr.minimum(mi.UInt32(position), self.quantile_rows - 2)
         start = mi.UInt32(stratum) * self.quantile_rows + low
         return self.quantile.look_up(start, position - mi.Float(low), where, None, active)[0]
 
     def base_mirror(self, cos: Any, where: Located, active: Any) -> Any:
-        """Return the reflectance of the base's mirror part at a cosine."""
+        """Return the reflectance of the base's specular part at a cosine."""
         return self.base_at(cos, where, active) if self.lobes is None else self.lobes.mirror(cos, where, active)
 
     def base_at(self, cos: Any, where: Located, active: Any) -> Any:
@@ -335,7 +335,7 @@ class Strata:
 
 
 def roughness(lobe: Layered) -> NDArray[np.bool_]:
-    """Tell which interfaces are rough for light: with a width, and with a contrast to be seen by."""
+    """Return which interfaces scatter: those with roughness and index contrast."""
     n = np.concatenate([[1.0], lobe.index, [1.0]])
     rough = np.any(lobe.alpha > 0, axis=1)
     contrast = np.abs(np.diff(n)) > MATCHED
@@ -347,10 +347,10 @@ def roughness(lobe: Layered) -> NDArray[np.bool_]:
 
 
 def uses_delta_tracking(lobe: Layered) -> bool:
-    """Tell whether free paths through many flakes at once (`far.py`) are the better form of the walk.
+    """Whether delta tracking (`delta_tracking.py`) is the better form of the walk.
 
-    They are where most flakes transmit the light, and where the normals that reflect it do so nearly alike, or are
-    few: what a drawn normal reflects over the mean is a weight.
+    It is better if most flakes transmit the light, and if the reflectances of the normals, whose ratio to the mean is a
+    weight, are similar.
     """
     if not lobe.kinds or lobe.dye is not None:
         return False
@@ -375,7 +375,7 @@ def uses_delta_tracking(lobe: Layered) -> bool:
 
 
 def structure(lobe: Layered) -> tuple[Any, ...]:
-    """Return all that shapes a kernel, but for the form of its free paths."""
+    """Return everything that determines a kernel, except the form of its free paths."""
     shapes = (lobe.flake_response.shape, lobe.flake_extinction.shape, lobe.base_reflectance.shape)
     return (
         lobe.strata, lobe.base, tuple(roughness(lobe).tolist()), tuple(lobe.is_beckmann.tolist()),
@@ -386,15 +386,15 @@ def structure(lobe: Layered) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-# Another material below the strata: its own plugins, sampled by the walk at the base.
-
-
 class BaseLobes:
-    """The lobes of a base on the device.
+    """The base lobes on the device.
+
+    They were computed with the last resin as their ambient, so directions inside that resin are their own. Their
+    specular part is treated like the mirrors between the strata; the rest is a vertex of the walk.
 
     Attributes:
-        has_mirror: whether a part is a mirror.
-        scatters: whether a part is none.
+        has_mirror: whether a part is specular.
+        scatters: whether a part is not specular.
     """
 
     def __init__(self, lobes: tuple[Lobe, ...], make_plugin: MakePlugin) -> None:
@@ -405,7 +405,7 @@ class BaseLobes:
         self._context = mi.BSDFContext()
 
     def update(self, lobes: tuple[Lobe, ...]) -> None:
-        """Take over the numbers of other lobes of the same kinds and shapes.
+        """Replace the data by other lobes' with the same kinds and shapes.
 
         Raises:
             UnsupportedError: the structure differs.
@@ -413,7 +413,7 @@ class BaseLobes:
         update_lobes(self.bsdf, lobes)
 
     def sample(self, v: Any, rng: Any, where: Located, active: Any) -> tuple[Any, Any, Any]:
-        """Draw a direction for light from `v`; return it, its weight a wavelength, and whether a mirror gave it."""
+        """Draw a direction for light from `v`; return it, its spectral weight, and whether it is specular."""
         first = rng.next_float32(active)
         point = mi.Point2f(rng.next_float32(active), rng.next_float32(active))
         bs, weight = self.bsdf.sample(self._context, with_wi(where.site, v), first, point, active)
@@ -423,19 +423,19 @@ class BaseLobes:
         return direction, _finite(weight, up), mirror
 
     def eval(self, v: Any, to: Any, where: Located, active: Any) -> Any:
-        """Return value * |cos to| of the part that is no mirror, for light from `v` that leaves along `to`."""
+        """Return value * |cos to| of the non-specular part, for light from `v` to `to`."""
         if not self.scatters:
             return mi.Spectrum(0.0)
         value = self.bsdf.eval(self._context, with_wi(where.site, v), to, active & (to.z > MIN_COS))
         return _finite(value, active)
 
     def pdf(self, v: Any, to: Any, where: Located, active: Any) -> Any:
-        """Return the density of `to` among what `sample` draws and no mirror gives."""
+        """Return the density of the non-specular part of `sample` at `to`."""
         density = self.bsdf.pdf(self._context, with_wi(where.site, v), to, active)
         return dr.select(dr.isfinite(density), density, 0.0)
 
     def mirror(self, cos: Any, where: Located, active: Any) -> Any:
-        """Return the reflectance of the mirror part at a cosine."""
+        """Return the specular reflectance at a cosine."""
         si = with_wi(where.site, mi.Vector3f(dr.safe_sqrt(1.0 - cos * cos), 0.0, cos))
         total = mi.Spectrum(0.0)
         for plugin in self._mirrors:
@@ -445,5 +445,5 @@ class BaseLobes:
 
 
 def _finite(value: Any, active: Any) -> Any:
-    """Return a Spectrum whose numbers are all finite."""
+    """Return the Spectrum, or zero if any number is not finite."""
     return mi.Spectrum(dr.select(mi.Bool(active) & dr.all(dr.isfinite(value)), mi.Spectrum(value), 0.0))

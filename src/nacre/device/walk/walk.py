@@ -1,17 +1,16 @@
-"""The position-free walk through the strata: four wavelengths go together, and their weights stay near 1.
+"""The position-free random walk through the strata, with four wavelengths per walk and weights near 1.
 
-Each wavelength of a walk lies on one of the two nodes of the tables beside it, drawn for the whole walk.
+Each wavelength uses one of its two neighbouring table nodes, drawn for the whole walk.
 
-From flake to flake (`step.py`), free paths follow the flakes' projected area, the same for all wavelengths; at a
-flake the light is reflected, transmitted or absorbed, with probabilities from R and T weighted by the throughputs of
-the four wavelengths. Their sum then never changes, so no single wavelength can exceed four times the mean and there
-are no fireflies. Where most flakes transmit the light, free paths run on through them (`far.py`).
-At a base of lobes the weight is that of the lobes' own sampling. Where it is above 1 the sum may rise, as far as that
-sampling is inexact; Russian roulette at the base undoes such a rise, so that it does not build up.
+From flake to flake, free paths follow the flakes' projected area, equal for all wavelengths. At a flake the light is
+reflected, transmitted or absorbed, with probabilities from R and T weighted by the four throughputs. Their sum is then
+constant: a single wavelength cannot exceed four times the mean, which excludes fireflies. If most flakes transmit,
+free paths use delta tracking (`delta_tracking.py`). At base lobes the weight comes from the lobes' own sampling. If it
+exceeds 1 the sum may rise; Russian roulette at the base removes such a rise, which would otherwise accumulate.
 
-`sample_walk` follows the light until it leaves. `eval_walk` connects each vertex to the wanted exit, and
-`joint_walk` does both at once, as a path tracer asks for both. The exit direction is refracted inward once, and its
-importance in each stratum, up- and downward, includes all mirror reflections between smooth interfaces, solved like
+`sample_walk` follows the light until it leaves. `eval_walk` connects each vertex to the exit direction, and
+`joint_walk` does both, as path tracers need both. The exit direction is refracted inward once, and its
+importance in each stratum, upward and downward, includes all mirror reflections between smooth interfaces, solved as
 a one-dimensional layer stack.
 """
 
@@ -42,11 +41,11 @@ from nacre.device.walk.platelet import (
 )
 from nacre.device.walk.strata import BaseLobes, Strata
 
-MAX_EVENTS = 20_000  # a lane that is still inside after so many events is given up; its share is below 1e-6
+MAX_EVENTS = 20_000  # limit per lane; the remaining light is below 1e-6
 
 
 def make_rng(*numbers: Any) -> Any:
-    """Seed a generator by a hash of the bits of floats (tiny encryption algorithm)."""
+    """Return a generator seeded by a hash of float bits (tiny encryption algorithm)."""
     a, b = mi.UInt32(0x9E3779B9), mi.UInt32(0x7F4A7C15)
     bits = [dr.reinterpret_array(mi.UInt32, mi.Float(x)) for x in numbers]
     if len(bits) % 2:
@@ -60,7 +59,7 @@ def sample_walk(strata: Strata, rng: Any, wi: Any, where: Located, active: Any) 
     """Follow light from `wi` until it leaves.
 
     Returns:
-        the exit direction, the weight of each wavelength (0 if absorbed), whether only mirrors were met.
+        the exit direction, the weight of each wavelength (0 if absorbed), whether the path is purely specular.
     """
     where = where.on_nodes(rng.next_float32())
     entry = dr.select(wi.z > 0, mi.UInt32(0), mi.UInt32(strata.count))
@@ -75,7 +74,7 @@ def sample_walk(strata: Strata, rng: Any, wi: Any, where: Located, active: Any) 
 
 
 def _with_glint(strata: Strata, turn: tuple[Any, ...], weight: Any, where: Located, active: Any) -> Any:
-    """Return the weight times the factor of the flake that alone turned the light, where glints are seen."""
+    """Return the weight times the glint factor, for light scattered only by one flake."""
     if strata.glints is None:
         return weight
     turned, x, y, z, slot = turn
@@ -98,13 +97,12 @@ def eval_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, active
 
 
 def joint_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, active: Any, wanted: Any) -> Any:
-    """Estimate f |cos_o| towards `wo` where `wanted`, and draw an exit where `active`, by one walk.
+    """Estimate f |cos_o| towards `wo` (mask `wanted`) and draw an exit (mask `active`) by one walk.
 
-    Light that the entry reflects does not reach the inside: for the value alone `eval_walk` has less noise, at the cost
-    of another walk.
+    Light reflected at the entry does not enter, so the value is noisier than that of a separate `eval_walk`.
 
     Returns:
-        the value, and what `sample_walk` returns.
+        the value, and the results of `sample_walk`.
     """
     where = where.on_nodes(rng.next_float32())
     entry = dr.select(wi.z > 0, mi.UInt32(0), mi.UInt32(strata.count))
@@ -128,7 +126,7 @@ def _connectable(strata: Strata, wi: Any, wo: Any, active: Any) -> Any:
 def _connected(
     strata: Strata, rng: Any, wi: Any, wo: Any, entry: Any, where: Located, active: Any
 ) -> tuple[Stepper, Any]:
-    """Return a stepper that is connected to `wo`, and what the entry itself sends there."""
+    """Return a stepper connected to `wo`, and the entry interface's direct contribution."""
     connection = Exit(strata, exit_importance(strata, rng, wo, where, active))
     total = mi.Spectrum(0.0)
     if strata.any_rough:
@@ -146,7 +144,7 @@ def _follow(
     """Follow light until it leaves or is absorbed.
 
     Returns:
-        its last direction, what it carries, whether it met only mirrors, what the exit got, what turned it.
+        last direction, throughput, whether the path is purely specular, contribution to the exit, `Walker.turn`.
     """
 
     def body(*state: Any) -> tuple[Any, ...]:
@@ -168,28 +166,26 @@ def _follow(
     return result[0], weight, ~result[7], result[6], result[9:]
 
 
-# One step of the walk through the strata: free paths ("flights"), events at a flake, dye, an interface or the base.
-
 TURN = ("turned", "turned_x", "turned_y", "turned_z", "turned_slot")
 
 
 class Stepper:
-    """Moves walkers by a few free paths and one boundary."""
+    """Advances walks by several free paths and one boundary event."""
 
     def __init__(self, strata: Strata, where: Located, connection: Exit | None = None, wo: Any = None) -> None:
         self.strata, self.where, self.exit, self.wo = strata, where, connection, wo
         self.last = mi.UInt32(strata.count - 1)
         self.inner_vertices = connection is not None and inner_interfaces_scatter(strata)
-        # light that has met only mirrors so far has no vertex behind it that was connected through a rough exit
+        # purely specular light lacks a previous vertex connected through a rough exit
         self.late = connection is not None and strata.any_rough and not strata.all_rough
 
     def step(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any]:
-        """Move on by a few free paths, until a boundary is met, and by the event there.
+        """Advance by several free paths up to a boundary, and by the event there.
 
-        Lanes of a SIMD packet wait for each other: several free paths share the arithmetic of one boundary.
+        SIMD lanes wait for each other: several free paths share the arithmetic of one boundary.
 
         Returns:
-            the moved light, whether it is still inside, whether it left, what the exit got, vertex seen.
+            the light, whether it is inside, whether it left, the contribution to the exit, vertex seen.
         """
         strata = self.strata
         light, lives, gained, goes_up, goes_down, seen = self._flights(light, rng, alive, seen)
@@ -228,7 +224,7 @@ class Stepper:
         return moved_light, lives & ~leaves, leaves & lives, gained, seen
 
     def _flights(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
-        """Move until a boundary is met, or along `Strata.flights` free paths; returns what `_fly` does."""
+        """Move to a boundary, or along `Strata.flights` free paths; results as `_fly`."""
         limit = self.strata.flights
         if limit == 1:
             return self._fly(light, rng, alive, seen)
@@ -255,18 +251,13 @@ class Stepper:
         return moved, end[5], end[6], end[7], end[8], end[9]
 
     def _fly(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
-        """Move along one free path, in the form that suits the material; returns what `delta_flight` does."""
+        """Move along one free path, in the material's form; results as `delta_flight`."""
         if self.strata.uses_delta_tracking:
             return delta_flight(self.strata, self.where, self.exit, light, rng, alive, seen)
         return self._fly_near(light, rng, alive, seen)
 
     def _fly_near(self, light: Walker, rng: Any, alive: Any, seen: Any) -> tuple[Walker, Any, Any, Any, Any, Any]:
-        """Move along a free path to a flake, to dye or to a boundary.
-
-        Returns:
-            the light after what it met, whether it survived, what the exit got, whether it is at the upper or the
-            lower boundary, vertex seen.
-        """
+        """Move along a free path to a flake, to dye or to a boundary; results as `delta_flight`."""
         strata = self.strata
         v = -light.d
         areas, rows, locals_ = [], [], []
@@ -440,10 +431,10 @@ class Stepper:
 def connect_interface(
     strata: Strata, connection: Exit, v: Any, interface: Any, active: Any, first: Any, exits_above: Any
 ) -> Any:
-    """Return what light from `v` sends through or off a rough interface towards the exit, as a vertex.
+    """Return the contribution of a rough interface, as a vertex, to the exit for light from `v`.
 
-    A crossing towards the exit belongs to the vertex before, which was connected through this interface; it
-    counts here only where there was none (`first`).
+    A crossing towards the exit belongs to the previous vertex, which was connected through this interface; it
+    counts here only without such a vertex (`first`).
     """
     total = mi.Spectrum(0.0)
     has_above, has_below = active & (interface > 0), active & (interface < strata.count)
@@ -460,7 +451,7 @@ def connect_interface(
 
 
 def first_light(strata: Strata, w: Any, f: Any) -> Walker:
-    """Place light just inside the interface it came through."""
+    """Return the state of light just inside the entry interface."""
     down = w.z < 0
     stratum = dr.select(down, mi.UInt32(0), mi.UInt32(strata.count - 1)) if strata.count > 1 else mi.UInt32(0)
     nothing = mi.UInt32(BY_NOTHING)

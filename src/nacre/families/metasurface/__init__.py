@@ -1,6 +1,5 @@
-"""Metasurfaces: a disordered monolayer of resonant spheres on a layered substrate.
+"""Metasurfaces: a disordered monolayer of resonant particles on a layered substrate.
 
-angular -> sphere (one particle on a stack) -> neighbours, qca (the mean field) -> diffuse, corrections (the
-diffuse light) -> compile (tables over angles and wavelengths) -> material, spec. structure, patterns and arrangement
-give the particles' positions.
+`tmatrix` solves one particle on a stack, `monolayer` the mean field and the diffuse light, `ensemble` the multi-sphere
+reference. `spec` and `material` are the recipe and the model.
 """

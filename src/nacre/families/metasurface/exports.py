@@ -1,4 +1,4 @@
-"""Files that only a metasurface writes: the T-matrix of its particle."""
+"""Exports of a metasurface: T-matrix of its particle, particle layout, and layer sheet for fabrication."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.errors import UnsupportedError
-from nacre.families.metasurface.ensemble.supercells import dealt
+from nacre.families.metasurface.ensemble.supercells import draw_species
 from nacre.families.metasurface.material import Metasurface
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, as_blocks
 from nacre.families.metasurface.tmatrix.tmatrix_file import MAX_BYTES, write_tmatrices
 from nacre.matter.drawings import DrawingRequest, LayerSheet, Layout
 from nacre.matter.indices.constant import OpticalConstant
 
-HIGHEST_EXPORTED = 15  # beyond, a file of 48 wavelengths has 500 MB before it is compressed
+HIGHEST_EXPORTED = 15  # a higher order has 500 MB for 48 wavelengths before compression
 
 
 def particle_t_matrices(material: Metasurface) -> AxialTMatrices:
-    """Return the T-matrices of one particle at the material's wavelengths, of spheres with a spread the mean one.
+    """Return the T-matrices of one particle at the material's wavelengths; of a size distribution, the mean size.
 
-    Spheres get the multipoles that they need over their stack, at most 15; of a file what it holds.
+    Spheres get the multipoles needed on their stack, at most 15; particles from files all of theirs.
 
     Raises:
-        ConvergenceRefusal, MaterialRangeError: see `Metasurface.monolayer`.
+        MultipoleConvergenceError, MaterialRangeError: see `Metasurface.monolayer`.
     """
     if material.body is not None:
-        return material.body.all_known(material.wavelengths_nm)
+        return material.body.exported_t_matrices(material.wavelengths_nm)
     surfaces = [material.surface(w) for w in material.wavelengths_nm]
     lmax = min(max(material.order(s) for s in surfaces), HIGHEST_EXPORTED)
     radius = float(np.dot(material.sizes.radii_nm, material.sizes.shares))
@@ -43,7 +43,7 @@ def particle_t_matrices(material: Metasurface) -> AxialTMatrices:
 
 
 def write_particle(material: Metasurface, path: Path, description: str) -> list[str]:
-    """Write the particle's T-matrices as `*.tmat.h5`; return in words what of the material is not in the file.
+    """Write the particle's T-matrices as `*.tmat.h5`; return notes on omitted properties of the material.
 
     Raises:
         UnsupportedError: they are too large.
@@ -56,8 +56,8 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
     shape = "sphere" if material.body is None else material.body.shape
     method = "Mie" if material.body is None else material.body.method
     if material.shell is not None:
-        shape = ""  # the format's shapes are of one material
-    error = None if material.body is None else material.body.stated_error
+        shape = ""  # shapes of the format have one material
+    error = None if material.body is None else material.body.estimated_error
     if error is not None:
         method += f", estimated relative error {error:.1g}"
     write_tmatrices(path, known, shape, method, description)
@@ -65,21 +65,17 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
     if len(material.sizes.radii_nm) > 1:
         lost.append("the spread of sizes: the mean one was taken")
     if material.second is not None:
-        lost.append("the second kind of the mixture: the first was taken")
+        lost.append("the second species of the mixture: the first was taken")
     return lost
 
 
-# The data for fabricating a metasurface: particle positions, and the layers under them.
-
-PERIOD_POINTS = 20_000  # S(q) of a period is that of the endless pattern beyond some 2 pi / period
+PERIOD_POINTS = 20_000  # the period has the S(q) of an endless pattern for q above some 2 pi / period
 REFERENCE_NM = 550.0
 COLUMNS = ("position", "material", "quantity", "value", "n_550nm", "k_550nm", "source")
 
 
 def layout(material: Metasurface, request: DrawingRequest) -> Layout:
-    """Return one period of about 20 000 particles, repeated until it covers the area asked for.
-
-    Whole periods are drawn, so that the pattern reaches over the area's far edges.
+    """Return one period of about 20 000 particles, repeated over the requested area in whole periods.
 
     Raises:
         UnsupportedError: only S(q) is known.
@@ -88,71 +84,74 @@ def layout(material: Metasurface, request: DrawingRequest) -> Layout:
     wanted = PERIOD_POINTS
     density_per_um2 = material.structure.density_per_nm2 * 1e6
     if request.size_mm is not None:
-        # a small field needs no larger period than its longer side
+        # limit the period to the longer side of a small field
         wanted = min(wanted, max(50, math.ceil(density_per_um2 * (1e3 * max(request.size_mm)) ** 2)))
     pattern = material.pattern(wanted, request.seed)
     box_um = pattern.box_nm * 1e-3
     if request.size_mm is not None:
         columns, rows = (max(1, math.ceil(1e3 * side / box_um - 1e-9)) for side in request.size_mm)
+    nouns = " and ".join(species.noun for species in material.all_species)
     seed = request.seed if request.seed is not None else getattr(material.arrangement, "seed", None)
     which, radii = _drawn_kinds(material, len(pattern.xy_nm), seed)
     facts: dict[str, Any] = {
-        "radii_spread": any(len(kind.sizes.radii_nm) > 1 for kind in material.kinds),
+        "radii_spread": any(len(species.sizes.radii_nm) > 1 for species in material.all_species),
         "arrangement": material.structure.name,
         "density_per_um2": density_per_um2,
         "packing": material.structure.packing,
         "seed": seed,
-        "shape": f"circles are the outlines of {' and '.join(kind.noun for kind in material.kinds)}, seen from above",
+        "shape": f"circles are the outlines of {nouns}, seen from above",
     }
     if len(radii) > 1:
         repeated = columns * rows
         facts["kinds"] = [
-            {"shape": kind.noun, "radius_um": r, "particles": int(np.count_nonzero(which == n)) * repeated}
-            for n, (kind, r) in enumerate(zip(material.kinds, radii))
+            {"shape": species.noun, "radius_um": r, "particles": int(np.count_nonzero(which == n)) * repeated}
+            for n, (species, r) in enumerate(zip(material.all_species, radii))
         ]
     return Layout(pattern.xy_nm * 1e-3, radii[0], box_um, (columns, rows), facts, radii_um=radii, species=which)
 
 
 def _drawn_kinds(material: Metasurface, count: int, seed: int | None) -> tuple[NDArray[np.intp], tuple[float, ...]]:
-    """Return which kind each particle is, drawn by the shares in whole numbers, and the kinds' radii in um."""
-    which = dealt(count, np.array([kind.share for kind in material.kinds]), np.random.default_rng((seed or 0, count)))
-    return which, tuple(round(kind.outer_radius_nm * 1e-3, 9) for kind in material.kinds)
+    """Return the species number of each particle, drawn by the shares, and the radii of the species in um."""
+    which = draw_species(
+        count, np.array([species.share for species in material.all_species]), np.random.default_rng((seed or 0, count))
+    )
+    return which, tuple(round(species.outer_radius_nm * 1e-3, 9) for species in material.all_species)
 
 
 def layer_sheet(material: Metasurface) -> LayerSheet:
-    """Return the table of what to make, from the light's side inward."""
+    """Return the table of materials and thicknesses, from the light's side inward."""
     entries: list[tuple[str, OpticalConstant, str, float | str]] = [("ambient", material.ambient, "", "")]
-    for kind, name in zip(material.kinds, ("", "second ")):
-        if kind.shell is not None:
-            entries.append((f"{name}shell", kind.shell.material, "thickness_nm", kind.shell.thickness_nm))
-        if kind.core is not None:
-            entries.append((f"{name}core", kind.core, "radius_nm", kind.core_radius_nm))
-        if kind.gap_nm and not material.host:
-            entries.append((f"{name}gap", material.ambient, "thickness_nm", kind.gap_nm))
+    for species, name in zip(material.all_species, ("", "second ")):
+        if species.shell is not None:
+            entries.append((f"{name}shell", species.shell.material, "thickness_nm", species.shell.thickness_nm))
+        if species.core is not None:
+            entries.append((f"{name}core", species.core, "radius_nm", species.core_radius_nm))
+        if species.gap_nm and not material.host:
+            entries.append((f"{name}gap", material.ambient, "thickness_nm", species.gap_nm))
     entries += [(str(k), m, "thickness_nm", d) for k, (m, d) in enumerate(material.layers, start=1)]
     entries.append(("substrate", material.substrate, "", ""))
     remarks = [
         f"{material.structure.density_per_nm2 * 1e6:.6g} particles a um^2, packing {material.structure.packing:.4g}, "
         f"{material.structure.name}"
     ]
-    for kind, name in zip(material.kinds, ("particles", "second particles")):
-        if len(material.kinds) > 1:
-            remarks.append(f"{name}: {100 * kind.share:.4g} % of them, {kind.noun}")
-        if kind.body is not None:
-            place = "" if material.host else f", {kind.gap_nm:g} nm above the layers"
-            with_coat = "" if kind.shell is None else " with the shell"
+    for species, name in zip(material.all_species, ("particles", "second particles")):
+        if len(material.all_species) > 1:
+            remarks.append(f"{name}: {100 * species.share:.4g} % of them, {species.noun}")
+        if species.body is not None:
+            place = "" if material.host else f", {species.gap_nm:g} nm above the layers"
+            with_coat = "" if species.shell is None else " with the shell"
             remarks.append(
-                f"{name}: {kind.body.name}, {2 * kind.body.radius_nm:.6g} nm wide, "
-                f"{kind.body.height_nm:.6g} nm high{with_coat}{place}"
+                f"{name}: {species.body.name}, {2 * species.body.radius_nm:.6g} nm wide, "
+                f"{species.body.height_nm:.6g} nm high{with_coat}{place}"
             )
         if material.host:
             remarks.append(
-                f"{name}: inside layer {material.host}, their tops {kind.depth_nm:g} nm below the top of the layers, "
-                f"{kind.gap_nm:g} nm over its lower face"
+                f"{name}: inside layer {material.host}, their tops {species.depth_nm:g} nm below the top of the layers"
+                f", {species.gap_nm:g} nm over its lower face"
             )
-        if len(kind.sizes.radii_nm) > 1:
-            shares, radii = np.array(kind.sizes.shares), np.array(kind.sizes.radii_nm)
-            spread = float(np.sqrt(shares @ (radii - kind.mean_radius_nm) ** 2))
+        if len(species.sizes.radii_nm) > 1:
+            shares, radii = np.array(species.sizes.shares), np.array(species.sizes.radii_nm)
+            spread = float(np.sqrt(shares @ (radii - species.mean_radius_nm) ** 2))
             remarks.append(f"{name}: the radii spread by {spread:.4g} nm about their mean")
     rows = []
     for position, medium, quantity, value in entries:

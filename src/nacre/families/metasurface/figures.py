@@ -1,4 +1,4 @@
-"""Arrays for the figures that only a metasurface has; `nacre.plot` lists their names."""
+"""Data of figures specific to metasurfaces; `nacre.plot` lists their names."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SHOWN_POINTS = 600
 def scattering(material: Metasurface, wavelength_nm: float = 400.0, theta_deg: float = 0.0) -> dict[str, NDArray[Any]]:
     """d sigma/d Omega of one particle on its stack in the plane of incidence, um^2/sr.
 
-    `theta_deg[t]` is the signed scattering angle against the normal: positive on the specular side.
+    `theta_deg[t]` is the signed scattering angle from the normal, positive on the specular side.
 
     Raises:
         UnsupportedError: the particles are aligned.
@@ -48,7 +48,7 @@ def scattering(material: Metasurface, wavelength_nm: float = 400.0, theta_deg: f
 
 
 def structure(material: Metasurface) -> dict[str, NDArray[Any]]:
-    """S over q a of the material's own arrangement, and a piece of its pattern where it has one."""
+    """S over q a of the arrangement, and a section of its pattern if it has one."""
     made = material.structure
     q = np.linspace(0.0, 20.0, 801)
     points = {}
@@ -73,27 +73,27 @@ def colour_map(
 
     Args:
         part: "diffuse" or "specular".
-        densities_per_um2: default: from a tenth of the material's own to the largest that fits, at most thrice it.
-        angles_deg: incidence; default: 0 to 80 in steps of 10.
+        densities_per_um2: default: from a tenth of the material's density to three times it, limited by the packing.
+        angles_deg: of incidence; default: 0 to 80 in steps of 10.
     """
     if part not in ("diffuse", "specular"):
         raise UnsupportedError(f'part = "{part}" is not known; use diffuse or specular')
     own = material.structure.density_per_nm2
-    widest = max(kind.reach_nm for kind in material.kinds)  # spheres around any two particles may not meet
+    widest = max(species.reach_nm for species in material.all_species)  # circumscribing spheres must not overlap
     if densities_per_um2 is None:
         most = min(3 * own, 0.99 * PACKING_LIMIT / (np.pi * widest**2))
         densities = np.linspace(0.1 * own, most, MAP_DENSITIES)
     else:
         densities = np.asarray(densities_per_um2, dtype=float) * 1e-6
     angles = np.arange(0.0, 81.0, 10.0) if angles_deg is None else np.asarray(angles_deg, dtype=float)
-    # 20 nm steps: a map is looked at, and each wavelength of each density is a new mean field
+    # coarse steps: each wavelength of each density is a new mean field
     wavelengths = np.arange(380.0, 781.0, 20.0)
     rows = []
     for density in densities:
         packing = min(max(material.structure.packing, density * np.pi * widest**2), PACKING_LIMIT)
         q_max = float(material.structure.q_per_nm[-1])
         varied = dataclasses.replace(material, structure=hard_disk_structure(float(density), float(packing), q_max))
-        # by the mean field, whatever the recipe takes: a map is some 300 monolayers
+        # always by the mean field: a map has some 300 monolayers
         columns = [varied.powers(np.cos(np.radians(angles)), w) for w in wavelengths]
         rows.append(np.stack([c[2 if part == "diffuse" else 0].mean(axis=0) for c in columns], axis=-1))
     return {

@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import logging
 import warnings
+from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,22 +21,30 @@ from nacre.core.parallel import in_threads
 from nacre.families.contract import DirectEvaluation, ExcessEnergy, ExpensiveMethod, Model, SearchFidelity, Traits
 from nacre.families.metasurface import model_selection
 from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings
-from nacre.families.metasurface.ensemble.interpolation import Refinement, refine
+from nacre.families.metasurface.ensemble.interpolation import EnsembleInterpolation, interpolate_ensemble
 from nacre.families.metasurface.monolayer.aligned import (
     NO_ENSEMBLE,
-    aligned_lobes,
-    powers_of_aligned,
-    values_of_aligned,
+    AlignedLayer,
+    aligned_grids,
+    aligned_powers,
+    aligned_values,
+    tabulate_aligned,
 )
 from nacre.families.metasurface.monolayer.arrangement import Arrangement, Pattern
-from nacre.families.metasurface.monolayer.diffuse import diffuse_term, within_what_arrives
-from nacre.families.metasurface.monolayer.evaluation import choose_grids, few_powers, few_values, tabulate
+from nacre.families.metasurface.monolayer.diffuse import diffuse_term, limit_to_incident_power
+from nacre.families.metasurface.monolayer.evaluation import choose_grids, direct_powers, direct_values, tabulate
 from nacre.families.metasurface.monolayer.ladder import check as check_ladder
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.monolayer.qca import INTERACTION_ORDER
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.species import Kind, Settling, body_notes, mean_square_radius, turns_left_out
-from nacre.families.metasurface.tmatrix.axisymmetric import Body
+from nacre.families.metasurface.species import (
+    MultipoleConvergence,
+    Species,
+    mean_square_radius,
+    non_sphere_notes,
+    rotation_warnings,
+)
+from nacre.families.metasurface.tmatrix.axisymmetric import Body, TabulatedBody
 from nacre.families.metasurface.tmatrix.particle_on_stack import hemisphere_rule
 from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K, Embedded, Substrate
@@ -44,55 +53,56 @@ from nacre.matter.indices.constant import OpticalConstant
 
 logger = logging.getLogger("nacre")
 
-AUTO, ENSEMBLE = "auto", "ensemble"  # of the corrections
+AUTO, ENSEMBLE = "auto", "ensemble"
 SLOW_WAY = 'an ensemble (model.correction = "ensemble")'
-VALIDATED_COVERAGE = 0.13  # above it what is known against the mean field is told, below it kept with the Bsdf alone
-JUDGED_NM = 550.0  # where a core is called metal or not
-# films up to here keep the error of interpolation at 0.4 % of the L2 norm with 120 angles (0.3 % without any film)
+VALIDATED_COVERAGE = 0.13  # coverage above which a doubtful mean field causes a warning
+CLASSIFICATION_NM = 550.0  # wavelength of the core classification
+# thicker films need 180 angles; up to here 120 have an error of 0.4 % of the L2 norm (0.3 % without film)
 THICK_FILM_NM = 1000.0
-LOW_WAVELENGTHS = 1.65  # of films and particles' height, up to which 64 angles resolve the light: 600 nm at 360 nm
-TOLD_EXCESS = 0.01  # of energy: what the default correction is tested to keep
+LOW_WAVELENGTHS = 1.65  # total height over wavelength that 64 angles resolve: 600 nm at 360 nm
+TOLD_EXCESS = 0.01  # energy excess above which a warning is logged
 SAME_INDEX = 1e-3
-FEW_ANGLES, LEAST_COS = 48, 0.05  # that are solved one by one, and off grazing
-FEW_ALIGNED_ANGLES = 24  # the same, each at all azimuths
+MAX_CACHED_GRIDS = 4  # wavelength grids with a cached ensemble
+FEW_ANGLES, LEAST_COS = 48, 0.05  # direct evaluation: number of angles, and smallest cosine
+FEW_ALIGNED_ANGLES = 24  # the same for aligned particles, at all azimuths
 INSIDE = (
     "the mean field is taken of particles inside a layer, where the ensemble says that it is "
-    f"{model_selection.INSIDE_OFF}"
+    f"{model_selection.EMBEDDED_ERROR}"
 )
 
 
 class MetasurfaceWarning(UserWarning):
-    """The model is used beyond where it was tested; the message says what is known."""
+    """The model is used beyond its tested range; the message describes it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, ExcessEnergy):
-    """Particles over a stack.
+    """Particles on a stack.
 
     Attributes:
         ambient: around the particles; lossless.
         layers: materials and thicknesses in nm, from the light's side inward.
         substrate: below; it transmits if it is clear.
-        core: material of the particles; None where only their T-matrix is known.
+        core: material of the particles; None if only their T-matrix is known.
         sizes: their radii.
-        shell: a coating, or None; the outer radius is the core's plus its thickness.
+        shell: a coating, or None; the outer radius is the core radius plus its thickness.
         gap_nm: between the particles and the stack.
         structure: density, S(q), g(r).
-        correction: one of `nacre.families.metasurface.monolayer.monolayer.CORRECTIONS`, "ensemble" or "auto".
-        ensemble: how large an ensemble is, where one is taken.
-        multipole_order: of the spheres; None: chosen at each wavelength for `multipole_tolerance`.
-        multipole_tolerance: largest change of the far field when the order is doubled; None: 0.001 is aimed at, and
-            up to 0.01 accepted with a warning.
+        correction: one of `monolayer.CORRECTIONS`, "ensemble" or "auto", see `model_selection`.
+        ensemble: ensemble size.
+        multipole_order: of the spheres; None to choose it at each wavelength by `multipole_tolerance`.
+        multipole_tolerance: largest change of the far field when the order is doubled; None: 0.001, and up to 0.01 with
+            a warning.
         interaction_order: of the exchange between neighbours.
         source: name of the recipe, for messages.
-        arrangement: how to make the points, or the points; None where only S(q) is known.
-        memory: multipole orders of candidates near this one, see `search_model`; None: each is chosen anew.
-        sees_neighbours: False leaves the near fields of neighbours out.
-        body: the particles, where they are no spheres; `sizes` then holds their largest distances from the axis.
-        is_spared: whether the mean field stands in, among many, for what "auto" would choose alone.
-        host: the layer that the particles lie in, from 1; 0: they lie above all.
-        depth_nm: of their tops below the top of the layers, there; None above.
-        second: of a mixture the other kind, whose share leaves the rest to the first; None: there is one kind.
+        arrangement: generator of the points, or the points; None if only S(q) is known.
+        memory: cache of multipole orders for similar candidates, or None.
+        includes_near_fields: False ignores the near fields of neighbours.
+        body: non-spherical particles; `sizes` then holds their largest distances from the axis.
+        is_spared: whether the mean field replaces an ensemble in a search.
+        host: number of the layer with the particles, from 1; 0 above all layers.
+        depth_nm: depth of their tops below the top of the layers; None above.
+        second: second species of a mixture; the first has the remaining share.
     """
 
     traits = Traits(noun="metasurface", bytes_per_wavelength=200_000)
@@ -113,24 +123,24 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
     range_nm: tuple[float, float] = (360.0, 830.0)
     arrangement: Arrangement | Pattern | None = None
     memory: dict[Any, Any] | None = None
-    sees_neighbours: bool = True
+    includes_near_fields: bool = True
     ensemble: EnsembleSettings = EnsembleSettings()
     body: Body | None = None
-    second: Kind | None = None
+    second: Species | None = None
     is_spared: bool = False
     host: int = 0
     depth_nm: float | None = None
 
     @cached_property
-    def kinds(self) -> tuple[Kind, ...]:
-        """The particles: one kind, or two."""
+    def all_species(self) -> tuple[Species, ...]:
+        """The one or two particle species."""
         rest = () if self.second is None else (self.second,)
-        share = 1.0 - sum(kind.share for kind in rest)
-        first = Kind(self.core, self.sizes, self.shell, self.gap_nm, self.body, share, depth_nm=self.depth_nm)
+        share = 1.0 - sum(species.share for species in rest)
+        first = Species(self.core, self.sizes, self.shell, self.gap_nm, self.body, share, depth_nm=self.depth_nm)
         return (first, *rest)
 
     def pattern(self, count: int, seed: int | None = None) -> Pattern:
-        """Return about `count` particles on a periodic square; of a list of points, the list itself.
+        """Return about `count` particles on a periodic square, or the given list of points.
 
         Args:
             count: particles.
@@ -138,46 +148,52 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
 
         Raises:
             UnsupportedError: only S(q) is known.
-            NacreError: the packing cannot be made.
+            NacreError: the packing cannot be reached.
         """
         if isinstance(self.arrangement, Pattern):
             return self.arrangement
         if self.arrangement is None:
-            raise UnsupportedError(
-                f"{self.source}: monolayer.structure.sq says how particles scatter, not where they lie; "
-                "name an arrangement (hard-disk, rsa, poisson-disk, lattice) or give points"
-            )
+            raise self._no_positions()
         made = self.arrangement if seed is None else dataclasses.replace(self.arrangement, seed=seed)
         return made.pattern(count)
 
     @property
     def outer_radius_nm(self) -> float:
-        """Mean radius with the shell; of a body its largest distance from its axis; of a mixture its first kind's."""
-        return self.kinds[0].outer_radius_nm
+        """Mean outer radius of the first species."""
+        return self.all_species[0].outer_radius_nm
 
     @property
     def is_aligned(self) -> bool:
-        """Whether the particles are not axisymmetric and all point one way."""
+        """Whether the particles are not axisymmetric and have one orientation."""
         return self.body is not None and self.body.is_aligned
 
     @property
+    def _turn_rad(self) -> float:
+        return self.body.turn_rad if isinstance(self.body, TabulatedBody) else 0.0
+
+    def _aligned(self, layer: Monolayer) -> AlignedLayer:
+        """Return the aligned particles whose rotational average `layer` holds."""
+        assert isinstance(self.body, TabulatedBody)  # only tabulated bodies are aligned
+        return AlignedLayer(layer, self.body.full_t_matrix(layer.surface.wavelength_nm))
+
+    @property
     def varies(self) -> bool:
-        """Whether the particles are of several sizes or kinds."""
-        return len(self.kinds) > 1 or len(self.sizes.shares) > 1
+        """Whether the particles have several sizes or species."""
+        return len(self.all_species) > 1 or len(self.sizes.shares) > 1
 
     @property
     def coverage(self) -> float:
         """f = density pi r^2, in a mixture with the mean of r^2."""
-        return float(self.structure.density_per_nm2 * np.pi * mean_square_radius(self.kinds) ** 2)
+        return float(self.structure.density_per_nm2 * np.pi * mean_square_radius(self.all_species) ** 2)
 
     @property
     def wavelengths_nm(self) -> Array:
-        """The default grid: 10 nm steps resolve the resonances of spheres in the visible."""
+        """Default grid with 10 nm steps, which resolves resonances of spheres in the visible."""
         grid = default_wavelengths()
         return grid[(grid >= self.range_nm[0]) & (grid <= self.range_nm[1])]
 
     def surface(self, wavelength_nm: float) -> Substrate:
-        """Return the stack at one wavelength; a clear substrate loses what little absorption it has."""
+        """Return the stack at one wavelength; a clear substrate becomes lossless."""
         media = [self.ambient, *(m for m, _ in self.layers), self.substrate]
         n = np.array([complex(m.n_complex(np.array([wavelength_nm]))[0]) for m in media])
         n[0] = n[0].real
@@ -191,149 +207,162 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
 
     def t_matrix(self, lmax: int, surface: Substrate, radius_nm: float) -> ComplexArray:
         """Return the diagonal T of one sphere, `[n]`."""
-        return self.kinds[0].t_matrix(lmax, surface, radius_nm)
+        return self.all_species[0].t_matrix(lmax, surface, radius_nm)
 
     @cached_property
     def chosen_correction(self) -> tuple[str, str]:
-        """The correction that is taken, and why where the material chose it by itself, else ""."""
+        """The correction, and the reason of an automatic choice or ""."""
         return self._choice if self.correction == AUTO else (self.correction, "")
 
     @cached_property
     def _choice(self) -> tuple[str, str]:
-        """What the table of measured systems says."""
+        """The correction from the table of measured systems, and the reason."""
         if self.is_aligned:
             return "qca-balanced", NO_ENSEMBLE
         if self.arrangement is None:
             return "qca-balanced", "only S(q) is known, so there are no positions for an ensemble"
-        holds, why = self._is_held
-        return ("qca-balanced" if holds else ENSEMBLE), why
+        is_valid, reason = self._mean_field_validity
+        return ("qca-balanced" if is_valid else ENSEMBLE), reason
 
     @property
-    def _is_held(self) -> tuple[bool, str]:
-        """Whether the mean field was measured to hold, and why in words."""
+    def _mean_field_validity(self) -> tuple[bool, str]:
+        """Whether the mean field is valid, and the reason."""
         if self.host:
-            return model_selection.holds_inside(self.coverage)
-        return model_selection.mean_field_holds(*self._judged_as, self.coverage)
+            return model_selection.mean_field_holds_inside(self.coverage)
+        return model_selection.mean_field_holds(*self._system_classes, self.coverage)
 
     @cached_property
-    def _judged_as(self) -> tuple[list[model_selection.Like], bool]:
-        """What the table of measured systems looks at: the kinds of particle, and whether there is a substrate."""
-        surface = self.surface(float(np.clip(JUDGED_NM, *self.range_nm)))
+    def _system_classes(self) -> tuple[list[model_selection.SystemClass], bool]:
+        """The classes of the species, and whether there is a substrate."""
+        surface = self.surface(float(np.clip(CLASSIFICATION_NM, *self.range_nm)))
         below = np.max(np.abs(surface.indices[1:] / surface.ambient_index - 1.0)) > model_selection.SAME_INDEX
-        kinds = []
-        for kind in self.kinds:
-            core = model_selection.kind_of(kind.index(surface.wavelength_nm) / surface.inner_index)
-            shape = (
-                model_selection.SPHERE
-                if kind.body is None
-                else model_selection.SHAPES.get(kind.body.shape, model_selection.OTHER)
+        return [
+            model_selection.SystemClass(
+                model_selection.SHAPES.get(
+                    "sphere" if species.body is None else species.body.shape, model_selection.OTHER
+                ),
+                model_selection.core_class(species.index(surface.wavelength_nm) / surface.inner_index),
             )
-            kinds.append(model_selection.Like(shape, core))
-        return kinds, bool(below)
+            for species in self.all_species
+        ], bool(below)
 
     @property
     def expensive_method(self) -> str:
-        """An ensemble, where the material takes one by itself."""
+        """The ensemble, if selected automatically."""
         return SLOW_WAY if self.correction == AUTO and self._choice[0] == ENSEMBLE else ""
 
     @property
     def replaced_method(self) -> str:
-        """An ensemble, where the mean field stands in for one."""
+        """The ensemble, if the mean field replaces it in a search."""
         return SLOW_WAY if self.is_spared and self._choice[0] == ENSEMBLE else ""
 
     @property
     def method_overrides(self) -> Mapping[str, Any]:
-        """The mean field by name, where it stood in for an ensemble."""
+        """The explicit mean field, if it replaces an ensemble."""
         return {"model.correction": "qca-balanced"} if self.replaced_method else {}
 
-    def layers_at(self, wavelengths_nm: ArrayLike) -> tuple[Callable[[float], Monolayer], Refinement | None]:
-        """Return the monolayer at each of some wavelengths, with an ensemble's ratio where one is taken.
+    def layers_at(self, wavelengths_nm: ArrayLike) -> tuple[Callable[[float], Monolayer], EnsembleInterpolation | None]:
+        """Return a function of the wavelength that returns the monolayer, with the ratio of an ensemble if one is used.
 
         Raises:
-            UnsupportedError: an ensemble is asked for where no positions are known, or it is too large.
+            UnsupportedError: an ensemble without positions, or a too large one.
         """
         if self.chosen_correction[0] != ENSEMBLE:
             return self.monolayer, None
-        if self.arrangement is None:
-            self.pattern(1)  # says why there are no positions
-        order = np.sort(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
-        found = self._judged.get(order.tobytes())
-        if found is None:
-            found = self._judged[order.tobytes()] = self._refinement(order)
+        grid = np.sort(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
+        cache, key = self._ensembles, grid.tobytes()
+        if key in cache:
+            cache.move_to_end(key)
+        else:
+            cache[key] = self._refinement(grid)
+            while len(cache) > MAX_CACHED_GRIDS:
+                cache.popitem(last=False)
+        found = cache[key]
 
         def layer(wavelength_nm: float) -> Monolayer:
             return dataclasses.replace(self.monolayer(wavelength_nm), ratio=found.at(wavelength_nm))
 
         return layer, found
 
-    def _refinement(self, wavelengths_nm: Array) -> Refinement:
+    @cached_property
+    def _ensembles(self) -> OrderedDict[bytes, EnsembleInterpolation]:
+        """Least recently used cache of ensembles by wavelength grid."""
+        return OrderedDict()
+
+    def _refinement(self, wavelengths_nm: Array) -> EnsembleInterpolation:
+        if self.arrangement is None:
+            raise self._no_positions()
         seed = self.arrangement.seed if isinstance(self.arrangement, Arrangement) else 0
         is_list = isinstance(self.arrangement, Pattern)
-        why = self.chosen_correction[1]
-        because = f'model.correction = "auto" takes an ensemble: {why}; "qca-balanced" takes seconds; ' if why else ""
-        found = refine(wavelengths_nm, self.monolayer, self.pattern, self.ensemble, seed, self.source, is_list, because)
+        reason = self.chosen_correction[1]
+        because = f'model.correction = "auto" takes an ensemble: {reason}; "qca-balanced" takes seconds; '
+        found = interpolate_ensemble(
+            wavelengths_nm, self.monolayer, self.pattern, self.ensemble, seed, self.source, is_list,
+            because if reason else "",
+        )  # fmt: skip
         logger.warning(
             "%s: ensemble of %d patterns of %d particles: standard error %.2g %%, rms over pairs of angles",
             self.source, self.ensemble.realisations, self.ensemble.spheres, 100 * found.standard_error,
         )  # fmt: skip
         return found
 
-    @cached_property
-    def _judged(self) -> dict[bytes, Refinement]:
-        """What ensembles said, by wavelengths."""
-        return {}
+    def _no_positions(self) -> UnsupportedError:
+        return UnsupportedError(
+            f"{self.source}: monolayer.structure.sq says how particles scatter, not where they lie; "
+            "name an arrangement (hard-disk, rsa, poisson-disk, lattice) or give points"
+        )
 
     def monolayer(self, wavelength_nm: float) -> Monolayer:
-        """Return the monolayer at one wavelength, by the mean field where an ensemble would judge it.
+        """Return the mean-field monolayer at one wavelength.
 
         Raises:
-            ConvergenceRefusal: the multipole series does not converge, with what to do.
-            MaterialRangeError, UnsupportedError: an index is not known there; the ladder asked for where it is none.
+            MultipoleConvergenceError: the multipole series does not converge; the message names remedies.
+            MaterialRangeError, UnsupportedError: an index is not known; the ladder is not applicable.
         """
         wavelength_nm = float(wavelength_nm)
         if wavelength_nm not in self._solved:
             surface = self.surface(wavelength_nm)
             check_ladder(self.correction, surface, self.structure, self.source)
-            particles = self._settling.particles(self.kinds, surface)
+            particles = self._settling.particles(self.all_species, surface)
             mean_field = "qca-balanced" if self.correction in (AUTO, ENSEMBLE) else self.correction
             self._solved[wavelength_nm] = Monolayer(
                 surface, particles, self.structure, mean_field, self.interaction_order,
-                sees_neighbours=self.sees_neighbours,
+                includes_near_fields=self.includes_near_fields,
             )  # fmt: skip
         return self._solved[wavelength_nm]
 
     @cached_property
-    def _settling(self) -> Settling:
+    def _settling(self) -> MultipoleConvergence:
         first = self.layers[0][1] if self.layers else None
-        return Settling(self.multipole_order, self.multipole_tolerance, self.memory, self.source, first)
+        return MultipoleConvergence(self.multipole_order, self.multipole_tolerance, self.memory, self.source, first)
 
     @cached_property
     def _solved(self) -> dict[float, Monolayer]:
         return {}
 
     def order(self, surface: Substrate) -> int:
-        """Return the multipole order of spheres, the first kind, at the wavelength of `surface`.
+        """Return the multipole order of the first species, if spheres, at the wavelength of `surface`.
 
         Raises:
-            ConvergenceRefusal: no order keeps within the tolerance; it names the remedies.
+            MultipoleConvergenceError: no order is within the tolerance; the message names remedies.
         """
-        return self._settling.sphere_order(self.kinds[0], surface)
+        return self._settling.sphere_order(self.all_species[0], surface)
 
     def search_model(self, memory: dict[Any, Any], is_rough: bool = False) -> Metasurface:
-        """Return the metasurface with the multipole orders of those of nearly its spheres on the same media.
+        """Return a variant for optimisation that reuses the multipole orders of similar spheres on the same media.
 
-        A rough one knows its neighbours' plane waves, as a sheet does, and nothing of their near fields. One that would
-        take an ensemble by itself takes the mean field; a recipe that names the ensemble gets it.
+        A rough variant ignores the near fields of neighbours. The mean field replaces an automatic ensemble, but not an
+        explicit one.
         """
         spared = self.correction == AUTO
         return dataclasses.replace(
-            self, memory=memory, sees_neighbours=not is_rough, is_spared=spared or self.is_spared,
+            self, memory=memory, includes_near_fields=not is_rough, is_spared=spared or self.is_spared,
             correction="qca-balanced" if spared else self.correction,
         )  # fmt: skip
 
     @property
     def eta(self) -> float:
-        """Index of a transparent substrate over the ambient's, as renderers bend light; 1 for an opaque one."""
+        """Relative index of a transparent substrate, for refraction in renderers; 1 for an opaque one."""
         if not self.transmits:
             return 1.0
         surface = self.surface(float(np.clip(570.0, *self.range_nm)))
@@ -345,26 +374,30 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return all(self.surface(w).is_transparent for w in self.wavelengths_nm)
 
     def bsdf(self, wavelengths_nm: ArrayLike | None = None) -> Bsdf:
-        """Solve the optics: a specular lobe and a harmonic one, of aligned particles both of another kind.
+        """Solve the optics: a specular and a harmonic lobe, or their aligned counterparts.
 
         Args:
             wavelengths_nm: `[wavelength]`, ascending; default: `self.wavelengths_nm`.
 
         Raises:
-            ConvergenceRefusal, MaterialRangeError: see `monolayer`.
+            MultipoleConvergenceError, MaterialRangeError: see `monolayer`.
         """
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         self._warn()
         eta = self.eta
         thickness = sum(d for _, d in self.layers)
         layer, judged = self.layers_at(lam)
-        # a particle's light and its mirror image's run apart by twice the height of its centre
-        height = thickness + max(2.0 * kind.gap_nm + kind.height_nm for kind in self.kinds)
-        # a film on a clear substrate may guide light, which draws lines over the angle
+        # the path difference of particle and image is twice the centre height
+        height = thickness + max(2.0 * species.gap_nm + species.height_nm for species in self.all_species)
+        # a film on a clear substrate may guide light, with sharp features over the angle
         low = height <= LOW_WAVELENGTHS * lam[0] and not (self.transmits and self.layers)
         grids = choose_grids(eta if self.transmits else None, self.varies, thickness > THICK_FILM_NM, low)
-        made = partial(aligned_lobes, self.kinds[0]) if self.is_aligned else tabulate
-        lobes, excess = made(lam, layer, self.structure, grids, eta)
+        if self.is_aligned:
+            lobes, excess = tabulate_aligned(
+                lam, lambda w: self._aligned(layer(w)), self.structure, aligned_grids(grids), eta, self._turn_rad
+            )
+        else:
+            lobes, excess = tabulate(lam, layer, self.structure, grids, eta)
         notes: dict[str, Any] = {
             "energy_excess": round(excess, 6),
             "coverage": self.coverage,
@@ -378,26 +411,26 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             notes["correction_doubt"] = self._doubt
         if judged is not None:
             notes["ensemble"] = judged.notes
-        notes |= body_notes(self.kinds) | self._settling.notes
+        notes |= non_sphere_notes(self.all_species) | self._settling.notes
         self._settling.tell(self.body is not None)
         return Bsdf(lobes, notes)
 
     def _warn(self) -> None:
-        for line in turns_left_out(self.kinds):
+        for line in rotation_warnings(self.all_species):
             warnings.warn(line, MetasurfaceWarning, stacklevel=3)
         doubt = self._doubt
-        if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_spared:  # what was spared is told once for all
+        if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_spared:  # searches report replaced ensembles
             instead = "" if self.is_aligned else '; model.correction = "ensemble" solves the particles together'
             warnings.warn(f"{self.source}: {doubt}{instead}", MetasurfaceWarning, stacklevel=3)
 
     @property
     def _doubt(self) -> str:
-        """What is known against the mean field where it is taken; empty where it was measured to hold."""
+        """Known doubt about the mean field; "" if valid."""
         if self.is_aligned:
             return NO_ENSEMBLE
-        if self.chosen_correction[0] == ENSEMBLE or self._is_held[0]:
+        if self.chosen_correction[0] == ENSEMBLE or self._mean_field_validity[0]:
             return ""
-        return INSIDE if self.host else model_selection.warning(*self._judged_as)
+        return INSIDE if self.host else model_selection.warning(*self._system_classes)
 
     def spectrum(
         self,
@@ -408,15 +441,15 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
     ) -> Spectrum:
         """Return specular and hemispherical diffuse power, each `[angle, wavelength]`, together at most one.
 
-        A correction of "none" is left as the model gives it.
+        The correction "none" is not limited.
 
         Args:
-            theta_rad: incidence in the ambient; 90 degrees is taken as 89.9.
+            theta_rad: incidence in the ambient; 90 degrees counts as 89.9.
             wavelengths_nm: vacuum wavelengths.
             polarisation: "s", "p" or "both".
 
         Raises:
-            ConvergenceRefusal, MaterialRangeError: see `monolayer`.
+            MultipoleConvergenceError, MaterialRangeError: see `monolayer`.
         """
         theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
         lam = self.wavelengths_nm if wavelengths_nm is None else np.atleast_1d(np.asarray(wavelengths_nm, dtype=float))
@@ -435,7 +468,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             self._settling.tell(self.body is not None)
         r, t, up, down = (np.stack([c[i] for c in columns], axis=-1) for i in range(4))
         if self.correction != "none":
-            up, down, excess = within_what_arrives(r + t, up, down)
+            up, down, excess = limit_to_incident_power(r + t, up, down)
             if excess > TOLD_EXCESS:
                 logger.warning(
                     "%s: correction %s sends out %.3g more than arrives; the diffuse part is scaled down to it",
@@ -447,10 +480,10 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return Spectrum(lam, degrees, r, t, up, down)
 
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
-        """Return the diffuse lobe's values at a few pairs, `[pair, wavelength]`, without its tables.
+        """Return the diffuse BRDF at a few pairs, `[pair, wavelength]`, without tables.
 
-        Those of `bsdf` but for the tables' interpolation: 0.5 % of the largest, and near grazing the scaling to what
-        arrives. None for pairs on the other side, of an order beyond reach, or that are not few; of aligned particles.
+        Equal to `bsdf` to 0.5 % of the maximum, except for the energy scaling near grazing. None for pairs on the other
+        side, at grazing, or too many angles.
         """
         arriving, leaving = (np.asarray(v, dtype=float).reshape(-1, 3) for v in (wi, wo))
         angles = np.unique(np.round(np.concatenate([arriving[:, 2], leaving[:, 2]]), 12))
@@ -462,14 +495,14 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
 
         def column(wavelength_nm: float) -> Array:
             if self.is_aligned:
-                return values_of_aligned(self.kinds[0], layer(wavelength_nm), arriving, leaving)
-            return few_values(layer(wavelength_nm), arriving, leaving)
+                return aligned_values(self._aligned(layer(wavelength_nm)), arriving, leaving, self._turn_rad)
+            return direct_values(layer(wavelength_nm), arriving, leaving)
 
         return np.stack(in_threads(column, [float(w) for w in wavelengths_nm]), axis=-1)
 
     @property
     def excess_reason(self) -> str:
-        """A correction of "none" counts light twice."""
+        """The correction "none" counts light twice."""
         return 'model.correction = "none" does not keep energy' if self.correction == "none" else ""
 
     def powers(
@@ -480,21 +513,21 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         Args:
             cosines: `[angle]`, of incidence.
             wavelength_nm: in vacuum.
-            layer: the monolayer at it, if it is known; by default the mean field's.
+            layer: the monolayer there; default the mean field.
         """
         cos = np.maximum(np.atleast_1d(np.asarray(cosines, dtype=float)), np.cos(np.radians(89.9)))
         layer = self.monolayer(wavelength_nm) if layer is None else layer
         if self.is_aligned:
-            return powers_of_aligned(self.kinds[0], layer, cos)
+            return aligned_powers(self._aligned(layer), cos, -self._turn_rad)
         if layer.correction == "qca-balanced" and layer.ratio is None:
-            return few_powers(layer, cos)
+            return direct_powers(layer, cos)
         reflected, passed = layer.specular_above(cos)
         mu, weights = hemisphere_rule(24)
         zero = np.zeros(cos.size)
-        sides = [(layer.light(np.concatenate([mu, cos])), np.concatenate([weights, zero]))]
+        sides = [(layer.illuminate(np.concatenate([mu, cos])), np.concatenate([weights, zero]))]
         if self.transmits:
             mu_b, weights_b = hemisphere_rule(20, layer.surface.index_below)
-            sides.append((layer.light(mu_b, True), weights_b))
+            sides.append((layer.illuminate(mu_b, True), weights_b))
         term = diffuse_term(layer, sides, 1)
         at = slice(mu.size, mu.size + cos.size)
         return reflected, passed, term.above[:, at] / cos, term.below[:, at] / cos

@@ -1,4 +1,4 @@
-"""The recipe's particles: spheres, discs, rods, spheroids, what a file of T-matrices describes, or two of these."""
+"""Recipe of the particles: spheres, cylinders, spheroids, particles from a T-matrix file, or a mixture of two."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 import pydantic
 
 from nacre.core.errors import MaterialRangeError
-from nacre.families.metasurface.species import Kind
+from nacre.families.metasurface.species import Species
 from nacre.families.metasurface.tmatrix.axisymmetric import (
     SAME_SIZE,
     SPHERE,
     AxialTMatrices,
     Body,
-    KnownBody,
-    KnownSphere,
+    TabulatedBody,
+    TabulatedSphere,
     is_spherical,
 )
 from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes, SolvedBody
@@ -26,12 +26,12 @@ from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.model import RecipeContext, RecipeModel
 
 CORE_LIMIT_NM = 1000.0
-SMALLEST_CORE_NM = 0.1  # less than an atom; squares of far smaller ones are 0 in floating point
+SMALLEST_CORE_NM = 0.1  # less than an atom; squares of far smaller values underflow
 WIDEST_RELATIVE_SIZE = 0.3
-SAME_MEDIUM = 1e-3  # relative, of the index that a T-matrix is for
-SAME_LENGTH = 1e-2  # relative, of a length that recipe and file both give
+SAME_MEDIUM = 1e-3  # relative tolerance of the index of a T-matrix
+SAME_LENGTH = 1e-2  # relative tolerance of a length in both recipe and file
 ALIGNED = 'write orientation = "aligned", and turn_deg for the angle by which all are turned about the normal'
-OTHER_WORDS = dict.fromkeys(  # that a stranger may ask by, and what to write in their place
+OTHER_WORDS = dict.fromkeys(  # plausible unknown keys, and what to write instead
     ("orientation_deg", "turn", "rotation", "rotation_deg", "azimuth_deg", "aligned"), ALIGNED
 )
 NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
@@ -39,7 +39,7 @@ Extent = Annotated[float, pydantic.Field(ge=2 * SMALLEST_CORE_NM, le=2 * CORE_LI
 
 
 class ShellSpec(RecipeModel):
-    """A coat round the core, which the particle's own lengths are of; it is this much larger on every side."""
+    """A coating around the core; it adds to the outer dimensions of the particle."""
 
     forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 10}',)
 
@@ -51,10 +51,10 @@ class ShellSpec(RecipeModel):
     )
 
 
-class KindSpec(RecipeModel):
-    """One kind of particle: its keys, what they allow, and what they build."""
+class SpeciesSpec(RecipeModel):
+    """One particle species: keys, validation, and construction."""
 
-    table: ClassVar[str] = "particle"  # of the recipe
+    table: ClassVar[str] = "particle"  # recipe table
     forms: ClassVar[tuple[str, ...]] = (
         '{material = "Ag", radius_nm = 90}',
         '{material = "Au", radius_nm = 60, deviation_nm = 5, shell = {material = "SiO2", thickness_nm = 10}}',
@@ -195,8 +195,8 @@ class KindSpec(RecipeModel):
             )
         return self
 
-    def kind(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, share: float = 1.0) -> Kind:
-        """Return the particles, `share` of all; see `body`."""
+    def species(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, share: float = 1.0) -> Species:
+        """Return the species with number fraction `share`; see `body`."""
 
         def built(spec: IndexSpec) -> OpticalConstant:
             made = spec.build()
@@ -206,7 +206,7 @@ class KindSpec(RecipeModel):
         body = self.body(context, around, hold_ends, shell)
         coat = shell.thickness_nm if shell is not None and body is not None else 0.0
         mean = body.radius_nm - coat if body is not None else self.radius_nm
-        assert mean is not None  # of spheres it is given, see _one_kind
+        assert mean is not None  # given for spheres, see _one_kind
         sizes = Sizes.of(mean, self.deviation_nm, self.distribution).larger_by(coat)
         thinnest = min(sizes.radii_nm) - coat
         if self.edge_radius_nm > min(thinnest, (self.height_nm or 0.0) / 2) / 2:
@@ -216,20 +216,20 @@ class KindSpec(RecipeModel):
                 f"{self.height_nm:.4g} nm high; it should be at most half of its radius and a quarter of its height",
             )  # fmt: skip
         core = None if self.material is None else built(self.material)
-        return Kind(core, sizes, shell, self.gap_nm, body, share, self.table, self.depth_nm)
+        return Species(core, sizes, shell, self.gap_nm, body, share, self.table, self.depth_nm)
 
     def body(
         self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, shell: Shell | None = None
     ) -> Body | None:
-        """Return what is no sphere, or None.
+        """Return a non-spherical particle, or None.
 
         Args:
-            around: the medium that they lie in.
+            around: the surrounding medium.
             hold_ends: whether T-matrices hold beyond their wavelengths.
-            shell: what coats it.
+            shell: its coating.
 
         Raises:
-            RecipeError: the file is not usable, or is of another medium or of an unknown size.
+            RecipeError: the file is unusable, for another medium, or without dimensions.
         """
         if self.tmatrix is None:
             return None if self.shape == "sphere" else self._solid(context, around, hold_ends, shell)
@@ -240,13 +240,13 @@ class KindSpec(RecipeModel):
         self._check_medium(context, known, around)
         radius = self._extent(context, "diameter_nm", None if known.radius_nm is None else 2 * known.radius_nm) / 2
         height = self._extent(context, "height_nm", known.height_nm)
-        # without a shape the particle may fill the cylinder that its two lengths name
+        # without a shape the particle may fill the cylinder of both lengths
         reach = float(np.hypot(radius, height / 2)) if known.circumscribing_nm is None else known.circumscribing_nm
         source = f'{context.source}: {self.table}.tmatrix = "{self.tmatrix}"'
         shape = known.shape
         if shape in ("", SPHERE) and abs(2 * radius - height) <= SAME_SIZE * height and is_spherical(known):
-            return KnownSphere(known, radius, height, radius, source, hold_ends, shape)
-        return KnownBody(known, radius, height, reach, source, hold_ends, shape, float(np.radians(self.turn_deg)))
+            return TabulatedSphere(known, radius, height, radius, source, hold_ends, shape)
+        return TabulatedBody(known, radius, height, reach, source, hold_ends, shape, float(np.radians(self.turn_deg)))
 
     def _solid(
         self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, shell: Shell | None
@@ -266,7 +266,7 @@ class KindSpec(RecipeModel):
             try:
                 around = float(medium.n_complex(np.array([wavelength]))[0].real)
             except MaterialRangeError:
-                continue  # where the medium is not known nothing is computed
+                continue  # not computed at unknown wavelengths
             if abs(around / index - 1) > SAME_MEDIUM:
                 place = "the ambient" if self.depth_nm is None else "the layer"
                 raise context.fail(
@@ -292,8 +292,8 @@ class KindSpec(RecipeModel):
         return found
 
 
-class SecondSpec(KindSpec):
-    """The other kind of a mixture, with its share in number; both kinds lie at random on one arrangement."""
+class SecondSpeciesSpec(SpeciesSpec):
+    """The second species of a mixture, with its number fraction; both lie at random on one arrangement."""
 
     table: ClassVar[str] = "particle.second"
     forms: ClassVar[tuple[str, ...]] = ('{material = "Ag", radius_nm = 50, share = 0.3}',)
@@ -303,33 +303,32 @@ class SecondSpec(KindSpec):
     )
 
 
-class ParticleSpec(KindSpec):
-    """The particles: spheres, upright cylinders or spheroids, or any other, by a file."""
+class ParticleSpec(SpeciesSpec):
+    """The particles: spheres, upright cylinders or spheroids, or particles from a file."""
 
     forms: ClassVar[tuple[str, ...]] = (
-        *KindSpec.forms,
+        *SpeciesSpec.forms,
         '{material = "Si", radius_nm = 75, second = {material = "Ag", radius_nm = 50, share = 0.3}}',
     )
 
-    second: SecondSpec | None = pydantic.Field(
-        default=None, description="another kind of particle among these: a mixture"
+    second: SecondSpeciesSpec | None = pydantic.Field(
+        default=None, description="second species of particles in a mixture"
     )
 
     @pydantic.model_validator(mode="after")
     def _all_inside_or_none(self) -> Self:
         if self.second is not None and (self.depth_nm is None) != (self.second.depth_nm is None):
-            raise ValueError("and second: one gives depth_nm; both kinds lie inside one layer, or both above all")
+            raise ValueError("and second: one gives depth_nm; both species lie inside one layer, or both above all")
         return self
 
-    def kinds(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool) -> tuple[Kind, ...]:
-        """Return the one or two kinds of particle, in the medium `around` them.
+    def all_species(self, context: RecipeContext, around: OpticalConstant, hold_ends: bool) -> tuple[Species, ...]:
+        """Return the one or two species, in the medium `around` them.
 
         Raises:
             RecipeError: see `body`.
         """
         if self.second is None:
-            return (self.kind(context, around, hold_ends),)
+            return (self.species(context, around, hold_ends),)
         share = self.second.share
-        return (
-            self.kind(context, around, hold_ends, 1.0 - share), self.second.kind(context, around, hold_ends, share),
-        )  # fmt: skip
+        second = self.second.species(context, around, hold_ends, share)
+        return self.species(context, around, hold_ends, 1.0 - share), second

@@ -1,4 +1,4 @@
-"""The recipe of a metasurface: its keys, what they allow, and the material that they build."""
+"""Recipe of a metasurface: keys, validation, and construction of the material."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from nacre.families.metasurface.monolayer.arrangement import (
 from nacre.families.metasurface.monolayer.micrograph import SUFFIXES, is_picture
 from nacre.families.metasurface.monolayer.structure import PACKING_LIMIT, Structure, hard_disk_structure
 from nacre.families.metasurface.particle_spec import ParticleSpec
-from nacre.families.metasurface.species import LOOSEST_TOLERANCE, Kind, mean_square_radius
+from nacre.families.metasurface.species import LOOSEST_TOLERANCE, Species, mean_square_radius
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K
 from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer
@@ -38,7 +38,7 @@ from nacre.matter.indices.spec import IndexSpec, ambient_in
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 LEAST_COVERAGE = 1e-4
-LARGEST_REACH_UM = 4.0  # beyond ten wavelengths S(q) has more rings than light can tell apart, and takes minutes
+LARGEST_REACH_UM = 4.0  # beyond ten wavelengths S(q) has more rings than light resolves, and takes minutes
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 MAX_THICKNESS_NM = 1e4
 
@@ -55,7 +55,7 @@ class LayerSpec(RecipeModel):
 
 
 class StructureSpec(RecipeModel):
-    """How the particles are arranged: a bare name, or a table with the name and its numbers."""
+    """Arrangement of the particles: a name, or a table with the name and its parameters."""
 
     one_of: ClassVar[tuple[str, ...]] = ("name", "points", "sq")
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"enum": list(ARRANGEMENTS)},)
@@ -68,7 +68,7 @@ class StructureSpec(RecipeModel):
     )
 
     name: Literal["hard-disk", "rsa", "poisson-disk", "lattice"] | None = pydantic.Field(
-        default=None, description="kind of order; written alone it needs no table", examples=["lattice"]
+        default=None, description="type of order; a bare name needs no table", examples=["lattice"]
     )
     points: str | None = pydantic.Field(
         default=None,
@@ -177,7 +177,7 @@ class MonolayerSpec(RecipeModel):
 
 
 class EnsembleSpec(RecipeModel):
-    """How large an ensemble is, of correction = "ensemble" or where "auto" takes one."""
+    """Ensemble size, for correction = "ensemble" or if "auto" selects one."""
 
     forms: ClassVar[tuple[str, ...]] = ("{spheres = 260, realisations = 24}",)
 
@@ -193,7 +193,7 @@ class EnsembleSpec(RecipeModel):
 
 
 class ModelSpec(RecipeModel):
-    """The model, where its own choice is not wanted."""
+    """Details of the model."""
 
     forms: ClassVar[tuple[str, ...]] = ("{tolerance = 0.005}", '{multipole_order = 6, correction = "optical-depth"}')
 
@@ -223,16 +223,16 @@ class ModelSpec(RecipeModel):
 
 @dataclass(frozen=True, eq=False)
 class MetasurfaceModel(Metasurface, Fabricable, OwnFormats):
-    """A metasurface as its recipe builds it: with its figures and its drawings."""
+    """A metasurface from a recipe, with figures and drawings."""
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """One particle's scattering, the arrangement and its S(q), colour over density and angle."""
-        return {kind: partial(maker, self) for kind, maker in FIGURES.items()}
+        """Scattering of one particle, arrangement and S(q), colour over density and angle."""
+        return {name: partial(maker, self) for name, maker in FIGURES.items()}
 
     @property
     def fabrications(self) -> Mapping[str, Drawer]:
-        """Layouts of the particles, their list, and the sheet of what to make."""
+        """Particle layouts and list, and the layer sheet."""
         draw = partial(layout, self)
         return {"gds": draw, "oas": draw, "csv": draw, "sheet": lambda request: layer_sheet(self)}
 
@@ -298,7 +298,7 @@ class MetasurfaceSpec(RecipeModel):
         """Return the material.
 
         Raises:
-            RecipeError: density and packing contradict each other, or a file of points or of S(q) is not usable.
+            RecipeError: contradicting density and packing, or an unusable file of points or S(q).
         """
         ambient = self._edge(ambient_in(self.ambient, "ambient" in self.model_fields_set, context))
         substrate = self._index(self.substrate)
@@ -320,12 +320,12 @@ class MetasurfaceSpec(RecipeModel):
             why = 'is not modelled for particles inside a layer; "ensemble" and the mean field, "qca-balanced", are'
             raise context.fail("model.correction", asked, why)
         around = layers[host - 1][0] if host else ambient
-        kinds = self.particle.kinds(context, around, self.extrapolate == "edge")
+        all_species = self.particle.all_species(context, around, self.extrapolate == "edge")
         if host:
-            kinds = held(context, kinds, host, layers)
-        self._check_aligned(context, kinds)
-        structure, arrangement = self._structure(context, kinds, 4.2 * np.pi * index / 360.0)
-        first = kinds[0]
+            all_species = held(context, all_species, host, layers)
+        self._check_aligned(context, all_species)
+        structure, arrangement = self._structure(context, all_species, 4.2 * np.pi * index / 360.0)
+        first = all_species[0]
         return MetasurfaceModel(
             ambient=ambient,
             layers=layers,
@@ -344,21 +344,23 @@ class MetasurfaceSpec(RecipeModel):
             source=context.source,
             arrangement=arrangement,
             body=first.body,
-            second=kinds[1] if len(kinds) > 1 else None,
+            second=all_species[1] if len(all_species) > 1 else None,
             host=host,
             depth_nm=first.depth_nm,
         )
 
-    def _check_aligned(self, context: RecipeContext, kinds: tuple[Kind, ...]) -> None:
-        """Refuse what aligned particles are not modelled with.
+    def _check_aligned(self, context: RecipeContext, all_species: tuple[Species, ...]) -> None:
+        """Refuse unsupported combinations with aligned particles.
 
         Raises:
             RecipeError: a mixture, or a correction other than the mean field.
         """
-        if not any(kind.body is not None and kind.body.is_aligned for kind in kinds):
+        if not any(species.body is not None and species.body.is_aligned for species in all_species):
             return
-        if len(kinds) > 1:
-            key = "particle" if kinds[0].body is not None and kinds[0].body.is_aligned else "particle.second"
+        if len(all_species) > 1:
+            key = (
+                "particle" if all_species[0].body is not None and all_species[0].body.is_aligned else "particle.second"
+            )
             why = 'is not modelled in a mixture; write "averaged", or leave particle.second out'
             raise context.fail(f"{key}.orientation", "aligned", why)
         asked = self.model.correction
@@ -373,23 +375,23 @@ class MetasurfaceSpec(RecipeModel):
         return made.with_extrapolation("edge") if self.extrapolate == "edge" else made
 
     def _structure(
-        self, context: RecipeContext, kinds: tuple[Kind, ...], q_max: float
+        self, context: RecipeContext, all_species: tuple[Species, ...], q_max: float
     ) -> tuple[Structure, Arrangement | Pattern | None]:
-        """Return how the particles lie: of a mixture any two may be neighbours, so the larger kind keeps all apart."""
-        mean_nm = mean_square_radius(kinds)  # coverage counts by it
-        outer_nm = max(kind.outer_radius_nm for kind in kinds)  # overlaps go by it
-        # circumscribing spheres must not meet: multipoles diverge inside
-        reach_nm = max(kind.reach_nm for kind in kinds)
-        layer, kind = self.monolayer, self.monolayer.structure
-        if kind.points is not None:
-            pattern = points_pattern(context, kind.points, 2 * outer_nm, kind.width_um)
+        """Return the arrangement; in a mixture the larger species sets the least distance."""
+        mean_nm = mean_square_radius(all_species)  # defines the coverage
+        outer_nm = max(species.outer_radius_nm for species in all_species)  # defines overlaps
+        # circumscribing spheres must not overlap: multipoles diverge inside
+        reach_nm = max(species.reach_nm for species in all_species)
+        layer, spec = self.monolayer, self.monolayer.structure
+        if spec.points is not None:
+            pattern = points_pattern(context, spec.points, 2 * outer_nm, spec.width_um)
             measured = points_structure(pattern, q_max)
-            self._clear(context, "monolayer.structure.points", kind.points, measured.diameter_nm, reach_nm)
+            self._clear(context, "monolayer.structure.points", spec.points, measured.diameter_nm, reach_nm)
             return measured, pattern
         if layer.coverage is not None:
             density = layer.coverage / (np.pi * mean_nm**2)
         else:
-            assert layer.density_per_um2 is not None  # one of the two is given, see MonolayerSpec
+            assert layer.density_per_um2 is not None  # one of both is given, see MonolayerSpec
             density = layer.density_per_um2 * 1e-6
         coverage = float(density * np.pi * mean_nm**2)
         occupied = float(density * np.pi * outer_nm**2)
@@ -399,15 +401,19 @@ class MetasurfaceSpec(RecipeModel):
                 layer.density_per_um2 if layer.coverage is None else layer.coverage,
                 f"covers {coverage:.3g} of the area; it should be from {LEAST_COVERAGE:g} to {PACKING_LIMIT:g}",
             )
-        apart = 1.0 if kind.name == "lattice" else (reach_nm / outer_nm) ** 2
+        apart = 1.0 if spec.name == "lattice" else (reach_nm / outer_nm) ** 2
         packing = occupied * apart if layer.packing is None else layer.packing
         if packing < occupied * (1 - 1e-9):
-            floor = f"the coverage f = {coverage:.4g}" if len(kinds) == 1 else f"{occupied:.4g}, for the larger kind"
+            floor = (
+                f"the coverage f = {coverage:.4g}"
+                if len(all_species) == 1
+                else f"{occupied:.4g}, for the larger species"
+            )
             raise context.fail(
                 "monolayer.packing",
                 packing,
                 f"is below {floor}: the particles would overlap; it should be from "
-                f"{'f' if len(kinds) == 1 else f'{occupied:.4g}'} to {PACKING_LIMIT:g}",
+                f"{'f' if len(all_species) == 1 else f'{occupied:.4g}'} to {PACKING_LIMIT:g}",
             )
         if packing > PACKING_LIMIT:
             key = "monolayer.density_per_um2" if layer.coverage is None else "monolayer.coverage"
@@ -417,7 +423,7 @@ class MetasurfaceSpec(RecipeModel):
                 f"keeps the circumscribing spheres, {2 * reach_nm:.4g} nm wide, apart only at a packing of "
                 f"{packing:.3g}; at most {PACKING_LIMIT:g} can be made",
             )
-        if kind.name != "lattice":
+        if spec.name != "lattice":
             least = float(np.sqrt(4.0 * packing / (np.pi * density)))
             self._clear(context, "monolayer.packing", packing, least, reach_nm)
         reach_um = 1e-3 * float(np.sqrt(4.0 * packing / (np.pi * density)))
@@ -428,24 +434,24 @@ class MetasurfaceSpec(RecipeModel):
                 f"keeps particles {reach_um:.3g} um apart at this density; it should be at most "
                 f"{packing * (LARGEST_REACH_UM / reach_um) ** 2:.3g}, for {LARGEST_REACH_UM:g} um",
             )
-        if kind.sq is not None:
-            return sq_structure(context, kind.sq, float(density), packing, q_max), None
-        assert kind.name is not None  # StructureSpec takes one of name, points, sq
-        made = Arrangement(kind.name, float(density), packing, kind.seed, kind.lattice, kind.jitter)
-        if kind.name == "hard-disk":
+        if spec.sq is not None:
+            return sq_structure(context, spec.sq, float(density), packing, q_max), None
+        assert spec.name is not None  # StructureSpec requires one of name, points, sq
+        made = Arrangement(spec.name, float(density), packing, spec.seed, spec.lattice, spec.jitter)
+        if spec.name == "hard-disk":
             return hard_disk_structure(float(density), packing, q_max), made
-        if kind.name == "lattice":
+        if spec.name == "lattice":
             jittered = jittered_structure(context, made, 2 * outer_nm, q_max)
-            self._clear(context, "monolayer.structure.jitter", kind.jitter, jittered.diameter_nm, reach_nm)
+            self._clear(context, "monolayer.structure.jitter", spec.jitter, jittered.diameter_nm, reach_nm)
             return jittered, made
         return pattern_structure(context, made, q_max), made
 
     @staticmethod
     def _clear(context: RecipeContext, key: str, got: object, least_nm: float, reach_nm: float) -> None:
-        """Refuse particles whose circumscribing spheres meet.
+        """Refuse overlapping circumscribing spheres.
 
         Raises:
-            RecipeError: they do.
+            RecipeError: they overlap.
         """
         if least_nm < 2 * reach_nm * (1 - 1e-6):
             raise context.fail(
@@ -458,15 +464,15 @@ class MetasurfaceSpec(RecipeModel):
 
 # Particles inside a layer of the stack: which layer that is, and whether it holds them.
 
-ROOM = 1e-6  # nm, of rounding
+ROOM = 1e-6  # rounding tolerance in nm
 Layers = Sequence[tuple[OpticalConstant, float]]
 
 
 def host_layer(context: RecipeContext, depth_nm: float | None, layers: Layers) -> int:
-    """Return the number of the layer, from 1, that a depth below the top of the stack lies in; 0 without a depth.
+    """Return the number of the layer, from 1, at a depth below the top of the stack; 0 without a depth.
 
     Raises:
-        RecipeError: no layer reaches so deep, or the one that does absorbs.
+        RecipeError: no layer is so deep, or it absorbs.
     """
     if depth_nm is None:
         return 0
@@ -487,7 +493,7 @@ def _check_clear(context: RecipeContext, medium: OpticalConstant, number: int) -
     try:
         loss = medium.n_complex(grid[(grid >= low) & (grid <= high)]).imag
     except MaterialRangeError:
-        return  # where it is not known nothing is computed
+        return  # not computed at unknown wavelengths
     if loss.size and loss.max() >= LOSSLESS_K:
         at = grid[(grid >= low) & (grid <= high)][int(np.argmax(loss))]
         raise context.fail(
@@ -496,27 +502,27 @@ def _check_clear(context: RecipeContext, medium: OpticalConstant, number: int) -
         )  # fmt: skip
 
 
-def held(context: RecipeContext, kinds: tuple[Kind, ...], host: int, layers: Layers) -> tuple[Kind, ...]:
-    """Return the kinds with their gaps over the lower face of the layer, where their bottoms are level.
+def held(context: RecipeContext, all_species: tuple[Species, ...], host: int, layers: Layers) -> tuple[Species, ...]:
+    """Return the species with their gaps above the lower face of the layer.
 
     Raises:
-        RecipeError: the layer does not hold them, or the spheres around them.
+        RecipeError: the layer does not contain them, or their circumscribing spheres.
     """
     top = sum(thickness for _, thickness in layers[: host - 1])
     bottom = top + layers[host - 1][1]
     out = []
-    for kind in kinds:
-        assert kind.depth_nm is not None  # of all kinds or of none
-        gap = bottom - kind.depth_nm - kind.height_nm
-        largest = max(kind.sizes.radii_nm) - kind.mean_radius_nm
-        above = 0.0 if kind.body is None else kind.reach_nm - kind.height_nm / 2  # multipoles diverge inside
-        over = kind.depth_nm - top - above - (2 * largest if kind.body is None else 0.0)
-        if kind.depth_nm >= bottom - ROOM or min(over, gap - above) < -ROOM:
-            needs = "" if not above else f", or the sphere of radius {kind.reach_nm:.4g} nm around them"
+    for species in all_species:
+        assert species.depth_nm is not None  # given for all species
+        gap = bottom - species.depth_nm - species.height_nm
+        largest = max(species.sizes.radii_nm) - species.mean_radius_nm
+        above = 0.0 if species.body is None else species.reach_nm - species.height_nm / 2  # multipoles diverge inside
+        over = species.depth_nm - top - above - (2 * largest if species.body is None else 0.0)
+        if species.depth_nm >= bottom - ROOM or min(over, gap - above) < -ROOM:
+            needs = "" if not above else f", or the sphere of radius {species.reach_nm:.4g} nm around them"
             raise context.fail(
-                f"{kind.key}.depth_nm", kind.depth_nm,
-                f"puts particles {kind.height_nm:.4g} nm high{' and higher' if largest else ''} across a face of layer "
-                f"{host}, which lies {top:g} to {bottom:g} nm deep; it should hold them whole{needs}",
+                f"{species.key}.depth_nm", species.depth_nm,
+                f"puts particles {species.height_nm:.4g} nm high{' and higher' if largest else ''} across a face of "
+                f"layer {host}, which lies {top:g} to {bottom:g} nm deep; it should hold them whole{needs}",
             )  # fmt: skip
-        out.append(replace(kind, gap_nm=max(gap, 0.0)))
+        out.append(replace(species, gap_nm=max(gap, 0.0)))
     return tuple(out)

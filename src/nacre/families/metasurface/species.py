@@ -1,4 +1,8 @@
-"""Particles that are no spheres, put over a stack: their height, how far they are settled, what is refused."""
+"""Particle species of a monolayer, their placement on the stack, and the convergence of their multipoles.
+
+A size distribution and a mixture are the same for the optics: particles with number fractions at random places of one
+arrangement. All take the highest multipole order that any of them needs.
+"""
 
 from __future__ import annotations
 
@@ -12,35 +16,36 @@ import numpy as np
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.families.metasurface.monolayer.monolayer import Particle
-from nacre.families.metasurface.tmatrix.axisymmetric import Body, KnownSphere, as_blocks, multipole_order, truncated
+from nacre.families.metasurface.tmatrix.axisymmetric import Body, TabulatedSphere, as_blocks, multipole_order, truncated
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     AZIMUTHAL_ORDERS,
     LOWER_CUT,
     ORDER_TOLERANCE,
-    ConvergenceRefusal,
-    SphereOnStack,
-    amplitude,
+    MultipoleConvergenceError,
+    ParticleOnStack,
     choose_order,
-    cut_of,
     order_change,
+    pattern_change,
+    probe_pattern,
+    probes,
     rounded_up,
+    wavenumber_cutoff,
 )
 from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes, sphere_t_matrix
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.indices.constant import OpticalConstant
 
-PROBED_LIGHT, PROBED_VIEWS = np.radians([0.0, 30.0, 60.0, 80.0]), np.radians(np.arange(5.0, 90.0, 12.0))
 GAP_STEPS = 16
-TOUCHES = 1e-9  # relative
+TOUCHES = 1e-9
 
 
 @dataclass(frozen=True)
-class Placed:
-    """A particle over a stack at one wavelength, and how much its far field is still in motion.
+class PlacedParticle:
+    """A particle above a stack at one wavelength, and the remaining change of its far field.
 
     Attributes:
-        particle: as the monolayer takes it.
-        change: relative L2 of the far field: by the highest multipoles, or between two cuts near the stack.
+        particle: for `Monolayer`.
+        change: relative L2 change of the far field by the highest multipoles, or between two cutoffs near the stack.
         is_near: whether its circumscribing sphere cuts the stack.
     """
 
@@ -49,8 +54,8 @@ class Placed:
     is_near: bool
 
 
-def place(body: Body, surface: Substrate, gap_nm: float, order: int | None = None) -> Placed:
-    """Return the particle with the multipoles up to `order`, or all that are known.
+def place(body: Body, surface: Substrate, gap_nm: float, order: int | None = None) -> PlacedParticle:
+    """Return the particle with multipoles up to `order`, default all.
 
     Raises:
         UnsupportedError: the order is not known.
@@ -62,16 +67,18 @@ def place(body: Body, surface: Substrate, gap_nm: float, order: int | None = Non
     t = t if order is None else truncated(t, order)
     particle = Particle(1.0, body.height_nm / 2 + gap_nm, t)
     if surface.is_absent or particle.centre_nm >= body.circumscribing_nm * (1 - TOUCHES):
-        return Placed(particle, _truncation(surface, particle), False)
-    near = replace(particle, cut=cut_of(particle.lmax, surface.wavenumber, body.circumscribing_nm))
-    less = replace(particle, cut=cut_of(particle.lmax, surface.wavenumber, body.circumscribing_nm, LOWER_CUT))
-    return Placed(near, _difference(_pattern(surface, less), _pattern(surface, near)), True)
+        return PlacedParticle(particle, _truncation(surface, particle), False)
+    near = replace(particle, cut=wavenumber_cutoff(particle.lmax, surface.wavenumber, body.circumscribing_nm))
+    less = replace(
+        particle, cut=wavenumber_cutoff(particle.lmax, surface.wavenumber, body.circumscribing_nm, LOWER_CUT)
+    )
+    return PlacedParticle(near, pattern_change(_pattern(surface, less), _pattern(surface, near)), True)
 
 
-def least_gap(
+def smallest_converged_gap(
     body: Body, surface: Substrate, gap_nm: float, tolerance: float, order: int | None = None
 ) -> float | None:
-    """Return the least gap, in whole steps to where the circumscribing sphere is clear, that settles; or None."""
+    """Return the smallest converged gap, in steps up to a clear circumscribing sphere, or None."""
     clear = body.circumscribing_nm - body.height_nm / 2
     for gap in np.linspace(gap_nm, max(clear, gap_nm), GAP_STEPS + 1)[1:]:
         rounded = float(np.ceil(10 * gap) / 10)
@@ -84,15 +91,15 @@ def refuse(
     body: Body,
     surface: Substrate,
     gap_nm: float,
-    placed: Placed,
+    placed: PlacedParticle,
     tolerance: float,
     order: int | None,
     key: str = "particle",
 ) -> UnsupportedError:
-    """Return the line that refuses a particle whose far field is not settled, with what to do.
+    """Return the error for a particle whose far field is not converged, with remedies.
 
     Args:
-        key: of the recipe's table of these particles.
+        key: recipe table of these particles.
     """
     if not placed.is_near:
         further = f"a larger {key}.gap_nm" if surface.inner_nm == 0.0 else "more room to the faces of the layer"
@@ -101,7 +108,7 @@ def refuse(
             f"settle over this stack (the far field still changes by {placed.change:.2g}, {tolerance:g} is allowed); "
             f"a T-matrix of higher order or {further} is needed"
         )
-    gap = least_gap(body, surface, gap_nm, tolerance, order)
+    gap = smallest_converged_gap(body, surface, gap_nm, tolerance, order)
     advice = f"the least {key}.gap_nm that works is {gap:g}" if gap is not None else "no gap_nm mends it"
     return UnsupportedError(
         f"{body.source}: at {surface.wavelength_nm:g} nm it lies too close to the stack for multipoles up to l = "
@@ -111,65 +118,51 @@ def refuse(
 
 
 def _truncation(surface: Substrate, particle: Particle) -> float:
-    """Estimate what the multipoles that are left out change: the last step, falling on as the two last ones do."""
+    """Estimate the change by the omitted multipoles: the last step, extrapolated geometrically."""
     top = particle.lmax
     if top == 1:
-        return 0.0  # a dipole tells nothing of the next order; whoever gives one means a dipole
+        return 0.0  # a dipole gives no estimate and is intended
     patterns = [
         _pattern(surface, replace(particle, t_matrix=truncated(particle.t_matrix, l)))
         for l in range(max(1, top - 2), top + 1)
     ]
-    last = _difference(patterns[-2], patterns[-1])
+    last = pattern_change(patterns[-2], patterns[-1])
     if len(patterns) < 3:
         return last
-    before = _difference(patterns[-3], patterns[-2])
+    before = pattern_change(patterns[-3], patterns[-2])
     return last * min(1.0, last / before) if before > 0 else last
 
 
 def _pattern(surface: Substrate, particle: Particle) -> Array:
-    """d sigma/d Omega at a few directions, `[pol_s, s, pol_i, i, phi]`."""
-    alone = SphereOnStack(
-        surface, particle.centre_nm, particle.t_matrix, min(AZIMUTHAL_ORDERS, particle.lmax), particle.cut
-    )
-    fields: ComplexArray = amplitude(
-        alone.harmonics(alone.directions(np.cos(PROBED_VIEWS)), alone.directions(np.cos(PROBED_LIGHT))),
-        np.linspace(0.0, np.pi, 9),
-    )
-    return np.asarray(np.abs(fields) ** 2)
+    mmax = min(AZIMUTHAL_ORDERS, particle.lmax)
+    alone = ParticleOnStack(surface, particle.centre_nm, particle.t_matrix, mmax, particle.cut)
+    return probe_pattern(alone.dressed, *probes(surface, particle.centre_nm, particle.lmax, mmax))
 
-
-def _difference(of: Array, to: Array) -> float:
-    """The largest relative L2 difference over the incidences."""
-    axes = (0, 1, 4)
-    return float(np.max(np.sqrt(np.sum((of - to) ** 2, axis=axes) / np.maximum(np.sum(to**2, axis=axes), 1e-300))))
-
-
-# The kinds of particle of a monolayer: one, or two in a mixture; their sizes, and their multipoles over a stack.
 
 logger = logging.getLogger("nacre")
 
-LOOSEST_TOLERANCE = 0.02  # of the change on doubling: above it the series has no limit to speak of
-# accepted with a warning where the recipe names no tolerance: silver on glass leaves up to 0.9 %, at 360 nm only
+LOOSEST_TOLERANCE = 0.02  # largest accepted change when the order is doubled
+# accepted with a warning without model.tolerance: silver on glass reaches 0.9 % at 360 nm
 UNASKED_TOLERANCE = 0.01
 UNTOLD_INDEX = 4.0
-GAPS_NM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # that are tried where a sphere's multipoles do not settle
+GAPS_NM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # gaps tried for a remedy
 USUAL_GAP_NM = 2.0
-NEAR = 0.1  # of the logarithm of a length: spheres so alike take one multipole order
+NEAR = 0.1  # step of the logarithm of a length within which spheres share one multipole order
 
 
 @dataclass(frozen=True, eq=False)
-class Kind:
-    """One kind of particle.
+class Species:
+    """One particle species.
 
     Attributes:
-        core: its material; None where only the T-matrix is known.
-        sizes: radii of the cores of spheres; of a body, largest distances from the axis, with its shell.
+        core: its material; None if only the T-matrix is known.
+        sizes: core radii of spheres; of other bodies the largest distances from the axis, with the shell.
         shell: a coating, or None.
-        gap_nm: between the particle and the stack, or the lower face of the layer that it lies in.
-        body: what is no sphere, of the mean size; None: spheres.
-        share: in number, of all particles.
-        key: of the recipe's table.
-        depth_nm: of the top, of the mean size, below the top of the layers; None: they lie above these.
+        gap_nm: distance to the stack, or to the lower face of the host layer.
+        body: a non-spherical particle of mean size; None for spheres.
+        share: number fraction.
+        key: recipe table.
+        depth_nm: depth of the top, at mean size, below the top of the layers; None above them.
     """
 
     core: OpticalConstant | None
@@ -183,7 +176,7 @@ class Kind:
 
     @property
     def mean_radius_nm(self) -> float:
-        """Of the core of a sphere, or of the whole body."""
+        """Mean radius of the core of a sphere, or of a whole body."""
         return float(np.dot(self.sizes.radii_nm, self.sizes.shares))
 
     @property
@@ -198,28 +191,28 @@ class Kind:
 
     @property
     def height_nm(self) -> float:
-        """From bottom to top, of the mean size."""
+        """Full height at mean size."""
         return 2 * self.outer_radius_nm if self.body is None else self.body.height_nm
 
     @property
     def reach_nm(self) -> float:
-        """Radius of the sphere around it."""
+        """Radius of the circumscribing sphere."""
         return self.outer_radius_nm if self.body is None else self.body.circumscribing_nm
 
     @property
     def is_sphere(self) -> bool:
         """Whether it is a sphere, by its keys or by a file."""
-        return self.body is None or isinstance(self.body, KnownSphere)
+        return self.body is None or isinstance(self.body, TabulatedSphere)
 
     @property
     def noun(self) -> str:
-        """What a drawing calls them."""
+        """Noun for drawings."""
         if self.body is None:
             return "spheres"
         return f"{self.body.shape}s" if self.body.shape else "particles"
 
     def index(self, wavelength_nm: float) -> complex:
-        """The particles' own index; of a T-matrix that does not say, a high one, the kind with the strictest limit."""
+        """Return the particle index; for a T-matrix without one, a high value, the class with the strictest limit."""
         if self.core is not None:
             return complex(self.core.n_complex(np.array([wavelength_nm]))[0])
         told = None if self.body is None else self.body.index(wavelength_nm)
@@ -227,25 +220,24 @@ class Kind:
 
     def t_matrix(self, lmax: int, surface: Substrate, radius_nm: float) -> ComplexArray:
         """Return the diagonal T of one sphere, `[n]`."""
-        if isinstance(self.body, KnownSphere):
+        if isinstance(self.body, TabulatedSphere):
             return self.body.coefficients(lmax, surface)
-        assert self.core is not None  # of spheres it is known
+        assert self.core is not None  # known for spheres
         return sphere_t_matrix(self.core, self.shell, radius_nm, lmax, surface)
 
 
 @dataclass(frozen=True)
-class Settling:
-    """How multipoles are chosen, and what they left open.
+class MultipoleConvergence:
+    """Choice of the multipole orders, and the record of incomplete convergence.
 
     Attributes:
-        order: of all particles; None: chosen at each wavelength.
-        tolerance: largest change of the far field when the order is doubled; None: the default's, see `Metasurface`.
-        memory: orders of candidates near this one; None: each is chosen anew.
+        order: of all particles; None to choose it at each wavelength.
+        tolerance: largest change of the far field when the order is doubled; None for the default, see `Metasurface`.
+        memory: cache of orders for similar candidates, or None.
         source: name of the recipe, for messages.
-        first_film_nm: thickness of the stack's first layer; None: it has none.
-        unsettled: what the highest order left open, by wavelength, where that is more than the tolerance.
-        missing: of files that hold fewer multipoles of a sphere than it takes: the orders held and taken, and about by
-            how much the far field still changes, by source.
+        first_film_nm: thickness of the first layer, or None.
+        unsettled: remaining change above the tolerance, by wavelength.
+        missing: by file with too few multipoles of a sphere: available and required order, and change of the far field.
     """
 
     order: int | None
@@ -256,33 +248,35 @@ class Settling:
     unsettled: dict[float, float] = field(default_factory=dict)
     missing: dict[str, tuple[int, int, float]] = field(default_factory=dict)
 
-    def particles(self, kinds: tuple[Kind, ...], surface: Substrate) -> tuple[Particle, ...]:
-        """Return the particles over a stack, all of one multipole order.
+    def particles(self, all_species: tuple[Species, ...], surface: Substrate) -> tuple[Particle, ...]:
+        """Return the particles above a stack, all with one multipole order.
 
         Raises:
-            ConvergenceRefusal, UnsupportedError: their multipoles do not settle.
+            MultipoleConvergenceError, UnsupportedError: their multipoles do not converge.
             MaterialRangeError: an index is not known.
         """
         bodies = [
-            [] if kind.is_sphere else [self._body(kind, r, surface) for r in kind.sizes.radii_nm] for kind in kinds
+            [] if species.is_sphere else [self._body(species, r, surface) for r in species.sizes.radii_nm]
+            for species in all_species
         ]
-        orders = [self.sphere_order(kind, surface) for kind in kinds if kind.is_sphere]
+        orders = [self.sphere_order(species, surface) for species in all_species if species.is_sphere]
         top = max([p.lmax for row in bodies for p in row] + orders)
         out = []
-        for number, (kind, row) in enumerate(zip(kinds, bodies)):
-            above = kind.outer_radius_nm - kind.mean_radius_nm + kind.gap_nm
-            held = top if kind.body is None else min(top, kind.body.lmax)
+        for number, (species, row) in enumerate(zip(all_species, bodies)):
+            above = species.outer_radius_nm - species.mean_radius_nm + species.gap_nm
+            held = top if species.body is None else min(top, species.body.lmax)
             alone = row or [
-                Particle(1.0, radius + above, kind.t_matrix(held, surface, radius)) for radius in kind.sizes.radii_nm
+                Particle(1.0, radius + above, species.t_matrix(held, surface, radius))
+                for radius in species.sizes.radii_nm
             ]
             out += [
-                replace(p, share=kind.share * share, t_matrix=widened(p.t_matrix, top), kind=number)
-                for p, share in zip(alone, kind.sizes.shares)
+                replace(p, share=species.share * share, t_matrix=widened(p.t_matrix, top), species=number)
+                for p, share in zip(alone, species.sizes.shares)
             ]
         return tuple(out)
 
     def tell(self, is_body: bool) -> None:
-        """Log what is not settled, and of which files more multipoles are missing, once for all wavelengths."""
+        """Log incomplete convergence and files with missing multipoles, once for all wavelengths."""
         if self.unsettled:
             logger.warning(
                 "%s: at %s nm the far field is converged to %.2g only (%s); model.tolerance sets what is accepted",
@@ -298,7 +292,7 @@ class Settling:
 
     @property
     def notes(self) -> dict[str, Any]:
-        """What is kept with a Bsdf of the choice of multipoles."""
+        """Notes for a Bsdf."""
         found: dict[str, Any] = {}
         if self.order is None:
             found["multipole_tolerance"] = max([self.tolerance or ORDER_TOLERANCE, *self.unsettled.values()])
@@ -306,13 +300,13 @@ class Settling:
             found["multipoles"] = [{"held": h, "taken": t, "change": c} for h, t, c in self.missing.values()]
         return found
 
-    def _body(self, kind: Kind, radius_nm: float, surface: Substrate) -> Particle:
-        assert kind.body is not None
-        body = kind.body if len(kind.sizes.radii_nm) == 1 else kind.body.of_radius(radius_nm)
-        placed = place(body, surface, kind.gap_nm, self.order)
+    def _body(self, species: Species, radius_nm: float, surface: Substrate) -> Particle:
+        assert species.body is not None
+        body = species.body if len(species.sizes.radii_nm) == 1 else species.body.with_radius(radius_nm)
+        placed = place(body, surface, species.gap_nm, self.order)
         tolerance = self.tolerance or LOOSEST_TOLERANCE
         if placed.change > tolerance and (placed.is_near or self.order is None):
-            raise refuse(body, surface, kind.gap_nm, placed, tolerance, self.order, kind.key)
+            raise refuse(body, surface, species.gap_nm, placed, tolerance, self.order, species.key)
         self._note(surface, placed.change)
         return placed.particle
 
@@ -321,39 +315,39 @@ class Settling:
             at = surface.wavelength_nm
             self.unsettled[at] = max(change, self.unsettled.get(at, 0.0))
 
-    def sphere_order(self, kind: Kind, surface: Substrate) -> int:
+    def sphere_order(self, species: Species, surface: Substrate) -> int:
         """Return the multipole order of spheres at the wavelength of `surface`.
 
         Raises:
-            ConvergenceRefusal: no order keeps within the tolerance; it names the remedies.
+            MultipoleConvergenceError: no order is within the tolerance; the message names remedies.
         """
         if self.order is not None:
-            if kind.body is not None:
-                kind.body.check_order(self.order)
+            if species.body is not None:
+                species.body.check_order(self.order)
             return self.order
-        if isinstance(kind.body, KnownSphere):
-            return self._known_order(kind, kind.body, surface)
+        if isinstance(species.body, TabulatedSphere):
+            return self._known_order(species, species.body, surface)
         if self.memory is not None:
-            near = self._neighbourhood(kind, surface)
+            near = self._neighbourhood(species, surface)
             if near not in self.memory:
-                self.memory[near] = self._chosen_order(kind, surface)
+                self.memory[near] = self._chosen_order(species, surface)
             return int(self.memory[near])
-        return self._chosen_order(kind, surface)
+        return self._chosen_order(species, surface)
 
-    def _known_order(self, kind: Kind, sphere: KnownSphere, surface: Substrate) -> int:
-        """Return the order of a sphere of a file: what spheres take, or all that it holds, and note what is missing.
+    def _known_order(self, species: Species, sphere: TabulatedSphere, surface: Substrate) -> int:
+        """Return the order of a sphere from a file, limited by the file, and record missing multipoles.
 
         Raises:
-            ConvergenceRefusal, UnsupportedError: what it holds is not enough, or no order is.
+            MultipoleConvergenceError, UnsupportedError: the file has too few, or no order converges.
         """
-        wanted, held = self._chosen_order(kind, surface), sphere.lmax
+        wanted, held = self._chosen_order(species, surface), sphere.lmax
         tolerance = self.tolerance or LOOSEST_TOLERANCE
-        if not sphere.goes_on:  # the order was chosen as if there were no more than what it holds
-            placed = place(sphere, surface, kind.gap_nm)
+        if not sphere.is_extended_by_mie:  # the order was chosen from the multipoles of the file
+            placed = place(sphere, surface, species.gap_nm)
             if 2 * wanted > held and placed.change > tolerance:
-                raise refuse(sphere, surface, kind.gap_nm, placed, tolerance, None, kind.key)
+                raise refuse(sphere, surface, species.gap_nm, placed, tolerance, None, species.key)
         elif wanted > held:
-            centre = kind.outer_radius_nm + kind.gap_nm
+            centre = species.outer_radius_nm + species.gap_nm
             change = order_change(surface, centre, lambda l: sphere.coefficients(l, surface), held, 2 * wanted)
             if change > tolerance:
                 raise UnsupportedError(
@@ -365,63 +359,63 @@ class Settling:
             self.missing[sphere.source] = held, max(wanted, most), max(change, worst)
         return min(wanted, held)
 
-    def _neighbourhood(self, kind: Kind, surface: Substrate) -> tuple[Any, ...]:
-        """What the order depends on, to within a tenth; of the stack the media and the first film's thickness."""
-        assert kind.core is not None  # of spheres it is known
+    def _neighbourhood(self, species: Species, surface: Substrate) -> tuple[Any, ...]:
+        """Return the cache key of the order: particle, media and first film thickness, to within a tenth."""
+        assert species.core is not None  # known for spheres
         lam = np.array([surface.wavelength_nm])
-        inside = [kind.core, *([] if kind.shell is None else [kind.shell.material])]
-        near = 0.0 if self.first_film_nm is None else min(self.first_film_nm, kind.outer_radius_nm)
-        over = max(surface.inner_nm - kind.gap_nm - kind.height_nm, 0.0)  # to the upper face of a layer around them
-        lengths = (*kind.sizes.radii_nm, kind.outer_radius_nm, 1.0 + kind.gap_nm + near, 1.0 + over)
+        inside = [species.core, *([] if species.shell is None else [species.shell.material])]
+        near = 0.0 if self.first_film_nm is None else min(self.first_film_nm, species.outer_radius_nm)
+        over = max(surface.inner_nm - species.gap_nm - species.height_nm, 0.0)  # to the upper face of the host layer
+        lengths = (*species.sizes.radii_nm, species.outer_radius_nm, 1.0 + species.gap_nm + near, 1.0 + over)
         steps = tuple(int(np.floor(np.log(length) / NEAR)) for length in lengths)
         return (
             surface.wavelength_nm, tuple(complex(m.n_complex(lam)[0]) for m in inside), tuple(surface.indices.tolist()),
             steps,
         )  # fmt: skip
 
-    def _chosen_order(self, kind: Kind, surface: Substrate) -> int:
-        centre = kind.outer_radius_nm + kind.gap_nm
+    def _chosen_order(self, species: Species, surface: Substrate) -> int:
+        centre = species.outer_radius_nm + species.gap_nm
         tolerance = ORDER_TOLERANCE if self.tolerance is None else self.tolerance
         try:
             return choose_order(
-                surface, centre, lambda lmax: kind.t_matrix(lmax, surface, kind.mean_radius_nm), tolerance
+                surface, centre, lambda lmax: species.t_matrix(lmax, surface, species.mean_radius_nm), tolerance
             )
-        except ConvergenceRefusal as refusal:
+        except MultipoleConvergenceError as refusal:
             if self.tolerance is None and refusal.change < UNASKED_TOLERANCE:
                 self.unsettled[surface.wavelength_nm] = refusal.change
                 return refusal.order
             accept = ""
             mend = (
                 'put 2 nm of native oxide (layers = [{material = "SiO2", thickness_nm = 2}]) and a gap_nm = 1 '
-                f"under it, or {self._remedy(kind, surface, tolerance)}"
+                f"under it, or {self._remedy(species, surface, tolerance)}"
             )
-            where = f"gap_nm = {kind.gap_nm:g}"
-            if kind.depth_nm is not None:
-                where, mend = f"depth_nm = {kind.depth_nm:g}", "leave some nm between it and the faces of its layer"
+            where = f"gap_nm = {species.gap_nm:g}"
+            if species.depth_nm is not None:
+                where, mend = f"depth_nm = {species.depth_nm:g}", "leave some nm between it and the faces of its layer"
             if refusal.change < LOOSEST_TOLERANCE:
                 accept = f", or accept model.tolerance = {rounded_up(refusal.change):g}"
-            raise ConvergenceRefusal(
-                f"{self.source}: {kind.key}.{where}: at {surface.wavelength_nm:g} nm {refusal}; {mend}{accept}",
+            raise MultipoleConvergenceError(
+                f"{self.source}: {species.key}.{where}: at {surface.wavelength_nm:g} nm {refusal}; {mend}{accept}",
                 refusal.change,
                 refusal.order,
             ) from None
 
-    def _remedy(self, kind: Kind, surface: Substrate, tolerance: float) -> str:
-        """Return the least gap of a few whose series settles, in words; one that mostly does where many are tried."""
+    def _remedy(self, species: Species, surface: Substrate, tolerance: float) -> str:
+        """Return the smallest of some gaps that converges, in words; a typical one for many candidates."""
         if self.memory is not None:
             return f"a gap_nm of {USUAL_GAP_NM:g}"
-        for gap in (g for g in GAPS_NM if g > kind.gap_nm):
-            with contextlib.suppress(ConvergenceRefusal):
+        for gap in (g for g in GAPS_NM if g > species.gap_nm):
+            with contextlib.suppress(MultipoleConvergenceError):
                 choose_order(
-                    surface, kind.outer_radius_nm + gap,
-                    lambda lmax: kind.t_matrix(lmax, surface, kind.mean_radius_nm), tolerance,
+                    surface, species.outer_radius_nm + gap,
+                    lambda lmax: species.t_matrix(lmax, surface, species.mean_radius_nm), tolerance,
                 )  # fmt: skip
                 return f"a gap_nm of {gap:g}"
         return f"a gap_nm of more than {GAPS_NM[-1]:g}"
 
 
 def widened(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
-    """Return a T-matrix, `[n]` or `[m, n, n']`, with room for multipoles up to `lmax`, which it does not have."""
+    """Return a T-matrix, `[n]` or `[m, n, n']`, padded with zeros to multipoles up to `lmax`."""
     top = multipole_order(t_matrix)
     if lmax == top:
         return t_matrix
@@ -432,10 +426,10 @@ def widened(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
     return out
 
 
-def body_notes(kinds: tuple[Kind, ...]) -> dict[str, Any]:
-    """Return what is kept with a Bsdf of particles that are no spheres."""
-    bodies = [kind.body for kind in kinds if kind.body is not None]
-    stated = [body.stated_error for body in bodies if body.stated_error is not None]
+def non_sphere_notes(all_species: tuple[Species, ...]) -> dict[str, Any]:
+    """Return Bsdf notes of non-spherical particles."""
+    bodies = [species.body for species in all_species if species.body is not None]
+    stated = [body.estimated_error for body in bodies if body.estimated_error is not None]
     found: dict[str, Any] = {"t_matrix_error": float(f"{max(stated):.2g}")} if stated else {}
     turned = max((body.turn_loss for body in bodies), default=0.0)
     if turned:
@@ -443,18 +437,18 @@ def body_notes(kinds: tuple[Kind, ...]) -> dict[str, Any]:
     return found
 
 
-def turns_left_out(kinds: tuple[Kind, ...]) -> list[str]:
-    """Return a line for each kind of which only the mean over its turn about the normal is taken."""
+def rotation_warnings(all_species: tuple[Species, ...]) -> list[str]:
+    """Return a warning for each species whose rotational average is used."""
     return [
-        f"{kind.body.source}: is not axisymmetric: the mean over its turn about the normal is taken, and "
-        f"{100 * kind.body.turn_loss:.2g} % of what it scatters, which depends on the turn, is left out; "
+        f"{species.body.source}: is not axisymmetric: the mean over its turn about the normal is taken, and "
+        f"{100 * species.body.turn_loss:.2g} % of what it scatters, which depends on the turn, is left out; "
         'orientation = "aligned" takes all of it, of particles that point one way'
-        for kind in kinds
-        if kind.body is not None and kind.body.turn_loss
+        for species in all_species
+        if species.body is not None and species.body.turn_loss
     ]
 
 
-def mean_square_radius(kinds: tuple[Kind, ...]) -> float:
-    """Return the radius in nm of the disc whose area is the mean over the kinds: coverage counts by it."""
-    squares: Array = np.array([kind.share * kind.outer_radius_nm**2 for kind in kinds])
+def mean_square_radius(all_species: tuple[Species, ...]) -> float:
+    """Return the rms radius of all species in nm, which defines the coverage."""
+    squares: Array = np.array([species.share * species.outer_radius_nm**2 for species in all_species])
     return float(np.sqrt(squares.sum()))

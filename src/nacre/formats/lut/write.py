@@ -159,7 +159,7 @@ def description(table: LightTable) -> dict[str, Any]:
 
 def template(name: str) -> str:
     """Return one of the packaged shader texts."""
-    return files("nacre.exchange.lut").joinpath("templates", name).read_text(encoding="utf-8")
+    return files("nacre.formats.lut").joinpath("templates", name).read_text(encoding="utf-8")
 
 
 def glsl_text(table: LightTable) -> str:

@@ -1,15 +1,4 @@
-"""The kernel behind `stack_gradient`: the adjoint of the admittance recursion, one pass up the stack and one down.
-
-The recursion (see `stack_kernel`) carries y = (u, v) from the substrate upward, y_top = M y_bottom with
-M = exp(-i k0 d A), A = [[0, w], [kz^2 / w, 0]], w = 1 (s) or n^2 (p). If dL = Re(a . dy) at the top of a layer, then
-
-    dL/dd = Re(-i k0 (a_u w v + a_v u kz^2 / w)) with y at the top, and a_bottom = M^T a.
-
-Scales that were taken out of y on the way up are taken out of a at the same places on the way down; R and T do not
-depend on them. With c = cos x and m = k0 d sin x / x, x = k0 d kz, the index enters through w and kz^2:
-dc/dkz^2 = -k0 d m / 2 and dm/dkz^2 = (k0 d c - m) / (2 kz^2), whose limit at kz = 0 is -(k0 d)^3 / 6. Own derivation;
-tests compare it with a solver in JAX and with finite differences.
-"""
+"""The numba kernel of `nacre.matter.stack.gradient`; see there for the equations."""
 
 from __future__ import annotations
 
@@ -32,18 +21,18 @@ from nacre.matter.stack.kernel import (
     sqrt_decaying,
 )
 
-SMALL_KZ2 = 1e-3  # as in the kernel: nearer to kz = 0 the factors come from series
-SMALL_PHASE = 1e-2  # |x^2| below which (c - sin x / x) / x^2 is summed as a series, which then is exact
+SMALL_KZ2 = 1e-3  # as in the kernel: closer to kz = 0 the factors come from series
+SMALL_PHASE = 1e-2  # |x^2| below which the series of (c - sin x / x) / x^2 is exact
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _factors(
     n2: Any, n02: Any, kz0sq: Any, k0: Any, d: float, count: int, kz2: Any, c: Any, m: Any, log_size: Any
 ) -> None:
-    """kz^2 of a layer, e^{ix} cos x and k0 d e^{ix} sin x / x over a block; adds log |e^{ix}| to `log_size`."""
+    """Fill a layer's kz^2, e^{ix} cos x and k0 d e^{ix} sin x / x for a block; add log |e^{ix}| to `log_size`."""
     small = 0
     for i in range(count):
-        zr, zi = n2[0, i] - n02[0, i] + kz0sq[i], n2[1, i]  # all but the layer is real: no rounding in zi
+        zr, zi = n2[0, i] - n02[0, i] + kz0sq[i], n2[1, i]  # only the layer is complex: zi is exact
         kz2[0, i], kz2[1, i] = zr, zi
         size = math.sqrt(zr * zr + zi * zi)
         small += size < SMALL_KZ2
@@ -78,8 +67,9 @@ def _inverse(z: complex) -> complex:
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def _up(w: Any, iw: Any, kz2: Any, c: Any, m: Any, count: int, below: Any, top: Any, size: Any, rescales: bool) -> None:
-    """Carry the fields `below` a layer to its `top`; note the size taken out."""
+def _up(layer: Any, count: int, below: Any, top: Any, size: Any, rescales: bool) -> None:
+    """Carry the fields `below` a layer to its `top`; store the normalisation in `size`."""
+    w, iw, kz2, c, m = layer
     for i in range(count):
         u, v = complex(below[0, i], below[1, i]), complex(below[2, i], below[3, i])
         ci, mi = complex(c[0, i], c[1, i]), complex(m[0, i], m[1, i])
@@ -96,12 +86,11 @@ def _up(w: Any, iw: Any, kz2: Any, c: Any, m: Any, count: int, below: Any, top: 
                 top[row, i] /= size[i]
 
 
-# the sum over the points may be taken in any order, or its loop would not vectorise
+# reassociation of the sum lets the loop vectorise
 @compiled(error_model="numpy", fastmath={"contract", "reassoc"})
-def _down(
-    w: Any, iw: Any, kz2: Any, c: Any, m: Any, k0: Any, count: int, top: Any, size: Any, a: Any
-) -> float:  # fmt: skip
+def _down(layer: Any, k0: Any, count: int, top: Any, size: Any, a: Any) -> float:
     """Carry the adjoint `a` from the top of a layer to its bottom; return dL/dd."""
+    w, iw, kz2, c, m = layer
     d_bar = 0.0
     for i in range(count):
         over = 1.0 / size[i]
@@ -118,11 +107,9 @@ def _down(
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def _index(
-    w: Any, iw: Any, kz2: Any, c: Any, m: Any, k0: Any, d: float, count: int, below: Any, size: Any, a: Any,
-    w_bar: Any, kz2_bar: Any,
-) -> None:  # fmt: skip
+def _index(layer: Any, k0: Any, d: float, count: int, below: Any, size: Any, a: Any, w_bar: Any, kz2_bar: Any) -> None:
     """Add a layer's part to the adjoints of w and kz^2, from `a` at its top and the fields below it."""
+    w, iw, kz2, c, m = layer
     for i in range(count):
         over = 1.0 / size[i]
         au, av = complex(a[0, i] * over, a[1, i] * over), complex(a[2, i] * over, a[3, i] * over)
@@ -136,7 +123,7 @@ def _index(
         x = k0[i] * d
         y = z * (x * x)
         if abs(y.real) + abs(y.imag) < SMALL_PHASE:
-            # the factor e^{ix} of c and m stays: it is a scale. (cos x - sin x / x) / (2 x^2) over sin x / x
+            # the factor e^{ix} in c and m is a scale; this is (cos x - sin x / x) / (2 x^2) over sin x / x
             ratio = -1.0 / 6.0 - y * (1.0 / 90.0 + y * (1.0 / 945.0 + y * (1.0 / 9450.0 + y / 93555.0)))
             m_slope = x * x * ratio * mi
         else:
@@ -149,10 +136,10 @@ def _index(
 def _start(
     q0: complex, qs: complex, u: complex, v: complex, log_size: float, r_bar: float, t_bar: float
 ) -> tuple[complex, complex, complex, float]:
-    """Adjoints of u, v and q_0 at the top and of Re q of the substrate, from those of R and T."""
+    """Return the adjoints of u, v and q_0 at the top and of the substrate's Re q, from those of R and T."""
     below = q0 * u + v
     if q0.real <= 0.0 or abs(below) == 0.0:
-        return 0.0j, 0.0j, 0.0j, 0.0  # no light arrives
+        return 0.0j, 0.0j, 0.0j, 0.0  # grazing: zero incident power
     over = 1.0 / below
     r = (q0 * u - v) * over
     pull = 4.0 * r_bar * np.conj(r) * over * over
@@ -169,6 +156,67 @@ def _start(
     return a_u, a_v, a_q, qs_bar
 
 
+@compiled(error_model="numpy")
+def _load_block(n: Any, wavelengths: Any, l0: int, count: int, n2: Any, inverse: Any, k0: Any) -> None:
+    """Fill n^2, 1 / n^2 and k0 for a block of wavelengths."""
+    for j in range(n.shape[0]):
+        for i in range(count):
+            square = n[j, l0 + i] * n[j, l0 + i]
+            over = _inverse(square)
+            n2[j, 0, i], n2[j, 1, i] = square.real, square.imag
+            inverse[j, 0, i], inverse[j, 1, i] = over.real, over.imag
+    for i in range(count):
+        k0[i] = TWO_PI / wavelengths[l0 + i]
+
+
+@compiled(error_model="numpy")
+def _load_angle(
+    cosine: float, n2: Any, thicknesses: Any, k0: Any, count: int, kz2: Any, c: Any, m: Any, decay: Any
+) -> None:
+    """Fill kz^2, c and m of all layers, the substrate's kz^2, and the log of the decay, for one angle."""
+    last = n2.shape[0] - 1
+    kz0sq = np.empty(count)
+    for i in range(count):
+        kz0sq[i] = n2[0, 0, i] * (cosine * cosine)
+        kz2[last, 0, i], kz2[last, 1, i] = n2[last, 0, i] - n2[0, 0, i] + kz0sq[i], n2[last, 1, i]
+        decay[i] = 0.0
+    for j in range(1, last):
+        _factors(n2[j], n2[0], kz0sq, k0, thicknesses[j - 1], count, kz2[j], c[j], m[j], decay)
+
+
+@compiled(error_model="numpy")
+def _carry_fields(layers: Any, count: int, decay: Any, fields: Any, size: Any, log_size: Any) -> None:
+    """Fill the fields under all media, from the substrate upward."""
+    w, iw, kz2, c, m = layers
+    last = w.shape[0] - 1
+    for i in range(count):
+        kz = sqrt_decaying(complex(kz2[last, 0, i], kz2[last, 1, i]))
+        q = kz * complex(iw[last, 0, i], iw[last, 1, i])
+        fields[last - 1, 0, i], fields[last - 1, 1, i] = 1.0, 0.0
+        fields[last - 1, 2, i], fields[last - 1, 3, i] = q.real, q.imag
+        log_size[i] = decay[i]
+    for j in range(last - 1, 0, -1):
+        rescales = j % RESCALE_EVERY == 0
+        _up((w[j], iw[j], kz2[j], c[j], m[j]), count, fields[j], fields[j - 1], size[j], rescales)
+        if rescales:
+            for i in range(count):
+                log_size[i] -= math.log(size[j, i])
+
+
+@compiled(error_model="numpy")
+def _substrate_adjoints(layers: Any, count: int, a: Any, qs_bar: Any, w_bar: Any, kz2_bar: Any) -> None:
+    """Fill the adjoints of the substrate's w and kz^2."""
+    w, iw, kz2, _, _ = layers
+    last = w.shape[0] - 1
+    for i in range(count):
+        q_bar = complex(a[2, i] + qs_bar[i], a[3, i])
+        kz = sqrt_decaying(complex(kz2[last, 0, i], kz2[last, 1, i]))
+        one_over = complex(iw[last, 0, i], iw[last, 1, i])
+        w_bar[last, i] = -q_bar * kz * one_over * one_over
+        # at the critical angle the derivative of the root is infinite; 0 is returned, as in JAX
+        kz2_bar[last, i] = 0.0j if kz == 0.0 else 0.5 * q_bar * one_over / kz
+
+
 @compiled(error_model="numpy", nogil=True)
 def pull_back(
     n: Any,
@@ -176,7 +224,7 @@ def pull_back(
     wavelengths: Any,
     cos_i: Any,
     bars: Any,
-    wants_index: bool,
+    with_index: bool,
     d_bar: Any,
     n_bar: Any,
     cos_bar: Any,
@@ -184,12 +232,12 @@ def pull_back(
     """Add the gradients of one stack's loss to `d_bar`, `n_bar` and `cos_bar`.
 
     Args:
-        n: complex `[medium, wavelength]`, the ambient transparent.
+        n: complex `[medium, wavelength]`, with a transparent ambient.
         thicknesses: `[layer]`, nm.
         wavelengths: `[wavelength]`, nm.
         cos_i: `[angle]`.
         bars: dL/dR_s, dL/dR_p, dL/dT_s, dL/dT_p, `[4, angle, wavelength]`.
-        wants_index: whether `n_bar` and `cos_bar` are wanted too.
+        with_index: also fill `n_bar` and `cos_bar`.
         d_bar: output `[layer]`.
         n_bar: output complex `[medium, wavelength]`; dL = Re(n_bar dn).
         cos_bar: output `[angle]`.
@@ -201,47 +249,23 @@ def pull_back(
     kz2, c, m = np.empty((media, 2, BLOCK)), np.empty((media, 2, BLOCK)), np.empty((media, 2, BLOCK))
     fields = np.empty((media, 4, BLOCK))  # u and v under medium j: real, imaginary, real, imaginary
     size = np.ones((media, BLOCK))
-    kz0sq, k0 = np.empty(BLOCK), np.empty(BLOCK)
-    decay, log_size = np.empty(BLOCK), np.empty(BLOCK)
+    k0, decay, log_size = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     a = np.empty((4, BLOCK))
     q0_bar, qs_bar = np.empty(BLOCK, np.complex128), np.empty(BLOCK)
     w_bar, kz2_bar = np.zeros((media, BLOCK), np.complex128), np.zeros((media, BLOCK), np.complex128)
     for l0 in range(0, count_l, BLOCK):
         count = min(BLOCK, count_l - l0)
-        for j in range(media):
-            for i in range(count):
-                square = n[j, l0 + i] * n[j, l0 + i]
-                over = _inverse(square)
-                n2[j, 0, i], n2[j, 1, i] = square.real, square.imag
-                inverse[j, 0, i], inverse[j, 1, i] = over.real, over.imag
-        for i in range(count):
-            k0[i] = TWO_PI / wavelengths[l0 + i]
+        _load_block(n, wavelengths, l0, count, n2, inverse, k0)
         for angle in range(cos_i.shape[0]):
             cosine = cos_i[angle]
-            for i in range(count):
-                kz0sq[i] = n2[0, 0, i] * (cosine * cosine)
-                kz2[last, 0, i], kz2[last, 1, i] = n2[last, 0, i] - n2[0, 0, i] + kz0sq[i], n2[last, 1, i]
-                decay[i] = 0.0
-            for j in range(1, last):
-                _factors(n2[j], n2[0], kz0sq, k0, thicknesses[j - 1], count, kz2[j], c[j], m[j], decay)
+            _load_angle(cosine, n2, thicknesses, k0, count, kz2, c, m, decay)
             for polarisation in range(2):
                 w = ones if polarisation == 0 else n2
                 iw = ones if polarisation == 0 else inverse
-                for i in range(count):
-                    kz = sqrt_decaying(complex(kz2[last, 0, i], kz2[last, 1, i]))
-                    q = kz * complex(iw[last, 0, i], iw[last, 1, i])
-                    fields[last - 1, 0, i], fields[last - 1, 1, i] = 1.0, 0.0
-                    fields[last - 1, 2, i], fields[last - 1, 3, i] = q.real, q.imag
-                    log_size[i] = decay[i]
-                for j in range(last - 1, 0, -1):
-                    rescales = j % RESCALE_EVERY == 0
-                    _up(w[j], iw[j], kz2[j], c[j], m[j], count, fields[j], fields[j - 1], size[j], rescales)
-                    if rescales:
-                        for i in range(count):
-                            log_size[i] -= math.log(size[j, i])
-                if wants_index:
-                    w_bar[:, :count] = 0.0
-                    kz2_bar[:, :count] = 0.0
+                layers = (w, iw, kz2, c, m)
+                _carry_fields(layers, count, decay, fields, size, log_size)
+                w_bar[:, :count] = 0.0
+                kz2_bar[:, :count] = 0.0
                 for i in range(count):
                     a_u, a_v, q0_bar[i], qs_bar[i] = _start(
                         n[0, l0 + i] * cosine * complex(iw[0, 0, i], iw[0, 1, i]),
@@ -254,29 +278,21 @@ def pull_back(
                     )
                     a[0, i], a[1, i], a[2, i], a[3, i] = a_u.real, a_u.imag, a_v.real, a_v.imag
                 for j in range(1, last):
-                    if wants_index:
-                        _index(
-                            w[j], iw[j], kz2[j], c[j], m[j], k0, thicknesses[j - 1], count, fields[j], size[j], a,
-                            w_bar[j], kz2_bar[j],
-                        )  # fmt: skip
-                    d_bar[j - 1] += _down(w[j], iw[j], kz2[j], c[j], m[j], k0, count, fields[j - 1], size[j], a)
-                if wants_index:
-                    for i in range(count):
-                        q_bar = complex(a[2, i] + qs_bar[i], a[3, i])
-                        kz = sqrt_decaying(complex(kz2[last, 0, i], kz2[last, 1, i]))
-                        one_over = complex(iw[last, 0, i], iw[last, 1, i])
-                        w_bar[last, i] = -q_bar * kz * one_over * one_over
-                        # at the critical angle the slope of the root is infinite; 0 is returned, as JAX does
-                        kz2_bar[last, i] = 0.0j if kz == 0.0 else 0.5 * q_bar * one_over / kz
-                    _end(n, l0, count, angle, cosine, polarisation, q0_bar, w_bar, kz2_bar, n_bar, cos_bar)
+                    layer = (w[j], iw[j], kz2[j], c[j], m[j])
+                    if with_index:
+                        _index(layer, k0, thicknesses[j - 1], count, fields[j], size[j], a, w_bar[j], kz2_bar[j])
+                    d_bar[j - 1] += _down(layer, k0, count, fields[j - 1], size[j], a)
+                if with_index:
+                    _substrate_adjoints(layers, count, a, qs_bar, w_bar, kz2_bar)
+                    _end(n, l0, count, angle, cosine, polarisation, (q0_bar, w_bar, kz2_bar), n_bar, cos_bar)
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _end(
-    n: Any, l0: int, count: int, angle: int, cosine: float, polarisation: int, q0_bar: Any, w_bar: Any, kz2_bar: Any,
-    n_bar: Any, cos_bar: Any,
-) -> None:  # fmt: skip
-    """Turn the adjoints of w, kz^2 and q_0 of a block into those of the indices and of the cosine."""
+    n: Any, l0: int, count: int, angle: int, cosine: float, polarisation: int, adjoints: Any, n_bar: Any, cos_bar: Any
+) -> None:
+    """Convert a block's adjoints of q_0, w and kz^2 to those of the indices and the cosine."""
+    q0_bar, w_bar, kz2_bar = adjoints
     for i in range(count):
         n0 = n[0, l0 + i]
         total = 0.0j

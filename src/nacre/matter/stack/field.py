@@ -102,19 +102,19 @@ def _absorbed_range(
                         flux = below_flux
 
 
-def absorbed_power(case: StackArrays, jobs: int | None = None) -> Array:
+def absorbed_power(stack: StackArrays, jobs: int | None = None) -> Array:
     """Return each layer's absorption, `[s or p, layer, *batch, angle, wavelength]`, over incident power."""
-    batch, angles, count = case.shape
-    layers = case.n.shape[1] - 2
+    batch, angles, count = stack.shape
+    layers = stack.n.shape[1] - 2
     out = np.empty((2, layers, batch, angles, count))
 
     def task(start: int, stop: int, first: int, last: int) -> None:
         _absorbed_range(
-            case.n,
-            case.thicknesses_nm,
-            case.wavelengths_nm,
-            case.normal,
-            case.times_n0,
+            stack.n,
+            stack.thicknesses_nm,
+            stack.wavelengths_nm,
+            stack.normal,
+            stack.times_n0,
             start,
             stop,
             first,
@@ -124,7 +124,7 @@ def absorbed_power(case: StackArrays, jobs: int | None = None) -> Array:
 
     # a scalar layer step costs ten times a vectorised one: threads pay off earlier
     parallel_for(task, batch, angles, 10 * batch * angles * count * (layers + 1), jobs)
-    return out.reshape(2, layers, *case.batch, *case.angle_shape, count)
+    return out.reshape(2, layers, *stack.batch, *stack.angle_shape, count)
 
 
 @dataclass(frozen=True)
@@ -223,19 +223,19 @@ def field_profile(
 
     Example: in front of a perfect mirror |E|^2 rises to 4 a quarter wave away.
     """
-    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, waves_only=True)
-    if case.batch:
+    stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, waves_only=True)
+    if stack.batch:
         raise NacreError("field_profile takes one stack at a time, not a batch")
     z = np.atleast_1d(np.asarray(z_nm, dtype=float))
     if z.ndim != 1 or not np.all(np.isfinite(z)):
         raise NacreError("z_nm must be a list of finite depths")
-    d = case.thicknesses_nm[0]
+    d = stack.thicknesses_nm[0]
     tops = np.concatenate([[0.0], np.cumsum(d)])  # layers 1..L and the substrate
     medium = np.searchsorted(tops, z, side="right")
     bottoms = np.append(tops, tops[-1])  # the bottom of medium j is the top of j + 1; the substrate has its own top
     below = bottoms[medium] - z
-    _, angles, count = case.shape
+    _, angles, count = stack.shape
     out = np.empty((2, len(z), angles, count))
-    _field_at(case.n[0], d, case.wavelengths_nm, case.normal[0], case.times_n0, z, medium, below, out)
-    s, p = out.reshape(2, len(z), *case.angle_shape, count)
+    _field_at(stack.n[0], d, stack.wavelengths_nm, stack.normal[0], stack.times_n0, z, medium, below, out)
+    s, p = out.reshape(2, len(z), *stack.angle_shape, count)
     return FieldProfile(z, s, p)

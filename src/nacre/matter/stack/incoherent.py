@@ -61,19 +61,19 @@ def incoherent_powers(
             including batches.
         incoherent: `[layer]`, flags.
 
-        R + T + A = 1 is exact if the incoherent layers absorb little over a wavelength (k << n), the only case in which
-        intensities add.
+    R + T + A = 1 is exact if the incoherent layers absorb little over a wavelength (k << n), the condition under which
+    intensities add.
 
-        Raises:
-            NacreError: as `solve`; a wrong number of flags.
+    Raises:
+        NacreError: as `solve`; a wrong number of flags.
     """
-    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa)
-    groups = _groups(case, incoherent, jobs)
+    stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa)
+    groups = _groups(stack, incoherent, jobs)
     totals = _reflected(groups)
     total_r, total_t = totals[0], groups[-1].down_t
     for group, below, reflected in zip(groups[:-1], groups[1:], totals[1:]):
         total_t = total_t * _gain(group, below, reflected) * below.passage
-    shape = (*case.batch, *case.angle_shape, case.shape[2])
+    shape = (*stack.batch, *stack.angle_shape, stack.shape[2])
     return Powers(*(part.reshape(shape) for part in (*total_r, *total_t)))
 
 
@@ -94,27 +94,27 @@ def incoherent_absorption(
     """
     from nacre.matter.stack.field import absorbed_power
 
-    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
-    groups = _groups(case, incoherent, jobs)
+    stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
+    groups = _groups(stack, incoherent, jobs)
     totals = _reflected(groups)
-    absorbed = np.zeros((2, case.n.shape[1] - 2, *case.shape))
-    arriving: Array = np.ones((2, *case.shape))  # on the group from above
+    absorbed = np.zeros((2, stack.n.shape[1] - 2, *stack.shape))
+    arriving: Array = np.ones((2, *stack.shape))  # on the group from above
     for i, group in enumerate(groups):
         count = group.down.n.shape[1] - 2
         own = slice(group.first, group.first + count)
         if count:
-            absorbed[:, own] += absorbed_power(group.down, jobs).reshape(2, count, *case.shape) * arriving[:, None]
+            absorbed[:, own] += absorbed_power(group.down, jobs).reshape(2, count, *stack.shape) * arriving[:, None]
         if group.up is None:
             break
         below, total = groups[i + 1], totals[i + 1]
         leaving = arriving * _gain(group, below, total)  # light entering the thick medium below the group
         returning = below.passage**2 * total * leaving
         if count:
-            from_below = absorbed_power(group.up, jobs).reshape(2, count, *case.shape)[:, ::-1]
+            from_below = absorbed_power(group.up, jobs).reshape(2, count, *stack.shape)[:, ::-1]
             absorbed[:, own] += from_below * returning[:, None]
         arriving = below.passage * leaving
         absorbed[:, group.first + count] = leaving - returning - arriving * (1.0 - total)
-    return absorbed.reshape(2, -1, *case.batch, *case.angle_shape, case.shape[2])
+    return absorbed.reshape(2, -1, *stack.batch, *stack.angle_shape, stack.shape[2])
 
 
 def _reflected(groups: list[_Group]) -> list[Array]:
@@ -133,26 +133,26 @@ def _gain(group: _Group, below: _Group, total_r: Array) -> Array:
     return np.where(group.down_t > 0, group.down_t / np.where(bounce < 1, 1 - bounce, 1.0), 0.0)
 
 
-def _groups(case: StackArrays, incoherent: Sequence[bool], jobs: int | None) -> list[_Group]:
+def _groups(stack: StackArrays, incoherent: Sequence[bool], jobs: int | None) -> list[_Group]:
     """Return the coherent groups from the top downward."""
-    layers = case.n.shape[1] - 2
+    layers = stack.n.shape[1] - 2
     if len(incoherent) != layers:
         raise NacreError(f"incoherent must hold one flag for each of the {layers} layers, not {len(incoherent)}")
-    n02 = case.n[:, 0][:, None, :] ** 2
-    kz0sq = (case.normal * case.n[:, :1] if case.times_n0 else case.normal) ** 2  # [batch or 1, angle, wavelength]
+    n02 = stack.n[:, 0][:, None, :] ** 2
+    kz0sq = (stack.normal * stack.n[:, :1] if stack.times_n0 else stack.normal) ** 2  # [batch or 1, angle, wavelength]
     edges = [0, *(j + 1 for j in range(layers) if incoherent[j]), layers + 1]
     groups = []
     for top, bottom in zip(edges[:-1], edges[1:]):
-        media, d = case.n[:, top : bottom + 1], case.thicknesses_nm[:, top : bottom - 1]
-        normal = normal_component(case.n[:, top, None, :] ** 2, n02, kz0sq)
-        thickness = 0.0 if top == 0 else case.thicknesses_nm[:, top - 1][:, None, None]
-        passage = np.exp(-4 * np.pi * normal.imag * thickness / case.wavelengths_nm)
-        down = part_of(case, media, d, normal)
+        media, d = stack.n[:, top : bottom + 1], stack.thicknesses_nm[:, top : bottom - 1]
+        normal = normal_component(stack.n[:, top, None, :] ** 2, n02, kz0sq)
+        thickness = 0.0 if top == 0 else stack.thicknesses_nm[:, top - 1][:, None, None]
+        passage = np.exp(-4 * np.pi * normal.imag * thickness / stack.wavelengths_nm)
+        down = part_of(stack, media, d, normal)
         down_r, down_t = kernel_powers(down, jobs)
         up, up_r, up_t = None, down_r, down_t
         if bottom <= layers:
-            back = normal_component(case.n[:, bottom, None, :] ** 2, n02, kz0sq)
-            up = part_of(case, media[:, ::-1], d[:, ::-1], back)
+            back = normal_component(stack.n[:, bottom, None, :] ** 2, n02, kz0sq)
+            up = part_of(stack, media[:, ::-1], d[:, ::-1], back)
             up_r, up_t = kernel_powers(up, jobs)
         groups.append(_Group(down, up, down_r, down_t, up_r, up_t, passage, top))
     return groups

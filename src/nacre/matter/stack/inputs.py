@@ -1,13 +1,12 @@
-"""Stratified media on plain arrays: what a plane wave does at any number of thin layers, coherently.
+"""Coherent stratified media on plain arrays: checked inputs, results, and the kernel call.
 
-This is the one place where nacre computes R, T and complex amplitudes of layered media; films, platelets and
-the substrates of metasurfaces all call it. `nacre.matter.Stack` is the same for named materials, and
-`nacre.matter.stack.gradient` gives its slopes.
+Films, platelets and metasurface substrates all use this solver. `nacre.matter.Stack` is the interface for named
+materials, and `nacre.matter.stack.gradient` computes gradients.
 
-Conventions: time factor exp(-i w t), n + ik with k >= 0, the wave arrives from medium 0. Amplitudes are ratios
-of E fields at the first interface (r) and from the first to the last one (t). r_s and r_p have the signs of
-r_s = (kz1 - kz2) / (kz1 + kz2) and r_p = (n2^2 kz1 - n1^2 kz2) / (n2^2 kz1 + n1^2 kz2), so r_p = -r_s at normal
-incidence; `tmm` uses the same signs for r_s, r_p, t_s, t_p.
+Conventions: time factor exp(-i w t), n + ik with k >= 0, incidence from medium 0. Amplitudes are E-field ratios at the
+first interface (r) and from the first to the last one (t). The signs are r_s = (kz1 - kz2) / (kz1 + kz2) and
+r_p = (n2^2 kz1 - n1^2 kz2) / (n2^2 kz1 + n1^2 kz2), so r_p = -r_s at normal incidence; `tmm` uses the same signs for
+r_s, r_p, t_s, t_p.
 """
 
 from __future__ import annotations
@@ -22,18 +21,17 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.parallel import parallel_for
 
-# 1/n^4 loses a layer's phase beside 1 in double precision below some 1e-7; no medium is near it
-MIN_INDEX = 1e-6
-LARGEST_INDEX = 1e6  # squared and cubed it stays far from overflow
-CLEAR_K = 1e-4  # an ambient that absorbs less is taken as clear: its absorption belongs to the way before the stack
-GRAZING_COS = 1e-12  # below this the angle counts as exactly 90 degrees, where R = 1 and T = 0
+MIN_INDEX = 1e-6  # below 1e-7, 1/n^4 loses a layer's phase in double precision
+LARGEST_INDEX = 1e6  # its cube stays far from overflow
+CLEAR_K = 1e-4  # an ambient with smaller absorption counts as clear
+GRAZING_COS = 1e-12  # smaller cosines count as exactly 90 degrees, with R = 1 and T = 0
 FEW_WAVELENGTHS = 16  # the kernel runs along the wavelengths; shorter axes are joined with the angles
-GATHER_LIMIT = 1_000_000  # complex values that joining the axes may copy
+GATHER_LIMIT = 1_000_000  # limit of complex values copied for joined axes
 
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Complex E-field amplitudes, each `[..., angle, wavelength]`; the angle axis is missing for a scalar angle."""
+    """Complex E-field amplitudes, each `[..., angle, wavelength]`, or `[..., wavelength]` for a scalar angle."""
 
     r_s: ComplexArray
     r_p: ComplexArray
@@ -63,10 +61,10 @@ class Powers:
 
 @dataclass(frozen=True)
 class Response(Amplitudes, Powers):
-    """Amplitudes and powers, and the absorption of each layer where it was asked for.
+    """Amplitudes, powers, and optionally each layer's absorption.
 
     Attributes:
-        A_s, A_p: `[layer, ..., angle, wavelength]`, power absorbed in each layer over incident power, or None.
+        A_s, A_p: `[layer, ..., angle, wavelength]`, absorbed power over incident power, if computed.
     """
 
     A_s: Array | None = None
@@ -80,28 +78,28 @@ class Response(Amplitudes, Powers):
         return 0.5 * (self.A_s + self.A_p).sum(axis=0)
 
 
-def powers_of(case: StackArrays, jobs: int | None = None) -> Powers:
-    """R and T of a case that `prepare` made."""
-    return Powers(*power_array(case, jobs))
+def powers_of(stack: StackArrays, jobs: int | None = None) -> Powers:
+    """Return R and T of prepared arrays."""
+    return Powers(*power_array(stack, jobs))
 
 
-def power_array(case: StackArrays, jobs: int | None = None) -> Array:
-    """R_s, R_p, T_s and T_p of a case in one array, `[4, ..., angle, wavelength]`."""
-    return run_kernel(case, False, True, jobs)[1]
+def power_array(stack: StackArrays, jobs: int | None = None) -> Array:
+    """Return R_s, R_p, T_s and T_p in one array, `[4, ..., angle, wavelength]`."""
+    return run_kernel(stack, False, True, jobs)[1]
 
 
-def with_thicknesses(case: StackArrays, thicknesses_nm: ArrayLike) -> StackArrays:
-    """The same case with other thicknesses `[layer]`, for loops that change nothing else; errors as `prepare`."""
+def with_thicknesses(stack: StackArrays, thicknesses_nm: ArrayLike) -> StackArrays:
+    """Return the arrays with other thicknesses `[layer]`, for loops over thicknesses; errors as `prepare`."""
     d = _owned(np.atleast_1d(np.asarray(thicknesses_nm, dtype=np.float64))[None], np.float64)
-    if case.batch or d.shape != (1, case.n.shape[1] - 2):
-        raise NacreError(f"thicknesses_nm must have the shape [{case.n.shape[1] - 2}], not {list(d.shape[1:])}")
+    if stack.batch or d.shape != (1, stack.n.shape[1] - 2):
+        raise NacreError(f"thicknesses_nm must have the shape [{stack.n.shape[1] - 2}], not {list(d.shape[1:])}")
     check_thicknesses(d[0])
-    return replace(case, thicknesses_nm=d)
+    return replace(stack, thicknesses_nm=d)
 
 
 @dataclass(frozen=True)
 class StackArrays:
-    """Checked arrays as the kernels take them, and the shape that the answer shall have."""
+    """Checked input arrays in the kernels' layout, and the result's shape."""
 
     n: ComplexArray  # [batch or 1, medium, wavelength]
     thicknesses_nm: Array  # [batch or 1, layer]
@@ -113,7 +111,7 @@ class StackArrays:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Batch (flat), angle, wavelength."""
+        """Flat batch, angle and wavelength counts."""
         return int(np.prod(self.batch, dtype=int)), self.normal.shape[1], len(self.wavelengths_nm)
 
 
@@ -128,7 +126,7 @@ def prepare(
     kz: ArrayLike | None = None,
     waves_only: bool = False,
 ) -> StackArrays:
-    """Check the arguments of `solve` or `amplitudes` and lay them out for a kernel; errors as there."""
+    """Check the arguments of `solve` or `amplitudes` and convert them to the kernels' layout; errors as there."""
     lam = _owned(wavelengths_nm, np.float64)
     if lam.ndim != 1 or lam.size == 0 or not np.all(np.isfinite(lam)) or np.any(lam <= 0):
         raise NacreError("wavelengths_nm must be a list of positive numbers")
@@ -145,7 +143,7 @@ def prepare(
     try:
         batch = np.broadcast_shapes(index.shape[:-2], d.shape[:-1])
     except ValueError:
-        raise NacreError(f"the batches of n {index.shape[:-2]} and thicknesses {d.shape[:-1]} do not fit") from None
+        raise NacreError(f"the batches of n {index.shape[:-2]} and thicknesses {d.shape[:-1]} differ") from None
     flat_n = _owned(_flat(index, batch, 2), np.complex128)
     if not waves_only:
         flat_n[:, 0] = clear_ambient(flat_n[:, 0])
@@ -163,7 +161,7 @@ def _normal(
     kz: ArrayLike | None,
     waves_only: bool,
 ) -> tuple[ComplexArray, bool, tuple[int, ...]]:
-    """Return what the kernel needs of the direction: `normal`, `times_n0` and the shape of the angle axis."""
+    """Return the kernel's direction data: `normal`, `times_n0` and the shape of the angle axis."""
     if sum(x is not None for x in (theta_rad, cos_i, kappa, kz)) != 1:
         raise NacreError("give exactly one of theta_rad, cos_i, kappa, kz")
     if theta_rad is not None or cos_i is not None:
@@ -182,7 +180,7 @@ def _normal(
         n0 = n[:, 0]
         if not np.any(n0.imag):
             return _owned(cosine.reshape(1, -1, 1), np.complex128), True, cosine.shape
-        # absorbing ambient: a real in-plane wavevector, so that the wave is even along the surface
+        # absorbing ambient: a real in-plane wavevector, with a constant amplitude along the surface
         kz2 = n0[:, None, :] ** 2 - (n0.real[:, None, :] ** 2) * (1.0 - cosine.reshape(1, -1, 1) ** 2)
         return _owned(_decaying_root(kz2), np.complex128), False, cosine.shape
     given = np.asarray(kappa if kz is None else kz, dtype=np.complex128)
@@ -191,7 +189,7 @@ def _normal(
     if not np.all(np.isfinite(given)):
         raise NacreError("kappa and kz must be finite")
     if not waves_only and (np.any(given.imag) or np.any(np.abs(given) > n[:, 0].real.min())):
-        raise NacreError("powers need a real kappa up to the index of the ambient: beyond, no light arrives")
+        raise NacreError("powers need a real kappa up to the ambient's index; evanescent waves carry no power")
     grid = given.reshape(1, -1, 1) if given.ndim < 2 else given[None]
     if kz is None:
         grid = _decaying_root(n[:, 0][:, None, :] ** 2 - grid**2)
@@ -199,23 +197,23 @@ def _normal(
 
 
 def _decaying_root(z: ComplexArray) -> ComplexArray:
-    """Square root with Im >= 0, and Re >= 0 where Im = 0."""
+    """Return the square root with Im >= 0, and Re >= 0 if Im = 0."""
     w = np.sqrt(z)
     return np.where((w.imag < 0) | ((w.imag == 0) & (w.real < 0)), -w, w)
 
 
 def normal_component(n2: ComplexArray, n02: ComplexArray, kz0sq: ComplexArray) -> ComplexArray:
-    """kz / k0 in a medium of squared index `n2`, from that of the ambient: the wave that travels or decays."""
+    """Return kz / k0 in a medium with squared index `n2`: the wave that travels or decays."""
     z = n2 - n02 + kz0sq
     rounding = 1e-15 * (np.abs(n2.imag) + np.abs(n02.imag) + np.abs(kz0sq.imag))
     return _decaying_root(np.where(np.abs(z.imag) <= rounding, z.real, z))
 
 
 def check_indices(n: ComplexArray) -> None:
-    """Refuse gain (k < 0), what is too near zero to compute with, what is too large, and what is not a number.
+    """Check for gain (k < 0), indices near zero, large ones, and NaN.
 
     Raises:
-        NacreError: naming the medium and the value.
+        NacreError: names the medium and the value.
     """
     bad = ~np.isfinite(n) | (n.imag < 0) | (np.abs(n) < MIN_INDEX) | (np.abs(n) > LARGEST_INDEX)
     if np.any(bad):
@@ -230,27 +228,26 @@ def check_indices(n: ComplexArray) -> None:
 
 
 def clear_ambient(n0: ComplexArray) -> ComplexArray:
-    """Return the ambient's index without an absorption too small to tell, k < `CLEAR_K`.
+    """Return the ambient's index without an absorption below `CLEAR_K`.
 
     Raises:
-        NacreError: more absorption. In an absorbing medium the incoming and the returning wave exchange power with
-            each other, so that neither R nor T is a share of what arrives: T of 150 would come out.
+        NacreError: a larger absorption. In an absorbing medium the incoming and the returning wave exchange power, and
+            R and T are not fractions of the incident power (T = 150 is possible).
     """
     worst = complex(n0.flat[int(np.argmax(n0.imag))])
     if worst.imag >= CLEAR_K:
         raise NacreError(
-            f"the ambient absorbs (n + ik = {worst:.6g}): there the incoming and the returning wave exchange power, "
-            "so R and T have no meaning; take a clear ambient with the absorbing medium as a layer, or ask for "
-            "amplitudes"
+            f"the ambient absorbs (n + ik = {worst:.6g}): the incoming and the returning wave then exchange power, "
+            "so R and T are undefined; use a clear ambient with the absorbing medium as a layer, or compute amplitudes"
         )
     return n0.real.astype(np.complex128)
 
 
 def check_thicknesses(thicknesses_nm: Array) -> None:
-    """Refuse negative and infinite thicknesses.
+    """Check for negative and infinite thicknesses.
 
     Raises:
-        NacreError: naming the layer and the value.
+        NacreError: names the layer and the value.
     """
     bad = ~np.isfinite(thicknesses_nm) | (thicknesses_nm < 0)
     if np.any(bad):
@@ -259,7 +256,7 @@ def check_thicknesses(thicknesses_nm: Array) -> None:
 
 
 def _flat(array: NDArray[Any], batch: tuple[int, ...], core: int) -> NDArray[Any]:
-    """Flatten the batch axes to one, of length 1 where the array is the same for the whole batch."""
+    """Flatten the batch axes to one, with length 1 for an array common to the whole batch."""
     own = array.shape[: array.ndim - core]
     tail = array.shape[array.ndim - core :]
     if int(np.prod(own, dtype=int)) == 1:
@@ -268,21 +265,21 @@ def _flat(array: NDArray[Any], batch: tuple[int, ...], core: int) -> NDArray[Any
 
 
 def _owned(array: ArrayLike, dtype: Any) -> NDArray[Any]:
-    """C-contiguous and writeable: every other layout would make numba compile the kernel once more."""
+    """Return a C-contiguous, writeable array: other layouts would make numba recompile the kernel."""
     result = np.ascontiguousarray(array, dtype=dtype)
     return result if result.flags.writeable else result.copy()
 
 
 def run_kernel(
-    case: StackArrays, wants_amplitudes: bool, wants_powers: bool, jobs: int | None
+    stack: StackArrays, with_amplitudes: bool, with_powers: bool, jobs: int | None
 ) -> tuple[ComplexArray, Array]:
     from nacre.matter.stack.kernel import solve_range
 
-    shape = case.shape
-    joined = _join_axes(case)
+    shape = stack.shape
+    joined = _join_axes(stack)
     batch, angles, count = joined.shape
-    amplitude = np.empty((4, batch if wants_amplitudes else 0, angles, count), dtype=np.complex128)
-    power = np.empty((4, batch if wants_powers else 0, angles, count))
+    amplitude = np.empty((4, batch if with_amplitudes else 0, angles, count), dtype=np.complex128)
+    power = np.empty((4, batch if with_powers else 0, angles, count))
 
     def task(start: int, stop: int, first: int, last: int) -> None:
         solve_range(
@@ -300,50 +297,50 @@ def run_kernel(
         )
 
     parallel_for(task, batch, angles, batch * angles * count * (joined.n.shape[1] - 1), jobs)
-    full = (4, *case.batch, *case.angle_shape, shape[2])
-    if wants_amplitudes:
-        # the kernel's t_p is of the H field; E = H k / (w eps): a factor n_0 / n_s
+    full = (4, *stack.batch, *stack.angle_shape, shape[2])
+    if with_amplitudes:
+        # the kernel's t_p is the H-field ratio; E = H k / (w eps): a factor n_0 / n_s
         t_p = amplitude[3].reshape(shape)
-        t_p *= (case.n[:, 0] / case.n[:, -1])[:, None, :]
+        t_p *= (stack.n[:, 0] / stack.n[:, -1])[:, None, :]
         amplitude = amplitude.reshape(full)
-    if wants_powers:
+    if with_powers:
         power = power.reshape(full)
     return amplitude, power
 
 
-def part_of(case: StackArrays, n: ComplexArray, thicknesses_nm: Array, normal: ComplexArray) -> StackArrays:
-    """A part of a case, as a case of its own that is met with `normal` = kz / k0."""
+def part_of(stack: StackArrays, n: ComplexArray, thicknesses_nm: Array, normal: ComplexArray) -> StackArrays:
+    """Return arrays for a part of the stack, with incidence `normal` = kz / k0."""
     return StackArrays(
         _owned(n, np.complex128),
         _owned(thicknesses_nm, np.float64),
-        case.wavelengths_nm,
+        stack.wavelengths_nm,
         _owned(normal, np.complex128),
         False,
-        (case.shape[0],),
-        case.normal.shape[1:2],
+        (stack.shape[0],),
+        stack.normal.shape[1:2],
     )
 
 
 def kernel_powers(part: StackArrays, jobs: int | None) -> tuple[Array, Array]:
-    """R and T of a part of a case, each `[s or p, batch, angle, wavelength]`."""
+    """Return R and T of a part of the stack, each `[s or p, batch, angle, wavelength]`."""
     power = run_kernel(part, False, True, jobs)[1]
     return power[:2], power[2:]
 
 
-def _join_axes(case: StackArrays) -> StackArrays:
-    """Make one long axis of angles and few wavelengths, so that the kernel's vectors are full."""
-    _, angles, count = case.shape
+def _join_axes(stack: StackArrays) -> StackArrays:
+    """Join angles and few wavelengths to one long axis, which fills the kernel's vectors."""
+    _, angles, count = stack.shape
     points = angles * count
-    if count >= FEW_WAVELENGTHS or angles < 2 or case.n.shape[0] * case.n.shape[1] * points > GATHER_LIMIT:
-        return case
-    n = np.broadcast_to(case.n[:, :, None, :], (*case.n.shape[:2], angles, count))
-    normal = np.broadcast_to(case.normal, (case.normal.shape[0], angles, count))
+    if count >= FEW_WAVELENGTHS or angles < 2 or stack.n.shape[0] * stack.n.shape[1] * points > GATHER_LIMIT:
+        return stack
+    n = np.broadcast_to(stack.n[:, :, None, :], (*stack.n.shape[:2], angles, count))
+    normal = np.broadcast_to(stack.normal, (stack.normal.shape[0], angles, count))
     return StackArrays(
-        _owned(n.reshape(*case.n.shape[:2], points), np.complex128),
-        case.thicknesses_nm,
-        np.tile(case.wavelengths_nm, angles),
+        _owned(n.reshape(*stack.n.shape[:2], points), np.complex128),
+        stack.thicknesses_nm,
+        np.tile(stack.wavelengths_nm, angles),
         _owned(normal.reshape(-1, 1, points), np.complex128),
-        case.times_n0,
-        case.batch,
-        case.angle_shape,
+        stack.times_n0,
+        stack.batch,
+        stack.angle_shape,
     )

@@ -1,19 +1,19 @@
 """The numba kernel of stratified media: amplitudes of s and p for many stacks, angles and wavelengths.
 
-Physics (own derivation, in the form of an admittance recursion with scaled exponentials): let `f` be the
+Own derivation, as an admittance recursion with scaled exponentials: let `f` be the
 tangential E field (s) or H field (p) and `g` its partner, so that `g = q f` for a wave that travels inward,
 with `q = kz` (s) or `kz / n^2` (p), all wavevectors in units of k0. Start in the substrate with u = 1,
 v = q_s and carry (u, v) upward through each layer of phase x = k0 kz d:
 
     u' = c u - i a v,   v' = c v - i b u,   c = e^{ix} cos x,   a = e^{ix} sin x / q,   b = e^{ix} q sin x
 
-The factor e^{ix} keeps every term finite: only decaying exponentials occur. At the top
+With the factor e^{ix} only decaying exponentials occur and every term is finite. At the top
 r = (q_0 u - v) / (q_0 u + v) and t = 2 q_0 prod(e^{ix}) / (q_0 u + v).
 
-Two ways to compute a layer give the same numbers. The fast one works on blocks of wavelengths that stay in the
-first-level cache and whose loops the compiler turns into vector instructions; its sine, cosine and exponential
-are polynomials for that reason. Its u and v come from A = u + v/q and B = (u - v/q) e^{2ix}, which loses digits
-as q -> 0, so a block that meets a small kz takes the robust way, in which q occurs only as q^2 and sin x / x.
+A layer has a fast and a robust form with equal results. The fast form works on blocks of wavelengths that fit the
+first-level cache, in loops that vectorise; its sine, cosine and exponential are therefore polynomials. Its u and v
+come from A = u + v/q and B = (u - v/q) e^{2ix}, which loses digits as q -> 0. A block with a small kz uses the robust
+form, which contains q only as q^2 and sin x / x.
 """
 
 from __future__ import annotations
@@ -28,34 +28,34 @@ from numba.extending import intrinsic
 
 from nacre.core.jit import compiled
 
-BLOCK = 64  # wavelengths a block: 20 rows of 64 doubles are 10 kB, a third of a first-level cache
-LANES = 8  # rows are filled up to a multiple of the widest vector, so that no scalar remainder is left
-SMALL_KZ2 = 1e-3  # below this |kz^2| a block goes the robust way; above, the fast one keeps 14 digits
+BLOCK = 64  # wavelengths per block: 20 rows of 64 doubles are 10 kB, a third of a first-level cache
+LANES = 8  # rows are padded to a multiple of the widest vector, to avoid a scalar remainder
+SMALL_KZ2 = 1e-3  # below this |kz^2| a block uses the robust form; above, the fast one has 14 digits
 RESCALE_EVERY = 16  # layers; growth per layer is below (n_high / n_low) < 1e3, so 16 stay far from 1e308
 TWO_PI = 2.0 * math.pi
 TWO_OVER_LN2 = 2.0 / math.log(2.0)
 TWO_PI_OVER_LN2 = 2.0 * math.pi / math.log(2.0)
-ROUNDING = 1e-15  # a sum of three terms is exact to this, relative to their sizes
+ROUNDING = 1e-15  # relative rounding of a sum of three terms
 ROUNDER = 6755399441055744.0  # 1.5 * 2^52: adding and subtracting it rounds a double to an integer
 
-# Rows of the scratch, in units of BLOCK.
-_ZR, _ZI = 0 * BLOCK, 1 * BLOCK  # kz^2 of the ambient
-_KR, _KI, _INV = 2 * BLOCK, 3 * BLOCK, 4 * BLOCK  # kz of the layer and 1 / |kz|^2
+# Scratch rows, in units of BLOCK.
+_ZR, _ZI = 0 * BLOCK, 1 * BLOCK  # the ambient's kz^2
+_KR, _KI, _INV = 2 * BLOCK, 3 * BLOCK, 4 * BLOCK  # the layer's kz and 1 / |kz|^2
 _ER, _EI = 5 * BLOCK, 6 * BLOCK  # e^{2ix}
-_NR, _NI, _JR, _JI = 7 * BLOCK, 8 * BLOCK, 9 * BLOCK, 10 * BLOCK  # n^2 and 1 / n^2 of the layer
-_US, _VS = 11 * BLOCK, 13 * BLOCK  # u and v of s: real row, imaginary row
-_UP, _VP = 15 * BLOCK, 17 * BLOCK  # the same of p
+_NR, _NI, _JR, _JI = 7 * BLOCK, 8 * BLOCK, 9 * BLOCK, 10 * BLOCK  # the layer's n^2 and 1 / n^2
+_US, _VS = 11 * BLOCK, 13 * BLOCK  # u and v for s: real row, imaginary row
+_UP, _VP = 15 * BLOCK, 17 * BLOCK  # u and v for p
 _TURNS, _DECAY = 19 * BLOCK, 20 * BLOCK  # sum of kz d / wavelength, real and imaginary part
-_DL = 21 * BLOCK  # 2 d / wavelength of the layer
-_SCALE_S, _SCALE_P = 22 * BLOCK, 23 * BLOCK  # logarithm of what rescaling took out of u and v
-_QS, _QP = 24 * BLOCK, 26 * BLOCK  # q of the ambient, s and p: real row, imaginary row
-_OUT = 28 * BLOCK  # Re q of the substrate, s and p; the end turns them into T, and puts R beside
+_DL = 21 * BLOCK  # the layer's 2 d / wavelength
+_SCALE_S, _SCALE_P = 22 * BLOCK, 23 * BLOCK  # logarithm of the scale removed from u and v
+_QS, _QP = 24 * BLOCK, 26 * BLOCK  # the ambient's q, s and p: real row, imaginary row
+_OUT = 28 * BLOCK  # the substrate's Re q, s and p; replaced by T, followed by R
 ROWS = 32
 
 
 @intrinsic
 def _power_of_two(typing_context: Any, exponent: Any) -> Any:
-    """2.0**exponent of an int64 in -1022..1023, from the bits of a double (no library call, so it vectorises)."""
+    """Return 2.0**exponent for an int64 in -1022..1023 from the bits of a double, which vectorises."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         biased = builder.add(arguments[0], ir.Constant(ir.IntType(64), 1023))
@@ -66,7 +66,7 @@ def _power_of_two(typing_context: Any, exponent: Any) -> Any:
 
 @compiled(error_model="numpy", fastmath={"contract"}, inline="always")
 def sin_half_turn(f: float, s: float) -> float:
-    """sin(pi f) for |f| <= 1/2, s = f^2; Chebyshev fit, error 7e-19 before rounding."""
+    """Return sin(pi f) for |f| <= 1/2, s = f^2; Chebyshev fit, error 7e-19 before rounding."""
     p = 7.6978267682241906454e-7
     p = p * s - 2.1903497074626017191e-5
     p = p * s + 4.6629981618983938014e-4
@@ -81,7 +81,7 @@ def sin_half_turn(f: float, s: float) -> float:
 
 @compiled(error_model="numpy", fastmath={"contract"}, inline="always")
 def cos_half_turn(s: float) -> float:
-    """cos(pi f) for |f| <= 1/2, s = f^2; Chebyshev fit, error 4e-18 before rounding."""
+    """Return cos(pi f) for |f| <= 1/2, s = f^2; Chebyshev fit, error 4e-18 before rounding."""
     p = 4.1495643539425855122e-6
     p = p * s - 1.0456655338748738169e-4
     p = p * s + 1.9295562724817131482e-3
@@ -95,7 +95,7 @@ def cos_half_turn(s: float) -> float:
 
 @compiled(error_model="numpy", fastmath={"contract"}, inline="always")
 def exp2_minus(y: float) -> float:
-    """2^-y; beyond 2^-1000 it stays there, which no result can tell from zero, and likewise at 2^1000."""
+    """Return 2^-y with y limited to +-1000, beyond which results are indistinguishable from zero."""
     y = max(min(y, 1000.0), -1000.0)
     k = (y + ROUNDER) - ROUNDER
     g = k - y
@@ -111,13 +111,13 @@ def exp2_minus(y: float) -> float:
     p = p * g + 0.24022650695910159567
     p = p * g + 0.69314718055994530925
     p = p * g + 1.0
-    # mypy cannot see that numba passes the typing context itself
+    # numba passes the typing context, unknown to mypy
     return p * _power_of_two(-np.int64(k))  # type: ignore[call-arg]
 
 
 @compiled(error_model="numpy")
 def sqrt_decaying(z: complex) -> complex:
-    """Square root with Im >= 0, and Re >= 0 where Im = 0: the wave that travels or decays inward."""
+    """Return the square root with Im >= 0, and Re >= 0 if Im = 0: the wave that travels or decays inward."""
     w = np.sqrt(z)
     if w.imag < 0.0 or (w.imag == 0.0 and w.real < 0.0):
         w = -w
@@ -126,10 +126,10 @@ def sqrt_decaying(z: complex) -> complex:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def kz_squared(n2: complex, n02: complex, kz0sq: complex) -> complex:
-    """kz^2 of a medium, n^2 - n_0^2 + kz_0^2; an imaginary part that is mere rounding is 0.
+    """Return a medium's kz^2 = n^2 - n_0^2 + kz_0^2, with rounding of the imaginary part removed.
 
-    Without that, light that enters glass from an absorbing medium could meet Im kz^2 = -1e-20, and the rule
-    Im kz >= 0 would pick the wave that runs the wrong way.
+    Otherwise light from an absorbing medium into glass could have Im kz^2 = -1e-20, and the rule Im kz >= 0 would
+    select the wave in the wrong direction.
     """
     z = n2 - n02 + kz0sq
     if abs(z.imag) <= ROUNDING * (abs(n2.imag) + abs(n02.imag) + abs(kz0sq.imag)):
@@ -139,14 +139,14 @@ def kz_squared(n2: complex, n02: complex, kz0sq: complex) -> complex:
 
 @compiled(error_model="numpy")
 def robust_factors(kz2: complex, k0d: float) -> tuple[complex, complex, complex]:
-    """Return (c, m, ix) of a layer: c = e^{ix} cos x, m = k0 d e^{ix} sin x / x; regular at kz = 0 and d = 0.
+    """Return a layer's (c, m, ix): c = e^{ix} cos x, m = k0 d e^{ix} sin x / x; regular at kz = 0 and d = 0.
 
     a = w m and b = kz^2 m / w, with w = 1 (s) or n^2 (p).
     """
     x = sqrt_decaying(kz2) * k0d
     z = 2j * x
     if abs(z.real) + abs(z.imag) < 0.5:
-        # the series of expm1(z)/z; 15 terms leave 0.5^15/16! = 1.5e-18
+        # the series of expm1(z)/z; the error after 15 terms is 0.5^15/16! = 1.5e-18
         g = 0.0j
         for j in range(15, 0, -1):
             g = (g + 1.0) * z / (j + 1.0)
@@ -181,13 +181,13 @@ def _robust_layer(w: Any, count: int, l0: int, wavelengths: Any, thickness: floa
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _wavevector(w: Any, count: int, l0: int, n02r: Any, n02i: Any) -> int:
-    """Fill kz and 1/|kz|^2 of the layer; return how many points have a small kz."""
+    """Fill the layer's kz and 1/|kz|^2; return the number of points with a small kz."""
     small = 0
     for i in range(count):
         zr = w[_NR + i] - n02r[l0 + i] + w[_ZR + i]
         zi = w[_NI + i] - n02i[l0 + i] + w[_ZI + i]
         rounding = ROUNDING * (abs(w[_NI + i]) + abs(n02i[l0 + i]) + abs(w[_ZI + i]))
-        zi = 0.0 if abs(zi) <= rounding else zi  # as kz_squared does
+        zi = 0.0 if abs(zi) <= rounding else zi  # as in kz_squared
         size = math.sqrt(zr * zr + zi * zi)
         small += size < SMALL_KZ2
         large = math.sqrt(0.5 * (size + abs(zr)))
@@ -203,7 +203,7 @@ def _wavevector(w: Any, count: int, l0: int, n02r: Any, n02i: Any) -> int:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _lossless_wavevector(w: Any, count: int, l0: int, n02r: Any) -> int:
-    """The same where all is real; return how many points do not propagate safely (the caller then starts anew)."""
+    """As `_wavevector` for real media; return the number of points with a small or imaginary kz."""
     small = 0
     for i in range(count):
         zr = w[_NR + i] - n02r[l0 + i] + w[_ZR + i]
@@ -307,10 +307,10 @@ def _rescale(w: Any, count: int, row_u: int, row_v: int, row_scale: int) -> None
 
 @compiled(error_model="numpy")
 def _finish(q0: complex, u: complex, v: complex, turns: float, log_size: float) -> tuple[complex, complex]:
-    """Return r and t from the fields at the top; `log_size` is the log of |prod e^{ix}| over the rescaling."""
+    """Return r and t from the fields at the top; `log_size` is the log of |prod e^{ix}| over the scale."""
     below = q0 * u + v
     if abs(below) == 0.0:
-        # grazing incidence on a stack that is matched throughout: the wave goes straight on
+        # grazing incidence on a matched stack: undisturbed wave
         return 0.0j, 1.0 + 0.0j
     size = math.exp(max(log_size, -740.0))
     phase = TWO_PI * (turns - np.rint(turns))
@@ -319,7 +319,7 @@ def _finish(q0: complex, u: complex, v: complex, turns: float, log_size: float) 
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _power_end(w: Any, count: int, row_u: int, row_v: int, row_q: int, row_scale: int, row_t: int, row_r: int) -> None:
-    """R and T of a block without the phases: what `_finish` does, in a loop that vectorises."""
+    """Compute a block's R and T as `_finish` does, without phases, in a vectorised loop."""
     for i in range(count):
         qr, qi = w[row_q + i], w[row_q + BLOCK + i]
         ur, ui, vr, vi = w[row_u + i], w[row_u + BLOCK + i], w[row_v + i], w[row_v + BLOCK + i]
@@ -345,7 +345,7 @@ def _load_medium(w: Any, j: int, l0: int, count: int, n2r: Any, n2i: Any, i2r: A
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _times_ambient(w: Any, count: int, l0: int, n0r: Any, n0i: Any) -> None:
-    """Turn cosines into kz = n_0 cos."""
+    """Convert cosines to kz = n_0 cos."""
     for i in range(count):
         cr, ci = w[_QS + i], w[_QS + BLOCK + i]
         nr, ni = n0r[l0 + i], n0i[l0 + i]
@@ -355,7 +355,7 @@ def _times_ambient(w: Any, count: int, l0: int, n0r: Any, n0i: Any) -> None:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _enter(w: Any, count: int, l0: int, i2r: Any, i2i: Any) -> int:
-    """From kz of the ambient in the rows of q_s: fill kz^2 and q_p, clear the sums; count complex kz^2."""
+    """Fill kz^2 and q_p from the ambient's kz in the rows of q_s, clear the sums, and count complex kz^2."""
     complex_ones = 0
     for i in range(count):
         kr, ki = w[_QS + i], w[_QS + BLOCK + i]
@@ -383,6 +383,90 @@ def _leave(w: Any, count: int) -> None:
         w[_VP + i] = w[_OUT + BLOCK + i] = qr
 
 
+@compiled(error_model="numpy")
+def _load_stack(n: Any, squares: Any, ambient: Any, lossless: Any) -> None:
+    """Fill n^2 and 1 / n^2 of all media, the ambient's index, and flags for real n^2, from n `[medium, wavelength]`."""
+    n2r, n2i, i2r, i2i = squares
+    n0r, n0i = ambient
+    last = n.shape[1] - 1
+    for j in range(n.shape[0]):
+        lossless[j] = True
+        for l in range(n2r.shape[1]):
+            value = n[j, min(l, last)]
+            square = value * value
+            inverse = 1.0 / square
+            n2r[j, l], n2i[j, l] = square.real, square.imag
+            i2r[j, l], i2i[j, l] = inverse.real, inverse.imag
+            if square.imag != 0.0:
+                lossless[j] = False
+    for l in range(n0r.shape[0]):
+        value = n[0, min(l, last)]
+        n0r[l], n0i[l] = value.real, value.imag
+
+
+@compiled(error_model="numpy")
+def _solve_block(
+    w: Any, count: int, l0: int, squares: Any, ambient: Any, lossless: Any, lam: Any, d: Any, times_n0: bool
+) -> None:
+    """Run the recursion for a block of wavelengths, from the normal component in the rows of q_s."""
+    n2r, n2i, i2r, i2i = squares
+    n02r, n02i = n2r[0], n2i[0]
+    layers = d.shape[0]
+    if times_n0:
+        _times_ambient(w, count, l0, ambient[0], ambient[1])
+    is_real = _enter(w, count, l0, i2r, i2i) == 0 and lossless[0]
+    _load_medium(w, layers + 1, l0, count, n2r, n2i, i2r, i2i)
+    _wavevector(w, count, l0, n02r, n02i)
+    _leave(w, count)
+    for j in range(layers, 0, -1):
+        thickness = d[j - 1]
+        if thickness != 0.0:
+            _load_medium(w, j, l0, count, n2r, n2i, i2r, i2i)
+            for i in range(count):
+                w[_DL + i] = 2.0 * thickness / lam[l0 + i]
+            if is_real and lossless[j] and _lossless_wavevector(w, count, l0, n02r) == 0:
+                _lossless_layer(w, count)
+            elif _wavevector(w, count, l0, n02r, n02i) == 0:
+                _lossy_layer(w, count)
+            else:
+                _robust_layer(w, count, l0, lam, thickness, n02r, n02i)
+        if j % RESCALE_EVERY == 0:
+            _rescale(w, count, _US, _VS, _SCALE_S)
+            _rescale(w, count, _UP, _VP, _SCALE_P)
+
+
+@compiled(error_model="numpy")
+def _store_powers(w: Any, count: int, valid: int, powers: Any, b: int, angle: int, l0: int) -> None:
+    _power_end(w, count, _US, _VS, _QS, _SCALE_S, _OUT, _OUT + 2 * BLOCK)
+    _power_end(w, count, _UP, _VP, _QP, _SCALE_P, _OUT + BLOCK, _OUT + 3 * BLOCK)
+    for i in range(valid):
+        powers[0, b, angle, l0 + i] = w[_OUT + 2 * BLOCK + i]
+        powers[1, b, angle, l0 + i] = w[_OUT + 3 * BLOCK + i]
+        powers[2, b, angle, l0 + i] = w[_OUT + i]
+        powers[3, b, angle, l0 + i] = w[_OUT + BLOCK + i]
+
+
+@compiled(error_model="numpy")
+def _store_amplitudes(w: Any, valid: int, amplitudes: Any, b: int, angle: int, l0: int) -> None:
+    for i in range(valid):
+        l = l0 + i
+        decay = -TWO_PI * w[_DECAY + i]
+        amplitudes[0, b, angle, l], amplitudes[2, b, angle, l] = _finish(
+            complex(w[_QS + i], w[_QS + BLOCK + i]),
+            complex(w[_US + i], w[_US + BLOCK + i]),
+            complex(w[_VS + i], w[_VS + BLOCK + i]),
+            w[_TURNS + i],
+            decay - w[_SCALE_S + i],
+        )
+        amplitudes[1, b, angle, l], amplitudes[3, b, angle, l] = _finish(
+            complex(w[_QP + i], w[_QP + BLOCK + i]),
+            complex(w[_UP + i], w[_UP + BLOCK + i]),
+            complex(w[_VP + i], w[_VP + BLOCK + i]),
+            w[_TURNS + i],
+            decay - w[_SCALE_P + i],
+        )
+
+
 @compiled(error_model="numpy", nogil=True)
 def solve_range(
     n: Any,
@@ -400,45 +484,33 @@ def solve_range(
     """Solve the stacks start..stop of a batch at the angles angle_start..angle_stop.
 
     Args:
-        n: complex `[batch or 1, medium, wavelength]`, medium 0 the ambient, the last the substrate.
+        n: complex `[batch or 1, medium, wavelength]`, from ambient to substrate.
         thicknesses: `[batch or 1, layer]`, nm.
         wavelengths: `[wavelength]`, nm.
         normal: complex `[batch or 1, angle, wavelength or 1]`, cos in the ambient or kz/k0 there.
         times_n0: whether `normal` is the cosine (then kz = n_0 cos).
-        start, stop, angle_start, angle_stop: ranges, so that threads share the work without views.
+        start, stop, angle_start, angle_stop: ranges, by which threads share the work without views.
         amplitudes: output complex `[4, batch, angle, wavelength]`: r_s, r_p, t_s, t_p (t_p of the H field); or
-            an empty batch axis if not wanted.
+            an empty batch axis.
         powers: output `[4, batch, angle, wavelength]`: R_s, R_p, T_s, T_p; or an empty batch axis.
     """
     media, count_l = n.shape[1], wavelengths.shape[0]
-    layers = media - 2
     padded = (count_l + LANES - 1) // LANES * LANES
-    wants_r, wants_power = amplitudes.shape[1] > 0, powers.shape[1] > 0
-    n2r, n2i = np.empty((media, padded)), np.empty((media, padded))
-    i2r, i2i = np.empty((media, padded)), np.empty((media, padded))
+    squares = (
+        np.empty((media, padded)),
+        np.empty((media, padded)),
+        np.empty((media, padded)),
+        np.empty((media, padded)),
+    )
+    ambient = (np.empty(padded), np.empty(padded))
     lossless = np.empty(media, dtype=np.bool_)
     lam = np.empty(padded)
     for l in range(padded):
         lam[l] = wavelengths[min(l, count_l - 1)]
     w = np.zeros(ROWS * BLOCK)
-    n0r, n0i = np.empty(padded), np.empty(padded)
     for b in range(start, stop):
-        bn = min(b, n.shape[0] - 1)
         if b == start or n.shape[0] > 1:
-            for j in range(media):
-                lossless[j] = True
-                for l in range(padded):
-                    value = n[bn, j, min(l, count_l - 1)]
-                    square = value * value
-                    inverse = 1.0 / square
-                    n2r[j, l], n2i[j, l] = square.real, square.imag
-                    i2r[j, l], i2i[j, l] = inverse.real, inverse.imag
-                    if square.imag != 0.0:
-                        lossless[j] = False
-            for l in range(padded):
-                value = n[bn, 0, min(l, count_l - 1)]
-                n0r[l], n0i[l] = value.real, value.imag
-        n02r, n02i = n2r[0], n2i[0]
+            _load_stack(n[min(b, n.shape[0] - 1)], squares, ambient, lossless)
         d = thicknesses[min(b, thicknesses.shape[0] - 1)]
         for angle in range(angle_start, angle_stop):
             row = normal[min(b, normal.shape[0] - 1), angle]
@@ -448,51 +520,9 @@ def solve_range(
                 for i in range(count):
                     value = row[min(l0 + i, last)]
                     w[_QS + i], w[_QS + BLOCK + i] = value.real, value.imag
-                if times_n0:
-                    _times_ambient(w, count, l0, n0r, n0i)
-                is_real = _enter(w, count, l0, i2r, i2i) == 0 and lossless[0]
-                _load_medium(w, media - 1, l0, count, n2r, n2i, i2r, i2i)
-                _wavevector(w, count, l0, n02r, n02i)
-                _leave(w, count)
-                for j in range(layers, 0, -1):
-                    thickness = d[j - 1]
-                    if thickness != 0.0:  # nothing happens in a layer of no thickness
-                        _load_medium(w, j, l0, count, n2r, n2i, i2r, i2i)
-                        for i in range(count):
-                            w[_DL + i] = 2.0 * thickness / lam[l0 + i]
-                        if is_real and lossless[j] and _lossless_wavevector(w, count, l0, n02r) == 0:
-                            _lossless_layer(w, count)
-                        elif _wavevector(w, count, l0, n02r, n02i) == 0:
-                            _lossy_layer(w, count)
-                        else:
-                            _robust_layer(w, count, l0, lam, thickness, n02r, n02i)
-                    if j % RESCALE_EVERY == 0:
-                        _rescale(w, count, _US, _VS, _SCALE_S)
-                        _rescale(w, count, _UP, _VP, _SCALE_P)
+                _solve_block(w, count, l0, squares, ambient, lossless, lam, d, times_n0)
                 valid = min(count, count_l - l0)
-                if wants_power:
-                    _power_end(w, count, _US, _VS, _QS, _SCALE_S, _OUT, _OUT + 2 * BLOCK)
-                    _power_end(w, count, _UP, _VP, _QP, _SCALE_P, _OUT + BLOCK, _OUT + 3 * BLOCK)
-                    for i in range(valid):
-                        powers[0, b, angle, l0 + i] = w[_OUT + 2 * BLOCK + i]
-                        powers[1, b, angle, l0 + i] = w[_OUT + 3 * BLOCK + i]
-                        powers[2, b, angle, l0 + i] = w[_OUT + i]
-                        powers[3, b, angle, l0 + i] = w[_OUT + BLOCK + i]
-                if wants_r:
-                    for i in range(valid):
-                        l = l0 + i
-                        decay = -TWO_PI * w[_DECAY + i]
-                        amplitudes[0, b, angle, l], amplitudes[2, b, angle, l] = _finish(
-                            complex(w[_QS + i], w[_QS + BLOCK + i]),
-                            complex(w[_US + i], w[_US + BLOCK + i]),
-                            complex(w[_VS + i], w[_VS + BLOCK + i]),
-                            w[_TURNS + i],
-                            decay - w[_SCALE_S + i],
-                        )
-                        amplitudes[1, b, angle, l], amplitudes[3, b, angle, l] = _finish(
-                            complex(w[_QP + i], w[_QP + BLOCK + i]),
-                            complex(w[_UP + i], w[_UP + BLOCK + i]),
-                            complex(w[_VP + i], w[_VP + BLOCK + i]),
-                            w[_TURNS + i],
-                            decay - w[_SCALE_P + i],
-                        )
+                if powers.shape[1] > 0:
+                    _store_powers(w, count, valid, powers, b, angle, l0)
+                if amplitudes.shape[1] > 0:
+                    _store_amplitudes(w, valid, amplitudes, b, angle, l0)

@@ -40,13 +40,13 @@ def solve(
 
     Example: 300 nm of n = 1.33 between air at 550 nm and normal incidence reflect 0.0754.
     """
-    case = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
-    (r_s, r_p, t_s, t_p), (R_s, R_p, T_s, T_p) = run_kernel(case, True, True, jobs)
+    stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
+    (r_s, r_p, t_s, t_p), (R_s, R_p, T_s, T_p) = run_kernel(stack, True, True, jobs)
     A_s = A_p = None
     if absorption:
         from nacre.matter.stack.field import absorbed_power
 
-        A_s, A_p = absorbed_power(case, jobs)
+        A_s, A_p = absorbed_power(stack, jobs)
     return Response(r_s=r_s, r_p=r_p, t_s=t_s, t_p=t_p, R_s=R_s, R_p=R_p, T_s=T_s, T_p=T_p, A_s=A_s, A_p=A_p)
 
 
@@ -98,7 +98,7 @@ def amplitudes(
 
     Example: glass (n = 1.5) at kz = 1 + 2i: r_s = 0.0340 + 0.0578i.
     """
-    case = prepare(
+    stack = prepare(
         n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa, kz=kz, waves_only=True
     )
-    return Amplitudes(*run_kernel(case, True, False, jobs)[0])
+    return Amplitudes(*run_kernel(stack, True, False, jobs)[0])

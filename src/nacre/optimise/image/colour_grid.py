@@ -1,7 +1,6 @@
-"""The colours that one or two free numbers make, as a fine sheet: solved at nodes, a spline between them.
+"""Colours reachable by one or two parameters, as a fine grid: solved at nodes, interpolated by a cubic spline.
 
-The nodes are halved until the spline is as good as the eye needs: every halving solves points that tell how far the
-coarser spline was off.
+The node spacing is halved until the interpolation error, measured at the new nodes, is invisible.
 """
 
 from __future__ import annotations
@@ -22,25 +21,25 @@ from nacre.optimise.merit import smooth_weights
 from nacre.optimise.parameters import Parameter, values_at
 from nacre.optimise.thin_film.adapter import drawn_factors
 
-FIRST_NODES = {1: 17, 2: 9}  # along a number
-MOST_NODES = {1: 2049, 2: 257}
-FINE = {1: 8192, 2: 512}  # along a number: what a pixel chooses from
-SPLINE_ERROR = 0.1  # dE00 of the spline between nodes, at all but a thousandth of the points
-SPLINE_SHARE = 99.9
-BATCH = 8192  # stacks at a time: memory
-POWER = 2.0  # of the least node count of a cubic spline
+# nodes per parameter, by the number of parameters
+FIRST_NODES = {1: 17, 2: 9}
+MAX_NODES = {1: 2049, 2: 257}
+FINE = {1: 8192, 2: 512}  # points of the interpolated grid
+SPLINE_ERROR = 0.1  # largest dE00 of the interpolation
+SPLINE_PERCENTILE = 99.9  # of the points within it
+SPLINE_GAIN = 4.0  # conservative; a cubic spline gains 2^4 per halving
+BATCH = 8192  # stacks computed at a time
 
 
 @dataclass(frozen=True, eq=False)
-class Sheet:
-    """Colours over one or two numbers.
+class ColourGrid:
+    """Colours over one or two parameters.
 
     Attributes:
-        axes: the values of each number, ascending, in the recipe's own unit.
+        axes: ascending values of each parameter, in the unit of the recipe.
         xyz: `[value, 3]` or `[value, value, 3]`; white has Y = 1.
-        nodes: solved along each number.
-        error: dE00 of the spline that all but a thousandth of the points keep, as last halved; 0 where every value is
-            solved.
+        nodes: number of solved nodes per parameter.
+        error: dE00 of the interpolation (99.9th percentile); 0 if every value is solved.
     """
 
     axes: tuple[Array, ...]
@@ -54,88 +53,94 @@ class Sheet:
         return self.xyz.reshape(-1, 3)
 
     def values(self, points: NDArray[np.int64]) -> Array:
-        """Return the numbers `[number, ...]` of points, indices into `flat_xyz`."""
+        """Return the parameters `[parameter, ...]` of points (indices into `flat_xyz`)."""
         places = np.unravel_index(points, tuple(len(axis) for axis in self.axes))
         return np.stack([axis[place] for axis, place in zip(self.axes, places, strict=True)])
 
 
-class Eye:
-    """Looks at many variants of one material at one geometry: stacks all at once, anything else one by one.
+class ColourSampler:
+    """Computes colours of many variants of a material at one geometry; thin films are computed in batches.
 
     Args:
-        numbers: what varies.
+        parameters: free parameters.
         seed: of random walks.
-        is_judge: whether to look as closely as answers are judged.
+        is_final: whether to use the wavelengths of the final evaluation.
     """
 
     def __init__(
-        self, material: Material, numbers: Sequence[Parameter], at: Geometry, lamp: str, observer: str, seed: int,
-        is_judge: bool = False,
-    ) -> None:  # fmt: skip
-        self.material, self.numbers, self.at, self.seed = material, numbers, at, seed
-        thickest = material.vary(values_at(numbers, np.ones(len(numbers))))
-        self.grid = (evaluation_wavelengths if is_judge else search_wavelengths)(thickest, [lamp])
-        self.weights = smooth_weights(self.grid, lamp, observer)
-        self.white = white_xyz(lamp, observer)
+        self,
+        material: Material,
+        parameters: Sequence[Parameter],
+        at: Geometry,
+        light: tuple[str, str],
+        seed: int,
+        is_final: bool = False,
+    ) -> None:
+        self.material, self.parameters, self.at, self.seed = material, parameters, at, seed
+        thickest = material.vary(values_at(parameters, np.ones(len(parameters))))
+        self.grid = (evaluation_wavelengths if is_final else search_wavelengths)(thickest, [light[0]])
+        self.weights = smooth_weights(self.grid, *light)
+        self.white = white_xyz(*light)
+        self._paths = [parameter.path for parameter in parameters]
 
     @property
     def is_batched(self) -> bool:
-        """Whether many variants are computed at once."""
-        paths = [number.path for number in self.numbers]
-        low = np.array([[number.low for number in self.numbers]])
-        return drawn_factors(self.material, paths, low, [self.at], self.grid) is not None
+        """Whether variants are computed in batches."""
+        low = np.array([[parameter.low for parameter in self.parameters]])
+        return drawn_factors(self.material, self._paths, low, [self.at], self.grid) is not None
 
-    def xyz(self, places: Array, is_over: Callable[[], bool] = lambda: False) -> Array | None:
-        """Return XYZ `[place, 3]` at places `[place, number]` of the unit cube; None where it is over before the end.
+    def xyz(self, points: Array, is_over: Callable[[], bool] = lambda: False) -> Array | None:
+        """Return XYZ `[point, 3]` at points `[point, parameter]` of the unit cube; None if `is_over` stops it.
 
         Raises:
             NacreError: a material cannot be computed.
         """
         found = []
-        paths = [number.path for number in self.numbers]
-        low, high = (np.array([getattr(n, end) for n in self.numbers]) for end in ("low", "high"))
-        for start in range(0, len(places), BATCH):
-            values = low + (high - low) * places[start : start + BATCH]
-            seen = drawn_factors(self.material, paths, values, [self.at], self.grid)
-            if seen is not None:
-                found.append(seen[:, 0] @ self.weights)
+        low, high = (np.array([getattr(p, end) for p in self.parameters]) for end in ("low", "high"))
+        for start in range(0, len(points), BATCH):
+            values = low + (high - low) * points[start : start + BATCH]
+            factors = drawn_factors(self.material, self._paths, values, [self.at], self.grid)
+            if factors is not None:
+                found.append(factors[:, 0] @ self.weights)
                 continue
             for row in values:
                 if is_over():
                     return None
-                made = self.material.vary(dict(zip(paths, map(float, row), strict=True)))
+                variant = self.material.vary(dict(zip(self._paths, map(float, row), strict=True)))
                 found.append(
-                    (simulate_measurement(made, [self.at], self.grid, seed=self.seed).factors[0] @ self.weights)[None]
+                    (simulate_measurement(variant, [self.at], self.grid, seed=self.seed).factors[0] @ self.weights)[
+                        None
+                    ]
                 )
         return np.concatenate(found)
 
 
-def level_sheet(eye: Eye, levels: int) -> Sheet:
-    """Return the colours of every pair of levels of a process.
+def level_grid(sampler: ColourSampler, levels: int) -> ColourGrid:
+    """Return the colours of all combinations of process levels.
 
     Raises:
         NacreError: a material cannot be computed.
     """
-    units = np.linspace(0.0, 1.0, levels)
-    xyz = eye.xyz(_places([units] * len(eye.numbers)))
+    count, units = len(sampler.parameters), np.linspace(0.0, 1.0, levels)
+    xyz = sampler.xyz(_points(units, count))
     assert xyz is not None
-    return Sheet(_axes(eye.numbers, units), xyz.reshape(*[levels] * len(eye.numbers), 3), levels, 0.0)
+    return ColourGrid(_axes(sampler.parameters, units), xyz.reshape(*[levels] * count, 3), levels, 0.0)
 
 
-def fine_sheet(eye: Eye, seconds: float, is_interrupted: Callable[[], bool] = lambda: False) -> Sheet:
-    """Return the colours over the numbers' whole ranges, so closely that neighbours hardly differ.
+def fine_grid(sampler: ColourSampler, seconds: float, is_interrupted: Callable[[], bool] = lambda: False) -> ColourGrid:
+    """Return the colours over the full ranges, so finely that neighbours hardly differ.
 
     Args:
-        seconds: time allowed; the nodes are no more halved when it is up.
-        is_interrupted: asked now and then; so are they then.
+        seconds: time limit of the refinement.
+        is_interrupted: polled; true ends the refinement.
 
     Raises:
-        RecipeError: not even the first nodes can be computed in the time.
+        RecipeError: the first nodes cannot be computed in time.
         NacreError: a material cannot be computed.
     """
     from scipy.interpolate import make_interp_spline
 
-    begun, count = time.monotonic(), len(eye.numbers)
+    start, count = time.monotonic(), len(sampler.parameters)
     nodes = FIRST_NODES[count]
 
     def spline(values: Array, units: Array, at: Array) -> Array:
@@ -144,44 +149,40 @@ def fine_sheet(eye: Eye, seconds: float, is_interrupted: Callable[[], bool] = la
         return values
 
     def is_over() -> bool:
-        return time.monotonic() - begun > seconds or is_interrupted()
+        return time.monotonic() - start > seconds or is_interrupted()
 
     units = np.linspace(0.0, 1.0, nodes)
-    first = eye.xyz(_places([units] * count), is_over)
+    first = sampler.xyz(_points(units, count), is_over)
     if first is None:
         if is_interrupted():
             raise KeyboardInterrupt
-        each = (time.monotonic() - begun) / nodes
+        each = (time.monotonic() - start) / nodes
         raise RecipeError(
-            f"{eye.material.context.source}: {nodes**count} materials cannot be solved in {seconds:.0f} s; give search."
-            f"seconds some {10 * nodes**count * max(each, 0.1):.0f}, or free one number"
+            f"{sampler.material.context.source}: {nodes**count} materials cannot be solved in {seconds:.0f} s; give "
+            f"search.seconds some {10 * nodes**count * max(each, 0.1):.0f}, or free one parameter"
         )
     xyz, error = first.reshape(*[nodes] * count, 3), np.inf
-    while error > SPLINE_ERROR and nodes < MOST_NODES[count] and not is_over():
+    while error > SPLINE_ERROR and nodes < MAX_NODES[count] and not is_over():
         finer = np.linspace(0.0, 1.0, 2 * nodes - 1)
-        guess = spline(xyz, units, finer)
+        coarse = (slice(None, None, 2),) * count
         is_new = np.ones([len(finer)] * count, dtype=bool)
-        is_new[tuple([slice(None, None, 2)] * count)] = False
-        solved = eye.xyz(_places([finer] * count)[is_new.ravel()], is_over)
+        is_new[coarse] = False
+        solved = sampler.xyz(_points(finer, count)[is_new.ravel()], is_over)
         if solved is None:
             break
-        known = guess.copy()
-        known[tuple([slice(None, None, 2)] * count)] = xyz
-        known[is_new] = solved
-        off = delta_e_2000(xyz_to_lab(guess[is_new], eye.white), xyz_to_lab(solved, eye.white))
-        # the finer spline is better still: by a cubic's 2^4, of which a part is taken for granted
-        error = float(np.percentile(off, SPLINE_SHARE)) / POWER**2
-        xyz, units, nodes = known, finer, len(finer)
+        guess = spline(xyz, units, finer)
+        refined = guess.copy()
+        refined[coarse], refined[is_new] = xyz, solved
+        off = delta_e_2000(xyz_to_lab(guess[is_new], sampler.white), xyz_to_lab(solved, sampler.white))
+        error = float(np.percentile(off, SPLINE_PERCENTILE)) / SPLINE_GAIN
+        xyz, units, nodes = refined, finer, len(finer)
     at = np.linspace(0.0, 1.0, FINE[count])
-    return Sheet(_axes(eye.numbers, at), np.maximum(spline(xyz, units, at), 0.0), nodes, error)
+    return ColourGrid(_axes(sampler.parameters, at), np.maximum(spline(xyz, units, at), 0.0), nodes, error)
 
 
-def _places(axes: Sequence[Array]) -> Array:
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+def _points(units: Array, count: int) -> Array:
+    return np.stack(np.meshgrid(*[units] * count, indexing="ij"), axis=-1).reshape(-1, count)
 
 
-def _axes(numbers: Sequence[Parameter], units: Array) -> tuple[Array, ...]:
-    return tuple(number.low + (number.high - number.low) * units for number in numbers)
-
-
-__all__ = ["Eye", "Sheet", "fine_sheet", "level_sheet"]
+def _axes(parameters: Sequence[Parameter], units: Array) -> tuple[Array, ...]:
+    return tuple(p.low + (p.high - p.low) * units for p in parameters)

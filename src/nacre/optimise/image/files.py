@@ -1,4 +1,4 @@
-"""Reading a picture whose colours are wanted."""
+"""Image files of a picture design: the target image, and the parameter maps as 16-bit PNG, TIFF and NPY."""
 
 from __future__ import annotations
 
@@ -24,23 +24,22 @@ from nacre.recipe.images import LARGEST_16_BIT, opacity, upright
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-
-MOST_PIXELS = 16_000_000
-LEAST_SIDE = 2
-BYTES_A_PIXEL = 400  # of the search: colours, in several spaces, their order, the maps
+MAX_PIXELS = 16_000_000
+MIN_SIDE = 2
+BYTES_PER_PIXEL = 400  # of the design: colours in several spaces, their order, the maps
 MODES = ("RGB", "L", "P", "1", "I;16", "I;16B", "I;16L")
 
 
 def read_picture(path: Path, where: str) -> Array:
-    """Return a picture's encoded sRGB, `[row, column, 3]` in [0, 1], the first row on top.
+    """Return an image as encoded sRGB, `[row, column, 3]` in [0, 1], first row on top.
 
-    Turned upright where its camera says how it was held, and brought into sRGB from the profile that it carries.
+    The camera's orientation and an embedded colour profile are applied.
 
     Args:
         where: file, key and value of the target, for messages.
 
     Raises:
-        RecipeError: it cannot be read, or is no opaque still picture of sRGB or grey.
+        RecipeError: it cannot be read, or is not an opaque still image in sRGB or grey.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -60,23 +59,24 @@ def read_picture(path: Path, where: str) -> Array:
 
 def _check_size(opened: Image, where: str) -> None:
     width, height = opened.size
-    if width * height > MOST_PIXELS:
-        raise RecipeError(f"{where} has {width} x {height} pixels; at most {MOST_PIXELS} are designed")
-    if min(width, height) < LEAST_SIDE:
-        raise RecipeError(f"{where} has {width} x {height} pixels; a picture has {LEAST_SIDE} a side at least")
-    check_memory(float(BYTES_A_PIXEL) * width * height, f"{where}: a picture of {width} x {height} pixels")
+    if width * height > MAX_PIXELS:
+        raise RecipeError(f"{where} has {width} x {height} pixels; at most {MAX_PIXELS} are designed")
+    if min(width, height) < MIN_SIDE:
+        raise RecipeError(f"{where} has {width} x {height} pixels; it should have at least {MIN_SIDE} per side")
+    check_memory(float(BYTES_PER_PIXEL) * width * height, f"{where}: a picture of {width} x {height} pixels")
 
 
 def _pixels(opened: Image, where: str) -> Array:
-    if getattr(opened, "n_frames", 1) > 1 and opened.format != "MPO":
-        raise RecipeError(f"{where} has {getattr(opened, 'n_frames', 1)} frames; give one still picture")
+    frames = getattr(opened, "n_frames", 1)
+    if frames > 1 and opened.format != "MPO":
+        raise RecipeError(f"{where} has {frames} frames; give a still picture")
     picture = upright(opened)
     if opacity(picture) is not None:
-        raise RecipeError(f"{where} is transparent in places; lay it on a ground first")
+        raise RecipeError(f"{where} is partly transparent; flatten it on a background first")
     if "A" in picture.getbands():
         picture = picture.convert("RGB")
     if picture.mode not in MODES:
-        raise RecipeError(f"{where} is a picture of the kind {picture.mode}; sRGB or grey, of 8 bits or grey of 16")
+        raise RecipeError(f"{where} has the mode {picture.mode}; it should be sRGB or grey with 8 bits, or 16-bit grey")
     if picture.mode.startswith("I"):
         grey = np.asarray(picture, dtype=float) / LARGEST_16_BIT
         return np.repeat(grey[..., None], 3, axis=-1)
@@ -84,7 +84,7 @@ def _pixels(opened: Image, where: str) -> Array:
 
 
 def _in_srgb(picture: Image, profile: bytes | None) -> Image:
-    """Return a picture in sRGB; a profile that cannot be read, or is of another kind of picture, counts for nothing."""
+    """Return an image in sRGB; an unreadable or unsuitable colour profile is ignored."""
     from PIL import ImageCms
 
     rgb = picture.convert("RGB")
@@ -92,27 +92,20 @@ def _in_srgb(picture: Image, profile: bytes | None) -> Image:
         return rgb
     try:
         own = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-        found = ImageCms.profileToProfile(rgb, own, ImageCms.createProfile("sRGB"))
+        return ImageCms.profileToProfile(rgb, own, ImageCms.createProfile("sRGB")) or rgb
     except (ImageCms.PyCMSError, OSError):
         return rgb
-    return rgb if found is None else found
-
-
-__all__ = ["read_picture"]
-
-
-# The maps of a picture's numbers as files: 16-bit grey PNG and TIFF, and the numbers themselves as NPY.
 
 
 @dataclass(frozen=True, eq=False)
-class FoundMap:
-    """One number over the picture.
+class ParameterMap:
+    """Values of a parameter over the picture.
 
     Attributes:
-        path: of the number in the recipe.
-        values: `[row, column]`, the first row on top, in the recipe's own unit.
-        low, high: its bounds, which are the map's black and white.
-        levels: of the process; None where any value can be made.
+        path: of the parameter in the recipe.
+        values: `[row, column]`, first row on top, in the unit of the recipe.
+        low, high: bounds (black and white of the map).
+        levels: number of levels of the process; None: continuous.
     """
 
     path: str
@@ -123,38 +116,34 @@ class FoundMap:
 
     @property
     def stem(self) -> str:
-        """The files' name. Example: "layers[0].thickness_nm" is kept in "layers-0-thickness_nm.png"."""
+        """File name without suffix. Example: "layers-0-thickness_nm" for "layers[0].thickness_nm"."""
         return re.sub(r"[^A-Za-z0-9_]+", "-", self.path).strip("-")
 
     @property
     def texture(self) -> dict[str, Any]:
-        """What a recipe writes where the number stood."""
+        """Texture table for the recipe."""
         return {"texture": f"{self.stem}.png", "min": self.low, "max": self.high, "interpolation": "nearest"}
 
 
-def map_files(maps: Sequence[FoundMap]) -> list[str]:
-    """Return the names of the files that `write_maps` writes."""
-    return [f"{found.stem}{suffix}" for found in maps for suffix in (".png", ".tif", ".npy")]
-
-
-def write_maps(folder: Path, maps: Sequence[FoundMap], provenance: dict[str, Any]) -> list[str]:
-    """Write the maps; return the files' names.
+def write_maps(folder: Path, maps: Sequence[ParameterMap], provenance: dict[str, Any]) -> list[str]:
+    """Write the maps; return the file names.
 
     Raises:
-        NacreError: one cannot be written.
+        NacreError: a file cannot be written.
     """
     for found in maps:
         unit = (found.values - found.low) / (found.high - found.low)
         grey = np.round(LARGEST_GREY * unit).astype(np.uint16)
-        facts = {
-            "path": found.path, "black": found.low, "white": found.high, "levels": found.levels, **provenance,
+        metadata = {
+            "path": found.path,
+            "black": found.low,
+            "white": found.high,
+            "levels": found.levels,
+            **provenance,
             "value": "black + (white - black) * grey / 65535; seen from the light's side, first row on top",
-        }  # fmt: skip
-        write_png16(folder / f"{found.stem}.png", grey, facts, DEFAULT_PIXEL_UM)
-        write_tiff16(folder / f"{found.stem}.tif", grey, facts, DEFAULT_PIXEL_UM)
+        }
+        write_png16(folder / f"{found.stem}.png", grey, metadata, DEFAULT_PIXEL_UM)
+        write_tiff16(folder / f"{found.stem}.tif", grey, metadata, DEFAULT_PIXEL_UM)
         with atomic_path(folder / f"{found.stem}.npy") as temporary, temporary.open("wb") as stream:
             np.save(stream, found.values, allow_pickle=False)
-    return map_files(maps)
-
-
-__all__ = ["FoundMap", "map_files", "write_maps"]
+    return [f"{found.stem}{suffix}" for found in maps for suffix in (".png", ".tif", ".npy")]

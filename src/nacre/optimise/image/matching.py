@@ -1,8 +1,9 @@
-"""Which of the colours that can be made stands for each pixel of a picture.
+"""Assignment of reachable colours to pixels: nearest colour with hue-preserving clipping, and error diffusion.
 
-Nearest by CIEDE2000. A pixel that nothing comes near is mapped at its hue: of the colours whose hue is the pixel's, or
-that are too grey to show one, the nearest (CIE 156:2004 recommends this mapping, "hue-angle preserving minimum dE
-clipping", to compare others by). Where no such colour is at a fair distance the nearest of all stands.
+Nearest means by CIEDE2000. An unreachable pixel is mapped to the nearest colour of its hue ("hue-angle preserving
+minimum dE clipping", CIE 156:2004), unless the nearest colour of any hue is much closer. If a process makes only a few
+levels, mixtures of neighbouring pixels are additive and span a solid in XYZ: colours are mapped into the solid, then
+dithered by error diffusion (Floyd and Steinberg 1976) in serpentine order.
 """
 
 from __future__ import annotations
@@ -20,28 +21,35 @@ from nacre.core.jit import compiled
 from nacre.light import delta_e_2000, lab_to_xyz, xyz_to_lab
 from nacre.optimise.thin_film.merit_kernel import components
 
-NEIGHBOURS = 12  # nearest in the even space, of which the nearest by dE00 starts the descent
-CELL = 0.5  # of the even space: colours that share one are as good as one another to start from
-STRIDES = (8, 4, 2, 1)  # of the descent over the sheet
-HUE_STEP = 1.0  # of dE00's hue term: less is the same hue to the eye
-WEDGES = 180  # of hue, in which pixels are mapped together
-LEAST_CHROMA = 2.0  # below it a pixel has no hue to keep
-HUE_WORTH = 2.0  # dE00 that keeping the hue may cost above the nearest colour
-NO_HUE = -1.0
+NEIGHBOURS = 12  # nearest colours in the uniform space, from which the descent starts
+CELL = 0.5  # side of a cell of the uniform space; colours in one cell share their starts
+STRIDES = (8, 4, 2, 1)  # of the descent over the grid
+HUE_STEP = 1.0  # largest hue term of dE00 between colours of the same hue
+WEDGES = 180  # wedges of hue with common starts
+MIN_CHROMA = 2.0  # below it, a pixel has no hue
+HUE_COST = 2.0  # largest additional dE00 for preserving the hue
+ANY_HUE = -1.0
+
+LATTICE, MARGIN = 2.0, 8.0  # step and margin of the lattice in the solid, CIELAB
+BISECTIONS = 12
+MAX_MIXED = 12  # levels of which mixtures are listed
+PLANE_TOLERANCE = 1e-9  # of the solid's faces, XYZ
+MAX_DIFFUSED = 0.5  # of white; bounds the diffused error of unreachable colours
+BLUR_PIXELS = 2.0  # width of the Gaussian through which dithered pictures are compared
 
 Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """A choice for every colour of a picture.
+    """Assignment of a reachable colour to every colour of a picture.
 
     Attributes:
-        points: `[colour]`, index of the colour that was chosen, into the sheet made flat.
-        distance: `[colour]`, dE00 between it and what was wanted.
-        nearest: `[colour]`, dE00 of the nearest one, which was passed over where the hue was kept.
-        is_mapped: `[colour]`, whether the nearest is farther than what counts as reached.
-        keeps_hue: `[colour]`, whether the choice has the hue that was wanted, or one of them is grey.
+        points: `[colour]`, index of the assigned colour in the flattened grid.
+        distance: `[colour]`, dE00 between both.
+        nearest: `[colour]`, dE00 of the nearest colour of any hue.
+        is_mapped: `[colour]`, whether `nearest` exceeds the tolerance.
+        keeps_hue: `[colour]`, whether both have the same hue, or one of them is grey.
     """
 
     points: Indices
@@ -51,40 +59,39 @@ class Match:
     keeps_hue: NDArray[np.bool_]
 
 
-def match(wanted: Array, sheet: Array, within: float, keep_hue: bool = True) -> Match:
-    """Choose for each of the colours `[colour, 3]` one of a sheet of those that can be made, CIELAB both.
+def match_colours(targets: Array, grid: Array, tolerance: float, keep_hue: bool = True) -> Match:
+    """Assign to each target colour `[colour, 3]` a colour of a grid of reachable ones, both CIELAB.
 
     Args:
-        sheet: `[value, 3]` or `[value, value, 3]`; neighbours hardly differ, or the nearest is one of a few.
-        within: dE00 up to which a colour counts as reached.
-        keep_hue: whether what is out of reach is mapped at its hue.
+        grid: `[value, 3]` or `[value, value, 3]`; smooth, or small enough for a search of the nearest neighbours.
+        tolerance: dE00 below which a colour counts as reached.
+        keep_hue: whether unreachable colours are mapped at constant hue.
     """
     from scipy.spatial import cKDTree
 
-    rows, columns = (*sheet.shape[:-1], 1)[:2]
-    reachable = np.ascontiguousarray(sheet.reshape(-1, 3))
-    wanted = np.ascontiguousarray(wanted)
-    even, places = even_space(reachable), even_space(wanted)
-    few, _ = _one_a_cell(even)
-    asked, group = _one_a_cell(places)
-    starts = _nearest(cKDTree(even[few]), few, places[asked], NEIGHBOURS)
-    none = np.full(len(wanted), NO_HUE)
-    points, nearest = _choose(wanted, group, starts, reachable, rows, columns, none)
-    distance, is_mapped = nearest.copy(), nearest > within
-    has_hue = np.hypot(places[:, 1], places[:, 2]) >= LEAST_CHROMA
-    chosen = np.flatnonzero(is_mapped & has_hue & ~has_same_hue(wanted, reachable[points]))
+    rows, columns = (*grid.shape[:-1], 1)[:2]
+    reachable = np.ascontiguousarray(grid.reshape(-1, 3))
+    targets = np.ascontiguousarray(targets)
+    even, places = uniform_space(reachable), uniform_space(targets)
+    few, _ = _one_per_cell(even)
+    representatives, group = _one_per_cell(places)
+    starts = _nearest(cKDTree(even[few]), few, places[representatives], NEIGHBOURS)
+    points, nearest = _descend(targets, group, starts, reachable, rows, columns, np.full(len(targets), ANY_HUE))
+    distance, is_mapped = nearest.copy(), nearest > tolerance
+    has_hue = np.hypot(places[:, 1], places[:, 2]) >= MIN_CHROMA
+    chosen = np.flatnonzero(is_mapped & has_hue & ~has_same_hue(targets, reachable[points]))
     if keep_hue and len(chosen):
         groups, inverse = np.unique(group[chosen], return_inverse=True)
-        starts = _starts_by_hue(places[asked[groups]], even, few)
+        starts = _starts_by_hue(places[representatives[groups]], even, few)
         step = np.full(len(chosen), HUE_STEP)
-        found, off = _choose(wanted[chosen], inverse, starts, reachable, rows, columns, step)
-        good = off <= nearest[chosen] + HUE_WORTH
+        found, off = _descend(targets[chosen], inverse, starts, reachable, rows, columns, step)
+        good = off <= nearest[chosen] + HUE_COST
         points[chosen[good]], distance[chosen[good]] = found[good], off[good]
-    return Match(points, distance, nearest, is_mapped, has_same_hue(wanted, reachable[points]))
+    return Match(points, distance, nearest, is_mapped, has_same_hue(targets, reachable[points]))
 
 
-def _one_a_cell(even: Array) -> tuple[Indices, Indices]:
-    """Return one colour of each cell of the even space, and of every colour which of them it shares a cell with."""
+def _one_per_cell(even: Array) -> tuple[Indices, Indices]:
+    """Return one colour of each cell of the uniform space, and the cell index of every colour."""
     cells = np.floor(even / CELL).astype(np.int64)
     cells -= cells.min(axis=0)
     width = cells.max(axis=0) + 1
@@ -93,14 +100,14 @@ def _one_a_cell(even: Array) -> tuple[Indices, Indices]:
     return first, inverse.reshape(-1)
 
 
-def _nearest(tree: object, among: Indices, places: Array, count: int) -> Indices:
+def _nearest(tree: Any, among: Indices, places: Array, count: int) -> Indices:
     count = min(count, len(among))
-    found = tree.query(places, k=count)[1].reshape(len(places), count)  # type: ignore[attr-defined]  # scipy's tree
+    found = tree.query(places, k=count)[1].reshape(len(places), count)
     return np.ascontiguousarray(among[found])
 
 
 def _starts_by_hue(places: Array, even: Array, few: Indices) -> Indices:
-    """Return starts `[place, start]` that have the hue of a place, or nearly: wedge by wedge of the hue circle."""
+    """Return starts `[place, start]` of approximately the hue of each place, by wedges of the hue circle."""
     from scipy.spatial import cKDTree
 
     starts = np.full((len(places), NEIGHBOURS), -1, dtype=np.int64)
@@ -109,33 +116,33 @@ def _starts_by_hue(places: Array, even: Array, few: Indices) -> Indices:
         angle = 2.0 * np.pi * k / WEDGES
         along = even[few, 1] * np.cos(angle) + even[few, 2] * np.sin(angle)
         across = np.abs(even[few, 2] * np.cos(angle) - even[few, 1] * np.sin(angle))
-        # the wedge is wider than any of its pixels' own; what does not have a pixel's hue is sorted out later
-        kept = few[(across <= HUE_STEP + np.pi / WEDGES * np.abs(along)) & (along > -HUE_STEP)]
-        if len(kept):
+        # a wedge is wider than the hue of its pixels; `_descend` rejects the excess
+        inside = few[(across <= HUE_STEP + np.pi / WEDGES * np.abs(along)) & (along > -HUE_STEP)]
+        if len(inside):
             mine = np.flatnonzero(wedge == k)
-            found = _nearest(cKDTree(even[kept]), kept, places[mine], NEIGHBOURS)
+            found = _nearest(cKDTree(even[inside]), inside, places[mine], NEIGHBOURS)
             starts[mine, : found.shape[1]] = found
     return starts
 
 
 @compiled(error_model="numpy")
-def _choose(
-    wanted: Array, group: Indices, starts: Indices, reachable: Array, rows: int, columns: int, hue_step: Array
+def _descend(
+    targets: Array, group: Indices, starts: Indices, reachable: Array, rows: int, columns: int, hue_step: Array
 ) -> tuple[Indices, Array]:
-    """Take the best start of each colour's group and go downhill over the sheet, in ever smaller strides.
+    """Descend over the grid from the best start of each colour's group, with decreasing strides.
 
     Args:
-        hue_step: of each colour, the largest hue term that a choice may have; below 0: any.
+        hue_step: `[colour]`, largest allowed hue term; negative: any.
 
     Returns:
-        the points `[colour]` and their dE00, infinite where no start has the hue.
+        points `[colour]` and their dE00, infinite if no start has the hue.
     """
-    points, distance = np.zeros(len(wanted), dtype=np.int64), np.full(len(wanted), np.inf)
-    for i in range(len(wanted)):
+    points, distance = np.zeros(len(targets), dtype=np.int64), np.full(len(targets), np.inf)
+    for i in range(len(targets)):
         best, least = -1, np.inf
         for point in starts[group[i]]:
             if point >= 0:
-                off = _cost(wanted[i], reachable[point], hue_step[i])
+                off = _cost(targets[i], reachable[point], hue_step[i])
                 if off < least:
                     best, least = point, off
         if best < 0:
@@ -148,7 +155,7 @@ def _choose(
                 for r in (row - stride, row, row + stride):
                     for c in (column - stride, column, column + stride):
                         if 0 <= r < rows and 0 <= c < columns:
-                            off = _cost(wanted[i], reachable[r * columns + c], hue_step[i])
+                            off = _cost(targets[i], reachable[r * columns + c], hue_step[i])
                             if off < least:
                                 best, least, moved = r * columns + c, off, True
         points[i], distance[i] = best, least
@@ -156,16 +163,16 @@ def _choose(
 
 
 @compiled(error_model="numpy")
-def _cost(wanted: Array, seen: Array, hue_step: float) -> float:
-    """CIEDE2000, infinite where the hue is not kept."""
-    x, y, z = components(wanted[0], wanted[1], wanted[2], seen[0], seen[1], seen[2])
+def _cost(target: Array, colour: Array, hue_step: float) -> float:
+    """CIEDE2000; infinite if the hue differs."""
+    x, y, z = components(target[0], target[1], target[2], colour[0], colour[1], colour[2])
     off = math.sqrt(x * x + y * y + z * z)
-    return off if hue_step < 0.0 or _hue_excess(wanted, seen) <= hue_step else np.inf
+    return off if hue_step < 0.0 or _hue_term(target, colour) <= hue_step else np.inf
 
 
 @compiled(error_model="numpy")
-def _hue_excess(lab: Array, other: Array) -> float:
-    """The hue term of dE00, 2 sqrt(C1 C2) sin(dh / 2) / S_H, of S_H without its weights of hue."""
+def _hue_term(lab: Array, other: Array) -> float:
+    """Hue term of dE00, 2 sqrt(C1 C2) sin(dh / 2) / S_H, without the hue weights in S_H."""
     mean = 0.5 * (math.hypot(lab[1], lab[2]) + math.hypot(other[1], other[2]))
     stretch = 1.5 - 0.5 * math.sqrt(mean**7 / (mean**7 + 6103515625.0))
     a, u = lab[1] * stretch, other[1] * stretch
@@ -174,14 +181,33 @@ def _hue_excess(lab: Array, other: Array) -> float:
     return math.sqrt(max(2.0 * (c * d - (a * u + lab[2] * other[2])), 0.0)) / (1.0 + 0.0075 * (c + d))
 
 
-def even_space(lab: Array) -> Array:
-    """Return CIELAB bent so that plain distances are some dE00: lightness and chroma run as fast as it counts them.
+@compiled(error_model="numpy")
+def _same_hues(lab: Array, other: Array) -> Any:
+    found = np.empty(len(lab), dtype=np.bool_)
+    for i in range(len(lab)):
+        found[i] = _hue_term(lab[i], other[i]) <= HUE_STEP
+    return found
 
-    The integral of dL / S_L, of dC / S_C, and the stretch of a* near grey (Sharma, Wu and Dalal 2005); the turn in
-    the blue and the weights of hue are left out, so neighbours are to be judged anew.
+
+def has_same_hue(lab: Array, other: Array) -> NDArray[np.bool_]:
+    """Whether the hue term of dE00 between colours `[colour, 3]` is at most one unit; greys match any hue.
+
+    Example: (50, 20, 0) and (50, 5, 0) match; (50, 20, 0) and (50, 0, 20) do not.
     """
-    level, slope = _lightness_table()
-    lightness = np.interp(lab[..., 0], level, slope)
+    found: NDArray[np.bool_] = _same_hues(np.ascontiguousarray(lab), np.ascontiguousarray(other))
+    return found
+
+
+def uniform_space(lab: Array) -> Array:
+    """Return CIELAB coordinates whose Euclidean distance approximates CIEDE2000.
+
+    Integrals of dL / S_L and dC / C-weight, and the stretch of a* near grey (Sharma, Wu and Dalal 2005). The rotation
+    in the blue and the hue weights are neglected.
+    """
+    level = np.linspace(0.0, 200.0, 2001)
+    weight = 1.0 + 0.015 * (level - 50.0) ** 2 / np.sqrt(20.0 + (level - 50.0) ** 2)
+    steps = 0.5 * (1.0 / weight[1:] + 1.0 / weight[:-1]) * np.diff(level)
+    lightness = np.interp(lab[..., 0], level, np.concatenate([[0.0], np.cumsum(steps)]))
     chroma7 = np.hypot(lab[..., 1], lab[..., 2]) ** 7
     a = lab[..., 1] * (1.5 - 0.5 * np.sqrt(chroma7 / (chroma7 + 25.0**7)))
     chroma = np.hypot(a, lab[..., 2])
@@ -189,109 +215,72 @@ def even_space(lab: Array) -> Array:
     return np.stack([lightness, share * a, share * lab[..., 2]], axis=-1)
 
 
-def _lightness_table() -> tuple[Array, Array]:
-    level = np.linspace(0.0, 200.0, 2001)
-    weight = 1.0 + 0.015 * (level - 50.0) ** 2 / np.sqrt(20.0 + (level - 50.0) ** 2)
-    steps = 0.5 * (1.0 / weight[1:] + 1.0 / weight[:-1]) * np.diff(level)
-    return level, np.concatenate([[0.0], np.cumsum(steps)])
+def map_into_solid(
+    targets: Array, levels_xyz: Array, white: Array, tolerance: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Map CIELAB colours `[colour, 3]` into the convex hull of the levels' XYZ `[level, 3]`.
 
-
-def has_same_hue(lab: Array, other: Array) -> NDArray[np.bool_]:
-    """Whether the hue term of dE00 between colours `[colour, 3]` is one unit or less: greys have any hue.
-
-    Example: (50, 20, 0) and (50, 5, 0) have; (50, 20, 0) and (50, 0, 20) have not.
-    """
-    found: NDArray[np.bool_] = _same_hues(np.ascontiguousarray(lab), np.ascontiguousarray(other))
-    return found
-
-
-@compiled(error_model="numpy")
-def _same_hues(lab: Array, other: Array) -> Any:
-    found = np.empty(len(lab), dtype=np.bool_)
-    for i in range(len(lab)):
-        found[i] = _hue_excess(lab[i], other[i]) <= HUE_STEP
-    return found
-
-
-__all__ = ["Match", "even_space", "has_same_hue", "match"]
-
-
-# A picture from the few levels of a process: neighbouring pixels share what one of them cannot show.
-
-LATTICE, MARGIN = 2.0, 8.0  # of CIELAB
-BISECTIONS = 12
-MOST_MIXED = 12  # levels, of which mixtures are listed
-INSIDE = 1e-9  # of XYZ, to which the faces of the solid are known
-MOST_LEFT_OVER = 0.5  # of white: what cannot be shown anywhere near is not carried on for ever
-SEEN_PIXELS = 2.0  # width of the Gaussian through which a dithered picture is compared, as from afar
-
-
-def into_solid(wanted: Array, levels_xyz: Array, white: Array, within: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Bring colours `[colour, 3]`, CIELAB, into the solid that the levels' XYZ `[level, 3]` span.
-
-    As `match` chooses, among the points of a lattice in the solid, and from there as far towards what was wanted as
-    the solid goes.
+    A colour outside goes to the lattice point in the solid that `match_colours` assigns, and from there as far as
+    possible towards the target.
 
     Returns:
-        the colours `[colour, 3]`, and which of them moved by more than counts as reached.
+        the colours `[colour, 3]`, and whether each moved by more than the tolerance.
     """
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         planes = ConvexHull(levels_xyz).equations
-    except (QhullError, ValueError):  # levels on a line or in a plane: their mixtures are all there is
+    except (QhullError, ValueError):  # levels on a line or in a plane
         mixtures = np.asarray(xyz_to_lab(_mixtures(levels_xyz), white))
-        flat = mixtures[match(wanted, mixtures, within).points]
-        return flat, np.asarray(delta_e_2000(wanted, flat) > within)
+        flat = mixtures[match_colours(targets, mixtures, tolerance).points]
+        return flat, np.asarray(delta_e_2000(targets, flat) > tolerance)
 
     def is_inside(lab: Array) -> Any:
-        return np.all(lab_to_xyz(lab, white) @ planes[:, :3].T + planes[:, 3] <= INSIDE, axis=-1)
+        return np.all(lab_to_xyz(lab, white) @ planes[:, :3].T + planes[:, 3] <= PLANE_TOLERANCE, axis=-1)
 
-    outside = np.flatnonzero(~is_inside(wanted))
+    outside = np.flatnonzero(~is_inside(targets))
     corners = np.asarray(xyz_to_lab(levels_xyz, white))
-    # mixtures are no more colourful than what is mixed but for the bend of CIELAB, for which the margin is
+    # the margin allows for the nonlinearity of CIELAB: mixtures may be slightly more colourful than their components
     low, high = corners.min(axis=0) - MARGIN, corners.max(axis=0) + MARGIN
     axes = [np.arange(np.floor(a / LATTICE), np.ceil(b / LATTICE) + 1.0) * LATTICE for a, b in zip(low, high)]
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     lattice = np.concatenate([lattice[is_inside(lattice)], corners])
-    starts = lattice[match(wanted[outside], lattice, within).points]
+    starts = lattice[match_colours(targets[outside], lattice, tolerance).points]
     good, bad = np.zeros(len(outside)), np.ones(len(outside))
     for _ in range(BISECTIONS):
         middle = 0.5 * (good + bad)
-        works = is_inside(starts + middle[:, None] * (wanted[outside] - starts))
+        works = is_inside(starts + middle[:, None] * (targets[outside] - starts))
         good, bad = np.where(works, middle, good), np.where(works, bad, middle)
-    found = wanted.copy()
-    found[outside] = starts + good[:, None] * (wanted[outside] - starts)
-    return found, np.asarray(delta_e_2000(wanted, found) > within)
+    found = targets.copy()
+    found[outside] = starts + good[:, None] * (targets[outside] - starts)
+    return found, np.asarray(delta_e_2000(targets, found) > tolerance)
 
 
 def _mixtures(levels: Array) -> Array:
-    """Return XYZ of mixtures of up to three levels, in steps of a sixteenth; of many levels, of some of them."""
-    some = levels[np.unique(np.linspace(0, len(levels) - 1, MOST_MIXED).astype(int))]
+    """Return XYZ of mixtures of up to three of (some of) the levels, in steps of a sixteenth."""
+    some = levels[np.unique(np.linspace(0, len(levels) - 1, MAX_MIXED).astype(int))]
     shares = np.array([(a, b, 16 - a - b) for a in range(17) for b in range(17 - a)]) / 16.0
     ends = itertools.combinations_with_replacement(range(len(some)), 3)
     return np.concatenate([levels, *(shares @ some[list(three)] for three in ends)])
 
 
-def dither(wanted_xyz: Array, levels_xyz: Array, white: Array) -> NDArray[np.int64]:
-    """Return which level each pixel of `[row, column, 3]` takes, so that neighbourhoods have the colour.
+def dither(targets_xyz: Array, levels_xyz: Array, white: Array) -> Indices:
+    """Return the level of each pixel of `[row, column, 3]`, by error diffusion.
 
     Args:
         levels_xyz: `[level, 3]`.
-        white: XYZ of it; levels are compared where a distance is some dE00.
+        white: XYZ of the white.
     """
-    even = np.ascontiguousarray(even_space(xyz_to_lab(levels_xyz, white)))
-    # lightness as the even space has it, over L*; looked up in the loop
-    lightness = even_space(np.stack([np.linspace(0.0, 200.0, 2001), *np.zeros((2, 2001))], axis=-1))[:, 0]
-    found: NDArray[np.int64] = _diffuse(
-        np.array(wanted_xyz, dtype=float), np.ascontiguousarray(levels_xyz), even, np.asarray(white, float), lightness
-    )
+    even = np.ascontiguousarray(uniform_space(xyz_to_lab(levels_xyz, white)))
+    lightness = uniform_space(np.stack([np.linspace(0.0, 200.0, 2001), *np.zeros((2, 2001))], axis=-1))[:, 0]
+    levels = np.ascontiguousarray(levels_xyz)
+    found: Indices = _diffuse(np.array(targets_xyz, float), levels, even, np.asarray(white, float), lightness)
     return found
 
 
 @compiled(error_model="numpy")
-def _diffuse(wanted: Array, levels: Array, even: Array, white: Array, lightness: Array) -> Any:
-    rows, columns = wanted.shape[0], wanted.shape[1]
+def _diffuse(targets: Array, levels: Array, even: Array, white: Array, lightness: Array) -> Any:
+    rows, columns = targets.shape[0], targets.shape[1]
     chosen = np.zeros((rows, columns), dtype=np.int64)
     left = np.zeros((2, columns + 2, 3))
     here, place = np.empty(3), np.empty(3)
@@ -302,8 +291,8 @@ def _diffuse(wanted: Array, levels: Array, even: Array, white: Array, lightness:
         for step in range(columns):
             column = step if ahead > 0 else columns - 1 - step
             for k in range(3):
-                over = min(max(left[this, column + 1, k], -MOST_LEFT_OVER), MOST_LEFT_OVER)
-                here[k] = wanted[row, column, k] + over
+                over = min(max(left[this, column + 1, k], -MAX_DIFFUSED), MAX_DIFFUSED)
+                here[k] = targets[row, column, k] + over
             _place(here, white, lightness, place)
             best, least = 0, np.inf
             for j in range(len(even)):
@@ -323,7 +312,7 @@ def _diffuse(wanted: Array, levels: Array, even: Array, white: Array, lightness:
 
 @compiled(error_model="numpy")
 def _place(xyz: Array, white: Array, lightness: Array, place: Array) -> None:
-    """`even_space` of the CIELAB of one XYZ, into `place`; below 0 as at 0."""
+    """Write the `uniform_space` coordinates of an XYZ colour to `place`; negative values count as 0."""
     f = np.empty(3)
     for k in range(3):
         t = max(xyz[k] / white[k], 0.0)
@@ -339,11 +328,8 @@ def _place(xyz: Array, white: Array, lightness: Array, place: Array) -> None:
     place[1], place[2] = share * a, share * b
 
 
-def seen_from_afar(xyz: Array) -> Array:
-    """Return a picture `[row, column, 3]` as an eye has it that does not tell pixels apart."""
+def blurred(xyz: Array) -> Array:
+    """Return a picture `[row, column, 3]` at a distance from which pixels are not resolved."""
     from scipy.ndimage import gaussian_filter
 
-    return np.asarray(gaussian_filter(xyz, (SEEN_PIXELS, SEEN_PIXELS, 0.0), mode="nearest"))
-
-
-__all__ = ["dither", "into_solid", "seen_from_afar"]
+    return np.asarray(gaussian_filter(xyz, (BLUR_PIXELS, BLUR_PIXELS, 0.0), mode="nearest"))

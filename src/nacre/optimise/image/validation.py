@@ -1,52 +1,48 @@
-"""What may be free where a picture is wanted: one or two numbers that vary over the surface, and nothing else."""
+"""Restrictions of a picture design: one or two continuous parameters that may vary over the surface."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from nacre.core.errors import NacreError, RecipeError
 from nacre.material.material import Material
 from nacre.optimise.parameters import Parameter
 from nacre.optimise.spec import DesignSpec
 
-MOST_NUMBERS = 2
+MAX_PARAMETERS = 2
 
 
-def check_free(spec: DesignSpec, base: Material, free: Sequence[Parameter], source: str) -> None:
-    """Refuse what a picture cannot be made of.
+def check_picture_target(spec: DesignSpec, base: Material, parameters: Sequence[Parameter], source: str) -> None:
+    """Refuse targets that a picture design cannot meet.
 
     Raises:
-        RecipeError: naming the key.
+        RecipeError: with the key.
     """
-    for name, what in (("layers", "the stack itself cannot be sought"), ("tolerance", "spreads are not counted")):
+    for name, reason in (("layers", "the stack is fixed"), ("tolerance", "tolerances are not evaluated")):
         if getattr(spec, name):
-            raise RecipeError(f"{source}: {name}: of a picture {what}; free one or two numbers that vary over it")
+            raise RecipeError(f"{source}: {name}: in a picture design {reason}; free one or two numbers that vary")
     for name, value in (("max_total_nm", spec.limits.max_total_nm), ("max_layers", spec.limits.max_layers)):
         if value is not None:
-            raise RecipeError(f"{source}: limits.{name} does not hold for a picture; use bounds of what is free")
-    if len(free) > MOST_NUMBERS:
-        paths = ", ".join(number.path for number in free)
-        raise RecipeError(f"{source}: free: {len(free)} numbers ({paths}); a picture is made of one or two")
-    textures = {}
-    for number in free:
-        where = f'{source}: parameters."{number.path}"'
-        if number.choices:
-            raise RecipeError(f"{where}: a picture is made of numbers that vary over it; choices do not")
-        textures[number.path] = {
-            "formula": f"{number.low!r} + {number.high - number.low!r}*u", "min": number.low, "max": number.high,
-        }  # fmt: skip
-        if number.is_whole:
-            raise RecipeError(f"{where}: only whole numbers are allowed there; a picture needs one that varies evenly")
-        _try(base, {number.path: textures[number.path]}, where)
-    _try(base, textures, f"{source}: free")
+            raise RecipeError(f"{source}: limits.{name} does not apply to a picture; use the bounds of the parameters")
+    if len(parameters) > MAX_PARAMETERS:
+        paths = ", ".join(parameter.path for parameter in parameters)
+        raise RecipeError(f"{source}: parameters: {len(parameters)} numbers ({paths}); a picture takes one or two")
+    textures: dict[str, dict[str, Any]] = {}
+    for p in parameters:
+        where = f'{source}: parameters."{p.path}"'
+        if p.choices:
+            raise RecipeError(f"{where}: a picture takes numbers that vary over the surface, not choices")
+        if p.is_whole:
+            raise RecipeError(f"{where}: only whole numbers are allowed there; a picture takes a continuous one")
+        textures[p.path] = {"formula": f"{p.low!r} + {p.high - p.low!r}*u", "min": p.low, "max": p.high}
+        _try(base, {p.path: textures[p.path]}, where)
+    _try(base, textures, f"{source}: parameters")
 
 
-def _try(base: Material, textures: dict[str, dict[str, object]], where: str) -> None:
+def _try(base: Material, textures: dict[str, dict[str, Any]], where: str) -> None:
     try:
         base.vary(textures)
     except NacreError as error:
-        said = str(error).removeprefix(f"{base.context.source}: ").removeprefix("recipe: ")
-        raise RecipeError(f"{where}: {said}") from None
-
-
-__all__ = ["check_free"]
+        message = str(error).removeprefix(f"{base.context.source}: ").removeprefix("recipe: ")
+        raise RecipeError(f"{where}: {message}") from None

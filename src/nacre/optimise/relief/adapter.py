@@ -1,7 +1,7 @@
-"""Reliefs whose heights are sought go to the search of reliefs, which follows the gradient of every height.
+"""Targets with free relief heights: translated to the gradient search over all heights.
 
-A picture over directions is a view of that search, and a colour at one pair of directions a small even one. What it
-steers by are display values under D65; the colours that an answer reaches are measured anew as for every other family.
+A target picture over directions is a view of that search; a target colour at one pair of directions is a small uniform
+view. The search works with display values under D65; the colours of the solution are then evaluated as for any family.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from nacre.families.relief.prefactor import coating_reflectance
 from nacre.families.relief.surface import Tile
 from nacre.families.relief.validity import largest_depth_nm
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, lab_to_xyz, white_xyz, xyz_to_srgb_linear
-from nacre.material.material import Material, load
+from nacre.material.material import load
 from nacre.measure.instruments import aspecular_direction
-from nacre.optimise.evaluation import TargetResult, geometries_of, reached
+from nacre.optimise.evaluation import geometries_of, reached
 from nacre.optimise.measurement import aspecular_pairs, evaluation_wavelengths, simulate_measurement
 from nacre.optimise.relief.merit import GAMMA, Problem, View, default_weights
 from nacre.optimise.relief.run import DesignResult, design
@@ -40,23 +40,23 @@ from nacre.recipe.model import RecipeContext, show_value, validate
 from nacre.recipe.toml import parse_toml
 
 HEIGHTS, FEATURES = "heights", "features"
-KNOWN_IN = {"tolerance": {HEIGHTS}, "limits": {"within_validity"}}  # keys of these tables that a relief knows
-PATCH_SINE, PATCH_COUNT = 0.01, 8  # half the side of the even patch round a direction, and its samples along a side
-PICTURE_SHARE = 4  # a patch beside a picture has a fourth of its samples along a side, so that it is heard
+KNOWN_IN = {"tolerance": {HEIGHTS}, "limits": {"within_validity"}}  # keys of these tables that apply to relief heights
+PATCH_SINE, PATCH_COUNT = 0.01, 8  # half the side of the uniform view of a colour, and its samples along a side
+PICTURE_SHARE = 4  # a picture has this many times the samples of a colour along a side
 RECIPE_KEYS = ("feature_um", "blur_um", "coating", "prefactor", "coherence")
 FAMILY = "relief"
 
 
 @dataclass(frozen=True)
 class ReliefTarget:
-    """A checked target of a relief.
+    """Validated target of a relief.
 
     Attributes:
-        spec: as the search of reliefs takes it.
-        context: where the file stands.
-        problem: what the search minimises.
+        spec: target of the gradient search.
+        context: of the target file.
+        problem: design problem of the search.
         asked: the whole target.
-        colours: the colours wanted at directions.
+        colours: target colours at directions.
     """
 
     spec: TargetSpec
@@ -67,21 +67,21 @@ class ReliefTarget:
 
 
 def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget:
-    """Check a target that seeks heights.
+    """Validate a target with free heights.
 
     Raises:
-        RecipeError: naming file, key, value and what is allowed.
+        RecipeError: with file, key, value and allowed values.
     """
     spec: DesignSpec = validate(DesignSpec, copy.deepcopy(dict(data)), context)
     source = context.source
     recipe = _recipe(spec, context)
-    height_um, features = _free(spec, source)
+    height_um, features = _bounds(spec, source)
     for name in ("layers", "tolerance", "limits"):
         given = data.get(name)
         if given and not (name in KNOWN_IN and set(given) <= KNOWN_IN[name]):
             raise RecipeError(f"{source}: {name}: is not known of a relief whose heights are sought")
-    tables = [(f"target[{i}].directions", want.directions) for i, want in enumerate(spec.target) if want.directions]
-    # a want keeps its place in the file, which messages name
+    places = [f"target[{i}].directions" for i, want in enumerate(spec.target) if want.directions]
+    pictures = [want.directions for want in spec.target if want.directions]
     colours = tuple(
         replace(read_targets([want], spec.light, context)[0], key=f"{source}: target[{i}]")
         for i, want in enumerate(spec.target)
@@ -89,30 +89,29 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
     )
     for want in colours:
         _check_colour(want)
-    pictures = [table for _, table in tables]
     if colours and pictures and pictures[0].intensity_scale == "free":
         raise RecipeError(
-            f'{source}: {tables[0][0]}.intensity_scale = "free" with a colour at "{colours[0].geometry}"; '
+            f'{source}: {places[0]}.intensity_scale = "free" with a colour at "{colours[0].geometry}"; '
             f"give the brightness as a number, with {np.pi:.4g} for that of a white of pi f = 1"
         )
-    made = {
+    data = {
         "family": FAMILY,
         "features": features,
         "height_max_um": height_um,
         **{key: recipe[key] for key in RECIPE_KEYS if key in recipe},
-        # without a picture a table is needed all the same, and looked at by nobody
+        # the table is required; without a picture its view is not used
         "target": pictures[0] if pictures else {"kind": "uniform", "range": PATCH_SINE},
         "targets": tuple(pictures[1:]),
-        "search": {"time_limit_s": spec.search.seconds, "seed": spec.search.seed, "noise": _noise(spec, source)},
+        "search": {"seconds": spec.search.seconds, "seed": spec.search.seed, "noise": _noise(spec, source)},
     }
-    relief: TargetSpec = validate(TargetSpec, made, context)
+    relief: TargetSpec = validate(TargetSpec, data, context)
     if spec.limits.within_validity:
         highest_um = largest_depth_nm(1e3 * relief.feature_um) / 1e3
         relief = relief.model_copy(update={"height_max_um": min(relief.height_max_um, highest_um)})
     try:
         problem = relief.build(context)
     except RecipeError as error:
-        place = tables[0][0] if len(tables) == 1 else "target[...].directions"
+        place = places[0] if len(places) == 1 else "target[...].directions"
         raise RecipeError(str(error).replace(f"{source}: target.", f"{source}: {place}.")) from None
     if colours:
         problem = _with_colours(problem, relief, colours, spec, bool(pictures))
@@ -120,7 +119,7 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
 
 
 def _recipe(spec: DesignSpec, context: RecipeContext) -> dict[str, Any]:
-    """Return the recipe's table: feature_um, blur_um, coherence, and what else a relief has beside its heights."""
+    """Return the recipe's table: feature_um, blur_um, coherence and the other keys of a relief beside its heights."""
     if isinstance(spec.recipe, str):
         path = context.path(spec.recipe)
         recipe = parse_toml(read_text(path, "recipe"), str(path))
@@ -139,7 +138,7 @@ def _recipe(spec: DesignSpec, context: RecipeContext) -> dict[str, Any]:
     return recipe
 
 
-def _free(spec: DesignSpec, source: str) -> tuple[float, int]:
+def _bounds(spec: DesignSpec, source: str) -> tuple[float, int]:
     """Return the largest height in um and the number of features along a side."""
     free = dict(spec.parameters)
     if HEIGHTS not in free:
@@ -151,7 +150,8 @@ def _free(spec: DesignSpec, source: str) -> tuple[float, int]:
         raise RecipeError(
             f'{source}: parameters."{next(iter(free))}" beside heights: only the heights vary; fix it in the recipe'
         )
-    low, high = (given.get("min"), given.get("max")) if isinstance(given, Mapping) else _pair(given)
+    ends = [given.get("min"), given.get("max")] if isinstance(given, Mapping) else given
+    low, high = ends if isinstance(ends, list | tuple) and len(ends) == 2 else (None, None)
     if low != 0 or isinstance(high, bool) or not isinstance(high, int | float) or not high > 0:
         raise RecipeError(
             f"{source}: parameters.heights = {show_value(given)} should be [0, h], h um above the relief's lowest point"
@@ -163,10 +163,6 @@ def _free(spec: DesignSpec, source: str) -> tuple[float, int]:
             f"{LARGEST_TILE_FEATURES}, the features along a side of the tile"
         )
     return float(high), features
-
-
-def _pair(given: Any) -> tuple[Any, Any]:
-    return (given[0], given[1]) if isinstance(given, list | tuple) and len(given) == 2 else (None, None)
 
 
 def _noise(spec: DesignSpec, source: str) -> float:
@@ -196,7 +192,7 @@ def _check_colour(want: Target) -> None:
 def _with_colours(
     problem: Problem, relief: TargetSpec, colours: tuple[Target, ...], spec: DesignSpec, has_pictures: bool
 ) -> Problem:
-    """Return the problem with an even view round the directions of each colour."""
+    """Return the problem with a uniform view about the directions of each colour."""
     scale = problem.intensity_scale if has_pictures else np.pi  # display = (scale f)^(1/2.2); pi f = 1 is white
     assert scale is not None
     count = max(max(v.target.shape[1] for v in problem.views) // PICTURE_SHARE, 4) if has_pictures else PATCH_COUNT
@@ -204,19 +200,17 @@ def _with_colours(
     reflectance = coating_reflectance(relief.coating.build().n_complex(weights.wavelengths_nm))
     offsets = np.linspace(-PATCH_SINE, PATCH_SINE, count)
     white = white_xyz(spec.light.illuminants[0], spec.light.observer)
-    views = []
+    views = list(problem.views) if has_pictures else []
     for want in colours:
         wi = direction(np.radians(want.geometry.theta_deg))
         wo = aspecular_direction(want.geometry.theta_deg, want.geometry.aspecular_deg)
         geometry = SliceGeometry(wi[0] + wo[0] + offsets, wi[1] + wo[1] + offsets, wi[None], weights.wavelengths_nm)
         lab = want.target_lab(white)
-        assert lab is not None  # `_check_colour` took none other
-        linear = _linear_rgb(lab, white)
-        shown = (scale / np.pi * linear) ** (1.0 / GAMMA)
+        assert lab is not None  # by `_check_colour`
+        shown = (scale / np.pi * _linear_rgb(lab, white)) ** (1.0 / GAMMA)
         target = np.broadcast_to(shown, (1, count, count, 3)).copy()
         views.append(View(geometry, target, weights.rgb_weights, reflectance))
-    pictures = problem.views if has_pictures else ()
-    return replace(problem, views=(*pictures, *views), intensity_scale=float(scale), brightness_floor=0.0)
+    return replace(problem, views=tuple(views), intensity_scale=float(scale), brightness_floor=0.0)
 
 
 def _linear_rgb(lab: Array, white: Array) -> Array:
@@ -232,66 +226,61 @@ def run_relief(
     progress: Callable[[Any], None] | None = None,
     jobs: int | None = None,
 ) -> DesignResult:
-    """Design the relief that a target of wants asks for; the folder is that of every relief's design.
+    """Design a relief for a target with free heights; the folder is that of every relief design.
 
-    `design.json` also says, under `solutions`, what is reached of every colour.
+    `solutions` in `design.json` contains the colours reached.
 
     Raises:
         RecipeError: the target is not usable.
-        NacreError: the folder cannot be written, or holds the search of another target.
+        NacreError: the folder cannot be written, or contains the search of another target.
     """
-    begun = time.monotonic()
+    start_time = time.monotonic()
     data, context = read_data(target)
     read = read_relief(data, context)
-    folder = Path(out) if out is not None else Path(Path(context.source).stem)
     return design(
-        read.spec, read.context, folder, resume=resume, progress=progress, jobs=jobs, problem=read.problem, begun=begun,
-        closing_s=_rehearsed(read), judge=lambda folder, found: {"solutions": [_solution(read, folder, found)]},
-    )  # fmt: skip
+        read.spec,
+        context,
+        Path(context.source).stem if out is None else out,
+        resume=resume,
+        progress=progress,
+        jobs=jobs,
+        problem=read.problem,
+        start_time=start_time,
+        evaluation_s=_evaluation_seconds(read),
+        evaluate=lambda folder, summary: {"solutions": [_solution(read, folder, summary)]},
+    )
 
 
-def _rehearsed(read: ReliefTarget) -> float:
-    """Return the seconds that judging an answer takes on this machine as it is, by judging some relief of its kind.
-
-    What a first run has to compile is compiled by that, before the search is given its time.
-    """
+def _evaluation_seconds(read: ReliefTarget) -> float:
+    """Return the duration of a final evaluation, measured with random heights; also compiles the kernels."""
     if not read.colours:
         return 0.0
     spec = read.spec
     heights_nm = 1e3 * spec.height_max_um * np.random.default_rng(0).random((spec.features, spec.features))
     tile = Tile(heights_nm, 1e3 * spec.feature_um, 1e3 * spec.blur_um)
-    some = Relief(tile, spec.coherence.build(), spec.coating.build(read.context), spec.chosen_prefactor)
-    wi, wo = aspecular_pairs(geometries_of(read.colours))
-    begun, compiled = time.monotonic(), seconds_compiled()
-    some.values_at(wi, wo, some.wavelengths_nm)
-    return time.monotonic() - begun - (seconds_compiled() - compiled)
+    relief = Relief(tile, spec.coherence.build(), spec.coating.build(read.context), spec.chosen_prefactor)
+    start, compiled = time.monotonic(), seconds_compiled()
+    relief.values_at(*aspecular_pairs(geometries_of(read.colours)), relief.wavelengths_nm)
+    return time.monotonic() - start - (seconds_compiled() - compiled)
 
 
-def _judged(read: ReliefTarget, made: Material) -> list[TargetResult]:
-    """Return what a relief reaches of the colours, looked at in their directions alone, by its own physics."""
-    if not read.colours:
-        return []
-    grid = evaluation_wavelengths(made, read.asked.light.illuminants)
-    return reached(
-        simulate_measurement(made, geometries_of(read.colours), grid, memory={}), read.colours, read.asked.light
-    )
-
-
-def _solution(read: ReliefTarget, folder: Path, found: Mapping[str, Any]) -> dict[str, Any]:
-    light = read.asked.light
-    losses = {name: found[name] for name in ("loss_fixed", "loss_free")}
-    tables = [want.directions for want in read.asked.target if want.directions is not None]
-    pictures = [
+def _solution(read: ReliefTarget, folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Evaluate the finished relief at the directions of the target colours."""
+    light, recipe = read.asked.light, folder / "recipe.toml"
+    losses = {name: summary[name] for name in ("loss_fixed", "loss_free")}
+    wants = [
         {
-            "geometry": "directions",
+            "at": "directions",
             "lamp": None,
             "asked": table.model_dump(exclude_none=True, exclude_defaults=True),
             **losses,
         }
-        for table in tables
+        for table in (want.directions for want in read.asked.target)
+        if table is not None
     ]
-    wants = [*pictures, *(r.document(light.observer) for r in _judged(read, load(folder / "recipe.toml")))]
-    return {"recipe": str(folder / "recipe.toml"), "targets": wants, "yield": None}
-
-
-__all__ = ["ReliefTarget", "read_relief", "run_relief"]
+    if read.colours:
+        relief = load(recipe)
+        grid = evaluation_wavelengths(relief, light.illuminants)
+        seen = simulate_measurement(relief, geometries_of(read.colours), grid, memory={})
+        wants += [r.document(light.observer) for r in reached(seen, read.colours, light)]
+    return {"recipe": str(recipe), "targets": wants, "yield": None}

@@ -1,7 +1,7 @@
-"""The published loss, at a given intensity scale and at the best one, with gradients.
+"""Merit function of a relief design: loss of the simulated pictures against their targets, with its gradient.
 
-pred = max(scale rgb, 0)^(1/2.2) against the display-referred target; the loss is the mean square over pixels and
-channels (physics/relief.md, sections 7 and 11.8).
+Linear colours are multiplied by an intensity scale, raised to 1/2.2 and compared with display-referred targets; the
+loss is the mean square over pixels and channels (physics/relief.md, sections 7 and 11.8).
 """
 
 from __future__ import annotations
@@ -20,18 +20,32 @@ from nacre.families.relief.prefactor import Prefactor
 from nacre.families.relief.surface import Tile, blur_matrix, largest_step_nm
 
 GAMMA = 2.2
-# x^(1/2.2) has an infinite slope at 0; this offset keeps the gradient finite and moves the loss by < 1e-4
+# x^(1/2.2) has an infinite slope at 0; this offset bounds the gradient and changes the loss by < 1e-4
 GRADIENT_FLOOR = 1e-6
-# weight of the fixed loss in the search; a sum, not a product of both: a free loss driven to nearly nothing would
-# outweigh any fixed one in a product, with a design far too dark or bright at the asked scale
+# Weight of the fixed-scale loss in the search. A product of both losses would let a free-scale loss near zero outweigh
+# a design that is far too dark or too bright at the requested scale.
 FIXED_SHARE = 0.7
+# interpolation error over kappa: measured 1e-4 of the image in the search, 1e-6 in the final measurement
+SEARCH_NODE_ERROR, MEASURE_NODE_ERROR = 0.3, 1e-2
+CONVERGED_CHANGE = 0.01  # largest relative change of a loss when the sampling is doubled
+MAX_UPSAMPLING = 64
+MAX_SAMPLES = 8192
+
+# the published sampling: 8 wavelengths in the middle of equal parts of 420-680 nm
+PUBLISHED_WAVELENGTHS_NM = 420.0 + 260.0 * (np.arange(8) + 0.5) / 8
+# published normal-incidence reflectance of aluminium (physics/relief.md, section 5)
+PUBLISHED_ALUMINIUM = np.array([0.92272, 0.92042, 0.91842, 0.91635, 0.91442, 0.91111, 0.90800, 0.90336])
+PUBLISHED_XYZ_TO_RGB = np.array(
+    [[3.240479, -1.537150, -0.498535], [-0.969256, 1.875991, 0.041556], [0.055648, -0.204043, 1.057311]]
+)
+DEFAULT_WAVELENGTHS_NM = np.linspace(400.0, 700.0, 16)
 
 
 @dataclass(frozen=True)
 class Losses:
-    """Both losses of a slice, with the scale of each, and that of an all-black slice.
+    """Losses of a picture at the given and at the best intensity scale, both scales, and the loss of a black picture.
 
-    `black` tells whether the fixed loss means anything: where `black` is lower, a dark design is rewarded.
+    If `black` is below `fixed`, the fixed-scale loss rewards dark designs and means little.
     """
 
     fixed: float
@@ -41,10 +55,10 @@ class Losses:
     black: float
 
 
-def measure(rgb: Array, target: Array, intensity_scale: float | None) -> Losses:
-    """Return the exact losses (no floor) of linear `rgb` against `target`, both `[..., 3]`.
+def exact_losses(rgb: Array, target: Array, intensity_scale: float | None) -> Losses:
+    """Return the losses of linear `rgb` against `target`, both `[..., 3]`, without the gradient floor.
 
-    Without an intensity scale the fixed loss is the free one.
+    Without an intensity scale the fixed loss equals the free one.
     """
     target = np.asarray(target, dtype=float)
     response = np.maximum(np.asarray(rgb, dtype=float), 0.0) ** (1.0 / GAMMA)
@@ -60,11 +74,10 @@ def measure(rgb: Array, target: Array, intensity_scale: float | None) -> Losses:
 def objective(
     rgb: Array, target: Array, intensity_scale: float | None, brightness_floor: float = 0.0
 ) -> tuple[float, Array]:
-    """Return what the search minimises, and its gradient with respect to `rgb`.
+    """Return the objective of the search and its gradient with respect to `rgb`.
 
-    With a fixed scale: the logarithm of a weighted mean of the fixed and the free loss. With a free scale: the
-    logarithm of the free loss, plus a penalty once the brightness (1 / scale) falls under `brightness_floor`, since a
-    free scale alone would allow a dark design.
+    Fixed scale: logarithm of a weighted mean of the fixed and the free loss. Free scale: logarithm of the free loss,
+    plus a penalty if the brightness (1 / scale) falls below `brightness_floor`; otherwise dark designs would be free.
     """
     reference = intensity_scale if intensity_scale is not None else max(_rough_scale(rgb, target), 1e-30)
     floor = rgb.dtype.type(GRADIENT_FLOOR / reference)
@@ -78,11 +91,11 @@ def objective(
     free = float(np.vdot(residual, residual)) / count
     if intensity_scale is not None:
         gain = intensity_scale ** (1.0 / GAMMA)
-        off = gain * response - target
-        total = FIXED_SHARE * float(np.vdot(off, off)) / count + (1.0 - FIXED_SHARE) * free
+        fixed_residual = gain * response - target
+        total = FIXED_SHARE * float(np.vdot(fixed_residual, fixed_residual)) / count + (1.0 - FIXED_SHARE) * free
         value = float(np.log(total))
-        # the best scale is stationary, so only the direct term remains in the gradient
-        gradient = (2.0 / count / total) * ((1.0 - FIXED_SHARE) * best * residual + FIXED_SHARE * gain * off)
+        # the best scale is stationary: its derivative does not contribute
+        gradient = (2.0 / count / total) * ((1.0 - FIXED_SHARE) * best * residual + FIXED_SHARE * gain * fixed_residual)
         return value, (gradient * slope).astype(rgb.dtype, copy=False)
     value = float(np.log(free))
     gradient = (2.0 * best / count / free) * residual
@@ -101,81 +114,53 @@ def _rough_scale(rgb: Array, target: Array) -> float:
     return (float(np.vdot(response, target)) / energy) ** GAMMA if energy > 0 else 1.0
 
 
-# From BRDF values at a few wavelengths to the linear colours a target is compared with.
-
-# the source's sampling: 8 wavelengths in the middle of equal parts of 420-680 nm
-PUBLISHED_WAVELENGTHS_NM = 420.0 + 260.0 * (np.arange(8) + 0.5) / 8
-# normal-incidence reflectance of aluminium used by the source (physics/relief.md, section 5)
-PUBLISHED_ALUMINIUM = np.array([0.92272, 0.92042, 0.91842, 0.91635, 0.91442, 0.91111, 0.90800, 0.90336])
-PUBLISHED_XYZ_TO_RGB = np.array(
-    [[3.240479, -1.537150, -0.498535], [-0.969256, 1.875991, 0.041556], [0.055648, -0.204043, 1.057311]]
-)
-DEFAULT_WAVELENGTHS_NM = np.linspace(400.0, 700.0, 16)
-
-
 @dataclass(frozen=True)
 class ColourWeights:
-    """How a design's colours are computed.
+    """Conversion from BRDF values to linear sRGB.
 
     Attributes:
         wavelengths_nm: `[wavelength]`.
-        rgb_weights: `[3, wavelength]`, linear sRGB from BRDF values; holds Fresnel if `has_fresnel`.
-        has_fresnel: whether the coating's reflectance is already inside.
-        name: "published-8" or "default", for the report.
+        rgb_weights: `[3, wavelength]`; includes the coating's reflectance if `has_fresnel`.
+        has_fresnel: whether the coating's reflectance is included.
     """
 
     wavelengths_nm: Array
     rgb_weights: Array
     has_fresnel: bool
-    name: str
 
 
-def published_weights(
-    normal_reflectance: Callable[[Array], Array] | None,
-) -> ColourWeights:
-    """Return the source's 8 wavelengths and weights, equal-energy light.
+def published_weights(normal_reflectance: Callable[[Array], Array] | None) -> ColourWeights:
+    """Return the published 8 wavelengths and weights for equal-energy light.
 
     Args:
-        normal_reflectance: maps wavelengths to the coating's reflectance at normal incidence; None takes the
-            source's own values for aluminium.
+        normal_reflectance: coating reflectance at normal incidence by wavelength; None: the published aluminium.
     """
     from nacre.light import observer, table_wavelengths_nm
 
-    # ties go to the larger wavelength, as in the source
+    # ties are rounded up, as in the publication
     rows = np.floor(PUBLISHED_WAVELENGTHS_NM + 0.5) - table_wavelengths_nm()[0]
     functions = observer("2deg")[rows.astype(int)]
     functions = functions / functions[:, 1].sum()
     fresnel = PUBLISHED_ALUMINIUM if normal_reflectance is None else normal_reflectance(PUBLISHED_WAVELENGTHS_NM)
-    weights = PUBLISHED_XYZ_TO_RGB @ functions.T * fresnel
-    return ColourWeights(PUBLISHED_WAVELENGTHS_NM, weights, True, "published-8")
+    return ColourWeights(PUBLISHED_WAVELENGTHS_NM, PUBLISHED_XYZ_TO_RGB @ functions.T * fresnel, True)
 
 
-def default_weights(wavelengths_nm: Array | None = None) -> ColourWeights:
-    """Return D65 and the 2 degree observer on 16 wavelengths from 400 to 700 nm, or on those given."""
+def default_weights() -> ColourWeights:
+    """Return D65 and the 2 degree observer on 16 wavelengths from 400 to 700 nm."""
     from nacre.light import spectrum_to_rgb_matrix
 
-    grid = DEFAULT_WAVELENGTHS_NM if wavelengths_nm is None else wavelengths_nm
-    return ColourWeights(grid, spectrum_to_rgb_matrix(grid).T.copy(), False, "default")
-
-
-# A design problem in numbers, and the function that the search minimises: features in, loss and gradient out.
-
-# interpolation error over kappa: measured 1e-4 of the image in the search, 1e-6 in a measurement
-SEARCH_NODE_ERROR, MEASURE_NODE_ERROR = 0.3, 1e-2
-CHANGE_WHEN_CONVERGED = 0.01  # a loss is trusted once doubling the sampling moves it by less
-MAX_UPSAMPLING = 64
-MAX_SAMPLES = 8192
+    return ColourWeights(DEFAULT_WAVELENGTHS_NM, spectrum_to_rgb_matrix(DEFAULT_WAVELENGTHS_NM).T.copy(), False)
 
 
 @dataclass(frozen=True)
 class View:
-    """One part of a wanted appearance: directions, the picture wanted there, and how colour is computed.
+    """Target picture over a grid of directions, and its colour conversion.
 
     Attributes:
         geometry: grid of half-vector sums, incidences and wavelengths.
         target: `[incidence, x, y, 3]`, display-referred.
         rgb_weights: `[3, wavelength]`, linear sRGB from BRDF values of a perfect reflector.
-        reflectance: Fresnel reflectance `[..., wavelength]` at cosines, or None when `rgb_weights` holds it.
+        reflectance: Fresnel reflectance `[..., wavelength]` at cosines; None if `rgb_weights` includes it.
     """
 
     geometry: SliceGeometry
@@ -186,18 +171,18 @@ class View:
 
 @dataclass(frozen=True)
 class Problem:
-    """Everything a design must meet.
+    """Relief design problem: n x n feature heights, process, optics and target views.
 
     Attributes:
-        features: n; the unknowns are n x n heights.
-        feature_nm, blur_nm, height_max_nm: the process.
-        coherence, prefactor: the optics.
-        views: what must be seen where.
-        intensity_scale: factor before the gamma, or None for the best one.
-        brightness_floor: with a free scale, the least brightness (1 / scale) without a penalty; else unused.
-        noise: standard deviation of each height, relative to itself.
-        blur_error: relative error of the process blur to be robust against.
-        levels: number of heights the process can make; 0 for any.
+        features: n.
+        feature_nm, blur_nm, height_max_nm: process.
+        coherence, prefactor: optics.
+        views: target pictures.
+        intensity_scale: factor before the gamma; None: the best one.
+        brightness_floor: least brightness (1 / scale) without penalty; only used with a free scale.
+        noise: relative standard deviation of each height.
+        blur_error: relative error of the process blur.
+        levels: number of heights of the process; 0: continuous.
     """
 
     features: int
@@ -220,34 +205,30 @@ class Problem:
 
     @property
     def target(self) -> Array:
-        """All targets in one row of pixels, `[pixel, 3]`."""
+        """All targets as one list of pixels, `[pixel, 3]`."""
         return np.concatenate([view.target.reshape(-1, 3) for view in self.views])
 
-    def least_upsampling(self) -> int:
-        """Samples per feature that hold every wanted line (below the highest frequency the samples have)."""
-        highest = max(v.geometry.highest_line(self.period_nm, self.coherence, np.float32) for v in self.views)
-        return int(np.ceil((2 * highest + 2) / self.features))
-
     def search_upsamplings(self) -> tuple[int, int]:
-        """Return samples per feature for exploring and for finishing.
+        """Return samples per feature for exploring and for refining.
 
-        Samples a little narrower than the blur are the coarsest that still approximate the surface.
+        Samples slightly narrower than the blur are the coarsest that still approximate the surface. The highest
+        diffraction order of the targets must lie below the highest frequency of the samples.
         """
+        highest = max(v.geometry.highest_line(self.period_nm, self.coherence, np.float32) for v in self.views)
         ratio = self.feature_nm / self.blur_nm if self.blur_nm > 0 else 4.0
-        least = self.least_upsampling()
-        coarse = max(least, 4, int(np.ceil(1.25 * ratio - 0.25)))
+        coarse = max(int(np.ceil((2 * highest + 2) / self.features)), 4, int(np.ceil(1.25 * ratio - 0.25)))
         fine = max(coarse + 2, int(np.ceil(1.75 * ratio - 0.25)))
         return min(coarse, MAX_UPSAMPLING // 2), min(fine, MAX_UPSAMPLING)
 
 
 @dataclass
 class Evaluator:
-    """Loss and gradient of one problem at one sampling, in single precision.
+    """Loss and gradient of a problem at one sampling, in single precision.
 
     Attributes:
-        problem: what is wanted.
+        problem: the problem.
         upsampling: samples per feature.
-        evaluations: how often the loss was computed.
+        evaluations: number of gradient evaluations.
     """
 
     problem: Problem
@@ -255,14 +236,11 @@ class Evaluator:
     node_error: float = SEARCH_NODE_ERROR
     dtype: Any = np.float32
     workers: int = 1
-    evaluations: int = 0
-    plans: list[SlicePlan] = field(init=False)
-    blur: NDArray[Any] = field(init=False)
+    evaluations: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        problem = self.problem
-        samples = problem.features * self.upsampling
-        self.plans = [
+        problem, samples = self.problem, self.upsampling * self.problem.features
+        self.plans: list[SlicePlan] = [
             plan_slice(
                 view.geometry,
                 samples=samples,
@@ -286,7 +264,7 @@ class Evaluator:
         return blur_matrix(p.features, self.upsampling, factor * p.blur_nm / p.feature_nm).astype(self.dtype)
 
     def surface(self, heights_nm: NDArray[Any], blur: NDArray[Any] | None = None) -> NDArray[Any]:
-        """Return the blurred surface, in the working precision."""
+        """Return the blurred surface in the working precision."""
         matrix = self.blur if blur is None else blur
         return matrix @ heights_nm.astype(self.dtype) @ matrix.T
 
@@ -315,12 +293,11 @@ class Evaluator:
     def value_and_gradient(
         self, x: Array, noise: NDArray[Any] | None = None, blur_factor: float = 1.0
     ) -> tuple[float, Array]:
-        """Return the objective and its gradient at `x`, heights over the allowed range, flat `[n^2]`.
+        """Return the objective and its gradient at `x`, relative heights in [0, 1], flat `[n^2]`.
 
         Args:
-            x: in [0, 1].
-            noise: relative height error `[n, n]` to apply, or None.
-            blur_factor: the process blur's error, as a factor.
+            noise: relative height error `[n, n]`.
+            blur_factor: error of the process blur, as a factor.
         """
         self.evaluations += 1
         problem = self.problem
@@ -335,12 +312,12 @@ class Evaluator:
     def losses(self, heights_nm: Array) -> Losses:
         """Return the exact losses of a design at this sampling."""
         rgb, _ = self.rgb(self.surface(heights_nm))
-        return measure(rgb, self._target, self.problem.intensity_scale)
+        return exact_losses(rgb, self._target, self.problem.intensity_scale)
 
 
 @dataclass(frozen=True)
-class Measurement:
-    """Losses by the plain model at a converged sampling, and the picture seen."""
+class ConvergedMeasurement:
+    """Losses and picture of a design at a converged sampling."""
 
     losses: Losses
     rgb: Array
@@ -348,26 +325,25 @@ class Measurement:
     phase_step_rad: float
 
 
-def measure_design(problem: Problem, heights_nm: Array, workers: int = 1) -> Measurement:
+def measure_design(problem: Problem, heights_nm: Array, workers: int = 1) -> ConvergedMeasurement:
     """Measure a design by doubling the sampling until both losses change by less than 1 %."""
     tile = Tile(heights_nm, problem.feature_nm, problem.blur_nm)
-    # only the heights' own range matters here, and it may be well under the allowed one
+    # the range of these heights may be far smaller than the allowed one
     tight = replace(problem, height_max_nm=max(tile.height_range_nm, 1.0))
     upsampling = problem.search_upsamplings()[1]
     previous: Losses | None = None
     kappa_max = max(view.geometry.kappa_range[1] for view in problem.views)
-    target = problem.target
     while True:
-        judge = Evaluator(tight, upsampling, node_error=MEASURE_NODE_ERROR, workers=workers)
-        rgb, _ = judge.rgb(judge.surface(heights_nm - heights_nm.min()))
-        losses = measure(rgb, target, problem.intensity_scale)
+        evaluator = Evaluator(tight, upsampling, node_error=MEASURE_NODE_ERROR, workers=workers)
+        rgb, _ = evaluator.rgb(evaluator.surface(heights_nm - heights_nm.min()))
+        losses = exact_losses(rgb, problem.target, problem.intensity_scale)
         finest = 2 * upsampling > MAX_UPSAMPLING or 2 * upsampling * problem.features > MAX_SAMPLES
-        if previous is not None and _change(previous, losses) < CHANGE_WHEN_CONVERGED or finest:
+        if finest or (previous is not None and _change(previous, losses) < CONVERGED_CHANGE):
             break
         previous = losses
         upsampling *= 2
     step = 2.0 * np.pi * kappa_max * largest_step_nm(tile.surface_nm(upsampling))
-    return Measurement(losses, np.asarray(rgb, dtype=float), upsampling, step)
+    return ConvergedMeasurement(losses, np.asarray(rgb, dtype=float), upsampling, step)
 
 
 def _change(a: Losses, b: Losses) -> float:

@@ -1,7 +1,7 @@
-"""An image as a mosaic of relief patches: each pixel mixes a few designs so that their light adds up to its colour.
+"""Mosaic of relief patches that reproduces an image by additive mixing.
 
-Patches are wider than the coherence window, so their intensities add. A pixel is a square of cells; each cell holds
-one patch of the palette. Entry 0 of the palette is flat: it sends its light to the mirror direction only.
+Patches are wider than the coherence window, therefore their intensities add. A pixel is a square of cells with one
+patch each. Palette entry 0 is flat: it reflects to the mirror direction only.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from nacre.formats.calibration import Calibration
 from nacre.formats.height_fields import write_png16_rows
 
 MAX_CELLS = 100_000_000
-COLOUR_STEPS = 64  # colours are mixed on a grid this fine; each mix is solved once
+COLOUR_STEPS = 64  # quantisation of the colours; each mixture is solved once
 
 
 @dataclass(frozen=True)
 class Mosaic:
-    """A palette of patches and which of them lies where.
+    """Palette of patches and their arrangement.
 
     Attributes:
         palette_um: `[patch, n, n]` heights; entry 0 is flat.
-        colours: `[patch, 3]`, linear RGB that each patch shows to the viewer.
+        colours: `[patch, 3]`, linear RGB of each patch for the viewer.
         cells: `[x, y]`, index into the palette.
-        cells_per_pixel: cells along a pixel's side.
-        exposure: what the image's linear colours were multiplied by.
+        cells_per_pixel: cells along a side of a pixel.
+        exposure: factor on the linear colours of the image.
     """
 
     palette_um: Array
@@ -43,13 +43,13 @@ class Mosaic:
     exposure: float
 
     def seen(self) -> Array:
-        """Return the linear colour of every pixel, its cells' mean, `[x, y, 3]`."""
+        """Return the linear colour of every pixel (mean of its cells), `[x, y, 3]`."""
         m = self.cells_per_pixel
         nx, ny = self.cells.shape[0] // m, self.cells.shape[1] // m
         return np.asarray(self.colours[self.cells].reshape(nx, m, ny, m, 3).mean(axis=(1, 3)))
 
     def rows_um(self) -> Iterator[Array]:
-        """Yield the height map row by row (along x), never whole in memory."""
+        """Yield the height map row by row (along x)."""
         n = self.palette_um.shape[1]
         for line in self.cells:
             for k in range(n):
@@ -65,18 +65,17 @@ class Mosaic:
 def mosaic(
     image: Array, palette_um: Array, colours: Array, cells_per_pixel: int = 4, exposure: float | None = None
 ) -> Mosaic:
-    """Mix patches so that each pixel shows its colour.
+    """Reproduce an image by a mosaic of patches.
 
-    The shares of a pixel solve a non-negative least-squares problem; whole cells are then assigned
-    in these shares, and the rounding error is passed on to the next pixel (error diffusion), so that areas keep their
-    mean colour.
+    The shares of a pixel solve a non-negative least-squares problem; they are rounded to whole cells with error
+    diffusion to the next pixel, which preserves the mean colour of areas.
 
     Args:
         image: linear RGB `[x, y, 3]`.
         palette_um: `[patch, n, n]` heights of the designs, without the flat patch.
-        colours: `[patch, 3]`, what they show, linear RGB.
-        cells_per_pixel: cells along a pixel's side.
-        exposure: factor on the image; default: the largest with which 99 % of the pixels can be mixed.
+        colours: `[patch, 3]`, linear RGB of each design.
+        cells_per_pixel: cells along a side of a pixel.
+        exposure: factor on the image; default: the largest at which 99 % of the pixels are reproducible.
 
     Raises:
         UnsupportedError: shapes do not fit, or the mosaic would be too large.
@@ -96,14 +95,14 @@ def mosaic(
     shares = shares * factor
     shares /= np.maximum(shares.sum(axis=-1, keepdims=True), 1.0)
     flat = np.full((1, *palette_um.shape[1:]), float(palette_um.min()))
-    cells = _give_out(shares, cells_per_pixel)
+    cells = _round_to_cells(shares, cells_per_pixel)
     return Mosaic(
         np.concatenate([flat, palette_um]), np.concatenate([np.zeros((1, 3)), colours]), cells, cells_per_pixel, factor
     )
 
 
 def _shares(image: Array, colours: Array) -> Array:
-    """Return non-negative amounts `[x, y, patch]` whose colours add up to the pixel's, as nearly as can be."""
+    """Return the non-negative least-squares amounts `[x, y, patch]` for the colour of each pixel."""
     peak = float(image.max())
     coded = np.round(np.sqrt(np.clip(image / peak, 0.0, 1.0)) * COLOUR_STEPS).astype(np.int64)
     flat = coded.reshape(-1, 3)
@@ -112,32 +111,32 @@ def _shares(image: Array, colours: Array) -> Array:
     return np.asarray(amounts[where.ravel()].reshape(*image.shape[:2], -1))
 
 
-def _give_out(shares: Array, m: int) -> NDArray[np.uint8]:
-    """Turn shares into whole cells; each line of pixels passes its rounding on along y."""
+def _round_to_cells(shares: Array, m: int) -> NDArray[np.uint8]:
+    """Round shares to whole cells, with error diffusion along y."""
     nx, ny, patches = shares.shape
     cells = np.zeros((nx * m, ny * m), dtype=np.uint8)
-    # the flat patch takes what is left, so that a pixel's shares add up to one
+    # the flat patch fills the remaining share
     whole = np.concatenate([1.0 - shares.sum(axis=-1, keepdims=True), shares], axis=-1) * m * m
     owed = np.zeros((nx, patches + 1))
-    # cells of a pixel in a fixed scattered order, so that no patch forms a stripe
+    # a fixed scattered order of the cells in a pixel avoids stripes
     order = np.random.default_rng(0).permutation(m * m)
     for y in range(ny):
-        wanted = whole[:, y] + owed
-        count = np.maximum(np.floor(wanted), 0.0)
+        due = whole[:, y] + owed
+        count = np.maximum(np.floor(due), 0.0)
         while True:
             missing = m * m - count.sum(axis=1)
             if not (missing != 0).any():
                 break
-            rest = wanted - count
+            rest = due - count
             add, drop = missing > 0, missing < 0
             best, worst = rest.argmax(axis=1), np.where(count > 0, rest, np.inf).argmin(axis=1)
             count[np.flatnonzero(add), best[add]] += 1
             count[np.flatnonzero(drop), worst[drop]] -= 1
-        owed = wanted - count
+        owed = due - count
         edges = np.cumsum(count, axis=1)
-        kind = (np.arange(m * m)[None, :, None] >= edges[:, None, :]).sum(axis=-1)
+        patch = (np.arange(m * m)[None, :, None] >= edges[:, None, :]).sum(axis=-1)
         block = np.empty((nx, m * m), dtype=np.uint8)
-        block[:, order] = kind
+        block[:, order] = patch
         cells[:, y * m : (y + 1) * m] = block.reshape(nx * m, m)
     return cells
 
@@ -145,13 +144,13 @@ def _give_out(shares: Array, m: int) -> NDArray[np.uint8]:
 def write_mosaic(
     path: str | Path, made: Mosaic, feature_um: float, calibration: Calibration, metadata: Mapping[str, Any]
 ) -> None:
-    """Write a mosaic as a 16-bit grey PNG through a calibration curve, row by row.
+    """Write a mosaic as 16-bit grey PNG through a calibration curve, row by row.
 
     Raises:
         NacreError: the curve does not cover the heights, or the file cannot be written.
     """
     top = float(calibration.depth_um.min()) + float(made.palette_um.max())
-    grey = calibration.grey_of(top - made.palette_um)  # looked up once a patch, not once a pixel
+    grey = calibration.grey_of(top - made.palette_um)  # once per patch, not per pixel
     n = made.palette_um.shape[1]
     rows, columns = made.shape
     lines = (grey[line, k].reshape(-1) for line in made.cells for k in range(n))

@@ -1,12 +1,11 @@
-"""What a target asks for: a display-referred colour for every direction of the slice.
+"""Target pictures over the directions of a slice: published shapes, images and colours, display-referred.
 
-Directions are half-vector sums (u, v) = (w_i + w_o)_xy; u runs along array axis 0. The families and their numbers
-are the published ones (physics/relief.md, sections 7 and 11.6); every width can be changed.
+Directions are half-vector sums (u, v) = (w_i + w_o)_xy; u runs along array axis 0. Shapes and their default widths are
+the published ones (physics/relief.md, sections 7 and 11.6).
 """
 
 from __future__ import annotations
 
-import functools
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 PUBLISHED_COLOURS: dict[str, tuple[float, float, float]] = {
-    # display-referred triples of the source, not the CSS colours of the same names
+    # display-referred triples of the publication, which differ from the CSS colours of the same names
     "red": (1.0, 0.0, 0.0),
     "orange": (1.0, 0.5, 0.0),
     "yellow": (1.0, 1.0, 0.0),
@@ -36,13 +35,13 @@ PUBLISHED_COLOURS: dict[str, tuple[float, float, float]] = {
 IRIDESCENT = ("iridescent-half", "iridescent-disk", "inverted-iridescent-disk")
 COLOUR_ALIASES = {"iri": "iridescent-half", "disk_iri": "iridescent-disk", "inv_disk_iri": "inverted-iridescent-disk"}
 RED, BLUE = np.array(PUBLISHED_COLOURS["red"]), np.array(PUBLISHED_COLOURS["blue"])
-IMAGE_PIXELS = 512  # the source resamples every picture to this size
+IMAGE_PIXELS = 512  # side of the resampled image, as published
 HALF_VECTOR_PER_SCALE = 0.0625  # half width of the picture, in half-vector units, at image_scale 1
 MAX_IMAGE_PIXELS = 64_000_000
 
 
 def slice_axis(half_range: float, resolution: int) -> Array:
-    """Return the grid of direction sums: `resolution` cell centres in (-half_range, half_range)."""
+    """Return `resolution` cell centres in (-half_range, half_range)."""
     return np.asarray(((np.arange(resolution) + 0.5) / resolution * 2.0 - 1.0) * half_range)
 
 
@@ -51,7 +50,7 @@ def mirror_angle(u: Array, v: Array, wi: Array) -> Array:
     ox, oy = u - wi[0], v - wi[1]
     lateral = ox**2 + oy**2
     oz = np.sqrt(np.maximum(1.0 - lateral, 0.0))
-    # the chord is accurate at small angles, where arccos is not
+    # the chord is accurate at small angles; arccos is not
     chord = np.sqrt(u**2 + v**2 + (oz - wi[2]) ** 2)
     return np.where(lateral <= 1.0, 2.0 * np.arcsin(np.clip(chord / 2.0, 0.0, 1.0)), np.pi / 2)
 
@@ -61,36 +60,37 @@ def gaussian(angle: Array, width: float) -> Array:
     return np.asarray(np.exp(-0.5 * (angle / width) ** 2))
 
 
-def anti_mirror(u: Array, v: Array, wi: Array, hole: float = 0.05, width: float = 0.12) -> Array:
-    """Return a ring: bright round the mirror direction, dark in it."""
+def anti_mirror(u: Array, v: Array, wi: Array, hole: float, width: float) -> Array:
+    """Return a bright ring about the mirror direction, with a dark centre."""
     angle = mirror_angle(u, v, wi)
     return (1.0 - gaussian(angle, hole)) * gaussian(angle, width)
 
 
 def anisotropic_anti_mirror(
-    u: Array, v: Array, wi: Array, hole: float = 0.7, width_x: float = 0.015, width_y: float = 0.06
+    u: Array, v: Array, wi: Array, hole: float, width_x: float = 0.015, width_y: float = 0.06
 ) -> Array:
-    """Return two lobes along y with the mirror direction darkened, by the components of the unit half vector."""
+    """Return two lobes along y with a dark mirror direction, from the components of the unit half vector."""
     angle = mirror_angle(u, v, wi)
     oz = np.sqrt(np.maximum(1.0 - (u - wi[0]) ** 2 - (v - wi[1]) ** 2, 0.0))
     length = np.sqrt(u**2 + v**2 + (wi[2] + oz) ** 2)
     normal_x = gaussian(u / length, width_x) / (width_x * np.sqrt(2.0 * np.pi))
     normal_y = gaussian(v / length, width_y) / (width_y * np.sqrt(2.0 * np.pi))
-    # 1.8 is the source's constant; it brings the peak to 1.028
+    # 1.8 is the published constant; the peak is then 1.028
     return (1.0 - gaussian(angle, hole)) * normal_x * normal_y / 1.8
 
 
 def load_picture(path: Path, where: str, is_stretched: bool = False) -> Array:
-    """Read an image as `[row, column, 3]` in 0..1, resampled to 512 x 512; what is clear in it is black.
+    """Read an image as `[row, column, 3]` in 0..1, resampled to 512 x 512; transparent areas are black.
 
-    Turned upright where its camera says how it was held. One that is not square keeps its shape, between black bands.
+    The camera's orientation is applied. A rectangular image is padded with black bands.
 
     Args:
-        path: the image; where: file and key of the target, for messages.
-        is_stretched: fill the square in place of keeping the shape.
+        path: the image.
+        where: file and key of the target, for messages.
+        is_stretched: stretch the image to the square instead of padding it.
 
     Raises:
-        RecipeError: missing, not an image, too large, or blank.
+        RecipeError: the image is missing, unreadable, too large or uniform.
     """
     from PIL import Image, ImageOps
 
@@ -101,22 +101,21 @@ def load_picture(path: Path, where: str, is_stretched: bool = False) -> Array:
         raise RecipeError(f"{named} {why_unreadable(error)}") from None
     try:
         with warnings.catch_warnings(), Image.open(path) as image:
-            warnings.simplefilter("ignore")  # of broken tags, which are read or are not
+            warnings.simplefilter("ignore")  # of broken tags, which are either read or skipped
             if image.width * image.height > MAX_IMAGE_PIXELS:
                 raise RecipeError(
                     f"{named} has {image.width} x {image.height} pixels; at most {MAX_IMAGE_PIXELS} are allowed"
                 )
-            drawn = _on_black(upright(image))
-            if np.ptp(np.asarray(drawn)) == 0:
-                is_clear = opacity(image) is not None
-                why = "; what is clear in it is taken as black: draw what is to be bright" if is_clear else ""
-                raise RecipeError(f"{named} is blank; every pixel is alike{why}")
+            flat = _on_black(upright(image))
+            if np.ptp(np.asarray(flat)) == 0:
+                hint = "; transparent areas are black: draw the bright parts" if opacity(image) is not None else ""
+                raise RecipeError(f"{named} is blank; all pixels are equal{hint}")
             size = (IMAGE_PIXELS, IMAGE_PIXELS)
-            fit = drawn.resize if is_stretched else functools.partial(ImageOps.pad, drawn)
-            square = fit(size, Image.Resampling.BILINEAR)
+            bilinear = Image.Resampling.BILINEAR
+            square = flat.resize(size, bilinear) if is_stretched else ImageOps.pad(flat, size, bilinear)
     except RecipeError:
         raise
-    except Exception as error:  # Pillow raises many kinds for a broken file
+    except Exception as error:  # Pillow raises many types for a broken file
         hint = "; export it as PNG" if path.suffix.lower() in (".svg", ".pdf", ".ai", ".eps") else ""
         raise RecipeError(f"{named} cannot be read as an image{hint}: {error}") from None
     values = np.asarray(square, dtype=float) / (1.0 if square.mode == "F" else 255.0)
@@ -124,7 +123,7 @@ def load_picture(path: Path, where: str, is_stretched: bool = False) -> Array:
 
 
 def _on_black(image: Image) -> Image:
-    """Return an image without transparency: in RGB, or grey of 16 bits as floats from 0 to 1."""
+    """Return an opaque image: RGB, or 16-bit grey as floats from 0 to 1."""
     from PIL import Image as images
 
     if image.mode[0] in "IF":
@@ -151,7 +150,7 @@ def picture_on_directions(picture: Array, u: Array, v: Array, image_scale: float
 
 
 def colour_on_directions(colour: str, u: Array, v: Array, iridescent_range: float, source: str) -> Array:
-    """Return the display-referred RGB `[..., 3]` of a named, hex or iridescent colour.
+    """Return the display-referred RGB `[..., 3]` of a named, hexadecimal or iridescent colour.
 
     Raises:
         RecipeError: the name is not known.
@@ -170,19 +169,18 @@ def colour_on_directions(colour: str, u: Array, v: Array, iridescent_range: floa
 
 
 def parse_colour(name: str, source: str) -> Array:
-    """Return a display-referred triple in 0..1 for a published name or a hex value.
+    """Return the display-referred triple in 0..1 of a published name or a hexadecimal value.
 
     Raises:
-        RecipeError: neither of them.
+        RecipeError: it is neither.
     """
     if name in PUBLISHED_COLOURS:
         return np.array(PUBLISHED_COLOURS[name])
     digits = name.removeprefix("#")
     if name.startswith("#") and len(digits) in (3, 6):
+        step = len(digits) // 3
         try:
-            step = len(digits) // 3
-            triple = [int(digits[k : k + step] * (2 // step), 16) / 255.0 for k in range(0, len(digits), step)]
-            return np.array(triple)
+            return np.array([int(digits[k : k + step] * (2 // step), 16) / 255.0 for k in range(0, len(digits), step)])
         except ValueError:
             pass
     allowed = [*PUBLISHED_COLOURS, *IRIDESCENT]

@@ -1,10 +1,12 @@
-"""Run a design from a target file to a result folder that is complete at any moment."""
+"""Run a relief design from a target file to a result folder that is complete at any moment."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import time
+import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,32 +15,33 @@ from typing import Any
 import numpy as np
 
 from nacre._version import __version__
+from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import atomic_path, read_text, write_text
 from nacre.core.parallel import available_jobs, single_threaded_blas
-from nacre.optimise.relief.merit import Array, Evaluator, Measurement, Problem, measure, measure_design
-from nacre.optimise.relief.report import comparison, write_picture, write_report
+from nacre.optimise.relief.merit import ConvergedMeasurement, Evaluator, Problem, exact_losses, measure_design
+from nacre.optimise.relief.report import write_preview, write_report
 from nacre.optimise.relief.search import Candidate, Progress, Search
 from nacre.optimise.relief.target import TargetSpec
 from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.toml import dump_toml, parse_toml
 
-CHECKPOINT_EVERY_S = 2.0
-STATE = "search.npz"
-# kept back from the time limit for the final measurement and the report
-CLOSING_SHARE, CLOSING_MOST_S = 0.15, 3.0
-LEAST_SEARCH = 0.25  # of the time limit, whatever was done before
+CHECKPOINT_INTERVAL_S = 2.0
+CHECKPOINT = "search.npz"
+# reserved from the time limit for the final measurement and the report
+FINAL_SHARE, FINAL_MAX_S = 0.15, 3.0
+MIN_SEARCH_SHARE = 0.25  # of the time limit
 
 
 @dataclass(frozen=True)
 class DesignResult:
-    """A finished (or cleanly stopped) design.
+    """Finished or interrupted relief design.
 
     Attributes:
-        folder: where its files are.
+        folder: folder of its files.
         heights_um: `[x, y]`.
-        summary: what `design.json` holds.
+        summary: content of `design.json`.
     """
 
     folder: Path
@@ -47,10 +50,10 @@ class DesignResult:
 
 
 def load_target(path: str | Path) -> tuple[TargetSpec, RecipeContext]:
-    """Read and check a target file.
+    """Read and validate a target file.
 
     Raises:
-        RecipeError: naming file, key, value and what is allowed.
+        RecipeError: with file, key, value and allowed values.
     """
     path = Path(path)
     text = read_text(path, "target")
@@ -70,21 +73,21 @@ def run(
     progress: Callable[[Progress], None] | None = None,
     jobs: int | None = None,
 ) -> DesignResult:
-    """Design the relief that a target file asks for.
+    """Design the relief of a target file.
 
-    The folder holds height.npy, recipe.toml and design.json from the first seconds on, each written whole, and is
-    brought up to date every other second; an interrupt ends the search cleanly with the best design so far.
+    The folder contains height.npy, recipe.toml and design.json from the first seconds on, each written atomically and
+    updated every other second. An interrupt ends the search with the best design so far.
 
     Args:
         target_path: a target TOML.
-        out_dir: made if it does not exist.
-        resume: go on where a stopped run of the same target ended.
+        out_dir: created if it does not exist.
+        resume: continue a stopped run of the same target.
         progress: called from worker threads, one at a time, after every iteration.
         jobs: threads; default: all cores.
 
     Raises:
         RecipeError: the target is not usable.
-        NacreError: the folder cannot be written, or holds the search of another target.
+        NacreError: the folder cannot be written, or contains the search of another target.
     """
     spec, context = load_target(target_path)
     return design(spec, context, out_dir, resume=resume, progress=progress, jobs=jobs)
@@ -99,92 +102,85 @@ def design(
     progress: Callable[[Progress], None] | None = None,
     jobs: int | None = None,
     problem: Problem | None = None,
-    begun: float | None = None,
-    closing_s: float = 0.0,
-    judge: Callable[[Path, Mapping[str, Any]], dict[str, Any]] | None = None,
+    start_time: float | None = None,
+    evaluation_s: float = 0.0,
+    evaluate: Callable[[Path, Mapping[str, Any]], dict[str, Any]] | None = None,
 ) -> DesignResult:
-    """As `run`, for a target that is already checked.
+    """As `run`, for a validated target.
 
     Args:
-        problem: where it is more than the target says.
-        begun: when the work began of which the time limit is, as `time.monotonic` has it; default: now.
-        closing_s: to keep back for `judge`.
-        judge: returns what else the summary holds, of the finished folder and what the summary holds already.
+        problem: if it differs from `spec.build`.
+        start_time: start of the time limit (`time.monotonic`); default: now.
+        evaluation_s: time reserved for `evaluate`.
+        evaluate: returns additions to the summary from the finished folder and the summary.
     """
-    begun = time.monotonic() if begun is None else begun
+    start_time = time.monotonic() if start_time is None else start_time
     problem = spec.build(context) if problem is None else problem
     folder = Path(out_dir)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
+        raise NacreError(f"{folder}: cannot be created: {error.strerror}") from None
     workers = jobs or available_jobs()
-    search = Search(problem, spec.search.starts, spec.search.seed, workers, spec.search.shakes)
-    fingerprint = target_fingerprint(spec, problem, context)
+    search = Search(problem, spec.search.starts, spec.search.seed, workers, spec.search.perturbed_restarts)
+    output = _Output(folder, spec, problem, search, target_fingerprint(spec, problem, context))
     if resume:
-        load_state(search, folder, fingerprint)
-    keeper = _Keeper(folder, spec, problem, search, fingerprint, progress)
-    keeper.write(search.best.x, "started")
-    limit = spec.search.time_limit_s
+        load_checkpoint(search, folder, output.fingerprint)
+    output.write(search.best.x, "started")
+
+    def update(report: Progress) -> None:
+        output.update(report)
+        if progress is not None:
+            progress(report)
+
+    limit = spec.search.seconds
     if limit is not None:
-        closing = closing_s + min(CLOSING_SHARE * limit, CLOSING_MOST_S)
-        limit = max(limit - closing - (time.monotonic() - begun), LEAST_SEARCH * limit)
-    best = search.run(limit, keeper.tell)
-    save_state(search, folder, fingerprint)
-    closing = time.monotonic()
+        reserved_s = evaluation_s + min(FINAL_SHARE * limit, FINAL_MAX_S) + time.monotonic() - start_time
+        limit = max(limit - reserved_s, MIN_SEARCH_SHARE * limit)
+    best = search.run(limit, update)
+    save_checkpoint(search, folder, output.fingerprint)
+    final_start = time.monotonic()
     heights_nm = best * problem.height_max_nm
     with single_threaded_blas():
         measured = measure_design(problem, heights_nm, workers)
-    search.seconds += time.monotonic() - closing
-    summary = keeper.write(best, search.stop_reason or "done", measured)
-    if judge is not None:
-        summary |= judge(folder, summary)
+    search.seconds += time.monotonic() - final_start
+    summary = output.write(best, search.stop_reason or "done", measured)
+    if evaluate is not None:
+        summary |= evaluate(folder, summary)
     with single_threaded_blas():
         summary |= write_report(folder / "report.html", spec, problem, heights_nm, measured, summary)
     write_text(folder / "design.json", json.dumps(summary, indent=2) + "\n")
     return DesignResult(folder, best * (problem.height_max_nm / 1e3), summary)
 
 
-class _Keeper:
-    """Keeps the result folder up to date while the search runs."""
+class _Output:
+    """Result folder of a running search."""
 
-    def __init__(
-        self,
-        folder: Path,
-        spec: TargetSpec,
-        problem: Problem,
-        search: Search,
-        fingerprint: str,
-        progress: Callable[[Progress], None] | None,
-    ) -> None:
+    def __init__(self, folder: Path, spec: TargetSpec, problem: Problem, search: Search, fingerprint: str) -> None:
         self.folder, self.spec, self.problem, self.search = folder, spec, problem, search
-        self.fingerprint, self.progress = fingerprint, progress
+        self.fingerprint = fingerprint
         self.last = time.monotonic()
-        self._judge: Evaluator | None = None
+        self._evaluator = Evaluator(problem, problem.search_upsamplings()[0])
 
-    def tell(self, report: Progress) -> None:
-        """Pass progress on, and save now and then."""
-        if time.monotonic() - self.last > CHECKPOINT_EVERY_S:
+    def update(self, report: Progress) -> None:
+        """Write the best design and a checkpoint at intervals."""
+        if time.monotonic() - self.last > CHECKPOINT_INTERVAL_S:
             self.last = time.monotonic()
             self.write(report.best_x, "running")
-            save_state(self.search, self.folder, self.fingerprint)
-        if self.progress is not None:
-            self.progress(report)
+            save_checkpoint(self.search, self.folder, self.fingerprint)
 
-    def write(self, best: Array, status: str, measured: Measurement | None = None) -> dict[str, Any]:
-        """Write height.npy, recipe.toml and design.json, each whole or not at all; return the summary."""
-        problem = self.problem
-        n = problem.features
-        heights_um = best.reshape(n, n) * (problem.height_max_nm / 1e3)
+    def write(self, best: Array, status: str, measured: ConvergedMeasurement | None = None) -> dict[str, Any]:
+        """Write height.npy, recipe.toml, preview.png and design.json atomically; return the summary.
+
+        Without a converged measurement the losses are those at the sampling of the search.
+        """
+        problem, spec = self.problem, self.spec
+        heights_um = best.reshape(problem.features, -1) * (problem.height_max_nm / 1e3)
         if measured is None:
-            # a quick measure at the search's own sampling; the final one doubles the sampling until it is safe
-            if self._judge is None:
-                self._judge = Evaluator(problem, problem.search_upsamplings()[0])
-            judge = self._judge
-            rgb, _ = judge.rgb(judge.surface(heights_um * 1e3))
-            losses, upsampling = measure(rgb, problem.target, problem.intensity_scale), judge.upsampling
+            rgb, _ = self._evaluator.rgb(self._evaluator.surface(heights_um * 1e3))
+            losses = exact_losses(rgb, problem.target, problem.intensity_scale)
         else:
-            rgb, losses, upsampling = measured.rgb, measured.losses, measured.upsampling
+            rgb, losses = measured.rgb, measured.losses
         summary = {
             "status": status,
             "interrupted": status == "interrupted",
@@ -197,29 +193,28 @@ class _Keeper:
             "brightness_floor": problem.brightness_floor if problem.intensity_scale is None else None,
             "seconds": round(self.search.seconds, 3),
             "evaluations": self.search.evaluations,
-            "samples_per_feature": upsampling,
+            "samples_per_feature": (self._evaluator if measured is None else measured).upsampling,
             "is_converged_measurement": measured is not None,
-            "seed": self.spec.search.seed,
-            "starts": self.spec.search.starts,
+            "seed": spec.search.seed,
+            "starts": spec.search.starts,
             "levels": problem.levels,
             "noise": problem.noise,
-            "coating": self.spec.coating.model_dump(exclude_none=True, exclude_defaults=True),
+            "coating": spec.coating.model_dump(exclude_none=True, exclude_defaults=True),
             "prefactor": problem.prefactor,
-            "calibration": self.spec.calibration,
-            "spectrum": self.spec.spectrum,
+            "calibration": spec.calibration,
+            "spectrum": spec.spectrum,
             "target": self.fingerprint,
             "nacre": __version__,
         }
         with atomic_path(self.folder / "height.npy") as temporary, temporary.open("wb") as stream:
             np.save(stream, heights_um)
-        write_text(self.folder / "recipe.toml", recipe_text(self.spec))
-        write_picture(self.folder / "preview.png", comparison(problem, rgb, losses))
+        write_text(self.folder / "recipe.toml", _recipe_text(spec))
+        write_preview(self.folder / "preview.png", problem, rgb, losses)
         write_text(self.folder / "design.json", json.dumps(summary, indent=2) + "\n")
         return summary
 
 
-def recipe_text(spec: TargetSpec) -> str:
-    """Return the recipe of the finished relief."""
+def _recipe_text(spec: TargetSpec) -> str:
     coating = spec.coating.model_dump(exclude_none=True, exclude_defaults=True)
     data = {
         "family": "relief",
@@ -234,14 +229,14 @@ def recipe_text(spec: TargetSpec) -> str:
 
 
 def target_fingerprint(spec: TargetSpec, problem: Problem, context: RecipeContext) -> str:
-    """Return a hash of everything that a search's state depends on: files that the target names, and nacre."""
+    """Return the fingerprint of a search: target, files that it names, and version of nacre."""
     target = hashlib.sha256(np.ascontiguousarray(problem.target).tobytes()).hexdigest()
-    return fingerprint(spec.model_dump(exclude={"search": {"time_limit_s"}}), context.files, target=target)
+    return fingerprint(spec.model_dump(exclude={"search": {"seconds"}}), context.files, target=target)
 
 
-def save_state(search: Search, folder: Path, fingerprint: str) -> None:
-    """Write what a resumed run needs."""
-    with atomic_path(folder / STATE) as temporary, temporary.open("wb") as stream:
+def save_checkpoint(search: Search, folder: Path, fingerprint: str) -> None:
+    """Write the state of a search."""
+    with atomic_path(folder / CHECKPOINT) as temporary, temporary.open("wb") as stream:
         np.savez(
             stream,
             fingerprint=np.array(fingerprint),
@@ -254,18 +249,18 @@ def save_state(search: Search, folder: Path, fingerprint: str) -> None:
         )
 
 
-def load_state(search: Search, folder: Path, fingerprint: str) -> None:
-    """Put a search back where a stopped run left it; a folder without a state starts afresh.
+def load_checkpoint(search: Search, folder: Path, fingerprint: str) -> None:
+    """Restore the state of a stopped search, if the folder contains one.
 
     Raises:
         RecipeError: the state belongs to another target.
         NacreError: the state cannot be read.
     """
-    path = folder / STATE
+    path = folder / CHECKPOINT
     if not path.exists():
         return
     try:
-        with np.load(path, allow_pickle=False) as state:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as state:
             stored = {name: state[name] for name in state.files}
         owner = str(stored["fingerprint"])
         search.stage, search.evaluations = (int(c) for c in stored["counts"])
@@ -274,13 +269,10 @@ def load_state(search: Search, folder: Path, fingerprint: str) -> None:
             Candidate(x.copy(), float(value), int(stage), int(done))
             for x, value, stage, done in zip(stored["x"], stored["value"], stored["stage"], stored["done"])
         ]
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise NacreError(f"{path}: cannot be read to resume: {error}; delete it to start afresh") from None
     if owner != fingerprint:
         raise RecipeError(
             f"{path}: belongs to another target, or a file that it names, or nacre itself has changed since; "
             "take another folder, or leave --resume away"
         )
-
-
-__all__ = ["DesignResult", "Measurement", "design", "load_target", "run"]

@@ -1,6 +1,6 @@
-"""The target file: what a relief must look like, and how long to search for it.
+"""Target file of a relief design: target pictures, process and search budget.
 
-The keys are a promise to users: add, do not rename.
+The keys are public: add keys, do not rename them.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 import pydantic
 
 from nacre.bsdf.grids import direction
+from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.families.relief.coherence import CoherenceSpec
@@ -23,13 +24,13 @@ from nacre.formats.calibration import find_calibration
 from nacre.matter.indices.spec import IndexSpec
 from nacre.optimise.relief import pictures
 from nacre.optimise.relief.merit import GAMMA, ColourWeights, Problem, View, default_weights, published_weights
-from nacre.optimise.relief.pictures import Array
 from nacre.recipe.delimited_text import two_columns
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
+Field = pydantic.Field
 KINDS = ("anti-mirror", "anisotropic-anti-mirror", "gaussian", "uniform", "image", "inverted-image", "array")
-# the source's own names are accepted too
+# the published names are accepted too
 KIND_ALIASES = {
     "anti_mirror": "anti-mirror",
     "aniso_anti_mirror": "anisotropic-anti-mirror",
@@ -37,30 +38,29 @@ KIND_ALIASES = {
     "image_scale": "image",
     "image_inverse": "inverted-image",
 }
-INVERTED_WIDTH = 0.20  # the soft disc that a picture is cut out of
-# widths of each kind when the target does not give its own, in rad (kinds) or half-vector units (anisotropic)
-WIDTHS = {"anti-mirror": 0.12, "gaussian": 0.15, "inverted-image": INVERTED_WIDTH}
+# default widths, in rad or (anisotropic) in half-vector units
+WIDTHS = {"anti-mirror": 0.12, "gaussian": 0.15, "inverted-image": 0.20}
 HOLES = {"anti-mirror": 0.05, "anisotropic-anti-mirror": 0.7}
 LARGEST_TARGET_VALUES = 64_000_000
 LARGEST_TILE_FEATURES = 512
-# a free scale may darken a design until its picture holds this share of the light; the published ones hold 6 % or more
+# share of the light that the picture of a free-scale design must contain; published designs contain 6 % or more
 LEAST_LIGHT = 0.05
-MOST_REFLECTANCE = 1.1  # a white of an instrument may err by that much
-VISIBLE_THRESHOLD = 1e-3  # target values under this may lie beyond the horizon
+MAX_REFLECTANCE = 1.1  # allows for the error of an instrument's white
+VISIBLE_THRESHOLD = 1e-3  # target values below this may lie beyond the horizon
 
 
 class ColourSource(RecipeModel):
-    """A colour taken from a file: an image over the slice, or a reflectance spectrum (CSV: nm, value)."""
+    """Colour from a file: an image over the slice, or a reflectance spectrum (CSV: nm, value)."""
 
     one_of: ClassVar[tuple[str, ...]] = ("image", "spectrum")
     forms: ClassVar[tuple[str, ...]] = ('{image = "colours.png"}', '{spectrum = "reflectance.csv"}')
 
-    image: str | None = pydantic.Field(
+    image: str | None = Field(
         default=None, description="an image of the colours over the slice", examples=["colours.png"]
     )
-    spectrum: str | None = pydantic.Field(
+    spectrum: str | None = Field(
         default=None,
-        description="a CSV of wavelength in nm and reflectance, whose colour under D65 is taken",
+        description="a CSV of wavelength in nm and reflectance; its colour under D65 is used",
         examples=["reflectance.csv"],
     )
 
@@ -72,56 +72,51 @@ class ColourSource(RecipeModel):
 
 
 class TargetTable(RecipeModel):
-    """One wanted picture over the directions of a slice."""
+    """Target picture over the directions of a slice."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{kind = "anti-mirror", range = 0.5}',
         '{kind = "image", image = "grey.png", range = 0.4, colour = "#ffcc00"}',
     )
 
-    kind: str = pydantic.Field(
-        json_schema_extra={"enum": [*KINDS, *KIND_ALIASES]}, description="kind of the look", examples=["anti-mirror"]
+    kind: str = Field(
+        json_schema_extra={"enum": [*KINDS, *KIND_ALIASES]}, description="type of picture", examples=["anti-mirror"]
     )
-    image: str | None = pydantic.Field(
+    image: str | None = Field(
         default=None,
-        description="the picture, for the kinds image and inverted-image: what is bright in it is lit, what is clear "
-        "is dark",
+        description="image file of the types image and inverted-image; transparent areas are dark",
         examples=["grey.png"],
     )
-    image_scale: Positive = pydantic.Field(
-        default=1.5, description="size of the picture over the directions, by its longer side"
+    image_scale: Positive = Field(default=1.5, description="size of the image over the directions, by its longer side")
+    file: str | None = Field(
+        default=None, description="a .npy array over the slice, for the type array", examples=["look.npy"]
     )
-    file: str | None = pydantic.Field(
-        default=None, description="a .npy array over the slice, for the kind array", examples=["look.npy"]
-    )
-    colour: str | ColourSource = pydantic.Field(
+    colour: str | ColourSource = Field(
         default="white",
-        description="a name, #rrggbb, iridescent-half, iridescent-disk, or a table that leads to a file",
+        description="a name, #rrggbb, iridescent-half, iridescent-disk, or a table with a file",
         examples=["white", "#ffcc00", "iridescent-disk", {"spectrum": "reflectance.csv"}],
     )
-    iridescent_range: Positive = pydantic.Field(default=0.06, description="radius at which iridescent colours change")
-    width: Positive | None = pydantic.Field(default=None, description="width of the lobe in rad", examples=[0.12])
-    hole: Positive | None = pydantic.Field(default=None, description="width of the dark centre", examples=[0.05])
-    cone: Positive | None = pydantic.Field(
-        default=None, description="radius that limits a uniform look", examples=[0.3]
-    )
-    range: Annotated[float, pydantic.Field(gt=0.0, le=2.0)] = pydantic.Field(
+    iridescent_range: Positive = Field(default=0.06, description="radius at which iridescent colours change")
+    width: Positive | None = Field(default=None, description="width of the lobe in rad", examples=[0.12])
+    hole: Positive | None = Field(default=None, description="width of the dark centre", examples=[0.05])
+    cone: Positive | None = Field(default=None, description="radius of a uniform picture", examples=[0.3])
+    range: Annotated[float, Field(gt=0.0, le=2.0)] = Field(
         description="half the side of the slice, in components of wi + wo", examples=[0.5]
     )
-    resolution: Annotated[int, pydantic.Field(ge=4, le=1024)] = pydantic.Field(
+    resolution: Annotated[int, Field(ge=4, le=1024)] = Field(
         default=64, description="number of directions along a side of the slice"
     )
-    intensity_scale: Positive | Literal["free"] = pydantic.Field(
+    intensity_scale: Positive | Literal["free"] = Field(
         default="free", description="brightness of the picture: a fixed scale, or the best one", examples=["free", 2.0]
     )
-    brightness_floor: Annotated[float, pydantic.Field(ge=0.0)] | None = pydantic.Field(
+    brightness_floor: Annotated[float, Field(ge=0.0)] | None = Field(
         default=None,
-        description="keeps a free scale from going dark; without it: 5 % of the light inside the picture",
+        description="least brightness with a free scale; default: 5 % of the light inside the picture",
         examples=[0.1],
     )
-    incidence_deg: tuple[tuple[float, float], ...] | None = pydantic.Field(
+    incidence_deg: tuple[tuple[float, float], ...] | None = Field(
         default=None,
-        description="directions of the light, each [theta, phi]; without it those of the search",
+        description="directions of the light, each [theta, phi]; default: those of the search",
         examples=[[[0, 0], [30, 0]]],
     )
 
@@ -137,7 +132,7 @@ class TargetTable(RecipeModel):
         return name
 
     @pydantic.model_validator(mode="after")
-    def _needs_its_file(self) -> TargetTable:
+    def _has_its_file(self) -> TargetTable:
         if self.kind in ("image", "inverted-image") and self.image is None:
             raise ValueError(f'target.image is missing; kind = "{self.kind}" needs one')
         if self.kind == "array" and self.file is None:
@@ -145,10 +140,10 @@ class TargetTable(RecipeModel):
         return self
 
     def least_brightness(self, picture: Array) -> float:
-        """Return the floor of 1 / scale: as given, or where the picture would hold `LEAST_LIGHT` of the light.
+        """Return the floor of 1 / scale: as given, or such that the picture contains `LEAST_LIGHT` of the light.
 
-        A perfect reflector sends its light over the hemisphere so that the integral of the BRDF over (u, v) is 1; a
-        picture of mean m over a slice of area A, shown at a scale, therefore holds m A / scale of it.
+        The BRDF of a perfect reflector integrates to 1 over (u, v); therefore a picture of mean m over a slice of
+        area A, shown at a scale, contains m A / scale of the light.
         """
         if self.brightness_floor is not None:
             return self.brightness_floor
@@ -166,12 +161,9 @@ class TargetTable(RecipeModel):
         picture = self._shape(u, v, wi, context) * self._colour(u, v, context)
         hidden = (u - wi[0]) ** 2 + (v - wi[1]) ** 2 >= 1.0
         if (picture[hidden] > VISIBLE_THRESHOLD).any():
-            worst = float(np.degrees(np.arcsin(np.hypot(wi[0], wi[1]))))
-            raise context.fail(
-                "target.range",
-                self.range,
-                f"reaches outside the hemisphere for light at {worst:.3g} degrees; reduce it",
-            )
+            theta = float(np.degrees(np.arcsin(np.hypot(wi[0], wi[1]))))
+            allowed = f"reaches outside the hemisphere for light at {theta:.3g} degrees; reduce it"
+            raise context.fail("target.range", self.range, allowed)
         return np.where(hidden[..., None], 0.0, picture)
 
     def _shape(self, u: Array, v: Array, wi: Array, context: RecipeContext) -> Array:
@@ -180,39 +172,34 @@ class TargetTable(RecipeModel):
             return pictures.anti_mirror(u, v, wi, hole, width)[..., None]
         if self.kind == "anisotropic-anti-mirror":
             return pictures.anisotropic_anti_mirror(u, v, wi, hole)[..., None]
-        if self.kind == "gaussian":
-            return pictures.gaussian(pictures.mirror_angle(u, v, wi), width)[..., None]
         if self.kind == "uniform":
             inside = np.ones_like(u) if self.cone is None else (np.hypot(u, v) <= self.cone).astype(float)
             return inside[..., None]
         if self.kind == "array":
             return self._array(context)
+        lobe = pictures.gaussian(pictures.mirror_angle(u, v, wi), width)[..., None] if width else np.zeros(1)
+        if self.kind == "gaussian":
+            return lobe
         assert self.image is not None
         image = pictures.load_picture(context.path(self.image), f"{context.source}: target.image")
         shape = pictures.picture_on_directions(image, u, v, self.image_scale)
-        if self.kind == "image":
-            return shape
-        return pictures.gaussian(pictures.mirror_angle(u, v, wi), width)[..., None] * (1.0 - shape)
+        return shape if self.kind == "image" else lobe * (1.0 - shape)
 
     def _array(self, context: RecipeContext) -> Array:
         assert self.file is not None
-        path = context.path(self.file)
         try:
-            values = np.load(plain(path), allow_pickle=False)
+            values = np.load(plain(context.path(self.file)), allow_pickle=False)
         except OSError as error:
             raise context.fail("target.file", self.file, why_unreadable(error)) from None
         except (ValueError, EOFError, AttributeError, SyntaxError, TokenError, TypeError) as error:
             raise context.fail("target.file", self.file, f"is not a .npy array: {error}") from None
         size = self.resolution
         if values.shape not in ((size, size), (size, size, 3)) or values.dtype.kind not in "fiub":
-            raise context.fail(
-                "target.file",
-                self.file,
-                f"holds {values.dtype}{list(values.shape)}; it should be [{size}, {size}(, 3)]",
-            )
+            allowed = f"contains {values.dtype}{list(values.shape)}; it should be [{size}, {size}(, 3)]"
+            raise context.fail("target.file", self.file, allowed)
         values = values.astype(float)
         if not np.isfinite(values).all() or values.min() < 0.0:
-            raise context.fail("target.file", self.file, "holds values that are negative or not finite")
+            raise context.fail("target.file", self.file, "contains values that are negative or not finite")
         return values if values.ndim == 3 else values[..., None]
 
     def _colour(self, u: Array, v: Array, context: RecipeContext) -> Array:
@@ -220,41 +207,36 @@ class TargetTable(RecipeModel):
             return pictures.colour_on_directions(self.colour, u, v, self.iridescent_range, context.source)
         if self.colour.image is not None:
             where = f"{context.source}: target.colour.image"
-            image = pictures.load_picture(context.path(self.colour.image), where, is_stretched=True)  # over the slice
-            scale = self.range / 2.0 / pictures.HALF_VECTOR_PER_SCALE
-            return pictures.picture_on_directions(image, u, v, scale)
+            image = pictures.load_picture(context.path(self.colour.image), where, is_stretched=True)
+            return pictures.picture_on_directions(image, u, v, self.range / 2.0 / pictures.HALF_VECTOR_PER_SCALE)
         assert self.colour.spectrum is not None
         return np.broadcast_to(_spectrum_colour(self.colour.spectrum, context), (*u.shape, 3))
 
 
 class SearchTable(RecipeModel):
-    """How to search; all optional. `shakes` is how often the finished design is disturbed and descended again."""
+    """Budget and robustness of the search; all keys are optional."""
 
     forms: ClassVar[tuple[str, ...]] = (
-        "{time_limit_s = 20}",
+        "{seconds = 20}",
         "{starts = 16, levels = 8, incidence_deg = [[0, 0], [30, 0]]}",
     )
 
-    starts: Annotated[int, pydantic.Field(ge=1, le=256)] = pydantic.Field(
-        default=8, description="number of random starts"
+    starts: Annotated[int, Field(ge=1, le=256)] = Field(default=8, description="number of random starts")
+    perturbed_restarts: Annotated[int, Field(ge=0, le=10_000)] = Field(
+        default=40, description="restarts from perturbed copies of the best design, while time remains"
     )
-    shakes: Annotated[int, pydantic.Field(ge=0, le=10_000)] = pydantic.Field(
-        default=40, description="how often the finished design is disturbed and improved again, while time is left"
-    )
-    seed: Annotated[int, pydantic.Field(ge=0)] = pydantic.Field(default=1, description="seed of the starts")
-    time_limit_s: Positive | None = pydantic.Field(
-        default=60.0, description="stop after this time with the best design so far"
-    )
-    noise: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
+    seed: Annotated[int, Field(ge=0)] = Field(default=1, description="seed of the starts")
+    seconds: Positive | None = Field(default=60.0, description="time limit; the best design so far is the result")
+    noise: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
         default=0.0, description="relative noise of each height, by the process, to be robust against"
     )
-    blur_error: Annotated[float, pydantic.Field(ge=0.0, le=0.9)] = pydantic.Field(
+    blur_error: Annotated[float, Field(ge=0.0, le=0.9)] = Field(
         default=0.0, description="relative error of the blur to be robust against"
     )
-    levels: Annotated[int, pydantic.Field(ge=0, le=256)] = pydantic.Field(
+    levels: Annotated[int, Field(ge=0, le=256)] = Field(
         default=0, description="number of heights that the process can make; 0: any"
     )
-    incidence_deg: tuple[tuple[float, float], ...] = pydantic.Field(
+    incidence_deg: tuple[tuple[float, float], ...] = Field(
         default=((0.0, 0.0),), description="directions of the light, each [theta, phi]"
     )
 
@@ -266,7 +248,7 @@ class SearchTable(RecipeModel):
 
 
 class TargetSpec(RecipeModel):
-    """The look that `nacre design` finds a relief for."""
+    """Target of a relief design."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "family": "relief",
@@ -275,53 +257,46 @@ class TargetSpec(RecipeModel):
         "height_max_um": 0.5,
         "coherence": {"sigma": 5},
         "target": {"kind": "anti-mirror", "range": 0.5},
-        "search": {"time_limit_s": 20},
+        "search": {"seconds": 20},
     }
 
-    family: Literal["relief"] = pydantic.Field(default="relief", description="the family that is designed")
-    features: Annotated[int, pydantic.Field(ge=2, le=LARGEST_TILE_FEATURES)] = pydantic.Field(
+    family: Literal["relief"] = Field(default="relief", description="the family that is designed")
+    features: Annotated[int, Field(ge=2, le=LARGEST_TILE_FEATURES)] = Field(
         default=32, description="number of features along a side of the tile"
     )
-    feature_um: Positive = pydantic.Field(description="pitch of the features", examples=[2])
-    blur_um: Positive = pydantic.Field(
-        description="standard deviation of the Gaussian blur of the process", examples=[0.6]
-    )
-    height_max_um: Positive = pydantic.Field(description="largest height that the process can make", examples=[0.5])
-    calibration: str | None = pydantic.Field(
+    feature_um: Positive = Field(description="pitch of the features", examples=[2])
+    blur_um: Positive = Field(description="standard deviation of the Gaussian blur of the process", examples=[0.6])
+    height_max_um: Positive = Field(description="largest height that the process can make", examples=[0.5])
+    calibration: str | None = Field(
         default=None,
-        description="CSV of grey value and depth of the process that will make it, or `published`; a deeper target "
-        "is refused",
+        description="CSV of grey value and depth of the process, or `published`; a deeper target is refused",
     )
-    coating: IndexSpec = pydantic.Field(
+    coating: IndexSpec = Field(
         default_factory=lambda: IndexSpec.model_validate("Al"), description="metal of the surface, opaque"
     )
-    coherence: CoherenceSpec = pydantic.Field(
-        description="coherence of the light, which is the angular size of the lamp"
+    coherence: CoherenceSpec = Field(description="coherence of the light (angular size of the lamp)")
+    spectrum: Literal["published-8", "default"] = Field(
+        default="default", description="wavelengths of the colour: the published eight, or the default grid"
     )
-    spectrum: Literal["published-8", "default"] = pydantic.Field(
-        default="default", description="wavelengths of the colour: the source's eight, or the default grid"
-    )
-    prefactor: Literal["kirchhoff", "published"] | None = pydantic.Field(
+    prefactor: Literal["kirchhoff", "published"] | None = Field(
         default=None,
-        description="prefactor of the diffraction integral; without it: as published with the published "
-        "spectrum, else the one that conserves energy",
+        description="prefactor of the diffraction integral; default: as published with the published spectrum, else "
+        "the one that conserves energy",
     )
-    target: TargetTable = pydantic.Field(description="the wanted look")
-    targets: tuple[TargetTable, ...] = pydantic.Field(
-        default=(), description="more looks that the same relief should have"
-    )
-    search: SearchTable = pydantic.Field(default=SearchTable(), description="how to search")
+    target: TargetTable = Field(description="target picture")
+    targets: tuple[TargetTable, ...] = Field(default=(), description="more target pictures of the same relief")
+    search: SearchTable = Field(default=SearchTable(), description="budget and robustness of the search")
 
     @property
     def chosen_prefactor(self) -> Literal["kirchhoff", "published"]:
-        """The prefactor: the source's with its spectrum, the one that conserves energy otherwise."""
+        """Prefactor as given; default: as published with the published spectrum, else energy-conserving."""
         return self.prefactor or ("published" if self.spectrum == "published-8" else "kirchhoff")
 
     def build(self, context: RecipeContext) -> Problem:
-        """Turn the target into numbers.
+        """Return the design problem.
 
         Raises:
-            RecipeError: a file, colour, direction or window cannot be used, or the process makes no relief so deep.
+            RecipeError: a file, colour, direction or window cannot be used, or the process cannot make such depths.
         """
         self._check_process(context)
         coherence = self.coherence.build()
@@ -356,41 +331,39 @@ class TargetSpec(RecipeModel):
         return published_weights(lambda nm: fresnel_reflectance(np.ones(()), constant.n_complex(nm)))
 
     def _check_process(self, context: RecipeContext) -> None:
-        """Refuse heights that the named process cannot make, before they are searched for."""
+        """Refuse heights that the process cannot make."""
         if self.calibration is None:
             return
         try:
-            context.path(self.calibration)  # another curve is another target
+            context.path(self.calibration)  # notes the file as a dependency
             curve = find_calibration(self.calibration, context.folder)
         except NacreError as error:
             raise context.fail("calibration", self.calibration, f"cannot be used: {error}") from None
         if self.height_max_um > curve.range_um * (1 + 1e-9):
-            raise context.fail(
-                "height_max_um", self.height_max_um,
+            allowed = (
                 f"is deeper than the process of calibration = {show_value(self.calibration)} makes: "
-                f"{curve.range_um:.4g} um; lower it, or name another process",
-            )  # fmt: skip
+                f"{curve.range_um:.4g} um; lower it, or name another process"
+            )
+            raise context.fail("height_max_um", self.height_max_um, allowed)
 
     def _check_window(self, width: float, spectrum: ColourWeights, context: RecipeContext) -> None:
         window_um = width * float(spectrum.wavelengths_nm.max()) / 1e3
         period_um = self.features * self.feature_um
         if window_um > period_um / 2.0:
-            raise context.fail(
-                "coherence",
-                self.coherence.model_dump(exclude_none=True),
-                f"gives a window of {window_um:.3g} um, more than half the tile of {period_um:.3g} um: the tile's own "
-                "repetition would show; take a larger tile or a smaller window",
+            allowed = (
+                f"gives a window of {window_um:.3g} um, more than half the tile of {period_um:.3g} um: the tile's "
+                "repetition would be visible; take a larger tile or a smaller window"
             )
+            raise context.fail("coherence", self.coherence.model_dump(exclude_none=True), allowed)
 
     def _view(self, table: TargetTable, spectrum: ColourWeights, context: RecipeContext) -> View:
-        directions = [
-            _incidence(theta, phi, context) for theta, phi in (table.incidence_deg or self.search.incidence_deg)
-        ]
+        incidences = table.incidence_deg or self.search.incidence_deg
+        directions = [_incidence(theta, phi, context) for theta, phi in incidences]
         axis = pictures.slice_axis(table.range, table.resolution)
         geometry = SliceGeometry(axis, axis, np.stack(directions), spectrum.wavelengths_nm)
         target = np.stack([table.build(wi, context) for wi in directions])
         if not target.any():
-            raise RecipeError(f"{context.source}: the target is black everywhere; nothing can be designed for it")
+            raise RecipeError(f"{context.source}: the target is black everywhere; give a picture with bright areas")
         reflectance = None
         if not spectrum.has_fresnel:
             reflectance = coating_reflectance(self.coating.build().n_complex(spectrum.wavelengths_nm))
@@ -399,9 +372,8 @@ class TargetSpec(RecipeModel):
 
 def _incidence(theta_deg: float, phi_deg: float, context: RecipeContext) -> Array:
     if not 0.0 <= theta_deg < 90.0:
-        raise context.fail(
-            "search.incidence_deg", [theta_deg, phi_deg], "is outside the hemisphere; theta is in [0, 90)"
-        )
+        allowed = "is outside the hemisphere; theta is in [0, 90)"
+        raise context.fail("search.incidence_deg", [theta_deg, phi_deg], allowed)
     return direction(math.radians(theta_deg), math.radians(phi_deg))
 
 
@@ -412,8 +384,8 @@ def _spectrum_colour(name: str, context: RecipeContext) -> Array:
     key = "target.colour.spectrum"
     table = two_columns(context, key, name, is_share=True)
     if len(table) < 2 or (np.diff(table[:, 0]) <= 0).any():
-        raise context.fail(key, name, "should hold two columns, ascending nm and reflectance")
-    if table[:, 1].min() < 0.0 or table[:, 1].max() > MOST_REFLECTANCE:
-        raise context.fail(key, name, "should hold reflectances from 0 to 1; head a column in per cent '%'")
+        raise context.fail(key, name, "should contain two columns, ascending nm and reflectance")
+    if table[:, 1].min() < 0.0 or table[:, 1].max() > MAX_REFLECTANCE:
+        raise context.fail(key, name, "should contain reflectances from 0 to 1; head a column in per cent '%'")
     rgb = spectrum_to_rgb_linear(table[:, 1], table[:, 0])
-    return np.clip(rgb, 0.0, 1.0) ** (1.0 / 2.2)
+    return np.clip(rgb, 0.0, 1.0) ** (1.0 / GAMMA)

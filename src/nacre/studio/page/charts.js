@@ -1,10 +1,9 @@
-// What the numbers say: the ribbon over the angle, spectra, the track in a*b*, colours under lamps.
+// Charts: colour over the angle, spectra, the track in a*b*, colours under lamps.
 
 import { boxOf, placeLabels } from "./labels.js";
 
 const SVG = "http://www.w3.org/2000/svg";
-// Straight lines are lines, curves are drawn on a canvas: where there is no graphics card, one path makes a browser paint its
-// whole panel in a way that takes it twice as long.
+// Curves are drawn on a canvas: without a graphics card a single SVG path doubles the time to paint the panel.
 const DASHES = ["", "5 3", "1.5 2.5"];
 export const clear = (node) => node.replaceChildren();
 export const add = (root, tag, props, text) => {
@@ -15,8 +14,8 @@ export const add = (root, tag, props, text) => {
   return made;
 };
 
-// Draws curves under a drawing, on the canvas before it, in the drawing's units: points, whether they are B's, dashes.
-function pencil(svg) {
+// Return a function that draws curves on the canvas below an SVG, in its units: points, whether they are B's, dashes.
+function curveDrawer(svg) {
   const canvas = svg.previousElementSibling, context = canvas.getContext("2d", { willReadFrequently: true });     // by the CPU
   const { width, height } = svg.viewBox.baseVal, scale = (Math.max(canvas.clientWidth, 1) * devicePixelRatio) / width, { color, caretColor } = getComputedStyle(canvas);
   const size = [width, height].map((side) => Math.round(side * scale));
@@ -38,7 +37,7 @@ export function total(look) {
   return look.mirror.map((value, i) => value + look.gloss[i] + look.spread[i]);
 }
 
-// Out of gamut the chroma is lowered at constant luminance, as on the sphere.
+// Reduce the chroma of colours outside sRGB at constant luminance, as on the sphere.
 export function shown(r, g, b) {
   const y = Math.min(Math.max(0.2126 * r + 0.7152 * g + 0.0722 * b, 0), 1);
   const low = Math.min(r, g, b), high = Math.max(r, g, b);
@@ -51,7 +50,7 @@ export function shown(r, g, b) {
   });
 }
 
-// Of a colour as #rrggbb; black and white stand equally well on 0.179 (WCAG 2).
+// Luminance of #rrggbb; black and white have equal contrast at 0.179 (WCAG 2).
 function luminance(hex) {
   const [r, g, b] = [1, 3, 5].map((at) => Number.parseInt(hex.slice(at, at + 2), 16) / 255).map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4));
   return 0.2126 * r + 0.7152 * g + 0.0722 * b;
@@ -66,7 +65,7 @@ export function toLab(r, g, b) {
   return [116 * xyz[1] - 16, 500 * (xyz[0] - xyz[1]), 200 * (xyz[1] - xyz[2])];
 }
 
-// The screen colour of CIELAB as #rrggbb, clipped as above.
+// Convert CIELAB to #rrggbb, clipped as above.
 export function hex(lightness, a, b) {
   const f = (lightness + 16) / 116, [x, y, z] = [f + a / 500, f, f - b / 200].map((t, i) => [0.95047, 1, 1.08883][i] * (t > 6 / 29 ? t ** 3 : (t - 16 / 116) / 7.787));
   const rgb = [3.2404542 * x - 1.5371385 * y - 0.4985314 * z, -0.969266 * x + 1.8760108 * y + 0.041556 * z, 0.0556434 * x - 0.2040259 * y + 1.0572252 * z];
@@ -86,7 +85,7 @@ export function drawRibbon(canvas, text, look) {
 }
 
 export function drawSpectrum(svg, look, other) {
-  const draw = pencil(svg);
+  const draw = curveDrawer(svg);
   clear(svg);
   const [left, right, top, bottom] = [26, 276, 6, 128], looks = other ? [other, look] : [look];
   const x = (nm) => left + ((nm - 380) / 400) * (right - left), peak = Math.max(...looks.map(({ total }) => Math.max(...total)));
@@ -115,9 +114,9 @@ export function drawSpectrum(svg, look, other) {
   });
 }
 
-// `least`: of what the axes reach.
+// `least`: smallest extent of the axes.
 export function drawTrack(svg, look, other, least) {
-  const draw = pencil(svg);
+  const draw = curveDrawer(svg);
   clear(svg);
   const track = (one) => {
     const all = total(one), points = [];
@@ -129,7 +128,7 @@ export function drawTrack(svg, look, other, least) {
   const x = (a) => 140 + (a / reach) * 88, y = (b) => 95 - (b / reach) * 88;
   add(svg, "line", { x1: 52, x2: 228, y1: 95, y2: 95, class: "axis" });
   add(svg, "line", { x1: 140, x2: 140, y1: 7, y2: 183, class: "axis" });
-  const words = [[244, 95, "a*"], [158, 11, "b*"]].map(([left, top, name]) => [left, top, `${name} ${Math.round(reach)}`]), marks = [];
+  const words = [[244, 95, "a*"], [158, 11, "b*"]].map(([left, top, name]) => [left, top, `${name} ${Math.round(reach)}`]), labels = [];
   for (const [left, top, text] of words) add(svg, "text", { x: left, y: top + 3, "text-anchor": "middle" }, text);
   for (const { all, points, is } of tracks) {
     const isOther = tracks.length > 1 && is === other;
@@ -138,12 +137,12 @@ export function drawTrack(svg, look, other, least) {
       const [, a, b] = points[angle], fill = `rgb(${shown(all[3 * angle], all[3 * angle + 1], all[3 * angle + 2]).join(" ")})`;
       if (isOther) add(svg, "rect", { x: x(a) - 4, y: y(b) - 4, width: 8, height: 8, class: "dot other", fill });
       else add(svg, "circle", { cx: x(a), cy: y(b), r: 5, class: "dot", fill });
-      marks.push({ x: x(a), y: y(b), r: 5, text: `${tracks.length > 1 ? (isOther ? "B " : "A ") : ""}${angle}°` });
+      labels.push({ x: x(a), y: y(b), r: 5, text: `${tracks.length > 1 ? (isOther ? "B " : "A ") : ""}${angle}°` });
     }
   }
   const curve = tracks.flatMap(({ points }) => points.filter((_, i) => i % 3 === 0).map(([, a, b]) => [x(a), y(b)]));
-  placeLabels(marks, words.map(([left, top, text]) => boxOf(left, top, text)), curve, [0, 0, 280, 190]).forEach((at, i) => {
-    const { x: left, y: top, text } = marks[i];
+  placeLabels(labels, words.map(([left, top, text]) => boxOf(left, top, text)), curve, [0, 0, 280, 190]).forEach((at, i) => {
+    const { x: left, y: top, text } = labels[i];
     if (at.isLed) add(svg, "line", { x1: left, y1: top, x2: Math.min(Math.max(left, at.box[0]), at.box[2]), y2: Math.min(Math.max(top, at.box[1]), at.box[3]), class: "lead" });
     add(svg, "text", { x: at.x.toFixed(1), y: (at.y + 3.5).toFixed(1), "text-anchor": "middle", class: "mark" }, text);
   });
@@ -161,7 +160,7 @@ export function drawSwatches(table, look, other) {
       const chip = (name, fill) => {
         const made = make("span", { className: "chip", title: name + fill, textContent: name });
         made.style.background = fill;
-        // the letter on the chip: black or white, whichever the colour carries
+        // the letter in black or white, for contrast
         made.style.color = luminance(fill) > 0.179 ? "#000" : "#fff";
         return made;
       };

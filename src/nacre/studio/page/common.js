@@ -1,8 +1,8 @@
-// What the modules of the page share: the state of the page, its elements, the server, the line about the answer.
+// Shared by the modules of the page: state, elements, requests to the server, the status line.
 
 import { Recipe } from "./recipe.js";
 
-export const app = { recipe: new Recipe(), wire: null, view: null, form: null, state: null, lastGood: null, lastName: "", error: null };
+export const app = { recipe: new Recipe(), socket: null, view: null, form: null, state: null, lastGood: null, lastName: "", error: null };
 
 export const $ = (id) => document.getElementById(id);
 export const el = (tag, props = {}, ...inside) => {
@@ -12,8 +12,8 @@ export const el = (tag, props = {}, ...inside) => {
 };
 export const shortName = (name) => (name.startsWith("example:") ? `${name.slice(8)} (example)` : name);
 
-// What the server says to a question; without one, in words (browsers say "Failed to fetch", each its own).
-export async function reach(path, options) {
+// `fetch` with a clear message if there is no server.
+export async function request(path, options) {
   try {
     return await fetch(path, options);
   } catch (problem) {
@@ -22,13 +22,13 @@ export async function reach(path, options) {
   }
 }
 
-// The answer to a question, whole; an error of the server's as an Error with its line of text.
+// Return the server's answer; throw its error message.
 export async function ask(path, body, signal) {
   const options = body ? { method: "POST", body: JSON.stringify(body), headers: { "content-type": "application/json" } } : {};
-  const answer = await reach(path, { ...options, signal });
+  const answer = await request(path, { ...options, signal });
   if (answer.ok) return answer;
-  const told = await answer.json().catch(() => ({}));
-  throw new Error(told.error ?? `the server answered ${answer.status}`);
+  const { error } = await answer.json().catch(() => ({}));
+  throw new Error(error ?? `the server answered ${answer.status}`);
 }
 
 export async function api(path, body, signal) {
@@ -38,9 +38,9 @@ export async function api(path, body, signal) {
 const RESTING_MS = 150;
 let written = "", writing = 0;
 
-// The line about the answer. What comes again and again while a number is dragged (`isNews` false) is written once it has
-// rested: to write it each time would paint a part of the page beside every picture of the object.
-export function tell(kind, text, isNews = true) {
+// Write the status line. Repeated messages during a drag (`isNews` false) are delayed: writing them at once would repaint a
+// part of the page for every picture of the object.
+export function setStatus(kind, text, isNews = true) {
   const box = $("state");
   box.dataset.kind = kind;
   clearTimeout(writing);
@@ -52,7 +52,7 @@ export function tell(kind, text, isNews = true) {
   else writing = setTimeout(write, RESTING_MS);
 }
 
-// Changes that the server has not yet written into the text are written before the text leaves the page.
+// Return the recipe's text after the server has applied all edits.
 export async function wholeText() {
   const until = performance.now() + 4000;
   while (app.recipe.edits.length && performance.now() < until) await new Promise((done) => setTimeout(done, 20));

@@ -1,74 +1,74 @@
-// Two looks beside each other, and the steps of the recipe as pictures to go back to.
+// Comparison of two appearances, and the history of the recipe as pictures.
 
-import { $, app, el, shortName, tell, wholeText } from "./common.js";
+import { $, app, el, shortName, setStatus, wholeText } from "./common.js";
 
 const { recipe } = app;
-const THUMBNAIL = 56, RESTING_MS = 600;         // to read a picture back takes as long as to draw two: not while a number is dragged
-let kept = null, page = null, timer = 0;    // page: what main.js does: chart(), go(by), showRecipe(), listRecipes()
-let placed = "";        // which step the strip was scrolled to; asking where it lies lays the whole page out
-const pictures = new Map(), colours = new Map();     // of recipes, by their text: a small picture; before there is one, a colour
+const THUMBNAIL = 56, RESTING_MS = 600;         // reading a picture back takes as long as drawing two, therefore only after a pause
+let stored = null, page = null, timer = 0;    // page: functions of main.js, { chart, go, showRecipe, listRecipes }
+let scrolledTo = "";        // step that the strip was scrolled to; reading its position forces a layout
+const pictures = new Map(), colours = new Map();     // thumbnail of a recipe by its text, or a colour until there is one
 
 // ---- A and B
 
-export const other = () => kept?.look ?? null;
+export const other = () => stored?.look ?? null;
 
-// What the server is told of B: its colours, to which it adds how far A's are from them.
-export const beside = () => (kept ? { beside: kept.look.swatches.map(({ lab }) => lab) } : {});
+// Lab colours of B in a request; the server answers their difference from A.
+export const comparedLab = () => (stored ? { compared_lab: stored.look.swatches.map(({ lab }) => lab) } : {});
 
-export const keptRecipe = () => (kept ? [{ text: kept.text, name: kept.name }] : []);
+export const storedRecipe = () => (stored ? [{ text: stored.text, name: stored.name }] : []);
 
-// Under another lamp B's colours are solved anew: its question goes before the one of the recipe that is edited.
-let asked = null;       // the question of B that is not answered yet
+// Another lamp needs new colours of B: its request precedes that of the edited recipe.
+let pending = null;       // request of B without an answer
 
-export const isStale = () => Boolean(kept) && ![kept.lamp, kept.failed].includes($("lamp").value);
+export const isStale = () => Boolean(stored) && ![stored.lamp, stored.failed].includes($("lamp").value);
 
 export function question(seq, own) {
   if (!isStale() || recipe.edits.length) return own(seq);
-  asked = { seq, lamp: $("lamp").value };
-  return { name: kept.name, text: kept.text, edits: [], lamp: asked.lamp };
+  pending = { seq, lamp: $("lamp").value };
+  return { name: stored.name, text: stored.text, edits: [], lamp: pending.lamp };
 }
 
-// Whether an answer is B's; the recipe's own question follows.
-export function takes(answer) {
-  if (asked?.seq !== answer.seq) return false;
-  const { lamp } = asked;
+// Handle an answer for B; the request of the recipe follows. Return whether it was one.
+export function handlesAnswer(answer) {
+  if (pending?.seq !== answer.seq) return false;
+  const { lamp } = pending;
   if (answer.draft) return true;
-  asked = null;
-  if (kept && answer.error) kept.failed = lamp;
-  else if (kept) {
-    Object.assign(kept, { look: answer, lamp });
+  pending = null;
+  if (stored && answer.error) stored.failed = lamp;
+  else if (stored) {
+    Object.assign(stored, { look: answer, lamp });
     if (app.view) app.view.setOther(answer);
   }
   show();
-  app.wire.ask();
+  app.socket.ask();
   return true;
 }
 
-async function keep() {
+async function store() {
   const text = await wholeText(), look = app.lastGood;
   if (!look) return;
-  const { name, mark, saved } = recipe;
-  kept = { name, text, mark, saved, look, lamp: $("lamp").value };
-  put($("keep-b").textContent === "Keep as B" ? "both" : side());
-  tell("settled", `Kept as B: ${shortName(name)}`);
+  const { name, version, saved } = recipe;
+  stored = { name, text, version, saved, look, lamp: $("lamp").value };
+  put($("keep-b").textContent === "Store as B" ? "both" : side());
+  setStatus("settled", `Stored as B: ${shortName(name)}`);
 }
 
 function drop() {
-  kept = null;
+  stored = null;
   put("a");
   $("keep-b").focus();
 }
 
-// B becomes the recipe that is edited, and what was edited becomes B.
+// Edit B; the current recipe becomes B.
 async function swap() {
-  const { name, text, mark, saved } = kept;
-  await keep();
-  if (name !== recipe.name) recipe.open({ name, text: saved, mark });
+  const { name, text, version, saved } = stored;
+  await store();
+  if (name !== recipe.name) recipe.open({ name, text: saved, version });
   recipe.type(text);
-  recipe.said = "Swapped with B";
+  recipe.action = "Swapped with B";
   page.listRecipes();
   $("text").value = recipe.text;
-  app.wire.ask();
+  app.socket.ask();
   await page.showRecipe();
 }
 
@@ -76,23 +76,23 @@ const side = () => document.querySelector('input[name="side"]:checked').value;
 
 function put(wanted) {
   document.querySelector(`input[name="side"][value="${wanted}"]`).checked = true;
-  $("keep-b").textContent = kept ? "Replace B" : "Keep as B";
-  $("keep-b").title = kept ? `B is ${shortName(kept.name)}` : "Keep this look, to compare others with it";
-  $("two").hidden = !kept;
+  $("keep-b").textContent = stored ? "Replace B" : "Store as B";
+  $("keep-b").title = stored ? `B is ${shortName(stored.name)}` : "Store this appearance to compare others with it";
+  $("two").hidden = !stored;
   if (app.view) app.view.setOther(other());
   show();
   page.chart();
-  app.wire.ask();
+  app.socket.ask();
 }
 
 function show() {
   const wanted = side(), at = Number($("split").value);
   $("split").disabled = wanted !== "both";
-  $("side-a").hidden = !kept || wanted === "b";
-  $("side-b").hidden = !kept || wanted === "a";
-  // until it is solved anew its colours are those of the lamp that it was kept under
-  $("side-b").textContent = kept && kept.lamp !== $("lamp").value ? `B, kept under ${kept.lamp}` : "B";
-  $("cut").hidden = !kept || wanted !== "both";
+  $("side-a").hidden = !stored || wanted === "b";
+  $("side-b").hidden = !stored || wanted === "a";
+  // B keeps the colours of its lamp until there are new ones
+  $("side-b").textContent = stored && stored.lamp !== $("lamp").value ? `B under ${stored.lamp}` : "B";
+  $("cut").hidden = !stored || wanted !== "both";
   $("cut").style.left = `${at}%`;
   if (app.view) app.view.show(wanted, at / 100);
 }
@@ -103,25 +103,25 @@ export function showHistory() {
   const strip = $("history"), { past, at } = recipe, look = app.lastGood;
   if (look && past[at]?.text === look.text) colours.set(look.text, look.swatches[0].hex[0]);
   if (strip.childElementCount !== past.length || strip.dataset.of !== recipe.name) strip.replaceChildren(...past.map((_, i) => button(i)));
-  strip.dataset.of = recipe.name;       // a button keeps its picture while it is dragged, but for no other recipe
+  strip.dataset.of = recipe.name;
   [...strip.children].forEach((made, i) => {
-    const { text, what } = past[i], picture = pictures.get(text), image = made.firstChild;
-    const name = `Step ${i + 1} of ${past.length}: ${what}`;
+    const { text, action } = past[i], picture = pictures.get(text), image = made.firstChild;
+    const name = `Step ${i + 1} of ${past.length}: ${action}`;
     if (made.title !== name) { made.title = name; made.setAttribute("aria-label", name); }
     if (picture && image.src !== picture) image.src = picture;
-    // the step that is being dragged keeps its picture until it rests: each repainted button delays the object
-    const isKept = i === at && image.src && !image.hidden;
-    image.hidden = !picture && !isKept;
+    // during a drag the step keeps its picture: each repainted button delays the object
+    const isUnchanged = i === at && image.src && !image.hidden;
+    image.hidden = !picture && !isUnchanged;
     made.lastChild.hidden = !image.hidden;
     if (image.hidden && colours.has(text)) made.style.background = colours.get(text);
-    made.tabIndex = i === at ? 0 : -1;      // one stop for Tab; arrow keys go along
+    made.tabIndex = i === at ? 0 : -1;      // a single tab stop; arrow keys move along the strip
     if (i === at) made.setAttribute("aria-current", "step");
     else made.removeAttribute("aria-current");
   });
   strip.hidden = !past.length;
   const here = strip.children[at], where = `${at} of ${past.length}`;
-  if (here && where !== placed) strip.scrollLeft = here.offsetLeft - strip.offsetLeft - strip.clientWidth / 2;
-  placed = where;
+  if (here && where !== scrolledTo) strip.scrollLeft = here.offsetLeft - strip.offsetLeft - strip.clientWidth / 2;
+  scrolledTo = where;
   clearTimeout(timer);
   timer = setTimeout(take, RESTING_MS);
 }
@@ -132,10 +132,10 @@ function button(i) {
   return made;
 }
 
-// The picture of the step that is shown, once it has settled and nothing has changed for a moment.
+// Store the thumbnail of the current step after a pause.
 function take() {
-  const now = recipe.past[recipe.at], rested = performance.now() - app.wire.asked;
-  if (rested < RESTING_MS || (app.view && !$("view").dataset.seq)) {     // or the room has not come yet
+  const now = recipe.past[recipe.at], rested = performance.now() - app.socket.asked;
+  if (rested < RESTING_MS || (app.view && !$("view").dataset.seq)) {
     timer = setTimeout(take, Math.max(RESTING_MS - rested, RESTING_MS / 4));
     return;
   }
@@ -150,10 +150,10 @@ function take() {
   image.nextSibling.hidden = true;
 }
 
-export function listenCompare(given) {
+export function initCompare(given) {
   page = given;
   const click = (id, act) => $(id).addEventListener("click", act);
-  click("keep-b", keep);
+  click("keep-b", store);
   click("swap-b", swap);
   click("drop-b", drop);
   for (const box of document.querySelectorAll('input[name="side"]')) box.addEventListener("change", show);
@@ -166,7 +166,7 @@ export function listenCompare(given) {
   });
   $("lamp").addEventListener("change", show);
   $("view").addEventListener("keydown", (event) => {
-    if (event.key.toLowerCase() !== "b" || event.ctrlKey || event.metaKey || event.altKey || !kept) return;
+    if (event.key.toLowerCase() !== "b" || event.ctrlKey || event.metaKey || event.altKey || !stored) return;
     event.preventDefault();
     document.querySelector(`input[name="side"][value="${side() === "b" ? "a" : "b"}"]`).checked = true;
     show();

@@ -1,19 +1,19 @@
-// The structure to scale, as far as the recipe tells: layers, flakes in resin, spheres on layers or packed, a relief.
-// It goes by what the recipe holds, not by the name of its family.
+// Drawing of the structure to scale: layers, flakes in resin, spheres on layers or packed, a relief. It depends on the data of
+// the recipe, not on the name of its family.
 
 import { add, clear } from "./charts.js";
 
-const WIDTH = 280, LEFT = 4, BAR = 108, TEXT_X = 126, LINE = 11, MOST_LABELS = 13;
-const TINTS = 6, MOST_KINDS = 3;
-const MOST_DRAWN = 60;      // spheres, flakes
+const WIDTH = 280, LEFT = 4, BAR = 108, TEXT_X = 126, LINE = 11, MAX_LABELS = 13;
+const TINTS = 6, MAX_TYPES = 3;
+const MAX_DRAWN = 60;      // spheres, flakes
 const LENGTHS = { nm: 1, um: 1e3, mm: 1e6 };
-const MOST_SHARE = 0.6;     // of the height: a layer that takes more is drawn cut
+const MAX_SHARE = 0.6;     // of the height; a thicker layer is drawn cut
 
 export function lengthNm(table, stem) {
   for (const [unit, factor] of Object.entries(LENGTHS)) {
     const value = table?.[`${stem}_${unit}`];
     if (typeof value === "number") return value * factor;
-    if (value && typeof value === "object") {     // it varies: drawn at the middle of what it varies over
+    if (value && typeof value === "object") {     // a varying value: use the mean of its limits
       const ends = [value.min, value.max].filter((end) => typeof end === "number");
       if (ends.length) return (factor * ends.reduce((a, b) => a + b, 0)) / ends.length;
     }
@@ -47,7 +47,7 @@ class Tints {
   }
 }
 
-// A stack of [{name, nm, note}] from the light's side inward, from y down; returns where it ends.
+// Draw a stack of [{name, nm, note}] from the top, starting at y; return its lower end and the labels.
 function stack(svg, entries, y, height, tints, x = LEFT, width = BAR) {
   const known = entries.map(({ nm }) => nm ?? 0);
   let cut = [], scale = 0;
@@ -55,7 +55,7 @@ function stack(svg, entries, y, height, tints, x = LEFT, width = BAR) {
     const rest = known.reduce((sum, nm, i) => sum + (cut.includes(i) ? 0 : nm), 0);
     const room = height * (1 - cut.length * 0.25);
     scale = rest > 0 ? room / rest : 0;
-    const large = known.findIndex((nm, i) => !cut.includes(i) && nm * scale > MOST_SHARE * room && nm > 30 * (rest - nm) && known.length > cut.length + 1);
+    const large = known.findIndex((nm, i) => !cut.includes(i) && nm * scale > MAX_SHARE * room && nm > 30 * (rest - nm) && known.length > cut.length + 1);
     if (large < 0) break;
     cut.push(large);
   }
@@ -76,9 +76,9 @@ function zigzag(x, y, width) {
   return d;
 }
 
-// Names beside their places, moved apart so that none covers another; too many become a count for each material.
+// Write names beside their layers without overlap; return false if there are too many.
 function label(svg, places, from, to) {
-  if (places.length > MOST_LABELS) return false;
+  if (places.length > MAX_LABELS) return false;
   const at = places.map(({ y }) => Math.min(Math.max(y, from + 4), to));
   for (let i = 1; i < at.length; i++) at[i] = Math.max(at[i], at[i - 1] + LINE);
   for (let i = at.length - 1; i >= 0; i--) at[i] = Math.min(at[i], i === at.length - 1 ? to : at[i + 1] - LINE);
@@ -98,7 +98,7 @@ function counts(svg, entries, tints, y) {
   for (const [name, { count, sum }] of [...found].slice(0, 9)) {
     add(svg, "rect", { x: TEXT_X, y: y - 8, width: 10, height: 9, class: `part ${tints.of(name)}` });
     add(svg, "text", { x: TEXT_X + 15, y }, `${count} × ${name}`);
-    add(svg, "text", { x: TEXT_X + 15, y: y + 11 }, `${inUnits(sum)} in all`);
+    add(svg, "text", { x: TEXT_X + 15, y: y + 11 }, `${inUnits(sum)} in total`);
     y += 27;
   }
 }
@@ -106,7 +106,7 @@ function counts(svg, entries, tints, y) {
 const layersOf = (list) => (list ?? []).map((layer) => ({ name: materialName(layer.material), nm: lengthNm(layer, "thickness"), varies: isVaried(layer, "thickness") }))
   .map((layer) => ({ ...layer, note: layer.varies ? (layer.nm === null ? "varies" : `varies about ${inUnits(layer.nm)}`) : undefined }));
 
-// Reproducible places: the same drawing each time.
+// Reproducible random numbers.
 function random(seed) {
   let state = seed;
   return () => {
@@ -122,7 +122,7 @@ function ground(svg, name, y, tints) {
 
 function layered(svg, data, tints) {
   const layers = layersOf(data.layers), ambient = materialName(data.ambient ?? "air"), substrate = materialName(data.substrate ?? "?");
-  add(svg, "text", { x: LEFT, y: 10 }, `${ambient}, where light comes from`);
+  add(svg, "text", { x: LEFT, y: 10 }, `${ambient}, light comes from above`);
   let top = 18;
   const particle = data.particle, spheres = particle ? particleOf(particle) : null;
   const depth = layers.reduce((sum, { nm }) => sum + (nm ?? 0), 0);
@@ -138,11 +138,11 @@ function layered(svg, data, tints) {
     label(svg, places.slice(-1), 18, ends - 4);
   }
   const words = [];
-  if (layers.length) words.push(`${layers.length} layer${layers.length > 1 ? "s" : ""}, ${inUnits(depth)} in all${drawn.cut ? "; the thick one is cut" : ", to scale"}`);
-  else words.push(`no layers, ${substrate} alone`);
+  if (layers.length) words.push(`${layers.length} layer${layers.length > 1 ? "s" : ""}, ${inUnits(depth)} in total${drawn.cut ? "; the thick one is cut" : ", to scale"}`);
+  else words.push(`no layers, only ${substrate}`);
   if (spheres) words.unshift(`spheres of ${inUnits(2 * spheres.outer)}`);
   const ridges = data.ridges ?? (data.preset ? {} : null), pitch = lengthNm(ridges, "pitch");
-  if (ridges) words.push(pitch ? `in ridges ${inUnits(pitch)} apart` : "in ridges; the preset fills in what is not given");
+  if (ridges) words.push(pitch ? `in ridges ${inUnits(pitch)} apart` : "in ridges; the preset gives the other values");
   return { ends, words: words.join(", ") };
 }
 
@@ -156,12 +156,12 @@ function sphere(svg, { radius, outer, name, shell }, x, y, scale, tints) {
   add(svg, "circle", { cx: x, cy: y, r: radius * scale, class: `part ${tints.of(name)}` });
 }
 
-// Spheres over the layers, as far apart as their coverage puts them on average; returns where the layers begin.
+// Draw spheres above the layers at their mean distance; return the upper end of the layers.
 function beads(svg, spheres, monolayer, y, scale, tints) {
   const { radius, outer, gap, name, shell, places } = spheres;
   const perArea = typeof monolayer?.density_per_um2 === "number" ? monolayer.density_per_um2 / 1e6 : (typeof monolayer?.coverage === "number" ? monolayer.coverage : 0.1) / (Math.PI * outer * outer);
   const apart = Math.max(Math.sqrt(1 / perArea), 2 * outer) * scale, middle = y + outer * scale, first = LEFT + outer * scale;
-  const many = Math.min(Math.floor((BAR - 2 * outer * scale) / apart + 1e-9) + 1, MOST_DRAWN);
+  const many = Math.min(Math.floor((BAR - 2 * outer * scale) / apart + 1e-9) + 1, MAX_DRAWN);
   const rest = (BAR - 2 * outer * scale - (many - 1) * apart) / 2;
   for (let i = 0; i < many; i++) sphere(svg, spheres, first + Math.max(rest, 0) + i * apart, middle, scale, tints);
   places.push({ y: middle, text: `${name}, radius ${inUnits(radius)}` });
@@ -172,7 +172,7 @@ function beads(svg, spheres, monolayer, y, scale, tints) {
 function strata(svg, data, tints) {
   const baseName = data.base ? (data.base.recipe ? "another recipe" : data.base.none ? "nothing" : `base of ${data.base.albedo ?? 0}`) : "black base";
   const list = data.strata.map((one) => ({ one, name: materialName(one.resin ?? one.matrix ?? "air"), nm: lengthNm(one, "thickness") }));
-  add(svg, "text", { x: LEFT, y: 10 }, "air, where light comes from");
+  add(svg, "text", { x: LEFT, y: 10 }, "air, light comes from above");
   const drawn = stack(svg, list, 18, 84, tints), next = random(7);
   let y = 18;
   for (const [i, { one }] of list.entries()) {
@@ -185,14 +185,14 @@ function strata(svg, data, tints) {
   label(svg, [...drawn.places, { y: drawn.end + 10, text: baseName }], 18, drawn.end + 22);
   let ends = drawn.end + 30;
   const kinds = list.flatMap(({ one }) => one.platelets ?? []);
-  for (const [i, kind] of kinds.slice(0, MOST_KINDS).entries()) ends = platelet(svg, kind, i, kinds.length, ends, tints);
-  const words = kinds.length ? `; below ${kinds.length > 1 ? "sections of its flakes" : "a section of its flakes"}${kinds.length > MOST_KINDS ? `, ${MOST_KINDS} of ${kinds.length} kinds` : ""}` : "";
+  for (const [i, kind] of kinds.slice(0, MAX_TYPES).entries()) ends = platelet(svg, kind, i, kinds.length, ends, tints);
+  const words = kinds.length ? `; below ${kinds.length > 1 ? "sections of its flakes" : "a section of its flakes"}${kinds.length > MAX_TYPES ? `, ${MAX_TYPES} of ${kinds.length} types` : ""}` : "";
   return { ends, words: `${list.length} strat${list.length > 1 ? "a" : "um"}, ${inUnits(list.reduce((sum, { nm }) => sum + (nm ?? 0), 0))}${words}` };
 }
 
-// Flakes are told, not counted: more of them where they fill more, tilted as much as they are.
+// Draw flakes symbolically: their number follows the volume fraction, their tilt the deviation.
 function flakes(svg, { volume_fraction: share, normal_deviation: deviation }, top, bottom, next) {
-  const many = Math.min(Math.round(120 * Math.sqrt(typeof share === "number" ? share : 0.05)), MOST_DRAWN);
+  const many = Math.min(Math.round(120 * Math.sqrt(typeof share === "number" ? share : 0.05)), MAX_DRAWN);
   const tilt = (typeof deviation === "number" ? deviation : 0.1) * 1.2;
   for (let i = 0; i < many; i++) {
     const x = LEFT + 7 + next() * (BAR - 14), y = top + 3 + next() * Math.max(bottom - top - 6, 0), turn = (next() - 0.5) * 2 * tilt;
@@ -211,7 +211,7 @@ function platelet(svg, kind, i, many, y, tints) {
   return drawn.end + 12;
 }
 
-// Spheres in disorder, as large and as close as they are; of the layer only a part fits.
+// Draw disordered spheres to scale; only a part of the layer fits.
 function packed(svg, spheres, fraction, { x, y, width, height }, tints, next) {
   const scale = Math.min(height / (6 * spheres.outer), 12 / spheres.outer), r = spheres.outer * scale;
   const apart = Math.max(2 * r * Math.cbrt(0.74 / (typeof fraction === "number" ? fraction : 0.5)), 2 * r), row = apart * 0.866;
@@ -234,10 +234,10 @@ function glass(svg, data, tints) {
   label(svg, places, 6, 108);
   const share = typeof fraction === "number" ? `, ${Number((100 * fraction).toPrecision(3))} % of the volume` : "";
   const balls = data.balls ? ` packed into balls of ${inUnits(2 * (lengthNm(data.balls, "radius") ?? 0))}` : "";
-  return { ends: 114, words: `a piece of a layer of ${inUnits(lengthNm(data, "thickness"))}: spheres in disorder${share}${balls}` };
+  return { ends: 114, words: `part of a layer of ${inUnits(lengthNm(data, "thickness"))}: disordered spheres${share}${balls}` };
 }
 
-// `profile`: heights along one line of a relief, as the server read them.
+// `profile`: heights along one line of a relief.
 function relief(svg, data, profile) {
   const { heights_um: heights, length_um: length, depth_um: depth } = profile, [top, bottom] = [14, 74];
   const x = (i) => LEFT + (i / heights.length) * (WIDTH - 2 * LEFT), y = (h) => bottom - (depth > 0 ? h / depth : 0) * (bottom - top);
@@ -246,10 +246,10 @@ function relief(svg, data, profile) {
   add(svg, "path", { d: `${d}V90Z`, class: "part tint1" });
   add(svg, "text", { x: LEFT, y: 9 }, `${materialName(data.coating ?? "Al")}, one line across the relief`);
   const wide = Number(length.toPrecision(3)), deep = Number((depth * 1e3).toPrecision(3));
-  return { ends: 94, words: `${wide} µm wide, ${deep} nm deep; heights are drawn larger than widths, without the blur of the process` };
+  return { ends: 94, words: `${wide} µm wide, ${deep} nm deep; heights are exaggerated, without the blur of the process` };
 }
 
-// Draw what the recipe tells; returns it in words, or "" where nothing is known to be drawn.
+// Draw the structure and return a description, or "" if it is unknown.
 export function drawStructure(svg, data, profile) {
   clear(svg);
   const tints = new Tints();

@@ -1,9 +1,9 @@
 // The opened folder: its recipes, the starting points, saving, copying.
 
-import { $, api, app, el, shortName, tell, wholeText } from "./common.js";
+import { $, api, app, el, shortName, setStatus, wholeText } from "./common.js";
 
 const { recipe } = app;
-let page = null;    // what main.js does: setError(told), showRecipe(), tab(name)
+let page = null;    // functions of main.js, { setError, showRecipe, tab }
 
 export function listRecipes() {
   const names = [...new Set([recipe.name, ...app.state.recipes])].filter(Boolean);
@@ -23,28 +23,28 @@ export async function open(name) {
   listRecipes();
   $("text").value = recipe.text;
   await page.showRecipe();
-  app.wire.ask();
+  app.socket.ask();
 }
 
 async function choose(name) {
   if (name === "") {
     $("recipes").value = recipe.name;
     $("welcome").showModal();
-  } else if (!recipe.isChanged || confirm(`${shortName(recipe.name)} has changes that are not saved. Leave it?`)) {
+  } else if (!recipe.isChanged || confirm(`${shortName(recipe.name)} has unsaved changes. Leave it?`)) {
     $("welcome").close();
     await open(name);
   } else $("recipes").value = recipe.name;
 }
 
-async function save(name, mark) {
+async function save(name, version) {
   const text = await wholeText();
-  const told = await api("api/save", { name, text, mark });
-  Object.assign(recipe, { name, mark: told.mark, saved: text });
+  const saved = await api("api/save", { name, text, version });
+  Object.assign(recipe, { name, version: saved.version, saved: text });
   app.state.recipes = [...new Set([...app.state.recipes, name])].sort();
   listRecipes();
   await page.showRecipe();
-  app.wire.ask();
-  tell("settled", `Saved ${name}`);
+  app.socket.ask();
+  setStatus("settled", `Saved ${name}`);
 }
 
 function saveAs() {
@@ -58,7 +58,7 @@ async function saveNamed(event) {
   event.preventDefault();
   const given = $("new-name").value.trim(), name = given.endsWith(".toml") ? given : `${given}.toml`;
   try {
-    await save(name, name === recipe.name ? recipe.mark : "");
+    await save(name, name === recipe.name ? recipe.version : "");
     $("name-dialog").close();
   } catch (problem) {
     $("name-error").textContent = problem.message;
@@ -68,7 +68,7 @@ async function saveNamed(event) {
 export async function saveHere() {
   if (recipe.name.startsWith("example:")) return saveAs();
   try {
-    await save(recipe.name, recipe.mark);
+    await save(recipe.name, recipe.version);
   } catch (problem) {
     page.setError({ error: problem.message, line: null });
   }
@@ -78,12 +78,12 @@ async function copy() {
   const text = await wholeText();
   try {
     await navigator.clipboard.writeText(text);
-    tell("settled", "Copied the recipe as TOML");
+    setStatus("settled", "Copied the recipe as TOML");
   } catch {
     page.tab("toml");
     $("text").focus();
     $("text").select();
-    tell("settled", "The browser refused the clipboard; the text is selected");
+    setStatus("settled", "The browser refused the clipboard; the text is selected");
   }
 }
 
@@ -100,7 +100,7 @@ export function welcome() {
   $("all-examples").replaceChildren(new Option("choose …", ""), ...examples.map(({ name, title, family }) => new Option(`${title} (${family})`, name)));
 }
 
-export function listenFiles(given) {
+export function initFiles(given) {
   page = given;
   const click = (id, act) => $(id).addEventListener("click", act);
   click("copy", copy);

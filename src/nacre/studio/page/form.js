@@ -1,6 +1,6 @@
-// The form, laid out from the family's recipe model: names, meanings, units, ranges and defaults come from the server.
+// The form of a recipe; names, meanings, units, ranges and defaults come from the server.
 
-const WIDEST_SLIDER = 1000;     // ranges up to this are shown whole; of longer ones the part around the value
+const WIDEST_SLIDER = 1000;     // longer ranges are reduced to a part around the value
 const STEPS = 500;
 
 const el = (tag, props = {}, ...inside) => {
@@ -17,7 +17,7 @@ const short = (x) => String(Number(x.toPrecision(7)));
 const isTable = (x) => x !== null && typeof x === "object" && !Array.isArray(x);
 
 export class Form {
-  // `change(edit)` is told every change; `search(text)` gives names of materials.
+  // `change(edit)` receives every edit; `search(text)` returns names of materials.
   constructor(root, help, { change, search }) {
     Object.assign(this, { root, help, change, search, model: null, shape: "", fields: new Map(), open: new Set() });
     this.found = document.getElementById("found");
@@ -31,7 +31,7 @@ export class Form {
     this.help.replaceChildren(el("b", { textContent: row.dataset.path }), ` – ${row.dataset.meaning}`);
   }
 
-  // Show a recipe's data: in place where only values changed, laid out anew where keys or entries did.
+  // Show a recipe's data; the layout changes only with its keys and entries.
   show(model, data) {
     const shape = JSON.stringify(data, (key, value) => (typeof value === "number" ? 0 : typeof value === "string" ? "" : value));
     if (model === this.model && shape === this.shape) {
@@ -46,7 +46,7 @@ export class Form {
     if (focus) document.getElementById(focus)?.focus();
   }
 
-  // Show a line in place of a recipe that has no data.
+  // Show a message instead of a recipe.
   clear(line) {
     Object.assign(this, { model: null, shape: "", fields: new Map() });
     this.root.replaceChildren(el("p", { className: "quiet", textContent: line }));
@@ -58,7 +58,7 @@ export class Form {
     const set = el("fieldset"), unset = [];
     set.setAttribute("aria-label", path || "recipe");
     for (const key of table.keys) {
-      const name = [key.name, ...Object.keys(key.spellings)].find((way) => data?.[way] !== undefined) ?? key.name;
+      const name = [key.name, ...Object.keys(key.spellings)].find((name) => data?.[name] !== undefined) ?? key.name;
       const value = data?.[name], place = path ? `${path}.${name}` : name;
       if (value === undefined && key.kind === "tables") set.append(this.list(key, [], place));
       else if (value === undefined) unset.push(this.unset(key, place, data, path));
@@ -66,7 +66,7 @@ export class Form {
     }
     const kept = unset.filter(Boolean);
     if (kept.length) {
-      const more = el("details", { open: this.open.has(path) }, el("summary", { textContent: `${kept.length} more, at their defaults` }), ...kept);
+      const more = el("details", { open: this.open.has(path) }, el("summary", { textContent: `${kept.length} more, with default values` }), ...kept);
       more.addEventListener("toggle", () => (more.open ? this.open.add(path) : this.open.delete(path)));
       set.append(more);
     }
@@ -88,8 +88,8 @@ export class Form {
 
   inner(key, value, path) {
     const table = this.model.tables[key.tables[0]];
-    const remove = key.is_required ? null : this.button("✕", `Take out ${words(key.name)}`, () => this.change({ op: "remove", path }));
-    // a material given by numbers may be given by its name instead
+    const remove = key.is_required ? null : this.button("✕", `Remove ${words(key.name)}`, () => this.change({ op: "remove", path }));
+    // a material given by numbers can be replaced by a named one
     const named = key.kind === "material" ? this.button("by name", `Choose ${words(key.name)} by name`, () => this.change({ op: "set", path, value: "SiO2" })) : null;
     const head = el("div", { className: "head" }, el("span", { className: "name", textContent: words(key.name) }), named, remove);
     const box = el("div", { className: "table" }, head);
@@ -114,7 +114,7 @@ export class Form {
       up.disabled = i === 0;
       down.disabled = i === entries.length - 1;
       const copy = this.button("+", `Add a copy of ${one} ${i + 1}`, () => this.change({ op: "insert", path, index: i + 1, value: this.read(`${path}[${i}]`) }));
-      const gone = this.button("✕", `Take out ${one} ${i + 1}`, () => this.change({ op: "remove", path: `${path}[${i}]` }));
+      const gone = this.button("✕", `Remove ${one} ${i + 1}`, () => this.change({ op: "remove", path: `${path}[${i}]` }));
       const head = el("div", { className: "head" }, el("span", { className: "name", textContent: `${one} ${i + 1}${about}` }), up, down, copy, gone);
       box.append(el("div", { className: "entry" }, head, this.table(table, entry, `${path}[${i}]`)));
     });
@@ -164,7 +164,7 @@ export class Form {
         to = Math.min(high, reach);
       }
       const step = whole ? 1 : 10 ** Math.floor(Math.log10((to - from) / STEPS));
-      // a slider stands at its least value plus whole steps: round numbers, where the least allowed one is not round
+      // a slider takes its minimum plus whole steps: start at a round number
       slider.min = Number((Math.floor(from / step + 1e-9) * step).toPrecision(12));
       slider.max = to;
       slider.step = step;

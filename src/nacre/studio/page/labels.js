@@ -1,14 +1,14 @@
-// Where the labels of points in a drawing stand, so that none covers another, a point, or more of a curve than it must.
+// Placement of the labels of points: labels overlap neither each other nor points, and curves as little as possible.
 
 const LETTER = 5.4, HEIGHT = 11, RINGS = [8, 17, 27, 38], WAYS = [[1, -0.7], [1, 0.7], [-1, -0.7], [-1, 0.7], [0, -1], [0, 1], [1, 0], [-1, 0]];
-const OVER = 10, OUTSIDE = 100, ON_CURVE = 6, FARTHER = 0.3;      // what a square unit, a point of a curve, a unit of distance costs
+const OVER = 10, OUTSIDE = 100, ON_CURVE = 6, FARTHER = 0.3;      // costs of a square unit, a point of a curve, a unit of distance
 
 export const boxOf = (x, y, text) => [x - 0.5 * LETTER * text.length, y - 0.5 * HEIGHT, x + 0.5 * LETTER * text.length, y + 0.5 * HEIGHT];
 const shared = (a, b) => Math.max(Math.min(a[2], b[2]) - Math.max(a[0], b[0]), 0) * Math.max(Math.min(a[3], b[3]) - Math.max(a[1], b[1]), 0);
 const area = ([left, top, right, bottom]) => (right - left) * (bottom - top);
 
-// The middle of each label, and whether it stands so far from its point that a line should lead there. `points`: each x, y, radius
-// r and text; `taken`: boxes where nothing may stand; `curve`: points that are better left free; `frame`: the drawing's own box.
+// Return the centre of each label, and whether it needs a leader line. `points`: x, y, radius r and text; `taken`: forbidden
+// boxes; `curve`: points to avoid; `frame`: the box of the drawing.
 export function placeLabels(points, taken, curve, frame) {
   const boxes = [...taken, ...points.map(({ x, y, r }) => [x - r, y - r, x + r, y + r])];
   return points.map(({ x, y, text }) => {

@@ -1,28 +1,27 @@
-// The light of the room that reaches the eye off the ball, gathered over each lobe: it does not depend on the recipe's
-// colours, so that it is gathered when the view, the room or a roughness has come to rest, strip by strip, and kept.
-// Until then the page draws with one look-up in a blurred room. Other objects look up what was gathered for a ball in
-// their place: each pixel where the ball mirrors the same part of the room.
+// Light of the room reflected by the ball, integrated over each lobe. It is independent of the recipe's colours, therefore it is
+// integrated and cached once view, room and roughness stop changing, strip by strip. Until then the page uses one look-up in
+// a blurred room. Other objects use the light of a ball: each pixel at the point that reflects the same part of the room.
 
 const REST_MS = 160, STRIP_MS = 12, STRIPS = 16;
-const FINE = 256, ROUGH = 0.08;                 // pixels a side; the coarse ones are for lobes above such a roughness
+const FINE = 256, ROUGH = 0.08;                 // pixels along a side; above this roughness the coarse size is used
 export const COARSE = 128;
 const MOST_KEPT = 3;
 const FIRST_UNIT = 5;                           // textures 0 to 4 are the view's own
 
 export class Light {
-  // `draw(strip)` runs the shader over a part of the buffer; `onDone` when a light is ready.
+  // `draw(strip)` renders a part of the buffer; `onDone` is called when a light is complete.
   constructor(gl, draw, onDone) {
     Object.assign(this, { gl, draw, onDone, kept: new Map(), wanted: new Map(), making: null, timer: 0 });
     this.isAble = Boolean(gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float"));
   }
 
-  // Bind what was gathered for a look, and say whether it was; what was not is asked for.
+  // Bind the light of an appearance and return true, or schedule its integration.
   bind(key, look) {
     if (!this.isAble) return false;
     const made = this.kept.get(key);
     if (made) {
       this.kept.delete(key);
-      this.kept.set(key, made);         // the last one used is the last to go
+      this.kept.set(key, made);         // least recently used first
       made.textures.forEach((texture, i) => this.on(FIRST_UNIT + i, texture));
       return true;
     }
@@ -30,7 +29,7 @@ export class Light {
     return false;
   }
 
-  // All that a picture asked for has been said; what nobody asks for any more is given up.
+  // Called after a picture: drop lights that it did not use.
   settle(keys) {
     for (const key of this.wanted.keys()) if (!keys.includes(key)) this.wanted.delete(key);
     if (this.making && !this.wanted.has(this.making.key)) { this.free(this.making); this.making = null; }

@@ -1,34 +1,34 @@
-// The page: the recipe on the left, the object in the middle, what the numbers say on the right.
+// The page: the recipe on the left, the object in the middle, colours and spectra on the right.
 
-import { beside, isStale, listenCompare, question, showHistory, takes } from "./compare.js";
-import { $, api, app, el, shortName, tell } from "./common.js";
-import { listRecipes, listenFiles, open, saveHere, welcome } from "./files.js";
-import { cloudSettled, listenCloud } from "./cloud.js";
-import { designSettled, listenDesign } from "./design.js";
+import { comparedLab, isStale, initCompare, question, showHistory, handlesAnswer } from "./compare.js";
+import { $, api, app, el, shortName, setStatus } from "./common.js";
+import { listRecipes, initFiles, open, saveHere, welcome } from "./files.js";
+import { updateTolerance, initTolerance } from "./tolerance.js";
+import { updateDesign, initDesign } from "./design.js";
 import { Form } from "./form.js";
-import { listenMaker } from "./maker.js";
-import { listObjects, listenObjects } from "./objects.js";
+import { initDownloads } from "./downloads.js";
+import { listObjects, initObjects } from "./objects.js";
 import { drawPanels, panels } from "./panels.js";
 import { valueAt } from "./recipe.js";
-import { listenReport } from "./report.js";
-import { listenSettled, render, settledEdited, standIn } from "./settled.js";
-import { fetchRoom, listenSurround } from "./surround.js";
+import { initReport } from "./report.js";
+import { initRendering, render, restartRendering, replacePreview } from "./rendering.js";
+import { fetchRoom, initSurroundings } from "./surroundings.js";
 import { View } from "./view.js";
-import { Wire } from "./wire.js";
+import { Socket } from "./socket.js";
 
 const { recipe } = app, models = new Map(), TABS = ["form", "toml", "design"];
 
-// ---- what is shown of the connection and of the answer
+// ---- connection and answers
 
 function onState(kind) {
-  if (kind === "lost") tell("lost", "Connection lost; trying again. Nothing typed is lost.");
-  else if (kind === "refused") tell("lost", "nacre studio was started anew: open the address that it printed, in this tab. Nothing typed is lost.");
-  else if (kind === "open") tell("solving", "Connected");
-  else if (kind === "asked" && $("state").dataset.kind !== "lost") tell("solving", "Solving", false);
+  if (kind === "lost") setStatus("lost", "Connection lost; reconnecting. Your edits are preserved.");
+  else if (kind === "refused") setStatus("lost", "nacre studio was restarted: open the address that it printed in this tab. Your edits are preserved.");
+  else if (kind === "open") setStatus("solving", "Connected");
+  else if (kind === "asked" && $("state").dataset.kind !== "lost") setStatus("solving", "Solving", false);
 }
 
 function onAnswer(answer, isNewest) {
-  if (takes(answer)) return;
+  if (handlesAnswer(answer)) return;
   if (answer.error) return onError(answer, isNewest);
   const isOurs = recipe.settle(answer, isNewest);
   app.lastGood = answer;
@@ -40,34 +40,34 @@ function onAnswer(answer, isNewest) {
   if (!isNewest) return;
   setError(null);
   const ms = Math.max(1, Math.round(answer.seconds * 1000)), took = ms < 1000 ? `${ms} ms` : `${(ms / 1000).toFixed(1)} s`;
-  tell(answer.draft ? "draft" : "settled", answer.draft ? "Draft: few angles and wavelengths. Settling" : `Settled, solved in ${took}`, false);
-  if (isOurs) settledEdited();
-  designSettled(answer);
-  if (!answer.draft) cloudSettled();
-  if (!answer.draft && isStale()) app.wire.ask();
+  setStatus(answer.draft ? "draft" : "settled", answer.draft ? "Draft with few angles and wavelengths; solving in full" : `Solved in ${took}`, false);
+  if (isOurs) restartRendering();
+  updateDesign(answer);
+  if (!answer.draft) updateTolerance();
+  if (!answer.draft && isStale()) app.socket.ask();
 }
 
 async function onError(answer, isNewest) {
   if (!isNewest) return;
   recipe.settle(answer, true);
   setError(answer);
-  const shown = app.lastGood && (app.lastName === recipe.name ? "; the last good one is shown" : `; ${shortName(app.lastName)} is still shown`);
-  tell("error", `The recipe has a mistake${shown ?? ""}`);
-  if (!recipe.data && !$("form").hidden && recipe.past.length === 1) tab("toml");      // just opened: nothing else can be seen of it
+  const shown = app.lastGood && (app.lastName === recipe.name ? "; the last valid one is shown" : `; ${shortName(app.lastName)} is still shown`);
+  setStatus("error", `The recipe has a mistake${shown ?? ""}`);
+  if (!recipe.data && !$("form").hidden && recipe.past.length === 1) tab("toml");      // a newly opened invalid recipe has no form
   await showRecipe();
 }
 
-function setError(told) {
-  if (!told && !app.error) return;      // as nearly always: to number the lines lays the page out
-  app.error = told;
-  $("error").hidden = !told;
-  if (told) $("error").textContent = (told.line ? `Line ${told.line}: ` : "") + told.error;
+function setError(answer) {
+  if (!answer && !app.error) return;      // the usual case; numbering the lines would force a layout
+  app.error = answer;
+  $("error").hidden = !answer;
+  if (answer) $("error").textContent = (answer.line ? `Line ${answer.line}: ` : "") + answer.error;
   number();
 }
 
-const own = (seq) => ({ ...recipe.question(seq), ...beside(), lamp: $("lamp").value });
+const own = (seq) => ({ ...recipe.question(seq), ...comparedLab(), lamp: $("lamp").value });
 
-// ---- the recipe, as a form and as TOML
+// ---- the recipe as form and TOML
 
 async function modelOf(family) {
   if (!app.state.families.includes(family)) return null;
@@ -83,9 +83,9 @@ async function showRecipe() {
   $("redo").disabled = !recipe.canRedo;
   $("save").disabled = !recipe.isChanged && !recipe.name.startsWith("example:");
   document.title = `${recipe.isChanged ? "• " : ""}${shortName(recipe.name)} – nacre studio`;
-  recipe.keep();
+  recipe.store();
   showHistory();
-  if (!recipe.data) { app.form.clear("The form is here as soon as its TOML can be read."); return; }
+  if (!recipe.data) { app.form.clear("The form appears when the TOML is valid."); return; }
   const model = await modelOf(recipe.data.family ?? "");
   if (model) app.form.show(model, recipe.data);
 }
@@ -101,16 +101,16 @@ function number() {
 
 function change(edit) {
   recipe.change(edit);
-  recipe.keep();
+  recipe.store();
   if (edit.op !== "set" || typeof edit.value === "object" || typeof edit.value === "string") showRecipe();
-  app.wire.ask();
+  app.socket.ask();
 }
 
 function typed() {
   recipe.type($("text").value);
-  recipe.keep();
+  recipe.store();
   number();
-  app.wire.ask();
+  app.socket.ask();
 }
 
 function tab(name) {
@@ -121,34 +121,34 @@ function tab(name) {
   }
   $("help").hidden = name !== "form";
   number();
-  if (name === "design") designSettled(app.lastGood);
+  if (name === "design") updateDesign(app.lastGood);
 }
 
 function step(by) {
   if (!recipe.move(by)) return;
   $("text").value = recipe.text;
-  app.wire.ask();
+  app.socket.ask();
   showRecipe();
 }
 
-// ---- the beginning
+// ---- start
 
 function theme(kind) {
   if (kind === "auto") delete document.documentElement.dataset.theme;
   else document.documentElement.dataset.theme = kind;
   localStorage.setItem("nacre-studio-theme", kind);
-  drawPanels();         // its pens have colours of the theme
+  drawPanels();         // the curves use colours of the theme
 }
 
 function listen() {
   const click = (id, act) => $(id).addEventListener("click", act);
-  listenFiles({ setError, showRecipe, tab });
-  listenSettled();
-  listenReport();
-  listenMaker();
-  listenObjects();
-  listenSurround();
-  listenCompare({ chart: drawPanels, go: step, showRecipe, listRecipes });
+  initFiles({ setError, showRecipe, tab });
+  initRendering();
+  initReport();
+  initDownloads();
+  initObjects();
+  initSurroundings();
+  initCompare({ chart: drawPanels, go: step, showRecipe, listRecipes });
   click("undo", () => step(-1));
   click("redo", () => step(1));
   click("front", () => app.view?.front());
@@ -161,9 +161,9 @@ function listen() {
       $(`tab-${there}`).focus();
     });
   });
-  listenDesign({ showRecipe });
-  listenCloud(drawPanels);
-  $("lamp").addEventListener("change", () => app.wire.ask());
+  initDesign({ showRecipe });
+  initTolerance(drawPanels);
+  $("lamp").addEventListener("change", () => app.socket.ask());
   $("theme").addEventListener("change", () => theme($("theme").value));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawPanels);
   $("text").addEventListener("input", typed);
@@ -195,22 +195,22 @@ async function start() {
     $("no-gl").hidden = false;
   }
   listen();
-  if (!app.view) standIn();
+  if (!app.view) replacePreview();
   const roomAsked = app.view ? fetchRoom("studio") : null;
   app.state = await api("api/state");
-  app.wire = new Wire((seq) => (recipe.name ? question(seq, own) : null), onAnswer, onState);
+  app.socket = new Socket((seq) => (recipe.name ? question(seq, own) : null), onAnswer, onState);
   welcome();
   listObjects();
   if (recipe.recall()) {
     listRecipes();
     $("text").value = recipe.text;
-    app.wire.ask();
+    app.socket.ask();
   } else {
     await open(app.state.first || app.state.begin || app.state.starts[0].name);
     if (!app.state.first) $("welcome").showModal();
   }
-  if (app.view) app.view.setRoom((await roomAsked).room, app.state.surround, null);
+  if (app.view) app.view.setRoom((await roomAsked).room, app.state.surroundings, null);
   else render();
 }
 
-start().catch((problem) => tell("error", problem.message));
+start().catch((problem) => setStatus("error", problem.message));

@@ -1,5 +1,4 @@
-// The shaders of other objects than the sphere. MESH: what triangles are seen where; SHADE: their colours, each pixel once, or
-// more often at an edge.
+// Shaders of objects other than the sphere. MESH: visible triangles; SHADE: their colours, once per pixel, more often at edges.
 
 import { COMMON } from "./shaders.js";
 
@@ -21,8 +20,8 @@ void main() {
   gl_Position = vec4(dot(v, right) / half2, dot(v, up) / half2, (depth * (FAR + NEAR) - 2.0 * FAR * NEAR) / (FAR - NEAR), depth);
 }`;
 
-// The normal as a place on an octahedron, 16 bits each way; the part's number, whether a line of u, v runs there, and how
-// much light what is printed leaves (over a pixel of the picture, which is two of these wide).
+// Octahedral normal, 16 bits per coordinate; the part's number, whether a line of u, v passes, and the reflectance of the print
+// (over a pixel of the picture, which is two of these wide).
 export const MESH = `
 in vec3 n;
 in vec2 uv;
@@ -43,10 +42,10 @@ export const SHADE = `${COMMON}
 ${DEPTHS}
 uniform sampler2D facing, kind, depth;
 uniform sampler2D throughMirror, throughGloss, throughMatt;
-uniform vec3 plain[8];          // of what is not of the material: matt and mirror reflectance, roughness; else below 0
+uniform vec3 plain[8];          // companion objects: diffuse and specular reflectance, roughness; negative: the material
 uniform float grid;
 #ifdef CLEAR
-uniform sampler2D farFacing, farKind, farDepth, sheets;     // what stands behind the material, and how often it covers that
+uniform sampler2D farFacing, farKind, farDepth, sheets;     // surface behind the material, and the number of layers in front of it
 #endif
 
 int partAt(ivec2 at) { return int(texelFetch(kind, at, 0).r * 255.0 + 0.5); }
@@ -62,23 +61,23 @@ vec3 placeAt(sampler2D depth_, ivec2 at, vec3 ray) {
   float z = 2.0 * texelFetch(depth_, at, 0).r - 1.0;
   return eye + ray * (2.0 * FAR * NEAR / (FAR + NEAR - z * (FAR - NEAR)));
 }
-// what is not of the material; own: matt and mirror reflectance, roughness
+// companion objects; own: diffuse and specular reflectance, roughness
 vec3 plainly(vec3 own, vec3 spot, vec3 d, vec3 n) {
   float cosine = clamp(-dot(d, n), 0.0, 1.0), under = 0.5 * (1.0 - n.z);
   LIGHT light = matt(n) * smoothstep(-1.0, 0.6, n.z) + under * under * floorAt(spot.xy * 1.2);
   float fresnel = own.y > 0.0 ? own.y + (1.0 - own.y) * pow(1.0 - cosine, 5.0) * (1.0 - own.z) : 0.0;
   return vec3(own.x * light + fresnel * incoming(spot, reflect(d, n), own.z));
 }
-vec3 turned(vec3 n, vec3 d) { return dot(n, d) > 0.12 ? -n : n; }   // seen from behind, not just over a rounded edge
+vec3 turned(vec3 n, vec3 d) { return dot(n, d) > 0.12 ? -n : n; }   // back faces, except at rounded edges
 #ifdef GATHERED
-// a place in what was gathered for the ball, by the normal there
+// position in the light of the ball, by its normal
 vec2 placeOf(vec3 n) {
   vec3 o = eye - CENTRE, toEye = normalize(o), across = normalize(right);
   float far = acos(clamp(dot(n, toEye), -1.0, 1.0)) / acos(1.0 / length(o));
   vec2 side = vec2(dot(n, across), dot(n, cross(toEye, across)));
   return 0.5 + 0.5 * min(far, 1.0) * side / max(length(side), 1e-6);
 }
-// as the ball's place that mirrors the same part of the room: flat parts are seen along other directions at each pixel
+// the point of the ball that reflects the same part of the room: flat parts have a different view direction at each pixel
 vec3 byLobes(vec3 spot, vec3 d, vec3 n) {
   vec3 r = reflect(d, n), o = eye - CENTRE, there = normalize(r + normalize(o));
   there = normalize(r + normalize(o - there));
@@ -104,7 +103,7 @@ vec3 byLobes(vec3 spot, vec3 d, vec3 n) {
 }
 #endif
 vec3 seenAt(ivec2 fine) {
-  vec2 at = (vec2(fine) + 0.5 - size) / size.x;        // fine pixels: two to one
+  vec2 at = (vec2(fine) + 0.5 - size) / size.x;        // two fine pixels per pixel
   vec3 ray = ahead + at.x * right + at.y * up, d = normalize(ray);
   int part = partAt(fine);
   if (part == 0) return behind(d, 2.0 * length(right) / size.x);

@@ -1,17 +1,17 @@
-// What the numbers say of the newest answer, and the recipe as it became. To paint that takes as long as to paint the object: it
-// waits until the object is on the screen and nothing more is asked, so that no picture of the object waits for it.
+// Charts and form of the newest answer. Painting them takes as long as painting the object, therefore they wait until the
+// object is on the screen and no request is pending.
 
 import { drawRibbon, drawSpectrum, drawSwatches, drawTrack } from "./charts.js";
-import { cloudReach, drawCloud } from "./cloud.js";
+import { scatterExtent, drawScatter } from "./tolerance.js";
 import { $, app, el } from "./common.js";
 import { other } from "./compare.js";
 import { drawStructure } from "./drawing.js";
 
-const AFTER_MS = 20;                            // from the object to the panels
-const SHORTEST_MS = 300, LONGEST_MS = 500;      // between two paintings while a number is dragged: with pauses, without
-let timer = 0, drawn = -LONGEST_MS, waiting = null, noted = "";         // noted: what the notes say
+const AFTER_MS = 20;                            // delay after the object
+const SHORTEST_MS = 300, LONGEST_MS = 500;      // between two updates during a drag, with and without pauses
+let timer = 0, drawn = -LONGEST_MS, waiting = null, noted = "";         // noted: text of the notes
 
-// An answer has come; `also` is done with the next painting, in place of one that waits for it.
+// Schedule an update after an answer; `also` runs with it and replaces a waiting one.
 export function panels(also) {
   waiting = also ?? waiting;
   clearTimeout(timer);
@@ -19,12 +19,12 @@ export function panels(also) {
 }
 
 function look() {
-  const isAsked = app.wire.heard < app.wire.seq;
+  const isAsked = app.socket.heard < app.socket.seq;
   if (isAsked && performance.now() < drawn + LONGEST_MS) timer = setTimeout(look, AFTER_MS);
   else drawPanels();
 }
 
-// All of them, now.
+// Update all panels now.
 export function drawPanels() {
   clearTimeout(timer);
   drawn = performance.now();
@@ -38,7 +38,7 @@ export function drawPanels() {
   $("ribbons").classList.toggle("two", Boolean(kept));
   if (kept) drawRibbon($("ribbon-b"), $("ribbon-b-text"), kept);
   drawSpectrum($("spectrum"), look, kept);
-  drawCloud($("cloud-ribbon"), $("track"), drawTrack($("track"), look, kept, cloudReach()));
+  drawScatter($("cloud-ribbon"), $("track"), drawTrack($("track"), look, kept, scatterExtent()));
   drawSwatches($("swatches"), look, kept);
   const words = drawStructure($("structure"), look.data, look.profile);
   $("structure-text").textContent = words;
@@ -46,7 +46,7 @@ export function drawPanels() {
 }
 
 function showNotes(notes) {
-  const said = notes.join("\n");
-  if (said !== noted) $("notes").replaceChildren(...notes.map((note) => el("li", { textContent: note })));
-  noted = said;
+  const text = notes.join("\n");
+  if (text !== noted) $("notes").replaceChildren(...notes.map((note) => el("li", { textContent: note })));
+  noted = text;
 }

@@ -1,4 +1,4 @@
-// The recipe as this page holds it: the text that the server last knew, and the changes made since.
+// State of the recipe: the text of the last answer, and the edits since.
 
 const PARTS = /[A-Za-z_][A-Za-z_0-9-]*|\[\d+\]/g;
 const KEPT = "nacre-studio";
@@ -15,30 +15,30 @@ export function valueAt(data, path) {
 
 export class Recipe {
   constructor() {
-    Object.assign(this, { name: "", text: "", data: null, mark: "", saved: "", edits: [], sent: new Map(), count: 0 });
+    Object.assign(this, { name: "", text: "", data: null, version: "", saved: "", edits: [], sent: new Map(), count: 0 });
     this.forget();
   }
 
   forget() {
-    this.past = [];     // the steps: text, and what was done, in words
+    this.past = [];     // the steps: text and action
     this.at = -1;
     this.lastStep = 0;
-    this.said = "Opened";
-    this.group = this.lastGroup = "";   // changes of one number, one after the other, are one step back
+    this.action = "Opened";
+    this.group = this.lastGroup = "";   // consecutive changes of one number form one step
   }
 
-  open({ name, text, mark }) {
-    Object.assign(this, { name, text, mark, saved: text, data: null, edits: [] });
+  open({ name, text, version }) {
+    Object.assign(this, { name, text, version, saved: text, data: null, edits: [] });
     this.sent.clear();
     this.forget();
     this.step(true);
   }
 
-  // Change one value here at once, and remember the change for the server.
+  // Apply an edit here and queue it for the server.
   change(edit) {
     this.count += 1;
     this.group = edit.op === "set" ? edit.path : String(this.count);
-    this.said = inWords(edit);
+    this.action = inWords(edit);
     const last = this.edits.at(-1);
     if (last && edit.op === "set" && last.op === "set" && last.path === edit.path) this.edits.pop();
     this.edits.push({ ...edit, id: this.count });
@@ -47,7 +47,7 @@ export class Recipe {
 
   type(text) {
     this.group = "text";
-    this.said = "Edited as TOML";
+    this.action = "Edited as TOML";
     this.text = text;
     this.edits = [];
     this.sent.clear();
@@ -58,7 +58,7 @@ export class Recipe {
     return { name: this.name, text: this.text, edits: this.edits };
   }
 
-  // The server has written the changes into the text; those made after the question are kept.
+  // Take the server's text; edits after the request remain queued.
   settle(answer, isNewest) {
     const until = this.sent.get(answer.seq);
     for (const seq of this.sent.keys()) if (seq < answer.seq) this.sent.delete(seq);
@@ -76,7 +76,7 @@ export class Recipe {
     this.lastStep = now;
     this.lastGroup = this.group;
     this.past.length = this.at + 1;
-    const made = { text: this.text, what: this.said };
+    const made = { text: this.text, action: this.action };
     if (joins) this.past[this.at] = made;
     else this.at = this.past.push(made) - 1;
     if (this.past.length > MOST_KEPT) {
@@ -98,12 +98,12 @@ export class Recipe {
   get canRedo() { return this.at + 1 < this.past.length; }
   get isChanged() { return this.text !== this.saved || this.edits.length > 0; }
 
-  // This tab's recipe outlives a reload and a server that was killed.
-  keep() {
-    const { name, text, mark, saved, edits } = this;
+  // Store the recipe in this tab: it survives a reload and a restart of the server.
+  store() {
+    const { name, text, version, saved, edits } = this;
     try {
-      sessionStorage.setItem(KEPT, JSON.stringify({ name, text, mark, saved, edits }));
-    } catch { /* storage is full or forbidden: the recipe lives on in the page */ }
+      sessionStorage.setItem(KEPT, JSON.stringify({ name, text, version, saved, edits }));
+    } catch { /* storage is full or forbidden */ }
   }
 
   recall() {

@@ -1,21 +1,21 @@
-// The report of the trade: asked for, measured by the server in a process of its own.
+// The industry report, measured by the server in a subprocess.
 
 import { $, api, app, el, shortName, wholeText } from "./common.js";
-import { keptRecipe } from "./compare.js";
+import { storedRecipe } from "./compare.js";
 
 let measuring = null;
 
 async function measure() {
   measuring?.abort();
   const mine = (measuring = new AbortController());
-  const recipes = [{ text: await wholeText(), name: app.recipe.name }, ...keptRecipe()], lamp = $("lamp").value;
+  const recipes = [{ text: await wholeText(), name: app.recipe.name }, ...storedRecipe()], lamp = $("lamp").value;
   $("report-cancel").hidden = false;
-  $("report-state").textContent = "Measuring; the page stays free.";
+  $("report-state").textContent = "Measuring; the page stays responsive.";
   try {
-    const told = await api("api/report", { recipes, lamp }, mine.signal);
-    $("report-tables").replaceChildren(...told.reports.flatMap((report, i) => tables(report, told.reports.length > 1 ? `${"AB"[i]}: ` : "")), ...differences(told));
+    const found = await api("api/report", { recipes, lamp }, mine.signal);
+    $("report-tables").replaceChildren(...found.reports.flatMap((report, i) => tables(report, found.reports.length > 1 ? `${"AB"[i]}: ` : "")), ...differences(found));
     $("report-tables").hidden = false;
-    $("report-state").textContent = `${shortName(recipes[0].name)}, ${lamp}, 10° observer; flop under D65, gloss and haze under C. As the recipe was when asked.`;
+    $("report-state").textContent = `${shortName(recipes[0].name)}, ${lamp}, 10° observer; flop under D65, gloss and haze under C. Recipe at the time of the request.`;
   } catch (problem) {
     if (mine === measuring) $("report-state").textContent = mine.signal.aborted ? "Cancelled." : problem.message;
   } finally {
@@ -51,7 +51,7 @@ function differences({ reports, differences: found }) {
   });
 }
 
-export function listenReport() {
+export function initReport() {
   $("report").addEventListener("click", measure);
   $("report-cancel").addEventListener("click", () => measuring?.abort());
 }

@@ -1,6 +1,6 @@
-// The shaders of the sphere, one triangle over the whole canvas, and of the light that is gathered on it; those of other objects
-// are in meshes.js. Each looks up its colour over the angle and the blurred room. Look-ups are those of exported tables:
-// table.glsl stands before it, the same text as in `shader.glsl`.
+// Shaders of the sphere, one triangle over the whole canvas, and of its integrated light; those of other objects are in
+// meshes.js. Each looks up the colour over the angle and the blurred room; table.glsl, which precedes it, has the look-ups of
+// exported tables.
 
 export const COVER = `#version 300 es
 void main() { vec2 p = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0); gl_Position = vec4(p, 0.0, 1.0); }`;
@@ -8,14 +8,14 @@ void main() { vec2 p = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.
 export const COMMON = `
 precision highp sampler2DArray;
 uniform sampler2D table;        // rows: mirror-like, glossy, spread, through, of A and of B; over the angle from 0 to 90 degrees
-uniform float first;            // row of the look that is drawn
-uniform sampler2DArray room;    // so many layers: blurred by roughness, the last for a matt white surface; then the ball's shade, the stage's light
+uniform float first;            // row of the drawn appearance
+uniform sampler2DArray room;    // layers: blurred by roughness, the last for a matt white surface; then the shade of the ball and the light of the stage
 uniform vec3 eye, right, up, ahead;
 uniform vec2 size;
-uniform vec4 foot;              // the shade on the floor: its middle and half its extents
+uniform vec4 foot;              // the shade on the floor: centre and half extents
 uniform float alpha, gloss, layers, exposure, square;
-uniform float solid;            // how much of the light the object keeps from the floor
-// PLACE: surroundings with colours of their own, seen behind the object; else the studio: light of one channel, a stage
+uniform float solid;            // share of the light that the object blocks from the floor
+// PLACE: surroundings with coloured light, visible behind the object; else the studio: single-channel light, a stage
 #ifdef PLACE
 #define LIGHT vec3
 #define TINT(t) (t).rgb
@@ -23,18 +23,18 @@ uniform float solid;            // how much of the light the object keeps from t
 #define LIGHT float
 #define TINT(t) (t).r
 #endif
-uniform LIGHT level, ground;    // of a place's matt white floor, and its reflectance
-uniform vec3 lampTo, lampPower; // what of a place is small and very bright (the sun), which the room is without
+uniform LIGHT level, ground;    // radiance of a matt white floor, and the floor's reflectance
+uniform vec3 lampTo, lampPower; // the small bright lamp (the sun), which is not in the room layers
 uniform float lampRadius;
 layout(location = 0) out vec4 colour;
 const float PI = 3.14159265, BANDS = 8.0;
 const vec3 CENTRE = vec3(0.0, 0.0, 1.0);
-// the stage of pictures (see stage.py): half its width, its front edge and where it begins to bend, radius, height, length
+// the stage of pictures (see surroundings.py): half width, front edge, start of the bend, radius, height, length
 const float WIDTH = 20.0, FRONT = 16.0, BACK = 5.0, BEND = 4.5, TOP = 5.2, LENGTH = FRONT + BACK + 0.5 * PI * BEND + TOP - BEND;
-const float HALF_WAY = 1.5;                              // radii from a ball, of its shade's rows
-const float NEAR_PLACE = 12.0, FAR_PLACE = 30.0;         // of a place: where the floor goes over into it
+const float HALF_WAY = 1.5;                              // median distance of the shade's rows in radii
+const float NEAR_PLACE = 12.0, FAR_PLACE = 30.0;         // distances between which the floor blends into the surroundings
 
-// what facets of a unit density send in from a lamp; smooth ones show its disc
+// lamp light reflected by facets of unit density; smooth facets show its disc
 vec3 lampAt(vec3 d, float rough) {
   float between = acos(clamp(dot(d, lampTo), -1.0, 1.0));
   if (rough < 0.25 * lampRadius) return lampPower / (PI * lampRadius * lampRadius) * smoothstep(1.1, 0.9, between / lampRadius);
@@ -50,7 +50,7 @@ LIGHT lookup(vec3 d, float layer) {
   LIGHT one = TINT(texture(room, vec3(at, low)));
   return mix(one, TINT(texture(room, vec3(at, min(low + 1.0, layers - 2.0)))), layer - low);
 }
-// the room, and its lamp; what is gathered asks for the lamp apart
+// the room and its lamp; integrated light adds the lamp separately
 LIGHT roomAt(vec3 d, float rough) {
   LIGHT seen = lookup(d, layerOf(rough));
 #if defined(PLACE) && !defined(GATHERS)
@@ -65,13 +65,13 @@ LIGHT matt(vec3 n) {
 #endif
   return seen;
 }
-// the share of the floor's light that a ball leaves; an object as its own ellipsoid
+// share of the floor's light that a ball leaves; other objects are ellipsoids
 LIGHT shade(vec2 p) {
   vec2 q = (p - foot.xy) / foot.zw;
   float far = length(q);
   return mix(LIGHT(1.0), TINT(texture(room, vec3(atan(q.y, q.x) / (2.0 * PI), far / (far + HALF_WAY), layers))), solid);
 }
-// a place p on the floor, or on the wall: then along is the way up to it
+// a point p on the floor or on the wall, whose length along the stage is `along`
 LIGHT stage(vec2 p, float along, float wide) {
 #ifdef PLACE
   return ground * level * shade(p);
@@ -81,7 +81,7 @@ LIGHT stage(vec2 p, float along, float wide) {
   float from = length(vec2(across / 1.5, along - FRONT)) / 5.5, reflectance = 0.035 + 0.14 * exp(-from * from);
   if (square < 0.0) reflectance = 0.012;        // a dark stage
   if (square > 0.0) {
-    vec2 at = abs(fract(vec2(across + WIDTH, along) / (2.0 * square) - 0.25) - 0.5) - 0.25;     // of a period, to the next edge
+    vec2 at = abs(fract(vec2(across + WIDTH, along) / (2.0 * square) - 0.25) - 0.5) - 0.25;     // distance to the next edge, in periods
     vec2 sign_ = clamp(at * 2.0 * square / max(wide, 1e-4), -1.0, 1.0) * smoothstep(2.0 * square, 0.7 * square, wide);
     reflectance = 0.061 - 0.049 * sign_.x * sign_.y;
   }
@@ -89,7 +89,7 @@ LIGHT stage(vec2 p, float along, float wide) {
 #endif
 }
 LIGHT floorAt(vec2 p) { return stage(p, dot(p, normalize(ahead.xy)) + FRONT, 1.0); }
-// What arrives from a direction d, of a cone so wide as a mirror's of that roughness; edges of the stage are sharp.
+// Radiance from a cone about direction d, as wide as the lobe of that roughness; edges of the stage are sharp.
 LIGHT trace(vec3 from, vec3 d, float rough) {
   LIGHT sky = roomAt(d, rough);
 #ifdef PLACE
@@ -137,7 +137,7 @@ LIGHT incoming(vec3 from, vec3 d, float rough) {
 #endif
   return mix(seen, mix(stage(hit, along, 6.0 * rough), seen, far), below);
 }
-// what stands behind the object
+// backdrop of the object
 vec3 behind(vec3 d, float pixel) {
   float t = eye.z / max(-d.z, 0.01);
   vec2 hit = eye.xy + d.xy * t;
@@ -145,7 +145,7 @@ vec3 behind(vec3 d, float pixel) {
   LIGHT seen = lookup(d, 0.6) + lampAt(d, 0.0);
   return d.z < 0.0 ? mix(stage(hit, 0.0, 0.0), seen, smoothstep(NEAR_PLACE, FAR_PLACE, length(hit))) : seen;
 #else
-  // beyond its edges the stage goes on: its front's light, and its wall's
+  // beyond its edges the stage continues with the light of its front and of its wall
   float along = dot(hit, normalize(ahead.xy)) + FRONT;
   if (along > FRONT + BACK || d.z > -0.01) {
     vec2 back = normalize(ahead.xy), o = vec2(dot(eye.xy, back) - BACK, eye.z - BEND), e = vec2(dot(d.xy, back), d.z);
@@ -162,12 +162,12 @@ vec3 behind(vec3 d, float pixel) {
 vec3 encode(vec3 c) {
   float y = clamp(dot(c, vec3(0.2126, 0.7152, 0.0722)), 0.0, 1.0);
   float low = min(c.r, min(c.g, c.b)), high = max(c.r, max(c.g, c.b)), keep = 1.0;
-  if (low < 0.0) keep = min(keep, y / max(y - low, 1e-6));     // out of gamut: chroma is lowered, luminance kept
+  if (low < 0.0) keep = min(keep, y / max(y - low, 1e-6));     // outside sRGB the chroma is reduced at constant luminance
   if (high > 1.0) keep = min(keep, (1.0 - y) / max(high - y, 1e-6));
   c = clamp(mix(vec3(y), c, keep), 0.0, 1.0);
   return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c));
 }
-// what the material sends to the eye from a place on it
+// light of the material towards the eye
 vec3 material(vec3 spot, vec3 d, vec3 n, vec3 down) {
   float cosine = clamp(-dot(d, n), 0.0, 1.0);
   vec3 mirror = nacreColour(table, cosine, 0.0, first, BANDS), glossy = nacreColour(table, cosine, 0.0, first + 1.0, BANDS);
@@ -182,8 +182,8 @@ vec3 material(vec3 spot, vec3 d, vec3 n, vec3 down) {
 vec3 through(float cosine) { return nacreColour(table, cosine, 0.0, first + 3.0, BANDS); }
 #endif`;
 
-// What arrives at the ball through its lobes is known over its normals once it has been gathered (see light.js): over the
-// angle to the eye as the radius and the turn about it.
+// Integrated light of the ball over its normals (see light.js): the angle to the eye is the radius, the azimuth about it the
+// angle.
 export const BALL = `${COMMON}
 uniform sampler2D throughMirror, throughGloss, throughMatt, backdrop, mirrored;
 vec3 rayAt(vec2 place) {
@@ -191,7 +191,7 @@ vec3 rayAt(vec2 place) {
   return normalize(ahead + at.x * right + at.y * up);
 }
 #ifdef CLEAR
-// what a ball of a free film lets through: what stands behind it, and the image in its far wall
+// light transmitted by a ball of a free film: the backdrop, and the reflection in its far wall
 vec3 passed(vec3 d, vec3 p, vec3 straight) {
   float cosine = clamp(-dot(d, p), 0.0, 1.0);
   vec3 wall = p + 2.0 * cosine * d, back = reflect(d, wall), t = through(cosine);
@@ -206,7 +206,7 @@ vec3 onBall(vec3 d) {
 }
 #if defined(FACETS) || defined(GLOSS) || defined(MATT) || defined(LOBE)
 #define WIDE
-// what lobes of some width and a matt surface send to the eye; what a mirror sends is looked up without all this
+// light of wide lobes and of a matt surface; a smooth mirror needs a single look-up
 vec3 wide(vec3 d) {
   vec3 o = eye - CENTRE, p = onBall(d), toEye = normalize(o);
   float far = acos(clamp(dot(p, toEye), -1.0, 1.0)) / acos(1.0 / length(o));
@@ -264,8 +264,8 @@ void main() {
   colour = vec4(encode(back.rgb * exp2(exposure)), 1.0);
 }`;
 
-// What stands behind the ball and how much of it the ball covers; what a smooth ball mirrors and the angle to the eye,
-// as a place in a table over the angle. Once for a view: no recipe changes it.
+// Backdrop and coverage of the ball; the light that a smooth ball reflects, and the angle to the eye as a table position. Once
+// per view, independent of the recipe.
 export const BACKDROP = `${COMMON}
 layout(location = 1) out vec4 inMirror;
 void main() {
@@ -277,10 +277,10 @@ void main() {
   inMirror = vec4(vec3(trace(p + CENTRE, reflect(d, p), 0.0)), nacreAngle(-dot(d, p)));
 }`;
 
-// The light that reaches the eye off a white ball, by lobe: of facets about the normal (with the mean cosine at which
-// they are met), of the fitted gloss, of a matt surface. Many directions each, over the same lattice for all places.
+// Light reflected by a white ball, by lobe: facets about the normal (with the mean cosine of incidence), the fitted gloss, a
+// matt surface; each over the same lattice of directions at all points.
 export const GATHER = `${COMMON}
-uniform float pixels, beckmann, compensated, wants;     // wants: 1 the facets, 2 the gloss, 4 the matt surface, summed
+uniform float pixels, beckmann, compensated, lobes;     // lobes: sum of 1 facets, 2 gloss, 4 matt surface, 8 table
 layout(location = 1) out vec4 asGloss;
 layout(location = 2) out vec4 asMatt;
 uniform float count;
@@ -291,7 +291,7 @@ float smith(float cosine, float a, bool isBeckmann) {
   float x = 1.0 / max(tangent, 1e-4);
   return x >= 1.6 ? 1.0 : min((3.535 * x + 2.181 * x * x) / (1.0 + 2.276 * x + 2.577 * x * x), 1.0);
 }
-// Facets drawn by their density; a direction stands for the solid angle that falls to it.
+// Facets sampled by their density; each direction has its solid angle.
 vec4 facets(vec3 spot, vec3 n, vec3 side, vec3 v, float a, bool isBeckmann, out float lost) {
   vec3 other = cross(n, side), sum = vec3(0.0);
   float cv = max(dot(n, v), 0.01), whole = 0.0, met = 0.0, bright = 0.0;
@@ -311,7 +311,7 @@ vec4 facets(vec3 spot, vec3 n, vec3 side, vec3 v, float a, bool isBeckmann, out 
   }
 #ifdef PLACE
   float cl = dot(lampTo, n);
-  if (cl > 0.0) {     // the lamp, as wide as it is
+  if (cl > 0.0) {     // the lamp with its extent
     vec3 m = normalize(lampTo + v);
     float z = dot(n, m), z2 = z * z, a2 = a * a + 0.125 * lampRadius * lampRadius, s = z2 * (a2 - 1.0) + 1.0;
     float density = isBeckmann ? exp((1.0 - 1.0 / z2) / a2) / (PI * a2 * z2 * z2) : a2 / (PI * s * s);
@@ -323,8 +323,8 @@ vec4 facets(vec3 spot, vec3 n, vec3 side, vec3 v, float a, bool isBeckmann, out 
   lost = max(1.0 - whole / count, 0.0);
   return vec4(sum / count, bright > 0.0 ? met / bright : cv);
 }
-// Light by the table of where it goes: half of the directions about the mirror's, as wide as the gloss, half about the
-// normal; as much of it in all as the look says for this angle.
+// Light of a lobe table: half of the directions about the mirror direction, as wide as the gloss, half about the normal;
+// normalised to the appearance's total at this angle.
 vec3 scattered(vec3 spot, vec3 n, vec3 side, vec3 v) {
   vec3 other = cross(n, side), sum = vec3(0.0), whole = vec3(1e-5), wo = vec3(dot(v, side), dot(v, other), max(dot(v, n), 0.02));
   float a2 = gloss * gloss;
@@ -361,7 +361,7 @@ void main() {
   float far = min(length(at), 1.0) * acos(1.0 / length(o));
   vec3 n = cos(far) * toEye + sin(far) * (at.x * across + at.y * upward) / max(length(at), 1e-6);
   vec3 spot = n + CENTRE, v = normalize(eye - spot), side = normalize(cross(abs(n.z) < 0.9 ? vec3(0.0, 0.0, 1.0) : vec3(1.0, 0.0, 0.0), n));
-  int kinds = int(wants + 0.5);
+  int kinds = int(lobes + 0.5);
   float lost = 0.0, none;
   colour = asGloss = asMatt = vec4(0.0);
   if ((kinds & 1) != 0) colour = facets(spot, n, side, v, alpha, beckmann > 0.5, lost);
@@ -375,7 +375,7 @@ void main() {
     float u = (float(i) + 0.5) / count, turn = 2.0 * PI * fract(0.618034 * float(i)), z = sqrt(1.0 - u);
     vec3 light = vec3(trace(spot, z * n + sqrt(u) * (cos(turn) * side + sin(turn) * other), 0.5 * inversesqrt(count * max(z, 0.05))));
     asMatt.rgb += light / count;
-    float loss = 1.0 - smith(z, alpha, beckmann > 0.5) + 1e-4;      // about what facets lose of light from there
+    float loss = 1.0 - smith(z, alpha, beckmann > 0.5) + 1e-4;      // approximate loss of the facets
     between += loss * light; whole += loss;
   }
 #ifdef PLACE
@@ -383,5 +383,5 @@ void main() {
   asMatt.rgb += lampPower * cl / PI;
   between += count * (1.0 - smith(max(cl, 1e-4), alpha, beckmann > 0.5)) * lampPower * cl / PI;
 #endif
-  if (isKept) colour.rgb += lost * between / whole;    // what facets lose comes back from between them
+  if (isKept) colour.rgb += lost * between / whole;    // compensation of multiple scattering
 }`;

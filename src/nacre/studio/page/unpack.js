@@ -1,4 +1,4 @@
-// A look as the server or the kernel packs it: the length of a header, the header as JSON, arrays of floats.
+// Unpack an appearance: the header's length, the header as JSON, arrays of floats.
 
 export function unpack(buffer) {
   const length = new DataView(buffer).getUint32(0, true);

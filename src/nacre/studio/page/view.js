@@ -1,37 +1,37 @@
-// The object on its stage, turned by the pointer or by keys; one look, or two side by side.
+// The object on its stage, turned by pointer or keys; one appearance, or two side by side.
 
 import { COARSE, Light } from "./light.js";
 import { MESH, MESH_VERTEX, SHADE } from "./meshes.js";
 import { BACKDROP, BALL, COVER, GATHER } from "./shaders.js";
 
-// the camera of pictures of a sphere, and the shade below it
+// camera of pictures of a sphere, and the shade below it
 const SPHERE = { distance: Math.hypot(8.6, 1.77), target: [0, 0, 0.93], fov: 19, foot: [0, 0, 1, 1], azimuth: 0, elevation: 11.63 };
-const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "square", "lampTo", "lampPower", "lampRadius", "paper", "printed", "pixels", "beckmann", "compensated", "wants", "count", "nacreLobe", "backdrop", "mirrored", "solid", "farFacing", "farKind", "farDepth", "sheets"];
+const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "square", "lampTo", "lampPower", "lampRadius", "paper", "printed", "pixels", "beckmann", "compensated", "lobes", "count", "nacreLobe", "backdrop", "mirrored", "solid", "farFacing", "farKind", "farDepth", "sheets"];
 const SAMPLERS = ["table", "room", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "nacreLobe", "backdrop", "mirrored", "paper", "farFacing", "farKind", "farDepth", "sheets"];
-const SQUARE = 0.55;    // of the chequers that clear materials stand on, as in pictures
-const DEFINES = { gathered: "#define GATHERED\n", shadeGathered: "#define GATHERED\n", gather: "#define GATHERS\n#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n" };   // see lobe.py
-const EXTRA = 2;        // layers of the room beside those of its light: the ball's shade, the stage's light
+const SQUARE = 0.55;    // chequers below clear materials, as in pictures
+const DEFINES = { gathered: "#define GATHERED\n", shadeGathered: "#define GATHERED\n", gather: "#define GATHERS\n#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n" };   // see `lobe_image` in appearance.py
+const EXTRA = 2;        // layers of the room that are not light: shade of the ball, light of the stage
 const SHADERS = { ball: [COVER, BALL], gathered: [COVER, BALL], gather: [COVER, GATHER], backdrop: [COVER, BACKDROP], mesh: [MESH_VERTEX, MESH], shade: [COVER, SHADE], shadeGathered: [COVER, SHADE] };
-const FINER = 2;        // triangles are drawn at twice the size, so that their edges are smooth
+const FINER = 2;        // triangles are drawn at twice the resolution for smooth edges
 const MOST_PARTS = 8;
-const NEAR_UNIT = 2, PAPER_UNIT = 11, FAR_UNIT = 12;    // of textures: see `SAMPLERS`
+const NEAR_UNIT = 2, PAPER_UNIT = 11, FAR_UNIT = 12;    // texture units, see `SAMPLERS`
 const SLOW_MS = 20, FEWEST = 400;  // pixels a side
 let backdrops = 0;      // drawn so far
 
-// what is gathered: facets, gloss, a matt surface; or instead of the last two what a table says of spread light
-const wantsOf = (look) => (look.lobe ? 8 : 0) + (look.alpha >= 0.001 ? 1 : 0) + (look.gloss_alpha > 0 ? 2 : 0) + (look.spread.some((value) => value > 1e-4) ? 4 : 0);
+// integrated lobes: facets, gloss, matt surface; or a lobe table instead of the last two
+const lobeBits = (look) => (look.lobe ? 8 : 0) + (look.alpha >= 0.001 ? 1 : 0) + (look.gloss_alpha > 0 ? 2 : 0) + (look.spread.some((value) => value > 1e-4) ? 4 : 0);
 
-// Of what is gathered for a look, what is looked up; of a table of spread light the matt part's place holds all.
-const lobesOf = (look) => [[1, "FACETS"], ...(look.lobe ? [[8, "LOBE"]] : [[2, "GLOSS"], [4, "MATT"]])].map(([bit, lobe]) => (wantsOf(look) & bit ? `#define ${lobe}\n` : "")).join("");
+// Look-ups of the integrated lobes; a lobe table uses the slot of the matt surface.
+const lobesOf = (look) => [[1, "FACETS"], ...(look.lobe ? [[8, "LOBE"]] : [[2, "GLOSS"], [4, "MATT"]])].map(([bit, lobe]) => (lobeBits(look) & bit ? `#define ${lobe}\n` : "")).join("");
 const OF_LOBES = ["gathered", "shadeGathered"], OF_THROUGH = [...OF_LOBES, "ball", "shade"];
 const definesOf = (name, look) => (look && OF_LOBES.includes(name) ? lobesOf(look) : "") + (look?.through && OF_THROUGH.includes(name) ? "#define CLEAR\n" : "");
-const BANDS = 4;        // rows of the table for a look
+const BANDS = 4;        // rows of the table per appearance
 
-// How much of the light an object keeps from its floor: a free film is passed twice.
+// Share of the light that an object blocks from the floor; light passes a free film twice.
 const solidOf = ({ through }) => (through ? 1 - (0.2126 * through[0] + 0.7152 * through[1] + 0.0722 * through[2]) ** 2 : 1);
 
 export class View {
-  // Throws where the browser has no WebGL2; `tables` is the text of the exported shaders.
+  // Throws if the browser has no WebGL2; `tables` is the text of the exported shaders.
   constructor(canvas, onTurn, tables) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, preserveDrawingBuffer: true });
     if (!gl) throw new Error("no WebGL2");
@@ -49,15 +49,15 @@ export class View {
     this.light = new Light(gl, (look, pixels) => this.gather(look, pixels), () => this.draw());
     this.use("ball");
     this.buffer = this.corners = this.lobeTexture = this.backdrop = null;
-    this.painted = {};          // by row of the look: behind which ball the canvas was drawn whole, see `boxOf`
-    this.columns = 0;           // of the table as it lies on the card
+    this.painted = {};          // by row: the ball for which the whole canvas was drawn, see `boxOf`
+    this.columns = 0;           // of the uploaded table
     this.tableTexture = this.texture(0, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE);
     this.paperTexture = this.texture(PAPER_UNIT, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE);
     this.roomTexture = this.texture(1, gl.TEXTURE_2D_ARRAY, gl.REPEAT);
   }
 
-  // A program by what it draws, made when it is first wanted; in a place the light has colours. For each set of lobes
-  // there is one of its own: where the CPU draws, a branch that is not taken costs as much as one that is.
+  // A program by its features, compiled on first use. Each set of lobes has its own: on the CPU an unused branch costs as much as
+  // a used one.
   use(name, look) {
     const gl = this.gl, isPlace = Boolean(this.room?.floor) && name !== "mesh", lobes = definesOf(name, look), key = name + isPlace + lobes;
     if (!this.programs.has(key)) {
@@ -91,12 +91,12 @@ export class View {
     return made;
   }
 
-  // Radiance over all directions by layers, of one channel or three; `floor`: the floor's colour
-  // where it is a place that is seen behind the object, else null; `lamp`: what of the place is small and very bright.
+  // Radiance over all directions by layers, with one channel or three; `floor`: its colour for a visible place, else null;
+  // `lamp`: the small bright lamp.
   setRoom(values, { rows, columns, alphas }, floor, lamp = null) {
     const layers = alphas.length + 1, channels = values.length / ((layers + EXTRA) * rows * columns);
     const zenith = channels * (layers - 1) * rows * columns, power = lamp ? lamp.irradiance : [0, 0, 0], towards = lamp ? lamp.towards : [0, 0, 1];
-    const of = (c) => values[zenith + Math.min(c, channels - 1)] + (power[c] * towards[2]) / Math.PI;       // of the last layer, and of the lamp
+    const of = (c) => values[zenith + Math.min(c, channels - 1)] + (power[c] * towards[2]) / Math.PI;       // the last layer and the lamp
     this.light.forget();
     this.room = { values, rows, columns, layers, channels, floor, level: [of(0), of(1), of(2)], lamp: { towards, power, radius: lamp ? lamp.radius : 1 } };
     this.upload();
@@ -109,7 +109,7 @@ export class View {
     this.draw();
   }
 
-  // A look to compare with, or null; which is drawn: "a", "b", or "both", split at a share of the width.
+  // The compared appearance or null; shown are "a", "b", or "both", split at a share of the width.
   setOther(other) {
     this.other = other;
     this.upload();
@@ -121,7 +121,7 @@ export class View {
     this.draw();
   }
 
-  // A small picture of A as the canvas shows it, as a data address.
+  // A thumbnail of A as a data URI.
   thumbnail(pixels) {
     const { side } = this, small = Object.assign(document.createElement("canvas"), { width: pixels, height: pixels });
     if (side !== "a") this.show("a", this.split);
@@ -158,7 +158,7 @@ export class View {
     this.draw();
   }
 
-  // An object from the server (see objects.js), or null for the sphere; the view goes where its pictures are taken from.
+  // An object from the server (see objects.js), or null for the sphere; the camera is that of its pictures.
   setObject(object, isSame = false) {
     const gl = this.gl;
     this.object = object ?? SPHERE;
@@ -181,7 +181,7 @@ export class View {
     this.draw();
   }
 
-  // What is printed on a part; a blank sheet where nothing is.
+  // The print on a part, or a blank sheet.
   print({ paper, print: [rows, columns] }) {
     const gl = this.gl;
     gl.activeTexture(gl.TEXTURE0 + PAPER_UNIT);
@@ -218,7 +218,7 @@ export class View {
     const at = this.prepare(isGathered ? well : plainly, look, first);
     this.canvas.dataset.light = isGathered ? "gathered" : this.light.isAble ? "gathering" : "blurred";
     if (places) {
-      const plain = new Float32Array(3 * MOST_PARTS).fill(-1);      // of the material: no plain look
+      const plain = new Float32Array(3 * MOST_PARTS).fill(-1);      // negative: the material
       parts.forEach((part, i) => { if (part.plain) plain.set(part.plain, 3 * i); });
       gl.uniform3fv(at.plain, plain);
       gl.uniform1f(at.grid, this.grid ? 1 : 0);
@@ -226,8 +226,7 @@ export class View {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  // The part of the canvas that a look changes: all of it, or, where the same backdrop stands on it already (the canvas
-  // keeps what was drawn), the box around the ball.
+  // The part of the canvas that an appearance changes: all of it, or the box around the ball if the backdrop is unchanged.
   boxOf(isGathered, first, from, to) {
     const { width, height } = this.canvas, key = isGathered ? [this.backdrop.count, this.exposure, from, to].join() : "", known = key && this.painted[first] === key;
     if (!isGathered) this.painted = {};
@@ -235,7 +234,7 @@ export class View {
     if (!known) return [from, 0, to, height];
     const { toEye, right, up, half } = this.frame(), { distance, target } = this.object;
     const off = [0, 0, 1].map((c, i) => c - target[i]), dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2], z = distance - dot(off, toEye);
-    const span = (axis, size) => {      // where lines through the eye touch a ball of radius 1, in pixels
+    const span = (axis, size) => {      // tangents from the eye to a ball of radius 1, in pixels
       const x = dot(off, axis) / half, reach = Math.sqrt(x * x + z * z - 1);
       return [-1, 1].map((way) => size * (0.5 + (0.5 * (x * z + way * reach)) / (z * z - 1) / half) + 2 * way);
     };
@@ -243,7 +242,7 @@ export class View {
     return [Math.max(from, left), Math.max(0, bottom), Math.min(to, last), Math.min(height, top)];
   }
 
-  // What stands behind the ball and what it mirrors, kept while the view, its size, the room and the kind of stage stay.
+  // Backdrop and mirror image of the ball, cached while view, size, room and stage stay the same.
   drawBackdrop(look, first) {
     const gl = this.gl, { width, height } = this.canvas, key = [this.azimuth, this.elevation, width, height, look.clear, solidOf(look)].join();
     if (this.backdrop?.key === key && this.backdrop.room === this.room) return;
@@ -261,7 +260,7 @@ export class View {
     }
     const bind = (textures) => textures.forEach((texture, i) => { gl.activeTexture(gl.TEXTURE9 + i); gl.bindTexture(gl.TEXTURE_2D, texture); });
     Object.assign(this.backdrop, { key, room: this.room, count: (backdrops += 1) });
-    bind([null, null]);         // no picture may be read while it is drawn
+    bind([null, null]);         // a texture cannot be read while it is drawn
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.backdrop.frame);
     gl.disable(gl.SCISSOR_TEST);
     this.prepare("backdrop", look, first);
@@ -271,24 +270,24 @@ export class View {
     bind(this.backdrop.textures);
   }
 
-  // What the light off the ball depends on; none of the recipe's colours.
+  // Dependencies of the integrated light; the recipe's colours are not among them.
   keyOf(look) {
     const { target, distance, foot } = this.object;
-    return JSON.stringify([target, distance, foot, this.azimuth, this.elevation, look.alpha, look.gloss_alpha, wantsOf(look), look.facets, look.lobe ? look.seq : 0]);
+    return JSON.stringify([target, distance, foot, this.azimuth, this.elevation, look.alpha, look.gloss_alpha, lobeBits(look), look.facets, look.lobe ? look.seq : 0]);
   }
 
   gather(look, pixels) {
     const gl = this.gl, at = this.prepare("gather", look, look === this.other ? BANDS : 0), { distribution, compensated } = look.facets;
     gl.uniform1f(at.pixels, pixels);
-    gl.uniform1f(at.count, pixels > COARSE ? 64 : 128);      // directions of a lobe: fewer where they are near each other
+    gl.uniform1f(at.count, pixels > COARSE ? 64 : 128);      // directions of a lobe; fewer for a fine grid
     gl.uniform1f(at.beckmann, distribution === "ggx" ? 0 : 1);
     gl.uniform1f(at.compensated, compensated ? 1 : 0);
-    gl.uniform1f(at.wants, wantsOf(look));
+    gl.uniform1f(at.lobes, lobeBits(look));
     if (look.lobe) this.lobe(look);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  // The table of where spread light goes, in the unit that a look's own gathered light is kept out of.
+  // Upload the lobe table.
   lobe({ lobe, arrays }) {
     const gl = this.gl, [, [slices, rows, columns]] = arrays.find(([name]) => name === "lobe"), texels = new Float32Array((4 * lobe.length) / 3);
     for (let i = 0; i < lobe.length / 3; i++) texels.set([lobe[3 * i], lobe[3 * i + 1], lobe[3 * i + 2], 1], 4 * i);
@@ -298,8 +297,8 @@ export class View {
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, columns, slices * rows, 0, gl.RGBA, gl.FLOAT, texels);
   }
 
-  // What is seen where: normal, part and depth. Each pixel is coloured after that, once, or more often at an edge. For a
-  // free film also what stands behind it, and how many times it is passed before that.
+  // Draw normal, part and depth; pixels are coloured afterwards, more often at edges. For a free film also the surface behind it,
+  // and the number of its layers in front.
   drawTriangles(width, height, isClear) {
     const gl = this.gl;
     if (this.buffer?.width !== width || (isClear && !this.buffer.far)) this.makeBuffer(width, height, isClear);
@@ -321,7 +320,7 @@ export class View {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
-  // `number`: that all parts are drawn with; else each has its own.
+  // `number`: common number of all parts; by default each has its own.
   drawParts(frame, isWanted, number) {
     const gl = this.gl;
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
@@ -374,7 +373,7 @@ export class View {
     this.buffer = made;
   }
 
-  // Towards the eye, and half the picture's width and height at distance 1.
+  // Direction to the eye, and half width and height of the picture at distance 1.
   frame() {
     const azimuth = (this.azimuth * Math.PI) / 180, elevation = (this.elevation * Math.PI) / 180, half = Math.tan((this.object.fov * Math.PI) / 360);
     const toEye = [Math.sin(azimuth) * Math.cos(elevation), -Math.cos(azimuth) * Math.cos(elevation), Math.sin(elevation)];
@@ -405,10 +404,10 @@ export class View {
     return at;
   }
 
-  // Without a graphics card the CPU draws: then fewer pixels keep the page at the pointer's speed.
+  // Without a graphics card fewer pixels keep the page responsive.
   judge(began) {
     const gl = this.gl;
-    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));  // waits until all is drawn
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));  // waits for the drawing to finish
     this.trials -= 1;
     if (this.trials === 0 && performance.now() - began > SLOW_MS) this.most = FEWEST;
     requestAnimationFrame(() => {

@@ -1,8 +1,8 @@
-"""What multi-sphere patterns of the real arrangement say of the diffuse light: the judge inside.
+"""Ensemble of multi-sphere patterns that measures the error of the mean-field model for the diffuse light.
 
-Squares of some 130 spheres of the recipe's own pattern, repeated without end, are each solved with all their light at
-once, and the diffuse part, all orders but the straight one, is set against the mean-field model of the same multipole
-order. What comes out is their smooth ratio, see `ratio`.
+Periodic squares of about 130 particles of the recipe's pattern are solved for many incident waves. Their diffuse light,
+all orders except the zeroth, is compared with the mean-field model of the same multipole order. The result is the
+smooth ratio of both, see `ensemble_ratio`.
 """
 
 from __future__ import annotations
@@ -16,39 +16,39 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from nacre.core.arrays import Array, ComplexArray
-from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves, all_kinds
-from nacre.families.metasurface.ensemble.supercells import Cell, Lattice, orders
+from nacre.families.metasurface.ensemble.multisphere import Coupling, PlaneWaves, species_numbers
+from nacre.families.metasurface.ensemble.supercells import PeriodicCoupling, Supercell, orders
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.ensemble_ratio import (
     Block,
     Pairs,
     Ratio,
+    RatioDirections,
     Sums,
-    Ways,
     block_sums,
     blocks,
     fit_ratio,
 )
-from nacre.families.metasurface.monolayer.monolayer import Lit, Monolayer, Particle
+from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer, Particle
 from nacre.families.metasurface.monolayer.qca import node_sines, node_weights
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.axisymmetric import truncated
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 
-WIDEST = np.radians(84.0)  # of light and view; the ratio goes on smoothly
-REACH = 0.8  # of the window over the square's side; a sum over waves serves what lies beyond
-ANGLES = 8  # bins of the errors, each way
-LIGHTS = (48, 30)  # directions of one pattern above and below
-VIEWS = (3.2, 1.25)  # the same for each sphere: more spheres have more orders
-ON_THE_LINE = 1e-3  # light below within this of the light line, over k, is left out: the reflection bends there
+WIDEST = np.radians(84.0)  # largest angle of incidence and view; the ratio extrapolates smoothly
+REACH = 0.8  # window reach over the side of the square
+ANGLES = 8  # angle bins of the errors
+LIGHTS = (48, 30)  # incident directions of one pattern above and below
+VIEWS = (3.2, 1.25)  # views per particle above and below; more particles have more orders
+ON_THE_LINE = 1e-3  # directions below this close to the light line, over k, are skipped: kink of the reflection
 HARMONICS = 14  # of the model
-MODEL_NODES = (24, 14, 18)  # of the model over the angle: above, below inside and beyond the critical angle
-BALANCE_NODES = (24, 20)  # of its balance over the cosine
+MODEL_NODES = (24, 14, 18)  # nodes of the model over the angle: above, below within and beyond the critical angle
+BALANCE_NODES = (24, 20)  # nodes of its balance over the cosine
 
 
 @dataclass(frozen=True)
 class EnsembleSettings:
-    """How large an ensemble is: spheres a pattern, patterns, and the highest multipole order of a sphere."""
+    """Ensemble size: particles per pattern, patterns, and the highest multipole order."""
 
     spheres: int = 130
     realisations: int = 48
@@ -61,8 +61,8 @@ class Side:
 
     Attributes:
         wavevectors: in the plane, `[direction, 2]`, 1/nm.
-        directions: how they look to the first kind.
-        others: how they look to the other kinds of a mixture.
+        directions: vectors for the first species.
+        others: vectors for the other species of a mixture.
     """
 
     wavevectors: Array
@@ -70,44 +70,44 @@ class Side:
     others: tuple[Directions, ...] = ()
 
     @cached_property
-    def ways(self) -> Ways:
-        """As the ratio sees them."""
+    def ways(self) -> RatioDirections:
+        """The directions as variables of the ratio."""
         d = self.directions
-        return Ways.of(d.transverse, np.full(d.cosines.size, d.index), np.full(d.cosines.size, d.below))
+        return RatioDirections.of(d.transverse, np.full(d.cosines.size, d.index), np.full(d.cosines.size, d.below))
 
 
 @dataclass(frozen=True)
 class Ensemble:
-    """The patterns of a monolayer at one wavelength, of equal spheres or of a mixture.
+    """The patterns of a monolayer at one wavelength, of equal particles or of a mixture.
 
     Attributes:
-        layer: the mean-field model of the same multipole order, of one particle size a kind.
-        cells: the patterns; of a mixture with the kinds of their spheres.
+        layer: the mean-field model of the same multipole order, with one particle size per species.
+        supercells: the patterns; for a mixture with species numbers.
     """
 
     layer: Monolayer
-    cells: list[Cell]
+    supercells: list[Supercell]
 
     @property
     def reach_nm(self) -> float:
-        """How far a sphere sees its neighbours one by one."""
-        return REACH * min(cell.period.side_nm for cell in self.cells)
+        """Distance of the real-space coupling sum."""
+        return REACH * min(cell.period.side_nm for cell in self.supercells)
 
     @cached_property
     def coupling(self) -> Coupling:
-        """The tables of the couplings."""
-        nearest = min(nearest_distance(cell) for cell in self.cells)
+        """The pair coupling tables."""
+        nearest = min(nearest_distance(cell) for cell in self.supercells)
         first, *others = self.layer.particles
         return Coupling.build(self.layer.surface, first, nearest, self.reach_nm, *others, fades=True)
 
     @cached_property
-    def lattice(self) -> Lattice:
-        """The couplings of all images."""
-        return Lattice.build(self.layer, self.coupling, self.reach_nm)
+    def lattice(self) -> PeriodicCoupling:
+        """The coupling with all images."""
+        return PeriodicCoupling.build(self.layer, self.coupling, self.reach_nm)
 
     @cached_property
     def angles_rad(self) -> Array:
-        """Middles of the bins of light and view."""
+        """Centres of the angle bins."""
         return np.asarray((np.arange(ANGLES) + 0.5) * WIDEST / ANGLES)
 
     @cached_property
@@ -116,20 +116,20 @@ class Ensemble:
         return ModelTable.build(self.layer)
 
     def prepare(self) -> None:
-        """Make the tables that all patterns share."""
+        """Compute the shared tables of all patterns."""
         _ = self.lattice, self.model
 
     def forget(self) -> None:
-        """Let the tables go, which are large and used no more."""
+        """Release the tables."""
         for name in ("coupling", "lattice", "model"):
             self.__dict__.pop(name, None)
 
-    def _sides(self, cell: Cell) -> list[tuple[Side, Side]]:
-        """The directions of view and of light, above and then below."""
+    def _sides(self, cell: Supercell) -> list[tuple[Side, Side]]:
+        """Directions of view and of incidence, above and then below."""
         layer, rng = self.layer, np.random.default_rng(cell.seed)
         k = layer.surface.wavenumber
         out = []
-        for below in (False, True) if layer.has_below else (False,):
+        for below in (False, True) if layer.transmits_below else (False,):
             index = layer.surface.index_below if below else 1.0
             every = orders(cell.period, k * index * np.sin(WIDEST))
             sines = np.hypot(*every.T) / (k * index)
@@ -137,7 +137,7 @@ class Ensemble:
                 every = every[np.abs(sines * index - 1.0) > ON_THE_LINE]
                 sines = np.hypot(*every.T) / (k * index)
             views = rng.permutation(len(every))[: int(np.ceil(VIEWS[below] * len(cell.xy_nm)))]
-            # as many lights in each step of the angle: by solid angle hardly one would come near the normal
+            # uniform in the angle: by solid angle hardly any would be near the normal
             angle = np.arcsin(sines)
             step = np.floor(angle / WIDEST * LIGHTS[below]) + rng.random(len(every))
             _, lights = np.unique(np.floor(step[np.argsort(step)]), return_index=True)
@@ -158,17 +158,17 @@ class Ensemble:
         return Side(wavevectors, first, tuple(others))
 
     def solve(self, number: int) -> dict[Block, Sums]:
-        """Solve one pattern: what the fit needs of its diffuse light."""
-        cell, layer = self.cells[number], self.layer
+        """Solve one pattern; return the fit sums of its diffuse light."""
+        cell, layer = self.supercells[number], self.layer
         sides = self._sides(cell)
         arriving = PlaneWaves.of([self.waves(light, False) for _, light in sides])
         solved = self.lattice.solve(cell, arriving)
         found: dict[Block, Sums] = {}
         counts = [len(light.wavevectors) for _, light in sides]
         edges = np.cumsum([0, *(2 * c for c in counts)])
-        wanted = blocks(layer.has_below)
+        wanted = blocks(layer.transmits_below)
         for view, _ in sides:
-            f = self.coupling.far_field(cell.xy_nm, solved, self.waves(view, True), cell.kinds)
+            f = self.coupling.far_field(cell.xy_nm, solved, self.waves(view, True), cell.species)
             for at, (_, light) in enumerate(sides):
                 part = f[:, edges[at] : edges[at + 1]].reshape(2, -1, 2, counts[at])
                 powers = np.abs(part).astype(float) ** 2
@@ -194,16 +194,16 @@ class Ensemble:
         spread = np.stack(parts)
         return PlaneWaves(spread, spread, np.concatenate([side.wavevectors, side.wavevectors]))
 
-    def _pairs(self, cell: Cell, view: Side, light: Side, powers: Array) -> list[tuple[Block, Pairs]]:
-        """The light of all pairs of two sides beside the model's, by polarisations.
+    def _pairs(self, cell: Supercell, view: Side, light: Side, powers: Array) -> list[tuple[Block, Pairs]]:
+        """Return the solved and the model light of all pairs of two sides, by polarisations.
 
-        The pattern's own S takes the place of the mean one in the control; of a mixture, also how its kinds lie takes
-        the place of pure chance. What the two do together, nothing on average, is left in the noise.
+        In the control, the S of the pattern replaces the mean one; in a mixture, its species order also replaces pure
+        chance. The product of both, zero on average, remains in the noise.
         """
         to, by = view.wavevectors, light.wavevectors
         q = np.hypot(*np.moveaxis(to[:, None] - by, -1, 0))
         phi = np.arctan2(to[:, 1], to[:, 0])[:, None] - np.arctan2(by[:, 1], by[:, 0])
-        diffuse = q > 1e-6 * self.layer.surface.wavenumber  # all but the straight light
+        diffuse = q > 1e-6 * self.layer.surface.wavenumber  # all but the zeroth order
         leaving, arriving = np.exp(-1j * cell.xy_nm @ to.T), np.exp(1j * cell.xy_nm @ by.T)
         s = self.layer.structure.structure_factor(q)
         excess = np.abs(leaving.T @ arriving) ** 2 / len(cell.xy_nm) - s
@@ -236,12 +236,12 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class ModelTable:
-    """The mean-field model at nodes of the angle, to be interpolated.
+    """The mean-field model at interpolation nodes of the angle.
 
     Attributes:
         layer: the model.
-        harmonics: of |F|^2 C / (n_s n_i) a particle without S, `[s, i, pol_s, pol_i, k]` over all nodes.
-        varying: the same of what differs between the kinds of a mixture, which S does not multiply; else empty.
+        harmonics: of |F|^2 C / (n_s n_i) per particle without S, `[s, i, pol_s, pol_i, k]` over all nodes.
+        varying: the same of the difference between the species of a mixture, without S; else empty.
         levels: mean square of both with S over azimuth and solid angle of one side, `[node, side, pol_s, pol_i]`.
     """
 
@@ -252,15 +252,15 @@ class ModelTable:
 
     @classmethod
     def build(cls, layer: Monolayer) -> ModelTable:
-        """Evaluate the model, balanced as it is where it stands alone."""
-        sides: list[tuple[Lit, Array]] = []
+        """Evaluate the balanced model."""
+        sides: list[tuple[Illumination, Array]] = []
         place, start = [], 0
-        for below in (False, True) if layer.has_below else (False,):
+        for below in (False, True) if layer.transmits_below else (False,):
             index = layer.surface.index_below if below else 1.0
             mu, w = hemisphere_rule(BALANCE_NODES[below], index) if below else hemisphere_rule(BALANCE_NODES[below])
             sines = np.concatenate([np.sqrt((1 - mu) * (1 + mu)), *(s for s in _nodes(layer, below))])
             cosines = np.sqrt((1 - sines) * (1 + sines))
-            sides.append((layer.light(cosines, below, sines), np.concatenate([w, np.zeros(sines.size - mu.size)])))
+            sides.append((layer.illuminate(cosines, below, sines), np.concatenate([w, np.zeros(sines.size - mu.size)])))
             place.append(start + np.arange(mu.size, sines.size))
             start += sines.size
         at = np.concatenate(place)
@@ -287,26 +287,26 @@ class ModelTable:
         return cls(layer, harmonics, varying, np.moveaxis(np.stack(levels), (0, 3), (1, 0)))
 
     def _weights(self, side: Side) -> tuple[slice, Array]:
-        """Which nodes are a side's, and the interpolation from them, `[direction, node]`."""
+        """Return the nodes of a side, and the interpolation from them, `[direction, node]`."""
         start = MODEL_NODES[0] if side.directions.below else 0
         out = node_weights(side.directions, self.layer.surface.index_below, MODEL_NODES, WIDEST)
         return slice(start, start + out.shape[1]), out
 
     def series(self, view: Side, light: Side, phi: Array, pol: int, p: int, is_varying: bool = False) -> Array:
-        """The model without S at all pairs, `[view, light]`: what S multiplies, or what it does not."""
+        """Return the model without S at all pairs, `[view, light]`: the part multiplied by S, or the other."""
         rows, left = self._weights(view)
         columns, right = self._weights(light)
         table = (self.varying if is_varying else self.harmonics)[rows, columns, pol, p]
         at = np.einsum("va,abk,lb->vlk", left, table, right, optimize=True)
         cosine = np.cos(phi)
-        # Clenshaw's sum of the series
+        # Clenshaw summation
         above, beyond = np.zeros_like(phi), np.zeros_like(phi)
         for n in range(HARMONICS - 1, 0, -1):
             above, beyond = at[..., n] + 2 * cosine * above - beyond, above
         return np.asarray(np.maximum(at[..., 0] + cosine * above - beyond, 0.0))
 
     def level(self, view: Side, light: Side, pol: int, p: int) -> Array:
-        """The mean square over the pairs with either direction, `[view, light]`."""
+        """Return the mean square over the pairs with either direction, `[view, light]`."""
         rows, left = self._weights(view)
         columns, right = self._weights(light)
         by_view = left @ self.levels[rows, int(light.directions.below), pol, p]
@@ -315,17 +315,17 @@ class ModelTable:
 
 
 def _nodes(layer: Monolayer, below: bool) -> list[Array]:
-    """Sines of the model's nodes on one side."""
+    """Sines of the model nodes on one side."""
     return node_sines(layer.surface.index_below, below, MODEL_NODES, WIDEST)
 
 
 def _solid(layer: Monolayer, below: bool) -> Array:
-    """Solid angles that the nodes of a side stand for, to some per cent."""
+    """Solid angles of the nodes of a side, to some per cent."""
     return np.concatenate([-np.gradient(np.sqrt((1 - s) * (1 + s))) for s in _nodes(layer, below)])
 
 
-def nearest_distance(cell: Cell) -> float:
-    """Return the least distance of two spheres of a pattern, nm."""
+def nearest_distance(cell: Supercell) -> float:
+    """Return the smallest particle distance of a pattern, nm."""
     xy = cell.xy_nm
     if len(xy) < 2:
         return cell.period.side_nm
@@ -334,28 +334,30 @@ def nearest_distance(cell: Cell) -> float:
 
 
 def same_order(layer: Monolayer, order: int, *particles: Particle) -> Monolayer:
-    """Return the mean-field model with multipoles up to `order` of one particle size, or of one a kind."""
-    # few multipoles feel little of what a cut takes away, and both sides of a ratio feel the same
+    """Return the mean-field model with multipoles up to `order` and one particle size per species."""
+    # the cutoff has little effect on few multipoles, equal in both parts of the ratio
     kept = tuple(dataclasses.replace(p, t_matrix=truncated(p.t_matrix, min(order, p.lmax))) for p in particles)
     return Monolayer(layer.surface, kept, layer.structure, "qca-balanced", kept[0].lmax)
 
 
 def middle_sizes(layer: Monolayer) -> tuple[Particle, ...]:
-    """Return the middle particle size of each kind, with the share of the kind."""
-    kinds = [[p for p in layer.particles if p.kind == kind] for kind in sorted({p.kind for p in layer.particles})]
+    """Return the middle particle size of each species, with the share of the species."""
+    by_species = [
+        [p for p in layer.particles if p.species == number] for number in sorted({p.species for p in layer.particles})
+    ]
     return tuple(
-        dataclasses.replace(sizes[len(sizes) // 2], share=float(sum(p.share for p in sizes))) for sizes in kinds
+        dataclasses.replace(sizes[len(sizes) // 2], share=float(sum(p.share for p in sizes))) for sizes in by_species
     )
 
 
-def _kind_factor(cell: Cell, shares: Array, leaving: ComplexArray, arriving: ComplexArray) -> Array:
-    """How strongly a pattern's kinds interfere, `[view, light]`: 1 on average over how they are dealt.
+def _kind_factor(cell: Supercell, shares: Array, leaving: ComplexArray, arriving: ComplexArray) -> Array:
+    """Return the interference of the species order of a pattern, `[view, light]`; 1 on average over random orders.
 
-    sum_k |sum_j (delta_kj - x_k) e^{-i q r_j}|^2 / (N sum_k x_k (1 - x_k)), x the shares: for two kinds it is just what
-    multiplies the mean square of what differs.
+    sum_k |sum_j (delta_kj - x_k) e^{-i q r_j}|^2 / (N sum_k x_k (1 - x_k)), x the shares: for two species this factor
+    multiplies the mean square of their difference.
     """
     total = np.zeros((leaving.shape[1], arriving.shape[1]))
-    for kind, share in enumerate(shares):
-        amount = (all_kinds(cell.xy_nm, cell.kinds) == kind) - share
+    for number, share in enumerate(shares):
+        amount = (species_numbers(cell.xy_nm, cell.species) == number) - share
         total += np.abs((leaving * amount[:, None]).T @ arriving) ** 2
     return np.asarray(total / (len(cell.xy_nm) * np.sum(shares * (1.0 - shares))))

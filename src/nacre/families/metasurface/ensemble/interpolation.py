@@ -1,4 +1,4 @@
-"""The ensemble's ratio over wavelengths: solved at some, between them interpolated, each kept on disk once done."""
+"""Ensemble ratios over wavelength: solved at nodes, interpolated between them, cached on disk."""
 
 from __future__ import annotations
 
@@ -17,34 +17,39 @@ from nacre.core.memory import check_memory
 from nacre.core.parallel import available_jobs, in_threads
 from nacre.core.progress import announce, duration
 from nacre.families.metasurface.ensemble.ensemble import REACH, Ensemble, EnsembleSettings, middle_sizes, same_order
-from nacre.families.metasurface.ensemble.supercells import beyond_the_window, carried_order, cells, with_kinds
+from nacre.families.metasurface.ensemble.supercells import (
+    max_far_wavenumber,
+    supercells,
+    translation_order,
+    with_species,
+)
 from nacre.families.metasurface.monolayer.arrangement import Pattern
 from nacre.families.metasurface.monolayer.ensemble_ratio import Block, Ratio, Sums, as_arrays, from_arrays
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.tmatrix.substrate import Embedded
 from nacre.recipe.fingerprint import fingerprint
 
-MOST_WAVELENGTHS = 16  # that are solved; the ratio is smooth where no resonance is sharper than 30 nm
-SOLVE_S = 0.9  # of one pattern of `UNKNOWNS` on one core
+MOST_WAVELENGTHS = 16  # solved wavelengths; sufficient for resonances wider than 30 nm
+SOLVE_S = 0.9  # seconds per pattern of `UNKNOWNS` on one core
 UNKNOWNS = 2080
-ONE_SIDE, OF_MIXTURES = 0.5, 1.15  # of the work but the factors: over what is opaque, and with kinds to be told apart
-TABLES_S = 1.0  # of a wavelength, once
-# of kinds at unlike heights, whose waves are carried from one to the other: of a pattern, for each wave and pair of
-# multipoles, and of a wavelength
+ONE_SIDE, OF_MIXTURES = 0.5, 1.15  # share of the work other than the factorisation: opaque substrate, and mixtures
+TABLES_S = 1.0  # seconds per wavelength
+# species at different heights need vertical translations: seconds per pattern, wave and
+# pair of multipoles, and per wavelength
 CARRYING_S, CARRIED_TABLES_S = 6.6e-9, 6e-5
-MOST_UNKNOWNS = 12_000  # 1.2 GB a matrix
+MOST_UNKNOWNS = 12_000  # 1.2 GB per matrix
 
 
 @dataclass(frozen=True)
-class Refinement:
+class EnsembleInterpolation:
     """Ratios at some wavelengths, and their standard errors.
 
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
         ratios: at each.
         errors: relative standard error of the diffuse light above, `[wavelength, s, i]`, over azimuth and polarisation.
-        angles_rad: `[s]`, of s and i alike.
-        settings: how large the ensemble was.
+        angles_rad: `[s]`, of s and i.
+        settings: ensemble size.
     """
 
     wavelengths_nm: Array
@@ -54,7 +59,7 @@ class Refinement:
     settings: EnsembleSettings
 
     def at(self, wavelength_nm: float) -> Ratio:
-        """Return the ratio at a wavelength, linear between those that were solved."""
+        """Return the ratio at a wavelength, interpolated linearly."""
         x = float(np.interp(wavelength_nm, self.wavelengths_nm, np.arange(len(self.ratios))))
         low = min(int(x), len(self.ratios) - 1)
         high = min(low + 1, len(self.ratios) - 1)
@@ -69,7 +74,7 @@ class Refinement:
 
     @property
     def notes(self) -> dict[str, Any]:
-        """What a Bsdf says of it."""
+        """Notes for a Bsdf."""
         return {
             "spheres": self.settings.spheres,
             "realisations": self.settings.realisations,
@@ -82,36 +87,36 @@ class Refinement:
 
 
 def chosen(wavelengths_nm: Array) -> Array:
-    """Return the wavelengths that are solved for a grid: all of few, else as many as are enough, evenly spread."""
+    """Return the wavelengths solved for a grid: all, or at most `MOST_WAVELENGTHS` evenly spaced ones."""
     if len(wavelengths_nm) <= MOST_WAVELENGTHS:
         return wavelengths_nm
     return wavelengths_nm[np.linspace(0, len(wavelengths_nm) - 1, MOST_WAVELENGTHS).round().astype(int)]
 
 
 def expected_seconds(wavelengths: int, settings: EnsembleSettings, layer: Monolayer) -> float:
-    """Return about how long an ensemble takes on this machine, by the clock.
+    """Return the expected wall clock time of an ensemble on this machine.
 
     Args:
         layer: the model at one of the wavelengths.
     """
     n = 2 * settings.multipole_order * (settings.multipole_order + 2)
     share = settings.spheres * n / UNKNOWNS
-    seen = (1.0 if layer.has_below else ONE_SIDE) * (1.0 if layer.shares.size == 1 else OF_MIXTURES)
-    one = SOLVE_S * (0.3 * share**3 + seen * (0.4 * share**2 + 0.3 * share))  # factors, the filling, directions, fit
+    seen = (1.0 if layer.transmits_below else ONE_SIDE) * (1.0 if layer.shares.size == 1 else OF_MIXTURES)
+    one = SOLVE_S * (0.3 * share**3 + seen * (0.4 * share**2 + 0.3 * share))  # factorisation, matrix, directions, fit
     tables = TABLES_S
     heights = np.unique([p.centre_nm for p in layer.particles])
     if len(heights) > 1:
         surface, side = layer.surface, float(np.sqrt(settings.spheres / layer.structure.density_per_nm2))
-        top = carried_order(settings.multipole_order, surface.inner_wavenumber * float(np.ptp(heights)))
+        top = translation_order(settings.multipole_order, surface.inner_wavenumber * float(np.ptp(heights)))
         carried = (2 * top * (top + 2)) ** 2
-        largest = beyond_the_window(surface, REACH * side) * surface.inner_wavenumber
+        largest = max_far_wavenumber(surface, REACH * side) * surface.inner_wavenumber
         waves = np.pi * (largest * side / (2 * np.pi)) ** 2
         one += CARRYING_S * waves * n * carried
         tables += CARRIED_TABLES_S * carried
     return wavelengths * (tables + settings.realisations * one / min(available_jobs(), settings.realisations))
 
 
-def refine(
+def interpolate_ensemble(
     wavelengths_nm: Array,
     layer: Callable[[float], Monolayer],
     pattern: Callable[[int, int], Pattern],
@@ -120,19 +125,19 @@ def refine(
     source: str,
     is_list: bool = False,
     because: str = "",
-) -> Refinement:
-    """Return the ratios for a grid of wavelengths; what was solved before, also by a run that was stopped, is read.
+) -> EnsembleInterpolation:
+    """Return the ratios for a grid of wavelengths, reusing cached results, also of an interrupted run.
 
     Args:
         wavelengths_nm: ascending.
-        layer: the mean-field model at a wavelength, of which the middle particle size of each kind is taken.
+        layer: the mean-field model at a wavelength, of which the middle particle size of each species is used.
         pattern: function of count and seed that returns the arrangement.
         source: name of the recipe, for messages.
         is_list: whether the arrangement is a list of points.
-        because: why an ensemble is taken, for the line that announces it.
+        because: reason for an ensemble, for the progress message.
 
     Raises:
-        UnsupportedError: the ensemble is too large for this machine's memory.
+        UnsupportedError: the ensemble is too large for the memory.
     """
     size = settings.spheres * 2 * settings.multipole_order * (settings.multipole_order + 2)
     check_memory(
@@ -143,7 +148,7 @@ def refine(
     solved_at = chosen(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
     first = layer(float(solved_at[0]))
     structure = first.structure
-    made = cells(
+    made = supercells(
         pattern,
         structure.density_per_nm2,
         structure.diameter_nm,
@@ -156,8 +161,7 @@ def refine(
     for wavelength in solved_at:
         whole = layer(float(wavelength))
         alone = same_order(whole, settings.multipole_order, *middle_sizes(whole))
-        dealt = with_kinds(made, alone.shares, seed) if len(alone.particles) > 1 else made
-        ensembles.append(Ensemble(alone, dealt))
+        ensembles.append(Ensemble(alone, with_species(made, alone.shares, seed) if len(alone.particles) > 1 else made))
     keys = [_key(one, settings) for one in ensembles]
     found = [_read(key) for key in keys]
     missing = [n for n, one in enumerate(found) if one is None]
@@ -183,19 +187,19 @@ def refine(
             found[n] = solved
     done = [one for one in found if one is not None]
     angles = ensembles[0].angles_rad
-    return Refinement(solved_at, tuple(r for r, _ in done), np.stack([e for _, e in done]), angles, settings)
+    return EnsembleInterpolation(solved_at, tuple(r for r, _ in done), np.stack([e for _, e in done]), angles, settings)
 
 
 def _solve(
     ensembles: list[Ensemble], keys: list[str], names: list[int], begun: list[dict[int, dict[Block, Sums]]]
 ) -> list[tuple[int, tuple[Ratio, Array]]]:
-    """Solve all patterns of all wavelengths, each wavelength's fit as soon as its last pattern is done.
+    """Solve all patterns of all wavelengths, and fit each wavelength after its last pattern.
 
-    Each pattern is kept until the fit, so that a run that was stopped solves none twice.
+    Each pattern is cached until the fit, for a resumed run.
 
     Args:
-        keys, names: of each ensemble, on disk and for the answer.
-        begun: patterns of each that are solved already.
+        keys, names: of each ensemble, for the disk cache and the result.
+        begun: solved patterns of each.
     """
     solved = [dict(patterns) for patterns in begun]
     lock = threading.Lock()
@@ -207,26 +211,26 @@ def _solve(
         solved[n].clear()
         ensembles[n].forget()
         _keep(keys[n], ratio, errors)
-        drop_arrays(_of_pattern(keys[n], k) for k in range(len(ensembles[n].cells)))
+        drop_arrays(_of_pattern(keys[n], k) for k in range(len(ensembles[n].supercells)))
         with lock:
             out.append((names[n], (ratio, errors)))
 
     def work(item: tuple[int, int]) -> None:
         n, number = item
-        with prepared[n]:  # its tables once, by whoever comes first
+        with prepared[n]:  # the first thread computes the tables
             ensembles[n].prepare()
         one = ensembles[n].solve(number)
         with lock:
             solved[n][number] = one
-            is_last = len(solved[n]) == len(ensembles[n].cells)
+            is_last = len(solved[n]) == len(ensembles[n].supercells)
         if is_last:
             fit(n)
         else:
             cache_arrays(_of_pattern(keys[n], number), as_arrays(one))
 
-    items = [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.cells)) if k not in begun[n]]
+    items = [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.supercells)) if k not in begun[n]]
     for n, one in enumerate(ensembles):
-        if len(begun[n]) == len(one.cells):
+        if len(begun[n]) == len(one.supercells):
             fit(n)
     in_threads(work, items)
     return out
@@ -237,30 +241,30 @@ def _of_pattern(key: str, number: int) -> str:
 
 
 def _begun(key: str, patterns: int) -> dict[int, dict[Block, Sums]]:
-    """Return what a run that was stopped has solved of a wavelength, by the number of the pattern."""
+    """Return the cached patterns of a wavelength, by pattern number."""
     out = {}
     for number in range(patterns):
         stored = cached_arrays(_of_pattern(key, number))
-        with contextlib.suppress(KeyError, ValueError):  # what is damaged is solved anew
+        with contextlib.suppress(KeyError, ValueError):  # damaged entries are solved again
             if stored:
                 out[number] = from_arrays(stored)
     return out
 
 
 def _key(one: Ensemble, settings: EnsembleSettings) -> str:
-    """What decides the ratio: the optics, the positions, and the code."""
+    """Return a fingerprint of the optics, the positions and the code."""
     surface, particles, structure = one.layer.surface, one.layer.particles, one.layer.structure
     digest = hashlib.sha256()
-    for array in (
-        surface.indices, surface.thicknesses_nm, *(p.t_matrix for p in particles), structure.q_per_nm, structure.s,
-        structure.r_nm, structure.h, *(cell.xy_nm for cell in one.cells), *(cell.period.bloch for cell in one.cells),
-        *(cell.kinds for cell in one.cells if cell.kinds is not None),
-    ):  # fmt: skip
+    arrays = [surface.indices, surface.thicknesses_nm, *(p.t_matrix for p in particles)]
+    arrays += [structure.q_per_nm, structure.s, structure.r_nm, structure.h]
+    arrays += [cell.xy_nm for cell in one.supercells] + [cell.period.bloch for cell in one.supercells]
+    arrays += [cell.species for cell in one.supercells if cell.species is not None]
+    for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
     numbers = [
         surface.wavelength_nm, structure.density_per_nm2, structure.diameter_nm,
         *(n for p in particles for n in (p.share, p.centre_nm, p.cut or 0.0)),
-        *(n for cell in one.cells for n in (cell.period.side_nm, float(cell.seed))),
+        *(n for cell in one.supercells for n in (cell.period.side_nm, float(cell.seed))),
         *([float(surface.host)] if isinstance(surface, Embedded) else ()),
     ]  # fmt: skip
     return "ensemble-" + fingerprint(

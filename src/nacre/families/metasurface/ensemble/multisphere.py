@@ -1,10 +1,10 @@
-"""Many spheres solved together: the multi-sphere T-matrix equations of one finite pattern on a stack.
+"""Multi-sphere T-matrix equations of one finite particle pattern on a stack.
 
-b_j = M (a_j + sum_k W(r_j - r_k) b_k), M the response of one sphere dressed by the stack, W the coupling of two: the
-translation of spherical waves and the stack's reflection, a Sommerfeld integral. All centres of one kind have one
-height, so W depends on the distance and the two kinds, and on the azimuth by a phase: tabulated once a wavelength.
+b_j = M (a_j + sum_k W(r_j - r_k) b_k), M the dressed response of one particle, W the coupling of two: the translation
+of spherical waves and the reflection by the stack, a Sommerfeld integral. All centres of one species have one height,
+so W depends on the distance and both species, and on the azimuth by a phase; it is tabulated once per wavelength.
 
-A multipole is n = (m, tau, l) with m from -L to L, flat, as in `neighbours`; distances are times k inside.
+A multipole is n = (m, tau, l) with m from -L to L, flat, as in `translation_sums`; distances are times k.
 """
 
 from __future__ import annotations
@@ -19,15 +19,13 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.jit import compiled
 from nacre.families.metasurface.monolayer.monolayer import Particle
 from nacre.families.metasurface.monolayer.translation_sums import (
-    all_orders,
     direct_coefficients,
-    multipole_index,
     pair_orders,
     stack_contour,
     translation_coefficients,
-    with_negative_orders,
 )
-from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, SphereOnStack
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, spread_blocks, with_negative_orders
+from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack
 from nacre.families.metasurface.tmatrix.special_functions import (
     bessel_j,
     legendre,
@@ -36,9 +34,9 @@ from nacre.families.metasurface.tmatrix.special_functions import (
 )
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 
-STEP = 0.05  # of k times the distance: cubic interpolation leaves 1e-5 of the coupling of touching spheres
-GROWTH = 10.0  # e^10 of cancellation at the largest distance, with double's 16 digits
-LOW = 1.0  # of k times a centre's way to the nearest mirror: below, waves six times as steep as light reach far
+STEP = 0.05  # in k times distance: cubic interpolation has an error of 1e-5 for touching spheres
+GROWTH = 10.0  # cancellation by e^10 at the largest distance
+LOW = 1.0  # k times the mirror distance below which steep evanescent waves reach far
 SingleComplex = NDArray[np.complex64]
 IntArray = NDArray[np.intp]
 
@@ -46,16 +44,16 @@ IntArray = NDArray[np.intp]
 def reflected_coupling(
     surface: Substrate, centre_nm: float, order: int, distances: Array, reach: float | None = None, lift_nm: float = 0.0
 ) -> ComplexArray:
-    """Return W^R(R), how the stack carries multipole n' to n at a horizontal distance, `[n, n', distance]`.
+    """Return W^R(R), the coupling of multipole n' to n by the stack at a horizontal distance, `[n, n', distance]`.
 
     4 int kap dkap/(k kz) i^mu J_mu(kap R) e^(2ikzd) sum_pol Bdag_n(kz/k) R B_n'(-kz/k), mu = |m' - m|; inside a layer
-    the waves of `Echo` take the place of that one.
+    with the waves of `StackReflection`.
 
     Args:
-        centre_nm: mean height of the centres of both.
+        centre_nm: mean centre height.
         distances: k R, `[distance]`, real.
-        lift_nm: height of the target's centre over the source's.
-        reach: the largest k R that the contour must serve; that of `distances` by default.
+        lift_nm: height of the target above the source.
+        reach: largest k R for the contour; default that of `distances`.
     """
     index = multipole_index(order)
     mu = pair_orders(order)
@@ -63,7 +61,7 @@ def reflected_coupling(
     if surface.is_absent:
         return out
     far = float(max(distances.max(), 1.0)) if reach is None else reach
-    heard = far if surface.inner_wavenumber * surface.clear_nm(centre_nm) < LOW else 10.0
+    heard = far if surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm) < LOW else 10.0
     kappa, weight = stack_contour(surface, centre_nm, order, far, min(0.3, GROWTH / far), heard)
     w = np.sqrt((1 - kappa) * (1 + kappa))
     w = np.where(w.imag < 0, -w, w)
@@ -71,9 +69,8 @@ def reflected_coupling(
     measure = 4 * weight * kappa / w
     ways = [
         (with_negative_orders(left, index) * measure, with_negative_orders(right, index))
-        for left, right in surface.echo(centre_nm, w, lift_nm).pairs(b)
+        for left, right in surface.reflection_at(centre_nm, w, lift_nm).pairs(b)
     ]
-    # what lies beyond the reach of e^{2ikzd} is nothing: long distances need no Bessel functions there
     radial = bessel_j(np.outer(kappa, distances), 2 * order)
     for m in range(2 * order + 1):
         rows, columns = np.nonzero(mu == m)
@@ -85,17 +82,17 @@ def reflected_coupling(
 def direct_coupling(order: int, distances: Array, height: float = 0.0) -> ComplexArray:
     """Return W^D(R), the translation of outgoing multipole n' to regular n, `[n, n', distance]`.
 
-    sum_p c_p h_p(kr) P_p^mu(cos), the coefficients of `neighbours`.
+    sum_p c_p h_p(kr) P_p^mu(cos) with `translation_coefficients`.
 
     Args:
         distances: k times the horizontal ones.
-        height: k times that of the target's centre over the source's.
+        height: k times the height of the target above the source.
     """
     top = 2 * order
     r = np.hypot(distances, height)
     waves = spherical_hankel_scaled(r, top) * np.exp(1j * r)
     if height == 0.0:
-        table = direct_coefficients(order).sum(axis=3)  # only the pair's own mu is not zero
+        table = direct_coefficients(order).sum(axis=3)  # only the mu of the pair is not zero
         return np.asarray(table @ waves)
     angular = legendre(height / r, top, top)  # mu, p, distance
     by_order = np.stack([translation_coefficients(order) @ (waves * each) for each in angular])
@@ -105,15 +102,15 @@ def direct_coupling(order: int, distances: Array, height: float = 0.0) -> Comple
 
 
 def mean_and_lift(surface: Substrate, target_nm: float, source_nm: float) -> tuple[float, float]:
-    """Return what the stack's part of a coupling asks of two heights: their mean, and inside a layer their difference.
+    """Return the mean of two heights, and inside a layer their difference, for the coupling by the stack.
 
-    Over a stack the image of one lies as far below as both are high together, and nothing else counts.
+    Above a stack the coupling depends only on the mean height.
     """
     return 0.5 * (target_nm + source_nm), target_nm - source_nm if surface.inner_nm else 0.0
 
 
 def window(share: Array) -> Array:
-    """1 up to half of the way, then smoothly down to 0 at `share` = 1."""
+    """1 up to half of `share` = 1, then smoothly to 0 at 1."""
     t = np.clip(2.0 * np.asarray(share) - 1.0, 2e-3, 1.0 - 2e-3)
     return np.asarray(1.0 / (1.0 + np.exp(1.0 / (1.0 - t) - 1.0 / t)))
 
@@ -124,7 +121,7 @@ class Period:
 
     Attributes:
         side_nm: its side.
-        bloch: wavevector whose phase all waves take on from one image to the next, `[2]`, 1/nm.
+        bloch: Bloch wavevector of the phase between images, `[2]`, 1/nm.
     """
 
     side_nm: float
@@ -133,14 +130,14 @@ class Period:
 
 @dataclass(frozen=True)
 class Coupling:
-    """The coupling of two spheres over their distance at one wavelength, and what one sphere does.
+    """Pair coupling over the distance at one wavelength, and the response of one particle.
 
     Attributes:
-        surface, order: what it was made of.
-        centres_nm: heights of the centres over the stack, `[kind]`.
+        surface, order: stack and multipole order.
+        centres_nm: centre heights, `[species]`.
         start, step: of k times the distance.
-        table: M W(R), `[kind, kind', distance, n, n']`, single precision, without the phase e^{i(m'-m) phi}.
-        dressed: M over all m, `[kind, n, n']`.
+        table: M W(R), `[species, species', distance, n, n']`, single precision, without the phase e^{i(m'-m) phi}.
+        dressed: M over all m, `[species, n, n']`.
     """
 
     surface: Substrate
@@ -161,20 +158,20 @@ class Coupling:
         *others: Particle,
         fades: bool = False,
     ) -> Coupling:
-        """Tabulate between two distances of centres; where it `fades`, times `window`, which ends at the farthest.
+        """Tabulate between two centre distances; with `fades` multiplied by `window`, which ends at the farthest.
 
-        The `others` of a mixture are of the same order.
+        The `others` of a mixture have the same order.
         """
         particles, order = (particle, *others), particle.lmax
-        alone = [SphereOnStack(surface, p.centre_nm, p.t_matrix, order, p.cut) for p in particles]
-        dressed = np.stack([all_orders(sphere.dressed, order) for sphere in alone])
+        alone = [ParticleOnStack(surface, p.centre_nm, p.t_matrix, order, p.cut) for p in particles]
+        dressed = np.stack([spread_blocks(sphere.dressed, multipole_index(order)) for sphere in alone])
         k = surface.inner_wavenumber
         start = max(k * nearest_nm - 2 * STEP, STEP)
         count = int(np.ceil((k * farthest_nm - start) / STEP)) + 4
         distances = np.asarray(start + STEP * np.arange(count), dtype=np.float64)
         share = window(distances / (k * farthest_nm)) if fades else np.ones(count)
-        kinds, size = len(particles), dressed.shape[-1]
-        table = np.empty((kinds, kinds, count, size, size), dtype=np.complex64)
+        species, size = len(particles), dressed.shape[-1]
+        table = np.empty((species, species, count, size, size), dtype=np.complex64)
         by_heights: dict[tuple[float, float], ComplexArray] = {}
         for i, target in enumerate(particles):
             for j, source in enumerate(particles):
@@ -187,12 +184,12 @@ class Coupling:
         centres_nm = np.array([particle.centre_nm for particle in particles])
         return cls(surface, order, centres_nm, start, STEP, table, dressed)
 
-    def matrix(self, xy_nm: Array, period: Period | None = None, kinds: IntArray | None = None) -> SingleComplex:
-        """Return 1 - M W of a pattern, `[sphere x n, sphere x n]`, by columns, as LAPACK wants it.
+    def matrix(self, xy_nm: Array, period: Period | None = None, species: IntArray | None = None) -> SingleComplex:
+        """Return 1 - M W of a pattern, `[sphere x n, sphere x n]`, in column order for LAPACK.
 
         Args:
-            period: of a pattern that repeats; every image within the table's reach is seen.
-            kinds: which of a mixture each sphere is; None: all are the first.
+            period: of a periodic pattern; includes every image within the table.
+            species: species number of each particle; default 0.
         """
         index = multipole_index(self.order)
         size = len(xy_nm) * len(index.m)
@@ -203,49 +200,48 @@ class Coupling:
             far = self.start + self.step * (self.table.shape[2] - 4)
             side, shift = period.side_nm * k, period.bloch * period.side_nm
             images = int(np.ceil(far / side))
-        _fill(
-            xy_nm * k, all_kinds(xy_nm, kinds), self.start, self.step, self.table, index.m, side, shift, far, images,
-            turned,
-        )  # fmt: skip
+        which = species_numbers(xy_nm, species)
+        _fill(xy_nm * k, which, self.start, self.step, self.table, index.m, side, shift, far, images, turned)
         return turned.T
 
-    def excitations(self, xy_nm: Array, waves: PlaneWaves, kinds: IntArray | None = None) -> SingleComplex:
-        """Return M a of plane waves, `[sphere, n, wave]`, pol before direction."""
+    def excitations(self, xy_nm: Array, waves: PlaneWaves, species: IntArray | None = None) -> SingleComplex:
+        """Return M a of plane waves, `[sphere, n, wave]`, polarisation before direction."""
         answered = np.matmul(self.dressed, waves.excitation)
-        return np.asarray(answered[all_kinds(xy_nm, kinds)] * waves.phases(xy_nm)[:, None], dtype=np.complex64)
+        return np.asarray(answered[species_numbers(xy_nm, species)] * waves.phases(xy_nm)[:, None], dtype=np.complex64)
 
     def solve(
-        self, xy_nm: Array, waves: PlaneWaves, kinds: IntArray | None = None, matrix: SingleComplex | None = None
+        self, xy_nm: Array, waves: PlaneWaves, species: IntArray | None = None, matrix: SingleComplex | None = None
     ) -> SingleComplex:
-        """Return the multipoles of every sphere, `[sphere, n, wave]`.
+        """Return the multipoles of every particle, `[sphere, n, wave]`.
 
         Args:
-            kinds: which of a mixture each sphere is; None: all are the first.
-            matrix: what couples them, overwritten; `matrix` of the pattern by default.
+            species: species number of each particle; default 0.
+            matrix: coupling matrix, overwritten; default `matrix` of the pattern.
         """
-        right = self.excitations(xy_nm, waves, kinds)
+        right = self.excitations(xy_nm, waves, species)
         if matrix is None:
-            matrix = self.matrix(xy_nm, None, kinds)
+            matrix = self.matrix(xy_nm, None, species)
         factors, pivots, _ = cgetrf(matrix, overwrite_a=True)
         found, _ = cgetrs(factors, pivots, right.reshape(-1, right.shape[-1]))
         return np.asarray(found.reshape(right.shape))
 
     def far_field(
-        self, xy_nm: Array, multipoles: SingleComplex, waves: PlaneWaves, kinds: IntArray | None = None
+        self, xy_nm: Array, multipoles: SingleComplex, waves: PlaneWaves, species: IntArray | None = None
     ) -> SingleComplex:
         """Return F towards the directions of `waves`, `[direction, wave of multipoles]`, nm."""
         phases = waves.phases(xy_nm).conj() / self.surface.inner_wavenumber  # sphere, direction
-        rows = (waves.emission[all_kinds(xy_nm, kinds)] * phases[:, None]).astype(np.complex64)
+        rows = (waves.emission[species_numbers(xy_nm, species)] * phases[:, None]).astype(np.complex64)
         return np.asarray(rows.reshape(-1, rows.shape[-1]).T @ multipoles.reshape(-1, multipoles.shape[-1]))
 
 
 @dataclass(frozen=True)
 class PlaneWaves:
-    """Plane waves in all polarisations and azimuths: what they excite, and what is sent towards them.
+    """Plane waves of all polarisations and azimuths: excitation and emission vectors.
 
     Attributes:
-        excitation, emission: `[kind, n, wave]`, of a sphere at the origin; waves run over pol, angle, azimuth.
-        wavevectors: `[wave, 2]`, in the plane, 1/nm, along the travel: of light that arrives, or that leaves.
+        excitation, emission: `[species, n, wave]`, of a particle at the origin; waves are ordered by pol, angle,
+            azimuth.
+        wavevectors: `[wave, 2]`, in the plane, 1/nm, along the propagation.
     """
 
     excitation: ComplexArray
@@ -253,25 +249,8 @@ class PlaneWaves:
     wavevectors: Array
 
     @classmethod
-    def build(
-        cls, directions: Directions, azimuths: Array, order: int, wavenumber: float, *others: Directions
-    ) -> PlaneWaves:
-        """Turn the vectors to each azimuth of the in-plane wavevector; the `others` are those of a mixture's kinds."""
-        kinds = (directions, *others)
-        index = multipole_index(order)
-        turn = np.exp(1j * index.m[:, None] * azimuths)  # n, azimuth
-        parts = []
-        for name, phase in (("excitation", turn.conj()), ("emission", turn)):
-            spread = np.stack([with_negative_orders(getattr(one, name), index) for one in kinds])  # kind, pol, n, angle
-            whole = spread[..., None] * phase[None, None, :, None]
-            parts.append(np.moveaxis(whole, 2, 1).reshape(len(kinds), len(index.m), -1))
-        along = np.stack([np.cos(azimuths), np.sin(azimuths)], axis=-1)
-        flat = (wavenumber * directions.transverse[:, None, None] * along).reshape(-1, 2)
-        return cls(parts[0], parts[1], np.concatenate([flat, flat]))
-
-    @classmethod
     def of(cls, parts: list[PlaneWaves]) -> PlaneWaves:
-        """Return the waves of all parts, one after the other."""
+        """Concatenate waves."""
         return cls(
             np.concatenate([w.excitation for w in parts], axis=2),
             np.concatenate([w.emission for w in parts], axis=2),
@@ -283,13 +262,13 @@ class PlaneWaves:
         return np.asarray(np.exp(1j * (xy_nm @ self.wavevectors.T)))
 
 
-def all_kinds(xy_nm: Array, kinds: IntArray | None) -> IntArray:
-    """Return `kinds`, or the first for every sphere."""
-    return np.zeros(len(xy_nm), dtype=np.intp) if kinds is None else kinds
+def species_numbers(xy_nm: Array, species: IntArray | None) -> IntArray:
+    """Return `species`, or zeros."""
+    return np.zeros(len(xy_nm), dtype=np.intp) if species is None else species
 
 
 @compiled(nogil=True, fastmath=True)
-def _fill(xy, kinds, start, step, tables, m, side, shift, far, images, turned):  # type: ignore[no-untyped-def]  # numba
+def _fill(xy, species, start, step, tables, m, side, shift, far, images, turned):  # type: ignore[no-untyped-def]  # numba
     count, size = xy.shape[0], m.size
     top = 0
     for a in range(size):
@@ -299,12 +278,12 @@ def _fill(xy, kinds, start, step, tables, m, side, shift, far, images, turned): 
         for a in range(size):
             turned[j * size + a, j * size + a] = 1.0
         for k in range(count):
-            table = tables[kinds[j], kinds[k]]
+            table = tables[species[j], species[k]]
             for nx in range(-images, images + 1):
                 for ny in range(-images, images + 1):
                     if j == k and nx == 0 and ny == 0:
                         continue
-                    # sphere j meets the field of an image of sphere k
+                    # field of an image of particle k at particle j
                     dx, dy = xy[j, 0] - xy[k, 0] - nx * side, xy[j, 1] - xy[k, 1] - ny * side
                     distance = np.sqrt(dx * dx + dy * dy)
                     if distance >= far:
@@ -321,7 +300,7 @@ def _fill(xy, kinds, start, step, tables, m, side, shift, far, images, turned): 
                     x = (distance - start) / step
                     at = min(max(int(x), 1), table.shape[0] - 3)
                     t = x - at
-                    # Lagrange's cubic through the two points on each side
+                    # cubic Lagrange interpolation
                     w0 = np.float32(-t * (t - 1.0) * (t - 2.0) / 6.0)
                     w1 = np.float32((t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0)
                     w2 = np.float32(-(t + 1.0) * t * (t - 2.0) / 2.0)

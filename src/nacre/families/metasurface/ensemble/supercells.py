@@ -1,9 +1,9 @@
-"""Patterns that repeat, and how the spheres of an endless one see each other.
+"""Periodic supercells of a pattern, and the coupling of particles with all periodic images.
 
-A finite patch has an edge: near grazing, light leaves it that an endless layer would have scattered. So the pattern
-repeats on a square. One Bloch wavevector serves all orders of the square, which are some hundred directions of light
-and of view alike; every order but the straight one is diffuse light, and nothing has to be subtracted. What the spheres
-and all their images do to each other is summed near by in space, through a window, and beyond it over the orders.
+A finite patch has an edge that scatters near grazing. A periodic square has none. One Bloch wavevector serves all
+diffraction orders of the square, some hundred directions of incidence and view; every order except the zeroth is
+diffuse light. The coupling between particles and images is summed in real space within a window and beyond it over the
+diffraction orders.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from nacre.families.metasurface.ensemble.multisphere import (
     Period,
     PlaneWaves,
     SingleComplex,
-    all_kinds,
     direct_coupling,
     mean_and_lift,
     reflected_coupling,
+    species_numbers,
     window,
 )
 from nacre.families.metasurface.monolayer.arrangement import Pattern
@@ -35,37 +35,37 @@ from nacre.families.metasurface.monolayer.qca import NeighbourTable, barycentric
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.monolayer.translation_sums import (
     folded,
-    multipole_index,
     pair_orders,
     translation_coefficients,
     unfolded,
 )
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.special_functions import legendre
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 
-BEYOND = 24.0  # over k times the window's reach: how far past the light line, over k, its smooth edge is felt
-BEYOND_IN_A_LAYER = 36.0  # the same where a layer that guides light is the particles' own
-QUIET = 3e-5  # of the response of one sphere: weaker waves, of random phases, add up to nothing
+BEYOND = 24.0  # wavevector range past the light line, in k, needed by the window edge, times k times its reach
+BEYOND_IN_A_LAYER = 36.0  # the same for a host layer that guides light
+QUIET = 3e-5  # share of the response of one particle below which waves of random phases are negligible
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One square of a pattern that repeats.
+class Supercell:
+    """One square of a periodic pattern.
 
     Attributes:
         xy_nm: positions, `[sphere, 2]`.
-        period: what it repeats on.
-        seed: for what is drawn in it.
-        kinds: which of a mixture each sphere is, `[sphere]`; None: all are the first.
+        period: its period.
+        seed: for random choices in it.
+        species: species number of each particle, `[sphere]`; None for one species.
     """
 
     xy_nm: Array
     period: Period
     seed: int
-    kinds: IntArray | None = None
+    species: IntArray | None = None
 
 
-def cells(
+def supercells(
     pattern: Callable[[int, int], Pattern],
     density_per_nm2: float,
     least_nm: float,
@@ -73,13 +73,13 @@ def cells(
     realisations: int,
     seed: int,
     is_list: bool = False,
-) -> list[Cell]:
-    """Return squares of about so many spheres, each with a Bloch wavevector drawn at random.
+) -> list[Supercell]:
+    """Return squares of about `spheres` particles, each with a random Bloch wavevector.
 
     Args:
         pattern: function of count and seed that returns a pattern.
-        least_nm: the least distance; of a pair that is closer (a lattice with much jitter, a seam) one is left out.
-        is_list: whether the pattern is always the same list of points: a longer one is cut to squares from within it.
+        least_nm: smallest distance; one particle of each closer pair is removed.
+        is_list: whether the pattern is a fixed list of points, from which random squares are cut.
     """
     out = []
     for number in range(realisations):
@@ -94,30 +94,30 @@ def cells(
         close = np.asarray(cKDTree(xy, boxsize=box).query_pairs(least_nm * (1 - 1e-6), output_type="ndarray"))
         xy = np.delete(xy, close[:, 0], axis=0)
         bloch = rng.uniform(-0.5, 0.5, 2) * 2 * np.pi / box
-        out.append(Cell(xy, Period(box, bloch), int(rng.integers(2**31))))
+        out.append(Supercell(xy, Period(box, bloch), int(rng.integers(2**31))))
     return out
 
 
-def with_kinds(patterns: list[Cell], shares: Array, seed: int) -> list[Cell]:
-    """Return the patterns of a mixture, its kinds at random on their places, of all patterns together just the shares.
+def with_species(patterns: list[Supercell], shares: Array, seed: int) -> list[Supercell]:
+    """Return the patterns of a mixture with randomly placed species in exact total shares.
 
-    What the patterns together had too much of a bright kind would be an error of the mean that no fit takes out.
+    An excess of a bright species over all patterns would be an error of the mean.
     """
     counts = [len(one.xy_nm) for one in patterns]
-    drawn = dealt(sum(counts), shares, np.random.default_rng((seed, len(counts), 1)))
+    drawn = draw_species(sum(counts), shares, np.random.default_rng((seed, len(counts), 1)))
     parts = np.split(drawn, np.cumsum(counts)[:-1])
-    return [dataclasses.replace(one, kinds=part) for one, part in zip(patterns, parts)]
+    return [dataclasses.replace(one, species=part) for one, part in zip(patterns, parts)]
 
 
-def dealt(count: int, shares: Array, rng: np.random.Generator) -> IntArray:
-    """Return kinds in whole numbers nearest to the shares, in random order, `[particle]`."""
+def draw_species(count: int, shares: Array, rng: np.random.Generator) -> IntArray:
+    """Return species numbers in counts nearest to the shares, in random order, `[particle]`."""
     edges = np.round(count * np.cumsum(shares) / np.sum(shares)).astype(np.intp)
     which = np.searchsorted(edges, np.arange(count), side="right")
     return np.asarray(rng.permutation(which) if len(edges) > 1 else which, dtype=np.intp)
 
 
 def orders(period: Period, largest: float) -> Array:
-    """Return the in-plane wavevectors up to a size that one Bloch wavevector serves, `[order, 2]`, 1/nm."""
+    """Return the in-plane wavevectors below a limit for one Bloch wavevector, `[order, 2]`, 1/nm."""
     step = 2 * np.pi / period.side_nm
     top = int(np.ceil(largest / step)) + 1
     n = np.arange(-top, top + 1)
@@ -126,13 +126,13 @@ def orders(period: Period, largest: float) -> Array:
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """The sums over an endless uncorrelated layer beyond the window, source and observer at two heights.
+class DistantSheet:
+    """Coupling sums over an endless uncorrelated layer beyond the window, for two heights.
 
     Attributes:
-        table: the whole sums less their plane waves, see `NeighbourTable`.
-        within: the part of them within the window, folded, `[pol, node, h, h']`, at Chebyshev nodes.
-        largest: in-plane wavevector over k up to which both are known.
+        table: the total sums without plane waves, see `NeighbourTable`.
+        within: their part within the window, folded, `[pol, node, h, h']`, at Chebyshev nodes.
+        largest: largest in-plane wavevector over k.
     """
 
     table: NeighbourTable
@@ -143,12 +143,12 @@ class Sheet:
     def build(
         cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, reach_nm: float, largest: float,
         lift_nm: float = 0.0,
-    ) -> Sheet:  # fmt: skip
-        """Tabulate; `structure` gives density and least distance, and has no correlation.
+    ) -> DistantSheet:  # fmt: skip
+        """Tabulate; `structure` gives density and least distance, without correlation.
 
         Args:
             centre_nm: mean of both heights.
-            lift_nm: of the observer over the source, for the way by the stack; the direct waves are of one height.
+            lift_nm: height of the target above the source, for the reflection by the stack.
         """
         k = surface.inner_wavenumber
         a, far = structure.diameter_nm * k, reach_nm * k
@@ -170,7 +170,7 @@ class Sheet:
         return cls(table, within, largest)
 
     def at(self, kappa: Array) -> ComplexArray:
-        """Return W summed beyond the window a sphere, at in-plane wavevectors over k along x, `[wave, n, n']`, nm^2."""
+        """Return W summed beyond the window per particle at wavevectors over k along x, `[wave, n, n']`, nm^2."""
         w = np.sqrt((1.0 - kappa**2).astype(complex))
         nodes, weights = chebyshev(self.within.shape[1], 0.0, self.largest)
         rest = self.table.sums(kappa, w) - mixed(barycentric(nodes, weights, kappa), self.within)
@@ -178,46 +178,47 @@ class Sheet:
 
 
 @dataclass(frozen=True)
-class Lattice:
-    """How the images of a sphere beyond the window act on another, as waves of in-plane wavevectors.
+class PeriodicCoupling:
+    """Coupling with the images beyond the window, as waves of in-plane wavevectors.
 
     Attributes:
-        coupling: the tables of single pairs within the window.
+        coupling: pair tables within the window.
         sheets: one for each pair of heights, see `mean_and_lift`.
-        direct: the direct waves alone, of a higher order; None where all centres have one height.
-        largest: in-plane wavevector over k up to which all are known.
+        direct: the direct waves, of a higher order; None if all centres have one height.
+        largest: largest in-plane wavevector over k.
     """
 
     coupling: Coupling
-    sheets: dict[tuple[float, float], Sheet]
-    direct: Sheet | None
+    sheets: dict[tuple[float, float], DistantSheet]
+    direct: DistantSheet | None
     largest: float
 
     @classmethod
-    def build(cls, layer: Monolayer, coupling: Coupling, reach_nm: float) -> Lattice:
+    def build(cls, layer: Monolayer, coupling: Coupling, reach_nm: float) -> PeriodicCoupling:
         """Tabulate; `coupling` fades out at `reach_nm`."""
         surface, order, heights = layer.surface, coupling.order, coupling.centres_nm
         k = surface.inner_wavenumber
         alone = dataclasses.replace(layer.structure, h=np.zeros_like(layer.structure.h))
-        largest = beyond_the_window(surface, reach_nm)
+        largest = max_far_wavenumber(surface, reach_nm)
         pairs = {mean_and_lift(surface, float(a), float(b)) for a in heights for b in heights}
         sheets = {
-            (mean, up): Sheet.build(surface, mean, alone, order, reach_nm, largest, up) for mean, up in sorted(pairs)
+            (mean, up): DistantSheet.build(surface, mean, alone, order, reach_nm, largest, up)
+            for mean, up in sorted(pairs)
         }
         direct, step = None, k * float(np.ptp(heights))
         if step > 0.0:
             nothing = Substrate(surface.wavelength_nm, np.full(2, surface.inner_index + 0j), np.zeros(0))
-            # the window is open to half of the reach: what lies nearer cancels, and high multipoles are large there
+            # shorter distances cancel within the window, and high multipoles are large there
             further = dataclasses.replace(alone, diameter_nm=max(alone.diameter_nm, reach_nm / 2))
-            top = carried_order(order, step)
-            direct = Sheet.build(nothing, float(heights.max()), further, top, reach_nm, largest)
+            top = translation_order(order, step)
+            direct = DistantSheet.build(nothing, float(heights.max()), further, top, reach_nm, largest)
         return cls(coupling, sheets, direct, largest)
 
     def beyond(self, wavevectors: Array) -> ComplexArray:
-        """Return M times the transform of what lies beyond the window, `[kind, kind', wave, n, n']`, nm^2.
+        """Return M times the Fourier transform of the coupling beyond the window, `[species, species', wave, n, n']`.
 
         Args:
-            wavevectors: `[wave, 2]`, 1/nm, none of them on the light line.
+            wavevectors: `[wave, 2]`, 1/nm, off the light line.
         """
         heights, dressed = self.coupling.centres_nm, self.coupling.dressed
         k = self.coupling.surface.inner_wavenumber
@@ -235,20 +236,20 @@ class Lattice:
         return out
 
     def _lifted(self, straight: ComplexArray, height: float) -> ComplexArray:
-        """What it adds to the direct waves, `[wave, n, n']`, that the observer is higher by a height times k.
+        """Return the correction of the direct waves, `[wave, n, n']`, for a target higher by `height` / k.
 
-        What comes from beyond the window is regular at the observer: it is carried up or down as regular waves.
+        Waves from beyond the window are regular at the target and are translated as regular waves.
         """
-        assert self.direct is not None  # made where heights differ
+        assert self.direct is not None  # set for different heights
         top = self.direct.table.order
         low = multipole_index(top).l <= self.coupling.order
         carried = lift(top, height) - np.eye(len(low))
         return np.asarray(carried[low] @ straight[:, :, low])
 
-    def matrix(self, cell: Cell) -> SingleComplex:
-        """Return 1 - M W of a pattern and all its images, `[sphere x n, sphere x n]`, by columns."""
-        xy, period, kinds = cell.xy_nm, cell.period, all_kinds(cell.xy_nm, cell.kinds)
-        out = self.coupling.matrix(xy, period, kinds).T  # rows: source and its multipole
+    def matrix(self, cell: Supercell) -> SingleComplex:
+        """Return 1 - M W of a pattern and all its images, `[sphere x n, sphere x n]`, in column order."""
+        xy, period, species = cell.xy_nm, cell.period, species_numbers(cell.xy_nm, cell.species)
+        out = self.coupling.matrix(xy, period, species).T  # rows: source and its multipole
         waves = orders(period, self.largest * self.coupling.surface.inner_wavenumber)
         couples = self.beyond(waves) / period.side_nm**2
         heard = np.abs(couples).max(axis=(0, 1, 3, 4)) > QUIET
@@ -259,31 +260,31 @@ class Lattice:
         )
         phases = np.exp(1j * (xy @ waves.T)).astype(np.complex64)
         blocks = out.reshape(len(xy), size, len(xy), size)
-        members = [(kind, np.nonzero(kinds == kind)[0]) for kind in np.unique(kinds)]
+        members = [(number, np.nonzero(species == number)[0]) for number in np.unique(species)]
         for k in range(len(xy)):
-            for kind, rows in members:
-                added = (phases[rows] * phases[k].conj()) @ flat[kind, kinds[k]]  # observer, (source's n, observer's n)
+            for number, rows in members:
+                added = (phases[rows] * phases[k].conj()) @ flat[number, species[k]]  # target, (source n, target n)
                 blocks[k][:, rows] -= np.moveaxis(added.reshape(len(rows), size, size), 0, 1)
         return out.T
 
-    def solve(self, cell: Cell, waves: PlaneWaves) -> SingleComplex:
-        """Return the multipoles of every sphere, `[sphere, n, wave]`."""
-        return self.coupling.solve(cell.xy_nm, waves, cell.kinds, self.matrix(cell))
+    def solve(self, cell: Supercell, waves: PlaneWaves) -> SingleComplex:
+        """Return the multipoles of every particle, `[sphere, n, wave]`."""
+        return self.coupling.solve(cell.xy_nm, waves, cell.species, self.matrix(cell))
 
 
-def carried_order(order: int, step: float) -> int:
-    """Return the order of waves that are carried up or down by `step`, a height times k, to arrive with `order`."""
+def translation_order(order: int, step: float) -> int:
+    """Return the order of waves translated vertically by `step` / k for results of `order`."""
     return order + 2 + int(np.ceil(1.5 * step))
 
 
-def beyond_the_window(surface: Substrate, reach_nm: float) -> float:
-    """Return the in-plane wavevector, over the k of the particles' medium, of waves from beyond a window's reach."""
+def max_far_wavenumber(surface: Substrate, reach_nm: float) -> float:
+    """Return the largest in-plane wavevector, over k around the particles, of waves from beyond the window."""
     beyond = BEYOND_IN_A_LAYER if surface.inner_nm else BEYOND
-    return steepest(surface) / surface.inner_index + beyond / (reach_nm * surface.inner_wavenumber)
+    return max_guided_index(surface) / surface.inner_index + beyond / (reach_nm * surface.inner_wavenumber)
 
 
-def steepest(surface: Substrate) -> float:
-    """Return the index up to whose in-plane wavevectors light goes far: of its media, and of a film that guides it."""
+def max_guided_index(surface: Substrate) -> float:
+    """Return the largest index of propagating in-plane wavevectors: outer media and films that guide light."""
     outside = [surface.inner_index, surface.ambient_index]
     if surface.is_transparent:
         outside.append(float(surface.indices[-1].real))
@@ -293,7 +294,7 @@ def steepest(surface: Substrate) -> float:
 
 
 def lift(order: int, height: float) -> ComplexArray:
-    """Return regular waves seen from a centre that lies higher by `height` times 1/k, `[n, n']`."""
+    """Return regular waves expanded about a centre higher by `height` / k, `[n, n']`."""
     top = 2 * order
     p = np.arange(top + 1)
     along = legendre(np.array(np.sign(height)), top, top)[0] * spherical_jn(p, abs(height))

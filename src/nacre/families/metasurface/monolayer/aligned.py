@@ -1,9 +1,14 @@
-"""A monolayer of particles that all point one way: its coherent light, and how each answers among its neighbours.
+"""Monolayer of aligned particles without rotational symmetry: coherent light, diffuse light, and lobes.
 
-The arrangement is the same in all directions, so what neighbours send depends on the light's own azimuth phi alone by
-phases: Q(phi) = e^(i (m' - m) phi) Q(0). In a frame that turns with the light, Q is that of any monolayer and the
-particle is turned by -phi: M -> e^(i m phi) M e^(-i m' phi). There b = (M^-1 - Q)^-1 v is solved at each azimuth, all
-orders m coupled. Azimuths here are those of in-plane wavevectors; the light of a direction at azimuth a runs at a + pi.
+The arrangement is isotropic, so the neighbour sums depend on the azimuth phi of the light only by phases:
+Q(phi) = e^(i (m' - m) phi) Q(0). In a frame rotated with the light, Q is that of any monolayer and the particle is
+rotated by -phi: M -> e^(i m phi) M e^(-i m' phi). There b = (M^-1 - Q)^-1 v is solved at each azimuth, with all orders
+m coupled. Azimuths are those of in-plane wavevectors; light of a direction at azimuth a propagates at a + pi.
+
+As in `diffuse`, f = rho |X||Y| S C / (cos_i cos_o) with the far field X and its reverse Y, and C = g_i g_o balanced to
+the power that the mean field radiates, but here directions and g depend on the azimuth. Without S and C, f is smooth: a
+short Fourier series in both azimuths. S has rings sharper than the azimuth step; sums over azimuths use its first
+harmonics over the difference, which is exact for the few harmonics of particle patterns.
 """
 
 from __future__ import annotations
@@ -41,28 +46,28 @@ from nacre.families.metasurface.monolayer.evaluation import (
     specular_at_nodes,
 )
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
-from nacre.families.metasurface.monolayer.qca import sums_at
+from nacre.families.metasurface.monolayer.qca import neighbour_sums_at
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import (
+from nacre.families.metasurface.monolayer.translation_sums import unfolded
+from nacre.families.metasurface.tmatrix.full_tmatrix import (
     MultipoleIndex,
     multipole_index,
-    unfolded,
+    spread_blocks,
+    truncated_full,
+    truncated_index,
     with_negative_orders,
 )
-from nacre.families.metasurface.species import Kind
-from nacre.families.metasurface.tmatrix.axisymmetric import KnownBody
-from nacre.families.metasurface.tmatrix.full_tmatrix import kept_index, spread, truncated_whole
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, dressed_matrix, hemisphere_rule
 
 
 @dataclass(frozen=True)
-class AlignedLit:
+class AlignedIllumination:
     """Directions of one side with the response of a particle among its neighbours to light from there.
 
     Attributes:
         directions: excitation and emission vectors.
-        emission: u, `[pol, n, angle]`, at the azimuth 0.
-        response: b in the frame that turns with the light, `[azimuth, pol, n, angle]`.
+        emission: u, `[pol, n, angle]`, at azimuth 0.
+        response: b in the frame rotated with the light, `[azimuth, pol, n, angle]`.
     """
 
     directions: Directions
@@ -75,8 +80,8 @@ class AlignedLayer:
     """Aligned particles on a stack at one wavelength.
 
     Attributes:
-        mean: the monolayer of the particle's mean over its turn: the stack, the arrangement, the neighbours' sums.
-        whole: T over all m of one particle as it stands, `[n, n']`, at least of the multipoles of `mean`.
+        mean: the monolayer of rotationally averaged particles: stack, arrangement, neighbour sums.
+        whole: full T of one particle, `[n, n']`, with at least the multipoles of `mean`.
     """
 
     mean: Monolayer
@@ -84,41 +89,49 @@ class AlignedLayer:
 
     @cached_property
     def index(self) -> MultipoleIndex:
-        """The multipoles, flat."""
+        """The flat multipole index."""
         return self._kept[0]
 
     @cached_property
     def _kept(self) -> tuple[MultipoleIndex, NDArray[np.intp]]:
         alone = self.mean.spheres[0]
-        return kept_index(alone.lmax, alone.mmax)
+        return truncated_index(alone.lmax, alone.mmax)
 
     @cached_property
     def dressed(self) -> ComplexArray:
-        """M = (T^-1 - W)^-1 of the particle over its stack, `[n, n']`."""
+        """M = (T^-1 - W)^-1 of the particle above its stack, `[n, n']`."""
         index, kept = self._kept
-        t = truncated_whole(self.whole, index.order)[kept[:, None], kept]
-        return np.asarray(dressed_matrix(t[None], spread(self.mean.spheres[0].coupling, index)[None])[0])
+        t = truncated_full(self.whole, index.order)[kept[:, None], kept]
+        return np.asarray(dressed_matrix(t[None], spread_blocks(self.mean.spheres[0].coupling, index)[None])[0])
 
     @cached_property
     def _exchanged(self) -> tuple[int, NDArray[np.intp]]:
-        """The order up to which neighbours exchange multipoles, and the places of these in `index`."""
+        """The order of the neighbour interaction, and the places of its multipoles in `index`."""
         order = min(self.mean.interaction_order, self.index.order, self.mean.spheres[0].mmax)
         places = {k: i for i, k in enumerate(zip(self.index.m, self.index.tau, self.index.l, strict=True))}
         few = multipole_index(order)
         return order, np.array([places[key] for key in zip(few.m, few.tau, few.l, strict=True)])
 
-    def light(
-        self, cosines: Array, azimuths: Array, below: bool = False, sines: Array | None = None, at_once: bool = False
-    ) -> AlignedLit:
-        """Return the directions at `cosines` of one side, and the response to light whose wavevector has `azimuths`.
+    def illuminate(
+        self,
+        cosines: Array,
+        azimuths: Array,
+        below: bool = False,
+        sines: Array | None = None,
+        untabulated: bool = False,
+    ) -> AlignedIllumination:
+        """Return the directions at `cosines` of one side, and the response to light with wavevectors at `azimuths`.
 
-        With `at_once` the neighbours' sums are made at these few angles and not tabulated.
+        Args:
+            untabulated: compute the neighbour sums at these few angles instead of tabulating them.
         """
         directions = self.mean.spheres[0].directions(cosines, below, sines)
         order, few = self._exchanged
-        if at_once:
+        if untabulated:
             mean = self.mean
-            folded = sums_at(mean.surface, mean.mean_centre_nm, mean.structure, order, directions, mean.sees_neighbours)
+            folded = neighbour_sums_at(
+                mean.surface, mean.mean_centre_nm, mean.structure, order, directions, mean.includes_near_fields
+            )
         else:
             folded = self.mean.neighbours.at(directions)
         sums = unfolded(folded, order)  # angle, n, n'
@@ -132,27 +145,26 @@ class AlignedLayer:
         met = np.linalg.solve(system, own[:, :, few].transpose(0, 3, 2, 1))
         added = (sums @ met).transpose(0, 3, 2, 1)  # azimuth, pol, n, angle
         passed = self.dressed[:, few] @ (here.conj()[:, None, :, None] * added)
-        return AlignedLit(directions, with_negative_orders(directions.emission, self.index), own + turn * passed)
+        return AlignedIllumination(
+            directions, with_negative_orders(directions.emission, self.index), own + turn * passed
+        )
 
     def leaving(self, cosines: Array, below: bool) -> Directions:
-        """Return directions of one side as light leaves to them."""
+        """Return directions of emission to one side."""
         return self.mean.spheres[0].directions(cosines, below)
 
-    def coherent_sum(self, emission: ComplexArray, lit: AlignedLit) -> ComplexArray:
-        """Return F towards the reflected or the refracted direction of each of `lit`, nm, `[azimuth, q, p, angle]`."""
+    def coherent_sum(self, emission: ComplexArray, lit: AlignedIllumination) -> ComplexArray:
+        """Return F towards the reflected or refracted direction of each of `lit`, nm, `[azimuth, q, p, angle]`."""
         return np.asarray(np.einsum("qna,fpna->fqpa", emission, lit.response) / self.mean.surface.inner_wavenumber)
 
-    def specular_above(self, cosines: Array, azimuths: Array, at_once: bool = False) -> tuple[Array, Array]:
-        """Power reflectance and transmittance of the coherent light from above, `[azimuth, pol, angle]`.
-
-        Both polarisations that a wave turns into count.
-        """
+    def specular_above(self, cosines: Array, azimuths: Array, untabulated: bool = False) -> tuple[Array, Array]:
+        """Power reflectance and transmittance of coherent light from above, `[azimuth, pol, angle]`."""
         layer = self.mean
         k, rho = layer.surface.wavenumber, layer.structure.density_per_nm2
-        lit = self.light(cosines, azimuths, at_once=at_once)
+        lit = self.illuminate(cosines, azimuths, untabulated=untabulated)
         r = 2 * np.pi * rho / (k * cosines) * self.coherent_sum(lit.emission, lit) + _both(lit.directions.reflection)
         reflected = np.sum(np.abs(r) ** 2, axis=1)
-        if not layer.has_below:
+        if not layer.transmits_below:
             return reflected, np.zeros(reflected.shape)
         out, cos_below, bare = layer.refracted(cosines)
         sent = self.coherent_sum(with_negative_orders(out[0].emission, self.index), lit)
@@ -163,7 +175,7 @@ class AlignedLayer:
         """Power reflectance of the coherent light from below, `[azimuth, pol, angle]`."""
         layer = self.mean
         k, rho = layer.surface.wavenumber, layer.structure.density_per_nm2
-        lit = self.light(cosines, azimuths, below=True)
+        lit = self.illuminate(cosines, azimuths, below=True)
         first = lit.directions
         summed = self.coherent_sum(lit.emission, lit)
         r = 2 * np.pi * rho / (k * cosines * first.index) * summed + _both(first.reflection)
@@ -171,13 +183,11 @@ class AlignedLayer:
 
 
 def _both(amplitudes: ComplexArray) -> ComplexArray:
-    """Return the amplitudes of s and p, `[pol, angle]`, as those of a stack that turns neither, `[q, p, angle]`."""
+    """Return the amplitudes of s and p, `[pol, angle]`, as a diagonal Jones matrix, `[q, p, angle]`."""
     return np.asarray(np.eye(2)[:, :, None] * amplitudes[None])
 
 
-# The diffuse light of aligned particles between all pairs of directions, polar angle and azimuth of each.
-
-AZIMUTHS = 24  # of directions: a multiple of four, so that turns by a right angle are exact
+AZIMUTHS = 24  # a multiple of four makes rotations by 90 degrees exact
 
 
 @dataclass(frozen=True)
@@ -185,7 +195,7 @@ class AlignedTerm:
     """The diffuse power between all pairs of directions; angle s (i) with azimuth b (a), above first.
 
     Attributes:
-        power: `[s, b, i, a]`, rho |X||Y| C / (n_s n_i), polarisations of light averaged and of view summed, without S.
+        power: `[s, b, i, a]`, rho |X||Y| C / (n_s n_i), unpolarised, without S.
         flow: the same times the low harmonics of S.
     """
 
@@ -198,12 +208,12 @@ def azimuth_nodes(count: int) -> Array:
     return np.asarray(np.arange(count) * (2 * np.pi / count), dtype=np.float64)
 
 
-def light_of(layer: AlignedLayer, cosines: Array, below: bool, count: int) -> AlignedLit:
-    """Return light from directions at `count` azimuths; its wavevectors run the other way."""
-    return layer.light(cosines, azimuth_nodes(count) + np.pi, below)
+def light_of(layer: AlignedLayer, cosines: Array, below: bool, count: int) -> AlignedIllumination:
+    """Return the response to light from directions at `count` azimuths, whose wavevectors are opposite."""
+    return layer.illuminate(cosines, azimuth_nodes(count) + np.pi, below)
 
 
-def aligned_term(layer: AlignedLayer, sides: list[tuple[AlignedLit, Array]]) -> AlignedTerm:
+def aligned_term(layer: AlignedLayer, sides: list[tuple[AlignedIllumination, Array]]) -> AlignedTerm:
     """Return the diffuse term between all directions of `sides` (above first), each with its weights dmu.
 
     Args:
@@ -239,8 +249,8 @@ def aligned_term(layer: AlignedLayer, sides: list[tuple[AlignedLit, Array]]) -> 
         power[part, :, :, s] = both.transpose(2, 3, 4, 0, 1)
     flow = power * (scale[:, None, None, :, None, None] * smooth_s.transpose(0, 2, 1, 3)[:, None, :, :, None])
     factors = _factors(flow, totals, weights * step, is_below)
-    pair = factors[..., is_below.astype(int)]  # [s, q, b, i]: g of s as seen from the side of i
-    # one of a pair at a time: the arrays are the largest that there are
+    pair = factors[..., is_below.astype(int)]  # [s, q, b, i]: g of s for the side of i
+    # one direction at a time limits the memory
     for s in range(size):
         c = pair[s][..., None, None] * pair[..., s].transpose(0, 1, 2)[None, None]
         power[s] *= scale[s, :, None, None] * c
@@ -249,11 +259,11 @@ def aligned_term(layer: AlignedLayer, sides: list[tuple[AlignedLit, Array]]) -> 
 
 
 def _turned(
-    layer: AlignedLayer, sides: list[tuple[AlignedLit, Array]], count: int
+    layer: AlignedLayer, sides: list[tuple[AlignedIllumination, Array]], count: int
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return emission towards and response to light from each direction, `[angle, pol, azimuth, n]`.
 
-    Both are in the surface's frame, over the root of k of the particles' medium.
+    Both are in the frame of the surface, over the root of k of the particle medium.
     """
     m, alpha = layer.index.m, azimuth_nodes(count)
     root = np.sqrt(layer.mean.surface.inner_wavenumber)
@@ -266,7 +276,7 @@ def _turned(
 
 
 def _squared(leaving: ComplexArray, met: ComplexArray, is_reverse: bool = False) -> Array:
-    """Return |F|^2 of one angle s and several i, `[q, b, i, p, a]`; in reverse, light comes from s and leaves to i."""
+    """Return |F|^2 of one angle s and several i, `[q, b, i, p, a]`; reversed: light from s to i."""
     n = leaving.shape[-1]
     of_leaving, of_met = leaving.reshape(-1, n), met.reshape(-1, n)
     found = of_met @ of_leaving.T if is_reverse else of_leaving @ of_met.T
@@ -274,11 +284,8 @@ def _squared(leaving: ComplexArray, met: ComplexArray, is_reverse: bool = False)
     return np.asarray((found.real**2 + found.imag**2).reshape(*one.shape[:2], *many.shape[:3]))
 
 
-def far_powers(layer: AlignedLayer, leaving: Directions, lit: AlignedLit, count: int) -> Array:
-    """Return |F|^2 towards directions at `count` azimuths from the light's own, `[q, azimuth, s, p, i]`, nm^2.
-
-    The light has one azimuth; those of the views are counted from that of its wavevector.
-    """
+def far_powers(layer: AlignedLayer, leaving: Directions, lit: AlignedIllumination, count: int) -> Array:
+    """Return |F|^2 at `count` azimuths relative to the light, `[q, azimuth, s, p, i]`, nm^2."""
     emission = with_negative_orders(leaving.emission, layer.index)  # q, n, s
     wave = np.exp(1j * np.multiply.outer(azimuth_nodes(count), layer.index.m))
     found = np.einsum("qns,bn,pni->qbspi", emission, wave, lit.response[0], optimize=True)
@@ -291,13 +298,12 @@ def smooth_structure(
     """Return the low harmonics of S between pairs of directions, `[s, i, b, a]`.
 
     Args:
-        joined, layer, wavenumber, count: the directions and what they see.
-        against_wave: count the azimuths of the light by its wavevector.
+        against_wave: measure the azimuths of the light by its wavevector.
     """
     few = min(S_HARMONICS, count // 2)
     harmonics = structure_harmonics(joined, layer.mean.structure, wavenumber, few) / (2 * np.pi)
     k = np.arange(few)
-    # between wavevectors, which of the light runs the other way than its direction
+    # the wavevector of the light is opposite to its direction
     difference = azimuth_nodes(count) - (0.0 if against_wave else np.pi)
     waves = np.where(k == 0, 1.0, 2.0)[:, None] * np.cos(np.multiply.outer(k, difference))
     by_difference = harmonics @ waves
@@ -327,17 +333,17 @@ def _factors(flow: Array, totals: Array, weights: Array, is_below: NDArray[np.bo
     return out.reshape(size, 2, count, 2)
 
 
-# From a monolayer of aligned particles at each wavelength to its lobes, and its powers for a few directions.
-
-SPECULAR_STEPS = 72  # azimuths of the mirror's tables: straight lines between them are .4 % of what varies off
-LEFT_OUT = 5e-4  # of the root mean square of f: Fourier terms below are dropped, all together
+NO_ENSEMBLE = "aligned particles have no ensemble, so the error of their mean field is not measured"
+SPECULAR_STEPS = 72  # azimuths of the specular tables; interpolation has an error of 0.4 % of the variation
+LEFT_OUT = 5e-4  # relative rms of all omitted Fourier terms of f
 MOST_TERMS = 48
-VALUE_NODES = 12  # of the balance over the cosine, for a few values to 1e-4
-MOST_ANGLES = 64, (40, 20, 14)  # above what is opaque; on a clear substrate above, below and beyond the critical angle
+VALUE_NODES = 12  # nodes over the cosine of the balance, for direct values to 1e-4
+# angles above an opaque substrate; on a clear one above, below and beyond the critical angle
+MOST_ANGLES = 64, (40, 20, 14)
 
 
 def aligned_grids(grids: Grids) -> Grids:
-    """Return grids of no more angles than pairs of azimuths leave time and memory for."""
+    """Limit the number of angles by time and memory of pairs of azimuths."""
     opaque, (above, below, beyond) = MOST_ANGLES
     if grids.below is None:
         return Grids(PolarGrid(min(grids.above.count, opaque)), None)
@@ -350,7 +356,7 @@ def aligned_grids(grids: Grids) -> Grids:
 
 @dataclass(frozen=True)
 class AlignedResult:
-    """One wavelength's columns; specular tables `[azimuth, node]`, `series` `[pair, term]` of `series_orders`."""
+    """Table columns of one wavelength: specular `[azimuth, node]`, `series` `[pair, term]` of `series_orders`."""
 
     reflectance: Array
     transmittance: Array
@@ -361,21 +367,21 @@ class AlignedResult:
 
 
 def series_orders() -> NDArray[np.int64]:
-    """Return all terms, `[term, 3]`: orders of both azimuths, of which each pair counts once with its opposite."""
+    """Return all terms, `[term, 3]`: orders of both azimuths, and cosine or sine."""
     top = HARMONICS - 1
     pairs = [(a, b) for a in range(top + 1) for b in range(-top, top + 1) if a > 0 or b >= 0]
     return np.array([(a, b, sine) for sine in (0, 1) for a, b in pairs])
 
 
 def _series(values: Array, grids: Grids) -> NDArray[np.float32]:
-    """Return the Fourier series of f, `[s, b, i, a]`, fitted to straight lines between the angles, `[pair, term]`."""
+    """Return the Fourier series of f, `[s, b, i, a]`, fitted to linear interpolation, `[pair, term]`."""
     count = values.shape[1]
     found: ComplexArray = np.fft.fft2(values.transpose(0, 2, 1, 3)) / count**2
     orders = series_orders()
     half = orders[orders[:, 2] == 0, :2]
     found = found[:, :, half[:, 0] % count, half[:, 1] % count]
     starts = [0] if grids.below is None else [0, grids.above.size]
-    for start in starts:  # at the normal there is no azimuth
+    for start in starts:  # no azimuth at the normal
         found[start, :, half[:, 0] != 0] = 0.0
         found[:, start, half[:, 1] != 0] = 0.0
     found = found - _bent(found, grids, half) / 12.0
@@ -384,7 +390,7 @@ def _series(values: Array, grids: Grids) -> NDArray[np.float32]:
 
 
 def _bent(table: ComplexArray, grids: Grids, half: NDArray[np.int64]) -> ComplexArray:
-    """Return the second differences that `compile.fit_linear` takes a twelfth of; both angles have an order here."""
+    """Return the second differences of `fit_linear`; here both angles have an azimuthal order."""
     groups = grid_groups(grids)
 
     def along(which: ComplexArray, order: int, even: NDArray[np.bool_] | None = None) -> ComplexArray:
@@ -408,7 +414,7 @@ def solve_aligned(layer: AlignedLayer, grids: Grids, eta: float, count: int = AZ
     inside, total = np.zeros_like(reflected), np.zeros((count, 0))
     index = layer.mean.surface.index_below
     if grids.below is not None:
-        # the tables go by the way out: light from inside leaves opposite to where it came from
+        # tables are by exit direction, opposite to the incidence from inside
         conjugate = np.sqrt(1 - (1 - safe**2) / index**2)
         inside = 0.5 * layer.specular_below(conjugate, waves + np.pi).sum(axis=1)
         if eta > 1.0:
@@ -437,10 +443,10 @@ def solve_aligned(layer: AlignedLayer, grids: Grids, eta: float, count: int = AZ
 
 
 def _finer(table: Array) -> Array:
-    """Return a table over the azimuth, `[azimuth, ...]`, at `SPECULAR_STEPS` nodes, and the first one once more."""
+    """Interpolate a table over the azimuth, `[azimuth, ...]`, to `SPECULAR_STEPS` nodes, the first one repeated."""
     waves = np.fft.rfft(table, axis=0)
     count = len(table)
-    waves[count // 2] *= 0.5  # the last harmonic is split between both of its signs
+    waves[count // 2] *= 0.5  # the last harmonic is split between both signs
     fine = np.fft.irfft(waves, SPECULAR_STEPS, axis=0) * (SPECULAR_STEPS / count)
     return np.clip(np.concatenate([fine, fine[:1]]), 0.0, 1.0)
 
@@ -454,7 +460,7 @@ def tabulate_aligned(
     turn_rad: float,
     jobs: int | None = None,
 ) -> tuple[tuple[Lobe, ...], float]:
-    """Solve all wavelengths, in parallel, and return the two lobes and the largest raw excess of energy over 1."""
+    """Solve all wavelengths in parallel; return the two lobes and the largest raw excess of energy over 1."""
 
     def work(wavelength: float) -> tuple[AlignedResult, float, float]:
         layer = layer_at(float(wavelength))
@@ -484,9 +490,9 @@ def tabulate_aligned(
 
 
 def _chosen(series: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Return the terms that are kept, the largest first.
+    """Return the selected terms, largest first.
 
-    A term and the one with both directions exchanged are kept together, or f would not be reciprocal.
+    A term and the one with exchanged directions are selected together, for reciprocity.
     """
     orders = series_orders()
     power = np.array([np.sum(np.square(series[:, t], dtype=float)) for t in range(len(orders))])
@@ -507,25 +513,25 @@ def aligned_powers(layer: AlignedLayer, cosines: Array, azimuth_rad: float) -> t
     Args:
         layer: the monolayer.
         cosines: `[angle]`, of incidence, > 0.
-        azimuth_rad: of the direction that the light comes from, against the particles' x.
+        azimuth_rad: of incidence, relative to the x axis of the particles.
     """
     wave = np.array([azimuth_rad + np.pi])
-    reflected, passed = (p[0] for p in layer.specular_above(cosines, wave, at_once=True))
-    lit = layer.light(cosines, wave, at_once=True)
+    reflected, passed = (p[0] for p in layer.specular_above(cosines, wave, untabulated=True))
+    lit = layer.illuminate(cosines, wave, untabulated=True)
     up = _sent(layer, lit, wave[0], *hemisphere_rule(ABOVE_NODES), False)
-    if not layer.mean.has_below:
+    if not layer.mean.transmits_below:
         return reflected, passed, up, np.zeros_like(up)
     rule = hemisphere_rule(BELOW_NODES, layer.mean.surface.index_below)
     return reflected, passed, up, _sent(layer, lit, wave[0], *rule, True)
 
 
 def aligned_values(layer: AlignedLayer, wi: Array, wo: Array, turn_rad: float) -> Array:
-    """Return the diffuse value of pairs of directions above the surface, `[pair]`, 1/sr, unpolarised; see `few_values`.
+    """Return the diffuse BRDF of pairs of directions above the surface, `[pair]`, 1/sr, unpolarised.
 
     Args:
         layer: the monolayer.
         wi, wo: `[pair, 3]`, unit vectors, z > 0.
-        turn_rad: by which the particles are turned.
+        turn_rad: rotation of the particles.
     """
     mu, weights = hemisphere_rule(VALUE_NODES)
     cosines, place = np.unique(np.concatenate([wi[:, 2], wo[:, 2]]), return_inverse=True)
@@ -534,7 +540,7 @@ def aligned_values(layer: AlignedLayer, wi: Array, wo: Array, turn_rad: float) -
     i, o = mu.size + place[: len(wi)], mu.size + place[len(wi) :]
     series: ComplexArray = np.fft.fft2(term.power[o[:, None], :, i[:, None]][:, 0]) / AZIMUTHS**2  # pair, of wo, of wi
     order = np.fft.fftfreq(AZIMUTHS, 1.0 / AZIMUTHS)
-    order[AZIMUTHS // 2] = 0.0  # of unknown sign, and next to nothing
+    order[AZIMUTHS // 2] = 0.0  # ambiguous sign, negligible
     series[:, AZIMUTHS // 2] = series[:, :, AZIMUTHS // 2] = 0.0
     of_o, of_i = (np.exp(1j * np.outer(np.arctan2(w[:, 1], w[:, 0]) - turn_rad, order)) for w in (wo, wi))
     smooth = np.einsum("nb,nba,na->n", of_o, series, of_i).real
@@ -543,8 +549,8 @@ def aligned_values(layer: AlignedLayer, wi: Array, wo: Array, turn_rad: float) -
     return np.asarray(np.maximum(smooth, 0.0) * s / (wi[:, 2] * wo[:, 2]))
 
 
-def _sent(layer: AlignedLayer, lit: AlignedLit, wave: float, mu: Array, weights: Array, below: bool) -> Array:
-    """Return the diffuse power sent to one side per incident irradiance, `[pol, angle]`; see `few`."""
+def _sent(layer: AlignedLayer, lit: AlignedIllumination, wave: float, mu: Array, weights: Array, below: bool) -> Array:
+    """Return the diffuse power emitted to one side per incident irradiance, `[pol, angle]`."""
     leaving = layer.leaving(mu, below)
     power = far_powers(layer, leaving, lit, AZIMUTHS)  # q, b, s, p, i
     away = DirectionSet.join([(leaving, weights), (lit.directions, np.zeros(lit.directions.cosines.size))])
@@ -555,46 +561,3 @@ def _sent(layer: AlignedLayer, lit: AlignedLit, wave: float, mu: Array, weights:
     return np.asarray(
         density * leaving.index * step * np.einsum("s,qbspi,sib->pi", weights, power, s) / lit.directions.cosines
     )
-
-
-# Particles of a recipe that all point one way: from the recipe's kind to lobes and powers.
-
-NO_ENSEMBLE = "aligned particles have no ensemble, so the error of their mean field is not measured"
-
-
-def aligned_lobes(
-    kind: Kind, wavelengths_nm: Array, monolayer: Callable[[float], Monolayer], structure: Structure, grids: Grids,
-    eta: float,
-) -> tuple[tuple[Lobe, ...], float]:  # fmt: skip
-    """Solve all wavelengths as `compile.tabulate` does, for particles that all point one way."""
-    body = _body(kind)
-
-    def layer(wavelength_nm: float) -> AlignedLayer:
-        return AlignedLayer(monolayer(wavelength_nm), body.whole_t_matrix(wavelength_nm))
-
-    return tabulate_aligned(wavelengths_nm, layer, structure, aligned_grids(grids), eta, body.turn_rad)
-
-
-def powers_of_aligned(kind: Kind, layer: Monolayer, cosines: Array) -> tuple[Array, Array, Array, Array]:
-    """Return specular R and T, diffuse R and T for light from above in the plane of x and z, each `[pol, angle]`.
-
-    Args:
-        kind: the particles.
-        layer: that of their mean over the turn.
-        cosines: `[angle]`, of incidence, > 0.
-    """
-    body = _body(kind)
-    whole = AlignedLayer(layer, body.whole_t_matrix(layer.surface.wavelength_nm))
-    return aligned_powers(whole, cosines, -body.turn_rad)
-
-
-def values_of_aligned(kind: Kind, layer: Monolayer, wi: Array, wo: Array) -> Array:
-    """Return the diffuse values of a few pairs of directions above, `[pair]`; arguments as of `powers_of_aligned`."""
-    body = _body(kind)
-    whole = AlignedLayer(layer, body.whole_t_matrix(layer.surface.wavelength_nm))
-    return aligned_values(whole, wi, wo, body.turn_rad)
-
-
-def _body(kind: Kind) -> KnownBody:
-    assert isinstance(kind.body, KnownBody)  # which alone is aligned
-    return kind.body

@@ -1,7 +1,7 @@
-"""Point patterns of a monolayer on a periodic square, seeded, up to a million points; their S(q) and g(r).
+"""Particle arrangements: seeded point patterns on a periodic square, point lists, pictures and measured S(q).
 
-Distances are in units of the least distance a inside the kernels; a grid of cells of side below a/sqrt(2) holds at
-most one point a cell, so each test of overlap looks at 24 neighbours.
+The kernels use the least distance a as the unit of length; a grid of cells of side below a/sqrt(2) holds at most one
+point per cell, so each overlap test inspects 24 neighbours.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from nacre.recipe.units import LENGTH_UNITS_NM
 RSA_LIMIT = 0.535  # random sequential addition jams at 0.547
 POISSON_LIMIT = 0.53
 MAX_POINTS = 4_000_000
-SWEEPS = 80  # Monte-Carlo moves a disk; S(q) is stationary within its noise after some 60 at packing 0.5
+SWEEPS = 80  # Monte Carlo moves per disk; S(q) is stationary after about 60 at packing 0.5
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class Pattern:
 
 @compiled(nogil=True)
 def _free(grid, wrap, ix, iy, x, y, box):  # type: ignore[no-untyped-def]  # numba
-    """Whether no point of another cell is closer than 1; cells of side <= 1/sqrt(2), the point's own one empty."""
+    """Whether no point of another cell is closer than 1; cells of side <= 1/sqrt(2), the own cell empty."""
     for dx in range(-2, 3):
         cx = wrap[ix + dx + 2]
         for dy in range(-2, 3):
             if abs(dx * dy) == 4:
-                continue  # the corners are out of reach
+                continue  # corners are more than 1 away
             cy = wrap[iy + dy + 2]
             px = grid[cx, cy, 0]
             if px < 0.0:
@@ -69,7 +69,7 @@ def _free(grid, wrap, ix, iy, x, y, box):  # type: ignore[no-untyped-def]  # num
 
 @compiled(nogil=True)
 def _add(count, box, cells, seed, start, shrink, tries, xy):  # type: ignore[no-untyped-def]  # numba
-    """Throw darts; the least distance falls from `start` to 1 by `shrink` each `tries` failures. Points placed."""
+    """Throw darts, with a least distance from `start` to 1 by `shrink` after `tries` failures; return the count."""
     np.random.seed(seed)  # noqa: NPY002  # numba knows the generator of its own thread only
     side = box / cells
     grid = np.full((cells, cells, 2), -1.0)
@@ -80,7 +80,7 @@ def _add(count, box, cells, seed, start, shrink, tries, xy):  # type: ignore[no-
         ix, iy = min(int(x / side), cells - 1), min(int(y / side), cells - 1)
         clear = grid[ix, iy, 0] < 0.0 and _free(grid, wrap, ix, iy, x, y, box)
         if clear and distance > 1.0:
-            # a wider distance needs more cells than the next ones
+            # a larger distance needs more cells
             span = int(distance / side) + 1
             for dx in range(-span, span + 1):
                 for dy in range(-span, span + 1):
@@ -110,14 +110,14 @@ def _add(count, box, cells, seed, start, shrink, tries, xy):  # type: ignore[no-
 
 @compiled(nogil=True)
 def _move(xy, box, cells, seed, sweeps, step):  # type: ignore[no-untyped-def]  # numba
-    """Metropolis moves of hard disks of diameter 1, one after the other; returns the share accepted."""
+    """Metropolis moves of hard disks of diameter 1, one after the other; return the accepted share."""
     np.random.seed(seed)  # noqa: NPY002  # numba knows the generator of its own thread only
     side = box / cells
     grid = np.full((cells, cells, 2), -1.0)
     wrap = (np.arange(cells + 4) - 2) % cells
     for j in range(xy.shape[0]):
         ox, oy = min(int(xy[j, 0] / side), cells - 1), min(int(xy[j, 1] / side), cells - 1)
-        grid[ox, oy, 0], grid[ox, oy, 1] = xy[j, 0], xy[j, 1]  # of a slice numba would compile the words of its error
+        grid[ox, oy, 0], grid[ox, oy, 1] = xy[j, 0], xy[j, 1]  # a slice would make numba compile its error message
     accepted = 0
     for _ in range(sweeps):
         for j in range(xy.shape[0]):
@@ -156,10 +156,10 @@ def _scaled(xy: Array, box: float, density_per_nm2: float, packing: float) -> Pa
 
 
 def random_sequential(count: int, density_per_nm2: float, packing: float, seed: int = 0) -> Pattern:
-    """Random sequential addition: points one after the other, where they fit.
+    """Random sequential addition: points one after the other in the free area.
 
     Raises:
-        NacreError: a packing above 0.535, where the square jams before it is full.
+        NacreError: a packing above 0.535, where it jams.
     """
     if packing > RSA_LIMIT:
         raise NacreError(f"packing = {packing:g} is not allowed for rsa; it should be at most {RSA_LIMIT:g}")
@@ -172,9 +172,9 @@ def random_sequential(count: int, density_per_nm2: float, packing: float, seed: 
 
 
 def poisson_disk(count: int, density_per_nm2: float, packing: float, seed: int = 0) -> Pattern:
-    """Poisson-disk sampling by relaxed dart throwing: the least distance starts wide and falls to a.
+    """Poisson-disk sampling by relaxed dart throwing: the least distance starts large and falls to a.
 
-    McCool & Fiume, Graphics Interface (1992). More even than random sequential addition at the same density.
+    McCool & Fiume, Graphics Interface (1992). More uniform than random sequential addition at the same density.
 
     Raises:
         NacreError: the points do not fit, as above a packing of about 0.53.
@@ -193,7 +193,7 @@ def poisson_disk(count: int, density_per_nm2: float, packing: float, seed: int =
 
 
 def hard_disks(count: int, density_per_nm2: float, packing: float, seed: int = 0, sweeps: int = SWEEPS) -> Pattern:
-    """Hard disks in equilibrium, by Monte-Carlo moves from a random start (from a lattice above packing 0.5).
+    """Hard disks in equilibrium, by Monte Carlo moves from a random start (from a lattice above packing 0.5).
 
     Raises:
         NacreError: a packing above 0.7, where disks freeze.
@@ -208,14 +208,14 @@ def hard_disks(count: int, density_per_nm2: float, packing: float, seed: int = 0
     else:
         xy = _hexagonal(count, box)
     gap = max(np.sqrt(np.pi / (4 * packing)) - 0.95, 0.05)
-    # in the order of their cells, so that a sweep walks through memory
+    # sorted by cell for contiguous memory access
     xy = xy[np.lexsort((xy[:, 1] * cells // box, xy[:, 0] * cells // box))]
     _move(xy, box, cells, seed + 1, sweeps, float(min(gap, 0.5 * box)))
     return _scaled(xy, box, density_per_nm2, packing)
 
 
 def _hexagonal(count: int, box: float) -> Array:
-    """Places of a hexagonal lattice that fit the box; spare ones stay empty, evenly."""
+    """Hexagonal lattice points in the box, with vacancies evenly distributed."""
     rows = int(np.ceil(np.sqrt(count * 2 / np.sqrt(3)) / 2) * 2)
     columns = int(np.ceil(count / rows))
     y, x = np.divmod(np.arange(rows * columns), columns)
@@ -224,9 +224,9 @@ def _hexagonal(count: int, box: float) -> Array:
 
 
 def lattice(count: int, density_per_nm2: float, kind: str = "hexagonal", jitter: float = 0.0, seed: int = 0) -> Pattern:
-    """A square or hexagonal lattice; each point moved by a Gaussian of `jitter` lattice constants.
+    """A square or hexagonal lattice with Gaussian displacements of `jitter` lattice constants.
 
-    The number of points is rounded so that the lattice closes on the (nearly) square box.
+    The number of points is rounded to close the lattice on the (nearly) square box.
     """
     rng = np.random.default_rng(seed)
     columns = max(2, round(np.sqrt(count)))
@@ -243,7 +243,7 @@ def lattice(count: int, density_per_nm2: float, kind: str = "hexagonal", jitter:
 
 
 def nearest_distances(pattern: Pattern) -> Array:
-    """The distance of each point to its nearest neighbour, periodic, in nm, `[point]`."""
+    """Distance of each point to its nearest periodic neighbour in nm, `[point]`."""
     from scipy.spatial import cKDTree
 
     xy = pattern.xy_nm % pattern.box_nm
@@ -252,10 +252,10 @@ def nearest_distances(pattern: Pattern) -> Array:
 
 
 def measured_structure_factor(pattern: Pattern, q_edges_per_nm: Array) -> Array:
-    """S(q) of a pattern, averaged over the modes of its box between the edges, `[bin]`; NaN-free.
+    """S(q) of a pattern, averaged over the modes of its box between the edges, `[bin]`.
 
-    Points are spread on a mesh by cubic B-splines and transformed; the spline's own transform is divided out. A bin
-    without a mode takes its neighbours' value.
+    Points are spread on a mesh by cubic B-splines and transformed; the transform of the spline is divided out. A bin
+    without a mode is interpolated.
     """
     count = len(pattern.xy_nm)
     q_max = float(q_edges_per_nm[-1])
@@ -321,7 +321,7 @@ def _count_pairs(xy, box, order, starts, cells, reach, bins, counts):  # type: i
 
 
 def measured_pair_correlation(pattern: Pattern, reach_nm: float, bins: int = 300) -> tuple[Array, Array]:
-    """r (bin centres, nm) and g(r) of a pattern up to `reach_nm`, which must be below a third of the box."""
+    """r (bin centres, nm) and g(r) of a pattern up to `reach_nm`, at most a third of the box."""
     box = pattern.box_nm
     if reach_nm > box / 3:
         raise NacreError(f"g(r) to {reach_nm:g} nm needs a box of at least three times that, not {box:g} nm")
@@ -338,21 +338,19 @@ def measured_pair_correlation(pattern: Pattern, reach_nm: float, bins: int = 300
     return (edges[1:] + edges[:-1]) / 2, counts / (len(xy) * density * ring)
 
 
-# From an arrangement's name, a file of points or a file of S(q) to the `Structure` that the optics reads.
-
 logger = logging.getLogger("nacre")
 
 ARRANGEMENTS = ("hard-disk", "rsa", "poisson-disk", "lattice")
 MEASURED_POINTS = 200_000
 MAX_FILE_BYTES = 200 << 20
 LEAST_POINTS = 50
-FARTHEST_UM = 4.0  # that neighbours are apart: beyond, S(q) has more rings than light can tell, and takes minutes
-BIN_REDUCED = 0.1  # width of the bins of a measured S, in q a
+FARTHEST_UM = 4.0  # largest neighbour distance; beyond, S(q) has more rings than light resolves
+BIN_REDUCED = 0.1  # bin width of a measured S, in q a
 
 
 @dataclass(frozen=True)
 class Arrangement:
-    """What to make: a name of `ARRANGEMENTS`, density, packing, seed, and for a lattice its kind and jitter."""
+    """A name of `ARRANGEMENTS`, density, packing and seed, and for a lattice its type and jitter."""
 
     name: str
     density_per_nm2: float
@@ -365,7 +363,7 @@ class Arrangement:
         """Return a pattern of about `count` points.
 
         Raises:
-            NacreError: the packing cannot be reached this way.
+            NacreError: the packing cannot be reached.
         """
         if self.name == "lattice":
             return lattice(count, self.density_per_nm2, self.lattice, self.jitter, self.seed)
@@ -378,7 +376,7 @@ class Arrangement:
 
 
 def measured_structure(name: str, pattern: Pattern, diameter_nm: float, q_max_per_nm: float) -> Structure:
-    """Measure S(q) and g(r) of a pattern and tabulate them."""
+    """Measure and tabulate S(q) and g(r) of a pattern."""
     density = len(pattern.xy_nm) / pattern.box_nm**2
     top = min(q_max_per_nm, 25.0 / diameter_nm)
     edges = np.arange(0.0, top * diameter_nm + 2 * BIN_REDUCED, BIN_REDUCED) / diameter_nm
@@ -402,10 +400,10 @@ def measured_structure(name: str, pattern: Pattern, diameter_nm: float, q_max_pe
 
 
 def pattern_structure(context: RecipeContext, arrangement: Arrangement, q_max_per_nm: float) -> Structure:
-    """Make a pattern and measure it.
+    """Generate a pattern and measure it.
 
     Raises:
-        RecipeError: it cannot be made.
+        RecipeError: it cannot be generated.
     """
     try:
         pattern = arrangement.pattern(MEASURED_POINTS)
@@ -418,13 +416,13 @@ def pattern_structure(context: RecipeContext, arrangement: Arrangement, q_max_pe
 def jittered_structure(
     context: RecipeContext, arrangement: Arrangement, diameter_nm: float, q_max_per_nm: float
 ) -> Structure:
-    """A jittered lattice in all orientations (a polycrystal): S averaged over them; the least distance is measured.
+    """A jittered lattice averaged over all orientations (a polycrystal); the least distance is measured.
 
     Raises:
         RecipeError: the jitter makes particles overlap.
     """
     pattern = arrangement.pattern(10_000)
-    # Gaussian jitter has rare close pairs; one in ten thousand may be moved apart in fabrication
+    # Gaussian jitter has rare close pairs; one in ten thousand may be separated in fabrication
     nearest = np.sort(nearest_distances(pattern))
     close = float(np.mean(nearest < diameter_nm))
     if close > 1e-3:
@@ -438,9 +436,9 @@ def jittered_structure(
 
 
 def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_um: float | None = None) -> Pattern:
-    """Read points, taken as one period of a square: a list, x and y in um, one a line, or a picture of particles.
+    """Read points as one period of a square: a list with x and y in um per line, or a picture of particles.
 
-    Of what is not square the middle square is taken.
+    The middle square is used if the area is not square.
 
     Args:
         width_um: of the picture.
@@ -455,14 +453,14 @@ def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_
     short, long = sorted(high - low)
     if short <= 0:
         raise context.fail(key, name, "holds points on one line")
-    if short < long * (1 - 2 / np.sqrt(len(xy_um))):  # no square to within a row of particles
+    if short < long * (1 - 2 / np.sqrt(len(xy_um))):  # not square to within a row of particles
         xy_um = xy_um[np.abs(xy_um - (low + high) / 2).max(axis=1) <= short / 2]
         _check_count(context, key, name, xy_um, " in its middle square")
         low, high = xy_um.min(axis=0), xy_um.max(axis=0)
-    # the period is not in the list; N random points leave 2/(N+1) of a side free at its ends
+    # the list has no period; N random points leave 2/(N+1) of a side free
     side = float(np.max(high - low)) * 1e3 * (len(xy_um) + 1) / (len(xy_um) - 1)
     pattern = Pattern((xy_um - low) * 1e3, side)
-    # overlaps are looked for in the list alone: its guessed repetition may bring edges too close
+    # the overlap test ignores the guessed periodic repetition
     nearest = float(nearest_distances(Pattern(pattern.xy_nm, 3 * side)).min())
     if nearest > 1e3 * FARTHEST_UM:
         what = "lengths are in um unless a heading says else, as x_nm,y_nm" if width_um is None else "width_um is in um"
@@ -486,7 +484,7 @@ def _points_in_picture(context: RecipeContext, name: str, width_um: float) -> Ar
     """Find the particles in the middle square of a picture, `[point, 2]`, um.
 
     Raises:
-        RecipeError: it shows none, or cannot be read.
+        RecipeError: no particles, or unreadable.
     """
     path = context.path(name)
     try:
@@ -504,7 +502,7 @@ def _points_in_picture(context: RecipeContext, name: str, width_um: float) -> Ar
 
 
 def points_structure(pattern: Pattern, q_max_per_nm: float) -> Structure:
-    """Measure a list of points; its least distance is the one within the list, see `points_pattern`."""
+    """Measure a list of points; the least distance ignores the periodic repetition, see `points_pattern`."""
     nearest = float(nearest_distances(Pattern(pattern.xy_nm, 3 * pattern.box_nm)).min())
     return measured_structure("points", pattern, nearest, q_max_per_nm)
 
@@ -512,7 +510,7 @@ def points_structure(pattern: Pattern, q_max_per_nm: float) -> Structure:
 def sq_structure(
     context: RecipeContext, name: str, density_per_nm2: float, packing: float, q_max_per_nm: float
 ) -> Structure:
-    """Read S(q): q in 1/um and S, one pair a line; g(r) is its transform outside the least distance.
+    """Read S(q): q in 1/um and S, one pair per line; g(r) is its transform outside the least distance.
 
     Raises:
         RecipeError: the file is unusable.
@@ -527,7 +525,7 @@ def sq_structure(
     grid = np.asarray(np.arange(int(max(q[-1], q_max_per_nm) / step) + 2) * step, dtype=np.float64)
     values = np.interp(grid, q, s, right=1.0)
     r = np.linspace(a, RANGE_IN_DIAMETERS * a, 385)
-    # a soft window keeps the end of the table from ringing in g
+    # a soft window suppresses ringing in g from the end of the table
     window = np.cos(np.clip(grid / q[-1], 0.0, 1.0) * np.pi / 2)
     spectrum = (values - 1) * window * grid * step / (2 * np.pi * density_per_nm2)
     h = np.array([j0(grid * x) @ spectrum for x in r])
@@ -535,12 +533,12 @@ def sq_structure(
 
 
 def read_columns(context: RecipeContext, key: str, name: str) -> Array:
-    """Read two columns of numbers, parted as `nacre.recipe.delimited_text` knows, with a heading or not.
+    """Read two columns of numbers, with or without a heading.
 
-    The first two count; of a heading that names x and y (in nm, um or mm) those do, brought to um.
+    The first two columns count; with a heading that names x and y (in nm, um or mm), those columns, converted to um.
 
     Raises:
-        RecipeError: the file is missing, too large or not numbers.
+        RecipeError: the file is missing, too large or not numeric.
     """
     path = context.path(name)
     try:

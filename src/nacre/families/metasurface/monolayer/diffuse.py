@@ -1,9 +1,15 @@
-"""The diffuse term: |F|^2 S C between all pairs of directions, and the energy balance that fixes C.
+"""Diffuse light of a monolayer: |F|^2 S C between all pairs of directions, under a chosen correction C.
 
-f = rho |F|^2 S C / (cos_i cos_o). Two plane directions (pol and angle, on either side of the stack) are treated
-alike: `power[s, i] = rho |F|^2 / (n_s n_i)` is symmetric by reciprocity, and so is everything made of it. C is
-ours (the source's is in a note that is not available): C = g_i g_s with g > 0 chosen so that the total diffuse
-power of each direction is what the mean field of the quasi-crystalline approximation radiates.
+f = rho |F|^2 S C / (cos_i cos_o). Directions (polarisation and angle, on either side of the stack) are treated equally:
+`power[s, i] = rho |F|^2 / (n_s n_i)` is symmetric by reciprocity.
+
+`qca-balanced` is the default of nacre, tested against multi-sphere solutions: the geometric mean of the one-sided
+mean-field powers with C = g_i g_s, g > 0, balanced to give each direction the power that the mean field of the
+quasi-crystalline approximation radiates. The correction C of the source model is not published. The simple corrections
+serve comparison and are wrong by up to a factor of three; the table of `in-only`, which is not reciprocal, holds the
+geometric mean of both directions.
+
+The ladder is smooth in the angles: it is solved for a few directions of each side and interpolated.
 """
 
 from __future__ import annotations
@@ -18,28 +24,27 @@ from numpy.typing import NDArray
 from nacre.bsdf.reciprocity import reciprocal_scaling, reciprocal_scaling_across
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.jit import compiled
-from nacre.families.metasurface.monolayer.ensemble_ratio import Ratio, Ways
+from nacre.families.metasurface.monolayer.ensemble_ratio import Ratio, RatioDirections
 from nacre.families.metasurface.monolayer.ladder import NAME as LADDER
-from nacre.families.metasurface.monolayer.ladder import order_of
-from nacre.families.metasurface.monolayer.monolayer import Lit, Monolayer
+from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer
 from nacre.families.metasurface.monolayer.qca import node_sines, node_weights
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index, with_negative_orders
+from nacre.families.metasurface.tmatrix.full_tmatrix import full_order, multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, extinction
 from nacre.families.metasurface.tmatrix.special_functions import adjoint, mirrored
 
-HARMONICS = 11  # kept of |X||Y| over dphi: degree 8 is exact for |F|^2, the geometric mean adds a small tail
+HARMONICS = 11  # harmonics of |X||Y| over dphi: 8 are exact for |F|^2, the geometric mean adds a small tail
 
 
 @dataclass(frozen=True)
 class DirectionSet:
-    """Directions above, and below where the substrate is transparent, as one list.
+    """Directions above, and below a transparent substrate, as one list.
 
     Attributes:
-        index: `[angle]`, index of the side over the ambient's.
+        index: `[angle]`, index of the side over the ambient index.
         cosines: `[angle]`, in that side.
         transverse: `[angle]`, in-plane wavevector over the ambient k.
-        weights: `[angle]`, solid-angle weights dmu; zero for directions that are evaluated only.
+        weights: `[angle]`, solid-angle weights dmu; zero for directions that are only evaluated.
         emission, excitation: `[m, pol, n, angle]`.
     """
 
@@ -66,7 +71,7 @@ class DirectionSet:
 
 @compiled(nogil=True, fastmath=True)
 def _structure_harmonics(kappa, wavenumber, step, table, count, samples, out):  # type: ignore[no-untyped-def]  # numba
-    """int_0^2pi S(|q|) cos(k phi) dphi for every pair, `[s, i, k]`, by the trapezoid rule (even, periodic)."""
+    """int_0^2pi S(|q|) cos(k phi) dphi for every pair, `[s, i, k]`, by the trapezoid rule."""
     cosines = np.empty((count, samples + 1))
     for k in range(count):
         for j in range(samples + 1):
@@ -222,8 +227,8 @@ class PairPowers:
     """Powers between all pairs of a `DirectionSet`, per incident irradiance and particle, nm^2/sr.
 
     Attributes:
-        coherent: `[s, i, pol_s, pol_i, k]`, harmonics of |<X>||<Y>| (to be weighted by S).
-        varying: the same of what S does not multiply: size variance, passed-on light; empty where there is neither.
+        coherent: `[s, i, pol_s, pol_i, k]`, harmonics of |<X>||<Y>|, to be multiplied by S.
+        varying: harmonics without S: size variance and ladder; empty without either.
         kernel: `[pol_s, s, pol_i, i]`, int dphi of (varying + coherent S).
         target: `[pol_s, s, pol_i, i]`, int dphi of the one-sided (|X|^2 with S) power.
     """
@@ -233,8 +238,8 @@ class PairPowers:
     kernel: Array
     target: Array
 
-    def with_passed_on(self, power: Array) -> PairPowers:
-        """Return them with the light that neighbours pass on, `[s, i, pol_s, pol_i, k]`, which S does not multiply."""
+    def with_ladder(self, power: Array) -> PairPowers:
+        """Return the powers with that of the ladder, `[s, i, pol_s, pol_i, k]`, added."""
         varying = self.varying + power if self.varying.size else power
         return dataclasses.replace(
             self, varying=varying, kernel=self.kernel + 2 * np.pi * power[..., 0].transpose(2, 0, 3, 1)
@@ -248,10 +253,10 @@ def pair_powers(
 
     Args:
         fields: `[size, m, pol_s, s, pol_i, i]` in nm, `emission_harmonics` of each particle size.
-        s_harmonics: `[s, i, k]` of `structure_harmonics`; its k count sets where the S integral is cut.
+        s_harmonics: `[s, i, k]` of `structure_harmonics`; its length truncates the S integral.
         shares: `[size]`, number fractions; equal particles by default.
-        two_sided: take the geometric mean of X and of its reverse Y (reciprocal), else |X|^2 alone.
-        kept: harmonics to return.
+        two_sided: use the geometric mean of X and its reverse Y (reciprocal), else |X|^2.
+        kept: number of harmonics.
     """
     sizes, orders, _, count, _, _ = fields.shape
     fields = fields.transpose(2, 3, 4, 5, 0, 1)
@@ -266,48 +271,46 @@ def pair_powers(
     return PairPowers(coherent, varying, kernel, target)
 
 
-# What the ladder adds to the diffuse light of a monolayer, between all pairs of directions.
-
-NODES = (10, 6, 7)  # above, below inside and beyond the critical angle
+NODES = (10, 6, 7)  # nodes above, below within and beyond the critical angle
 
 
-def emission_added(added: ComplexArray) -> ComplexArray:
-    """Return what neighbours add to the emission of a particle, `[m, pol, n, angle]`, of what they add to its light.
+def neighbour_emission(added: ComplexArray) -> ComplexArray:
+    """Return the neighbours' part of the emission, `[m, pol, n, angle]`, from their part of the excitation.
 
-    What leaves takes the way in backwards: waves up for waves down, B for its adjoint, and no factor 4.
+    Emission is the reverse of excitation: upward for downward waves, B for its adjoint, and no factor 4.
     """
     ones = np.ones((*added.shape[:3], 1), dtype=complex)
     return np.asarray(added * mirrored(adjoint(ones)) / 4.0)
 
 
-def passed_on(layer: Monolayer, sides: list[tuple[Lit, Array]], count: int) -> Array:
-    """Return the power that neighbours pass on, a particle, `[s, i, pol_s, pol_i, k]`, nm^2/sr, symmetric.
+def ladder_power(layer: Monolayer, sides: list[tuple[Illumination, Array]], count: int) -> Array:
+    """Return the power of the ladder per particle, `[s, i, pol_s, pol_i, k]`, nm^2/sr, symmetric.
 
     Args:
         sides: the directions, above first.
         count: harmonics over dphi, k < count.
     """
     index, modes = layer.surface.index_below, layer.modes
-    order = order_of(modes.step)
+    order = full_order(modes.step)
     lit, kappa, spread = [], [], []
     for side, _ in sides:
         first = side.directions[0]
         sines = np.concatenate(node_sines(index, first.below, NODES))
-        lit.append(layer.light(np.sqrt((1.0 - sines) * (1.0 + sines)), first.below, sines, at_once=True))
+        lit.append(layer.illuminate(np.sqrt((1.0 - sines) * (1.0 + sines)), first.below, sines, untabulated=True))
         kappa.append(lit[-1].directions[0].inner)
-        # towards grazing it falls as the cosine, which is taken out so that a few nodes do
+        # it falls as the cosine towards grazing, which is factored out before interpolation
         spread.append(first.cosines[:, None] * node_weights(first, index, NODES) / lit[-1].cosines)
     met = np.concatenate([_lights([_low(b, order) for b in one.response]) for one in lit], axis=2)
     leaving = np.concatenate([_low(_leaving(layer, one), order) for one in lit], axis=-1)
     views = np.concatenate(kappa)
-    found = modes.passed_on(met, np.concatenate([np.tile(part, 2) for part in kappa]), leaving, views, count)
+    found = modes.ladder_power(met, np.concatenate([np.tile(part, 2) for part in kappa]), leaving, views, count)
     # [view, pol, light, k] -> [pol, view, pol, light's view, k]
     start, columns = 0, []
     for part in kappa:
         columns.append(found[:, :, start : start + 2 * part.size].reshape(views.size, 2, 2, part.size, count))
         start += 2 * part.size
     power = np.concatenate(columns, axis=3).transpose(0, 3, 1, 2, 4)  # s, i, pol_s, pol_i, k
-    power = 0.5 * (power + power.transpose(1, 0, 3, 2, 4))  # the modes' nodes and single precision leave a little
+    power = 0.5 * (power + power.transpose(1, 0, 3, 2, 4))  # quadrature and single precision leave a small asymmetry
     whole = np.zeros((sum(part.shape[0] for part in spread), views.size))
     row = column = 0
     for each in spread:
@@ -317,11 +320,11 @@ def passed_on(layer: Monolayer, sides: list[tuple[Lit, Array]], count: int) -> A
     return np.asarray(np.moveaxis(np.tensordot(whole, half, (1, 1)), 0, 1))
 
 
-def _leaving(layer: Monolayer, lit: Lit) -> ComplexArray:
-    """Return u D, averaged over the kinds, `[m, pol, n, angle]`."""
-    assert lit.added is not None  # of a mean field
+def _leaving(layer: Monolayer, lit: Illumination) -> ComplexArray:
+    """Return u D, averaged over the species, `[m, pol, n, angle]`."""
+    assert lit.added is not None  # set with a mean field
     emission = sum(share * d.emission for share, d in zip(layer.shares, lit.directions))
-    return np.asarray(emission + emission_added(lit.added))
+    return np.asarray(emission + neighbour_emission(lit.added))
 
 
 def _low(vectors: ComplexArray, order: int) -> ComplexArray:
@@ -332,27 +335,25 @@ def _low(vectors: ComplexArray, order: int) -> ComplexArray:
 
 
 def _lights(parts: list[ComplexArray]) -> ComplexArray:
-    """Return `[pol, n, angle]` of each kind as `[kind, n, light]`, polarisation before angle."""
+    """Return `[pol, n, angle]` of each species as `[species, n, light]`, polarisation before angle."""
     both = np.stack(parts).swapaxes(1, 2)
     return np.asarray(both.reshape(*both.shape[:2], -1))
 
 
-# The diffuse light of a monolayer under a chosen correction C.
-
-NOTHING = 1e-30  # of the light from below: what passes opaque layers, and soon falls out of the range of numbers
-S_HARMONICS = 14  # of S in the power sums; |X||Y| has no weight beyond
+NOTHING = 1e-30  # relative power below which opaque layers block light
+S_HARMONICS = 14  # harmonics of S in the power sums; |X||Y| has no more
 
 
 @dataclass(frozen=True)
 class DiffuseTerm:
-    """The diffuse power between all pairs of directions, polarisations kept.
+    """The diffuse power between all pairs of directions, with polarisations.
 
     Attributes:
         coherent: `[s, i, pol_s, pol_i, k]`, harmonics over dphi of rho |F|^2 C / (n_s n_i), to be multiplied by S.
         varying: the same of the size variance, without S; empty for equal particles.
-        above, below: `[pol, i]`, power per incident irradiance sent to either side, S included.
-        unpolarised: `[s, i]`, the same power between two directions, azimuth-integrated, per n_s^2 of solid
-            angle, S included, polarisations averaged; symmetric where the correction is.
+        above, below: `[pol, i]`, power per incident irradiance emitted to either side, including S.
+        unpolarised: `[s, i]`, azimuth-integrated power between two directions per n_s^2 of solid angle, including S,
+            averaged over polarisations; symmetric if the correction is.
     """
 
     coherent: Array
@@ -363,16 +364,20 @@ class DiffuseTerm:
 
 
 def diffuse_term(
-    layer: Monolayer, sides: list[tuple[Lit, Array]], kept: int, s_count: int = S_HARMONICS, symmetric: bool = True
+    layer: Monolayer,
+    sides: list[tuple[Illumination, Array]],
+    kept: int,
+    s_count: int = S_HARMONICS,
+    symmetric: bool = True,
 ) -> DiffuseTerm:
     """Return the diffuse term between all directions of `sides` (above first), each with its dmu weights.
 
     Args:
         layer: the monolayer.
-        sides: directions and weights of each side; weight 0 for directions that are evaluated only.
-        kept: harmonics to return.
+        sides: directions and weights of each side; weight 0 for directions that are only evaluated.
+        kept: number of harmonics.
         s_count: harmonics of S in the power sums.
-        symmetric: False leaves `in-only` as published, unsymmetric.
+        symmetric: False leaves `in-only` as published, not symmetric.
     """
     joined = DirectionSet.join([(lit.directions[0], w) for lit, w in sides])
     is_below = np.concatenate([np.full(w.size, lit.directions[0].below) for lit, w in sides])
@@ -384,7 +389,7 @@ def diffuse_term(
     responses = [np.concatenate([lit.response[j] for lit, _ in sides], axis=-1) for j in range(len(layer.particles))]
     one_sided = emissions, responses
     if layer.correction == LADDER:
-        added = np.concatenate([emission_added(lit.added) for lit, _ in sides if lit.added is not None], axis=-1)
+        added = np.concatenate([neighbour_emission(lit.added) for lit, _ in sides if lit.added is not None], axis=-1)
         emissions = [emission + added for emission in emissions]
     if layer.correction in ("in-only", "in-out", "gv-balanced"):
         vectors = [layer.mean_field_vectors(lit) for lit, _ in sides]
@@ -397,7 +402,7 @@ def diffuse_term(
         elif layer.correction == "in-out":
             emissions, responses = [mean_out] * len(met), met
     two_sided = layer.has_mean_field or (symmetric and layer.correction == "in-only")
-    # a ratio multiplies the series, so all of it is needed, and the sums with S are made anew
+    # an ensemble ratio multiplies the complete series
     series = kept if layer.ratio is None else max(kept, s_count)
     powers = pair_powers(layer.fields(emissions, responses), s_harmonics, layer.shares, two_sided, series)
     scale = layer.structure.density_per_nm2 / (joined.index[:, None] * joined.index)
@@ -407,7 +412,7 @@ def diffuse_term(
         target = powers.target * scale[None, :, None, :]
         factors = _balanced(kernel, target, weights, is_below)
     elif layer.correction == "gv-balanced":
-        # the closed form knows no g(r): S stays out of the total, as if the particles were independent
+        # the closed form ignores g(r): its total is that of independent particles
         flat = np.zeros_like(s_harmonics)
         flat[:, :, 0] = 2 * np.pi
         alone = pair_powers(layer.fields(*one_sided), flat, layer.shares, False, 1)
@@ -417,9 +422,9 @@ def diffuse_term(
     else:
         factors = _uniform(np.ones((2, joined.cosines.size)))
     if layer.correction == LADDER:
-        powers = powers.with_passed_on(passed_on(layer, sides, max(series, kept)))
+        powers = powers.with_ladder(ladder_power(layer, sides, max(series, kept)))
         kernel = powers.kernel * scale[None, :, None, :]
-    # a pair's C: g of s as seen from the side of i, times g of i as seen from the side of s
+    # C of a pair: g of s for the side of i, times g of i for the side of s
     pair = factors[:, :, is_below.astype(int)]  # [pol_s, s, i]
     both = pair[:, None] * np.swapaxes(pair, 1, 2)[None]  # pol_s, pol_i, s, i
     spread = (both * scale).transpose(2, 3, 0, 1)[..., None]
@@ -435,11 +440,11 @@ def diffuse_term(
     )
 
 
-def within_what_arrives(specular: Array, up: Array, down: Array) -> tuple[Array, Array, float]:
-    """Return the diffuse powers with what a model sends above one taken off, as the lobes do, and how much that was.
+def limit_to_incident_power(specular: Array, up: Array, down: Array) -> tuple[Array, Array, float]:
+    """Scale the diffuse powers down to at most the incident power, as the lobes do; also return the largest excess.
 
-    The default correction exceeds one by less than a per cent, and only near grazing; a simpler one may exceed it by
-    much, and is then no longer what its name says, so it should be told.
+    The default correction exceeds one by less than one per cent, and only near grazing; simpler ones may exceed it by
+    much.
     """
     sent = up + down
     room = np.maximum(1.0 - specular, 0.0)
@@ -451,8 +456,8 @@ def _judged(
     ratio: Ratio, joined: DirectionSet, powers: PairPowers, spread: Array, s_harmonics: Array, weights: Array,
     is_below: NDArray[np.bool_], kept: int,
 ) -> DiffuseTerm:  # fmt: skip
-    """Return the term with an ensemble's ratio on every pair, and its totals."""
-    ways = Ways.of(joined.transverse, joined.index, is_below)
+    """Return the term multiplied by the ratio of an ensemble, and its totals."""
+    ways = RatioDirections.of(joined.transverse, joined.index, is_below)
     coherent = ratio.applied(powers.coherent * spread, ways)
     varying = ratio.applied(powers.varying * spread, ways) if powers.varying.size else powers.varying
     count = coherent.shape[-1]
@@ -471,7 +476,7 @@ def _judged(
 
 
 def _uniform(factors: Array) -> Array:
-    """The same factors whichever side the other direction is on, `[pol, angle, side]`."""
+    """Return the same factors for both sides of the other direction, `[pol, angle, side]`."""
     return np.stack([factors, factors], axis=-1)
 
 
@@ -498,35 +503,35 @@ def balanced_factors(
     out: Array, block: Callable[[Rows, Rows], Array], total: Callable[[Rows, Rows], Array], weights: Array,
     above: Rows, below: Rows,
 ) -> None:  # fmt: skip
-    """Balance the three blocks (above-above, below-below, across) on their own, into `[direction, side of the other]`.
+    """Balance the three blocks (above-above, below-below, across) separately, into `[direction, side of the other]`.
 
-    One balance for all sides together would let light that the model sends wrongly into the substrate take from
-    the reflected side: on silicon resonances that doubles the error of the reflected light.
+    A common balance would let errors of the transmitted light change the reflected light: on silicon resonances that
+    doubles the error of the reflected light.
 
     Args:
-        out: of ones, to be filled; a direction has a polarisation too.
-        block: function of seen and lit directions that gives the powers between them.
-        total: function of the same that gives what each lit one should send to all that are seen.
+        out: ones, to be filled; a direction includes a polarisation.
+        block: function of view and incident directions that returns the powers between them.
+        total: function of the same that returns the target power of each incident one into all views.
         weights: `[direction]`, of solid angle.
-        above, below: which directions these are.
+        above, below: indices of the directions.
     """
     w_up, w_down = weights[above], weights[below]
     out[above, 0] = reciprocal_scaling(block(above, above), total(above, above), w_up)
     if not below.size:
         return
     up, down = total(below, above), total(above, below)
-    # across, sum w t_u = sum w t_d must hold, and a mean field keeps it only to some per cent: light from above
-    # stays exact, and what light from below cannot send up is sent back down, so that its total stays exact too
+    # across, sum w t_u = sum w t_d must hold, which a mean field violates by some per cent. Light from
+    # above is exact; the deficit of light from below is reflected, so its total is exact as well
     back = total(below, below)
     passed = w_down @ down
     consistent = down
-    if passed > NOTHING * (w_down @ back):  # layers that let nothing through leave nothing to balance
+    if passed > NOTHING * (w_down @ back):  # skip opaque layers
         consistent = down * ((w_up @ up) / passed)
         out[above, 1], out[below, 0] = reciprocal_scaling_across(block(below, above), up, consistent, w_up, w_down)
     out[below, 1] = reciprocal_scaling(block(below, below), np.maximum(back + down - consistent, 0.2 * back), w_down)
 
 
-def _depth_factors(layer: Monolayer, sides: list[tuple[Lit, Array]]) -> Array:
+def _depth_factors(layer: Monolayer, sides: list[tuple[Illumination, Array]]) -> Array:
     """(1 - e^-tau)/tau with tau = rho sigma_ext / cos, `[pol, angle]`."""
     out = []
     for lit, _ in sides:

@@ -1,9 +1,12 @@
-"""The smooth ratio of multi-sphere truth to the mean-field model: fitted in low orders, applied to every pair.
+"""Smooth ratio of multi-sphere solutions to the mean-field model: fit in low orders and application.
 
-A direct answer of an ensemble of some twenty patterns is noisy; its ratio to the model's is not, for the ratio is
-smooth and a few numbers describe it. r_qp(s, i, dphi) is a sum of products f_a(s) f_b(i) (kappa_s kappa_i)^k
-cos(k dphi), with f_a powers of kz/k (beyond the critical angle of |kz|/k: the field has its kink there), symmetric
-under the exchange of s and i with their polarisations: what is reciprocal stays so.
+The direct solution of an ensemble of some twenty patterns is noisy, but its ratio to the model is smooth and has few
+parameters. r_qp(s, i, dphi) is a sum of products f_a(s) f_b(i) (kappa_s kappa_i)^k cos(k dphi), with f_a powers of kz/k
+(beyond the critical angle of |kz|/k: the field has a kink there), symmetric under exchange of s and i with their
+polarisations, which conserves reciprocity.
+
+Most of the speckle of one pattern follows its own S(q), which is known without solving. The deviation of S, times the
+share that the light follows, is therefore subtracted before the fit (a control variate of zero mean).
 """
 
 from __future__ import annotations
@@ -19,18 +22,18 @@ from nacre.core.arrays import Array
 
 SAME, CROSS = "same", "cross"
 Block = tuple[int, int, int, int]
-HIGHEST = (4, 3, 2)  # powers of w of each direction, with the harmonic k of the azimuth
-LEAST, MOST = 0.1, 5.0  # of a ratio: outside, the polynomial has left what it knows
+HIGHEST = (4, 3, 2)  # highest power of w of each direction for azimuthal harmonic k
+LEAST, MOST = 0.1, 5.0  # accepted range of the ratio; outside the polynomial extrapolates
 
 
 @dataclass(frozen=True)
-class Ways:
-    """Directions as the ratio sees them, of either side, `[direction]`.
+class RatioDirections:
+    """Directions on either side, `[direction]`, as variables of the ratio.
 
     Attributes:
         real, imaginary: of kz/k in the ambient.
         transverse: in-plane wavevector over that of grazing light of the same side.
-        below: whether it is on the substrate's side.
+        below: whether it is on the substrate side.
     """
 
     real: Array
@@ -39,13 +42,13 @@ class Ways:
     below: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, transverse: Array, index: Array, below: NDArray[np.bool_]) -> Ways:
-        """Return them from kappa/k in the ambient and the index of each one's side over the ambient's."""
+    def of(cls, transverse: Array, index: Array, below: NDArray[np.bool_]) -> RatioDirections:
+        """Build them from kappa/k in the ambient and the index of each side over the ambient index."""
         square = 1.0 - transverse**2
         return cls(np.sqrt(np.maximum(square, 0.0)), np.sqrt(np.maximum(-square, 0.0)), transverse / index, below)
 
     def powers(self, below: bool) -> Array:
-        """f_a, `[a, direction]`: powers of w, and below of v, with w + iv = kz/k; their degrees are `_degrees`."""
+        """f_a, `[a, direction]`: powers of w, and below of v, with w + iv = kz/k; for their degrees see `_degrees`."""
         rows = [self.real**a for a in range(HIGHEST[0] + 1)]
         if below:
             rows += [self.imaginary, self.imaginary**2]
@@ -59,7 +62,7 @@ def _degrees(below: bool) -> tuple[int, ...]:
 
 @lru_cache(maxsize=16)
 def _terms(left_below: bool, right_below: bool, kind: str) -> tuple[tuple[int, int, int], ...]:
-    """The products (a, b, k) of one block; where both sides and polarisations are alike, a >= b: b, a is the same."""
+    """The products (a, b, k) of one block; a >= b if sides and polarisations are equal, since (b, a) is the same."""
     folded = kind == SAME and left_below == right_below
     return tuple(
         (a, b, k)
@@ -70,7 +73,9 @@ def _terms(left_below: bool, right_below: bool, kind: str) -> tuple[tuple[int, i
     )
 
 
-def _columns(left: Ways, right: Ways, left_below: bool, right_below: bool, kind: str, phi: Array) -> Array:
+def _columns(
+    left: RatioDirections, right: RatioDirections, left_below: bool, right_below: bool, kind: str, phi: Array
+) -> Array:
     """The products at all pairs, `[term, left, right, phi]`."""
     f, g = left.powers(left_below), right.powers(right_below)
     both = left.transverse[:, None] * right.transverse
@@ -85,7 +90,7 @@ def _columns(left: Ways, right: Ways, left_below: bool, right_below: bool, kind:
     return np.stack(out)
 
 
-# (side of s, side of i, pol of s, pol of i): the others follow by exchange
+# (side of s, side of i, pol of s, pol of i); the others follow by exchange
 BLOCKS_ABOVE = ((0, 0, 0, 0), (0, 0, 1, 1), (0, 0, 0, 1))
 BLOCKS_BELOW = (
     (1, 1, 0, 0), (1, 1, 1, 1), (1, 1, 0, 1),
@@ -93,16 +98,16 @@ BLOCKS_BELOW = (
 )  # fmt: skip
 
 
-def blocks(has_below: bool) -> tuple[Block, ...]:
-    """Return the blocks that are fitted, each on its own."""
-    return BLOCKS_ABOVE + (BLOCKS_BELOW if has_below else ())
+def blocks(transmits_below: bool) -> tuple[Block, ...]:
+    """Return the blocks, each fitted separately."""
+    return BLOCKS_ABOVE + (BLOCKS_BELOW if transmits_below else ())
 
 
 def _kind(block: Block) -> str:
     return SAME if block[2] == block[3] else CROSS
 
 
-def products(left: Ways, right: Ways, block: Block, phi: Array) -> Array:
+def products(left: RatioDirections, right: RatioDirections, block: Block, phi: Array) -> Array:
     """Return the products of one block, `[term, left, right, phi]`; `phi` is `[phi]` or `[left, right, phi]`."""
     return _columns(left, right, bool(block[0]), bool(block[1]), _kind(block), phi)
 
@@ -112,24 +117,24 @@ class Ratio:
     """The fitted ratio at one wavelength.
 
     Attributes:
-        coefficients: of each of `blocks`, `[realisation, term]`: estimates of the single realisations, whose mean is
-            the answer and whose spread its error.
+        coefficients: of each of `blocks`, `[realisation, term]`: estimates from the single realisations, whose mean is
+            the ratio and whose spread its error.
     """
 
     coefficients: dict[Block, Array]
 
     def mixed(self, other: Ratio, share: float) -> Ratio:
-        """Return the ratio between this wavelength (share 0) and another one (1)."""
+        """Interpolate linearly to another ratio at `share` = 1."""
         both = self.coefficients.keys() & other.coefficients.keys()
         return Ratio({b: (1 - share) * self.coefficients[b] + share * other.coefficients[b] for b in sorted(both)})
 
-    def at(self, left: Ways, right: Ways, block: Block, phi: Array) -> Array:
+    def at(self, left: RatioDirections, right: RatioDirections, block: Block, phi: Array) -> Array:
         """Return r of one block, `[left, right, phi]`."""
         found = self.coefficients[block]
         columns = products(left, right, block, phi)
         return np.asarray(np.clip(1.0 + np.tensordot(found.mean(axis=0), columns, 1), LEAST, MOST))
 
-    def applied(self, harmonics: Array, ways: Ways) -> Array:
+    def applied(self, harmonics: Array, ways: RatioDirections) -> Array:
         """Return harmonics over dphi times the ratio, `[s, i, pol_s, pol_i, k]`."""
         kept = harmonics.shape[-1]
         samples = 2 * kept + 4
@@ -154,15 +159,13 @@ class Ratio:
         return out
 
 
-def _picked(ways: Ways, rows: NDArray[np.intp]) -> Ways:
-    return Ways(ways.real[rows], ways.imaginary[rows], ways.transverse[rows], ways.below[rows])
+def _picked(ways: RatioDirections, rows: NDArray[np.intp]) -> RatioDirections:
+    return RatioDirections(ways.real[rows], ways.imaginary[rows], ways.transverse[rows], ways.below[rows])
 
 
-# The fit of a ratio to the orders of many patterns, less what each pattern's own structure factor explains.
-
-PRIOR = 3.0  # spread of the coefficients before anything is known: keeps undetermined ones small
-# of the mean square over a direction: weaker light weighs no more. Where the model sends hardly anything, others' light
-# fills in, and no smooth factor follows that: a lower floor lets it draw the ratio up everywhere (0.1: by 5 %)
+PRIOR = 3.0  # prior standard deviation of the coefficients
+# floor of the weights, relative to the mean square over a direction: for weak model light,
+# multiple scattering dominates and is not a smooth factor (0.1 instead raises the ratio by 5 %)
 FLOOR = 0.3
 
 
@@ -173,15 +176,15 @@ class Pairs:
     Attributes:
         left, right: the directions s and i.
         phi: between their in-plane wavevectors.
-        truth: |F|^2 / (n_s n_i) a sphere.
+        truth: |F|^2 / (n_s n_i) per sphere.
         model: the same of the model.
-        control: the model with the pattern's S less the mean one in place of S.
+        control: the model with the deviation of S of the pattern instead of S.
         level: mean square of the model over the pairs with s and with i.
-        left_bins, right_bins: bins of the angles of s and of i, ascending.
+        left_bins, right_bins: angle bins of s and of i, ascending.
     """
 
-    left: Ways
-    right: Ways
+    left: RatioDirections
+    right: RatioDirections
     phi: Array
     truth: Array
     model: Array
@@ -191,7 +194,7 @@ class Pairs:
     right_bins: NDArray[np.intp]
 
     def exchanged(self) -> Pairs:
-        """The same light sent back."""
+        """Exchange both directions."""
         return Pairs(
             self.right, self.left, self.phi.T, self.truth.T, self.model.T, self.control.T, self.level.T,
             self.right_bins, self.left_bins,
@@ -200,15 +203,15 @@ class Pairs:
 
 @dataclass(frozen=True)
 class Sums:
-    """What the fit of a block needs of one pattern; `b` are bins of angles, `t` the products of the ratio.
+    """Sufficient statistics of one block of one pattern; `b` are angle bins, `t` the products of the ratio.
 
     Attributes:
-        normal, rest, controls: `[t, t]`, `[t]` and `[b, t]`: products with each other, with what the model leaves, and
-            with the control of each bin, all weighted.
-        follows: `[2, b]`: what the model leaves times the control, and the control squared, weighted.
+        normal, rest, controls: `[t, t]`, `[t]` and `[b, t]`: weighted products with each other, with the residual of
+            the model, and with the control of each bin.
+        follows: `[2, b]`: residual times control, and control squared, weighted.
         totals: `[3, b]`: truth, model and control.
         shapes: `[b, t]`: model times products.
-        noise: mean weighted square of what the model leaves.
+        noise: mean weighted square of the residual.
     """
 
     normal: Array
@@ -228,7 +231,7 @@ class Sums:
 
 
 def as_arrays(pattern: Mapping[Block, Sums]) -> dict[str, Array]:
-    """Return the sums of a pattern as arrays by name, to be kept."""
+    """Return the sums of a pattern as named arrays for the disk cache."""
     return {
         f"{'-'.join(map(str, block))}.{field.name}": np.asarray(getattr(sums, field.name), dtype=float)
         for block, sums in pattern.items()
@@ -237,7 +240,7 @@ def as_arrays(pattern: Mapping[Block, Sums]) -> dict[str, Array]:
 
 
 def from_arrays(arrays: Mapping[str, Array]) -> dict[Block, Sums]:
-    """Return the sums of a pattern from what `as_arrays` made of them.
+    """Return the sums of a pattern from `as_arrays`.
 
     Raises:
         KeyError: arrays are missing.
@@ -255,12 +258,12 @@ def block_sums(block: Block, pairs: Pairs, bins: int) -> Sums:
     """Return the sums of one block of one pattern.
 
     Args:
-        bins: how many bins of angles there are, each way.
+        bins: number of angle bins per direction.
     """
     columns = products(pairs.left, pairs.right, block, pairs.phi[..., None])[..., 0]
     x, rest, control = pairs.model, pairs.truth - pairs.model, pairs.control
     size = x**2 + FLOOR * pairs.level
-    # a list that is a lattice has no light at all between its orders: such pairs tell nothing
+    # a perfect lattice has no light between its orders
     weight = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
     design = columns * x
     scaled = design * weight
@@ -283,7 +286,7 @@ def block_sums(block: Block, pairs: Pairs, bins: int) -> Sums:
 
 
 def _summed(values: Array, ascending: NDArray[np.intp], bins: int, axis: int) -> Array:
-    """Sum what falls into each bin along an axis."""
+    """Sum over the bins along an axis."""
     starts = np.searchsorted(ascending, np.arange(bins))
     filled = np.bincount(ascending, minlength=bins) > 0
     found = np.add.reduceat(values, starts[filled], axis=axis)
@@ -295,7 +298,7 @@ def _summed(values: Array, ascending: NDArray[np.intp], bins: int, axis: int) ->
 
 
 def fit_ratio(patterns: list[dict[Block, Sums]]) -> tuple[Ratio, Array]:
-    """Return the ratio and the relative standard error of the diffuse light above in each bin of angles, `[b]`."""
+    """Return the ratio and the relative standard error of the diffuse light above in each angle bin, `[b]`."""
     found: dict[Block, Array] = {}
     shares: dict[Block, Array] = {}
     for block in patterns[0]:
@@ -307,7 +310,7 @@ def fit_ratio(patterns: list[dict[Block, Sums]]) -> tuple[Ratio, Array]:
         rest = np.stack([s.rest - share @ s.controls for s in sums])
         system = normal + np.eye(len(normal)) * 2.0 * float(np.mean([s.noise for s in sums])) / PRIOR**2
         whole = np.linalg.solve(system, rest.sum(axis=0))
-        # the estimates of the single patterns: their mean is the whole one's, their spread its error
+        # estimates from single patterns: their mean is the total estimate, their spread its error
         left = np.stack([r - s.normal @ whole for r, s in zip(rest, sums)])
         found[block] = whole + count * np.linalg.solve(system, (left - left.mean(axis=0)).T).T
     ratio = Ratio(found)
@@ -315,7 +318,7 @@ def fit_ratio(patterns: list[dict[Block, Sums]]) -> tuple[Ratio, Array]:
 
 
 def _errors(ratio: Ratio, patterns: list[dict[Block, Sums]], shares: dict[Block, Array]) -> Array:
-    """The spread of the single patterns, and what the smooth ratio leaves open beyond their speckle, `[b]`."""
+    """Standard error over the patterns, and the residual of the smooth ratio beyond their speckle, `[b]`."""
     above = [block for block in patterns[0] if block in BLOCKS_ABOVE]
     count = len(patterns)
     model = np.stack([np.sum([one[b].totals[1] for b in above], axis=0) for one in patterns])

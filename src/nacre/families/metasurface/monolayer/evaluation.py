@@ -1,4 +1,10 @@
-"""From a monolayer at each wavelength to the lobes of a Bsdf: angles, tables, and the check of energy."""
+"""Evaluation of a monolayer: tables of the Bsdf lobes with an energy check, and direct values at a few directions.
+
+The balance of `diffuse` gives every direction the diffuse power that its mean field radiates. That total needs only the
+response at the requested directions and the emission at quadrature nodes; the neighbour sums are computed at the
+requested angles. The result equals the full term to rounding with the same quadrature, except for the interpolation of
+the neighbour table.
+"""
 
 from __future__ import annotations
 
@@ -13,50 +19,48 @@ from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.monolayer import Harmonic, PolarGrid, pack_triangle
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.response import InterfaceResponse
-from nacre.core.arrays import Array, ComplexArray
+from nacre.core.arrays import Array
 from nacre.core.parallel import in_threads
 from nacre.families.metasurface.monolayer.diffuse import HARMONICS as HARMONICS_few
 from nacre.families.metasurface.monolayer.diffuse import DiffuseTerm, diffuse_term
-from nacre.families.metasurface.monolayer.monolayer import Lit, Monolayer
+from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
+from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, amplitude, hemisphere_rule
 
-HARMONICS = 8  # kept in the tables: two packet loads of four. What lies above is below 0.3 % of the largest value
-LOW_OPAQUE = 48  # angles above what is low and opaque
-LOW_CLEAR = (32, 24, 16)  # low and on a clear substrate: above, and below up to the critical angle and beyond
+HARMONICS = 8  # harmonics in the tables; higher ones are below 0.3 % of the largest value
+LOW_OPAQUE = 48  # angles above a thin opaque structure
+LOW_CLEAR = (32, 24, 16)  # thin and on a clear substrate: above, below within and beyond the critical angle
 SPECULAR_NODES = 129
 TOTAL_NODES = 33
-GRAZING_COS = 1e-3  # stands in for 0, where the monolayer's own wave is infinite relative to the incident one
+GRAZING_COS = 1e-3  # replaces 0, where the wave of the monolayer diverges
 SCALING_STEPS = 200
 
 
 @dataclass(frozen=True)
 class Grids:
-    """Angular grids of the diffuse tables; `below` is None where nothing is transmitted."""
+    """Angular grids of the diffuse tables; `below` is None without transmission."""
 
     above: PolarGrid
     below: PolarGrid | None
 
 
 def choose_grids(eta: float | None, polydisperse: bool, thick: bool, low: bool = False) -> Grids:
-    """Return grids fine enough for the stack that keep a material of 48 wavelengths under 100 MB.
+    """Return angular grids fine enough for the stack, with tables below 100 MB for 48 wavelengths.
 
-    Linear between the nodes, f is within 0.5 % in relative L2 (a film that guides light leaves 0.8 %, and silicon that
-    hangs free 4 % near its resonance, nearly all of it in the last two degrees); of what is low, within 0.35 %, with a
-    spread of sizes 0.45 %. Fewer nodes are not only solved sooner: a render reads the table at random, and one of a few
-    megabytes, in words of two to a series (`nacre.bsdf.packed_series`, which round by up to 0.3 %), is read from the
-    cache of its own core.
+    Linear interpolation has a relative L2 error of 0.5 % (0.8 % for a film that guides light; 4 % for suspended silicon
+    near its resonance, nearly all in the last two degrees); for thin structures 0.35 %, with a size distribution 0.45
+    %. Fewer nodes also speed up renders, whose random access then stays in the processor cache.
 
     Args:
-        eta: index of a transparent substrate over the ambient's; None for an opaque one.
-        polydisperse: whether the tables without S are needed as well.
-        thick: whether films of more than a micrometre draw fringes over the angle (0.5 degree steps then).
-        low: whether films and particles together are so low that they draw next to none.
+        eta: relative index of a transparent substrate; None for an opaque one.
+        polydisperse: whether the tables without S are needed.
+        thick: whether films of more than a micrometre cause fringes over the angle (0.5 degree steps).
+        low: whether films and particles together are too thin for fringes.
     """
     if eta is None:
         count = (170 if polydisperse else 180) if thick else LOW_OPAQUE if low else 120
         return Grids(PolarGrid(count), None)
-    if eta == 1.0:  # what hangs free falls off steeply at grazing light
+    if eta == 1.0:  # suspended particles are steep near grazing
         count = 72 if polydisperse else 100
         return Grids(PolarGrid(count), PolarGrid(count))
     if low:
@@ -67,15 +71,15 @@ def choose_grids(eta: float | None, polydisperse: bool, thick: bool, low: bool =
 
 
 def fit_linear(table: Array, grids: Grids) -> Array:
-    """Return nodes between which straight lines follow a smooth table best, in the mean square.
+    """Return nodes whose linear interpolation fits a smooth table in the mean square.
 
-    Lines between exact nodes lie above what bends upwards. The best ones do not pass through the nodes: they are moved
-    by a twelfth of the second differences, which leaves no error in the mean and 0.4 of it in its square. On triangles,
-    the mixed difference of the two angles counts like those of each.
+    Interpolation between exact nodes overestimates convex functions. The optimal nodes are shifted by a twelfth of the
+    second differences, which removes the mean error and leaves 0.4 of the rms error. On triangles the mixed difference
+    of both angles counts like those of each.
 
     Args:
-        table: `[s, i, harmonic]`, the nodes above, then those below, symmetric.
-        grids: whose nodes they are; no difference is taken across the critical angle.
+        table: `[s, i, harmonic]`, nodes above, then below, symmetric.
+        grids: of the nodes; no difference crosses the critical angle.
     """
     starts = grid_groups(grids)
     rows = np.swapaxes(table, 0, 1)
@@ -85,7 +89,7 @@ def fit_linear(table: Array, grids: Grids) -> Array:
 
 
 def grid_groups(grids: Grids) -> list[tuple[int, int]]:
-    """Return the first node, and one beyond the last, of each part of the grids that is smooth within."""
+    """Return the range of nodes of each smooth part of the grids."""
     starts = [(0, grids.above.count)]
     if grids.below is not None:
         n, below = grids.above.size, grids.below
@@ -94,7 +98,7 @@ def grid_groups(grids: Grids) -> list[tuple[int, int]]:
 
 
 def differences(table: Array, groups: list[tuple[int, int]], order: int) -> Array:
-    """Return first or second central differences along the first axis within groups; zero where a neighbour is not."""
+    """Return first or second central differences along the first axis within groups; zero at their ends."""
     out = np.zeros_like(table)
     for start, stop in groups:
         if stop - start < 3:
@@ -102,14 +106,14 @@ def differences(table: Array, groups: list[tuple[int, int]], order: int) -> Arra
         before, here, after = table[start : stop - 2], table[start + 1 : stop - 1], table[start + 2 : stop]
         out[start + 1 : stop - 1] = after - 2.0 * here + before if order == 2 else 0.5 * (after - before)
     if order == 2:
-        for start, _ in groups[:2]:  # at the normal, where the mean over the azimuth goes on as it came
+        for start, _ in groups[:2]:  # at the normal the azimuthal mean is even
             out[start, :, 0] = 2.0 * (table[start + 1, :, 0] - table[start, :, 0])
     return out
 
 
 @dataclass(frozen=True)
 class WavelengthResult:
-    """One wavelength's columns of the tables; directions as in `Grids`, see `tabulate`."""
+    """Table columns of one wavelength; directions as in `Grids`, see `tabulate`."""
 
     reflectance: Array
     transmittance: Array
@@ -133,13 +137,13 @@ def solve_wavelength(layer: Monolayer, grids: Grids, eta: float) -> WavelengthRe
         conjugate = np.sqrt(1 - (1 - safe**2) / index**2)
         inside = 0.5 * layer.specular_below(conjugate).sum(axis=0)
         if eta > 1.0:
-            # cos_inside/cos_critical = cos(pi x/2); the ends are moved off the two singular angles
+            # cos_inside/cos_critical = cos(pi x/2), without the two singular ends
             x = np.clip(np.linspace(0.0, 1.0, TOTAL_NODES), 1e-3, 1 - 1e-3)
             beyond = np.cos(np.pi / 2 * x) * np.sqrt(1 - 1 / index**2)
             total = 0.5 * layer.specular_below(beyond).sum(axis=0)
-    sides = [(layer.light(np.cos(grids.above.nodes)), grids.above.weights)]
+    sides = [(layer.illuminate(np.cos(grids.above.nodes)), grids.above.weights)]
     if grids.below is not None:
-        sides.append((layer.light(np.cos(grids.below.nodes), True), grids.below.weights))
+        sides.append((layer.illuminate(np.cos(grids.below.nodes), True), grids.below.weights))
     term = diffuse_term(layer, sides, HARMONICS)
     reflected, passed, inside, total = (np.clip(t, 0.0, 1.0) for t in (reflected, passed, inside, total))
     delta = specular_at_nodes(grids, eta, reflected, passed, inside, total)
@@ -167,7 +171,7 @@ def solve_wavelength(layer: Monolayer, grids: Grids, eta: float) -> WavelengthRe
 
 
 def specular_at_nodes(grids: Grids, eta: float, reflected: Array, passed: Array, inside: Array, total: Array) -> Array:
-    """R + T of the stored specular tables at the diffuse grid's angles, `[angle]`."""
+    """R + T of the stored specular tables at the angles of the diffuse grid, `[angle]`."""
     out = take_uniform((reflected + passed)[:, None], np.cos(grids.above.nodes), 0)[:, 0]
     if grids.below is None:
         return out
@@ -182,9 +186,9 @@ def specular_at_nodes(grids: Grids, eta: float, reflected: Array, passed: Array,
 
 
 def _energy_scale(
-    term: DiffuseTerm, sides: list[tuple[Lit, Array]], specular: Array, index: float
+    term: DiffuseTerm, sides: list[tuple[Illumination, Array]], specular: Array, index: float
 ) -> tuple[Array, float]:
-    """Factors c, `[angle]`, for diffuse power c_s c_i that leave no direction above 1, and the raw excess."""
+    """Factors c, `[angle]`, that limit diffuse powers c_s c_i to energy conservation, and the raw excess."""
     cosines = np.concatenate([lit.cosines for lit, _ in sides])
     n2 = np.concatenate([np.full(w.size, index**2 if i else 1.0) for i, (_, w) in enumerate(sides)])
     weights = np.concatenate([w for _, w in sides]) * n2
@@ -192,11 +196,11 @@ def _energy_scale(
 
 
 def energy_factors(pairs: Array, weights: Array, cosines: Array, specular: Array) -> tuple[Array, float]:
-    """Return the factors of `_energy_scale`, and the excess, of powers between any directions.
+    """Return the factors and the excess of `_energy_scale` for powers between any directions.
 
     Args:
         pairs: `[direction, direction]`, symmetric.
-        weights: of solid angle, times the square of the index.
+        weights: of solid angle, times the squared index.
         cosines: of the directions.
         specular: R + T there.
     """
@@ -221,7 +225,7 @@ def tabulate(
     eta: float,
     jobs: int | None = None,
 ) -> tuple[tuple[Lobe, ...], float]:
-    """Solve all wavelengths, in parallel, and return the two lobes and the largest raw excess of energy over 1."""
+    """Solve all wavelengths in parallel; return the two lobes and the largest raw excess of energy over 1."""
 
     def work(wavelength: float) -> tuple[WavelengthResult, float, float]:
         layer = monolayer(float(wavelength))
@@ -269,42 +273,40 @@ def tabulate(
     return (Specular(response), harmonic), max(r.excess for r in results)
 
 
-# A monolayer's light for a few directions alone, without the tables of the Bsdf.
-
-ABOVE_NODES, BELOW_NODES = 24, 20  # over the cosine, for totals to 1e-4
+ABOVE_NODES, BELOW_NODES = 24, 20  # nodes over the cosine, for totals to 1e-4
 
 
-def few_powers(layer: Monolayer, cosines: Array) -> tuple[Array, Array, Array, Array]:
+def direct_powers(layer: Monolayer, cosines: Array) -> tuple[Array, Array, Array, Array]:
     """Return specular R and T, diffuse R and T for light from above, each `[pol, angle]`, raw (not scaled to 1).
 
     Args:
-        layer: of the correction "qca-balanced".
+        layer: with the correction "qca-balanced".
         cosines: `[angle]`, of incidence, > 0.
     """
-    lit = layer.light(cosines, at_once=True)
+    lit = layer.illuminate(cosines, untabulated=True)
     reflected, passed = layer.specular_above(cosines, lit)
     mu, weights = hemisphere_rule(ABOVE_NODES)
     up = _sent(layer, lit, mu, weights, False)
-    if not layer.has_below:
+    if not layer.transmits_below:
         return reflected, passed, up, np.zeros_like(up)
     mu, weights = hemisphere_rule(BELOW_NODES, layer.surface.index_below)
     return reflected, passed, up, _sent(layer, lit, mu, weights, True)
 
 
-def _sent(layer: Monolayer, lit: Lit, mu: Array, weights: Array, below: bool) -> Array:
-    """Return the diffuse power sent to one side per incident irradiance, `[pol, angle]`.
+def _sent(layer: Monolayer, lit: Illumination, mu: Array, weights: Array, below: bool) -> Array:
+    """Return the diffuse power emitted to one side per incident irradiance, `[pol, angle]`.
 
-    rho / cos_i times the integral of |F|^2 S / n over the directions, for each polarisation of incidence.
+    rho / cos_i times the integral of |F|^2 S / n over the directions, for each incident polarisation.
     """
     leaving = [s.directions(mu, below) for s in layer.spheres]
     fields = layer.fields([d.emission for d in leaving], lit.response)  # size, m, q, s, p, i
     phi, step = _azimuths(fields.shape[1])
     s_weights = _structure_weights(layer, leaving[0], lit.directions[0], phi, step)
-    far = np.stack([_far_field(one, phi) for one in fields])  # size, q, s, p, i, phi
+    far = np.stack([amplitude(one, phi) for one in fields])  # size, q, s, p, i, phi
     shares = layer.shares.reshape(-1, *([1] * 5))
     mean = np.abs((shares * far).sum(axis=0)) ** 2
     power = np.einsum("qspij,sij->spi", mean, s_weights)
-    if len(fields) > 1:  # the spread of sizes scatters as if nothing were ordered
+    if len(fields) > 1:  # size fluctuations scatter without order
         varying = np.maximum((shares * np.abs(far) ** 2).sum(axis=0) - mean, 0.0)
         power = power + np.einsum("qspij,j->spi", varying, step)
     index = leaving[0].index
@@ -313,23 +315,12 @@ def _sent(layer: Monolayer, lit: Lit, mu: Array, weights: Array, below: bool) ->
 
 
 def _azimuths(orders: int) -> tuple[Array, Array]:
-    """Azimuths in [0, pi] and weights of the whole turn, exact for products of two patterns of so many orders."""
+    """Azimuths in [0, pi] and full-circle weights, exact for products of two patterns with `orders` harmonics."""
     count = 2 * orders
     phi = np.linspace(0.0, np.pi, count + 1)
     weights = np.full(count + 1, 2.0 * np.pi / count)
     weights[[0, -1]] *= 0.5
     return phi, weights
-
-
-def _far_field(harmonics: ComplexArray, phi: Array) -> ComplexArray:
-    """Return F up to the phase i of the crossed parts, `[q, s, p, i, phi]`, of harmonics `[m, q, s, p, i]`."""
-    m = np.arange(len(harmonics))[:, None]
-    moved = np.moveaxis(harmonics, 0, -1)
-    out = np.empty((*moved.shape[:-1], phi.size), dtype=complex)
-    for q in range(2):
-        for p in range(2):
-            out[q, :, p] = moved[q, :, p] @ (np.cos(m * phi) if q == p else np.sin(m * phi))
-    return out
 
 
 def _structure_weights(layer: Monolayer, out: Directions, into: Directions, phi: Array, step: Array) -> Array:
@@ -340,11 +331,11 @@ def _structure_weights(layer: Monolayer, out: Directions, into: Directions, phi:
     samples = int(32 + 1.2 * reach)
     fine = np.linspace(0.0, np.pi, samples + 1)
     s = _structure_at(structure, k, kappa_s, kappa_i, np.cos(fine))
-    count = 2 * (phi.size // 4) + 1  # of harmonics: |F|^2 has no more
+    count = 2 * (phi.size // 4) + 1  # number of harmonics of |F|^2
     orders = np.arange(count)
     ends = np.full(samples + 1, 2.0 * np.pi / samples)
     ends[[0, -1]] *= 0.5
-    harmonics = s @ (ends[:, None] * np.cos(np.outer(fine, orders)))  # int S cos(k phi) over the turn
+    harmonics = s @ (ends[:, None] * np.cos(np.outer(fine, orders)))  # int S cos(k phi) dphi
     share = np.where(orders == 0, 1.0, 2.0)[:, None] * np.cos(np.outer(orders, phi)) * step / (2.0 * np.pi)
     return np.asarray(harmonics @ share)
 
@@ -355,24 +346,24 @@ def _structure_at(structure: Structure, k: float, kappa_s: Array, kappa_i: Array
     return structure.structure_factor(k * q)
 
 
-def few_values(layer: Monolayer, wi: Array, wo: Array) -> Array:
-    """Return the diffuse value of pairs of directions above the surface, `[pair]`, 1/sr, unpolarised.
+def direct_values(layer: Monolayer, wi: Array, wo: Array) -> Array:
+    """Return the diffuse BRDF of pairs of directions above the surface, `[pair]`, 1/sr, unpolarised.
 
-    With the balance over the nodes of a quadrature in place of those of the Bsdf's tables; values that the tables
-    scale down to what arrives, near grazing, are left as they are.
+    The balance uses quadrature nodes instead of the table nodes; values near grazing are not scaled to the incident
+    power.
 
     Args:
         wi, wo: `[pair, 3]`, unit vectors, z > 0.
     """
     mu, weights = hemisphere_rule(ABOVE_NODES)
     cosines, place = np.unique(np.concatenate([wi[:, 2], wo[:, 2]]), return_inverse=True)
-    lit = layer.light(np.concatenate([mu, cosines]), at_once=True)
+    lit = layer.illuminate(np.concatenate([mu, cosines]), untabulated=True)
     term = diffuse_term(layer, [(lit, np.concatenate([weights, np.zeros(cosines.size)]))], HARMONICS_few)
     i, o = mu.size + place[: len(wi)], mu.size + place[len(wi) :]
     sines = np.sqrt(np.maximum(1.0 - np.stack([wi[:, 2], wo[:, 2]]) ** 2, 0.0))
     size = sines[0] * sines[1]
     dot = wi[:, 0] * wo[:, 0] + wi[:, 1] * wo[:, 1]
-    # dphi lies between the in-plane wavevectors, -wi and wo
+    # dphi is the angle between the in-plane wavevectors, -wi and wo
     cos_phi = np.where(size > 1e-14, np.clip(-dot / np.maximum(size, 1e-14), -1.0, 1.0), 1.0)
     waves = np.cos(np.arange(HARMONICS_few) * np.arccos(cos_phi)[:, None])
     q = np.sqrt(np.maximum((sines**2).sum(axis=0) + 2.0 * dot, 0.0))

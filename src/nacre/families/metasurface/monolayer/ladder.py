@@ -1,17 +1,16 @@
-"""Light that neighbours pass on to one another: the correlated ladder of a monolayer.
+"""Correlated ladder: multiple scattering of diffuse light between the particles of a monolayer.
 
-The mean field is what a particle meets on average. What differs from it, b (dn), dn the fluctuation of the density,
-is a source of waves that run through the same mean field, meet particles and scatter again. With W the transfer
-between two particles and Q = rho int g W as in `qca`, a source s answers, in a mode of in-plane wavevector kappa, with
-D s, D = (1 - M Q)^-1, of which (D - 1) s / rho is the response of each particle there. That scatters by the same
-fluctuations, with S between the modes:
+The density fluctuation dn around the mean field, b (dn), is a source of waves that propagate in the same mean field,
+meet particles and scatter again. With W the transfer between two particles and Q = rho int g W as in `qca`, a source s
+in a mode of in-plane wavevector kappa produces D s, D = (1 - M Q)^-1, of which (D - 1) s / rho is the response of each
+particle. It scatters at the same fluctuations, with S between the modes:
 
     B_1 = S(kappa - kappa_i) b b^+,  B_n+1 = 1/rho int d^2kappa'/(2 pi)^2 S(kappa - kappa') G B_n G^+,  G = D - 1,
 
-and u D B D^+ u^+ leaves. The single scattering keeps S and its ring; the sum of all others is smooth. The neighbours
-also answer to each particle itself, as a stack would: 1/rho int d^2kappa/(2 pi)^2 Q D M Q is added to the stack's
-W_m, without S. Both follow dense-media radiative transfer (Tsang and Kong, Scattering of Electromagnetic Waves:
-Advanced Topics, 2001), here with multipoles over a stack.
+and u D B D^+ u^+ is emitted. Single scattering retains S and its ring; the sum of all higher orders is smooth. The
+neighbours also respond to the particle itself, like a stack: 1/rho int d^2kappa/(2 pi)^2 Q D M Q is added to the W_m of
+the stack, without S. Both follow dense-media radiative transfer (Tsang and Kong, Scattering of Electromagnetic Waves:
+Advanced Topics, 2001), here with multipoles above a stack.
 """
 
 from __future__ import annotations
@@ -24,39 +23,35 @@ from scipy.fft import fft, ifft, rfft
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import (
-    multipole_index,
-    neighbour_sums,
-    plane_wave_sums,
-    unfolded,
-)
+from nacre.families.metasurface.monolayer.translation_sums import neighbour_sums, plane_wave_sums, unfolded
+from nacre.families.metasurface.tmatrix.full_tmatrix import full_order, multipole_index
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K, Substrate
 
 NAME = "qca-ladder"
-ORDER = 2  # highest multipole that is passed on
-ROUNDS = 2  # until what neighbours send back has settled
-TIMES = 7  # that light is passed on one by one; what follows falls by the same ratio
-BATCH = 12  # lights carried at once
-LEAST_STEP = 1e-3  # of two indices that count as different
-HIGHEST_PEAK = 3.0  # of S: the fluid up to a packing of about 0.6; sharper ones fall between the modes
-STEEP = 9.0  # in-plane wavenumber, times the least distance, past the light line: up to which near fields are taken
-NEAR_NODES = 10  # of these; beyond lies up to a fifth of what touching neighbours send back, which moves no look
+ORDER = 2  # highest multipole of the ladder
+ROUNDS = 2  # iterations of the neighbour reflection
+TIMES = 7  # explicit scattering orders; later ones form a geometric series
+BATCH = 12  # incident waves per batch
+LEAST_STEP = 1e-3  # smallest difference between two indices
+HIGHEST_PEAK = 3.0  # of S, a fluid of packing about 0.6; sharper peaks fall between the modes
+STEEP = 9.0  # in-plane wavenumber, times the least distance, beyond the light line, at which near fields are truncated
+NEAR_NODES = 10  # nodes of the near fields; the truncated part has no visible effect
 
 
 @dataclass(frozen=True)
 class Modes:
-    """Nodes of the in-plane wavevector, and what the mean field makes of a source there.
+    """Nodes of the in-plane wavevector, and the mean-field response to a source there.
 
     Attributes:
         structure: density and S.
-        wavenumber: of the medium around the particles, 1/nm.
+        wavenumber: around the particles, 1/nm.
         kappa: in-plane wavevector over k, `[mode]`, along x.
         weights: of int d^2kappa / (2 pi)^2 / rho over modes of one azimuth, `[mode]`.
-        back: what the neighbours of a particle send back to it, `[n, n']`, to be added to the stack's.
+        back: reflection by the neighbours, `[n, n']`, added to that of the stack.
         step: G = D - 1, `[mode, n, n']`.
-        unlike: M_j over the mean M, `[kind, n, n']`; empty for equal particles.
-        shares: of the kinds in number.
-        azimuths: how many are taken.
+        unlike: M_j over the mean M, `[species, n, n']`; empty for equal particles.
+        shares: number fractions of the species.
+        azimuths: number of azimuths.
     """
 
     structure: Structure
@@ -76,12 +71,11 @@ class Modes:
         """Solve the modes.
 
         Args:
-            centre_nm: mean height of the centres.
-            alone: M of each kind without its neighbours, over all m, `[kind, n, n']`, of order `ORDER` or less.
-            shares: of the kinds in number.
+            centre_nm: mean centre height.
+            alone: M of each species without its neighbours, over all m, `[species, n, n']`, of order `ORDER` or less.
         """
         k, rho = surface.inner_wavenumber, structure.density_per_nm2
-        order = order_of(alone)
+        order = full_order(alone)
         reach = structure.diameter_nm * k
         kappa, weights = _nodes(surface, reach)
         weights = weights * k**2 / (4 * np.pi**2 * rho)
@@ -96,7 +90,7 @@ class Modes:
             mean = np.tensordot(shares, dressed, 1)
             met = mean @ q
             returned = q @ np.linalg.solve(one - met, met)
-            # over all azimuths only what keeps m is left
+            # the integral over azimuths conserves m
             back = np.asarray(np.where(same, 2 * np.pi * np.tensordot(weights, returned, 1), 0.0))
             dressed = np.asarray(np.linalg.solve(one - alone @ back, alone))
         mean = np.tensordot(shares, dressed, 1)
@@ -107,15 +101,17 @@ class Modes:
         azimuths = 2 * int(np.ceil(8 + 0.7 * reach))
         return cls(structure, k, kappa, weights, back, step, unlike, shares, azimuths)
 
-    def passed_on(self, met: ComplexArray, kappa_i: Array, leaving: ComplexArray, kappa_s: Array, count: int) -> Array:
-        """Return the power of all light that was passed on at least once, a particle, nm^2/sr.
+    def ladder_power(
+        self, met: ComplexArray, kappa_i: Array, leaving: ComplexArray, kappa_s: Array, count: int
+    ) -> Array:
+        """Return the power of all multiply scattered light per particle, nm^2/sr.
 
         Args:
-            met: b, the response to each light, `[kind, n, light]`.
-            kappa_i: of the lights, over k.
+            met: b, the response to each incident wave, `[species, n, light]`.
+            kappa_i: of the incident waves, over k.
             leaving: u D, `[pol, n, view]`.
             kappa_s: of the views.
-            count: harmonics of the azimuth between them to return.
+            count: number of azimuthal harmonics.
 
         Returns:
             `[view, pol, light, harmonic]`.
@@ -127,14 +123,14 @@ class Modes:
         return np.concatenate(parts, axis=2)
 
     def _batch(self, met: ComplexArray, kappa_i: Array, leaving: ComplexArray, kappa_s: Array, count: int) -> Array:
-        m = multipole_index(order_of(self.step)).m
+        m = multipole_index(full_order(self.step)).m
         phi = 2 * np.pi * np.arange(self.azimuths) / self.azimuths
-        # multipoles as seen along each azimuth: [azimuth, n, light, n']
+        # rotation of the multipoles to each azimuth: [azimuth, n, light, n']
         turn = np.exp(1j * np.multiply.outer(phi, m[:, None] - m)).astype(np.complex64)[:, None, :, None, :]
         mean = np.tensordot(self.shares, met, 1).astype(np.complex64)
         pairs = np.einsum("nl,ml->nlm", mean, mean.conj())
         source = self._between(self.kappa, kappa_i)[:, :, None, :, None].astype(np.float32) * pairs
-        odd = np.zeros_like(pairs)  # what S does not multiply, for it is of how the kinds are dealt
+        odd = np.zeros_like(pairs)  # uncorrelated part from the random order of the species
         if self.unlike.size:
             odd = (np.einsum("j,jnl,jml->nlm", self.shares, met, met.conj()) - pairs).astype(np.complex64)
         step, weights = self.step.astype(np.complex64), (self.weights * 2 * np.pi / self.azimuths).astype(np.float32)
@@ -149,7 +145,7 @@ class Modes:
             right = (step @ seen).reshape(shape[0], shape[1], -1, size) @ step.conj().swapaxes(1, 2)
             sent = right.reshape(shape) * turn.conj() * weights[:, None, None, None]
             sent = fft(sent, axis=0)
-            # what comes of it at a particle, whatever the mode that brought it
+            # sum over the incident modes
             local = sent[0].sum(axis=0)
             now = float(np.abs(np.einsum("nln->", local)))
             share = 1.0
@@ -173,7 +169,7 @@ class Modes:
         return out
 
     def _odd(self, local: ComplexArray) -> ComplexArray:
-        """What the kinds of a mixture scatter by how they are dealt, of light that meets all, `[n, light, n']`."""
+        """Scattering by the random order of the species in a mixture, `[n, light, n']`."""
         out = np.zeros_like(local)
         for share, part in zip(self.shares, self.unlike.astype(np.complex64)):
             turned = np.tensordot(part, local, 1) @ part.conj().T
@@ -187,15 +183,15 @@ class Modes:
         return self.structure.structure_factor(self.wavenumber * np.sqrt(np.maximum(square, 0.0)))
 
     def _series(self, to: Array) -> Array:
-        """Its sums over the azimuth against the modes, `[harmonic, to, mode]`; even, so they are real."""
+        """Azimuthal harmonics of S against the modes, `[harmonic, to, mode]`, real since S is even."""
         return np.asarray(fft(self._between(to, self.kappa), axis=0).real, dtype=np.float32)
 
 
 def check(correction: str, surface: Substrate, structure: Structure, source: str) -> None:
-    """Refuse the ladder where it does not serve.
+    """Refuse the ladder for unsupported stacks.
 
     Raises:
-        UnsupportedError: it is asked for particles inside a layer, where waves are guided, or of too sharp an order.
+        UnsupportedError: particles inside a layer, guided waves, or a too sharp structure factor.
     """
     if correction != NAME:
         return
@@ -212,20 +208,15 @@ def check(correction: str, surface: Substrate, structure: Structure, source: str
         raise UnsupportedError(f'{source}: model.correction = "{NAME}" {why}; take another correction')
 
 
-def order_of(matrix: ComplexArray) -> int:
-    """Return the multipole order of matrices over all m, `[..., n, n']`, of 2 L (L + 2) multipoles."""
-    return int(round(np.sqrt(matrix.shape[-1] / 2 + 1))) - 1
-
-
 def _mixed(between: Array, sent: ComplexArray) -> ComplexArray:
-    """`[harmonic, to, mode]` times `[harmonic, mode, ...]`, as products of real numbers."""
+    """`[harmonic, to, mode]` times `[harmonic, mode, ...]` in real arithmetic."""
     flat = np.ascontiguousarray(sent).reshape(*sent.shape[:2], -1)
     mixed = np.matmul(between, flat.view(np.float32)).view(np.complex64)
     return mixed.reshape(*mixed.shape[:2], *sent.shape[2:])
 
 
 def _nodes(surface: Substrate, reach: float) -> tuple[Array, Array]:
-    """Nodes of kappa and weights of int kappa dkappa: light above, light in denser media below alone, near fields."""
+    """Nodes and weights of int kappa dkappa: propagating above, only in denser media, and near fields."""
     fringes = surface.inner_wavenumber * float(np.sum(surface.thicknesses_nm))
     x, weight = _gauss(int(10 + 1.2 * reach + fringes))
     angle, weight = np.pi / 4 * (1 + x), np.pi / 4 * weight
@@ -249,7 +240,7 @@ def _nodes(surface: Substrate, reach: float) -> tuple[Array, Array]:
 
 
 def _denser(surface: Substrate) -> list[float]:
-    """Indices over that of the particles' medium at which the waves of a clear medium end, ascending."""
+    """Relative indices, above that of the particle medium, at which the waves of a clear medium end, ascending."""
     clear = [n for n in surface.indices if abs(n.imag) < LOSSLESS_K]
     found = {float(n.real) / surface.inner_index for n in clear}
     return sorted(index for index in found if index > 1.0 + LEAST_STEP)

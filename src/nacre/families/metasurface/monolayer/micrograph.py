@@ -1,8 +1,8 @@
-"""Particles in a picture from a microscope: where they lie, how wide they are, how many there are.
+"""Particle positions and sizes from a microscope picture.
 
-The grey levels are smoothed and split in two by Otsu's threshold (IEEE Trans. Syst. Man Cybern. 9, 62, 1979); the
-particles are the rarer level, bright or dark. Blobs that touch are told apart by the maxima of the distance to their
-edge. What the picture's border cuts is left out, and so is what was drawn in after: a banner with the scale, marks.
+The smoothed grey levels are split by Otsu's threshold (IEEE Trans. Syst. Man Cybern. 9, 62, 1979); the particles are
+the rarer level, bright or dark. Touching blobs are separated at the maxima of the distance transform. Particles at the
+border, annotations and a scale banner are left out.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from nacre.core.files import why_unreadable
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 MOST_PIXELS = 60_000_000
 SMOOTHING = 1.0  # pixels
-LEAST_WIDTH = 4.0  # pixels across a particle, below which an outline says nothing
-SPECK = 0.25  # of the median area: less is dust or noise
+LEAST_WIDTH = 4.0  # smallest usable particle diameter in pixels
+SPECK = 0.25  # share of the median area below which a blob is noise
 LEVELS = 256
-SHADE = 0.1  # of the width: what varies more slowly is the light's shade, not particles
-BANNER, IN_PICTURE = 0.5, 0.2  # of a row that has one level: at least in a banner, at most in a picture
-LEAST_BANNER = 0.02  # of the height
-DRAWN = 0.1  # of the median noise within particles: what has less was drawn in
-LEAST_NOISE = 1e-3  # a quarter of a step of 8 bits
-SURE = 0.7  # of the variance of the grey levels that two levels must explain: of noise alone they explain 0.64
+SHADE = 0.1  # share of the width: slower variation is uneven illumination
+BANNER, IN_PICTURE = 0.5, 0.2  # share of a row with one level: minimum in a banner, maximum in a picture
+LEAST_BANNER = 0.02  # share of the height
+DRAWN = 0.1  # share of the median noise within particles; less identifies an annotation
+LEAST_NOISE = 1e-3  # a quarter of an 8-bit step
+SURE = 0.7  # required share of the grey-level variance explained by two levels; 0.64 for pure noise
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a picture shows.
+    """Particles found in a picture.
 
     Attributes:
         xy_um: `[particle, 2]`, x to the right, y up, from the lower left corner.
-        diameters_nm: `[particle]`, of discs of the blobs' areas.
+        diameters_nm: `[particle]`, of discs with the areas of the blobs.
         size_um: width and height of the picture.
-        is_bright: whether the particles are its bright parts.
-        left_out: what was taken for a banner or for marks, in words; "" where nothing was.
+        is_bright: whether the particles are the bright parts.
+        left_out: description of a banner or annotations; "" without any.
     """
 
     xy_um: Array
@@ -51,7 +51,7 @@ class Found:
 
     @property
     def summary(self) -> str:
-        """What was found, in words."""
+        """Summary in words."""
         mean, spread = float(self.diameters_nm.mean()), float(self.diameters_nm.std())
         return (
             f"{len(self.xy_um)} {'bright' if self.is_bright else 'dark'} particles, {mean:.4g} nm wide (standard "
@@ -61,15 +61,15 @@ class Found:
 
 
 def is_picture(name: str) -> bool:
-    """Whether a file's name is that of a picture."""
+    """Whether a file name has the suffix of a picture."""
     return Path(name).suffix.lower() in SUFFIXES
 
 
 def grey_levels(path: str | Path) -> Array:
-    """Return a picture's grey levels, `[row, column]`, 0 to 1.
+    """Return the grey levels of a picture, `[row, column]`, 0 to 1.
 
     Raises:
-        NacreError: it cannot be read, or is too large; the message is the end of a sentence that begins with the file.
+        NacreError: unreadable or too large; the message is the end of a sentence that begins with the file.
     """
     from PIL import Image
 
@@ -96,7 +96,7 @@ def find_particles(levels: Array, width_um: float) -> Found:
     """Find the particles in grey levels, `[row, column]`, of a picture `width_um` wide.
 
     Raises:
-        NacreError: there is no contrast, or the particles are too small; a sentence whose beginning is the file.
+        NacreError: no contrast, or too small particles; the message is the end of a sentence that begins with the file.
     """
     from scipy import ndimage
 
@@ -106,7 +106,7 @@ def find_particles(levels: Array, width_um: float) -> Found:
     pixel_nm = 1e3 * width_um / columns
     smooth = ndimage.gaussian_filter(levels, SMOOTHING)
     threshold, explained = otsu(smooth)
-    if explained < SURE:  # a shade over the picture, as of charging, or of a detector at one side
+    if explained < SURE:  # remove uneven illumination, as from charging or an off-axis detector
         smooth = smooth - ndimage.gaussian_filter(levels, SHADE * columns)
         threshold, explained = otsu(smooth)
     if explained < SURE:
@@ -138,7 +138,7 @@ def find_particles(levels: Array, width_um: float) -> Found:
 
 
 def _banner(levels: Array) -> int:
-    """Return how many rows at the top are a banner, as microscopes put below a picture: mostly of one level each."""
+    """Return the number of banner rows at the top, which are mostly of one level each."""
     alike = np.array([np.unique(row, return_counts=True)[1].max() for row in levels]) / levels.shape[1]
     ends = np.flatnonzero(alike < BANNER)
     count = int(ends[0]) if ends.size else 0
@@ -147,10 +147,10 @@ def _banner(levels: Array) -> int:
 
 
 def _of_one_level(levels: Array, cores: NDArray[np.intp], whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which blobs are drawn marks, `[blob]`: of one level, where what a microscope sees has noise.
+    """Return which blobs are of one level, `[blob]`: annotations have no noise.
 
     Args:
-        cores: `[row, column]`, numbers of the blobs from 1 where outlines are far, else 0.
+        cores: `[row, column]`, blob numbers from 1 away from outlines, else 0.
         whole: `[blob]`, which of them count.
     """
     count, first, second = (
@@ -160,13 +160,13 @@ def _of_one_level(levels: Array, cores: NDArray[np.intp], whole: NDArray[np.bool
     size = np.maximum(count, 1)
     noise = np.where(there, np.sqrt(np.maximum(second / size - (first / size) ** 2, 0.0)), np.inf)
     usual = noise[whole & there]
-    if not usual.size or np.median(usual) < LEAST_NOISE:  # a drawing as a whole
+    if not usual.size or np.median(usual) < LEAST_NOISE:  # the picture is a drawing
         return np.zeros_like(there)
     return np.asarray(noise < DRAWN * np.median(usual))
 
 
 def otsu(levels: Array) -> tuple[float, float]:
-    """Return the threshold that parts levels in 0 to 1 in two, and the share of their variance that this explains."""
+    """Return Otsu's threshold of levels in 0 to 1, and the share of their variance that it explains."""
     counts, edges = np.histogram(levels, LEVELS)
     middle = (edges[1:] + edges[:-1]) / 2
     weight = np.cumsum(counts) / counts.sum()
@@ -180,7 +180,7 @@ def otsu(levels: Array) -> tuple[float, float]:
 
 
 def _split(inside: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Label blobs, `[row, column]`, 0 outside; those that touch are parted at their necks."""
+    """Label blobs, `[row, column]`, 0 outside; touching blobs are split at their necks."""
     from scipy import ndimage
 
     depth = ndimage.gaussian_filter(ndimage.distance_transform_edt(inside), SMOOTHING)
@@ -190,11 +190,11 @@ def _split(inside: NDArray[np.bool_]) -> NDArray[np.intp]:
     deepest = ndimage.maximum(depth, together, np.arange(1, count + 1))
     radius = max(1.0, float(np.median(deepest)))
     around = ndimage.maximum_filter(depth, size=2 * int(np.ceil(0.7 * radius)) + 1)
-    # a seed lies at least half as deep as a whole particle does: an outline's bumps are none
+    # seeds are at least half as deep as a full particle, unlike bumps of the outline
     seeds, seeded = ndimage.label((depth == around) & (depth > 0.5 * radius) & inside)
     if seeded == 0:
         return np.asarray(together)
     nearest = ndimage.distance_transform_edt(seeds == 0, return_distances=False, return_indices=True)
     parted = np.where(inside, seeds[tuple(nearest)], 0)
-    lost = inside & ~np.isin(together, np.unique(together[seeds > 0]))  # blobs without a seed are small: specks
+    lost = inside & ~np.isin(together, np.unique(together[seeds > 0]))  # blobs without a seed are specks
     return np.where(lost, 0, parted)

@@ -1,8 +1,9 @@
-"""The coherent field in closed form: the monolayer as a thin sheet of independent scatterers over the stack.
+"""A monolayer at one wavelength: coherent reflection and transmission, and the fields of its diffuse light.
 
-Garcia-Valenzuela's model with a substrate: each particle is excited by the incident wave, half of the sheet's own
-radiated waves and their reflections. With the free T-matrix the 2 x 2 matrix form is the closed form to rounding; with
-the dressed one it also includes the near field between particle and stack. It ignores g(r): use it for p = f only.
+Simple corrections use a coherent field in closed form: the monolayer as a thin sheet of independent scatterers
+(Garcia-Valenzuela's model with a substrate). Each particle is excited by the incident wave, half of the waves radiated
+by the sheet and their reflections. With the free T-matrix the 2 x 2 matrix form equals the closed form; with the
+dressed one it includes the near field between particle and stack. It ignores g(r) and is valid for p = f.
 """
 
 from __future__ import annotations
@@ -18,13 +19,18 @@ from nacre.families.metasurface.monolayer.ensemble_ratio import Ratio
 from nacre.families.metasurface.monolayer.ladder import NAME as LADDER
 from nacre.families.metasurface.monolayer.ladder import ORDER as LADDER_ORDER
 from nacre.families.metasurface.monolayer.ladder import Modes
-from nacre.families.metasurface.monolayer.qca import INTERACTION_ORDER, NeighbourTable, mean_excitation, sums_at
+from nacre.families.metasurface.monolayer.qca import (
+    INTERACTION_ORDER,
+    NeighbourTable,
+    mean_excitation,
+    neighbour_sums_at,
+)
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import all_orders, azimuthal_blocks
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_order
+from nacre.families.metasurface.tmatrix.full_tmatrix import azimuthal_blocks, multipole_index, spread_blocks
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     Directions,
-    SphereOnStack,
+    ParticleOnStack,
     apply_response,
     emission_harmonics,
 )
@@ -34,7 +40,7 @@ from nacre.families.metasurface.tmatrix.substrate import Substrate
 
 @dataclass(frozen=True)
 class SheetField:
-    """Waves at the sheet, `[pol, angle]`: E at the sphere centres, A radiated; `_d` going down, `_u` up."""
+    """Waves at the sheet, `[pol, angle]`: E at the sphere centres, A radiated; `_d` downward, `_u` upward."""
 
     e_d: ComplexArray
     e_u: ComplexArray
@@ -43,14 +49,14 @@ class SheetField:
     phase: ComplexArray
 
     def reflection(self, bare: ComplexArray) -> ComplexArray:
-        """The specular amplitude for light from above, `[pol, angle]`, given that of the bare stack."""
+        """Return the specular amplitude for light from above, `[pol, angle]`, given that of the bare stack."""
         return bare * (1 + self.phase * self.a_d) + self.a_u / self.phase
 
 
 def sheet_field(
     surface: Substrate, centre_nm: float, response: ComplexArray, density_per_nm2: float, directions: Directions
 ) -> SheetField:
-    """Solve the sheet's 2 x 2 system for plane waves from the side of `directions`.
+    """Solve the 2 x 2 system of the sheet for plane waves from the side of `directions`.
 
     Args:
         response: `[m, n, n']`, the free T (diagonal blocks) or the dressed M.
@@ -69,7 +75,7 @@ def sheet_field(
     b = np.exp(1j * k * centre_nm * w)
     r = surface.reflection(w) * b**2
     if directions.below:
-        assert directions.transmission_up is not None  # set for every direction below
+        assert directions.transmission_up is not None  # set for all directions below
         start = np.stack([np.zeros_like(r), directions.transmission_up * b])
     else:
         start = np.stack([np.broadcast_to(1 / b, r.shape), r / b])
@@ -85,7 +91,7 @@ def sheet_field(
 
 
 def sheet_vectors(field: SheetField, directions: Directions, lmax: int, mmax: int) -> tuple[ComplexArray, ComplexArray]:
-    """Excitation and emission vectors with the sheet's mean field in place of the bare waves, `[m, pol, n, angle]`."""
+    """Excitation and emission vectors in the mean field of the sheet, `[m, pol, n, angle]`."""
     up = plane_wave_vectors(directions.inner_cosines, lmax, mmax, directions.transverse.astype(complex))
     down = mirrored(up)
     excitation = 4 * (adjoint(down) * field.e_d[None, :, None] + adjoint(up) * field.e_u[None, :, None])
@@ -93,29 +99,27 @@ def sheet_vectors(field: SheetField, directions: Directions, lmax: int, mmax: in
     return excitation, emission
 
 
-# A monolayer at one wavelength: its coherent reflection and transmission, and its diffuse light.
-
 CORRECTIONS = ("qca-balanced", LADDER, "gv-balanced", "optical-depth", "in-only", "in-out", "none")
 MEAN_FIELDS = ("qca-balanced", LADDER)
 
 
 @dataclass(frozen=True)
 class Particle:
-    """One kind of particle.
+    """One size of one particle species.
 
     Attributes:
-        share: in number.
-        centre_nm: height of its centre over the stack.
+        share: number fraction.
+        centre_nm: centre height above the stack.
         t_matrix: diagonal, `[n]`, or the blocks of an axisymmetric particle, `[m, n, n']`.
-        cut: in-plane wavenumber over k that ends its coupling with the stack, see `near_stack`; None: nowhere.
-        kind: which of a mixture's kinds it is a size of.
+        cut: in-plane wavenumber over k that truncates the coupling with the stack, or None.
+        species: number of its species in a mixture.
     """
 
     share: float
     centre_nm: float
     t_matrix: ComplexArray
     cut: float | None = None
-    kind: int = 0
+    species: int = 0
 
     @property
     def lmax(self) -> int:
@@ -124,13 +128,13 @@ class Particle:
 
 
 @dataclass(frozen=True)
-class Lit:
-    """Directions of one side with the response to light from there, one entry a particle size.
+class Illumination:
+    """Directions of one side with the response to light from there, one entry per particle size.
 
     Attributes:
-        directions: excitation and emission vectors, per size (they carry each size's own height).
+        directions: excitation and emission vectors per size (with its own height).
         response: b, `[m, pol, n, angle]`, per size: multipoles of a particle among its neighbours.
-        added: what the neighbours add to its excitation, `[m, pol, n, angle]`; None: there is no mean field.
+        added: excitation by the neighbours, `[m, pol, n, angle]`; None without a mean field.
     """
 
     directions: list[Directions]
@@ -149,13 +153,13 @@ class Monolayer:
 
     Attributes:
         surface: the stack.
-        particles: sizes; one for equal particles.
+        particles: one per size and species.
         structure: density, S(q), g(r).
         correction: one of `CORRECTIONS`.
-        interaction_order: highest multipole that neighbours exchange.
+        interaction_order: highest multipole exchanged by neighbours.
         mmax: highest azimuthal order.
-        ratio: what an ensemble says of the diffuse light over this model's; None: the model as it is.
-        sees_neighbours: False: `light` of a few directions knows the monolayer's plane waves alone, not near fields.
+        ratio: ratio of an ensemble to this model of the diffuse light, or None.
+        includes_near_fields: False ignores the near fields of neighbours for a few directions.
     """
 
     surface: Substrate
@@ -164,7 +168,7 @@ class Monolayer:
     correction: str = "qca-balanced"
     interaction_order: int = INTERACTION_ORDER
     mmax: int = 4
-    sees_neighbours: bool = True
+    includes_near_fields: bool = True
     ratio: Ratio | None = None
 
     @property
@@ -173,25 +177,26 @@ class Monolayer:
         return np.array([p.share for p in self.particles])
 
     @property
-    def has_below(self) -> bool:
+    def transmits_below(self) -> bool:
         """Whether the substrate transmits."""
         return self.surface.is_transparent
 
     @property
     def has_mean_field(self) -> bool:
-        """Whether the particles are excited by the quasi-crystalline mean field."""
+        """Whether the quasi-crystalline mean field excites the particles."""
         return self.correction in MEAN_FIELDS
 
     @cached_property
-    def _alone(self) -> tuple[SphereOnStack, ...]:
+    def _alone(self) -> tuple[ParticleOnStack, ...]:
         """The particles, each alone on the stack."""
         return tuple(
-            SphereOnStack(self.surface, p.centre_nm, p.t_matrix, min(self.mmax, p.lmax), p.cut) for p in self.particles
+            ParticleOnStack(self.surface, p.centre_nm, p.t_matrix, min(self.mmax, p.lmax), p.cut)
+            for p in self.particles
         )
 
     @cached_property
-    def spheres(self) -> tuple[SphereOnStack, ...]:
-        """The particles, each alone on the stack; with the ladder also what neighbours send back to each."""
+    def spheres(self) -> tuple[ParticleOnStack, ...]:
+        """The particles on the stack; with the ladder including the reflection by neighbours."""
         if self.correction != LADDER:
             return self._alone
         back = self.modes.back
@@ -199,9 +204,9 @@ class Monolayer:
 
     @cached_property
     def modes(self) -> Modes:
-        """What the ladder needs of the layer."""
+        """The modes of the ladder."""
         order = min(LADDER_ORDER, *(s.lmax for s in self._alone))
-        alone = np.stack([all_orders(s.dressed, order) for s in self._alone])
+        alone = np.stack([spread_blocks(s.dressed, multipole_index(order)) for s in self._alone])
         return Modes.build(self.surface, self.mean_centre_nm, self.structure, alone, self.shares)
 
     @cached_property
@@ -211,39 +216,43 @@ class Monolayer:
 
     @cached_property
     def mean_centre_nm(self) -> float:
-        """The mean height of the centres."""
+        """Mean centre height."""
         return float(self.shares @ [p.centre_nm for p in self.particles])
 
     @cached_property
     def neighbours(self) -> NeighbourTable:
-        """The lattice sums."""
+        """The table of neighbour sums."""
         order = min(self.interaction_order, self.spheres[0].lmax)
-        return NeighbourTable.build(self.surface, self.mean_centre_nm, self.structure, order, self.has_below)
+        return NeighbourTable.build(self.surface, self.mean_centre_nm, self.structure, order, self.transmits_below)
 
-    def light(self, cosines: Array, below: bool = False, sines: Array | None = None, at_once: bool = False) -> Lit:
-        """Return the directions at `cosines` of one side, with the particles' mean-field response.
+    def illuminate(
+        self, cosines: Array, below: bool = False, sines: Array | None = None, untabulated: bool = False
+    ) -> Illumination:
+        """Return the directions at `cosines` of one side with the response of the particles.
 
-        With `at_once` the neighbours' sums are made at these angles, of which there should be few, and not tabulated.
+        `MEAN_FIELDS` use the quasi-crystalline mean field, other corrections the response without neighbours.
 
-        `MEAN_FIELDS` take the quasi-crystalline mean field, all else the particles alone (their corrections
-        use the closed-form field where they need one).
+        Args:
+            untabulated: compute the neighbour sums at these few angles instead of tabulating them.
         """
         directions = [s.directions(cosines, below, sines) for s in self.spheres]
         own = [apply_response(s.dressed, d.excitation) for s, d in zip(self.spheres, directions)]
         if not self.has_mean_field:
-            return Lit(directions, own)
+            return Illumination(directions, own)
         order = min(self.interaction_order, self.spheres[0].lmax)
-        if at_once:
-            sums = sums_at(
-                self.surface, self.mean_centre_nm, self.structure, order, directions[0], self.sees_neighbours
+        if untabulated:
+            sums = neighbour_sums_at(
+                self.surface, self.mean_centre_nm, self.structure, order, directions[0], self.includes_near_fields
             )
         else:
             sums = self.neighbours.at(directions[0])
         added = mean_excitation(sums, order, self.mean_dressed, sum_over(self.shares, own))
-        return Lit(directions, [o + apply_response(s.dressed, added) for o, s in zip(own, self.spheres)], added)
+        return Illumination(
+            directions, [o + apply_response(s.dressed, added) for o, s in zip(own, self.spheres)], added
+        )
 
-    def coherent_sum(self, leaving: list[Directions], lit: Lit) -> ComplexArray:
-        """Return the mean F towards `leaving`, paired one to one with the directions of `lit`, nm, `[pol, angle]`."""
+    def coherent_sum(self, leaving: list[Directions], lit: Illumination) -> ComplexArray:
+        """Return the mean F towards `leaving`, paired with the directions of `lit`, nm, `[pol, angle]`."""
         total = 0
         for share, out, response in zip(self.shares, leaving, lit.response):
             weight = np.full(len(response), 2.0)
@@ -251,20 +260,20 @@ class Monolayer:
             total = total + share * np.einsum("m,mpna,mpna->pa", weight, out.emission, response)
         return np.asarray(total / self.surface.inner_wavenumber)
 
-    def specular_above(self, cosines: Array, lit: Lit | None = None) -> tuple[Array, Array]:
+    def specular_above(self, cosines: Array, lit: Illumination | None = None) -> tuple[Array, Array]:
         """Power reflectance and transmittance of the coherent light from above, `[pol, angle]`.
 
         Args:
             cosines: of incidence.
-            lit: `light` at these, if it is known.
+            lit: `illuminate` at these, if known.
         """
         k, rho = self.surface.wavenumber, self.structure.density_per_nm2
         if not self.has_mean_field:
             return self._closed_form(cosines)
-        lit = self.light(cosines) if lit is None else lit
+        lit = self.illuminate(cosines) if lit is None else lit
         bare = lit.directions[0].reflection
         r = bare + 2 * np.pi * rho / (k * cosines) * self.coherent_sum(lit.directions, lit)
-        if not self.has_below:
+        if not self.transmits_below:
             return np.abs(r) ** 2, np.zeros(r.shape)
         out, cos_below, t = self.refracted(cosines)
         t = t + 2 * np.pi * rho / (k * cos_below) * self.coherent_sum(out, lit)
@@ -272,28 +281,28 @@ class Monolayer:
 
     def specular_below(self, cosines: Array) -> Array:
         """Power reflectance of the coherent light from below, `[pol, angle]`; zero for an opaque substrate."""
-        if not self.has_below:
+        if not self.transmits_below:
             return np.zeros((2, cosines.size))
         k, rho = self.surface.wavenumber, self.structure.density_per_nm2
-        lit = self.light(cosines, below=True)
+        lit = self.illuminate(cosines, below=True)
         first = lit.directions[0]
         if self.has_mean_field:
             summed = self.coherent_sum(lit.directions, lit)
         else:
             field = sheet_field(self.surface, self.mean_centre_nm, self.mean_dressed, rho, first)
             excitation, _ = sheet_vectors(field, first, self.spheres[0].lmax, len(self.mean_dressed) - 1)
-            summed = self.coherent_sum([first], Lit([first], [apply_response(self.mean_dressed, excitation)]))
+            summed = self.coherent_sum([first], Illumination([first], [apply_response(self.mean_dressed, excitation)]))
         r = first.reflection + 2 * np.pi * rho / (k * cosines * first.index) * summed
         return np.abs(r) ** 2
 
     def refracted(self, cosines: Array) -> tuple[list[Directions], Array, ComplexArray]:
-        """Directions below that go with `cosines` above, n cos there, and the bare stack's t, `[pol, angle]`."""
+        """Directions below refracted from `cosines` above, n cos there, and t of the bare stack, `[pol, angle]`."""
         index = self.surface.index_below
         sines = np.sqrt((1 - cosines) * (1 + cosines)) / index
         inner = np.sqrt((1 - sines) * (1 + sines))
         out = [s.directions(inner, True, sines) for s in self.spheres]
         t_up = out[0].transmission_up
-        assert t_up is not None  # set for every direction below
+        assert t_up is not None  # set for all directions below
         return out, index * inner, t_up * cosines / (index * inner)
 
     def _closed_form(self, cosines: Array) -> tuple[Array, Array]:
@@ -301,7 +310,7 @@ class Monolayer:
         directions = self.spheres[0].directions(cosines)
         field = sheet_field(self.surface, self.mean_centre_nm, self.mean_dressed, rho, directions)
         reflected = np.abs(field.reflection(directions.reflection)) ** 2
-        if not self.has_below:
+        if not self.transmits_below:
             return reflected, np.zeros(reflected.shape)
         _, cos_below, t = self.refracted(cosines)
         passed = t * (1 + field.phase * field.a_d)
@@ -311,7 +320,7 @@ class Monolayer:
         """Return X_m of every pair, `[size, m, pol_s, s, pol_i, i]`, nm."""
         return np.stack([emission_harmonics(u, x, self.surface.inner_wavenumber) for u, x in zip(emissions, responses)])
 
-    def mean_field_vectors(self, lit: Lit) -> tuple[ComplexArray, ComplexArray]:
+    def mean_field_vectors(self, lit: Illumination) -> tuple[ComplexArray, ComplexArray]:
         """Excitation and emission vectors in the closed-form mean field, `[m, pol, n, angle]`."""
         first = lit.directions[0]
         rho = self.structure.density_per_nm2

@@ -1,7 +1,7 @@
-"""The mean field of the monolayer: what excites a particle among its neighbours (quasi-crystalline approximation).
+"""Quasi-crystalline approximation: the mean field that excites a particle among its neighbours.
 
-b = (M^-1 - Q)^-1 v: each particle, its T-matrix dressed by the stack, responds to the incident wave and to its
-neighbours' mean radiation, weighted by g(r). The coherent (specular) wave and the diffuse one follow from b.
+b = (M^-1 - Q)^-1 v: each particle, its T-matrix dressed by the stack, responds to the incident wave and to the mean
+radiation of its neighbours, weighted by g(r). The coherent (specular) wave and the diffuse light follow from b.
 """
 
 from __future__ import annotations
@@ -12,16 +12,12 @@ import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import (
-    half_index,
-    multipole_index,
-    neighbour_sums,
-    plane_wave_sums,
-)
+from nacre.families.metasurface.monolayer.translation_sums import half_index, neighbour_sums, plane_wave_sums
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 
-INTERACTION_ORDER = 3  # order 3 against 4 changes |u.b|^2 by at most 2e-3 for the source's particles
+INTERACTION_ORDER = 3  # order 4 changes |u.b|^2 by at most 2e-3
 
 
 def chebyshev(count: int, low: float, high: float) -> tuple[Array, Array]:
@@ -46,7 +42,7 @@ def barycentric(nodes: Array, weights: Array, x: Array) -> Array:
 
 
 def mixed(matrix: Array, nodes: ComplexArray) -> ComplexArray:
-    """`[x, node]` times `[pol, node, h, h']`, as products of real numbers: half the work of complex ones."""
+    """`[x, node]` times `[pol, node, h, h']` in real arithmetic."""
     pols, count, size, _ = nodes.shape
     flat = np.ascontiguousarray(nodes).reshape(pols, count, size * size).view(float)
     return np.ascontiguousarray(matrix @ flat).view(complex).reshape(pols, -1, size, size)
@@ -54,10 +50,10 @@ def mixed(matrix: Array, nodes: ComplexArray) -> ComplexArray:
 
 @dataclass(frozen=True)
 class NeighbourTable:
-    """Q of one monolayer at one wavelength for every angle, tabulated where it is smooth.
+    """Q of one monolayer at one wavelength for every angle, tabulated without its plane-wave terms.
 
     Attributes:
-        surface, centre_nm, structure, order, lift_nm: what it was made of, see `neighbour_sums`.
+        surface, centre_nm, structure, order, lift_nm: see `neighbour_sums`.
         propagating: `[pol, node, h, h']` at Chebyshev nodes of theta in (0, pi/2), folded (see `HalfIndex`).
         evanescent: the same at nodes of eta, kappa = cosh(eta), up to `eta_max` (for light from below).
     """
@@ -76,10 +72,10 @@ class NeighbourTable:
         cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, from_below: bool = False,
         largest: float = 1.0, lift_nm: float = 0.0,
     ) -> NeighbourTable:  # fmt: skip
-        """Tabulate; `from_below` adds the angles beyond the critical one of a denser substrate.
+        """Tabulate; `from_below` adds the angles beyond the critical angle of a denser substrate.
 
         Args:
-            largest: in-plane wavevector over k up to which it must reach, if that is more.
+            largest: minimum of the largest in-plane wavevector over k.
         """
         a = structure.diameter_nm * surface.inner_wavenumber
         count = int(14 + 2.0 * a)
@@ -99,11 +95,11 @@ class NeighbourTable:
         return cls(surface, centre_nm, structure, order, sums[:, :count], evanescent, eta_max, lift_nm)
 
     def at(self, directions: Directions) -> ComplexArray:
-        """Return the whole Q, folded, `[pol, angle, h, h']`, at the in-plane wavevectors of `directions`."""
+        """Return Q, folded, `[pol, angle, h, h']`, at the in-plane wavevectors of `directions`."""
         return self.sums(directions.inner, directions.inner_cosines)
 
     def sums(self, kappa: Array, w: ComplexArray) -> ComplexArray:
-        """Return the same at in-plane wavevectors over k, w = kz/k with Im w >= 0."""
+        """Return Q at in-plane wavevectors over k, w = kz/k with Im w >= 0."""
         size = self.propagating.shape[-1]
         out = np.empty((2, kappa.size, size, size), dtype=complex)
         inside = kappa <= 1.0
@@ -112,38 +108,42 @@ class NeighbourTable:
             matrix = barycentric(nodes, weights, np.arcsin(kappa[inside]))
             out[:, inside] = mixed(matrix, self.propagating)
         if not np.all(inside):
-            assert self.evanescent is not None  # `build` was told of the light from below
+            assert self.evanescent is not None  # requires `from_below`
             nodes, weights = chebyshev(self.evanescent.shape[1], 0.0, self.eta_max)
             matrix = barycentric(nodes, weights, np.arccosh(kappa[~inside]))
             out[:, ~inside] = mixed(matrix, self.evanescent)
         return out + plane_wave_sums(self.structure, self.surface, self.centre_nm, self.order, w, kappa, self.lift_nm)
 
 
-def sums_at(
+def neighbour_sums_at(
     surface: Substrate,
     centre_nm: float,
     structure: Structure,
     order: int,
     directions: Directions,
-    sees_neighbours: bool = True,
+    includes_near_fields: bool = True,
 ) -> ComplexArray:
-    """Return the whole Q at a few directions, as `NeighbourTable.at` but without a table to interpolate in.
+    """Return Q at a few directions without tabulation; see `NeighbourTable.at`.
 
-    Without the neighbours' near fields it holds the plane waves of the monolayer, as if it were a sheet.
+    Without `includes_near_fields` it holds only the plane waves of the monolayer, as of a sheet.
     """
     kappa = directions.inner
     waves = plane_wave_sums(structure, surface, centre_nm, order, directions.inner_cosines, kappa)
-    return neighbour_sums(surface, centre_nm, structure, order, kappa, quick=True) + waves if sees_neighbours else waves
+    return (
+        neighbour_sums(surface, centre_nm, structure, order, kappa, quick=True) + waves
+        if includes_near_fields
+        else waves
+    )
 
 
 def mean_excitation(q: ComplexArray, order: int, dressed: ComplexArray, own: ComplexArray) -> ComplexArray:
-    """Return Q b, what the neighbours add to the excitation of each particle, `[m, pol, n, angle]`.
+    """Return Q b, the excitation of each particle by its neighbours, `[m, pol, n, angle]`.
 
     Args:
-        q: the neighbour sums at the directions of incidence, folded, `[pol, angle, h, h']`.
-        order: highest multipole that they carry.
+        q: neighbour sums at the directions of incidence, folded, `[pol, angle, h, h']`.
+        order: their highest multipole.
         dressed: M_m, averaged over the particle sizes, `[m, n, n']`, of any multipole order.
-        own: M_m v averaged over the sizes, the answer to the incident wave alone, `[m, pol, n, angle]`.
+        own: M_m v averaged over the sizes, the response to the incident wave, `[m, pol, n, angle]`.
     """
     lmax = dressed.shape[1] // 2
     index = multipole_index(order)
@@ -159,19 +159,19 @@ def mean_excitation(q: ComplexArray, order: int, dressed: ComplexArray, own: Com
     return out
 
 
-# Nodes over the angle of one side, and how to go from them to other directions of that side.
-
-LEAST_STEP = 1e-3  # of the index below over the ambient's, under which no angle lies beyond the critical one
-Counts = tuple[int, int, int]  # of nodes above, below inside and beyond the critical angle
+LEAST_STEP = 1e-3  # relative index contrast below which there is no critical angle
+Counts = tuple[int, int, int]  # node counts above, below within and beyond the critical angle
 
 
 def node_sines(index_below: float, below: bool, counts: Counts, widest_rad: float = np.pi / 2) -> list[Array]:
-    """Return sines of the nodes on one side, in parts.
+    """Return the sines of interpolation nodes on one side, in parts.
+
+    Above, and below up to the critical angle, functions are smooth in the angle; beyond it in eta, kappa = cosh(eta).
 
     Args:
-        index_below: over the ambient's.
+        index_below: over the ambient index.
         counts: of nodes.
-        widest_rad: up to which angle above.
+        widest_rad: largest angle above.
     """
     if not below:
         return [np.sin(chebyshev(counts[0], 0.0, widest_rad)[0])]
@@ -182,7 +182,7 @@ def node_sines(index_below: float, below: bool, counts: Counts, widest_rad: floa
 
 
 def node_weights(directions: Directions, index_below: float, counts: Counts, widest_rad: float = np.pi / 2) -> Array:
-    """Return the interpolation from `node_sines` of their side to directions, `[direction, node]`."""
+    """Return the interpolation from `node_sines` to directions of the same side, `[direction, node]`."""
     d = directions
     if not d.below:
         nodes, weights = chebyshev(counts[0], 0.0, widest_rad)

@@ -1,7 +1,7 @@
-"""How the particles are arranged: structure factor S(q) and pair correlation g(r) of a monolayer.
+"""Structure factor S(q) and pair correlation g(r) of particles in a monolayer.
 
-Hard disks in equilibrium have the closed form of Baus & Colot, Phys. Rev. A 36, 3912 (1987). Every arrangement,
-measured ones too, becomes one `Structure`: two tables that the optics reads.
+Hard disks in equilibrium have the closed form of Baus & Colot, Phys. Rev. A 36, 3912 (1987). Every arrangement, also a
+measured one, becomes one `Structure`: two tables.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 
 _VIRIAL = (0.1280, 0.0018, -0.0507, -0.0533, -0.0410)
-SCALE_STEPS = 1 << 50  # of A between 1 and 2
-PACKING_LIMIT = 0.7  # hard disks freeze at 0.70; the closed form knows the fluid only
-SMALLEST_MENDED = 0.02  # packing below which the closed form's core is empty to 1e-5
-RANGE_IN_DIAMETERS = 9.0  # g - 1 beyond this many diameters changes no figure in its third digit
-S_STEP = 0.01  # of the tables of S, in units of 1 / diameter
+SCALE_STEPS = 1 << 50  # steps of A between 1 and 2
+PACKING_LIMIT = 0.7  # hard disks freeze at 0.70; the closed form is for the fluid
+SMALLEST_MENDED = 0.02  # packing below which the core of the closed form is empty to 1e-5
+RANGE_IN_DIAMETERS = 9.0  # g - 1 beyond this many diameters changes results by less than 1e-3
+S_STEP = 0.01  # step of the tables of S, in units of 1 / diameter
 S_BLOCK = 1000  # samples of S that share one quadrature rule
-MOST_KEPT = 512  # distances whose Bessel functions are kept: the same few grids come back at every packing
+MOST_KEPT = 512  # largest grid with cached Bessel functions; the same few grids recur at every packing
 
 
 def _compressibility(eta: float) -> float:
@@ -50,7 +50,7 @@ def baus_colot_scale(eta: float) -> float:
 
     if not falling(0) < -target < falling(SCALE_STEPS):
         raise NacreError(f"no Baus-Colot solution at packing {eta:g}: packing outside 0..0.7")
-    # a search in a sorted list that is never written down; scipy's solvers take 0.2 s to import
+    # bisection; scipy's solvers take 0.2 s to import
     return 1.0 + bisect_left(range(SCALE_STEPS), -target, key=falling) / SCALE_STEPS
 
 
@@ -60,16 +60,16 @@ def _overlap(y: Array) -> Array:
 
 @lru_cache(maxsize=24)
 def _overlap_rule(q_reduced: bytes) -> tuple[Array, Array, Array]:
-    """Nodes and weights of int_0^1 dx, and J0(Q x) there, `[q, node]`: they do not change with the packing."""
+    """Nodes and weights of int_0^1 dx, and J0(Q x) there, `[q, node]`, independent of the packing."""
     q = np.frombuffer(q_reduced)
-    # the integrand oscillates Q/2pi times: about pi nodes a period and a few more are exact to rounding
+    # the integrand oscillates Q/2pi times: about pi nodes per period are exact to rounding
     x, weight = np.polynomial.legendre.leggauss(int(24 + 0.55 * q.max()))
     x, weight = (x + 1) / 2, weight / 2
     return x, weight, j0(np.outer(q, x))
 
 
 def baus_colot_direct(q_reduced: ArrayLike, eta: float) -> Array:
-    """rho times the Fourier transform of Baus-Colot's direct correlation function at Q = q a."""
+    """rho times the Fourier transform of the Baus-Colot direct correlation function at Q = q a."""
     q = np.asarray(q_reduced, dtype=float)
     flat = np.maximum(np.abs(q.ravel()), 1e-9)
     d, a = _compressibility(eta), baus_colot_scale(eta)
@@ -85,14 +85,14 @@ def baus_colot_direct(q_reduced: ArrayLike, eta: float) -> Array:
 
 
 def baus_colot(q_reduced: ArrayLike, packing: float) -> Array:
-    """Structure factor S(Q) of hard disks in equilibrium, Q = q a with a the disks' diameter.
+    """Structure factor S(Q) of hard disks in equilibrium, Q = q a with a the disk diameter.
 
     Args:
         q_reduced: any shape, dimensionless.
         packing: area fraction of the disks, 0 (S = 1) to 0.7.
 
     Raises:
-        NacreError: a packing outside that range.
+        NacreError: packing outside that range.
 
     Example: S(0) = 0.6605, 0.2581, 0.0801 at packing 0.1, 0.3, 0.5.
     """
@@ -106,7 +106,7 @@ def baus_colot(q_reduced: ArrayLike, packing: float) -> Array:
 
 @lru_cache(maxsize=1)
 def _indirect_rule() -> tuple[Array, Array]:
-    # Gauss panels: a plain sum of step h leaves a constant of h^2/12 times the slope at Q = 0 in g at every r
+    # Gauss panels: a sum of step h leaves an offset of h^2/12 times the slope at Q = 0 in g
     x, weight = np.polynomial.legendre.leggauss(16)
     edges = np.concatenate([np.arange(0.0, 100.0, 1.0), np.arange(100.0, 601.0, 2.0)])
     half = np.diff(edges)[:, None] / 2
@@ -122,15 +122,15 @@ def _indirect_spectrum(packing: float) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=4)
 def _indirect_waves(x: bytes) -> Array:
-    """J0(Q x) at the nodes of `_indirect_rule`, `[x, q]`: they do not change with the packing."""
+    """J0(Q x) at the nodes of `_indirect_rule`, `[x, q]`, independent of the packing."""
     return np.asarray(j0(np.outer(np.frombuffer(x), _indirect_rule()[0])))
 
 
 def baus_colot_pair_correlation(r_reduced: ArrayLike, packing: float) -> Array:
     """g(r/a) of the same fluid: zero inside the core, 1 + gamma outside.
 
-    gamma is the transform of S's indirect part; taking the direct correlation function away first removes the
-    jump at contact, so that nothing rings.
+    gamma is the transform of the indirect part of S: subtracting the direct correlation function removes the jump at
+    contact and its ringing.
     """
     x = np.asarray(r_reduced, dtype=float)
     if packing < 1e-6:
@@ -139,7 +139,7 @@ def baus_colot_pair_correlation(r_reduced: ArrayLike, packing: float) -> Array:
 
 
 def _indirect_correlation(x: Array, packing: float) -> Array:
-    """gamma(r/a), which is smooth through the contact."""
+    """gamma(r/a), smooth through contact."""
     q, weight = _indirect_spectrum(float(packing))
     if x.size <= MOST_KEPT:
         return np.reshape(_indirect_waves(np.ascontiguousarray(x, dtype=float).tobytes()) @ weight, x.shape)
@@ -148,17 +148,17 @@ def _indirect_correlation(x: Array, packing: float) -> Array:
 
 @dataclass(frozen=True)
 class CoreCorrection:
-    """What makes Baus-Colot's g(r) and S(q) a pair again once the core is emptied; lengths in diameters.
+    """Correction that makes the Baus-Colot g(r) and S(q) consistent with an empty core; lengths in diameters.
 
-    The closed form leaves a little of g inside the core (0.001 at packing 0.1, up to 0.12 at 0.5), which no disk may
-    have. Setting it to zero while S stays breaks S = 1 + rho FT(g - 1): the mean field and
-    the diffuse light then disagree, by 0.7 % of the energy at packing 0.5. The area taken from the core goes into a
-    layer `amplitude e^(-decay (r - 1))` outside, which keeps S(0) = 1/D; its height is the step from the closed form's
-    contact value to that of the equation of state, Z = 1 + 2 eta g(1), as Verlet and Weis did in three dimensions.
+    The closed form leaves a small g inside the core (0.001 at packing 0.1, up to 0.12 at 0.5). Setting it to zero
+    without changing S breaks S = 1 + rho FT(g - 1), and the mean field and the diffuse light then disagree, by 0.7 % of
+    the energy at packing 0.5. The area removed from the core moves to a layer `amplitude e^(-decay (r - 1))` outside,
+    which preserves S(0) = 1/D; its height is the step from the contact value of the closed form to that of the equation
+    of state, Z = 1 + 2 eta g(1), as in Verlet and Weis for three dimensions.
 
     Attributes:
-        amplitude, decay: of the layer; amplitude 0: nothing to mend.
-        inside: nodes, and weights that carry what is taken away, `[node]`.
+        amplitude, decay: of the layer; amplitude 0 without correction.
+        inside: nodes, and weights of the removed area, `[node]`.
         layer: nodes and weights of the layer.
     """
 
@@ -168,11 +168,11 @@ class CoreCorrection:
     layer: tuple[Array, Array]
 
     def excess(self, x: Array) -> Array:
-        """What is added to g at x >= 1."""
+        """Added g at x >= 1."""
         return np.asarray(self.amplitude * np.exp(-self.decay * (np.maximum(x, 1.0) - 1.0)))
 
     def spectrum(self, q_reduced: Array, packing: float) -> Array:
-        """What is added to S at Q."""
+        """Added S at Q."""
         nodes = np.concatenate([self.inside[0], self.layer[0]])
         weights = np.concatenate([-self.inside[1], self.layer[1]])
         parts = [j0(np.outer(q, nodes)) @ weights for q in np.array_split(q_reduced, 1 + q_reduced.size // 2000)]
@@ -188,7 +188,7 @@ def _core_rule() -> tuple[Array, Array]:
 
 @lru_cache(maxsize=64)
 def core_correction(packing: float) -> CoreCorrection:
-    """Return the correction at a packing; without effect where the closed form keeps the core empty by itself."""
+    """Return the correction at a packing; zero if the closed form has an empty core."""
     x, weight = _core_rule()
     d, a = _compressibility(packing), baus_colot_scale(packing)
     direct = -d * (1 - a * a * packing + a * a * packing * _overlap(x / a))
@@ -207,12 +207,12 @@ def core_correction(packing: float) -> CoreCorrection:
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """An arrangement of particles as the optics sees it.
+    """Structure factor and pair correlation of an arrangement.
 
     Attributes:
         name: "hard-disk", "rsa", "points", ... for labels and provenance.
         density_per_nm2: particles per area.
-        diameter_nm: the least distance a between centres.
+        diameter_nm: smallest distance a between centres.
         q_per_nm, s: `[q]`, uniform from 0, the structure factor; 1 beyond the table.
         r_nm, h: `[r]`, ascending from `diameter_nm`, g(r) - 1; -1 inside, 0 beyond the table.
     """
@@ -231,7 +231,7 @@ class Structure:
         return float(self.density_per_nm2 * np.pi * self.diameter_nm**2 / 4)
 
     def structure_factor(self, q_per_nm: ArrayLike) -> Array:
-        """S at wavevector transfers in 1/nm, any shape; linear between the table's fine steps."""
+        """S at wavevector transfers in 1/nm, any shape; linear between table steps."""
         return np.interp(np.asarray(q_per_nm, dtype=float), self.q_per_nm, self.s, right=1.0)
 
     def pair_excess(self, r_nm: ArrayLike) -> Array:
@@ -242,8 +242,8 @@ class Structure:
 
 @lru_cache(maxsize=64)
 def _hard_disk_excess(packing: float) -> tuple[Array, Array]:
-    """Distances in diameters and g - 1 there: the same for all sizes of particle at one packing."""
-    # finer steps near contact, where the layer of `CoreCorrection` falls off within a twentieth of a diameter
+    """Distances in diameters and g - 1 there, for one packing."""
+    # finer steps near contact, where the layer of `CoreCorrection` decays within 1/20 diameter
     x = np.concatenate([np.linspace(1.0, 1.25, 126)[:-1], np.linspace(1.25, RANGE_IN_DIAMETERS, 373)])
     h = baus_colot_pair_correlation(x, packing) - 1.0
     if packing > SMALLEST_MENDED:
@@ -252,19 +252,19 @@ def _hard_disk_excess(packing: float) -> tuple[Array, Array]:
 
 
 def hard_disk_structure(density_per_nm2: float, packing: float, q_max_per_nm: float) -> Structure:
-    """Tabulate hard disks in equilibrium; `q_max_per_nm` is the largest |q| the optics will ask for.
+    """Tabulate hard disks in equilibrium; `q_max_per_nm` is the largest |q| used.
 
-    S is that of Baus and Colot but for what an empty core changes, see `CoreCorrection`: less than 1e-4 at packing
-    0.1, 0.023 at 0.5, nearer to Monte-Carlo disks.
+    S is that of Baus and Colot with `CoreCorrection`, which changes it by less than 1e-4 at packing 0.1 and 0.023 at
+    0.5, closer to Monte Carlo disks.
 
     Raises:
-        NacreError: a packing outside 0..0.7.
+        NacreError: packing outside 0..0.7.
     """
     if packing <= 0 or packing > PACKING_LIMIT:
         raise NacreError(f"packing = {packing:g} is not allowed; it should be over 0 and at most {PACKING_LIMIT:g}")
     a = float(np.sqrt(4 * packing / (np.pi * density_per_nm2)))
     count = int(q_max_per_nm * a / S_STEP) + 202
-    # in whole blocks, whose Bessel functions are kept, whatever the diameter
+    # whole blocks share cached Bessel functions for all diameters
     q = np.asarray(np.arange(0, -(-count // S_BLOCK) * S_BLOCK) * S_STEP, dtype=np.float64)
     s = np.concatenate([baus_colot(block, packing) for block in np.split(q, q.size // S_BLOCK)])[:count]
     q = q[:count]
@@ -272,5 +272,5 @@ def hard_disk_structure(density_per_nm2: float, packing: float, q_max_per_nm: fl
     x, h = _hard_disk_excess(float(packing))
     if mend is not None and mend.amplitude > 0.0:
         s = s + mend.spectrum(q, packing)
-    # near freezing the sum dips to -0.014
+    # near freezing the sum reaches -0.014
     return Structure("hard-disk", density_per_nm2, a, q / a, np.maximum(s, 0.0), x * a, h)

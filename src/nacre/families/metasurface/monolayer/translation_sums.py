@@ -1,10 +1,10 @@
-"""How the neighbours of a particle excite it: the lattice sums Q of the quasi-crystalline approximation.
+"""Translation sums Q of the quasi-crystalline approximation: excitation of a particle by its neighbours.
 
-Q_nn'(kappa) = 2 pi rho (-i)^mu int_a^inf g(R) J_mu(kappa R) W_nn'(R) R dR, mu = |m' - m|, where W(R) carries
-multipole n' at distance R, directly and by way of the stack, to multipole n. The parts that are plane waves are
-known in closed form and taken out; what remains is smooth in the angle and is interpolated.
+Q_nn'(kappa) = 2 pi rho (-i)^mu int_a^inf g(R) J_mu(kappa R) W_nn'(R) R dR, mu = |m' - m|, with W(R) the translation of
+multipole n' at distance R to multipole n, directly and by the stack. The plane-wave parts have a closed form and are
+subtracted; the remainder is smooth in the angle and is interpolated.
 
-A multipole here is n = (m, tau, l) with m from -L to L, flat; lengths in units of 1/k inside.
+A multipole is n = (m, tau, l) with m from -L to L, flat; lengths in units of 1/k.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from scipy.special import jv
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.families.metasurface.monolayer.structure import Structure
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.special_functions import (
     adjoint,
     bessel_j,
@@ -27,80 +28,22 @@ from nacre.families.metasurface.tmatrix.special_functions import (
     plane_wave_vectors,
     spherical_hankel_scaled,
 )
-from nacre.families.metasurface.tmatrix.substrate import Echo, Substrate
+from nacre.families.metasurface.tmatrix.substrate import StackReflection, Substrate
 
 IntArray = NDArray[np.intp]
 
-CONTOUR_DEPTH = 0.3  # of the detour below guided modes, in k; e^{0.3 k R} of growth costs digits if deeper
-SILENT, NEAR_START = 46.0, 1e-19  # e^-46, and distances along a ray, below rounding of what the rest adds up to
-ALONG_THE_NORMAL = 1e-9  # in-plane wavevectors below this, over k, are none: J_mu is 1 for mu = 0, else 0
-EXCESS_FLOOR = 2e-3  # |g - 1| below which the distance counts as uncorrelated
-
-
-@dataclass(frozen=True)
-class MultipoleIndex:
-    """The flat index of multipoles up to order L: arrays `[n]` of m, tau and l."""
-
-    order: int
-    m: IntArray
-    tau: IntArray
-    l: IntArray
-
-    @property
-    def block(self) -> IntArray:
-        """Position on the (tau, l) axis of `plane_wave_vectors`."""
-        return self.tau * self.order + self.l - 1
-
-
-@lru_cache(maxsize=8)
-def multipole_index(order: int) -> MultipoleIndex:
-    """Return the index of all (m, tau, l) with |m| <= l <= order."""
-    rows = [(m, tau, l) for m in range(-order, order + 1) for tau in range(2) for l in range(max(1, abs(m)), order + 1)]
-    m, tau, l = np.array(rows, dtype=np.intp).T
-    return MultipoleIndex(order, m, tau, l)
-
-
-def with_negative_orders(vectors: ComplexArray, index: MultipoleIndex) -> ComplexArray:
-    """Spread `[m >= 0, pol, (tau, l), ...]` over all m: `[pol, n, ...]`.
-
-    m -> -m turns the sign of the m pi functions, which are those with tau != pol.
-    """
-    picked = vectors[np.abs(index.m), :, index.block]  # advanced indices lead: [n, pol, ...]
-    flips = (index.m[:, None] < 0) & (index.tau[:, None] != np.arange(2))
-    sign = np.where(flips, -1.0, 1.0).reshape(len(index.m), 2, *([1] * (vectors.ndim - 3)))
-    return np.moveaxis(picked * sign, 0, 1)
-
-
-def all_orders(blocks: ComplexArray, order: int) -> ComplexArray:
-    """Spread blocks `[m >= 0, (tau, l), (tau, l)']` of any order over all m up to `order`: `[n, n']`.
-
-    m -> -m turns the sign of what couples the two tau.
-    """
-    index = multipole_index(order)
-    rows = index.tau * (blocks.shape[1] // 2) + index.l - 1
-    sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau), -1.0, 1.0)
-    same = index.m[:, None] == index.m
-    return np.asarray(np.where(same, blocks[np.abs(index.m)[:, None], rows[:, None], rows] * sign, 0.0))
-
-
-def azimuthal_blocks(matrix: ComplexArray, lmax: int, mmax: int) -> ComplexArray:
-    """Return the blocks `[m, (tau, l), (tau, l)']` of an `[n, n']` of any order, zero beyond it; see `all_orders`."""
-    order = round(np.sqrt(matrix.shape[-1] / 2 + 1)) - 1
-    index = multipole_index(order)
-    rows = index.tau * lmax + index.l - 1
-    out = np.zeros((mmax + 1, 2 * lmax, 2 * lmax), dtype=complex)
-    for m in range(min(order, mmax) + 1):
-        here = index.m == m
-        out[m, rows[here][:, None], rows[here]] = matrix[here][:, here]
-    return out
+CONTOUR_DEPTH = 0.3  # contour depth below guided modes, in k; the growth e^{0.3 k R} costs digits
+SILENT, NEAR_START = 46.0, 1e-19  # exponent and ray distance below which terms are lost to rounding
+ALONG_THE_NORMAL = 1e-9  # in-plane wavevectors below this, over k, count as 0
+EXCESS_FLOOR = 2e-3  # |g - 1| below which distances count as uncorrelated
 
 
 @dataclass(frozen=True)
 class HalfIndex:
-    """The multipoles with m >= 0 that one polarisation excites, as places in `MultipoleIndex`: arrays `[h]`.
+    """The multipoles with m >= 0 excited by one polarisation, as places in `MultipoleIndex`: arrays `[h]`.
 
-    The monolayer looks the same in a mirror that holds the plane of incidence, so s and p excite multipoles of
-    opposite mirror symmetry: those with -m follow from m by `sign`, and m = 0 with tau != pol stays dark.
+    The monolayer is symmetric about the plane of incidence, so s and p excite multipoles of opposite mirror symmetry:
+    those with -m follow from m by `sign`, and m = 0 with tau != pol is not excited.
     """
 
     place: IntArray
@@ -111,13 +54,13 @@ class HalfIndex:
 
     @property
     def multiplicity(self) -> Array:
-        """How many of the full index each stands for: 1 for m = 0, else 2."""
+        """Multiplicity in the full index: 1 for m = 0, else 2."""
         return np.where(self.m > 0, 2.0, 1.0)
 
 
 @lru_cache(maxsize=16)
 def half_index(order: int, pol: int) -> HalfIndex:
-    """Return the half of the index that light of polarisation `pol` (0 = s, 1 = p) excites."""
+    """Return the half of the index excited by polarisation `pol` (0 = s, 1 = p)."""
     index = multipole_index(order)
     rows = {key: i for i, key in enumerate(zip(index.m.tolist(), index.tau.tolist(), index.l.tolist(), strict=True))}
     kept = np.array([i for (m, tau, _), i in rows.items() if m > 0 or (m == 0 and tau == pol)], dtype=np.intp)
@@ -127,7 +70,7 @@ def half_index(order: int, pol: int) -> HalfIndex:
 
 
 def folded(q: ComplexArray, order: int, pol: int) -> ComplexArray:
-    """Fold `[n, n', ...]` onto the multipoles that a polarisation excites, `[h, h', ...]`."""
+    """Fold `[n, n', ...]` onto the multipoles excited by a polarisation, `[h, h', ...]`."""
     half = half_index(order, pol)
     rows = q[half.place]
     shape = (1, -1, *([1] * (q.ndim - 2)))
@@ -136,10 +79,10 @@ def folded(q: ComplexArray, order: int, pol: int) -> ComplexArray:
 
 
 def unfolded(q: ComplexArray, order: int) -> ComplexArray:
-    """Return the whole of what `folded` folded for both polarisations, `[angle, n, n']`.
+    """Return the full matrices folded for both polarisations, `[angle, n, n']`.
 
-    A column with m > 0 was added to that of -m, with opposite signs in the two polarisations; a row with m = 0 is dark
-    in one of them, so that the other holds twice its share.
+    A folded column m > 0 is the sum with -m, with opposite signs in the two polarisations; a row m = 0 vanishes in one
+    of them, so the other has twice its share.
     """
     size = len(multipole_index(order).m)
     out = np.zeros((q.shape[1], size, size), dtype=complex)
@@ -150,7 +93,7 @@ def unfolded(q: ComplexArray, order: int) -> ComplexArray:
         rows, turned, sign = half.place[:, None], half.partner[paired], half.sign[paired]
         out[:, rows, half.place] += value
         out[:, rows, turned] += value[:, :, paired] * sign
-        # -m and -m' are coupled as m and m', up to signs
+        # -m and -m' couple like m and m', up to signs
         out[:, turned[:, None], half.place] += value[:, paired] * sign[:, None]
         out[:, turned[:, None], turned] += value[:, paired][:, :, paired] * sign[:, None] * sign
     return out
@@ -158,7 +101,7 @@ def unfolded(q: ComplexArray, order: int) -> ComplexArray:
 
 @lru_cache(maxsize=8)
 def translation_coefficients(order: int) -> ComplexArray:
-    """c_p of the direct translation, `[n, n', p]`: W = sum_p c_p h_p(kr) P_p^mu(cos), mu the pair's own."""
+    """c_p of the direct translation, `[n, n', p]`: W = sum_p c_p h_p(kr) P_p^mu(cos), mu that of the pair."""
     index = multipole_index(order)
     w, weight = np.polynomial.legendre.leggauss(4 * order + 6)
     b = plane_wave_vectors(w, order, order)
@@ -173,7 +116,7 @@ def translation_coefficients(order: int) -> ComplexArray:
 
 @lru_cache(maxsize=8)
 def direct_coefficients(order: int) -> ComplexArray:
-    """c_p P_p^mu(0) of the direct translation in the plane, `[n, n', p, mu]`, zero but for the pair's own mu."""
+    """c_p P_p^mu(0) of the direct translation in the plane, `[n, n', p, mu]`, zero except for the mu of the pair."""
     top = 2 * order
     mu = pair_orders(order)
     found = translation_coefficients(order) * legendre(np.array(0.0), top, top)[mu]
@@ -189,7 +132,7 @@ def pair_orders(order: int) -> IntArray:
 
 @lru_cache(maxsize=256)
 def _gauss(count: int) -> tuple[Array, Array]:
-    """Gauss-Legendre nodes and weights on [-1, 1]: the same few dozen counts come back at every wavelength."""
+    """Cached Gauss-Legendre nodes and weights on [-1, 1]."""
     return np.polynomial.legendre.leggauss(count)
 
 
@@ -222,7 +165,7 @@ def _direct_sums(structure: Structure, wavenumber: float, order: int, kappa: Arr
 
 
 def _rotated_tail(reach: float, top: int, kappa: Array) -> ComplexArray:
-    """int_reach^inf h_p J_mu R dR with J = (H1 + H2)/2, each on the ray along which it decays."""
+    """int_reach^inf h_p J_mu R dR with J = (H1 + H2)/2, each along the ray on which it decays."""
     y = np.linspace(-4.2, 3.6, 121)
     s = np.exp(np.pi / 2 * np.sinh(y))
     weight = s * np.pi / 2 * np.cosh(y) * (y[1] - y[0])
@@ -230,7 +173,7 @@ def _rotated_tail(reach: float, top: int, kappa: Array) -> ComplexArray:
     orders = np.arange(top + 1)
     for sign in (1, -1):
         for turn in (1, -1):
-            # e^{i (1 + sign kappa) R}: beyond the light line the incoming half decays on the lower ray
+            # e^{i (1 + sign kappa) R}: the incoming half decays on the lower ray beyond the light line
             chosen = (1 + sign * kappa > 0) if turn > 0 else (1 + sign * kappa <= 0)
             if not np.any(chosen):
                 continue
@@ -246,7 +189,7 @@ def _rotated_tail(reach: float, top: int, kappa: Array) -> ComplexArray:
             for mu in range(1, top):
                 cylinder[mu + 1] = 2 * mu / arg * cylinder[mu] - cylinder[mu - 1]
             zero = (k < ALONG_THE_NORMAL)[None, None, :]
-            # at kappa = 0 both Hankel halves are singular, their sum is J = delta_{mu 0}
+            # at kappa = 0 the singular Hankel halves add up to J = delta_{mu 0}
             cylinder = np.where(zero, (orders == 0)[:, None, None], cylinder)
             out[:, :, chosen] += 0.5 * np.einsum("pr,mra->pma", h, cylinder * phase, optimize=True)
     return out
@@ -261,20 +204,21 @@ def stack_contour(
     heard: float = 10.0,
     quick: bool = False,
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Nodes and weights in kappa/k that pass below the guided modes, then follow the real axis to its end.
+    """Nodes and weights in kappa/k on a contour below the guided modes, then along the real axis.
 
     Args:
         reach: the largest distance, times k.
-        depth: of the detour, in k.
-        heard: up to which distance, times k, the steep waves at its end are not over.
-        quick: with two nodes in three, for 2e-5 of the largest sum in place of 1e-6, at the worst of 60 random stacks.
+        depth: of the contour, in k.
+        heard: distance, times k, up to which steep waves at its end matter.
+        quick: two thirds of the nodes; error 2e-5 of the largest sum instead of 1e-6, the maximum over 60 random
+            stacks.
     """
-    far = (2 * order + 46) / (2 * surface.inner_wavenumber * surface.clear_nm(centre_nm))
+    far = (2 * order + 46) / (2 * surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm))
     relative = np.abs(surface.indices.real).max() / surface.inner_index
-    # a layer around the particles draws its own fringes over the angle
+    # a host layer adds interference fringes over the angle
     reach = reach + 2 * surface.inner_wavenumber * surface.inner_nm
     bend = max(6.0, relative + 1.0)
-    # to 1e-8 of the largest sum; over a pattern the wide last panel would miss the Bessel function's waves
+    # error 1e-8 of the largest sum; a pattern needs a narrow last panel for the Bessel functions
     edges = [0.0, 1.0, 2.0, bend] if depth == CONTOUR_DEPTH else [0.0, 1.0, *np.linspace(2.0, bend, 5)]
     fringes = float(surface.indices[1:-1].real @ surface.thicknesses_nm) * surface.wavenumber / surface.ambient_index
     x, weight = _panels(np.array(edges), int(24 + 0.5 * (reach + fringes)) if quick else int(40 + 0.8 * reach))
@@ -296,17 +240,17 @@ def _stack_sums(
     quick: bool = False,
     lift_nm: float = 0.0,
 ) -> ComplexArray:
-    """The part by way of the stack, of g - 1 alone, `[n, n', angle]` (g = 1 is a plane wave, in closed form).
+    """The part reflected by the stack for g - 1, `[n, n', angle]` (g = 1 has a closed form).
 
-    Rows with m < 0 are left at zero, for `folded` asks for none, unless `every_row` is wanted.
+    Rows with m < 0 are zero, since `folded` ignores them, unless `every_row`.
 
-    int (g-1) W^R(R) J_mu(kappa_i R) R dR with the Sommerfeld integral of W^R drawn outside: the radial integral
-    of two Bessel functions is done first, and W^R(R) never appears.
+    int (g-1) W^R(R) J_mu(kappa_i R) R dR with the Sommerfeld integral of W^R outside: the radial integral of two Bessel
+    functions comes first.
     """
     k = surface.inner_wavenumber
     index = multipole_index(order)
     a, reach = structure.diameter_nm * k, _correlation_range(structure) * k
-    # W^R is smooth inside the core too (the image lies 2 d below), where g - 1 = -1
+    # W^R is smooth also inside the core, with g - 1 = -1
     r_in, w_in = _panels(np.array([0.0, a]), int(14 + 0.8 * a))
     r_out, w_out = _panels(np.linspace(a, reach, int(np.ceil(reach / a - 1 + 1e-9)) + 1), int(10 + 0.8 * a))
     r = np.concatenate([r_in, r_out])
@@ -318,7 +262,7 @@ def _stack_sums(
     measured = 4 * weight * kappa / w
     ways = [
         (with_negative_orders(left, index) * measured, with_negative_orders(right, index))
-        for left, right in surface.echo(centre_nm, w, lift_nm).pairs(b)
+        for left, right in surface.reflection_at(centre_nm, w, lift_nm).pairs(b)
     ]
     top = 2 * order if np.any(kappa_i >= ALONG_THE_NORMAL) else 0  # J_mu(0) = delta_{mu 0}
     radial = bessel_j(np.outer(kappa, r), top)  # mu, kappa, R
@@ -343,15 +287,15 @@ def neighbour_sums(
     quick: bool = False,
     lift_nm: float = 0.0,
 ) -> ComplexArray:
-    """Return Q less its plane-wave terms, folded, `[pol, angle, h, h']`, at in-plane wavevectors `kappa` over k.
+    """Return Q minus its plane-wave terms, folded, `[pol, angle, h, h']`, at in-plane wavevectors `kappa` over k.
 
     Args:
-        surface, centre_nm: the stack and the height of the particles over it.
+        surface, centre_nm: the stack and the particle height.
         structure: density and g(r).
         order: highest multipole of the interaction.
         kappa: `[angle]`, real, >= 0 and not 1.
-        quick: to a part in 1e4 or 1e5, as a search wants it.
-        lift_nm: of what is met over what sends, `centre_nm` being their mean: of the way by the stack alone.
+        quick: relative error of 1e-4 to 1e-5.
+        lift_nm: height of the target above the source (`centre_nm` is their mean), for the reflection by the stack.
     """
     mu = pair_orders(order)
     phase = (-1j) ** mu
@@ -369,15 +313,15 @@ def neighbour_sums(
 
 
 def _wave_sums(
-    structure: Structure, surface: Substrate, order: int, w: ComplexArray, kappa: Array, echo: Echo | None
+    structure: Structure, surface: Substrate, order: int, w: ComplexArray, kappa: Array, echo: StackReflection | None
 ) -> ComplexArray:
-    """Half the monolayer's own plane waves in both directions, and the echo of those, folded, `[pol, angle, h, h']`.
+    """Half of the plane waves of the monolayer in both directions, and their reflection, folded, `[pol, angle, h, h']`.
 
-    They grow as 1/cos, so they are taken out of what is interpolated. Folded, each is a single product: a plane wave
-    of one polarisation excites that one's multipoles alone.
+    They grow as 1/cos and are therefore not interpolated. Folded, each is one product: a plane wave of one polarisation
+    excites only its own multipoles.
 
     Args:
-        echo: what the stack sends back; None for the own waves alone.
+        echo: reflection by the stack, or None.
     """
     b = plane_wave_vectors(w, order, order, kappa.astype(complex))
     factor = 4 * np.pi * structure.density_per_nm2 / (surface.inner_wavenumber**2 * w)
@@ -404,11 +348,11 @@ def plane_wave_sums(
     kappa: Array,
     lift_nm: float = 0.0,
 ) -> ComplexArray:
-    """The plane-wave terms of Q, folded: the monolayer's own waves and their reflection by the stack.
+    """The plane-wave terms of Q, folded: the waves of the monolayer and their reflection by the stack.
 
     Returns: `[pol, angle, h, h']`.
     """
     echo = None
     if not surface.is_absent:
-        echo = surface.echo(centre_nm, w, lift_nm)
+        echo = surface.reflection_at(centre_nm, w, lift_nm)
     return _wave_sums(structure, surface, order, w, kappa, echo)

@@ -1,9 +1,12 @@
-"""T-matrices of particles that look the same at any turn about the normal, at some wavelengths.
+"""T-matrices of axisymmetric particles, and particles whose T-matrices come from a file.
 
-In the basis of `angular` such a matrix is one block for each azimuthal order m >= 0, `[m, n, n']` with n = (tau, l);
-those of -m follow by the mirror that holds the axis, which turns the sign where tau changes. It differs from the
-orthonormal one with Condon-Shortley phases (the community's files, treams) by factors that depend on m alone, so a
-block has the same numbers in both.
+In the basis of `special_functions` such a matrix is one block for each azimuthal order m >= 0, `[m, n, n']` with
+n = (tau, l); blocks of -m follow from the mirror plane through the axis, which changes the sign between different tau.
+The orthonormal basis with Condon-Shortley phases (tmat.h5 files, treams) differs by factors that depend only on m, so
+the blocks are the same in both.
+
+A tabulated sphere takes the multipole order of spheres instead of all orders in the file. Beyond the file, Mie
+coefficients extend it if the file states radius and index and agrees with Mie theory.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from nacre.core.errors import MaterialRangeError, UnsupportedError
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.mie import mie_coefficients
 
-SAME_WAVELENGTH = 1e-6  # relative: files hold wavenumbers of few digits
+SAME_WAVELENGTH = 1e-6  # relative; files hold wavenumbers with few digits
 
 
 def multipole_order(t_matrix: ComplexArray) -> int:
@@ -29,7 +32,7 @@ def multipole_order(t_matrix: ComplexArray) -> int:
 
 
 def truncated(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
-    """Return a T-matrix, `[n]` or `[m, n, n']`, with the multipoles up to `lmax` alone."""
+    """Return a T-matrix, `[n]` or `[m, n, n']`, with multipoles up to `lmax`."""
     top = multipole_order(t_matrix)
     if lmax >= top:
         return t_matrix
@@ -40,7 +43,7 @@ def truncated(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
 
 
 def as_blocks(t_matrix: ComplexArray, mmax: int | None = None) -> ComplexArray:
-    """Return a diagonal T `[n]` as blocks `[m, n, n']`, where multipoles with l < m are none; blocks as they are."""
+    """Return a diagonal T `[n]` as blocks `[m, n, n']`, zero for l < m; blocks are returned unchanged."""
     if t_matrix.ndim == 3:
         return t_matrix if mmax is None else t_matrix[: mmax + 1]
     lmax = multipole_order(t_matrix)
@@ -50,21 +53,21 @@ def as_blocks(t_matrix: ComplexArray, mmax: int | None = None) -> ComplexArray:
 
 
 def mirror_signs(lmax: int) -> Array:
-    """Return the signs between the blocks of m and -m, `[n, n']`; T and its transpose have them too."""
+    """Return the signs between the blocks of m and -m, `[n, n']`; they also relate T to its transpose."""
     tau = np.repeat([1.0, -1.0], lmax)
     return np.asarray(tau[:, None] * tau)
 
 
 def reciprocal(blocks: ComplexArray) -> ComplexArray:
-    """Return the part of T, `[..., n, n']`, that is its own reverse: T_nn' = (-1)^(tau + tau') T_n'n."""
+    """Return the reciprocal part of T, `[..., n, n']`: T_nn' = (-1)^(tau + tau') T_n'n."""
     signs = mirror_signs(blocks.shape[-1] // 2)
     return np.asarray(0.5 * (blocks + signs * np.swapaxes(blocks, -1, -2)))
 
 
 def gain(blocks: ComplexArray) -> float:
-    """Return by how much a particle at most radiates more than it takes, of T `[..., n, n']`; 0 where it is passive.
+    """Return the maximum excess of radiated over incident power for T `[..., n, n']`; 0 for passive particles.
 
-    The largest eigenvalue of (T + T^+)/2 + T^+ T, which is 0 for a lossless particle and negative for an absorbing one.
+    The largest eigenvalue of (T + T^+)/2 + T^+ T, which is 0 for lossless and negative for absorbing particles.
     """
     turned = np.conj(np.swapaxes(blocks, -1, -2))
     return max(0.0, float(np.linalg.eigvalsh(0.5 * (blocks + turned) + turned @ blocks).max()))
@@ -77,16 +80,16 @@ class AxialTMatrices:
     Attributes:
         wavelengths_nm: `[wavelength]`, in vacuum, ascending.
         blocks: `[wavelength, m, n, n']`, m from 0 to the highest order.
-        ambient_index: `[wavelength]`, of the medium around.
-        name: what it is, in words.
-        radius_nm: largest distance from the axis, or None: unknown.
-        height_nm: whole height along the axis, the centre in its middle, or None.
-        circumscribing_nm: largest distance from the centre, or None.
-        material_index: `[wavelength]`, of the particle, or None: unknown or of several materials.
-        turn_loss: share of the scattered power that depends on the turn about the axis and is not in the blocks.
-        shape: "sphere", "spheroid" or "cylinder", or "": none that is named.
-        whole: T over all m, `[wavelength, n, n']`, see `whole`, of a particle that is not axisymmetric and is not taken
-            as the mean over its turn, which the blocks then are; else None.
+        ambient_index: `[wavelength]`, of the surrounding medium.
+        name: description of the particle.
+        radius_nm: largest distance from the axis; None if unknown.
+        height_nm: full height along the axis, centred; None if unknown.
+        circumscribing_nm: largest distance from the centre; None if unknown.
+        material_index: `[wavelength]`, of the particle; None if unknown or for several materials.
+        turn_loss: share of the scattered power that depends on the rotation about the axis and is not in the blocks.
+        shape: "sphere", "spheroid" or "cylinder", "" for others.
+        whole: full T over all m, `[wavelength, n, n']`, see `full_tmatrix`, for aligned particles without rotational
+            symmetry, whose rotational average the blocks are; else None.
     """
 
     wavelengths_nm: Array
@@ -107,10 +110,10 @@ class AxialTMatrices:
         return multipole_order(self.blocks)
 
     def at(self, wavelength_nm: float, hold_ends: bool = False, is_whole: bool = False) -> ComplexArray:
-        """Return T at a wavelength, `[m, n, n']`, or `[n, n']` over all m, linear between those that are known.
+        """Return T at a wavelength, `[m, n, n']`, or `[n, n']` over all m, linear between the tabulated wavelengths.
 
-        A mean of passive T-matrices is passive (the scattering matrices of norm <= 1 are a convex set), so the energy
-        stays right between the wavelengths; a curve through more points could exceed it.
+        A mean of passive T-matrices is passive (scattering matrices of norm <= 1 form a convex set). Interpolation of
+        higher order could violate energy conservation.
 
         Raises:
             MaterialRangeError: outside the range, unless `hold_ends`.
@@ -132,17 +135,17 @@ class AxialTMatrices:
 
 
 class Body(abc.ABC):
-    """A particle that is no sphere, as a monolayer sees it.
+    """A non-spherical particle.
 
     Attributes:
-        name: what it is, in words.
-        radius_nm: largest distance from the axis, which coverage and drawings count by.
-        height_nm: whole height, the centre in its middle.
+        name: description.
+        radius_nm: largest distance from the axis, used for coverage and drawings.
+        height_nm: full height, centred.
         circumscribing_nm: largest distance from the centre.
-        source: what a message calls it: the recipe's key and value.
-        shape: "cylinder", "spheroid" or "sphere", or "" where only the T-matrix is known.
+        source: recipe key and value, for messages.
+        shape: "cylinder", "spheroid" or "sphere", or "" if only the T-matrix is known.
         lmax: highest multipole order.
-        method: where the T-matrix is from, in words.
+        method: origin of the T-matrix, in words.
     """
 
     method: ClassVar[str] = "from a file"
@@ -159,43 +162,43 @@ class Body(abc.ABC):
         """Return T at a wavelength, `[m, n, n']`, to the azimuthal order that monolayers need.
 
         Raises:
-            MaterialRangeError: it is not known there.
+            MaterialRangeError: outside the tabulated wavelengths.
             UnsupportedError: it cannot be computed.
         """
 
     @abc.abstractmethod
     def index(self, wavelength_nm: float) -> complex | None:
-        """Return the particle's own index, or None: it is not known."""
+        """Return the refractive index of the particle, or None if unknown."""
 
-    def of_radius(self, radius_nm: float) -> Body:
-        """Return the same particle with another width, its height as it is.
+    def with_radius(self, radius_nm: float) -> Body:
+        """Return the same particle with another width and the same height.
 
         Raises:
-            UnsupportedError: only this one is known.
+            UnsupportedError: only one size is known.
         """
         raise UnsupportedError(f"{self.source}: its T-matrix is of one size, so sizes cannot spread")
 
     @property
-    def stated_error(self) -> float | None:
-        """The largest estimated error of what was computed so far, relative to T; None: nothing says."""
+    def estimated_error(self) -> float | None:
+        """Largest estimated relative error of the computed T-matrices; None without an estimate."""
         return None
 
     @property
     def turn_loss(self) -> float:
-        """Share of the scattered power that depends on the turn about the axis and is left out; 0: axisymmetric."""
+        """Share of the scattered power that depends on the rotation about the axis and is left out; 0 if symmetric."""
         return 0.0
 
     @property
     def is_aligned(self) -> bool:
-        """Whether it is not axisymmetric and stands at one turn about the normal, as all of its kind."""
+        """Whether the particle is not axisymmetric and has one fixed orientation."""
         return False
 
     @abc.abstractmethod
-    def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
-        """Return the T-matrices for a file: those that are known, or those at some wavelengths."""
+    def exported_t_matrices(self, wavelengths_nm: Array) -> AxialTMatrices:
+        """Return the T-matrices for export: the tabulated ones, or those at the given wavelengths."""
 
     def check_order(self, asked: int) -> None:
-        """Refuse multipoles that are not known.
+        """Refuse a multipole order above `lmax`.
 
         Raises:
             UnsupportedError: the order is higher.
@@ -207,10 +210,12 @@ class Body(abc.ABC):
 
 
 @dataclass(frozen=True)
-class KnownBody(Body):
-    """A particle whose T-matrices a file gives; `hold_ends`: they hold beyond their wavelengths. See `Body`.
+class TabulatedBody(Body):
+    """A particle whose T-matrices come from a file. See `Body`.
 
-    `turn_rad` is the angle from the surface's x towards y by which one that `is_aligned` is turned about the normal.
+    Attributes:
+        hold_ends: whether the end values hold beyond the tabulated wavelengths.
+        turn_rad: rotation about the normal, from x towards y, of an aligned particle.
     """
 
     known: AxialTMatrices
@@ -224,20 +229,20 @@ class KnownBody(Body):
 
     @property
     def is_aligned(self) -> bool:
-        """Whether its turn about the normal counts: it is not axisymmetric, and no mean over turns is taken."""
+        """Whether the full T-matrix is used instead of its rotational average."""
         return self.known.whole is not None
 
-    def whole_t_matrix(self, wavelength_nm: float) -> ComplexArray:
-        """Return T over all m at a wavelength, `[n, n']`, of one that `is_aligned`, before it is turned.
+    def full_t_matrix(self, wavelength_nm: float) -> ComplexArray:
+        """Return the full T at a wavelength, `[n, n']`, of an aligned particle before its rotation.
 
         Raises:
-            MaterialRangeError: it is not known there.
+            MaterialRangeError: outside the tabulated wavelengths.
         """
         return self.known.at(wavelength_nm, self.hold_ends, is_whole=True)
 
     @property
     def name(self) -> str:  # type: ignore[override]  # read only, as all of a frozen dataclass
-        """What the file calls it."""
+        """Name from the file."""
         return self.known.name
 
     @property
@@ -247,34 +252,32 @@ class KnownBody(Body):
 
     @property
     def turn_loss(self) -> float:
-        """Share of the scattered power that depends on the turn about the axis and is left out."""
+        """Share of the scattered power that depends on the rotation about the axis and is left out."""
         return self.known.turn_loss
 
     def t_matrix(self, wavelength_nm: float) -> ComplexArray:
         """Return T at a wavelength, `[m, n, n']`.
 
         Raises:
-            MaterialRangeError: it is not known there.
+            MaterialRangeError: outside the tabulated wavelengths.
         """
         return self.known.at(wavelength_nm, self.hold_ends)
 
     def index(self, wavelength_nm: float) -> complex | None:
-        """Return the particle's own index, where the file says it."""
+        """Return the refractive index of the particle if the file states it."""
         if self.known.material_index is None:
             return None
         nearest = int(np.argmin(np.abs(self.known.wavelengths_nm - wavelength_nm)))
         return complex(self.known.material_index[nearest])
 
-    def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
-        """Return what the file holds, with the extents that the recipe gives."""
+    def exported_t_matrices(self, wavelengths_nm: Array) -> AxialTMatrices:
+        """Return the tabulated T-matrices with the dimensions of the recipe."""
         return replace(
             self.known, radius_nm=self.radius_nm, height_nm=self.height_nm, circumscribing_nm=self.circumscribing_nm
         )
 
 
-# Spheres whose T-matrices a file gives: they take the multipole order that spheres take, not all that the file holds.
-
-SAME_T = 1e-9  # relative to the norm: what rounding leaves, and far less than what any mesh does
+SAME_T = 1e-9  # relative norm: above rounding, far below any mesh error
 SAME_SIZE = 1e-9
 SPHERE = "sphere"
 
@@ -288,20 +291,20 @@ def is_spherical(known: AxialTMatrices) -> bool:
 
 
 @dataclass(frozen=True)
-class KnownSphere(KnownBody):
-    """A sphere whose T-matrices a file gives. See `Body`."""
+class TabulatedSphere(TabulatedBody):
+    """A sphere whose T-matrices come from a file. See `Body`."""
 
     def coefficients(self, lmax: int, surface: Substrate) -> ComplexArray:
-        """Return the diagonal T, `[n]`: what the file holds, and beyond it Mie's of the sphere it names, or zeros.
+        """Return the diagonal T, `[n]`: from the file, and beyond its order from Mie theory, or zeros.
 
         Raises:
-            MaterialRangeError: the file says nothing of the wavelength.
+            MaterialRangeError: outside the tabulated wavelengths.
         """
         held = np.diagonal(self.t_matrix(surface.wavelength_nm)[1])
         out = np.zeros(2 * lmax, dtype=complex)
-        if self.goes_on and lmax > self.lmax:
+        if self.is_extended_by_mie and lmax > self.lmax:
             told, known = self.known.material_index, self.known.wavelengths_nm
-            assert told is not None  # see `goes_on`
+            assert told is not None
             index = complex(np.interp(surface.wavelength_nm, known, told))
             out = self._mie(lmax, surface.inner_wavenumber, index / surface.inner_index)
         count = min(lmax, self.lmax)
@@ -310,8 +313,8 @@ class KnownSphere(KnownBody):
         return out
 
     @cached_property
-    def goes_on(self) -> bool:
-        """Whether multipoles beyond the file's are known: its own are those of the sphere that it names."""
+    def is_extended_by_mie(self) -> bool:
+        """Whether Mie theory extends the file: it states the sphere, and its coefficients agree."""
         known = self.known
         if known.material_index is None:
             return False

@@ -1,12 +1,18 @@
-"""The integrals of a boundary integral equation on a surface of revolution, Fourier mode by mode.
+"""T-matrix of a body of revolution with a mirror plane by the boundary element method (PMCHWT).
+
+The tangential fields inside and outside, radiated by the equivalent currents J and M, are equal on the surface.
+Galerkin with polynomials on panels of the generating curve; J_t and M_t are continuous, and panels are graded towards
+edges with singular fields. The system is symmetric in the bilinear product and the excitation and test waves are the
+same, so T = v~ S^-1 v has an error of second order in that of the currents. Poggio and Miller; Chang and Harrington; Wu
+and Tsai; for bodies of revolution Mautz and Harrington, AEU 33, 71 (1979).
 
 The kernels exp(ikR)/(4 pi R) and its gradient are integrated over the azimuth in a variable that resolves the near
-singularity, psi = a sinh u, then over panels of the generating curve: plainly where a panel is far, split towards the
-target where it is near, and with nodes that crowd at the target where it lies on the panel itself.
+singularity, psi = a sinh u, then over panels: directly for distant panels, split towards the target for near ones, and
+with nodes clustered at a target on the panel itself.
 
-Lengths are times the ambient k. A panel is a row (kind, p0, p1, p2, p3, d): a line from (rho, z) to (rho, z), kind 0;
-or, kind 1, what lies d outside an arc of a spheroid with semi-axes a, c between two parametric angles; or, kind 2, an
-arc of radius d round the ring (rho, z) between two angles from the normal. Panels cover the upper half, z >= 0, from
+Lengths are times the ambient k. A panel is a row (type, p0, p1, p2, p3, d): type 0 is a line from (rho, z) to (rho, z);
+type 1 a curve at distance d outside an arc of a spheroid with semi-axes a, c between two parametric angles; type 2 an
+arc of radius d around the ring (rho, z) between two angles from the normal. Panels cover the upper half, z >= 0, from
 the pole to the equator; the lower half is its mirror image.
 """
 
@@ -23,12 +29,12 @@ from nacre.core.jit import compiled
 from nacre.families.metasurface.tmatrix.special_functions import angular_functions, legendre
 
 MOST_AZIMUTHS = 96
-CROWDING = 4  # power of the nodes at a target on the panel
-NEAR = 1.0  # a piece of a panel longer than this many distances is split
+CROWDING = 4  # exponent of the node clustering at a target on the panel
+NEAR = 1.0  # maximum length of an unsplit panel over its distance
 DEEPEST = 40
 
-# of one target and one source shape function: the vector kernels of L (tt, tp, pt, pp), its scalar one with the
-# divergence of a t and of a p function, each for both equations; then those of K (tt, tp, pt, pp)
+# kernel numbers: the vector kernels of L (tt, tp, pt, pp) and its scalar kernel with the
+# divergence of a t and of a p function, for both equations; then the kernels of K
 E_TT, E_TP, E_PT, E_PP, E_ST, E_SP, H_TT, H_TP, H_PT, H_PP, H_ST, H_SP, K_TT, K_TP, K_PT, K_PP = range(16)
 
 
@@ -64,7 +70,7 @@ def locate(panel, s):  # type: ignore[no-untyped-def]  # numba
 
 @compiled(nogil=True, error_model="numpy")
 def _apart(panel, s, step):  # type: ignore[no-untyped-def]  # numba
-    """Return rho and z at s + step less those at s, which lose no digits as the step vanishes."""
+    """Return rho and z at s + step minus those at s, without cancellation for small steps."""
     if panel[0] == 0.0:
         return 0.5 * (panel[3] - panel[1]) * step, 0.5 * (panel[4] - panel[2]) * step
     half = 0.5 * (panel[4] - panel[3])
@@ -87,7 +93,7 @@ def _apart(panel, s, step):  # type: ignore[no-untyped-def]  # numba
 
 @compiled(nogil=True, error_model="numpy")
 def shapes(s, degree, along, slope, around):  # type: ignore[no-untyped-def]  # numba
-    """Fill the shape functions at s: of the t component (ends, then bubbles), its slope d/ds, of the p component."""
+    """Fill the shape functions at s: t component (ends, then bubbles), its derivative d/ds, and p component."""
     around[0], around[1] = 1.0, s
     for k in range(2, degree + 1):
         around[k] = ((2 * k - 1) * s * around[k - 1] - (k - 1) * around[k - 2]) / k
@@ -103,7 +109,7 @@ def _modes(rho, rho_s, plane, waves, nodes, weights, modal):  # type: ignore[no-
     """Fill `[kind, medium, m]`: int G cos, G cos psi cos, G sin psi sin, h cos, h (1 - cos psi) cos, h sin psi sin."""
     modal[:] = 0.0
     top = modal.shape[2]
-    if plane == 0.0:  # closer than numbers tell apart: its weight is nothing
+    if plane == 0.0:  # coincident to rounding; the weight vanishes
         return
     a = np.sqrt(plane / (rho * rho_s))
     reach = np.arcsinh(np.pi / a)
@@ -135,15 +141,15 @@ def _modes(rho, rho_s, plane, waves, nodes, weights, modal):  # type: ignore[no-
 
 @compiled(nogil=True, error_model="numpy")
 def _add(target, panel, s, step, weight, sign, waves, degree, nodes, weights, modal, work, row):  # type: ignore[no-untyped-def]  # numba
-    """Add one source point to `row`, `[kernel, m, shape]`; `sign` -1 takes the point's mirror image.
+    """Add one source point to `row`, `[kernel, m, shape]`; `sign` = -1 takes its mirror image.
 
-    `step`: from the target along its own panel; 0 on any other.
+    `step` is the distance from the target along its own panel; 0 on other panels.
     """
     rho, z, t_rho, t_z = target[0], target[1], target[2], target[3]
     rho_s, z_s, u_rho, u_z, speed = locate(panel, s)
     z_s, u_z = sign * z_s, sign * u_z
     dr, dz = rho - rho_s, z - z_s
-    if step != 0.0:  # the normal part of their distance is of its square: all digits count
+    if step != 0.0:  # the normal distance is quadratic in the step, so every digit counts
         dr, dz = _apart(panel, target[4], step)
         dr, dz = -dr, -dz
     _modes(rho, rho_s, dr * dr + dz * dz, waves, nodes, weights, modal)
@@ -188,7 +194,7 @@ def _add(target, panel, s, step, weight, sign, waves, degree, nodes, weights, mo
 
 @compiled(nogil=True, error_model="numpy")
 def _nearest(panel, rho, z, sign):  # type: ignore[no-untyped-def]  # numba
-    """Return s of the panel's point nearest to a target, its distance, and the panel's length."""
+    """Return s of the panel point nearest to a target, its distance, and the panel length."""
     best, where, length = 1e300, 0.0, 0.0
     for n in range(33):
         s = -1.0 + n / 16.0
@@ -217,10 +223,10 @@ def _nearest(panel, rho, z, sign):  # type: ignore[no-untyped-def]  # numba
 
 @compiled(nogil=True, error_model="numpy")
 def fill_rows(panels, targets, homes, waves, degree, far, self_count, nodes, weights, rows):  # type: ignore[no-untyped-def]  # numba
-    """Fill `[target, mirror, panel, kernel, m, shape]` for the targets (rho, z, t_rho, t_z, s) on their home panels.
+    """Fill `[target, mirror, panel, kernel, m, shape]` for targets (rho, z, t_rho, t_z, s) on their home panels.
 
-    `waves` holds the wavenumbers, over the ambient's, of the media inside and outside the panels, whose kernels are
-    summed; or that of the one medium between them and targets on another surface, whose home is -1.
+    `waves` holds the wavenumbers, over the ambient one, inside and outside the panels, whose kernels are summed; or
+    that of the one medium between the panels and targets on another surface, whose home is -1.
     """
     orders = rows.shape[4]
     modal = np.zeros((6, 2, orders), dtype=np.complex128)
@@ -247,7 +253,7 @@ def fill_rows(panels, targets, homes, waves, degree, far, self_count, nodes, wei
                         s, w = 2.0 * nodes[far, n] - 1.0, 2.0 * weights[far, n]
                         _add(target, panel, s, 0.0, w, sign, waves, degree, nodes, weights, modal, work, row)
                     continue
-                # pieces that halve towards the nearest point, down to its distance
+                # bisect towards the nearest point
                 least = 2.0 * distance / length
                 for side in range(2):
                     span = where + 1.0 if side == 0 else 1.0 - where
@@ -269,12 +275,9 @@ def fill_rows(panels, targets, homes, waves, degree, far, self_count, nodes, wei
 __all__ = ["Array", "ComplexArray", "fill_rows", "gauss_table", "locate", "shapes"]
 
 
-# The T-matrix of a body of revolution with a mirror plane, by a boundary integral equation.
-
-
 @dataclass(frozen=True)
 class Mesh:
-    """How finely a body is solved: panels, of its core too where it is a coat, degree of the polynomials, nodes."""
+    """Resolution of a body: panels (also of its core, if coated), polynomial degree, and quadrature nodes."""
 
     panels: Array
     core: Array | None = None
@@ -285,7 +288,7 @@ class Mesh:
 
 
 def _outer_rule(count: int) -> tuple[Array, Array]:
-    """Nodes on (-1, 1) that crowd at both ends, where the inner integral has its logarithms."""
+    """Nodes on (-1, 1), dense at both ends, where the inner integral has its logarithms."""
     x, w = np.polynomial.legendre.leggauss(count)
     return 0.5 * x * (3 - x**2), 1.5 * w * (1 - x**2)
 
@@ -293,15 +296,15 @@ def _outer_rule(count: int) -> tuple[Array, Array]:
 def block_t_matrix(
     mesh: Mesh, index: complex, lmax: int, mmax: int | None = None, core: complex | None = None
 ) -> ComplexArray:
-    """Return T, `[m, n, n']`, in the basis of `axial`.
+    """Return T, `[m, n, n']`, as `AxialTMatrices.blocks`.
 
-    The field in a shell is that of the currents on both its surfaces: on the diagonal stand the operators of the media
-    on either side of a surface, off it those of the shell alone, with a minus.
+    The field in a shell is that of the currents on both its surfaces: the diagonal blocks hold the operators of the
+    media on both sides of a surface, the off-diagonal ones minus those of the shell.
 
     Args:
-        mesh: of lengths times the ambient k.
-        index: of the body, or of its shell, over the ambient's.
-        core: index of what lies inside the mesh's second surface.
+        mesh: lengths times the ambient k.
+        index: of the body or its shell, over the ambient index.
+        core: index inside the second surface of the mesh.
     """
     top = lmax if mmax is None else mmax
     surfaces = [_Surface.of(mesh, panels) for panels in (mesh.panels, mesh.core) if panels is not None]
@@ -334,7 +337,7 @@ def block_t_matrix(
 
 @dataclass(frozen=True)
 class _Surface:
-    """A surface's panels, its targets (rho, z, t_rho, t_z, s), and test functions there, `[panel, shape, target]`.
+    """Panels of a surface, its targets (rho, z, t_rho, t_z, s), and test functions there, `[panel, shape, target]`.
 
     The test functions are rho b_t, (rho b_t)', rho b_p and b_p.
     """
@@ -353,7 +356,7 @@ class _Surface:
 
     @property
     def size(self) -> int:
-        """Number of shape functions on a panel."""
+        """Number of shape functions per panel."""
         return int(self.t.shape[1])
 
     @classmethod
@@ -377,7 +380,7 @@ class _Surface:
 
 
 def _rows(mesh: Mesh, at: _Surface, of: _Surface, waves: list[complex], top: int) -> ComplexArray:
-    """Return the integrals over one surface's panels at the targets of one, see `revolution.fill_rows`."""
+    """Return the integrals over the panels of one surface at the targets of another, see `fill_rows`."""
     homes = np.repeat(np.arange(at.count), len(at.targets) // at.count) if at is of else np.full(len(at.targets), -1)
     rows = np.zeros((len(at.targets), 2, of.count, 16, top + 1, of.size), dtype=complex)
     numbers = np.array(waves, dtype=complex)
@@ -386,7 +389,7 @@ def _rows(mesh: Mesh, at: _Surface, of: _Surface, waves: list[complex], top: int
 
 
 def _block(with_images: tuple[ComplexArray, ...], at: _Surface, of: _Surface, m: int, parity: float) -> ComplexArray:
-    """Return a block of S of one azimuthal order and one parity: the unknowns are J_t, J_p, M_t, M_p."""
+    """Return a block of S of one azimuthal order and one parity; the unknowns are J_t, J_p, M_t, M_p."""
 
     def tested(image: int, kernel: int, test: Array) -> ComplexArray:
         part = with_images[image][:, :, kernel, m].reshape(at.count, -1, of.count * of.size)
@@ -412,7 +415,7 @@ def _block(with_images: tuple[ComplexArray, ...], at: _Surface, of: _Surface, m:
         left, right = _joined(at, rows), _joined(of, columns)
         return np.block([[left.T @ parts[0] @ right, left.T @ parts[1]], [parts[2] @ right, parts[3]]])
 
-    # J goes with the parity, M against it; of the t components the odd ones vanish on the equator
+    # J has the parity, M the opposite one; odd t components vanish on the equator
     j, mag = parity, -parity
     e_j, h_m = square(electric(0, E_TT), j, j), square(electric(1, H_TT), mag, mag)
     k_m, k_j = square(crossed(1), j, mag), square(crossed(0), mag, j)
@@ -420,9 +423,9 @@ def _block(with_images: tuple[ComplexArray, ...], at: _Surface, of: _Surface, m:
 
 
 def _joined(surface: _Surface, parity: float) -> Array:
-    """Return the matrix from continuous functions to the panels' own, `[panel x shape, unknown]`.
+    """Return the matrix from continuous functions to those of the panels, `[panel x shape, unknown]`.
 
-    A vector field that goes with the mirror has an odd t component, counted along the curve: none on the equator.
+    A vector field even in the mirror has an odd t component along the curve, zero on the equator.
     """
     count, size = surface.count, surface.size
     unknowns = count * (size - 2) + count + (0 if parity > 0 else 1)
@@ -437,7 +440,7 @@ def _joined(surface: _Surface, parity: float) -> Array:
 
 
 def _waves(targets: Array, lmax: int, top: int) -> dict[str, Array]:
-    """Tangential components of the regular waves at the targets, `[m, l, target]`, without their factors i."""
+    """Tangential components of the regular waves at the targets, `[m, l, target]`, without factors i."""
     rho, z, t_rho, t_z = targets[:, 0], targets[:, 1], targets[:, 2], targets[:, 3]
     x = np.hypot(rho, z)
     cos, sin = z / x, rho / x

@@ -1,40 +1,88 @@
-"""T-matrices that couple azimuthal orders: particles that look otherwise when they are turned about the normal.
+"""Full T-matrices, which couple azimuthal orders: particles without rotational symmetry about the normal.
 
-Multipoles are n = (m, tau, l) with m from -L to L, in the order of `neighbours.multipole_index` and in the phases of
-`angular`: those of the community's files but for the sign of Condon and Shortley, (-1)^m for m > 0.
+Multipoles are n = (m, tau, l) with m from -L to L, in the order of `multipole_index` and the phases of
+`special_functions`: those of tmat.h5 files without the Condon-Shortley sign, (-1)^m for m > 0.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.arrays import ComplexArray
-from nacre.families.metasurface.monolayer.translation_sums import MultipoleIndex, multipole_index
+
+IntArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class MultipoleIndex:
+    """Flat index of multipoles up to order L: arrays `[n]` of m, tau and l."""
+
+    order: int
+    m: IntArray
+    tau: IntArray
+    l: IntArray
+
+    @property
+    def block(self) -> IntArray:
+        """Position on the (tau, l) axis of `plane_wave_vectors`."""
+        return self.tau * self.order + self.l - 1
+
+
+@lru_cache(maxsize=8)
+def multipole_index(order: int) -> MultipoleIndex:
+    """Return the index of all (m, tau, l) with |m| <= l <= order."""
+    rows = [(m, tau, l) for m in range(-order, order + 1) for tau in range(2) for l in range(max(1, abs(m)), order + 1)]
+    m, tau, l = np.array(rows, dtype=np.intp).T
+    return MultipoleIndex(order, m, tau, l)
+
+
+def with_negative_orders(vectors: ComplexArray, index: MultipoleIndex) -> ComplexArray:
+    """Expand `[m >= 0, pol, (tau, l), ...]` to all m: `[pol, n, ...]`.
+
+    m -> -m changes the sign of the m pi functions, those with tau != pol.
+    """
+    picked = vectors[np.abs(index.m), :, index.block]  # advanced indices lead: [n, pol, ...]
+    flips = (index.m[:, None] < 0) & (index.tau[:, None] != np.arange(2))
+    sign = np.where(flips, -1.0, 1.0).reshape(len(index.m), 2, *([1] * (vectors.ndim - 3)))
+    return np.moveaxis(picked * sign, 0, 1)
+
+
+def azimuthal_blocks(matrix: ComplexArray, lmax: int, mmax: int) -> ComplexArray:
+    """Return the blocks `[m, (tau, l), (tau, l)']` of an `[n, n']`, zero beyond its order; see `spread_blocks`."""
+    order = full_order(matrix)
+    index = multipole_index(order)
+    rows = index.tau * lmax + index.l - 1
+    out = np.zeros((mmax + 1, 2 * lmax, 2 * lmax), dtype=complex)
+    for m in range(min(order, mmax) + 1):
+        here = index.m == m
+        out[m, rows[here][:, None], rows[here]] = matrix[here][:, here]
+    return out
 
 
 @lru_cache(maxsize=32)
-def kept_index(lmax: int, mmax: int) -> tuple[MultipoleIndex, NDArray[np.intp]]:
+def truncated_index(lmax: int, mmax: int) -> tuple[MultipoleIndex, IntArray]:
     """Return the multipoles up to `lmax` with |m| <= `mmax`, and their places among all up to `lmax`."""
     every = multipole_index(lmax)
     kept = np.nonzero(np.abs(every.m) <= mmax)[0]
     return MultipoleIndex(lmax, every.m[kept], every.tau[kept], every.l[kept]), kept
 
 
-def whole_order(matrix: ComplexArray) -> int:
-    """Return the highest l of T over all m, `[..., n, n']`: there are 2 L (L + 2) multipoles."""
+def full_order(matrix: ComplexArray) -> int:
+    """Return the highest l of matrices over all m, `[..., n, n']`, of 2 L (L + 2) multipoles."""
     return round(np.sqrt(matrix.shape[-1] / 2 + 1)) - 1
 
 
-def truncated_whole(matrix: ComplexArray, lmax: int) -> ComplexArray:
-    """Return T over all m, `[n, n']`, with the multipoles up to `lmax` alone."""
-    kept = np.nonzero(multipole_index(whole_order(matrix)).l <= lmax)[0]
+def truncated_full(matrix: ComplexArray, lmax: int) -> ComplexArray:
+    """Return a full T, `[n, n']`, with multipoles up to `lmax`."""
+    kept = np.nonzero(multipole_index(full_order(matrix)).l <= lmax)[0]
     return np.asarray(matrix[kept[:, None], kept])
 
 
-def spread(blocks: ComplexArray, index: MultipoleIndex) -> ComplexArray:
+def spread_blocks(blocks: ComplexArray, index: MultipoleIndex) -> ComplexArray:
     """Return blocks `[m >= 0, (tau, l), (tau, l)']` of an axisymmetric operator over the multipoles of `index`."""
     rows = index.tau * (blocks.shape[1] // 2) + index.l - 1
     sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau), -1.0, 1.0)
@@ -42,36 +90,36 @@ def spread(blocks: ComplexArray, index: MultipoleIndex) -> ComplexArray:
     return np.asarray(np.where(same, blocks[np.abs(index.m)[:, None], rows[:, None], rows] * sign, 0.0))
 
 
-def file_signs(index: MultipoleIndex) -> NDArray[np.float64]:
-    """Return the sign of Condon and Shortley of each multipole, `[n]`."""
+def condon_shortley_signs(index: MultipoleIndex) -> NDArray[np.float64]:
+    """Return the Condon-Shortley sign of each multipole, `[n]`."""
     return np.where((index.m > 0) & (index.m % 2 == 1), -1.0, 1.0)
 
 
-def reversed_whole(matrix: ComplexArray) -> ComplexArray:
-    """Return T of light that runs backwards, `[..., n, n']`; a reciprocal particle's is the same.
+def reversed_full(matrix: ComplexArray) -> ComplexArray:
+    """Return T of reversed light, `[..., n, n']`; equal to T for a reciprocal particle.
 
-    T_(m tau l),(m' tau' l') becomes T_(-m' tau' l'),(-m tau l) times the sign of tau and tau': a wave that runs
-    backwards turns the other way about the axis, and B goes to its adjoint.
+    T_(m tau l),(m' tau' l') becomes T_(-m' tau' l'),(-m tau l) times the signs of tau and tau': a reversed wave rotates
+    the other way about the axis, and B becomes its adjoint.
     """
-    index = multipole_index(whole_order(matrix))
+    index = multipole_index(full_order(matrix))
     places = {key: i for i, key in enumerate(zip(index.m.tolist(), index.tau.tolist(), index.l.tolist(), strict=True))}
     partner = [places[(-m, tau, l)] for (m, tau, l) in places]
     return np.asarray(np.swapaxes(matrix, -1, -2)[..., partner, :][..., :, partner])
 
 
-def turned_whole(matrix: ComplexArray, turn_rad: float) -> ComplexArray:
-    """Return T, `[..., n, n']`, of the particle turned about the normal, from x towards y."""
-    phase = np.exp(-1j * multipole_index(whole_order(matrix)).m * turn_rad)
+def rotated_full(matrix: ComplexArray, turn_rad: float) -> ComplexArray:
+    """Return T, `[..., n, n']`, of the particle rotated about the normal, from x towards y."""
+    phase = np.exp(-1j * multipole_index(full_order(matrix)).m * turn_rad)
     return np.asarray(phase[:, None] * matrix * phase.conj())
 
 
-def tilted_whole(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
-    """Return T, `[..., n, n']`, of the particle turned about y, from z towards x: by a right angle an upright rod lies.
+def tilted_full(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
+    """Return T, `[..., n, n']`, of the particle rotated about y, from z towards x.
 
-    Multipoles of one l and kind turn among themselves by d = exp(-i tilt J_y), in the phases of Condon and Shortley;
-    J_y has (m + 1, m) = sqrt(l (l + 1) - m (m + 1)) / 2i.
+    Multipoles of one l and tau mix by d = exp(-i tilt J_y), in Condon-Shortley phases; J_y has
+    (m + 1, m) = sqrt(l (l + 1) - m (m + 1)) / 2i.
     """
-    index = multipole_index(whole_order(matrix))
+    index = multipole_index(full_order(matrix))
     turn = np.zeros((len(index.m), len(index.m)))
     for l in range(1, index.order + 1):
         m = np.arange(-l, l)
@@ -79,8 +127,8 @@ def tilted_whole(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
         values, vectors = np.linalg.eigh((raised - raised.T) / 1j)
         d = ((vectors * np.exp(-1j * tilt_rad * values)) @ vectors.conj().T).real
         for tau in range(2):
-            rows = np.nonzero((index.l == l) & (index.tau == tau))[0]  # m ascends
+            rows = np.nonzero((index.l == l) & (index.tau == tau))[0]  # ascending m
             turn[rows[:, None], rows] = d
-    sign = file_signs(index)
+    sign = condon_shortley_signs(index)
     turn *= sign[:, None] * sign
     return np.asarray(turn @ matrix @ turn.T)

@@ -1,4 +1,4 @@
-"""The particles of a recipe: their sizes and their coating."""
+"""Spheres, cylinders and spheroids, optionally coated: size distributions, meshes and T-matrices."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SIZE_NODES = 5
 
 @dataclass(frozen=True)
 class Shell:
-    """A coating round the core."""
+    """A coating around the core."""
 
     material: OpticalConstant
     thickness_nm: float
@@ -35,7 +35,7 @@ class Shell:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Radii of the cores of spheres, or whole ones of other particles, and their shares in number."""
+    """Core radii of spheres, or full radii of other particles, and their number fractions."""
 
     radii_nm: tuple[float, ...]
     shares: tuple[float, ...]
@@ -72,39 +72,37 @@ def sphere_t_matrix(
     return np.concatenate([-b, -a])
 
 
-# Discs, rods and spheroids, bare or in a coat: meshes of their outlines, and T-matrices with a stated error.
-
-LEAST_ORDER, HIGHEST_ORDER = 20, 28  # close to a stack discs settle with l and its cut: at 10 to 1 %, at 20 to .2 %
-EXPORTED_ORDER = 10  # of a file: 48 wavelengths of all orders would have 600 MB
+LEAST_ORDER, HIGHEST_ORDER = 20, 28  # discs near a stack converge to 1 % at l = 10, to 0.2 % at l = 20
+EXPORTED_ORDER = 10  # limits an exported file of 48 wavelengths, 600 MB with all orders
 SHORTEST_NM = 360.0
-GRADING = 0.15  # of panels towards an edge: after n levels GRADING^(2 n nu) is left, nu the exponent of the field there
-LADDER, CONTENT = (3, 7, 14), 1e-3  # levels, and what is good enough: nu is .5 to .8, but near 0 for silver at 360 nm
-SMOOTH_LADDER = (-1, 0, 3)  # panels more than needed, of a spheroid
-LONGEST = 4.0  # of a panel, over the index: degree 6 resolves two thirds of a wavelength to 1e-7
-LONGEST_OVER_WIDTH = 3.0  # of a panel over the least extent: the far side's field varies as fast
+GRADING = 0.15  # ratio of panels towards an edge: GRADING^(2 n nu) remains after n levels, nu the field exponent
+LADDER, CONTENT = (3, 7, 14), 1e-3  # levels, and the target error: nu is 0.5 to 0.8, but near 0 for silver at 360 nm
+SMOOTH_LADDER = (-1, 0, 3)  # additional panels of a spheroid
+LONGEST = 4.0  # panel length times index; degree 6 resolves two thirds of a wavelength to 1e-7
+LONGEST_OVER_WIDTH = 3.0  # panel length over the smallest extent: the field of the far side varies as fast
 MOST_PANELS, MOST_WITH_COAT = 40, 60
-REFUSED = 1e-2  # of the estimated error, relative
+REFUSED = 1e-2  # largest accepted relative error
 CHECKED_ORDER = 3
-RIM_PIECES = 2  # of a coat's rim
-CLOSER = 1.5  # of a coat's next mesh
-COAT_STEPS = 4.0  # of the grading beyond its thickness
-SEEN = 0.5  # of a coat's thickness: nearer to the edge its outside does not see how the core is cut
+RIM_PIECES = 2  # panels on the rim of a coat
+CLOSER = 1.5  # refinement of the next mesh of a coat
+COAT_STEPS = 4.0  # grading ratio beyond the coat thickness
+SEEN = 0.5  # fraction of the coat thickness; closer to the edge the outer surface need not follow the core mesh
 COARSE = partial(Mesh, degree=4, outer=10, far=8, on_itself=10)
 
 
 def cylinder_panels(
     radius: float, height: float, index: float, levels: int = LADDER[0], coat: float = 0.0
 ) -> tuple[Array, Array]:
-    """Return panels of the upper half of an upright cylinder, and of the outside of a coat, round about the edge.
+    """Return panels of the upper half of a cylinder, and of the outer surface of a coat, rounded about the edge.
 
-    From the axis along the top and down to the middle, graded towards the edge. Where the two surfaces are close they
-    are cut at the same places, since the fields of a panel's currents change at its ends.
+    They run from the axis along the top to the equator, graded towards the edge. Close surfaces are cut at the same
+    places, since the fields of the panel currents change at the ends.
 
     Args:
         radius, height: of the cylinder, times the ambient k.
-        index: the highest modulus there is, over the ambient's.
+        index: highest modulus of the indices over the ambient index.
         levels: of the grading.
-        coat: its thickness times the ambient k.
+        coat: thickness times the ambient k.
     """
     longest = min(LONGEST / max(1.0, index), LONGEST_OVER_WIDTH * min(2 * radius, height))
     bare: list[tuple[float, ...]] = []
@@ -116,7 +114,7 @@ def cylinder_panels(
             marks += [low + (high - low) * n / pieces for n in range(1, pieces + 1)]
         seen = [0.0, *(m for m in marks[1:-1] if m > SEEN * coat), length]
         for rows, kept, out in ((bare, marks, 0.0), (coated, seen, coat)):
-            ends = [length - m for m in kept]  # from the axis, or from the middle
+            ends = [length - m for m in kept]  # from the axis or the equator
             if is_top:
                 rows += [(0.0, low, height / 2 + out, high, height / 2 + out, 0.0) for high, low in pairwise(ends)][
                     ::-1
@@ -130,7 +128,7 @@ def cylinder_panels(
 
 
 def _grading(length: float, width: float, levels: int, coat: float) -> list[float]:
-    """Return where a line is cut, from an edge; steps of a coat's thickness are among the cuts."""
+    """Return the cuts of a line from an edge; multiples of the coat thickness are among them."""
     first = min(width, length)
     finest = first * GRADING**levels
     if not finest < coat < length / 2:
@@ -141,13 +139,13 @@ def _grading(length: float, width: float, levels: int, coat: float) -> list[floa
 
 
 def film_mode(core: complex, coat: complex, thickness: float) -> float:
-    """Return the wavenumber of the shortest wave that a thin coat guides, of a metal say, over the ambient's k.
+    """Return the wavenumber of the shortest wave guided by a thin coat, over the ambient k, in the quasistatic limit.
 
-    Without retardation, between two half spaces: e^(2 k t) = (e - e1)(e - e2) / ((e + e1)(e + e2)).
+    Between two half spaces: e^(2 k t) = (e - e1)(e - e2) / ((e + e1)(e + e2)).
     """
     e, around = coat**2, (1.0 + 0.0j, core**2)
     above, below = (complex(np.prod([e + sign * other for other in around])) for sign in (-1.0, 1.0))
-    if abs(above) <= abs(below) or below == 0.0:  # none; or of no wavelength at all, at the surface's own resonance
+    if abs(above) <= abs(below) or below == 0.0:  # no guided wave, or a surface resonance
         return 0.0
     return float(abs(np.log(above / below))) / (2 * thickness)
 
@@ -159,7 +157,7 @@ def _turns(count: int) -> Array:
 def spheroid_panels(radius: float, height: float, index: float, coarser: int = 0, coat: float = 0.0) -> Array:
     """Return panels of the upper half of a spheroid, from the pole to the equator; see `cylinder_panels`.
 
-    With a `coat`, of the outside of one so thick; without their last column they are the core's.
+    With `coat`, they are those of the outer surface; without their last column, those of the core.
     """
     a, c = radius, height / 2
     count = 2
@@ -173,14 +171,14 @@ def spheroid_panels(radius: float, height: float, index: float, coarser: int = 0
 
 @dataclass(frozen=True)
 class SolvedBody(Body):
-    """A cylinder or spheroid, its axis along the normal, whose T-matrix is computed. See `Body`.
+    """A cylinder or spheroid with its axis along the normal, whose T-matrix is computed by `bem`. See `Body`.
 
     Attributes:
         radius_nm, height_nm: with the shell.
-        core: its material, or what the shell coats.
-        ambient: the medium around.
-        shell: a coat of even thickness, round about a cylinder's edges, or None.
-        edge_nm: radius of the edges of a cylinder, of its core; 0: they are sharp.
+        core: material of the core.
+        ambient: the surrounding medium.
+        shell: a coat of uniform thickness, rounded about the edges of a cylinder, or None.
+        edge_nm: edge radius of a cylinder core; 0 for sharp edges.
     """
 
     method: ClassVar[str] = "PMCHWT, Galerkin, body of revolution"
@@ -197,7 +195,7 @@ class SolvedBody(Body):
 
     @property
     def name(self) -> str:  # type: ignore[override]  # read only, as all of a frozen dataclass
-        """What it is, in words."""
+        """Description of the particle."""
         radius, height = self.core_extents_nm
         coat = "" if self.shell is None else f", in {self.shell.thickness_nm:g} nm of {self.shell.material.name}"
         edge = f", edges of {self.edge_nm:g} nm" if self.edge_nm else ""
@@ -218,13 +216,13 @@ class SolvedBody(Body):
         corner = float(np.hypot(radius - self.edge_nm, height / 2 - self.edge_nm))
         return corner + self.edge_nm + self.radius_nm - radius
 
-    def of_radius(self, radius_nm: float) -> SolvedBody:
-        """Return the same particle with another width, its height as it is; estimated errors are gathered in both."""
+    def with_radius(self, radius_nm: float) -> SolvedBody:
+        """Return the same particle with another width and the same height; both share the error estimates."""
         return replace(self, radius_nm=radius_nm)
 
     @cached_property
     def lmax(self) -> int:  # type: ignore[override]
-        """Highest multipole order: as Mie series need it, and at least what a near stack asks for.
+        """Highest multipole order: as for Mie series, and at least what a near stack needs.
 
         Raises:
             UnsupportedError: the particle is too large.
@@ -240,8 +238,8 @@ class SolvedBody(Body):
         return order
 
     @property
-    def stated_error(self) -> float | None:
-        """The largest difference between two meshes, over the wavelengths that were asked for, relative to T."""
+    def estimated_error(self) -> float | None:
+        """The largest relative difference between two meshes over the computed wavelengths."""
         return max(self.errors.values(), default=None)
 
     @cached_property
@@ -258,20 +256,20 @@ class SolvedBody(Body):
         return self.azimuthal(float(wavelength_nm), AZIMUTHAL_ORDERS)
 
     def azimuthal(self, wavelength_nm: float, mmax: int) -> ComplexArray:
-        """Return T as `t_matrix` does, with m up to `mmax`."""
+        """Return T with m up to `mmax`; see `t_matrix`."""
         key = (wavelength_nm, mmax)
         if key not in self._solved:
             self._solved[key] = self._kept(wavelength_nm, mmax)
         return self._solved[key]
 
     def _numbers(self, wavelength_nm: float) -> tuple[float, float, complex]:
-        """Radius and height of the core times k, and its index over the ambient's."""
+        """Core radius and height times k, and core index over the ambient index."""
         k, around = self._around(wavelength_nm)
         radius, height = self.core_extents_nm
         return k * radius, k * height, complex(self.core.n_complex(np.array([wavelength_nm]))[0]) / around
 
     def _coat(self, wavelength_nm: float) -> tuple[float, complex] | None:
-        """Thickness of the shell times k, and its index over the ambient's."""
+        """Shell thickness times k, and shell index over the ambient index."""
         if self.shell is None:
             return None
         k, around = self._around(wavelength_nm)
@@ -295,7 +293,7 @@ class SolvedBody(Body):
         if stored and {"real", "imaginary", "error"} <= stored.keys():
             found, error = stored["real"] + 1j * stored["imaginary"], float(stored["error"])
         else:
-            with single_threaded_blas():  # the matrices are small, and whoever asks has threads of its own
+            with single_threaded_blas():  # the matrices are small, and callers run in threads
                 found, error = self._solve(radius, height, index, mmax, coat, edge)
             cache_arrays(key, {"real": found.real, "imaginary": found.imag, "error": np.array(error)})
         self.errors[wavelength_nm] = max(error, self.errors.get(wavelength_nm, 0.0))
@@ -327,7 +325,7 @@ class SolvedBody(Body):
         coat: tuple[float, complex] | None = None,
         edge: float = 0.0,
     ) -> tuple[ComplexArray, float]:
-        """Return T and its estimated error; `coat`: its thickness and index; `edge`: its radius."""
+        """Return T and its estimated error; `coat` is (thickness, index), `edge` the edge radius."""
         thickness, shell = (0.0, index) if coat is None else coat
         highest = max(abs(index), abs(shell))
         if coat is not None:
@@ -335,7 +333,7 @@ class SolvedBody(Body):
 
         def mesh(fineness: int, closer: float, make: Callable[..., Mesh] = Mesh) -> Mesh:
             if self.shape == "cylinder":
-                # a rounded cylinder is the even coat of a smaller sharp one
+                # a rounded cylinder is the outer surface of a coat on a smaller sharp one
                 sharp = (radius - edge, height - 2 * edge, closer * highest, fineness)
                 core, outside = cylinder_panels(*sharp, edge + thickness)
                 if edge:
@@ -353,14 +351,14 @@ class SolvedBody(Body):
             if error <= CONTENT:
                 break
             before = now
-            # beside a coat's edge and over a thin film the grading towards the core's edge is not all there is to it
+            # refine a coat also away from the core edge
             closer *= 1.0 if coat is None and not edge else CLOSER
         return found, error
 
     def _compared(
         self, fine: Mesh, coarse: Mesh, index: complex, mmax: int, coat: tuple[float, complex] | None
     ) -> tuple[ComplexArray, float]:
-        """Return T and what a coarser mesh differs by, which is more than what is left."""
+        """Return T and its relative difference from a coarser mesh, an upper bound of its error."""
         count = len(fine.panels) + (0 if fine.core is None else len(fine.core))
         if count > (MOST_PANELS if coat is None else MOST_WITH_COAT):
             raise UnsupportedError(
@@ -376,10 +374,10 @@ class SolvedBody(Body):
         return found, max(change, gain(found), 1e-6)
 
     def index(self, wavelength_nm: float) -> complex | None:
-        """Return the particle's own index."""
+        """Return the refractive index of the particle."""
         return complex(self.core.n_complex(np.array([wavelength_nm]))[0])
 
-    def all_known(self, wavelengths_nm: Array) -> AxialTMatrices:
+    def exported_t_matrices(self, wavelengths_nm: Array) -> AxialTMatrices:
         """Return the T-matrices at some wavelengths, with every azimuthal order, up to l = 10."""
 
         def whole(wavelength_nm: float) -> ComplexArray:

@@ -1,7 +1,11 @@
-"""Bessel functions of complex argument for many points at once: all orders 0..mu of J from one recurrence.
+"""Bessel functions of complex argument and vector angular functions for multipole expansions.
 
-scipy evaluates one order at a time, some 1 us each; the neighbour sums need every order at 1e5 points a
-wavelength, which one downward (Miller) or one asymptotic start gives together.
+`bessel_j` returns all orders 0..mu at many points from one recurrence: scipy evaluates one order at a time, about 1 us
+each, and the neighbour sums need every order at 1e5 points per wavelength.
+
+The angular functions join spherical multipoles and plane waves, also at complex angles. They use normalised associated
+Legendre functions without the Condon-Shortley phase, int_0^pi P^2 sin = 1. A multipole is n = (tau, l) with tau = 0
+magnetic (TE), 1 electric (TM); arrays hold it on one axis as `tau * lmax + l - 1`. Entries with l < m are zero.
 """
 
 from __future__ import annotations
@@ -15,14 +19,14 @@ from scipy.special import hankel1e, hankel2e
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.jit import compiled
 
-ASYMPTOTIC_FROM = 28.0  # beyond, Hankel's expansion has 13 digits
+ASYMPTOTIC_FROM = 28.0  # |z| above which Hankel's expansion has 13 digits
 SERIES_BELOW = 0.05
-LANES = 16  # points side by side: two or four vectors of the processor, whose waits they fill
+LANES = 16  # points processed together: two or four vector registers
 
 
 @compiled(nogil=True)
 def _hankel_sums(nu, inverse):  # type: ignore[no-untyped-def]  # numba
-    """P and Q of Hankel's expansion in 1/z."""
+    """P and Q of Hankel's asymptotic expansion in 1/z."""
     mu = 4.0 * nu * nu
     p, q, term = 1.0 + 0.0j, 0.0 + 0.0j, 1.0 + 0.0j
     for j in range(1, 30):
@@ -38,7 +42,7 @@ def _hankel_sums(nu, inverse):  # type: ignore[no-untyped-def]  # numba
 
 @compiled(nogil=True)
 def _asymptotic(z):  # type: ignore[no-untyped-def]  # numba
-    """J_0 and J_1, which share one exponential: their phases are a quarter turn apart."""
+    """J_0 and J_1 from one exponential: their phases differ by a quarter turn."""
     inverse = 1.0 / z
     wave = np.exp(1.0j * (z - 0.25 * np.pi))
     back = 1.0 / wave
@@ -65,7 +69,7 @@ def _far_hankel(z, sign, out):  # type: ignore[no-untyped-def]  # numba
 def hankel_scaled(z: ComplexArray, sign: int) -> ComplexArray:
     """Return e^(-i sign z) H_0 and H_1, `[order, n]`, of the first kind for sign = 1, of the second for -1.
 
-    Far from 0 by Hankel's expansion, a fifth of the time that scipy's general routine takes.
+    Large arguments use Hankel's expansion, five times faster than scipy's general routine.
     """
     out = np.empty((2, z.size), dtype=complex)
     far = np.abs(z) > ASYMPTOTIC_FROM
@@ -80,7 +84,7 @@ def hankel_scaled(z: ComplexArray, sign: int) -> ComplexArray:
 
 @compiled(nogil=True)
 def _series(x, out, i):  # type: ignore[no-untyped-def]  # numba
-    """J_m of a small x: three terms of the power series are enough below `SERIES_BELOW`, five are taken."""
+    """J_m of a small x by five terms of the power series; three suffice below `SERIES_BELOW`."""
     half = 0.5 * x
     square, lead = -half * half, 1.0 + 0.0j
     for m in range(out.shape[0]):
@@ -94,12 +98,12 @@ def _series(x, out, i):  # type: ignore[no-untyped-def]  # numba
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract"})
 def _downward(state, start, top, kept):  # type: ignore[no-untyped-def]  # numba
-    """Miller's recurrence of `LANES` points side by side, `state` in rows of LANES: 2/x, J_n+1, J_n, even, odd sums.
+    """Miller's downward recurrence for `LANES` points; rows of `state`: 2/x, J_n+1, J_n, even sum, odd sum.
 
-    One point alone waits for each of its products; side by side in one array they become vector instructions. Rows
-    alternate real and imaginary parts.
+    The points form vector instructions, which hide the latency of each product. Rows alternate real and imaginary
+    parts.
     """
-    sign = 1.0 if start % 4 < 2 else -1.0  # of turn^n, but for a factor `turn` where n is odd
+    sign = 1.0 if start % 4 < 2 else -1.0  # sign of turn^n, without one factor `turn` for odd n
     for n in range(start, 0, -1):
         if n <= top:
             for j in range(2 * LANES):
@@ -123,7 +127,7 @@ def _downward(state, start, top, kept):  # type: ignore[no-untyped-def]  # numba
 
 @compiled(nogil=True)
 def _together(z, places, count, start, out, state, kept):  # type: ignore[no-untyped-def]  # numba
-    """Fill in `count` points, at most `LANES`, by the recurrence down from order `start`."""
+    """Fill at most `LANES` points by the recurrence down from order `start`."""
     top = out.shape[0] - 1
     state[:] = 0.0
     for j in range(LANES):
@@ -134,7 +138,7 @@ def _together(z, places, count, start, out, state, kept):  # type: ignore[no-unt
     _downward(state, start, top, kept)
     for j in range(count):
         i = places[j]
-        # e^{-+iz} = J_0 + 2 sum (-+i)^n J_n: the sign is taken so that the sum is large and does not cancel
+        # e^{-+iz} = J_0 + 2 sum (-+i)^n J_n: this sign avoids cancellation
         turn = -1.0j if z[i].imag >= 0 else 1.0j
         now = complex(state[4 * LANES + j], state[5 * LANES + j])
         even = complex(state[6 * LANES + j], state[7 * LANES + j])
@@ -149,7 +153,7 @@ def _together(z, places, count, start, out, state, kept):  # type: ignore[no-unt
 def _fill(z, out):  # type: ignore[no-untyped-def]  # numba
     top = out.shape[0] - 1
     state, kept = np.empty(10 * LANES), np.empty(2 * LANES * (top + 1))
-    # in an array: of plain numbers numba compiles what it calls twice, once for a 0 that it knows
+    # an array, since numba would compile the callee twice for constant and variable arguments
     places, waiting = np.empty(LANES, np.int64), np.zeros(2, np.int64)  # how many wait, and the order to begin at
     for i in range(z.size):
         x = z[i]
@@ -167,7 +171,7 @@ def _fill(z, out):  # type: ignore[no-untyped-def]  # numba
                 before, now = now, m * (twice * now) - before
                 out[m + 1, i] = now
             continue
-        # J_n ~ (e x / 2n)^n is below 1e-17 from here on
+        # J_n ~ (e x / 2n)^n is below 1e-17 from this order on
         silent = min(18.0 + 2.0 * size, size + 24.0 + 4.0 * size ** (1.0 / 3.0))
         waiting[1] = max(waiting[1], int(max(silent, top + 2.0 + size)))
         places[waiting[0]] = i
@@ -180,7 +184,7 @@ def _fill(z, out):  # type: ignore[no-untyped-def]  # numba
 
 
 def bessel_j(z: NDArray, top: int) -> ComplexArray:
-    """Return J_0..J_top at complex z with Re z >= 0, `[order, ...]`, to 1e-12 relative to max |J|."""
+    """Return J_0..J_top at complex z with Re z >= 0, `[order, ...]`, to 1e-12 of max |J|."""
     z = np.ascontiguousarray(z, dtype=complex)
     out = np.zeros((top + 1, z.size), dtype=complex)
     _fill(z.ravel(), out)
@@ -188,7 +192,7 @@ def bessel_j(z: NDArray, top: int) -> ComplexArray:
 
 
 def spherical_hankel_scaled(z: NDArray, top: int) -> ComplexArray:
-    """Return h_p^(1)(z) e^{-iz} for p = 0..top, `[p, ...]`; upward recurrence, stable for the outgoing wave."""
+    """Return h_p^(1)(z) e^{-iz} for p = 0..top, `[p, ...]`, by the upward recurrence, stable for outgoing waves."""
     z = np.asarray(z, dtype=complex)
     out = np.empty((top + 1, *z.shape), dtype=complex)
     out[0] = -1j / z
@@ -199,12 +203,9 @@ def spherical_hankel_scaled(z: NDArray, top: int) -> ComplexArray:
     return out
 
 
-# Vector angular functions that join spherical multipoles and plane waves, also at complex angles.
-
-
 @lru_cache(maxsize=64)
 def _recurrence(lmax: int, mmax: int) -> tuple[Array, Array, Array, Array]:
-    """Coefficients of the recurrences of pi and tau: c_m, A_l^m, B_l^m and the tau coefficient."""
+    """Recurrence coefficients of pi and tau: c_m, A_l^m, B_l^m and the tau coefficient."""
     m = np.arange(mmax + 1)[:, None].astype(float)
     l = np.arange(lmax + 2)[None, :].astype(float)
     valid = l > m
@@ -224,7 +225,7 @@ def _fill_angular(w, sine, start, a, b, t, tau, mpi):  # type: ignore[no-untyped
     mcount, lmax, count = tau.shape
     for j in range(count):
         x, s = w[j], sine[j]
-        # order 0: pi_l^0 would divide by sin; tau_l^0 follows from pi_l^1 instead
+        # order 0: pi_l^0 divides by sin, but tau_l^0 follows from pi_l^1
         before, now = 0.0 * x, start[1] + 0.0 * x
         for l in range(1, lmax + 1):
             tau[0, l - 1, j] = -np.sqrt(l * (l + 1.0)) * s * now
@@ -253,12 +254,14 @@ def _next(a, b, l, m, x, now, before):  # type: ignore[no-untyped-def]  # see _f
 def angular_functions(w: NDArray, lmax: int, mmax: int, sine: NDArray | None = None) -> tuple[NDArray, NDArray]:
     """Return tau_l^m = dP/dtheta and m pi_l^m = m P/sin at w = cos(theta), each `[m, l, ...]`.
 
-    Args:
-        w: cosines, real or complex, any shape; sin = sqrt(1 - w^2) is taken with a real part >= 0.
-        lmax, mmax: highest degree and azimuthal order.
-        sine: the sines, where the caller knows them better than 1 - w^2 does.
+    Three-term recurrences in l on pi itself, exact also on the axis.
 
-    Source: three-term recurrences in l on pi itself, exact also on the axis. Example: tau_1^1(1) = sqrt(3)/2.
+    Args:
+        w: cosines, real or complex, any shape.
+        lmax, mmax: highest degree and azimuthal order.
+        sine: sines more accurate than sqrt(1 - w^2), the default, whose real part is >= 0.
+
+    Example: tau_1^1(1) = sqrt(3)/2.
     """
     w = np.asarray(w)
     kind = complex if np.iscomplexobj(w) else float
@@ -301,10 +304,7 @@ def _phases(lmax: int, mmax: int) -> tuple[ComplexArray, Array]:
 
 
 def plane_wave_vectors(w: NDArray, lmax: int, mmax: int, sine: NDArray | None = None) -> ComplexArray:
-    """Return B_n,pol(w), the multipole amplitudes of a plane wave, `[m, pol, n, ...]` with pol 0 = s, 1 = p.
-
-    Args: as for `angular_functions`.
-    """
+    """Return B_n,pol(w), the multipole amplitudes of a plane wave, `[m, pol, n, ...]` with pol 0 = s, 1 = p."""
     w = np.asarray(w)
     tau, mpi = angular_functions(w, lmax, mmax, sine)
     phase, _ = _phases(lmax, mmax)
@@ -324,7 +324,7 @@ def mirrored(b: ComplexArray) -> ComplexArray:
 
 
 def adjoint(b: ComplexArray) -> ComplexArray:
-    """Return Bdag(w) from B(w): i -> -i in the prefactors, the angular functions not conjugated."""
+    """Return Bdag(w) from B(w): i -> -i in the prefactors; the angular functions are not conjugated."""
     lmax = b.shape[2] // 2
     phase, _ = _phases(lmax, b.shape[0] - 1)
     turn = (phase.conj() / phase).reshape(1, 2, 2 * lmax, *([1] * (b.ndim - 3)))

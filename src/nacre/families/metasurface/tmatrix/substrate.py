@@ -1,9 +1,11 @@
-"""How a stack sends plane waves of multipoles back to where they came from: what all integrals over it are made of.
+"""Planar stack below or around the particles at one wavelength, and its reflection of multipole plane waves.
 
-Over a stack a wave that goes down comes back up, and that is all. In a layer both faces reflect: with R_b and R_a the
-reflections below and above, phase at the centre, waves sent down (up) come back up (down) with R_b (R_a) over
-1 - R_a R_b, and either in its own direction with R_a R_b over the same. Between centres at unlike heights the phases of
-the first two count from the mean height; in its own direction a wave that rises gathers more on its way to the higher.
+`nacre.matter.stack` solves the stratified media at w = kz/k in the medium of the particles, which may be complex.
+
+Above a stack, a downward wave returns upward. Inside a layer both faces reflect: with R_b and R_a the reflections
+below and above, phase at the centre, waves return reversed with R_b (R_a) over 1 - R_a R_b and in their own direction
+with R_a R_b over the same. For centres at different heights, the phases of the first two refer to the mean height;
+waves in their own direction gain the phase of the height difference.
 """
 
 from __future__ import annotations
@@ -20,14 +22,14 @@ from nacre.matter.stack import solve as solver
 
 
 @dataclass(frozen=True)
-class Echo:
-    """What comes back of plane waves, `[pol, angle]` each, phase at the centre of the particle.
+class StackReflection:
+    """Round-trip amplitudes of plane waves at a particle centre, `[pol, angle]` each.
 
     Attributes:
-        up: of a wave sent down, which comes back up.
-        down: of one sent up, which comes back down; None: nothing reflects above.
-        risen: of one sent up, in its own direction; None: nothing reflects above.
-        fallen: of one sent down, in its own direction; None: nothing reflects above.
+        up: of a downward wave that returns upward.
+        down: of an upward wave that returns downward; None without a mirror above, as for the next two.
+        risen: of an upward wave that returns upward.
+        fallen: of a downward wave that returns downward.
     """
 
     up: ComplexArray
@@ -39,11 +41,11 @@ class Echo:
     def between(
         cls, below: ComplexArray, above: ComplexArray, risen: ComplexArray | None = None,
         fallen: ComplexArray | None = None,
-    ) -> Echo:  # fmt: skip
-        """Return it for two mirrors that see one another, R_b and R_a.
+    ) -> StackReflection:  # fmt: skip
+        """Combine two mirrors R_b and R_a with multiple reflections.
 
         Args:
-            risen, fallen: R_a R_b with the phases of a wave on its way to another height; R_a R_b of one height.
+            risen, fallen: R_a R_b with the phases of a wave to another height; default R_a R_b.
         """
         both = below * above
         left = 1.0 - both
@@ -53,12 +55,12 @@ class Echo:
         )  # fmt: skip
 
     def pairs(self, b: ComplexArray) -> list[tuple[ComplexArray, ComplexArray]]:
-        """Return what comes to multipole n and what n' sent, `[m, pol, n, angle]` each: sums of products over both.
+        """Return left and right factors, `[m, pol, n, angle]`, whose summed products carry multipole n' to n.
 
         sum_pairs left_n right_n' = Bdag_n(+) (up B_n'(-) + risen B_n'(+)) + Bdag_n(-) (down B_n'(+) + fallen B_n'(-)).
 
         Args:
-            b: B(+) of the angles, `[m, pol, n, angle]`.
+            b: B(+) at the angles, `[m, pol, n, angle]`.
         """
         rising = adjoint(b)
         if self.down is None or self.risen is None or self.fallen is None:
@@ -70,11 +72,11 @@ class Echo:
         ]
 
     def signed(self, pol: int, target: Array, source: Array) -> ComplexArray:
-        """Return the factor of Bdag_n(+) B_n'(+), `[angle, n or 1, n']`, by the signs that a mirror gives to n and n'.
+        """Return the factor of Bdag_n(+) B_n'(+), `[angle, n or 1, n']`, from the mirror signs of n and n'.
 
         Args:
-            pol: of the waves.
-            target, source: signs, `[n]` and `[n']`.
+            pol: polarisation of the waves.
+            target, source: mirror signs, `[n]` and `[n']`.
         """
         out: ComplexArray = self.up[pol][:, None, None] * source
         if self.down is not None and self.risen is not None and self.fallen is not None:
@@ -87,20 +89,18 @@ def _wide(values: ComplexArray) -> ComplexArray:
     return values[None, :, None, :]
 
 
-# The planar stack under the particles, or around them, at one wavelength, as they see it.
-
-LOSSLESS_K = 1e-4  # a substrate with k below this is transparent, as for films
+LOSSLESS_K = 1e-4  # a substrate with smaller k counts as transparent
 
 
 @dataclass(frozen=True)
-class Arriving:
-    """Plane waves of one side as a particle meets them, `[pol, angle]`, phase at its centre.
+class IncidentWaves:
+    """Plane waves from one side at a particle, `[pol, angle]`, phase at its centre.
 
     Attributes:
-        ahead: the part that still travels as the light came.
-        back: the part that a mirror beyond the particle has turned round; None: there is none.
-        reflection: of the bare stack, back to where the light came from.
-        transmission_up: of the bare stack, for light from the substrate; None for light from above.
+        ahead: the part that travels in the direction of incidence.
+        back: the part reversed by the mirror beyond the particle; None without one.
+        reflection: amplitude of the bare stack.
+        transmission_up: amplitude of the bare stack for light from the substrate; None for light from above.
     """
 
     ahead: ComplexArray
@@ -111,11 +111,11 @@ class Arriving:
 
 @dataclass(frozen=True)
 class Substrate:
-    """A stack at one wavelength.
+    """A stack at one wavelength, with the particles above it.
 
     Attributes:
         wavelength_nm: in vacuum.
-        indices: `[medium]`, complex, from the ambient (lossless) through the layers to the substrate.
+        indices: `[medium]`, complex, from the lossless ambient through the layers to the substrate.
         thicknesses_nm: `[layer]`.
     """
 
@@ -125,36 +125,36 @@ class Substrate:
 
     @property
     def ambient_index(self) -> float:
-        """Index of the medium around the particles."""
+        """Real index of the ambient."""
         return float(self.indices[0].real)
 
     @property
     def wavenumber(self) -> float:
-        """k of the ambient medium, 1/nm."""
+        """Ambient wavenumber k, 1/nm."""
         return 2 * np.pi * self.ambient_index / self.wavelength_nm
 
     @property
     def inner_index(self) -> float:
-        """Index of the medium that the particles lie in: the ambient."""
+        """Index of the medium around the particles."""
         return self.ambient_index
 
     @property
     def inner_wavenumber(self) -> float:
-        """k of the medium that the particles lie in, 1/nm."""
+        """Wavenumber in the medium around the particles, 1/nm."""
         return 2 * np.pi * self.inner_index / self.wavelength_nm
 
     @property
     def inner_nm(self) -> float:
-        """Thickness of the layer that the particles lie in; 0 where they lie over the stack."""
+        """Thickness of the layer that holds the particles; 0 above the stack."""
         return 0.0
 
-    def clear_nm(self, centre_nm: float) -> float:
-        """Return how far the nearest mirror is from a centre, of the height `centre_nm` over what lies below."""
+    def mirror_distance_nm(self, centre_nm: float) -> float:
+        """Return the distance from a centre to the nearest mirror."""
         return centre_nm
 
     @cached_property
     def operators(self) -> dict[float, ComplexArray]:
-        """The last reflection operator W_m `[m, n, n']` of each height of a centre, kept by who computes them."""
+        """Reflection operators W_m `[m, n, n']` by centre height, filled by `reflection_operator`."""
         return {}
 
     @property
@@ -164,16 +164,16 @@ class Substrate:
 
     @property
     def index_below(self) -> float:
-        """Index of the substrate over the ambient's, its real part."""
+        """Real substrate index over the ambient index."""
         return float(self.indices[-1].real) / self.ambient_index
 
     @property
     def is_absent(self) -> bool:
-        """Whether there is nothing below: every medium is the ambient."""
+        """Whether every medium is the ambient."""
         return bool(np.all(np.abs(self.indices - self.indices[0]) < 1e-12))
 
     def reflection(self, w: NDArray) -> ComplexArray:
-        """Return r_s, r_p, `[pol, angle]`, for light from the ambient at w = kz/k; phase at the stack's top."""
+        """Return r_s, r_p, `[pol, angle]`, for light from the ambient at w = kz/k; phase at the top of the stack."""
         found = solver.amplitudes(
             self.indices[:, None],
             self.thicknesses_nm,
@@ -183,30 +183,30 @@ class Substrate:
         )
         return np.stack([found.r_s[:, 0], found.r_p[:, 0]])
 
-    def echo(self, centre_nm: float, w: NDArray, lift_nm: float = 0.0) -> Echo:
-        """Return what comes back to a centre of plane waves at w = kz/k in the medium of the particles.
+    def reflection_at(self, centre_nm: float, w: NDArray, lift_nm: float = 0.0) -> StackReflection:
+        """Return the round-trip amplitudes at a centre for plane waves at w = kz/k.
 
         Args:
-            centre_nm: height of the centre, or the mean of the one that sends and the one that is met.
-            lift_nm: by how much the one that is met lies higher; over a stack the mean alone counts.
+            centre_nm: centre height, or the mean height of source and target.
+            lift_nm: height of the target above the source; above a stack only the mean height counts.
         """
-        return Echo(np.exp(2j * self.inner_wavenumber * centre_nm * w) * self.reflection(w))
+        return StackReflection(np.exp(2j * self.inner_wavenumber * centre_nm * w) * self.reflection(w))
 
-    def arriving(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> Arriving:
-        """Return what light of one side is at a centre.
+    def incident_waves(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> IncidentWaves:
+        """Return light from one side at a particle centre.
 
         Args:
             cosines: of the light on its side.
-            w: kz/k in the medium of the particles.
+            w: kz/k in the medium around the particles.
         """
-        # b = e^{ikd cos} moves the phase reference from the stack's top to the centre
+        # b = e^{ikd cos} moves the phase reference from the stack to the centre
         b = np.exp(1j * self.inner_wavenumber * centre_nm * w)
         if below:
             reflection, transmission = self.from_below(cosines)
-            # by reciprocity t_down kz_below/kz = t_up: one amplitude serves both the way in and the way out
-            return Arriving(transmission * b, None, reflection, transmission)
+            # reciprocity, t_down kz_below/kz = t_up: one amplitude serves both directions
+            return IncidentWaves(transmission * b, None, reflection, transmission)
         reflection = self.reflection(w)
-        return Arriving(np.broadcast_to(1 / b, reflection.shape), reflection * b, reflection, None)
+        return IncidentWaves(np.broadcast_to(1 / b, reflection.shape), reflection * b, reflection, None)
 
     def from_below(self, cos_below: NDArray) -> tuple[ComplexArray, ComplexArray]:
         """Return reflection and transmission amplitudes, `[pol, angle]`, for light from a lossless substrate.
@@ -228,36 +228,34 @@ class Substrate:
 
 @dataclass(frozen=True)
 class Embedded(Substrate):
-    """A stack with the particles inside one of its layers; heights of centres count from that layer's lower face.
+    """A stack with the particles inside one of its layers; centre heights are above the lower face of that layer.
 
     Attributes:
-        host: which of the media; it is lossless.
+        host: number of the lossless host medium.
     """
 
     host: int
 
     @property
     def inner_index(self) -> float:
-        """Index of the layer that the particles lie in."""
+        """Index of the host layer."""
         return float(self.indices[self.host].real)
 
     @property
     def inner_nm(self) -> float:
-        """Thickness of that layer."""
+        """Thickness of the host layer."""
         return float(self.thicknesses_nm[self.host - 1])
 
-    def clear_nm(self, centre_nm: float) -> float:
-        """Return how far the nearer face is from a centre."""
+    def mirror_distance_nm(self, centre_nm: float) -> float:
+        """Return the distance from a centre to the nearer face."""
         return min(centre_nm, self.inner_nm - centre_nm)
 
     @cached_property
     def _below(self) -> Substrate:
-        """What lies under the layer, seen from inside."""
         return Substrate(self.wavelength_nm, self.indices[self.host :], self.thicknesses_nm[self.host :])
 
     @cached_property
     def _above(self) -> Substrate:
-        """What lies over it, seen from inside."""
         return Substrate(
             self.wavelength_nm, self.indices[: self.host + 1][::-1], self.thicknesses_nm[: self.host - 1][::-1]
         )
@@ -270,26 +268,26 @@ class Embedded(Substrate):
             np.exp(2j * k * (self.inner_nm - centre_nm) * w) * self._above.reflection(w),
         )
 
-    def echo(self, centre_nm: float, w: NDArray, lift_nm: float = 0.0) -> Echo:
-        """Return what both faces send back; see `Substrate.echo`."""
+    def reflection_at(self, centre_nm: float, w: NDArray, lift_nm: float = 0.0) -> StackReflection:
+        """Return the round-trip amplitudes between both faces; see `Substrate.reflection_at`."""
         if lift_nm == 0.0:
-            return Echo.between(*self._mirrors(centre_nm, w))
+            return StackReflection.between(*self._mirrors(centre_nm, w))
         k, (under, over) = self.inner_wavenumber, (self._below.reflection(w), self._above.reflection(w))
-        # the phases in one go: e^{-ikw lift} alone may be too large for a number
+        # combined phases: e^{-ikw lift} may overflow
         risen, fallen = (under * over * np.exp(1j * k * (2 * self.inner_nm + way) * w) for way in (lift_nm, -lift_nm))
-        return Echo.between(
+        return StackReflection.between(
             under * np.exp(2j * k * centre_nm * w), over * np.exp(2j * k * (self.inner_nm - centre_nm) * w), risen,
             fallen,
         )  # fmt: skip
 
-    def arriving(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> Arriving:
-        """Return what light of one side is at a centre between both faces; see `Substrate.arriving`."""
+    def incident_waves(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> IncidentWaves:
+        """Return light from one side at a centre between both faces; see `Substrate.incident_waves`."""
         under, over = self._mirrors(centre_nm, w)
-        # the way in from one side is `from_below` of what lies there, seen from inside; the way out is the same
+        # the transmission into the layer is `from_below` of the near mirror
         near, way_nm = (self._below, centre_nm) if below else (self._above, self.inner_nm - centre_nm)
         _, into = near.from_below(cosines)
         ahead = into * np.exp(1j * self.inner_wavenumber * way_nm * w) / (1.0 - under * over)
         if below:
             reflection, transmission = self.from_below(cosines)
-            return Arriving(ahead, ahead * over, reflection, transmission)
-        return Arriving(ahead, ahead * under, self.reflection(cosines), None)
+            return IncidentWaves(ahead, ahead * over, reflection, transmission)
+        return IncidentWaves(ahead, ahead * under, self.reflection(cosines), None)

@@ -1,4 +1,10 @@
-"""What a file of T-matrices may be of: axisymmetric or not, reciprocal, passive, handed; and its mean over turns."""
+"""Read and write T-matrix files, `*.tmat.h5`, and check the symmetry of their particles.
+
+Format: Asadova et al., "T-matrix representation of optical scattering response: suggestion for a data format",
+arXiv:2408.10727. HDF5; T over one spectral axis, modes given by l, m and polarization in the parity or the helicity
+basis, the surrounding medium by permittivity or index. Waves are orthonormal on the sphere, f = T a, time exp(-i w t);
+helicity waves are (N + M)/sqrt(2) (positive) and (N - M)/sqrt(2), with N electric and M magnetic.
+"""
 
 from __future__ import annotations
 
@@ -17,29 +23,28 @@ from nacre._version import __version__
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path, plain, why_unreadable
-from nacre.families.metasurface.monolayer.translation_sums import multipole_index
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, gain, mirror_signs, reciprocal
-from nacre.families.metasurface.tmatrix.full_tmatrix import file_signs, reversed_whole
+from nacre.families.metasurface.tmatrix.full_tmatrix import condon_shortley_signs, multipole_index, reversed_full
 from nacre.recipe.fingerprint import file_digest
 
 if TYPE_CHECKING:
     import h5py
 
 
-AXIS_TOLERANCE = 1e-3  # of the Frobenius norm: what a mesh leaves of couplings that the symmetry forbids
-TURN_TOLERANCE = 0.05  # of the scattered power that a mean over the turn leaves out; the mean field itself is .1 off
-GAIN_TOLERANCE = 1e-2  # of the largest singular value that a passive particle's scattering matrix has, 1
+AXIS_TOLERANCE = 1e-3  # relative Frobenius norm of symmetry-forbidden couplings left by a mesh
+TURN_TOLERANCE = 0.05  # share of the scattered power lost by the rotational average; the mean field has an error of 0.1
+GAIN_TOLERANCE = 1e-2  # excess of the largest singular value of a scattering matrix, 1 if passive
 
 
 class TMatrixFileError(NacreError):
-    """A file of T-matrices cannot be used; the message is the end of a sentence that begins with the file."""
+    """A T-matrix file cannot be used; the message is the end of a sentence that begins with the file."""
 
 
 def axial(blocks: ComplexArray) -> tuple[ComplexArray, float]:
-    """Return the blocks of m >= 0, `[wavelength, m, n, n']`, of the mean over the turn, and what it leaves out.
+    """Return the rotational average, `[wavelength, m >= 0, n, n']`, and the share of power that it leaves out.
 
     Raises:
-        TMatrixFileError: it depends too much on the turn, is handed, not reciprocal, or gives out more than it gets.
+        TMatrixFileError: it depends too much on the rotation, is chiral, not reciprocal, or not passive.
     """
     count = blocks.shape[1]
     lmax = count // 2
@@ -48,7 +53,7 @@ def axial(blocks: ComplexArray) -> tuple[ComplexArray, float]:
     total = np.linalg.norm(blocks.reshape(len(blocks), -1), axis=1)
     if np.any(total == 0):
         raise TMatrixFileError("holds a T-matrix of zeros")
-    # over all directions of the light the scattered power goes as the squared norm
+    # averaged over incidence, the scattered power is the squared norm
     kept = np.linalg.norm(own.reshape(len(own), -1), axis=1) / total
     turn_loss = float(np.max(np.maximum(1.0 - kept**2, 0.0)))
     if turn_loss > TURN_TOLERANCE:
@@ -73,18 +78,18 @@ def axial(blocks: ComplexArray) -> tuple[ComplexArray, float]:
 
 
 def mean_blocks(blocks: ComplexArray) -> ComplexArray:
-    """Return the blocks of m >= 0 of the mean over the turn, and over the mirror images that a handed one has."""
+    """Return the blocks of m >= 0 of the mean over rotations and over both mirror images."""
     count = blocks.shape[1]
     m = np.arange(count)
     own = blocks[:, m, m]
     return reciprocal(0.5 * (own + mirror_signs(count // 2) * own[:, ::-1])[:, count // 2 :])
 
 
-def whole_or_none(blocks: ComplexArray) -> ComplexArray | None:
-    """Return T over all m as `whole` has it, `[wavelength, n, n']`; None of an axisymmetric particle.
+def full_or_none(blocks: ComplexArray) -> ComplexArray | None:
+    """Return the full T, `[wavelength, n, n']`, see `full_tmatrix`; None for an axisymmetric particle.
 
     Raises:
-        TMatrixFileError: it is not reciprocal, or gives out more than it gets.
+        TMatrixFileError: it is not reciprocal or not passive.
     """
     count = blocks.shape[1]
     m = np.arange(count)
@@ -94,9 +99,9 @@ def whole_or_none(blocks: ComplexArray) -> ComplexArray | None:
     if np.all(np.linalg.norm(coupled.reshape(len(blocks), -1), axis=1) <= AXIS_TOLERANCE * total):
         return None
     index = multipole_index(count // 2)
-    row, place, sign = index.m + count // 2, index.block, file_signs(index)
+    row, place, sign = index.m + count // 2, index.block, condon_shortley_signs(index)
     whole = blocks[:, row[:, None], row, place[:, None], place] * sign[:, None] * sign
-    even = 0.5 * (whole + reversed_whole(whole))
+    even = 0.5 * (whole + reversed_full(whole))
     if np.linalg.norm(whole - even) > AXIS_TOLERANCE * np.linalg.norm(even):
         raise TMatrixFileError("is of a particle that is not reciprocal, or in other waves than the format's")
     _check_passive(even)
@@ -111,9 +116,7 @@ def _check_passive(matrix: ComplexArray) -> None:
         )
 
 
-# The community's file of T-matrices, `*.tmat.h5`: reading and writing.
-
-MAX_BYTES = 512 << 20  # of the matrix: 100 wavelengths of l = 12
+MAX_BYTES = 512 << 20  # matrix size: 100 wavelengths of l = 12
 HIGHEST_ORDER = 60
 SPEED_OF_LIGHT = 299792458.0
 PATIENCE_S = 60.0
@@ -135,38 +138,37 @@ PREFIXES = {
     "c": 1e-2, "d": 1e-1, "": 1.0, "da": 1e1, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12, "P": 1e15, "E": 1e18,
     "Z": 1e21, "Y": 1e24,
 }  # fmt: skip
-UNITS = {  # what the format allows, for messages; spelled with 1/ they are read as well
+UNITS = {  # units of the format, for messages; 1/ forms are read too
     "length": "m with an SI prefix, as nm",
     "inverse length": "m^{-1} with an SI prefix, as nm^{-1} or cm^{-1}",
     "frequency": "Hz or s^{-1} with an SI prefix, as THz or fs^{-1}",
 }
-SPECTRAL: Mapping[str, tuple[str, Callable[[Array], Array]]] = {  # name -> kind of unit, and vacuum wavelength in m
+SPECTRAL: Mapping[str, tuple[str, Callable[[Array], Array]]] = {  # name -> type of unit, and vacuum wavelength in m
     "vacuum_wavelength": ("length", lambda x: x),
     "vacuum_wavenumber": ("inverse length", lambda x: 1.0 / x),
     "angular_vacuum_wavenumber": ("inverse length", lambda x: 2 * np.pi / x),
     "frequency": ("frequency", lambda x: SPEED_OF_LIGHT / x),
     "angular_frequency": ("frequency", lambda x: 2 * np.pi * SPEED_OF_LIGHT / x),
 }
-SHAPES = ("sphere", "spheroid", "cylinder")  # with an axis, of those that the format names
-REACH, ROUNDED = "circumscribing_radius", 1e-9  # of the geometry; what rounding leaves of a length, relative
+SHAPES = ("sphere", "spheroid", "cylinder")  # axisymmetric shapes of the format
+REACH, ROUNDED = "circumscribing_radius", 1e-9  # geometry dataset; relative rounding of a length
 ELECTRIC, MAGNETIC = ("electric", "tm", "n"), ("magnetic", "te", "m")
 POSITIVE, NEGATIVE = ("positive", "plus"), ("negative", "minus")
 
 
 def read_tmatrices(path: str | Path, is_aligned: bool = False) -> AxialTMatrices:
-    """Read a file of T-matrices of one particle, of one that is not axisymmetric the mean over its turn about z.
+    """Read a file of T-matrices of one particle; without rotational symmetry, its average over rotations about z.
 
-    That mean is T without couplings of unlike m: the mean scattered field of particles turned at random, exactly. The
-    power of what differs between turns is not in it; see `AxialTMatrices.turn_loss`. What a mesh leaves of forbidden
-    couplings, up to 1e-3 of the norm, is taken out.
+    The average is T without couplings of different m: exactly the mean scattered field of randomly rotated particles.
+    It omits the power of the rotational fluctuations; see `AxialTMatrices.turn_loss`. Symmetry-forbidden couplings up
+    to 1e-3 of the norm are removed.
 
     Args:
         path: of the file.
-        is_aligned: keep the whole T beside that mean, where the particle is not axisymmetric; then it may depend on
-            its turn as it likes, and be handed.
+        is_aligned: also store the full T of a particle without rotational symmetry, which may then be chiral.
 
     Raises:
-        TMatrixFileError: it is damaged, is no passive, reciprocal particle, is handed, or depends much on its turn.
+        TMatrixFileError: damaged, not passive, not reciprocal, chiral, or far from axisymmetric.
     """
     import h5py
 
@@ -188,19 +190,19 @@ def read_tmatrices(path: str | Path, is_aligned: bool = False) -> AxialTMatrices
 
 @lru_cache(maxsize=64)
 def _try_apart(path: str, digest: str) -> None:
-    """Read a file in a process of its own first: of some damaged ones the HDF5 library never comes back, or crashes.
+    """Read a file in a subprocess first: the HDF5 library hangs or crashes on some damaged files.
 
     Raises:
         TMatrixFileError: it did.
     """
     try:
-        # -P: what lies in the working folder is not imported
+        # -P: do not import from the working folder
         done = subprocess.run(
             [sys.executable, "-P", "-c", PROBE, path, str(MAX_BYTES)], timeout=PATIENCE_S, capture_output=True
         )
     except subprocess.TimeoutExpired:
         raise TMatrixFileError(f"is damaged: HDF5 is not done with it after {PATIENCE_S:g} s") from None
-    if done.returncode < 0:  # a signal; what Python says is told better where the file is read
+    if done.returncode < 0:  # ended by a signal; Python errors are reported by `_read`
         raise TMatrixFileError("is damaged: HDF5 crashes on it")
 
 
@@ -224,7 +226,7 @@ def _read(file: h5py.File, is_aligned: bool) -> AxialTMatrices:
     if np.any(np.diff(wavelengths[order]) <= 0):
         raise TMatrixFileError("gives a wavelength twice")
     parity = _parity_blocks(file, values[order])
-    whole = whole_or_none(parity) if is_aligned else None
+    whole = full_or_none(parity) if is_aligned else None
     blocks, turn_loss = axial(parity) if whole is None else (mean_blocks(parity), 0.0)
     shape, geometry = _geometry(file)
     name = file.attrs.get("name", "")
@@ -237,7 +239,7 @@ def _read(file: h5py.File, is_aligned: bool) -> AxialTMatrices:
 
 
 def _dataset(file: h5py.Group, name: str) -> Any:
-    """Return a dataset of the file itself, or None; nothing in a file leads to another one."""
+    """Return a dataset of the file itself, or None; refuse links to other files."""
     import h5py
 
     where: Any = file
@@ -255,12 +257,12 @@ def _dataset(file: h5py.Group, name: str) -> Any:
 
 
 def _shown(text: str, most: int = 20) -> str:
-    """Text of a file as a message may show it: on one line, and nothing that a terminal would obey."""
+    """Return printable text of a file on one line."""
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())[:most]
 
 
 def _complex(values: Any) -> ComplexArray:
-    """Numbers, complex ones as a pair of fields too."""
+    """Return complex numbers, also from a pair of fields."""
     found = np.asarray(values)
     if found.dtype.names is not None and len(found.dtype.names) == 2:
         real, imaginary = found.dtype.names
@@ -275,7 +277,7 @@ def _unit(attributes: Any, kind: str, name: str) -> float:
         raise TMatrixFileError(f"gives {name} without a unit")
     given = given.decode("utf-8", "replace") if isinstance(given, bytes) else str(np.ravel(given)[0])
     text, sign = given.strip(), 1.0
-    if name.startswith("angular") and text.startswith("rad"):  # an angle has no dimension, and some write it
+    if name.startswith("angular") and text.startswith("rad"):  # some files write the dimensionless rad
         text = text.removeprefix("rad").strip(" *·")
         text = f"1{text}" if text.startswith("/") else text
     if text.startswith("1/"):
@@ -321,7 +323,7 @@ def _ambient(file: h5py.File, count: int) -> Array:
         return np.asarray(np.broadcast_to(_complex(found[()]).ravel(), (count,)))
 
     mu, chirality = number("relative_permeability", 1.0), number("chirality", 0.0)
-    assert mu is not None and chirality is not None  # they have a default
+    assert mu is not None and chirality is not None  # both have a default
     epsilon = number("relative_permittivity", None)
     if epsilon is None:
         index = number("refractive_index", 1.0)
@@ -390,9 +392,9 @@ def _parity_blocks(file: h5py.File, values: ComplexArray) -> ComplexArray:
 def _places(
     l: NDArray[np.int64], m: NDArray[np.int64], words: list[str], lmax: int, helicity: bool
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the flat places (m, first or second kind, l) of the modes up to lmax, and which modes these are.
+    """Return the flat places (m, polarisation, l) of the modes up to lmax, and the selected modes.
 
-    The first kind is magnetic, or positive.
+    The first polarisation is magnetic, or positive.
     """
     first, second = (POSITIVE, NEGATIVE) if helicity else (MAGNETIC, ELECTRIC)
     odd = next((w for w in words if w not in first + second), None)
@@ -409,10 +411,9 @@ def _places(
 
 
 def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:
-    """Return the shape, of those with an axis that the format names, or "", and lengths in nm.
+    """Return the axisymmetric shape, or "", and radius, height and circumscribing radius in nm.
 
-    These are radius, height and circumscribing radius. The last is none of the format's, nor are radius and height
-    without a shape: nacre writes them of what is rounded or coated.
+    nacre also writes the circumscribing radius, and radius and height without a shape, for rounded or coated particles.
     """
     import h5py
 
@@ -435,7 +436,7 @@ def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:
     for name in ("position", "expansion_center"):
         moved = _dataset(group, name)
         if moved is not None and np.any(np.asarray(moved[()], dtype=float) != 0.0):
-            return "", {}  # the centre of the waves is not the particle's: its extents must be given
+            return "", {}  # the expansion centre is not the particle centre
     if shape == "sphere" and (radius := length("radius")):
         return shape, {"radius": radius, "height": 2 * radius, "circumscribing": radius}
     if shape == "spheroid" and (radius := length("radiusxy")) and (axis := length("radiusz")):
@@ -454,7 +455,7 @@ def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:
 
 
 def _material(file: h5py.File, count: int, order: NDArray[np.intp]) -> ComplexArray | None:
-    """Return the particle's index, `[wavelength]`, where the file says it."""
+    """Return the particle index, `[wavelength]`, if the file states it."""
     epsilon, index = (_dataset(file, f"scatterer/material/{n}") for n in ("relative_permittivity", "refractive_index"))
     if epsilon is None and index is None:
         return None
@@ -470,8 +471,8 @@ def write_tmatrices(
     """Write T-matrices in the parity basis, l ascending, m from -l to l, electric before magnetic.
 
     Args:
-        shape: "sphere", "spheroid", "cylinder", or "" for none that the format names.
-        method: how they were computed.
+        shape: "sphere", "spheroid", "cylinder", or "".
+        method: of the computation.
         description: for instance the recipe.
 
     Raises:
@@ -490,8 +491,8 @@ def write_tmatrices(
         whole = np.where(m[:, None] == m, known.blocks[:, np.abs(m)[:, None], place[:, None], place] * signs, 0.0)
     else:
         index = multipole_index(lmax)
-        ours = np.lexsort((1 - index.tau, index.m, index.l))  # l first, then m, electric before magnetic
-        sign = file_signs(index)[ours]
+        ours = np.lexsort((1 - index.tau, index.m, index.l))  # sorted by l, then m, electric before magnetic
+        sign = condon_shortley_signs(index)[ours]
         whole = known.whole[:, ours[:, None], ours] * sign[:, None] * sign
     with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs.update(

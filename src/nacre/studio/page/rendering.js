@@ -1,34 +1,34 @@
-// The settled picture: asked for, rendered by Mitsuba pass by pass while the page stays free; a new edit begins it anew.
+// The rendered picture: Mitsuba refines it in passes; an edit restarts it.
 
 import { $, app, shortName, wholeText } from "./common.js";
-import { listen } from "./lines.js";
+import { listen } from "./event_stream.js";
 import { sceneName, sceneOf } from "./objects.js";
-import { lightOf } from "./surround.js";
+import { lightOf } from "./surroundings.js";
 
 const RESTING_MS = 500;
-let rendering = null, of = "", timer = 0;     // of: the text that is being rendered; "" where nothing is
-let shown = "";         // what was asked for last, where pictures are all that is shown of the object
+let rendering = null, of = "", timer = 0;     // of: text of the recipe being rendered, or ""
+let shown = "";         // last request, if pictures replace the preview
 
-function forgetTimer() {
+function clearTimer() {
   clearTimeout(timer);
   timer = 0;
 }
 
 export async function render() {
   rendering?.abort();
-  forgetTimer();
+  clearTimer();
   const mine = (rendering = new AbortController());
   $("cancel").hidden = false;
   $("render-progress").hidden = false;
   $("render-progress").removeAttribute("value");
-  $("render-state").textContent = "Beginning; the page stays free.";
+  $("render-state").textContent = "Starting; the page stays responsive.";
   try {
-    const wanted = { text: await wholeText(), name: app.recipe.name, lamp: $("lamp").value, ...sceneOf($("scene")), size: Number($("size").value), seconds: Number($("seconds").value), ...lightOf() };
+    const body = { text: await wholeText(), name: app.recipe.name, lamp: $("lamp").value, ...sceneOf($("scene")), size: Number($("size").value), seconds: Number($("seconds").value), ...lightOf() };
     if (mine !== rendering) return;
-    of = wanted.text;
+    of = body.text;
     shown = key();
-    const scene = sceneName($("scene")), what = `${scene}, ${wanted.light}, ${wanted.lamp}, ${wanted.size} px`;
-    await listen("api/picture", wanted, mine.signal, (event) => {
+    const scene = sceneName($("scene")), what = `${scene}, ${body.light}, ${body.lamp}, ${body.size} px`;
+    await listen("api/picture", body, mine.signal, (event) => {
       if (mine !== rendering) return;
       if (event.kind === "waiting") $("render-state").textContent = "Waiting for another picture";
       if (event.kind === "begun") $("render-state").textContent = "Compiling the scene";
@@ -36,7 +36,7 @@ export async function render() {
         $("render-progress").value = event.done / Math.max(event.of, 1);
         $("render-state").dataset.left = `, about ${Math.max(1, Math.round(event.seconds_left))} s left`;
       }
-      if (event.kind === "picture") put(event, scene, wanted, what);
+      if (event.kind === "picture") put(event, scene, body, what);
     });
   } catch (problem) {
     if (mine === rendering && !mine.signal.aborted) $("render-state").textContent = problem.message;
@@ -45,13 +45,13 @@ export async function render() {
   }
 }
 
-function put({ png, spp, is_last: isLast }, scene, wanted, what) {
+function put({ png, spp, is_last: isLast }, scene, body, what) {
   const image = $("picture");
   image.src = png;
   image.dataset.spp = spp;
-  image.alt = `${scene} of ${shortName(wanted.name)} under ${wanted.lamp}, rendered by Mitsuba`;
+  image.alt = `${scene} of ${shortName(body.name)} under ${body.lamp}, rendered by Mitsuba`;
   image.hidden = false;
-  $("render-state").textContent = isLast ? `${what}: ${spp} samples a pixel by Mitsuba 3, denoised. As the recipe was when asked.` : `${what}: ${spp} samples a pixel so far${$("render-state").dataset.left ?? ""}`;
+  $("render-state").textContent = isLast ? `${what}: ${spp} samples per pixel by Mitsuba 3, denoised. Recipe at the time of the request.` : `${what}: ${spp} samples per pixel so far${$("render-state").dataset.left ?? ""}`;
 }
 
 function done() {
@@ -63,7 +63,7 @@ function done() {
 }
 
 function cancel() {
-  forgetTimer();
+  clearTimer();
   rendering?.abort();
   done();
   $("render-state").textContent = "Cancelled.";
@@ -71,24 +71,24 @@ function cancel() {
 
 const key = () => [app.recipe.text, $("lamp").value, $("scene").value, $("surround").value].join("\n");
 
-// Without a live preview the picture stands in its place, and each change asks for a new one.
-export function standIn() {
+// Without a live preview: show the picture instead and render it after each change.
+export function replacePreview() {
   for (const id of ["exposure", "front"]) ($(id).closest("label") ?? $(id)).hidden = true;
   $("stage").prepend($("picture"));
-  for (const id of ["lamp", "object", "surround", "scene"]) $(id).addEventListener("change", settledEdited);
+  for (const id of ["lamp", "object", "surround", "scene"]) $(id).addEventListener("change", restartRendering);
 }
 
-// The recipe is another one now: what is being rendered is given up at once, and begun anew when the edits rest.
-export function settledEdited() {
-  if (timer) forgetTimer();
+// After an edit: cancel the rendering and restart it after a pause.
+export function restartRendering() {
+  if (timer) clearTimer();
   else if (app.view ? !of || of === app.recipe.text : shown === key()) return;
   rendering?.abort();
   of = "";
-  $("render-state").textContent = "The recipe was changed; beginning anew";
+  $("render-state").textContent = "The recipe has changed; restarting";
   timer = setTimeout(() => { timer = 0; render(); }, RESTING_MS);
 }
 
-export function listenSettled() {
+export function initRendering() {
   $("render").addEventListener("click", render);
   $("cancel").addEventListener("click", cancel);
 }

@@ -1,17 +1,17 @@
-// The socket: numbered questions, answers that never overtake, and a new socket when the old one is lost.
+// The WebSocket: numbered requests, answers in order, and reconnection.
 
 import { unpack } from "./unpack.js";
 
 const FIRST_WAIT_MS = 300;
 const LONGEST_WAIT_MS = 5000;
 
-export class Wire {
-  // `makeQuestion` is asked for the newest state whenever something may be sent, so nothing old is ever sent again
+export class Socket {
+  // `makeQuestion` returns the newest state whenever a request is sent
   constructor(makeQuestion, onAnswer, onState) {
     Object.assign(this, { makeQuestion, onAnswer, onState });
     this.seq = 0;
     this.heard = 0;
-    this.asked = -Infinity;     // when, by the page's clock
+    this.asked = -Infinity;     // time of the last request
     this.wait = FIRST_WAIT_MS;
     this.open();
     addEventListener("online", () => this.hurry());
@@ -44,7 +44,7 @@ export class Wire {
     };
   }
 
-  // A socket does not tell whether nobody answered or a server did that knows this page's token no more.
+  // Detect whether the server is absent or refuses this page's token.
   async knock(socket) {
     this.isRefused = await fetch("favicon.ico").then(({ status }) => status === 403, () => false);
     if (this.isRefused && this.socket === socket) this.onState("refused");
@@ -54,7 +54,7 @@ export class Wire {
     if (this.socket.readyState === WebSocket.CLOSED) this.open();
   }
 
-  // Send what there is now, under a new number. Without a connection it is sent when there is one again.
+  // Send the current state with a new number; without a connection it is sent after reconnection.
   ask() {
     if (this.socket.readyState !== WebSocket.OPEN) return 0;
     const question = this.makeQuestion(this.seq + 1);

@@ -1,8 +1,8 @@
-// Files to take away: export, fabricate, a picture at its size; made by the server, given to the browser as a download.
+// Downloads: exports, fabrication files and pictures, made by the server.
 
 import { $, api, app, ask, el, shortName, wholeText } from "./common.js";
 import { sceneOf } from "./objects.js";
-import { placeOf } from "./surround.js";
+import { placeOf } from "./surroundings.js";
 
 const VERBS = { export: "Export", fabricate: "Fabricate", picture: "Picture" };
 const ABOUT = {
@@ -10,20 +10,20 @@ const ABOUT = {
   "export:merl": "MERL table of an isotropic material, linear RGB.",
   "export:csv": "Goniometer table of all directions and wavelengths.",
   "export:zemax": "Scatter file of Zemax OpticStudio.",
-  "export:gltf": "glTF with KHR_materials_iridescence: the one film that comes nearest.",
-  "export:materialx": "MaterialX: the one film that comes nearest.",
+  "export:gltf": "glTF with KHR_materials_iridescence: the best-fitting single film.",
+  "export:materialx": "MaterialX: the best-fitting single film.",
   "export:exr": "One slice over half and difference angle.",
-  "export:nacre": "The solved material, which loads without its recipe.",
+  "export:nacre": "The solved material; it loads without its recipe.",
   "export:lut": "Tables of colour with GLSL, OSL, Blender and MaterialX readers, for the lamp chosen above.",
   "fabricate:png16": "16-bit grey image.", "fabricate:tiff16": "16-bit grey image.", "fabricate:stl": "Solid for printing.",
   "fabricate:gds": "Mask layout.", "fabricate:oas": "Mask layout.", "fabricate:csv": "Positions or values as a table.",
-  "fabricate:npy": "Array of values.", "fabricate:sheet": "Table of layers from the light's side inward.",
+  "fabricate:npy": "Array of values.", "fabricate:sheet": "Table of layers, from the light's side.",
   "picture:.png": "8-bit picture.", "picture:.jpg": "8-bit picture.", "picture:.webp": "8-bit picture.",
   "picture:.exr": "Linear light with the picture before denoising as a layer.", "picture:.spectral.exr": "Spectra in bands of 10 nm.",
 };
-// which option belongs to which formats
+// options and their formats
 const FIELDS = {
-  angle_step_deg: { words: "Step of the angles", unit: "°", min: 0.5, max: 30, usual: 10, of: ["export:csv"] },
+  angle_step_deg: { words: "Angle step", unit: "°", min: 0.5, max: 30, usual: 10, of: ["export:csv"] },
   wavelength_nm: { words: "One wavelength (empty: XYZ)", unit: "nm", min: 1, max: 1e6, of: ["export:zemax"] },
   width_mm: { words: "Area, width (empty: one period)", unit: "mm", min: 0, max: 1000, of: ["fabricate"], not: ["fabricate:sheet"] },
   height_mm: { words: "Area, height", unit: "mm", min: 0, max: 1000, of: ["fabricate"], not: ["fabricate:sheet"] },
@@ -40,7 +40,7 @@ async function open() {
   $("files").showModal();
   $("file-error").textContent = "";
   try {
-    const found = await api("api/targets", { text: await wholeText(), name: app.recipe.name }), chosen = $("file-to").value;
+    const found = await api("api/formats", { text: await wholeText(), name: app.recipe.name }), chosen = $("file-to").value;
     $("file-to").replaceChildren(...Object.entries(VERBS).filter(([verb]) => found[verb].length).map(([verb, words]) => {
       const group = el("optgroup", { label: words });
       group.append(...found[verb].map((to) => new Option(to, `${verb}:${to}`)));
@@ -82,15 +82,15 @@ async function make(event) {
   const mine = (making = new AbortController()), [verb, to] = $("file-to").value.split(/:(.*)/s);
   const question = { text: await wholeText(), name: app.recipe.name, verb, to, lamp: $("lamp").value, ...sceneOf($("file-scene")), options: options(), ...placeOf() };
   $("file-error").textContent = "";
-  $("file-said").replaceChildren();
-  $("file-state").textContent = "The file is being made; close this and go on if you like.";
+  $("file-remarks").replaceChildren();
+  $("file-state").textContent = "Creating the file; you may close this dialog and continue.";
   $("file-cancel").hidden = false;
   try {
     const answer = await ask("api/file", question, mine.signal), content = await answer.blob();
     const name = decodeURIComponent(/filename\*=UTF-8''(.*)$/.exec(answer.headers.get("content-disposition"))?.[1] ?? "nacre");
     give(name, content);
-    $("file-state").textContent = `${name} of ${shortName(question.name)}, ${size(content.size)}: sent to the browser's downloads.`;
-    $("file-said").replaceChildren(...JSON.parse(answer.headers.get("x-nacre-said") ?? "[]").map((line) => el("li", { textContent: line })));
+    $("file-state").textContent = `${name} of ${shortName(question.name)}, ${size(content.size)}: saved to the browser's downloads.`;
+    $("file-remarks").replaceChildren(...JSON.parse(answer.headers.get("x-nacre-remarks") ?? "[]").map((line) => el("li", { textContent: line })));
   } catch (problem) {
     if (mine !== making) return;
     $("file-state").textContent = mine.signal.aborted ? "Cancelled." : "";
@@ -110,7 +110,7 @@ function give(name, content) {
   setTimeout(() => URL.revokeObjectURL(address), 60_000);
 }
 
-export function listenMaker() {
+export function initDownloads() {
   $("file-fields").append(...Object.entries(FIELDS).map(([name, { words, unit, min, max, usual }]) => {
     const box = el("input", { type: "number", id: `file-${name}`, min, max, step: "any", value: usual ?? "" });
     return el("label", {}, el("span", { textContent: words }), box, el("span", { className: "unit", textContent: unit }));

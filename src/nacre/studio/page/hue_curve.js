@@ -1,4 +1,4 @@
-// Hue over angle, drawn as a curve with the pointer; each angle has a slider and a tick of its own, for keys.
+// Target hue over the angle, drawn with the pointer; each angle also has a slider and a tick for the keyboard.
 
 import { $, el } from "./common.js";
 import { add, clear, hex } from "./charts.js";
@@ -33,25 +33,25 @@ function put(row, hue) {
   row.chip.style.background = hueColour(row.range.valueAsNumber);
 }
 
-// What is wanted of the curve, as the server takes it.
-export function curveWants() {
+// The targets of the curve in a design request.
+export function curveTargets() {
   const chroma = $("hue-chroma").valueAsNumber, span = $("hue-span").valueAsNumber;
-  return rows.filter(({ tick }) => tick.checked).map(({ angle, range }) => ({ at: angle, hue: range.valueAsNumber, chroma, span }));
+  return rows.filter(({ tick }) => tick.checked).map(({ angle, range }) => ({ angle, hue: range.valueAsNumber, chroma, span }));
 }
 
-// Before it is drawn the curve is that of the look that is shown: hues by angle.
+// Until the user draws it the curve shows the current hues.
 export function suggestCurve(hueAt) {
   if (isTouched) return;
   for (const row of rows) put(row, hueAt(row.angle));
   draw();
 }
 
-export function listenCurve(onChange) {
+export function initCurve(onChange) {
   changed = onChange;
   for (const angle of CURVE_DEG) {
     const tick = el("input", { type: "checkbox", checked: angle <= 60 }), range = el("input", { type: "range", min: 0, max: 360, step: 1, value: 180 });
     const row = { angle, tick, range, out: el("output"), chip: el("span", { className: "chip" }) };
-    tick.setAttribute("aria-label", `${angle} degrees is wanted`);
+    tick.setAttribute("aria-label", `${angle} degrees is a target`);
     range.setAttribute("aria-label", `Hue at ${angle} degrees`);
     rows.push(row);
     put(row, 180);

@@ -1,0 +1,37 @@
+"""Self-contained HTML pages from jinja2 templates with one layout."""
+
+from __future__ import annotations
+
+import base64
+import functools
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import jinja2
+
+
+@functools.cache
+def _environment() -> jinja2.Environment:
+    import jinja2
+
+    loader = jinja2.PackageLoader("nacre.core")
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    environment.filters["zip"] = zip
+    return environment
+
+
+def render_page(template: str, **values: Any) -> str:
+    """Return a page from a template of the folder `templates`; text values are escaped.
+
+    Args:
+        template: file name.
+        values: variables of the template; `title` is that of the page.
+    """
+    return _environment().get_template(template).render(values)
+
+
+def png_uri(png: bytes) -> str:
+    """Return the bytes of a PNG as a data URI."""
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")

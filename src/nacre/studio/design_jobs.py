@@ -1,0 +1,358 @@
+"""Jobs of the page's design tab: inverse design, gamut, and colour scatter of manufactured materials.
+
+They use the optimiser of `nacre design`, the sampling of `nacre gamut` and the tolerances of `nacre tolerance`, without
+folders and reports.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from nacre.analysis.tolerance import recipe_tolerances
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.light import (
+    SRGB_WHITE_XYZ,
+    adapt_xyz,
+    delta_e_2000,
+    spectrum_to_xyz,
+    white_xyz,
+    xyz_to_lab,
+    xyz_to_srgb_linear,
+)
+from nacre.material.material import Material
+from nacre.measure.spectrum import bsdf_spectrum
+from nacre.optimise.evaluation import TargetResult, evaluate, geometries_of, lab_hex, nearest_in_ranges, reached
+from nacre.optimise.gamut import find_gamut, optimal_limits, srgb_limits
+from nacre.optimise.measurement import search_wavelengths, simulate_measurement
+from nacre.optimise.parameters import point_of, values_at
+from nacre.optimise.problem import Budget
+from nacre.optimise.run import choose_search, outcome
+from nacre.optimise.solutions import Solution
+from nacre.optimise.targets import Target
+from nacre.optimise.task import DesignTask
+from nacre.optimise.thin_film.adapter import ThinFilmSearch
+from nacre.recipe.paths import find_by_path
+from nacre.recipe.toml import dump_toml, parse_toml
+from nacre.studio.design_request import LENGTH, OBSERVER, THICKNESS, inlined, rounded, task_of
+from nacre.studio.edit import edited
+from nacre.studio.folder import built
+from nacre.studio.subprocess_jobs import Emit
+
+WARM_UP_S = 0.05
+PROGRESS_S, SOLUTION_S = 0.25, 0.6  # shortest time between two progress events; between two solutions
+IMPROVEMENT = 0.99  # a better solution reduces the objective at least by this factor
+MAX_EVALUATION_S = 0.5  # slower models are not evaluated during the search
+FINAL_SHARE = 0.3  # of the search time, added for the final evaluation
+
+GAMUT_POINTS, GAMUT_S = 400, 24.0  # for all angles together
+LOCAL_SHARE = 0.5  # of the time, for the local search towards the targets
+STEPS = (0.15, 0.08, 0.04, 0.02, 0.01, 0.005)  # standard deviations of the local search, as shares of the bounds
+TRIES = 16  # for each step
+OUTLINE_POINTS = 72
+
+FINE_DEG = np.array([*np.arange(0.0, 90.0, 5.0), 88.0])
+QUICK_S = 0.05  # materials slower than this are sampled at few angles and wavelengths
+COARSE_DEG, COARSE_NM = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 88.0]), np.arange(400.0, 701.0, 25.0)
+SCATTER_S, UPDATE_S = 20.0, 1.5  # for all draws; between two events
+MIN_DRAWS = 4
+
+
+def design(request: Mapping[str, Any], emit: Emit) -> None:
+    """Optimise; emit "begun", "progress", "solution" (the current best), then "final" for each solution and "ended".
+
+    Raises:
+        NacreError: the recipe, a bound or a target is invalid, or the material has no such measurement.
+    """
+    task = task_of(request)
+    search_spec = task.spec.search
+    search = choose_search(task, search_spec.seed)
+    if isinstance(search, ThinFilmSearch):
+        search.run(Budget(seconds=WARM_UP_S))  # compiles before the time starts
+    emit({"kind": "begun", "seconds": search_spec.seconds})
+    budget = Budget(search_spec.evaluations or search.default_evaluations, search_spec.seconds)
+    result = search.run(budget, _Progress(task, request, emit).update)
+    found = result.solutions[: search_spec.solutions]
+    solutions = []
+    for _, changes in found:
+        values = {path: rounded(value) for path, value in changes.items()}
+        try:
+            material = task.material.vary(values)
+            seconds = FINAL_SHARE * search_spec.seconds / len(found)
+            results, _ = evaluate(material, task.targets, task.spec.light, seed=search_spec.seed, seconds=seconds)
+        except NacreError:
+            continue
+        solutions.append(Solution(None, material, values, results))
+    if not solutions:
+        raise NacreError("the recipe cannot be computed anywhere within its bounds")
+    solutions.sort(key=lambda one: one.worst.scaled)
+    for solution in solutions:
+        emit({"kind": "final", **_document(solution.changes, solution.targets, task, request)})
+    status = "interrupted" if result.status == "interrupted" else "met" if solutions[0].is_met else "out of reach"
+    emit({"kind": "ended", "status": status, "message": outcome(solutions, status)})
+
+
+class _Progress:
+    """Emits the progress of a search and its current best solution."""
+
+    def __init__(self, task: DesignTask, request: Mapping[str, Any], emit: Emit) -> None:
+        self._task, self._request, self._emit = task, request, emit
+        self._rows = geometries_of(task.targets)
+        self._start = time.monotonic()
+        self._last_event = self._last_solution = -np.inf
+        self._best = np.inf
+        self._evaluation_s = 0.0
+        self._cache: dict[Any, Any] = {}
+
+    def update(self, worst: float, values: Mapping[str, Any]) -> None:
+        """Handle a callback of the search."""
+        now = time.monotonic() - self._start
+        is_better = bool(values) and worst < IMPROVEMENT * self._best
+        if is_better and now - self._last_solution > max(SOLUTION_S, 4.0 * self._evaluation_s):
+            self._best, self._last_solution, self._last_event = worst, now, now
+            values = {path: rounded(value) for path, value in values.items()}
+            results = self._evaluate(values) if self._evaluation_s < MAX_EVALUATION_S else []
+            document = _document(values, results, self._task, self._request)
+            self._emit({"kind": "solution", "seconds": now, **document})
+        elif now - self._last_event > PROGRESS_S:
+            self._last_event = now
+            self._emit({"kind": "progress", "seconds": now, "worst": worst if np.isfinite(worst) else None})
+
+    def _evaluate(self, values: Mapping[str, Any]) -> list[TargetResult]:
+        start = time.monotonic()
+        spec = self._task.spec
+        try:
+            material = self._task.material.vary(values)
+            grid = search_wavelengths(material, spec.light.illuminants)
+            seen = simulate_measurement(material, self._rows, grid, seed=spec.search.seed, memory=self._cache)
+            return reached(seen, self._task.targets, spec.light)
+        except NacreError:
+            return []
+        finally:
+            self._evaluation_s = time.monotonic() - start
+
+
+def _document(
+    changes: Mapping[str, Any], results: list[TargetResult], task: DesignTask, request: Mapping[str, Any]
+) -> dict[str, Any]:
+    documents = [one.document(task.spec.light.observer) for one in results]
+    targets = [
+        {
+            "geometry": each["geometry"], "target": each["asked_colour"], "reached": each["reached"]["colour"],
+            "de00": round(each["de00"], 2), "met": each["met"],
+        }
+        for each in documents
+    ]  # fmt: skip
+    return {
+        "changes": dict(changes),
+        "targets": targets,
+        "worst": max((each["de00"] for each in targets), default=None),
+        "text": text_with(request["recipe"]["text"], task.material, changes),
+    }
+
+
+def text_with(text: str, material: Material, changes: Mapping[str, Any]) -> str:
+    """Return the recipe's text with a solution; its comments remain, unless a change lies in a nested recipe.
+
+    Raises:
+        NacreError: a change cannot be written.
+    """
+    data = parse_toml(text, "recipe")
+    try:
+        for path in changes:
+            holder, last = find_by_path(data, path, "recipe")
+            holder[last]
+    except (NacreError, KeyError, IndexError, TypeError):
+        return dump_toml(dict(material.vary(changes).data))
+    return edited(text, [{"path": path, "value": value} for path, value in changes.items()], "recipe")
+
+
+def gamut(request: Mapping[str, Any], emit: Emit) -> None:
+    """Emit "limits" (outlines of sRGB and of the optimal colours in a*b*), then "gamut" for each angle.
+
+    Raises:
+        NacreError: the recipe, a bound or a target is invalid, or nothing can be computed.
+    """
+    task, lamp = task_of(request), request["lamp"]
+    white = white_xyz(lamp, OBSERVER)
+    optimal = np.asarray(xyz_to_lab(optimal_limits(lamp, OBSERVER), white))
+    emit({"kind": "limits", "srgb": _outline(srgb_limits(lamp, OBSERVER)), "optimal": _outline(optimal)})
+    rows = geometries_of(task.targets)
+    seconds = min(GAMUT_S, request["seconds"]) / len(rows)
+    for row in rows:
+        targets = [target for target in task.targets if target.geometry == row]
+        start = time.monotonic()
+        found = find_gamut(
+            task.material, request["parameters"], str(row), points=GAMUT_POINTS,
+            seconds=(1.0 - LOCAL_SHARE) * seconds, illuminant=lamp, observer=OBSERVER,
+        )  # fmt: skip
+        colour = _colour_function(task, row, lamp, white)
+        labs = list(found.lab)
+        results: list[dict[str, Any]] = []
+        for target in targets:
+            until = start + seconds * (1.0 - LOCAL_SHARE + LOCAL_SHARE * (len(results) + 1) / len(targets))
+            new, distance = _local_search(task, target, found.lab, found.structures, colour, until)
+            labs += new
+            results.append({
+                "lab": None if target.lab is None else np.round(target.lab, 2).tolist(), "target": target.asked,
+                "distance": round(distance, 2), "inside": distance <= target.tolerance, "tolerance": target.tolerance,
+            })  # fmt: skip
+        points = [[*np.round(lab, 1).tolist(), lab_hex(lab, white)] for lab in labs]
+        emit({
+            "kind": "gamut", "geometry": str(row), "points": points, "targets": results,
+            "share_of_srgb": found.share_of_srgb, "failed": found.failed,
+        })  # fmt: skip
+
+
+def _outline(solid: Array) -> list[list[float]]:
+    turn = np.linspace(0.0, 2.0 * np.pi, OUTLINE_POINTS, endpoint=False)
+    outermost = np.argmax(solid[:, 1:] @ np.stack([np.cos(turn), np.sin(turn)]), axis=0)
+    return [[round(float(a), 1), round(float(b), 1)] for a, b in solid[outermost, 1:]]
+
+
+def _colour_function(task: DesignTask, row: Any, lamp: str, white: Array) -> Callable[[Array], Array | None]:
+    """Return a function from normalised parameters to Lab; None if the material cannot be computed."""
+    grid = search_wavelengths(task.material, [lamp])
+    cache: dict[Any, Any] = {}
+
+    def colour(place: Array) -> Array | None:
+        try:
+            material = task.material.vary(values_at(task.parameters, place))
+            seen = simulate_measurement(material, [row], grid, memory=cache)
+        except NacreError:
+            return None
+        return np.asarray(xyz_to_lab(spectrum_to_xyz(seen.factors[0], seen.wavelengths_nm, lamp, OBSERVER), white))
+
+    return colour
+
+
+def distance_to(target: Target, labs: Array) -> Array:
+    """Return CIEDE2000 of colours `[n, 3]` to a target; for ranges to the nearest colour within them."""
+    if target.lab is not None:
+        return np.asarray(delta_e_2000(labs, target.lab))
+    ranges = target.ranges or {}
+    return np.asarray(delta_e_2000(labs, np.array([nearest_in_ranges(lab, ranges) for lab in labs])))
+
+
+def _local_search(
+    task: DesignTask, target: Target, labs: Array, structures: list[dict[str, Any]],
+    colour: Callable[[Array], Array | None], until: float,
+) -> tuple[list[Array], float]:  # fmt: skip
+    """Random local search from the nearest sample with decreasing steps; return the new colours and the distance."""
+    distances = distance_to(target, labs)
+    nearest = int(np.argmin(distances))
+    best = float(distances[nearest])
+    found: list[Array] = []
+    place = point_of(task.parameters, structures[nearest])
+    generator = np.random.default_rng(0)
+    for step in STEPS:
+        for _ in range(TRIES):
+            if place is None or best <= 0.5 * target.tolerance or time.monotonic() > until:
+                return found, best
+            tried = np.clip(place + step * generator.standard_normal(len(place)), 0.0, 1.0)
+            lab = colour(tried)
+            if lab is None:
+                continue
+            distance = float(distance_to(target, lab[None])[0])
+            if distance < best:
+                best, place = distance, tried
+                found.append(lab)
+    return found, best
+
+
+def tolerance(request: Mapping[str, Any], emit: Emit) -> None:
+    """Emit "tolerance" as the sample grows: linear sRGB `rgb` `[draw, angle, 3]`, and dE00 to the nominal colour.
+
+    The tolerances are the recipe's `[tolerance]`, and a percentage of every other layer's thickness; the colour is that
+    of all reflected light.
+
+    Raises:
+        NacreError: the recipe is invalid, has no toleranced value, or cannot be computed.
+    """
+    material = inlined(built(request["recipe"])).at_low_fidelity()
+    tolerances = recipe_tolerances(material, tolerance_options(material, request["percent"]))
+    start = time.monotonic()
+    lamp, draws = request["lamp"], request["draws"]
+    angles, grid = _sampling(material, lamp)
+    nominal = _reflected_xyz(material, angles, grid, lamp)
+    generator = np.random.default_rng(0)
+    values = {one.path: one.draw(generator, draws) for one in tolerances}
+    found: list[Array] = []
+    failed, last_event = 0, time.monotonic()
+
+    def event() -> dict[str, Any]:
+        return {
+            "asked": draws,
+            "failed": failed,
+            "tolerances": len(tolerances),
+            **_scatter(nominal, found, angles, lamp),
+        }
+
+    for i in range(draws):
+        try:
+            varied = material.vary({path: float(drawn[i]) for path, drawn in values.items()})
+            found.append(_reflected_xyz(varied, angles, grid, lamp))
+        except NacreError:
+            failed += 1
+        if time.monotonic() - start > SCATTER_S and len(found) >= MIN_DRAWS:
+            break
+        if time.monotonic() - last_event > UPDATE_S and len(found) >= MIN_DRAWS:
+            last_event = time.monotonic()
+            emit(event())
+    if not found:
+        raise NacreError("no material within these tolerances can be computed")
+    emit(event())
+
+
+def tolerance_options(material: Material, percent: float) -> tuple[str, ...]:
+    """Return `PATH=PERCENT%` for every layer thickness, else for every length, that `[tolerance]` does not name.
+
+    Raises:
+        NacreError: the recipe has no length.
+    """
+    own = material.data.get("tolerance", {})
+    numbers = [path for path, value in material.parameters.items() if value != 0.0]
+    paths = [path for path in numbers if THICKNESS.search(path)] or [path for path in numbers if LENGTH.search(path)]
+    if not paths and not own:
+        raise NacreError(
+            f"this {material.model.traits.noun} has no thickness or length; name other numbers under [tolerance]"
+        )
+    return tuple(f"{path}={percent:g}%" for path in paths if path not in own)
+
+
+def _sampling(material: Material, lamp: str) -> tuple[Array, Array | None]:
+    """Return angles and wavelengths: all of a quick material, few of a slow one."""
+    if not material.model.traits.is_quick:
+        return COARSE_DEG, COARSE_NM
+    for _ in range(2):  # the first trial may compile
+        start = time.monotonic()
+        _reflected_xyz(material, FINE_DEG, None, lamp)
+        duration = time.monotonic() - start
+    return (FINE_DEG, None) if duration <= QUICK_S else (COARSE_DEG, COARSE_NM)
+
+
+def _reflected_xyz(material: Material, angles_deg: Array, grid: Array | None, lamp: str) -> Array:
+    """Return XYZ under the lamp, `[angle, 3]`, of all reflected light."""
+    theta = np.radians(angles_deg)
+    spectrum = material.model.spectrum(theta, grid, "both", 0)
+    if spectrum is None:
+        spectrum = bsdf_spectrum(material.bsdf(grid), theta)
+    parts = spectrum.parts()
+    total = sum(np.nan_to_num(parts[name]) for name in ("specular_reflectance", "diffuse_reflectance") if name in parts)
+    return np.asarray(spectrum_to_xyz(total, spectrum.wavelengths_nm, lamp))
+
+
+def _scatter(nominal: Array, found: list[Array], angles: Array, lamp: str) -> dict[str, Any]:
+    white = white_xyz(lamp)
+    xyz = np.stack(found)
+    rgb = xyz_to_srgb_linear(adapt_xyz(xyz, white, SRGB_WHITE_XYZ))
+    distance = np.asarray(delta_e_2000(xyz_to_lab(nominal, white), xyz_to_lab(xyz, white)))
+    return {
+        "kind": "tolerance", "angles": angles.tolist(), "rgb": np.round(rgb, 5).tolist(),
+        "median": np.round(np.median(distance, axis=0), 2).tolist(),
+        "percentile_95": np.round(np.percentile(distance, 95, axis=0), 2).tolist(),
+    }  # fmt: skip
