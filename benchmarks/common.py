@@ -210,10 +210,8 @@ class Kept:
     """
 
     def __init__(self, name: str, is_used: bool, **facts: Any) -> None:
-        from nacre.recipe.fingerprint import source_digest
-
         self._path = ROOT / "benchmarks" / "results" / f"{name}.jsonl"
-        self._is_used, self._facts = is_used, {**facts, "source": source_digest()}
+        self._is_used, self._facts = is_used, {**facts, "source": _source_digest()}
         self._found: dict[int, dict[str, Any]] = {}
         if is_used and self._path.exists():
             lines = [json.loads(line) for line in self._path.read_text(encoding="utf-8").splitlines()]
@@ -245,3 +243,15 @@ def machine() -> dict[str, Any]:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {"processor": platform.machine(), "cores": cores, "python": platform.python_version(), "load": load}
+
+
+def _source_digest() -> str:
+    """Return a hash of nacre's Python files: stored rows belong to one state of the code."""
+    import hashlib
+
+    import nacre
+
+    digest = hashlib.sha256()
+    for path in sorted(Path(nacre.__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

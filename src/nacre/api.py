@@ -24,6 +24,7 @@ from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array, floats
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import DESIGN_RECIPE, check_writable, short_name
+from nacre.core.jobs import Workers
 from nacre.families.contract import Model, fabrications
 from nacre.formats.fabrication import SUFFIXES, HeightOptions, write_drawing
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
@@ -204,27 +205,26 @@ def sweep(
     path: str | Path,
     output: str | Path | None = None,
     *,
-    workers: int | None = None,
-    scheduler: str | None = None,
+    jobs: int | None = None,
+    cluster: str | None = None,
     security: str | Path | None = None,
     progress: Callable[[int, int, int], None] | None = None,
-    break_lock: bool = False,
 ) -> Path:
     """Compute a sweep, or what is missing of it; return the Zarr folder (errors of failed points lie beside it).
 
     Args:
         path: the sweep's TOML file.
         output: the Zarr folder; default: the file's name with .zarr, in the current folder.
-        workers, scheduler, security, progress, break_lock: as `nacre.analysis.sweep.run_sweep`.
+        jobs: worker processes; 1: this process; default: one per core.
+        cluster: address of a Dask scheduler (`tls://host:port`) whose workers have nacre, in place of `jobs`.
+        security: TOML file with `ca`, `cert` and `key`, the PEM files for such a scheduler.
+        progress: called with (finished, failed, total) after every point.
 
     Raises:
         NacreError: the file is wrong, or the folder holds another sweep.
     """
     store = Path(output) if output is not None else Path(f"{Path(path).stem}.zarr")
-    run_sweep(
-        load_sweep(path), store, workers=workers, scheduler=scheduler, security=security, progress=progress,
-        break_lock=break_lock,
-    )  # fmt: skip
+    run_sweep(load_sweep(path), store, workers=Workers(jobs, cluster, security), progress=progress)
     return store
 
 

@@ -212,9 +212,9 @@ def _serve() -> None:
     import nacre.api
     import nacre.cli
     import nacre.plot.material
-    from nacre.material import cache
+    from nacre.core import disk_cache as cache
 
-    cache.WORTH_S = 0.0  # every solve is kept, on a fast machine as on a slow one
+    cache.MIN_SOLVE_S = 0.0  # every solve is kept, on a fast machine as on a slow one
     out = os.dup(1)
     for line in sys.stdin:
         arguments, folder = json.loads(line)

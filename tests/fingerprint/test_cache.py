@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import nacre
-from nacre.material import cache
+from nacre.core import disk_cache as cache
 from nacre.material.material import Material
 
 CACHED = {"family": "film", "substrate": "Si", "surface": {"roughness": 0.2}}
@@ -23,7 +23,7 @@ GRID = [400.0, 500.0, 600.0, 700.0]
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a cache that keeps everything, however fast it was solved."""
     monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(cache, "WORTH_S", -1.0)
+    monkeypatch.setattr(cache, "MIN_SOLVE_S", -1.0)
     return tmp_path / "cache" / "solved"
 
 
@@ -53,7 +53,7 @@ def test_a_material_is_solved_once_and_comes_back_to_the_bit(folder: Path, monke
     assert len(made) == 3
 
 
-def test_another_file_or_another_nacre_is_solved_anew(
+def test_another_file_or_other_optics_are_solved_anew(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = count_solves(monkeypatch)
@@ -62,7 +62,7 @@ def test_another_file_or_another_nacre_is_solved_anew(
     first = numbers(nacre.material(recipe, tmp_path))
     (tmp_path / "glass.csv").write_text("300,1.7\n900,1.7\n")
     assert numbers(nacre.material(recipe, tmp_path)) != first
-    monkeypatch.setattr("nacre.recipe.fingerprint.source_digest", lambda: "changed code")
+    monkeypatch.setattr("nacre.recipe.fingerprint.OPTICS_VERSION", 999)
     numbers(nacre.material(recipe, tmp_path))
     assert len(made) == 3
 
@@ -109,14 +109,14 @@ def test_the_longest_unused_goes_first(folder: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_what_is_solved_at_once_is_not_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cache, "WORTH_S", 60.0)
+    monkeypatch.setattr(cache, "MIN_SOLVE_S", 60.0)
     numbers(nacre.material(CACHED))
     assert list(folder.iterdir()) == []
 
 
 def test_eight_processes_share_a_cache(folder: Path) -> None:
     code = (
-        "import nacre\nfrom nacre.materials import cache\ncache.WORTH_S = -1.0\n"
+        "import nacre\nfrom nacre.core import disk_cache as cache\ncache.MIN_SOLVE_S = -1.0\n"
         f"cache.MAX_BYTES = 40_000\nrecipe = {CACHED!r}\n"
         "for turn in range(12):\n"
         "    layers = [{'material': 'SiO2', 'thickness_nm': 100 + turn % 4}]\n"
@@ -179,7 +179,7 @@ def test_a_second_picture_of_a_metasurface_solves_nothing(tmp_path: Path, monkey
     from nacre.cli import run
 
     monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("nacre.material.cache.WORTH_S", 0.0)  # a quick machine solves it in less
+    monkeypatch.setattr("nacre.core.disk_cache.MIN_SOLVE_S", 0.0)  # a quick machine solves it in less
     silver = Path(__file__).resolve().parents[2] / "examples" / "metasurface" / "silver_on_oxide.toml"
     words = ["render", str(silver), "--size", "32x32", "--spp", "2", "--no-denoise", "-o"]
     assert run([*words, str(tmp_path / "a.png")]) == 0

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
+import sys
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +19,9 @@ import nacre
 from nacre.analysis.sweep import run_sweep
 from nacre.analysis.sweep_plan import load_sweep
 from nacre.core.errors import NacreError
-from nacre.recipe.fingerprint import file_digest, file_stamp, source_digest
+from nacre.core.jobs import Workers
+from nacre.families.film.material import Film
+from nacre.recipe.fingerprint import file_digest, file_stamp
 
 INDEX = "wavelength_nm,n\n300,{n}\n900,{n}\n"
 SMALL: dict[str, Any] = {"size": (16, 14), "spp": 1}
@@ -124,18 +129,40 @@ def test_a_moved_folder_holds_the_same_materials(tmp_path: Path) -> None:
     assert nacre.load(tmp_path / "there" / "blend.toml").fingerprint == before
 
 
-def test_changed_code_is_another_source(tmp_path: Path) -> None:
-    package = tmp_path / "package"
-    package.mkdir()
-    (package / "a.py").write_text("x = 1\n")
-    before = source_digest(package)
-    source_digest.cache_clear()
-    (package / "__pycache__").mkdir(exist_ok=True)
-    (package / "__pycache__" / "kernel.py312.1.nbc").write_bytes(b"what numba keeps")
-    assert source_digest(package) == before
-    source_digest.cache_clear()
-    (package / "a.py").write_text("x = 2\n")
-    assert source_digest(package) != before
+def test_a_model_of_another_version_is_another_material(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "here").mkdir()
+    path = blend(tmp_path / "here")
+    before = nacre.load(path).fingerprint
+    monkeypatch.setattr(Film, "version", Film.version + 1)  # of a nested recipe's family
+    assert nacre.load(path).fingerprint != before
+
+
+def test_a_comment_in_the_package_changes_no_fingerprint(tmp_path: Path) -> None:
+    """Caches, sweeps and searches go on after an edit that changes no numbers."""
+    package = Path(nacre.__file__).parent
+    copy = tmp_path / "source" / "nacre"
+    shutil.copytree(package, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    recipe = film(tmp_path)
+    plan = write(tmp_path / "sweep.toml", f'recipe = "{recipe.name}"\n[axes]\n"layers[0].thickness_nm" = [100, 200]\n')
+    code = (
+        "import sys, nacre\nfrom nacre.analysis.sweep_plan import load_sweep\n"
+        "print(nacre.__file__, nacre.load(sys.argv[1]).fingerprint, load_sweep(sys.argv[2]).fingerprint, sep='\\n')"
+    )
+
+    def fingerprints() -> list[str]:
+        environment = {**os.environ, "PYTHONPATH": str(copy.parent)}
+        command = [sys.executable, "-c", code, str(recipe), str(plan)]
+        where, *found = subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=True
+        ).stdout.split()
+        assert Path(where).is_relative_to(copy)
+        return found
+
+    before = fingerprints()
+    sheet = next(copy.rglob("*.css"))
+    sheet.write_text(sheet.read_text() + "\n/* a comment */\n")
+    (copy / "_version.py").write_text('__version__ = "99.0"\n')
+    assert fingerprints() == before
 
 
 @pytest.mark.parametrize(
@@ -189,32 +216,36 @@ def sweep_file(folder: Path, axes: str = '"layers[0].thickness_nm" = [100, 200]'
 def test_a_sweep_is_not_resumed_with_another_index_file(tmp_path: Path) -> None:
     film(tmp_path)
     path = sweep_file(tmp_path)
-    run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=1)
+    run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=Workers(1))
     write(tmp_path / "glass.csv", INDEX.format(n=1.6))
     with pytest.raises(NacreError, match="another sweep, or its recipe, a file"):
-        run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=1)
+        run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=Workers(1))
 
 
 def test_a_sweep_is_not_resumed_with_another_file_on_an_axis(tmp_path: Path) -> None:
     film(tmp_path)
     write(tmp_path / "resin.csv", INDEX.format(n=1.4))
     path = sweep_file(tmp_path, '"layers[0].material" = ["SiO2", {file = "resin.csv"}]')
-    run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=1)
+    run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=Workers(1))
     write(tmp_path / "resin.csv", INDEX.format(n=1.6))
     with pytest.raises(NacreError, match="another sweep, or its recipe, a file"):
-        run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=1)
+        run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=Workers(1))
 
 
-def test_a_file_changed_while_a_sweep_runs_fails_the_points_after_it(tmp_path: Path) -> None:
+def test_a_file_changed_while_a_sweep_runs_is_not_read_again(tmp_path: Path) -> None:
     film(tmp_path)
     sweep = load_sweep(sweep_file(tmp_path))
+    run_sweep(sweep, tmp_path / "whole.zarr", workers=Workers(1))
 
     def change(done: int, failed: int, total: int) -> None:
         if done == 1:
             write(tmp_path / "glass.csv", INDEX.format(n=1.6))
 
-    assert run_sweep(sweep, tmp_path / "s.zarr", workers=1, progress=change) == (1, 1)
-    assert "glass.csv has changed" in (tmp_path / "s.errors.jsonl").read_text()
+    assert run_sweep(sweep, tmp_path / "s.zarr", workers=Workers(1), progress=change) == (2, 0)
+    for chunk in (tmp_path / "whole.zarr").glob("lab*/c.*"):
+        assert (tmp_path / "s.zarr" / chunk.parent.name / chunk.name).read_bytes() == chunk.read_bytes()
+    with pytest.raises(NacreError):
+        run_sweep(load_sweep(tmp_path / "sweep.toml"), tmp_path / "s.zarr", workers=Workers(1))
 
 
 def test_a_search_is_not_resumed_with_another_calibration(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import nacre
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.bsdf.grids import direction
 from nacre.families.pearl import doubling, surrogate
-from nacre.families.pearl.tables import Medium
+from nacre.families.pearl.random_walk import Medium
 from nacre.measure.instruments import ASPECULAR_DEG, aspecular_direction
 
 NM = np.array([440.0, 500.0, 560.0, 640.0])
@@ -78,12 +78,14 @@ def test_flakes_that_absorb_nothing_lose_no_light() -> None:
                 "coatings": [{"material": clear, "thickness_nm": 80}], "normal_deviation": 0.08}  # fmt: skip
     strata = [{"resin": {"n": 1.5}, "thickness_um": 60, "platelets": [platelet]}]
     model = nacre.material({"family": "pearl", "strata": strata, "base": {"albedo": 0.5}}).model
-    medium = surrogate._medium(model._glance(lam), surrogate.COS_NODES)
-    n = medium.index
+    medium = model._surrogate(lam).medium(surrogate.COS_NODES)
+    n = medium.n
     theta = (np.arange(24) + 0.5) * np.pi / 48
     wi = direction(theta)
     # T(w) of each direction out of f at two albedos: f = T T a / (pi n^2 (1 - a r)) + what never is at the ground
-    black, grey, white = (doubling.between(medium, wi, wi * [-1, -1, 1], np.array([a])) for a in (0.0, 0.5, 1.0))
+    black, grey, white = (
+        doubling.multiple_scattering(medium, wi, wi * [-1, -1, 1], np.array([a])) for a in (0.0, 0.5, 1.0)
+    )
     low, high = (grey - black)[:, 0], (white - black)[:, 0]
     # low = c / (2 - r), high = c / (1 - r), with c = T^2 / (pi n^2) of each direction
     r = float(np.mean((2.0 * low - high) / (low - high)))
@@ -121,8 +123,8 @@ def test_a_deep_layer_of_even_scatterers_is_chandrasekhars() -> None:
     for albedo, depth in ((0.5, 6.0), (0.8, 8.0)):  # deep enough: less than 1e-3 comes back from below
         h = chandrasekhar_h(mu, albedo)
         expected = albedo * (h * h[::-1] - 1.0) / (4.0 * np.pi * (mu + mu[::-1]))
-        found = doubling.between(spheres(depth, albedo), wi, wo, np.zeros(1))[:, 0]
-        np.testing.assert_allclose(found, expected, rtol=0.01)  # doubling.OFF of a smooth interface
+        found = doubling.multiple_scattering(spheres(depth, albedo), wi, wo, np.zeros(1))[:, 0]
+        np.testing.assert_allclose(found, expected, rtol=0.01)  # doubling.RELATIVE_ERROR of a smooth interface
 
 
 def test_a_layer_that_absorbs_nothing_sends_on_all_light() -> None:
@@ -132,7 +134,7 @@ def test_a_layer_that_absorbs_nothing_sends_on_all_light() -> None:
     reflect, transmit, direct = doubling._doubled(*doubling._turned(medium, mu), x, mu, weight)
     # of light along each direction, [in]; its matrices give radiance for radiance
     sent = np.einsum("i,ij->j", weight * mu, reflect[0, 0] + transmit[0, 0]) / mu + direct[0]
-    np.testing.assert_allclose(sent, 1.0, rtol=0.01)  # doubling.OFF of a smooth interface, grazing light too
+    np.testing.assert_allclose(sent, 1.0, rtol=0.01)  # doubling.RELATIVE_ERROR of a smooth interface, grazing light too
     np.testing.assert_allclose(2.0 * np.sum(weight * mu * sent), 1.0, rtol=1e-3)  # light from all sides
 
 

@@ -147,7 +147,7 @@ def test_pigments_are_remembered_by_many_threads_at_once(monkeypatch: pytest.Mon
     stratum = pearl().strata[0]
     flakes = stratum.flakes[0]
     coating = flakes.platelet.upper[0]
-    monkeypatch.setattr(surrogate, "REMEMBERED", 2)
+    monkeypatch.setattr(surrogate, "MAX_PIGMENTS", 2)
     monkeypatch.setattr(surrogate, "_tables", Slow())
 
     def table(nm: float) -> np.ndarray:

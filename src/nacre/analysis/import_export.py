@@ -19,7 +19,7 @@ from nacre.families.contract import OwnFormats
 from nacre.formats.gonio_csv import LARGEST_VALUE, read_gonio_csv, write_gonio_csv
 from nacre.formats.half_angle_tables import merl_table, read_merl, write_merl
 from nacre.formats.lobes import delta_lost, gonio_grid, gonio_table, is_isotropic, lost_parts, merl_lobe
-from nacre.material.material import EXCESS_TOLD, Material, material_from_data
+from nacre.material.material import MAX_EXCESS, Material, material_from_data
 from nacre.recipe.model import RecipeContext
 from nacre.recipe.toml import dump_toml
 
@@ -197,7 +197,7 @@ def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
                 f"{source}: sends out {worst:.3g} times the light that arrives at {angle:g} degrees ({nm:g} nm); "
                 "is it in per cent, or multiplied by something?"
             )
-        if worst > 1.0 + EXCESS_TOLD:
+        if worst > 1.0 + MAX_EXCESS:
             where = f"at {angle:g} degrees ({nm:g} nm)"
             return [f"sends out {worst:.3g} times the light that arrives {where}; kept as it is"]
     return []

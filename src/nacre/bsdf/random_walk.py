@@ -1,4 +1,10 @@
-"""Compiled steps of a walk at an interface: isotropic GGX facets that refract and reflect, and a diffuse ground."""
+# ruff: noqa: NPY002  # numba compiles the legacy generator only; its state is one for each thread
+"""Compiled steps of random walks through a stratum: rough interface, flight, platelet, diffuse base, phase function.
+
+All wavelengths share one path. Its throughputs `f[wavelength]` are weighted by what happens, and rescaled to an
+unchanged sum, which decides by chance what happens to the path. Directions of flight have dz < 0 on the way down.
+The twins of these steps on the device are in `nacre.device.walk`.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +15,25 @@ import numpy as np
 from nacre.bsdf.lobes.platelet_layer import masking, reflected
 from nacre.core.jit import compiled
 
-# ruff: noqa: NPY002  # numba compiles the legacy generator only; its state is one for each thread
+MAX_EVENTS = 20_000
+ABSORBED, REFLECTED, TRANSMITTED = 0, 1, 2
+FAINT_WEIGHT = 1e-3  # a path of one wavelength survives with probability 1/2 below this weight
+# additive recurrence with the root of x^8 = x + 1: a rank-1 lattice of any length
+_ROOT = 1.0969815577985598
+LATTICE = np.array([_ROOT ** -(j + 1) % 1.0 for j in range(7)])
 
 
 @compiled(nogil=True)
-def facet(x, y, z, alpha, u1, u2):  # type: ignore[no-untyped-def]  # numba
-    """Draw a GGX facet that a direction (z > 0) sees; the normal itself where smooth."""
+def lattice_point(number, shift, u):  # type: ignore[no-untyped-def]  # numba
+    """Write a point of the shifted lattice."""
+    for j in range(u.size):
+        at = (number + 0.5) * LATTICE[j] + shift[j]
+        u[j] = at - math.floor(at)
+
+
+@compiled(nogil=True)
+def sample_facet(x, y, z, alpha, u1, u2):  # type: ignore[no-untyped-def]  # numba
+    """Draw a GGX facet visible from a direction (z > 0); the normal itself if the interface is smooth."""
     if alpha <= 0.0:
         return 0.0, 0.0, 1.0
     hx, hy, hz = alpha * x, alpha * y, z
@@ -29,9 +48,9 @@ def facet(x, y, z, alpha, u1, u2):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True)
-def into(x, y, z, eta, alpha, u1, u2):  # type: ignore[no-untyped-def]  # numba
-    """Refract light from a direction (z > 0) through a facet: the direction beyond (z < 0), the transmitted share."""
-    mx, my, mz = facet(x, y, z, alpha, u1, u2)
+def refract(x, y, z, eta, alpha, u1, u2):  # type: ignore[no-untyped-def]  # numba
+    """Refract light from a direction (z > 0) through a facet: its flight beyond (z < 0) and the transmitted share."""
+    mx, my, mz = sample_facet(x, y, z, alpha, u1, u2)
     cos = x * mx + y * my + z * mz
     share, cos_t = reflected(min(cos, 1.0), eta)
     if share >= 1.0:
@@ -47,20 +66,20 @@ def into(x, y, z, eta, alpha, u1, u2):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True)
-def inner_facet(dx, dy, dz, index, alpha):  # type: ignore[no-untyped-def]  # numba
-    """Draw the facet that light from inside meets, dz > 0: m, the cosine on it, the reflected share, the other cosine.
+def sample_inner_facet(dx, dy, dz, index, alpha):  # type: ignore[no-untyped-def]  # numba
+    """Draw the facet met by a flight from inside, dz > 0: m, the cosine on it, the reflected share, the cosine outside.
 
-    Seen from inside, so mirrored: the inside lies above.
+    The facet is mirrored in the interface, so that the inside lies above it.
     """
-    mx, my, mz = facet(-dx, -dy, dz, alpha, np.random.random(), np.random.random())
+    mx, my, mz = sample_facet(-dx, -dy, dz, alpha, np.random.random(), np.random.random())
     cos = -dx * mx - dy * my + dz * mz
     share, cos_t = reflected(min(cos, 1.0), 1.0 / index)
     return mx, my, mz, cos, share, cos_t
 
 
 @compiled(nogil=True)
-def turned_back(dx, dy, dz, mx, my, mz, cos, share, alpha):  # type: ignore[no-untyped-def]  # numba
-    """Reflect light at the facet of `inner_facet`: its direction, back down; z = 0 where it has left or is masked."""
+def reflect_inside(dx, dy, dz, mx, my, mz, cos, share, alpha):  # type: ignore[no-untyped-def]  # numba
+    """Reflect a flight at the facet of `sample_inner_facet`: its direction down; z = 0 if it leaves or is masked."""
     if np.random.random() >= share:
         return 0.0, 0.0, 0.0
     ex, ey, ez = 2.0 * cos * mx + dx, 2.0 * cos * my + dy, 2.0 * cos * mz - dz
@@ -70,37 +89,17 @@ def turned_back(dx, dy, dz, mx, my, mz, cos, share, alpha):  # type: ignore[no-u
 
 
 @compiled(nogil=True)
-def upward():  # type: ignore[no-untyped-def]  # numba
-    """Draw a direction of diffuse light from the base."""
+def sample_diffuse():  # type: ignore[no-untyped-def]  # numba
+    """Draw a flight of diffuse light from the base."""
     z = math.sqrt(max(np.random.random(), 1e-12))
     phi = 2.0 * math.pi * np.random.random()
     side = math.sqrt(1.0 - z * z)
     return side * math.cos(phi), side * math.sin(phi), z
 
 
-# Compiled steps that all walks of all wavelengths together are made of: interface, flight, flake, base.
-
-# ruff: noqa: NPY002  # numba compiles the legacy generator only; its state is one for each thread
-
-
-MAX_EVENTS = 20_000
-ENDS, TURNS, PASSES = 0, 1, 2
-# additive recurrence with the root of x^8 = x + 1 (a rank-1 lattice that can be cut anywhere)
-_ROOT = 1.0969815577985598
-LATTICE = np.array([_ROOT ** -(j + 1) % 1.0 for j in range(7)])
-
-
 @compiled(nogil=True)
-def lattice(point, cut, u):  # type: ignore[no-untyped-def]  # numba
-    """Write a point of the lattice."""
-    for j in range(u.size):
-        at = (point + 0.5) * LATTICE[j] + cut[j]
-        u[j] = at - math.floor(at)
-
-
-@compiled(nogil=True)
-def flake(x, y, z, sigma, u1, u2):  # type: ignore[no-untyped-def]  # numba
-    """Draw a flake normal that a direction sees."""
+def sample_normal(x, y, z, sigma, u1, u2):  # type: ignore[no-untyped-def]  # numba
+    """Draw a platelet normal visible from a direction."""
     hx, hy, hz = sigma * x, sigma * y, z
     length = math.sqrt(hx * hx + hy * hy + hz * hz)
     c = 2.0 * u2 - 1.0
@@ -112,9 +111,23 @@ def flake(x, y, z, sigma, u1, u2):  # type: ignore[no-untyped-def]  # numba
     return mx / length, my / length, mz / length
 
 
+@compiled(nogil=True)
+def projected_area(z, sigma):  # type: ignore[no-untyped-def]  # numba
+    """Return the projected area of platelets along a cosine, relative to lying flat."""
+    return math.sqrt(sigma * sigma * (1.0 - z * z) + z * z)
+
+
+@compiled(nogil=True)
+def normal_density(hx, hy, hz, sigma):  # type: ignore[no-untyped-def]  # numba
+    """SGGX density of platelet normals, per steradian on the full sphere."""
+    s2 = sigma * sigma
+    q = (hx * hx + hy * hy) / s2 + hz * hz
+    return 1.0 / (math.pi * s2 * q * q)
+
+
 @compiled(nogil=True, fastmath=True)
-def row(table, position, out):  # type: ignore[no-untyped-def]  # numba
-    """Interpolate the rows of a table at a position counted in rows."""
+def interpolate_row(table, position, out):  # type: ignore[no-untyped-def]  # numba
+    """Interpolate the rows of a table at a position in rows."""
     i = min(int(position), table.shape[0] - 2)
     f = np.float32(position - i)
     for l in range(out.size):
@@ -122,15 +135,15 @@ def row(table, position, out):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def damp(f, absorb, path):  # type: ignore[no-untyped-def]  # numba
-    """Let the throughputs `f` pass the resin itself: `absorb` is its optical thickness along the normal."""
+def attenuate(f, absorb, path):  # type: ignore[no-untyped-def]  # numba
+    """Attenuate the throughputs by the resin, of optical thickness `absorb` along the normal."""
     for l in range(f.size):
         f[l] *= math.exp(-absorb[l] * path)
 
 
 @compiled(nogil=True)
-def flakes_met(x, y, z, number, sigma, areas):  # type: ignore[no-untyped-def]  # numba
-    """Write how many flakes of each kind light along a direction meets in a unit of depth; return their sum."""
+def collision_rates(x, y, z, number, sigma, areas):  # type: ignore[no-untyped-def]  # numba
+    """Write the platelets of each kind met along a direction per unit of depth times |z|; return their sum."""
     total = 0.0
     for k in range(number.size):
         areas[k] = number[k] * math.sqrt(sigma[k] * sigma[k] * (x * x + y * y) + z * z)
@@ -139,8 +152,8 @@ def flakes_met(x, y, z, number, sigma, areas):  # type: ignore[no-untyped-def]  
 
 
 @compiled(nogil=True)
-def chosen(areas, total):  # type: ignore[no-untyped-def]  # numba
-    """Draw the kind of the flake that is met."""
+def choose_kind(areas, total):  # type: ignore[no-untyped-def]  # numba
+    """Draw the kind of the platelet that is met."""
     k = 0
     if areas.size > 1:
         left = np.random.random() * total - areas[0]
@@ -151,7 +164,7 @@ def chosen(areas, total):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def weigh(f, share):  # type: ignore[no-untyped-def]  # numba
+def weight(f, share):  # type: ignore[no-untyped-def]  # numba
     """Multiply the throughputs by shares; return their sums before and after."""
     before, after = np.float32(0.0), np.float32(0.0)
     for l in range(f.size):
@@ -162,18 +175,22 @@ def weigh(f, share):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def scatter(dx, dy, dz, sigma, reflect, transmit, f, r, t):  # type: ignore[no-untyped-def]  # numba
-    """Let a flake reflect the light, pass it or absorb it: TURNS, PASSES or ENDS, and the direction.
+def survives(f, before, after):  # type: ignore[no-untyped-def]  # numba
+    """End the path by chance, or rescale its throughputs from the sum `after` to the sum `before`."""
+    if np.random.random() * before >= after:
+        return False
+    for l in range(f.size):
+        f[l] *= before / after
+    return True
 
-    Args:
-        reflect, transmit: `[cos, wavelength]`, float32, over nodes of sqrt(cos).
-        r, t: `[wavelength]`, float32, to work in.
+
+@compiled(nogil=True, fastmath=True)
+def share_light(f, r, t):  # type: ignore[no-untyped-def]  # numba
+    """Reflect, transmit or absorb the path by chance, with reflectances `r` and transmittances `t`.
+
+    Returns:
+        the event, and the sums of the throughputs that arrive, are reflected and are transmitted.
     """
-    mx, my, mz = flake(-dx, -dy, -dz, sigma, np.random.random(), np.random.random())
-    cos = -(dx * mx + dy * my + dz * mz)
-    at = math.sqrt(min(abs(cos), 1.0)) * (reflect.shape[0] - 1)
-    row(reflect, at, r)
-    row(transmit, at, t)
     carried, back, on = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     for l in range(f.size):
         carried += f[l]
@@ -184,15 +201,59 @@ def scatter(dx, dy, dz, sigma, reflect, transmit, f, r, t):  # type: ignore[no-u
         scale = carried / back
         for l in range(f.size):
             f[l] *= r[l] * scale
+        return REFLECTED, carried, back, on
+    if choice < back + on:
+        scale = carried / on
+        for l in range(f.size):
+            f[l] *= t[l] * scale
+        return TRANSMITTED, carried, back, on
+    return ABSORBED, carried, back, on
+
+
+@compiled(nogil=True, fastmath=True)
+def scatter(dx, dy, dz, sigma, reflect, transmit, f, r, t):  # type: ignore[no-untyped-def]  # numba
+    """Meet a platelet: the event and the new flight.
+
+    Args:
+        reflect, transmit: `[cos, wavelength]`, float32, over nodes of sqrt(cos).
+        r, t: `[wavelength]`, float32, scratch.
+    """
+    mx, my, mz = sample_normal(-dx, -dy, -dz, sigma, np.random.random(), np.random.random())
+    cos = -(dx * mx + dy * my + dz * mz)
+    at = math.sqrt(min(abs(cos), 1.0)) * (reflect.shape[0] - 1)
+    interpolate_row(reflect, at, r)
+    interpolate_row(transmit, at, t)
+    event, _, _, _ = share_light(f, r, t)
+    if event == REFLECTED:
         dx, dy, dz = dx + 2.0 * cos * mx, dy + 2.0 * cos * my, dz + 2.0 * cos * mz
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
         dx, dy, dz = dx / length, dy / length, dz / length
         if abs(dz) < 1e-9:
             dz = 1e-9
-        return TURNS, dx, dy, dz
-    if choice < back + on:
-        scale = carried / on
-        for l in range(f.size):
-            f[l] *= t[l] * scale
-        return PASSES, dx, dy, dz
-    return ENDS, dx, dy, dz
+    return event, dx, dy, dz
+
+
+@compiled(nogil=True, fastmath=True)
+def fly(depth, dz, total, absorb, f):  # type: ignore[no-untyped-def]  # numba
+    """Draw a free flight and attenuate the throughputs on the way; return the depth, beyond [0, 1] at an interface."""
+    flight = -math.log(1.0 - np.random.random()) / max(total, 1e-12)
+    reached = depth - dz * flight
+    if absorb.size:
+        attenuate(f, absorb, abs(min(max(reached, 0.0), 1.0) - depth) / max(abs(dz), 1e-6))
+    return reached
+
+
+@compiled(nogil=True, fastmath=True)
+def sample_quantile(quantiles):  # type: ignore[no-untyped-def]  # numba
+    """Draw a number from its quantiles at uniform nodes, such as the cosine of a phase function."""
+    at = np.random.random() * (quantiles.size - 1)
+    low = min(int(at), quantiles.size - 2)
+    return quantiles[low] + (at - low) * (quantiles[low + 1] - quantiles[low])
+
+
+@compiled(nogil=True, fastmath=True)
+def roulette(carried):  # type: ignore[no-untyped-def]  # numba
+    """Return the weight of a path of one wavelength: doubled or zero by chance if it is faint."""
+    if carried < FAINT_WEIGHT:
+        return 0.0 if np.random.random() < 0.5 else 2.0 * carried
+    return carried

@@ -102,7 +102,8 @@ class TextureSpec(RecipeModel):
         """
         if self.texture is not None:
             assert self.min is not None and self.max is not None
-            image = read_grey(context.path(self.texture), f"{context.source}: {key}.texture")
+            path = context.path(self.texture)
+            image = context.once(("image", path), lambda: read_grey(path, f"{context.source}: {key}.texture"))
             return Texture(self.min, self.max, image=image, is_stepped=self.interpolation == "nearest")
         assert self.formula is not None
         formula = parse_formula(self.formula, self._names)

@@ -109,7 +109,7 @@ def cache(clear: bool, as_json: bool) -> None:
     Beside whole materials there are parts: patterns of an ensemble, T-matrices, from which a stopped run goes on.
     The folder is $NACRE_CACHE, or nacre in the user's cache folder; NACRE_CACHE=off keeps nothing.
     """
-    from nacre.material import cache as kept
+    from nacre.core import disk_cache as kept
 
     folder = kept.cache_folder()
     before = kept.entries(folder) if folder else []
@@ -133,7 +133,7 @@ def cache(clear: bool, as_json: bool) -> None:
 
 def _in_words(entries: list[tuple[float, int, Path]]) -> str:
     """Return how many materials the entries are, and how many parts that materials are made of."""
-    from nacre.material.cache import is_material
+    from nacre.core.disk_cache import is_material
 
     materials = sum(is_material(path) for _, _, path in entries)
     parts = len(entries) - materials

@@ -1,8 +1,7 @@
-"""The folder where solved optics are kept between runs: whose it is, what is in it, and what goes first.
+"""Disk cache of solved optics: location, ownership, eviction of the least recently used entries.
 
-Entries are written atomically under the fingerprint of their content, so any number of processes may share the
-folder. `materials.cache` keeps whole materials there (`.nacre`); a family may keep arrays (`.npz`) of a step that took
-long, so that a stopped run goes on where it was.
+Entries are written atomically under the fingerprint of their content, so any number of processes may share the folder.
+Whole materials are `.nacre` files, arrays of intermediate results `.npz` files. Nothing in them is executed.
 """
 
 from __future__ import annotations
@@ -10,8 +9,10 @@ from __future__ import annotations
 import contextlib
 import os
 import stat
+import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path
@@ -22,40 +23,46 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+Value = TypeVar("Value")
 VARIABLE = "NACRE_CACHE"
-OFF = "off"  # as the variable's value
+OFF = "off"  # value of the variable that disables the cache
 MAX_BYTES = 2_000_000_000
-MATERIAL, PART = ".nacre", ".npz"
-SUFFIXES = (MATERIAL, PART)
+MIN_SOLVE_S = 0.5  # results that are solved faster are not stored
+MATERIAL, ARRAYS = ".nacre", ".npz"
 
 
 def cache_folder() -> Path | None:
-    """Return where solved optics are kept: in `$NACRE_CACHE` or the user's cache folder; None where it is off."""
+    """Return the folder of the cache: in `$NACRE_CACHE` or the user's cache folder; None if the cache is off."""
     chosen = os.environ.get(VARIABLE)
     if chosen == OFF:
         return None
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    return Path(chosen or os.path.join(base, "nacre")) / "solved"
+    if chosen:
+        return Path(chosen) / "solved"
+    from platformdirs import user_cache_path
+
+    return user_cache_path("nacre", appauthor=False) / "solved"
 
 
-def is_ours(folder: Path) -> bool:
-    """Make the folder, and tell whether it belongs to this user and to nobody else: others could change answers."""
+def _private_folder() -> Path | None:
+    """Return the folder, created if needed, or None if the cache is off or other users could change its entries."""
+    folder = cache_folder()
+    if folder is None:
+        return None
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with contextlib.suppress(FileExistsError):
             folder.mkdir(mode=0o700)
         status = folder.lstat()
     except OSError:
-        return False
-    if os.name != "posix":
-        return stat.S_ISDIR(status.st_mode)
-    return stat.S_ISDIR(status.st_mode) and status.st_uid == os.geteuid() and not status.st_mode & 0o077
+        return None
+    is_private = os.name != "posix" or (status.st_uid == os.geteuid() and not status.st_mode & 0o077)
+    return folder if stat.S_ISDIR(status.st_mode) and is_private else None
 
 
 def entries(folder: Path) -> list[tuple[float, int, Path]]:
-    """Return the entries of a cache, the one not used for longest first: time of use, bytes, path."""
+    """Return the entries of a cache, least recently used first: time of use, bytes, path."""
     found = []
-    for path in (p for suffix in SUFFIXES for p in folder.glob(f"*{suffix}")):
+    for path in (p for suffix in (MATERIAL, ARRAYS) for p in folder.glob(f"*{suffix}")):
         with contextlib.suppress(OSError):  # another process may have removed it
             status = path.stat()
             found.append((status.st_mtime, status.st_size, path))
@@ -63,69 +70,100 @@ def entries(folder: Path) -> list[tuple[float, int, Path]]:
 
 
 def is_material(path: Path) -> bool:
-    """Whether an entry is a whole material, not a part that one is made of."""
+    """Whether an entry is a whole material, not arrays of an intermediate result."""
     return path.suffix == MATERIAL
 
 
-def make_room(folder: Path, most: int) -> None:
-    kept = entries(folder)
-    total = sum(size for _, size, _ in kept)
-    for _, size, path in kept:
-        if total <= most:
+def _evict(folder: Path) -> None:
+    stored = entries(folder)
+    total = sum(size for _, size, _ in stored)
+    for _, size, path in stored:
+        if total <= MAX_BYTES:
             return
         path.unlink(missing_ok=True)
         total -= size
 
 
 def clear(folder: Path) -> int:
-    """Remove all entries, and return how many there were.
+    """Remove all entries and return their number.
 
     Raises:
-        NacreError: one cannot be removed.
+        NacreError: an entry cannot be removed.
     """
-    kept = entries(folder)
+    stored = entries(folder)
     try:
-        for _, _, path in kept:
+        for _, _, path in stored:
             path.unlink(missing_ok=True)
     except OSError as error:
         raise NacreError(f"{folder}: cannot be cleared: {error.strerror}") from None
-    return len(kept)
+    return len(stored)
 
 
-def cached_arrays(key: str) -> dict[str, NDArray[np.float64]] | None:
-    """Return the arrays of numbers that are kept under an fingerprint, or None: there are none, or they are damaged."""
-    import numpy as np
-
-    folder = cache_folder()
-    if folder is None or not is_ours(folder):
+def _read(path: Path, load: Callable[[Path], Value]) -> Value | None:
+    """Return the content of an entry and mark it as used, or None if it is absent or damaged."""
+    if not path.exists():
         return None
-    path = folder / f"{key}.npz"
-    with contextlib.suppress(Exception):  # damage has many forms, and all mean that it is solved anew
-        with np.load(path, allow_pickle=False) as stored:
-            found = {name: np.asarray(stored[name], dtype=np.float64) for name in stored.files}
-        os.utime(path)  # the time of the last use
+    with contextlib.suppress(Exception):  # damage raises many types of errors; all mean that it is solved again
+        found = load(path)
+        os.utime(path)
         return found
     return None
 
 
-def drop_arrays(keys: Iterable[str]) -> None:
-    """Remove arrays that are needed no more."""
-    folder = cache_folder()
-    if folder is None or not is_ours(folder):
-        return
-    for key in keys:
-        with contextlib.suppress(OSError):
-            (folder / f"{key}.npz").unlink(missing_ok=True)
+def cached(
+    key: str, solve: Callable[[], Value], load: Callable[[Path], Value], save: Callable[[Value, Path], None]
+) -> Value:
+    """Return the stored material of a fingerprint, or solve it and store it if that took long.
+
+    A damaged entry, or a folder that cannot be used, costs only the time to solve.
+    """
+    folder = _private_folder()
+    if folder is None:
+        return solve()
+    path = folder / f"{key}{MATERIAL}"
+    found = _read(path, load)
+    if found is not None:
+        return found
+    start = time.perf_counter()
+    value = solve()
+    if time.perf_counter() - start > MIN_SOLVE_S:
+        with contextlib.suppress(NacreError, OSError):
+            save(value, path)
+            _evict(folder)
+    return value
+
+
+def cached_arrays(key: str) -> dict[str, NDArray[np.float64]] | None:
+    """Return the arrays stored under a fingerprint, or None if they are absent or damaged."""
+    folder = _private_folder()
+    return None if folder is None else _read(folder / f"{key}{ARRAYS}", _load_arrays)
+
+
+def _load_arrays(path: Path) -> dict[str, NDArray[np.float64]]:
+    import numpy as np
+
+    with np.load(path, allow_pickle=False) as stored:
+        return {name: np.asarray(stored[name], dtype=np.float64) for name in stored.files}
 
 
 def cache_arrays(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
-    """Keep arrays under an fingerprint; a folder that cannot be used is passed over."""
+    """Store arrays under a fingerprint; does nothing if the folder cannot be used."""
     import numpy as np
 
-    folder = cache_folder()
-    if folder is None or not is_ours(folder):
+    folder = _private_folder()
+    if folder is None:
         return
     with contextlib.suppress(NacreError, OSError):
-        with atomic_path(folder / f"{key}.npz") as temporary, temporary.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
-        make_room(folder, MAX_BYTES)
+        with atomic_path(folder / f"{key}{ARRAYS}") as temporary, temporary.open("wb") as file:
+            np.savez(file, **arrays)
+        _evict(folder)
+
+
+def drop_arrays(keys: Iterable[str]) -> None:
+    """Remove stored arrays."""
+    folder = _private_folder()
+    if folder is None:
+        return
+    for key in keys:
+        with contextlib.suppress(OSError):
+            (folder / f"{key}{ARRAYS}").unlink(missing_ok=True)

@@ -6,13 +6,10 @@ leads to its recipe model. No family imports this file.
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
-from pathlib import Path
 
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.core.lazy import entry_points
-from nacre.recipe.fingerprint import file_digest, source_digest
 from nacre.recipe.model import RecipeModel, show_value
 
 GROUP = "nacre.families"
@@ -55,12 +52,3 @@ def family_spec(family: object, source: str) -> type[RecipeModel]:
     if not (isinstance(found, type) and issubclass(found, RecipeModel)):
         raise NacreError(f'entry point "{family}" of {GROUP} is not a RecipeModel')
     return found
-
-
-def family_source(family: object) -> str:
-    """Return a hash of the package that a family from outside comes from; "" for nacre's own."""
-    if family not in entry_points(GROUP, FAMILIES):
-        return ""
-    module = family_spec(family, "recipe").__module__
-    file = Path(str(sys.modules[module].__file__))
-    return source_digest(file.parent) if "." in module else file_digest(file)

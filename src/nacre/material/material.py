@@ -1,7 +1,7 @@
-"""A material: what its family built, and the recipe that it was built from.
+"""A material: the model that its family built, and the recipe that it was built from.
 
-Any number of a recipe can be changed by its path (`layers[0].thickness_nm`), which is how sweeps, fits, tolerances,
-designs and animations vary a material without knowing what it is.
+Every number of a recipe can be changed by its path (`layers[0].thickness_nm`). Sweeps, fits, tolerances, designs and
+animations use these paths for all families.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import copy
 import dataclasses
 import functools
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,17 +23,18 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array, floats, wavelength_grid
+from nacre.core.disk_cache import cached
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import DESIGN_RECIPE, named, read_text, short_name
 from nacre.core.memory import check_memory
 from nacre.families.contract import ExcessEnergy, ExpensiveMethod, Model, Traits, figure_data, values_at
-from nacre.families.registry import family_source, family_spec
-from nacre.material.cache import solved
+from nacre.families.registry import family_spec
 from nacre.material.examples import resolve_recipe_path
+from nacre.material.parametrise import Parametrisation
 from nacre.material.spatial_variation import Varying
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.recipe.fingerprint import file_digest, fingerprint
-from nacre.recipe.model import RecipeContext, validate
+from nacre.recipe.model import RecipeContext, RecipeModel, validate
 from nacre.recipe.named_numbers import named_numbers, refuse_new_number
 from nacre.recipe.nested_recipes import open_all, open_parts
 from nacre.recipe.normalise import plain_data
@@ -42,25 +43,25 @@ from nacre.recipe.toml import dump_toml, parse_toml
 
 logger = logging.getLogger("nacre")
 
-EXCESS_TOLD = 1e-3  # of the light that arrives: what spectra keep to
+MAX_EXCESS = 1e-3  # relative to the incident light; larger sums of reflectance and transmittance are reported
 MAX_NESTED_RECIPES = 8
-BYTES_A_VALUE = 160  # of an angle and wavelength: two polarisations' amplitudes and powers, and the parts kept
-MANY_ANGLES = 1000  # so many that the material's own wavelengths count
+BYTES_PER_VALUE = 160  # per angle and wavelength: amplitudes and powers of two polarisations, and the stored parts
+MANY_ANGLES = 1000  # from here on the memory of the material's own wavelengths is checked
 POLARISATIONS = ("s", "p", "both")
-STUDY_TABLES = ("fit", "tolerance")  # read by nacre.study: which numbers are free, which vary in manufacture
+STUDY_TABLES = ("fit", "tolerance")  # parameters of fits and manufacturing tolerances; they do not change the optics
 
 
-@functools.lru_cache(maxsize=256)  # once a process is enough for the same words
-def _tell_once(source: str, line: str) -> None:
+@functools.lru_cache(maxsize=256)  # each message once per process
+def _warn_once(source: str, line: str) -> None:
     logger.warning("%s: %s", source, line)
 
 
 @dataclass(frozen=True)
 class Material:
-    """A material: its family's frozen parameters (`model`) and the recipe it was built from.
+    """A material: its family's frozen parameters (`model`) and its recipe.
 
     Attributes:
-        model: what its family built; holds the physics.
+        model: the physics, built by the family.
         data: the recipe as a dictionary.
         context: file name, folder and text of the recipe.
     """
@@ -70,7 +71,7 @@ class Material:
     context: RecipeContext = field(default_factory=RecipeContext)
 
     def __repr__(self) -> str:
-        """Say what it is in a line: its model holds whole tables."""
+        """Return family and source on one line, without the tables of the model."""
         return f"<{self.family} material: {self.context.source}>"
 
     @property
@@ -85,44 +86,45 @@ class Material:
 
     @property
     def fingerprint(self) -> str:
-        """A hash of all that decides the material's answers; see `nacre.recipe.fingerprint`."""
+        """A hash of everything that determines the material's optics; see `nacre.recipe.fingerprint`."""
         data = {key: value for key, value in self.data.items() if key not in STUDY_TABLES}
-        outside = {"ambient": str(self.context.ambient), "family": family_source(self.data.get("family"))}
+        options: dict[str, Any] = {
+            "ambient": str(self.context.ambient), "version": self.model.version, "nested": self.context.versions,
+        }  # fmt: skip
         if self.context.is_low_fidelity:
-            outside["way"] = "quick"
-        return fingerprint(data, self.context.files, **outside)
+            options["fidelity"] = "low"
+        return fingerprint(data, self.context.files, **options)
 
     def bsdf(self, wavelengths_nm: ArrayLike | None = None, *, keep: bool = True) -> Bsdf:
-        """Solve the optics and return the arrays, with their provenance.
+        """Solve the optics and return the lobes with their provenance.
 
         Args:
             wavelengths_nm: vacuum wavelengths, ascending; default: chosen by the material.
-            keep: whether what took long to solve is kept on disk for the next time, which takes as long again.
+            keep: whether a slow result is stored in the disk cache.
 
         Raises:
             MaterialRangeError: an optical constant is not known at a wavelength.
         """
-        grid = wavelength_grid(wavelengths_nm)
-        bsdf = self._solved(grid, keep)
+        bsdf = self._solved(wavelength_grid(wavelengths_nm), keep)
         return dataclasses.replace(bsdf, provenance={**bsdf.provenance, **recipe_provenance(self)})
 
     def _solved(self, grid: NDArray[np.float64] | None, keep: bool = True) -> Bsdf:
         for warning in self.model.warnings:
-            _tell_once(self.context.source, warning)
+            _warn_once(self.context.source, warning)
         if grid is not None:
             traits = self.model.traits
             check_memory(float(traits.bytes_per_wavelength) * grid.size, f"a {traits.noun} at {grid.size} wavelengths")
         if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
-            return self.model.bsdf(grid)  # solved already; or a part of another material, which is kept as a whole
-        what = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
-        return solved(what, lambda: self.model.bsdf(grid), keep)
+            return self.model.bsdf(grid)  # solved already, or part of another material, which is cached as a whole
+        key = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
+        return cached(key, lambda: self.model.bsdf(grid), Bsdf.load, _save_unpacked if keep else _discard)
 
     def values_at(
         self, wi: Array, wo: Array, wavelengths_nm: Array | None = None
     ) -> tuple[Array, NDArray[np.float64]] | None:
-        """Return what `bsdf` gives at a few pairs, `[pair, wavelength]`, and the wavelengths, where that is less work.
+        """Return BSDF values of a few pairs `[pair, wavelength]` and the wavelengths, without solving the whole Bsdf.
 
-        None where it is not: the Bsdf must then be solved.
+        None: the family has no direct evaluation.
 
         Args:
             wi, wo: `[pair, 3]`, unit vectors.
@@ -134,7 +136,7 @@ class Material:
 
     @property
     def text(self) -> str:
-        """The recipe as text: as its author wrote it, or written anew where numbers were changed since."""
+        """The recipe as text: as its author wrote it, or written again after changes."""
         return self.context.text or dump_toml(self.data)
 
     def spectrum(
@@ -147,17 +149,17 @@ class Material:
     ) -> Spectrum:
         """Return reflectance and transmittance, specular and diffuse, each `[angle, wavelength]`.
 
+        The parts never sum to more than 1 within the noise of random walks, unless the data or the chosen model do;
+        this is logged as a warning.
+
         Args:
             theta_rad: angles of incidence in the ambient medium, in [0, pi/2].
             wavelengths_nm: vacuum wavelengths; default: chosen by the material.
             polarisation: "s", "p" or "both" (unpolarised).
-            seed: of a pearl's random walk; another seed gives independent noise.
+            seed: seed of a random walk; another seed gives independent noise.
 
         Raises:
-            UnsupportedError: the material has no such spectrum, or a formula of x, y or z, which are of pictures.
-
-        The parts never sum to more than 1 (random walks: but for their noise), unless data or a model chosen say so;
-        that is logged as a warning.
+            UnsupportedError: the material has no such spectrum, or a formula uses x, y or z, which exist in pictures.
         """
         refuse_place(self.model, f"{self.context.source}: spectrum")
         grid = wavelength_grid(wavelengths_nm)
@@ -169,25 +171,25 @@ class Material:
         if grid is not None or len(theta) >= MANY_ANGLES:
             count = len(np.atleast_1d(self.model.wavelengths_nm if grid is None else grid))
             what = f"a spectrum of {len(theta)} angles x {count} wavelengths"
-            check_memory(float(BYTES_A_VALUE) * len(theta) * count, what)
+            check_memory(float(BYTES_PER_VALUE) * len(theta) * count, what)
         found = self.model.spectrum(theta, grid, polarisation, seed)
         if found is None:
             if polarisation != "both":
                 traits = self.model.traits
                 raise UnsupportedError(f"{self.context.source}: a {traits.noun} {traits.unpolarised_reason}")
             found = bsdf_spectrum(self._solved(grid), theta, seed=seed)
-        self._tell_excess(found)
+        self._warn_of_excess(found)
         return found
 
-    def _tell_excess(self, spectrum: Spectrum) -> None:
-        """Warn where more leaves than arrives, of a model or data that may do so."""
+    def _warn_of_excess(self, spectrum: Spectrum) -> None:
+        """Log a warning if a model or data that permit it give more light than arrives."""
         because = self.model.excess_reason if isinstance(self.model, ExcessEnergy) else ""
         parts = list(spectrum.parts().values())
         if not because or not parts:
             return
         total = np.sum(parts, axis=0)
         angle, band = np.unravel_index(int(np.argmax(total)), total.shape)
-        if total[angle, band] > 1.0 + EXCESS_TOLD:
+        if total[angle, band] > 1.0 + MAX_EXCESS:
             logger.warning(
                 "%s: sends out %.4g times the light that arrives, at %g degrees and %g nm: %s",
                 self.context.source, total[angle, band], spectrum.angles_deg[angle], spectrum.wavelengths_nm[band],
@@ -195,21 +197,21 @@ class Material:
             )  # fmt: skip
 
     def figure_data(self, kind: str, **options: Any) -> dict[str, NDArray[Any]]:
-        """Return the arrays of a figure that only this family has, such as "field" or "structure".
+        """Return the arrays of a figure of this family, such as "field" or "structure".
 
         Raises:
-            UnsupportedError: the family has no such figure, or a formula of x, y or z.
+            UnsupportedError: the family has no such figure, or a formula uses x, y or z.
         """
         refuse_place(self.model, f"{self.context.source}: {kind}")
         return figure_data(self.model, kind, **options)
 
     def vary(self, changes: Mapping[str, Any]) -> Material:
-        """Return the material with some recipe numbers changed, each named by its path.
+        """Return the material with some recipe values changed, each named by its path.
 
         Raises:
             RecipeError: a path does not exist or a value is not allowed.
 
-        Example: `soap.vary({"layers[0].thickness_nm": 420})`; of a blend, whose parts are files of their own,
+        Example: `soap.vary({"layers[0].thickness_nm": 420})`; in a blend, whose parts are separate files,
         `door.vary({"first.layers[0].thickness_nm": 420})`.
         """
         if not isinstance(changes, Mapping):
@@ -218,37 +220,51 @@ class Material:
         for path, value in changes.items():
             refuse_new_number(data, str(path), self.context.source)
             set_by_path(data, path, value, self.context.source)
-        return material_from_data(data, dataclasses.replace(self.context, text=""))
+        return self._rebuilt(data)
+
+    def parametrise(self, paths: Iterable[str]) -> Callable[[Mapping[str, Any]], Material]:
+        """Return a function from values at recipe paths to materials, much faster than repeated `vary`.
+
+        Files are read once: a later change of a file has no effect on the function.
+
+        Raises:
+            RecipeError: a path does not exist in the recipe.
+
+        Example: `soap.parametrise(["layers[0].thickness_nm"])({"layers[0].thickness_nm": 420})`.
+        """
+        return Parametrisation(self, paths)
 
     def with_parts_loaded(self, paths: Iterable[str]) -> Material:
-        """Return the material with each recipe inside its own that a path reaches into as a table, not as a file.
+        """Return the material with nested recipe files replaced by tables if one of the paths leads into them.
 
         `first.layers[0].thickness_nm` names a number of the recipe that `first = {recipe = "film.toml"}` names.
 
         Raises:
-            RecipeError: a part cannot be read.
+            RecipeError: a nested recipe cannot be read.
         """
-        data = open_parts(self.data, paths, self.context.folder)
-        if data == self.data:
-            return self
-        return material_from_data(data, dataclasses.replace(self.context, text=""))
+        return self._with_data(open_parts(self.data, paths, self.context.folder))
 
     def inlined(self) -> Material:
-        """Return the material with every recipe inside its own as a table, not as a file.
+        """Return the material with every nested recipe file replaced by its table.
 
         Raises:
-            RecipeError: a part cannot be read.
+            RecipeError: a nested recipe cannot be read.
         """
-        data = open_all(self.data, self.context.folder)
-        if data == self.data:
-            return self
-        return material_from_data(data, dataclasses.replace(self.context, text=""))
+        return self._with_data(open_all(self.data, self.context.folder))
+
+    def _with_data(self, data: Mapping[str, Any]) -> Material:
+        return self if data == self.data else self._rebuilt(data)
+
+    def _rebuilt(self, data: Mapping[str, Any]) -> Material:
+        return material_from_data(data, dataclasses.replace(self.context, text="", snapshot=None))
 
     def at_low_fidelity(self, is_reported: bool = False) -> Material:
-        """Return the material as one of many that are solved, without the way of minutes that it may take alone.
+        """Return the material for sweeps, searches and drafts, without an expensive method that it uses by default.
 
-        Sweeps, searches, fits and drafts use "search"; `vary` preserves it. A method that the recipe names itself
-        is used at any fidelity. A replaced method is reported as a warning unless `is_reported`.
+        A method that the recipe names is retained. Materials made of the result by `vary` have low fidelity too.
+
+        Args:
+            is_reported: whether the user knows of the replaced method, so that no warning is logged.
         """
         if self.context.is_low_fidelity or isinstance(self.model, StoredBsdf):
             return self
@@ -271,19 +287,38 @@ class Material:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Every number that the recipe gives, by its path: what a fit or a search may free."""
-        tables = {key: value for key, value in self.data.items() if key not in STUDY_TABLES}
-        return numbers_of(tables)
+        """All numbers of the recipe by their paths: candidates for the parameters of fits and designs."""
+        return numbers_of({key: value for key, value in self.data.items() if key not in STUDY_TABLES})
+
+    def layers(self) -> tuple[list[str], list[float]]:
+        """Return the media of a stack from the light's side and its thicknesses in nm; empty lists for no stack."""
+        if "structure" not in self.model.figures:
+            return [], []
+        try:
+            data = self.figure_data("structure")
+        except NacreError:
+            return [], []
+        if "thicknesses_nm" not in data or "names" not in data:
+            return [], []
+        return [str(name) for name in data["names"]], [float(d) for d in np.atleast_1d(data["thicknesses_nm"])]
 
     def _repr_html_(self) -> str:
-        from nacre.material.notebook import material_html  # draws and renders: only where a notebook asks
+        from nacre.material.notebook import material_html  # renders a picture
 
         return material_html(self)
 
 
+def _save_unpacked(bsdf: Bsdf, path: Path) -> None:
+    bsdf.save(path, is_packed=False)  # packing a film's tables takes as long as solving them
+
+
+def _discard(bsdf: Bsdf, path: Path) -> None:
+    pass
+
+
 @dataclass(frozen=True)
 class StoredBsdf(Model, ExcessEnergy):
-    """A compiled `.nacre` file: a material whose optics are already solved."""
+    """A compiled `.nacre` file: a material with solved optics."""
 
     traits = Traits(
         noun="compiled .nacre file",
@@ -300,24 +335,24 @@ class StoredBsdf(Model, ExcessEnergy):
         return self.stored.wavelengths_nm
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
-        """Return the stored Bsdf; it cannot be recomputed on another grid.
+        """Return the stored Bsdf; it cannot be computed on another grid.
 
         Raises:
-            UnsupportedError: another wavelength grid is asked for.
+            UnsupportedError: another wavelength grid is requested.
         """
         if wavelengths_nm is not None and not np.array_equal(wavelengths_nm, self.stored.wavelengths_nm):
             raise UnsupportedError("a compiled .nacre file keeps its wavelengths; give its recipe to choose others")
         return self.stored
 
 
-MaterialLike = Material | str | Path | Mapping[str, Any]  # the last: a table with a recipe's keys
+MaterialLike = Material | str | Path | Mapping[str, Any]  # the last: a recipe's table
 
 
 def load(path: MaterialLike) -> Material:
     """Load a material: a recipe (.toml), a compiled file (.nacre), a design folder, or an example by its name.
 
-    A name is that of an example ("soap", "pearl/foil") only where there is no such file. A recipe's table is taken too,
-    as `material` takes it (its paths are relative to the working folder), and a material is returned as it is.
+    An example's name ("soap", "pearl/foil") counts only if no file has that name. A recipe's table is accepted as by
+    `material` (its paths are relative to the working folder); a material is returned unchanged.
 
     Raises:
         RecipeError: naming file, key, value and what is allowed.
@@ -337,7 +372,7 @@ def _load(path: Path, depth: int, ambient: Any = None) -> Material:
         raise RecipeError(f"{path}: recipes are nested more than {MAX_NESTED_RECIPES} deep; is there a circle?")
     try:
         is_folder = path.is_dir()
-    except OSError as error:  # a name that no file system takes
+    except OSError as error:  # an invalid file name
         raise RecipeError(f"{str(path)[:80]}: cannot be read: {error.strerror}") from None
     if is_folder:
         if not (path / DESIGN_RECIPE).is_file():
@@ -348,31 +383,28 @@ def _load(path: Path, depth: int, ambient: Any = None) -> Material:
     if path.suffix == ".nacre":
         bsdf = Bsdf.load(path)
         text = str(bsdf.provenance.get("recipe", ""))
-        reached = {path.resolve(): file_digest(path)}
-        context = RecipeContext(str(path), path.parent.resolve(), text, dependencies=reached)
+        dependencies = {path.resolve(): file_digest(path)}
+        context = RecipeContext(str(path), path.parent.resolve(), text, dependencies=dependencies)
         return Material(StoredBsdf(bsdf), {}, context)
     text = read_text(path, "recipe")
+    context = RecipeContext(str(path), path.parent.resolve(), text, ambient=ambient)
+    return material_from_data(parse_toml(text, str(path)), _with_loader(context, path.parent, depth + 1))
 
-    def load_recipe(other: str | Mapping[str, Any], ambient: Any = ambient) -> Material:
+
+def _with_loader(context: RecipeContext, folder: Path, depth: int) -> RecipeContext:
+    """Return a context that loads nested recipes from files of a folder or from tables."""
+
+    def load_recipe(other: str | Mapping[str, Any], ambient: Any = context.ambient) -> Material:
         if isinstance(other, Mapping):
-            return _inside(other, context, ambient)
-        return _load(_resolve(path, other), depth + 1, ambient)
+            return material_from_data(other, dataclasses.replace(ready, text="", ambient=ambient))
+        return _load(folder / other, depth, ambient)
 
-    context = RecipeContext(str(path), path.parent.resolve(), text, load_recipe, ambient)
-    return material_from_data(parse_toml(text, str(path)), context)
-
-
-def _inside(data: Mapping[str, Any], context: RecipeContext, ambient: Any) -> Material:
-    """Build a recipe that stands inside another one as a table."""
-    return material_from_data(data, dataclasses.replace(context, text="", ambient=ambient))
-
-
-def _resolve(recipe: Path, other: str) -> Path:
-    return Path(other) if Path(other).is_absolute() else recipe.parent / other
+    ready = dataclasses.replace(context, load_recipe=load_recipe)
+    return ready
 
 
 def material(data: Mapping[str, Any], folder: str | Path = ".") -> Material:
-    """Build a material from a dictionary with a recipe's keys; paths inside are relative to `folder`.
+    """Build a material from a dictionary with a recipe's keys; paths in it are relative to `folder`.
 
     Raises:
         RecipeError: naming key, value and what is allowed.
@@ -380,23 +412,16 @@ def material(data: Mapping[str, Any], folder: str | Path = ".") -> Material:
     Example: `nacre.material({"family": "film", "substrate": "Si"})` is a bare silicon wafer.
     """
     folder = named(folder)
-
-    def load_recipe(other: str | Mapping[str, Any], ambient: Any = None) -> Material:
-        if isinstance(other, Mapping):
-            return _inside(other, context, ambient)
-        return _load(folder / other, 1, ambient)
-
-    context = RecipeContext("recipe", folder.resolve(), "", load_recipe)
-    return material_from_data(data, context)
+    return material_from_data(data, _with_loader(RecipeContext("recipe", folder.resolve()), folder, 1))
 
 
 def loaded(thing: Any) -> Any:
-    """Return the material of a path, of an example's name, or of a table with a recipe's keys; else the thing itself.
+    """Return the material of a path, an example's name or a recipe's table; anything else unchanged.
 
-    A table with the key `type` is Mitsuba's, and left as it is.
+    A table with the key `type` belongs to Mitsuba and is returned unchanged.
 
     Raises:
-        NacreError: there is no such material, or it is wrong.
+        NacreError: there is no such material, or it is not valid.
     """
     if isinstance(thing, str | Path) or (isinstance(thing, Mapping) and "type" not in thing):
         return load(thing)
@@ -404,11 +429,11 @@ def loaded(thing: Any) -> Any:
 
 
 def as_material(thing: MaterialLike) -> Material:
-    """Return a material as it is, and what names one, or is a recipe's table, as a material.
+    """Return a material unchanged, and load the material of a path, an example's name or a recipe's table.
 
     Raises:
-        UnsupportedError: it is nothing of the kind.
-        NacreError: there is no such material, or it is wrong.
+        UnsupportedError: it is none of these.
+        NacreError: there is no such material, or it is not valid.
     """
     found = loaded(thing)
     if not callable(getattr(found, "bsdf", None)):
@@ -417,55 +442,58 @@ def as_material(thing: MaterialLike) -> Material:
 
 
 def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Material:
-    """Check a recipe's dictionary and build the material.
+    """Validate a recipe's dictionary and build the material.
 
     Raises:
         RecipeError: naming file, key, value and what is allowed.
     """
     data = plain_data(data, context.source)
+    spec, context = read_recipe(data, context)
+    if spec is not None:
+        return Material(spec.build(context), data, context)  # type: ignore[attr-defined]  # of every family
+    numbers = varying_numbers(data, family_spec(data.get("family"), context.source).varies_by_nodes)
+    return Material(Varying.read(numbers, _uniform_variants(data, context), context), data, context)
+
+
+def read_recipe(data: Mapping[str, Any], context: RecipeContext) -> tuple[RecipeModel | None, RecipeContext]:
+    """Return the validated recipe and its context; None instead of the recipe if its numbers vary by nodes.
+
+    Raises:
+        RecipeError: naming file, key, value and what is allowed.
+    """
     spec_class = family_spec(data.get("family"), context.source)
-    context = dataclasses.replace(context, dependencies={}, names=named_numbers(data, context.source))
-    if spec_class.varies_by_nodes and (numbers := varying_numbers(data, spec_class.varies_by_nodes)):
-        told: list[str] = []
-
-        def fixed(values: Mapping[str, float]) -> Material:
-            even = copy.deepcopy(dict(data))
-            for path, value in values.items():
-                set_by_path(even, path, value, context.source)
-            node = material_from_data(even, dataclasses.replace(context, is_low_fidelity=True))
-            context.add_dependencies(node.context.dependencies)
-            replaced = node.model.replaced_method if isinstance(node.model, ExpensiveMethod) else ""
-            if replaced and not told and not context.is_low_fidelity:
-                told.append(replaced)
-                logger.warning(
-                    "%s: with even numbers it may take %s; with numbers that vary it takes the quick way, unless the "
-                    "recipe names the slow one", context.source, told[0],
-                )  # fmt: skip
-            return node
-
-        return Material(Varying.read(numbers, fixed, context), data, context)
+    names = named_numbers(data, context.source)
+    context = dataclasses.replace(context, dependencies={}, versions={}, names=names)
+    if spec_class.varies_by_nodes and varying_numbers(data, spec_class.varies_by_nodes):
+        return None, context
     own = {key: value for key, value in data.items() if key not in (*STUDY_TABLES, NUMBERS)}
-    spec = validate(spec_class, own, context)
-    return Material(spec.build(context), data, context)
+    return validate(spec_class, own, context), context
+
+
+def _uniform_variants(data: Mapping[str, Any], context: RecipeContext) -> Callable[[Mapping[str, float]], Material]:
+    """Return a function that builds the material with uniform values in place of its varying numbers."""
+    reported: list[str] = []
+
+    def fixed(values: Mapping[str, float]) -> Material:
+        uniform = copy.deepcopy(dict(data))
+        for path, value in values.items():
+            set_by_path(uniform, path, value, context.source)
+        node = material_from_data(uniform, dataclasses.replace(context, is_low_fidelity=True))
+        context.add_dependencies(node.context.dependencies)
+        context.versions.update(node.context.versions, **{node.family: node.model.version})
+        replaced = node.model.replaced_method if isinstance(node.model, ExpensiveMethod) else ""
+        if replaced and not reported and not context.is_low_fidelity:
+            reported.append(replaced)
+            logger.warning(
+                "%s: with even numbers it may take %s; with numbers that vary it takes the quick way, unless the "
+                "recipe names the slow one", context.source, reported[0],
+            )  # fmt: skip
+        return node
+
+    return fixed
 
 
 def recipe_provenance(material: Material) -> dict[str, Any]:
-    """Return the provenance that a file made from a recipe carries."""
+    """Return the provenance that files made from a recipe carry."""
     source = Path(material.context.source).name
     return {"nacre": __version__, "source": source, "recipe": material.text, "fingerprint": material.fingerprint}
-
-
-# The layers of a material that is a stack, in words and numbers for sheets and pages.
-
-
-def layers_of(material: Material) -> tuple[list[str], list[float]]:
-    """Return the media of a stack from the light's side and its thicknesses; nothing of what is no stack."""
-    if "structure" not in material.model.figures:
-        return [], []
-    try:
-        data = material.figure_data("structure")
-    except (NacreError, UnsupportedError):
-        return [], []
-    if "thicknesses_nm" not in data or "names" not in data:
-        return [], []
-    return [str(name) for name in data["names"]], [float(d) for d in np.atleast_1d(data["thicknesses_nm"])]

@@ -15,7 +15,7 @@ from nacre.core.arrays import Array
 from nacre.core.files import write_text
 from nacre.families.contract import is_direct
 from nacre.light import lamp_lines_nm, white_xyz
-from nacre.material.material import Material, layers_of
+from nacre.material.material import Material
 from nacre.optimise.evaluation import TargetResult, geometries_of
 from nacre.optimise.gamut import MIN_POINTS, gamut_chart, gamut_svg, target_gamut
 from nacre.optimise.measurement import Geometry, evaluation_wavelengths, search_wavelengths, simulate_measurement
@@ -114,7 +114,7 @@ def sheet_of(target: DesignTask, solution: Solution, number: int, design: Any) -
             )
     curves = {str(at): row for at, row in zip(rows, seen.factors)}
     wanted = {str(w.geometry): w.spectrum for w in target.targets if w.spectrum is not None}
-    media, thicknesses = layers_of(made)
+    media, thicknesses = made.layers()
     bars, title = _bars(solution, target)
     share = solution.yield_share
     made_well = "" if share is None else f"; yield {100 * share:.0f} %"
@@ -198,7 +198,7 @@ def _distance(reached: TargetResult) -> str:
 def _overview(solutions: Sequence[Solution]) -> str:
     lines = ["<table><tr><th>answer</th><th>worst</th><th>at</th><th>thickness</th><th>layers</th><th>yield</th></tr>"]
     for number, solution in enumerate(solutions, start=1):
-        media, _ = layers_of(solution.material)
+        media, _ = solution.material.layers()
         total, share = solution.facts.get("total_nm"), solution.yield_share
         made = "" if share is None else f"{100 * share:.0f} %"
         lines.append(

@@ -88,7 +88,7 @@ def _class(variant: str) -> type:
     """Define the class for a variant: Mitsuba's base class differs from variant to variant."""
     import drjit as dr
 
-    from nacre.device.glints import blurred
+    from nacre.device.glints import without_glints
 
     mi: Any = use_variant()
     shiny = int(mi.BSDFFlags.Glossy | mi.BSDFFlags.Delta | mi.BSDFFlags.Null)
@@ -210,7 +210,7 @@ def _class(variant: str) -> type:
                 active = active & si.is_valid() & (depth + 1 < self.max_depth)
                 bsdf = si.bsdf()
                 if self.glitters:
-                    si = blurred(si, base > 0.0)
+                    si = without_glints(si, base > 0.0)
                 worth = dr.sqrt(dr.minimum(dr.max(weight) / dr.maximum(base, 1e-20), 1.0))
                 is_judged = active & (base > 0.0) & ((bsdf.flags() & shiny) == 0)
                 lives = sampler.next_1d(active) < worth

@@ -1,13 +1,14 @@
-"""What makes an answer this answer: a hash of a recipe, of all files it reaches, of nacre itself and of the options.
+"""Fingerprints: hashes of a recipe, the content of its files, the versions of its models, and options.
 
-Whatever is kept to be used again (points of a sweep, frames, solved optics, the state of a search) carries it, and is
-used only where it is still the same.
+Stored results (points of a sweep, frames, solved optics, search states) carry the fingerprint of their input and are
+used only while it is the same. A change of code that changes no numbers changes no fingerprint. Raise `Model.version`
+when the numbers of one family change, and `OPTICS_VERSION` when those of the shared optics (`matter`, `bsdf`, `light`,
+`measure`) change.
 """
 
 from __future__ import annotations
 
 import contextlib
-import functools
 import hashlib
 import json
 import re
@@ -18,24 +19,24 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from nacre._version import __version__
 from nacre.core.files import real
 
-MAX_HASHED_BYTES = 4 << 30  # no reader takes more; such a file stands for itself by size and time
-# text in which one file names others: a Mitsuba scene, a glTF; every quoted word that is a file counts
+OPTICS_VERSION = 1
+MAX_HASHED_BYTES = 4 << 30  # larger files, which no reader takes, are identified by size and time
+# text files that name other files (Mitsuba scenes, glTF); every quoted word that is a file counts
 NAMING_SUFFIXES = (".xml", ".gltf")
 MAX_NAMING_BYTES = 64 << 20
 
 
 def fingerprint(data: Any, files: Mapping[str, str], **options: Any) -> str:
-    """Return a hash that is equal only where the answers are.
+    """Return a hash that is equal only if the results are.
 
     Args:
         data: the recipe as a dictionary, or anything that JSON can hold.
-        files: the digest of each file that it reaches, by the name it has from the recipe's folder.
-        options: whatever else changes the answer.
+        files: digest of each dependency by its path relative to the recipe's folder.
+        options: everything else that changes the result, such as a model's version.
     """
-    what = {"nacre": __version__, "source": source_digest(), "recipe": data, "files": files, "options": options}
+    what = {"optics": OPTICS_VERSION, "recipe": data, "files": files, "options": options}
     return hashlib.sha256(json.dumps(what, sort_keys=True, default=_plain).encode()).hexdigest()
 
 
@@ -45,21 +46,8 @@ def _plain(value: Any) -> Any:
     return dict(value) if isinstance(value, Mapping) else str(value)
 
 
-@functools.cache
-def source_digest(package: Path = Path(__file__).parents[1]) -> str:
-    """Return a hash of a package's files, nacre's unless another is given: changed code may change an answer.
-
-    What Python and numba keep beside them (`__pycache__`) comes and goes, and does not count.
-    """
-    digest = hashlib.sha256()
-    for path in sorted(package.rglob("*")):
-        if path.is_file() and "__pycache__" not in path.parts:
-            digest.update(f"{path.relative_to(package).as_posix()}\0{file_digest(path)}\n".encode())
-    return digest.hexdigest()
-
-
 def file_digest(path: str | Path, seen: frozenset[Path] = frozenset()) -> str:
-    """Return a hash of a file's content, and of the files that a scene or a glTF names; "" for what is no file."""
+    """Return a hash of a file's content and of the files that a scene or glTF names; "" if it is not a file."""
     path = Path(path)
     try:
         if not path.is_file():
@@ -75,26 +63,26 @@ def file_digest(path: str | Path, seen: frozenset[Path] = frozenset()) -> str:
                 if other != here and other not in seen:
                     digest.update(file_digest(other, seen | {here}).encode())
         return digest.hexdigest()
-    except OSError:  # a name that no file system takes, or no right to read: the reader tells it better
+    except OSError:  # an invalid name or a file without read permission; the reader reports it
         return ""
 
 
 def _named_by(path: Path) -> list[Path]:
-    """Return where the files would lie that a scene or a glTF may name."""
+    """Return candidate paths of the files that a scene or glTF names."""
     if path.stat().st_size > MAX_NAMING_BYTES:
         return []
     here = real(path).parent
     text = path.read_text("utf-8", "replace")
-    # from every quote to the next: an apostrophe in a comment opens nothing
+    # match from every quote to the next, since an apostrophe in a comment opens no string
     quoted = {name for q in "\"'" for name in re.findall(f"(?={q}([^{q}\0\n]{{1,255}}){q})", text)}
-    # in a glTF a name is a URI, in which %20 may stand for a space
+    # names in glTF are URIs with escapes such as %20
     return [real(here / name) for name in sorted(quoted | {unquote(name) for name in quoted if "%" in name})]
 
 
 def file_stamp(path: str | Path | None) -> tuple[tuple[str, int, int], ...]:
-    """Return place, time and size of a file and of those that a scene or a glTF names; empty for what is no file.
+    """Return path, time and size of a file and of the files that a scene or glTF names; empty if it is not a file.
 
-    Quicker than `file_digest`, for what one process keeps.
+    Faster than `file_digest`, for caches within one process.
     """
     found: dict[Path, tuple[str, int, int]] = {}
     todo = [] if path is None else [Path(path)]
@@ -109,4 +97,4 @@ def file_stamp(path: str | Path | None) -> tuple[tuple[str, int, int], ...]:
     return tuple(found[file] for file in sorted(found))
 
 
-__all__ = ["file_digest", "file_stamp", "fingerprint", "source_digest"]
+__all__ = ["file_digest", "file_stamp", "fingerprint"]

@@ -7,6 +7,7 @@ numerics behind do not check again.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import os
 import re
@@ -27,22 +28,42 @@ from nacre.recipe.renamed_keys import renamed_hint
 from nacre.recipe.units import LENGTH_UNITS_NM, written_as_number
 
 
-@dataclass(frozen=True)
-class RecipeContext:
-    """Where a recipe stands.
+@dataclass
+class Snapshot:
+    """Files of a recipe as they were read once, and objects built from them, shared by variants of the recipe.
 
     Attributes:
-        source: the file's name, for messages.
-        folder: paths in the recipe are relative to it.
-        text: the recipe itself, for provenance.
-        load_recipe: loads another recipe by its path (a film under a pearl stratum); the family that uses it
-            gets a material with `.bsdf()` and need not know its family. With `ambient = `, the recipe is built in
-            that medium.
-        ambient: the medium that another recipe puts this one into (an optical constant), or None.
-        is_low_fidelity: whether it is solved beside many near it (a sweep, a search), so that a family takes its quick
-            way where the recipe leaves the choice to it.
-        names: numbers that its formulas know by name, the time among them.
-        dependencies: the digest of every file that was read for the recipe, those of nested recipes among them.
+        paths: resolved path of each file name that a recipe gives.
+        digests: content digest of each path.
+        objects: results of `RecipeContext.once`.
+        tables: tables of the validated recipe by `id`; `build` of one of these runs once.
+        is_open: whether new objects are stored; False once the recipe itself was built, so that memory stays bounded.
+    """
+
+    paths: dict[tuple[Path, str], Path] = field(default_factory=dict)
+    digests: dict[Path, str] = field(default_factory=dict)
+    objects: dict[Any, Any] = field(default_factory=dict)
+    tables: dict[int, RecipeModel] = field(default_factory=dict)
+    is_open: bool = True
+
+
+@dataclass(frozen=True)
+class RecipeContext:
+    """Location and environment of a recipe.
+
+    Attributes:
+        source: file name, for messages.
+        folder: base of relative paths in the recipe.
+        text: text of the recipe, for provenance.
+        load_recipe: loads a nested recipe by its path (a film under a pearl stratum) and returns a material with
+            `.bsdf()`. Its argument `ambient` builds the recipe in that medium.
+        ambient: medium around a nested recipe (an optical constant), or None.
+        is_low_fidelity: whether it is solved in a sweep or search beside similar materials. A family then chooses a
+            fast method, unless the recipe names one.
+        names: values of named numbers in formulas, including the time.
+        dependencies: digest of every file that the recipe and its nested recipes read.
+        versions: model version of the family of every nested recipe.
+        snapshot: files that are not read again, or None.
     """
 
     source: str = "recipe"
@@ -53,39 +74,67 @@ class RecipeContext:
     is_low_fidelity: bool = False
     names: dict[str, float] = field(default_factory=dict, compare=False, repr=False)
     dependencies: dict[Path, str] = field(default_factory=dict, compare=False, repr=False)
+    versions: dict[str, int] = field(default_factory=dict, compare=False, repr=False)
+    snapshot: Snapshot | None = field(default=None, compare=False, repr=False)
 
     def path(self, name: str) -> Path:
-        """Resolve a path of the recipe against the recipe's own folder, and note what the file holds.
+        """Resolve a path of the recipe against its folder and add the file to the dependencies.
 
         Raises:
             RecipeError: the file has changed since the recipe was built.
         """
+        snapshot = self.snapshot
+        if snapshot is not None and (self.folder, name) in snapshot.paths:
+            path = snapshot.paths[self.folder, name]
+            self.add_dependencies({path: snapshot.digests[path]})
+            return path
         path = Path(name) if Path(name).is_absolute() else self.folder / name
-        with contextlib.suppress(OSError, ValueError):  # no name for a file; who reads it says so with its key
+        with contextlib.suppress(OSError, ValueError):  # an invalid file name; the reader reports it with its key
             path = path if Path(name).is_absolute() else real(path)
-        self.add_dependencies({path: file_digest(path)})
+        digest = file_digest(path)
+        if snapshot is not None:
+            snapshot.paths[self.folder, name] = path
+            snapshot.digests[path] = digest
+        self.add_dependencies({path: digest})
         return path
 
     def recipe(self, name: str | Mapping[str, Any], **options: Any) -> Any:
-        """Load another recipe (`load_recipe`), by its file or given as a table; its files are this one's too."""
+        """Load a nested recipe from a file or a table and add its files to the dependencies."""
         assert self.load_recipe is not None
         if isinstance(name, Mapping):
             own = name.get(NUMBERS, {})
             is_named = len(self.names) > 1 or any(self.names.values())  # more than the time of a still
             if is_named and isinstance(own, Mapping):
-                name = {**name, NUMBERS: {**self.names, **own}}  # its own stand above those around it
+                name = {**name, NUMBERS: {**self.names, **own}}
+        key = ("recipe", self.folder, id(self.ambient), repr(name), tuple((k, id(v)) for k, v in options.items()))
+        made = self.once(key, lambda: (self._load(name, options), self.ambient, options))[0]  # holds what the ids name
+        self.versions.update(made.context.versions, **{made.family: made.model.version})
+        dependencies = dict(made.context.dependencies)
+        if not isinstance(name, Mapping):
+            text = hashlib.sha256(made.context.text.encode()).hexdigest()
+            dependencies[Path(made.context.source).resolve()] = text
+        self.add_dependencies(dependencies)
+        return made
+
+    def _load(self, name: str | Mapping[str, Any], options: Mapping[str, Any]) -> Any:
+        assert self.load_recipe is not None
         made = self.load_recipe(name, **options)
-        if self.is_low_fidelity:
-            made = made.at_low_fidelity()
-        if isinstance(name, Mapping):
-            self.add_dependencies(made.context.dependencies)
-            return made
-        text = hashlib.sha256(made.context.text.encode()).hexdigest()
-        self.add_dependencies({Path(made.context.source).resolve(): text, **made.context.dependencies})
+        return made.at_low_fidelity() if self.is_low_fidelity else made
+
+    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+        """Return `make()`, or the earlier result for the same key if the recipe has a snapshot."""
+        if self.snapshot is None:
+            return make()
+        objects = self.snapshot.objects
+        if key in objects:
+            return objects[key]
+        made = make()
+        if self.snapshot.is_open:
+            objects[key] = made
         return made
 
     def add_dependencies(self, digests: Mapping[Path, str]) -> None:
-        """Note files that the recipe reads; what was built from one content is not mixed with another.
+        """Add files by their digests.
 
         Raises:
             RecipeError: a file has changed since the recipe was built.
@@ -96,11 +145,11 @@ class RecipeContext:
 
     @property
     def files(self) -> dict[str, str]:
-        """The digests of all files reached, by their names from the recipe's folder: a folder may be moved."""
+        """Digests of all dependencies by their path relative to the recipe's folder; a folder may be moved."""
         return {os.path.relpath(path, self.folder): digest for path, digest in self.dependencies.items()}
 
     def fail(self, key: str, got: object, allowed: str) -> RecipeError:
-        """Build the one-line error for `key`."""
+        """Return the one-line error for `key`."""
         return RecipeError(f"{self.source}: {key} = {show_value(got)} {allowed}")
 
 
@@ -150,15 +199,22 @@ def _whole(value: Any) -> Any:
     return value
 
 
+@functools.cache
 def spellings(key: str) -> tuple[str, ...]:
-    """Return every way in which a recipe may write a key: a length with each of its units, any other as it is."""
+    """Return all spellings of a key: a length with each of its units, any other key unchanged."""
     stem, _, unit = key.rpartition("_")
     return tuple(f"{stem}_{other}" for other in LENGTH_UNITS_NM) if stem and unit in LENGTH_UNITS_NM else (key,)
 
 
 def length_factor(given: str, wanted: str) -> float:
-    """Return by what a length is multiplied that is given under one spelling of its key and wanted under another."""
+    """Return the factor from the length unit of one key to the length unit of another."""
     return LENGTH_UNITS_NM[given.rpartition("_")[2]] / LENGTH_UNITS_NM[wanted.rpartition("_")[2]]
+
+
+@functools.cache
+def _length_spellings(model: type[RecipeModel]) -> dict[str, str]:
+    """Return the field for each spelling of the lengths of a table."""
+    return {way: name for name in model.model_fields for way in spellings(name) if len(spellings(name)) > 1}
 
 
 class RecipeModel(pydantic.BaseModel):
@@ -192,28 +248,57 @@ class RecipeModel(pydantic.BaseModel):
     def _convert_lengths(cls, data: Any) -> Any:
         if not isinstance(data, Mapping):
             return data
+        ways = _length_spellings(cls)
+        given = [way for way in ways if way in data]
+        if not given:
+            return data
         converted = dict(data)
-        for name in cls.model_fields:
-            given = [way for way in spellings(name) if way in converted]
-            if len(given) > 1:
-                raise ValueError(f"{given[0]} and {given[1]} give the same length twice; keep one")
-            if given and given[0] != name:
-                key = given[0]
-                value = converted.pop(key)
-                converted[name] = _scale(value, length_factor(key, name))
+        first: dict[str, str] = {}
+        for way in given:
+            name = ways[way]
+            if name in first:
+                raise ValueError(f"{first[name]} and {way} give the same length twice; keep one")
+            first[name] = way
+            if way != name:
+                converted[name] = scale_length(converted.pop(way), length_factor(way, name))
         return converted
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Let `build` of an unchanged table run once for all variants of a recipe with a snapshot."""
+        super().__init_subclass__(**options)
+        if "build" in cls.__dict__:
+            cls.build = _built_once(cls.__dict__["build"])  # type: ignore[attr-defined]
 
-def _scale(value: Any, factor: float) -> Any:
+
+def _built_once(build: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(build)
+    def wrapped(self: RecipeModel, *arguments: Any, **options: Any) -> Any:
+        context = arguments[0] if arguments else None
+        if (
+            not isinstance(context, RecipeContext)
+            or context.snapshot is None
+            or id(self) not in context.snapshot.tables
+        ):
+            return build(self, *arguments, **options)
+        if options or not all(isinstance(argument, str) for argument in arguments[1:]):
+            return build(self, *arguments, **options)
+        return context.once(("build", id(self), *arguments[1:]), lambda: build(self, *arguments))
+
+    return wrapped
+
+
+def scale_length(value: Any, factor: float) -> Any:
     """Scale a length or a texture of lengths; leave what is not a number for the checks that follow."""
     if isinstance(value, bool):
         return value
     if isinstance(value, int | float):
         return value * factor
     if isinstance(value, list):
-        return [_scale(v, factor) for v in value]
+        return [scale_length(v, factor) for v in value]
     if isinstance(value, Mapping):
-        scaled = {k: (_scale(v, factor) if k in ("min", "max") or isinstance(v, list) else v) for k, v in value.items()}
+        scaled = {
+            k: (scale_length(v, factor) if k in ("min", "max") or isinstance(v, list) else v) for k, v in value.items()
+        }
         if "formula" in scaled and isinstance(scaled["formula"], str):
             scaled["formula"] = f"({scaled['formula']})*{factor!r}"
         return scaled

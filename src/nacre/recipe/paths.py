@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Mapping, MutableMapping
 from typing import Any
@@ -73,22 +74,35 @@ def expand_table(data: Any, table: Mapping[str, Any], source: str) -> dict[str, 
     return found
 
 
-def find_by_path(data: Any, path: str, source: str) -> tuple[Any, Any]:
-    """Return the container and the last key of a path; the key may be absent from a table.
+@functools.lru_cache(maxsize=4096)
+def path_keys(path: str, source: str) -> tuple[str | int, ...]:
+    """Return the keys and indices of a path.
 
     Raises:
-        RecipeError: the path leads nowhere.
+        RecipeError: the text is not a path.
+
+    Example: `path_keys("layers[0].thickness_nm", "film.toml")` is ("layers", 0, "thickness_nm").
     """
-    if not isinstance(path, str) or len(path) > MAX_PATH:
-        shown = f"{path!r:.40}"
-        raise RecipeError(f"{source}: {shown} is not a path; write it like layers[0].thickness_nm")
-    keys: list[Any] = []
+    keys: list[str | int] = []
     for part in path.split("."):
         match = _PATH_PART.match(part)
         if not match:
             raise RecipeError(f'{source}: "{path}" is not a path; write it like layers[0].thickness_nm')
         keys.append(match[1])
         keys += [int(i) for i in re.findall(r"\d+", match[2])]
+    return tuple(keys)
+
+
+def find_by_path(data: Any, path: str, source: str) -> tuple[Any, Any]:
+    """Return the container and the last key of a path; the key may be absent from a table.
+
+    Raises:
+        RecipeError: the path does not exist.
+    """
+    if not isinstance(path, str) or len(path) > MAX_PATH:
+        shown = f"{path!r:.40}"
+        raise RecipeError(f"{source}: {shown} is not a path; write it like layers[0].thickness_nm")
+    keys: tuple[Any, ...] = path_keys(path, source)
     holder = data
     for key in keys[:-1]:
         try:

@@ -17,7 +17,7 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs
 
-from nacre.material.cache import cache_folder
+from nacre.core.disk_cache import cache_folder
 
 HOSTS = ("127.0.0.1", "localhost", "[::1]")
 HEADER = "x-nacre-token"

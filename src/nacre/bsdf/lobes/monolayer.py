@@ -224,8 +224,8 @@ class MonolayerLobe(Lobe):
 @compiled(nogil=True)
 def _evaluate_harmonic(wi, wo, tables, free, grids, grid, spectrum, out):  # type: ignore[no-untyped-def]  # numba
     """Fill `out`; `tables` and `free` are the pairs above, across and below."""
-    kept, count, eta = tables[0].shape[1], tables[0].shape[2], grid[1]
-    cosines = np.empty(kept)
+    harmonics, count, eta = tables[0].shape[1], tables[0].shape[2], grid[1]
+    cosines = np.empty(harmonics)
     smooth, bare = np.empty(count), np.empty(count)
     above = grids[0, 0] + grids[0, 1]
     for n in range(wi.shape[0]):
@@ -239,9 +239,9 @@ def _evaluate_harmonic(wi, wo, tables, free, grids, grid, spectrum, out):  # typ
         # dphi is the angle between the in-plane wavevectors, -wi and wo
         c = min(max(-dot / size, -1.0), 1.0) if size > 1e-14 else 1.0
         cosines[0] = 1.0
-        if kept > 1:
+        if harmonics > 1:
             cosines[1] = c
-        for k in range(2, kept):
+        for k in range(2, harmonics):
             cosines[k] = 2.0 * c * cosines[k - 1] - cosines[k - 2]
         smooth[:] = 0.0
         bare[:] = 0.0

@@ -251,9 +251,9 @@ def albedo_shares(power: Any, psi_step: float, xi_first: float, xi_step: float, 
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
-def _shares(
+def _shares(  # type: ignore[no-untyped-def]  # numba
     power, width, xi_first, xi_step, reflectance, ring_cosines, cosines, azimuths, is_kirchhoff, begin, end, out
-):  # type: ignore[no-untyped-def]  # numba
+):
     """Process tasks: each is a ring and an azimuth with its own output rows."""
     n, _, nz, count = power.shape
     last = reflectance.shape[0] - 1

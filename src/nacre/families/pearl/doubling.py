@@ -1,14 +1,14 @@
-"""Light between the flakes of one stratum without noise: doubling of thin layers, azimuth by azimuth.
+"""Multiple scattering in one stratum of platelets without noise: adding-doubling in a cosine series of the azimuth.
 
-A smooth function of every number of the recipe, and far nearer to the walk than the two streams of `glance`: what only
-a walk knows is how a rough interface spreads what enters and leaves. The equations are those of radiative transfer in a
-slab with mirror-like flakes (van de Hulst 1980, chapter 4; SGGX normals, Heitz et al. 2015):
+Smooth in all parameters and far more accurate than two streams; only the spread of light by a rough interface is
+neglected. The equations are those of radiative transfer in a slab of specular flakes (van de Hulst 1980, chapter 4;
+SGGX normals, Heitz et al. 2015):
 
-    mu dL/dz = -mu x L + int N D(h) R(c) / 4 L dw,   h the flakes' normal that turns one direction into the other.
+    mu dL/dz = -mu x L + int N D(h) R(c) / 4 L dw,   h the normal that reflects one direction into the other.
 
-L is a series in the cosines of azimuth, whose terms do not mix, over `NODES` directions and those asked for, which have
-no weight of their own. A layer of 2^-DOUBLINGS of the stratum, known to second order, is put on itself; the interface
-mirrors from above; what arrives at the ground has forgotten where it came from, see `connect`.
+The terms of the cosine series do not mix. Directions are `NODES` quadrature nodes, and the requested ones with zero
+weight. A layer of 2^-DOUBLINGS of the stratum, known to second order, is doubled; the interface reflects from above;
+light reflected by the base is diffuse.
 """
 
 from __future__ import annotations
@@ -22,34 +22,34 @@ from numpy.typing import NDArray
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.core.arrays import Array
 from nacre.core.parallel import single_threaded_blas
-from nacre.families.pearl.tables import Medium
+from nacre.families.pearl.random_walk import Medium
 
 NODES, AZIMUTHS, TERMS = 22, 18, 12
-DOUBLINGS = 10  # layers of a 70th of a flake at 14 flakes deep; 7 were off by 3 % there, and each costs 2 ms
-OFF = 0.03  # how far off the walk it is, as a share: 1 % where the interface is smooth, 3 % at alpha = 0.1
-LEAST_ROUGH = 0.04  # GGX alpha, below which the interface mirrors into less than what the nodes tell apart
+DOUBLINGS = 10  # layers of 1/70 flake for a depth of 14 flakes; 7 had an error of 3 %, and each costs 2 ms
+RELATIVE_ERROR = 0.03  # against random walks: 1 % under a smooth interface, 3 % at alpha = 0.1
+MIN_ROUGHNESS = 0.04  # GGX alpha; the reflection of a smoother interface is narrower than the nodes resolve
 SMALL = 1e-6
-KINDS_KEPT = 24  # of flakes, 1 MB each
-MOST_ECHOES, QUIET = 5, 1e-5  # doublings of a series, and what is left of it
-ONE = 1e-6  # square of the difference of two directions that count as one
+CACHED_KINDS = 24  # 1 MB each
+MAX_SQUARES, SERIES_ERROR = 5, 1e-5  # of a Neumann series summed by squaring
+SAME_DIRECTION = 1e-6  # squared difference of two directions that are treated as equal
 
-Single = NDArray[Any]  # of float32: half the memory, twice as quick. A stack is [wavelength, term, out, in]
+Single = NDArray[Any]  # float32: half the memory and twice the speed; operators are [wavelength, term, out, in]
 
 
-def between(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
-    """Return all light but the interface's own and that of one flake, `[pair, wavelength]`, 1/sr.
+def multiple_scattering(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
+    """Return all light except the reflection by the interface or by one platelet, `[pair, wavelength]`, 1/sr.
 
     Args:
-        medium: one stratum of flakes, of any wavelengths.
+        medium: one stratum of platelets.
         wi, wo: `[pair, 3]`, above the surface.
-        albedo: `[wavelength]` of the ground.
+        albedo: `[wavelength]`, of a diffuse base.
     """
-    with single_threaded_blas():  # of linear algebra: its matrices are small
-        return _between(medium, wi, wo, albedo)
+    with single_threaded_blas():  # the matrices are small
+        return _multiple_scattering(medium, wi, wo, albedo)
 
 
-def _between(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
-    n = medium.index
+def _multiple_scattering(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
+    n = medium.n
     ends = np.concatenate([wi, wo])
     inner = np.sqrt(1.0 - (1.0 - ends[:, 2] ** 2) / (n * n))
     asked, which = np.unique(np.round(inner, 9), return_inverse=True)
@@ -64,7 +64,7 @@ def _between(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
     mirror = _mirror(medium, mu, weight)
     columns = np.unique(np.concatenate([lit, seen]))
     at = {int(column): i for i, column in enumerate(columns)}
-    # upward just under the interface, for light along each of the columns
+    # upward radiance just below the interface, for light along each column
     size = len(mu)
     twice = np.eye(size, dtype=np.float32) - (reflect * weight) @ mirror
     first = reflect[..., columns]
@@ -89,15 +89,15 @@ def _between(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
 
 
 def _azimuths(wi: Single, wo: Single) -> Single:
-    """Return the azimuth between the flights of light and of what leaves, `[pair]`: 0 in the mirror direction."""
+    """Return the azimuth between incoming and outgoing flights, `[pair]`: 0 in the mirror direction."""
     return np.asarray(np.arctan2(wo[:, 1], wo[:, 0]) - np.arctan2(-wi[:, 1], -wi[:, 0]))
 
 
 @lru_cache(maxsize=32)
 def _directions(asked: tuple[float, ...], index: float) -> tuple[Single, Single]:
-    """Return cosines and weights of solid angle: even in the angle, then those asked for, without weight.
+    """Return cosines and weights of solid angle: Gauss nodes in the angle, then the requested cosines with zero weight.
 
-    Below and beyond the critical angle on their own, since there the mirror of the interface jumps.
+    The rule is split at the critical angle, where the reflectance of the interface jumps.
     """
     nodes, weights = np.polynomial.legendre.leggauss(NODES // 2)
     critical = np.arcsin(1.0 / index)
@@ -114,7 +114,7 @@ def _area(mu: Single, sigma: float) -> Single:
 
 
 def _weakening(medium: Medium, mu: Single) -> Single:
-    """Return x `[wavelength, direction]`, per unit of depth."""
+    """Return the extinction x `[wavelength, direction]` per unit of depth."""
     bands = medium.reflect.shape[2]
     x = np.zeros((len(mu), bands))
     if len(medium.absorb):
@@ -134,10 +134,10 @@ def _row(table: Single, cos: Single) -> Single:
 
 @lru_cache(maxsize=8)
 def _pairs(mu_bytes: bytes) -> tuple[Single, tuple[tuple[Single, Single], ...]]:
-    """Return the pairs of directions, `[2, pair]`, each once, and how a flake turns one into the other.
+    """Return all unordered pairs of directions, `[2, pair]`, and the geometry of reflection from one to the other.
 
-    Of those in the other half of the directions and of those in the same one: the difference of their heights,
-    `[pair]`, and the cosine at the flake, `[azimuth, pair]`.
+    For directions in opposite hemispheres and in the same one: the difference of their normal components, `[pair]`, and
+    the cosine of incidence at the flake, `[azimuth, pair]`.
     """
     mu = np.frombuffer(mu_bytes, dtype=np.float32).astype(float)
     rows = np.stack(np.triu_indices(len(mu)))
@@ -151,7 +151,7 @@ def _pairs(mu_bytes: bytes) -> tuple[Single, tuple[tuple[Single, Single], ...]]:
 
 @lru_cache(maxsize=1)
 def _cosines() -> Single:
-    """Return what makes a function of azimuth that varies slowly a series of cosines: `[term, azimuth]`."""
+    """Return the matrix `[term, azimuth]` from samples of a smooth function of azimuth to its cosine series."""
     found = 2.0 / AZIMUTHS * np.cos(np.arange(AZIMUTHS)[:, None] * (np.arange(AZIMUTHS) + 0.5) * np.pi / AZIMUTHS)
     found[0] /= 2.0
     return found
@@ -160,7 +160,7 @@ def _cosines() -> Single:
 def _peaked(mu: Single, rows: Single, high: Single, width: float) -> Single:
     """Return the cosine terms of c^4 / (a - b cos phi)^2, a - b cos phi = |t_i - t_j|^2 / width^2 + high^2.
 
-    t are the directions' parts along the surface, c the cosine at the flake. TERMS + AZIMUTHS - 1 of them,
+    t are the lateral components of the directions, c the cosine at the flake. TERMS + AZIMUTHS - 1 of them,
     `[term, pair]`, as int_0^2pi cos(m phi) ...; without c^4 they are
 
         2 pi rho^m (a + m s) / s^3,  s^2 = a^2 - b^2,  rho = (a - s) / b.
@@ -169,13 +169,13 @@ def _peaked(mu: Single, rows: Single, high: Single, width: float) -> Single:
     i, j = sines[rows[0]], sines[rows[1]]
     a = (i * i + j * j) / width**2 + high**2
     b = 2.0 * i * j / width**2
-    is_one = (i - j) ** 2 + high**2 < ONE  # directions of one height: the flake stands upright, whatever the azimuth
+    is_one = (i - j) ** 2 + high**2 < SAME_DIRECTION  # the normal is horizontal at any azimuth
     s2 = ((i - j) ** 2 / width**2 + high**2) * ((i + j) ** 2 / width**2 + high**2)
     s = np.sqrt(np.where(is_one, 1.0, s2))
     rho = b / (a + s)
     order = np.arange(TERMS + AZIMUTHS + 1)[:, None]
     found = 2.0 * np.pi * rho**order * (a + order * s) / s**3
-    turned = high**2 + i * i + j * j  # |e - d|^2 is this less 2 i j cos phi
+    turned = high**2 + i * i + j * j  # |e - d|^2 + 2 i j cos phi
     mean, swing = 0.25 * turned, 0.25 * i * j
     for _ in range(2):  # times c^2 = mean - 2 swing cos phi
         below = np.concatenate([found[1:2], found[:-2]])
@@ -186,7 +186,7 @@ def _peaked(mu: Single, rows: Single, high: Single, width: float) -> Single:
 
 
 def _product(slow: Single, peaked: Single) -> Single:
-    """Return the cosine terms of a product, `[term, pair, ...]`, of a slow function's `[azimuth term, pair, ...]`."""
+    """Return the cosine terms of a product, `[term, pair, ...]`, of a smooth function's `[azimuth term, pair, ...]`."""
     terms = np.arange(TERMS)
     shape = (slice(None), slice(None), *(None,) * (slow.ndim - 2))
     found = np.zeros((TERMS, *slow.shape[1:]), np.float32)
@@ -197,7 +197,7 @@ def _product(slow: Single, peaked: Single) -> Single:
 
 
 def _turned(medium: Medium, mu: Single) -> tuple[Single, Single]:
-    """Return what flakes turn per unit of depth, times mu: into the other half of the directions, and within one."""
+    """Return scattering per unit of depth, times mu: into the opposite and into the same hemisphere."""
     rows, _ = _pairs(mu.tobytes())
     totals = np.zeros((2, TERMS, rows.shape[1], medium.reflect.shape[2]), np.float32)
     for table, number, sigma in zip(medium.reflect, medium.number, medium.sigma, strict=True):
@@ -206,9 +206,9 @@ def _turned(medium: Medium, mu: Single) -> tuple[Single, Single]:
     return back, on
 
 
-@lru_cache(maxsize=KINDS_KEPT)
+@lru_cache(maxsize=CACHED_KINDS)
 def _turned_by_one(reflect: bytes, nodes: int, sigma: float, mu_bytes: bytes) -> Single:
-    """Return the same of one flake of a kind, `[half, term, pair, wavelength]`: a search changes one kind at a time."""
+    """Return one platelet's scattering, `[hemisphere, term, pair, wavelength]`; cached for searches."""
     mu = np.frombuffer(mu_bytes, dtype=np.float32)
     table = np.frombuffer(reflect, dtype=np.float32).reshape(nodes, -1)
     rows, halves = _pairs(mu_bytes)
@@ -221,7 +221,7 @@ def _turned_by_one(reflect: bytes, nodes: int, sigma: float, mu_bytes: bytes) ->
 
 
 def _both_ways(terms: Single, rows: Single, size: int) -> Single:
-    """Return symmetric matrices of pairs `[..., pair]`."""
+    """Return the symmetric matrices of pairs `[..., pair]`."""
     whole = np.empty((*terms.shape[:-1], size, size), np.float32)
     whole[..., rows[0], rows[1]] = terms
     whole[..., rows[1], rows[0]] = terms
@@ -235,7 +235,7 @@ def _once(up: Single, down: Single, depth: Any) -> Single:
 
 
 def _doubled(back: Single, on: Single, x: Single, mu: Single, weight: Single) -> tuple[Single, Single, Single]:
-    """Return what the stratum reflects and passes turned, `[wavelength, term, out, in]`, and passes straight."""
+    """Return reflection and transmission, `[wavelength, term, out, in]`, and the direct transmission."""
     depth = np.float32(2.0**-DOUBLINGS)
     direct: Single = np.exp(-x * depth)
     unlike = x[:, :, None] - x[:, None, :]
@@ -246,7 +246,7 @@ def _doubled(back: Single, on: Single, x: Single, mu: Single, weight: Single) ->
     )  # fmt: skip
     reflect: Single = back / mu[:, None] * _once(x, x, depth)[:, None]
     transmit: Single = on / mu[:, None] * straight[:, None]
-    # two turns in one layer: at a third and two thirds of it
+    # second-order scattering in one layer: at a third and two thirds of its depth
     outer, inner = np.exp(-2.0 / 3.0 * depth * x)[:, None], (weight / mu * np.exp(-depth / 3.0 * x))[:, None, None]
     half = 0.5 * depth * depth
     ends = outer[..., :, None] * outer[..., None, :] / mu[:, None] * half
@@ -260,26 +260,26 @@ def _doubled(back: Single, on: Single, x: Single, mu: Single, weight: Single) ->
         down = transmit + there @ up
         reflect = reflect + e[..., :, None] * up + along @ up
         transmit = e[..., :, None] * down + along @ down + transmit * e[..., None, :]
-        direct = np.exp(-x * (depth * 2.0 ** (turn + 1)))  # squares of it would round off again and again
+        direct = np.exp(-x * (depth * 2.0 ** (turn + 1)))  # repeated squaring would accumulate rounding errors
     return reflect, transmit, direct
 
 
 def _echoed(once: Single, light: Single) -> Single:
-    """Return (1 - once)^-1 light by its series, doubled: thin layers take a step or two, LAPACK ten times as long."""
+    """Return (1 - once)^-1 light by a Neumann series with squaring, 10 times faster than LAPACK for thin layers."""
     size = once.shape[-1]
-    for _ in range(MOST_ECHOES):
+    for _ in range(MAX_SQUARES):
         light = light + once @ light
-        if (float(np.max(np.abs(once))) * size) ** 2 < QUIET:  # what the square could add
+        if (float(np.max(np.abs(once))) * size) ** 2 < SERIES_ERROR:  # bound on the next term
             return light
         once = once @ once
     return np.asarray(np.linalg.solve(np.eye(once.shape[-1], dtype=np.float32) - once, light))
 
 
 def _mirror(medium: Medium, mu: Single, weight: Single) -> Single:
-    """Return what the interface sends back down, as matrices of intensities, `[term or 1, out, in]`."""
-    if medium.alpha < LEAST_ROUGH:
-        return np.diag(_inner_fresnel(mu.astype(float), medium.index)).astype(np.float32)[None]
-    return _rough_mirror(mu.tobytes(), weight.tobytes(), medium.index, medium.alpha)
+    """Return the reflection of the interface from inside as matrices of radiance, `[term or 1, out, in]`."""
+    if medium.alpha < MIN_ROUGHNESS:
+        return np.diag(_inner_fresnel(mu.astype(float), medium.n)).astype(np.float32)[None]
+    return _rough_mirror(mu.tobytes(), weight.tobytes(), medium.n, medium.alpha)
 
 
 @lru_cache(maxsize=8)
@@ -288,14 +288,14 @@ def _rough_mirror(mu_bytes: bytes, weight_bytes: bytes, index: float, alpha: flo
     rows, ((high, cos), _) = _pairs(mu_bytes)
     tan2 = (1.0 - mu.astype(float) ** 2) / mu.astype(float) ** 2
     masked = 2.0 / (1.0 + np.sqrt(1.0 + alpha * alpha * tan2))
-    # F D G / 4, where GGX has D = |e - d|^4 / (pi alpha^2 (a - b cos phi)^2) over cos of the normal, none here
+    # F D G / 4, where GGX has D = |e - d|^4 / (pi alpha^2 (a - b cos phi)^2) without the cosine of the normal
     slow = _inner_fresnel(cos, index) * 4.0 / (np.pi * alpha**2) * masked[rows[0]] * masked[rows[1]]
     terms = _product(_cosines() @ slow, _peaked(mu, rows, high, alpha))
     return np.asarray(_both_ways(terms, rows, len(mu)) / mu[:, None] * weight, dtype=np.float32)
 
 
 def _inner_fresnel(cos: Single, index: float) -> Single:
-    """Return the share reflected inside: all of it beyond the critical angle."""
+    """Return the Fresnel reflectance from inside; 1 beyond the critical angle."""
     sine = (1.0 - cos * cos) * index * index
     outer = np.sqrt(np.maximum(1.0 - sine, 0.0))
     return np.where(sine >= 1.0, 1.0, fresnel(np.maximum(outer, 1e-9), index))
@@ -304,7 +304,7 @@ def _inner_fresnel(cos: Single, index: float) -> Single:
 def _returned(
     reflect: Single, transmit: Single, direct: Single, twice: Single, mirror: Single, mu: Single, weight: Single
 ) -> Single:
-    """Return the share of the ground's diffuse light that comes back to it, `[wavelength]`."""
+    """Return the share of diffuse light from the base that returns to it, `[wavelength]`."""
     even = np.full((len(mu), 1), 2.0, np.float32)
     top = direct[..., None] * even + (transmit * weight) @ even
     down = mirror @ np.linalg.solve(twice, top)
@@ -312,4 +312,4 @@ def _returned(
     return np.asarray(np.einsum("i,lij->l", weight * mu, back) / np.sum(weight * mu * 2.0))
 
 
-__all__ = ["between"]
+__all__ = ["RELATIVE_ERROR", "multiple_scattering"]

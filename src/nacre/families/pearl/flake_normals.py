@@ -1,10 +1,9 @@
-"""A resin full of flakes as a scattering medium: normals, extinction, scattering.
+"""SGGX distribution of flake normals, and the extinction of a resin with flakes.
 
 The normals follow an SGGX ellipsoid (Heitz et al. 2015): S = Q diag(x^2, y^2, 1) Q^T, projected area
 sigma(w) = sqrt(w.S.w) and density D(m) = 1 / (pi sqrt|S| (m.S^-1.m)^2) on the full sphere. With 1 for the third
-axis, sigma(z) = 1: a flake lying flat shows its full area. `N` counts the flakes that a ray along the mean normal
-meets while crossing the stratum, N = volume fraction x stratum thickness / flake thickness, whatever the
-flakes' outline.
+axis, sigma(z) = 1: a flake lying flat shows its full area. `N` is the number of flakes met by a ray along the mean
+normal through the stratum, N = volume fraction x stratum thickness / flake thickness for any outline.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from nacre.core.arrays import Array
 from nacre.core.jit import compiled
 
 COS_NODES = 257  # of R and T, uniform in sqrt(cos)
-TABLE_ERROR = 2e-3  # largest interpolation error of R midway between table nodes that is accepted before doubling
+TABLE_ERROR = 2e-3  # interpolation error of R midway between table nodes above which the nodes are doubled
 MAX_COS_NODES = 1025
 ELEVATION_NODES = 257  # of the extinction, uniform in sqrt|cos|
 AZIMUTH_NODES = 9  # of the extinction of anisotropic flakes, uniform over a quarter turn
@@ -36,7 +35,7 @@ class FlakeNormals:
     """SGGX distribution of flake normals.
 
     Attributes:
-        deviation: `[2]`, semi-axes along the flake frame's x and y, in (0, 1]; 1 and 1 is no preferred direction.
+        deviation: `[2]`, semi-axes along the flake frame's x and y, in (0, 1]; both 1: isotropic.
         frame: `[3, 3]`, its columns are the flake frame's axes in the stratum's frame.
     """
 
@@ -45,7 +44,7 @@ class FlakeNormals:
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether the distribution is the same for all azimuths of its own frame."""
+        """Whether the distribution is isotropic in the azimuth of its frame."""
         return bool(self.deviation[0] == self.deviation[1])
 
     @property
@@ -74,7 +73,7 @@ def orthonormal_basis(axis: Array) -> tuple[Array, Array]:
 
 
 def cos_nodes(count: int) -> Array:
-    """Nodes of the platelet tables: uniform in sqrt(cos), since all sharp features gather at grazing."""
+    """Nodes of the platelet tables: uniform in sqrt(cos), as sharp features concentrate at grazing."""
     return np.linspace(0.0, 1.0, count) ** 2
 
 
@@ -82,14 +81,14 @@ def visible_weights(normals: FlakeNormals, nodes: int) -> Array:
     """Average over the visible normals as weights on the platelet table's nodes.
 
     Returns:
-        `[azimuth, elevation, cos]`, non-negative, summing to 1 over the last axis: the share of the area that
-        a direction of the flake frame sees at each |w.m|, split onto the nodes as linear interpolation will.
+        `[azimuth, elevation, cos]`, non-negative, summing to 1 over the last axis: the share of the visible area at
+        each |w.m| from a direction of the flake frame, split onto the nodes for linear interpolation.
         Directions: elevation node i has |z| = (i/last)^2, azimuth node j is j/last of a quarter turn (one
         node if isotropic).
     """
     azimuths = np.array([0.0]) if normals.is_isotropic else np.linspace(0, np.pi / 2, AZIMUTH_NODES)
     z = cos_nodes(ELEVATION_NODES)
-    # the cosine about the visible direction clusters where flat flakes are seen edge-on: squares of Gauss nodes
+    # squares of Gauss nodes: the cosine concentrates near 0 for flat flakes seen edge-on
     x, w = np.polynomial.legendre.leggauss(QUADRATURE)
     height = ((x + 1) / 2) ** 2
     radial = w * (x + 1) / 2 * 2 * height  # dx of the map, times 2 height for the cosine distribution
@@ -109,7 +108,7 @@ def visible_weights(normals: FlakeNormals, nodes: int) -> Array:
 
 @compiled(nogil=True)
 def _split_onto_nodes(w_dir, basis, height, weight, out):  # type: ignore[no-untyped-def]  # numba
-    """Add, for each direction, the weights of the normals it sees to the cosine nodes beside them, `out[dir, cos]`."""
+    """Add the weights of the visible normals of each direction to the adjacent cosine nodes, `out[dir, cos]`."""
     turns, last = height.size, out.shape[1] - 1
     phi = 2.0 * math.pi * (np.arange(turns) + 0.5) / turns
     cosine, sine = np.cos(phi), np.sin(phi)
@@ -136,10 +135,10 @@ def mean_extinction(weights: Array, transmittance: Array) -> Array:
 
 
 def optical_number(volume_fraction: float, stratum_nm: float, flake_nm: float) -> float:
-    """Number N of flakes a ray along their mean normal meets while crossing a stratum.
+    """Return the number N of flakes met by a ray along their mean normal through a stratum.
 
-    A flake of face area A and thickness h fills A h; volume fraction C makes C / (A h) of them per volume, so
-    the face area per length is C / h: the outline of the flakes drops out.
+    A flake of face area A and thickness h fills A h; at volume fraction C there are C / (A h) of them per volume, so
+    the face area per length is C / h for any outline.
 
     Example: 13.2 % of 840.44 nm flakes in 150 um: N = 23.6.
     """

@@ -1,4 +1,4 @@
-"""How many flakes of the uppermost stratum are resolved one by one, of what apparent size and flatness."""
+"""Resolved flakes of the uppermost stratum: their number, apparent size and flatness."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 
 MIDDLE_UM = 0.55
 # half width of the Airy disc of a flake of diameter d in the resin, 0.51 lambda / (n d), as a standard deviation of
-# its Gaussian (over sqrt(2 ln 2)); a normal turns by half of what the light turns by
+# its Gaussian (over sqrt(2 ln 2)), halved: a normal turns by half the angle of the light
 DIFFRACTION = 0.51 / 1.1774 / 2.0
-SEED_STEP = 7919  # another kind of flake lies elsewhere
+SEED_STEP = 7919  # between the seeds of two pigments
 
 
 @dataclass(frozen=True)
 class Glints:
-    """Flakes that are resolved one by one.
+    """Resolved flakes.
 
     Attributes:
         surface_mm: length on the object of one unit of u and of v.
         diameter_spread: standard deviation of the logarithm of the flakes' diameter.
-        flatness_deg: standard deviation of the normal over one flake, which is never quite flat.
-        seed: another one lays the flakes elsewhere.
+        flatness_deg: standard deviation of the normal over one flake.
+        seed: of the positions.
     """
 
     surface_mm: tuple[float, float]
@@ -40,24 +40,24 @@ class Glints:
 
 
 def interface_bend(alpha: float, index: float) -> float:
-    """Return how far a rough interface, crossed twice near the normal, turns the half vector inside, as a slope."""
+    """Return the spread of the half vector inside, as a slope, by two passages of a rough interface near the normal."""
     return alpha * abs(index - 1.0) / (math.sqrt(2.0) * index)
 
 
 def glint_arrays(
     glints: Glints, stratum: Stratum, index: float, number: Array, extinct: Array
 ) -> tuple[Array, Array, Array]:
-    """Return numbers, radii and ratios of `nacre.bsdf.glints` for the kinds of a stratum.
+    """Return numbers, radii and ratios of `nacre.bsdf.glints` for the pigments of a stratum.
 
-    Light that one flake reflects is attenuated on its way in and out: of `number` flakes over each other
-    number (1 - exp(-2 tau)) / (2 tau) are seen, tau being the extinction along the normal.
+    Light reflected by a flake is attenuated on its way in and out: of `number` flakes,
+    number (1 - exp(-2 tau)) / (2 tau) are visible, with the extinction tau along the normal.
 
     Args:
-        glints: the scale and the flakes' own spread.
-        stratum: whose flakes, each with a diameter.
+        glints: scale and spread of the flakes.
+        stratum: its flakes have diameters.
         index: of the resin over the ambient's.
-        number: `[kind]`, flakes over each other.
-        extinct: `[kind]`, share of the light that a flake met along the normal takes away.
+        number: `[kind]`, flakes met along the normal.
+        extinct: `[kind]`, extinction of a flake along the normal.
     """
     depth = 2.0 * float(np.sum(number * extinct))
     reach = -math.expm1(-depth) / depth if depth > 1e-9 else 1.0

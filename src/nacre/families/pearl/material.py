@@ -1,4 +1,4 @@
-"""The pearl material: strata of resin, flakes and dye over a base, and the lobe that follows from them."""
+"""The pearl material: strata of resin, platelets and dye over a base, and the layered lobe that follows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nacre.bsdf.substrate import Substrate
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.families.contract import EnergyDefect, Figure, Model, Strata, Surrogate, Traits
-from nacre.families.pearl.doubling import OFF
+from nacre.families.pearl.doubling import RELATIVE_ERROR
 from nacre.families.pearl.flake_normals import (
     COS_NODES,
     MAX_COS_NODES,
@@ -31,30 +31,31 @@ from nacre.families.pearl.flake_normals import (
 )
 from nacre.families.pearl.glints import Glints, glint_arrays
 from nacre.families.pearl.platelet import PUBLISHED, PlateletResponse, platelet_response
-from nacre.families.pearl.random_walk import lost_light, why_not_lost
+from nacre.families.pearl.random_walk import energy_defect
 from nacre.families.pearl.strata import DyeResponse, Flakes, Stratum, dye_response
-from nacre.families.pearl.surrogate import LOBES_SHARE, Glance, likeness, walked, why_not, why_not_walked
-from nacre.families.pearl.tables import bake, obstacle
+from nacre.families.pearl.surrogate import BASE_LOBES_ALBEDO, PearlSurrogate
+from nacre.families.pearl.tables import bake
 from nacre.light import default_wavelengths
 from nacre.matter.indices.constant import OpticalConstant
 
 logger = logging.getLogger("nacre")
 
-INDEX_NM = 550.0  # directions are refracted with the index at this wavelength, for all colours alike
-STEP_NM = 5.0  # wavelength step where thickness varies over the flakes and washes fringes out
-EDGE_ON = 0.2  # cosine between mean flake normal and surface normal below which a note is made
+INDEX_NM = 550.0  # all wavelengths are refracted with the index at this one
+STEP_NM = 5.0  # wavelength step for platelets of varying thickness, whose fringes average out
+EDGE_ON = 0.2  # cosine between mean platelet normal and surface normal below which a note is made
 PLATELET_DEG = np.linspace(0.0, 90.0, 91)
-NO_SPREAD = 1e-3  # a smaller deviation would be a mirror; the narrowest pigment so far has 0.01
+TABLES, SURROGATE, ESTIMATE, DEFECT = "tables", "surrogate", "estimate", "energy defect"
+MIN_DEVIATION = 1e-3  # a smaller deviation of the normals would be a mirror; the narrowest pigment so far has 0.01
 
 
 @dataclass(frozen=True)
 class Pearl(Model, Strata, Surrogate, EnergyDefect):
-    """Strata from the light's side inward, and the base.
+    """Strata from the light inward, and the base.
 
     Attributes:
-        strata, base: see there.
-        quality: "reference", the random walk, or "fast", noise-free tables of it where they can be made.
-        glints: flakes of the uppermost stratum resolved one by one, or None.
+        strata, base: layers of resin, and the base below.
+        quality: "reference", the random walk, or "fast", noise-free tables of it if they apply.
+        glints: resolved platelets of the uppermost stratum, or None.
     """
 
     traits = Traits(
@@ -70,7 +71,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
 
     @property
     def wavelengths_nm(self) -> Array:
-        """Default grid: 5 nm, finer where flakes of one thickness are thick enough to need it."""
+        """Default grid: 5 nm, finer for thick platelets of one thickness."""
         fixed = [
             flakes.platelet.optical_height_nm(INDEX_NM)
             for stratum in self.strata
@@ -83,21 +84,21 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks on settings that work but may surprise."""
+        """Remarks on valid settings with surprising effects."""
         found = []
         for i, stratum in enumerate(self.strata):
             kinds = len(stratum.flakes)
             if kinds > 8:
-                found.append(f"strata[{i}]: {kinds} kinds of platelets work, but rendering gets slower with each")
+                found.append(f"strata[{i}]: {kinds} types of platelets work, but each slows rendering down")
             for j, flakes in enumerate(stratum.flakes):
                 if flakes.diameter_um is not None and (self.glints is None or i > 0):
                     found.append(f"strata[{i}].platelets[{j}]: diameter_um has no effect without glints")
                 if abs(flakes.normals.frame[2, 2]) < EDGE_ON:
-                    found.append(f"strata[{i}].platelets[{j}]: the rotation turns the flakes nearly edge-on")
+                    found.append(f"strata[{i}].platelets[{j}]: the rotation turns the platelets nearly edge-on")
         return tuple(found)
 
     def platelet_tables(self, wavelengths_nm: Array) -> Array:
-        """R and T of all kinds, `[kind, cos, wavelength, 2]`, over nodes uniform in sqrt(cos)."""
+        """R and T of all platelet types, `[kind, cos, wavelength, 2]`, over nodes uniform in sqrt(cos)."""
         kinds = [(stratum, flakes) for stratum in self.strata for flakes in stratum.flakes]
         count = COS_NODES
         responses = [_response(stratum, flakes, count, wavelengths_nm) for stratum, flakes in kinds]
@@ -121,7 +122,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
         notes = list(self.notes)
         found: Lobe = lobe
         if self.quality == "fast":
-            reason = obstacle(lobe)
+            reason = self.inapplicable_reason(TABLES)
             if reason is None:
                 found = baked = bake(lobe)
                 notes.append(
@@ -134,26 +135,50 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
                 logger.warning('quality = "fast" is not possible, since %s; "reference" is used', reason)
         return Bsdf((found,), {"notes": notes} if notes else {})
 
-    def energy_defect(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
-        """Return the light that is lost by the "published" energy balance, `[angle, wavelength]`; see `energy_defect`.
+    def inapplicable_reason(self, method: str) -> str | None:
+        """Return why a method does not apply to this pearl, or None.
 
-        None: no flake is counted so, or the walk that tells it does not know this pearl's parts (a warning says why).
+        Args:
+            method: TABLES, of `quality = "fast"`; SURROGATE; ESTIMATE, the surrogate's random walk; or DEFECT, the walk
+                of `energy_defect`.
+        """
+        first = self.strata[0]
+        faces = [first.surface, *([self.base.surface] if method == DEFECT else [])]
+        normals = [] if method == DEFECT else [flakes.normals for flakes in first.flakes]
+        is_walked = method != SURROGATE
+        reasons = {
+            "it has several strata": len(self.strata) > 1,
+            "its base is not a diffuse one": method in (TABLES, ESTIMATE) and self.base.kind != "diffuse",
+            "its base is another material": method == DEFECT and self.base.kind in ("lobes", "strata"),
+            "its dye scatters": is_walked and first.dye is not None and first.dye.radius is not None,
+            "its interface is compensated": is_walked and any(f.compensate and not f.is_smooth for f in faces),
+            "its interface is anisotropic": any(face.alpha_x != face.alpha_y for face in faces),
+            "its interface is of the Beckmann kind": any(f.alpha_x > 0 and f.distribution != "ggx" for f in faces),
+            "its flakes are anisotropic": any(not each.is_isotropic for each in normals),
+            "its flakes are rotated": any(abs(each.frame[2, 2]) <= 1.0 - 1e-12 for each in normals),
+            "its resin has the index of the ambient": method != DEFECT and _index(first.resin, 0) <= 1.0,
+        }
+        return next((reason for reason, applies in reasons.items() if applies), None)
+
+    def energy_defect(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
+        """Return the share of light lost by the "published" energy balance, `[angle, wavelength]`.
+
+        None: no platelet has it, or the loss cannot be computed (a warning states the reason).
         """
         published = np.array(
             [f.platelet.energy_balance == PUBLISHED for s in self.strata for f in s.flakes], dtype=bool
         )
         if not published.any():
             return None
-        lobe = self._layered(np.asarray(wavelengths_nm, dtype=float))
-        reason = why_not_lost(lobe)
+        reason = self.inapplicable_reason(DEFECT)
         if reason is not None:
             logger.warning("the loss of the published energy balance is not known for this pearl, since %s", reason)
             return None
-        rows = [lost_light(lobe, published, direction(float(theta)), seed=seed) for theta in theta_rad]
-        return np.stack(rows)
+        lobe = self._layered(np.asarray(wavelengths_nm, dtype=float))
+        return np.stack([energy_defect(lobe, published, direction(float(t)), seed=seed) for t in theta_rad])
 
     def _layered(self, wavelengths_nm: Array | None) -> Layered:
-        """Return the arrays of the walk."""
+        """Return the layered lobe, with glints."""
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         response = self.platelet_tables(lam)
         kinds = [(i, stratum, flakes) for i, stratum in enumerate(self.strata) for flakes in stratum.flakes]
@@ -193,43 +218,45 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
         return self.base.continued(lobe)
 
     def strata_at(self, wavelengths_nm: Array) -> Layered:
-        """Return the arrays of the walk."""
+        """Return the layered lobe, at any quality."""
         return self._layered(wavelengths_nm)
 
     def surrogate_radiance(
         self, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
     ) -> tuple[Array, Array] | None:
-        """Return light of the interface and one flake, and the rest by two streams (`glance`) or by `doubling`."""
-        if why_not(self.strata) is not None:
+        """Return first-order reflection, and the rest by two streams (`surrogate`) or by `doubling`."""
+        if self.inapplicable_reason(SURROGATE) is not None:
             return None
-        return likeness(self._glance(wavelengths_nm), wi, wo, is_fine)
+        return self._surrogate(wavelengths_nm).radiance(wi, wo, is_fine)
 
     @property
     def surrogate_error(self) -> float | None:
-        """Off by what a rough interface spreads, and by steps of directions; see `doubling`."""
-        return None if (why_not(self.strata) or why_not_walked(self.strata, self.base)) is not None else OFF
+        """Error of `doubling` by rough interfaces and by its angular steps."""
+        return RELATIVE_ERROR if self._is_estimated else None
 
     def estimate_radiance(
         self, wi: Array, wo: Array, wavelengths_nm: Array, walks: int, seed: int
     ) -> tuple[Array, Array] | None:
-        """Return values and errors by walks that send their light to all pairs of a light at once; see `connect`."""
-        if (why_not(self.strata) or why_not_walked(self.strata, self.base)) is not None:
-            return None
-        return walked(self._glance(wavelengths_nm), wi, wo, walks, seed)
+        """Return the BRDF and its standard error by next-event estimation towards all pairs of a light at once."""
+        return self._surrogate(wavelengths_nm).estimate(wi, wo, walks, seed) if self._is_estimated else None
 
-    def _glance(self, lam: Array) -> Glance:
+    @property
+    def _is_estimated(self) -> bool:
+        return (self.inapplicable_reason(SURROGATE) or self.inapplicable_reason(ESTIMATE)) is None
+
+    def _surrogate(self, lam: Array) -> PearlSurrogate:
         dye = self._dyes(lam)[0]
         if self.base.kind in ("lobes", "strata"):
-            albedo = np.full(len(lam), LOBES_SHARE)
+            albedo = np.full(len(lam), BASE_LOBES_ALBEDO)
         else:
             albedo = np.ascontiguousarray(self._base_table(lam).mean(axis=0))
         absorb = np.zeros(0) if dye is None else np.ascontiguousarray(dye[0, :, 0])
-        return Glance(self.strata[0], _index(self.strata[0].resin, 0), lam, absorb, albedo)
+        return PearlSurrogate(self.strata[0], _index(self.strata[0].resin, 0), lam, absorb, albedo)
 
     def _with_glints(self, lobe: Layered) -> Layered:
         assert self.glints is not None
         upper = lobe.flake_stratum == 0
-        # met along the normal, averaged over wavelengths
+        # along the normal, averaged over wavelengths
         extinct = lobe.flake_extinction[upper, 0, -1].mean(axis=-1)
         numbers, radii, ratio = glint_arrays(
             self.glints, self.strata[0], float(lobe.index[0]), lobe.flake_number[upper], extinct
@@ -237,7 +264,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
         return replace(lobe, glint_numbers=numbers, glint_radii=radii, glint_ratio=ratio)
 
     def _dyes(self, lam: Array) -> tuple[Array | None, Array | None, Array | None]:
-        """Extinction of dye and resin, and the dye's phase function, all `[stratum, ...]`."""
+        """Return the extinction of dye and resin, and the phase function of the dye, all `[stratum, ...]`."""
         responses: list[DyeResponse] = []
         for stratum in self.strata:
             n = stratum.resin.n_complex(lam)
@@ -253,7 +280,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
         model = next((r for r in responses if r.phase is not None), None)
         if model is None or model.phase is None or model.quantile is None:
             return table, None, None
-        # a stratum without scattering dye needs rows of its own; isotropic ones are never used
+        # strata without scattering dye get isotropic rows, which are never used
         isotropic = np.full_like(model.phase, 0.25 / np.pi)
         flat = np.repeat(np.linspace(-1, 1, len(model.quantile))[:, None], len(lam), axis=1)
         phase = np.stack([isotropic if r.phase is None else r.phase for r in responses])
@@ -265,13 +292,13 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """R and T of each kind of flake in its resin: "platelet"."""
+        """R and T of each platelet type in its resin: "platelet"."""
         return {"platelet": self._platelets}
 
     def _platelets(
         self, wavelengths_nm: Array | None = None, angles_deg: Array = PLATELET_DEG
     ) -> dict[str, NDArray[Any]]:
-        """Return R and T of each kind of flake.
+        """Return R and T of each platelet type.
 
         Args:
             wavelengths_nm: default: the material's.
@@ -303,7 +330,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
 
 def _index(resin: OpticalConstant, stratum: int) -> float:
     found = float(resin.n_complex(np.array([INDEX_NM]))[0].real)
-    if found < 1:  # a metal, or a mistake: no light is traced in a medium of an index below that of air
+    if found < 1:  # a metal, or a mistake
         raise NacreError(
             f"strata[{stratum}].resin has an index of {found:.4g} at {INDEX_NM:g} nm; it must be at least 1"
         )
@@ -315,7 +342,7 @@ def _response(stratum: Stratum, flakes: Flakes, count: int, lam: Array) -> Plate
 
 
 def _table_error(stratum: Stratum, flakes: Flakes, count: int, lam: Array) -> float:
-    """Largest error of linear interpolation half way between nodes, weighted by cos (the projected area)."""
+    """Return the largest error of interpolation midway between nodes, weighted by the projected area."""
     fine = cos_nodes(2 * count - 1)
     n = stratum.resin.n_complex(lam).real
     reflect, _ = platelet_response(flakes.platelet, n, fine, lam).unpolarised()
@@ -324,6 +351,6 @@ def _table_error(stratum: Stratum, flakes: Flakes, count: int, lam: Array) -> fl
 
 
 def _same_azimuths(tables: list[Array]) -> list[Array]:
-    """Give all kinds the same number of azimuths, so that they stack."""
+    """Give all tables the same number of azimuths."""
     most = max((len(table) for table in tables), default=1)
     return [np.repeat(table, most, axis=0) if len(table) == 1 and most > 1 else table for table in tables]

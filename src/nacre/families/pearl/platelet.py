@@ -1,8 +1,7 @@
 """Interference platelets: a substrate between two coatings, averaged over the flakes' thicknesses.
 
-R, T and A are those of one flat flake in its resin, for the angle between the ray and the flake's normal. The
-amplitudes of the coatings come from `nacre.matter.stack.stack`; the substrate is split off so that its thickness
-can be averaged in closed form (`average.py`).
+R, T and A are those of one flat flake in its resin, for the angle between ray and flake normal. The amplitudes of the
+coatings come from `nacre.matter.stack`; the substrate is separated, and its thickness is averaged in closed form.
 """
 
 from __future__ import annotations
@@ -18,8 +17,14 @@ import numpy as np
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.parallel import parallel_for
-from nacre.families.pearl import thickness as average
-from nacre.families.pearl.thickness import Thickness
+from nacre.families.pearl.thickness import (
+    GAUSSIAN,
+    SHORT_PHASE,
+    TABULATED,
+    Distribution,
+    Thickness,
+    average_platelet,
+)
 from nacre.matter.stack.inputs import Amplitudes
 from nacre.matter.stack.solve import amplitudes
 
@@ -32,14 +37,14 @@ logger = logging.getLogger("nacre")
 CONSERVING, PUBLISHED = "conserving", "published"
 LADDER = tuple(8 * 2**i for i in range(7))  # panels of 16 points: 128 ... 8192 nodes
 GRAZING = 1e-9  # cosine below which R = 1, T = 0 is the limit
-MAX_COATING_SETS = 4096  # combinations of coating thicknesses that are worth averaging
-SERIES_REACH = 150  # terms of the series that the characteristic function is tabulated for; more only at grazing
-SINGULAR = 2e-8  # |kz of the substrate| below this is moved away from 0, where its amplitudes are not defined
+MAX_COATING_SETS = 4096  # combinations of coating thicknesses in an average
+SERIES_REACH = 150  # terms of the series for which the characteristic function is tabulated; grazing needs more
+SINGULAR = 2e-8  # lower bound of |kz| of the substrate, as its amplitudes are undefined at 0
 
 
 @dataclass(frozen=True)
 class Coating:
-    """One layer on a side of the substrate; its deviation is common to both sides (they grow in one bath)."""
+    """One layer on a side of the substrate; its thickness deviates equally on both sides (grown in one bath)."""
 
     material: OpticalConstant
     thickness: Thickness
@@ -50,12 +55,12 @@ class Platelet:
     """The layers of a flake.
 
     Attributes:
-        substrate: material of the middle layer (a free platelet has only this one).
+        substrate: material of the middle layer, the only one of a free platelet.
         thickness: its thickness over the flakes.
         upper: coatings of one side, outermost first.
         lower: coatings of the other side, outermost first; None mirrors `upper`.
-        energy_balance: "conserving", or "published": R (1 - T) in place of R, as in Guillen et al. 2020 when their
-            eqs. 17 and 18 are read to the letter; R T is lost at each flake, though none absorbs it.
+        energy_balance: "conserving", or "published": R (1 - T) instead of R, as in eqs. 17 and 18 of Guillen et al.
+            2020 as printed; R T is lost at each flake without absorption.
     """
 
     substrate: OpticalConstant
@@ -71,12 +76,12 @@ class Platelet:
 
     @property
     def height_nm(self) -> float:
-        """Mean thickness of the whole flake, both coatings included; the volume of a flake per area."""
+        """Mean thickness of the whole flake with both coatings: its volume per area."""
         lower = self.upper if self.lower is None else self.lower
         return self.thickness.average_nm + sum(c.thickness.average_nm for c in (*self.upper, *lower))
 
     def optical_height_nm(self, wavelength_nm: float = 550.0) -> float:
-        """Optical thickness, which sets how finely the wavelengths must be sampled."""
+        """Optical thickness, which sets the wavelength step."""
         lower = self.upper if self.lower is None else self.lower
         layers = [(self.substrate, self.thickness), *((c.material, c.thickness) for c in (*self.upper, *lower))]
         wavelength = np.array([wavelength_nm])
@@ -92,7 +97,7 @@ class PlateletResponse:
 
     @property
     def absorptance(self) -> Array:
-        """What is neither reflected nor transmitted."""
+        """Absorbed share."""
         return 1.0 - self.reflectance - self.transmittance
 
     def unpolarised(self) -> tuple[Array, Array]:
@@ -101,20 +106,19 @@ class PlateletResponse:
 
 
 def platelet_response(
-    platelet: Platelet, container_n: Array, cos_i: Array, wavelengths_nm: Array, uncut: float = 0.0
+    platelet: Platelet, container_n: Array, cos_i: Array, wavelengths_nm: Array, truncation: float = 0.0
 ) -> PlateletResponse:
     """Reflectance and transmittance of a flake in its resin, averaged over its thickness distributions.
 
-    The two sides of an asymmetric flake face up equally often, and their mean is returned. This is the one place where
-    `energy_balance` has an effect.
+    An asymmetric flake faces up with either side equally often. Only here `energy_balance` has an effect.
 
     Args:
         platelet: the layers.
         container_n: `[wavelength]`, real index of the resin (1 for a powder in air).
         cos_i: `[cos]`, cosines between ray and flake normal in the resin, in [0, 1].
         wavelengths_nm: `[wavelength]`, vacuum.
-        uncut: a Gaussian of thicknesses of which the bounds cut off less than this share counts as a whole one, which
-            takes a fifth of the time; R and T are off by no more than about the share.
+        truncation: a Gaussian that bounds cut by less than this share is taken as uncut, in a fifth of the time; the
+            error of R and T is about that share at most.
 
     Raises:
         MaterialRangeError: an index is not tabulated at a wavelength.
@@ -127,7 +131,7 @@ def platelet_response(
         lower = upper if platelet.lower is None else (platelet.lower, lower_nm)
         faces = [(upper, lower)] if platelet.is_symmetric else [(upper, lower), (lower, upper)]
         for top, bottom in faces:
-            part = _one_face(platelet, top, bottom, container_n, cos_i, wavelengths_nm, uncut)
+            part = _one_face(platelet, top, bottom, container_n, cos_i, wavelengths_nm, truncation)
             scale = weight / len(faces)
             if total is None:
                 total = PlateletResponse(scale * part.reflectance, scale * part.transmittance)
@@ -145,7 +149,7 @@ def platelet_response(
 def lost_share(reflectance: Array, transmittance: Array) -> Array:
     """Return the share of light lost at a flake by the "published" energy balance, from its R (1 - T) and its T.
 
-    R T: what is neither reflected, transmitted nor absorbed by the flake's layers.
+    It is R T, neither reflected, transmitted nor absorbed.
     """
     kept = 1.0 - transmittance
     return np.asarray(reflectance * transmittance / np.where(kept > 0, kept, 1.0))
@@ -153,7 +157,7 @@ def lost_share(reflectance: Array, transmittance: Array) -> Array:
 
 @lru_cache(maxsize=1)
 def _warn_of_published_balance() -> None:
-    """Warn, once in a process."""
+    """Warn once in a process."""
     logger.warning(
         'energy_balance = "published" makes a flake reflect R (1 - T) instead of R, as in the source of its tables: '
         'light is lost without absorption (nacre report states how much); "conserving" loses none'
@@ -164,21 +168,21 @@ def _coating_sets(platelet: Platelet, wavelengths_nm: Array) -> list[tuple[float
     """Combine the thickness nodes of all coatings that vary: (weight, upper thicknesses, lower thicknesses)."""
     choices = []
     coatings = (*platelet.upper, *(platelet.lower or ()))
-    # 10 panels of 16 nodes keep 1e-8 up to 84 degrees; two coatings that vary must do with fewer, being multiplied
+    # 10 panels of 16 nodes have an error of 1e-8 up to 84 degrees; the nodes of two varying coatings multiply
     panels = 10 if sum(not c.thickness.is_fixed for c in coatings) == 1 else 4
     for coating in coatings:
         thickness = coating.thickness
         if thickness.is_fixed:
             choices.append([(1.0, thickness.mean_nm)])
             continue
-        # a coating varies by a fraction of a fringe: the phase over its support sets the panels
+        # the phase over the support, usually a fraction of a fringe, sets the panels
         low, high = thickness.support
         index = float(np.max(np.abs(coating.material.n_complex(wavelengths_nm))))
         phase = 4 * np.pi * index * (high - low) / float(wavelengths_nm[0])
         nodes, weights = thickness.nodes(max(panels, int(np.ceil(phase / 4.0))))
         choices.append(list(zip(weights.tolist(), nodes.tolist(), strict=True)))
     if np.prod([float(len(c)) for c in choices]) > MAX_COATING_SETS:
-        raise NacreError("the coatings vary too much or too many at once: average over at most one or two of them")
+        raise NacreError("the coatings vary too much or too many of them vary; at most one or two should")
     combined = []
     for combination in itertools.product(*choices):
         weight = float(np.prod([w for w, _ in combination]))
@@ -188,14 +192,14 @@ def _coating_sets(platelet: Platelet, wavelengths_nm: Array) -> list[tuple[float
 
 
 def _characteristic(thickness: Thickness, x_max: float) -> tuple[ComplexArray, float, float]:
-    """As `Thickness.characteristic`, remembered: pigments that differ in their coatings share it."""
+    """Return `Thickness.characteristic`, cached: pigments with different coatings share it."""
     if thickness.edges_nm is not None:
         return thickness.characteristic(x_max)
-    return _remembered(thickness, x_max)
+    return _cached_characteristic(thickness, x_max)
 
 
 @lru_cache(maxsize=32)
-def _remembered(thickness: Thickness, x_max: float) -> tuple[ComplexArray, float, float]:
+def _cached_characteristic(thickness: Thickness, x_max: float) -> tuple[ComplexArray, float, float]:
     table, step, centre = thickness.characteristic(x_max)
     table.setflags(write=False)  # shared by every caller
     return table, step, centre
@@ -205,7 +209,13 @@ Face = tuple[tuple[Coating, ...], Array]  # coatings, outermost first, and their
 
 
 def _one_face(
-    platelet: Platelet, upper: Face, lower: Face, container_n: Array, cos_i: Array, wavelengths_nm: Array, uncut: float
+    platelet: Platelet,
+    upper: Face,
+    lower: Face,
+    container_n: Array,
+    cos_i: Array,
+    wavelengths_nm: Array,
+    truncation: float,
 ) -> PlateletResponse:
     cos_i = np.asarray(cos_i, dtype=float)
     n_c = np.asarray(container_n, dtype=float)
@@ -215,51 +225,35 @@ def _one_face(
     kz_s = np.where(kz_s.imag < 0, -kz_s, kz_s)
     kz_s = np.where(np.abs(kz_s) < SINGULAR, SINGULAR, kz_s)
     absorbs = n_s.imag > 0
-    # the stack solver picks the outgoing wave by the sign of Im kz: keep rounding from deciding it
+    # the stack solver selects the outgoing wave by the sign of Im kz, which rounding must not decide
     kz_s = np.where(absorbs, kz_s + 1e-13j, kz_s)
     (r_a, t_a), (into, back) = _coating_amplitudes(upper, n_c, n_s, kz_c, kz_s, wavelengths_nm)
     r_b, t_b = into, back
     if lower is not upper:
         r_b, t_b = _coating_amplitudes(lower, n_c, n_s, kz_c, kz_s, wavelengths_nm)[1]
     shape = (2, kz_s.size)
-    p = (4 * np.pi / wavelengths_nm * kz_s).ravel()
+    p = np.asarray(4 * np.pi / wavelengths_nm * kz_s, dtype=complex).ravel()
     big_r, big_t = np.empty(shape), np.empty(shape)
-    thickness = platelet.thickness
-    kind, centre = average.GAUSSIAN, thickness.mean_nm
-    table, step = np.zeros(1, dtype=complex), 1.0
-    nodes, weights, starts = np.zeros(1), np.ones(1), np.array([0, 1])
-    if not thickness.is_fixed:
-        if not (thickness.is_uncut or (thickness.is_gaussian and thickness.cut_share < uncut)):
-            kind = average.TABULATED
-            x_max = float(np.max(np.abs(p.real))) * SERIES_REACH
-            table, step, centre = _characteristic(thickness, x_max)
-        low, high = thickness.support
-        if np.any((p.imag != 0.0) | (p.real * (high - low) <= average.SHORT_PHASE)):
-            ladder = [thickness.nodes(panels) for panels in LADDER]
-            nodes, weights = (np.concatenate([level[i] for level in ladder]) for i in (0, 1))
-            starts = np.concatenate([[0], np.cumsum([len(level[0]) for level in ladder])])
-    low, high = thickness.support
-    factors = r_a.reshape(shape), (t_a * back * r_b).reshape(shape), (into * r_b).reshape(shape)
-    transfer = (np.abs(t_a * t_b) ** 2).reshape(shape)
+    flakes = _distribution(platelet.thickness, p, truncation)
+    r_into = into * r_b
+    factors = r_a.reshape(shape), (t_a * back * r_b).reshape(shape), r_into.reshape(shape)
+    amplitudes_of = (*factors, (np.abs(t_a * t_b) ** 2).reshape(shape))
 
     def task(_: int, __: int, first: int, last: int) -> None:
-        average.average_platelet(
-            p, *factors, transfer, thickness.is_fixed, kind, float(centre), float(thickness.deviation_nm), table,
-            float(step), float(low), float(high), nodes, weights, starts, big_r, big_t, first, last,
-        )  # fmt: skip
+        average_platelet(p, amplitudes_of, flakes, big_r, big_t, first, last)
 
-    # an absorbing point costs some hundred nodes of the quadrature, any other a few terms of a series
-    parallel_for(task, 1, p.size, p.size * (1000 if nodes.size > 1 else 50), None)
+    # an absorbing point costs some hundred quadrature nodes, any other a few terms of a series
+    parallel_for(task, 1, p.size, p.size * (1000 if flakes.nodes.size > 1 else 50), None)
     full = (2, *kz_s.shape)
     result_r, result_t = big_r.reshape(full), big_t.reshape(full)
     lossless = ~absorbs
     for coating in (*upper[0], *lower[0]):
         lossless &= coating.material.n_complex(wavelengths_nm).imag == 0
-    # near grazing 1 - |rho|^2 loses digits; R + T = 1 within 1e-11 there, and what is lost is rounding alone
+    # near grazing 1 - |rho|^2 loses digits: R + T differs from 1 by 1e-11, which is rounding
     total = np.where(lossless, result_r + result_t, 1.0)
     result_r, result_t = result_r / total, result_t / total
     grazing = cos_i < GRAZING
-    matched = np.abs(n_s - n_c) < 1e-14  # an index-matched flake is not there, at grazing either
+    matched = np.abs(n_s - n_c) < 1e-14  # an index-matched flake is invisible, also at grazing
     if np.any(grazing):
         invisible = matched & (len(upper[0]) == 0) & (len(lower[0]) == 0)
         result_r[:, grazing] = np.where(invisible, 0.0, 1.0)
@@ -267,10 +261,30 @@ def _one_face(
     return PlateletResponse(result_r, result_t)
 
 
+def _distribution(thickness: Thickness, p: ComplexArray, truncation: float) -> Distribution:
+    """Return the thickness distribution as the kernels take it, with a quadrature if a point of phase `p` needs it."""
+    kind, centre = GAUSSIAN, thickness.mean_nm
+    table, step = np.zeros(1, dtype=complex), 1.0
+    nodes, weights, starts = np.zeros(1), np.ones(1), np.array([0, 1])
+    low, high = thickness.support
+    if not thickness.is_fixed:
+        if not (thickness.is_uncut or (thickness.is_gaussian and thickness.cut_share < truncation)):
+            kind = TABULATED
+            table, step, centre = _characteristic(thickness, float(np.max(np.abs(p.real))) * SERIES_REACH)
+        if np.any((p.imag != 0.0) | (p.real * (high - low) <= SHORT_PHASE)):
+            ladder = [thickness.nodes(panels) for panels in LADDER]
+            nodes, weights = (np.concatenate([level[i] for level in ladder]) for i in (0, 1))
+            starts = np.concatenate([[0], np.cumsum([len(level[0]) for level in ladder])])
+    numbers = float(centre), float(thickness.deviation_nm)
+    return Distribution(
+        thickness.is_fixed, kind, *numbers, table, float(step), float(low), float(high), nodes, weights, starts
+    )
+
+
 def _coating_amplitudes(
     face: Face, n_c: Array, n_s: ComplexArray, kz_c: Array, kz_s: ComplexArray, wavelengths_nm: Array
 ) -> tuple[tuple[ComplexArray, ComplexArray], tuple[ComplexArray, ComplexArray]]:
-    """Amplitudes of one coated side: (r, t) for light from the resin and (r, t) for light from the substrate.
+    """Return the amplitudes (r, t) of one coated side, for light from the resin and from the substrate.
 
     Each `[polarisation, cos, wavelength]`.
     """

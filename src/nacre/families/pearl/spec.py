@@ -13,7 +13,7 @@ from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, SubstrateSpec, Widths, in
 from nacre.core.errors import NacreError, RecipeError
 from nacre.families.pearl.flake_normals import FlakeNormals, rotation_matrix
 from nacre.families.pearl.glints import Glints
-from nacre.families.pearl.material import NO_SPREAD, Pearl
+from nacre.families.pearl.material import MIN_DEVIATION, Pearl
 from nacre.families.pearl.platelet import Coating, Platelet
 from nacre.families.pearl.strata import Dye, Flakes, Stratum
 from nacre.families.pearl.thickness import Thickness
@@ -27,7 +27,7 @@ MAX_KINDS = 32
 
 
 class DyeSpec(RecipeModel):
-    """Dye: `material`, or `file` with n and k; with `radius_nm` it is particles that scatter."""
+    """Dye: `material`, or `file` with n and k; with `radius_nm` it consists of scattering particles."""
 
     one_of: ClassVar[tuple[str, ...]] = ("material", "file")
     forms: ClassVar[tuple[str, ...]] = (
@@ -37,10 +37,10 @@ class DyeSpec(RecipeModel):
 
     material: IndexSpec | None = pydantic.Field(default=None, description="optical constant of the dye")
     file: str | None = pydantic.Field(
-        default=None, description="in place of material: a table of wavelength in nm, n and k", examples=["dye.csv"]
+        default=None, description="instead of material: a table of wavelength in nm, n and k", examples=["dye.csv"]
     )
     volume_fraction: Annotated[float, pydantic.Field(gt=0.0, le=0.3)] = pydantic.Field(
-        description="share of the stratum's volume that the dye fills", examples=[0.01]
+        description="volume fraction of the dye in the stratum", examples=[0.01]
     )
     radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=2e4)] | None = pydantic.Field(
         default=None,
@@ -75,7 +75,7 @@ class DyeSpec(RecipeModel):
 
 
 class StratumSpec(RecipeModel):
-    """A layer of resin; `roughness` is that of its upper interface."""
+    """A layer of resin; `roughness` belongs to its upper interface."""
 
     forms: ClassVar[tuple[str, ...]] = (
         "{resin = {n = 1.5}, thickness_um = 50, platelets = [{volume_fraction = 0.01, "
@@ -84,7 +84,7 @@ class StratumSpec(RecipeModel):
 
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = (OF_OTHER_FAMILY,)
 
-    resin: IndexSpec = pydantic.Field(description="the medium in which the flakes lie")
+    resin: IndexSpec = pydantic.Field(description="medium around the flakes")
     thickness_nm: float = pydantic.Field(
         json_schema_extra={"exclusiveMinimum": 0, "maximum": 1e8},
         description="thickness of the stratum, usually written with _um",
@@ -92,23 +92,21 @@ class StratumSpec(RecipeModel):
     )
     roughness: Widths = pydantic.Field(
         default=0.0,
-        description="alpha of the stratum's upper interface, or [alpha_x, alpha_y]; 0 is smooth",
+        description="alpha of the upper interface, or [alpha_x, alpha_y]; 0 is smooth",
         examples=[0.1, [0.05, 0.2]],
     )
     distribution: Literal["ggx", "beckmann"] = pydantic.Field(
-        default="ggx", description="distribution of that interface's facet normals"
+        default="ggx", description="distribution of the interface's facet normals"
     )
     compensate: bool = pydantic.Field(
         default=False,
-        description="give back the light that facets of the interface scatter among each other",
+        description="restore the light lost by multiple scattering between facets of the interface",
         examples=[True],
     )
     platelets: tuple[PlateletSpec, ...] = pydantic.Field(
-        default=(), max_length=MAX_KINDS, description="the kinds of flakes (pigments) in this stratum"
+        default=(), max_length=MAX_KINDS, description="pigments (types of flakes) in this stratum"
     )
-    dye: DyeSpec | None = pydantic.Field(
-        default=None, description="absorbing, or absorbing and scattering, matter in the resin"
-    )
+    dye: DyeSpec | None = pydantic.Field(default=None, description="absorbing or scattering matter in the resin")
 
     @pydantic.model_validator(mode="after")
     def _check(self) -> StratumSpec:
@@ -133,7 +131,7 @@ class StratumSpec(RecipeModel):
 
 
 class GlintsSpec(RecipeModel):
-    """Flakes of the uppermost stratum seen one by one; each of its platelets needs `diameter_um`.
+    """Resolved flakes of the uppermost stratum; each of its pigments needs `diameter_um`.
 
     `surface_mm` is the length on the object of one unit of its texture coordinates, or of [u, v].
     """
@@ -150,7 +148,7 @@ class GlintsSpec(RecipeModel):
         default=0.5, description="standard deviation of the normal over one flake"
     )
     seed: Annotated[int, pydantic.Field(ge=0, lt=1 << 24)] = pydantic.Field(
-        default=0, description="seed of the flakes' places; another one lays them elsewhere"
+        default=0, description="seed of the flakes' positions"
     )
 
     def build(self, upper: Stratum, context: RecipeContext) -> Glints:
@@ -160,7 +158,7 @@ class GlintsSpec(RecipeModel):
             RecipeError: it has no platelets, or one without a diameter.
         """
         if not upper.flakes:
-            raise context.fail("glints.surface_mm", self.surface_mm, "has no use: strata[0] holds no platelets")
+            raise context.fail("glints.surface_mm", self.surface_mm, "has no effect: strata[0] has no platelets")
         for k, flakes in enumerate(upper.flakes):
             if flakes.diameter_um is None:
                 raise RecipeError(f"{context.source}: strata[0].platelets[{k}].diameter_um is missing; glints need it")
@@ -208,15 +206,13 @@ class PearlSpec(RecipeModel):
     title: str = pydantic.Field(default="", description="a title for figures", examples=["Silver-white pigment"])
     quality: Literal["reference", "fast"] = pydantic.Field(
         default="reference",
-        description="reference: the random walk; fast: noise-free tables with a stated error where they can be made",
+        description="reference: the random walk; fast: noise-free tables with a stated error if they apply",
     )
     strata: tuple[StratumSpec, ...] = pydantic.Field(
-        min_length=1, max_length=MAX_STRATA, description="layers of resin, from the light's side inward"
+        min_length=1, max_length=MAX_STRATA, description="layers of resin, from the light inward"
     )
-    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="what lies below the last stratum")
-    glints: GlintsSpec | None = pydantic.Field(
-        default=None, description="single flakes of the uppermost stratum, seen one by one"
-    )
+    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="base below the last stratum")
+    glints: GlintsSpec | None = pydantic.Field(default=None, description="resolved flakes of the uppermost stratum")
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -227,17 +223,15 @@ class PearlSpec(RecipeModel):
         """Return the material.
 
         Raises:
-            RecipeError: a file is missing or holds what it should not.
+            RecipeError: a file is missing or invalid.
         """
         strata = tuple(s.build(context, f"strata[{i}]") for i, s in enumerate(self.strata))
         glints = None if self.glints is None else self.glints.build(strata[0], context)
         return Pearl(strata, self.base.build(context, strata[-1].resin), self.quality, glints)
 
 
-# The keys of a flake: its layers, how thick they are, how many flakes there are and how they lie.
-
 MAX_COATINGS = 20
-MAX_FRACTION = 0.3  # beyond, flakes no longer lie independently of each other
+MAX_FRACTION = 0.3  # denser flakes are not independent of each other
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
@@ -247,12 +241,12 @@ def _deviation(value: Any) -> Any:
     numbers = value if isinstance(value, list | tuple) else [value]
     if len(numbers) not in (1, 2) or not all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers):
         raise ValueError(f"= {show_value(value)} is not a deviation; write one number or [x, y]")
-    if not all(NO_SPREAD <= v <= 1.0 for v in numbers):
-        raise ValueError(f"= {show_value(value)} is not allowed; it should be in [{NO_SPREAD:g}, 1]")
+    if not all(MIN_DEVIATION <= v <= 1.0 for v in numbers):
+        raise ValueError(f"= {show_value(value)} is not allowed; it should be in [{MIN_DEVIATION:g}, 1]")
     return value
 
 
-Spread = Annotated[float, pydantic.Field(ge=NO_SPREAD, le=1.0)]
+Spread = Annotated[float, pydantic.Field(ge=MIN_DEVIATION, le=1.0)]
 Deviation = Annotated[
     Spread | Annotated[tuple[Spread, ...], pydantic.Field(min_length=1, max_length=2)],
     pydantic.BeforeValidator(_deviation),
@@ -260,7 +254,7 @@ Deviation = Annotated[
 
 
 class ThicknessKeys(RecipeModel):
-    """A thickness and how it varies over the flakes."""
+    """A thickness and its distribution over the flakes."""
 
     one_of: ClassVar[tuple[str, ...]] = ("thickness_nm", "histogram")
 
@@ -279,7 +273,7 @@ class ThicknessKeys(RecipeModel):
     )
     histogram: str | None = pydantic.Field(
         default=None,
-        description="in place of thickness_nm: a file of two columns: thickness in nm; share, per cent or count",
+        description="instead of thickness_nm: a file of two columns: thickness in nm; fraction, per cent or count",
         examples=["thickness.csv"],
     )
 
@@ -288,7 +282,7 @@ class ThicknessKeys(RecipeModel):
         if (self.histogram is None) == (self.thickness_nm is None):
             raise ValueError("give thickness_nm (with deviation_nm), or histogram, a file of two columns")
         if self.histogram is not None and self.deviation_nm > 0:
-            raise ValueError("deviation_nm has no meaning beside histogram; keep one of the two")
+            raise ValueError("deviation_nm and histogram exclude each other; remove one of the two")
         if self.distribution != "truncated" and (self.min_nm > 0 or self.max_nm is not None):
             raise ValueError('min_nm and max_nm belong to distribution = "truncated"')
         return self
@@ -297,7 +291,7 @@ class ThicknessKeys(RecipeModel):
         """Return the distribution.
 
         Raises:
-            RecipeError: the histogram cannot be read or does not sum to 1; bounds that hold nothing.
+            RecipeError: the histogram cannot be read or does not sum to 1, or the bounds are empty.
         """
         try:
             if self.histogram is not None:
@@ -314,7 +308,7 @@ class ThicknessKeys(RecipeModel):
 
 
 def _shares(column: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the shares that a column of shares, of per cent or of counts means; else the column, which is refused."""
+    """Return fractions from a column of fractions, per cent or counts; any other column is returned for refusal."""
     total = float(column.sum())
     is_percent = abs(total - 100.0) <= 0.1
     is_count = total > 1.5 and bool(np.all(column == np.round(column)))
@@ -335,7 +329,7 @@ class LayerSpec(ThicknessKeys):
 
 
 class PlateletSpec(RecipeModel):
-    """One kind of platelet. Without `coatings` or without `substrate` it is free: a single layer."""
+    """One pigment. A free platelet has a single layer: `substrate` without `coatings`, or one coating alone."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{volume_fraction = 0.01, substrate = {material = "mica", thickness_nm = 400, deviation_nm = 80}, '
@@ -345,7 +339,7 @@ class PlateletSpec(RecipeModel):
 
     volume_fraction: float = pydantic.Field(
         json_schema_extra={"exclusiveMinimum": 0, "maximum": MAX_FRACTION},
-        description="share of the stratum's volume that these flakes fill",
+        description="volume fraction of these flakes in the stratum",
         examples=[0.01],
     )
     substrate: LayerSpec | None = pydantic.Field(default=None, description="the core of the flake")
@@ -361,11 +355,13 @@ class PlateletSpec(RecipeModel):
     )
     normal_deviation: Deviation = pydantic.Field(
         default=0.1,
-        description="SGGX roughness of the flakes' normals, or [x, y]: 0 would lay all flat",
+        description="SGGX roughness of the flakes' normals, or [x, y]; 0 would be all flat",
         examples=[0.1, [0.05, 0.2]],
     )
     rotation_deg: tuple[float, float, float] = pydantic.Field(
-        default=(0.0, 0.0, 0.0), description="turns the flakes' mean normal, about x, y and z", examples=[[0, 20, 0]]
+        default=(0.0, 0.0, 0.0),
+        description="rotation of the flakes' mean normal about x, y and z",
+        examples=[[0, 20, 0]],
     )
     diameter_um: Positive | None = pydantic.Field(
         default=None, description="median diameter of a flake's face; glints need it", examples=[20]
@@ -384,7 +380,7 @@ class PlateletSpec(RecipeModel):
                 f"{MAX_FRACTION:g}"
             )
         if self.substrate is None and (len(self.coatings) != 1 or self.lower_coatings is not None):
-            raise ValueError("substrate is missing; only a free platelet of a single coating goes without")
+            raise ValueError("substrate is missing; only a free platelet of a single coating has none")
         return self
 
     def build(self, context: RecipeContext, key: str) -> Flakes:
@@ -407,7 +403,7 @@ class PlateletSpec(RecipeModel):
                 self.energy_balance,
             )
         if platelet.height_nm <= 0:
-            raise context.fail(key, 0.0, "is a flake without thickness; give one of its layers some")
+            raise context.fail(key, 0.0, "is a flake without thickness; give one of its layers a thickness")
         spread = self.normal_deviation if isinstance(self.normal_deviation, tuple) else (self.normal_deviation,)
         normals = FlakeNormals(
             np.array([spread[0], spread[-1]], dtype=float), rotation_matrix(np.deg2rad(np.array(self.rotation_deg)))

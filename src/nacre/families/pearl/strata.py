@@ -1,4 +1,4 @@
-"""The parts of a pearl: flakes in strata of resin, and their interfaces."""
+"""Parts of a pearl: strata of resin with flakes and dye. Dye is dissolved, or small scattering spheres (Mie)."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Flakes:
-    """One kind of flake in a stratum.
+    """One pigment in a stratum.
 
     Attributes:
         platelet: its layers.
         volume_fraction: of the stratum's volume.
         normals: distribution of the normals in the surface frame.
-        diameter_um: median diameter, for glints; None: the flakes are too small to be resolved.
+        diameter_um: median diameter, for glints; None: not resolved.
     """
 
     platelet: Platelet
@@ -39,7 +39,7 @@ class Flakes:
 
 @dataclass(frozen=True)
 class Stratum:
-    """A layer of resin with what is in it; `surface` is its upper interface."""
+    """A layer of resin with flakes and dye; `surface` is its upper interface."""
 
     resin: OpticalConstant
     thickness_nm: float
@@ -47,8 +47,6 @@ class Stratum:
     flakes: tuple[Flakes, ...] = ()
     dye: Dye | None = None
 
-
-# Dye in a resin: dissolved, which only absorbs, or as small spheres, which scatter as well (Mie).
 
 PHASE_NODES = 181  # of cos in [-1, 1]
 QUANTILE_NODES = 129
@@ -94,13 +92,13 @@ def dye_response(dye: Dye, resin_n: Array, thickness_nm: float, wavelengths_nm: 
     optical thickness is t C <Q pi a^2> / <4/3 pi a^3>, averaged over the radii.
 
     Args:
-        dye: what is in the resin.
+        dye: in the resin.
         resin_n: `[wavelength]`, real index of the resin.
         thickness_nm: of the stratum.
         wavelengths_nm: `[wavelength]`, vacuum.
 
     Raises:
-        NacreError: particles too large for a Mie series to be worth it.
+        NacreError: particles too large for a Mie series.
     """
     n = dye.material.n_complex(wavelengths_nm)
     if dye.radius is None:
@@ -130,7 +128,7 @@ def dye_response(dye: Dye, resin_n: Array, thickness_nm: float, wavelengths_nm: 
     cumulative = np.zeros_like(phase)
     cumulative[1:] = np.cumsum((phase[1:] + phase[:-1]) / 2, axis=0) * step
     total = cumulative[-1]
-    # normalised as the walk will interpolate it, so that no energy is made between nodes
+    # normalised for linear interpolation, which conserves energy between nodes
     phase = phase / (2 * np.pi * total)
     u = np.linspace(0, 1, QUANTILE_NODES)
     quantile = np.stack([np.interp(u, cumulative[:, i] / total[i], mu) for i in range(len(total))], axis=1)

@@ -1,24 +1,20 @@
-"""`quality = "fast"` of a pearl: tabulate a layered lobe, which is a random walk, as a noise-free `PlateletLayer` one.
+"""Noise-free tables of a pearl (`quality = "fast"`): a layered lobe, solved by random walks, as a `PlateletLayer`.
 
-The light from a diffuse base is solved exactly: with A(cos) the share of light that arrives at the base and r the
-share of diffuse light that the flakes and the interface return to it, the base adds
-A(cos_i) A(cos_o) albedo / (pi n^2 (1 - albedo r)), n the index. The flakes' own light, over its analytic lobe, is
-a smooth function; its table is a least-squares fit to the tallies of random walks, so that noise is spread over
-whole cells, not nodes.
+Diffuse light from the base is solved exactly: with A(cos) the share of light that arrives at the base and r the share
+of diffuse light that platelets and interface return to it, the base adds
+A(cos_i) A(cos_o) albedo / (pi n^2 (1 - albedo r)), n the index. The platelets' own light over their analytic lobe is a
+smooth function; its table is a least-squares fit to the tallies of random walks, which spreads noise over whole cells.
 
-The stated error comes from independent walks, of three incidences, in bins that do not follow the table's nodes;
+The stated error comes from independent walks at three incidences, in bins that do not follow the nodes of the table;
 the product of two independent differences has no noise of its own in the mean.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
@@ -28,103 +24,61 @@ from nacre.bsdf.grids import cell, interpolate, take_uniform
 from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.lobes.platelet_layer import PlateletLayer, surface_values
 from nacre.core.arrays import Array
-from nacre.core.parallel import available_jobs
-from nacre.families.pearl import random_walk
+from nacre.core.parallel import in_threads
 from nacre.families.pearl.glints import interface_bend
-from nacre.families.pearl.random_walk import ANY_ANGLE, FROM_BASE
+from nacre.families.pearl.random_walk import (
+    ANY_ANGLE,
+    CHUNKS,
+    FROM_BASE,
+    NO_VIEWERS,
+    Medium,
+    Tally,
+    hat_products,
+    no_tally,
+    tally_single_scattering,
+    walk,
+)
 
 SHAPE = (32, 20, 6)  # nodes of q, c, phi
 ENTRY_NODES = 129
 BASE_NODES = 25
-WALKS, RISES, SINGLES, MASSES = 1_000_000, 400_000, 4_000_000, 4_000_000
+WALKS, BASE_WALKS, SINGLES, PRODUCTS = 1_000_000, 400_000, 4_000_000, 4_000_000  # of the walks and the lattices
 SHARE_NODES = 17
-EASY_NUMBER = 24.0  # flakes met along the normal up to which the full numbers of walks are made
-DOUBT = 0.6  # share of the check's noise that the stated error adds: two standard errors of its own square
+FULL_EFFORT_NUMBER = 24.0  # platelets met along the normal up to which the full numbers of walks are made
+NOISE_SHARE = 0.6  # of the noise of the check, added to the stated error: two standard errors of its square
 NO_ALBEDO = np.zeros(0)
-RINGS = np.array([20, 6])  # bins of the check: size and azimuth of q
+CHECK_BINS = np.array([20, 6])  # size and azimuth of q
 MIDPOINTS = np.array([12, 6])  # within a bin
 CHECK_DEG = (10.0, 40.0, 65.0)
 CHECK_WALKS, CHECK_SINGLES = 300_000, 1_000_000
-CHUNKS = 8  # of all loops; sums are taken in this order, whatever the number of threads
-ROUGHNESS_OF_TABLE = 0.1  # relative second difference between nodes that is expected of M
-
-
-def obstacle(lobe: Layered) -> str | None:
-    """Return why a layered lobe has no noise-free form, or None if it has one."""
-    if lobe.strata > 1:
-        return "it has several strata"
-    if lobe.base != "diffuse":
-        return "its base is not a diffuse one"
-    if lobe.dye_phase is not None:
-        return "its dye scatters"
-    if lobe.loss is not None:
-        return "its interface is compensated"
-    if lobe.alpha[0, 0] != lobe.alpha[0, 1]:
-        return "its interface is anisotropic"
-    if lobe.alpha[0, 0] > 0 and lobe.is_beckmann[0]:
-        return "its interface is of the Beckmann kind"
-    if lobe.kinds and np.any(lobe.flake_axes[:, 0] != lobe.flake_axes[:, 1]):
-        return "its flakes are anisotropic"
-    if lobe.kinds and not np.all(np.abs(lobe.flake_frame[:, 2, 2]) > 1 - 1e-12):
-        return "its flakes are rotated"
-    if lobe.index[0] <= 1.0:
-        return "its resin has the index of the ambient"
-    return None
-
-
-@dataclass(frozen=True)
-class Medium:
-    """The arrays that the compiled loops take."""
-
-    index: float
-    alpha: float
-    number: Array
-    sigma: Array
-    reflect: NDArray[np.float32]
-    transmit: NDArray[np.float32]
-    extinct: NDArray[np.float32]
-    absorb: Array
-
-    @classmethod
-    def of(cls, lobe: Layered) -> Medium:
-        """Take them from a layered lobe."""
-        count = len(lobe.wavelengths_nm)
-        response = np.ascontiguousarray(np.moveaxis(lobe.flake_response, -1, 0), dtype=np.float32)
-        extinct = np.ascontiguousarray(lobe.flake_extinction[:, 0], dtype=np.float32)
-        if not lobe.kinds:
-            response, extinct = np.zeros((2, 0, 2, count), np.float32), np.zeros((0, 2, count), np.float32)
-        absorb = np.zeros(0) if lobe.dye is None else np.ascontiguousarray(lobe.dye[0, :, 0])
-        return cls(
-            float(lobe.index[0]), float(lobe.alpha[0, 0]), np.ascontiguousarray(lobe.flake_number, dtype=float),
-            np.ascontiguousarray(lobe.flake_axes[:, 0], dtype=float), response[0], response[1], extinct, absorb,
-        )  # fmt: skip
+TABLE_ROUGHNESS = 0.1  # expected relative second difference of M between nodes
 
 
 def bake(lobe: Layered, effort: float = 1.0, seed: int = 1) -> PlateletLayer:
-    """Return the noise-free form of a layered lobe that has no `obstacle`, with its stated error.
+    """Return the noise-free form of a layered lobe, with its stated error.
 
     Args:
-        lobe: one stratum over a diffuse base.
+        lobe: one stratum of isotropic platelets over a diffuse base; see `Pearl.inapplicable_reason`.
         effort: multiplies all numbers of walks.
         seed: of the walks.
     """
-    # light that meets many flakes costs more; what it then adds is smoother
-    effort = effort * min(1.0, EASY_NUMBER / max(float(np.sum(lobe.flake_number)), 1e-9))
+    # light in dense strata costs more, and its table is smoother
+    effort = effort * min(1.0, FULL_EFFORT_NUMBER / max(float(np.sum(lobe.flake_number)), 1e-9))
     table = tables(lobe, effort, seed)
     error, noise = check(lobe, table, effort, seed + 77)
-    return dataclasses.replace(table, error=np.sqrt(error**2 + (DOUBT * noise) ** 2))
+    return dataclasses.replace(table, error=np.sqrt(error**2 + (NOISE_SHARE * noise) ** 2))
 
 
 def tables(lobe: Layered, effort: float = 1.0, seed: int = 1) -> PlateletLayer:
-    """Make the tables without a check; the error is left at 0."""
+    """Make the tables without a check; their error is 0."""
     medium = Medium.of(lobe)
     entry, surface = _interface(medium)
     spread = _spread(medium)
     arrived, returned, flakes, single = _solve(medium, entry, spread, effort, seed)
     albedo = lobe.base_reflectance[0]
-    base = arrived / medium.index * np.sqrt(albedo / (np.pi * (1.0 - albedo * returned)))
+    base = arrived / medium.n * np.sqrt(albedo / (np.pi * (1.0 - albedo * returned)))
     made = PlateletLayer(
-        lobe.wavelengths_nm, medium.index, medium.alpha, medium.number, medium.sigma, spread, entry,
+        lobe.wavelengths_nm, medium.n, medium.alpha, medium.number, medium.sigma, spread, entry,
         flakes.astype(np.float32), base, np.zeros((2, 3)), np.zeros(len(lobe.wavelengths_nm)),
     )  # fmt: skip
     if lobe.glint_numbers is not None:
@@ -155,22 +109,22 @@ def _entering(table: PlateletLayer, cos: Array) -> Array:
 def _spread(medium: Medium) -> float:
     if not len(medium.number):
         return 1.0
-    return float(2.0 * medium.index * np.hypot(medium.sigma.min(), interface_bend(medium.alpha, medium.index)))
+    return float(2.0 * medium.n * np.hypot(medium.sigma.min(), interface_bend(medium.alpha, medium.n)))
 
 
 def _interface(medium: Medium) -> tuple[Array, Array]:
     """Share of light that enters, and that is reflected, over uniform nodes of sqrt(cos)."""
     cos = np.maximum(np.linspace(0.0, 1.0, ENTRY_NODES) ** 2, 1e-7)
     if medium.alpha == 0:
-        bare = fresnel(cos, medium.index)
+        bare = fresnel(cos, medium.n)
         return 1.0 - bare, bare
     entry, surface = np.zeros(ENTRY_NODES), np.zeros(ENTRY_NODES)
     for i, c in enumerate(cos):
         w = np.array([np.sqrt(1.0 - c * c), 0.0, c])
         m, weight = visible_normals("ggx", w, medium.alpha, medium.alpha, 64)
         weight = weight / weight.sum()
-        bare = fresnel(np.clip(m @ w, 1e-9, 1.0), medium.index)
-        back, through = facet_exits(w, m, medium.index)
+        bare = fresnel(np.clip(m @ w, 1e-9, 1.0), medium.n)
+        back, through = facet_exits(w, m, medium.n)
         up = np.where(back[:, 2] > 0, smith_masking("ggx", back, medium.alpha, medium.alpha), 0.0)
         down = np.where(through[:, 2] < 0, smith_masking("ggx", through, medium.alpha, medium.alpha), 0.0)
         entry[i], surface[i] = np.sum(weight * (1 - bare) * down), np.sum(weight * bare * up)
@@ -178,42 +132,47 @@ def _interface(medium: Medium) -> tuple[Array, Array]:
 
 
 def _solve(medium: Medium, entry: Array, spread: float, effort: float, seed: int) -> tuple[Array, Array, Array, Array]:
-    """Run the loops and fit: A/t `[cos, wavelength]`, r `[wavelength]`, M and its part of one flake, as M is."""
+    """Run the walks and fit: A/t `[cos, wavelength]`, r `[wavelength]`, M, and the part of M of single scattering."""
     bands = medium.reflect.shape[2]
     shape = np.array(SHAPE)
     cells = int(np.prod(SHAPE))
-    common = (medium.index, medium.alpha, medium.number, medium.sigma)
-    flakes = bool(len(medium.number))
-    cut = np.random.default_rng(seed).random(7)
-    walks, rises = (max(1, int(effort * n / CHUNKS)) for n in (WALKS, RISES))
-    singles, masses = (max(1, int(effort * n / CHUNKS)) for n in (SINGLES, MASSES))
+    has_platelets = bool(len(medium.number))
+    shift = np.random.default_rng(seed).random(7)
+    walks, base_walks = (max(1, int(effort * n / CHUNKS)) for n in (WALKS, BASE_WALKS))
+    singles, products = (max(1, int(effort * n / CHUNKS)) for n in (SINGLES, PRODUCTS))
+    unseen = np.zeros((0, bands))
 
     def chunk(i: int) -> tuple[Any, ...]:
-        many, base, back = np.zeros((cells, bands)), np.zeros((BASE_NODES, bands)), np.zeros((1, bands))
+        tally = Tally(spread, shape, np.zeros((cells, bands)), np.zeros((BASE_NODES, bands)))
+        back = no_tally(bands)
         one, hats = np.zeros((cells, bands)), np.zeros((cells, 27))
-        rest = (medium.reflect, medium.transmit, medium.absorb, spread, shape)
-        number = random_walk.walk(seed * 1000 + i, walks, ANY_ANGLE, NO_ALBEDO, *common, *rest, many, base)
-        random_walk.walk(seed * 1000 + 500 + i, rises, FROM_BASE, NO_ALBEDO, *common, *rest, np.zeros((1, bands)), back)
-        if flakes:
-            light = (medium.reflect, medium.extinct, medium.absorb, spread, shape, one)
+        number = walk(seed * 1000 + i, walks, ANY_ANGLE, medium, NO_ALBEDO, tally, NO_VIEWERS, unseen)
+        walk(seed * 1000 + 500 + i, base_walks, FROM_BASE, medium, NO_ALBEDO, back, NO_VIEWERS, unseen)
+        if has_platelets:
             if medium.alpha > 0:
-                random_walk.single(i * singles, singles, cut, ANY_ANGLE, *common, *light)
-            random_walk.mass(i * masses, masses, cut, *common, spread, entry, shape, hats)
-        return many / walks, base / walks, back[0] / rises, one / singles, hats / masses, number
+                tally_single_scattering(i * singles, singles, shift, ANY_ANGLE, medium, spread, shape, one)
+            hat_products(i * products, products, shift, medium, spread, entry, shape, hats)
+        return (
+            tally.table / walks,
+            tally.base / walks,
+            back.base[0] / base_walks,
+            one / singles,
+            hats / products,
+            number,
+        )
 
-    with ThreadPoolExecutor(min(CHUNKS, available_jobs())) as pool:
-        parts = list(pool.map(chunk, range(CHUNKS)))
+    parts = in_threads(chunk, range(CHUNKS))
     many, base, back, one, hats, number = (sum(part[i] for part in parts) / CHUNKS for i in range(6))
     arrived = _fit_base(base, entry)
-    table, alone = np.zeros((2, *SHAPE, bands))
-    if flakes:
-        stiffness = float(hats.sum()) / (CHUNKS * ROUGHNESS_OF_TABLE**2)
+    table, single = np.zeros((2, *SHAPE, bands))
+    if has_platelets:
+        stiffness = float(hats.sum()) / (CHUNKS * TABLE_ROUGHNESS**2)
         table = _fit(hats, many, stiffness / max(number, 1.0))
         if medium.alpha == 0:
-            alone = _single(medium, spread)
+            single = _single(medium, spread)
         else:
-            alone = np.maximum(_fit(hats, one, stiffness / singles), 0.0)
-    return arrived, back, np.maximum(table + alone, 0.0), alone
+            single = np.maximum(_fit(hats, one, stiffness / singles), 0.0)
+    return arrived, back, np.maximum(table + single, 0.0), single
 
 
 def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 77) -> tuple[Array, Array]:
@@ -221,28 +180,26 @@ def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 
 
     Returns:
         `(error, noise)`, each `[wavelength]`: relative L2 difference of f cos over the exits of three incidences,
-        averaged over bins, the noise of the walks taken off; and that noise.
+        averaged over bins, without the noise of the walks; and that noise.
     """
     medium = Medium.of(lobe)
     spread, count = _spread(medium), len(lobe.wavelengths_nm)
-    common = (medium.index, medium.alpha, medium.number, medium.sigma)
-    cuts = np.random.default_rng(seed).random((len(CHECK_DEG), CHUNKS, 7))
+    shifts = np.random.default_rng(seed).random((len(CHECK_DEG), CHUNKS, 7))
+    albedo = np.ascontiguousarray(lobe.base_reflectance[0])
     walks, singles = (int(n * effort / CHUNKS) for n in (CHECK_WALKS, CHECK_SINGLES))
 
     def chunk(job: tuple[int, int]) -> Array:
         turn, i = job
         theta = float(np.radians(CHECK_DEG[turn]))
-        many, one = np.zeros((2, int(np.prod(RINGS)), count))
-        albedo = np.ascontiguousarray(lobe.base_reflectance[0])
-        rest = (medium.reflect, medium.transmit, medium.absorb, spread, RINGS, many, np.zeros((1, count)))
-        random_walk.walk(seed * 1000 + 8 * turn + i, walks, theta, albedo, *common, *rest)
+        light = np.array([np.sin(theta), 0.0, np.cos(theta)])
+        many, one = np.zeros((2, int(np.prod(CHECK_BINS)), count))
+        tally = Tally(spread, CHECK_BINS, many, np.zeros((1, count)))
+        walk(seed * 1000 + 8 * turn + i, walks, light, medium, albedo, tally, NO_VIEWERS, np.zeros((0, count)))
         if len(medium.number):
-            light = (medium.reflect, medium.extinct, medium.absorb, spread, RINGS, one)
-            random_walk.single(0, singles, cuts[turn, i], theta, *common, *light)
+            tally_single_scattering(0, singles, shifts[turn, i], light, medium, spread, CHECK_BINS, one)
         return np.asarray(many / walks + one / singles)
 
-    with ThreadPoolExecutor(min(CHUNKS, available_jobs())) as pool:
-        found = list(pool.map(chunk, [(turn, i) for turn in range(len(CHECK_DEG)) for i in range(CHUNKS)]))
+    found = in_threads(chunk, [(turn, i) for turn in range(len(CHECK_DEG)) for i in range(CHUNKS)])
     error, noise, size = np.zeros(count), np.zeros(count), np.zeros(count)
     for turn in range(len(CHECK_DEG)):
         walked = np.stack(found[turn * CHUNKS : (turn + 1) * CHUNKS])
@@ -262,9 +219,9 @@ def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 
 def _bins(table: PlateletLayer, theta: float, spread: float) -> tuple[Array, Array, Array]:
     """Power of flakes and base, that of the surface, and solid angle of the check's bins, by midpoints.
 
-    In the plane of q a solid angle times its cosine is an area: no density is needed.
+    In the plane of q, a solid angle times its cosine is an area.
     """
-    rings, turns = RINGS * MIDPOINTS
+    rings, turns = CHECK_BINS * MIDPOINTS
     scale = np.arcsinh(2.0 / spread)
     edges = spread * np.sinh(np.linspace(0.0, 1.0, rings + 1) * scale)
     middle = spread * np.sinh((np.arange(rings) + 0.5) / rings * scale)
@@ -278,25 +235,25 @@ def _bins(table: PlateletLayer, theta: float, spread: float) -> tuple[Array, Arr
     surface = surface_values(wi, wo, table.index, table.alpha)
     value = table.evaluate(wi, wo) - surface[:, None]
     ring, turn = np.nonzero(keep)
-    bins = ring // MIDPOINTS[0] * RINGS[1] + turn // MIDPOINTS[1]
-    total = int(np.prod(RINGS))
+    bins = ring // MIDPOINTS[0] * CHECK_BINS[1] + turn // MIDPOINTS[1]
+    total = int(np.prod(CHECK_BINS))
     gather = sparse.csr_matrix((area[keep], (bins, np.arange(len(bins)))), shape=(total, len(bins)))
     return gather @ value, gather @ surface, gather @ (1.0 / cos[keep])
 
 
 def _single(medium: Medium, spread: float) -> Array:
-    """Light of one flake under a smooth interface, over K, in closed form at the nodes."""
+    """Return single scattering under a smooth interface, over K, in closed form at the nodes."""
     u, v, w = np.meshgrid(*(np.linspace(0.0, 1.0, n) for n in SHAPE), indexing="ij")
     q = spread * np.sinh(u * np.arcsinh(2.0 / spread))
     sine, cosine = np.sin(0.5 * np.pi * w), np.cos(0.5 * np.pi * w)
     c = np.sin(0.5 * np.pi * v) * (np.sqrt(np.maximum(1.0 - (0.5 * q * sine) ** 2, 0.0)) - 0.5 * q * cosine)
-    n = medium.index
+    n = medium.n
     # sines of both directions from q along x and c at phi
     sin2 = [(0.5 * q + sign * c * cosine) ** 2 + (c * sine) ** 2 for sign in (1, -1)]
     inner = [np.sqrt(1.0 - np.minimum(s, 1.0) / n**2) for s in sin2]
     tall = n * (inner[0] + inner[1])
     slope2 = (q / tall) ** 2
-    # the flake is met along its half vector: cos = (1 + wi.wo) / |wi + wo|
+    # the platelet is met along the half vector: cos = (1 + wi.wo) / |wi + wo|
     facing = np.sqrt(np.clip(0.5 * (1.0 + (0.25 * q**2 - c**2) / n**2 + inner[0] * inner[1]), 0.0, 1.0))
     bands = medium.reflect.shape[2]
     depth: Array = np.zeros((*SHAPE, bands))
@@ -318,7 +275,7 @@ def _single(medium: Medium, spread: float) -> Array:
 
 
 def _fit_base(tally: Array, entry: Array) -> Array:
-    """Least squares of A = t B at the nodes, weighted by t, over uniform polar angles."""
+    """Fit A = t B at the nodes by least squares, weighted by t, over uniform polar angles."""
     cos = np.cos(0.5 * np.pi * (np.arange(20_000) + 0.5) / 20_000)
     t = np.interp(np.sqrt(cos), np.linspace(0, 1, len(entry)), entry)
     low, share = cell(cos * (BASE_NODES - 1), BASE_NODES)
@@ -332,7 +289,7 @@ def _fit_base(tally: Array, entry: Array) -> Array:
 
 
 def _fit(hats: Array, tally: Array, penalty: float) -> Array:
-    """Least squares of the table, with second differences held down by `penalty`."""
+    """Fit the table by least squares, with a penalty on second differences."""
     cells = len(hats)
     index = np.arange(cells).reshape(SHAPE)
     rows, columns, values = [], [], []

@@ -1,9 +1,14 @@
-"""How thick the layers of the flakes are: one number, or a distribution over the flakes of a pigment.
+"""Thickness distributions of flakes, and the averages of a platelet's R and T over its substrate thickness.
 
-Natural mica is split, not grown, and varies by a third of its thickness; synthetic silica by a few nm. A
-distribution enters the optics only through the average of exp(i x tau) (its characteristic function) where
-the layer is lossless, and through a quadrature where it is not. Both are served from here, so that both
-methods of `platelet.py` use the same distribution.
+Natural mica varies by a third of its thickness, synthetic silica by a few nm. With the substrate separated,
+r = r_A + C y/(1 - rho y) and |t|^2 = |t_A t_B|^2 |y| / |1 - rho y|^2, y = exp(i p tau) and p = 2 k0 kz_s. For a
+lossless substrate below its critical angle (p real) the geometric series turns the average over tau into sums of
+Y_m = <y^m>, the characteristic function of the thickness:
+
+    S1 = sum rho^m Y_m,  S2 = sum rho^(m-1) Y_m,  A = (1 + 2 Re S1) / (1 - |rho|^2)
+    <R> = |r_A|^2 + 2 Re(conj(r_A) C S2) + |C|^2 A,   <T> = |t_A t_B|^2 A
+
+For complex p the integrand is damped, and a quadrature over tau converges.
 """
 
 from __future__ import annotations
@@ -13,16 +18,24 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from math import erfc, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.jit import compiled
 
 DISTRIBUTIONS = ("gaussian", "truncated", "lognormal", "histogram")
-SPREAD = 8.3  # half-widths, in deviations, beyond which a Gaussian has less than 1e-16 of its weight
+SPREAD = 8.3  # half-width of a Gaussian in deviations; less than 1e-16 of its weight lies beyond
+MAX_TERMS = 4000
+GAUSSIAN, TABULATED = 0, 1
+RHO_FLOOR = 1e-15
+SHORT_PHASE = 0.7  # rad over the support, near the critical angle: the series converges slowly, the quadrature fast
+POINTS_PER_PANEL = 16
+SAME_WIDTH = 1e-12
+PANEL_PER_DISTANCE = 2.4  # 16 Gauss points on a panel of 2.4 pole distances have an error of 1e-11
 
 
 @dataclass(frozen=True)
@@ -30,9 +43,9 @@ class Thickness:
     """Distribution of one layer's thickness over the flakes.
 
     Attributes:
-        mean_nm: the mean; of the untruncated Gaussian where bounds cut it.
+        mean_nm: the mean, before truncation.
         deviation_nm: standard deviation; 0 is one thickness for all flakes. Ignored for a histogram.
-        distribution: "gaussian" (cut at zero: a flake cannot be thinner than nothing), "truncated" (cut at
+        distribution: "gaussian" (cut at zero), "truncated" (cut at
             `low_nm` and `high_nm`), "lognormal" or "histogram".
         low_nm, high_nm: bounds of "truncated".
         edges_nm, fractions: bins of "histogram": ascending edges `[bin + 1]`, weights `[bin]` that sum to 1;
@@ -93,6 +106,11 @@ class Thickness:
         return cls(mean, 0.0, "histogram", edges_nm=edges, fractions=weights)
 
     @property
+    def key(self) -> tuple[object, ...]:
+        """Hashable values of all fields."""
+        return tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in vars(self).values())
+
+    @property
     def is_fixed(self) -> bool:
         """Whether every flake has the same thickness."""
         return self.distribution != "histogram" and self.deviation_nm == 0
@@ -104,7 +122,7 @@ class Thickness:
 
     @property
     def is_uncut(self) -> bool:
-        """Whether the bounds cut less than rounding error from a Gaussian."""
+        """Whether bounds cut a Gaussian by less than rounding error."""
         reach = SPREAD * self.deviation_nm
         return self.is_gaussian and self.mean_nm - reach >= self.low_nm and self.mean_nm + reach <= self.high_nm
 
@@ -130,7 +148,7 @@ class Thickness:
 
     @property
     def average_nm(self) -> float:
-        """Mean over the flakes, cut included."""
+        """Mean over the flakes, after truncation."""
         if self.is_fixed or self.is_uncut or self.distribution == "lognormal":
             return self.mean_nm
         nodes, weights = self.nodes(32)
@@ -172,8 +190,8 @@ class Thickness:
     def characteristic(self, x_max: float) -> tuple[ComplexArray, float, float]:
         """Tabulate <exp(i x (tau - centre))> on a uniform grid of x >= 0, for six-point interpolation.
 
-        The centre is the middle of the support: what is left oscillates at most with half the support, and
-        the samples per such oscillation (more where bounds cut) interpolate to 1e-9.
+        The centre is the middle of the support. The rest oscillates at most with half the support, and the samples per
+        oscillation (more for truncated distributions) interpolate to 1e-9.
 
         Returns:
             values `[x]` (complex), the step in 1/nm, the centre in nm. Beyond the table the average is zero to
@@ -182,7 +200,7 @@ class Thickness:
         low, high = self.support
         centre, half = (low + high) / 2, (high - low) / 2
         if self.distribution == "lognormal":
-            # the far tail widens the support but carries no weight: the oscillation that counts is the bulk's
+            # the far tail widens the support but carries no weight; the bulk sets the oscillation
             location, scale = self._lognormal
             centre, half = self.mean_nm, float(np.exp(location + 6.5 * scale)) - self.mean_nm
         step = np.pi / half / (8 if self.is_uncut else 24)
@@ -250,15 +268,27 @@ def _check_histogram(edges: Array | None, fractions: Array | None) -> None:
         raise NacreError(f"the fractions of a thickness histogram sum to {total:.6g}; they should sum to 1")
 
 
-# The numba kernels that average a platelet's R and T over its substrate thickness.
+class Distribution(NamedTuple):
+    """A thickness distribution as the averaging kernels take it.
 
-MAX_TERMS = 4000
-GAUSSIAN, TABULATED = 0, 1
-RHO_FLOOR = 1e-15
-SHORT_PHASE = 0.7  # rad over the support: near the critical angle the series dies too slowly, the integrand is smooth
-POINTS_PER_PANEL = 16
-SAME_WIDTH = 1e-12
-PANEL_PER_DISTANCE = 2.4  # 16 Gauss points on a panel 2.4 pole distances wide leave about 1e-11
+    Attributes:
+        is_fixed: all flakes have the thickness `mean`.
+        kind: GAUSSIAN (closed form in `mean`, `deviation`) or TABULATED (`table` about `mean`, of step `step`).
+        low, high: support, nm.
+        nodes, weights, starts: ladder of quadratures; number i is starts[i]:starts[i + 1], each twice as long.
+    """
+
+    is_fixed: bool
+    kind: int
+    mean: float
+    deviation: float
+    table: ComplexArray
+    step: float
+    low: float
+    high: float
+    nodes: Array
+    weights: Array
+    starts: NDArray[np.int64]
 
 
 @compiled(error_model="numpy")
@@ -333,9 +363,9 @@ def _point(big_c: complex, r_a: complex, transfer: float, rho: complex, y: compl
 
 @compiled(error_model="numpy")
 def _pole_distance(rho: complex, p: complex, low: float, high: float) -> float:
-    """Distance from [low, high] to the nearest complex thickness at which rho exp(i p tau) = 1.
+    """Return the distance from [low, high] to the nearest complex thickness with rho exp(i p tau) = 1.
 
-    A Gauss rule on a panel converges as fast as the panel is short against this distance.
+    A Gauss rule on a panel converges with the ratio of its width to this distance.
     """
     if abs(rho) < 1e-6:
         return high - low
@@ -351,59 +381,63 @@ def _pole_distance(rho: complex, p: complex, low: float, high: float) -> float:
 
 
 @compiled(error_model="numpy", nogil=True)
-def average_platelet(
-    p: Any, r_a: Any, big_c: Any, rho: Any, transfer: Any, is_fixed: bool, kind: int, mean: float, deviation: float,
-    table: Any, step: float, low: float, high: float, nodes: Any, weights: Any, starts: Any, out_r: Any, out_t: Any,
-    first_point: int, last_point: int,
-) -> None:  # fmt: skip
-    """Fill <R> and <T> of the points first_point..last_point, so that threads can share the work.
+def _by_series(p: float, amplitudes: Any, i: int, pol: int, flakes: Any) -> Any:
+    """R and T of a lossless substrate by the series over its round trips."""
+    r_a, big_c, rho, transfer = amplitudes
+    s1, s2 = _series(rho[pol, i], p, flakes.kind, flakes.mean, flakes.deviation, flakes.table, flakes.step)
+    size = min(abs(rho[pol, i]), 1.0 - RHO_FLOOR)
+    r0, c0 = r_a[pol, i], big_c[pol, i]
+    airy = (1.0 + 2.0 * s1.real) / (1.0 - size * size)
+    cross = (r0.conjugate() * c0 * s2).real
+    bare, added = r0.real * r0.real + r0.imag * r0.imag, (c0.real * c0.real + c0.imag * c0.imag) * airy
+    return bare + 2.0 * cross + added, transfer[pol, i] * airy
+
+
+@compiled(error_model="numpy", nogil=True)
+def _by_quadrature(p: complex, amplitudes: Any, i: int, pol: int, flakes: Any, inside: Any) -> Any:
+    """R and T by a quadrature over the thickness, as fine as the nearest pole requires; `inside` is scratch."""
+    r_a, big_c, rho, transfer = amplitudes
+    nodes, weights, starts = flakes.nodes, flakes.weights, flakes.starts
+    distance = _pole_distance(rho[pol, i], p, flakes.low, flakes.high)
+    panels = (flakes.high - flakes.low) / (PANEL_PER_DISTANCE * distance) + 8.0
+    level = 0
+    while level < starts.shape[0] - 2 and starts[level + 1] - starts[level] < POINTS_PER_PANEL * panels:
+        level += 1
+    total_r, total_t, shared_width = 0.0, 0.0, 0.0
+    for panel in range(starts[level], starts[level + 1], POINTS_PER_PANEL):
+        # panels of equal width share exp(ip (tau - tau_first)), so that a node costs a product
+        width = nodes[panel + POINTS_PER_PANEL - 1] - nodes[panel]
+        if panel == starts[level] or abs(width - shared_width) > SAME_WIDTH * width:
+            shared_width = width
+            for k in range(POINTS_PER_PANEL):
+                inside[k] = _wave(p, nodes[panel + k] - nodes[panel])
+        first = _wave(p, nodes[panel])
+        for k in range(POINTS_PER_PANEL):
+            r, t = _point(big_c[pol, i], r_a[pol, i], transfer[pol, i], rho[pol, i], first * inside[k])
+            total_r += weights[panel + k] * r
+            total_t += weights[panel + k] * t
+    return total_r, total_t
+
+
+@compiled(error_model="numpy", nogil=True)
+def average_platelet(p: Any, amplitudes: Any, flakes: Any, out_r: Any, out_t: Any, begin: int, end: int) -> None:
+    """Write <R> and <T> of the points begin..end.
 
     Args:
         p: complex `[point]`, 2 k0 kz of the substrate, 1/nm; shared by both polarisations.
-        r_a, big_c, rho: complex `[polarisation, point]`: r_A, t_A t_A' r_B and r_A' r_B.
-        transfer: `[polarisation, point]`, |t_A t_B|^2.
-        is_fixed: one thickness `mean` for all.
-        kind: GAUSSIAN (closed form in `mean`, `deviation`) or TABULATED (`table` about `mean`, step `step`).
-        low, high: support of the distribution, nm.
-        nodes, weights, starts: quadrature ladder, set i in starts[i]:starts[i + 1], ascending in size by two.
-        out_r, out_t: output `[polarisation, point]`.
+        amplitudes: r_A, t_A t_A' r_B and r_A' r_B, complex, and |t_A t_B|^2, each `[polarisation, point]`.
+        flakes: a `Distribution`.
+        out_r, out_t: `[polarisation, point]`.
     """
-    levels = starts.shape[0] - 1
-    inside, shared_width = np.empty(POINTS_PER_PANEL, np.complex128), 0.0
-    for i in range(first_point, last_point):
+    r_a, big_c, rho, transfer = amplitudes
+    inside = np.empty(POINTS_PER_PANEL, np.complex128)
+    for i in range(begin, end):
         for pol in range(r_a.shape[0]):
-            reflection = rho[pol, i]
-            if is_fixed:
-                y = _wave(p[i], mean)
-                out_r[pol, i], out_t[pol, i] = _point(big_c[pol, i], r_a[pol, i], transfer[pol, i], reflection, y)
-                continue
-            size = min(abs(reflection), 1.0 - RHO_FLOOR)
-            if p[i].imag == 0.0 and p[i].real * (high - low) > SHORT_PHASE:
-                s1, s2 = _series(reflection, p[i].real, kind, mean, deviation, table, step)
-                r0, c0 = r_a[pol, i], big_c[pol, i]
-                airy = (1.0 + 2.0 * s1.real) / (1.0 - size * size)
-                cross = (r0.conjugate() * c0 * s2).real
-                out_r[pol, i] = (
-                    r0.real * r0.real + r0.imag * r0.imag + 2.0 * cross + (c0.real * c0.real + c0.imag * c0.imag) * airy
-                )
-                out_t[pol, i] = transfer[pol, i] * airy
-                continue
-            panels = (high - low) / (PANEL_PER_DISTANCE * _pole_distance(reflection, p[i], low, high)) + 8.0
-            level = 0
-            while level < levels - 1 and starts[level + 1] - starts[level] < POINTS_PER_PANEL * panels:
-                level += 1
-            total_r, total_t = 0.0, 0.0
-            for panel in range(starts[level], starts[level + 1], POINTS_PER_PANEL):
-                # panels of equal width share exp(ip (tau - tau_first)), so that a node costs a product
-                width = nodes[panel + POINTS_PER_PANEL - 1] - nodes[panel]
-                if panel == starts[level] or abs(width - shared_width) > SAME_WIDTH * width:
-                    shared_width = width
-                    for k in range(POINTS_PER_PANEL):
-                        inside[k] = _wave(p[i], nodes[panel + k] - nodes[panel])
-                first = _wave(p[i], nodes[panel])
-                for k in range(POINTS_PER_PANEL):
-                    r, t = _point(big_c[pol, i], r_a[pol, i], transfer[pol, i], reflection, first * inside[k])
-                    total_r += weights[panel + k] * r
-                    total_t += weights[panel + k] * t
-            out_r[pol, i] = total_r
-            out_t[pol, i] = total_t
+            if flakes.is_fixed:
+                y = _wave(p[i], flakes.mean)
+                r, t = _point(big_c[pol, i], r_a[pol, i], transfer[pol, i], rho[pol, i], y)
+            elif p[i].imag == 0.0 and p[i].real * (flakes.high - flakes.low) > SHORT_PHASE:
+                r, t = _by_series(p[i].real, amplitudes, i, pol, flakes)
+            else:
+                r, t = _by_quadrature(p[i], amplitudes, i, pol, flakes, inside)
+            out_r[pol, i], out_t[pol, i] = r, t

@@ -123,9 +123,9 @@ def find_page(key: str) -> Page:
         key = f"{address['shelf']}/{address['book']}/{address['page']}"
     if key in pages:
         return pages[key]
-    wanted = key.strip().replace(" ", "_").lower()
+    requested = key.strip().replace(" ", "_").lower()
     for known, page in pages.items():
-        if known.replace(" ", "_").lower() == wanted:
+        if known.replace(" ", "_").lower() == requested:
             return page
     shelf, _, rest = key.partition("/")
     book = rest.partition("/")[0]

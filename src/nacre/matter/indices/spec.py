@@ -217,7 +217,7 @@ class IndexSpec(RecipeModel):
         elif self.file is not None:
             path = context.path(self.file)
             read = read_page if path.suffix.lower() in PAGE_SUFFIXES else read_index_csv
-            made = OpticalConstant(self.file, read(path), self.file)
+            made = OpticalConstant(self.file, context.once(("index", path), lambda: read(path)), self.file)
         else:
             label, model = self._formula()
             made = OpticalConstant(label, model, "given in the recipe")

@@ -109,18 +109,7 @@ def absorbed_power(stack: StackArrays, jobs: int | None = None) -> Array:
     out = np.empty((2, layers, batch, angles, count))
 
     def task(start: int, stop: int, first: int, last: int) -> None:
-        _absorbed_range(
-            stack.n,
-            stack.thicknesses_nm,
-            stack.wavelengths_nm,
-            stack.normal,
-            stack.times_n0,
-            start,
-            stop,
-            first,
-            last,
-            out,
-        )
+        _absorbed_range(*stack.kernel_arrays, start, stop, first, last, out)
 
     # a scalar layer step costs ten times a vectorised one: threads pay off earlier
     parallel_for(task, batch, angles, 10 * batch * angles * count * (layers + 1), jobs)
@@ -204,11 +193,7 @@ def _field_at(
 
 
 def field_profile(
-    n: ArrayLike,
-    thicknesses_nm: ArrayLike,
-    wavelengths_nm: ArrayLike,
-    theta_rad: ArrayLike,
-    z_nm: ArrayLike,
+    n: ArrayLike, thicknesses_nm: ArrayLike, wavelengths_nm: ArrayLike, theta_rad: ArrayLike, z_nm: ArrayLike
 ) -> FieldProfile:
     """Return |E|^2 along z in one stack, relative to the incident wave.
 

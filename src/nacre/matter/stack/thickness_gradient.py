@@ -26,14 +26,7 @@ from numpy.typing import ArrayLike
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.jit import compiled
-from nacre.matter.stack.kernel import (
-    ROUNDER,
-    TWO_PI,
-    TWO_PI_OVER_LN2,
-    cos_half_turn,
-    exp2_minus,
-    sin_half_turn,
-)
+from nacre.matter.stack.kernel import ROUNDER, TWO_PI, TWO_PI_OVER_LN2, cos_half_turn, exp2_minus, sin_half_turn
 
 SAMPLES = 88  # wavelengths per block: rows of 704 bytes, not a power of two, avoid cache-line conflicts
 _ROWS = 8  # scratch rows per layer: e^{2ix}, X, dG/dX and, for transmission, t / (s + t X)
@@ -64,12 +57,7 @@ class StackTables(NamedTuple):
     is_clear: Any
 
 
-def stack_tables(
-    n: ArrayLike,
-    wavelengths_nm: ArrayLike,
-    angles_rad: ArrayLike,
-    sides: Sequence[str],
-) -> StackTables:
+def stack_tables(n: ArrayLike, wavelengths_nm: ArrayLike, angles_rad: ArrayLike, sides: Sequence[str]) -> StackTables:
     """Tabulate media for `spectra_and_gradients`.
 
     Args:

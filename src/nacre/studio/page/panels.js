@@ -38,7 +38,7 @@ export function drawPanels() {
   $("ribbons").classList.toggle("two", Boolean(kept));
   if (kept) drawRibbon($("ribbon-b"), $("ribbon-b-text"), kept);
   drawSpectrum($("spectrum"), look, kept);
-  drawScatter($("cloud-ribbon"), $("track"), drawTrack($("track"), look, kept, scatterExtent()));
+  drawScatter($("tolerance-ribbon"), $("track"), drawTrack($("track"), look, kept, scatterExtent()));
   drawSwatches($("swatches"), look, kept);
   const words = drawStructure($("structure"), look.data, look.profile);
   $("structure-text").textContent = words;

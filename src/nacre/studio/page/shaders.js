@@ -71,7 +71,7 @@ LIGHT shade(vec2 p) {
   float far = length(q);
   return mix(LIGHT(1.0), TINT(texture(room, vec3(atan(q.y, q.x) / (2.0 * PI), far / (far + HALF_WAY), layers))), solid);
 }
-// a point p on the floor or on the wall, whose length along the stage is `along`
+// a point p on the floor or on the wall, with its length along the stage
 LIGHT stage(vec2 p, float along, float wide) {
 #ifdef PLACE
   return ground * level * shade(p);
