@@ -24,7 +24,15 @@ from nacre.core.errors import NacreError, RecipeError
 from nacre.families.contract import DirectEvaluation, Model, is_direct, search_model
 from nacre.formats.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
 from nacre.material.material import Material
-from nacre.optimise.methods.least_squares import SCOUTS_PER_NUMBER, STEP, STOCHASTIC_STEP, End, apart, descend, draw
+from nacre.optimise.methods.least_squares import (
+    SCOUTS_PER_PARAMETER,
+    STEP,
+    STOCHASTIC_STEP,
+    LocalMinimum,
+    is_distinct,
+    minimise_residuals,
+    sobol_points,
+)
 from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
 from nacre.recipe.path_tables import by_path, with_options
 
@@ -226,7 +234,7 @@ def run_fit(
     free: tuple[Parameter, ...],
     *,
     starts: int = 4,
-    scouts: int = SCOUTS_PER_NUMBER,
+    scouts: int = SCOUTS_PER_PARAMETER,
     weights: str = "equal",
     samples: int | None = None,
     seed: int = 0,
@@ -252,7 +260,7 @@ def run_fit(
     material = material.at_low_fidelity().with_parts_loaded(parameter.path for parameter in free)
     problem = _Problem(material, measured, free, samples, seed, weights)
     candidates = problem.select_starts(starts, scouts)
-    minima: list[End] = []
+    minima: list[LocalMinimum] = []
     for number, start in enumerate(candidates):
         found = problem.refine(start)
         if found is not None:
@@ -267,7 +275,7 @@ def run_fit(
     if progress and problem.is_corrected:
         progress("corrected by walks", problem.relative(best_minimum.loss))
     numbers = problem.confidence(best_minimum)
-    fitted = problem.build(best_minimum.place)
+    fitted = problem.build(best_minimum.point)
     residual = measured.model(fitted, samples, seed) - measured.values
     rms = float(np.sqrt(np.mean(residual**2)))
     losses = tuple(problem.relative(each.loss) for each in minima)
@@ -317,19 +325,19 @@ class _Problem:
     def _loss(self, point: Array) -> float:
         return float(np.sum(self.residual(point) ** 2))
 
-    def corrected(self, end: End) -> End:
+    def corrected(self, end: LocalMinimum) -> LocalMinimum:
         """Refine a minimum of the surrogate with the difference of random walks (space mapping)."""
         for _ in range(CORRECTIONS):
-            material = self.build(end.place)
+            material = self.build(end.point)
             surrogate = self._measured.surrogate(material.model)
             if surrogate is None:
                 break
             self._correction = np.mean(self._walk(material), axis=0) - surrogate
             self.is_corrected = True
-            refined = self.refine(end.place)
+            refined = self.refine(end.point)
             if refined is None:
                 break
-            moved = float(np.max(np.abs(refined.place - end.place)))
+            moved = float(np.max(np.abs(refined.point - end.point)))
             end = refined
             if moved < CORRECTION_TOL:
                 break
@@ -353,22 +361,22 @@ class _Problem:
         if chosen and starts == 0:
             return chosen
         count = starts + len(chosen)
-        sample = draw(len(self._free), scouts * len(self._free), self._seed)
+        sample = sobol_points(len(self._free), scouts * len(self._free), self._seed)
         for index in np.argsort([self._loss(point) for point in sample]):
             if len(chosen) >= count:
                 break
-            if apart(sample[index], chosen, MIN_START_DISTANCE):
+            if is_distinct(sample[index], chosen, MIN_START_DISTANCE):
                 chosen.append(sample[index])
         return chosen
 
-    def refine(self, start: Array) -> End | None:
+    def refine(self, start: Array) -> LocalMinimum | None:
         """Refine one start by least squares, then by CMA-ES if finite differences see only noise."""
         step = STOCHASTIC_STEP if self._samples is not None else STEP
         begin = self._loss(start)
-        end = descend(self.residual, start, step=step)
+        end = minimise_residuals(self.residual, start, step=step)
         if end.loss > STALLED_RATIO * begin and self.relative(end.loss) > STALLED_RMS:
-            point, loss = self._search_without_gradient(end.place, end.loss)
-            end = End(point, loss, self._jacobian(point, step))
+            point, loss = self._search_without_gradient(end.point, end.loss)
+            end = LocalMinimum(point, loss, self._jacobian(point, step))
         if not np.isfinite(end.loss) or self.relative(end.loss) >= 0.99 * PENALTY_RESIDUAL:
             return None
         return end
@@ -394,7 +402,7 @@ class _Problem:
             columns.append((self.residual(high) - self.residual(low)) / (high[i] - low[i]))
         return np.stack(columns, axis=1)
 
-    def confidence(self, end: End) -> tuple[FittedNumber, ...]:
+    def confidence(self, end: LocalMinimum) -> tuple[FittedNumber, ...]:
         """Return each number with its 95 % half width, from the Gauss-Newton covariance of the residuals.
 
         Errors are assumed independent and equal; a direction to which the data are insensitive has no half width. The
@@ -403,16 +411,16 @@ class _Problem:
         """
         from scipy.stats import t
 
-        residual = self.residual(end.place)
-        freedom = max(1, residual.size - len(end.place))
+        residual = self.residual(end.point)
+        freedom = max(1, residual.size - len(end.point))
         variance = float(np.sum(residual**2)) / freedom
-        left, singular, rotation = np.linalg.svd(end.slopes, full_matrices=False)
-        floor = np.finfo(float).eps * end.slopes.shape[0] * (singular.max() if singular.size else 0.0)
+        left, singular, rotation = np.linalg.svd(end.jacobian, full_matrices=False)
+        floor = np.finfo(float).eps * end.jacobian.shape[0] * (singular.max() if singular.size else 0.0)
         inverse = np.where(singular > floor, 1.0 / np.maximum(singular, 1e-300), np.inf)
         with np.errstate(invalid="ignore"):
             data = variance * np.nansum((rotation * inverse[:, None]) ** 2, axis=0)
             finite = np.where(singular > floor, inverse, 0.0)
-            walks = self._walk_variance(end.place, (rotation.T * finite) @ left.T)
+            walks = self._walk_variance(end.point, (rotation.T * finite) @ left.T)
             total = data + walks
             degrees = total**2 / (data**2 / freedom + walks**2 / (CORRECTION_SEEDS - 1))
             half = np.where(total > 0.0, np.sqrt(total) * t.ppf(0.975, np.nan_to_num(degrees, nan=freedom)), 0.0)
@@ -420,7 +428,7 @@ class _Problem:
             FittedNumber(
                 n.path, n.value(u), float(h * (n.high - n.low)), bool(np.isfinite(h) and h < UNDETERMINED_SHARE)
             )
-            for n, u, h in zip(self._free, end.place, half, strict=True)
+            for n, u, h in zip(self._free, end.point, half, strict=True)
         )
 
     def _walk_variance(self, point: Array, pseudoinverse: Array) -> Array:

@@ -21,10 +21,17 @@ from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import check_room, read_text, write_text
 from nacre.optimise.colour_list import ColourRow, read_colours
-from nacre.optimise.evaluation import TargetResult, judge
-from nacre.optimise.run import CLOSING_SHARE, choose_search, document_of, judged, tolerance_of, with_method_overrides
+from nacre.optimise.evaluation import TargetResult, evaluate
+from nacre.optimise.run import (
+    budget_of,
+    choose_search,
+    document_of,
+    evaluate_solution,
+    tolerance_of,
+    with_method_overrides,
+)
 from nacre.optimise.solutions import NEED_BYTES, RECIPE, Solution, write_recipe
-from nacre.optimise.task import DesignTask, is_relief_task, palette_name, read_data, read_task, total_nm
+from nacre.optimise.task import DesignTask, is_relief_task, palette_name, read_data, read_task, total_thickness_nm
 from nacre.optimise.thin_film.adapter import thin_film_search_many
 
 TABLE, SUMMARY = "many.csv", "many.json"
@@ -148,8 +155,8 @@ def _solve(
         with lock:
             one = tasks[number]
             material = one.material.vary(changes)
-            results, _ = judge(material, one.targets, one.spec.light, seed=one.spec.search.seed)
-            total = total_nm(material)
+            results, _ = evaluate(material, one.targets, one.spec.light, seed=one.spec.search.seed)
+            total = total_thickness_nm(material)
             collect(number, Solution(None, material, changes, results, {"total_nm": total} if total else {}))
 
     is_plain = not task.spec.tolerance and task.spec.limits.max_layers is None
@@ -157,11 +164,13 @@ def _solve(
         return
     for number in numbers:
         one = tasks[number]
-        search, seconds = choose_search(one, one.spec.search.seed), one.spec.search.seconds
-        if search.run((1.0 - CLOSING_SHARE) * seconds, None, []) == "interrupted":
+        search = choose_search(one, one.spec.search.seed)
+        budget = budget_of(one, search)
+        result = search.run(budget)
+        if result.status == "interrupted":
             raise KeyboardInterrupt
-        answers = search.answers()
-        solution = judged(one, answers[0][1], CLOSING_SHARE * seconds, 0.0) if answers else None
+        found = result.solutions
+        solution = evaluate_solution(one, found[0][1], budget.reserved_s, 0.0) if found else None
         if solution is None:
             raise RecipeError(f"{task.context.source}: the recipe cannot be computed anywhere in its bounds")
         collect(number, solution)
