@@ -11,7 +11,7 @@ from nacre.core import parallel
 def asked(monkeypatch):
     questions = []
     monkeypatch.setattr(click, "confirm", lambda text, **_: questions.append(text))
-    monkeypatch.setattr(parallel, "watch", lambda tell: None)
+    monkeypatch.setattr(parallel, "add_progress_listener", lambda listener: None)
     return questions
 
 
