@@ -1,7 +1,7 @@
-"""Periodic supercells of a pattern, and the coupling of particles with all periodic images.
+"""Periodic supercells, and the particle coupling with all periodic images.
 
 A finite patch has an edge that scatters near grazing. A periodic square has none. One Bloch wavevector serves all
-diffraction orders of the square, some hundred directions of incidence and view; every order except the zeroth is
+diffraction orders, some hundred incident and view directions; every order except the zeroth is
 diffuse light. The coupling between particles and images is summed in real space within a window and beyond it over the
 diffraction orders.
 """
@@ -45,18 +45,18 @@ from nacre.families.metasurface.tmatrix.substrate import Substrate
 
 BEYOND = 24.0  # wavevector range past the light line, in k, needed by the window edge, times k times its reach
 BEYOND_IN_A_LAYER = 36.0  # the same for a host layer that guides light
-QUIET = 3e-5  # share of the response of one particle below which waves of random phases are negligible
+QUIET = 3e-5  # relative response below which waves with random phases are negligible
 
 
 @dataclass(frozen=True)
 class Supercell:
-    """One square of a periodic pattern.
+    """One square in a periodic pattern.
 
     Attributes:
         xy_nm: positions, `[sphere, 2]`.
         period: its period.
         seed: for random choices in it.
-        species: species number of each particle, `[sphere]`; None for one species.
+        species: species number per particle, `[sphere]`; None for one species.
     """
 
     xy_nm: Array
@@ -74,12 +74,12 @@ def supercells(
     seed: int,
     is_list: bool = False,
 ) -> list[Supercell]:
-    """Return squares of about `spheres` particles, each with a random Bloch wavevector.
+    """Return squares with about `spheres` particles, each with a random Bloch wavevector.
 
     Args:
-        pattern: function of count and seed that returns a pattern.
-        least_nm: smallest distance; one particle of each closer pair is removed.
-        is_list: whether the pattern is a fixed list of points, from which random squares are cut.
+        pattern: function (count, seed) that returns a pattern.
+        least_nm: smallest distance; one particle in each closer pair is removed.
+        is_list: whether the pattern is a fixed point list, cut to random squares.
     """
     out = []
     for number in range(realisations):
@@ -99,9 +99,9 @@ def supercells(
 
 
 def with_species(patterns: list[Supercell], shares: Array, seed: int) -> list[Supercell]:
-    """Return the patterns of a mixture with randomly placed species in exact total shares.
+    """Return mixture patterns with randomly placed species in exact total shares.
 
-    An excess of a bright species over all patterns would be an error of the mean.
+    Excess bright particles over all patterns would bias the mean.
     """
     counts = [len(one.xy_nm) for one in patterns]
     drawn = draw_species(sum(counts), shares, np.random.default_rng((seed, len(counts), 1)))
@@ -141,14 +141,20 @@ class DistantSheet:
 
     @classmethod
     def build(
-        cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, reach_nm: float, largest: float,
+        cls,
+        surface: Substrate,
+        centre_nm: float,
+        structure: Structure,
+        order: int,
+        reach_nm: float,
+        largest: float,
         lift_nm: float = 0.0,
-    ) -> DistantSheet:  # fmt: skip
+    ) -> DistantSheet:
         """Tabulate; `structure` gives density and least distance, without correlation.
 
         Args:
-            centre_nm: mean of both heights.
-            lift_nm: height of the target above the source, for the reflection by the stack.
+            centre_nm: mean height.
+            lift_nm: target height above the source, for the reflection by the stack.
         """
         k = surface.inner_wavenumber
         a, far = structure.diameter_nm * k, reach_nm * k
@@ -179,12 +185,12 @@ class DistantSheet:
 
 @dataclass(frozen=True)
 class PeriodicCoupling:
-    """Coupling with the images beyond the window, as waves of in-plane wavevectors.
+    """Coupling with the images beyond the window, as plane waves.
 
     Attributes:
         coupling: pair tables within the window.
         sheets: one for each pair of heights, see `mean_and_lift`.
-        direct: the direct waves, of a higher order; None if all centres have one height.
+        direct: the direct waves, at a higher order; None if all centres have one height.
         largest: largest in-plane wavevector over k.
     """
 
@@ -215,7 +221,7 @@ class PeriodicCoupling:
         return cls(coupling, sheets, direct, largest)
 
     def beyond(self, wavevectors: Array) -> ComplexArray:
-        """Return M times the Fourier transform of the coupling beyond the window, `[species, species', wave, n, n']`.
+        """Return M times the Fourier-transformed coupling beyond the window, `[species, species', wave, n, n']`.
 
         Args:
             wavevectors: `[wave, 2]`, 1/nm, off the light line.
@@ -236,7 +242,7 @@ class PeriodicCoupling:
         return out
 
     def _lifted(self, straight: ComplexArray, height: float) -> ComplexArray:
-        """Return the correction of the direct waves, `[wave, n, n']`, for a target higher by `height` / k.
+        """Return the direct-wave correction, `[wave, n, n']`, for a target higher by `height` / k.
 
         Waves from beyond the window are regular at the target and are translated as regular waves.
         """
@@ -247,7 +253,7 @@ class PeriodicCoupling:
         return np.asarray(carried[low] @ straight[:, :, low])
 
     def matrix(self, cell: Supercell) -> SingleComplex:
-        """Return 1 - M W of a pattern and all its images, `[sphere x n, sphere x n]`, in column order."""
+        """Return 1 - M W for a pattern with all its images, `[sphere x n, sphere x n]`, in column order."""
         xy, period, species = cell.xy_nm, cell.period, species_numbers(cell.xy_nm, cell.species)
         out = self.coupling.matrix(xy, period, species).T  # rows: source and its multipole
         waves = orders(period, self.largest * self.coupling.surface.inner_wavenumber)
@@ -268,23 +274,23 @@ class PeriodicCoupling:
         return out.T
 
     def solve(self, cell: Supercell, waves: PlaneWaves) -> SingleComplex:
-        """Return the multipoles of every particle, `[sphere, n, wave]`."""
+        """Return the multipoles for every particle, `[sphere, n, wave]`."""
         return self.coupling.solve(cell.xy_nm, waves, cell.species, self.matrix(cell))
 
 
 def translation_order(order: int, step: float) -> int:
-    """Return the order of waves translated vertically by `step` / k for results of `order`."""
+    """Return the wave order for a vertical translation by `step` / k to results with `order`."""
     return order + 2 + int(np.ceil(1.5 * step))
 
 
 def max_far_wavenumber(surface: Substrate, reach_nm: float) -> float:
-    """Return the largest in-plane wavevector, over k around the particles, of waves from beyond the window."""
+    """Return the largest in-plane wavevector, over k around the particles, for waves from beyond the window."""
     beyond = BEYOND_IN_A_LAYER if surface.inner_nm else BEYOND
     return max_guided_index(surface) / surface.inner_index + beyond / (reach_nm * surface.inner_wavenumber)
 
 
 def max_guided_index(surface: Substrate) -> float:
-    """Return the largest index of propagating in-plane wavevectors: outer media and films that guide light."""
+    """Return the largest index for propagating in-plane wavevectors: outer media and films that guide light."""
     outside = [surface.inner_index, surface.ambient_index]
     if surface.is_transparent:
         outside.append(float(surface.indices[-1].real))

@@ -1,10 +1,10 @@
-"""Translation sums Q of the quasi-crystalline approximation: excitation of a particle by its neighbours.
+"""Translation sums Q in the quasi-crystalline approximation: excitation by neighbours.
 
-Q_nn'(kappa) = 2 pi rho (-i)^mu int_a^inf g(R) J_mu(kappa R) W_nn'(R) R dR, mu = |m' - m|, with W(R) the translation of
-multipole n' at distance R to multipole n, directly and by the stack. The plane-wave parts have a closed form and are
-subtracted; the remainder is smooth in the angle and is interpolated.
+Q_nn'(kappa) = 2 pi rho (-i)^mu int_a^inf g(R) J_mu(kappa R) W_nn'(R) R dR, mu = |m' - m|, with W(R) the translation
+from multipole n' at distance R to multipole n, directly and by the stack. The plane-wave parts have a closed form and
+are subtracted; the remainder is smooth in the angle and is interpolated.
 
-A multipole is n = (m, tau, l) with m from -L to L, flat; lengths in units of 1/k.
+A multipole is n = (m, tau, l) with m from -L to L, flat; lengths in units 1/k.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ EXCESS_FLOOR = 2e-3  # |g - 1| below which distances count as uncorrelated
 class HalfIndex:
     """The multipoles with m >= 0 excited by one polarisation, as places in `MultipoleIndex`: arrays `[h]`.
 
-    The monolayer is symmetric about the plane of incidence, so s and p excite multipoles of opposite mirror symmetry:
+    The monolayer is symmetric about the incidence plane, so s and p excite multipoles with opposite mirror symmetry:
     those with -m follow from m by `sign`, and m = 0 with tau != pol is not excited.
     """
 
@@ -60,7 +60,7 @@ class HalfIndex:
 
 @lru_cache(maxsize=16)
 def half_index(order: int, pol: int) -> HalfIndex:
-    """Return the half of the index excited by polarisation `pol` (0 = s, 1 = p)."""
+    """Return the half index excited by polarisation `pol` (0 = s, 1 = p)."""
     index = multipole_index(order)
     rows = {key: i for i, key in enumerate(zip(index.m.tolist(), index.tau.tolist(), index.l.tolist(), strict=True))}
     kept = np.array([i for (m, tau, _), i in rows.items() if m > 0 or (m == 0 and tau == pol)], dtype=np.intp)
@@ -101,7 +101,7 @@ def unfolded(q: ComplexArray, order: int) -> ComplexArray:
 
 @lru_cache(maxsize=8)
 def translation_coefficients(order: int) -> ComplexArray:
-    """c_p of the direct translation, `[n, n', p]`: W = sum_p c_p h_p(kr) P_p^mu(cos), mu that of the pair."""
+    """c_p for the direct translation, `[n, n', p]`: W = sum_p c_p h_p(kr) P_p^mu(cos), mu from the pair."""
     index = multipole_index(order)
     w, weight = np.polynomial.legendre.leggauss(4 * order + 6)
     b = plane_wave_vectors(w, order, order)
@@ -116,7 +116,7 @@ def translation_coefficients(order: int) -> ComplexArray:
 
 @lru_cache(maxsize=8)
 def direct_coefficients(order: int) -> ComplexArray:
-    """c_p P_p^mu(0) of the direct translation in the plane, `[n, n', p, mu]`, zero except for the mu of the pair."""
+    """c_p P_p^mu(0) for the direct translation in the plane, `[n, n', p, mu]`, zero except at the pair's mu."""
     top = 2 * order
     mu = pair_orders(order)
     found = translation_coefficients(order) * legendre(np.array(0.0), top, top)[mu]
@@ -151,7 +151,7 @@ def _correlation_range(structure: Structure) -> float:
 
 
 def _direct_sums(structure: Structure, wavenumber: float, order: int, kappa: Array) -> ComplexArray:
-    """int_a^inf g h_p J_mu R dR, `[p, mu, angle]`, in units of 1/k^2."""
+    """int_a^inf g h_p J_mu R dR, `[p, mu, angle]`, in units 1/k^2."""
     top = 2 * order
     a = structure.diameter_nm * wavenumber
     reach = _correlation_range(structure) * wavenumber
@@ -208,9 +208,9 @@ def stack_contour(
 
     Args:
         reach: the largest distance, times k.
-        depth: of the contour, in k.
+        depth: contour depth, in k.
         heard: distance, times k, up to which steep waves at its end matter.
-        quick: two thirds of the nodes; error 2e-5 of the largest sum instead of 1e-6, the maximum over 60 random
+        quick: two thirds of the nodes; error 2e-5 (largest sum) instead of 1e-6, the maximum over 60 random
             stacks.
     """
     far = (2 * order + 46) / (2 * surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm))
@@ -218,7 +218,7 @@ def stack_contour(
     # a host layer adds interference fringes over the angle
     reach = reach + 2 * surface.inner_wavenumber * surface.inner_nm
     bend = max(6.0, relative + 1.0)
-    # error 1e-8 of the largest sum; a pattern needs a narrow last panel for the Bessel functions
+    # relative error 1e-8; a pattern needs a narrow last panel for the Bessel functions
     edges = [0.0, 1.0, 2.0, bend] if depth == CONTOUR_DEPTH else [0.0, 1.0, *np.linspace(2.0, bend, 5)]
     fringes = float(surface.indices[1:-1].real @ surface.thicknesses_nm) * surface.wavenumber / surface.ambient_index
     x, weight = _panels(np.array(edges), int(24 + 0.5 * (reach + fringes)) if quick else int(40 + 0.8 * reach))
@@ -244,7 +244,7 @@ def _stack_sums(
 
     Rows with m < 0 are zero, since `folded` ignores them, unless `every_row`.
 
-    int (g-1) W^R(R) J_mu(kappa_i R) R dR with the Sommerfeld integral of W^R outside: the radial integral of two Bessel
+    int (g-1) W^R(R) J_mu(kappa_i R) R dR with the Sommerfeld integral W^R outside: the radial integral over two Bessel
     functions comes first.
     """
     k = surface.inner_wavenumber
@@ -292,10 +292,10 @@ def neighbour_sums(
     Args:
         surface, centre_nm: the stack and the particle height.
         structure: density and g(r).
-        order: highest multipole of the interaction.
+        order: highest multipole in the interaction.
         kappa: `[angle]`, real, >= 0 and not 1.
-        quick: relative error of 1e-4 to 1e-5.
-        lift_nm: height of the target above the source (`centre_nm` is their mean), for the reflection by the stack.
+        quick: relative error 1e-4 to 1e-5.
+        lift_nm: target height above the source (`centre_nm` is their mean), for the reflection by the stack.
     """
     mu = pair_orders(order)
     phase = (-1j) ** mu
@@ -315,10 +315,10 @@ def neighbour_sums(
 def _wave_sums(
     structure: Structure, surface: Substrate, order: int, w: ComplexArray, kappa: Array, echo: StackReflection | None
 ) -> ComplexArray:
-    """Half of the plane waves of the monolayer in both directions, and their reflection, folded, `[pol, angle, h, h']`.
+    """Half the monolayer plane waves in both directions, and their reflection, folded, `[pol, angle, h, h']`.
 
-    They grow as 1/cos and are therefore not interpolated. Folded, each is one product: a plane wave of one polarisation
-    excites only its own multipoles.
+    They grow as 1/cos and are therefore not interpolated. Folded, each is one product: a plane wave with one
+    polarisation excites only its own multipoles.
 
     Args:
         echo: reflection by the stack, or None.
@@ -348,7 +348,7 @@ def plane_wave_sums(
     kappa: Array,
     lift_nm: float = 0.0,
 ) -> ComplexArray:
-    """The plane-wave terms of Q, folded: the waves of the monolayer and their reflection by the stack.
+    """The plane-wave terms in Q, folded: monolayer waves and their reflection by the stack.
 
     Returns: `[pol, angle, h, h']`.
     """
