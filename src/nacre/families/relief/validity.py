@@ -90,7 +90,7 @@ def assess(tile: Tile, wavelength_scale: float = 1.0) -> Validity:
 
 
 def mean_feature_nm(surface: Array, pitch_nm: float) -> tuple[float, int]:
-    """Return the mean distance between crossings of the middle height, along the axis with the shorter one, and that axis.
+    """Return the shorter mean distance between crossings of the middle height along x or y, and that axis.
 
     Half a period of a grating: the mean width of its ridges and grooves. Lines without crossings are skipped.
     """
