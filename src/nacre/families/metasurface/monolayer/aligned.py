@@ -432,7 +432,8 @@ def solve_aligned(layer: AlignedLayer, grids: Grids, eta: float, count: int = AZ
     dispersion = index / eta if grids.below is not None else 1.0
     factor = scale / spread * np.where(np.arange(size) < n_above, 1.0, dispersion).repeat(count)
     values = (term.power.reshape(size * count, -1) * factor[:, None] * factor).reshape(size, count, size, count)
-    return AlignedResult(*(_finer(t) for t in tables), _series(values, grids), excess)
+    r, t, inside, total = (_finer(t) for t in tables)
+    return AlignedResult(r, t, inside, total, _series(values, grids), excess)
 
 
 def _finer(table: Array) -> Array:
@@ -462,9 +463,9 @@ def tabulate_aligned(
     results, surfaces = zip(*in_threads(work, wavelengths_nm, jobs))
     series = column(results, "series")
     chosen = _chosen(series)
-    terms = np.ascontiguousarray(series[:, chosen]), series_orders()[chosen].astype(float)
-    axes = lobe_axes(surfaces, structure, grids)
-    lobe = Aligned(wavelengths_nm, *terms, *grids.counts, eta, turn_rad, *axes)
+    values, orders = np.ascontiguousarray(series[:, chosen]), series_orders()[chosen].astype(float)
+    k, index, step, s = lobe_axes(surfaces, structure, grids)
+    lobe = Aligned(wavelengths_nm, values, orders, *grids.counts, eta, turn_rad, k, index, step, s)
     response = interface_response(results, wavelengths_nm, grids, eta)
     return (AlignedSpecular(response, turn_rad), lobe), max(r.excess for r in results)
 

@@ -166,7 +166,7 @@ def specular_tables(
     grids: Grids,
     eta: float,
     index: float,
-) -> list[Array]:
+) -> tuple[Array, Array, Array, Array]:
     """Return unpolarised R, T, R from inside and R beyond the critical angle, `[..., node]`.
 
     Args:
@@ -182,7 +182,8 @@ def specular_tables(
             # cos_inside/cos_critical = cos(pi x/2), without the two singular ends
             x = np.clip(np.linspace(0.0, 1.0, TOTAL_NODES), 1e-3, 1 - 1e-3)
             total = 0.5 * below(np.cos(np.pi / 2 * x) * np.sqrt(1 - 1 / index**2)).sum(axis=-2)
-    return [np.clip(t, 0.0, 1.0) for t in (reflected, passed, inside, total)]
+    r, t, inside, total = (np.clip(t, 0.0, 1.0) for t in (reflected, passed, inside, total))
+    return r, t, inside, total
 
 
 def specular_at_nodes(grids: Grids, eta: float, reflected: Array, passed: Array, inside: Array, total: Array) -> Array:
@@ -252,9 +253,11 @@ def tabulate(
         parts = np.stack([r.free[i] for r in results], axis=-1)
         return parts if parts.shape[0] else np.zeros((0, HARMONICS, len(results)), np.float32)
 
-    tables = (*(column(results, name) for name in ("above", "below", "across")), *map(free, range(3)))
-    axes = lobe_axes(surfaces, structure, grids)
-    harmonic = Harmonic(wavelengths_nm, *tables, *grids.counts, eta, *axes)
+    above, below, across = (column(results, name) for name in ("above", "below", "across"))
+    k, index, step, s = lobe_axes(surfaces, structure, grids)
+    harmonic = Harmonic(
+        wavelengths_nm, above, below, across, free(0), free(1), free(2), *grids.counts, eta, k, index, step, s
+    )
     specular = Specular(interface_response(results, wavelengths_nm, grids, eta))
     return (specular, harmonic), max(r.excess for r in results)
 
@@ -267,9 +270,9 @@ def column(results: Sequence[Any], name: str) -> NDArray:
 def interface_response(results: Sequence[Any], wavelengths_nm: Array, grids: Grids, eta: float) -> InterfaceResponse:
     """Return the specular tables from all wavelengths."""
     names = ("reflectance", "transmittance", "reflectance_inside", "total")
-    tables = (column(results, name) for name in names)
+    r, t, inside, total = (column(results, name) for name in names)
     cosines = np.linspace(0.0, 1.0, SPECULAR_NODES)
-    return InterfaceResponse(wavelengths_nm, cosines, *tables, eta, grids.below is not None)
+    return InterfaceResponse(wavelengths_nm, cosines, r, t, inside, total, eta, grids.below is not None)
 
 
 def lobe_axes(surfaces: Sequence[Substrate], structure: Structure, grids: Grids) -> tuple[Array, Array, float, Array]:
