@@ -23,20 +23,20 @@ from nacre.picture.shapes import backdrop as stages
 from nacre.picture.shapes.mesh import Mesh, rotation
 
 SUBJECT = "nacre"  # parts with this material take the rendered one
-# arguments of `backdrop.sweep` and `backdrop.bowl`; sides of the squares of chequers
+# arguments of `backdrop.sweep` and `backdrop.bowl`; chequer sides
 SWEEP, BOARD, BOWL = (20.0, 16.0, 5.0, 4.5, 5.2), (12.0, 12.0, 12.0, 2.0, 3.0), (1.4, 9.0, 4.2)
 SQUARE, BOWL_SQUARE = 0.55, 0.62
 # the wall behind black acrylic is high enough that the plate does not mirror its edge
 SWEEPS = {"sweep": SWEEP, "desk": BOARD, "specimen": BOARD, "acrylic": (20.0, 16.0, 5.0, 4.5, 10.0)}
-PLATE = (40.0, 26.0)  # width and depth of the black acrylic
-# size and shift of each soap bubble, relative to a resting ball of that size
+PLATE = (40.0, 26.0)  # width and depth of black acrylic
+# each soap bubble's size, and shift from a resting position
 BUBBLES = ((1.0, (-0.1, 0.0, 0.03)), (0.3, (1.02, -0.9, 0.05)), (0.17, (0.98, 1.6, 1.9)), (0.12, (-1.25, 2.4, 0.3)))
 Backdrop = Literal["sweep", "bowl", "desk", "acrylic", "specimen", "none"]
 
 
 @dataclass(frozen=True)
 class Part:
-    """A mesh, or a Mitsuba shape as a dict, and the name of its material."""
+    """A mesh, or a Mitsuba shape as a dict, and its material's name."""
 
     shape: Mesh | dict[str, Any]
     material: str = SUBJECT
@@ -57,7 +57,7 @@ class Part:
         return Part({**self.shape, "to_world": to_world}, self.material)
 
     def points(self) -> Array:
-        """Points `[N, 3]` with the bounding ball of the part: vertices, poles of a sphere, else corners of the box."""
+        """Points `[N, 3]` with the part's bounding ball: vertices, sphere poles, else box corners."""
         if isinstance(self.shape, Mesh):
             return self.shape.vertices
         if self.shape["type"] == "sphere":
@@ -85,7 +85,7 @@ class Scene:
         backdrop: the ground.
         light: default light.
         max_depth: path length for opaque subjects.
-        size: width and height of a default picture.
+        size: default picture size.
         place_view: camera for a light that is a visible place (street, room, sky); None: `view`.
         props: builds objects beside the subject, omitted in a visible place.
     """
@@ -101,7 +101,7 @@ class Scene:
     props: Parts = list
 
 
-# reflectances and simple models of all surfaces except the subject; the mean reflectance of printed ones
+# simple models for all surfaces except the subject; printed ones by their mean reflectance
 MATERIALS: dict[str, dict[str, Any]] = {
     "ground": {"type": "diffuse", "reflectance": 0.16},
     "plain": {"type": "diffuse", "reflectance": 0.16},
@@ -128,7 +128,7 @@ MATERIALS: dict[str, dict[str, Any]] = {
     "gilt": {"type": "roughconductor", "material": "Au", "alpha": 0.15},
     "steel": {"type": "roughconductor", "material": "Cr", "alpha": 0.08},
 }
-# printed surfaces: module and function of the drawing, its arguments
+# printed surfaces: module, function and arguments of the drawing
 _LABELS = {
     "label-butterfly": (("Morpho didius", "PERU  Satipo, 700 m", "leg. 12.iv.1987"), 0.436),
     "label-feather": (("Garrulus glandarius", "upper wing covert", "SAXONY  9.x.1991"), 0.86),
@@ -161,12 +161,12 @@ def plain_material(name: str) -> dict[str, Any]:
 
 
 def _shape(module: str, function: str, *arguments: Any) -> Any:
-    """Call a function of `nacre.picture.shapes.MODULE`, imported on first use."""
+    """Call a function in `nacre.picture.shapes.MODULE`, imported on first use."""
     return getattr(importlib.import_module(f"nacre.picture.shapes.{module}"), function)(*arguments)
 
 
 def _parts(module: str, *rows: tuple[Any, ...]) -> Parts:
-    """Return a cached builder of parts, each given by function, material and arguments."""
+    """Return a cached part builder, each part given by function, material and arguments."""
     return functools.cache(lambda: [Part(_shape(module, name, *rest), material) for name, material, *rest in rows])
 
 
@@ -327,12 +327,12 @@ def scene(name: str) -> Scene:
 
 
 def backdrop_parts(kind: Backdrop, see_through: bool, place_floor: str | None) -> list[tuple[Mesh, dict[str, Any]]]:
-    """Return the meshes and materials of a backdrop.
+    """Return a backdrop's meshes and materials.
 
     Args:
-        kind: the backdrop of the scene.
+        kind: scene backdrop.
         see_through: chequers on a plain sweep, because transparent subjects are seen by refraction.
-        place_floor: material of a plain floor that replaces the backdrop in a visible place; None: the backdrop.
+        place_floor: plain floor material that replaces the backdrop in a visible place; None: the backdrop.
     """
     if kind == "none":
         return []
