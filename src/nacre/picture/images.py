@@ -119,13 +119,17 @@ def auto_stops(xyz: Array) -> float:
     return round(float(np.clip(np.log2(AUTO_LEVEL / bright), *AUTO_STOPS)), 3)
 
 
+def _row_parts(picture: Array) -> list[slice]:
+    """Split the rows of a picture into parts, because intermediates need several times its memory."""
+    rows = max(SHOWN_AT_ONCE // max(picture.shape[1], 1), 1) if picture.ndim == 3 else max(len(picture), 1)
+    return [slice(first, first + rows) for first in range(0, len(picture), rows)]
+
+
 def develop(xyz: Array, illuminant: str, exposure: Exposure = "auto") -> tuple[Array, float]:
     """Return linear sRGB `[..., 3]`, not clipped, and the stops used."""
     stops = auto_stops(xyz) if exposure == "auto" else float(exposure)
     rgb: Array = np.empty_like(xyz, dtype=float)
-    rows = max(SHOWN_AT_ONCE // max(rgb.shape[1], 1), 1) if rgb.ndim == 3 else max(len(rgb), 1)
-    for first in range(0, len(rgb), rows):  # in parts, to save memory
-        part = slice(first, first + rows)
+    for part in _row_parts(rgb):
         balanced = adapt_xyz(xyz[part], white_xyz(illuminant), SRGB_WHITE_XYZ)
         rgb[part] = xyz_to_srgb_linear(balanced) * 2.0**stops
     return rgb, stops
@@ -155,13 +159,10 @@ def toned(rgb: Array, tone: str) -> Array:
 
 def count_clipped(rgb: Array, alpha: Array | None, tone: str) -> int:
     """Count the pixels that `show` would clip into the gamut."""
-    rows = max(SHOWN_AT_ONCE // max(rgb.shape[1], 1), 1)
     count = 0
-    for first in range(0, len(rgb), rows):
-        part = rgb[first : first + rows]
-        if alpha is not None:
-            part = _uncovered(part, np.clip(alpha[first : first + rows], 0.0, 1.0)[..., None])
-        count += int(np.count_nonzero(outside_srgb(toned(part, tone))))
+    for part in _row_parts(rgb):
+        colours = rgb[part] if alpha is None else _uncovered(rgb[part], np.clip(alpha[part], 0.0, 1.0)[..., None])
+        count += int(np.count_nonzero(outside_srgb(toned(colours, tone))))
     return count
 
 
@@ -181,22 +182,19 @@ def show(
         background: linear sRGB behind a cut-out subject; None: alpha as the fourth channel.
         tone: see `toned`.
     """
-    rows = max(SHOWN_AT_ONCE // max(rgb.shape[1], 1), 1)
-    if rgb.ndim == 3 and len(rgb) > rows:  # in parts, because intermediates are several times as large
-        parts = [
-            show(rgb[first : first + rows], None if alpha is None else alpha[first : first + rows], background, tone)
-            for first in range(0, len(rgb), rows)
-        ]
-        return np.concatenate([shown for shown, _ in parts]), sum(count for _, count in parts)
+    parts = _row_parts(rgb)
+    if len(parts) > 1:
+        shown = [show(rgb[part], None if alpha is None else alpha[part], background, tone) for part in parts]
+        return np.concatenate([each for each, _ in shown]), sum(count for _, count in shown)
     if alpha is None:
         return encode(rgb, tone)
     cover = np.clip(alpha, 0.0, 1.0)[..., None]
     clipped = clip_to_srgb(toned(_uncovered(rgb, cover), tone))
     if background is None:
-        shown = np.concatenate([srgb_encode(clipped.rgb), cover], axis=-1)
+        pixels = np.concatenate([srgb_encode(clipped.rgb), cover], axis=-1)
     else:
-        shown = srgb_encode(cover * clipped.rgb + (1.0 - cover) * np.array(background))
-    return np.round(255.0 * shown).astype(np.uint8), clipped.count
+        pixels = srgb_encode(cover * clipped.rgb + (1.0 - cover) * np.array(background))
+    return np.round(255.0 * pixels).astype(np.uint8), clipped.count
 
 
 PROVENANCE_KEY = "nacre"

@@ -167,47 +167,36 @@ def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, streng
         NacreError: unknown light or illuminant, unreadable map.
     """
     white = light_illuminant(illuminant).name
-    if name == "studio":
-        return _surrounding(studio(white), white, f"studio soft boxes, {white}", turn_deg, is_surrounding=False)
+    if name in TURNING_LIGHTS:
+        return _surrounding(name, white, turn_deg)
     if name == "line":
         return Light(_tubes(white, turn_deg, strength), white, False, f"line of tubes, {white}")
-    if name == "directional":
-        note = f"beam of {BEAM_DEG:g} degrees, {white}"
-        light = _surrounding(beam(white), white, note, turn_deg, False)
-        within = make_environment(beam(white, width_deg=WITHIN_LAMP_DEG), 1.0, turn_deg)
-        return replace(light, turning=(*light.turning, (within, 0.0)), soft_within=within)
     if name in ("sun", "sky"):
-        note = f"{name}, Mitsuba sunsky, turbidity 3"
         sky = mi.load_dict(_sunsky(SUN_DEG if name == "sun" else 0.0, turn_deg))
         soft = mi.load_dict(_sunsky(SOFT_LAMP_DEG, turn_deg)) if name == "sun" else None
-        return Light({"sky": sky}, "D65", True, note, "plain", soft=soft)
-    if name in PLACE_FLOORS:
-        place, soft_place = _place(name)
-        return _surrounding(place, "D65", place.name, turn_deg, True, PLACE_FLOORS[name], soft_place)
+        return Light({"sky": sky}, "D65", True, f"{name}, Mitsuba sunsky, turbidity 3", "plain", soft=soft)
     return Light({"map": _map(Path(name), turn_deg)}, "D65", True, f"environment map {Path(name).name}, RGB up-sampled")
 
 
-def _place(name: str) -> tuple[Environment, Environment | None]:
-    """Return a place, and the place with a wider sun if it has one."""
-    if name == "interior":
-        return interior(), None
-    build = garden if name == "garden" else street
-    return build(), build(sun_deg=SOFT_LAMP_DEG)
-
-
-def _surrounding(
-    place: Environment,
-    white: str,
-    note: str,
-    turn_deg: float,
-    is_surrounding: bool,
-    floor: str = "ground",
-    soft_place: Environment | None = None,
-) -> Light:
-    emitter = make_environment(place, 1.0, turn_deg)
-    soft = None if soft_place is None else make_environment(soft_place, 1.0, turn_deg)
-    turning = tuple((each, 0.0) for each in (emitter, soft) if each is not None)
-    return Light({"surround": emitter}, white, is_surrounding, note, floor, turning, soft)
+def _surrounding(name: str, white: str, turn_deg: float) -> Light:
+    """Build one of our environments, with the variants that have a wider lamp."""
+    wide: Environment | None = None
+    within: Environment | None = None
+    note = ""
+    if name == "studio":
+        place, note = studio(white), f"studio soft boxes, {white}"
+    elif name == "directional":
+        place, within = beam(white), beam(white, width_deg=WITHIN_LAMP_DEG)
+        note = f"beam of {BEAM_DEG:g} degrees, {white}"
+    elif name == "interior":
+        place = interior()
+    else:
+        build = garden if name == "garden" else street
+        place, wide = build(), build(sun_deg=SOFT_LAMP_DEG)
+    made = [None if each is None else make_environment(each, 1.0, turn_deg) for each in (place, wide, within)]
+    turning = tuple((each, 0.0) for each in made if each is not None)
+    emitters, floor, is_place = {"surround": made[0]}, PLACE_FLOORS.get(name, "ground"), name in PLACE_FLOORS
+    return Light(emitters, "D65" if is_place else white, is_place, note or place.name, floor, turning, *made[1:])
 
 
 def _turn(turn_deg: float) -> Any:

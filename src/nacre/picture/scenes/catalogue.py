@@ -235,76 +235,56 @@ def _specimen(name: str, label: tuple[float, float], *pin: float) -> Parts:
     return _parts("insects", *pins, ("label", f"label-{name}", *label))
 
 
+_VIEWS = {
+    "sphere": View((0.0, -8.6, 2.7), (0.0, 0.0, 0.93), 19.0),
+    "probe": View((0.0, -7.6, 4.2), (0.0, 0.0, 0.85), 24.0),
+    "speedshape": View((-4.6, -7.6, 4.1), (0.0, 0.0, 0.5), 26.0),
+    "panel": View((0.0, -8.2, 4.6), (0.0, 0.1, 0.36), 27.5),
+    "butterfly": View((0.0, -3.3, 9.9), (0.0, -0.22, 0.1), 31.0, lens=0.05),
+    "bottle": View((0.0, -11.5, 3.6), (0.0, 0.0, 1.6), 17.5),
+    "knob": View((1.3, -8.8, 4.0), (0.0, 0.0, 1.18), 20.5),
+    "body": View((6.4, -7.6, 2.3), (0.05, 0.0, 0.42), 28.0, lens=0.05, nearer=1.2),
+    "bubble": View((0.0, -9.0, 0.3), (0.0, 0.0, 1.07), 19.0, lens=0.09),
+    "beetle": View((0.0, -3.6, 9.6), (0.05, -0.3, 0.35), 25.0, lens=0.1),
+    "ring": View((0.0, -9.0, 2.6), (0.0, 0.0, 1.56), 22.5, lens=0.05),
+    "cuff": View((0.0, -8.4, 3.0), (0.0, 0.0, 0.46), 24.5, lens=0.06, nearer=1.0),
+    "banknote": View((-1.2, -6.4, 4.4), (0.08, -0.02, 0.22), 28.6, lens=0.1),
+    "feather": View((0.35, -3.3, 9.9), (0.5, -0.13, 0.1), 27.8, lens=0.06),
+    "pass": View((0.0, -6.2, 5.4), (0.0, 0.0, 0.62), 31.0, lens=0.07),
+    "strip": View((0.0, -9.4, 3.0), (0.0, 0.0, 0.3), 40.0, lens=0.07),
+    "lens": View((1.0, -5.2, 6.2), (0.0, 0.0, 1.05), 26.0, lens=0.09, nearer=0.7),
+    "card": View((-1.6, -8.4, 5.2), (0.0, 0.1, 0.9), 22.0, lens=0.07),
+}
+_CAR_IN_PLACE = View((6.9, -7.6, 1.35), (0.05, 0.0, 0.86), 30.0, lens=0.06, nearer=1.2)
+_BUTTERFLY_PROPS = _specimen("butterfly", (1.85, -1.8), 0.0, 0.3, 1.0)
+_BEETLE_PROPS = _specimen("beetle", (1.3, -2.0), 0.24, 0.28, 1.25)
+
+
+def _scene(name: str, parts: Parts, backdrop: Backdrop = "sweep", light: str = "studio", **options: Any) -> Scene:
+    return Scene(name, parts, _VIEWS[name], backdrop, light, **options)
+
+
 SCENES: dict[str, Scene] = {
     scene.name: scene
     for scene in (
-        Scene("sphere", _sphere, View((0.0, -8.6, 2.7), (0.0, 0.0, 0.93), 19.0)),
-        Scene("probe", _sphere, View((0.0, -7.6, 4.2), (0.0, 0.0, 0.85), 24.0), "bowl", "directional"),
-        Scene(
-            "speedshape",
-            _parts("objects", ("speedshape", SUBJECT)),
-            View((-4.6, -7.6, 4.1), (0.0, 0.0, 0.5), 26.0),
-            size=(800, 520),
-        ),
-        Scene("panel", _panel, View((0.0, -8.2, 4.6), (0.0, 0.1, 0.36), 27.5), light="line", size=(800, 520)),
-        Scene(
-            "butterfly",
-            _BUTTERFLY,
-            View((0.0, -3.3, 9.9), (0.0, -0.22, 0.1), 31.0, lens=0.05),
-            "specimen",
-            size=(800, 600),
-            props=_specimen("butterfly", (1.85, -1.8), 0.0, 0.3, 1.0),
-        ),
-        Scene("bottle", _BOTTLE, View((0.0, -11.5, 3.6), (0.0, 0.0, 1.6), 17.5), max_depth=8, size=(512, 640)),
-        Scene("knob", _KNOB, View((1.3, -8.8, 4.0), (0.0, 0.0, 1.18), 20.5), max_depth=8),
-        Scene(
-            "body",
-            _body,
-            View((6.4, -7.6, 2.3), (0.05, 0.0, 0.42), 28.0, lens=0.05, nearer=1.2),
-            "acrylic",
-            size=(960, 540),
-            place_view=View((6.9, -7.6, 1.35), (0.05, 0.0, 0.86), 30.0, lens=0.06, nearer=1.2),
-        ),
-        Scene("bubble", _bubbles, View((0.0, -9.0, 0.3), (0.0, 0.0, 1.07), 19.0, lens=0.09), "acrylic", "garden"),
-        Scene(
-            "beetle",
-            _BEETLE,
-            View((0.0, -3.6, 9.6), (0.05, -0.3, 0.35), 25.0, lens=0.1),
-            "specimen",
-            size=(640, 720),
-            props=_specimen("beetle", (1.3, -2.0), 0.24, 0.28, 1.25),
-        ),
-        Scene("ring", _RING, View((0.0, -9.0, 2.6), (0.0, 0.0, 1.56), 22.5, lens=0.05), "acrylic", size=(640, 720)),
-        Scene(
-            "cuff",
-            _parts("objects", ("cuff", SUBJECT)),
-            View((0.0, -8.4, 3.0), (0.0, 0.0, 0.46), 24.5, lens=0.06, nearer=1.0),
-            "acrylic",
-            size=(800, 600),
-            max_depth=8,
-        ),
-        Scene(
-            "banknote", _BANKNOTE, View((-1.2, -6.4, 4.4), (0.08, -0.02, 0.22), 28.6, lens=0.1), "desk", size=(800, 520)
-        ),
-        Scene(
-            "feather",
-            _FEATHER,
-            View((0.35, -3.3, 9.9), (0.5, -0.13, 0.1), 27.8, lens=0.06),
-            "specimen",
-            props=_specimen("feather", (1.85, -1.9)),
-        ),
-        Scene(
-            "pass",
-            _PASS,
-            View((0.0, -6.2, 5.4), (0.0, 0.0, 0.62), 31.0, lens=0.07),
-            "desk",
-            "directional",
-            size=(800, 600),
-            props=_parts("printed", ("block", "dark")),
-        ),
-        Scene("strip", _STRIP, View((0.0, -9.4, 3.0), (0.0, 0.0, 0.3), 40.0, lens=0.07), "acrylic", size=(960, 400)),
-        Scene("lens", _LENS, View((1.0, -5.2, 6.2), (0.0, 0.0, 1.05), 26.0, lens=0.09, nearer=0.7), "desk"),
-        Scene("card", _CARD, View((-1.6, -8.4, 5.2), (0.0, 0.1, 0.9), 22.0, lens=0.07), "desk", size=(640, 720)),
+        _scene("sphere", _sphere),
+        _scene("probe", _sphere, "bowl", "directional"),
+        _scene("speedshape", _parts("objects", ("speedshape", SUBJECT)), size=(800, 520)),
+        _scene("panel", _panel, light="line", size=(800, 520)),
+        _scene("butterfly", _BUTTERFLY, "specimen", size=(800, 600), props=_BUTTERFLY_PROPS),
+        _scene("bottle", _BOTTLE, max_depth=8, size=(512, 640)),
+        _scene("knob", _KNOB, max_depth=8),
+        _scene("body", _body, "acrylic", size=(960, 540), place_view=_CAR_IN_PLACE),
+        _scene("bubble", _bubbles, "acrylic", "garden"),
+        _scene("beetle", _BEETLE, "specimen", size=(640, 720), props=_BEETLE_PROPS),
+        _scene("ring", _RING, "acrylic", size=(640, 720)),
+        _scene("cuff", _parts("objects", ("cuff", SUBJECT)), "acrylic", size=(800, 600), max_depth=8),
+        _scene("banknote", _BANKNOTE, "desk", size=(800, 520)),
+        _scene("feather", _FEATHER, "specimen", props=_specimen("feather", (1.85, -1.9))),
+        _scene("pass", _PASS, "desk", "directional", size=(800, 600), props=_parts("printed", ("block", "dark"))),
+        _scene("strip", _STRIP, "acrylic", size=(960, 400)),
+        _scene("lens", _LENS, "desk"),
+        _scene("card", _CARD, "desk", size=(640, 720)),
     )
 }
 # names for `shape`: the subjects that stand on the floor, once each
