@@ -19,7 +19,7 @@ from nacre.core.errors import NacreError, did_you_mean
 from nacre.picture.camera import View
 from nacre.picture.plugin import mi
 from nacre.picture.scenes import grounds
-from nacre.picture.shapes import backdrop as stages
+from nacre.picture.shapes import backdrop
 from nacre.picture.shapes.mesh import Mesh, rotation
 
 SUBJECT = "nacre"  # parts with this material take the rendered one
@@ -165,9 +165,15 @@ def _shape(module: str, function: str, *arguments: Any) -> Any:
     return getattr(importlib.import_module(f"nacre.picture.shapes.{module}"), function)(*arguments)
 
 
-def _parts(module: str, *rows: tuple[Any, ...]) -> Parts:
-    """Return a cached part builder, each part given by function, material and arguments."""
-    return functools.cache(lambda: [Part(_shape(module, name, *rest), material) for name, material, *rest in rows])
+def _parts(module: str, *rows: str | tuple[Any, ...]) -> Parts:
+    """Return a cached builder of parts.
+
+    Args:
+        module: module in `nacre.picture.shapes`.
+        rows: "function" for the subject, "function:material", or (function, material, arguments).
+    """
+    full = [row if isinstance(row, tuple) else row.split(":") for row in rows]
+    return functools.cache(lambda: [Part(_shape(module, row[0], *row[2:]), *row[1:2]) for row in full])
 
 
 @functools.cache
@@ -187,8 +193,8 @@ def _bubbles() -> list[Part]:
 
 @functools.cache
 def _panel() -> list[Part]:
-    flat = stages.sheet(1.7, 1.9).moved(rotation("x", 24.0), (-1.08, 0.0, 0.4))
-    return [Part(flat), Part(stages.rolled(1.7, 0.82, 170.0).shifted(1.08, 0.0, 0.0))]
+    flat = backdrop.sheet(1.7, 1.9).moved(rotation("x", 24.0), (-1.08, 0.0, 0.4))
+    return [Part(flat), Part(backdrop.rolled(1.7, 0.82, 170.0).shifted(1.08, 0.0, 0.0))]
 
 
 @functools.cache
@@ -203,30 +209,22 @@ def _body() -> list[Part]:
 
 _BUTTERFLY = _parts(
     "insects",
-    ("butterfly_wings", SUBJECT),
-    ("butterfly_margins", "margins"),
-    ("butterfly_veins", "velvet"),
-    ("butterfly_body", "velvet"),
-    ("butterfly_fur", "fur"),
+    "butterfly_wings",
+    "butterfly_margins:margins",
+    "butterfly_veins:velvet",
+    "butterfly_body:velvet",
+    "butterfly_fur:fur",
 )
-_FEATHER = _parts(
-    "insects",
-    ("feather_blue", SUBJECT),
-    ("feather_dark", "barbs"),
-    ("feather_shaft", "quill"),
-    ("feather_down", "down"),
-)
-_PASS = _parts("printed", ("seal", SUBJECT), ("card_face", "pass"), ("card_rim", "white"), ("chip", "gilt"))
-_LENS = _parts("objects", ("elements", SUBJECT), ("barrel", "enamel"), ("name_ring", "name-ring"), ("blades", "velvet"))
-_CARD = _parts(
-    "printed", ("card_coat", SUBJECT), ("card_paper", "card-white", False), ("card_paper", "card-black", True)
-)
-_KNOB = _parts("objects", ("knob", SUBJECT), ("knob_core", "white"), ("knob_foot", "dark"))
-_RING = _parts("objects", ("film_in_ring", SUBJECT), ("ring_wire", "dark"), ("ring_stand", "dark"))
-_BEETLE = _parts("insects", ("beetle_shell", SUBJECT), ("beetle_limbs", "horn"))
-_BOTTLE = _parts("objects", ("bottle", SUBJECT), ("bottle_cap", "dark"))
-_STRIP = _parts("objects", ("balls", SUBJECT), ("holders", "horn"))
-_BANKNOTE = _parts("printed", ("banknote_foil", SUBJECT), ("banknote", "banknote"))
+_FEATHER = _parts("insects", "feather_blue", "feather_dark:barbs", "feather_shaft:quill", "feather_down:down")
+_PASS = _parts("printed", "seal", "card_face:pass", "card_rim:white", "chip:gilt")
+_LENS = _parts("objects", "elements", "barrel:enamel", "name_ring:name-ring", "blades:velvet")
+_CARD = _parts("printed", "card_coat", ("card_paper", "card-white", False), ("card_paper", "card-black", True))
+_KNOB = _parts("objects", "knob", "knob_core:white", "knob_foot:dark")
+_RING = _parts("objects", "film_in_ring", "ring_wire:dark", "ring_stand:dark")
+_BEETLE = _parts("insects", "beetle_shell", "beetle_limbs:horn")
+_BOTTLE = _parts("objects", "bottle", "bottle_cap:dark")
+_STRIP = _parts("objects", "balls", "holders:horn")
+_BANKNOTE = _parts("printed", "banknote_foil", "banknote:banknote")
 
 
 def _specimen(name: str, label: tuple[float, float], *pin: float) -> Parts:
@@ -269,7 +267,7 @@ SCENES: dict[str, Scene] = {
     for scene in (
         _scene("sphere", _sphere),
         _scene("probe", _sphere, "bowl", "directional"),
-        _scene("speedshape", _parts("objects", ("speedshape", SUBJECT)), size=(800, 520)),
+        _scene("speedshape", _parts("objects", "speedshape"), size=(800, 520)),
         _scene("panel", _panel, light="line", size=(800, 520)),
         _scene("butterfly", _BUTTERFLY, "specimen", size=(800, 600), props=_BUTTERFLY_PROPS),
         _scene("bottle", _BOTTLE, max_depth=8, size=(512, 640)),
@@ -278,10 +276,10 @@ SCENES: dict[str, Scene] = {
         _scene("bubble", _bubbles, "acrylic", "garden"),
         _scene("beetle", _BEETLE, "specimen", size=(640, 720), props=_BEETLE_PROPS),
         _scene("ring", _RING, "acrylic", size=(640, 720)),
-        _scene("cuff", _parts("objects", ("cuff", SUBJECT)), "acrylic", size=(800, 600), max_depth=8),
+        _scene("cuff", _parts("objects", "cuff"), "acrylic", size=(800, 600), max_depth=8),
         _scene("banknote", _BANKNOTE, "desk", size=(800, 520)),
         _scene("feather", _FEATHER, "specimen", props=_specimen("feather", (1.85, -1.9))),
-        _scene("pass", _PASS, "desk", "directional", size=(800, 600), props=_parts("printed", ("block", "dark"))),
+        _scene("pass", _PASS, "desk", "directional", size=(800, 600), props=_parts("printed", "block:dark")),
         _scene("strip", _STRIP, "acrylic", size=(960, 400)),
         _scene("lens", _LENS, "desk"),
         _scene("card", _CARD, "desk", size=(640, 720)),
@@ -317,19 +315,19 @@ def backdrop_parts(kind: Backdrop, see_through: bool, place_floor: str | None) -
     if kind == "none":
         return []
     if kind == "bowl":
-        return [(stages.bowl(*BOWL), grounds.chessboard(BOWL_SQUARE))]
+        return [(backdrop.bowl(*BOWL), grounds.chessboard(BOWL_SQUARE))]
     if place_floor is not None:
         # a place paints its own ground at a distance; a bare sky has black below the horizon
         side = 8000.0 if place_floor == "plain" else 60.0
-        return [(stages.tile(side, side), plain_material(place_floor))]
-    surface = stages.sweep(*SWEEPS[kind])
+        return [(backdrop.tile(side, side), plain_material(place_floor))]
+    surface = backdrop.sweep(*SWEEPS[kind])
     top = float(surface.uv[:, 1].max())
     if kind == "desk":
         return [(surface, grounds.wood())]
     if kind == "specimen":
         return [(surface, grounds.museum_board())]
     if kind == "acrylic":
-        plate = stages.tile(*PLATE).shifted(0.0, -6.0, 0.001)  # above the matt ground
+        plate = backdrop.tile(*PLATE).shifted(0.0, -6.0, 0.001)  # above the matt ground
         return [(surface, grounds.halo(40.0, top, 25.5)), (plate, grounds.acrylic())]
     if see_through:  # dark, because a film on glass has faint colours
         return [(surface, grounds.chessboard(SQUARE, 0.012, 0.11))]
