@@ -19,6 +19,7 @@ def _environment() -> jinja2.Environment:
         loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
     environment.filters["zip"] = zip
+    environment.globals["infinity"] = float("inf")
     return environment
 
 

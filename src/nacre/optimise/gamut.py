@@ -328,7 +328,7 @@ def _stack_gamut(search: ThinFilmSearch, at: Geometry, light: Light, seed: int) 
     """Draw stacks that a target allows, computed in batches."""
     problem = search.problem
     generator = np.random.default_rng([seed, 5])
-    grid = problem.goals.wavelengths_nm
+    grid = problem.merit.wavelengths_nm
     media = {m.name: m.n for m in problem.palette}
     factors: list[Array] = []
     structures: list[dict[str, Any]] = []
@@ -349,7 +349,7 @@ def _stack_gamut(search: ThinFilmSearch, at: Geometry, light: Light, seed: int) 
                 low, high = problem.bounds_of(name) if slot is None else (slot.low_nm, slot.high_nm)
                 unit = generator.random() * (THIN_SHARE if generator.random() < THIN_SHARE else 1.0)
                 d[k, j] = low + unit * (min(high, 1e5) - low)
-            d[k] *= min(1.0, problem.total_nm / max(float(d[k].sum()), 1e-9))
+            d[k] *= min(1.0, problem.max_total_nm / max(float(d[k].sum()), 1e-9))
             layers = [{"material": name, "thickness_nm": float(t)} for name, t in zip(names, d[k])]
             structures.append({"layers": layers, "substrate": below.name})
         found = powers(n, d, grid, np.radians([at.theta_deg]))
