@@ -12,7 +12,7 @@ from read_back import read_grey16
 
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.plane_cut import SliceGeometry
+from nacre.families.relief.plane_cut import CutGeometry
 from nacre.formats.calibration import PUBLISHED_CALIBRATION
 from nacre.optimise.relief.merit import Problem, View, published_weights
 from nacre.optimise.relief.report import robustness
@@ -86,7 +86,7 @@ def test_an_image_that_cannot_be_mixed_is_refused(image: np.ndarray) -> None:
 def test_errors_of_the_process_cost_more_the_larger_they_are() -> None:
     spectrum = published_weights(None)
     axis = np.linspace(-0.25, 0.25, 12)
-    geometry = SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), spectrum.wavelengths_nm)
+    geometry = CutGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), spectrum.wavelengths_nm)
     heights = 400.0 * np.random.default_rng(2).random((8, 8))
     view = View(geometry, np.ones((1, 12, 12, 3)), spectrum.rgb_weights)
     problem = Problem(8, 1500.0, 500.0, 400.0, Coherence.from_sigma(0.8), (view,), 0.1)

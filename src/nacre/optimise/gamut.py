@@ -457,11 +457,11 @@ def colour_chart(xyz: Array, light: Light, title: str, note: str, marks: ArrayLi
     Args:
         marks: `[n, 3]`, CIELAB, drawn as crosses.
     """
-    from nacre.plot import reach_figure
+    from nacre.plot import gamut_limits_figure
 
     white = white_xyz(*light)
     lab, limits = (np.asarray(xyz_to_lab(each, white)) for each in (xyz, optimal_limits(*light)))
-    return reach_figure(lab, np.asarray(xyz_to_xyy(xyz)), srgb_limits(*light), limits, white, title, note, marks)
+    return gamut_limits_figure(lab, np.asarray(xyz_to_xyy(xyz)), srgb_limits(*light), limits, white, title, note, marks)
 
 
 def gamut_chart(found: Gamut, marks: ArrayLike | None = None, title: str = "") -> Figure:

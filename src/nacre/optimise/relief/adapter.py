@@ -21,7 +21,7 @@ from nacre.core.errors import RecipeError
 from nacre.core.files import read_text
 from nacre.core.jit import seconds_compiled
 from nacre.families.relief.material import Relief
-from nacre.families.relief.plane_cut import SliceGeometry
+from nacre.families.relief.plane_cut import CutGeometry
 from nacre.families.relief.prefactor import coating_reflectance
 from nacre.families.relief.surface import Tile
 from nacre.families.relief.validity import largest_depth_nm
@@ -204,7 +204,7 @@ def _with_colours(
     for want in colours:
         wi = direction(np.radians(want.geometry.theta_deg))
         wo = aspecular_direction(want.geometry.theta_deg, want.geometry.aspecular_deg)
-        geometry = SliceGeometry(wi[0] + wo[0] + offsets, wi[1] + wo[1] + offsets, wi[None], weights.wavelengths_nm)
+        geometry = CutGeometry(wi[0] + wo[0] + offsets, wi[1] + wo[1] + offsets, wi[None], weights.wavelengths_nm)
         lab = want.target_lab(white)
         assert lab is not None  # by `_check_colour`
         shown = (scale / np.pi * _linear_rgb(lab, white)) ** (1.0 / GAMMA)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.plane_cut import SliceGeometry, SlicePlan, plan_slice
+from nacre.families.relief.plane_cut import CutGeometry, CutPlan, plan_cut
 from nacre.families.relief.prefactor import Prefactor
 from nacre.families.relief.surface import Tile, blur_matrix, largest_step_nm
 
@@ -163,7 +163,7 @@ class View:
         reflectance: Fresnel reflectance `[..., wavelength]` at cosines; None if `rgb_weights` includes it.
     """
 
-    geometry: SliceGeometry
+    geometry: CutGeometry
     target: Array
     rgb_weights: Array
     reflectance: Callable[[Array], Array] | None = None
@@ -240,8 +240,8 @@ class Evaluator:
 
     def __post_init__(self) -> None:
         problem, samples = self.problem, self.upsampling * self.problem.features
-        self.plans: list[SlicePlan] = [
-            plan_slice(
+        self.plans: list[CutPlan] = [
+            plan_cut(
                 view.geometry,
                 samples=samples,
                 period_nm=problem.period_nm,

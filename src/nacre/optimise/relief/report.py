@@ -15,7 +15,7 @@ from nacre.core.arrays import Array
 from nacre.core.files import atomic_path, write_text
 from nacre.core.html import png_uri, render_page
 from nacre.families.relief.surface import Tile, blur_matrix, slopes
-from nacre.families.relief.validity import trust
+from nacre.families.relief.validity import assess
 from nacre.light import delta_e_2000, srgb_linear_to_xyz, xyz_to_lab
 from nacre.optimise.relief.merit import (
     GAMMA,
@@ -190,7 +190,7 @@ def write_report(
 ) -> dict[str, Any]:
     """Write a self-contained HTML page; return its figures: efficiency, slopes, robustness, warnings."""
     angles, slope_figures = _slopes(problem, heights_nm)
-    validity = trust(Tile(heights_nm, problem.feature_nm, problem.blur_nm))
+    validity = assess(Tile(heights_nm, problem.feature_nm, problem.blur_nm))
     notes = [f"Mind: {validity.line()}."] * validity.is_outside
     notes += _warnings(problem, summary, slope_figures["slope_99_percent_deg"])
     spread = _robustness_in_a_second(problem, heights_nm)

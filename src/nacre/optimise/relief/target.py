@@ -18,7 +18,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.families.relief.coherence import CoherenceSpec
-from nacre.families.relief.plane_cut import SliceGeometry
+from nacre.families.relief.plane_cut import CutGeometry
 from nacre.families.relief.prefactor import coating_reflectance, fresnel_reflectance
 from nacre.formats.calibration import find_calibration
 from nacre.matter.indices.spec import IndexSpec
@@ -360,7 +360,7 @@ class TargetSpec(RecipeModel):
         incidences = table.incidence_deg or self.search.incidence_deg
         directions = [_incidence(theta, phi, context) for theta, phi in incidences]
         axis = pictures.slice_axis(table.range, table.resolution)
-        geometry = SliceGeometry(axis, axis, np.stack(directions), spectrum.wavelengths_nm)
+        geometry = CutGeometry(axis, axis, np.stack(directions), spectrum.wavelengths_nm)
         target = np.stack([table.build(wi, context) for wi in directions])
         if not target.any():
             raise RecipeError(f"{context.source}: the target is black everywhere; give a picture with bright areas")
