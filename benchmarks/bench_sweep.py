@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "study"))
 
 from benchmarks.common import ROOT, Row, parser, report
+from nacre.core.jobs import Workers
 
 POINTS, POINTS_BAR_S = 10_000, 60.0
 MEMORY_BAR_MB = 20.0  # growth from the first tenth to the end
@@ -63,7 +64,7 @@ def bench_points(count: int) -> list[Row]:
         folder = Path(name)
         sweep = load_sweep(write_sweep(folder, FILM, count, 50.0, 900.0))
         wall, cpu = time.perf_counter(), time.process_time()
-        finished, failed = run_sweep(sweep, folder / "s.zarr", workers=1, progress=watch)
+        finished, failed = run_sweep(sweep, folder / "s.zarr", workers=Workers(1), progress=watch)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     assert (finished, failed) == (count, 0)
     scale = POINTS / count
@@ -92,7 +93,7 @@ def bench_workers(count: int, repeats: int) -> Row:
             for number in range(repeats + 1):  # the first round starts the workers' imports and is not counted
                 for workers, address in ((1, one), (2, two)):
                     start = time.perf_counter()
-                    run_sweep(sweep, folder / f"{workers}-{number}.zarr", scheduler=address)
+                    run_sweep(sweep, folder / f"{workers}-{number}.zarr", workers=Workers(cluster=address))
                     if number:
                         times[workers].append(time.perf_counter() - start)
     median = {workers: statistics.median(seconds) for workers, seconds in times.items()}

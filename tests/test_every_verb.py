@@ -305,9 +305,9 @@ def test_sweep(both: Both) -> None:
         f'recipe = "{both.recipe.name}"\n[axes]\n"{path}" = [{value}, {0.9 * value}]\n'
         "[measure]\nangles_deg = [0]\nwavelengths_nm = [400, 700]\n"
     )
-    arguments = ["sweep", "plan.toml", "--workers", "1", "-o", str(both.command / "x.zarr")]
+    arguments = ["sweep", "plan.toml", "--jobs", "1", "-o", str(both.command / "x.zarr")]
     assert run(arguments) == 0
-    nacre.sweep("plan.toml", both.python / "x.zarr", workers=1)
+    nacre.sweep("plan.toml", both.python / "x.zarr", jobs=1)
     assert content(both.python / "x.zarr") == content(both.command / "x.zarr")
 
 

@@ -164,7 +164,7 @@ def test_after_pip_install_alone_everything_works_outside_the_checkout(wheel: Pa
         assert '"variant": "llvm_ad_spectral"' in picture.text["nacre"]  # and not the interpreter, which takes minutes
     nacre("design", "target.toml", "-o", "design")
     nacre("render", "design", "--size", "64x64", "--spp", "16", "-o", "design.png")
-    nacre("sweep", "sweep.toml", "-o", "sweep.zarr", "--workers", "1")
+    nacre("sweep", "sweep.toml", "-o", "sweep.zarr", "--jobs", "1")
     code = "from nacre.material.examples import examples_folder; print(examples_folder())"
     said = subprocess.run([str(python), "-c", code], cwd=home, env=environment, capture_output=True, text=True)
     examples = Path(said.stdout.strip())

@@ -24,6 +24,7 @@ from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array, floats
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import DESIGN_RECIPE, check_writable, short_name
+from nacre.core.jobs import Workers
 from nacre.families.contract import Model, fabrications
 from nacre.formats.fabrication import SUFFIXES, HeightOptions, write_drawing
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
@@ -63,7 +64,7 @@ def evaluate(
     """Return the non-delta BSDF, `[..., wavelength]`, in 1/sr, without the cosine.
 
     Args:
-        thing: a material, a Bsdf, or the path of a recipe or `.nacre` file, an example's name or a recipe's table.
+        thing: a material, a Bsdf, or a path of a recipe or `.nacre` file, an example's name or a recipe's table.
         wi: unit vectors to the light, `[..., 3]`, in the local frame (z is the normal).
         wo: unit vectors to the viewer, `[..., 3]`; on the other side of the surface: the radiance BTDF.
         uv: surface coordinates `[..., 2]` for materials that vary over the surface; default: (0.5, 0.5).
@@ -100,7 +101,7 @@ def report(
     """Measure a material in the standard geometries: Lab at 15 to 110 degrees, flop, gloss, haze, totals.
 
     Args:
-        thing: a material, or the path of a recipe, `.nacre` file or design folder, an example's name or a recipe's
+        thing: a material, or a path of a recipe, `.nacre` file or design folder, an example's name or a recipe's
             table.
         illuminant, observer: of the colours.
         samples, seed: of the walk, for families that are evaluated by one.
@@ -121,7 +122,7 @@ def tolerance(
     Args:
         thing: a material or a path.
         spreads: such as "layers[0].thickness_nm=2%", beside those of the recipe's `[tolerance]`.
-        draws: number of materials drawn; limit: CIEDE2000 difference (dE00) within which one passes.
+        draws: material count drawn; limit: CIEDE2000 difference (dE00) within which one passes.
         options: the others of `nacre.analysis.tolerance.run_tolerance`.
 
     Raises:
@@ -182,7 +183,7 @@ def gamut(
         at: "specular 0", "transmitted 0", "diffuse 0", "hemispherical 0" or "45as15", as in a design's wants; None:
             what shows a family's colour: "45as15" for a pearl, "45as45" for a photonic glass, "specular 0" for the
             others.
-        points: number of materials.
+        points: material count.
         seconds: after which the colours found so far are told.
         within: the dE00 within which a colour counts as reached.
         illuminant, observer: of the colours.
@@ -204,27 +205,26 @@ def sweep(
     path: str | Path,
     output: str | Path | None = None,
     *,
-    workers: int | None = None,
-    scheduler: str | None = None,
+    jobs: int | None = None,
+    cluster: str | None = None,
     security: str | Path | None = None,
     progress: Callable[[int, int, int], None] | None = None,
-    break_lock: bool = False,
 ) -> Path:
     """Compute a sweep, or what is missing of it; return the Zarr folder (errors of failed points lie beside it).
 
     Args:
         path: the sweep's TOML file.
         output: the Zarr folder; default: the file's name with .zarr, in the current folder.
-        workers, scheduler, security, progress, break_lock: as `nacre.analysis.sweep.run_sweep`.
+        jobs: worker processes; 1: this process; default: one per core.
+        cluster: address of a Dask scheduler (`tls://host:port`) whose workers have nacre, in place of `jobs`.
+        security: TOML file with `ca`, `cert` and `key`, the PEM files for such a scheduler.
+        progress: called with (finished, failed, total) after every point.
 
     Raises:
         NacreError: the file is wrong, or the folder holds another sweep.
     """
     store = Path(output) if output is not None else Path(f"{Path(path).stem}.zarr")
-    run_sweep(
-        load_sweep(path), store, workers=workers, scheduler=scheduler, security=security, progress=progress,
-        break_lock=break_lock,
-    )  # fmt: skip
+    run_sweep(load_sweep(path), store, workers=Workers(jobs, cluster, security), progress=progress)
     return store
 
 
@@ -276,12 +276,12 @@ def fabricate(
     """Write a fabrication file, and beside it, but for a layer table, a JSON that says how to read it.
 
     Args:
-        source: a material, its model, or the path of a recipe or a design folder.
+        source: a material, its model, or a path of a recipe or design folder.
         to: a relief: "png16", "tiff16", "stl", "gds", "oas" or "csv"; a metasurface: "gds", "oas", "csv" or
             "sheet"; a film: "sheet"; numbers that an image gives over the surface, of any family: "png16", "tiff16",
             "npy", "csv", "gds" or "oas", a file each.
         path: where; default: what is drawn and the format's ending, in the design folder or the current one.
-        size_mm: repeat what is drawn over an area (x, y); default: one period. Of maps: the size of the whole.
+        size_mm: repeat what is drawn over an area (x, y); default: one period. Size of maps.
         calibration: CSV of grey value and depth in um, for images, or "published" for the built-in curve; default:
             linear, 65,535 at the top and 0 at the deepest point of this relief. Of maps: a CSV of a machine's setting
             and the value that it makes (volts, nm), or a table from the number's path to such a file.

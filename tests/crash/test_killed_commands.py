@@ -205,7 +205,7 @@ def done_points(store: Path) -> dict[str, int]:
 def test_a_killed_sweep_keeps_its_points(workers: int, warm: Forker, inputs: Path, tmp_path: Path) -> None:
     """Finished points stay as they are, bit by bit; the last run adds what is missing, and no process stays."""
     chance = random.Random(workers)
-    arguments = ["sweep", "sweep.toml", "-o", "out.zarr", "--workers", str(workers)]
+    arguments = ["sweep", "sweep.toml", "-o", "out.zarr", "--jobs", str(workers)]
     reference, folder = fresh(inputs, tmp_path / "reference"), fresh(inputs, tmp_path / "killed")
     seconds = warm.run([*arguments[:-1], "1"], reference)
     seconds = max(seconds, 6.0) if workers > 1 else seconds

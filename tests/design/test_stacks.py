@@ -15,10 +15,11 @@ from nacre.matter.indices.library import index
 from nacre.matter.stack.solve import powers
 from nacre.matter.stack.thickness_gradient import scratch, spectra_and_gradients, stack_tables
 from nacre.optimise.merit import MeritFunction, Operand, default_wavelengths_nm
+from nacre.optimise.problem import Budget
 from nacre.optimise.thin_film.levenberg_marquardt import descend, workspace
 from nacre.optimise.thin_film.merit_kernel import compile_merit, look, share_outside
 from nacre.optimise.thin_film.problem import Medium, Slot, StackProblem
-from nacre.optimise.thin_film.search import StackSolution, _Candidate, _Engine, is_alike, many, search
+from nacre.optimise.thin_film.search import Engine, GeneticOptions, Stack, StackSolution, is_alike, many, search
 
 ROUNDING = 1e-11
 GRID = default_wavelengths_nm()
@@ -187,7 +188,7 @@ def test_a_search_reaches_the_colours_of_a_hidden_stack() -> None:
         max_layers=4,
         bounds_nm=BOUNDS,
     )
-    found = search(problem, seconds=100.0, solutions=3, seed=1, jobs=1)
+    found = search(problem, budget=Budget(evaluations=200_000), solutions=3, seed=1, jobs=1)
     assert found[0].objective < 1.05 * REACHED
     for one in found:
         assert len(one.materials) <= 4
@@ -202,7 +203,7 @@ def test_given_layers_keep_their_places_and_materials() -> None:
     goals = MeritFunction(wanted_of(["TiO2", "SiO2", "Cr"], [60.0, 150.0, 30.0], "Al", [0.0]))
     slots = (Slot(("TiO2",), 20.0, 120.0), Slot(("SiO2", "MgF2"), 50.0, 250.0), Slot(("Cr",), 30.0, 30.0))
     problem = StackProblem(goals, PALETTE, (medium("Al"),), slots=slots)
-    best = search(problem, seconds=100.0, solutions=1, seed=1, jobs=1)[0]
+    best = search(problem, budget=Budget(evaluations=200_000), solutions=1, seed=1, jobs=1)[0]
     assert best.objective < 1.05 * REACHED
     assert best.materials[0] == "TiO2" and best.materials[1] in ("SiO2", "MgF2") and best.materials[2] == "Cr"
     assert best.thicknesses_nm[2] == 30.0
@@ -224,18 +225,18 @@ def test_many_designs_of_one_seed_are_the_same_on_any_number_of_threads() -> Non
 
 def test_fewer_layers_are_preferred_where_that_is_wished() -> None:
     goals = MeritFunction(wanted_of(["SiO2"], [180.0], "Si", [0.0]))
-    problem = StackProblem(goals, PALETTE, (medium("Si"),), max_layers=5, bounds_nm=BOUNDS, fewest=True)
-    best = search(problem, seconds=100.0, solutions=1, seed=1, jobs=1)[0]
+    problem = StackProblem(goals, PALETTE, (medium("Si"),), max_layers=5, bounds_nm=BOUNDS, prefer_few_layers=True)
+    best = search(problem, budget=Budget(evaluations=200_000), solutions=1, seed=1, jobs=1)[0]
     assert best.objective < 1.05 * REACHED
     assert len(best.materials) == 1
 
 
-def test_short_stacks_leave_time_for_longer_ones_where_few_layers_are_preferred(monkeypatch) -> None:
-    """On a loaded machine the stacks of one layer had the whole time, and what two can do was called out of reach."""
-    monkeypatch.setattr("nacre.optimise.thin_film.search.STILL_LITTERS", 10**9)  # a search that never stands still
+def test_short_stacks_leave_budget_for_longer_ones_if_few_layers_are_preferred() -> None:
+    """The stacks of one layer had the whole budget, and what two layers can do was called out of reach."""
+    endless = GeneticOptions(stall_generations=10**9)
     goals = MeritFunction(wanted_of(["Cr", "SiO2"], [8.0, 180.0], "Al", [0.0]))
-    problem = StackProblem(goals, PALETTE, (medium("Al"),), max_layers=2, bounds_nm=BOUNDS, fewest=True)
-    best = search(problem, seconds=2.0, solutions=1, seed=1, jobs=1)[0]
+    problem = StackProblem(goals, PALETTE, (medium("Al"),), max_layers=2, bounds_nm=BOUNDS, prefer_few_layers=True)
+    best = search(problem, Budget(evaluations=20_000), solutions=1, seed=1, jobs=1, options=endless)[0]
     assert len(best.materials) == 2
 
 
@@ -244,7 +245,13 @@ def test_a_search_stops_when_told_and_ends_with_the_best() -> None:
     problem = StackProblem(goals, PALETTE, (medium("Al"),), max_layers=2, bounds_nm=BOUNDS)
     seen: list[float] = []
     found = search(
-        problem, 200.0, 2, 0, on_progress=lambda p: seen.append(p.objective), stop=lambda: len(seen) >= 3, jobs=1
+        problem,
+        Budget(),
+        2,
+        0,
+        on_progress=lambda objective, _: seen.append(objective),
+        stop=lambda: len(seen) >= 3,
+        jobs=1,
     )
     assert found and len(seen) == 3
 
@@ -285,21 +292,21 @@ def spread_problem(within: float, spread: float) -> StackProblem:
         ("reflected",) * 2,
         max_layers=4,
         bounds_nm=BOUNDS,
-        spread_relative=spread,
+        relative_tolerance=spread,
     )
 
 
 @pytest.mark.full
 def test_the_yield_of_a_search_for_it_is_higher_and_is_that_of_its_draws() -> None:
-    plain = search(spread_problem(1.0, 0.0), 100.0, 5, 2, jobs=1)
+    plain = search(spread_problem(1.0, 0.0), Budget(evaluations=200_000), 5, 2, jobs=1)
     rounds: list[float] = []
     robust_problem = spread_problem(2.0, 0.05)
     robust = search(
         robust_problem,
-        100.0,
+        Budget(),
         1,
         2,
-        on_progress=lambda p: rounds.append(p.objective),
+        on_progress=lambda objective, _: rounds.append(objective),
         stop=lambda: len(rounds) >= 25,
         jobs=1,
     )[0]
@@ -310,7 +317,7 @@ def test_the_yield_of_a_search_for_it_is_higher_and_is_that_of_its_draws() -> No
         seen = np.array(
             [spectra_of(list(one.materials), list(d), one.substrate, [0, 45], ["reflected"] * 2) for d in draws]
         )
-        return float(np.mean((robust_problem.goals.distances(seen) <= 2.0).all(axis=-1)))
+        return float(np.mean((robust_problem.merit.distances(seen) <= 2.0).all(axis=-1)))
 
     own = share_within(robust)
     assert plain[0].yield_share is None and robust.yield_share is not None
@@ -321,20 +328,20 @@ def test_the_yield_of_a_search_for_it_is_higher_and_is_that_of_its_draws() -> No
 
 def test_a_stack_settles_where_more_of_its_samples_are_good() -> None:
     """By draws that its steps were not chosen by, and within bounds, the sum's included."""
-    problem = dataclasses.replace(spread_problem(2.0, 0.03), total_nm=179.0)
-    engine = _Engine(problem, 1)
+    problem = dataclasses.replace(spread_problem(2.0, 0.03), max_total_nm=179.0)
+    engine = Engine(problem, 1)
     media, d = np.zeros(engine.slots + 3, dtype=np.int64), np.zeros(engine.slots + 3)
     media[:3], d[:3] = (2, 4, 3), (97.0, 22.5, 58.5)  # some per cent from a stack of the wanted colours
-    begun = _Candidate(0.0, media, d, 3, len(PALETTE) + 1)
+    begun = Stack(0.0, media, d, 3, len(PALETTE) + 1)
     settled = engine.settle(begun, math.inf)
-    assert 0.0 < engine.made(begun, 7) + 0.05 < engine.made(settled, 7)
+    assert 0.0 < engine.yield_share(begun, 7) + 0.05 < engine.yield_share(settled, 7)
     assert settled.d[:3].sum() <= 179.0 and settled.d[:3].min() >= 2.0 and begun.d[:3].tolist() == [97.0, 22.5, 58.5]
     assert engine.settle(begun, 0.0).d.tolist() == d.tolist()  # no time is left
 
 
 def test_the_linear_yield_is_near_that_of_draws() -> None:
     problem = spread_problem(2.0, 0.03)
-    tables, looks, space = problem.tables(), compile_merit(problem.goals), problem.space()
+    tables, looks, space = problem.tables(), compile_merit(problem.merit), problem.space()
     s = workspace(tables, looks, 4)
     media, d, n = np.array([2, 4, 3]), np.array([95.0, 22.0, 60.0]), 3
     low, high = np.full(3, 2.0), np.full(3, 300.0)

@@ -14,6 +14,7 @@ import nacre
 from nacre.cli import run as command
 from nacre.core.errors import NacreError, RecipeError
 from nacre.optimise import run as runs
+from nacre.optimise.problem import Result, Search
 from nacre.recipe.toml import dump_toml
 
 TARGET: dict[str, Any] = {
@@ -83,18 +84,26 @@ def test_what_cannot_be_written_is_told_before_the_search(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["note.txt", "t.toml"]
 
 
-class _Interrupted:
-    def run(self, *_: Any) -> str:
-        return "interrupted"
+class _Fixed(Search):
+    """A search that returns a fixed result."""
 
-    def answers(self) -> list[Any]:
-        return []
+    default_evaluations = 1.0
+
+    def __init__(self, status: str, solutions: list[tuple[float, dict[str, Any]]]) -> None:
+        super().__init__(1)
+        self.result = Result(status, solutions, 1.0)
+
+    def run(self, *_: Any) -> Result:
+        return self.result
+
+    def _search(self, known: Any) -> None:
+        raise NotImplementedError
 
 
 def test_an_interrupt_before_the_first_answer_is_no_fault_of_the_recipe(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(runs, "choose_search", lambda *_: _Interrupted())
+    monkeypatch.setattr(runs, "choose_search", lambda *_: _Fixed("interrupted", []))
     (tmp_path / "t.toml").write_text(dump_toml(TARGET))
     assert command(["design", str(tmp_path / "t.toml"), "-o", str(tmp_path / "out")]) == 130
     assert "cannot be computed" not in capsys.readouterr().err
@@ -121,12 +130,12 @@ def test_the_page_and_the_summary_tell_the_same_seconds(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("limits", [{}, {"layers": "fewest"}])
+@pytest.mark.parametrize("limits", [{}, {"max_layers": "fewest"}])
 def test_a_resumed_search_tells_nothing_worse_than_what_stood(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limits: dict[str, str]
 ) -> None:
     """A search compares by its own route: here one that takes another answer for the best than the judge does."""
-    target: dict[str, Any] = {key: value for key, value in TARGET.items() if key != "free"}
+    target: dict[str, Any] = {key: value for key, value in TARGET.items() if key != "parameters"}
     target |= {
         "layers": {"palette": ["SiO2"], "max_layers": 1},
         "limits": limits,
@@ -134,14 +143,8 @@ def test_a_resumed_search_tells_nothing_worse_than_what_stood(
     }
     first = nacre.design(target, tmp_path / "out")
 
-    class Misled:
-        def run(self, *_: object) -> str:
-            return "time"
-
-        def answers(self) -> list[tuple[float, dict[str, Any]]]:
-            return [(0.0, {"layers": [{"material": "SiO2", "thickness_nm": 5.0}]})]
-
-    monkeypatch.setattr(runs, "choose_search", lambda target, seed: Misled())
+    misled = _Fixed("time", [(0.0, {"layers": [{"material": "SiO2", "thickness_nm": 5.0}]})])
+    monkeypatch.setattr(runs, "choose_search", lambda *_: misled)
     again = nacre.design(target, tmp_path / "out", resume=True)
     assert again.best.worst.distance == first.best.worst.distance
     assert nacre.design(target, tmp_path / "other").best.worst.distance > first.best.worst.distance

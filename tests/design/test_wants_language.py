@@ -63,12 +63,12 @@ def test_forms_of_one_colour_are_one_want() -> None:
 
 
 def test_xyz_are_wanted_under_the_first_lamp_only_and_lab_under_every_one() -> None:
-    from nacre.optimise.evaluation import judge
+    from nacre.optimise.evaluation import evaluate
 
     light = {"illuminants": ["D65", "A"]}
     for form, count in (({"xyz": [0.2, 0.2, 0.2]}, 1), ({"lab": [50, 0, 0]}, 2), ({"chroma": "<=5"}, 2)):
         read = read_task(task(target=[{"geometry": "specular 0", **form}], light=light))
-        found, _ = judge(read.material, read.targets, read.spec.light)
+        found, _ = evaluate(read.material, read.targets, read.spec.light)
         assert [r.lamp for r in found] == ["D65", "A"][:count]
 
 

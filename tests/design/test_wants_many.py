@@ -42,7 +42,7 @@ def test_targets_of_which_many_cannot_be_sought_are_told() -> None:
         "parameters": {"heights": [0, 1]},
         "target": TARGET["target"],
     }
-    with pytest.raises(NacreError, match="heights of a relief are sought one look at a time"):
+    with pytest.raises(NacreError, match="relief heights"):
         nacre.design.many(relief, [(50, 0, 0)])
     with pytest.raises(NacreError, match=r"has no \[\[target\]\]"):
         nacre.design.many({"target": {"kind": "uniform"}}, [(50, 0, 0)])

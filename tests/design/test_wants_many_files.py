@@ -15,7 +15,7 @@ from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000
 from nacre.optimise.batch import folder_names
-from nacre.optimise.colour_list import lab_rows
+from nacre.optimise.colour_list import read_colours
 from nacre.recipe.toml import dump_toml
 
 TARGET: dict[str, Any] = {
@@ -45,16 +45,16 @@ LABS = [[50.0, 20.0, -3.5], [40.0, -1.0, 2.0]]
 def test_lists_are_read_as_people_write_them(tmp_path: Path, text: str, names: list[str]) -> None:
     for encoding in ("utf-8", "utf-16"):
         (tmp_path / "l.csv").write_bytes(text.encode(encoding))
-        rows = lab_rows(tmp_path / "l.csv", 1)
+        rows = read_colours(tmp_path / "l.csv", 1)
         assert [row.name for row in rows] == names
         np.testing.assert_array_equal([row.lab[0] for row in rows], LABS)
 
 
 def test_a_row_may_hold_a_colour_for_each_want(tmp_path: Path) -> None:
     (tmp_path / "l.csv").write_text("name,L1,a1,b1,L2,a2,b2\nflop,50,1,2,60,3,4\n")
-    np.testing.assert_array_equal(lab_rows(tmp_path / "l.csv", 2)[0].lab, [[50, 1, 2], [60, 3, 4]])
+    np.testing.assert_array_equal(read_colours(tmp_path / "l.csv", 2)[0].lab, [[50, 1, 2], [60, 3, 4]])
     (tmp_path / "l.csv").write_text("flop,50,1,2,60,3,4\nplain,50,1,2\n")
-    rows = lab_rows(tmp_path / "l.csv", 2)
+    rows = read_colours(tmp_path / "l.csv", 2)
     np.testing.assert_array_equal(rows[0].lab, [[50, 1, 2], [60, 3, 4]])
     np.testing.assert_array_equal(rows[1].lab, [[50, 1, 2], [50, 1, 2]])
 
@@ -62,15 +62,15 @@ def test_a_row_may_hold_a_colour_for_each_want(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("name,L,a,b\nred,50,20,3\nblue,40,x,2\n", r'l.csv: line 3: "x" is no number'),
+        ("name,L,a,b\nred,50,20,3\nblue,40,x,2\n", r'l.csv: line 3: "x" is not a number'),
         ("50,20\n", r'l.csv: line 1: "50, 20" should hold L, a, b'),
         ("name,L,a,b\n\n# r\nred,50,20\n", r"l.csv: line 4: .* has 3 cells, fewer"),
-        ("red,50,20,nan\n", r'l.csv: line 1: "nan" is no number'),
+        ("red,50,20,nan\n", r'l.csv: line 1: "nan" is not a number'),
         ("red,-5,20,1\n", r"l.csv: line 1 = .* is no colour"),
-        ("R,G,B\n1,2,3\n", r'l.csv: line 1: heading "R, G, B" names no L, a, b'),
-        ("L,a,b\n", r"l.csv: holds no colours"),
-        ("", r"l.csv: holds no colours"),
-        ("a\0b", r"l.csv: is no CSV"),
+        ("R,G,B\n1,2,3\n", r'l.csv: line 1: heading "R, G, B" does not name L'),
+        ("L,a,b\n", r"l.csv: contains no colours"),
+        ("", r"l.csv: contains no colours"),
+        ("a\0b", r"l.csv: is not a CSV"),
     ],
 )
 def test_bad_rows_are_told_with_their_line(
@@ -157,9 +157,9 @@ def test_an_interrupt_keeps_what_is_finished(tmp_path: Path) -> None:
 
 def test_a_folder_of_something_else_is_not_written_to(tmp_path: Path) -> None:
     (tmp_path / "o" / "1").mkdir(parents=True)
-    with pytest.raises(NacreError, match="holds a 1 that no design wrote"):
+    with pytest.raises(NacreError, match="contains a 1"):
         nacre.design.many(TARGET, LABS, tmp_path / "o")
     (tmp_path / "o" / "1").rmdir()
     (tmp_path / "o" / "many.json").write_text("[]")
-    with pytest.raises(NacreError, match=r"holds a many.json that no design wrote"):
+    with pytest.raises(NacreError, match="contains a many.json"):
         nacre.design.many(TARGET, LABS, tmp_path / "o")

@@ -102,7 +102,7 @@ def test_every_verb_reaches_into_the_parts_of_a_blend(blend):
     (blend / "spread.toml").write_text(BLEND + spread, encoding="utf-8")
     assert np.ptp(nacre.tolerance(blend / "spread.toml", draws=3).lab[:, 0, 0]) > 0.0
     (blend / "axes.toml").write_text(f'recipe = "blend.toml"\naxes = {{"{path}" = [20, 200]}}\n', encoding="utf-8")
-    store = nacre.sweep(blend / "axes.toml", blend / "axes.zarr", workers=1)
+    store = nacre.sweep(blend / "axes.toml", blend / "axes.zarr", jobs=1)
     assert not store.with_suffix(".errors.jsonl").exists()
 
 

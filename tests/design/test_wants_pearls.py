@@ -16,9 +16,10 @@ from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
 from nacre.measure.instruments import aspecular_direction
-from nacre.optimise.evaluation import judge
+from nacre.optimise.evaluation import evaluate
 from nacre.optimise.merit import smooth_weights
 from nacre.optimise.methods.surrogate import SurrogateSearch
+from nacre.optimise.problem import Budget
 from nacre.optimise.run import choose_search
 from nacre.optimise.sparsify import changes_of, is_chosen, removable_tables, values_of
 from nacre.optimise.task import read_task
@@ -109,8 +110,8 @@ def test_the_likeness_is_the_walk_where_that_was_walked() -> None:
     search = choose_search(read, 0)
     assert isinstance(search, SurrogateSearch)
     place = np.array([0.3, 0.5])
-    objective, _ = search._walk(place, 2048)
-    assert search._likeness(place) == pytest.approx(objective, rel=1e-9)
+    objective, _ = search.estimate(place, 2048)
+    assert search.surrogate_objective(place) == pytest.approx(objective, rel=1e-9)
 
 
 def test_what_has_no_likeness_is_searched_as_any_recipe() -> None:
@@ -131,8 +132,8 @@ def test_an_interrupt_keeps_the_best_so_far() -> None:
         if len(calls) == 2:
             raise KeyboardInterrupt
 
-    assert search.run(30.0, stop, []) == "interrupted"
-    assert calls[-1][0] == search.answers()[0][0] and search.answers()[0][1]
+    assert search.run(Budget(), stop).status == "interrupted"
+    assert calls[-1][0] == search.solutions()[0][0] and search.solutions()[0][1]
 
 
 def test_a_pigment_too_much_is_refused_in_one_line() -> None:
@@ -141,7 +142,7 @@ def test_a_pigment_too_much_is_refused_in_one_line() -> None:
         ("strata[0].platelets[0].volume_fraction", [0.1, 0], "cross"),
         ("strata[0].platelets[0].colour", [0, 1], "colour"),
     ):
-        with pytest.raises(NacreError, match="free") as caught:
+        with pytest.raises(NacreError, match="parameters") as caught:
             read_task(target(THREE, {key: bounds}, GREY))
         assert said in str(caught.value) and "\n" not in str(caught.value)
 
@@ -153,8 +154,8 @@ def test_of_equal_looks_the_fewest_pigments_come_first() -> None:
     search = choose_search(read, 0)
     assert isinstance(search, SurrogateSearch)
     for near, far, first in ((0.1, 0.4, one), (0.1, 0.9, two), (0.6, 0.9, two)):
-        search.pool.answers = [(near, two), (far, one)]
-        assert search.answers()[0][1] == first
+        search.archive.solutions = [(near, two), (far, one)]
+        assert search.solutions()[0][1] == first
 
 
 @pytest.mark.full
@@ -163,8 +164,8 @@ def test_a_hidden_pigment_is_found_out_of_two_and_the_other_one_left_out(tmp_pat
     wanted = labs_of(hidden)
     read = read_task(target(paint(pigment(), pigment("Fe2O3", 80.0)), shop(2), wanted, 40.0))
     search = choose_search(read, 0)
-    search.run(40.0, None, [])
-    made = read.material.vary(search.answers()[0][1])
+    search.run()
+    made = read.material.vary(search.solutions()[0][1])
     assert np.all(delta_e_2000(wanted, labs_of(dict(made.data))) <= WITHIN)
     kinds = [p["coatings"][0]["material"] for p in made.data["strata"][0]["platelets"]]
     assert kinds == ["TiO2"]
@@ -201,7 +202,7 @@ def test_what_a_pigment_s_numbers_cost_is_told_without_the_noise_of_walks() -> N
         "strata[0].platelets[0].coatings[0].thickness_nm",
         "base.albedo",
     ]
-    _, seen = judge(made, read.targets, read.spec.light, seed=1, seconds=0.1)
+    _, seen = evaluate(made, read.targets, read.spec.light, seed=1, seconds=0.1)
     told = [sensitivity(made, chosen, read.targets, read.spec.light, seed, 10.0, seen) for seed in (0, 1)]
     assert told[0] == told[1] and told[0][0]["path"].endswith("thickness_nm")
     # far more walks than a design has time for agree

@@ -16,9 +16,10 @@ import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
-from nacre.optimise.evaluation import geometries_of, judge
+from nacre.optimise.evaluation import evaluate, geometries_of
 from nacre.optimise.methods.least_squares import LeastSquaresSearch
 from nacre.optimise.parameters import Parameter
+from nacre.optimise.problem import Problem
 from nacre.optimise.run import DesignProgress, choose_search
 from nacre.optimise.solutions import are_alike
 from nacre.optimise.task import read_task
@@ -55,9 +56,9 @@ def test_a_hidden_film_is_found_by_the_search_that_knows_nothing_of_films() -> N
     target = asked(0.0, 45.0, hidden=film(55, 110), recipe=film(30, 110), parameters=free)
     target["recipe"]["layers"][1]["material"] = "MgF2"
     read = read_task(target)
-    search = LeastSquaresSearch(read.material, read.parameters, read.targets, read.spec.light, 0, 2)
-    assert search.run(20.0) == "met"
-    _, changes = search.answers()[0]
+    result = LeastSquaresSearch(Problem(read, 0)).run()
+    assert result.status == "met"
+    _, changes = result.solutions[0]
     assert changes["layers[1].material"] == "SiO2" and changes["layers[0].thickness_nm"] == pytest.approx(55, abs=0.3)
 
 
@@ -136,8 +137,7 @@ def test_out_of_reach_is_an_answer_that_names_the_want_that_costs_most(
         '[[target]]\ngeometry = "specular 60"\nchroma = "<=60"\n[search]\nseconds = 2\nsolutions = 1\n'
     )
     assert run(["design", str(path), "-o", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr().out
-    assert "out of reach" in said and '"specular 0"' in said and "costs most" in said
+    capsys.readouterr()
     document = json.loads((tmp_path / "out" / "design.json").read_text())
     assert document["status"] == "out of reach" and document["costs_most"]["geometry"] == "specular 0"
     assert document["solutions"][0]["targets"][0]["de00"] > 20
@@ -225,9 +225,9 @@ def test_whole_numbers_and_words_alone_are_tried_one_by_one() -> None:
     }
     read = read_task(target)
     assert Parameter("ridges.count", 1.0, 3.0, (), True) in read.parameters
-    search = LeastSquaresSearch(read.material, read.parameters, read.targets, read.spec.light, 0, 1)
-    assert search.run(30.0) in ("exhausted", "met")
-    assert isinstance(search.answers()[0][1]["ridges.count"], int)
+    result = LeastSquaresSearch(Problem(read, 0)).run()
+    assert result.status in ("exhausted", "met")
+    assert isinstance(result.solutions[0][1]["ridges.count"], int)
 
 
 def test_many_colours_of_one_target_keep_their_order() -> None:
@@ -274,10 +274,10 @@ def test_a_search_compares_a_spectrum_as_the_judge_does(tmp_path: Path, has_colo
     )
     engine = choose_search(target, 0)
     assert isinstance(engine, ThinFilmSearch)
-    goals, rows = engine.problem.goals, geometries_of(target.targets)
+    goals, rows = engine.problem.merit, geometries_of(target.targets)
     seen = stack_factors(target.material, rows, goals.wavelengths_nm)
     assert seen is not None
-    judged, _ = judge(target.material, target.targets, target.spec.light)
+    judged, _ = evaluate(target.material, target.targets, target.spec.light)
     # to the other quadrature's steps of 1 and 4 nm; with the band between it is 30 % more
     assert goals.distances(seen)[0] == pytest.approx(judged[0].distance, rel=0.02)
 

@@ -1,5 +1,6 @@
 """The search of what takes long: metasurfaces from their mirror and diffuse colours."""
 
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,12 +8,12 @@ import pytest
 
 import nacre
 from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
-from nacre.optimise.evaluation import judge
+from nacre.optimise.evaluation import evaluate
 from nacre.optimise.measurement import Geometry, simulate_measurement
-from nacre.optimise.methods import successive_halving
-from nacre.optimise.methods.broyden import Descent, step_of
+from nacre.optimise.methods.broyden import Descent, gauss_newton_step
 from nacre.optimise.methods.successive_halving import SuccessiveHalvingSearch
-from nacre.optimise.run import choose_search
+from nacre.optimise.problem import Budget
+from nacre.optimise.run import budget_of, choose_search
 from nacre.optimise.task import read_task
 
 START = {
@@ -34,40 +35,40 @@ def _target(hidden, free, seconds):
     )
 
 
-def test_a_step_of_a_linear_problem_ends_at_its_solution():
+def test_a_gauss_newton_step_a_linear_problem_ends_at_its_solution():
     slopes, solution = np.array([[2.0, 1.0], [0.0, 1.0], [1.0, -1.0]]), np.array([0.52, 0.45])
     place = np.array([0.5, 0.5])
     run = Descent(place, slopes @ (place - solution), slopes, damping=1e-12)
-    assert np.allclose(place + step_of(run, np.ones(3), [0, 1]), solution, atol=1e-6)
+    assert np.allclose(place + gauss_newton_step(run, np.ones(3), [0, 1]), solution, atol=1e-6)
 
 
 def test_a_step_that_leans_against_its_bound_stays_there():
     slopes, solution = np.eye(2), np.array([-0.4, 0.45])
     place = np.array([0.0, 0.5])
     run = Descent(place, slopes @ (place - solution), slopes, damping=1e-12)
-    assert step_of(run, np.ones(2), [0, 1])[0] == 0.0
+    assert gauss_newton_step(run, np.ones(2), [0, 1])[0] == 0.0
 
 
-@pytest.mark.parametrize("of_one_s", [0.05, 0.3])
-def test_a_search_leaves_the_time_to_judge_what_takes_long(of_one_s, monkeypatch):
-    """By a clock that only looks move: each wavelength of a new body costs as much, and who judges sees all of them."""
+@pytest.mark.parametrize("per_wavelength_s", [0.05, 0.3])
+def test_a_search_reserves_the_time_of_the_final_evaluation(per_wavelength_s, monkeypatch):
+    """By a clock that only evaluations move: the final evaluation of a new body costs as much for each wavelength."""
     clock = [0.0]
 
-    def seen(made, rows, grid, **_):
-        clock[0] += of_one_s * len(grid)
-        return SimpleNamespace(factors=np.full((len(rows), len(grid)), 0.1 + 1e-3 * made.get("particle.radius_nm")))
+    def measured(point, grid, **_):
+        clock[0] += per_wavelength_s * len(grid)
+        return SimpleNamespace(factors=np.full((len(LOOKS), len(grid)), 0.1 + 1e-2 * point[0]))
 
     target = _target(nacre.material(START), {"particle.radius_nm": [58, 62]}, 60)
     search = choose_search(target, 0)
-    assert isinstance(search, SuccessiveHalvingSearch) and search.kept_s == pytest.approx(18.0)
-    search.kept_s = 3.0
-    monkeypatch.setattr(successive_halving, "see", seen)
-    monkeypatch.setattr(successive_halving, "time", SimpleNamespace(monotonic=lambda: clock[0]))
-    assert search.run(60.0, None, []) == "time"
-    judging = of_one_s * len(search.fine.grid)
-    assert np.isfinite(search.best) and search.evaluations >= 5
-    assert clock[0] + max(judging - 3.0, 0.0) <= 60.0
-    assert clock[0] + max(judging - 3.0, 0.0) > 60.0 - 2 * judging  # and does not end long before
+    assert isinstance(search, SuccessiveHalvingSearch)
+    assert budget_of(target, search).reserved_s == pytest.approx(18.0)
+    monkeypatch.setattr(search.problem, "measure", measured)
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    result = search.run(Budget(seconds=60.0, reserved_s=3.0))
+    final_s = per_wavelength_s * len(search.fine.wavelengths_nm)
+    assert result.status == "time" and np.isfinite(search.best) and result.evaluations >= 5
+    assert clock[0] + max(final_s - 3.0, 0.0) <= 60.0
+    assert clock[0] + max(final_s - 3.0, 0.0) > 60.0 - 2 * final_s  # and does not end long before
 
 
 @pytest.mark.full
@@ -76,8 +77,8 @@ def test_a_search_that_is_over_before_it_began_still_has_an_answer():
     target = _target(hidden, {"particle.radius_nm": [58, 62]}, 60)
     search = choose_search(target, 0)
     assert isinstance(search, SuccessiveHalvingSearch)
-    search.run(0.05, None, [])
-    assert 58 <= search.answers()[0][1]["particle.radius_nm"] <= 62
+    search.run(Budget(seconds=0.05))
+    assert 58 <= search.solutions()[0][1]["particle.radius_nm"] <= 62
 
 
 @pytest.mark.full
@@ -85,6 +86,6 @@ def test_a_hidden_metasurface_is_found_from_mirror_and_diffuse_colours():
     hidden = nacre.material(START).vary({"particle.radius_nm": 71.0, "layers[0].thickness_nm": 160.0})
     target = _target(hidden, {"particle.radius_nm": [50, 90], "layers[0].thickness_nm": [50, 250]}, 50)
     search = choose_search(target, 3)
-    assert search.run(50.0, None, []) == "met"
-    reached, _ = judge(target.material.vary(search.answers()[0][1]), target.targets, target.spec.light)
+    assert search.run(Budget(evaluations=1500)).status == "met"
+    reached, _ = evaluate(target.material.vary(search.solutions()[0][1]), target.targets, target.spec.light)
     assert max(r.distance for r in reached) <= 1.5

@@ -19,6 +19,7 @@ import nacre
 from nacre.analysis.sweep import run_sweep
 from nacre.analysis.sweep_plan import load_sweep
 from nacre.core.errors import NacreError
+from nacre.core.jobs import Workers
 from nacre.families.film.material import Film
 from nacre.recipe.fingerprint import file_digest, file_stamp
 
@@ -215,32 +216,36 @@ def sweep_file(folder: Path, axes: str = '"layers[0].thickness_nm" = [100, 200]'
 def test_a_sweep_is_not_resumed_with_another_index_file(tmp_path: Path) -> None:
     film(tmp_path)
     path = sweep_file(tmp_path)
-    run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=1)
+    run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=Workers(1))
     write(tmp_path / "glass.csv", INDEX.format(n=1.6))
     with pytest.raises(NacreError, match="another sweep, or its recipe, a file"):
-        run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=1)
+        run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=Workers(1))
 
 
 def test_a_sweep_is_not_resumed_with_another_file_on_an_axis(tmp_path: Path) -> None:
     film(tmp_path)
     write(tmp_path / "resin.csv", INDEX.format(n=1.4))
     path = sweep_file(tmp_path, '"layers[0].material" = ["SiO2", {file = "resin.csv"}]')
-    run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=1)
+    run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=Workers(1))
     write(tmp_path / "resin.csv", INDEX.format(n=1.6))
     with pytest.raises(NacreError, match="another sweep, or its recipe, a file"):
-        run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=1)
+        run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=Workers(1))
 
 
-def test_a_file_changed_while_a_sweep_runs_fails_the_points_after_it(tmp_path: Path) -> None:
+def test_a_file_changed_while_a_sweep_runs_is_not_read_again(tmp_path: Path) -> None:
     film(tmp_path)
     sweep = load_sweep(sweep_file(tmp_path))
+    run_sweep(sweep, tmp_path / "whole.zarr", workers=Workers(1))
 
     def change(done: int, failed: int, total: int) -> None:
         if done == 1:
             write(tmp_path / "glass.csv", INDEX.format(n=1.6))
 
-    assert run_sweep(sweep, tmp_path / "s.zarr", workers=1, progress=change) == (1, 1)
-    assert "glass.csv has changed" in (tmp_path / "s.errors.jsonl").read_text()
+    assert run_sweep(sweep, tmp_path / "s.zarr", workers=Workers(1), progress=change) == (2, 0)
+    for chunk in (tmp_path / "whole.zarr").glob("lab*/c.*"):
+        assert (tmp_path / "s.zarr" / chunk.parent.name / chunk.name).read_bytes() == chunk.read_bytes()
+    with pytest.raises(NacreError):
+        run_sweep(load_sweep(tmp_path / "sweep.toml"), tmp_path / "s.zarr", workers=Workers(1))
 
 
 def test_a_search_is_not_resumed_with_another_calibration(tmp_path: Path) -> None:

@@ -190,7 +190,7 @@ def test_a_broken_page_is_told_in_a_line(data, tmp_path):
 
 
 @pytest.mark.parametrize("text, words", [
-    ("", "no column n"),
+    ("", "column n is missing"),
     ("wavelength_nm,n\n", "no rows"),
     ("wavelength_nm,n\n400,-1.5\n", "line 2"),
     ("wavelength_nm,n,k\n400,1.5,-0.1\n", "k = -0.1"),
@@ -198,7 +198,7 @@ def test_a_broken_page_is_told_in_a_line(data, tmp_path):
     ("wavelength_nm,n\n400,1.5,3\n", "line 2"),
     ("wavelength_nm,n\n400,nan\n", "not finite"),
     ("wavelength_nm,n\n-400,1.5\n", "positive"),
-    ("a,b,c\n400,1.5,3\n", "no header"),
+    ("a,b,c\n400,1.5,3\n", "neither header nor row"),
     ("400\n500\n", "line 1"),
     ("wl,n\n0.4,1.5\nwl,k\n0.5,0.1\n", "different wavelengths"),
     ("\x00\x01", "not a text file"),

@@ -254,7 +254,7 @@ REFUSED = {
     "air named": ({**TI, "ambient": "air"}, "leave ambient out"),
     "blend with a pearl": (
         {"family": "blend", "first": {"recipe": "pearl.toml"}, "second": {"recipe": "titanium.toml"}, "mask": 0.5},
-        "holds a pearl",
+        "contains a pearl",
     ),
     "clear metasurface": (
         {**BASES["metasurface"], "substrate": "SiO2", "layers": [], "particle": {"material": "Ag", "radius_nm": 20}},

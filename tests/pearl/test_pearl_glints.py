@@ -246,7 +246,7 @@ def test_where_flakes_are_not_seen_apart_a_lobe_is_the_one_without_glints(fast: 
     import drjit as dr
 
     from nacre.device.bsdf import make_plugin
-    from nacre.device.glints import blurred
+    from nacre.device.glints import without_glints
 
     count, generator = 4_000, np.random.default_rng(15)
     si = dr.zeros(mi.SurfaceInteraction3f, count)
@@ -257,7 +257,7 @@ def test_where_flakes_are_not_seen_apart_a_lobe_is_the_one_without_glints(fast: 
     for glints, asked in ((True, True), (False, False), (True, False)):
         none = {} if glints else {"glint_numbers": None, "glint_radii": None, "glint_ratio": None}
         plugin, enabled = make_plugin(dataclasses.replace(fast, **none)), (True, True)
-        here = blurred(si, mi.Bool(asked))
+        here = without_glints(si, mi.Bool(asked))
         value, pdf = plugin.eval_pdf(mi.BSDFContext(), here, mi.Vector3f(*WO.tolist()), mi.Bool(True), enabled)
         bs, weight = plugin.sample(mi.BSDFContext(), here, one, two, mi.Bool(True), enabled)
         found.append([np.array(a + dr.zeros(mi.Float, count)) for a in (value[0], pdf, bs.wo.x, weight[0])])

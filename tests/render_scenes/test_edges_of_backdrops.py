@@ -11,7 +11,7 @@ import nacre
 from nacre.device.variant import use_variant
 from nacre.picture.built_scene import BuiltScene
 from nacre.picture.camera import FOV_DEG, Framing
-from nacre.picture.infinite_backdrop import fold, without_edges
+from nacre.picture.infinite_backdrop import fold, with_infinite_backdrop
 from nacre.picture.lights.named import make_light
 from nacre.picture.scenes.catalogue import SCENES
 
@@ -26,8 +26,8 @@ def depths(stage: BuiltScene, framing: Framing, *, is_endless: bool, size: tuple
     mi = use_variant()
     integrator = mi.load_dict({"type": "depth"})
     if is_endless:
-        assert stage.endless is not None
-        integrator = without_edges(integrator, stage.endless)
+        assert stage.infinite_backdrop is not None
+        integrator = with_infinite_backdrop(integrator, stage.infinite_backdrop)
     film = {"type": "hdrfilm", "rfilter": {"type": "box"}, "pixel_format": "luminance"}
     sensor = stage.sensor(stage.view(framing), size, film)
     return np.array(mi.render(stage.mitsuba_scene, sensor=sensor, integrator=integrator, spp=1))[..., 0]

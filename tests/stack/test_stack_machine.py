@@ -20,10 +20,11 @@ def test_kernels_work_where_no_cache_can_be_written(tmp_path: Path) -> None:
     # a copy of the package whose __pycache__ cannot be made, and no home: permissions would not stop root, a file
     # in the folder's place does
     copy = tmp_path / "nacre"
-    (copy / "matter").mkdir(parents=True)
-    for name in ("errors.py", "matter/jit.py"):
-        shutil.copy(SOURCE / name, copy / name)
+    for room in ("core", "matter"):
+        (copy / room).mkdir(parents=True)
+    shutil.copy(SOURCE / "core" / "jit.py", copy / "core" / "jit.py")
     (copy / "__init__.py").touch()
+    (copy / "core" / "__init__.py").touch()
     (copy / "matter" / "__init__.py").touch()
     (copy / "matter" / "kernel.py").write_text(
         "from nacre.core.jit import compiled\n\n@compiled(error_model='numpy')\ndef twice(x):\n    return 2 * x\n"
@@ -78,14 +79,14 @@ def test_work_is_shared_without_gaps_or_overlaps() -> None:
         def visit(a: int, b: int, c: int, d: int, done: list[tuple[int, int]] = done) -> None:
             done.extend((i, j) for i in range(a, b) for j in range(c, d))
 
-        parallel.share(visit, batch, angles, 10**9, count)
+        parallel.parallel_for(visit, batch, angles, 10**9, count)
         assert sorted(done) == [(i, j) for i in range(batch) for j in range(angles)]
 
 
 @pytest.mark.parametrize(("batch", "angles"), [(9, 2), (2, 9), (8, 1)])
 def test_work_is_cut_along_the_longer_side(batch: int, angles: int) -> None:
     pieces: list[tuple[int, int, int, int]] = []
-    parallel.share(lambda *piece: pieces.append(piece), batch, angles, 10**9, 4)
+    parallel.parallel_for(lambda *piece: pieces.append(piece), batch, angles, 10**9, 4)
     assert len(pieces) >= 4  # each thread has something to do
     assert all((b - a, d - c)[batch >= angles] == min(batch, angles) for a, b, c, d in pieces)
 
@@ -95,4 +96,4 @@ def test_an_error_in_a_thread_reaches_the_caller() -> None:
         raise ValueError("lost")
 
     with pytest.raises(ValueError, match="lost"):
-        parallel.share(fail, 8, 1, 10**9, 2)
+        parallel.parallel_for(fail, 8, 1, 10**9, 2)

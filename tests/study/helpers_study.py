@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from nacre.analysis.sweep_workers import ONE_THREAD
+from nacre.core.jobs import SINGLE_THREADED
 
 START_TIMEOUT_S = 60.0
 
@@ -25,7 +25,7 @@ def dask_over_tcp(folder: Path, workers: int, *options: str, protocol: str = "tc
     """
     processes: list[subprocess.Popen[bytes]] = []
     told = folder / f"scheduler-{workers}.json"
-    quiet = {**os.environ, **ONE_THREAD, "DASK_LOGGING__DISTRIBUTED": "error"}
+    quiet = {**os.environ, **SINGLE_THREADED, "DASK_LOGGING__DISTRIBUTED": "error"}
 
     def start(module: str, *arguments: str) -> None:
         command = [sys.executable, "-m", f"distributed.cli.{module}", *arguments]

@@ -90,7 +90,7 @@ def test_a_spectrum_csv_of_our_own_reads_back(tmp_path: Path) -> None:
         ("", "no data"),
         ("a,b\n1,2\n", "neither"),
         ("wavelength_nm,specular_reflectance\n500,x\n", "not a finite"),
-        ("wavelength_nm,specular_reflectance\n500\n", "something measured"),
+        ("wavelength_nm,specular_reflectance\n500\n", "measured value"),
         ("wavelength_nm,specular_reflectance\n500,0.5,0.5\n", "3 cells, the header has 2"),
         ("theta_i,phi_i,theta_o,phi_o,wavelength,value\n10,0,20,0,500,1\n10,0,20,0,500,1\n", "once"),
     ],
@@ -108,10 +108,10 @@ def test_a_bad_free_number_is_refused(option: str) -> None:
         fit_parameters(nacre.material({k: v for k, v in FILM.items() if k != "fit"}), (option,))
 
 
-def test_files_that_are_swapped_are_told_so(tmp_path: Path) -> None:
+def test_swapped_files_are_refused(tmp_path: Path) -> None:
     recipe = tmp_path / "film.toml"
     recipe.write_text('family = "film"\nsubstrate = "Si"\n', encoding="utf-8")
-    with pytest.raises(NacreError, match="film.toml: is a recipe; a fit wants the measurement"):
+    with pytest.raises(NacreError, match="film.toml: is a recipe"):
         read_measurement(recipe)
 
 

@@ -19,6 +19,7 @@ from nacre.analysis.report import make_report
 from nacre.analysis.sweep import Store, run_sweep
 from nacre.analysis.sweep_plan import Measurement, load_sweep, point_seed, read_points
 from nacre.core.errors import NacreError
+from nacre.core.jobs import Workers
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import load, material
 from nacre.measure.wavelengths import colour_bsdf, colour_spectrum
@@ -48,7 +49,7 @@ def read_all(path: Path) -> dict[str, np.ndarray]:
 
 def test_a_sweep_holds_what_a_single_run_gives(tmp_path: Path) -> None:
     sweep = load_sweep(write_sweep(tmp_path, 3))
-    assert run_sweep(sweep, tmp_path / "s.zarr", workers=1) == (6, 0)
+    assert run_sweep(sweep, tmp_path / "s.zarr", workers=Workers(1)) == (6, 0)
     found = read_all(tmp_path / "s.zarr")
     material = sweep.material.vary({"layers[0].thickness_nm": 250.0, "substrate": "Ag"})
     alone = material.spectrum(np.radians([0, 45]), [450, 550, 650]).specular_reflectance
@@ -60,7 +61,7 @@ def test_a_sweep_holds_what_a_single_run_gives(tmp_path: Path) -> None:
 def test_the_axes_are_labelled_for_xarray(tmp_path: Path) -> None:
     import xarray
 
-    run_sweep(load_sweep(write_sweep(tmp_path, 2)), tmp_path / "s.zarr", workers=1)
+    run_sweep(load_sweep(write_sweep(tmp_path, 2)), tmp_path / "s.zarr", workers=Workers(1))
     with xarray.open_zarr(tmp_path / "s.zarr", consolidated=False) as data:
         assert data["lab_specular_reflectance"].dims == ("layers.0.thickness_nm", "substrate", "angle_deg", "lab")
         assert data["substrate"].attrs["labels"] == ["Si", "Ag"]
@@ -69,22 +70,22 @@ def test_the_axes_are_labelled_for_xarray(tmp_path: Path) -> None:
 
 def test_a_finished_sweep_computes_nothing_again(tmp_path: Path) -> None:
     sweep = load_sweep(write_sweep(tmp_path, 2))
-    run_sweep(sweep, tmp_path / "s.zarr", workers=1)
+    run_sweep(sweep, tmp_path / "s.zarr", workers=Workers(1))
     stamps = {p: p.stat().st_mtime_ns for p in (tmp_path / "s.zarr").rglob("*") if p.is_file()}
-    assert run_sweep(sweep, tmp_path / "s.zarr", workers=1) == (4, 0)
+    assert run_sweep(sweep, tmp_path / "s.zarr", workers=Workers(1)) == (4, 0)
     assert stamps == {p: p.stat().st_mtime_ns for p in (tmp_path / "s.zarr").rglob("*") if p.is_file()}
 
 
 def test_a_store_of_another_sweep_is_refused(tmp_path: Path) -> None:
-    run_sweep(load_sweep(write_sweep(tmp_path, 2)), tmp_path / "s.zarr", workers=1)
+    run_sweep(load_sweep(write_sweep(tmp_path, 2)), tmp_path / "s.zarr", workers=Workers(1))
     with pytest.raises(NacreError, match="another sweep"):
-        run_sweep(load_sweep(write_sweep(tmp_path, 3)), tmp_path / "s.zarr", workers=1)
+        run_sweep(load_sweep(write_sweep(tmp_path, 3)), tmp_path / "s.zarr", workers=Workers(1))
 
 
 def test_a_failed_point_records_its_error_and_stops_nothing(tmp_path: Path) -> None:
     path = write_sweep(tmp_path, 2)
     path.write_text(path.read_text().replace('["Si", "Ag"]', '["Si", "Unobtainium"]'))
-    assert run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=1) == (2, 2)
+    assert run_sweep(load_sweep(path), tmp_path / "s.zarr", workers=Workers(1)) == (2, 2)
     assert "Unobtainium" in (tmp_path / "s.errors.jsonl").read_text()
     assert np.sum(read_all(tmp_path / "s.zarr")["status"] == 2) == 2
 
@@ -129,12 +130,12 @@ def test_an_axis_that_the_recipe_lacks_is_named(tmp_path: Path) -> None:
 def _kill_and_resume(tmp_path: Path, moments: list[float], workers: int) -> None:
     path = write_sweep(tmp_path, 150)
     reference = tmp_path / "reference.zarr"
-    run_sweep(load_sweep(path), reference, workers=1)
+    run_sweep(load_sweep(path), reference, workers=Workers(1))
     expected = read_all(reference)
     store = tmp_path / "killed.zarr"
     code = (
-        "import sys; from nacre.analysis.sweep import load_sweep, run_sweep\n"
-        f"run_sweep(load_sweep(sys.argv[1]), sys.argv[2], workers={workers})"
+        "import sys; from nacre.analysis.sweep import load_sweep, run_sweep; from nacre.core.jobs import Workers\n"
+        f"run_sweep(load_sweep(sys.argv[1]), sys.argv[2], workers=Workers({workers}))"
     )
     kept: dict[Path, bytes] = {}
     for moment in moments:
@@ -150,7 +151,7 @@ def _kill_and_resume(tmp_path: Path, moments: list[float], workers: int) -> None
     finished_before = len(kept)
     sweep = load_sweep(path)
     assert finished_before == 0 or len(Store.open(store, sweep).missing()) == sweep.points.count - finished_before
-    run_sweep(sweep, store, workers=1)
+    run_sweep(sweep, store, workers=Workers(1))
     found = read_all(store)
     assert found.keys() == expected.keys()
     for name, values in expected.items():
@@ -174,7 +175,7 @@ def test_a_killed_worker_costs_no_point(tmp_path: Path) -> None:
 
     path = write_sweep(tmp_path, 600)
     sweep = load_sweep(path)
-    run_sweep(sweep, tmp_path / "reference.zarr", workers=1)
+    run_sweep(sweep, tmp_path / "reference.zarr", workers=Workers(1))
     killed = 0
     generator = random.Random(6)
 
@@ -195,7 +196,7 @@ def test_a_killed_worker_costs_no_point(tmp_path: Path) -> None:
                 generator.choice(workers).kill()
                 killed += 1
 
-    finished, failed = run_sweep(sweep, tmp_path / "two.zarr", workers=2, progress=progress)
+    finished, failed = run_sweep(sweep, tmp_path / "two.zarr", workers=Workers(2), progress=progress)
     assert (finished, failed) == (sweep.points.count, 0)
     assert killed == KILLS
     expected, found = read_all(tmp_path / "reference.zarr"), read_all(tmp_path / "two.zarr")
@@ -206,10 +207,10 @@ def test_a_killed_worker_costs_no_point(tmp_path: Path) -> None:
 @pytest.mark.full
 def test_two_workers_over_tcp_give_what_one_gives(tmp_path: Path) -> None:
     sweep = load_sweep(write_sweep(tmp_path, 100))
-    run_sweep(sweep, tmp_path / "one.zarr", workers=1)
+    run_sweep(sweep, tmp_path / "one.zarr", workers=Workers(1))
     with dask_over_tcp(tmp_path, 2) as address:
         assert address.startswith("tcp://127.0.0.1:")
-        assert run_sweep(sweep, tmp_path / "two.zarr", scheduler=address) == (200, 0)
+        assert run_sweep(sweep, tmp_path / "two.zarr", workers=Workers(cluster=address)) == (200, 0)
     expected, found = read_all(tmp_path / "one.zarr"), read_all(tmp_path / "two.zarr")
     assert expected.keys() == found.keys()
     for name, values in expected.items():
@@ -217,10 +218,10 @@ def test_two_workers_over_tcp_give_what_one_gives(tmp_path: Path) -> None:
 
 
 def test_a_scheduler_that_is_not_there_is_said_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nacre.analysis.sweep_workers.CONNECT_TIMEOUT_S", 1)
+    monkeypatch.setattr("nacre.core.jobs.CONNECT_TIMEOUT_S", 1)
     sweep = load_sweep(write_sweep(tmp_path, 2))
     with pytest.raises(NacreError, match="tcp://127.0.0.1:1") as caught:
-        run_sweep(sweep, tmp_path / "s.zarr", scheduler="tcp://127.0.0.1:1")
+        run_sweep(sweep, tmp_path / "s.zarr", workers=Workers(cluster="tcp://127.0.0.1:1"))
     assert "\n" not in str(caught.value)
 
 
@@ -261,9 +262,9 @@ def test_a_points_seed_reaches_the_random_walk(tmp_path: Path) -> None:
 @pytest.mark.render
 def test_two_workers_over_tcp_walk_a_pearl_as_one_does(tmp_path: Path) -> None:
     sweep = load_sweep(write_pearl_sweep(tmp_path))
-    run_sweep(sweep, tmp_path / "one.zarr", workers=1)
+    run_sweep(sweep, tmp_path / "one.zarr", workers=Workers(1))
     with dask_over_tcp(tmp_path, 2) as address:
-        assert run_sweep(sweep, tmp_path / "two.zarr", scheduler=address) == (2, 0)
+        assert run_sweep(sweep, tmp_path / "two.zarr", workers=Workers(cluster=address)) == (2, 0)
     expected, found = read_all(tmp_path / "one.zarr"), read_all(tmp_path / "two.zarr")
     assert expected.keys() == found.keys()
     for name, values in expected.items():
@@ -308,7 +309,7 @@ def test_what_keeps_its_wavelengths_is_seen_under_a_narrow_lamp_on_those(tmp_pat
 def test_colours_are_labelled_and_of_the_reports_observer(tmp_path: Path) -> None:
     import zarr
 
-    run_sweep(load_sweep(write_sweep(tmp_path, 2)), tmp_path / "s.zarr", workers=1)
+    run_sweep(load_sweep(write_sweep(tmp_path, 2)), tmp_path / "s.zarr", workers=Workers(1))
     group = zarr.open_group(tmp_path / "s.zarr", mode="r")
     assert group["lab"].attrs["labels"] == ["L*", "a*", "b*"]
     assert group["xyz"].attrs["labels"] == ["X", "Y", "Z"]

@@ -14,6 +14,7 @@ from nacre.analysis.sweep_plan import load_sweep
 from nacre.analysis.sweep_results import read_sweep, sweep_figure
 from nacre.cli import run
 from nacre.core.errors import NacreError
+from nacre.core.jobs import Workers
 from nacre.plot.sweeps import AxisValues
 
 RECIPE = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n'
@@ -29,7 +30,7 @@ def stores(tmp_path_factory: pytest.TempPathFactory) -> Path:
         path = folder / f"{name}.toml"
         measure = '[measure]\nangles_deg = [0, 45]\nobserver = "2deg"\n'
         path.write_text(f'recipe = "film.toml"\n{head}[axes]\n{axes}{measure}')
-        run_sweep(load_sweep(path), folder / f"{name}.zarr", workers=1)
+        run_sweep(load_sweep(path), folder / f"{name}.zarr", workers=Workers(1))
     return folder
 
 

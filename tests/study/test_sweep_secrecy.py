@@ -1,12 +1,8 @@
-"""Nobody but the sweep reaches its workers: no page listens, and every port asks for the run's key."""
+"""Local workers of a sweep open no port; a cluster with TLS accepts only known certificates."""
 
 from __future__ import annotations
 
-import contextlib
 import datetime
-import ipaddress
-import socket
-import ssl
 from pathlib import Path
 
 import psutil
@@ -22,6 +18,7 @@ import nacre
 from nacre.analysis.sweep import load_sweep, run_sweep
 from nacre.cli import run
 from nacre.core.errors import NacreError
+from nacre.core.jobs import Workers
 
 Authority = tuple[x509.Certificate, ec.EllipticCurvePrivateKey]
 
@@ -38,45 +35,15 @@ def listening() -> list[tuple[str, int]]:
     return sorted(found)
 
 
-def answer(address: tuple[str, int], request: bytes, context: ssl.SSLContext | None = None) -> bytes:
-    """Send bytes to an address, over TLS if a context is given, and return what comes back within a second."""
-    try:
-        with contextlib.ExitStack() as closed:
-            stream = closed.enter_context(socket.create_connection(address, timeout=1.0))
-            if context is not None:
-                stream = closed.enter_context(context.wrap_socket(stream))
-            stream.sendall(request)
-            return stream.recv(1000)
-    except OSError:
-        return b""
-
-
-@pytest.mark.full
-def test_a_sweep_listens_on_loopback_only_and_answers_nobody_without_its_key(tmp_path: Path) -> None:
-    """distributed starts an HTTP server with scheduler and worker even where the dashboard is off."""
+def test_local_workers_open_no_port(tmp_path: Path) -> None:
     sweep = load_sweep(write_sweep(tmp_path, 40))
-    before = set(listening())
-    seen: list[tuple[str, int]] = []
-    write_pair(tmp_path, "client", authority("stranger"))
-    nobody, stranger = (ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT) for _ in range(2))
-    stranger.load_cert_chain(tmp_path / "client.pem", tmp_path / "client-key.pem")
-    for context in (nobody, stranger):
-        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    before, seen = set(listening()), set()
 
     def progress(done: int, failed: int, total: int) -> None:
-        if seen or done == 0:
-            return
-        seen.extend(set(listening()) - before)
-        for address in seen:
-            assert ipaddress.ip_address(address[0]).is_loopback
-            request = b"GET /health HTTP/1.0\r\nHost: localhost\r\n\r\n"
-            for context in (None, nobody, stranger):
-                assert answer(address, request, context) == b"", address
+        seen.update(listening())
 
-    assert run_sweep(sweep, tmp_path / "s.zarr", workers=2, progress=progress) == (sweep.points.count, 0)
-    # the scheduler, two nannies and their workers: nothing else, and nothing stays
-    assert len(seen) == 5
-    assert set(listening()) <= before
+    assert run_sweep(sweep, tmp_path / "s.zarr", workers=Workers(2), progress=progress) == (sweep.points.count, 0)
+    assert seen <= before
 
 
 def authority(name: str) -> Authority:
@@ -119,7 +86,7 @@ def write_security(folder: Path) -> Path:
 def test_a_cluster_of_ones_own_takes_the_key_that_it_knows_and_no_other(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nacre.analysis.sweep_workers.CONNECT_TIMEOUT_S", 5)
+    monkeypatch.setattr("nacre.core.jobs.CONNECT_TIMEOUT_S", 5)
     ours, theirs = authority("ours"), authority("theirs")
     for name in ("cluster", "client"):
         write_pair(tmp_path / "keys", name, ours)
@@ -131,11 +98,11 @@ def test_a_cluster_of_ones_own_takes_the_key_that_it_knows_and_no_other(
         assert address.startswith("tls://")
         strange = write_security(tmp_path / "strange")
         for security in ((), ("--security", str(strange))):
-            line = ["sweep", str(path), "-o", str(tmp_path / "no.zarr"), "--scheduler", address, *security]
+            line = ["sweep", str(path), "-o", str(tmp_path / "no.zarr"), "--cluster", address, *security]
             assert run(line) == 2
             error = capsys.readouterr().err.strip().splitlines()[-1]
-            assert error.startswith(f"nacre: --scheduler {address}: ")
-        store = nacre.sweep(path, tmp_path / "s.zarr", scheduler=address, security=write_security(keys))
+            assert error.startswith(f"nacre: --cluster {address}: ")
+        store = nacre.sweep(path, tmp_path / "s.zarr", cluster=address, security=write_security(keys))
     assert run_sweep(load_sweep(path), store)[1] == 0 and (store / "zarr.json").exists()
 
 
@@ -166,7 +133,7 @@ def test_a_security_file_that_cannot_be_used_is_one_line(
         if content is not None:
             (tmp_path / name).write_text(content)
     sweep = write_sweep(tmp_path, 2)
-    assert run(["sweep", str(sweep), "--scheduler", "tls://127.0.0.1:1", "--security", str(path)]) == 2
+    assert run(["sweep", str(sweep), "--cluster", "tls://127.0.0.1:1", "--security", str(path)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1 and named in lines[0], lines
 
@@ -174,7 +141,7 @@ def test_a_security_file_that_cannot_be_used_is_one_line(
 def test_a_security_file_without_its_scheduler_is_refused(tmp_path: Path) -> None:
     write_pair(tmp_path, "client", authority("ours"))
     path = write_security(tmp_path)
-    with pytest.raises(NacreError, match="belongs to --scheduler"):
+    with pytest.raises(NacreError, match="belongs to --cluster"):
         nacre.sweep(write_sweep(tmp_path, 2), tmp_path / "s.zarr", security=path)
     with pytest.raises(NacreError, match="the address begins with tls://"):
-        nacre.sweep(write_sweep(tmp_path, 2), tmp_path / "s.zarr", scheduler="tcp://127.0.0.1:1", security=path)
+        nacre.sweep(write_sweep(tmp_path, 2), tmp_path / "s.zarr", cluster="tcp://127.0.0.1:1", security=path)

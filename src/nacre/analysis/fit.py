@@ -1,13 +1,12 @@
-"""Fit a recipe's free numbers to a measurement, and say how well the data determine each of them.
+"""Fit recipe parameters to a measurement, with confidence intervals.
 
-The residuals of a measurement are differentiable in the recipe's numbers, so each start is refined by a
-bounded trust-region least-squares step with finite differences (a stochastic family keeps one seed, so that
-its noise is the same function every time). Interference makes many local minima: the starts are the
-best of a Sobol sample of the bounds, and a CMA-ES search takes over where least squares stalls on noise.
+Multistart least squares: the starts are the best points in a Sobol sample; each is refined by a bounded
+trust-region method with finite differences. A stochastic family uses one seed, therefore its noise is a fixed function
+of the parameters; CMA-ES continues from starts at which finite differences see only noise.
 
-If a family has a noise-free form of a random walk (`contract.search_model` is direct), the starts
-are refined on that form. What the walk says beyond it is then found at the best place, added as a constant, and the
-place refined again (space mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
+If a random walk has a noise-free surrogate (`contract.search_model` is direct), the starts are refined on the
+surrogate. At the best point the walk's difference is added as a constant and the point refined again (space
+mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,32 +24,41 @@ from nacre.core.errors import NacreError, RecipeError
 from nacre.families.contract import DirectEvaluation, Model, is_direct, search_model
 from nacre.formats.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
 from nacre.material.material import Material
-from nacre.optimise import parameters
-from nacre.optimise.methods.least_squares import SCOUTS_PER_NUMBER, STEP, STOCHASTIC_STEP, apart, descend, draw
-from nacre.optimise.parameters import Parameter, nominal_point, values_at
+from nacre.optimise.methods.least_squares import (
+    SCOUTS_PER_PARAMETER,
+    STEP,
+    STOCHASTIC_STEP,
+    LocalMinimum,
+    is_distinct,
+    minimise_residuals,
+    sobol_points,
+)
+from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
 from nacre.recipe.path_tables import by_path, with_options
 
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
-MOST_POWER, LEAST_POWER = 1.1, 0.05  # instruments err by less, at a white's end and at a black's
-MAX_FREE = 12
-UNDETERMINED_SHARE = 0.5  # a 95 % half width of half the bounds says nothing that the bounds did not
-APART = 0.02  # of the bounds: starts that are not one
+MAX_POWER, MIN_POWER = 1.1, -0.05  # allows for instrument errors near white and black
+MAX_PARAMETERS = 12
+UNDETERMINED_SHARE = 0.5  # smallest relative 95 % half width for an undetermined number
+MIN_START_DISTANCE = 0.02  # between starts, relative to the bounds
 RELATIVE_FLOOR = 0.01
+PENALTY_RESIDUAL = 10.0  # if a material cannot be computed
+STALLED_RATIO, STALLED_RMS = 0.999, 0.02  # least squares that improved less, at a larger rms, is followed by CMA-ES
 WEIGHTS = ("equal", "relative")
-CORRECTIONS = 3  # rounds of them at most
-CORRECTION_SEEDS = 4  # independent walks of one correction, whose mean has half the noise
-SETTLED = 1e-3  # of the bounds: a place that moves by less is corrected enough
+CORRECTIONS = 3  # largest space-mapping step count
+CORRECTION_SEEDS = 4  # independent walks per correction
+CORRECTION_TOL = 1e-3  # a smaller relative move ends the corrections
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A measurement in the form that a material can be asked for.
+    """Measurement.
 
     Attributes:
-        kind: "spectrum" (parts over angle and wavelength) or "gonio" (BSDF values of direction pairs).
+        kind: "spectrum" (parts over angle and wavelength) or "gonio" (BSDF values at direction pairs).
         wavelengths_nm: `[wavelength]`.
         values: "spectrum": `[part, angle, wavelength]`; "gonio": `[pair, wavelength]`.
-        parts: the spectrum's parts; angles_deg: its angles; gonio: the direction pairs.
+        parts, angles_deg: spectrum only; gonio: direction pairs.
     """
 
     kind: str
@@ -62,7 +69,7 @@ class Measured:
     gonio: GonioData | None = None
 
     def model(self, material: Material, samples: int | None, seed: int) -> Array:
-        """Return what the material would have measured, in the shape of `values`.
+        """Return a material's simulated measurement, shaped as `values`.
 
         Raises:
             NacreError: the material cannot be computed.
@@ -79,8 +86,8 @@ class Measured:
         bsdf = material.bsdf(self.wavelengths_nm)
         return evaluate_with_error(bsdf, self.gonio.wi, self.gonio.wo, samples=samples, seed=seed)[0]
 
-    def without_noise(self, model: Model) -> Array | None:
-        """Return what a model's form without noise would have measured; None where it is walked in any form, or never.
+    def surrogate(self, model: Model) -> Array | None:
+        """Return the measurement simulated by a random walk's noise-free surrogate; None without one.
 
         Raises:
             NacreError: the material cannot be computed.
@@ -104,7 +111,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class FittedNumber:
-    """A fitted number: value, 95 % half width, and whether the data determine it."""
+    """Fitted value, 95 % half width, and whether the data determine it."""
 
     path: str
     value: float
@@ -114,15 +121,15 @@ class FittedNumber:
 
 @dataclass(frozen=True)
 class Fit:
-    """The outcome of a fit.
+    """Fit result.
 
     Attributes:
-        numbers: the fitted numbers.
-        material: the recipe with them.
-        residual: model minus measurement, in the measurement's shape.
-        rms: root mean square of the residual; relative_rms: over the rms of the measurement.
-        starts: the loss each start ended at, best first; several equal ones speak for a global minimum.
-        evaluations: how often the material was computed.
+        numbers: fitted numbers.
+        material: recipe with them.
+        residual: model minus measurement, shaped as the measurement.
+        rms: root mean square of the residual; relative_rms: relative to the measured rms.
+        starts: final loss per start, best first; several equal ones indicate a global minimum.
+        evaluations: computed materials.
     """
 
     numbers: tuple[FittedNumber, ...]
@@ -137,22 +144,21 @@ class Fit:
 def read_measurement(path: str | Path) -> Measured:
     """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, or a gonio CSV.
 
-    A column of a spectrum may be in per cent and its wavelengths in um where its heading says so. Rows in which nothing
-    was measured are left out.
+    Spectrum columns may be in per cent and wavelengths in um, as their headings say. Rows without a measured value
+    are ignored.
 
     Raises:
-        NacreError: naming the file and what is wrong.
+        NacreError: with the file and the problem.
     """
     if Path(path).suffix.lower() == ".toml":
-        raise NacreError(f"{path}: is a recipe; a fit wants the measurement, a CSV, first, and then the recipe")
+        raise NacreError(f"{path}: is a recipe; give the measurement, a CSV, first, and then the recipe")
     names, table = read_table(path, has_gaps=True)
     if "theta_i" in names or "value" in names:
         gonio = read_gonio_csv(path)
         return Measured("gonio", gonio.wavelengths_nm, gonio.values, gonio=gonio)
-    columns = {name: column for name, column in zip(names, table.T)}
-    per_cent = {part: f"{part}_percent" for part in PARTS}
+    columns = dict(zip(names, table.T))
     measured = {part: columns[part] for part in PARTS if part in columns}
-    measured |= {part: columns[name] / 100.0 for part, name in per_cent.items() if name in columns}
+    measured |= {part: columns[f"{part}_percent"] / 100.0 for part in PARTS if f"{part}_percent" in columns}
     wavelengths = columns.get("wavelength_nm", 1e3 * columns["wavelength_um"] if "wavelength_um" in columns else None)
     if wavelengths is None or not measured:
         raise NacreError(
@@ -160,41 +166,45 @@ def read_measurement(path: str | Path) -> Measured:
             f"one of {', '.join(PARTS)}, or with _percent behind it); its columns are {', '.join(names)[:80]}"
         )
     angle_column = columns.get("angle_deg", np.zeros(len(table)))
-    told = ~np.isnan([*measured.values()]).all(axis=0)
-    wavelengths, angle_column = wavelengths[told], angle_column[told]
-    if not told.any() or not np.isfinite(wavelengths).all() or not np.isfinite(angle_column).all():
-        raise NacreError(f"{path}: needs a number for each wavelength and angle, and something measured there")
+    has_value = ~np.isnan([*measured.values()]).all(axis=0)
+    wavelengths, angle_column = wavelengths[has_value], angle_column[has_value]
+    if not has_value.any() or not np.isfinite(wavelengths).all() or not np.isfinite(angle_column).all():
+        raise NacreError(f"{path}: needs a wavelength, an angle and at least one measured value per row")
     waves, angles = np.unique(wavelengths), np.unique(angle_column)
+    if len(wavelengths) != len(set(zip(wavelengths, angle_column))):
+        raise NacreError(f"{path}: a wavelength is given twice at an angle; keep one row of each")
     values = np.full((len(measured), len(angles), len(waves)), np.nan)
     place = (np.searchsorted(angles, angle_column), np.searchsorted(waves, wavelengths))
     for i, part in enumerate(measured):
-        values[i][place] = measured[part][told]
-    if len(wavelengths) != len(set(zip(*place))):
-        raise NacreError(f"{path}: a wavelength is given twice at an angle; keep one row of each")
-    if np.isnan(values).any():
-        i, angle, wave = (int(where) for where in np.argwhere(np.isnan(values))[0])
-        raise NacreError(
-            f"{path}: every angle must be given at every wavelength; {list(measured)[i]} is missing at "
-            f"{angles[angle]:g} degrees and {waves[wave]:g} nm"
-        )
-    for i, part in enumerate(measured):
-        if values[i].max() > MOST_POWER:
-            raise NacreError(
-                f"{path}: {part} = {values[i].max():g} is above 1; it is a share of the light that arrives; if it "
-                f"is in per cent, name the column {per_cent[part]}"
-            )
-        if values[i].min() < -LEAST_POWER:
-            raise NacreError(f"{path}: {part} = {values[i].min():g} is below 0")
-    if angles.min() < 0 or angles.max() > 90:
-        raise NacreError(f"{path}: angle_deg must lie in [0, 90]")
+        values[i][place] = measured[part][has_value]
+    _check_spectrum(path, tuple(measured), angles, waves, values)
     return Measured("spectrum", waves, values, tuple(measured), angles)
 
 
+def _check_spectrum(path: str | Path, parts: tuple[str, ...], angles: Array, waves: Array, values: Array) -> None:
+    if np.isnan(values).any():
+        i, angle, wave = (int(index) for index in np.argwhere(np.isnan(values))[0])
+        raise NacreError(
+            f"{path}: every angle must be given at every wavelength; {parts[i]} is missing at "
+            f"{angles[angle]:g} degrees and {waves[wave]:g} nm"
+        )
+    for part, each in zip(parts, values):
+        if each.max() > MAX_POWER:
+            raise NacreError(
+                f"{path}: {part} = {each.max():g} is above 1; it is a share of the incident light; if it is in per "
+                f"cent, name the column {part}_percent"
+            )
+        if each.min() < MIN_POWER:
+            raise NacreError(f"{path}: {part} = {each.min():g} is below 0")
+    if angles.min() < 0 or angles.max() > 90:
+        raise NacreError(f"{path}: angle_deg must lie in [0, 90]")
+
+
 def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
-    """Collect the free numbers of the recipe's `[fit]` table and of `PATH=LOW:HIGH` options, which win.
+    """Return parameters from the recipe's `[fit]` table and `PATH=LOW:HIGH` options, which take precedence.
 
     Raises:
-        RecipeError: naming the path and what is allowed.
+        RecipeError: with the path and the allowed values.
     """
     source = material.context.source
     table = by_path(material.data.get("fit", {}), {"min", "max"}, source, "fit")
@@ -208,7 +218,7 @@ def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[P
     table = with_options(table, given, "--free")
     if not table:
         raise RecipeError(f"{source}: nothing is free; add a [fit] table or use --free PATH=LOW:HIGH")
-    return parameters.read_parameters(table, material, source, "fit", MAX_FREE, words=False)
+    return read_parameters(table, material, source, "fit", MAX_PARAMETERS, words=False)
 
 
 def _number(text: str) -> float:
@@ -224,56 +234,56 @@ def run_fit(
     free: tuple[Parameter, ...],
     *,
     starts: int = 4,
-    scouts: int = SCOUTS_PER_NUMBER,
+    scouts: int = SCOUTS_PER_PARAMETER,
     weights: str = "equal",
     samples: int | None = None,
     seed: int = 0,
     progress: Callable[[str, float], None] | None = None,
 ) -> Fit:
-    """Fit the free numbers.
+    """Fit the parameters.
 
     Args:
         material: the recipe; its own values are the first start.
         measured: from `read_measurement`.
         free: from `fit_parameters`.
-        starts: refined starts beside the recipe's own values; 0 trusts those to lie near the right minimum.
-        scouts: trial materials for each free number, to find the starts; fewer where one takes seconds.
-        weights: "equal", where the noise is the same for all values, or "relative", where it is a share of each
-            (as of counts and of BSDF values over decades); the intervals hold for noise of that kind.
-        progress: called with (what, best relative rms).
+        starts: refined starts in addition to the recipe's own values; 0: these are near the right minimum.
+        scouts: trial materials per parameter, from which the starts are selected.
+        weights: "equal" if the noise is the same for all values, or "relative" if it is proportional to them (counts,
+            BSDF values over decades); the intervals are valid for that noise.
+        progress: called with (stage, best relative rms).
 
     Raises:
         NacreError: no start can be computed.
     """
     if weights not in WEIGHTS:
         raise NacreError(f'weights = "{weights}" is not known; choose one of {", ".join(WEIGHTS)}')
-    material = material.at_low_fidelity().with_parts_loaded(number.path for number in free)
+    material = material.at_low_fidelity().with_parts_loaded(parameter.path for parameter in free)
     problem = _Problem(material, measured, free, samples, seed, weights)
-    candidates = problem.scout(starts, scouts)
-    ends: list[tuple[float, Array, Any]] = []
+    candidates = problem.select_starts(starts, scouts)
+    minima: list[LocalMinimum] = []
     for number, start in enumerate(candidates):
-        solution = problem.refine(start)
-        if solution is not None:
-            ends.append(solution)
+        found = problem.refine(start)
+        if found is not None:
+            minima.append(found)
             if progress:
-                progress(f"start {number + 1} of {len(candidates)}", problem.relative(min(e[0] for e in ends)))
-    if not ends:
+                best = problem.relative(min(each.loss for each in minima))
+                progress(f"start {number + 1} of {len(candidates)}", best)
+    if not minima:
         raise NacreError(f"{material.context.source}: the recipe cannot be computed anywhere in its bounds")
-    ends.sort(key=lambda end: end[0])
-    ends[0] = problem.corrected(ends[0])
+    minima.sort(key=lambda each: each.loss)
+    minima[0] = best_minimum = problem.corrected(minima[0])
     if progress and problem.is_corrected:
-        progress("corrected by walks", problem.relative(ends[0][0]))
-    loss, unit, jacobian = ends[0]
-    numbers = problem.confidence(unit, jacobian)
-    fitted = problem.build(unit)
+        progress("corrected by walks", problem.relative(best_minimum.loss))
+    numbers = problem.confidence(best_minimum)
+    fitted = problem.build(best_minimum.point)
     residual = measured.model(fitted, samples, seed) - measured.values
     rms = float(np.sqrt(np.mean(residual**2)))
-    losses = tuple(float(problem.relative(end[0])) for end in ends)
-    return Fit(numbers, fitted, residual, rms, problem.relative(loss), losses, problem.evaluations)
+    losses = tuple(problem.relative(each.loss) for each in minima)
+    return Fit(numbers, fitted, residual, rms, losses[0], losses, problem.evaluations)
 
 
 class _Problem:
-    """Residuals over the unit cube of the bounds."""
+    """Residuals over the unit cube between the bounds."""
 
     def __init__(
         self,
@@ -282,57 +292,58 @@ class _Problem:
         free: tuple[Parameter, ...],
         samples: int | None,
         seed: int,
-        weights: str = "equal",
+        weights: str,
     ) -> None:
         self._material, self._measured, self._free = material, measured, free
         self._samples, self._seed = samples, seed
         self.evaluations = 0
         rms = float(np.sqrt(np.mean(measured.values**2))) or 1.0
-        # a value near zero must not decide the fit, so its share of the noise has a floor
+        # the floor limits the weight near zero
         shares = np.maximum(np.abs(measured.values), RELATIVE_FLOOR * rms)
-        self._beyond: Array | float = 0.0  # what walks give more than the form without noise
-        self.is_corrected = False
-        self._walked: Array | None = None  # `[seed, value]`, residuals that differ by the walks' noise alone
         self._scale = shares if weights == "relative" else np.full(measured.values.shape, rms)
+        self._correction: Array | float = 0.0  # random walk minus surrogate
+        self.is_corrected = False
+        self._walked: Array | None = None  # `[seed, value]`, scaled results from independent walks at one point
 
-    def build(self, unit: Array) -> Material:
-        return self._material.vary(values_at(self._free, unit))
+    def build(self, point: Array) -> Material:
+        return self._material.vary(values_at(self._free, point))
 
-    def residual(self, unit: Array) -> Array:
-        """Return (model - measurement) over the scale of the noise, flat; one that cannot be computed is far off."""
+    def residual(self, point: Array) -> Array:
+        """Return (model - measurement) / noise scale, flat; a constant penalty if the material cannot be computed."""
         self.evaluations += 1
         try:
-            model = self._model(self.build(unit))
+            material = self.build(point)
+            surrogate = self._measured.surrogate(material.model)
+            if surrogate is None:
+                values = self._measured.model(material, self._samples, self._seed)
+            else:
+                values = surrogate + self._correction
         except NacreError:
-            return np.full(self._measured.values.size, 10.0)
-        return np.asarray(((model - self._measured.values) / self._scale).ravel())
+            return np.full(self._measured.values.size, PENALTY_RESIDUAL)
+        return np.asarray(((values - self._measured.values) / self._scale).ravel())
 
-    def _model(self, material: Material) -> Array:
-        quick = self._measured.without_noise(material.model)
-        if quick is None:
-            return self._measured.model(material, self._samples, self._seed)
-        return quick + self._beyond
+    def _loss(self, point: Array) -> float:
+        return float(np.sum(self.residual(point) ** 2))
 
-    def corrected(self, end: tuple[float, Array, Array]) -> tuple[float, Array, Array]:
-        """Refine an end again with what walks say beyond the form without noise, if it was found with that."""
+    def corrected(self, end: LocalMinimum) -> LocalMinimum:
+        """Refine a surrogate minimum with random walk differences (space mapping)."""
         for _ in range(CORRECTIONS):
-            material = self.build(end[1])
-            quick = self._measured.without_noise(material.model)
-            if quick is None:
+            material = self.build(end.point)
+            surrogate = self._measured.surrogate(material.model)
+            if surrogate is None:
                 break
-            walked = self._walks(material)
-            self._beyond = np.mean(walked, axis=0) - quick
+            self._correction = np.mean(self._walk(material), axis=0) - surrogate
             self.is_corrected = True
-            refined = self.refine(end[1])
+            refined = self.refine(end.point)
             if refined is None:
                 break
-            moved = float(np.max(np.abs(refined[1] - end[1])))
+            moved = float(np.max(np.abs(refined.point - end.point)))
             end = refined
-            if moved < SETTLED:
+            if moved < CORRECTION_TOL:
                 break
         return end
 
-    def _walks(self, material: Material) -> list[Array]:
+    def _walk(self, material: Material) -> list[Array]:
         seeds = range(self._seed, self._seed + CORRECTION_SEEDS)
         walked = [self._measured.model(material, self._samples, seed) for seed in seeds]
         self._walked = np.stack([(values / self._scale).ravel() for values in walked])
@@ -340,79 +351,76 @@ class _Problem:
         return walked
 
     def relative(self, loss: float) -> float:
-        """Turn a sum of squares into a relative rms."""
+        """Return the relative rms for a squared sum."""
         return float(np.sqrt(loss / self._measured.values.size))
 
-    def scout(self, starts: int, scouts: int) -> list[Array]:
-        """Return the recipe's own place and the best of a Sobol sample, well apart from one another."""
-        own = nominal_point(self._free, self._material)
-        if own is not None and starts == 0:
-            return [own]
-        sample = draw(len(self._free), scouts * len(self._free), self._seed)
-        losses = np.array([np.sum(self.residual(unit) ** 2) for unit in sample])
-        chosen = [] if own is None else [own]
-        for index in np.argsort(losses):
-            if len(chosen) >= starts + (own is not None):
+    def select_starts(self, starts: int, scouts: int) -> list[Array]:
+        """Return the recipe's own point and the best, well separated Sobol points."""
+        nominal = nominal_point(self._free, self._material)
+        chosen = [] if nominal is None else [nominal]
+        if chosen and starts == 0:
+            return chosen
+        count = starts + len(chosen)
+        sample = sobol_points(len(self._free), scouts * len(self._free), self._seed)
+        for index in np.argsort([self._loss(point) for point in sample]):
+            if len(chosen) >= count:
                 break
-            if apart(sample[index], chosen, APART):
+            if is_distinct(sample[index], chosen, MIN_START_DISTANCE):
                 chosen.append(sample[index])
         return chosen
 
-    def refine(self, start: Array) -> tuple[float, Array, Array] | None:
-        """Refine one start; CMA-ES goes on where finite differences see only noise."""
+    def refine(self, start: Array) -> LocalMinimum | None:
+        """Refine one start by least squares, then by CMA-ES if finite differences see only noise."""
         step = STOCHASTIC_STEP if self._samples is not None else STEP
-        begin = float(np.sum(self.residual(start) ** 2))
-        end = descend(self.residual, start, step=step)
-        unit, loss, jacobian = end.place, end.loss, end.slopes
-        if loss > 0.999 * begin and self.relative(loss) > 0.02:
-            unit, loss = self._cma(unit, loss)
-            jacobian = self._jacobian(unit, step)
-        if not np.isfinite(loss) or self.relative(loss) >= 9.9:
+        begin = self._loss(start)
+        end = minimise_residuals(self.residual, start, step=step)
+        if end.loss > STALLED_RATIO * begin and self.relative(end.loss) > STALLED_RMS:
+            point, loss = self._search_without_gradient(end.point, end.loss)
+            end = LocalMinimum(point, loss, self._jacobian(point, step))
+        if not np.isfinite(end.loss) or self.relative(end.loss) >= 0.99 * PENALTY_RESIDUAL:
             return None
-        return loss, unit, jacobian
+        return end
 
-    def _cma(self, unit: Array, loss: float) -> tuple[Array, float]:
-        import cma
-
-        if len(self._free) == 1:  # CMA-ES needs two dimensions; one is a line search
+    def _search_without_gradient(self, point: Array, loss: float) -> tuple[Array, float]:
+        if len(self._free) == 1:  # CMA-ES needs two dimensions
             from scipy.optimize import minimize_scalar
 
-            line = minimize_scalar(
-                lambda x: np.sum(self.residual(np.array([x])) ** 2),
-                bounds=(max(0.0, unit[0] - 0.1), min(1.0, unit[0] + 0.1)), method="bounded",
-            )  # fmt: skip
-            return (np.array([line.x]), float(line.fun)) if line.fun < loss else (unit, loss)
-        options = {"bounds": [0, 1], "seed": self._seed + 1, "verbose": -9, "maxfevals": 60 * len(self._free)}
-        result = cma.fmin2(lambda x: float(np.sum(self.residual(np.asarray(x)) ** 2)), unit, 0.1, options)[1].result
-        return (np.asarray(result.xbest), float(result.fbest)) if result.fbest < loss else (unit, loss)
+            bounds = (max(0.0, point[0] - 0.1), min(1.0, point[0] + 0.1))
+            line = minimize_scalar(lambda x: self._loss(np.array([x])), bounds=bounds, method="bounded")
+            return (np.array([line.x]), float(line.fun)) if line.fun < loss else (point, loss)
+        import cma
 
-    def _jacobian(self, unit: Array, step: float) -> Array:
+        options = {"bounds": [0, 1], "seed": self._seed + 1, "verbose": -9, "maxfevals": 60 * len(self._free)}
+        result = cma.fmin2(lambda x: self._loss(np.asarray(x)), point, 0.1, options)[1].result
+        return (np.asarray(result.xbest), float(result.fbest)) if result.fbest < loss else (point, loss)
+
+    def _jacobian(self, point: Array, step: float) -> Array:
         columns = []
-        for i in range(len(unit)):
-            low, high = unit.copy(), unit.copy()
-            low[i], high[i] = max(0.0, unit[i] - step), min(1.0, unit[i] + step)
+        for i in range(len(point)):
+            low, high = point.copy(), point.copy()
+            low[i], high[i] = max(0.0, point[i] - step), min(1.0, point[i] + step)
             columns.append((self.residual(high) - self.residual(low)) / (high[i] - low[i]))
         return np.stack(columns, axis=1)
 
-    def confidence(self, unit: Array, jacobian: Array) -> tuple[FittedNumber, ...]:
-        """Return each number with its 95 % half width, from the Gauss-Newton covariance of the residuals.
+    def confidence(self, end: LocalMinimum) -> tuple[FittedNumber, ...]:
+        """Return each number with its 95 % half width, from the residuals' Gauss-Newton covariance.
 
-        The errors are taken as independent and equal; a direction that the data do not see has no half width. Walks'
-        noise is the same in every residual of a fit, so the residuals do not tell it: what independent walks would
-        have moved the numbers by is added, as uncertainties of two kinds are (JCGM 100:2008, G.4).
+        Errors are assumed independent and equal; a direction to which the data are insensitive has no half width. The
+        noise from random walks is common to all residuals and invisible in them; therefore the variance between
+        independent walks is added (JCGM 100:2008, G.4).
         """
         from scipy.stats import t
 
-        residual = self.residual(unit)
-        freedom = max(1, residual.size - len(unit))
+        residual = self.residual(end.point)
+        freedom = max(1, residual.size - len(end.point))
         variance = float(np.sum(residual**2)) / freedom
-        left, singular, rotation = np.linalg.svd(jacobian, full_matrices=False)
-        floor = np.finfo(float).eps * jacobian.shape[0] * (singular.max() if singular.size else 0.0)
+        left, singular, rotation = np.linalg.svd(end.jacobian, full_matrices=False)
+        floor = np.finfo(float).eps * end.jacobian.shape[0] * (singular.max() if singular.size else 0.0)
         inverse = np.where(singular > floor, 1.0 / np.maximum(singular, 1e-300), np.inf)
         with np.errstate(invalid="ignore"):
             data = variance * np.nansum((rotation * inverse[:, None]) ** 2, axis=0)
-            seen = np.where(singular > floor, inverse, 0.0)
-            walks = self._walk_variance(unit, (rotation.T * seen) @ left.T)
+            finite = np.where(singular > floor, inverse, 0.0)
+            walks = self._walk_variance(end.point, (rotation.T * finite) @ left.T)
             total = data + walks
             degrees = total**2 / (data**2 / freedom + walks**2 / (CORRECTION_SEEDS - 1))
             half = np.where(total > 0.0, np.sqrt(total) * t.ppf(0.975, np.nan_to_num(degrees, nan=freedom)), 0.0)
@@ -420,20 +428,20 @@ class _Problem:
             FittedNumber(
                 n.path, n.value(u), float(h * (n.high - n.low)), bool(np.isfinite(h) and h < UNDETERMINED_SHARE)
             )
-            for n, u, h in zip(self._free, unit, half, strict=True)
+            for n, u, h in zip(self._free, end.point, half, strict=True)
         )
 
-    def _walk_variance(self, unit: Array, pseudoinverse: Array) -> Array:
-        """Return the variance of each number, in units of its bounds, that comes from the seed of the walks."""
+    def _walk_variance(self, point: Array, pseudoinverse: Array) -> Array:
+        """Return each number's variance, relative to its bounds, due to the random walk seed."""
         if self._walked is None:
-            material = self.build(unit)
-            if is_direct(material.model) or not _is_walked(material, self._measured.wavelengths_nm):
-                return np.zeros(len(unit))
-            self._walks(material)
+            material = self.build(point)
+            if is_direct(material.model) or not _has_random_walk(material, self._measured.wavelengths_nm):
+                return np.zeros(len(point))
+            self._walk(material)
         assert self._walked is not None
         moved = np.var(self._walked @ pseudoinverse.T, axis=0, ddof=1)
         return np.asarray(moved / len(self._walked) if self.is_corrected else moved)
 
 
-def _is_walked(material: Material, wavelengths_nm: Array) -> bool:
+def _has_random_walk(material: Material, wavelengths_nm: Array) -> bool:
     return any(lobe.is_stochastic for lobe in material.bsdf(wavelengths_nm).lobes)

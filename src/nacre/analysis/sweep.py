@@ -1,15 +1,20 @@
-"""One writer for a sweep's store at a time: a small file beside it that names the process."""
+"""Sweeps: a material over many values of its numbers, resumable at any moment.
+
+The store is a Zarr group with labelled axes and one chunk per point, which xarray opens. The status of a point is
+written after its values, and every write is an atomic rename. A killed sweep keeps all finished points; the next run
+computes the missing ones.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import logging
 import os
 import shutil
 import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,113 +23,60 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre._version import __version__
-from nacre.analysis.sweep_plan import Sweep, SweepSpec, load_sweep
+from nacre.analysis.sweep_plan import Sweep, SweepSpec, load_sweep, measurement_from, point_seed
 from nacre.core.errors import NacreError
-from nacre.core.files import Process, check_writable, temporary_prefix
-
-POLL_S = 0.2
-_held: set[Path] = set()  # by this process; another of its threads waits like another process
-
-
-def lock_file(store: Path) -> Path:
-    """Return the lock of a store; it lies beside it, since Zarr warns of files that it does not know."""
-    return store.with_name(store.name + ".lock")
-
-
-@contextlib.contextmanager
-def locked(store: Path, *, break_lock: bool = False, tell: Callable[[str], None] | None = None) -> Iterator[None]:
-    """Be the one that writes a store; while another process of this machine does, wait.
-
-    A lock whose process has ended is taken over. Of another machine's process nobody here can tell whether it runs:
-    only `break_lock` takes its lock.
-
-    Args:
-        store: the Zarr folder, there or not yet.
-        break_lock: take the lock of another machine.
-        tell: called once, with a line that says who is waited for.
-
-    Raises:
-        NacreError: another machine holds the lock, or the folder cannot be written.
-    """
-    path = lock_file(store)
-    check_writable(path)
-    waits = False
-    while (owner := _take(path, break_lock)) is not None:
-        if not owner.is_here:
-            machine = owner.host.partition(" ")[0]
-            raise NacreError(
-                f"{store}: process {owner.pid} of {machine} writes it, or was ended there before it could say so; "
-                "if nothing runs there any more, --break-lock takes over"
-            )
-        if not waits and tell:
-            tell(f"{store}: waiting for process {owner.pid}, which writes it")
-        waits = True
-        time.sleep(POLL_S)
-    try:
-        yield
-    finally:
-        with contextlib.suppress(OSError), _guarded(path.parent):
-            _held.discard(path.resolve())
-            if _owner(path) == Process.this():
-                path.unlink()
-
-
-def _take(path: Path, break_lock: bool) -> Process | None:
-    """Take the lock if it is free; if not, return whose it is."""
-    this, here = Process.this(), path.resolve()
-    try:
-        with _guarded(path.parent):
-            owner = _owner(path)
-            is_left = owner is None or owner.is_dead or (owner == this and here not in _held)
-            if not is_left and not (break_lock and owner is not None and not owner.is_here):
-                return owner
-            path.write_text(json.dumps(asdict(this)), encoding="utf-8")
-            _held.add(here)
-            return None
-    except OSError as error:
-        raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from None
-
-
-def _owner(path: Path) -> Process | None:
-    """Return whose lock it is; None where there is none, or one that was never written whole."""
-    try:
-        return Process(**json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        return None
-
-
-@contextlib.contextmanager
-def _guarded(folder: Path) -> Iterator[None]:
-    """Keep all others from looking at the lock for a moment; where the system has no such lock, go without."""
-    try:
-        import fcntl
-
-        descriptor = os.open(folder, os.O_RDONLY)
-    except (ImportError, OSError):
-        yield
-        return
-    try:
-        with contextlib.suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)
-
-
-# Sweeps: a material over many values of its numbers, resumable at any moment.
+from nacre.core.files import check_writable, temporary_prefix
+from nacre.core.jobs import Workers, run_jobs
+from nacre.material.material import Material, material
 
 logger = logging.getLogger("nacre")
 
 MISSING, DONE, FAILED = 0, 1, 2
-KEY_SEPARATOR = "."  # chunks lie directly in their array's folder: making folders costs more than their values
+KEY_SEPARATOR = "."  # chunks lie directly in the folder of their array; creating folders costs more than the values
+Result = dict[str, NDArray[np.float64]] | str
 Progress = Callable[[int, int, int], None]  # done, failed, total
 
 
-def errors_file(store: Path) -> Path:
-    """Return the file of the failed points' errors, a JSON object a line.
+def lock_file(store: Path) -> Path:
+    """Return a store's lock; it lies beside the store, since Zarr warns of unknown files."""
+    return store.with_name(store.name + ".lock")
 
-    It lies beside the store, not in it: Zarr warns of files that it does not know.
+
+@contextlib.contextmanager
+def locked(store: Path, report: Callable[[str], None] | None = None) -> Iterator[None]:
+    """Hold a store's lock, after waiting for another process that writes it.
+
+    The operating system releases the lock when its process ends.
+
+    Args:
+        store: the Zarr folder, which may not exist yet.
+        report: called once with a message if the lock has to be waited for.
+
+    Raises:
+        NacreError: the folder cannot be written.
     """
+    from filelock import FileLock, Timeout
+
+    path = lock_file(store)
+    check_writable(path)
+    lock = FileLock(path)
+    try:
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            if report:
+                report(f"{store}: waiting for another process, which writes it")
+            lock.acquire()
+    except (OSError, NotImplementedError) as error:
+        raise NacreError(f"{path}: cannot be locked: {error}") from None
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def errors_file(store: Path) -> Path:
+    """Return the file with the errors of failed points, one JSON object per line, beside the store."""
     return store.with_suffix(".errors.jsonl")
 
 
@@ -134,20 +86,21 @@ class Store:
     def __init__(self, path: Path, sweep: Sweep) -> None:
         self.path = path
         self._shape = sweep.points.shape
-        self._clean_leftovers()
+        for leftover in path.rglob("*.partial"):  # of a killed run; never renamed
+            with contextlib.suppress(OSError):
+                leftover.unlink()
         import zarr
 
-        self._group = zarr.open_group(str(path), mode="r+")
-        if self._group.attrs.get("fingerprint") != sweep.fingerprint:
+        if zarr.open_group(str(path), mode="r+").attrs.get("fingerprint") != sweep.fingerprint:
             raise NacreError(
-                f"{path}: holds another sweep, or its recipe, a file that this names, or nacre itself has changed "
-                "since; choose another -o, or remove it to start anew"
+                f"{path}: holds another sweep, or its recipe, a file that this names, or the optics of nacre have "
+                "changed since; choose another -o, or remove it to start again"
             )
         self._trailing = {name: len(shape) for name, (_, shape) in sweep.measurement.layout().items()}
 
     @classmethod
     def open(cls, path: Path, sweep: Sweep) -> Store:
-        """Open the store of a sweep, making it first where there is none.
+        """Open a sweep's store, creating it if needed.
 
         Raises:
             NacreError: the folder cannot be written, or the path holds something else.
@@ -159,16 +112,16 @@ class Store:
         return cls(path, sweep)
 
     def missing(self) -> list[int]:
-        """Return the numbers of the points that are not finished, failed ones included."""
+        """Return the numbers of unfinished points, failed ones included."""
         return [int(i) for i in np.flatnonzero(self._status() != DONE)]
 
     def counts(self) -> tuple[int, int]:
-        """Return how many points are finished and how many have failed."""
+        """Return the numbers of finished and of failed points."""
         status = self._status()
         return int(np.sum(status == DONE)), int(np.sum(status == FAILED))
 
-    def write(self, number: int, result: dict[str, NDArray[np.float64]] | str) -> None:
-        """Store one point: its values, or the error that it raised; the status comes last.
+    def write(self, number: int, result: Result) -> None:
+        """Store a point's values, or its error; the status comes last.
 
         Raises:
             NacreError: the disk is full or not writable.
@@ -188,17 +141,17 @@ class Store:
             raise NacreError(f"{self.path}: cannot be written: {error.strerror or error}") from None
 
     def _write_chunk(self, name: str, place: tuple[int, ...], content: bytes) -> None:
-        """Write one chunk as a file: Zarr 3 with flat keys and no compression stores just these bytes.
+        """Write one chunk as a file: Zarr 3 with flat keys and no compression stores exactly these bytes.
 
-        Through the library the same takes 1 ms a chunk, more than a film's point takes to compute.
+        The library takes 1 ms per chunk, more than a point of a film takes to compute.
         """
-        path = f"{self.path}/{name}/{_chunk_name(place)}"
+        path = f"{self.path}/{name}/{KEY_SEPARATOR.join(('c', *map(str, place)))}"
         with open(f"{path}.partial", "wb", buffering=0) as file:
             file.write(content)
         os.replace(f"{path}.partial", path)
 
     def _status(self) -> NDArray[np.uint8]:
-        """Return the status of every point, flat, from the chunks that are there."""
+        """Return the status of every point, flat."""
         status = np.full(int(np.prod(self._shape)), MISSING, dtype=np.uint8)
         for entry in os.scandir(self.path / "status"):
             head, *parts = entry.name.split(KEY_SEPARATOR)
@@ -209,12 +162,6 @@ class Store:
             if len(content) == 1 and all(i < n for i, n in zip(indices, self._shape)):
                 status[np.ravel_multi_index(indices, self._shape)] = content[0]
         return status
-
-    def _clean_leftovers(self) -> None:
-        """Remove half-written files of a killed run; they were never renamed, so nothing points to them."""
-        for leftover in self.path.rglob("*.partial"):
-            with contextlib.suppress(OSError):
-                leftover.unlink()
 
 
 def _create(path: Path, sweep: Sweep) -> None:
@@ -263,11 +210,6 @@ def _create(path: Path, sweep: Sweep) -> None:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _chunk_name(place: tuple[int, ...]) -> str:
-    """Return the file name of a chunk, such as `c.3.0.0`."""
-    return KEY_SEPARATOR.join(("c", *(str(i) for i in place)))
-
-
 def _dimension(path: str) -> str:
     """Make a dimension name of a recipe path: `layers[0].thickness_nm` is `layers.0.thickness_nm`."""
     return path.replace("[", ".").replace("]", "")
@@ -290,61 +232,39 @@ def run_sweep(
     sweep: Sweep,
     output: str | Path,
     *,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    security: str | Path | None = None,
+    workers: Workers | None = None,
     progress: Progress | None = None,
-    break_lock: bool = False,
-    tell: Callable[[str], None] = logger.warning,
+    report: Callable[[str], None] = logger.warning,
 ) -> tuple[int, int]:
-    """Compute what is missing of a sweep and return (finished, failed).
+    """Compute the missing points of a sweep and return the numbers of finished and failed points.
 
     Args:
         sweep: from `load_sweep`.
-        output: the Zarr folder; an earlier, interrupted run of the same sweep goes on.
-        workers: processes of the local cluster; 1 computes in this process; default: one a core.
-        scheduler: address of a Dask scheduler (`tcp://host:port`) to use instead; its workers must have nacre.
-        security: TOML file with `ca`, `cert` and `key`, the PEM files by which such a scheduler (`tls://host:port`)
-            knows this sweep. Workers of this machine speak TLS with a key of their own.
-        progress: called with (finished, failed, total) after every batch.
-        break_lock: take the store's lock from another machine; one of a process ended here is taken anyway.
-        tell: called with a line where another process writes the store, which is waited for.
+        output: the Zarr folder; an interrupted run of the same sweep is resumed.
+        workers: where points are computed; default: one process per core.
+        progress: called with (finished, failed, total) after every point.
+        report: called with a message if another process writes the store, which is waited for.
 
     Raises:
-        NacreError: the store holds another sweep, cannot be written or is locked by another machine, or the scheduler
-            cannot be reached.
+        NacreError: the store holds another sweep or cannot be written, or the cluster cannot be reached.
     """
-    if security is not None:
-        from nacre.analysis.dask_cluster import read_security
-
-        if scheduler is None:
-            raise NacreError(
-                f"--security {security}: belongs to --scheduler; workers of this machine make their own key"
-            )
-        read_security(security)
-    with locked(Path(output), break_lock=break_lock, tell=tell):
-        return _run(sweep, Path(output), workers, (scheduler, security), progress)
-
-
-def _run(
-    sweep: Sweep,
-    output: Path,
-    workers: int | None,
-    elsewhere: tuple[str | None, str | Path | None],
-    progress: Progress | None,
-) -> tuple[int, int]:
-    store = Store.open(output, sweep)
-    total = sweep.points.count
-    todo = store.missing()
-    finished = total - len(todo)
-    failed = 0
-    if progress:
-        progress(finished, failed, total)
-    if todo:
-        from nacre.analysis.sweep_workers import results
-
-        for number, result in results(sweep, todo, workers, *elsewhere):
-            store.write(number, result)
+    workers = workers or Workers()
+    workers.check()
+    with locked(Path(output), report):
+        store = Store.open(Path(output), sweep)
+        total, missing = sweep.points.count, store.missing()
+        finished, failed = total - len(missing), 0
+        if progress:
+            progress(finished, failed, total)
+        shared = {
+            "data": json.dumps(dict(sweep.material.data), sort_keys=True),
+            "folder": str(sweep.material.context.folder.resolve()),
+            "paths": tuple(axis.path for axis in sweep.points.axes),
+            "files": tuple(sorted(sweep.files.items())),
+            "measurement": asdict(sweep.measurement),
+        }
+        for index, result in run_jobs(_compute_point, shared, _Changes(sweep, missing), workers):
+            store.write(missing[index], result)
             if isinstance(result, str):
                 failed += 1
             else:
@@ -352,6 +272,43 @@ def _run(
             if progress:
                 progress(finished, failed, total)
     return finished, failed
+
+
+class _Changes(Sequence[dict[str, Any]]):
+    """The recipe changes of the missing points, computed when a point is sent to a worker."""
+
+    def __init__(self, sweep: Sweep, missing: list[int]) -> None:
+        self._points, self._missing = sweep.points, missing
+
+    def __len__(self) -> int:
+        return len(self._missing)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._points.changes(self._missing[index])
+
+
+def _compute_point(shared: Mapping[str, Any], changes: Mapping[str, Any]) -> Result:
+    """Return a point's values, or the message of its error; runs in a worker."""
+    try:
+        varied = _parametrised(shared["folder"], shared["data"], shared["paths"], shared["files"])(changes)
+        expected = dict(shared["files"])
+        for name, digest in varied.context.files.items():
+            if expected.get(name, digest) != digest:
+                raise NacreError(f"{name} has changed since the sweep began; remove its folder and start it again")
+        return measurement_from(dict(shared["measurement"])).take(varied, point_seed(changes))
+    except NacreError as error:
+        return str(error)
+    except (ArithmeticError, ValueError, MemoryError, np.linalg.LinAlgError) as error:
+        # one impossible point must not stop the others
+        return f"{type(error).__name__}: {error}"
+
+
+@functools.lru_cache(maxsize=4)
+def _parametrised(
+    folder: str, data: str, paths: tuple[str, ...], files: tuple[tuple[str, str], ...]
+) -> Callable[[Mapping[str, Any]], Material]:
+    """Return the parametrised material; `files` are the digests that make another one of changed files."""
+    return material(json.loads(data), folder).at_low_fidelity(is_reported=True).parametrise(paths)
 
 
 __all__ = ["Store", "Sweep", "SweepSpec", "load_sweep", "run_sweep"]

@@ -1,4 +1,4 @@
-"""From manufacturing spreads to colour spread: how often is a coating within tolerance, and which number decides?"""
+"""Tolerance analysis: colour distribution, yield and sensitivities under manufacturing tolerances (Monte Carlo)."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material
-from nacre.measure import instruments as geometry
+from nacre.measure import instruments
 from nacre.measure.wavelengths import colour_spectrum, colour_values
 from nacre.optimise.tolerances import Tolerance, read_tolerances, wilson_interval
 from nacre.recipe.path_tables import by_path, with_options
 
 MAX_DRAWS = 1_000_000
-SENSITIVITY_STEP = 0.5  # of a standard deviation: inside the spread, and far above rounding
+SENSITIVITY_STEP = 0.5  # central difference half step, in standard deviations
+LIGHT_DEG = 45.0
 
 
 @dataclass(frozen=True)
 class ToleranceResult:
-    """The outcome of a tolerance study.
+    """Tolerance analysis result.
 
     Attributes:
         geometry: "aspecular, 45 degree incidence" or "mirror direction".
@@ -33,10 +34,10 @@ class ToleranceResult:
         nominal_lab: `[angle, 3]`.
         lab: `[draw, angle, 3]`.
         delta_e: `[draw, angle]`, dE00 to the nominal colour.
-        limit: the dE00 limit of the yield.
-        yield_share: share of draws within the limit at every angle; its 95 % interval is `yield_interval`.
-        sensitivities: (path, dE00 of one standard deviation at the worst angle, share of variance), largest first.
-        failed: draws that could not be computed, counted as outside the limit.
+        limit: dE00 limit for the yield.
+        yield_share: draw share within the limit at every angle; `yield_interval`: its 95 % interval.
+        sensitivities: (path, dE00 per standard deviation at the worst angle, variance share), largest first.
+        failed: draws that could not be computed; they count as outside the limit.
     """
 
     geometry: str
@@ -52,13 +53,13 @@ class ToleranceResult:
 
 
 def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tuple[Tolerance, ...]:
-    """Collect the spreads of the recipe's `[tolerance]` table and of `PATH=SPREAD` options, which win.
+    """Return tolerances from the recipe's `[tolerance]` table and `PATH=SPREAD` options, which take precedence.
 
-    A spread is a number (standard deviation), a percentage ("2%"), or in the recipe a table
-    `{deviation = 5}`, `{percent = 2}`, each with `distribution = "uniform"` if wanted; `[*]` stands for every index.
+    A tolerance is a number (standard deviation), a percentage ("2%"), or in the recipe a table `{deviation = 5}` or
+    `{percent = 2}`, optionally with `distribution = "uniform"`; `[*]` means every index.
 
     Raises:
-        RecipeError: naming the path and what is allowed.
+        RecipeError: with the path and the allowed values.
     """
     source = material.context.source
     table = by_path(material.data.get("tolerance", {}), {"deviation", "percent"}, source, "tolerance")
@@ -71,12 +72,12 @@ def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tupl
     table = with_options(table, given, "--spread")
     if not table:
         raise RecipeError(f"{source}: no spread is given; add a [tolerance] table or use --spread PATH=VALUE")
-    return read_tolerances(table, material, source, "tolerance")
+    return read_tolerances(table, material, source)
 
 
 def run_tolerance(
     material: Material,
-    spreads: tuple[Tolerance, ...],
+    tolerances: tuple[Tolerance, ...],
     *,
     draws: int = 500,
     limit: float = 1.0,
@@ -86,117 +87,102 @@ def run_tolerance(
     samples: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ToleranceResult:
-    """Draw materials within their spreads and measure their colours.
+    """Draw materials within their tolerances and measure their colours.
 
-    Random walks use one seed for all draws, so that their noise is not taken for spread.
+    Random walks use one seed for all draws; their noise does not contribute to the distribution.
 
     Args:
         material: the nominal material.
-        spreads: from `recipe_tolerances`.
-        draws: number of materials.
-        limit: the dE00 within which a material passes, at every angle.
-        progress: called with (done, all): draws, and the two materials of each spread's sensitivity.
+        tolerances: from `recipe_tolerances`.
+        draws: material count.
+        limit: dE00 within which a material passes, at every angle.
+        progress: called with (done, total): draws, and two materials per sensitivity.
 
     Raises:
-        NacreError: the nominal material cannot be computed, or a number is out of its range.
+        NacreError: the nominal material cannot be computed, or a number leaves its range.
     """
     if not 1 <= draws <= MAX_DRAWS:
         raise NacreError(f"--draws = {draws} must lie in [1, {MAX_DRAWS}]")
     if not limit > 0:
         raise NacreError(f"--limit = {limit} must be above 0")
-    material = material.at_low_fidelity().with_parts_loaded(spread.path for spread in spreads)
+    material = material.at_low_fidelity().with_parts_loaded(each.path for each in tolerances)
     measure = ColourProbe(material, illuminant, observer, samples, seed)
     nominal = measure(material)
     generator = np.random.default_rng(seed)
-    values = {spread.path: spread.draw(generator, draws) for spread in spreads}
+    values = {each.path: each.draw(generator, draws) for each in tolerances}
     lab = np.full((draws, *nominal.shape), np.nan)
-    done, every = 0, draws + 2 * len(spreads)
-
-    def step() -> None:
-        nonlocal done
-        done += 1
-        if progress:
-            progress(done, every)
-
+    total = draws + 2 * len(tolerances)
     for i in range(draws):
         try:
             lab[i] = measure(material.vary({path: float(v[i]) for path, v in values.items()}))
         except NacreError:
-            pass  # stays NaN and counts as failed: an impossible draw is a finding, not an end
-        step()
+            pass  # remains NaN and counts as failed
+        if progress:
+            progress(i + 1, total)
+    changes = []
+    for number, each in enumerate(tolerances, start=1):
+        changes.append(_sensitivity(material, each, measure, nominal))
+        if progress:
+            progress(draws + 2 * number, total)
+    variance = sum(change**2 for change in changes) or 1.0
+    ranked = sorted(zip(tolerances, changes, strict=True), key=lambda pair: -pair[1])
     delta = np.asarray(delta_e_2000(np.broadcast_to(nominal, lab.shape), lab))
-    failed = int(np.sum(np.isnan(delta).any(axis=1)))
     good = int(np.sum(np.nan_to_num(delta, nan=np.inf).max(axis=1) <= limit))
     return ToleranceResult(
-        measure.what, np.asarray(measure.angles_deg), nominal, lab, delta, limit, good / draws,
-        wilson_interval(good, draws), _sensitivities(material, spreads, measure, nominal, step), failed,
-    )  # fmt: skip
+        geometry=measure.geometry,
+        angles_deg=np.asarray(measure.angles_deg),
+        nominal_lab=nominal,
+        lab=lab,
+        delta_e=delta,
+        limit=limit,
+        yield_share=good / draws,
+        yield_interval=wilson_interval(good, draws),
+        sensitivities=tuple((each.path, change, change**2 / variance) for each, change in ranked),
+        failed=int(np.sum(np.isnan(delta).any(axis=1))),
+    )
 
 
 class ColourProbe:
-    """Measures the Lab of a material at fixed angles: aspecular where it scatters, mirror-like where it does not."""
+    """Measures CIELAB at fixed angles: aspecular if the material scatters, in the mirror direction otherwise."""
 
     def __init__(self, material: Material, illuminant: str, observer: str, samples: int | None, seed: int) -> None:
         self._light = (illuminant, observer)
         self._samples, self._seed = samples, seed
-        wi = np.broadcast_to(direction(np.radians(45.0)), (1, 3))
-        few = material.values_at(wi, wi, np.array([550.0]))  # answered by what scatters, without solving all of it
-        scatters = few is not None or any(not lobe.is_delta for lobe in material.bsdf().lobes)
-        self.what = "aspecular, 45 degree incidence" if scatters else "mirror direction"
-        self.angles_deg: tuple[float, ...] = geometry.ASPECULAR_DEG if scatters else SPECULAR_ANGLES_DEG
-        self._wo = np.stack([geometry.aspecular_direction(45.0, a) for a in geometry.ASPECULAR_DEG])
-        self._scatters = scatters
+        wi = np.broadcast_to(direction(np.radians(LIGHT_DEG)), (1, 3))
+        few = material.values_at(wi, wi, np.array([550.0]))  # cheap for materials that scatter
+        self._scatters = few is not None or any(not lobe.is_delta for lobe in material.bsdf().lobes)
+        self.geometry = "aspecular, 45 degree incidence" if self._scatters else "mirror direction"
+        self.angles_deg: tuple[float, ...] = instruments.ASPECULAR_DEG if self._scatters else SPECULAR_ANGLES_DEG
+        self._wo = np.stack([instruments.aspecular_direction(LIGHT_DEG, a) for a in instruments.ASPECULAR_DEG])
 
     def __call__(self, material: Material) -> Array:
-        """Return Lab, `[angle, 3]`."""
+        """Return CIELAB, `[angle, 3]`."""
         if self._scatters:
-            wi = np.broadcast_to(direction(np.radians(45.0)), self._wo.shape)
+            wi = np.broadcast_to(direction(np.radians(LIGHT_DEG)), self._wo.shape)
             values, grid = colour_values(material, wi, self._wo, self._light[0], self._samples, self._seed)
             values = np.pi * values
         else:
-            # a smooth material needs no table over angles, only its stack at these
             spectrum = colour_spectrum(material, np.radians(self.angles_deg), self._light[0])
-            reflectance = spectrum.specular_reflectance
-            values = (
-                np.zeros((len(self.angles_deg), len(spectrum.wavelengths_nm))) if reflectance is None else reflectance
-            )
-            grid = spectrum.wavelengths_nm
+            grid, reflectance = spectrum.wavelengths_nm, spectrum.specular_reflectance
+            values = np.zeros((len(self.angles_deg), len(grid))) if reflectance is None else reflectance
         return np.asarray(xyz_to_lab(spectrum_to_xyz(values, grid, *self._light), white_xyz(*self._light)))
 
 
-def _sensitivities(
-    material: Material,
-    spreads: tuple[Tolerance, ...],
-    measure: ColourProbe,
-    nominal: Array,
-    step_done: Callable[[], None],
-) -> tuple[tuple[str, float, float], ...]:
-    """Rank the spreads by the colour change of one standard deviation, from a central difference."""
-    changes = []
-    for spread in spreads:
-        sigma = spread.standard_deviation
-        step = SENSITIVITY_STEP * sigma
-        low = max(spread.nominal - step, 0.0) if spread.nominal >= 0 else spread.nominal - step
-        high = spread.nominal + step
-        if high <= low:
-            changes.append(0.0)
-            step_done()
-            step_done()
-            continue
-        ends = []
-        for value in (low, high):
-            ends.append(measure(material.vary({spread.path: value})))
-            step_done()
-        below, above = ends
-        slope = (above - below) / (high - low) * sigma
-        changes.append(float(np.max(delta_e_2000(nominal, nominal + slope))))
-    total = sum(change**2 for change in changes) or 1.0
-    ranked = sorted(zip(spreads, changes, strict=True), key=lambda pair: -pair[1])
-    return tuple((spread.path, change, change**2 / total) for spread, change in ranked)
+def _sensitivity(material: Material, tolerance: Tolerance, measure: ColourProbe, nominal: Array) -> float:
+    """Return the dE00 per standard deviation at the worst angle, from a central difference."""
+    sigma = tolerance.standard_deviation
+    step = SENSITIVITY_STEP * sigma
+    low = max(tolerance.nominal - step, 0.0) if tolerance.nominal >= 0 else tolerance.nominal - step
+    high = tolerance.nominal + step
+    if high <= low:
+        return 0.0
+    below, above = (measure(material.vary({tolerance.path: value})) for value in (low, high))
+    slope = (above - below) / (high - low) * sigma
+    return float(np.max(delta_e_2000(nominal, nominal + slope)))
 
 
-def tolerance_document(result: ToleranceResult, spreads: tuple[Tolerance, ...]) -> dict[str, Any]:
-    """Return the outcome as JSON-able data: statistics an angle, yield, sensitivities."""
+def tolerance_document(result: ToleranceResult, tolerances: tuple[Tolerance, ...]) -> dict[str, Any]:
+    """Return the result as JSON data: statistics per angle, yield, sensitivities."""
     lab = result.lab[~np.isnan(result.lab).any(axis=(1, 2))]
     delta = result.delta_e[~np.isnan(result.delta_e).any(axis=1)]
     percentiles = np.percentile(delta, [50, 95], axis=0) if len(delta) else np.zeros((2, len(result.angles_deg)))
@@ -217,8 +203,5 @@ def tolerance_document(result: ToleranceResult, spreads: tuple[Tolerance, ...]) 
             {"path": path, "delta_e_of_one_deviation": change, "share_of_variance": share}
             for path, change, share in result.sensitivities
         ],
-        "spreads": [spread.__dict__ for spread in spreads],
+        "tolerances": [each.__dict__ for each in tolerances],
     }
-
-
-__all__ = ["ColourProbe", "Tolerance", "ToleranceResult", "recipe_tolerances", "run_tolerance", "tolerance_document"]

@@ -80,9 +80,9 @@ def _two_sides(lobe: Microfacet) -> Microfacet:
     )
     mean_outside, mean_inside = np.maximum(_mean(loss), 1e-12)
     r_out, t_out, r_in, t_in = response.hemispherical
-    kept_out, kept_in = r_out + t_out, r_in + t_in
+    sum_out, sum_in = r_out + t_out, r_in + t_in
     # crossing rate between the sides: 1 - ratio is 0 for perfect mirrors, 1 without reflection
-    ratio = np.sqrt(r_out * r_in / np.maximum(kept_out * kept_in, 1e-12))
+    ratio = np.sqrt(r_out * r_in / np.maximum(sum_out * sum_in, 1e-12))
     crossing = (1.0 - ratio) / (np.pi * (mean_outside + eta**2 * mean_inside))
     # lost light returns completely: the sum over sides b of exchange[a, b] pi mean[b] is 1
     exchange = np.empty((2, 2, count))
@@ -90,9 +90,9 @@ def _two_sides(lobe: Microfacet) -> Microfacet:
     exchange[1, 0] = crossing
     exchange[0, 0] = (1.0 - np.pi * mean_inside * exchange[0, 1]) / (np.pi * mean_outside)
     exchange[1, 1] = (1.0 - np.pi * mean_outside * exchange[1, 0]) / (np.pi * mean_inside)
-    kept = np.sqrt(kept_out * kept_in)
+    power_sum = np.sqrt(sum_out * sum_in)
     mean = 0.5 * (mean_outside + mean_inside)
-    colour = np.square(kept) * (1.0 - mean) / (1.0 - kept * mean)
+    colour = np.square(power_sum) * (1.0 - mean) / (1.0 - power_sum * mean)
     return dataclasses.replace(lobe, loss=loss, exchange=exchange * colour)
 
 
@@ -214,13 +214,13 @@ def interface_losses(faces: list[Roughness], index: Array, is_open: bool) -> Arr
         index: `[stratum]`.
         is_open: whether the lowest interface borders the ambient, not a base.
     """
-    wanted = [face.compensate and face.alpha_x > 0 and (i < len(index) or is_open) for i, face in enumerate(faces)]
-    if not any(wanted):
+    compensated = [face.compensate and face.alpha_x > 0 and (i < len(index) or is_open) for i, face in enumerate(faces)]
+    if not any(compensated):
         return None
     n = np.concatenate([[1.0], index, [1.0]])
     tables = [
-        interface_loss(face, float(n[i]), float(n[i + 1])) if is_wanted else np.zeros((2, NODES))
-        for i, (face, is_wanted) in enumerate(zip(faces, wanted, strict=True))
+        interface_loss(face, float(n[i]), float(n[i + 1])) if is_compensated else np.zeros((2, NODES))
+        for i, (face, is_compensated) in enumerate(zip(faces, compensated, strict=True))
     ]
     return np.stack(tables)
 

@@ -39,18 +39,8 @@ MAX_ARRAYS = 1000
 MAX_DEPTH = 12
 PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 DTYPES = ("<f8", "<f4", "<i8", "<i4", "|u1", "|b1", "<c16", "<c8")
-UNITS = {
-    "wavelengths_nm": "nm",
-    "*_nm": "nm",
-    "*_rad": "rad",
-    "bsdf": "1/sr",
-    "power ratios": "1",
-}
-_PARTS: dict[str, type] = {
-    "interface-response": InterfaceResponse,
-    "parameter-axis": ParameterAxis,
-    "texture": Texture,
-}
+UNITS = {"wavelengths_nm": "nm", "*_nm": "nm", "*_rad": "rad", "bsdf": "1/sr", "power ratios": "1"}
+_PARTS: dict[str, type] = {"interface-response": InterfaceResponse, "parameter-axis": ParameterAxis, "texture": Texture}
 
 
 def write_lobes(

@@ -58,14 +58,14 @@ def encode(rows: NDArray, packets: int | None = None) -> EncodedSeries:
 
 
 def _encoded(rows: NDArray, packets: int, words: int) -> EncodedSeries:
-    count, kept, wavelengths = rows.shape
+    count, count_numbers, wavelengths = rows.shape
     full = np.zeros((count, packets * PACKET, wavelengths))
-    full[:, :kept] = rows
+    full[:, :count_numbers] = rows
     largest = 2.0 ** np.ceil(np.log2(max(float(np.abs(full).max()), 1e-30)))
     full /= largest
     size = np.abs(full).max(axis=1)
     power = np.clip(np.floor(-np.log2(np.maximum(size, 1e-30))), 0, DARKEST).astype(np.uint32)
-    wanted, full = full, full * (2.0**power)[:, None]
+    target, full = full, full * (2.0**power)[:, None]
     sizes = _rung(np.abs(full).max(axis=(0, 2)))
     packed = np.zeros((count, wavelengths, packets, words), dtype=np.uint32)
     packed[:, :, :, 0] = power[:, :, None]
@@ -85,8 +85,8 @@ def _encoded(rows: NDArray, packets: int, words: int) -> EncodedSeries:
             fields.append(places[number])
             bits_kept = places[number][2]
             units.append(part[number] / _top(bits_kept) * 2.0 ** (bits_kept - WORD))
-    error = _decoded(packed, np.array(units), fields) - wanted
-    wrong, whole = (np.sqrt(np.sum(x**2, axis=(0, 1))) for x in (error, wanted))
+    error = _decoded(packed, np.array(units), fields) - target
+    wrong, whole = (np.sqrt(np.sum(x**2, axis=(0, 1))) for x in (error, target))
     rounding = float(np.max(wrong / np.maximum(whole, 1e-30)))
     return EncodedSeries(packed, np.array(units) * largest, fields, rounding)
 
@@ -120,12 +120,12 @@ def _shared_bits(sizes: Array, room: int) -> list[int]:
     return [int(b) for b in bits]
 
 
-def _write(word: NDArray[np.uint32], wanted: Array, low: int, bits: int) -> None:
-    """Add a field above the existing ones in a word; the field and the bits below together approximate `wanted`.
+def _write(word: NDArray[np.uint32], target: Array, low: int, bits: int) -> None:
+    """Add a field above the existing ones in a word; the field and the bits below together approximate `target`.
 
     The sum is limited to the field's largest integer: rounding never increases the size.
     """
     below = word.astype(np.float64) / 2.0**low if low else np.zeros(word.shape)
     top = _top(bits)
-    field = np.clip(np.rint(wanted - below), -top, np.floor(top - below)).astype(np.int64)
+    field = np.clip(np.rint(target - below), -top, np.floor(top - below)).astype(np.int64)
     word |= ((field & ((1 << bits) - 1)) << low).astype(np.uint32)

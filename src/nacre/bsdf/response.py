@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.grids import interpolate, take_uniform
+from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.texture import ParameterAxis
 from nacre.core.arrays import Array
 
@@ -153,6 +154,31 @@ class InterfaceResponse:
             beyond = take_uniform(self.total, 2.0 / np.pi * np.arccos(cos), -2)
             inside[0] = inside[0] + np.einsum("c,...cl->...l", 2 * weights * mu * self.cos_critical, beyond)
         return outside[0], outside[1], inside[0], inside[1]
+
+
+class ResponseLobe(Lobe):
+    """A lobe that is described by the tables of an interface.
+
+    Attributes:
+        response: the tables.
+    """
+
+    response: InterfaceResponse
+
+    @property
+    def wavelengths_nm(self) -> Array:  # type: ignore[override]  # the base declares a plain attribute
+        """The tables' wavelength grid."""
+        return self.response.wavelengths_nm
+
+    @property
+    def transmits(self) -> bool:
+        """Whether light is transmitted to the other side."""
+        return self.response.transmits
+
+    @property
+    def parameters(self) -> tuple[ParameterAxis, ...]:
+        """The texture-driven axes."""
+        return self.response.parameters
 
 
 def check_wavelengths(wavelengths_nm: Array) -> None:

@@ -33,8 +33,7 @@ def _widths(value: Any) -> Any:
 
 
 Widths = Annotated[
-    Share | Annotated[tuple[Share, ...], pydantic.Field(min_length=1, max_length=2)],
-    pydantic.BeforeValidator(_widths),
+    Share | Annotated[tuple[Share, ...], pydantic.Field(min_length=1, max_length=2)], pydantic.BeforeValidator(_widths)
 ]
 
 
@@ -85,9 +84,7 @@ class SubstrateSpec(RecipeModel):
         default="ggx", description="distribution of the metal's facet normals"
     )
     compensate: bool = pydantic.Field(
-        default=False,
-        description="restore the light scattered between the metal's facets",
-        examples=[True],
+        default=False, description="restore the light scattered between the metal's facets", examples=[True]
     )
 
     @pydantic.model_validator(mode="before")

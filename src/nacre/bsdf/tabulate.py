@@ -15,6 +15,7 @@ from nacre.core.errors import UnsupportedError
 from nacre.core.memory import check_memory
 from nacre.light import delta_e_2000, spans_colour, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.matter.stack import solve as solver
+from nacre.matter.stack.incoherent import incoherent_powers
 from nacre.matter.stack.inputs import clear_ambient
 
 TRANSPARENT_K = 1e-4  # 1 mm of the substrate then transmits more than 10 % at 550 nm
@@ -58,27 +59,19 @@ class StackTables:
     def outside(self, thicknesses_nm: Array, cos_outside: Array) -> tuple[Array, Array]:
         """Return R and T `[*params, cos, wavelength]` for light in the rarer medium."""
         n, d = self._from_outside(thicknesses_nm)
-        if not any(self.incoherent):
-            shape = (*d.shape[:-1], len(cos_outside), len(self.wavelengths_nm))
-            rows = d.reshape(math.prod(d.shape[:-1]), d.shape[-1])
-            reflected, passed = np.empty((len(rows), *shape[-2:])), np.zeros((len(rows), *shape[-2:]))
-            for some in _blocks(len(rows), shape[-2] * shape[-1]):
-                powers = solver.powers(n, rows[some], self.wavelengths_nm, cos_i=cos_outside)
-                reflected[some] = powers.reflectance
-                if self.transmits:
-                    passed[some] = powers.transmittance
-            return reflected.reshape(shape), passed.reshape(shape)
-        from nacre.matter.stack.incoherent import incoherent_powers
-
         flags = self.incoherent[::-1] if self.flipped else self.incoherent
-        solved = [
-            incoherent_powers(n, row, flags, self.wavelengths_nm, np.arccos(cos_outside))
-            for row in d.reshape(-1, d.shape[-1])
-        ]
         shape = (*d.shape[:-1], len(cos_outside), len(self.wavelengths_nm))
-        reflected = np.reshape([p.reflectance for p in solved], shape)
-        passed = np.reshape([p.transmittance for p in solved], shape)
-        return reflected, passed if self.transmits else np.zeros(shape)
+        rows = d.reshape(math.prod(d.shape[:-1]), d.shape[-1])
+        reflected, passed = np.empty((len(rows), *shape[-2:])), np.zeros((len(rows), *shape[-2:]))
+        for some in _blocks(len(rows), shape[-2] * shape[-1]):
+            if any(flags):
+                powers = incoherent_powers(n, rows[some], flags, self.wavelengths_nm, cos_i=cos_outside)
+            else:
+                powers = solver.powers(n, rows[some], self.wavelengths_nm, cos_i=cos_outside)
+            reflected[some] = powers.reflectance
+            if self.transmits:
+                passed[some] = powers.transmittance
+        return reflected.reshape(shape), passed.reshape(shape)
 
     def inside(self, thicknesses_nm: Array, in_plane: Array) -> Array:
         """Return R `[*params, angle, wavelength]` for light in the denser medium.
@@ -95,8 +88,6 @@ class StackTables:
                 solved = solver.amplitudes(n, rows[some], self.wavelengths_nm, kappa=in_plane)
                 reflected[some] = 0.5 * (np.abs(solved.r_s) ** 2 + np.abs(solved.r_p) ** 2)
             return reflected.reshape(*d.shape[:-1], *in_plane.shape)
-        from nacre.matter.stack.incoherent import incoherent_powers
-
         flags = self.incoherent if self.flipped else self.incoherent[::-1]
         sin = np.clip(in_plane / n[0].real, 0.0, 1.0)
         columns_of = []

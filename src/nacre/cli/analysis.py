@@ -29,21 +29,14 @@ def _progress_bar(description: str) -> Any:
 @click.command()
 @click.argument("sweep_file", metavar="SWEEP.toml")
 @click.option("-o", "output", default=None, metavar="FOLDER.zarr", help="Default: SWEEP.zarr.")
-@click.option("--workers", type=int, default=None, help="Processes; 1 computes in this one; default: one a core.")
-@click.option("--scheduler", default=None, metavar="tls://HOST:PORT", help="Use this Dask scheduler instead.")
-@click.option(
-    "--security", default=None, metavar="FILE.toml", help="Of a tls:// scheduler: names the PEM files ca, cert and key."
-)
-@click.option("--break-lock", is_flag=True, help="Take over a folder that a sweep on another machine left locked.")
+@common.cluster_options
 @common.cache_option
 @common.jobs_option
-def sweep(
-    sweep_file: str, output: str | None, workers: int | None, scheduler: str | None, security: str | None,
-    break_lock: bool,
-) -> None:  # fmt: skip
-    """Compute a material over many values of its numbers; run again to go on after an interruption."""
+def sweep(sweep_file: str, output: str | None, cluster: str | None, security: str | None) -> None:
+    """Compute a material over many values of its numbers; run again to resume after an interruption."""
     from nacre.analysis.sweep import errors_file, run_sweep
     from nacre.analysis.sweep_plan import load_sweep
+    from nacre.core.jobs import Workers
 
     plan = load_sweep(sweep_file)
     path = Path(output) if output else Path(f"{Path(sweep_file).stem}.zarr")
@@ -53,10 +46,8 @@ def sweep(
         def show(done: int, failed: int, total: int) -> None:
             bar.update(task, completed=done + failed, info=f"{failed} failed" if failed else "")
 
-        finished, failed = run_sweep(
-            plan, path, workers=workers, scheduler=scheduler, security=security, progress=show,
-            break_lock=break_lock, tell=common.note,
-        )  # fmt: skip
+        workers = Workers(None, cluster, security)  # --jobs sets the process's default
+        finished, failed = run_sweep(plan, path, workers=workers, progress=show, report=common.note)
     common.note(f"{path}: {finished} of {plan.points.count} points" + (f", {failed} failed" if failed else ""))
     if failed:
         common.note(f"{errors_file(path)} says why")

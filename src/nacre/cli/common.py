@@ -100,6 +100,18 @@ def jobs_option(function: F) -> F:
     )(function)  # fmt: skip
 
 
+def cluster_options(function: F) -> F:
+    """Add `--cluster ADDRESS` and `--security FILE`; with `--jobs N` they choose where a command's work runs."""
+    for option in (
+        click.option("--security", default=None, metavar="FILE.toml",
+                     help="For a tls:// cluster: names the PEM files ca, cert and key."),
+        click.option("--cluster", default=None, metavar="tls://HOST:PORT",
+                     help="Compute on the workers of this Dask scheduler, not in processes of this machine."),
+    ):  # fmt: skip
+        function = option(function)
+    return function
+
+
 def _no_cache_callback(ctx: click.Context, param: click.Parameter, value: bool) -> None:
     if value:
         os.environ["NACRE_CACHE"] = "off"  # workers of a sweep inherit it

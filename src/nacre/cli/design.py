@@ -65,10 +65,10 @@ def design(target: str, output: str | None, resume: bool, labs: str | None, as_j
 def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bool) -> None:
     """Design for each row of a CSV, and tell how it went."""
     from nacre.material.examples import resolve_recipe_path
-    from nacre.optimise.batch import SUMMARY, TABLE, many_designs
+    from nacre.optimise.batch import SUMMARY, TABLE, design_batch
 
     with _Screen() as screen:
-        found = many_designs(resolve_recipe_path(Path(target)), labs, folder, resume=resume, progress=screen.count)
+        found = design_batch(resolve_recipe_path(Path(target)), labs, folder, resume=resume, progress=screen.count)
     if as_json:
         click.echo((folder / SUMMARY).read_text(encoding="utf-8"), nl=False)
     else:
@@ -161,7 +161,7 @@ class _Screen:
             self._status.update(f"{done} of {total} colours")
 
     def show(self, progress: Any) -> None:
-        """Show the progress of the search."""
+        """Show the search's progress."""
         if self._status and hasattr(progress, "worst"):
             self._status.update(
                 f"worst {progress.worst:.3g} of what was asked (1 is within), {progress.seconds:.0f} s, "

@@ -1,4 +1,4 @@
-"""Names for the types of arrays, and how arguments become them."""
+"""Array types and the conversion of arguments to them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def floats(value: ArrayLike, what: str) -> Array:
     """Return an argument as an array of real numbers.
 
     Raises:
-        NacreError: text, complex numbers, lists of unequal length: `what` names the argument.
+        NacreError: text, complex numbers or lists of unequal length; `what` names the argument.
     """
     try:
         array = np.asarray(value)
@@ -28,7 +28,7 @@ def floats(value: ArrayLike, what: str) -> Array:
 
 
 def wavelength_grid(value: ArrayLike | None) -> Array | None:
-    """Return `wavelengths_nm` as an ascending `[wavelength]`; None stays None, a number becomes a list of one.
+    """Return `wavelengths_nm` as an ascending array `[wavelength]`; None stays None, a number becomes an array of one.
 
     Raises:
         NacreError: empty, not ascending, not positive, not finite, or not numbers.

@@ -1,7 +1,7 @@
-"""The errors a user can cause, and the one-line form in which they are shown.
+"""Errors that a user can cause, with one-line messages.
 
-Every message names where (file and key), what was got and what is allowed. The command line prints the
-message alone and leaves with status 2; the API raises the same error.
+A message names the place (file and key), the given value and the allowed values. The command line prints it and exits
+with status 2; the API raises the same error.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class RecipeError(NacreError):
 
 
 class MaterialRangeError(NacreError):
-    """An optical constant was asked for outside the range in which it is known."""
+    """An optical constant was requested outside its tabulated range."""
 
 
 class UnknownMaterialError(NacreError):

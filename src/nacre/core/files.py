@@ -1,4 +1,4 @@
-"""Files of the user: read with clear errors, written whole or not at all."""
+"""Files of the user: clear errors on reading, atomic writing."""
 
 from __future__ import annotations
 
@@ -19,19 +19,21 @@ from typing import BinaryIO
 
 from nacre.core.errors import NacreError, RecipeError
 
-MAX_TOML_BYTES = 4 << 20  # a recipe is a page of text; anything longer is not a recipe
+MAX_TOML_BYTES = 4 << 20  # a recipe is a page of text
 PROBE_BYTES = 1 << 16
 PIPE_WAIT_S = 10.0
 NUL = "\0"
-DESIGN_RECIPE = "recipe.toml"  # in a folder that stands for a material
+DESIGN_RECIPE = "recipe.toml"  # in a folder that represents a material
 HAS_NUL = "holds a NUL character, which no file name has"
 
+_UMASK = os.umask(0o077)  # of this process; read once, at import
+os.umask(_UMASK)
 _TEMPORARY = re.compile(r"\..*\.nacre-([0-9a-f]{8})-(\d+)-(\d+)-\w{8}(\..*)?")
 
 
 @dataclass(frozen=True)
 class Process:
-    """A process of some machine, told apart from a later one of the same number by the time of its start."""
+    """A process, identified by machine, number and start time."""
 
     host: str
     pid: int
@@ -39,29 +41,29 @@ class Process:
 
     @classmethod
     def this(cls) -> Process:
-        """Return the process that asks."""
+        """Return the calling process."""
         return cls(_host(), os.getpid(), _started(os.getpid()) or 0)
 
     @property
     def is_here(self) -> bool:
-        """Whether it runs, or ran, on this machine (of containers: in this one)."""
+        """Whether it belongs to this machine or container."""
         return self.host == _host()
 
     @property
     def is_dead(self) -> bool:
-        """Whether it has ended; of another machine's nobody can tell, so never."""
+        """Whether it has ended; always False for another machine."""
         return self.is_here and _started(self.pid) not in (self.started, 0)
 
 
 def _host() -> str:
     space = ""
-    with contextlib.suppress(OSError):  # containers on one machine may share its name, but not their processes
+    with contextlib.suppress(OSError):  # containers of one machine may share its name
         space = os.readlink("/proc/self/ns/pid")
     return f"{platform.node()} {space}".strip()
 
 
 def _started(pid: int) -> int | None:
-    """Return when a process started, in the system's own count; 0 where only that it runs can be told; None: ended."""
+    """Return the start time of a process in system units; 0: runs, time unknown; None: ended."""
     try:
         state, *rest = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
         return None if state in (b"Z", b"X") else int(rest[18])
@@ -69,7 +71,7 @@ def _started(pid: int) -> int | None:
         if os.name != "posix":
             return 0
     try:
-        os.kill(pid, 0)  # sends nothing
+        os.kill(pid, 0)  # sends no signal
     except (ProcessLookupError, OverflowError):
         return None
     except OSError:
@@ -78,14 +80,14 @@ def _started(pid: int) -> int | None:
 
 
 def temporary_prefix(path: Path) -> str:
-    """Return how the names begin under which `path` is written: hidden, with the process that writes."""
+    """Return the prefix of temporary files for `path`: hidden, with the number of this process."""
     this = Process.this()
     host = hashlib.sha256(this.host.encode()).hexdigest()[:8]
     return f".{path.stem[:40]}.nacre-{host}-{this.pid}-{this.started}-"
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove what processes of this machine were writing in a folder when they were killed."""
+    """Remove temporary files of killed processes of this machine from a folder."""
     host = hashlib.sha256(_host().encode()).hexdigest()[:8]
     with contextlib.suppress(OSError):
         for entry in os.scandir(folder):
@@ -100,10 +102,10 @@ def remove_leftovers(folder: Path) -> None:
 
 @contextlib.contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; it takes the real name only when the block succeeds.
+    """Yield a temporary path beside `path`, which replaces `path` when the block succeeds.
 
-    The temporary name keeps the suffix, since many writers choose the format by it. What a link leads to is written,
-    not the link; a device or a pipe gets the bytes and stays what it is.
+    The temporary name has the same suffix, since many writers choose the format by it. A link is followed; a device or
+    a pipe receives the bytes.
 
     Raises:
         NacreError: the folder does not exist or cannot be written.
@@ -123,10 +125,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
                 shutil.copyfileobj(source, sink)
             return
         with contextlib.suppress(OSError):
-            # mkstemp makes files private; a finished output has the usual permissions
-            mask = os.umask(0)
-            os.umask(mask)
-            temporary.chmod(0o666 & ~mask)
+            temporary.chmod(0o666 & ~_UMASK)  # mkstemp makes files private
         temporary.replace(path)
     except OSError as error:
         raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from error
@@ -137,10 +136,10 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def reraise_as_oserror() -> Iterator[None]:
-    """Turn a foreign writer's RuntimeError into an OSError: OpenEXR says so that a disk is full.
+    """Raise a RuntimeError of OpenEXR, such as for a full disk, as an OSError.
 
     Raises:
-        OSError: instead of the RuntimeError.
+        OSError: in place of the RuntimeError.
     """
     try:
         yield
@@ -151,19 +150,19 @@ def reraise_as_oserror() -> Iterator[None]:
 
 
 def _open_as_it_is(path: str, flags: int) -> int:
-    return os.open(path, os.O_WRONLY)  # neither made nor cut: root may write anywhere
+    return os.open(path, os.O_WRONLY)  # neither created nor truncated
 
 
 def _is_special(path: str | Path) -> bool:
-    """Whether a path leads to something that is there and is neither a file nor a folder."""
+    """Whether a path is an existing device, pipe or socket."""
     return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
 
 
 def named(path: str | Path) -> Path:
-    """Return a path, if any file system could have it.
+    """Return a valid path.
 
     Raises:
-        NacreError: it is no path, holds a NUL character or is far too long.
+        NacreError: it is not a path, contains a NUL character or is too long.
     """
     try:
         given = os.fspath(path)
@@ -174,18 +173,16 @@ def named(path: str | Path) -> Path:
     try:
         os.path.lexists(_nameable(given)) or os.stat(given)
     except (FileNotFoundError, NotADirectoryError):
-        pass  # who reads or writes says which
+        pass  # reported on reading or writing
     except OSError as error:
         raise NacreError(f"{given!r:.80}: cannot be the name of a file: {error.strerror}") from None
     return Path(given)
 
 
 def short_name(path: str | Path) -> str:
-    """Return what titles and files made of a recipe are called: its own name, or of a design's folder the folder's.
+    """Return the name for titles and output files of a recipe or a design folder; links are not followed.
 
-    Links are not followed: one that leads to itself has a name too.
-
-    Example: "soap.toml" is soap; the second answer of a design, "sign/2" or "sign/2/recipe.toml", is sign-2.
+    Example: "soap.toml" is soap; the second solution of a design, "sign/2" or "sign/2/recipe.toml", is sign-2.
     """
     whole = Path(os.path.abspath(path))
     is_of_folder = whole.name == DESIGN_RECIPE
@@ -196,14 +193,14 @@ def short_name(path: str | Path) -> str:
 
 
 def real(path: str | Path) -> Path:
-    """Return an absolute path with its links followed; one that leads to itself stays, where `Path.resolve` raises."""
+    """Return the absolute path with links followed; unlike `Path.resolve`, a link to itself raises no error."""
     return Path(os.path.realpath(path))
 
 
 def check_writable(path: str | Path) -> Path:
-    """Return the folder of `path` if a file can be made there; call it before long work, not after.
+    """Return the folder of `path` if a file can be created there; to be called before long work.
 
-    What killed runs left in the folder is removed.
+    Temporary files of killed runs are removed.
 
     Raises:
         NacreError: the folder is missing or read-only, or `path` is a folder, a disk or a socket.
@@ -230,13 +227,13 @@ def check_writable(path: str | Path) -> Path:
 
 
 def check_room(folder: str | Path, need: int) -> None:
-    """Refuse a folder into which nothing can be written, whether it is there or still to be made; nothing is made.
+    """Check that a folder, which may not exist yet, can be written.
 
     Args:
-        need: bytes that its disk should have left.
+        need: required free bytes of its disk.
 
     Raises:
-        NacreError: it, or what it would lie in, is no folder or read-only, or its disk is full.
+        NacreError: the folder or its parent is not a folder or read-only, or the disk is full.
     """
     path = named(folder)
     place = Path(os.path.abspath(path))
@@ -249,7 +246,7 @@ def check_room(folder: str | Path, need: int) -> None:
         handle, probe = tempfile.mkstemp(prefix=temporary_prefix(path), dir=place)
         try:
             with open(handle, "wb") as file:
-                file.write(bytes(PROBE_BYTES))  # of a full disk a name may still be had
+                file.write(bytes(PROBE_BYTES))  # a full disk may still accept a new file name
         finally:
             os.unlink(probe)
         disk = shutil.disk_usage(place)
@@ -261,7 +258,7 @@ def check_room(folder: str | Path, need: int) -> None:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write UTF-8 text whole or not at all.
+    """Write UTF-8 text atomically.
 
     Raises:
         NacreError: as `atomic_path`.
@@ -271,10 +268,10 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def plain(path: str | Path) -> Path:
-    """Return the path of what is read next: a file, not a folder, and no device (/dev/zero is empty and never ends).
+    """Return the path of a regular file.
 
     Raises:
-        OSError: so that it joins the reader's own errors of a file that cannot be read; see `why_unreadable`.
+        OSError: it is a folder, a device or a pipe; see `why_unreadable`.
     """
     mode = os.stat(_nameable(path)).st_mode
     if stat.S_ISDIR(mode):
@@ -285,7 +282,7 @@ def plain(path: str | Path) -> Path:
 
 
 def why_unreadable(error: OSError) -> str:
-    """Return in words why a file cannot be read, to stand behind its name or its key.
+    """Return why a file cannot be read, to follow its name or key in a message.
 
     Example: `f"{path}: {why_unreadable(error)}"` ends in "does not exist" or "is a folder, not a file".
     """
@@ -298,7 +295,7 @@ def why_unreadable(error: OSError) -> str:
 
 
 def _nameable(path: str | Path) -> str:
-    """Return a path as text; an OSError instead of Python's ValueError for what no file system takes as a name."""
+    """Return a path as text; an invalid name raises OSError, not Python's ValueError."""
     name = os.fspath(path)
     try:
         if NUL not in name and os.fsencode(name):
@@ -309,10 +306,10 @@ def _nameable(path: str | Path) -> str:
 
 
 def _opened(path: str | Path) -> BinaryIO:
-    """Open a small file of text, or a pipe that somebody writes to, such as a shell's <(...)."""
+    """Open a text file, or a pipe with a writer, such as a shell's <(...)."""
     if not stat.S_ISFIFO(os.stat(_nameable(path)).st_mode):
         return open(path, "rb")
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # else it waits here, for ever where no writer comes
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # blocks otherwise if there is no writer
     with contextlib.ExitStack() as undo:
         undo.callback(os.close, descriptor)
         if not select.select([descriptor], [], [], PIPE_WAIT_S)[0]:
@@ -323,7 +320,7 @@ def _opened(path: str | Path) -> BinaryIO:
 
 
 def read_text(path: str | Path, what: str = "file") -> str:
-    """Read a small UTF-8 text file, with the mark that Windows puts before its text or without.
+    """Read a small UTF-8 text file, with or without a byte order mark.
 
     Raises:
         RecipeError: missing, unreadable, too large or not text.
@@ -331,7 +328,6 @@ def read_text(path: str | Path, what: str = "file") -> str:
     path = Path(path)
     try:
         with _opened(path) as file:
-            # bounded, since a device such as /dev/zero has size 0 and never ends
             data = file.read(MAX_TOML_BYTES + 1)
         if len(data) > MAX_TOML_BYTES:
             raise RecipeError(f"{path}: is larger than {MAX_TOML_BYTES} bytes, the most that a {what} may have")

@@ -19,19 +19,20 @@ def _environment() -> jinja2.Environment:
         loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
     environment.filters["zip"] = zip
+    environment.globals["infinity"] = float("inf")
     return environment
 
 
 def render_page(template: str, **values: Any) -> str:
-    """Return a page from a template of the folder `templates`; text values are escaped.
+    """Return a page from a template in the folder `templates`; text values are escaped.
 
     Args:
         template: file name.
-        values: variables of the template; `title` is that of the page.
+        values: template variables; `title` is the page title.
     """
     return _environment().get_template(template).render(values)
 
 
 def png_uri(png: bytes) -> str:
-    """Return the bytes of a PNG as a data URI."""
+    """Return PNG bytes as a data URI."""
     return "data:image/png;base64," + base64.b64encode(png).decode("ascii")

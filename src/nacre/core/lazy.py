@@ -1,4 +1,4 @@
-"""What is imported only when needed: packages that can be called, and entry points of other packages."""
+"""Lazy imports: callable packages and entry points of other packages."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 def make_callable(package: str, target: str) -> None:
-    """Make calling `package` call `target` ("module:function"), which is imported at the first call.
+    """Make `package` callable: a call runs `target` ("module:function"), which is imported at the first call.
 
-    `nacre.render` is a package and also the function that people expect.
+    `nacre.render` and `nacre.material` are packages and functions.
     """
     module_name, function_name = target.split(":")
 
@@ -30,14 +30,14 @@ def make_callable(package: str, target: str) -> None:
 
 
 def entry_points(group: str, own: Collection[str]) -> dict[str, EntryPoint]:
-    """Return what installed packages register under a group of entry points, by name, not yet loaded.
+    """Return the entry points that installed packages register under a group, by name, not loaded.
 
     Args:
         group: "nacre.families" or "nacre.lobes".
-        own: the names that nacre itself uses.
+        own: names that nacre uses itself.
 
     Raises:
-        NacreError: a name is registered twice, or is one of nacre's own.
+        NacreError: a name is registered twice or used by nacre.
     """
     found = _scan(group)
     for name in found:

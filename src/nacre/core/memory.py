@@ -1,8 +1,7 @@
-"""Memory before it is taken: a number of a recipe may ask for more than the machine has.
+"""Memory guard: refuse arrays that exceed the memory limit before they are allocated.
 
-Whoever makes an array whose size a user's number or file decides asks here first. What is allowed is a quarter of the
-machine's memory (of the container's, where that is less), since beside one table stand its copies and the program
-itself; `NACRE_MEMORY` sets another limit.
+Code that allocates an array whose size depends on user input calls `check_memory` first. The limit is a quarter of the
+memory of the machine or its container, which leaves room for copies and the program; `NACRE_MEMORY` sets another one.
 """
 
 from __future__ import annotations
@@ -16,29 +15,29 @@ from nacre.core.errors import MachineError, UnsupportedError
 
 VARIABLE = "NACRE_MEMORY"
 SHARE = 0.25  # of the machine's memory
-UNKNOWN_MACHINE = 8 << 30  # taken for the machine's memory where the system does not tell
-LEAST = 1 << 20  # a smaller limit refuses everything, so it is a slip
+UNKNOWN_MACHINE = 8 << 30  # assumed if the system does not report its memory
+LEAST = 1 << 20  # a smaller limit would refuse everything
 _UNITS = {"": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12,
           "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40}  # fmt: skip
 _CONTAINER_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
 
 def check_memory(asked_bytes: float, what: str, advice: str = "") -> None:
-    """Refuse what would take more memory than is allowed; call it before the array is made.
+    """Refuse an allocation that exceeds the memory limit.
 
     Args:
-        asked_bytes: of the largest that is held at once; an estimate will do.
-        what: the key and its value, or the file, that decides the size: the beginning of the line.
-        advice: what to change, at the end of the line.
+        asked_bytes: estimated peak memory.
+        what: the key and value, or the file, that determines the size; starts the message.
+        advice: remedy at the end of the message.
 
     Raises:
-        UnsupportedError: too much, in one line with what is asked and allowed.
+        UnsupportedError: the limit is exceeded.
         MachineError: `NACRE_MEMORY` cannot be read.
 
     Example: `check_memory(1e15, "feature_um = 1e-06")` raises on today's machines.
     """
     if asked_bytes <= LEAST and VARIABLE not in os.environ:
-        return  # of every machine; asked for each look at a film, and the limit stands in a file
+        return  # below the limit of every machine; reading the limit costs time
     allowed, why = _limit()
     if not asked_bytes <= allowed:  # NaN is refused as well
         raise UnsupportedError(
@@ -48,7 +47,7 @@ def check_memory(asked_bytes: float, what: str, advice: str = "") -> None:
 
 
 def memory_limit() -> int:
-    """Return the most memory that one thing may take, in bytes.
+    """Return the memory limit of one allocation in bytes.
 
     Raises:
         MachineError: `NACRE_MEMORY` cannot be read.
@@ -57,7 +56,7 @@ def memory_limit() -> int:
 
 
 def _limit() -> tuple[int, str]:
-    """Return the limit in bytes and where it comes from."""
+    """Return the limit in bytes and its origin."""
     given = os.environ.get(VARIABLE, "").strip()
     if not given:
         return int(SHARE * machine_memory()), f"a quarter of this machine's; {VARIABLE}=8GiB allows 8 GiB"
@@ -69,18 +68,18 @@ def _limit() -> tuple[int, str]:
 
 
 def machine_memory() -> int:
-    """Return the memory of this machine in bytes, or of its container where that is less."""
+    """Return the memory of this machine in bytes, or of its container if that is smaller."""
     total = UNKNOWN_MACHINE
     with contextlib.suppress(ValueError, OSError, AttributeError):
         total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     for place in _CONTAINER_LIMITS:
         with contextlib.suppress(ValueError, OSError):
-            total = min(total, int(Path(place).read_text()))  # "max" where there is none
+            total = min(total, int(Path(place).read_text()))  # "max" if there is no limit
     return total
 
 
 def shown_bytes(amount: float) -> str:
-    """Return an amount of memory as people write it.
+    """Return an amount of memory with a suitable unit.
 
     Example: `shown_bytes(3 << 30)` is "3 GiB".
     """

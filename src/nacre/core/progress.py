@@ -1,4 +1,7 @@
-"""Progress of long renders: a bar with the time left on a terminal and in a notebook, nothing elsewhere."""
+"""Progress of long work: a bar on a terminal or in a notebook, and announcements of work that takes minutes.
+
+A front end may ask the user before announced work, show its progress, or stop it.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,6 @@ import html
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 
 # done passes, all passes, seconds left
 ProgressCallback = Callable[[int, int, float], None]
@@ -33,7 +35,7 @@ def silent(done: int, total: int, seconds_left: float) -> None:
     """Report nothing."""
 
 
-@contextmanager
+@contextlib.contextmanager
 def progress_bar(title: str, wanted: bool | ProgressCallback | None) -> Iterator[ProgressCallback]:
     """Yield a callback; True shows a bar, None does so in a notebook and where stderr is a terminal."""
     if callable(wanted):
@@ -59,7 +61,7 @@ def progress_bar(title: str, wanted: bool | ProgressCallback | None) -> Iterator
 
 
 def _is_notebook() -> bool:
-    """Whether this process is the kernel of a notebook, without importing anything of its."""
+    """Whether this process is a notebook's kernel, without importing anything of its."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     return type(shell).__name__ == "ZMQInteractiveShell"
@@ -83,22 +85,20 @@ def _notebook_bar(title: str) -> Iterator[ProgressCallback]:
         handle.update(HTML(""))
 
 
-# Work of minutes, told before it begins: whoever faces a person may ask, show it, or stop it.
-
 Listener = Callable[[str, float], None]
 
 _listeners: list[Listener] = []
 
 
 def announce(what: str, seconds: float) -> None:
-    """Tell what begins, in words, and about how long it takes; a listener that says no raises."""
+    """Call all listeners with a description of the work and its estimated time; a listener may raise to stop it."""
     for listener in list(_listeners):
         listener(what, seconds)
 
 
 @contextlib.contextmanager
 def on_progress(listener: Listener) -> Iterator[None]:
-    """Let a function hear of long work: `listener(what, seconds)`."""
+    """Register a listener, `listener(what, seconds)`, for a block's duration."""
     _listeners.append(listener)
     try:
         yield
@@ -107,7 +107,7 @@ def on_progress(listener: Listener) -> Iterator[None]:
 
 
 def duration(seconds: float) -> str:
-    """Return a duration as people say it.
+    """Return a duration in words.
 
     Example: `duration(200.0)` is "3 minutes".
     """
@@ -116,4 +116,4 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} minutes" if seconds < 6000 else f"{seconds / 3600:.1f} hours"
 
 
-__all__ = ["announce", "duration", "on_progress"]
+__all__ = ["Clock", "ProgressCallback", "announce", "duration", "on_progress", "progress_bar", "silent"]

@@ -56,9 +56,9 @@ class BilinearDensity:
         number = at - mi.Float(column)
         word = self._column((row + dr.select(upper, mi.UInt32(1), 0)) * nodes + column, active)
         chance = mi.Float(word & CHANCES) * (1.0 / CHANCES)
-        keeps = number < chance
-        number = dr.select(keeps, number / larger(chance, 1e-6), (number - chance) / larger(1.0 - chance, 1e-6))
-        node = dr.select(keeps, column, word >> 16)
+        is_column = number < chance
+        number = dr.select(is_column, number / larger(chance, 1e-6), (number - chance) / larger(1.0 - chance, 1e-6))
+        node = dr.select(is_column, column, word >> 16)
         face, rest = node // (height * width), node % (height * width)
         x = _folded(mi.Float(rest % width) + _tent(square.x), width - 1)
         y = _folded(mi.Float(rest // width) + _tent(square.y), height - 1)

@@ -18,7 +18,7 @@ FLATTEST = 1e-4  # lower limit of |z|: the slope of an in-plane normal is infini
 WIDE = 1e3  # uv footprint that marks unresolved flakes
 
 
-def blurred(si: Any, where: Any) -> Any:
+def without_glints(si: Any, where: Any) -> Any:
     """Return a copy of an interaction that uses the mean over the flakes for lanes in `where`.
 
     Marked by a wide footprint; Mitsuba's default footprint is 0.
@@ -28,8 +28,8 @@ def blurred(si: Any, where: Any) -> Any:
     return other
 
 
-def seen_apart(si: Any) -> Any:
-    """Whether an interaction resolves single flakes; see `blurred`."""
+def resolves_flakes(si: Any) -> Any:
+    """Whether an interaction resolves single flakes; see `without_glints`."""
     return dr.abs(si.duv_dx.x) < WIDE
 
 
@@ -106,7 +106,7 @@ class DeviceGlints:
 
     def factor_of(self, slot: Any, axes: Any, m: Any, si: Any, active: Any) -> Any:
         """Return g for a normal in its flake's frame, with the semi-axes `axes` of that species."""
-        active = active & seen_apart(si)
+        active = active & resolves_flakes(si)
         z = dr.select(dr.abs(m.z) < FLATTEST, FLATTEST, m.z)
         tx, ty = m.x / (z * axes.x), m.y / (z * axes.y)
         total = mi.Float(1.0)

@@ -196,3 +196,45 @@ def with_wi(si: Any, wi: Any) -> Any:
     other = mi.SurfaceInteraction3f(si)
     other.wi = wi
     return other
+
+
+def unit_azimuth(w: Any) -> tuple[Any, Any]:
+    """Return cosine and sine of a direction's azimuth, arbitrary at the pole."""
+    flat = w.x * w.x + w.y * w.y
+    inverse = dr.rsqrt(larger(flat, 1e-20))
+    return dr.select(flat > 1e-14, w.x * inverse, 1.0), dr.select(flat > 1e-14, w.y * inverse, 0.0)
+
+
+def glossy_sample(wo: Any, value: Any, pdf: Any, active: Any) -> tuple[Any, Any]:
+    """Return `(mi.BSDFSample3f, weight)` for a glossy reflection with `value * |cos wo|` and a density."""
+    bs = dr.zeros(mi.BSDFSample3f)
+    bs.wo, bs.pdf, bs.eta = wo, pdf, mi.Float(1.0)
+    bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
+    return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
+
+
+def set_transmission(bs: Any, reflects: Any, eta: Any) -> None:
+    """Complete a sample that is a glossy reflection or a glossy transmission with relative index `eta`."""
+    transmission = mi.UInt32(int(mi.BSDFFlags.GlossyTransmission))
+    bs.eta = dr.select(reflects, mi.Float(1.0), eta)
+    bs.sampled_component = dr.select(reflects, mi.UInt32(0), mi.UInt32(1))
+    bs.sampled_type = dr.select(reflects, mi.UInt32(int(mi.BSDFFlags.GlossyReflection)), transmission)
+
+
+def rotated_frame(rotation: Any, si: Any, active: Any, flipped: bool = False) -> Callable[[Any, bool], Any]:
+    """Return the transformation to a rotated (and flipped) frame, or back: a function of direction and `forward`.
+
+    Args:
+        rotation: texture of the angle about the normal, or None.
+        si, active: the interaction.
+        flipped: negate z.
+    """
+    if rotation is None and not flipped:
+        return lambda w, forward: w
+    sin, cos = (mi.Float(0.0), mi.Float(1.0)) if rotation is None else dr.sincos(rotation(si, active))
+
+    def turn(w: Any, forward: bool) -> Any:
+        s = sin if forward else -sin
+        return mi.Vector3f(cos * w.x + s * w.y, cos * w.y - s * w.x, -w.z if flipped else w.z)
+
+    return turn

@@ -192,10 +192,7 @@ def _stacked(response: InterfaceResponse, is_lossless: bool) -> NDArray[np.float
     """Return the concatenated regions: `[*params, row, wavelength, channel]`."""
     if not response.transmits or is_lossless:
         return np.asarray(response.reflectance[..., None], dtype=float)
-    regions = [
-        (response.reflectance, response.transmittance),
-        (response.reflectance_inside, response.transmittance),
-    ]
+    regions = [(response.reflectance, response.transmittance), (response.reflectance_inside, response.transmittance)]
     if response.eta > 1.0:
         regions.append((response.total, np.zeros_like(response.total)))
     return np.concatenate([np.stack(pair, axis=-1) for pair in regions], axis=-3)

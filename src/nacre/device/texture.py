@@ -62,6 +62,10 @@ class ObjectSpace:
         return own
 
 
+def _unary(name: str) -> Callable[[Any], Any]:
+    return lambda a: getattr(dr, name)(mi.Float(a))
+
+
 DRJIT_OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
@@ -69,14 +73,7 @@ DRJIT_OPERATIONS: dict[str, Callable[..., Any]] = {
     "div": lambda a, b: mi.Float(a) / mi.Float(b),
     "pow": lambda a, b: _power(mi.Float(a), b),
     "neg": lambda a: -a,
-    "sin": lambda a: dr.sin(mi.Float(a)),
-    "cos": lambda a: dr.cos(mi.Float(a)),
-    "tan": lambda a: dr.tan(mi.Float(a)),
-    "exp": lambda a: dr.exp(mi.Float(a)),
-    "log": lambda a: dr.log(mi.Float(a)),
-    "sqrt": lambda a: dr.sqrt(mi.Float(a)),
-    "abs": lambda a: dr.abs(mi.Float(a)),
-    "floor": lambda a: dr.floor(mi.Float(a)),
+    **{name: _unary(name) for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "floor")},
     "min": lambda a, b: dr.minimum(mi.Float(a), b),
     "max": lambda a, b: dr.maximum(mi.Float(a), b),
     "mod": lambda a, b: mi.Float(a) - mi.Float(b) * dr.floor(mi.Float(a) / mi.Float(b)),

@@ -37,16 +37,16 @@ def use_variant(requested: str | None = None) -> ModuleType:
             UnsupportedError: the variant is not in `VARIANTS`.
             MachineError: mitsuba is missing, or the requested variant does not work on this machine.
     """
-    wanted = requested or os.environ.get(ENVIRONMENT_VARIABLE) or None
-    if wanted is not None:
-        _check_name(wanted)
+    requested = requested or os.environ.get(ENVIRONMENT_VARIABLE) or None
+    if requested is not None:
+        _check_name(requested)
     mi = import_mitsuba()
     current = mi.variant()
-    if current is not None and wanted in (None, current):
+    if current is not None and requested in (None, current):
         _check_name(current)
         check_set_variant(current)
     else:
-        mi.set_variant(_available(wanted, mi))
+        mi.set_variant(_available(requested, mi))
     return mi
 
 
@@ -72,12 +72,12 @@ def _check_name(name: str) -> None:
         )
 
 
-def _available(wanted: str | None, mi: ModuleType) -> str:
+def _available(requested: str | None, mi: ModuleType) -> str:
     """Return the requested variant or the best working one."""
-    if wanted is not None:
-        if reason := _why_not(wanted, mi):
-            raise MachineError(f"Mitsuba variant {wanted} does not work here: {reason}")
-        return wanted
+    if requested is not None:
+        if reason := _why_not(requested, mi):
+            raise MachineError(f"Mitsuba variant {requested} does not work here: {reason}")
+        return requested
     for name in ("cuda_ad_spectral", "llvm_ad_spectral"):
         if not _why_not(name, mi):
             return name

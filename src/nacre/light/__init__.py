@@ -5,94 +5,47 @@ the CIE 1931 2 degree observer. By default sRGB outputs are adapted to sRGB's wh
 white sheet stays white under every illuminant.
 """
 
-from nacre.light.adaptation import (
-    ADAPTATIONS,
-    Adaptation,
-    IlluminantShift,
-    adapt_xyz,
-    adaptation_matrix,
-    illuminant_shift,
-    metamerism,
-)
-from nacre.light.difference import delta_e_76, delta_e_2000
-from nacre.light.display import (
-    Clipped,
-    clip_to_srgb,
-    outside_srgb,
-    spectrum_to_rgb_linear,
-    spectrum_to_rgb_matrix,
-    spectrum_to_srgb,
-    swatch_hex,
-)
-from nacre.light.spaces import (
-    SRGB_WHITE_XYZ,
-    lab_to_lch,
-    lab_to_xyz,
-    lch_to_lab,
-    srgb_decode,
-    srgb_encode,
-    srgb_linear_to_xyz,
-    srgb_to_hex,
-    xyy_to_xyz,
-    xyz_to_lab,
-    xyz_to_srgb_linear,
-    xyz_to_xyy,
-)
-from nacre.light.tables import ILLUMINANTS, OBSERVERS, Illuminant, illuminant, observer, table_wavelengths_nm
-from nacre.light.tristimulus import (
-    lamp_lines_nm,
-    smooth_weights,
-    spans_colour,
-    spectrum_to_xyz,
-    white_xyz,
-    with_lamp_lines,
-    xyz_weights,
-)
-from nacre.light.wavelengths import WAVELENGTH_RANGE_NM, colour_step_nm, default_wavelengths
-
-__all__ = [
-    "ADAPTATIONS",
-    "ILLUMINANTS",
-    "OBSERVERS",
-    "SRGB_WHITE_XYZ",
-    "WAVELENGTH_RANGE_NM",
-    "Adaptation",
-    "Clipped",
-    "Illuminant",
-    "IlluminantShift",
-    "adapt_xyz",
-    "adaptation_matrix",
-    "clip_to_srgb",
-    "colour_step_nm",
-    "default_wavelengths",
-    "delta_e_76",
-    "delta_e_2000",
-    "illuminant",
-    "illuminant_shift",
-    "lab_to_lch",
-    "lab_to_xyz",
-    "lamp_lines_nm",
-    "lch_to_lab",
-    "metamerism",
-    "observer",
-    "outside_srgb",
-    "smooth_weights",
-    "spans_colour",
-    "spectrum_to_rgb_linear",
-    "spectrum_to_rgb_matrix",
-    "spectrum_to_srgb",
-    "spectrum_to_xyz",
-    "srgb_decode",
-    "srgb_encode",
-    "srgb_linear_to_xyz",
-    "srgb_to_hex",
-    "swatch_hex",
-    "table_wavelengths_nm",
-    "white_xyz",
-    "with_lamp_lines",
-    "xyy_to_xyz",
-    "xyz_to_lab",
-    "xyz_to_srgb_linear",
-    "xyz_to_xyy",
-    "xyz_weights",
-]
+from nacre.light.adaptation import ADAPTATIONS as ADAPTATIONS
+from nacre.light.adaptation import Adaptation as Adaptation
+from nacre.light.adaptation import IlluminantShift as IlluminantShift
+from nacre.light.adaptation import adapt_xyz as adapt_xyz
+from nacre.light.adaptation import adaptation_matrix as adaptation_matrix
+from nacre.light.adaptation import illuminant_shift as illuminant_shift
+from nacre.light.adaptation import metamerism as metamerism
+from nacre.light.difference import delta_e_76 as delta_e_76
+from nacre.light.difference import delta_e_2000 as delta_e_2000
+from nacre.light.display import Clipped as Clipped
+from nacre.light.display import clip_to_srgb as clip_to_srgb
+from nacre.light.display import outside_srgb as outside_srgb
+from nacre.light.display import spectrum_to_rgb_linear as spectrum_to_rgb_linear
+from nacre.light.display import spectrum_to_rgb_matrix as spectrum_to_rgb_matrix
+from nacre.light.display import spectrum_to_srgb as spectrum_to_srgb
+from nacre.light.display import swatch_hex as swatch_hex
+from nacre.light.spaces import SRGB_WHITE_XYZ as SRGB_WHITE_XYZ
+from nacre.light.spaces import lab_to_lch as lab_to_lch
+from nacre.light.spaces import lab_to_xyz as lab_to_xyz
+from nacre.light.spaces import lch_to_lab as lch_to_lab
+from nacre.light.spaces import srgb_decode as srgb_decode
+from nacre.light.spaces import srgb_encode as srgb_encode
+from nacre.light.spaces import srgb_linear_to_xyz as srgb_linear_to_xyz
+from nacre.light.spaces import srgb_to_hex as srgb_to_hex
+from nacre.light.spaces import xyy_to_xyz as xyy_to_xyz
+from nacre.light.spaces import xyz_to_lab as xyz_to_lab
+from nacre.light.spaces import xyz_to_srgb_linear as xyz_to_srgb_linear
+from nacre.light.spaces import xyz_to_xyy as xyz_to_xyy
+from nacre.light.tables import ILLUMINANTS as ILLUMINANTS
+from nacre.light.tables import OBSERVERS as OBSERVERS
+from nacre.light.tables import Illuminant as Illuminant
+from nacre.light.tables import illuminant as illuminant
+from nacre.light.tables import observer as observer
+from nacre.light.tables import table_wavelengths_nm as table_wavelengths_nm
+from nacre.light.tristimulus import lamp_lines_nm as lamp_lines_nm
+from nacre.light.tristimulus import smooth_weights as smooth_weights
+from nacre.light.tristimulus import spans_colour as spans_colour
+from nacre.light.tristimulus import spectrum_to_xyz as spectrum_to_xyz
+from nacre.light.tristimulus import white_xyz as white_xyz
+from nacre.light.tristimulus import with_lamp_lines as with_lamp_lines
+from nacre.light.tristimulus import xyz_weights as xyz_weights
+from nacre.light.wavelengths import WAVELENGTH_RANGE_NM as WAVELENGTH_RANGE_NM
+from nacre.light.wavelengths import colour_step_nm as colour_step_nm
+from nacre.light.wavelengths import default_wavelengths as default_wavelengths

@@ -108,8 +108,9 @@ def _interpolation_sum(nodes: Array, weights: Array, wavelengths: Array) -> Arra
 
 
 @functools.lru_cache(maxsize=64)
-def _standard_weights(samples: bytes, name: str, observer_name: str) -> Array:
-    weights = _weights(np.frombuffer(samples), illuminant(name), observer_name)
+def _cached_weights(samples: bytes, name: str, observer_name: str, is_smooth: bool = False) -> Array:
+    compute = _spline_sum if is_smooth else _weights
+    weights = compute(np.frombuffer(samples), illuminant(name), observer_name)
     weights.setflags(write=False)  # shared by every caller
     return weights
 
@@ -149,7 +150,7 @@ def xyz_weights(wavelengths_nm: ArrayLike, illuminant: str | Illuminant = "D65",
     wavelengths = check_wavelengths(wavelengths_nm)
     if isinstance(illuminant, Illuminant):
         return _weights(wavelengths, illuminant, observer)
-    return _standard_weights(np.ascontiguousarray(wavelengths).tobytes(), illuminant, observer)
+    return _cached_weights(np.ascontiguousarray(wavelengths).tobytes(), illuminant, observer)
 
 
 def smooth_weights(wavelengths_nm: ArrayLike, illuminant: str, observer: str) -> Array:
@@ -165,14 +166,7 @@ def smooth_weights(wavelengths_nm: ArrayLike, illuminant: str, observer: str) ->
     grid = check_wavelengths(wavelengths_nm)
     if not 4 <= len(grid) <= MOST_NODES or np.diff(grid).max() <= FINE_STEP_NM:
         return np.array(xyz_weights(grid, illuminant, observer))
-    return _smooth_weights(np.ascontiguousarray(grid).tobytes(), illuminant, observer)
-
-
-@functools.lru_cache(maxsize=64)
-def _smooth_weights(samples: bytes, name: str, observer_name: str) -> Array:
-    weights = _spline_sum(np.frombuffer(samples), illuminant(name), observer_name)
-    weights.setflags(write=False)  # shared by every caller
-    return weights
+    return _cached_weights(np.ascontiguousarray(grid).tobytes(), illuminant, observer, True)
 
 
 def white_xyz(illuminant: str | Illuminant = "D65", observer: str = "2deg") -> Array:

@@ -35,12 +35,12 @@ def colour_step_nm(optical_thickness_nm: float = 0.0, finesse: float = 1.0) -> f
         )
     if thickness == 0.0:
         return STEPS_NM[0]
-    wanted = REFERENCE_NM**2 / (40.0 * thickness) / (2.0 if sharpness > 2.0 else 1.0)
+    needed = REFERENCE_NM**2 / (40.0 * thickness) / (2.0 if sharpness > 2.0 else 1.0)
     for step in STEPS_NM:
-        if step <= wanted:
+        if step <= needed:
             return step
     raise NacreError(
-        f"an optical thickness of {thickness / 1e6:g} mm needs a wavelength step of {wanted:.2g} nm; "
+        f"an optical thickness of {thickness / 1e6:g} mm needs a wavelength step of {needed:.2g} nm; "
         f"layers thicker than about {REFERENCE_NM**2 / 40 / STEPS_NM[-1] / 1e6:.1f} mm should be incoherent"
     )
 

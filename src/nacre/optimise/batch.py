@@ -1,4 +1,4 @@
-"""The folder of many designs: one for each colour, and what was reached of all in a table and as JSON."""
+"""Batch design: many colours for one target in one process, in memory or as a folder per colour with a common table."""
 
 from __future__ import annotations
 
@@ -20,136 +20,208 @@ from numpy.typing import ArrayLike
 from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import check_room, read_text, write_text
-from nacre.optimise.colour_list import LabRow, lab_rows
-from nacre.optimise.evaluation import TargetResult, judge
-from nacre.optimise.run import CLOSING_SHARE, choose_search, document_of, judged, tolerance_of, with_method_overrides
+from nacre.optimise.colour_list import ColourRow, read_colours
+from nacre.optimise.evaluation import TargetResult, evaluate
+from nacre.optimise.run import (
+    budget_of,
+    choose_search,
+    document_of,
+    evaluate_solution,
+    tolerance_of,
+    with_method_overrides,
+)
 from nacre.optimise.solutions import NEED_BYTES, RECIPE, Solution, write_recipe
-from nacre.optimise.task import DesignTask, is_relief_task, palette_name, read_data, read_task, total_nm
+from nacre.optimise.task import DesignTask, is_relief_task, palette_name, read_data, read_task, total_thickness_nm
 from nacre.optimise.thin_film.adapter import thin_film_search_many
 
 TABLE, SUMMARY = "many.csv", "many.json"
-WRITE_EVERY_S = 2.0
-LONGEST_NAME = 60
-HEAD = (
-    "name",
-    "folder",
-    "L",
-    "a",
-    "b",
-    "reached_L",
-    "reached_a",
-    "reached_b",
-    "de00",
-    "geometry",
-    "lamp",
-    "met",
-    "total_nm",
-)
+WRITE_INTERVAL_S = 2.0
+MAX_NAME_LENGTH = 60
+HEADINGS = "name folder L a b reached_L reached_a reached_b de00 geometry lamp met total_nm".split()
+
+Progress = Callable[[int, int], None]
 
 
-class ManyFolder:
-    """Keeps the folder up to date while designs come in.
+@dataclass(frozen=True, eq=False)
+class BatchDesign:
+    """Batch solutions.
 
-    Args:
-        folder: made with the first answer.
-        target: what is wanted, whose colours the rows replace.
-        rows: the colours.
-        resume: keep answers that stand there.
-
-    Raises:
-        RecipeError: there are no rows, or the folder holds what no such run wrote, or answers to another target.
-        NacreError: nothing can be written there.
+    Attributes:
+        solutions: the best one for each colour.
+        rows: many.json content; empty without a folder.
+        folder: solution folder, if any.
     """
 
-    def __init__(self, folder: Path, target: DesignTask, rows: Sequence[LabRow], resume: bool) -> None:
+    solutions: list[Solution]
+    rows: list[dict[str, Any]]
+    folder: Path | None
+
+
+def many(
+    target: str | Path | Mapping[str, Any],
+    labs: ArrayLike | str | Path,
+    out: str | Path | None = None,
+    *,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> list[Solution]:
+    """Return the best solution for each colour in a list, one target.
+
+    Args:
+        target: as in `nacre.design`; its colours are replaced, everything else applies to each design.
+            `search.seconds` is per design; a stack without `[tolerance]` and `max_layers = "fewest"` takes some
+            hundredths of a second.
+        labs: `[n, 3]`, CIELAB for all targets, or `[n, target, 3]`, one for each; or a CSV file with L, a, b
+            or name, L, a, b (see `nacre.optimise.colour_list`).
+        out: a folder for the solutions, one folder each, with many.csv and many.json.
+        resume: reuse solutions in `out` for the same colours and target.
+        progress: called with (done, total).
+
+    Raises:
+        NacreError: the target is not usable, or has free relief heights, or the colours have another shape, or the
+            folder cannot be written.
+
+    Example: `nacre.design.many("paint.toml", [(50, 20, 10), (60, -30, 5)])[0].targets[0].distance`.
+    """
+    return design_batch(target, labs, out, resume=resume, progress=progress).solutions
+
+
+def design_batch(
+    target: str | Path | Mapping[str, Any],
+    labs: ArrayLike | str | Path,
+    out: str | Path | None = None,
+    *,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> BatchDesign:
+    """As `many`, with table rows. After an interrupt the folder contains the finished designs."""
+    task = _read(target)
+    rows = read_colours(labs, len(task.targets))
+    tasks = [
+        replace(task, targets=tuple(one.with_lab(lab) for one, lab in zip(task.targets, row.lab, strict=True)))
+        for row in rows
+    ]
+    if out is None:
+        solutions: dict[int, Solution] = {}
+        _solve(task, tasks, range(len(rows)), _collector(solutions, len(rows), progress))
+        return BatchDesign([solutions[number] for number in range(len(rows))], [], None)
+    folder = _BatchFolder(Path(out), task, rows, resume)
+    solutions = {number: folder.read(number, tasks[number]) for number in folder.done}
+    remaining = [number for number in range(len(rows)) if number not in solutions]
+    collect = _collector(solutions, len(rows), progress)
+    try:
+        _solve(task, tasks, remaining, lambda n, solution: collect(n, folder.add(n, tasks[n], solution)))
+    except BaseException as error:
+        folder.write("interrupted" if isinstance(error, KeyboardInterrupt) else "stopped")
+        raise
+    folder.write("done")
+    return BatchDesign([solutions[number] for number in range(len(rows))], folder.rows, folder.folder)
+
+
+def _collector(
+    solutions: dict[int, Solution], total: int, progress: Progress | None
+) -> Callable[[int, Solution], None]:
+    def collect(number: int, solution: Solution) -> None:
+        solutions[number] = solution
+        if progress is not None:
+            progress(len(solutions), total)
+
+    return collect
+
+
+def _read(target: str | Path | Mapping[str, Any]) -> DesignTask:
+    data, context = read_data(target)
+    if is_relief_task(data):
+        raise NacreError(f"{context.source}: relief heights are designed for one target at a time; use nacre.design")
+    if not isinstance(data.get("target"), list):
+        raise NacreError(f"{context.source}: has no [[target]]; add one, whose colour is replaced")
+    task = read_task(target)
+    if task.targets[0].image is not None:
+        raise NacreError(f"{task.context.source}: target[0].image: a picture is not a single colour; use nacre.design")
+    return task
+
+
+def _solve(
+    task: DesignTask, tasks: Sequence[DesignTask], numbers: Sequence[int], collect: Callable[[int, Solution], None]
+) -> None:
+    """Search the tasks with the given numbers; call `collect` for each, one at a time.
+
+    Raises:
+        KeyboardInterrupt: on an interrupt; collected solutions remain.
+    """
+    lock = threading.Lock()
+
+    def evaluate_stack(number: int, changes: dict[str, Any]) -> None:
+        with lock:
+            one = tasks[number]
+            material = one.material.vary(changes)
+            results, _ = evaluate(material, one.targets, one.spec.light, seed=one.spec.search.seed)
+            total = total_thickness_nm(material)
+            collect(number, Solution(None, material, changes, results, {"total_nm": total} if total else {}))
+
+    is_plain = not task.spec.tolerance and task.spec.limits.max_layers is None
+    if is_plain and thin_film_search_many(task, tasks, numbers, evaluate_stack):
+        return
+    for number in numbers:
+        one = tasks[number]
+        search = choose_search(one, one.spec.search.seed)
+        budget = budget_of(one, search)
+        result = search.run(budget)
+        if result.status == "interrupted":
+            raise KeyboardInterrupt
+        found = result.solutions
+        solution = evaluate_solution(one, found[0][1], budget.reserved_s, 0.0) if found else None
+        if solution is None:
+            raise RecipeError(f"{task.context.source}: the recipe cannot be computed anywhere in its bounds")
+        collect(number, solution)
+
+
+class _BatchFolder:
+    """Batch folder, updated as solutions arrive.
+
+    Args:
+        folder: created with the first solution.
+        task: its colours are replaced by the rows' colours.
+        rows: the colours.
+        resume: reuse solutions in the folder.
+
+    Raises:
+        RecipeError: there are no rows, or the folder contains foreign files or another target's solutions.
+        NacreError: the folder cannot be written.
+    """
+
+    def __init__(self, folder: Path, task: DesignTask, rows: Sequence[ColourRow], resume: bool) -> None:
         if not rows:
-            raise RecipeError(f"{folder}: no colours are wanted, so that there is nothing to write")
-        self.folder, self.target, self.wanted = folder, target, rows
+            raise RecipeError(f"{folder}: the list of colours is empty; give at least one")
+        self.folder, self.task, self.colours = folder, task, rows
         self.names = folder_names([row.name for row in rows])
         check_room(folder, NEED_BYTES)
-        self._fingerprint = target.fingerprint
+        self._fingerprint = task.fingerprint
         earlier = self._earlier()
-        self._check(earlier)
-        self._documents: dict[int, dict[str, Any]] = self._standing(earlier) if resume and earlier else {}
-        self._begun, self._last = time.monotonic(), -np.inf
-        told = {str(row.get("folder")): row for row in (earlier or {"rows": []})["rows"]}
-        self._stale = {name: row for name, row in told.items() if name not in self.names and Path(name).name == name}
-
-    @property
-    def done(self) -> list[int]:
-        """Numbers of the rows whose answers stand."""
-        return sorted(self._documents)
-
-    @property
-    def rows(self) -> list[dict[str, Any]]:
-        """What is told of each row that has an answer."""
-        return [self._documents[number] for number in self.done]
-
-    def take(self, number: int, target: DesignTask, solution: Solution) -> Solution:
-        """Write an answer; return it with its file.
-
-        Raises:
-            NacreError: the folder cannot be written.
-        """
-        start = self.target.material
-        changes = with_method_overrides(start, solution.changes)
-        place = self.folder / self.names[number]
-        path, files = write_recipe(place, start, changes, tolerance_of(target, solution), solution.material)
-        written = replace(solution, recipe=path, facts={**solution.facts, "files": files})
-        row = self.wanted[number]
-        self._documents[number] = {
-            "name": row.name,
-            "folder": self.names[number],
-            "lab": row.lab.tolist(),
-            "met": solution.is_met,
-            **document_of(written, target),
+        earlier_rows = {str(row.get("folder")): row for row in earlier["rows"]} if earlier else {}
+        names = [name for name in self.names if name not in earlier_rows] + ([] if earlier else [TABLE])
+        foreign = next((name for name in names if (folder / name).exists()), None)
+        if foreign is not None:
+            raise _foreign(folder, foreign)
+        self._documents: dict[int, dict[str, Any]] = {}
+        if resume and earlier:
+            if earlier.get("target") != self._fingerprint:
+                raise RecipeError(
+                    f"{folder / SUMMARY}: belongs to another target, or a file that it names, or nacre itself has "
+                    "changed since; take another folder, or leave --resume away"
+                )
+            for number, (name, row) in enumerate(zip(self.names, rows, strict=True)):
+                one = earlier_rows.get(name, {})
+                is_same = one.get("lab") == row.lab.tolist() and one.get("name") == row.name
+                if is_same and (folder / name / RECIPE).is_file():
+                    self._documents[number] = one
+        self._start, self._last = time.monotonic(), -np.inf
+        self._stale = {
+            name: row for name, row in earlier_rows.items() if name not in self.names and Path(name).name == name
         }
-        if time.monotonic() - self._last > WRITE_EVERY_S:
-            self.write("running")
-        return written
-
-    def kept(self, number: int, target: DesignTask) -> Solution:
-        """Return an answer that stands, as it was judged when it was found."""
-        told = self._documents[number]
-        pairs = [(want, lamp) for want in target.targets for lamp in target.spec.light.illuminants]
-        wants = [
-            TargetResult(
-                want, lamp, np.array(one["reached"]["lab"]), np.array(one["asked_lab"]), one["de00"], one["noise"]
-            )
-            for (want, lamp), one in zip(pairs, told["targets"], strict=True)
-        ]
-        facts = {key: told[key] for key in ("sensitivity", "total_nm", "files") if told.get(key)}
-        facts |= {"yield": told["yield_details"]} if told.get("yield_details") else {}
-        made = self.target.material.vary(told["changes"])
-        return Solution(self.folder / self.names[number] / RECIPE, made, told["changes"], wants, facts)
-
-    def write(self, status: str) -> None:
-        """Write the table and the JSON of all answers so far; answers of an earlier run to colours no longer asked go.
-
-        Raises:
-            NacreError: they cannot be written.
-        """
-        if not self._documents:
-            return
-        self._last = time.monotonic()
-        summary = {
-            "status": status,
-            "seconds": round(time.monotonic() - self._begun, 3),
-            "count": len(self.wanted),
-            "done": len(self._documents),
-            "met": sum(row["met"] for row in self.rows),
-            "target": self._fingerprint,
-            "nacre": __version__,
-            "rows": self.rows,
-        }
-        write_text(self.folder / SUMMARY, json.dumps(summary, indent=1, default=str) + "\n")
-        write_text(self.folder / TABLE, table(self.rows))
-        for name, row in self._stale.items():
-            _remove(self.folder / name, row)
-        self._stale = {}
 
     def _earlier(self) -> dict[str, Any] | None:
-        """Return what an earlier run told; None: there was none."""
+        """Return an earlier run's summary, if any."""
         path = self.folder / SUMMARY
         if not path.exists():
             return None
@@ -160,47 +232,86 @@ class ManyFolder:
             raise _foreign(self.folder, SUMMARY) from None
         return dict(found)
 
-    def _check(self, earlier: Mapping[str, Any] | None) -> None:
-        ours = {str(row.get("folder")) for row in earlier["rows"]} if earlier is not None else set()
-        names = [name for name in self.names if name not in ours] + ([] if earlier is not None else [TABLE])
-        foreign = next((name for name in names if (self.folder / name).exists()), None)
-        if foreign is not None:
-            raise _foreign(self.folder, foreign)
+    @property
+    def done(self) -> list[int]:
+        """Finished row numbers."""
+        return sorted(self._documents)
 
-    def _standing(self, earlier: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
-        """Return the answers to the same colours under the same names.
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """Finished row documents."""
+        return [self._documents[number] for number in self.done]
+
+    def add(self, number: int, task: DesignTask, solution: Solution) -> Solution:
+        """Write a solution; return it with its file.
 
         Raises:
-            RecipeError: they are of another target.
+            NacreError: the folder cannot be written.
         """
-        if earlier.get("target") != self._fingerprint:
-            raise RecipeError(
-                f"{self.folder / SUMMARY}: belongs to another target, or a file that it names, or nacre itself has "
-                "changed since; take another folder, or leave --resume away"
-            )
-        told = {str(row.get("folder")): row for row in earlier["rows"]}
-        found = {}
-        for number, (name, row) in enumerate(zip(self.names, self.wanted, strict=True)):
-            one = told.get(name)
-            stands = one is not None and one.get("lab") == row.lab.tolist() and one.get("name") == row.name
-            if one is not None and stands and (self.folder / name / RECIPE).is_file():
-                found[number] = one
-        return found
+        start = self.task.material
+        changes = with_method_overrides(start, solution.changes)
+        place = self.folder / self.names[number]
+        path, files = write_recipe(place, start, changes, tolerance_of(task, solution), solution.material)
+        written = replace(solution, recipe=path, facts={**solution.facts, "files": files})
+        row = self.colours[number]
+        document = {"name": row.name, "folder": self.names[number], "lab": row.lab.tolist(), "met": solution.is_met}
+        self._documents[number] = document | document_of(written, task)
+        if time.monotonic() - self._last > WRITE_INTERVAL_S:
+            self.write("running")
+        return written
+
+    def read(self, number: int, task: DesignTask) -> Solution:
+        """Return an earlier run's solution, with its evaluation."""
+        one = self._documents[number]
+        pairs = [(target, lamp) for target in task.targets for lamp in task.spec.light.illuminants]
+        results = [
+            TargetResult(target, lamp, np.array(r["reached"]["lab"]), np.array(r["asked_lab"]), r["de00"], r["noise"])
+            for (target, lamp), r in zip(pairs, one["targets"], strict=True)
+        ]
+        facts = {key: one[key] for key in ("sensitivity", "total_nm", "files") if one.get(key)}
+        facts |= {"yield": one["yield_details"]} if one.get("yield_details") else {}
+        path = self.folder / self.names[number] / RECIPE
+        return Solution(path, self.task.material.vary(one["changes"]), one["changes"], results, facts)
+
+    def write(self, status: str) -> None:
+        """Write table and summary; remove solutions for colours that are no longer listed.
+
+        Raises:
+            NacreError: a file cannot be written.
+        """
+        if not self._documents:
+            return
+        self._last = time.monotonic()
+        summary = {
+            "status": status,
+            "seconds": round(time.monotonic() - self._start, 3),
+            "count": len(self.colours),
+            "done": len(self._documents),
+            "met": sum(row["met"] for row in self.rows),
+            "target": self._fingerprint,
+            "nacre": __version__,
+            "rows": self.rows,
+        }
+        write_text(self.folder / SUMMARY, json.dumps(summary, indent=1, default=str) + "\n")
+        write_text(self.folder / TABLE, _table(self.rows))
+        for name, row in self._stale.items():
+            _remove(self.folder / name, row)
+        self._stale = {}
 
 
 def _foreign(folder: Path, name: str) -> RecipeError:
-    return RecipeError(f"{folder}: holds a {name} that no design wrote; choose another folder with -o")
+    return RecipeError(f"{folder}: contains a {name} of another program; choose another folder with -o")
 
 
 def folder_names(names: Sequence[str]) -> list[str]:
-    """Return a folder's name for each row: its own in letters, digits, - . + and _, or its number, none twice.
+    """Return a unique folder name for each row: its name in letters, digits, - . + and _, or its number.
 
     Example: `folder_names(["RAL 3020 / matt", "", "RAL 3020, matt"])` is ["RAL-3020-matt", "2", "RAL-3020-matt-2"].
     """
     taken = {TABLE, SUMMARY}
     found = []
     for number, name in enumerate(names, start=1):
-        plain = re.sub(r"[^\w.+]+", "-", name).strip("-.")[:LONGEST_NAME] or str(number)
+        plain = re.sub(r"[^\w.+]+", "-", name).strip("-.")[:MAX_NAME_LENGTH] or str(number)
         chosen, turn = plain, 1
         while chosen.lower() in taken:
             turn += 1
@@ -210,29 +321,19 @@ def folder_names(names: Sequence[str]) -> list[str]:
     return found
 
 
-def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return a CSV of what is reached, of each row the want that is farthest, and of what the answer is made."""
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return a CSV with each row's worst target and its solution's parameters."""
     paths = list(dict.fromkeys(path for row in rows for path in row["changes"]))
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*HEAD, *paths])
+    writer.writerow([*HEADINGS, *paths])
     for row in rows:
-        worst = max(row["targets"], key=lambda want: want["de00"] / want["tolerance"])
-        total = "" if row.get("total_nm") is None else f"{row['total_nm']:.2f}"
-        colours = [f"{value:.3f}" for value in (*worst["asked_lab"], *worst["reached"]["lab"])]
-        writer.writerow(
-            [
-                row["name"],
-                row["folder"],
-                *colours,
-                f"{worst['de00']:.4f}",
-                worst["geometry"],
-                worst["lamp"],
-                "yes" if row["met"] else "no",
-                total,
-                *(_cell(row["changes"].get(path, "")) for path in paths),
-            ]
-        )
+        worst = max(row["targets"], key=lambda target: target["de00"] / target["tolerance"])
+        cells = [row["name"], row["folder"]]
+        cells += [f"{value:.3f}" for value in (*worst["asked_lab"], *worst["reached"]["lab"])]
+        cells += [f"{worst['de00']:.4f}", worst["geometry"], worst["lamp"], "yes" if row["met"] else "no"]
+        cells.append("" if row.get("total_nm") is None else f"{row['total_nm']:.2f}")
+        writer.writerow([*cells, *(_cell(row["changes"].get(path, "")) for path in paths)])
     return stream.getvalue()
 
 
@@ -250,145 +351,3 @@ def _remove(folder: Path, row: Mapping[str, Any]) -> None:
                 (folder / name).unlink()
     with contextlib.suppress(OSError):
         folder.rmdir()
-
-
-__all__ = ["ManyFolder", "folder_names", "table"]
-
-
-# Many colours of one target, in one process: as answers in memory, or as a folder for each of them.
-
-Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True, eq=False)
-class ManyDesigns:
-    """The answers to many colours.
-
-    Attributes:
-        solutions: the best one for each colour.
-        rows: what many.json tells of each; empty where nothing was written.
-        folder: where the answers are; None where nothing was written.
-    """
-
-    solutions: list[Solution]
-    rows: list[dict[str, Any]]
-    folder: Path | None
-
-
-def many(
-    target: str | Path | Mapping[str, Any],
-    labs: ArrayLike | str | Path,
-    out: str | Path | None = None,
-    *,
-    resume: bool = False,
-    progress: Progress | None = None,
-) -> list[Solution]:
-    """Return the best answer for each of many colours of one target.
-
-    Args:
-        target: as of `nacre.design`; the colours in it are replaced, everything else holds for each design. Its
-            `search.seconds` are per design; a stack without `[tolerance]` and `max_layers = "fewest"` asks no clock and
-            takes some hundredths of a second.
-        labs: `[n, 3]`, CIELAB wanted at every want of the target, or `[n, want, 3]`, one for each want; or a CSV file
-            of L, a, b or name, L, a, b (see `nacre.optimise.colour_list`).
-        out: a folder for the answers, one folder each, with many.csv and many.json; None: nothing is written.
-        resume: keep the answers that `out` holds to the same colours of the same target.
-        progress: called with how many are done and how many there are.
-
-    Raises:
-        NacreError: the target is not usable, or seeks the heights of a relief, or the colours have another shape, or
-            the folder cannot be written.
-
-    Example: `nacre.design.many("paint.toml", [(50, 20, 10), (60, -30, 5)])[0].targets[0].distance`.
-    """
-    return many_designs(target, labs, out, resume=resume, progress=progress).solutions
-
-
-def many_designs(
-    target: str | Path | Mapping[str, Any],
-    labs: ArrayLike | str | Path,
-    out: str | Path | None = None,
-    *,
-    resume: bool = False,
-    progress: Progress | None = None,
-) -> ManyDesigns:
-    """As `many`, and tell what was written; an interrupt leaves what was finished."""
-    read = _read(target)
-    rows = lab_rows(labs, len(read.targets))
-    folder = None if out is None else ManyFolder(Path(out), read, rows, resume)
-    targets = [_aimed(read, row) for row in rows]
-    found: dict[int, Solution] = {}
-    if folder is not None:
-        found = {number: folder.kept(number, targets[number]) for number in folder.done}
-    which = [number for number in range(len(rows)) if number not in found]
-
-    def take(number: int, solution: Solution) -> None:
-        found[number] = solution if folder is None else folder.take(number, targets[number], solution)
-        if progress is not None:
-            progress(len(found), len(rows))
-
-    try:
-        _solve(read, targets, which, take)
-    except BaseException as error:
-        if folder is not None:
-            folder.write("interrupted" if isinstance(error, KeyboardInterrupt) else "stopped")
-        raise
-    if folder is not None:
-        folder.write("done")
-    solutions = [found[number] for number in range(len(rows))]
-    return ManyDesigns(solutions, folder.rows if folder is not None else [], folder.folder if folder else None)
-
-
-def _read(target: str | Path | Mapping[str, Any]) -> DesignTask:
-    data, context = read_data(target)
-    if is_relief_task(data):
-        raise NacreError(f"{context.source}: the heights of a relief are sought one look at a time; take nacre.design")
-    if not isinstance(data.get("target"), list):
-        raise NacreError(f"{context.source}: has no [[target]]; many colours are wanted where one stands")
-    read = read_task(target)
-    if read.targets[0].image is not None:
-        raise NacreError(
-            f"{read.context.source}: target[0].image: a picture is many colours already; take nacre.design"
-        )
-    return read
-
-
-def _aimed(target: DesignTask, row: LabRow) -> DesignTask:
-    return replace(target, targets=tuple(want.with_lab(lab) for want, lab in zip(target.targets, row.lab, strict=True)))
-
-
-def _solve(
-    target: DesignTask, targets: Sequence[DesignTask], which: Sequence[int], take: Callable[[int, Solution], None]
-) -> None:
-    """Search for some of the targets and hand each answer on, one at a time.
-
-    Raises:
-        KeyboardInterrupt: as it comes; what was handed on stays.
-    """
-    lock = threading.Lock()
-
-    def judge_stack(number: int, changes: dict[str, Any]) -> None:
-        with lock:
-            one = targets[number]
-            made = one.material.vary(changes)
-            wants, _ = judge(made, one.targets, one.spec.light, seed=one.spec.search.seed)
-            total = total_nm(made)
-            take(number, Solution(None, made, changes, wants, {"total_nm": total} if total else {}))
-
-    is_plain = not target.spec.tolerance and target.spec.limits.max_layers is None  # else a search that knows of them
-    if is_plain and thin_film_search_many(target, targets, which, judge_stack):
-        return
-    for number in which:
-        one = targets[number]
-        search = choose_search(one, one.spec.search.seed)
-        seconds = one.spec.search.seconds
-        if search.run((1.0 - CLOSING_SHARE) * seconds, None, []) == "interrupted":
-            raise KeyboardInterrupt
-        answers = search.answers()
-        made = judged(one, answers[0][1], CLOSING_SHARE * seconds, 0.0) if answers else None
-        if made is None:
-            raise RecipeError(f"{target.context.source}: the recipe cannot be computed anywhere in its bounds")
-        take(number, made)
-
-
-__all__ = ["ManyDesigns", "many", "many_designs"]

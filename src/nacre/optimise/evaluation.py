@@ -92,7 +92,7 @@ def lab_hex(lab: Array, white: Array) -> str:
     return swatch_hex(lab_to_xyz(lab, white), white)
 
 
-def judge(
+def evaluate(
     material: Material, wants: Sequence[Target], light: LightSpec, *, seed: int = 0, seconds: float = np.inf
 ) -> tuple[list[TargetResult], Measurement]:
     """Return what a material reaches of every want under every lamp, and its factors at `rows_of(wants)`.
@@ -232,4 +232,4 @@ def rank(objective: float, tables: int) -> tuple[float, int, float]:
     return (0.0, tables, objective) if objective <= SAME_LOOKS else (1.0, 0, objective)
 
 
-__all__ = ["TargetResult", "geometries_of", "judge", "lab_hex", "nearest_in_ranges", "objective", "rank", "reached"]
+__all__ = ["TargetResult", "geometries_of", "evaluate", "lab_hex", "nearest_in_ranges", "objective", "rank", "reached"]

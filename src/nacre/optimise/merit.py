@@ -70,7 +70,7 @@ class MeritFunction:
     """What is wanted of the spectra of a candidate.
 
     Args:
-        goals: one or more.
+        operands: one or more.
         lamps: names of `nacre.light.ILLUMINANTS`; colours are wanted under all of them.
         observer: "2deg" or "10deg".
         wavelengths_nm: of the spectra, ascending. Between them a spectrum is a cubic spline, so that 16 to 40
@@ -93,33 +93,39 @@ class MeritFunction:
 
     def __init__(
         self,
-        goals: Sequence[Operand],
+        operands: Sequence[Operand],
         lamps: Sequence[str] = ("D65",),
         observer: str = "10deg",
         wavelengths_nm: ArrayLike | None = None,
     ) -> None:
-        self.goals = tuple(goals)
+        self.operands = tuple(operands)
         self.lamps = tuple(lamps)
         self.observer = observer
         grid = default_wavelengths_nm() if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         self.wavelengths_nm = grid
-        if not self.goals or not self.lamps:
+        if not self.operands or not self.lamps:
             raise NacreError("a design needs at least one want and one lamp")
-        for goal in self.goals:
+        for goal in self.operands:
             _check(goal, len(grid))
-        self.rows = 1 + max(goal.row for goal in self.goals)
-        has_colour = any(goal.kind != "spectrum" for goal in self.goals)
+        self.rows = 1 + max(goal.row for goal in self.operands)
+        has_colour = any(goal.kind != "spectrum" for goal in self.operands)
         self.colour_weights = np.stack(
             [smooth_weights(grid, lamp, observer) if has_colour else np.zeros((len(grid), 3)) for lamp in self.lamps]
         )
         self.whites = self.colour_weights.sum(axis=1) if has_colour else np.ones((len(self.lamps), 3))
         self.terms = [
             (number, lamp)
-            for number, goal in enumerate(self.goals)
+            for number, goal in enumerate(self.operands)
             for lamp in range(1 if goal.kind == "spectrum" or goal.xyz is not None else len(self.lamps))
         ]
-        self.scale = np.array([self.goals[g].weight / self.goals[g].tolerance for g, _ in self.terms])
-        self.lab = np.array([self._wanted(self.goals[g], lamp) for g, lamp in self.terms])
+        self.scale = np.array([self.operands[g].weight / self.operands[g].tolerance for g, _ in self.terms])
+        self.lab = np.array([self._wanted(self.operands[g], lamp) for g, lamp in self.terms])
+
+    @property
+    def residual_counts(self) -> list[int]:
+        """Number of residuals of each term."""
+        counts = {"colour": 3, "spectrum": len(self.wavelengths_nm)}
+        return [counts.get(self.operands[index].kind, 1) for index, _ in self.terms]
 
     def _wanted(self, goal: Operand, lamp: int) -> Array:
         if goal.xyz is not None:
@@ -130,7 +136,7 @@ class MeritFunction:
         """Return the same goals on some of the wavelengths, given by their numbers: a cheaper, coarser judge."""
         chosen = np.asarray(samples)
         fewer = []
-        for goal in self.goals:
+        for goal in self.operands:
             values = {name: getattr(goal, name) for name in goal.__dataclass_fields__}
             if goal.reflectance is not None:
                 values["reflectance"] = goal.reflectance[chosen]
@@ -159,7 +165,7 @@ class MeritFunction:
 
     def _distance(self, seen: Array, labs: Array, number: int) -> Array:
         index, lamp = self.terms[number]
-        goal = self.goals[index]
+        goal = self.operands[index]
         lab = labs[..., goal.row, lamp, :]
         if goal.kind == "colour":
             return delta_e_2000(lab, self.lab[number])
@@ -186,7 +192,7 @@ class MeritFunction:
         labs = self.labs(seen)
         parts = []
         for number, (index, lamp) in enumerate(self.terms):
-            goal, scale = self.goals[index], self.scale[number]
+            goal, scale = self.operands[index], self.scale[number]
             if goal.kind == "spectrum":
                 off = _off(goal, seen)
                 parts.append(scale * 100.0 / np.sqrt(off.shape[-1]) * off)
@@ -201,7 +207,7 @@ class MeritFunction:
         samples = seen.shape[-1]
         parts = []
         for number, (index, lamp) in enumerate(self.terms):
-            goal, scale = self.goals[index], self.scale[number]
+            goal, scale = self.operands[index], self.scale[number]
             if goal.kind == "spectrum":
                 known = np.isfinite(np.asarray(goal.reflectance, dtype=float))
                 own = np.broadcast_to(
@@ -219,7 +225,7 @@ class MeritFunction:
         return np.concatenate(parts, axis=-3)
 
     def _of_lab(self, number: int, lab: Array) -> Array:
-        goal = self.goals[self.terms[number][0]]
+        goal = self.operands[self.terms[number][0]]
         if goal.kind == "colour":
             return difference_components(self.lab[number], lab)
         return _smooth_violation(goal, lab)[..., None]

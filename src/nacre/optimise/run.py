@@ -1,4 +1,4 @@
-"""A design by wants from target to folder: search, judge anew, write answers that are complete at any moment."""
+"""Run a design: optimise, re-evaluate with the reference model, and write results atomically."""
 
 from __future__ import annotations
 
@@ -6,21 +6,24 @@ import contextlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import read_text, write_text
-from nacre.families.contract import method_overrides
+from nacre.families.contract import is_direct, method_overrides
 from nacre.material.material import Material
-from nacre.optimise.evaluation import judge, objective, rank
-from nacre.optimise.image.design import design_picture
+from nacre.optimise.checkpoint import Checkpointer
+from nacre.optimise.evaluation import evaluate, objective, rank
+from nacre.optimise.methods import surrogate
 from nacre.optimise.methods.least_squares import LeastSquaresSearch
-from nacre.optimise.methods.successive_halving import slow_search
+from nacre.optimise.methods.successive_halving import SuccessiveHalvingSearch
+from nacre.optimise.methods.surrogate import SurrogateSearch
+from nacre.optimise.problem import Budget, Problem, Result, Search
 from nacre.optimise.solutions import (
     SUMMARY,
     Design,
@@ -32,34 +35,37 @@ from nacre.optimise.solutions import (
     folder_of,
     write_recipe,
 )
-from nacre.optimise.sparsify import is_chosen, tables_kept
-from nacre.optimise.task import DesignTask, read_task, total_nm
+from nacre.optimise.sparsify import count_tables, is_chosen
+from nacre.optimise.task import DesignTask, read_task, total_thickness_nm
 from nacre.optimise.tolerances import read_tolerances
 from nacre.optimise.yield_analysis import sensitivity, yield_of
 from nacre.recipe.paths import numbers_of
 
-STATE = "search.json"
-WRITE_EVERY_S = 2.0
-# kept back from the time for judging and the report
-CLOSING_SHARE, CLOSING_S, CLOSING_OF_EACH_S = 0.3, 3.0, 0.6
-LEAST_PAGE_S, LEAST_SENSITIVITY_S = 1.0, 0.5
-DEAR_S = 2.0  # for two looks: what takes longer is told how it moves the looks only where there is time
-LEAST_SEARCH = 0.25  # of the time, whatever was compiled before it began
-RESUMED_SEED = 1_000_003  # a search that goes on draws anew
+RESUMED_SEED = 1_000_003  # seed offset of each resumed search
 
 
-class Search(Protocol):
-    """What looks for answers: of any recipe, or of stacks."""
+@dataclass(frozen=True)
+class TimeShares:
+    """How the time limit of a design is divided.
 
-    def run(
-        self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None, known: Sequence[Mapping[str, Any]]
-    ) -> str:
-        """Search; return why it ended."""
-        ...
+    Attributes:
+        evaluation: share for the final evaluation and the report of materials that are slow.
+        quick_s, quick_per_solution_s: upper limit of that time for quick materials.
+        min_search: share of the search, even if compilation used the time.
+        min_report_s, min_sensitivity_s: lower limits.
+        expensive_s: two evaluations that take longer get a sensitivity only if there is time.
+    """
 
-    def answers(self) -> list[tuple[float, dict[str, Any]]]:
-        """Return answers that differ from one another, the best first: objective, and changes by path."""
-        ...
+    evaluation: float = 0.3
+    quick_s: float = 3.0
+    quick_per_solution_s: float = 0.6
+    min_search: float = 0.25
+    min_report_s: float = 1.0
+    min_sensitivity_s: float = 0.5
+    expensive_s: float = 2.0
+
+
+SHARES = TimeShares()
 
 
 def run(
@@ -69,142 +75,127 @@ def run(
     resume: bool = False,
     progress: Callable[[DesignProgress], None] | None = None,
 ) -> Design:
-    """Design what a target of wants asks for.
+    """Design a material for a target file.
 
-    The folder holds recipe.toml and design.json from the first seconds on, each written whole; an interrupt ends the
-    search with the best answer so far.
+    The folder holds recipe.toml and design.json from the first seconds on, each written atomically; an interrupt ends
+    the search with the best solution so far.
 
     Args:
-        target: a TOML file with `[[target]]`, a dictionary with the same keys, or such a one as `read_task` gives.
-        out: made if it does not exist; default: the target's name.
-        resume: go on from the answers of a stopped run of the same target.
-        progress: called after better answers and now and then.
+        target: a TOML file with `[[target]]`, a dictionary with the same keys, or the result of `read_task`.
+        out: created if it does not exist; default: the name of the target file.
+        resume: continue from the solutions of a stopped run.
+        progress: called after improvements and at intervals.
 
     Raises:
-        RecipeError: the target is not usable.
+        RecipeError: the target file is not usable.
         NacreError: the folder cannot be written, or holds the search of another target.
     """
     begun = time.monotonic()
-    read = target if isinstance(target, DesignTask) else read_task(target)
-    folder = Path(out) if out is not None else Path(read.name)
-    check_folder(folder, read.material, read.spec.search.solutions)
-    known, runs = _known(folder, read) if resume else ([], 0)
-    stood = _stood(folder) if known else None
-    is_picture = read.targets[0].image is not None
-    search = None if is_picture else choose_search(read, read.spec.search.seed + RESUMED_SEED * runs)
+    task = target if isinstance(target, DesignTask) else read_task(target)
+    spec = task.spec.search
+    folder = Path(out) if out is not None else Path(task.name)
+    check_folder(folder, task.material, spec.solutions)
+    checkpointer = Checkpointer.open(folder, task.fingerprint, resume)
+    previous_best = _previous_best(folder) if checkpointer.solutions else None
+    is_picture = task.targets[0].image is not None
+    search = None if is_picture else choose_search(task, spec.seed + RESUMED_SEED * (checkpointer.runs - 1))
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
     if search is None:
-        return design_picture(read, folder, begun, progress)
-    keeper = _Keeper(folder, read, begun, runs + 1, progress)
-    total = read.spec.search.seconds
-    closing = CLOSING_SHARE * total
-    if read.material.model.traits.is_quick:
-        closing = min(closing, CLOSING_S + CLOSING_OF_EACH_S * read.spec.search.solutions)
-    left = total - closing - (time.monotonic() - begun)
-    ended = search.run(max(left, LEAST_SEARCH * total), keeper.tell, known)
-    found = search.answers()
-    if not found and ended == "interrupted":
-        raise KeyboardInterrupt  # before there was an answer
-    if not found:
-        raise RecipeError(f"{read.context.source}: the recipe cannot be computed anywhere in its bounds")
-    keeper.save([values for _, values in found])
-    return _finish(read, folder, found, stood, ended, begun, keeper)
+        from nacre.optimise.image.design import design_picture
+
+        return design_picture(task, folder, begun, progress)
+    writer = _Writer(task, folder, begun, checkpointer, progress)
+    result = search.run(budget_of(task, search, time.monotonic() - begun), writer.update, checkpointer.solutions)
+    if not result.solutions and result.status == "interrupted":
+        raise KeyboardInterrupt  # before there was a solution
+    if not result.solutions:
+        raise RecipeError(f"{task.context.source}: the recipe cannot be computed anywhere in its bounds")
+    checkpointer.update([changes for _, changes in result.solutions])
+    return _finish(task, result, previous_best, writer)
 
 
-def choose_search(target: DesignTask, seed: int) -> Search:
-    """Return the search that a target needs.
+def choose_search(task: DesignTask, seed: int) -> Search:
+    """Return the search that suits a task.
 
     Raises:
-        RecipeError: what is wanted cannot be computed of the recipe.
+        RecipeError: the targets cannot be computed for the recipe.
     """
-    from nacre.optimise.methods.surrogate import walked_search
     from nacre.optimise.thin_film.adapter import thin_film_search
 
     try:
-        return thin_film_search(target, seed) or walked_search(target, seed) or _general(target, seed)
+        film = thin_film_search(task, seed)
+        if film is not None:
+            return film
+        problem = Problem(task, seed)
+        if surrogate.is_applicable(task):
+            return SurrogateSearch(problem)
+        if is_direct(task.material.model) and problem.continuous:
+            return SuccessiveHalvingSearch(problem)
+        return LeastSquaresSearch(problem)
     except RecipeError:
         raise
     except NacreError as error:
-        raise RecipeError(f"{target.context.source}: {error}") from None
+        raise RecipeError(f"{task.context.source}: {error}") from None
 
 
-def _general(target: DesignTask, seed: int) -> Search:
-    asked = (target.material, target.parameters, target.targets, target.spec.light, seed, target.spec.search.solutions)
-    slow = slow_search(*asked)
-    if slow is not None:
-        slow.kept_s = CLOSING_SHARE * target.spec.search.seconds
-    search = slow or LeastSquaresSearch(*asked)
-    search.most_nm = target.spec.limits.max_total_nm
-    return search
+def budget_of(task: DesignTask, search: Search, spent_s: float = 0.0) -> Budget:
+    """Return the budget of a search: the task's evaluations, or the method's; the time limit minus the evaluation."""
+    spec = task.spec.search
+    reserved_s = SHARES.evaluation * spec.seconds
+    if task.material.model.traits.is_quick:
+        reserved_s = min(reserved_s, SHARES.quick_s + SHARES.quick_per_solution_s * spec.solutions)
+    seconds = max(spec.seconds - reserved_s - spent_s, SHARES.min_search * spec.seconds)
+    return Budget(spec.evaluations or search.default_evaluations, seconds, reserved_s)
 
 
-class _Keeper:
-    """Keeps the folder up to date while the search runs."""
+class _Writer:
+    """Keeps the folder up to date during the search."""
 
     def __init__(
         self,
+        task: DesignTask,
         folder: Path,
-        target: DesignTask,
         begun: float,
-        runs: int,
+        checkpointer: Checkpointer,
         progress: Callable[[DesignProgress], None] | None,
     ) -> None:
-        self.folder, self.target, self.begun, self.runs, self.progress = folder, target, begun, runs, progress
-        self.last, self.best = -np.inf, np.inf
+        self.task, self.folder, self.begun, self.checkpointer = task, folder, begun, checkpointer
+        self.progress, self.best = progress, np.inf
 
-    def tell(self, worst: float, values: dict[str, Any]) -> None:
-        """Pass progress on, and write a better answer now and then."""
-        spent = time.monotonic() - self.begun
-        if worst < self.best and values and spent - self.last > WRITE_EVERY_S:
-            self.best, self.last = worst, spent
-            start = self.target.material
-            path, files = write_recipe(self.folder, start, with_method_overrides(start, values), {}, start.vary(values))
-            solution = {"recipe": str(path), "files": files, "changes": values, "worst": worst}
-            self.write({"status": "running", "seconds": round(spent, 3), "solutions": [solution]})
-            self.save([values])
+    @property
+    def spent_s(self) -> float:
+        """Time since the start of the design."""
+        return time.monotonic() - self.begun
+
+    @property
+    def left_s(self) -> float:
+        """Time until the limit."""
+        return self.task.spec.search.seconds - self.spent_s
+
+    def update(self, worst: float, changes: dict[str, Any]) -> None:
+        """Write a better solution if the last one was written some time ago, and report progress."""
+        if worst < self.best and changes and self.checkpointer.is_due:
+            self.best = worst
+            start = self.task.material
+            final = with_method_overrides(start, changes)
+            path, files = write_recipe(self.folder, start, final, {}, start.vary(changes))
+            solution = {"recipe": str(path), "files": files, "changes": changes, "worst": worst}
+            self.write({"status": "running", "seconds": round(self.spent_s, 3), "solutions": [solution]})
+            self.checkpointer.update([changes])
         if self.progress is not None:
-            self.progress(DesignProgress(worst, spent, max(self.target.spec.search.seconds - spent, 0.0)))
-
-    def save(self, answers: Sequence[Mapping[str, Any]]) -> None:
-        """Write what a resumed run needs."""
-        state = {"target": self.target.fingerprint, "runs": self.runs, "answers": [dict(a) for a in answers]}
-        write_text(self.folder / STATE, json.dumps(state, default=str) + "\n")
+            self.progress(DesignProgress(worst, self.spent_s, max(self.left_s, 0.0)))
 
     def write(self, summary: Mapping[str, Any]) -> None:
-        """Write design.json; answers of an earlier run that are none of this one go."""
+        """Write design.json and remove further solutions of an earlier run."""
         clear_answers(self.folder, len(summary["solutions"]))
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=2, default=str) + "\n")
 
 
-def _known(folder: Path, target: DesignTask) -> tuple[list[dict[str, Any]], int]:
-    """Return the answers of a stopped run and how often it ran.
-
-    Raises:
-        RecipeError: the folder holds the search of another target.
-        NacreError: its state cannot be read.
-    """
-    path = folder / STATE
-    if not path.exists():
-        return [], 0
-    try:
-        state = json.loads(read_text(path, "state"))
-        answers, runs, owner = state["answers"], int(state["runs"]), state["target"]
-        assert isinstance(answers, list) and all(isinstance(a, dict) for a in answers)
-    except (ValueError, KeyError, TypeError, AssertionError):
-        raise NacreError(f"{path}: cannot be read to resume; delete it to start afresh") from None
-    if owner != target.fingerprint:
-        raise RecipeError(
-            f"{path}: belongs to another target, or a file that it names, or nacre itself has changed since; "
-            "take another folder, or leave --resume away"
-        )
-    return answers, runs
-
-
-def _stood(folder: Path) -> dict[str, Any] | None:
-    """Return the changes of the best answer that a folder tells; None where it tells none."""
+def _previous_best(folder: Path) -> dict[str, Any] | None:
+    """Return the recipe changes of the best solution in design.json, or None."""
     try:
         changes = json.loads(read_text(folder / SUMMARY, "design"))["solutions"][0]["changes"]
     except (NacreError, ValueError, KeyError, TypeError, IndexError):
@@ -212,74 +203,67 @@ def _stood(folder: Path) -> dict[str, Any] | None:
     return changes if isinstance(changes, dict) else None
 
 
-def _finish(
-    target: DesignTask,
-    folder: Path,
-    found: Sequence[tuple[float, dict[str, Any]]],
-    stood: dict[str, Any] | None,
-    ended: str,
-    begun: float,
-    keeper: _Keeper,
-) -> Design:
-    """Judge the answers by the reference route, order them by what was found, write all.
+def _finish(task: DesignTask, result: Result, previous_best: dict[str, Any] | None, writer: _Writer) -> Design:
+    """Evaluate the solutions with the reference model, sort and write them.
 
     Args:
-        stood: the best answer of the run that is resumed. The search compares by its own quicker route, so it is judged
-            beside the new best: what is told never gets worse.
+        previous_best: best solution of the resumed run, evaluated again so that the reported result never regresses:
+            the search compares by its own, quicker model.
     """
-    spec = target.spec
-    left = max(spec.search.seconds - (time.monotonic() - begun), 1.0)
-    chosen = [changes for _, changes in found[: spec.search.solutions]]
-    if stood is not None and stood != chosen[0]:
-        chosen[1:] = [stood, *(changes for changes in chosen[1:] if changes != stood)]
-    surely = 1 + (stood is not None)
+    spec = task.spec
+    seconds = max(writer.left_s, 1.0)
+    chosen = [changes for _, changes in result.solutions[: spec.search.solutions]]
+    if previous_best is not None and previous_best != chosen[0]:
+        chosen[1:] = [previous_best, *(changes for changes in chosen[1:] if changes != previous_best)]
+    required = 1 + (previous_best is not None)
     solutions: list[Solution] = []
     for number, changes in enumerate(chosen):
         last_s = solutions[-1].facts.get("judging_s", 0.0) if solutions else 0.0
-        is_late = time.monotonic() - begun + last_s > spec.search.seconds
-        if number >= surely and (is_late or ended == "interrupted"):
-            break  # the others are kept in the search's state
-        solution = judged(target, changes, 0.5 * left / len(chosen), LEAST_SENSITIVITY_S if number == 0 else 0.0)
+        if number >= required and (last_s > writer.left_s or result.status == "interrupted"):
+            break  # the others remain in the checkpoint
+        min_s = SHARES.min_sensitivity_s if number == 0 else 0.0
+        solution = evaluate_solution(task, changes, 0.5 * seconds / len(chosen), min_s)
         if solution is not None:
-            _take(solutions, solution, target)
+            _add(solutions, solution, task)
     if not solutions:
-        raise RecipeError(f"{target.context.source}: no answer can be computed anew; this is a bug in nacre")
-    _order(solutions, target, stood)
+        raise RecipeError(f"{task.context.source}: no solution can be computed again; this is a bug in nacre")
+    _sort(solutions, task, previous_best)
     del solutions[spec.search.solutions :]
     written = []
     for number, solution in enumerate(solutions, start=1):
-        tolerance = tolerance_of(target, solution)
-        changes = with_method_overrides(target.material, solution.changes)
-        path, files = write_recipe(folder_of(folder, number), target.material, changes, tolerance, solution.material)
-        facts = {**solution.facts, "files": files}
-        written.append(replace(solution, recipe=path, facts=facts))
-    return _report(target, folder, written, ended, begun, keeper)
+        changes = with_method_overrides(task.material, solution.changes)
+        folder = folder_of(writer.folder, number)
+        path, files = write_recipe(folder, task.material, changes, tolerance_of(task, solution), solution.material)
+        written.append(replace(solution, recipe=path, facts={**solution.facts, "files": files}))
+    return _report(task, written, result, writer)
 
 
-def _take(solutions: list[Solution], new: Solution, target: DesignTask) -> None:
-    """Add an answer; of two that are alike the better one stays, in the place of the first."""
+def _add(solutions: list[Solution], new: Solution, task: DesignTask) -> None:
+    """Add a solution; of two similar ones the better remains, at the place of the first."""
     for place, other in enumerate(solutions):
         if are_alike(other.changes, new.changes):
-            solutions[place] = min(other, new, key=lambda s: _worth(s, target))
+            solutions[place] = min(other, new, key=lambda s: _rank(s, task))
             return
     solutions.append(new)
 
 
-def _worth(solution: Solution, target: DesignTask) -> Any:
-    """Return what answers are ordered by, the least first: the largest yield, or the nearest."""
-    if target.spec.tolerance:
+def _rank(solution: Solution, task: DesignTask) -> Any:
+    """Return the sort key of a solution: by yield, or by objective and number of tables."""
+    if task.spec.tolerance:
         return -(solution.yield_share or 0.0), objective(solution.targets)
-    return rank(objective(solution.targets), tables_kept(target.material, target.parameters, solution.changes))
+    tables = count_tables(task.material, task.parameters, solution.changes)
+    return rank(objective(solution.targets), tables)
 
 
-def _order(solutions: list[Solution], target: DesignTask, stood: dict[str, Any] | None) -> None:
-    """Put the best first; a search for the fewest layers has its own order, which what stood before may only lead."""
-    if target.spec.tolerance or target.spec.limits.max_layers != "fewest":
-        solutions.sort(key=lambda s: _worth(s, target))
+def _sort(solutions: list[Solution], task: DesignTask, previous_best: dict[str, Any] | None) -> None:
+    """Put the best first; a search for few layers has its own order, which the previous best may only lead."""
+    if task.spec.tolerance or task.spec.limits.max_layers != "fewest":
+        solutions.sort(key=lambda s: _rank(s, task))
         return
+    first = solutions[0]
     for place, solution in enumerate(solutions):
-        if solution.changes == stood and _layers(solution) <= _layers(solutions[0]):
-            if objective(solution.targets) < objective(solutions[0].targets):
+        if solution.changes == previous_best and _layers(solution) <= _layers(first):
+            if objective(solution.targets) < objective(first.targets):
                 solutions.insert(0, solutions.pop(place))
             return
 
@@ -288,116 +272,117 @@ def _layers(solution: Solution) -> int:
     return len(solution.material.data.get("layers", ()))
 
 
-def judged(target: DesignTask, changes: dict[str, Any], seconds: float, least: float) -> Solution | None:
-    """Return an answer as its recipe shows it, with its yield and sensitivity; None where it cannot be computed.
+def evaluate_solution(
+    task: DesignTask, changes: dict[str, Any], seconds: float, min_sensitivity_s: float
+) -> Solution | None:
+    """Return a solution evaluated with the reference model, with yield and sensitivity; None if that fails.
 
     Args:
-        seconds: for all.
-        least: seconds that its sensitivity gets in any case.
+        seconds: for everything.
+        min_sensitivity_s: for the sensitivity in any case.
     """
-    spec = target.spec
+    spec = task.spec
     begun = time.monotonic()
     try:
-        made = target.material.vary(changes)
-        wants, seen = judge(made, target.targets, spec.light, seed=spec.search.seed, seconds=0.5 * seconds)
+        made = task.material.vary(changes)
+        results, seen = evaluate(made, task.targets, spec.light, seed=spec.search.seed, seconds=0.5 * seconds)
     except NacreError:
         return None
     took = time.monotonic() - begun
     facts: dict[str, Any] = {"judging_s": took}
     with contextlib.suppress(NacreError):
-        paths = [p for p in numbers_of(made.data) if is_chosen(p, changes, target.parameters) and made.get(p)]
-        asked = (target.targets, spec.light, spec.search.seed)
-        if 2.0 * took <= max(0.2 * seconds, DEAR_S) or made.model.traits.is_quick:
-            facts["sensitivity"] = sensitivity(made, paths, *asked, max(0.2 * seconds, least), seen)
+        paths = [p for p in numbers_of(made.data) if is_chosen(p, changes, task.parameters) and made.get(p)]
+        asked = (task.targets, spec.light, spec.search.seed)
+        if 2.0 * took <= max(0.2 * seconds, SHARES.expensive_s) or made.model.traits.is_quick:
+            facts["sensitivity"] = sensitivity(made, paths, *asked, max(0.2 * seconds, min_sensitivity_s), seen)
         if spec.tolerance:
-            spreads = read_tolerances(spec.tolerance, made, target.context.source)
-            facts["yield"] = yield_of(made, spreads, *asked, 0.3 * seconds, seen)
-    if total := total_nm(made):
+            tolerances = read_tolerances(spec.tolerance, made, task.context.source)
+            facts["yield"] = yield_of(made, tolerances, *asked, 0.3 * seconds, seen)
+    if total := total_thickness_nm(made):
         facts["total_nm"] = total
-    return Solution(None, made, changes, wants, facts)
+    return Solution(None, made, changes, results, facts)
 
 
 def with_method_overrides(start: Material, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return changes that name the quick way too where it stood in for one of minutes: the file shows what was judged.
+    """Return recipe changes that also name the quick method by which the solution was evaluated.
 
     Args:
-        start: the recipe that is changed, as one of many.
+        start: the recipe to be changed, as a search candidate.
     """
     return {**changes, **method_overrides(start.vary(changes).model)}
 
 
-def tolerance_of(target: DesignTask, solution: Solution) -> dict[str, Any]:
-    """Return the spreads as a recipe's [tolerance] has them, so that `nacre tolerance` goes on from the answer."""
-    if not target.spec.tolerance:
+def tolerance_of(task: DesignTask, solution: Solution) -> dict[str, Any]:
+    """Return the tolerances as the recipe's [tolerance] table, for `nacre tolerance`."""
+    if not task.spec.tolerance:
         return {}
-    spreads = read_tolerances(target.spec.tolerance, solution.material, target.context.source)
+    tolerances = read_tolerances(task.spec.tolerance, solution.material, task.context.source)
     own = dict(solution.material.data.get("tolerance", {}))
-    return own | {s.path: {"deviation": s.deviation, "distribution": s.distribution} for s in spreads}
+    return own | {t.path: {"deviation": t.deviation, "distribution": t.distribution} for t in tolerances}
 
 
-def in_words(solutions: Sequence[Solution], status: str, seconds: float | None = None) -> str:
-    """Return the outcome as a sentence: what was reached, or how far it is and which want costs most.
+def outcome(solutions: Sequence[Solution], status: str, seconds: float | None = None) -> str:
+    """Return the outcome as a sentence.
 
     Args:
-        seconds: that a search had which ended with its time and may be resumed.
+        seconds: time limit of a search that it ended.
     """
     best = solutions[0]
     worst = best.worst
     unit = " % rms" if worst.lamp is None else ""
     distance = f"{worst.distance:.2g}{unit}" if worst.lamp is None else f"dE00 {worst.distance:.2f}"
-    under = f" under {worst.lamp}" if worst.lamp is not None else ""
-    where = f'"{worst.target.geometry}"{under}'
+    lamp = f" under {worst.lamp}" if worst.lamp is not None else ""
+    where = f'"{worst.target.geometry}"{lamp}'
     if status == "met":
-        return f"every want is met; the farthest is {where}: {distance}, within {worst.target.tolerance:g}"
+        return f"all targets are met; the worst is {where}: {distance}, tolerance {worst.target.tolerance:g}"
     head = "stopped; " if status == "interrupted" else ""
     if best.is_met:
-        return f"{head}every want is met so far; the farthest is {where}: {distance}"
-    far = f"out of reach in {seconds:g} s" if seconds is not None else "out of reach"
-    again = "" if seconds is None else "; --resume searches on"
+        return f"{head}all targets are met so far; the worst is {where}: {distance}"
+    limit = f" after {seconds:g} s" if seconds is not None else ""
+    resume = "; continue with --resume" if seconds is not None else ""
     return (
-        f"{head}{far} with what is free: the nearest answer misses {where} by {distance} "
-        f"(within {worst.target.tolerance:g} was asked); that want costs most{again}"
+        f"{head}no solution within tolerance{limit}; the best one misses {where} by {distance} "
+        f"(tolerance {worst.target.tolerance:g}){resume}"
     )
 
 
-def _report(
-    target: DesignTask, folder: Path, solutions: list[Solution], ended: str, begun: float, keeper: _Keeper
-) -> Design:
-    """Write design.json and the report."""
-    is_met = solutions[0].is_met
-    status = "interrupted" if ended == "interrupted" else "met" if is_met else "out of reach"
-    message = in_words(solutions, status, target.spec.search.seconds if ended == "time" else None)
+def _report(task: DesignTask, solutions: list[Solution], result: Result, writer: _Writer) -> Design:
+    """Write design.json and the HTML report."""
+    best = solutions[0]
+    status = "interrupted" if result.status == "interrupted" else "met" if best.is_met else "out of reach"
+    message = outcome(solutions, status, task.spec.search.seconds if result.status == "time" else None)
     summary: dict[str, Any] = {
         "status": status,
         "message": message,
-        "seconds": round(time.monotonic() - begun, 3),
-        "solutions": [document_of(s, target) for s in solutions],
-        "light": target.spec.light.model_dump(),
-        "costs_most": {"geometry": str(solutions[0].worst.target.geometry), "lamp": solutions[0].worst.lamp},
-        "seed": target.spec.search.seed,
-        "runs": keeper.runs,
-        "target": target.fingerprint,
+        "ended_by": result.status,
+        "evaluations": round(result.evaluations),
+        "seconds": round(writer.spent_s, 3),
+        "solutions": [document_of(s, task) for s in solutions],
+        "light": task.spec.light.model_dump(),
+        "costs_most": {"geometry": str(best.worst.target.geometry), "lamp": best.worst.lamp},
+        "seed": task.spec.search.seed,
+        "runs": writer.checkpointer.runs,
+        "target": task.fingerprint,
         "nacre": __version__,
     }
-    design = Design(folder, status, message, summary["seconds"], solutions, summary)
-    keeper.write(summary)
+    design = Design(writer.folder, status, message, summary["seconds"], solutions, summary)
+    writer.write(summary)
     from nacre.optimise.html_report import write_page
 
     with contextlib.suppress(KeyboardInterrupt):
-        left = target.spec.search.seconds - (time.monotonic() - begun)
-        # whoever interrupts does not want to wait for all that belongs to a report
-        left = LEAST_PAGE_S if ended == "interrupted" else max(left, LEAST_PAGE_S)
-        write_page(folder, target, design, left, begun)
-    keeper.write(summary)
+        # an interrupt does not wait for the whole report
+        seconds = SHARES.min_report_s if result.status == "interrupted" else max(writer.left_s, SHARES.min_report_s)
+        write_page(writer.folder, task, design, seconds, writer.begun)
+    writer.write(summary)
     return replace(design, seconds=summary["seconds"])
 
 
-def document_of(solution: Solution, target: DesignTask) -> dict[str, Any]:
-    """Return an answer as JSON can hold it."""
+def document_of(solution: Solution, task: DesignTask) -> dict[str, Any]:
+    """Return a solution as JSON data."""
     return {
         "recipe": str(solution.recipe),
         "worst": solution.worst.scaled,
-        "targets": [r.document(target.spec.light.observer) for r in solution.targets],
+        "targets": [r.document(task.spec.light.observer) for r in solution.targets],
         "changes": solution.changes,
         "yield": solution.yield_share,
         "yield_details": solution.facts.get("yield"),
@@ -407,4 +392,16 @@ def document_of(solution: Solution, target: DesignTask) -> dict[str, Any]:
     }
 
 
-__all__ = ["Design", "DesignProgress", "Solution", "choose_search", "document_of", "judged", "run", "tolerance_of"]
+__all__ = [
+    "Design",
+    "DesignProgress",
+    "Solution",
+    "budget_of",
+    "choose_search",
+    "document_of",
+    "evaluate_solution",
+    "outcome",
+    "run",
+    "tolerance_of",
+    "with_method_overrides",
+]

@@ -157,11 +157,20 @@ class LimitsSpec(RecipeModel):
 
 
 class SearchSpec(RecipeModel):
-    """How long to search, and for how many answers."""
+    """Budget of the search, number of solutions and seed."""
 
-    forms: ClassVar[tuple[str, ...]] = ("{seconds = 60, solutions = 5, seed = 0}",)
+    forms: ClassVar[tuple[str, ...]] = (
+        "{seconds = 60, solutions = 5, seed = 0}",
+        "{evaluations = 2000, seconds = 600}",
+    )
 
-    seconds: Positive = pydantic.Field(default=60.0, description="wall time of the whole command")
+    evaluations: Positive | None = pydantic.Field(
+        default=None,
+        description="candidates to evaluate at most; without it a number that suits the method. The same target, seed "
+        "and evaluations give the same result on any machine unless `seconds` ends the search first",
+        examples=[2000],
+    )
+    seconds: Positive = pydantic.Field(default=60.0, description="time limit of the whole command")
     solutions: Annotated[int, pydantic.Field(ge=1, le=100)] = pydantic.Field(
         default=5, description="number of answers to choose from, at most"
     )

@@ -32,7 +32,7 @@ from nacre.recipe.units import LENGTH_UNITS_NM
 _THICKNESS = re.compile(r"layers\[\d+\]\.thickness_(nm|um|mm)$")
 
 
-def total_nm(material: Material) -> float:
+def total_thickness_nm(material: Material) -> float:
     """Return the thickness of all layers of a recipe together; 0 where it has none."""
     found = ((_THICKNESS.match(path), value) for path, value in numbers_of(material.data).items())
     return sum(value * LENGTH_UNITS_NM[match[1]] for match, value in found if match)
@@ -61,14 +61,14 @@ def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], so
         )
     least = 0.0
     with contextlib.suppress(NacreError):  # other numbers may make room for the lowest of all
-        least = total_nm(base.vary({number.path: number.low for number in free if not number.choices}))
+        least = total_thickness_nm(base.vary({number.path: number.low for number in free if not number.choices}))
     if least > most:
         raise RecipeError(
             f"{source}: limits.max_total_nm = {most:g}: the least that [parameters] allows is {least:g} nm"
         )
 
 
-__all__ = ["check_limits", "total_nm"]
+__all__ = ["check_limits", "total_thickness_nm"]
 
 
 # Reading a target of wants: file or dictionary in, everything checked out.

@@ -59,7 +59,7 @@ class _Eye:
             self.correction is not None
             and (found := _likeness(made, geometries_of(self.targets), self.grid)) is not None
         ):
-            return self.correction.of(*found)
+            return self.correction.apply(*found)
         return simulate_measurement(
             made, geometries_of(self.targets), self.grid, seed=self.seed, memory=self.memory
         ).factors
@@ -93,7 +93,7 @@ def yield_of(
     """
     begun = time.monotonic()
     eye, goals = _eye(material, targets, light, seed, judged)
-    within = np.array([goals.goals[index].tolerance for index, _ in goals.terms])
+    within = np.array([goals.operands[index].tolerance for index, _ in goals.terms])
     generator = np.random.default_rng([seed, 3])
     paths = [spread.path for spread in spreads]
     values = np.stack([spread.draw(generator, DRAWS) for spread in spreads], axis=1)

@@ -26,11 +26,12 @@ from nacre.light import (
 )
 from nacre.material.material import Material
 from nacre.measure.spectrum import bsdf_spectrum
-from nacre.optimise.evaluation import TargetResult, geometries_of, judge, lab_hex, nearest_in_ranges, reached
+from nacre.optimise.evaluation import TargetResult, evaluate, geometries_of, lab_hex, nearest_in_ranges, reached
 from nacre.optimise.gamut import find_gamut, optimal_limits, srgb_limits
 from nacre.optimise.measurement import search_wavelengths, simulate_measurement
 from nacre.optimise.parameters import point_of, values_at
-from nacre.optimise.run import choose_search, in_words
+from nacre.optimise.problem import Budget
+from nacre.optimise.run import choose_search, outcome
 from nacre.optimise.solutions import Solution
 from nacre.optimise.targets import Target
 from nacre.optimise.task import DesignTask
@@ -71,17 +72,18 @@ def design(request: Mapping[str, Any], emit: Emit) -> None:
     search_spec = task.spec.search
     search = choose_search(task, search_spec.seed)
     if isinstance(search, ThinFilmSearch):
-        search.run(WARM_UP_S, None, ())  # compiles before the time starts
+        search.run(Budget(seconds=WARM_UP_S))  # compiles before the time starts
     emit({"kind": "begun", "seconds": search_spec.seconds})
-    reason = search.run(search_spec.seconds, _Progress(task, request, emit).update, ())
-    found = search.answers()[: search_spec.solutions]
+    budget = Budget(search_spec.evaluations or search.default_evaluations, search_spec.seconds)
+    result = search.run(budget, _Progress(task, request, emit).update)
+    found = result.solutions[: search_spec.solutions]
     solutions = []
     for _, changes in found:
         values = {path: rounded(value) for path, value in changes.items()}
         try:
             material = task.material.vary(values)
             seconds = FINAL_SHARE * search_spec.seconds / len(found)
-            results, _ = judge(material, task.targets, task.spec.light, seed=search_spec.seed, seconds=seconds)
+            results, _ = evaluate(material, task.targets, task.spec.light, seed=search_spec.seed, seconds=seconds)
         except NacreError:
             continue
         solutions.append(Solution(None, material, values, results))
@@ -90,8 +92,8 @@ def design(request: Mapping[str, Any], emit: Emit) -> None:
     solutions.sort(key=lambda one: one.worst.scaled)
     for solution in solutions:
         emit({"kind": "final", **_document(solution.changes, solution.targets, task, request)})
-    status = "interrupted" if reason == "interrupted" else "met" if solutions[0].is_met else "out of reach"
-    emit({"kind": "ended", "status": status, "message": in_words(solutions, status)})
+    status = "interrupted" if result.status == "interrupted" else "met" if solutions[0].is_met else "out of reach"
+    emit({"kind": "ended", "status": status, "message": outcome(solutions, status)})
 
 
 class _Progress:

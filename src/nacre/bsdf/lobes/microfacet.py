@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.facet_distributions import DISTRIBUTIONS, exits, masking, normal_density, normal_quadrature
 from nacre.bsdf.grids import interpolate, product_rule
-from nacre.bsdf.lobe import Lobe
-from nacre.bsdf.response import InterfaceResponse, parameter_coordinates
-from nacre.bsdf.texture import ParameterAxis, Texture
+from nacre.bsdf.response import InterfaceResponse, ResponseLobe, parameter_coordinates
+from nacre.bsdf.texture import Texture
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 
 
 @dataclass(frozen=True)
-class Microfacet(Lobe):
+class Microfacet(ResponseLobe):
     """Facets with the reflectance and transmittance of the smooth interface `response`.
 
     With h the facet normal, h_z > 0, and D, G from `nacre.bsdf.facet_distributions`:
@@ -82,19 +81,9 @@ class Microfacet(Lobe):
                 raise ValueError(f"exchange has the shape {self.exchange.shape}")
 
     @property
-    def wavelengths_nm(self) -> Array:  # type: ignore[override]  # the base declares a plain attribute
-        """The tables' wavelength grid."""
-        return self.response.wavelengths_nm
-
-    @property
     def transmits(self) -> bool:
         """Whether light is transmitted to the other side."""
         return self.response.transmits and self.response.eta > 1.0
-
-    @property
-    def parameters(self) -> tuple[ParameterAxis, ...]:
-        """The texture-driven axes."""
-        return self.response.parameters
 
     def local_frame(self, w: Array, uv: Array | None) -> Array:
         """Transform directions `[..., 3]` to the roughness frame: side flipped, x along alpha_x."""
@@ -107,6 +96,10 @@ class Microfacet(Lobe):
         x, y = w[..., 0], w[..., 1]
         return np.stack([cos * x + sin * y, cos * y - sin * x, w[..., 2]], axis=-1)
 
+    def _widths(self, uv: Array | None, shape: tuple[int, ...]) -> tuple[Array | float, Array | float]:
+        factor = 1.0 if self.alpha_texture is None else self.alpha_texture(_where(uv, shape))
+        return self.alpha_x * factor, self.alpha_y * factor
+
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return the value `[..., wavelength]` in 1/sr, light arriving along `wi` and leaving along `wo`."""
         wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
@@ -114,12 +107,7 @@ class Microfacet(Lobe):
         cos_i, cos_o = wi[..., 2], wo[..., 2]
         inside_i, inside_o = cos_i < 0, cos_o < 0
         is_reflection = inside_i == inside_o
-        alpha_x: Array | float = self.alpha_x
-        alpha_y: Array | float = self.alpha_y
-        if self.alpha_texture is not None:
-            factor = self.alpha_texture(_where(uv, cos_i.shape))
-            alpha_x, alpha_y = self.alpha_x * factor, self.alpha_y * factor
-
+        alpha_x, alpha_y = self._widths(uv, cos_i.shape)
         n_i = np.where(is_reflection, 1.0, np.where(inside_i, self.response.eta, 1.0))[..., None]
         n_o = np.where(is_reflection, 1.0, np.where(inside_o, self.response.eta, 1.0))[..., None]
         h = n_i * wi + n_o * wo
@@ -151,8 +139,7 @@ class Microfacet(Lobe):
         """
         w = self.local_frame(np.asarray(wi, dtype=float), uv)
         inside = bool(w[2] < 0)
-        factor = 1.0 if self.alpha_texture is None else float(self.alpha_texture(_where(uv, ())))
-        alpha_x, alpha_y = self.alpha_x * factor, self.alpha_y * factor
+        alpha_x, alpha_y = map(float, self._widths(uv, ()))
         w = w * np.array([1.0, 1.0, -1.0]) if inside else w
         m, measure = normal_quadrature(self.distribution, alpha_x, alpha_y, nodes)
         seen = m @ w > 0
@@ -188,11 +175,8 @@ class Microfacet(Lobe):
         assert self.loss is not None and self.exchange is not None
         sides = self.loss.shape[0]
         coords = parameter_coordinates(self.parameters, uv, inside_i.shape)
-        exchange = (
-            interpolate(self.exchange.reshape(*self.exchange.shape[: len(coords)], -1), coords)
-            if coords
-            else (self.exchange.reshape(-1))
-        )
+        exchange = self.exchange.reshape(*self.exchange.shape[: len(coords)], -1)
+        exchange = interpolate(exchange, coords) if coords else exchange
         exchange = exchange.reshape(*exchange.shape[:-1], sides, sides, -1)
         total = np.zeros((*inside_i.shape, len(self.wavelengths_nm)))
         for side_i in range(sides):

@@ -7,14 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from nacre.bsdf.lobe import Lobe
-from nacre.bsdf.response import InterfaceResponse
-from nacre.bsdf.texture import ParameterAxis, Texture
+from nacre.bsdf.response import InterfaceResponse, ResponseLobe
+from nacre.bsdf.texture import Texture
 from nacre.core.arrays import Array
 
 
 @dataclass(frozen=True)
-class Ridge(Lobe):
+class Ridge(ResponseLobe):
     """Light reflected by ridges along y and diffracted across them (after Kinoshita et al. 2002).
 
     f = fill R(|wi.h|) K(u, v) D_y(wi_y + wo_y) / norm, for both directions at z > 0, with h = normalize(wi + wo),
@@ -65,14 +64,9 @@ class Ridge(Lobe):
             raise ValueError("spread_along must be positive and fill in [0, 1]")
 
     @property
-    def wavelengths_nm(self) -> Array:  # type: ignore[override]  # the base declares a plain attribute
-        """The tables' wavelength grid."""
-        return self.response.wavelengths_nm
-
-    @property
-    def parameters(self) -> tuple[ParameterAxis, ...]:
-        """The texture-driven axes."""
-        return self.response.parameters
+    def transmits(self) -> bool:
+        """Always False: ridges only reflect."""
+        return False
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return the value `[..., wavelength]` in 1/sr."""
@@ -84,10 +78,8 @@ class Ridge(Lobe):
         if self.rotation is not None:
             uv_at = np.full((*across.shape, 2), 0.5) if uv is None else np.broadcast_to(uv, (*across.shape, 2))
             angle = self.rotation(np.asarray(uv_at, dtype=float))
-            across, along = (
-                np.cos(angle) * across + np.sin(angle) * along,
-                np.cos(angle) * along - np.sin(angle) * across,
-            )
+            cos, sin = np.cos(angle), np.sin(angle)
+            across, along = cos * across + sin * along, cos * along - sin * across
         reflected, _ = self.response.lookup(cos_h, np.zeros(cos_h.shape, dtype=bool), uv)
         spread = ridge_interference(
             across, psi[..., 2], self.wavelengths_nm, self.pitch_nm, self.width_nm, self.height_deviation_nm, self.count

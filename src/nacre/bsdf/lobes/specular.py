@@ -8,38 +8,22 @@ from typing import ClassVar
 
 import numpy as np
 
-from nacre.bsdf.lobe import Lobe, SpecularResponse
-from nacre.bsdf.response import InterfaceResponse
-from nacre.bsdf.texture import ParameterAxis
+from nacre.bsdf.lobe import SpecularResponse
+from nacre.bsdf.response import InterfaceResponse, ResponseLobe
 from nacre.core.arrays import Array
 
 
-class InterfaceLobe(Lobe):
+class InterfaceLobe(ResponseLobe):
     """A smooth interface: mirror reflection, and refraction with one relative index `response.eta`.
 
     `eta = 1` (a free film) transmits light undeviated. Both sides may be lit; the tables of an opaque interface are
     zero inside.
-
-    Attributes:
-        response: the tables.
     """
-
-    response: InterfaceResponse
-
-    @property
-    def wavelengths_nm(self) -> Array:  # type: ignore[override]  # the base declares a plain attribute
-        """The tables' wavelength grid."""
-        return self.response.wavelengths_nm
 
     @property
     def is_delta(self) -> bool:
         """Always True."""
         return True
-
-    @property
-    def transmits(self) -> bool:
-        """Whether light is transmitted to the other side."""
-        return self.response.transmits
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return zeros `[..., wavelength]`: the lobe is a delta distribution."""
@@ -57,11 +41,6 @@ class Specular(InterfaceLobe):
 
     kind: ClassVar[str] = "specular"
     response: InterfaceResponse
-
-    @property
-    def parameters(self) -> tuple[ParameterAxis, ...]:
-        """The texture-driven axes."""
-        return self.response.parameters
 
     def check(self) -> None:
         """Check the tables; see `InterfaceResponse.check`."""

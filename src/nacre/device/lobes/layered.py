@@ -76,10 +76,10 @@ class LayeredPlugin(LobePlugin):
         glossy = _words("GlossyReflection", "GlossyTransmission", reflected)
         bs.sampled_type = glossy
         bs.sampled_component = dr.select(reflected, mi.UInt32(0), mi.UInt32(len(self.components) - 1))
-        wanted = mi.Bool(enabled[0])
+        enabled_lanes = mi.Bool(enabled[0])
         if len(enabled) > 1:
-            wanted = dr.select(reflected, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
-        alive = active & wanted & (dr.max(weight) > 0)
+            enabled_lanes = dr.select(reflected, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
+        alive = active & enabled_lanes & (dr.max(weight) > 0)
         bs.pdf = dr.select(alive, self._density(si, wo, active), 0.0)
         if self.has_mirror:
             bs.sampled_type = dr.select(mirror, _words("DeltaReflection", "Null", reflected), glossy)
@@ -96,12 +96,12 @@ class LayeredPlugin(LobePlugin):
         if not dr.flag(dr.JitFlag.SymbolicScope):  # direct calls may repeat their arguments: independent walks
             return self.eval(ctx, si, wo, active, enabled), self.pdf(ctx, si, wo, active, enabled)
         seen = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
-        wanted = seen & self._wanted(si.wi, wo, enabled)
+        enabled_lanes = seen & self._enabled_exit(si.wi, wo, enabled)
         rng = make_rng(si.p.x, si.p.y, si.p.z, si.wi.x, si.wi.y, si.wi.z, wo.x, wo.y, wo.z, si.wavelengths[0])
         where = self.strata.locate(si, seen)
-        value, *drawn = joint_walk(self.strata, rng, si.wi, wo, where, seen, wanted)
+        value, *drawn = joint_walk(self.strata, rng, si.wi, wo, where, seen, enabled_lanes)
         self._waiting = (si, drawn)
-        return value, dr.select(wanted, self._density(si, wo, wanted), 0.0)
+        return value, dr.select(enabled_lanes, self._density(si, wo, enabled_lanes), 0.0)
 
     def _take(self, si: Any) -> Any:
         """Return the sample of the preceding `eval_pdf` walk for this interaction, if any."""
@@ -112,14 +112,14 @@ class LayeredPlugin(LobePlugin):
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Estimate value * |cos wo|."""
-        active = mi.Bool(active) & self._wanted(si.wi, wo, enabled)
+        active = mi.Bool(active) & self._enabled_exit(si.wi, wo, enabled)
         rng = make_rng(si.p.x, si.p.y, si.p.z, si.wi.x, si.wi.y, si.wi.z, wo.x, wo.y, wo.z, si.wavelengths[0])
         where = self.strata.locate(si, active)
         return eval_walk(self.strata, rng, si.wi, wo, where, active)
 
     def pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return the proxy density times the confidence factor."""
-        active = mi.Bool(active) & self._wanted(si.wi, wo, enabled)
+        active = mi.Bool(active) & self._enabled_exit(si.wi, wo, enabled)
         return dr.select(active, self._density(si, wo, active), 0.0)
 
     def _density(self, si: Any, wo: Any, active: Any) -> Any:
@@ -133,7 +133,7 @@ class LayeredPlugin(LobePlugin):
         own = lobes.pdf(v, to, self.strata.locate(si, active), active & (si.wi.z > 0.0) & (wo.z > 0.0))
         return dr.lerp(density, self.proxy.trust * own * dr.square(scale) * wo.z / to.z, self.proxy.base_share)
 
-    def _wanted(self, wi: Any, wo: Any, enabled: tuple[bool, ...]) -> Any:
+    def _enabled_exit(self, wi: Any, wo: Any, enabled: tuple[bool, ...]) -> Any:
         reflected = (wo.z > 0) == (wi.z > 0)
         if self.strata.base != "none":
             return mi.Bool(enabled[0]) & reflected & (wi.z > MIN_COS)

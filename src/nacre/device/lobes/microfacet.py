@@ -15,7 +15,17 @@ from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.core.errors import UnsupportedError
 from nacre.device.compensation import Compensation
 from nacre.device.facet_distributions import Facets, facets_class
-from nacre.device.plugin import MIN_COS, LobePlugin, flag, is_radiance, negated, opaque, replaced
+from nacre.device.plugin import (
+    MIN_COS,
+    LobePlugin,
+    flag,
+    is_radiance,
+    negated,
+    opaque,
+    replaced,
+    rotated_frame,
+    set_transmission,
+)
 from nacre.device.response import DeviceResponse
 from nacre.device.texture import DeviceTexture
 
@@ -52,7 +62,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Draw a facet normal, then reflection or refraction by their powers."""
         frame = self._frame(si, active)
-        wi, sign, inside = self._from_above(frame(si.wi, forward=True))
+        wi, sign, inside = self._from_above(frame(si.wi, True))
         active = active & any(enabled) & (wi.z > MIN_COS)
         if not self.response.transmits:
             active = active & negated(inside)
@@ -74,16 +84,12 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
             weight = dr.select(pdf > 0.0, value / dr.maximum(pdf, 1e-20), 0.0)
 
         bs = dr.zeros(mi.BSDFSample3f)
-        bs.wo = frame(wo * sign, forward=False)
+        bs.wo = frame(wo * sign, False)
         bs.pdf = dr.select(active, pdf, 0.0)
         bs.eta = mi.Float(1.0)
         bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
         if self.refracts:
-            bs.eta = dr.select(reflects, mi.Float(1.0), self._eta(inside))
-            bs.sampled_component = dr.select(reflects, mi.UInt32(0), mi.UInt32(1))
-            bs.sampled_type = dr.select(
-                reflects, mi.UInt32(int(mi.BSDFFlags.GlossyReflection)), mi.UInt32(int(mi.BSDFFlags.GlossyTransmission))
-            )
+            set_transmission(bs, reflects, self._eta(inside))
         return bs, weight & (bs.pdf > 0.0)
 
     def _sample_facets(
@@ -136,8 +142,8 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return `(value * |cos wo|, pdf)`."""
         frame = self._frame(si, active)
-        wi, sign, inside = self._from_above(frame(si.wi, forward=True))
-        wo = frame(wo, forward=True) * sign
+        wi, sign, inside = self._from_above(frame(si.wi, True))
+        wo = frame(wo, True) * sign
         active = active & (wi.z > MIN_COS)
         if not self.response.transmits:
             active = active & negated(inside)
@@ -184,7 +190,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
 
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the smooth interface's albedo at the ray's angle."""
-        wi, _, inside = self._from_above(self._frame(si, active)(si.wi, forward=True))
+        wi, _, inside = self._from_above(self._frame(si, active)(si.wi, True))
         reflected, transmitted = self.response.look_up(wi.z, inside, si, active)
         total = dr.mean(reflected + transmitted if self.refracts else reflected)
         return total if self.response.transmits else dr.select(inside, 0.0, total)
@@ -215,19 +221,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
 
     def _frame(self, si: Any, active: Any) -> Any:
         """Return the transformation between the surface's frame and the roughness frame, outside upward."""
-        flipped = self.response.flipped
-        if self.rotation is None and not flipped:
-            return lambda w, forward: w
-        cos, sin = mi.Float(1.0), mi.Float(0.0)
-        if self.rotation is not None:
-            sin, cos = dr.sincos(self.rotation(si, active))
-
-        def turn(w: Any, forward: bool) -> Any:
-            s = sin if forward else -sin
-            z = -w.z if flipped else w.z
-            return mi.Vector3f(cos * w.x + s * w.y, cos * w.y - s * w.x, z)
-
-        return turn
+        return rotated_frame(self.rotation, si, active, self.response.flipped)
 
     def update(self, lobe: Microfacet) -> None:
         """Replace tables and widths.

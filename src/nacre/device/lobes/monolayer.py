@@ -17,6 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.monolayer import Aligned, Harmonic, MonolayerLobe
 from nacre.bsdf.packed_series import PACKET
 from nacre.core.arrays import Array, SingleArray
@@ -35,7 +36,9 @@ from nacre.device.plugin import (
     opaque,
     opaque_int,
     read2,
+    set_transmission,
     smaller,
+    unit_azimuth,
 )
 from nacre.device.tables import WavelengthAxis
 
@@ -58,6 +61,9 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
 
     tables: ClassVar[tuple[str, ...]]
     is_turned: ClassVar[bool] = False
+    values: PackedSeries
+    free: PackedSeries | None = None
+    packets: int
 
     def __init__(self, lobe: AnyMonolayer) -> None:
         sides: tuple[str, ...] = ("FrontSide", "BackSide") if lobe.transmits else ("FrontSide",)
@@ -67,7 +73,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         if lobe.transmits:
             self.components += (flag("GlossyTransmission", *sides),)
         self.axis = WavelengthAxis(lobe.wavelengths_nm)
-        self.keeps_index = _keeps_index(lobe)
+        self.has_constant_index = _has_constant_index(lobe)
         self._set(lobe)
 
     @abc.abstractmethod
@@ -79,8 +85,35 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         """Return the lobe at about a dozen wavelengths, enough for sampling."""
 
     @abc.abstractmethod
+    def _pair(self, light: Any, eye: Any, sines: tuple[Any, Any], places: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Return harmonics, the triangle's three rows, and the larger and the smaller fraction of a direction pair.
+
+        Args:
+            light, eye: the directions.
+            sines: their sines.
+            places: their lower nodes and fractions.
+        """
+
     def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
         """Interpolate f at the four wavelengths."""
+        sin_l = dr.sqrt(light.x * light.x + light.y * light.y)
+        sin_e = dr.sqrt(eye.x * eye.x + eye.y * eye.y)
+        places = (*self._coordinate(light, sin_l), *self._coordinate(eye, sin_e))
+        harmonics, rows, upper, lower = self._pair(light, eye, (sin_l, sin_e), places)
+        up_l, up_e = light.z > 0.0, eye.z > 0.0
+        squares = self._squares(sin_l, sin_e, light.x * eye.x + light.y * eye.y, up_l, up_e)
+        tables = [self.values] if self.free is None else [self.values, self.free]
+        series = [[wave * unit for wave, unit in zip(harmonics, table.units, strict=True)] for table in tables]
+        where = self.axis.locate(si.wavelengths, active)
+        result = mi.Spectrum(0.0)
+        for k, (node, part) in enumerate(zip(where.low, where.fraction, strict=True)):
+            corners = tetrahedron([row * self.nodes + node for row in rows], upper, lower, part)
+            value = interpolated(self.values, corners, series[0], active)
+            value = value * self._structure(si.wavelengths[k], node, part, squares, active)
+            if self.free is not None:
+                value = value + interpolated(self.free, corners, series[1], active)
+            result[k] = value
+        return result * (self._fall(light, up_l, 1.0) * self._fall(eye, up_e, self.eta * self.eta))
 
     def _mean(self, lobe: AnyMonolayer, light: Array, eye: Array) -> Array:
         """Return f averaged over wavelengths, `[...]`, for directions `[..., 3]`."""
@@ -108,7 +141,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         self.eta = opaque(lobe.eta)
         # wavenumber over the table's step, and the index below, at both ends of each wavelength interval
         self.per_step = None
-        if _keeps_index(lobe):
+        if _has_constant_index(lobe):
             self.steps_nm = opaque(lobe.wavenumbers[0] * lobe.wavelengths_nm[0] / lobe.q_step)
             self.shortest, self.longest = opaque(lobe.wavelengths_nm[0]), opaque(lobe.wavelengths_nm[-1])
         else:
@@ -127,13 +160,13 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         ti = np.arccos(np.clip(1.0 - np.linspace(0.0, depth, views), 1e-3 - (depth - 1.0), 1.0 - 1e-6))
         square = np.clip(np.linspace(0.0, 1.0, EXIT_NODES), 1e-6, 1.0 - 1e-5)
         dphi = np.linspace(0.0, math.pi, AZIMUTH_NODES)
-        up = _directions(np.arcsin(np.sqrt(square)), dphi[:, None])  # azimuth, exit
+        up = direction(np.arcsin(np.sqrt(square)), dphi[:, None])  # azimuth, exit
         wo = np.stack([up * [1.0, 1.0, sign] for sign in (1.0, -1.0)[:hemispheres]])
         thin = self._thinned(lobe)
         means = np.empty((views, hemispheres, AZIMUTH_NODES, EXIT_NODES))
         for k, angle in enumerate(ti):
             # on the device `wi` is the camera and `wo` the light; the roles differ only by a factor
-            means[k] = self._mean(thin, wo, np.broadcast_to(_directions(angle, 0.0), wo.shape))
+            means[k] = self._mean(thin, wo, np.broadcast_to(direction(angle, 0.0), wo.shape))
         # equal areas of the square are equal cosine-weighted solid angles
         inner = np.ones((AZIMUTH_NODES, EXIT_NODES))
         inner[[0, -1]] *= 0.5
@@ -158,7 +191,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
             value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
         else:
             wo, place = self._drawn(si, sample1, sample2, active)
-            active = active & self._wanted(si, wo, enabled)
+            active = active & self._enabled_exit(si, wo, enabled)
             value = self._value(ctx, si, wo, active) & active
             pdf = self._density(si, wo, *place, active)
         bs = dr.zeros(mi.BSDFSample3f)
@@ -166,11 +199,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
         if self.transmits:
             reflects = si.wi.z * wo.z > 0.0
-            bs.eta = dr.select(reflects, 1.0, dr.select(si.wi.z > 0.0, self.eta, 1.0 / self.eta))
-            bs.sampled_component = dr.select(reflects, mi.UInt32(0), mi.UInt32(1))
-            bs.sampled_type = dr.select(
-                reflects, mi.UInt32(int(mi.BSDFFlags.GlossyReflection)), mi.UInt32(int(mi.BSDFFlags.GlossyTransmission))
-            )
+            set_transmission(bs, reflects, dr.select(si.wi.z > 0.0, self.eta, 1.0 / self.eta))
         return bs, (value * dr.rcp(larger(pdf, 1e-20))) & (active & (pdf > 0.0))
 
     def _drawn(self, si: Any, sample1: Any, sample2: Any, active: Any) -> tuple[Any, tuple[Any, Any, Any]]:
@@ -180,7 +209,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         azimuth = dr.select(rest < 0.5, -turn, turn) * math.pi
         sin_theta, cos_theta = dr.sqrt(square), dr.sqrt(1.0 - square)
         sin_phi, cos_phi = dr.sincos(azimuth)
-        x, y = _unit(si.wi)
+        x, y = unit_azimuth(si.wi)
         wo = mi.Vector3f(
             sin_theta * (cos_phi * x - sin_phi * y),
             sin_theta * (cos_phi * y + sin_phi * x),
@@ -190,7 +219,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return `(f |cos wo|, pdf)`."""
-        active = active & self._visible(si.wi) & self._wanted(si, wo, enabled)
+        active = active & self._visible(si.wi) & self._enabled_exit(si, wo, enabled)
         value = self._value(ctx, si, wo, active) & active
         if self.is_broad:
             return value, dr.select(active, wo.z * dr.inv_pi, 0.0)
@@ -211,7 +240,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         # unit square -> sin^2 theta, dphi in [-pi, pi] -> solid angle
         return dr.select(active, density * dr.abs(wo.z) * dr.inv_pi, 0.0)
 
-    def _wanted(self, si: Any, wo: Any, enabled: tuple[bool, ...]) -> Any:
+    def _enabled_exit(self, si: Any, wo: Any, enabled: tuple[bool, ...]) -> Any:
         """Whether an exit direction is visible and its component enabled."""
         if not self.transmits:
             return self._visible(wo) & enabled[0]
@@ -304,7 +333,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         Raises:
             UnsupportedError: the shapes of the tables differ.
         """
-        if _keeps_index(lobe) != self.keeps_index:
+        if _has_constant_index(lobe) != self.has_constant_index:
             raise UnsupportedError("only one of the ambients is dispersive; build the scene again")
         if self._shape(lobe) != self.shape:
             raise UnsupportedError("the harmonic tables changed their shape; build the scene again")
@@ -320,7 +349,6 @@ class HarmonicPlugin(MonolayerPlugin[Harmonic]):
     def _set_tables(self, lobe: Harmonic) -> None:
         self.packets = -(-lobe.above.shape[1] // PACKET)
         self.values = PackedSeries(_one_triangle(lobe.above, lobe.below, lobe.across), self.packets)
-        self.free = None
         if lobe.above_free.shape[0]:
             free = _one_triangle(lobe.above_free, lobe.below_free, lobe.across_free)
             self.free = PackedSeries(free, self.packets)
@@ -328,38 +356,16 @@ class HarmonicPlugin(MonolayerPlugin[Harmonic]):
     def _thinned(self, lobe: Harmonic) -> Harmonic:
         return dataclasses.replace(lobe, **thinned_rows(lobe, self.tables))
 
-    def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
-        """Interpolate f at the four wavelengths."""
-        sin_l = dr.sqrt(light.x * light.x + light.y * light.y)
-        sin_e = dr.sqrt(eye.x * eye.x + eye.y * eye.y)
+    def _pair(self, light: Any, eye: Any, sines: tuple[Any, Any], places: tuple[Any, ...]) -> tuple[Any, ...]:
+        low_l, part_l, low_e, part_e = places
+        size = sines[0] * sines[1]
         dot = light.x * eye.x + light.y * eye.y
-        size = sin_l * sin_e
         cos_phi = dr.select(size > 1e-12, larger(smaller(-dot / larger(size, 1e-12), 1.0), -1.0), 1.0)
         cosines = [mi.Float(1.0), cos_phi]
         for _ in range(2, PACKET * self.packets):
             cosines.append(2.0 * cos_phi * cosines[-1] - cosines[-2])
-        low_l, part_l = self._coordinate(light, sin_l)
-        low_e, part_e = self._coordinate(eye, sin_e)
-        up_l, up_e = light.z > 0.0, eye.z > 0.0
-        where = self.axis.locate(si.wavelengths, active)
-        # the three corners of the point's triangle in the two angles, as in the arrays
-        first = part_l > part_e
-        step_l, step_e = dr.select(first, mi.UInt32(1), mi.UInt32(0)), dr.select(first, mi.UInt32(0), mi.UInt32(1))
-        steps = [(0, 0), (step_l, step_e), (1, 1)]
-        rows = [_row(low_l + to_l, low_e + to_e) * self.nodes for to_l, to_e in steps]
-        upper, lower = larger(part_l, part_e), smaller(part_l, part_e)
-        kinds = [self.values] if self.free is None else [self.values, self.free]
-        series = [[c * unit for c, unit in zip(cosines, kind.units, strict=True)] for kind in kinds]
-        squares = self._squares(sin_l, sin_e, dot, up_l, up_e)
-        result = mi.Spectrum(0.0)
-        for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
-            corners = tetrahedron([row + low for row in rows], upper, lower, part)
-            value = interpolated(self.values, corners, series[0], active)
-            value = value * self._structure(si.wavelengths[k], low, part, squares, active)
-            if self.free is not None:
-                value = value + interpolated(self.free, corners, series[1], active)
-            result[k] = value
-        return result * (self._fall(light, up_l, 1.0) * self._fall(eye, up_e, self.eta * self.eta))
+        rows = [_row(low_l + to_l, low_e + to_e) for to_l, to_e in _triangle(part_l > part_e)]
+        return cosines, rows, larger(part_l, part_e), smaller(part_l, part_e)
 
 
 def _one_triangle(above: SingleArray, below: SingleArray, across: SingleArray) -> SingleArray:
@@ -376,6 +382,12 @@ def _row(a: Any, b: Any) -> Any:
     """Return the row of a pair of nodes."""
     high, low = dr.maximum(a, b), dr.minimum(a, b)
     return ((high * (high + 1)) >> 1) + low
+
+
+def _triangle(first: Any) -> list[tuple[Any, Any]]:
+    """Return the node steps to the corners of a cell's triangle; `first`: the first fraction is the larger one."""
+    one, other = dr.select(first, mi.UInt32(1), mi.UInt32(0)), dr.select(first, mi.UInt32(0), mi.UInt32(1))
+    return [(0, 0), (one, other), (1, 1)]
 
 
 def tetrahedron(rows: list[Any], upper: Any, lower: Any, part: Any) -> list[tuple[Any, Any]]:
@@ -409,7 +421,7 @@ def interpolated(source: PackedSeries, corners: list[tuple[Any, Any]], harmonics
     return larger(total, 0.0)
 
 
-def _keeps_index(lobe: Any) -> bool:
+def _has_constant_index(lobe: Any) -> bool:
     """Whether the ambient is dispersionless: the wavenumber is then a constant over the wavelength."""
     product = lobe.wavenumbers * lobe.wavelengths_nm
     return bool(np.allclose(product, product[0], rtol=1e-7, atol=0.0))
@@ -439,20 +451,6 @@ def thinned_rows(lobe: Any, tables: tuple[str, ...]) -> dict[str, Any]:
     step = max(1, len(lobe.wavelengths_nm) // 12)
     names = (*tables, "wavelengths_nm", "wavenumbers", "index_below")
     return {name: np.ascontiguousarray(getattr(lobe, name)[..., ::step]) for name in names}
-
-
-def _directions(theta: Any, phi: Any) -> Array:
-    """Return unit vectors `[..., 3]`."""
-    theta, phi = np.broadcast_arrays(np.asarray(theta, dtype=float), np.asarray(phi, dtype=float))
-    sin = np.sin(theta)
-    return np.stack([sin * np.cos(phi), sin * np.sin(phi), np.cos(theta)], axis=-1)
-
-
-def _unit(wi: Any) -> tuple[Any, Any]:
-    """Return cosine and sine of the azimuth, arbitrary at the pole."""
-    flat = wi.x * wi.x + wi.y * wi.y
-    inverse = dr.rsqrt(larger(flat, 1e-20))
-    return dr.select(flat > 1e-14, wi.x * inverse, 1.0), dr.select(flat > 1e-14, wi.y * inverse, 0.0)
 
 
 TURNS = 8  # light azimuths in the average for the table of exits
@@ -508,36 +506,17 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
             found.append((2.0 * cos * now[0] - before[0], 2.0 * cos * now[1] - before[1]))
         return found
 
-    def _look_up(self, si: Any, light: Any, eye: Any, active: Any) -> Any:
-        """Interpolate f at the four wavelengths."""
-        sin_l = dr.sqrt(light.x * light.x + light.y * light.y)
-        sin_e = dr.sqrt(eye.x * eye.x + eye.y * eye.y)
-        dot = light.x * eye.x + light.y * eye.y
-        low_l, part_l = self._coordinate(light, sin_l)
-        low_e, part_e = self._coordinate(eye, sin_e)
-        up_l, up_e = light.z > 0.0, eye.z > 0.0
-        where = self.axis.locate(si.wavelengths, active)
+    def _pair(self, light: Any, eye: Any, sines: tuple[Any, Any], places: tuple[Any, ...]) -> tuple[Any, ...]:
+        low_l, part_l, low_e, part_e = places
         # the first direction of a pair is the one with the higher node
         is_first = (low_l > low_e) | ((low_l == low_e) & (part_l >= part_e))
-        powers_l, powers_e = self._powers(light, sin_l), self._powers(eye, sin_e)
+        powers_l, powers_e = self._powers(light, sines[0]), self._powers(eye, sines[1])
         one = [tuple(dr.select(is_first, a, b) for a, b in zip(p, q)) for p, q in zip(powers_l, powers_e)]
         two = [tuple(dr.select(is_first, b, a) for a, b in zip(p, q)) for p, q in zip(powers_l, powers_e)]
-        waves = self._waves(one, two)
         high, low = dr.select(is_first, low_l, low_e), dr.select(is_first, low_e, low_l)
         part_h, part_w = dr.select(is_first, part_l, part_e), dr.select(is_first, part_e, part_l)
-        first = part_h > part_w
-        step_h, step_w = dr.select(first, mi.UInt32(1), mi.UInt32(0)), dr.select(first, mi.UInt32(0), mi.UInt32(1))
-        steps = [(0, 0), (step_h, step_w), (1, 1)]
-        rows = [_row_aligned(high + to_h, low + to_w) * self.nodes for to_h, to_w in steps]
-        upper, lower = larger(part_h, part_w), smaller(part_h, part_w)
-        series = [wave * unit for wave, unit in zip(waves, self.values.units, strict=True)]
-        squares = self._squares(sin_l, sin_e, dot, up_l, up_e)
-        result = mi.Spectrum(0.0)
-        for k, (node, part) in enumerate(zip(where.low, where.fraction, strict=True)):
-            corners = tetrahedron([row + node for row in rows], upper, lower, part)
-            value = interpolated(self.values, corners, series, active)
-            result[k] = value * self._structure(si.wavelengths[k], node, part, squares, active)
-        return result * (self._fall(light, up_l, 1.0) * self._fall(eye, up_e, self.eta * self.eta))
+        rows = [_row(high + to_h, low + to_w) for to_h, to_w in _triangle(part_h > part_w)]
+        return self._waves(one, two), rows, larger(part_h, part_w), smaller(part_h, part_w)
 
     def update(self, lobe: Aligned) -> None:
         """Replace the data by another monolayer's.
@@ -548,8 +527,3 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         if not np.array_equal(np.rint(lobe.orders), self.orders):
             raise UnsupportedError("the azimuthal series changed its terms; build the scene again")
         super().update(lobe)
-
-
-def _row_aligned(a: Any, b: Any) -> Any:
-    """Return the row of a node pair, the higher node first."""
-    return ((a * (a + 1)) >> 1) + b

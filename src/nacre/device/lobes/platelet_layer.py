@@ -17,7 +17,7 @@ from nacre.bsdf.lobes.platelet_layer import PlateletLayer
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.device.facet_distributions import Ggx
-from nacre.device.glints import DeviceGlints, seen_apart
+from nacre.device.glints import DeviceGlints, resolves_flakes
 from nacre.device.plugin import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, read2
 from nacre.device.tables import DeviceTable, WavelengthAxis
 
@@ -93,7 +93,7 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         if self.glints is not None:
             part = (sample1 - surface) / dr.maximum(lobe, 1e-9)  # uniform within the flake lobe's samples
             part = dr.select(sample1 < surface + 0.5 * lobe, 2.0 * part, 2.0 * part - 1.0) if wide is not None else part
-            is_flake = active & by_facet & (by_surface ^ True) & (part < GLINT_SHARE) & seen_apart(si)
+            is_flake = active & by_facet & (by_surface ^ True) & (part < GLINT_SHARE) & resolves_flakes(si)
             glint, is_there = self._by_flake(si, part / GLINT_SHARE, sample2, is_flake)
             drawn = dr.select(is_flake & is_there, glint, drawn)
         wo = dr.select(by_facet, drawn, mi.warp.square_to_cosine_hemisphere(sample2))
@@ -234,7 +234,7 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         """Return g at the inside half vector with species weighted by their densities, the flake sampling density,
         and whether the point has flakes. Unresolved flakes count as absent."""
         assert self.glints is not None
-        apart = seen_apart(si)
+        apart = resolves_flakes(si)
         active = active & apart
         inner_i, inner_o, _, sx, sy = self._half(wi, wo)
         slope2 = sx * sx + sy * sy

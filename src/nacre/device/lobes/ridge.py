@@ -18,7 +18,18 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.lobes.ridge import Ridge
 from nacre.core.errors import UnsupportedError
-from nacre.device.plugin import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, replaced
+from nacre.device.plugin import (
+    MIN_COS,
+    LobePlugin,
+    device_array,
+    flag,
+    glossy_sample,
+    opaque,
+    opaque_int,
+    read,
+    replaced,
+    rotated_frame,
+)
 from nacre.device.response import DeviceResponse
 from nacre.device.tables import DeviceTable, WavelengthAxis
 from nacre.device.texture import DeviceTexture
@@ -56,16 +67,16 @@ class RidgePlugin(LobePlugin[Ridge]):
             lambda t: np.square(np.sinc(t / np.pi)), 2.0 * math.pi * lobe.width_nm / shortest, ENVELOPE_CELLS
         )
         # a power of two: similar counts share a kernel
-        wanted = np.clip(COMB_CELLS_PER_RIDGE * lobe.count, MIN_COMB_CELLS, MAX_COMB_CELLS)
-        cells = 1 << int(np.ceil(np.log2(wanted)))
+        cell_count = np.clip(COMB_CELLS_PER_RIDGE * lobe.count, MIN_COMB_CELLS, MAX_COMB_CELLS)
+        cells = 1 << int(np.ceil(np.log2(cell_count)))
         self.comb = StepDensity(
             lambda x: np.square(lobe.count * np.sinc(lobe.count * x) / np.sinc(x)) / lobe.count, 0.5, cells
         )
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Draw a direction; see the module docstring."""
-        frame = self._frame(si, active)
-        wi = frame(si.wi, forward=True)
+        frame = rotated_frame(self.rotation, si, active)
+        wi = frame(si.wi, True)
         active = active & enabled[0] & (wi.z > MIN_COS)
         # along: a normal number by inversion
         along = self.spread * (math.sqrt(2.0) * dr.erfinv(dr.clip(2.0 * sample2[1] - 1.0, -0.999999, 0.999999)))
@@ -79,7 +90,7 @@ class RidgePlugin(LobePlugin[Ridge]):
         wavelength = si.wavelengths[0]
         for i in range(1, lines):
             wavelength = dr.select(pick == i, si.wavelengths[i], wavelength)
-        wavelength = self._sane(wavelength)
+        wavelength = self._limited(wavelength)
         share = self._comb_share(wi, wavelength)
         scale = math.pi * self.width / wavelength  # t per sine
         low, high = self.envelope.cdf((wi.x - limit) * scale), self.envelope.cdf((wi.x + limit) * scale)
@@ -94,17 +105,12 @@ class RidgePlugin(LobePlugin[Ridge]):
         wo = mi.Vector3f(sx, sy, dr.sqrt(dr.maximum(cos2, 0.0)))
 
         value, pdf = self._eval_pdf(si, wi, wo, active)
-        bs = dr.zeros(mi.BSDFSample3f)
-        bs.wo = frame(wo, forward=False)
-        bs.pdf = pdf
-        bs.eta = mi.Float(1.0)
-        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
-        return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
+        return glossy_sample(frame(wo, False), value, pdf, active)
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return `(value * cos wo, pdf)`."""
-        frame = self._frame(si, active)
-        wi, wo = frame(si.wi, forward=True), frame(wo, forward=True)
+        frame = rotated_frame(self.rotation, si, active)
+        wi, wo = frame(si.wi, True), frame(wo, True)
         active = active & enabled[0] & (wi.z > MIN_COS) & (wo.z > MIN_COS)
         return self._eval_pdf(si, wi, wo, active)
 
@@ -119,7 +125,7 @@ class RidgePlugin(LobePlugin[Ridge]):
         spread, across_pdf = mi.Spectrum(0.0), mi.Float(0.0)
         lines = dr.size_v(mi.Spectrum)
         for i in range(lines):
-            wavelength = self._sane(si.wavelengths[i])
+            wavelength = self._limited(si.wavelengths[i])
             spread[i] = self._interference(psi, wavelength)
             across_pdf = across_pdf + self._across_pdf(wi, psi.x, limit, wavelength, active) / lines
         value = reflected * spread * inverse_norm * (self.fill * gauss * wo.z)
@@ -155,21 +161,9 @@ class RidgePlugin(LobePlugin[Ridge]):
         chi2 = dr.exp(-dr.square(2.0 * math.pi / wavelength * wi.z * self.deviation))
         return dr.minimum(chi2, MAX_COMB_SHARE)
 
-    def _sane(self, wavelength: Any) -> Any:
+    def _limited(self, wavelength: Any) -> Any:
         """Limit the wavelength from below, since test harnesses pass 0."""
         return dr.maximum(wavelength, 200.0)
-
-    def _frame(self, si: Any, active: Any) -> Any:
-        """Return the rotation to a frame with x across the ridges."""
-        if self.rotation is None:
-            return lambda w, forward: w
-        sin, cos = dr.sincos(self.rotation(si, active))
-
-        def turn(w: Any, forward: bool) -> Any:
-            s = sin if forward else -sin
-            return mi.Vector3f(cos * w.x + s * w.y, cos * w.y - s * w.x, w.z)
-
-        return turn
 
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the stack's reflectance at the ray's angle, times the covered fraction."""

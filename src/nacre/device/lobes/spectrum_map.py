@@ -11,7 +11,7 @@ import numpy as np
 
 from nacre.bsdf.lobes.spectrum_map import SpectrumMap
 from nacre.core.errors import UnsupportedError
-from nacre.device.plugin import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read
+from nacre.device.plugin import MIN_COS, LobePlugin, device_array, flag, glossy_sample, opaque, opaque_int, read
 from nacre.device.tables import WavelengthAxis
 
 COSINE_SHARE = 0.15  # of the samples: covers all directions and bounds the weights
@@ -77,10 +77,7 @@ class SpectrumMapPlugin(LobePlugin[SpectrumMap]):
         wo = dr.select(by_cosine, mi.warp.square_to_cosine_hemisphere(sample2), drawn)
         active = active & (by_cosine | (lateral < 1.0))
         value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
-        bs = dr.zeros(mi.BSDFSample3f)
-        bs.wo, bs.pdf, bs.eta = wo, dr.select(active, pdf, 0.0), mi.Float(1.0)
-        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
-        return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
+        return glossy_sample(wo, value, dr.select(active, pdf, 0.0), active)
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return `(f cos wo, pdf)`."""

@@ -12,10 +12,21 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.table import TableLobe
-from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
-from nacre.device.plugin import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, read2
+from nacre.device.plugin import (
+    MIN_COS,
+    LobePlugin,
+    device_array,
+    flag,
+    glossy_sample,
+    opaque,
+    opaque_int,
+    read,
+    read2,
+    unit_azimuth,
+)
 from nacre.device.tables import DeviceTable, WavelengthAxis
 
 COSINE_SHARE = 0.1  # of the samples: covers all directions and bounds the weights
@@ -69,12 +80,12 @@ class TablePlugin(LobePlugin[TableLobe]):
         ti = np.linspace(0.0, 1.0, VIEW_NODES) * (math.pi / 2 - 1e-4)
         to = np.linspace(0.0, 1.0, EXIT_NODES) * (math.pi / 2 - 1e-4)
         dphi = np.linspace(0.0, math.pi, AZIMUTH_NODES)
-        wo = _directions(to[None, :], dphi[:, None])  # [azimuth, exit, 3]
+        wo = direction(to[None, :], dphi[:, None])  # [azimuth, exit, 3]
         weight = np.cos(to) * np.sin(to)
         densities = np.empty((VIEW_NODES, AZIMUTH_NODES, EXIT_NODES), dtype=np.float32)
         means, squares = np.empty(VIEW_NODES), np.empty(VIEW_NODES)
         for k, angle in enumerate(ti):
-            wi = np.broadcast_to(_directions(angle, 0.0), wo.shape)
+            wi = np.broadcast_to(direction(angle, 0.0), wo.shape)
             mean = lobe.evaluate(wi, wo).mean(axis=-1)
             # a positive density everywhere
             densities[k] = np.maximum(mean, 1e-4 * mean.max() + 1e-9) * weight
@@ -94,10 +105,7 @@ class TablePlugin(LobePlugin[TableLobe]):
         if not self.is_broad:
             wo = self._drawn(si, sample1, sample2, wo, active)
         value, pdf = self.eval_pdf(ctx, si, wo, active, enabled)
-        bs = dr.zeros(mi.BSDFSample3f)
-        bs.wo, bs.pdf, bs.eta = wo, pdf, mi.Float(1.0)
-        bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
-        return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
+        return glossy_sample(wo, value, pdf, active)
 
     def _drawn(self, si: Any, sample1: Any, sample2: Any, cosine: Any, active: Any) -> Any:
         """Return a direction from the table of exits, or `cosine` with probability `COSINE_SHARE`."""
@@ -109,7 +117,7 @@ class TablePlugin(LobePlugin[TableLobe]):
         azimuth = dr.select(rest < 0.5, -place[1], place[1]) * math.pi
         sin_theta, cos_theta = dr.sincos(theta)
         sin_phi, cos_phi = dr.sincos(azimuth)
-        x, y = _unit(si.wi)
+        x, y = unit_azimuth(si.wi)
         drawn = mi.Vector3f(sin_theta * (cos_phi * x - sin_phi * y), sin_theta * (cos_phi * y + sin_phi * x), cos_theta)
         return dr.select(by_cosine, cosine, drawn)
 
@@ -188,23 +196,9 @@ def _trilinear(corners: list[Any], parts: list[Any]) -> Any:
     return corners[0]
 
 
-def _directions(theta: Any, phi: Any) -> Array:
-    """Return unit vectors `[..., 3]`."""
-    theta, phi = np.broadcast_arrays(np.asarray(theta, dtype=float), np.asarray(phi, dtype=float))
-    sin = np.sin(theta)
-    return np.stack([sin * np.cos(phi), sin * np.sin(phi), np.cos(theta)], axis=-1)
-
-
 def _view(wi: Any) -> Any:
     """Return theta_i in units of 90 degrees."""
     return dr.acos(dr.clip(wi.z, 0.0, 1.0)) * (2.0 / math.pi)
-
-
-def _unit(wi: Any) -> tuple[Any, Any]:
-    """Return cosine and sine of the azimuth, arbitrary at the pole."""
-    flat = wi.x * wi.x + wi.y * wi.y
-    inverse = dr.rsqrt(dr.maximum(flat, 1e-20))
-    return dr.select(flat > 1e-14, wi.x * inverse, 1.0), dr.select(flat > 1e-14, wi.y * inverse, 0.0)
 
 
 def _to_direction(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
@@ -217,7 +211,7 @@ def _to_half(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
     """Return the "half" coordinates in [0, 1], as `nacre.bsdf.lobes.table.to_half`."""
     h = dr.normalize(wi + wo)
     sin_h = dr.sqrt(dr.maximum(h.x * h.x + h.y * h.y, 0.0))
-    cos_p, sin_p = _unit(h)
+    cos_p, sin_p = unit_azimuth(h)
     x, y = wi.x * cos_p + wi.y * sin_p, wi.y * cos_p - wi.x * sin_p
     dx, dz = h.z * x - sin_h * wi.z, sin_h * x + h.z * wi.z
     phi = dr.atan2(y, dx)

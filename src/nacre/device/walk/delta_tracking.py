@@ -26,10 +26,10 @@ from nacre.device.walk.platelet import (
     Flake,
     Walker,
     flake_gain,
-    kept_share,
     one_of,
+    reflected_by,
     select,
-    turned_by,
+    survival_probability,
     two_numbers,
 )
 from nacre.device.walk.strata import Strata
@@ -93,18 +93,17 @@ def delta_flight(
     reflected = met * reflect * per_rate
     straight = met * dr.select(is_far, 1 - mean * per_rate, transmit)
     one, two = dr.sum(reflected), dr.sum(straight)
-    kept = kept_share(carried, one + two)
+    survival = survival_probability(carried, one + two)
     choice *= one + two
-    lives, reflects = choice < kept * (one + two), choice < kept * one
+    lives, reflects = choice < survival * (one + two), choice < survival * one
     after = dr.select(reflects, reflected, straight)
-    after *= (one + two) / dr.maximum(kept * dr.select(reflects, one, two), TINY)
+    after *= (one + two) / dr.maximum(survival * dr.select(reflects, one, two), TINY)
     passed = light.f * passes
     passed *= carried / dr.maximum(dr.sum(passed), TINY)
     reflects &= inside
-    moved = Walker(
-        dr.select(reflects, flake.turned(strata, m, v_m), light.d), light.stratum,
-        dr.select(inside, depth, light.depth), dr.select(inside, after, passed), turned_by(light, flake, m, reflects),
-    )  # fmt: skip
+    direction = dr.select(reflects, flake.turned(strata, m, v_m), light.d)
+    throughput, turn = dr.select(inside, after, passed), reflected_by(light, flake, m, reflects)
+    moved = Walker(direction, light.stratum, dr.select(inside, depth, light.depth), throughput, turn)
     leaves = alive & ~inside
     up = light.d.z > 0
     return moved, alive & (~inside | lives), gained, leaves & up, leaves & ~up, seen | reflects

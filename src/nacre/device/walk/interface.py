@@ -20,6 +20,28 @@ def mirrored(v: Any, w: Any) -> Any:
     return mi.Vector3f(w.x, w.y, dr.select(v.z < 0, -w.z, w.z))
 
 
+def _draw_facet(strata: Strata, rng: Any, v: Any, interface: Any, active: Any) -> tuple[Any, ...]:
+    """Draw a facet for light from `v`.
+
+    Returns:
+        `v` as from above, the normal, whether the interface is rough, the facet distribution (None if all interfaces
+        are smooth), the cosine on the facet, its reflectance, the refracted direction.
+    """
+    row = strata.interfaces.read(interface, active)
+    above = v.z > 0
+    vm = mirrored(v, v)
+    n_in, n_out = dr.select(above, row[0], row[1]), dr.select(above, row[1], row[0])
+    m, facets = mi.Vector3f(0, 0, 1), None
+    rough = row[2] + row[3] > 0
+    if strata.any_rough:
+        facets = strata.facets(row)
+        drawn = facets.sample(vm, mi.Point2f(rng.next_float32(active), rng.next_float32(active)))
+        m = drawn if strata.all_rough else dr.select(rough, drawn, m)
+    cos = dr.maximum(dr.dot(vm, m), TINY)
+    reflectance, cos_t, _, eta_ti = mi.fresnel(cos, n_out / n_in)
+    return vm, m, rough, facets, cos, reflectance, mi.refract(vm, m, cos_t, eta_ti)
+
+
 def interface_event(strata: Strata, rng: Any, v: Any, interface: Any, active: Any) -> tuple[Any, Any]:
     """Reflect or refract at random, with weight 1.
 
@@ -35,22 +57,11 @@ def interface_event(strata: Strata, rng: Any, v: Any, interface: Any, active: An
     Returns:
         the outgoing direction away from the interface, and survival.
     """
-    row = strata.interfaces.read(interface, active)
-    above = v.z > 0
-    vm = mirrored(v, v)
-    n_in, n_out = dr.select(above, row[0], row[1]), dr.select(above, row[1], row[0])
-    m = mi.Vector3f(0, 0, 1)
-    if strata.any_rough:
-        facets = strata.facets(row)
-        drawn = facets.sample(vm, mi.Point2f(rng.next_float32(active), rng.next_float32(active)))
-        rough = row[2] + row[3] > 0
-        m = drawn if strata.all_rough else dr.select(rough, drawn, m)
-    cos = dr.maximum(dr.dot(vm, m), TINY)
-    reflectance, cos_t, _, eta_ti = mi.fresnel(cos, n_out / n_in)
+    vm, m, rough, facets, cos, reflectance, refracted = _draw_facet(strata, rng, v, interface, active)
     reflects = rng.next_float32(active) < reflectance
-    w = dr.select(reflects, mi.reflect(vm, m), mi.refract(vm, m, cos_t, eta_ti))
+    w = dr.select(reflects, mi.reflect(vm, m), refracted)
     survives = dr.select(reflects, w.z > 0, w.z < 0)
-    if strata.any_rough:
+    if facets is not None:
         unmasked = facets.weight(vm, w, m, cos, dr.abs(dr.dot(w, m)))
         lucky = rng.next_float32(active) < unmasked
         survives &= lucky if strata.all_rough else (lucky | ~rough)
@@ -109,23 +120,11 @@ def refract(strata: Strata, rng: Any, v: Any, interface: Any, active: Any) -> tu
     if strata.compensates:
         w, alive = interface_event(strata, rng, v, interface, active)
         return w, dr.select(alive & ((w.z > 0) != (v.z > 0)), mi.Float(1.0), 0.0)
-    row = strata.interfaces.read(interface, active)
-    above = v.z > 0
-    vm = mirrored(v, v)
-    n_in, n_out = dr.select(above, row[0], row[1]), dr.select(above, row[1], row[0])
-    m = mi.Vector3f(0, 0, 1)
-    rough = row[2] + row[3] > 0
-    if strata.any_rough:
-        facets = strata.facets(row)
-        drawn = facets.sample(vm, mi.Point2f(rng.next_float32(active), rng.next_float32(active)))
-        m = drawn if strata.all_rough else dr.select(rough, drawn, m)
-    cos = dr.maximum(dr.dot(vm, m), TINY)
-    reflectance, cos_t, _, eta_ti = mi.fresnel(cos, n_out / n_in)
-    w = mi.refract(vm, m, cos_t, eta_ti)
+    vm, m, rough, facets, cos, reflectance, w = _draw_facet(strata, rng, v, interface, active)
     passes = active & (w.z < 0) & (reflectance < 1)
     w = dr.select(passes, dr.normalize(w), mi.Vector3f(0, 0, -1))
     weight = 1 - reflectance
-    if strata.any_rough:
+    if facets is not None:
         unmasked = facets.weight(vm, w, m, cos, dr.abs(dr.dot(w, m)))
         weight *= unmasked if strata.all_rough else dr.select(rough, unmasked, 1.0)
     return mirrored(v, w), dr.select(passes, weight, 0.0)

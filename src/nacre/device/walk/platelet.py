@@ -113,17 +113,17 @@ def select(mask: Any, new: tuple[Any, ...], old: tuple[Any, ...]) -> tuple[Any, 
     return tuple(dr.select(mask, a, b) for a, b in zip(new, old, strict=True))
 
 
-def spoilt(turn: tuple[Any, ...], by: Any) -> tuple[Any, ...]:
+def scattered_by_other(turn: tuple[Any, ...], by: Any) -> tuple[Any, ...]:
     """Return `Walker.turn` after scattering by anything but a single flake."""
     return (dr.select(by, mi.UInt32(BY_MORE), turn[0]), *turn[1:]) if turn else ()
 
 
-def turned_by(light: Walker, flake: Flake, m: Any, turns: Any) -> tuple[Any, ...]:
+def reflected_by(light: Walker, flake: Flake, m: Any, turns: Any) -> tuple[Any, ...]:
     """Return `Walker.turn` after reflection by a flake with normal `m`."""
     if not light.turn:
         return ()
     first = (mi.UInt32(BY_FLAKE), m.x, m.y, m.z, flake.slot)
-    return select(light.fresh(turns), first, spoilt(light.turn, turns))
+    return select(light.fresh(turns), first, scattered_by_other(light.turn, turns))
 
 
 def two_numbers(rng: Any, active: Any) -> tuple[Any, Any]:
@@ -143,7 +143,7 @@ def one_of(values: tuple[Any, ...], weights: Any, left: Any) -> tuple[Any, ...]:
     return found
 
 
-def kept_share(before: Any, after: Any) -> Any:
+def survival_probability(before: Any, after: Any) -> Any:
     """Return the survival probability from the summed throughput before and after an event.
 
     This is the retained fraction; a rise above the initial throughput is reversed first.

@@ -242,22 +242,14 @@ class Strata:
         if self.upright:
             return w
         f = row[4:]
-        return mi.Vector3f(
-            f[0] * w.x + f[3] * w.y + f[6] * w.z,
-            f[1] * w.x + f[4] * w.y + f[7] * w.z,
-            f[2] * w.x + f[5] * w.y + f[8] * w.z,
-        )
+        return mi.Vector3f(*[f[i] * w.x + f[i + 3] * w.y + f[i + 6] * w.z for i in range(3)])
 
     def from_flake(self, row: list[Any], w: Any) -> Any:
         """Transform a direction from the flake frame."""
         if self.upright:
             return w
         f = row[4:]
-        return mi.Vector3f(
-            f[0] * w.x + f[1] * w.y + f[2] * w.z,
-            f[3] * w.x + f[4] * w.y + f[5] * w.z,
-            f[6] * w.x + f[7] * w.y + f[8] * w.z,
-        )
+        return mi.Vector3f(*[f[3 * i] * w.x + f[3 * i + 1] * w.y + f[3 * i + 2] * w.z for i in range(3)])
 
     def kind_at(self, stratum: Any, slot: Any, active: Any) -> Any:
         """Return the index of a stratum's flake species."""

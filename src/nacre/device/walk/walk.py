@@ -32,11 +32,11 @@ from nacre.device.walk.platelet import (
     Flake,
     Walker,
     flake_gain,
-    kept_share,
     one_of,
+    reflected_by,
+    scattered_by_other,
     select,
-    spoilt,
-    turned_by,
+    survival_probability,
     two_numbers,
 )
 from nacre.device.walk.strata import BaseLobes, Strata
@@ -63,14 +63,20 @@ def sample_walk(strata: Strata, rng: Any, wi: Any, where: Located, active: Any) 
     """
     where = where.on_nodes(rng.next_float32())
     entry = dr.select(wi.z > 0, mi.UInt32(0), mi.UInt32(strata.count))
+    light, inside, active = _enter(strata, rng, wi, entry, active)
+    nothing, seen = mi.Spectrum(0.0), rough_one(strata, entry)
+    d, weight, mirror, _, turn = _follow(strata, Stepper(strata, where), rng, light, inside, seen, nothing)
+    return d, _with_glint(strata, turn, weight, where, active), mirror
+
+
+def _enter(strata: Strata, rng: Any, wi: Any, entry: Any, active: Any) -> tuple[Walker, Any, Any]:
+    """Reflect or refract light at the entry; return its state, whether it is inside, and the mask of valid lanes."""
     active = mi.Bool(active) & (mi.Bool(strata.base == "none") | (wi.z > 0))
     w, alive = interface_event(strata, rng, wi, entry, active)
     alive &= active
     light = first_light(strata, w, dr.select(alive, mi.Spectrum(1.0), 0.0))
     inside = alive & ((w.z > 0) != (wi.z > 0))
-    nothing, seen = mi.Spectrum(0.0), rough_one(strata, entry)
-    d, weight, mirror, _, turn = _follow(strata, Stepper(strata, where), rng, light, inside, seen, nothing)
-    return d, _with_glint(strata, turn, weight, where, active), mirror
+    return light, inside, active
 
 
 def _with_glint(strata: Strata, turn: tuple[Any, ...], weight: Any, where: Located, active: Any) -> Any:
@@ -96,8 +102,8 @@ def eval_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, active
     return dr.select(active & dr.isfinite(got), got, 0.0)
 
 
-def joint_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, active: Any, wanted: Any) -> Any:
-    """Estimate f |cos_o| towards `wo` (mask `wanted`) and draw an exit (mask `active`) by one walk.
+def joint_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, active: Any, eval_mask: Any) -> Any:
+    """Estimate f |cos_o| towards `wo` (mask `eval_mask`) and draw an exit (mask `active`) by one walk.
 
     Light reflected at the entry does not enter, so the value is noisier than that of a separate `eval_walk`.
 
@@ -106,16 +112,12 @@ def joint_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, activ
     """
     where = where.on_nodes(rng.next_float32())
     entry = dr.select(wi.z > 0, mi.UInt32(0), mi.UInt32(strata.count))
-    wanted = _connectable(strata, wi, wo, wanted)
-    stepper, total = _connected(strata, rng, wi, wo, entry, where, wanted)
-    active = mi.Bool(active) & (mi.Bool(strata.base == "none") | (wi.z > 0))
-    w, alive = interface_event(strata, rng, wi, entry, active)
-    alive &= active
-    light = first_light(strata, w, dr.select(alive, mi.Spectrum(1.0), 0.0))
-    inside = alive & ((w.z > 0) != (wi.z > 0))
+    eval_mask = _connectable(strata, wi, wo, eval_mask)
+    stepper, total = _connected(strata, rng, wi, wo, entry, where, eval_mask)
+    light, inside, active = _enter(strata, rng, wi, entry, active)
     d, weight, mirror, got, turn = _follow(strata, stepper, rng, light, inside, rough_one(strata, entry), total)
     weight = _with_glint(strata, turn, weight, where, active)
-    return dr.select(wanted & dr.isfinite(got), got, 0.0), d, weight, mirror
+    return dr.select(eval_mask & dr.isfinite(got), got, 0.0), d, weight, mirror
 
 
 def _connectable(strata: Strata, wi: Any, wo: Any, active: Any) -> Any:
@@ -210,7 +212,7 @@ class Stepper:
         if strata.count > 1:
             moved = dr.select(w.z < 0, interface, interface - 1)
             stratum = dr.select(at_interface & ~leaves, moved, stratum)
-        turn = spoilt(light.turn, at_interface & ~crosses & rough_one(strata, interface))
+        turn = scattered_by_other(light.turn, at_interface & ~crosses & rough_one(strata, interface))
         if strata.base != "none":
             d, f, lives_b, got, turned = self._base(light, v, rng, at_base)
             new_d, new_f = dr.select(at_base, d, new_d), dr.select(at_base, f, new_f)
@@ -219,7 +221,7 @@ class Stepper:
             depth = dr.select(at_base, 1.0, depth)
             if strata.base_scatters:
                 seen = seen | (at_base & turned)
-                turn = spoilt(turn, at_base & turned)
+                turn = scattered_by_other(turn, at_base & turned)
         moved_light = Walker(new_d, stratum, depth, dr.select(lives, new_f, 0.0), turn)
         return moved_light, lives & ~leaves, leaves & lives, gained, seen
 
@@ -297,7 +299,7 @@ class Stepper:
             new_d, new_f = dr.select(at_dye, d, new_d), dr.select(at_dye, f, new_f)
             lives &= ~at_dye | lives_d
             seen = seen | (at_dye & turned)
-            turn = spoilt(turn, at_dye & turned)
+            turn = scattered_by_other(turn, at_dye & turned)
             gained += dr.select(at_dye, got, 0.0)
         moved = Walker(new_d, light.stratum, dr.select(inside, depth, light.depth), new_f, turn)
         return moved, lives, gained, goes_up, goes_down, seen
@@ -332,7 +334,7 @@ class Stepper:
         f = light.f * dr.select(
             reflects, reflect / dr.maximum(p_reflect, TINY), transmit / dr.maximum(p_transmit, TINY)
         )
-        return d, f, lives, gained, reflects, turned_by(light, flake, m, active & reflects)
+        return d, f, lives, gained, reflects, reflected_by(light, flake, m, active & reflects)
 
     def _dye(self, light: Walker, majorant: Any, depth: Any, rng: Any, active: Any) -> tuple[Any, Any, Any, Any, Any]:
         strata = self.strata
@@ -423,7 +425,7 @@ class Stepper:
             gained = light.f * worth * lobes.eval(v, to, self.where, active)
         d, weight, mirror = lobes.sample(v, rng, self.where, active)
         f = light.f * weight
-        p = kept_share(dr.sum(light.f), dr.sum(f))
+        p = survival_probability(dr.sum(light.f), dr.sum(f))
         lives = rng.next_float32(active) < p
         return dr.normalize(d), f / dr.maximum(p, TINY), lives, gained, ~mirror
 
@@ -440,13 +442,13 @@ def connect_interface(
     has_above, has_below = active & (interface > 0), active & (interface < strata.count)
     above = dr.select(has_above, interface - 1, mi.UInt32(0))
     below = dr.select(has_below, interface, mi.UInt32(strata.count - 1))
-    wanted = has_above & ((v.z > 0) | first | ~exits_above)
+    counts = has_above & ((v.z > 0) | first | ~exits_above)
     to, worth = connection.upward(above, mi.Float(1.0))
-    total += dr.select(wanted, worth * interface_value(strata, v, to, interface, wanted), 0.0)
+    total += dr.select(counts, worth * interface_value(strata, v, to, interface, counts), 0.0)
     if connection.has_down:
-        wanted = has_below & ((v.z < 0) | first | exits_above)
+        counts = has_below & ((v.z < 0) | first | exits_above)
         to, worth = connection.downward(below, mi.Float(0.0))
-        total += dr.select(wanted, worth * interface_value(strata, v, to, interface, wanted), 0.0)
+        total += dr.select(counts, worth * interface_value(strata, v, to, interface, counts), 0.0)
     return total
 
 

@@ -1,20 +1,17 @@
 # ruff: noqa: NPY002  # numba compiles the legacy generator only; its state is one for each thread
-"""Photonic balls: spheres of photonic glass, some micrometres wide, in a binder, as paints hold them.
+"""Photonic balls: micrometre-sized spheres of photonic glass in a binder, as in paints.
 
-Two scales. A ball is far larger than the wavelength: light meets its face as rays do (Fresnel, refraction by the ratio
-of the indices of glass and binder) and walks inside through the glass. What leaves, over the angle that it has been
-turned by, is the phase function of one ball, and what stays is its absorption; its cross-section is that of its shadow.
-The paint is then a medium of such scatterers in the binder, as a glass is one of spheres.
+A ball is far larger than the wavelength: rays enter its face (Fresnel, refraction by the relative index of glass and
+binder) and walk inside through the glass. The angular distribution of the exits is the phase function of a ball, the
+rest is absorbed, and the cross-section is the geometric one. The paint is a medium of such scatterers in the binder.
 
-A walk that knows no places lets light leave a ball where it met it. So the way inside is counted to the flight before:
-between balls that fill the share phi a ray flies 4 R (1 - phi)/(3 phi) on average (the mean chord, Dirac 1943; see
-Coleman, J. Appl. Probab. 6, 430 (1969)), and a ball carries light on by d along its old direction, the mean over what
-leaves it; flights of the sum of both have the transport length of the true walk. Where all light passes straight, d is
-4 R/3 and the sum is the path between shadows that stand at random, 4 R/(3 phi).
+A walk in a homogeneous medium has no extended scatterers, so the path inside a ball is added to the flight before it:
+at volume fraction phi, the mean chord between balls is 4 R (1 - phi)/(3 phi) (Dirac 1943; see Coleman, J. Appl.
+Probab. 6, 430 (1969)), and a ball displaces light by d along its direction on average; flights of the summed length
+have the correct transport length. For straight transmission d is 4 R/3 and the sum 4 R/(3 phi).
 
-Approximate: diffraction round a ball is left out, as is usual where neighbours stand closer than the far field, and
-flights between balls have the spread of a random one. Light that goes on as it came, within a few degrees, has met
-nothing.
+Approximations: diffraction around balls is neglected, as usual for neighbours closer than the far field; flights are
+exponentially distributed; light deflected by less than a few degrees counts as unscattered.
 """
 
 from __future__ import annotations
@@ -33,21 +30,20 @@ from nacre.families.glass.composite import INDEX_NM, Composite
 from nacre.families.glass.medium import GAUSS_NODES, PHASE_NODES, Medium, gauss_rule
 from nacre.matter.indices.constant import OpticalConstant
 
-TURN_NODES = 61  # of sin(theta/2), uniform, on which light from a ball is gathered
-WALKERS = 40_000  # a wavelength; all wavelengths draw the same numbers, so that noise makes no false colour
+TURN_NODES = 61  # uniform in sin(theta/2)
+WALKERS = 40_000  # per wavelength, with the same random numbers: noise without colour
 SEED = 20
 
 
 @dataclass(frozen=True)
 class BallLight:
-    """What one ball does to the light that falls on its shadow.
+    """Light scattered by one ball, relative to the light on its cross-section.
 
     Attributes:
-        density: `[wavelength, turn]`, 1/sr, over uniform nodes of sin(theta/2), theta the angle turned by; without
-            what goes on as it came. A piecewise linear function of that sine.
-        passed: `[wavelength]`, share that goes on within `PASSED_COS` of its direction.
+        density: `[wavelength, turn]`, 1/sr, scattered light, piecewise linear over uniform nodes of sin(theta/2).
+        passed: `[wavelength]`, share deflected by less than arccos `PASSED_COS`.
         absorbed: `[wavelength]`, share.
-        carried: `[wavelength]`, in radii: how far on, along its old direction, light leaves the ball on average.
+        carried: `[wavelength]`, mean displacement along the old direction, in radii.
     """
 
     density: Array
@@ -56,22 +52,22 @@ class BallLight:
     carried: Array
 
 
-PASSED_COS = 1.0 - 1.0 / (PHASE_NODES - 1)  # half a cell of the table of the phase function
+PASSED_COS = 1.0 - 1.0 / (PHASE_NODES - 1)  # half a cell of the tabulated phase function
 
 
 def ball_light(medium: Medium, ratio: Array, radius_nm: float, walkers: int = WALKERS, seed: int = SEED) -> BallLight:
     """Walk through one ball.
 
     Args:
-        medium: of the glass in it.
+        medium: glass inside.
         ratio: `[wavelength]`, index of the glass over the binder's.
-        radius_nm: of the ball.
+        radius_nm: ball radius.
         walkers: for each wavelength.
-        seed: another one gives independent noise.
+        seed: another seed gives independent noise.
     """
     quantiles = medium.quantiles()
     turns = np.linspace(0.0, 1.0, TURN_NODES)
-    # what a node of a piecewise linear function counts for: 2 pi dcos = 8 pi s ds
+    # quadrature weights of the nodes: 2 pi dcos = 8 pi s ds
     step = turns[1]
     share = 8 * np.pi * step * turns
     share[0], share[-1] = 8 * np.pi * step**2 / 6, 8 * np.pi * step * (0.5 - step / 6)
@@ -180,14 +176,14 @@ def _walk_ball(seed, count, ratio, depths, quantile, forward, out):  # type: ign
 
 @dataclass(frozen=True)
 class Balls:
-    """Photonic balls in a binder, before a wavelength is chosen: stands where a `Composite` does.
+    """Photonic balls in a binder, a `Filling` like `Composite`.
 
     Attributes:
-        glass: what a ball is made of.
-        radius_nm: of a ball.
-        volume_fraction: of the balls.
-        binder: what lies between them; its absorption counts.
-        walkers: through one ball, a wavelength.
+        glass: inside the balls.
+        radius_nm: ball radius.
+        volume_fraction: filled by balls.
+        binder: between the balls, possibly absorbing.
+        walkers: per wavelength, through one ball.
     """
 
     glass: Composite
@@ -198,17 +194,17 @@ class Balls:
 
     @property
     def range_nm(self) -> tuple[float, float]:
-        """Where all its materials are known."""
+        """Wavelength range of all materials."""
         low, high = self.glass.range_nm
         return max(low, self.binder.range_nm[0]), min(high, self.binder.range_nm[1])
 
     @property
     def walk_index(self) -> float:
-        """The index by which the walk refracts all wavelengths."""
+        """Index for the refraction of all wavelengths in random walks."""
         return max(float(np.abs(self.effective_index(np.array([INDEX_NM])))[0]), 1.0)
 
     def effective_index(self, wavelengths_nm: Array) -> ComplexArray:
-        """n + ik of the binder, `[wavelength]`: that of the layer's faces."""
+        """Index n + ik of the binder, `[wavelength]`."""
         return self.binder.n_complex(wavelengths_nm)
 
     def medium(self, wavelengths_nm: Array, moments: int = 48, seed: int = SEED) -> Medium:
@@ -223,7 +219,7 @@ class Balls:
         step = nodes[1] - nodes[0]
         total = 2 * np.pi * step * (table.sum(axis=1) - 0.5 * (table[:, 0] + table[:, -1]))
         cosines, weights = gauss_rule(GAUSS_NODES)
-        # a ball that turns no light has no phase function; any serves
+        # any phase function for balls without scattering
         is_seen = (total > 0)[:, None]
         phase = np.where(is_seen, table / np.where(is_seen, total[:, None], 1.0), 0.25 / np.pi)
         shares = 2 * np.pi * weights * np.stack([np.interp(cosines, nodes, row) for row in phase])
@@ -232,7 +228,7 @@ class Balls:
         return Medium(
             wavelengths_nm=wavelengths_nm,
             index=np.abs(binder),
-            # of the table as the walk reads it: what its coarser cells miss, right ahead, has passed
+            # scattering of the table as interpolated, without the forward light that it misses
             scattering=met * total,
             absorption=met * light.absorbed + between,
             asymmetry=shares @ cosines,
@@ -242,7 +238,7 @@ class Balls:
 
 
 def _at_cosines(density: Array, cosines: Array) -> Array:
-    """Carry `[wavelength, turn]` over to cosines."""
+    """Interpolate `[wavelength, turn]` to cosines."""
     turns = np.linspace(0.0, 1.0, density.shape[1])
     wanted = np.sqrt(np.maximum(0.5 * (1 - cosines), 0.0))
     return np.stack([np.interp(wanted, turns, row) for row in density])

@@ -1,4 +1,8 @@
-"""Spheres in a matrix, before a wavelength is chosen: what they are made of and which index stands for them."""
+"""Spheres in a matrix: materials, structure and effective index (Bruggeman, Maxwell Garnett).
+
+One index n_e represents the whole composite in three places: as the medium around each sphere (Mie), in the scattering
+vector, and at the faces of the layer (Fresnel, refraction).
+"""
 
 from __future__ import annotations
 
@@ -13,24 +17,24 @@ from nacre.core.errors import NacreError
 from nacre.families.glass.medium import Medium, Spheres, solve_medium
 from nacre.matter.indices.constant import OpticalConstant
 
-INDEX_NM = 550.0  # the walk refracts with the index at this wavelength, for all colours alike
-MOST_ABSORBING = 0.1  # of Im(n_e): beyond, light dies within a few wavelengths and no sphere scatters as if alone
+INDEX_NM = 550.0  # random walks refract all wavelengths with the index at this one
+MAX_EXTINCTION = 0.1  # Im(n_e), above which light is absorbed within a few wavelengths
 
 
 @dataclass(frozen=True)
 class Composite:
-    """Spheres in a matrix, before a wavelength is chosen.
+    """Spheres in a matrix, independent of the wavelength.
 
     Attributes:
-        materials: `[layer]`, of the core, and of the shell if there is one.
+        materials: `[layer]`, core and optional shell.
         radii_nm: `[layer]`.
         deviation_nm: standard deviation of the outer radius.
-        volume_fraction: of whole spheres.
-        matrix: what lies between them.
-        matrix_k: what an absorber adds to the matrix's k.
-        absorber: a material that fills a share of the matrix and only absorbs, with that share; or None.
+        volume_fraction: filled by whole spheres.
+        matrix: material between the spheres.
+        matrix_k: added to the matrix's k by an absorber.
+        absorber: an absorbing material and its share of the matrix, or None.
         mixing: "bruggeman" or "maxwell-garnett".
-        structure: S over q d in place of hard spheres, or None.
+        structure: S over q d instead of hard spheres, or None.
     """
 
     materials: tuple[OpticalConstant, ...]
@@ -50,12 +54,12 @@ class Composite:
 
     @property
     def range_nm(self) -> tuple[float, float]:
-        """Where all its materials are known."""
+        """Wavelength range of all materials."""
         ranges = [m.range_nm for m in (*self.materials, self.matrix)]
         return max(low for low, _ in ranges), min(high for _, high in ranges)
 
     def matrix_index(self, wavelengths_nm: Array) -> ComplexArray:
-        """n + ik of the matrix with its absorber, `[wavelength]`."""
+        """Index n + ik of matrix and absorber, `[wavelength]`."""
         n = self.matrix.n_complex(wavelengths_nm) + 1j * self.matrix_k
         if self.absorber is not None:
             material, share = self.absorber
@@ -63,10 +67,10 @@ class Composite:
         return np.asarray(n)
 
     def effective_index(self, wavelengths_nm: Array) -> ComplexArray:
-        """n + ik of the whole, `[wavelength]`.
+        """Effective index n + ik, `[wavelength]`.
 
         Raises:
-            NacreError: it cannot be solved, or absorbs so much that spheres in it mean nothing.
+            NacreError: it cannot be solved, or absorbs too much for scattering by spheres.
         """
         matrix = self.matrix_index(wavelengths_nm)
         layers = np.stack([m.n_complex(wavelengths_nm) for m in self.materials])
@@ -76,21 +80,21 @@ class Composite:
             inner = self.volume_fraction * (self.radii_nm[0] / self.radii_nm[-1]) ** 3
             shares = [self.volume_fraction] if len(layers) == 1 else [inner, self.volume_fraction - inner]
             n = bruggeman(np.vstack([layers, matrix[None]]), np.array([*shares, 1.0 - self.volume_fraction]))
-        if np.any(n.imag > MOST_ABSORBING):
+        if np.any(n.imag > MAX_EXTINCTION):
             at = int(np.argmax(n.imag))
             raise NacreError(
                 f"the effective index {n[at].real:.3g} + {n[at].imag:.2g}i at {wavelengths_nm[at]:g} nm absorbs too "
-                f"much for a photonic glass; its imaginary part should be at most {MOST_ABSORBING:g}"
+                f"much for a photonic glass; its imaginary part should be at most {MAX_EXTINCTION:g}"
             )
         return n
 
     @property
     def walk_index(self) -> float:
-        """The index by which the walk refracts all wavelengths."""
+        """Index for the refraction of all wavelengths in random walks."""
         return max(float(np.abs(self.effective_index(np.array([INDEX_NM])))[0]), 1.0)
 
     def medium(self, wavelengths_nm: Array) -> Medium:
-        """Solve the optics of one layer of it."""
+        """Return the turbid medium."""
         return solve_medium(self.spheres(wavelengths_nm))
 
     def spheres(self, wavelengths_nm: Array) -> Spheres:
@@ -103,25 +107,25 @@ class Composite:
 
 
 class Filling(Protocol):
-    """What fills a stratum: a composite, or balls of one."""
+    """Filling of a stratum: a composite, or balls."""
 
     @property
     def range_nm(self) -> tuple[float, float]:
-        """Where all its materials are known."""
+        """Wavelength range of all materials."""
 
     def effective_index(self, wavelengths_nm: Array) -> ComplexArray:
-        """n + ik of what light is refracted into, `[wavelength]`."""
+        """Index n + ik for refraction into the layer, `[wavelength]`."""
 
 
 @dataclass(frozen=True)
 class EffectiveDispersion:
-    """The real part of a composite's index as an optical constant: what a base lies in."""
+    """The real effective index as an optical constant: the medium around a base."""
 
     composite: Filling
 
     @property
     def range_nm(self) -> tuple[float, float]:
-        """Where all its materials are known."""
+        """Wavelength range of all materials."""
         return self.composite.range_nm
 
     def __call__(self, wavelengths_nm: Array) -> ComplexArray:
@@ -131,30 +135,27 @@ class EffectiveDispersion:
         return np.asarray(found.reshape(np.shape(wavelengths_nm)))
 
 
-# Effective index of a dense packing of spheres in a matrix.
-
 MIXING_RULES = ("bruggeman", "maxwell-garnett")
-SLACK = 1e-9  # of a root against its bounds: rounding
+ROOT_TOL = 1e-9  # of a root against its bounds
 NEWTON_STEPS = 3
 
 
 def bruggeman(indices: ComplexArray, fractions: Array) -> ComplexArray:
     """Return the index n of sum_i f_i (e_i - e)/(e_i + 2 e) = 0, with e = n^2 (Bruggeman 1935).
 
-    All phases count alike. Of the roots that one is taken whose real part lies between those of the phases and that
-    does not amplify.
+    All phases are treated alike. The physical root has a real part between those of the phases, and no gain.
 
     Args:
         indices: `[phase, wavelength]`, n + ik.
-        fractions: `[phase]`, shares of the volume; they sum to one.
+        fractions: `[phase]`, volume fractions, which sum to one.
 
     Returns:
         `[wavelength]`.
 
     Raises:
-        NacreError: no root lies between the phases, as with metals.
+        NacreError: no physical root, as with metals.
 
-    Example: half the volume of index 1.59 in air gives 1.28402.
+    Example: 50 % of index 1.59 in air gives 1.28402.
     """
     present = fractions > 0
     eps, share = indices[present] ** 2, fractions[present]
@@ -163,7 +164,7 @@ def bruggeman(indices: ComplexArray, fractions: Array) -> ComplexArray:
     for i in range(indices.shape[1]):
         roots = np.sqrt(np.roots(_polynomial(eps[:, i], share)).astype(complex))
         roots = np.where(roots.real < 0, -roots, roots)
-        fits = (roots.real >= low[i] - SLACK) & (roots.real <= high[i] + SLACK) & (roots.imag >= -SLACK)
+        fits = (roots.real >= low[i] - ROOT_TOL) & (roots.real <= high[i] + ROOT_TOL) & (roots.imag >= -ROOT_TOL)
         if not np.any(fits):
             raise NacreError(
                 "the effective index cannot be solved: no Bruggeman root lies between the indices "
@@ -177,7 +178,7 @@ def bruggeman(indices: ComplexArray, fractions: Array) -> ComplexArray:
 
 
 def _polynomial(eps: ComplexArray, share: Array) -> ComplexArray:
-    """Coefficients in e, highest first, of the sum with its denominators multiplied away."""
+    """Return the coefficients in e, highest first, of the sum without denominators."""
     total = np.zeros(len(eps) + 1, dtype=complex)
     for i, f in enumerate(share):
         part = f * np.array([-1.0, eps[i]], dtype=complex)
@@ -189,7 +190,7 @@ def _polynomial(eps: ComplexArray, share: Array) -> ComplexArray:
 
 
 def _polished(e: complex, eps: ComplexArray, share: Array) -> complex:
-    """Newton's steps on the sum itself: roots of a polynomial have lost some digits."""
+    """Refine a root by Newton's method on the sum, as polynomial roots lose digits."""
     for _ in range(NEWTON_STEPS):
         value = np.sum(share * (eps - e) / (eps + 2 * e))
         slope = np.sum(-3 * share * eps / (eps + 2 * e) ** 2)
@@ -198,13 +199,13 @@ def _polished(e: complex, eps: ComplexArray, share: Array) -> complex:
 
 
 def maxwell_garnett(inclusion: ComplexArray, matrix: ComplexArray, fraction: float) -> ComplexArray:
-    """Return the index of inclusions in a matrix, in which the matrix counts as the host (Maxwell Garnett 1904).
+    """Return the index of inclusions in a host matrix (Maxwell Garnett 1904).
 
     Args:
         inclusion, matrix: `[wavelength]`, n + ik.
-        fraction: share of the volume that the inclusions fill.
+        fraction: volume fraction of the inclusions.
 
-    Example: half the volume of index 1.59 in air gives 1.26845.
+    Example: 50 % of index 1.59 in air gives 1.26845.
     """
     p, m = inclusion**2, matrix**2
     e = m * (p + 2 * m + 2 * fraction * (p - m)) / (p + 2 * m - fraction * (p - m))

@@ -1,4 +1,4 @@
-"""Arrays for the figures that a photonic glass has of its own; `nacre.plot` lists their names."""
+"""Figures of photonic glasses: structure factor, scattering, colour over thickness and angle."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MAP_NM = np.arange(400.0, 721.0, 20.0)
 
 
 def structure(fillings: Sequence[Composite | Balls]) -> dict[str, NDArray[Any]]:
-    """S over q d of every stratum; of spheres of several sizes, that of equal points at their centres."""
+    """Return S over q d of every stratum; polydisperse spheres count as equal points at their centres."""
     y = np.linspace(0.0, 20.0, 801)
     rows, labels = [], []
     for number, filling in enumerate(fillings):
@@ -41,7 +41,7 @@ def structure(fillings: Sequence[Composite | Balls]) -> dict[str, NDArray[Any]]:
 
 
 def scattering(filling: Composite | Balls, wavelengths_nm: Any = None) -> dict[str, NDArray[Any]]:
-    """Light that the uppermost stratum scatters, over the angle turned by, for s and p; of balls for both."""
+    """Return the scattering of the uppermost stratum over the angle for s and p; equal for balls."""
     lam = np.asarray(SHOWN_NM if wavelengths_nm is None else wavelengths_nm, dtype=float)
     theta = np.linspace(0.0, 180.0, 361)
     if isinstance(filling, Composite):
@@ -61,11 +61,11 @@ def colour_map(
     part: str = "diffuse",
     angles_deg: Any = None,
 ) -> dict[str, NDArray[Any]]:
-    """Hemispherical reflectance over thickness and angle of incidence, `reflectance[y, x, l]`.
+    """Return the hemispherical reflectance over thickness and incidence, `reflectance[y, x, l]`.
 
     Args:
-        filling, thickness_nm: of the layer, for the range of thicknesses.
-        spectrum: of a thickness, angles in radians and wavelengths; None where it is not known.
+        filling, thickness_nm: layer at the centre of the thickness range.
+        spectrum: function of thickness, angles in radians and wavelengths, or None if unknown.
         part: "diffuse" or "specular".
         angles_deg: incidence; default: 0 to 80 in steps of 10.
     """
@@ -75,7 +75,7 @@ def colour_map(
     least = 3 * _spheres_of(filling).diameter_nm
     if isinstance(filling, Balls):
         least = 6 * filling.radius_nm
-    # no thinner than the family allows: three spheres, or three balls
+    # at least three spheres or balls, as in recipes
     thicknesses = np.geomspace(max(least, 0.1 * thickness_nm), 4 * thickness_nm, MAP_THICKNESSES)
     rows = []
     for thickness in thicknesses:

@@ -1,4 +1,4 @@
-"""The photonic glass: spheres in a matrix over a base, and the lobes that follow from them."""
+"""The photonic glass: spheres in a matrix over a base, and its lobes."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from nacre.families.glass.figures import colour_map, scattering, structure
 from nacre.families.glass.medium import Medium
 from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_pairs, with_one_index
 from nacre.families.glass.random_walk import Face, walk
-from nacre.families.glass.rough_interface import Passing
+from nacre.families.glass.rough_interface import RoughInterface
 from nacre.families.glass.tables import behind_rough, diffuse_table, face_lobe, interpolation_error, walk_error
 from nacre.light import default_wavelengths
 from nacre.light.tristimulus import spline_matrix
 
 logger = logging.getLogger("nacre")
 
-WALKED_ANGLES = 13  # of rough faces; a spline runs between them
-FEW_WALKERS = 10_000  # through a ball, where it is one of many candidates: the colour's noise is 0.4 dE00
-SPECTRUM_WALKERS = 40_000  # a standard error of at most .0025
+WALK_ANGLES = 13  # incidences for rough faces, interpolated by a spline
+SEARCH_WALKERS = 10_000  # through a ball in searches: a noise of 0.4 dE00
+SPECTRUM_WALKERS = 40_000  # a standard error of at most 0.0025
 
 
 @dataclass(frozen=True)
@@ -48,16 +48,15 @@ class Layer:
 
 @dataclass(frozen=True)
 class Glass(Model, Strata, Surrogate, SearchFidelity):
-    """Photonic glass in air, of one stratum or several.
+    """Photonic glass in air, in one or several strata.
 
     Attributes:
-        composite: spheres and matrix of the uppermost stratum, or balls of them in a binder.
-        thickness_nm: of that stratum.
-        surface: of its upper face.
-        base: what lies below all strata.
-        quality: "reference", the random walk, or "fast", noise-free tables where they can be made.
-        is_checked: whether the error of those tables is walked for; a search does without.
-        below: further strata, from the light's side inward.
+        composite: spheres and matrix of the uppermost stratum, or balls in a binder.
+        thickness_nm, surface: its thickness and upper face.
+        base: below all strata.
+        quality: "reference", the random walk, or "fast", noise-free tables if they apply.
+        is_checked: whether random walks estimate the error of the tables; not in searches.
+        below: further strata, from the light inward.
     """
 
     traits = Traits(
@@ -77,7 +76,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
 
     @property
     def wavelengths_nm(self) -> Array:
-        """Default grid: every 10 nm; the ends are set by a base that is known in less than the visible."""
+        """Default grid: every 10 nm within the range of the base."""
         return self.base.known_in(default_wavelengths())
 
     @property
@@ -87,7 +86,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """S of the order, light scattered inside, and reflectance over thickness: see `figures`."""
+        """Structure factor, scattering, and reflectance over thickness: see `figures`."""
 
         def of_thickness(thickness_nm: float, theta_rad: Array, lam: Array) -> Spectrum | None:
             layer = replace(self, thickness_nm=thickness_nm)
@@ -100,7 +99,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         }
 
     def inapplicable_reason(self) -> str | None:
-        """Return why there are no noise-free tables of it, or None."""
+        """Return why the noise-free form does not apply, or None."""
         if self.below:
             return "it has several strata"
         if self.base.kind == "none":
@@ -112,7 +111,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         return None
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
-        """Return the strata of a walk, or a noise-free form of them: the face, and a table of the diffuse light.
+        """Return a layered lobe, or its noise-free form: the face, and a table of the diffuse light.
 
         Raises:
             MaterialRangeError: an index is not known at a wavelength.
@@ -130,10 +129,10 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
     def spectrum(
         self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str, seed: int = 0
     ) -> Spectrum | None:
-        """Return reflectance and transmittance: without noise between smooth faces, by a quick walk between rough ones.
+        """Return reflectance and transmittance: by transfer for smooth faces, by quick random walks for rough ones.
 
-        The fast form of a rough one has what its tables hold, without making them. None for s and p, of several
-        strata, and over bases of other lobes.
+        The noise-free form of a rough glass needs no tables. None for s and p, several strata and bases of other
+        lobes.
         """
         if polarisation != "both" or self.below or self.base.kind not in ("none", "diffuse"):
             return None
@@ -143,43 +142,43 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         is_open = self.base.kind == "none"
         if not self.surface.is_smooth or (is_open and not self.base.surface.is_smooth):
             found = self._estimated(theta, lam) if self.quality == "fast" else None
-            return found or (self._walked(theta, lam, seed) if self._is_walked_quickly else None)
+            return found or (self._walked(theta, lam, seed) if self._has_compiled_walk else None)
         parts = np.stack([slab.powers(cos) for slab in self._slabs(lam, 1)], axis=-1)
         return Spectrum(
             lam, np.degrees(theta), parts[0], parts[1] if is_open else None, parts[2], parts[3] if is_open else None
         )
 
     def _estimated(self, theta: Array, lam: Array) -> Spectrum | None:
-        """Return the spectrum behind a rough face as the fast form has it, without noise; None: there is none."""
+        """Return the spectrum behind a rough face in the noise-free form; None if it does not apply."""
         if self.surface.is_smooth or self.inapplicable_reason() is not None:
             return None
-        passing = Passing.behind(self.surface, self._medium(lam))
-        if passing is None:
+        interface = RoughInterface.behind(self.surface, self._medium(lam))
+        if interface is None:
             return None
         cos = np.cos(np.minimum(theta, np.pi / 2))
         slabs = self._slabs(lam, 1)
-        entered = np.stack([slab.powers(cos)[2] * passing.kept(slab) for slab in slabs], axis=-1)
-        changed = (passing.over_smooth(cos) * passing.escape)[:, None]
-        return Spectrum(lam, np.degrees(theta), None, None, passing.mirrored(cos)[:, None] + changed * entered, None)
+        entered = np.stack([slab.powers(cos)[2] * interface.internal_factor(slab) for slab in slabs], axis=-1)
+        changed = (interface.over_smooth(cos) * interface.escape)[:, None]
+        return Spectrum(lam, np.degrees(theta), None, None, interface.mirrored(cos)[:, None] + changed * entered, None)
 
     @property
-    def _is_walked_quickly(self) -> bool:
-        """Whether the compiled walk of one slab knows its faces; the fast form is integrated as it is."""
+    def _has_compiled_walk(self) -> bool:
+        """Whether the compiled walk applies to its faces; the noise-free form is integrated instead."""
         rough = [self.surface, self.base.surface] if self.base.kind == "none" else [self.surface]
         known = all(each.is_smooth or (each.distribution == "ggx" and each.alpha_x == each.alpha_y) for each in rough)
         return known and (self.quality != "fast" or self.inapplicable_reason() is not None)
 
     def _walked(self, theta: Array, lam: Array, seed: int) -> Spectrum:
-        """Return the spectrum of rough faces: nothing of it is a mirror's. Many angles are walked at a few of them."""
+        """Return the spectrum of rough faces, all diffuse; many angles are interpolated between a few."""
         is_open = self.base.kind == "none"
         last = np.radians(89.99)
-        walked = theta if len(theta) <= WALKED_ANGLES else np.linspace(0.0, last, WALKED_ANGLES)
+        walked = theta if len(theta) <= WALK_ANGLES else np.linspace(0.0, last, WALK_ANGLES)
         index = float(self.composite.walk_index)
         found = [
             walk(
                 self._medium(lam), self.thickness_nm, None if is_open else self._albedo(lam),
                 float(np.cos(min(angle, last))), walkers=SPECTRUM_WALKERS, upper=Face.of(self.surface, index),
-                lower=Face.of(self.base.surface, index), seed=seed * WALKED_ANGLES + i,
+                lower=Face.of(self.base.surface, index), seed=seed * WALK_ANGLES + i,
             )
             for i, angle in enumerate(walked)
         ]  # fmt: skip
@@ -191,21 +190,21 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         return Spectrum(lam, np.degrees(theta), None, None, back, through if is_open else None)
 
     def search_model(self, memory: dict[Any, Any], is_rough: bool = False) -> Model:
-        """Return its noise-free form where it has one, without the walks that would state its error."""
+        """Return the noise-free form, if it applies, without the walks that estimate its error."""
         if self.inapplicable_reason() is not None:
             return self
         composite = self.composite
         if isinstance(composite, Balls):
-            composite = replace(composite, walkers=FEW_WALKERS)
+            composite = replace(composite, walkers=SEARCH_WALKERS)
         return FastGlass(composite, self.thickness_nm, self.surface, self.base, "fast", is_checked=False)
 
     def surrogate_radiance(
         self, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
     ) -> tuple[Array, Array] | None:
-        """Return the light at pairs as transfer in modes of the azimuth gives it; see `radiance`.
+        """Return the light at pairs by radiative transfer, as the exact part.
 
-        It is the walk's own value but for what a rough face does to the diffuse light, and for the dispersion of
-        refraction, which the walk makes up for in diffuse light alone: see `one_index`.
+        It differs from the walk by the approximation of rough faces, and by the dispersion of refraction, which the
+        walk compensates in diffuse light only: see `with_one_index`.
         """
         if self.below or self.base.kind not in ("none", "diffuse"):
             return None
@@ -216,10 +215,10 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         medium = self._medium(lam)
         slabs = self._slabs(lam, AZIMUTHS)
         values = np.stack([brdf_pairs(medium, i, slab, wi, wo) for i, slab in enumerate(slabs)], axis=-1)
-        passing = Passing.behind(self.surface, medium)
-        if passing is not None:
-            shares = passing.over_smooth(np.abs(wi[:, 2])) * passing.over_smooth(np.abs(wo[:, 2]))
-            values = values * shares[:, None] * np.array([passing.kept(slab) for slab in slabs])
+        interface = RoughInterface.behind(self.surface, medium)
+        if interface is not None:
+            shares = interface.over_smooth(np.abs(wi[:, 2])) * interface.over_smooth(np.abs(wo[:, 2]))
+            values = values * shares[:, None] * np.array([interface.internal_factor(slab) for slab in slabs])
         up = (wi[:, 2] > 0) & (wo[:, 2] > 0)
         return np.where(up[:, None], values, 0.0) + face_lobe(medium, self.surface).evaluate(wi, wo)
 
@@ -257,7 +256,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         return Bsdf(lobes, {"notes": [note]})
 
     def _layered(self, lam: Array, is_own_grid: bool, is_in_air: bool = True) -> Layered:
-        """Return the arrays of the walk: the glass is what a dye that scatters is to a pearl."""
+        """Return the layered lobe: the glass enters as a scattering dye."""
         count = len(lam)
         layers = self.layers
         media = [_solved(layer.composite, tuple(lam.tolist())) for layer in layers]
@@ -293,10 +292,10 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
 
     def _for_one_index(self, wavelengths_nm: tuple[float, ...]) -> Medium:
         albedo = self._albedo(np.array(wavelengths_nm))
-        return _made_up_for(self.composite, self.thickness_nm, tuple(albedo.tolist()), wavelengths_nm)
+        return _one_index_medium(self.composite, self.thickness_nm, tuple(albedo.tolist()), wavelengths_nm)
 
     def strata_at(self, wavelengths_nm: Array) -> Layered:
-        """Return the arrays of the walk, for strata that other ones may lie on."""
+        """Return the layered lobe."""
         return self._layered(np.asarray(wavelengths_nm, dtype=float), False, is_in_air=False)
 
     def _base_table(self, lam: Array) -> Array:
@@ -306,10 +305,10 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
 
 @dataclass(frozen=True)
 class FastGlass(Glass, DirectEvaluation):
-    """A photonic glass whose light is known without noise: searches look at it in the wanted directions alone."""
+    """A photonic glass with a noise-free form, evaluated directly at pairs of directions."""
 
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
-        """Return what transfer gives at a few pairs, and a rough face."""
+        """Return the light at pairs by radiative transfer."""
         return self._scattered(wi, wo, np.asarray(wavelengths_nm, dtype=float))
 
 
@@ -319,7 +318,7 @@ def _solved(composite: Composite | Balls, wavelengths_nm: tuple[float, ...]) -> 
 
 
 @lru_cache(maxsize=8)
-def _made_up_for(
+def _one_index_medium(
     composite: Composite | Balls, thickness_nm: float, albedo: tuple[float, ...], wavelengths_nm: tuple[float, ...]
 ) -> Medium:
     index = float(composite.walk_index)

@@ -1,9 +1,8 @@
-"""What light meets inside a photonic glass: scattering and absorption coefficients, and the phase function.
+"""Turbid medium of a photonic glass: scattering and absorption coefficients, phase function, structure factors.
 
-Every sphere scatters as it does alone in a medium of the effective index (Mie, core and shell); order among them
-multiplies that by the structure factor S(q), q = 2 |k_e| sin(theta/2) (Magkiriadou et al., Phys. Rev. E 90, 062302
-(2014); Hwang et al., PNAS 118, e2015551118 (2021)). That is first order: light that neighbours exchange in their near
-fields is not in it.
+Every sphere scatters independently in a medium with the effective index (Mie, core and shell); positional order
+multiplies this by the structure factor S(q), q = 2 |k_e| sin(theta/2) (Magkiriadou et al., Phys. Rev. E 90, 062302
+(2014); Hwang et al., PNAS 118, e2015551118 (2021)). Near-field interaction between neighbours is neglected.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array, ComplexArray
 from nacre.matter.mie import default_order, mie_amplitudes, mie_coefficients
 
-GAUSS_NODES = 128  # of the scattering cosine, for sums over all directions
-PHASE_NODES = 361  # of the table of the phase function, uniform in the cosine
+GAUSS_NODES = 128  # of the scattering cosine
+PHASE_NODES = 361  # of the tabulated phase function, uniform in the cosine
 QUANTILE_NODES = 513
 SIZES = 21  # of a Schulz distribution
 SMALL_ETA = 1e-4
@@ -28,16 +27,16 @@ SMALL_ETA = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Spheres:
-    """Spheres at given wavelengths, in a medium of a given effective index.
+    """Spheres in a medium with an effective index, at given wavelengths.
 
     Attributes:
         wavelengths_nm: `[wavelength]`, vacuum.
-        radii_nm: `[layer]`, of the core, and of the shell if there is one.
+        radii_nm: `[layer]`, core and optional shell.
         n_layers: `[layer, wavelength]`, n + ik.
         n_effective: `[wavelength]`.
-        volume_fraction: of whole spheres.
-        deviation_nm: standard deviation of the outer radius; core and shell keep their proportion.
-        structure: S over q d in place of hard spheres, or None.
+        volume_fraction: filled by whole spheres.
+        deviation_nm: standard deviation of the outer radius; core and shell scale together.
+        structure: S over q d instead of hard spheres, or None.
     """
 
     wavelengths_nm: Array
@@ -49,14 +48,13 @@ class Spheres:
     structure: Callable[[Array], Array] | None = None
 
     def cross_section(self, cosines: Array) -> Array:
-        """Light that a unit of volume scatters into a unit of solid angle, `[wavelength, cos]`, in 1/(nm sr)."""
+        """Scattering per volume and solid angle, `[wavelength, cos]`, in 1/(nm sr)."""
         return np.asarray(self.cross_sections(cosines).mean(axis=0))
 
     def cross_sections(self, cosines: Array) -> Array:
-        """The same of light polarised across the plane of scattering (s) and in it (p), `[s p, wavelength, cos]`.
+        """Scattering as in `cross_section` for s and p polarisation, `[s p, wavelength, cos]`.
 
-        Where the medium absorbs, the far field counts as it leaves the sphere's surface (Fu and Sun, Appl. Opt. 40,
-        1354 (2001)).
+        In an absorbing medium the far field is taken at the sphere's surface (Fu and Sun, Appl. Opt. 40, 1354 (2001)).
 
         Args:
             cosines: `[cos]` of the scattering angle.
@@ -84,7 +82,7 @@ class Spheres:
 
 
 def _surface_factor(eta: Array) -> Array:
-    """G(eta)/2 of the note: 1/(e^eta/eta + (1 - e^eta)/eta^2)/2, which tends to 1."""
+    """Return G(eta)/2 = 1/(e^eta/eta + (1 - e^eta)/eta^2)/2, which tends to 1."""
     z = np.where(eta < SMALL_ETA, 1.0, eta)
     closed = 0.5 / (np.exp(z) / z - np.expm1(z) / z**2)
     return np.asarray(np.where(eta < SMALL_ETA, 1 - 2 * eta / 3, closed))
@@ -92,16 +90,16 @@ def _surface_factor(eta: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Medium:
-    """A turbid medium, for transport.
+    """A turbid medium for radiative transfer.
 
     Attributes:
         wavelengths_nm: `[wavelength]`.
-        index: `[wavelength]`, |n_e|, of the faces.
+        index: `[wavelength]`, |n_e|.
         scattering, absorption: `[wavelength]`, in 1/nm.
         asymmetry: `[wavelength]`, the mean scattering cosine g; often negative.
-        phase: `[wavelength, cos]`, 1/sr, on uniform nodes of the scattering cosine in [-1, 1]; integrates to one as
-            it is interpolated linearly.
-        moments: `[wavelength, l]`, of its Legendre series, p = sum_l (2 l + 1)/(4 pi) moments_l P_l.
+        phase: `[wavelength, cos]`, 1/sr, on uniform nodes of the scattering cosine in [-1, 1]; its linear
+            interpolant integrates to one.
+        moments: `[wavelength, l]`, Legendre series, p = sum_l (2 l + 1)/(4 pi) moments_l P_l.
     """
 
     wavelengths_nm: Array
@@ -114,36 +112,36 @@ class Medium:
 
     @property
     def extinction(self) -> Array:
-        """Scattering and absorption, in 1/nm."""
+        """Extinction coefficient in 1/nm."""
         return self.scattering + self.absorption
 
     @property
     def scattering_length_nm(self) -> Array:
-        """Mean path between two scattering events."""
+        """Scattering mean free path."""
         return np.asarray(1.0 / self.scattering)
 
     @property
     def transport_length_nm(self) -> Array:
-        """Mean path after which the direction is forgotten."""
+        """Transport mean free path."""
         return np.asarray(1.0 / (self.scattering * (1.0 - self.asymmetry)))
 
     def at(self, bands: NDArray[np.intp]) -> Medium:
-        """Return it at some of its wavelengths."""
+        """Return the medium at some of its wavelengths."""
         return Medium(**{field.name: getattr(self, field.name)[bands] for field in fields(self)})
 
     def quantiles(self) -> Array:
-        """The scattering cosine below which a share u is scattered, `[wavelength, u]`, uniform u in [0, 1]."""
+        """Quantiles of the scattering cosine, `[wavelength, u]`, at uniform u in [0, 1]."""
         return phase_quantiles(self.phase)
 
 
 def solve_medium(spheres: Spheres, moments: int = 48) -> Medium:
-    """Sum the light of the spheres over all directions.
+    """Return the turbid medium of spheres.
 
-    Absorption is that of the whole composite, 4 pi Im(n_e)/lambda, of spheres and matrix alike.
+    Absorption follows from the effective index, 4 pi Im(n_e)/lambda.
 
     Args:
-        spheres: and the medium they lie in.
-        moments: Legendre moments kept.
+        spheres: in their effective medium.
+        moments: number of Legendre moments.
     """
     cosines, weights = gauss_rule(GAUSS_NODES)
     nodes = np.linspace(-1.0, 1.0, PHASE_NODES)
@@ -166,7 +164,7 @@ def solve_medium(spheres: Spheres, moments: int = 48) -> Medium:
 
 
 def phase_quantiles(phase: Array, count: int = QUANTILE_NODES) -> Array:
-    """Invert the running sum of a phase function, `[..., cos]` to `[..., u]`, both on uniform nodes."""
+    """Return the quantiles of a phase function, `[..., cos]` to `[..., u]`, both on uniform nodes."""
     nodes = np.linspace(-1.0, 1.0, phase.shape[-1])
     step = nodes[1] - nodes[0]
     u = np.linspace(0.0, 1.0, count)
@@ -176,45 +174,39 @@ def phase_quantiles(phase: Array, count: int = QUANTILE_NODES) -> Array:
         running = np.concatenate([[0.0], np.cumsum((p[1:] + p[:-1]) / 2) * step])
         wanted = u * running[-1]
         i = np.clip(np.searchsorted(running, wanted, side="right") - 1, 0, len(p) - 2)
-        # within a cell the density is linear: its integral is solved for the place, in the form that never cancels
+        # within a cell the density is linear: its integral is inverted without cancellation
         left, slope, rest = p[i], (p[i + 1] - p[i]) / step, wanted - running[i]
         reach = np.sqrt(np.maximum(left**2 + 2 * slope * rest, 0.0)) + left
         out[where] = np.clip(nodes[i] + np.where(reach > 0, 2 * rest / np.where(reach > 0, reach, 1.0), 0.0), -1, 1)
     return out
 
 
-# Gauss rules, which cost more to find than the sums that they are for.
-
-
 @lru_cache(maxsize=16)
 def gauss_rule(count: int) -> tuple[Array, Array]:
-    """Nodes and weights of the Gauss-Legendre rule on [-1, 1]; not to be written to."""
+    """Return the nodes and weights of the Gauss-Legendre rule on [-1, 1], read-only."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
     nodes.flags.writeable = weights.flags.writeable = False
     return nodes, weights
 
 
-# Structure factors of hard spheres in disorder: Percus and Yevick's fluid, of one size and of many.
-
-SERIES_BELOW = 3.0  # y = q d; above it the closed form keeps 13 digits
+SERIES_BELOW = 3.0  # y = q d, above which the closed form is exact to 13 digits
 SERIES_TERMS = 18
-SMALL = 0.05  # of y below which sin y - y cos y is a series
+SMALL = 0.05  # y, below which sin y - y cos y is a series
 
 
 def percus_yevick(y: Array, fraction: float) -> Array:
-    """Structure factor S of equal hard spheres (Wertheim and Thiele's solution of Percus-Yevick).
+    """Return the structure factor S of equal hard spheres (Percus-Yevick, solved by Wertheim and Thiele).
 
-    The closed form cancels at small y (S(.001) would come out as 3e-6 where it is .0156): there the transform of the
-    direct correlation function is summed as its series of moments.
+    The closed form cancels at small y, where the transform of the direct correlation function is a power series.
 
     Args:
         y: q times the diameter, any shape, >= 0.
-        fraction: of the volume, in [0, 1).
+        fraction: volume fraction in [0, 1).
 
     Returns:
-        S, of y's shape; S -> 1 as y grows or the fraction vanishes.
+        S in the shape of y.
 
-    Example: S(7, .5) = 3.24003571.
+    Example: S(7, 0.5) = 3.24003571.
     """
     if fraction == 0.0:
         return np.ones_like(y)
@@ -240,9 +232,9 @@ def percus_yevick(y: Array, fraction: float) -> Array:
 
 
 def schulz_sizes(mean: float, deviation: float, count: int) -> tuple[Array, Array]:
-    """Sizes and their shares of a Schulz distribution, each `[size]`; one size where nothing deviates.
+    """Return sizes and weights of a Schulz distribution, each `[size]`.
 
-    f(s) ~ s^t exp(-(t + 1) s / mean) with t = (mean / deviation)^2 - 1, on the nodes of a Gauss rule of its own.
+    f(s) ~ s^t exp(-(t + 1) s / mean) with t = (mean / deviation)^2 - 1, at Gauss nodes.
 
     Args:
         mean, deviation: of the size.
@@ -260,17 +252,16 @@ def schulz_sizes(mean: float, deviation: float, count: int) -> tuple[Array, Arra
 
 
 def mixture_power(q: Array, diameters: Array, densities: Array, amplitudes: ComplexArray) -> Array:
-    """Return sum_ij sqrt(rho_i rho_j) Re(f_i f_j*) S_ij(q), the light of a mixture of hard spheres.
+    """Return sum_ij sqrt(rho_i rho_j) Re(f_i f_j*) S_ij(q), the scattering by a mixture of hard spheres.
 
     S is the matrix of partial structure factors in Percus-Yevick approximation, (Q^H Q)^-1 with Baxter's factor Q
-    (Baxter, J. Chem. Phys. 52, 4559 (1970); Vrij, J. Chem. Phys. 71, 3267 (1979)). The integral in Q_ij falls into
-    two products of something of i and something of j, so Q is the unit matrix and a part of rank two: its inverse
-    costs no more than a sum over the sizes.
+    (Baxter, J. Chem. Phys. 52, 4559 (1970); Vrij, J. Chem. Phys. 71, 3267 (1979)). Q is the unit matrix plus a matrix
+    of rank two, whose inverse costs a sum over the sizes.
 
     Args:
         q: `[...]`.
         diameters, densities: `[size]`, densities in 1/length^3.
-        amplitudes: `[kind, size, ...]`, complex, each kind for itself.
+        amplitudes: `[kind, size, ...]`, complex, of independent polarisations.
 
     Returns:
         `[kind, ...]`, in density times amplitude squared.
@@ -289,7 +280,7 @@ def mixture_power(q: Array, diameters: Array, densities: Array, amplitudes: Comp
     linear = 2 * half**2 * (-1j * y * sphere - np.sinc(y / np.pi))
     back = 2 * np.pi * rho * np.exp(-1j * y)
     first, second = back * (a / 2), back * (a * half + b)
-    # Q = 1 - sum of two products; Q^-H v = v + right (1 - left right)^-1 left v
+    # Q = 1 - two products; Q^-H v = v + right (1 - left right)^-1 left v
     m11, m12 = 1 - np.sum(first * quadratic, axis=0), -np.sum(first * linear, axis=0)
     m21, m22 = -np.sum(second * quadratic, axis=0), 1 - np.sum(second * linear, axis=0)
     determinant = m11 * m22 - m12 * m21
@@ -303,7 +294,7 @@ def mixture_power(q: Array, diameters: Array, densities: Array, amplitudes: Comp
 
 
 def _ball(y: Array) -> Array:
-    """(sin y - y cos y)/y^3."""
+    """Return (sin y - y cos y)/y^3."""
     small = np.abs(y) < SMALL
     z = np.where(small, 1.0, y)
     y2 = y * y

@@ -1,12 +1,14 @@
-"""Radiative transfer through one slab of a turbid medium with smooth faces, without noise: discrete ordinates.
+"""Radiative transfer through one slab of a turbid medium with smooth faces by discrete ordinates, and its BRDF.
 
-Directions inside are Gauss nodes in two groups: those that an outer direction refracts into, on nodes of the outer
-cosine, and those beyond the critical angle. Radiances are scaled by the root of weight times cosine, which makes every
-operator symmetric and energy-true. The slab is then solved in closed form, once for light that is the same on both
-faces and once for light that is opposite: with X-+ symmetric, X- = L L^T and L^T X+ L = V k^2 V^T,
-R + T = (1 - G)/(1 + G) for G = L^-T V [k tanh(k h)] V^T L^-1, and R - T the same with coth, h half the optical
-thickness. Nothing overflows at any thickness and nothing is singular without absorption (two streams, generalised;
-compare Nakajima and Tanaka, J. Quant. Spectrosc. Radiat. Transfer 35, 13 (1986)).
+Directions inside are two groups of Gauss nodes: refracted outer directions, on nodes of the outer cosine, and those
+beyond the critical angle. Radiances are scaled by the root of weight times cosine, which makes every operator symmetric
+and energy-conserving. The slab is solved in closed form for symmetric and antisymmetric illumination: with X-+
+symmetric, X- = L L^T and L^T X+ L = V k^2 V^T, R + T = (1 - G)/(1 + G) for G = L^-T V [k tanh(k h)] V^T L^-1, and R - T
+the same with coth, h half the optical thickness. The form is regular at any thickness and absorption (compare Nakajima
+and Tanaka, J. Quant. Spectrosc. Radiat. Transfer 35, 13 (1986)).
+
+The BRDF is the sum of a few Fourier modes; the detail of single scattering that they miss is added exactly (Nakajima
+and Tanaka, J. Quant. Spectrosc. Radiat. Transfer 40, 51 (1988)).
 """
 
 from __future__ import annotations
@@ -21,21 +23,21 @@ from nacre.core.parallel import in_threads
 from nacre.families.glass.medium import Medium, gauss_rule
 
 OPEN_NODES, TRAPPED_NODES = 20, 14
-AZIMUTHS = 8  # Fourier modes of the azimuth; single scattering, which needs more, is added in closed form
-MATCHED = 1e-6  # of an index above 1: no interface
-FAINT = 1e-12  # of a scattering coefficient: what a clear layer is given, so that nothing divides by zero
+AZIMUTHS = 8  # Fourier modes; single scattering is added in closed form
+MATCHED = 1e-6  # index minus 1, below which there is no interface
+MIN_SCATTERING = 1e-12  # given to a clear layer against division by zero
 
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Gauss nodes of the directions inside, first those open to the outside.
+    """Gauss nodes of the directions inside, first the refracted ones.
 
     Attributes:
-        index: of the medium at one wavelength.
+        index: refractive index at one wavelength.
         outer: `[open]`, cosine outside.
         outer_weight: `[open]`.
         cos: `[node]`, cosine inside.
-        weight: `[node]`, of the inner cosine.
+        weight: `[node]`, for the inner cosine.
         reflectance: `[node]`, Fresnel, from inside.
     """
 
@@ -48,7 +50,7 @@ class Directions:
 
     @classmethod
     def of(cls, index: float) -> Directions:
-        """Choose them for a medium's index over the ambient's, at least 1."""
+        """Choose the nodes for a relative index of at least 1."""
         x, w = gauss_rule(OPEN_NODES)
         outer, outer_weight = (x + 1) / 2, w / 2
         cos = np.sqrt(1 - (1 - outer**2) / index**2)
@@ -65,19 +67,19 @@ class Directions:
 
     @property
     def flux(self) -> Array:
-        """Root of weight times cosine, `[node]`."""
+        """Return sqrt(weight cos), `[node]`."""
         return np.asarray(np.sqrt(self.weight * self.cos))
 
 
 def slab_operators(cos: Array, weight: Array, moments: Array, albedo: float, depth: float, modes: int) -> Array:
-    """Reflection and transmission of the bare slab, `[mode, 2, node, node]`, in scaled radiances.
+    """Return reflection and transmission of the bare slab, `[mode, 2, node, node]`, in scaled radiances.
 
     Args:
-        cos, weight: `[node]`, of the directions inside.
+        cos, weight: `[node]`, directions inside.
         moments: `[l]`, Legendre moments of the phase function.
-        albedo: of single scattering.
+        albedo: single-scattering albedo.
         depth: optical thickness along the normal, above 0.
-        modes: of the azimuth.
+        modes: Fourier modes.
     """
     count = len(cos)
     functions = harmonics(len(moments), modes, cos)  # [mode, l, node]
@@ -109,7 +111,7 @@ def slab_operators(cos: Array, weight: Array, moments: Array, albedo: float, dep
 
 
 def harmonics(count: int, modes: int, cos: Array) -> Array:
-    """Associated Legendre functions, scaled by sqrt((l - m)!/(l + m)!), `[mode, l, node]`; zero where l < m."""
+    """Return associated Legendre functions times sqrt((l - m)!/(l + m)!), `[mode, l, node]`; zero for l < m."""
     sine = np.sqrt(np.maximum(1 - cos**2, 0.0))
     out = np.zeros((modes, count, len(cos)))
     out[0, 0] = 1.0
@@ -126,13 +128,13 @@ def harmonics(count: int, modes: int, cos: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Slab:
-    """The answer of a slab over a base to light from the ambient, at one wavelength.
+    """The solved slab over a base at one wavelength, for light from the ambient.
 
     Attributes:
-        directions: the nodes.
-        reflect: `[mode, open, open]`, diffuse light that leaves on the side where it came, in scaled radiances.
-        transmit: `[open, open]` of mode 0, light that leaves below, the unscattered included; zero over a base.
-        depth, albedo: optical thickness, and albedo of single scattering.
+        directions: Gauss nodes.
+        reflect: `[mode, open, open]`, diffuse reflection in scaled radiances.
+        transmit: `[open, open]`, mode 0, transmission including unscattered light; zero over a base.
+        depth, albedo: optical thickness and single-scattering albedo.
         is_open: whether light leaves below.
     """
 
@@ -156,13 +158,13 @@ class Slab:
         """Solve one wavelength.
 
         Args:
-            medium: of the slab.
-            band: which of its wavelengths.
-            thickness_nm: of the slab.
-            base: albedo of a diffuse base in contact; None: the ambient lies below too.
-            modes: of the azimuth; 1 is enough for powers.
+            medium: turbid medium.
+            band: index of the wavelength.
+            thickness_nm: slab thickness.
+            base: albedo of a diffuse base in contact; None: the ambient lies below.
+            modes: Fourier modes; 1 is enough for powers.
         """
-        scattering = max(float(medium.scattering[band]), FAINT)
+        scattering = max(float(medium.scattering[band]), MIN_SCATTERING)
         extinction = scattering + float(medium.absorption[band])
         at = Directions.of(max(float(medium.index[band]), 1.0))
         depth, albedo = extinction * thickness_nm, scattering / extinction
@@ -178,16 +180,16 @@ class Slab:
             if base is None:
                 below = np.diag(inner)
             elif m == 0:
-                # the nodes' own sum of 2 cos weight is one to rounding
+                # the sum of 2 cos weight is one to rounding
                 lambert = np.sqrt(2.0) * at.flux
                 below = base * np.outer(lambert, lambert)
             elif m > 0:
-                entered = np.linalg.solve(one - r * inner, r)  # r (1 - inner r)^-1, a diffuse base is alike all round
+                entered = np.linalg.solve(one - r * inner, r)  # r (1 - inner r)^-1; a diffuse base has mode 0 only
                 reflect[m] = leaves[:, None] * entered[:count, :count] * leaves
                 continue
-            back = np.linalg.solve(one - r @ below, t)  # light that arrives at the base, for light let in at the top
+            back = np.linalg.solve(one - r @ below, t)  # from the top to the base
             stack = r + t @ below @ back
-            # what has entered is turned back by the upper face until it leaves
+            # internal reflections at the upper face
             entered = np.linalg.inv(one - inner[:, None] * stack)
             reflect[m] = leaves[:, None] * (stack @ entered)[:count, :count] * leaves
             if m == 0 and base is None:
@@ -195,7 +197,7 @@ class Slab:
         return cls(at, reflect, transmit, depth, albedo, base is None)
 
     def powers(self, cos: Array) -> tuple[Array, Array, Array, Array]:
-        """Specular and diffuse power for light along outer cosines.
+        """Return specular and diffuse powers at outer cosines.
 
         Returns:
             specular reflectance, specular transmittance, diffuse reflectance, diffuse transmittance, each `[cos]`.
@@ -204,23 +206,23 @@ class Slab:
         flux = at.flux[: len(at.outer)]
         bare = face(at.outer, at.index)
         sums = [(flux @ part) / flux for part in (self.reflect[0], self.transmit)]
-        wanted = np.clip(np.asarray(cos, dtype=float), 0.0, 1.0)
-        enters = 1 - face(wanted, at.index)
-        spread = interpolation(at.outer, wanted)
-        # over what enters, powers are smooth in the outer cosine
+        at_cos = np.clip(np.asarray(cos, dtype=float), 0.0, 1.0)
+        enters = 1 - face(at_cos, at.index)
+        spread = interpolation(at.outer, at_cos)
+        # relative to the transmitted light, powers are smooth in the outer cosine
         reflected, transmitted = (enters * (spread @ (part / (1 - bare))) for part in sums)
         surface = 1 - enters
         if not self.is_open:
             return surface, np.zeros_like(surface), reflected, np.zeros_like(surface)
-        passed, back = self._passed(wanted), self._mirrored(wanted)
+        passed, back = self._passed(at_cos), self._mirrored(at_cos)
         through = enters**2 * passed / (1 - (surface * passed) ** 2)
         return surface + back, through, np.maximum(reflected - back, 0.0), np.maximum(transmitted - through, 0.0)
 
     def modes(self) -> Array:
-        """Fourier modes of the diffuse BRDF between the open nodes, over the Fresnel factors, `[mode, open, open]`.
+        """Return Fourier modes of the diffuse BRDF over the Fresnel factors, `[mode, open, open]`.
 
-        f = (1 - F_i)(1 - F_o) sum_m modes cos(m psi), psi the azimuth between the paths of the light. What only
-        mirrors itself in the lower face is no part of it.
+        f = (1 - F_i)(1 - F_o) sum_m modes cos(m psi), psi the azimuth between the flights. The specular
+        reflection of the lower face is excluded.
         """
         at = self.directions
         flux = at.flux[: len(at.outer)]
@@ -232,9 +234,9 @@ class Slab:
         return np.asarray(twice * reflect / (2 * np.pi * at.index**2 * np.outer(flux * enters, flux * enters)))
 
     def between(self, cos: Array) -> Array:
-        """Matrices `[mode, cos, open]` that carry `modes` at the open nodes to other outer cosines.
+        """Return matrices `[mode, cos, open]` that interpolate `modes` to other outer cosines.
 
-        Odd modes have a factor of the sine, which no polynomial of the cosine follows towards the normal.
+        Odd modes have a factor of the sine, which is no polynomial of the cosine near the normal.
         """
         nodes = self.directions.outer
         even = interpolation(nodes, cos)
@@ -242,7 +244,7 @@ class Slab:
         return np.stack([odd if m % 2 else even for m in range(len(self.reflect))])
 
     def _mirrored(self, cos: Array) -> Array:
-        """Light that meets nothing but the faces of an open slab and comes back, `[cos]`, after that of the first."""
+        """Return the specular reflection `[cos]` by the lower face of an open slab."""
         bare = face(cos, self.directions.index)
         passed = self._passed(cos)
         return np.asarray((1 - bare) ** 2 * bare * passed**2 / (1 - (bare * passed) ** 2))
@@ -253,34 +255,31 @@ class Slab:
 
 
 def face(cos: Array, index: float) -> Array:
-    """Fresnel reflectance from outside; none where the indices match."""
+    """Return the Fresnel reflectance from outside; 0 for matched indices."""
     return fresnel(cos, index) if index - 1 >= MATCHED else np.zeros_like(cos)
 
 
-def interpolation(nodes: Array, wanted: Array) -> Array:
-    """Matrix `[wanted, node]` of the polynomial through the nodes (barycentric)."""
+def interpolation(nodes: Array, points: Array) -> Array:
+    """Return the matrix `[point, node]` of barycentric interpolation."""
     difference = nodes[:, None] - nodes
     np.fill_diagonal(difference, 1.0)
     log = np.log(np.abs(difference)).sum(axis=1)
     weight = np.prod(np.sign(difference), axis=1) * np.exp(log.min() - log)
-    gap = np.asarray(wanted)[:, None] - nodes
+    gap = np.asarray(points)[:, None] - nodes
     hit = np.abs(gap) < 1e-14
     terms = weight / np.where(hit, 1.0, gap)
     found = terms / terms.sum(axis=1, keepdims=True)
     return np.where(hit.any(axis=1, keepdims=True), hit.astype(float), found)
 
 
-# BRDF of a slab from its Fourier modes: smooth multiple scattering, and single scattering in closed form.
-
-
 def brdf_table(medium: Medium, band: int, slab: Slab, theta: Array, dphi: Array) -> Array:
     """Tabulate the diffuse BRDF at one wavelength, `[theta_i, theta_o, dphi]`, in 1/sr.
 
     Args:
-        medium, band: what the slab was solved with.
-        slab: with several modes of the azimuth.
+        medium, band: of the solved slab.
+        slab: with several modes.
         theta: outer angles, rad, in [0, pi/2].
-        dphi: azimuth from the light to the viewer, rad; 0 sends light back where it came from.
+        dphi: azimuth from the light to the viewer, rad; 0: retroreflection.
     """
     cos = np.where(theta >= np.pi / 2, 0.0, np.cos(theta))
     count = len(slab.reflect)
@@ -316,22 +315,22 @@ def brdf_pairs(medium: Medium, band: int, slab: Slab, wi: Array, wo: Array) -> A
 
 
 def _inside(cos: Array, slab: Slab) -> Array:
-    """Cosines inside; kept off zero, which only a medium of the ambient's own index reaches."""
+    """Return cosines inside, bounded away from zero for matched indices."""
     return np.asarray(np.sqrt(np.maximum(1 - (1 - cos**2) / slab.directions.index**2, 1e-8)))
 
 
 def _weights(medium: Medium, band: int, modes: int) -> Array:
-    """Weights of products of harmonics in the phase function from above to above, `[mode, l]`."""
+    """Return the weights of harmonics in the backward phase function, `[mode, l]`."""
     moments = medium.moments[band]
     order = np.arange(len(moments))
     twice = np.where(np.arange(modes) == 0, 1.0, 2.0)[:, None]
-    # light comes down and leaves upward: the sign of one cosine is turned
+    # incoming light goes down: one cosine changes its sign
     parity = (-1.0) ** (order[None, :] + np.arange(modes)[:, None])
     return np.asarray(twice * parity * (2 * order + 1) * moments / (4 * np.pi))
 
 
 def _missing(medium: Medium, band: int, slab: Slab, inner_i: Array, inner_o: Array, dphi: Array) -> Array:
-    """Single scattering with the whole phase function."""
+    """Return single scattering with the exact phase function."""
     sine = np.sqrt((1 - inner_i**2) * (1 - inner_o**2))
     cosine = -(inner_i * inner_o + sine * np.cos(dphi))
     nodes = np.linspace(-1.0, 1.0, medium.phase.shape[1])
@@ -339,35 +338,36 @@ def _missing(medium: Medium, band: int, slab: Slab, inner_i: Array, inner_o: Arr
 
 
 def _order_one(slab: Slab, inner_i: Array, inner_o: Array) -> Array:
-    """What the phase function is multiplied by in light that is scattered once."""
+    """Return the factor of the phase function in single scattering."""
     paths = 1 / inner_i + 1 / inner_o
     share = -np.expm1(-slab.depth * paths)
     return np.asarray(slab.albedo * share / ((inner_i + inner_o) * slab.directions.index**2))
 
 
-# A medium for a walk that refracts all wavelengths with one index, where the true one disperses.
-
-STEP = 0.02  # of the first trial, in scattering
-MOST = 0.3  # of change: titania at 400 nm needs 0.16
-STEPS = 4  # of the secant; two do for polymers
-CLOSE = 1e-6  # of the albedo
-DULL = 1e-3  # of the change of the albedo over that of scattering: below it scattering cannot stand for the face
+FIRST_STEP = 0.02  # relative change of scattering
+MAX_CHANGE = 0.3  # of scattering; titania at 400 nm needs 0.16
+SECANT_STEPS = 4  # polymers need two
+ALBEDO_TOL = 1e-6
+MIN_SLOPE = 1e-3  # of the albedo over scattering, below which scattering cannot compensate the face
 
 
 def with_one_index(medium: Medium, index: float, thickness_nm: float, albedo: Array) -> Medium:
-    """Return the medium whose scattering makes up for faces of one index.
+    """Return a medium with one index for all wavelengths and the same diffuse reflectance.
 
-    Unchanged where scattering hardly matters, as in a lossless layer over white.
+    Random walks share one path among wavelengths, so their faces have one index. Scattering is changed at every
+    wavelength until the diffuse reflectance equals that behind the true, dispersive face.
+
+    Unchanged if scattering has little effect, as in a lossless layer over white.
 
     Args:
-        medium: as it is.
-        index: of the faces that it is to have.
-        thickness_nm: of the layer.
-        albedo: `[wavelength]`, of its diffuse base.
+        medium: with its dispersion.
+        index: required for the faces.
+        thickness_nm: layer thickness.
+        albedo: `[wavelength]` of the diffuse base.
     """
 
     def scale(band: int) -> float:
-        def sent_back(factor: float, faces: float) -> float:
+        def diffuse(factor: float, faces: float) -> float:
             other = replace(
                 medium,
                 index=np.where(np.arange(len(medium.index)) == band, faces, medium.index),
@@ -377,22 +377,22 @@ def with_one_index(medium: Medium, index: float, thickness_nm: float, albedo: Ar
             at = slab.directions
             return float(np.sum(2 * at.outer * at.outer_weight * slab.powers(at.outer)[2]))
 
-        wanted = sent_back(1.0, max(float(medium.index[band]), 1.0))
-        before, now = 1.0, 1.0 + STEP
-        missed = sent_back(before, index) - wanted
-        left = sent_back(now, index) - wanted
-        for _ in range(STEPS):
-            if abs(left - missed) < DULL * abs(now - before):
+        target = diffuse(1.0, max(float(medium.index[band]), 1.0))
+        before, now = 1.0, 1.0 + FIRST_STEP
+        missed = diffuse(before, index) - target
+        left = diffuse(now, index) - target
+        for _ in range(SECANT_STEPS):
+            if abs(left - missed) < MIN_SLOPE * abs(now - before):
                 return 1.0
             before, now, missed = now, now - left * (now - before) / (left - missed), left
-            if abs(now - 1.0) > MOST:
+            if abs(now - 1.0) > MAX_CHANGE:
                 return 1.0
-            left = sent_back(now, index) - wanted
-            if abs(left) < CLOSE:
+            left = diffuse(now, index) - target
+            if abs(left) < ALBEDO_TOL:
                 break
         return now
 
-    bands = [band for band in range(len(medium.index)) if abs(float(medium.index[band]) - index) > CLOSE]
+    bands = [band for band in range(len(medium.index)) if abs(float(medium.index[band]) - index) > ALBEDO_TOL]
     scales = np.ones(len(medium.index))
     scales[bands] = in_threads(scale, bands)
     return replace(medium, scattering=medium.scattering * scales)

@@ -1,4 +1,4 @@
-"""What a rough face lets pass of light inside, which has lost its direction already, beside a smooth face."""
+"""Transmission of diffuse light through a rough interface, relative to a smooth one."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from nacre.core.arrays import Array
 from nacre.families.glass.medium import Medium
 from nacre.families.glass.radiative_transfer import MATCHED, Slab, face
 
-INDEX_DIGITS = 2  # to which faces of nearly the same index share their numbers, which are ratios of two faces
-GRAZING = 2e-3  # of a cosine: nearer to the face both shares go to zero
+INDEX_DIGITS = 2  # of the index, for the cache; the results are ratios and vary slowly
+GRAZING = 2e-3  # cosine, below which both transmittances vanish
 
 
 @dataclass(frozen=True, eq=False)
-class Passing:
-    """A rough face, for diffuse light: how much more or less enters and leaves than through a smooth one.
+class RoughInterface:
+    """Transmission and reflection of diffuse light by a rough face.
 
     Attributes:
-        index: of the medium.
-        through: `[cos]`, share of the light from the ambient that enters, on uniform nodes of the cosine's root.
-        loss: `[cos]`, share from the ambient that the facets hide, on those nodes.
-        hidden: its mean in diffuse light.
-        outward: share of what is hidden that comes back on the ambient's side.
-        escape: diffuse light that enters, over that of a smooth face; by reciprocity also what leaves.
-        lost: share of the diffuse light inside that is lost between the facets at each encounter.
+        index: refractive index of the medium.
+        through: `[cos]`, transmittance from the ambient, on uniform nodes of sqrt(cos).
+        loss: `[cos]`, share from the ambient hidden by facets, on the same nodes.
+        hidden: mean of `loss` in diffuse light.
+        outward: share of hidden light that returns to the ambient.
+        escape: diffuse transmittance over that of a smooth face, in both directions by reciprocity.
+        lost: share of diffuse light inside lost between facets at each encounter.
     """
 
     index: float
@@ -40,27 +40,27 @@ class Passing:
     lost: float
 
     @classmethod
-    def behind(cls, surface: Roughness, medium: Medium) -> Passing | None:
-        """Return that of a face to a medium; None where it is smooth, or bounds nothing."""
+    def behind(cls, surface: Roughness, medium: Medium) -> RoughInterface | None:
+        """Return the interface of a medium; None if it is smooth or index-matched."""
         index = round(float(np.median(medium.index)), INDEX_DIGITS)
-        return None if surface.is_smooth or index - 1 < MATCHED else _passing(surface, index)
+        return None if surface.is_smooth or index - 1 < MATCHED else _solve(surface, index)
 
     def over_smooth(self, cos: Array) -> Array:
-        """Return the share that enters at cosines, over that of a smooth face; its limit along the face itself."""
+        """Return the transmittance over that of a smooth face."""
         at = np.maximum(cos, GRAZING)
         through = np.interp(np.sqrt(at), np.linspace(0.0, 1.0, len(self.through)), self.through)
         return np.asarray(through / (1 - face(at, self.index)))
 
     def mirrored(self, cos: Array) -> Array:
-        """Return the share of light along cosines that the face itself sends back, in whatever direction."""
+        """Return the directional-hemispherical reflectance of the face."""
         lost = self.loss if self.lost > 0 else 0.0
         return np.asarray(np.interp(np.sqrt(cos), np.linspace(0.0, 1.0, len(self.loss)), 1 - self.through - lost))
 
-    def kept(self, slab: Slab) -> float:
-        """Return what multiplies the light inside, which meets the face again and again.
+    def internal_factor(self, slab: Slab) -> float:
+        """Return the factor on diffuse light inside by the changed internal reflection.
 
-        With r and r' the share of diffuse light inside that a smooth and this face send back, and A the layer's own
-        albedo for it: (1 - A r) / (1 - A r'). A follows from the layer's albedo outside, behind the smooth face.
+        With r and r' the internal reflectances of a smooth and this face, and A the layer's albedo inside:
+        (1 - A r) / (1 - A r'). A follows from the albedo outside, behind the smooth face.
         """
         at = slab.directions
         weight = 2 * at.outer * at.outer_weight
@@ -73,11 +73,11 @@ class Passing:
 
 
 @lru_cache(maxsize=256)
-def _passing(surface: Roughness, index: float) -> Passing:
-    ways = [once(surface, eta) for eta in (index, 1 / index)]
-    loss = np.stack([np.maximum(1 - up - down, 0.0) for up, down in ways])
+def _solve(surface: Roughness, index: float) -> RoughInterface:
+    sides = [once(surface, eta) for eta in (index, 1 / index)]
+    loss = np.stack([np.maximum(1 - up - down, 0.0) for up, down in sides])
     mean = returns(loss)[0]
-    through, outward = ways[0][1], 0.0
+    through, outward = sides[0][1], 0.0
     if surface.compensate:
         outward = float(mean[0] / max(mean[0] + index**2 * mean[1], 1e-12))
         through = through + loss[0] * (1 - outward)
@@ -85,4 +85,4 @@ def _passing(surface: Roughness, index: float) -> Passing:
     weight = 4 * root**3
     escape = float(np.sum(weight * through) / np.sum(weight * (1 - face(root**2, index))))
     lost = 0.0 if surface.compensate else float(mean[1])
-    return Passing(index, through, loss[0], max(float(mean[0]), 1e-12), outward, escape, lost)
+    return RoughInterface(index, through, loss[0], max(float(mean[0]), 1e-12), outward, escape, lost)

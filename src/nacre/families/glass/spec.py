@@ -1,4 +1,4 @@
-"""The recipe of a photonic glass: its keys, what they allow, and the material that they build."""
+"""The recipe of a photonic glass."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, SubstrateSpec, Widths, in
 from nacre.core.arrays import Array
 from nacre.core.errors import MaterialRangeError, NacreError
 from nacre.families.glass.balls import Balls
-from nacre.families.glass.balls_spec import BallsSpec
-from nacre.families.glass.composite import INDEX_NM, Composite, EffectiveDispersion
+from nacre.families.glass.composite import INDEX_NM, MAX_EXTINCTION, Composite, EffectiveDispersion
 from nacre.families.glass.material import FastGlass, Glass, Layer
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.delimited_text import two_columns
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
-DENSEST = 0.64  # random packing of equal spheres
-FEWEST_LAYERS = 3  # of diameters in the thickness: less is no continuum
-LARGEST_NM = 500.0  # of the outer radius: larger spheres have no effective medium in visible light
-WIDEST_RELATIVE_SIZE = 0.2  # of deviation over radius
+MAX_PACKING = 0.64  # random packing of equal spheres
+MIN_LAYERS = 3  # diameters in the thickness of a continuum
+MAX_RADIUS_NM = 500.0  # outer radius, above which there is no effective medium in visible light
+MAX_RELATIVE_DEVIATION = 0.2  # of the radius
+MAX_BALL_NM = 1e6
 MAX_THICKNESS_NM = 1e8
 MAX_STRATA = 8
 OF_ONE_LAYER = ("thickness_nm", "matrix", "spheres", "absorber", "balls", "surface", "model")
@@ -33,67 +33,67 @@ NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
 
 
 class ShellSpec(RecipeModel):
-    """A coat round every sphere; hollow spheres are a core of air with a shell."""
+    """A shell around every sphere; hollow spheres have a core of air."""
 
     forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 20}',)
 
     material: IndexSpec = pydantic.Field(description="what the shell is made of")
-    thickness_nm: Annotated[float, pydantic.Field(gt=0.0, le=LARGEST_NM)] = pydantic.Field(
-        description="thickness of the shell, from the core's radius outward", examples=[20]
+    thickness_nm: Annotated[float, pydantic.Field(gt=0.0, le=MAX_RADIUS_NM)] = pydantic.Field(
+        description="thickness of the shell outside the core", examples=[20]
     )
 
 
 class SpheresSpec(RecipeModel):
-    """The spheres, packed in disorder."""
+    """Disordered spheres."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{material = "PS", radius_nm = 125, volume_fraction = 0.55}',
         '{material = "air", radius_nm = 90, volume_fraction = 0.45, shell = {material = "TiO2", thickness_nm = 20}}',
     )
 
-    material: IndexSpec = pydantic.Field(description="what the core of a sphere is made of")
-    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=LARGEST_NM)] = pydantic.Field(
+    material: IndexSpec = pydantic.Field(description="material of a sphere's core")
+    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=MAX_RADIUS_NM)] = pydantic.Field(
         description="mean radius of the core", examples=[125]
     )
     deviation_nm: NotNegative = pydantic.Field(
         default=0.0,
-        description="standard deviation of the outer radius, at most 0.2 of it; core and shell keep their proportion",
+        description="standard deviation of the outer radius, at most 0.2 of it; core and shell scale together",
         examples=[6],
     )
     volume_fraction: Annotated[float, pydantic.Field(gt=0.0)] = pydantic.Field(
-        json_schema_extra={"maximum": DENSEST},
-        description="share of the volume that whole spheres fill, at most 0.64, the densest random packing",
+        json_schema_extra={"maximum": MAX_PACKING},
+        description="volume fraction of whole spheres, at most 0.64, the densest random packing",
         examples=[0.55],
     )
     shell: ShellSpec | None = pydantic.Field(default=None, description="a coat round the core")
 
     @pydantic.model_validator(mode="after")
     def _check(self) -> SpheresSpec:
-        if self.volume_fraction > DENSEST:
+        if self.volume_fraction > MAX_PACKING:
             raise ValueError(
-                f"volume_fraction = {self.volume_fraction:g} is not allowed; it should be at most {DENSEST:g}, "
+                f"volume_fraction = {self.volume_fraction:g} is not allowed; it should be at most {MAX_PACKING:g}, "
                 "the densest random packing of spheres"
             )
-        if self.outer_nm > LARGEST_NM:
+        if self.outer_nm > MAX_RADIUS_NM:
             raise ValueError(
                 f"radius_nm = {self.radius_nm:g} with its shell is not allowed; both together should be at most "
-                f"{LARGEST_NM:g}"
+                f"{MAX_RADIUS_NM:g}"
             )
-        if self.deviation_nm > WIDEST_RELATIVE_SIZE * self.outer_nm:
+        if self.deviation_nm > MAX_RELATIVE_DEVIATION * self.outer_nm:
             raise ValueError(
                 f"deviation_nm = {self.deviation_nm:g} is not allowed; it should be at most "
-                f"{WIDEST_RELATIVE_SIZE:g} of the outer radius, {self.outer_nm:g}"
+                f"{MAX_RELATIVE_DEVIATION:g} of the outer radius, {self.outer_nm:g}"
             )
         return self
 
     @property
     def outer_nm(self) -> float:
-        """Radius with the shell."""
+        """Outer radius."""
         return self.radius_nm + (self.shell.thickness_nm if self.shell else 0.0)
 
 
 class AbsorberSpec(RecipeModel):
-    """Black in the matrix, such as carbon or melanin, which keeps white light from drowning the colour."""
+    """Black absorber in the matrix, such as carbon or melanin, which suppresses white light."""
 
     one_of: ClassVar[tuple[str, ...]] = ("k", "material")
     forms: ClassVar[tuple[str, ...]] = (
@@ -104,14 +104,14 @@ class AbsorberSpec(RecipeModel):
     k: float | None = pydantic.Field(
         json_schema_extra={"minimum": 0},
         default=None,
-        description="extinction coefficient that it gives the matrix",
+        description="extinction coefficient added to the matrix",
         examples=[0.002],
     )
     material: IndexSpec | None = pydantic.Field(
-        default=None, description="in place of k: what the absorber is made of; only its k counts"
+        default=None, description="instead of k: material of the absorber, of which only k counts"
     )
     volume_fraction: Annotated[float, pydantic.Field(gt=0.0, le=0.3)] | None = pydantic.Field(
-        default=None, description="with material: share of the matrix that it fills", examples=[0.003]
+        default=None, description="with material: its volume fraction in the matrix", examples=[0.003]
     )
 
     @pydantic.model_validator(mode="after")
@@ -119,13 +119,59 @@ class AbsorberSpec(RecipeModel):
         if (self.k is None) == (self.material is None):
             raise ValueError("give k or material, one of the two")
         if (self.material is None) != (self.volume_fraction is None):
-            raise ValueError("material and volume_fraction belong together; give both, or k alone")
+            raise ValueError("material and volume_fraction belong together; give both, or only k")
         if self.k is not None and self.k < 0:
             raise ValueError(
                 f"k = {self.k:g} is not allowed; it should be 0 or more: n + ik with k >= 0 absorbs, and k < 0 would "
                 "be gain"
             )
         return self
+
+
+class BallsSpec(RecipeModel):
+    """Photonic balls: micrometre-sized balls of packed spheres in a binder."""
+
+    forms: ClassVar[tuple[str, ...]] = ("{binder = {n = 1.5}, radius_um = 5, volume_fraction = 0.3}",)
+
+    binder: IndexSpec = pydantic.Field(
+        description="material between the balls, possibly absorbing", examples=[{"n": 1.5}]
+    )
+    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=MAX_BALL_NM)] = pydantic.Field(
+        description="radius of a ball, usually written with _um; at least three sphere diameters across",
+        examples=[5000],
+    )
+    volume_fraction: Annotated[float, pydantic.Field(gt=0.0)] = pydantic.Field(
+        json_schema_extra={"maximum": MAX_PACKING},
+        description="volume fraction of the balls, at most 0.64, the densest random packing",
+        examples=[0.3],
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _check(self) -> BallsSpec:
+        if self.volume_fraction > MAX_PACKING:
+            raise ValueError(
+                f"volume_fraction = {self.volume_fraction:g} is not allowed; it should be at most {MAX_PACKING:g}, "
+                "the densest random packing of balls"
+            )
+        return self
+
+    def build(self, glass: Composite, context: RecipeContext, extrapolate: str, key: str) -> Balls:
+        """Return balls of a glass; `key` is the table's path in the recipe, with a final dot.
+
+        Raises:
+            RecipeError: light cannot be traced in the binder.
+        """
+        binder = self.binder.build(context)
+        if extrapolate == "edge":
+            binder = binder.with_extrapolation("edge")
+        try:
+            n = complex(binder.n_complex(np.array([INDEX_NM]))[0])
+        except MaterialRangeError:
+            n = 1.0 + 0.0j  # reported when that wavelength is computed
+        if n.real < 1 or n.imag > MAX_EXTINCTION:
+            why = f"has the index {n.real:.4g} + {n.imag:.2g}i; n must be at least 1 and k at most {MAX_EXTINCTION:g}"
+            raise context.fail(f"{key}balls.binder", self.binder.name or "...", why)
+        return Balls(glass, self.radius_nm, self.volume_fraction, binder)
 
 
 class SurfaceSpec(RecipeModel):
@@ -141,24 +187,24 @@ class SurfaceSpec(RecipeModel):
     )
     compensate: bool = pydantic.Field(
         default=True,
-        description="give back the light that facets of the face scatter among each other",
+        description="restore the light lost by multiple scattering between facets",
         examples=[False],
     )
 
 
 class StructureSpec(RecipeModel):
-    """How the spheres are ordered: "percus-yevick", or a file of the structure factor."""
+    """Order of the spheres: "percus-yevick", or a file with the structure factor."""
 
     one_of: ClassVar[tuple[str, ...]] = ("name", "sq")
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"enum": ["percus-yevick"]},)
     forms: ClassVar[tuple[str, ...]] = ('"percus-yevick"', '{sq = "s.csv"}')
 
     name: Literal["percus-yevick"] | None = pydantic.Field(
-        default=None, description="kind of order; written alone it needs no table", examples=["percus-yevick"]
+        default=None, description="model of the order; alone it needs no table", examples=["percus-yevick"]
     )
     sq: str | None = pydantic.Field(
         default=None,
-        description="in place of name: a file of two columns, q in 1/um, ascending, and S(q)",
+        description="instead of name: a file of two columns, q in 1/um, ascending, and S(q)",
         examples=["s.csv"],
     )
 
@@ -178,7 +224,7 @@ class StructureSpec(RecipeModel):
         return self
 
     def build(self, context: RecipeContext, outer_nm: float, place: str = "") -> Callable[[Array], Array] | None:
-        """Return S over q d, or None for hard spheres; beyond the file's ends its last values hold, and 1 above.
+        """Return S over q d, or None for hard spheres; below the tabulated range its first value, above it 1.
 
         Raises:
             RecipeError: the file is unusable.
@@ -195,7 +241,7 @@ class StructureSpec(RecipeModel):
 
 
 class ModelSpec(RecipeModel):
-    """The model, where its own choice is not wanted."""
+    """Details of the model."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{structure = "percus-yevick", effective_index = "bruggeman"}',
@@ -204,10 +250,10 @@ class ModelSpec(RecipeModel):
 
     structure: StructureSpec = pydantic.Field(
         default=StructureSpec(name="percus-yevick"),
-        description='order of the spheres: "percus-yevick", or a file of S(q)',
+        description='order of the spheres: "percus-yevick", or a file with S(q)',
     )
     effective_index: Literal["bruggeman", "maxwell-garnett"] = pydantic.Field(
-        default="bruggeman", description="mixing rule of the index that stands for spheres and matrix together"
+        default="bruggeman", description="mixing rule of the effective index"
     )
 
 
@@ -217,21 +263,21 @@ def _index(spec: IndexSpec, context: RecipeContext, extrapolate: str) -> Optical
 
 
 def _check_layer(thickness_nm: float, spheres: SpheresSpec, balls: BallsSpec | None, model: ModelSpec) -> None:
-    """Check what keys of several tables have to do with each other.
+    """Check keys of several tables against each other.
 
     Raises:
-        ValueError: saying what does not fit.
+        ValueError: they do not fit together.
     """
-    across = FEWEST_LAYERS * 2 * spheres.outer_nm
-    least, held = (across, "spheres") if balls is None else (FEWEST_LAYERS * 2 * balls.radius_nm, "balls")
+    across = MIN_LAYERS * 2 * spheres.outer_nm
+    least, held = (across, "spheres") if balls is None else (MIN_LAYERS * 2 * balls.radius_nm, "balls")
     if balls is not None and 2 * balls.radius_nm < across:
         raise ValueError(
-            f"balls.radius_um = {balls.radius_nm / 1e3:g} is not allowed; {FEWEST_LAYERS} spheres should stand across "
+            f"balls.radius_um = {balls.radius_nm / 1e3:g} is not allowed; {MIN_LAYERS} spheres should stand across "
             f"a ball, a radius of at least {across / 2e3:g}"
         )
     if thickness_nm < least:
         raise ValueError(
-            f"thickness_um = {thickness_nm / 1e3:g} is not allowed; it should hold {FEWEST_LAYERS} {held}, "
+            f"thickness_um = {thickness_nm / 1e3:g} is not allowed; it should hold {MIN_LAYERS} {held}, "
             f"at least {least / 1e3:g}"
         )
     if model.effective_index == "maxwell-garnett" and spheres.shell is not None:
@@ -244,7 +290,7 @@ Thickness = Annotated[float, pydantic.Field(gt=0.0, le=MAX_THICKNESS_NM)]
 
 
 class StratumSpec(RecipeModel):
-    """One layer of glass among several, with the keys that a recipe of one layer has at its top."""
+    """One of several layers, with the keys of a single-layer recipe."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{thickness_um = 5, matrix = "air", spheres = {material = "PS", radius_nm = 110, volume_fraction = 0.55}, '
@@ -257,17 +303,15 @@ class StratumSpec(RecipeModel):
         description="thickness of the stratum, usually written with _um; at least three spheres", examples=[5000]
     )
     matrix: IndexSpec = pydantic.Field(
-        default=IndexSpec.model_validate("air"), description="what lies between the spheres"
+        default=IndexSpec.model_validate("air"), description="material between the spheres"
     )
     spheres: SpheresSpec = pydantic.Field(description="the spheres")
     absorber: AbsorberSpec | None = pydantic.Field(default=None, description="black in the matrix")
     balls: BallsSpec | None = pydantic.Field(
-        default=None, description="the glass is no even layer, but balls of it in a binder, as in a paint"
+        default=None, description="balls of glass in a binder, as in a paint, instead of a homogeneous layer"
     )
     surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="the upper face")
-    model: ModelSpec = pydantic.Field(
-        default=ModelSpec(), description="details of the computation, where its own choice is not wanted"
-    )
+    model: ModelSpec = pydantic.Field(default=ModelSpec(), description="details of the model")
 
     @pydantic.model_validator(mode="after")
     def _check(self) -> StratumSpec:
@@ -275,7 +319,7 @@ class StratumSpec(RecipeModel):
         return self
 
     def build(self, context: RecipeContext, extrapolate: str, key: str = "") -> Layer:
-        """Return the stratum; `key` is where it stands in the recipe, with a dot behind it.
+        """Return the stratum; `key` is its path in the recipe, with a final dot.
 
         Raises:
             RecipeError: a file is not usable, or the effective index cannot be solved.
@@ -301,7 +345,7 @@ class StratumSpec(RecipeModel):
         try:
             composite.effective_index(np.array([INDEX_NM]))
         except MaterialRangeError:
-            pass  # told where a wavelength is asked for, with that wavelength
+            pass  # reported when that wavelength is computed
         except NacreError as error:
             name = f"{key}model.effective_index"
             raise context.fail(name, self.model.effective_index, f"fails: {error}") from None
@@ -313,7 +357,7 @@ class StratumSpec(RecipeModel):
 
 
 class GlassSpec(RecipeModel):
-    """Spheres packed in disorder in a matrix: colour that stays with the angle."""
+    """Disordered spheres in a matrix: a colour that hardly changes with the angle."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "family": "glass",
@@ -346,7 +390,7 @@ class GlassSpec(RecipeModel):
     title: str = pydantic.Field(default="", description="a title for figures", examples=["Blue feather"])
     quality: Literal["reference", "fast"] = pydantic.Field(
         default="reference",
-        description="reference: the random walk; fast: noise-free tables where they can be made",
+        description="reference: the random walk; fast: noise-free tables if they apply",
     )
     thickness_nm: Thickness | None = pydantic.Field(
         default=None,
@@ -354,26 +398,24 @@ class GlassSpec(RecipeModel):
         examples=[20000],
     )
     matrix: IndexSpec = pydantic.Field(
-        default=IndexSpec.model_validate("air"), description="what lies between the spheres"
+        default=IndexSpec.model_validate("air"), description="material between the spheres"
     )
     spheres: SpheresSpec | None = pydantic.Field(default=None, description="the spheres")
     absorber: AbsorberSpec | None = pydantic.Field(default=None, description="black in the matrix")
     balls: BallsSpec | None = pydantic.Field(
-        default=None, description="the glass is no even layer, but balls of it in a binder, as in a paint"
+        default=None, description="balls of glass in a binder, as in a paint, instead of a homogeneous layer"
     )
     surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="the upper face")
     strata: tuple[StratumSpec, ...] = pydantic.Field(
         default=(),
         max_length=MAX_STRATA,
-        description="in place of the keys of one layer: several of them, from the light's side inward",
+        description="instead of the keys of one layer: several layers, from the light inward",
     )
-    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="what lies below the layer")
-    model: ModelSpec = pydantic.Field(
-        default=ModelSpec(), description="details of the computation, where its own choice is not wanted"
-    )
+    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="base below the layer")
+    model: ModelSpec = pydantic.Field(default=ModelSpec(), description="details of the model")
     extrapolate: Literal["error", "edge"] = pydantic.Field(
         default="error",
-        description="outside the tabulated range of an optical constant: refuse, or hold the end values",
+        description="outside the tabulated range of an optical constant: an error, or the end values",
     )
 
     @pydantic.model_validator(mode="before")

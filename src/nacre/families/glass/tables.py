@@ -1,4 +1,10 @@
-"""Tables that conserve energy: a reciprocal BRDF is scaled until every incidence sends out what it should."""
+"""Noise-free form of a photonic glass (`quality = "fast"`): the face, and a table of the diffuse light.
+
+The table is scaled reciprocally until every incidence has the albedo of radiative transfer. A rough face spreads its
+own reflection; of the diffuse light inside it only changes the transmittance, by the factors of `RoughInterface`. The
+stated error comes from independent random walks through the rough face at three incidences, in bins of the exit cosine,
+plus the interpolation error against transfer at pairs of all directions.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +25,13 @@ from nacre.core.parallel import in_threads
 from nacre.families.glass.medium import Medium, gauss_rule
 from nacre.families.glass.radiative_transfer import Slab, brdf_pairs, brdf_table, face
 from nacre.families.glass.random_walk import Face, walk
-from nacre.families.glass.rough_interface import Passing
+from nacre.families.glass.rough_interface import RoughInterface
 
 CELL_NODES = 6
 
 
 def table_weights(theta: Array) -> Array:
-    """Weights `[theta]` that integrate a table, linear in theta, times cos over the half space of its exits."""
+    """Return weights `[theta]` that integrate a table, linear in theta, times cos over the hemisphere."""
     x, w = gauss_rule(CELL_NODES)
     weights = np.zeros(len(theta))
     for i in range(len(theta) - 1):
@@ -38,7 +44,7 @@ def table_weights(theta: Array) -> Array:
 
 
 def balanced(values: Array, theta: Array, albedo: Array) -> Array:
-    """Scale f(i, o) by s(i) s(o) until its sums over the exits are the albedo wanted.
+    """Scale f(i, o) by s(i) s(o) to a given albedo.
 
     Args:
         values: `[theta_i, theta_o, dphi]`, symmetric in the first two.
@@ -51,25 +57,23 @@ def balanced(values: Array, theta: Array, albedo: Array) -> Array:
     return np.asarray(values * scale[:, None, None] * scale[None, :, None])
 
 
-# `quality = "fast"` of a photonic glass: the face, and the diffuse light of transfer as a table, with a stated error.
-
 THETA_NODES, AZIMUTH_NODES = 37, 19
 FACE_NODES = 257
 CHECK_DEG = (10.0, 40.0, 65.0)
 CHECK_BINS, CHECK_WALKERS, CHECK_BANDS = 10, 120_000, 8
-MIDPOINTS = (8, 24)  # in a bin, and in the half turn of the azimuth
+MIDPOINTS = (8, 24)  # in a bin, and in the half circle of azimuth
 CHECK_PAIRS = 300
-DOUBT = 0.6  # share of the check's noise that the stated error adds
+NOISE_SHARE = 0.6  # of the noise of the check, added to the stated error
 
 
 def diffuse_table(medium: Medium, slabs: list[Slab]) -> TableLobe:
-    """Tabulate the light that has entered by a smooth face; every incidence sends out exactly what transfer says."""
+    """Tabulate the diffuse light behind a smooth face, with the exact albedo at every incidence."""
     theta, dphi = np.linspace(0, np.pi / 2, THETA_NODES), np.linspace(0, np.pi, AZIMUTH_NODES)
     cos = np.append(np.cos(theta[:-1]), 0.0)
 
     def tabulate(band: int) -> Array:
         table = brdf_table(medium, band, slabs[band], theta, dphi)
-        # equal to rounding already: reciprocity then holds to the last digit
+        # exact reciprocity
         table = 0.5 * (table + np.swapaxes(table, 0, 1))
         return balanced(table, theta, slabs[band].powers(cos)[2])
 
@@ -78,17 +82,17 @@ def diffuse_table(medium: Medium, slabs: list[Slab]) -> TableLobe:
 
 
 def behind_rough(table: TableLobe, medium: Medium, slabs: list[Slab], surface: Roughness) -> TableLobe:
-    """Put the light of `diffuse_table` behind a rough face; see `Passing`."""
-    passing = Passing.behind(surface, medium)
-    if passing is None:
+    """Put the light of `diffuse_table` behind a rough face; see `RoughInterface`."""
+    interface = RoughInterface.behind(surface, medium)
+    if interface is None:
         return table
-    share = passing.over_smooth(np.cos(np.linspace(0, np.pi / 2, THETA_NODES)))
-    kept = np.array([passing.kept(slab) for slab in slabs])
+    share = interface.over_smooth(np.cos(np.linspace(0, np.pi / 2, THETA_NODES)))
+    kept = np.array([interface.internal_factor(slab) for slab in slabs])
     return replace(table, values=table.values * kept * share[:, None, None, None] * share[:, None, None])
 
 
 def face_lobe(medium: Medium, surface: Roughness) -> Lobe:
-    """The upper face, which only reflects here: what enters is in the table."""
+    """Return the reflection of the upper face."""
     cos = np.linspace(0.0, 1.0, FACE_NODES)
     reflect = np.stack([face(cos, max(float(n), 1.0)) for n in medium.index], axis=1)
     none = np.zeros_like(reflect)
@@ -97,15 +101,15 @@ def face_lobe(medium: Medium, surface: Roughness) -> Lobe:
     if surface.is_smooth:
         return Specular(response)
     rough = Microfacet(response, surface.distribution, surface.alpha_x, surface.alpha_y)
-    passing = Passing.behind(surface, medium)
-    if passing is None or not surface.compensate:
+    interface = RoughInterface.behind(surface, medium)
+    if interface is None or not surface.compensate:
         return rough
-    exchange = np.full((1, 1, reflect.shape[1]), passing.outward / (np.pi * passing.hidden))
-    return replace(rough, loss=passing.loss[None, :, None, None], exchange=exchange)
+    exchange = np.full((1, 1, reflect.shape[1]), interface.outward / (np.pi * interface.hidden))
+    return replace(rough, loss=interface.loss[None, :, None, None], exchange=exchange)
 
 
 def interpolation_error(table: TableLobe, medium: Medium, slabs: list[Slab]) -> Array:
-    """Relative L2 error of a table's f cos against transfer itself, over pairs of all directions, as `walk_error` has.
+    """Return the relative L2 error of a table's f cos against transfer, over pairs of all directions.
 
     Args:
         table, medium, slabs: of `diffuse_table`.
@@ -117,25 +121,25 @@ def interpolation_error(table: TableLobe, medium: Medium, slabs: list[Slab]) -> 
     wi, wo = np.stack([sine * np.cos(phi), sine * np.sin(phi), cos], axis=-1)
     exact = np.stack([brdf_pairs(medium, int(band), slabs[band], wi, wo) for band in bands], axis=-1)
     difference = table.evaluate(wi, wo)[:, bands] - exact
-    # drawn by the cosine: its square is the weight of squares of f cos, so one factor of it is left
+    # exits are drawn by the cosine, which leaves one factor of its square
     weight = wo[:, 2:]
     return np.asarray(np.sqrt(np.sum(weight * difference**2, axis=0) / np.sum(weight * exact**2, axis=0)))
 
 
 def _checked(medium: Medium) -> NDArray[np.intp]:
-    """The wavelengths that errors are stated from."""
+    """Return the wavelengths of the error checks."""
     return np.unique(np.linspace(0, len(medium.wavelengths_nm) - 1, CHECK_BANDS).astype(np.intp))
 
 
 def walk_error(
     table: TableLobe, medium: Medium, thickness_nm: float, albedo: Array, surface: Roughness, seed: int = 1
 ) -> Array:
-    """Relative L2 error of a table's light over the polar angle, at a few of its wavelengths, against walks.
+    """Return the relative L2 error of a table over the polar angle against random walks, at a few wavelengths.
 
     Args:
         table: of `diffuse_table`.
-        medium: all of its wavelengths.
-        thickness_nm, albedo, surface: of the slab, its base `[wavelength]` and its face.
+        medium: at all wavelengths.
+        thickness_nm, albedo, surface: slab thickness, base `[wavelength]` and face.
         seed: of the walks.
     """
     bands = _checked(medium)
@@ -158,9 +162,9 @@ def walk_error(
             ).reflected
             for i in range(2)
         ]  # fmt: skip
-        # two independent differences: their product has no noise in the mean
+        # the product of two independent differences has no noise in the mean
         first, second = (walked - ours for walked in walks)
         noise = np.sum((walks[0] - walks[1]) ** 2, axis=0) / 4
-        error += np.maximum(np.sum(first * second, axis=0), 0.0) + (DOUBT**2) * noise
+        error += np.maximum(np.sum(first * second, axis=0), 0.0) + (NOISE_SHARE**2) * noise
         size += np.sum(ours**2, axis=0)
     return np.asarray(np.sqrt(error / np.maximum(size, 1e-30)))

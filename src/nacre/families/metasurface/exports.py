@@ -1,4 +1,4 @@
-"""Exports of a metasurface: T-matrix of its particle, particle layout, and layer sheet for fabrication."""
+"""Metasurface exports: particle T-matrix, particle layout, and layer sheet for fabrication."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ HIGHEST_EXPORTED = 15  # a higher order has 500 MB for 48 wavelengths before com
 
 
 def particle_t_matrices(material: Metasurface) -> AxialTMatrices:
-    """Return the T-matrices of one particle at the material's wavelengths; of a size distribution, the mean size.
+    """Return the T-matrices for one particle (mean size) at the material's wavelengths.
 
-    Spheres get the multipoles needed on their stack, at most 15; particles from files all of theirs.
+    Spheres get the multipoles needed on their stack, at most 15; particles from files all available.
 
     Raises:
         MultipoleConvergenceError, MaterialRangeError: see `Metasurface.monolayer`.
@@ -33,7 +33,7 @@ def particle_t_matrices(material: Metasurface) -> AxialTMatrices:
     surfaces = [material.surface(w) for w in material.wavelengths_nm]
     lmax = min(max(material.order(s) for s in surfaces), HIGHEST_EXPORTED)
     radius = float(np.dot(material.sizes.radii_nm, material.sizes.shares))
-    assert material.core is not None  # of spheres it is known
+    assert material.core is not None  # known for spheres
     blocks = np.stack([as_blocks(material.t_matrix(lmax, s, radius)) for s in surfaces])
     outer = material.outer_radius_nm
     index = None if material.shell is not None else material.core.n_complex(material.wavelengths_nm)
@@ -43,7 +43,7 @@ def particle_t_matrices(material: Metasurface) -> AxialTMatrices:
 
 
 def write_particle(material: Metasurface, path: Path, description: str) -> list[str]:
-    """Write the particle's T-matrices as `*.tmat.h5`; return notes on omitted properties of the material.
+    """Write the particle's T-matrices as `*.tmat.h5`; return notes on omitted material properties.
 
     Raises:
         UnsupportedError: they are too large.
@@ -56,7 +56,7 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
     shape = "sphere" if material.body is None else material.body.shape
     method = "Mie" if material.body is None else material.body.method
     if material.shell is not None:
-        shape = ""  # shapes of the format have one material
+        shape = ""  # shapes in the format have one material
     error = None if material.body is None else material.body.estimated_error
     if error is not None:
         method += f", estimated relative error {error:.1g}"
@@ -69,13 +69,13 @@ def write_particle(material: Metasurface, path: Path, description: str) -> list[
     return lost
 
 
-PERIOD_POINTS = 20_000  # the period has the S(q) of an endless pattern for q above some 2 pi / period
+PERIOD_POINTS = 20_000  # S(q) equals the endless pattern for q above some 2 pi / period
 REFERENCE_NM = 550.0
 COLUMNS = ("position", "material", "quantity", "value", "n_550nm", "k_550nm", "source")
 
 
 def layout(material: Metasurface, request: DrawingRequest) -> Layout:
-    """Return one period of about 20 000 particles, repeated over the requested area in whole periods.
+    """Return one period with about 20 000 particles, repeated over the requested area in whole periods.
 
     Raises:
         UnsupportedError: only S(q) is known.
@@ -84,7 +84,7 @@ def layout(material: Metasurface, request: DrawingRequest) -> Layout:
     wanted = PERIOD_POINTS
     density_per_um2 = material.structure.density_per_nm2 * 1e6
     if request.size_mm is not None:
-        # limit the period to the longer side of a small field
+        # limit the period to a small field's longer side
         wanted = min(wanted, max(50, math.ceil(density_per_um2 * (1e3 * max(request.size_mm)) ** 2)))
     pattern = material.pattern(wanted, request.seed)
     box_um = pattern.box_nm * 1e-3
@@ -111,7 +111,7 @@ def layout(material: Metasurface, request: DrawingRequest) -> Layout:
 
 
 def _drawn_kinds(material: Metasurface, count: int, seed: int | None) -> tuple[NDArray[np.intp], tuple[float, ...]]:
-    """Return the species number of each particle, drawn by the shares, and the radii of the species in um."""
+    """Return the species number per particle, drawn by the shares, and the species radii in um."""
     which = draw_species(
         count, np.array([species.share for species in material.all_species]), np.random.default_rng((seed or 0, count))
     )
@@ -119,7 +119,7 @@ def _drawn_kinds(material: Metasurface, count: int, seed: int | None) -> tuple[N
 
 
 def layer_sheet(material: Metasurface) -> LayerSheet:
-    """Return the table of materials and thicknesses, from the light's side inward."""
+    """Return the material and thickness table, from the light's side inward."""
     entries: list[tuple[str, OpticalConstant, str, float | str]] = [("ambient", material.ambient, "", "")]
     for species, name in zip(material.all_species, ("", "second ")):
         if species.shell is not None:

@@ -1,4 +1,4 @@
-"""Data of figures specific to metasurfaces; `nacre.plot` lists their names."""
+"""Figure data specific to metasurfaces; `nacre.plot` lists their names."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SHOWN_POINTS = 600
 
 
 def scattering(material: Metasurface, wavelength_nm: float = 400.0, theta_deg: float = 0.0) -> dict[str, NDArray[Any]]:
-    """d sigma/d Omega of one particle on its stack in the plane of incidence, um^2/sr.
+    """d sigma/d Omega for one particle on its stack in the incidence plane, um^2/sr.
 
     `theta_deg[t]` is the signed scattering angle from the normal, positive on the specular side.
 
@@ -48,7 +48,7 @@ def scattering(material: Metasurface, wavelength_nm: float = 400.0, theta_deg: f
 
 
 def structure(material: Metasurface) -> dict[str, NDArray[Any]]:
-    """S over q a of the arrangement, and a section of its pattern if it has one."""
+    """S over q a for the arrangement, and a pattern section if available."""
     made = material.structure
     q = np.linspace(0.0, 20.0, 801)
     points = {}
@@ -74,7 +74,7 @@ def colour_map(
     Args:
         part: "diffuse" or "specular".
         densities_per_um2: default: from a tenth of the material's density to three times it, limited by the packing.
-        angles_deg: of incidence; default: 0 to 80 in steps of 10.
+        angles_deg: incidence; default: 0 to 80 in 10 degree steps.
     """
     if part not in ("diffuse", "specular"):
         raise UnsupportedError(f'part = "{part}" is not known; use diffuse or specular')
@@ -86,7 +86,7 @@ def colour_map(
     else:
         densities = np.asarray(densities_per_um2, dtype=float) * 1e-6
     angles = np.arange(0.0, 81.0, 10.0) if angles_deg is None else np.asarray(angles_deg, dtype=float)
-    # coarse steps: each wavelength of each density is a new mean field
+    # coarse steps: each wavelength and density is a new mean field
     wavelengths = np.arange(380.0, 781.0, 20.0)
     rows = []
     for density in densities:

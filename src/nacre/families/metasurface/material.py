@@ -56,14 +56,14 @@ logger = logging.getLogger("nacre")
 AUTO, ENSEMBLE = "auto", "ensemble"
 SLOW_WAY = 'an ensemble (model.correction = "ensemble")'
 VALIDATED_COVERAGE = 0.13  # coverage above which a doubtful mean field causes a warning
-CLASSIFICATION_NM = 550.0  # wavelength of the core classification
-# thicker films need 180 angles; up to here 120 have an error of 0.4 % of the L2 norm (0.3 % without film)
+CLASSIFICATION_NM = 550.0  # wavelength for the core classification
+# thicker films need 180 angles; up to here 120 have an L2 error 0.4 % (0.3 % without film)
 THICK_FILM_NM = 1000.0
 LOW_WAVELENGTHS = 1.65  # total height over wavelength that 64 angles resolve: 600 nm at 360 nm
 TOLD_EXCESS = 0.01  # energy excess above which a warning is logged
 SAME_INDEX = 1e-3
 MAX_CACHED_GRIDS = 4  # wavelength grids with a cached ensemble
-FEW_ANGLES, LEAST_COS = 48, 0.05  # direct evaluation: number of angles, and smallest cosine
+FEW_ANGLES, LEAST_COS = 48, 0.05  # direct evaluation: angle count and smallest cosine
 FEW_ALIGNED_ANGLES = 24  # the same for aligned particles, at all azimuths
 INSIDE = (
     "the mean field is taken of particles inside a layer, where the ensemble says that it is "
@@ -83,26 +83,26 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         ambient: around the particles; lossless.
         layers: materials and thicknesses in nm, from the light's side inward.
         substrate: below; it transmits if it is clear.
-        core: material of the particles; None if only their T-matrix is known.
+        core: particle material; None if only their T-matrix is known.
         sizes: their radii.
         shell: a coating, or None; the outer radius is the core radius plus its thickness.
         gap_nm: between the particles and the stack.
         structure: density, S(q), g(r).
         correction: one of `monolayer.CORRECTIONS`, "ensemble" or "auto", see `model_selection`.
         ensemble: ensemble size.
-        multipole_order: of the spheres; None to choose it at each wavelength by `multipole_tolerance`.
-        multipole_tolerance: largest change of the far field when the order is doubled; None: 0.001, and up to 0.01 with
+        multipole_order: for spheres; None to choose it at each wavelength by `multipole_tolerance`.
+        multipole_tolerance: largest far-field change when the order is doubled; None: 0.001, and up to 0.01 with
             a warning.
-        interaction_order: of the exchange between neighbours.
-        source: name of the recipe, for messages.
-        arrangement: generator of the points, or the points; None if only S(q) is known.
-        memory: cache of multipole orders for similar candidates, or None.
-        includes_near_fields: False ignores the near fields of neighbours.
+        interaction_order: highest multipole exchanged by neighbours.
+        source: recipe name, for messages.
+        arrangement: point generator, or the points; None if only S(q) is known.
+        memory: multipole order cache for similar candidates, or None.
+        includes_near_fields: False ignores near fields from neighbours.
         body: non-spherical particles; `sizes` then holds their largest distances from the axis.
         is_spared: whether the mean field replaces an ensemble in a search.
-        host: number of the layer with the particles, from 1; 0 above all layers.
-        depth_nm: depth of their tops below the top of the layers; None above.
-        second: second species of a mixture; the first has the remaining share.
+        host: layer number that holds the particles, from 1; 0 above all layers.
+        depth_nm: depth to their tops below the layer stack top; None above.
+        second: second species in a mixture; the first has the remaining share.
     """
 
     traits = Traits(noun="metasurface", bytes_per_wavelength=200_000)
@@ -140,11 +140,11 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return (first, *rest)
 
     def pattern(self, count: int, seed: int | None = None) -> Pattern:
-        """Return about `count` particles on a periodic square, or the given list of points.
+        """Return about `count` particles on a periodic square, or the given point list.
 
         Args:
             count: particles.
-            seed: of the random numbers; default: the recipe's.
+            seed: random seed; default: the recipe's.
 
         Raises:
             UnsupportedError: only S(q) is known.
@@ -159,7 +159,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
 
     @property
     def outer_radius_nm(self) -> float:
-        """Mean outer radius of the first species."""
+        """Mean outer radius for the first species."""
         return self.all_species[0].outer_radius_nm
 
     @property
@@ -183,12 +183,12 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
 
     @property
     def coverage(self) -> float:
-        """f = density pi r^2, in a mixture with the mean of r^2."""
+        """f = density pi r^2, in a mixture with the mean r^2."""
         return float(self.structure.density_per_nm2 * np.pi * mean_square_radius(self.all_species) ** 2)
 
     @property
     def wavelengths_nm(self) -> Array:
-        """Default grid with 10 nm steps, which resolves resonances of spheres in the visible."""
+        """Default grid with 10 nm steps, which resolves sphere resonances in the visible."""
         grid = default_wavelengths()
         return grid[(grid >= self.range_nm[0]) & (grid <= self.range_nm[1])]
 
@@ -206,12 +206,12 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return Embedded(float(wavelength_nm), n, thicknesses, self.host)
 
     def t_matrix(self, lmax: int, surface: Substrate, radius_nm: float) -> ComplexArray:
-        """Return the diagonal T of one sphere, `[n]`."""
+        """Return the diagonal T for one sphere, `[n]`."""
         return self.all_species[0].t_matrix(lmax, surface, radius_nm)
 
     @cached_property
     def chosen_correction(self) -> tuple[str, str]:
-        """The correction, and the reason of an automatic choice or ""."""
+        """The correction, and the reason for an automatic choice or ""."""
         return self._choice if self.correction == AUTO else (self.correction, "")
 
     @cached_property
@@ -233,7 +233,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
 
     @cached_property
     def _system_classes(self) -> tuple[list[model_selection.SystemClass], bool]:
-        """The classes of the species, and whether there is a substrate."""
+        """The species classes, and whether there is a substrate."""
         surface = self.surface(float(np.clip(CLASSIFICATION_NM, *self.range_nm)))
         below = np.max(np.abs(surface.indices[1:] / surface.ambient_index - 1.0)) > model_selection.SAME_INDEX
         return [
@@ -262,7 +262,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return {"model.correction": "qca-balanced"} if self.replaced_method else {}
 
     def layers_at(self, wavelengths_nm: ArrayLike) -> tuple[Callable[[float], Monolayer], EnsembleInterpolation | None]:
-        """Return a function of the wavelength that returns the monolayer, with the ratio of an ensemble if one is used.
+        """Return a function wavelength -> monolayer, with the ensemble ratio if one is used.
 
         Raises:
             UnsupportedError: an ensemble without positions, or a too large one.
@@ -286,7 +286,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
 
     @cached_property
     def _ensembles(self) -> OrderedDict[bytes, EnsembleInterpolation]:
-        """Least recently used cache of ensembles by wavelength grid."""
+        """Least recently used ensemble cache by wavelength grid."""
         return OrderedDict()
 
     def _refinement(self, wavelengths_nm: Array) -> EnsembleInterpolation:
@@ -297,13 +297,22 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         reason = self.chosen_correction[1]
         because = f'model.correction = "auto" takes an ensemble: {reason}; "qca-balanced" takes seconds; '
         found = interpolate_ensemble(
-            wavelengths_nm, self.monolayer, self.pattern, self.ensemble, seed, self.source, is_list,
+            wavelengths_nm,
+            self.monolayer,
+            self.pattern,
+            self.ensemble,
+            seed,
+            self.source,
+            is_list,
             because if reason else "",
-        )  # fmt: skip
+        )
         logger.warning(
             "%s: ensemble of %d patterns of %d particles: standard error %.2g %%, rms over pairs of angles",
-            self.source, self.ensemble.realisations, self.ensemble.spheres, 100 * found.standard_error,
-        )  # fmt: skip
+            self.source,
+            self.ensemble.realisations,
+            self.ensemble.spheres,
+            100 * found.standard_error,
+        )
         return found
 
     def _no_positions(self) -> UnsupportedError:
@@ -326,9 +335,13 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             particles = self._settling.particles(self.all_species, surface)
             mean_field = "qca-balanced" if self.correction in (AUTO, ENSEMBLE) else self.correction
             self._solved[wavelength_nm] = Monolayer(
-                surface, particles, self.structure, mean_field, self.interaction_order,
+                surface,
+                particles,
+                self.structure,
+                mean_field,
+                self.interaction_order,
                 includes_near_fields=self.includes_near_fields,
-            )  # fmt: skip
+            )
         return self._solved[wavelength_nm]
 
     @cached_property
@@ -341,7 +354,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return {}
 
     def order(self, surface: Substrate) -> int:
-        """Return the multipole order of the first species, if spheres, at the wavelength of `surface`.
+        """Return the multipole order for the first species, if spheres, at the `surface` wavelength.
 
         Raises:
             MultipoleConvergenceError: no order is within the tolerance; the message names remedies.
@@ -349,20 +362,23 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return self._settling.sphere_order(self.all_species[0], surface)
 
     def search_model(self, memory: dict[Any, Any], is_rough: bool = False) -> Metasurface:
-        """Return a variant for optimisation that reuses the multipole orders of similar spheres on the same media.
+        """Return a variant for optimisation that reuses multipole orders from similar spheres on the same media.
 
-        A rough variant ignores the near fields of neighbours. The mean field replaces an automatic ensemble, but not an
+        A rough variant ignores near fields from neighbours. The mean field replaces an automatic ensemble, but not an
         explicit one.
         """
         spared = self.correction == AUTO
         return dataclasses.replace(
-            self, memory=memory, includes_near_fields=not is_rough, is_spared=spared or self.is_spared,
+            self,
+            memory=memory,
+            includes_near_fields=not is_rough,
+            is_spared=spared or self.is_spared,
             correction="qca-balanced" if spared else self.correction,
-        )  # fmt: skip
+        )
 
     @property
     def eta(self) -> float:
-        """Relative index of a transparent substrate, for refraction in renderers; 1 for an opaque one."""
+        """Relative index for a transparent substrate, for refraction in renderers; 1 for an opaque one."""
         if not self.transmits:
             return 1.0
         surface = self.surface(float(np.clip(570.0, *self.range_nm)))
@@ -387,7 +403,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         eta = self.eta
         thickness = sum(d for _, d in self.layers)
         layer, judged = self.layers_at(lam)
-        # the path difference of particle and image is twice the centre height
+        # the path difference between particle and image is twice the centre height
         height = thickness + max(2.0 * species.gap_nm + species.height_nm for species in self.all_species)
         # a film on a clear substrate may guide light, with sharp features over the angle
         low = height <= LOW_WAVELENGTHS * lam[0] and not (self.transmits and self.layers)
@@ -433,11 +449,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return INSIDE if self.host else model_selection.warning(*self._system_classes)
 
     def spectrum(
-        self,
-        theta_rad: ArrayLike,
-        wavelengths_nm: ArrayLike | None = None,
-        polarisation: str = "both",
-        seed: int = 0,
+        self, theta_rad: ArrayLike, wavelengths_nm: ArrayLike | None = None, polarisation: str = "both", seed: int = 0
     ) -> Spectrum:
         """Return specular and hemispherical diffuse power, each `[angle, wavelength]`, together at most one.
 
@@ -472,8 +484,10 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             if excess > TOLD_EXCESS:
                 logger.warning(
                     "%s: correction %s sends out %.3g more than arrives; the diffuse part is scaled down to it",
-                    self.source, self.chosen_correction[0], excess,
-                )  # fmt: skip
+                    self.source,
+                    self.chosen_correction[0],
+                    excess,
+                )
         degrees = np.degrees(theta)
         if not self.transmits:
             return Spectrum(lam, degrees, specular_reflectance=r, diffuse_reflectance=up)
@@ -482,8 +496,8 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
         """Return the diffuse BRDF at a few pairs, `[pair, wavelength]`, without tables.
 
-        Equal to `bsdf` to 0.5 % of the maximum, except for the energy scaling near grazing. None for pairs on the other
-        side, at grazing, or too many angles.
+        Equal to `bsdf` to 0.5 % (relative to the maximum), except for the energy scaling near grazing. None for pairs
+        on the other side, at grazing, or too many angles.
         """
         arriving, leaving = (np.asarray(v, dtype=float).reshape(-1, 3) for v in (wi, wo))
         angles = np.unique(np.round(np.concatenate([arriving[:, 2], leaving[:, 2]]), 12))
@@ -511,7 +525,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         """Specular R and T, diffuse R and T for light from above, each `[pol, angle]`, raw (not scaled to 1).
 
         Args:
-            cosines: `[angle]`, of incidence.
+            cosines: `[angle]`, incident.
             wavelength_nm: in vacuum.
             layer: the monolayer there; default the mean field.
         """

@@ -1,6 +1,6 @@
-"""Selection of the model: the mean field within its measured range of validity, else an ensemble.
+"""Model selection: the mean field within its measured range of validity, else an ensemble.
 
-`mean_field_errors.toml` holds the error of the mean-field model for every system compared with multi-sphere solutions.
+`mean_field_errors.toml` holds the mean-field error for every system compared with multi-sphere solutions.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SHAPES = {"": OTHER, "sphere": SPHERE, "cylinder": DISC, "spheroid": SPHEROID}
 
 @dataclass(frozen=True)
 class SystemClass:
-    """Class of a particle species: shape and type of the core."""
+    """Particle species class: shape and core type."""
 
     shape: str
     core: str
@@ -31,7 +31,7 @@ class SystemClass:
 
 @dataclass(frozen=True)
 class MeasuredSystem:
-    """A system with a measured error of the mean-field model.
+    """A system with a measured mean-field error.
 
     Attributes:
         name: description.
@@ -65,7 +65,7 @@ EMBEDDED_ERROR = "10 to 78 % off at a coverage of 0.1"
 
 
 def core_class(relative_index: complex) -> str:
-    """Return the class of a core from its index over the ambient index."""
+    """Return the core class from its index over the ambient index."""
     if relative_index.imag > relative_index.real:
         return METAL
     return RESONANT if relative_index.real > HIGH_INDEX else FAINT
@@ -79,7 +79,7 @@ def conservative_class(species: Sequence[SystemClass]) -> list[tuple[str, str]]:
 def highest_coverage(species: Sequence[SystemClass], on_substrate: bool) -> tuple[float, MeasuredSystem | None]:
     """Return the coverage up to which the mean field is valid, and the decisive system; (0, None) without data.
 
-    This is the densest system of these classes within `MAX_ERROR`, or else an extrapolation with an error proportional
+    This is the densest matching system within `MAX_ERROR`, or else an extrapolation with an error proportional
     to the coverage.
     """
     classes = sorted((one.shape, one.core) for one in species)
@@ -101,9 +101,9 @@ def mean_field_holds(species: Sequence[SystemClass], on_substrate: bool, coverag
     """Return whether the mean field is selected, and the reason.
 
     Args:
-        species: classes; the two of a mixture are evaluated together.
+        species: classes; both in a mixture are evaluated together.
         on_substrate: whether there is a relevant substrate.
-        coverage: of all particles.
+        coverage: by all particles.
     """
     limit, system = highest_coverage(species, on_substrate)
     name = _describe(species, on_substrate)
@@ -124,7 +124,7 @@ def mean_field_holds_inside(coverage: float) -> tuple[bool, str]:
 
 
 def warning(species: Sequence[SystemClass], on_substrate: bool) -> str:
-    """Return the validity warning of the mean field, the same for each coverage."""
+    """Return the mean-field validity warning, the same for each coverage."""
     limit, system = highest_coverage(species, on_substrate)
     name = _describe(species, on_substrate)
     if system is None:

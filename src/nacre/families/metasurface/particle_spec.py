@@ -1,4 +1,4 @@
-"""Recipe of the particles: spheres, cylinders, spheroids, particles from a T-matrix file, or a mixture of two."""
+"""Particle recipe: spheres, cylinders, spheroids, T-matrix files, or a mixture."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.model import RecipeContext, RecipeModel
 
 CORE_LIMIT_NM = 1000.0
-SMALLEST_CORE_NM = 0.1  # less than an atom; squares of far smaller values underflow
+SMALLEST_CORE_NM = 0.1  # less than an atom; far smaller values underflow when squared
 WIDEST_RELATIVE_SIZE = 0.3
-SAME_MEDIUM = 1e-3  # relative tolerance of the index of a T-matrix
-SAME_LENGTH = 1e-2  # relative tolerance of a length in both recipe and file
+SAME_MEDIUM = 1e-3  # relative tolerance for the T-matrix index
+SAME_LENGTH = 1e-2  # relative tolerance for a length in both recipe and file
 ALIGNED = 'write orientation = "aligned", and turn_deg for the angle by which all are turned about the normal'
 OTHER_WORDS = dict.fromkeys(  # plausible unknown keys, and what to write instead
     ("orientation_deg", "turn", "rotation", "rotation_deg", "azimuth_deg", "aligned"), ALIGNED
@@ -39,7 +39,7 @@ Extent = Annotated[float, pydantic.Field(ge=2 * SMALLEST_CORE_NM, le=2 * CORE_LI
 
 
 class ShellSpec(RecipeModel):
-    """A coating around the core; it adds to the outer dimensions of the particle."""
+    """A coating around the core; it adds to the outer particle dimensions."""
 
     forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 10}',)
 
@@ -211,10 +211,11 @@ class SpeciesSpec(RecipeModel):
         thinnest = min(sizes.radii_nm) - coat
         if self.edge_radius_nm > min(thinnest, (self.height_nm or 0.0) / 2) / 2:
             raise context.fail(
-                f"{self.table}.edge_radius_nm", self.edge_radius_nm,
+                f"{self.table}.edge_radius_nm",
+                self.edge_radius_nm,
                 f"is too large for a cylinder {2 * thinnest:.4g} nm wide, the narrowest of the spread, and "
                 f"{self.height_nm:.4g} nm high; it should be at most half of its radius and a quarter of its height",
-            )  # fmt: skip
+            )
         core = None if self.material is None else built(self.material)
         return Species(core, sizes, shell, self.gap_nm, body, share, self.table, self.depth_nm)
 
@@ -240,7 +241,7 @@ class SpeciesSpec(RecipeModel):
         self._check_medium(context, known, around)
         radius = self._extent(context, "diameter_nm", None if known.radius_nm is None else 2 * known.radius_nm) / 2
         height = self._extent(context, "height_nm", known.height_nm)
-        # without a shape the particle may fill the cylinder of both lengths
+        # without a shape the particle may fill the cylinder with both lengths
         reach = float(np.hypot(radius, height / 2)) if known.circumscribing_nm is None else known.circumscribing_nm
         source = f'{context.source}: {self.table}.tmatrix = "{self.tmatrix}"'
         shape = known.shape
@@ -257,9 +258,15 @@ class SpeciesSpec(RecipeModel):
         source = f'{context.source}: {self.table}.shape = "{self.shape}"'
         coat = 0.0 if shell is None else shell.thickness_nm
         return SolvedBody(
-            self.shape, self.diameter_nm / 2 + coat, self.height_nm + 2 * coat, core, around, source, shell=shell,
+            self.shape,
+            self.diameter_nm / 2 + coat,
+            self.height_nm + 2 * coat,
+            core,
+            around,
+            source,
+            shell=shell,
             edge_nm=self.edge_radius_nm,
-        )  # fmt: skip
+        )
 
     def _check_medium(self, context: RecipeContext, known: AxialTMatrices, medium: OpticalConstant) -> None:
         for wavelength, index in zip(known.wavelengths_nm, known.ambient_index):
@@ -293,7 +300,7 @@ class SpeciesSpec(RecipeModel):
 
 
 class SecondSpeciesSpec(SpeciesSpec):
-    """The second species of a mixture, with its number fraction; both lie at random on one arrangement."""
+    """The second species in a mixture, with its number fraction; both lie at random on one arrangement."""
 
     table: ClassVar[str] = "particle.second"
     forms: ClassVar[tuple[str, ...]] = ('{material = "Ag", radius_nm = 50, share = 0.3}',)

@@ -1,4 +1,4 @@
-"""Recipe of a metasurface: keys, validation, and construction of the material."""
+"""Metasurface recipe: keys, validation, and material construction."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ MAX_THICKNESS_NM = 1e4
 
 
 class LayerSpec(RecipeModel):
-    """One layer of the stack."""
+    """One layer in the stack."""
 
     forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 500}',)
 
@@ -55,7 +55,7 @@ class LayerSpec(RecipeModel):
 
 
 class StructureSpec(RecipeModel):
-    """Arrangement of the particles: a name, or a table with the name and its parameters."""
+    """Particle arrangement: a name, or a table with the name and its parameters."""
 
     one_of: ClassVar[tuple[str, ...]] = ("name", "points", "sq")
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"enum": list(ARRANGEMENTS)},)
@@ -130,7 +130,7 @@ class StructureSpec(RecipeModel):
 
 
 class MonolayerSpec(RecipeModel):
-    """Density and order of the particles."""
+    """Particle density and order."""
 
     forms: ClassVar[tuple[str, ...]] = (
         "{coverage = 0.1, packing = 0.3}",
@@ -193,7 +193,7 @@ class EnsembleSpec(RecipeModel):
 
 
 class ModelSpec(RecipeModel):
-    """Details of the model."""
+    """Model details."""
 
     forms: ClassVar[tuple[str, ...]] = ("{tolerance = 0.005}", '{multipole_order = 6, correction = "optical-depth"}')
 
@@ -227,7 +227,7 @@ class MetasurfaceModel(Metasurface, Fabricable, OwnFormats):
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """Scattering of one particle, arrangement and S(q), colour over density and angle."""
+        """Single-particle scattering, arrangement and S(q), colour over density and angle."""
         return {name: partial(maker, self) for name, maker in FIGURES.items()}
 
     @property
@@ -238,12 +238,12 @@ class MetasurfaceModel(Metasurface, Fabricable, OwnFormats):
 
     @property
     def own_formats(self) -> Mapping[str, Writer]:
-        """The T-matrix of a particle."""
+        """The particle T-matrix."""
         return {"tmat": partial(write_particle, self)}
 
 
 class MetasurfaceSpec(RecipeModel):
-    """A disordered layer of particles on a stack of layers."""
+    """A disordered particle layer on a stack."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "family": "metasurface",
@@ -298,7 +298,7 @@ class MetasurfaceSpec(RecipeModel):
         """Return the material.
 
         Raises:
-            RecipeError: contradicting density and packing, or an unusable file of points or S(q).
+            RecipeError: contradicting density and packing, or an unusable point or S(q) file.
         """
         ambient = self._edge(ambient_in(self.ambient, "ambient" in self.model_fields_set, context))
         substrate = self._index(self.substrate)
@@ -436,7 +436,7 @@ class MetasurfaceSpec(RecipeModel):
             )
         if spec.sq is not None:
             return sq_structure(context, spec.sq, float(density), packing, q_max), None
-        assert spec.name is not None  # StructureSpec requires one of name, points, sq
+        assert spec.name is not None  # StructureSpec requires name, points or sq
         made = Arrangement(spec.name, float(density), packing, spec.seed, spec.lattice, spec.jitter)
         if spec.name == "hard-disk":
             return hard_disk_structure(float(density), packing, q_max), made
@@ -462,14 +462,12 @@ class MetasurfaceSpec(RecipeModel):
             )
 
 
-# Particles inside a layer of the stack: which layer that is, and whether it holds them.
-
 ROOM = 1e-6  # rounding tolerance in nm
 Layers = Sequence[tuple[OpticalConstant, float]]
 
 
 def host_layer(context: RecipeContext, depth_nm: float | None, layers: Layers) -> int:
-    """Return the number of the layer, from 1, at a depth below the top of the stack; 0 without a depth.
+    """Return the layer number, from 1, at a depth below the stack top; 0 without a depth.
 
     Raises:
         RecipeError: no layer is so deep, or it absorbs.
@@ -497,13 +495,14 @@ def _check_clear(context: RecipeContext, medium: OpticalConstant, number: int) -
     if loss.size and loss.max() >= LOSSLESS_K:
         at = grid[(grid >= low) & (grid <= high)][int(np.argmax(loss))]
         raise context.fail(
-            f"layers[{number - 1}].material", medium.name,
+            f"layers[{number - 1}].material",
+            medium.name,
             f"absorbs (k = {loss.max():.2g} at {at:g} nm), and particles lie in it; k should be below {LOSSLESS_K:g}",
-        )  # fmt: skip
+        )
 
 
 def held(context: RecipeContext, all_species: tuple[Species, ...], host: int, layers: Layers) -> tuple[Species, ...]:
-    """Return the species with their gaps above the lower face of the layer.
+    """Return the species with their gaps above the lower layer face.
 
     Raises:
         RecipeError: the layer does not contain them, or their circumscribing spheres.
@@ -520,9 +519,10 @@ def held(context: RecipeContext, all_species: tuple[Species, ...], host: int, la
         if species.depth_nm >= bottom - ROOM or min(over, gap - above) < -ROOM:
             needs = "" if not above else f", or the sphere of radius {species.reach_nm:.4g} nm around them"
             raise context.fail(
-                f"{species.key}.depth_nm", species.depth_nm,
+                f"{species.key}.depth_nm",
+                species.depth_nm,
                 f"puts particles {species.height_nm:.4g} nm high{' and higher' if largest else ''} across a face of "
                 f"layer {host}, which lies {top:g} to {bottom:g} nm deep; it should hold them whole{needs}",
-            )  # fmt: skip
+            )
         out.append(replace(species, gap_nm=max(gap, 0.0)))
     return tuple(out)

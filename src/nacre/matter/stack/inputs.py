@@ -110,6 +110,11 @@ class StackArrays:
     angle_shape: tuple[int, ...]
 
     @property
+    def kernel_arrays(self) -> tuple[ComplexArray, Array, Array, ComplexArray, bool]:
+        """The first arguments of the kernels."""
+        return self.n, self.thicknesses_nm, self.wavelengths_nm, self.normal, self.times_n0
+
+    @property
     def shape(self) -> tuple[int, int, int]:
         """Flat batch, angle and wavelength counts."""
         return int(np.prod(self.batch, dtype=int)), self.normal.shape[1], len(self.wavelengths_nm)
@@ -165,15 +170,11 @@ def _normal(
     if sum(x is not None for x in (theta_rad, cos_i, kappa, kz)) != 1:
         raise NacreError("give exactly one of theta_rad, cos_i, kappa, kz")
     if theta_rad is not None or cos_i is not None:
-        if theta_rad is not None:
-            theta = np.asarray(theta_rad, dtype=np.float64)
-            if not np.all((theta >= 0) & (theta <= np.pi / 2 + 1e-12)):
-                raise NacreError("theta_rad must lie between 0 and pi/2")
-            cosine = np.cos(theta)
-        else:
-            cosine = np.asarray(cos_i, dtype=np.float64)
-            if not np.all((cosine >= 0) & (cosine <= 1)):
-                raise NacreError("cos_i must lie between 0 and 1")
+        given = np.asarray(cos_i if theta_rad is None else theta_rad, dtype=np.float64)
+        largest = 1.0 if theta_rad is None else np.pi / 2 + 1e-12
+        if not np.all((given >= 0) & (given <= largest)):
+            raise NacreError("cos_i must be from 0 to 1" if theta_rad is None else "theta_rad must be from 0 to pi/2")
+        cosine = given if theta_rad is None else np.cos(given)
         if cosine.ndim > 1:
             raise NacreError(f"angles must be a number or a list, not an array of shape {list(cosine.shape)}")
         cosine = np.where(cosine < GRAZING_COS, 0.0, cosine)
@@ -183,17 +184,17 @@ def _normal(
         # absorbing ambient: a real in-plane wavevector, with a constant amplitude along the surface
         kz2 = n0[:, None, :] ** 2 - (n0.real[:, None, :] ** 2) * (1.0 - cosine.reshape(1, -1, 1) ** 2)
         return _owned(_decaying_root(kz2), np.complex128), False, cosine.shape
-    given = np.asarray(kappa if kz is None else kz, dtype=np.complex128)
-    if given.ndim > 2 or (given.ndim == 2 and given.shape[1] not in (1, count)):
-        raise NacreError(f"kappa or kz must have the shape [angle] or [angle, {count}], not {list(given.shape)}")
-    if not np.all(np.isfinite(given)):
+    waves = np.asarray(kappa if kz is None else kz, dtype=np.complex128)
+    if waves.ndim > 2 or (waves.ndim == 2 and waves.shape[1] not in (1, count)):
+        raise NacreError(f"kappa or kz must have the shape [angle] or [angle, {count}], not {list(waves.shape)}")
+    if not np.all(np.isfinite(waves)):
         raise NacreError("kappa and kz must be finite")
-    if not waves_only and (np.any(given.imag) or np.any(np.abs(given) > n[:, 0].real.min())):
+    if not waves_only and (np.any(waves.imag) or np.any(np.abs(waves) > n[:, 0].real.min())):
         raise NacreError("powers need a real kappa up to the ambient's index; evanescent waves carry no power")
-    grid = given.reshape(1, -1, 1) if given.ndim < 2 else given[None]
+    grid = waves.reshape(1, -1, 1) if waves.ndim < 2 else waves[None]
     if kz is None:
         grid = _decaying_root(n[:, 0][:, None, :] ** 2 - grid**2)
-    return _owned(grid, np.complex128), False, given.shape[:1]
+    return _owned(grid, np.complex128), False, waves.shape[:1]
 
 
 def _decaying_root(z: ComplexArray) -> ComplexArray:
@@ -282,19 +283,7 @@ def run_kernel(
     power = np.empty((4, batch if with_powers else 0, angles, count))
 
     def task(start: int, stop: int, first: int, last: int) -> None:
-        solve_range(
-            joined.n,
-            joined.thicknesses_nm,
-            joined.wavelengths_nm,
-            joined.normal,
-            joined.times_n0,
-            start,
-            stop,
-            first,
-            last,
-            amplitude,
-            power,
-        )
+        solve_range(*joined.kernel_arrays, start, stop, first, last, amplitude, power)
 
     parallel_for(task, batch, angles, batch * angles * count * (joined.n.shape[1] - 1), jobs)
     full = (4, *stack.batch, *stack.angle_shape, shape[2])
@@ -310,15 +299,9 @@ def run_kernel(
 
 def part_of(stack: StackArrays, n: ComplexArray, thicknesses_nm: Array, normal: ComplexArray) -> StackArrays:
     """Return arrays for a part of the stack, with incidence `normal` = kz / k0."""
-    return StackArrays(
-        _owned(n, np.complex128),
-        _owned(thicknesses_nm, np.float64),
-        stack.wavelengths_nm,
-        _owned(normal, np.complex128),
-        False,
-        (stack.shape[0],),
-        stack.normal.shape[1:2],
-    )
+    n, normal = _owned(n, np.complex128), _owned(normal, np.complex128)
+    shape = (stack.shape[0],), stack.normal.shape[1:2]
+    return StackArrays(n, _owned(thicknesses_nm, np.float64), stack.wavelengths_nm, normal, False, *shape)
 
 
 def kernel_powers(part: StackArrays, jobs: int | None) -> tuple[Array, Array]:
@@ -335,12 +318,9 @@ def _join_axes(stack: StackArrays) -> StackArrays:
         return stack
     n = np.broadcast_to(stack.n[:, :, None, :], (*stack.n.shape[:2], angles, count))
     normal = np.broadcast_to(stack.normal, (stack.normal.shape[0], angles, count))
-    return StackArrays(
-        _owned(n.reshape(*stack.n.shape[:2], points), np.complex128),
-        stack.thicknesses_nm,
-        np.tile(stack.wavelengths_nm, angles),
-        _owned(normal.reshape(-1, 1, points), np.complex128),
-        stack.times_n0,
-        stack.batch,
-        stack.angle_shape,
+    return replace(
+        stack,
+        n=_owned(n.reshape(*stack.n.shape[:2], points), np.complex128),
+        wavelengths_nm=np.tile(stack.wavelengths_nm, angles),
+        normal=_owned(normal.reshape(-1, 1, points), np.complex128),
     )

@@ -1,7 +1,7 @@
 """The numba kernel of stratified media: amplitudes of s and p for many stacks, angles and wavelengths.
 
 Own derivation, as an admittance recursion with scaled exponentials: let `f` be the
-tangential E field (s) or H field (p) and `g` its partner, so that `g = q f` for a wave that travels inward,
+tangential E field (s) or H field (p) and `g` its partner, with `g = q f` for a wave that travels inward,
 with `q = kz` (s) or `kz / n^2` (p), all wavevectors in units of k0. Start in the substrate with u = 1,
 v = q_s and carry (u, v) upward through each layer of phase x = k0 kz d:
 
@@ -15,6 +15,8 @@ first-level cache, in loops that vectorise; its sine, cosine and exponential are
 come from A = u + v/q and B = (u - v/q) e^{2ix}, which loses digits as q -> 0. A block with a small kz uses the robust
 form, which contains q only as q^2 and sin x / x.
 """
+
+# mypy: allow-untyped-defs, allow-incomplete-defs
 
 from __future__ import annotations
 
@@ -215,6 +217,20 @@ def _lossless_wavevector(w: Any, count: int, l0: int, n02r: Any) -> int:
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
+def _carry_lossless(w: Any, i: int, row_u: int, row_v: int, q: float, p: float) -> None:
+    """Carry u and v at point i through a layer with real admittance q = 1 / p."""
+    er, ei = w[_ER + i], w[_EI + i]
+    ur, ui, vr, vi = w[row_u + i], w[row_u + BLOCK + i], w[row_v + i], w[row_v + BLOCK + i]
+    br, bi = ur - vr * p, ui - vi * p
+    cr, ci = br * er - bi * ei, br * ei + bi * er
+    ar, ai = ur + vr * p, ui + vi * p
+    w[row_u + i] = 0.5 * (ar + cr)
+    w[row_u + BLOCK + i] = 0.5 * (ai + ci)
+    w[row_v + i] = 0.5 * q * (ar - cr)
+    w[row_v + BLOCK + i] = 0.5 * q * (ai - ci)
+
+
+@compiled(error_model="numpy", fastmath={"contract"})
 def _lossless_layer(w: Any, count: int) -> None:
     for i in range(count):
         kz = w[_KR + i]
@@ -226,29 +242,25 @@ def _lossless_layer(w: Any, count: int) -> None:
         w[_EI + i] = 2.0 * s * c
         w[_TURNS + i] += 0.5 * turns
     for i in range(count):
-        q = w[_KR + i]
-        p = w[_INV + i]
-        er, ei = w[_ER + i], w[_EI + i]
-        ur, ui, vr, vi = w[_US + i], w[_US + BLOCK + i], w[_VS + i], w[_VS + BLOCK + i]
-        br, bi = ur - vr * p, ui - vi * p
-        cr, ci = br * er - bi * ei, br * ei + bi * er
-        ar, ai = ur + vr * p, ui + vi * p
-        w[_US + i] = 0.5 * (ar + cr)
-        w[_US + BLOCK + i] = 0.5 * (ai + ci)
-        w[_VS + i] = 0.5 * q * (ar - cr)
-        w[_VS + BLOCK + i] = 0.5 * q * (ai - ci)
+        _carry_lossless(w, i, _US, _VS, w[_KR + i], w[_INV + i])
     for i in range(count):
-        q = w[_KR + i] * w[_JR + i]
-        p = w[_INV + i] * w[_NR + i]
-        er, ei = w[_ER + i], w[_EI + i]
-        ur, ui, vr, vi = w[_UP + i], w[_UP + BLOCK + i], w[_VP + i], w[_VP + BLOCK + i]
-        br, bi = ur - vr * p, ui - vi * p
-        cr, ci = br * er - bi * ei, br * ei + bi * er
-        ar, ai = ur + vr * p, ui + vi * p
-        w[_UP + i] = 0.5 * (ar + cr)
-        w[_UP + BLOCK + i] = 0.5 * (ai + ci)
-        w[_VP + i] = 0.5 * q * (ar - cr)
-        w[_VP + BLOCK + i] = 0.5 * q * (ai - ci)
+        _carry_lossless(w, i, _UP, _VP, w[_KR + i] * w[_JR + i], w[_INV + i] * w[_NR + i])
+
+
+@compiled(error_model="numpy", fastmath={"contract"})
+def _carry_lossy(w: Any, i: int, row_u: int, row_v: int, qr: float, qi: float, pr: float, pi: float) -> None:
+    """Carry u and v at point i through a layer with complex admittance q = 1 / p."""
+    er, ei = w[_ER + i], w[_EI + i]
+    ur, ui, vr, vi = w[row_u + i], w[row_u + BLOCK + i], w[row_v + i], w[row_v + BLOCK + i]
+    xr, xi = vr * pr - vi * pi, vr * pi + vi * pr
+    br, bi = ur - xr, ui - xi
+    cr, ci = br * er - bi * ei, br * ei + bi * er
+    ar, ai = ur + xr, ui + xi
+    dr, di = 0.5 * (ar - cr), 0.5 * (ai - ci)
+    w[row_u + i] = 0.5 * (ar + cr)
+    w[row_u + BLOCK + i] = 0.5 * (ai + ci)
+    w[row_v + i] = qr * dr - qi * di
+    w[row_v + BLOCK + i] = qr * di + qi * dr
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
@@ -265,35 +277,13 @@ def _lossy_layer(w: Any, count: int) -> None:
         w[_TURNS + i] += 0.5 * turns
         w[_DECAY + i] += 0.5 * decay
     for i in range(count):
-        qr, qi = w[_KR + i], w[_KI + i]
-        pr, pi = qr * w[_INV + i], -qi * w[_INV + i]
-        er, ei = w[_ER + i], w[_EI + i]
-        ur, ui, vr, vi = w[_US + i], w[_US + BLOCK + i], w[_VS + i], w[_VS + BLOCK + i]
-        xr, xi = vr * pr - vi * pi, vr * pi + vi * pr
-        br, bi = ur - xr, ui - xi
-        cr, ci = br * er - bi * ei, br * ei + bi * er
-        ar, ai = ur + xr, ui + xi
-        dr, di = 0.5 * (ar - cr), 0.5 * (ai - ci)
-        w[_US + i] = 0.5 * (ar + cr)
-        w[_US + BLOCK + i] = 0.5 * (ai + ci)
-        w[_VS + i] = qr * dr - qi * di
-        w[_VS + BLOCK + i] = qr * di + qi * dr
+        kr, ki, inv = w[_KR + i], w[_KI + i], w[_INV + i]
+        _carry_lossy(w, i, _US, _VS, kr, ki, kr * inv, -ki * inv)
     for i in range(count):
         kr, ki, inv = w[_KR + i], w[_KI + i], w[_INV + i]
         nr, ni, jr, ji = w[_NR + i], w[_NI + i], w[_JR + i], w[_JI + i]
         qr, qi = kr * jr - ki * ji, kr * ji + ki * jr
-        pr, pi = inv * (kr * nr + ki * ni), inv * (kr * ni - ki * nr)
-        er, ei = w[_ER + i], w[_EI + i]
-        ur, ui, vr, vi = w[_UP + i], w[_UP + BLOCK + i], w[_VP + i], w[_VP + BLOCK + i]
-        xr, xi = vr * pr - vi * pi, vr * pi + vi * pr
-        br, bi = ur - xr, ui - xi
-        cr, ci = br * er - bi * ei, br * ei + bi * er
-        ar, ai = ur + xr, ui + xi
-        dr, di = 0.5 * (ar - cr), 0.5 * (ai - ci)
-        w[_UP + i] = 0.5 * (ar + cr)
-        w[_UP + BLOCK + i] = 0.5 * (ai + ci)
-        w[_VP + i] = qr * dr - qi * di
-        w[_VP + BLOCK + i] = qr * di + qi * dr
+        _carry_lossy(w, i, _UP, _VP, qr, qi, inv * (kr * nr + ki * ni), inv * (kr * ni - ki * nr))
 
 
 @compiled(error_model="numpy")
@@ -405,9 +395,7 @@ def _load_stack(n: Any, squares: Any, ambient: Any, lossless: Any) -> None:
 
 
 @compiled(error_model="numpy")
-def _solve_block(
-    w: Any, count: int, l0: int, squares: Any, ambient: Any, lossless: Any, lam: Any, d: Any, times_n0: bool
-) -> None:
+def _solve_block(w, count, l0, squares, ambient, lossless, lam, d, times_n0):
     """Run the recursion for a block of wavelengths, from the normal component in the rows of q_s."""
     n2r, n2i, i2r, i2i = squares
     n02r, n02i = n2r[0], n2i[0]
@@ -469,18 +457,8 @@ def _store_amplitudes(w: Any, valid: int, amplitudes: Any, b: int, angle: int, l
 
 @compiled(error_model="numpy", nogil=True)
 def solve_range(
-    n: Any,
-    thicknesses: Any,
-    wavelengths: Any,
-    normal: Any,
-    times_n0: bool,
-    start: int,
-    stop: int,
-    angle_start: int,
-    angle_stop: int,
-    amplitudes: Any,
-    powers: Any,
-) -> None:
+    n, thicknesses, wavelengths, normal, times_n0, start, stop, angle_start, angle_stop, amplitudes, powers
+):
     """Solve the stacks start..stop of a batch at the angles angle_start..angle_stop.
 
     Args:
@@ -496,12 +474,8 @@ def solve_range(
     """
     media, count_l = n.shape[1], wavelengths.shape[0]
     padded = (count_l + LANES - 1) // LANES * LANES
-    squares = (
-        np.empty((media, padded)),
-        np.empty((media, padded)),
-        np.empty((media, padded)),
-        np.empty((media, padded)),
-    )
+    shape = (media, padded)
+    squares = (np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape))
     ambient = (np.empty(padded), np.empty(padded))
     lossless = np.empty(media, dtype=np.bool_)
     lam = np.empty(padded)

@@ -44,7 +44,7 @@ def solve(
     (r_s, r_p, t_s, t_p), (R_s, R_p, T_s, T_p) = run_kernel(stack, True, True, jobs)
     A_s = A_p = None
     if absorption:
-        from nacre.matter.stack.field import absorbed_power
+        from nacre.matter.stack.field import absorbed_power  # imports numba
 
         A_s, A_p = absorbed_power(stack, jobs)
     return Response(r_s=r_s, r_p=r_p, t_s=t_s, t_p=t_p, R_s=R_s, R_p=R_p, T_s=T_s, T_p=T_p, A_s=A_s, A_p=A_p)

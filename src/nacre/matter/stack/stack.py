@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.matter.stack import solve as solver
+from nacre.matter.stack.incoherent import incoherent_absorption, incoherent_powers
 from nacre.matter.stack.inputs import Amplitudes, Powers, Response, check_thicknesses
 
 
@@ -118,8 +119,6 @@ class Stack:
         n = self.indices(wavelengths_nm)
         if self.is_coherent:
             return solver.powers(n, self.thicknesses_nm, wavelengths_nm, theta_rad, jobs=jobs)
-        from nacre.matter.stack.incoherent import incoherent_powers
-
         flags = [layer.incoherent for layer in self.layers]
         return incoherent_powers(n, self.thicknesses_nm, flags, wavelengths_nm, theta_rad, jobs=jobs)
 
@@ -133,10 +132,8 @@ class Stack:
         n = self.indices(wavelengths_nm)
         if self.is_coherent:
             seen = solver.solve(n, self.thicknesses_nm, wavelengths_nm, theta_rad, absorption=True, jobs=jobs)
-            assert seen.A_s is not None and seen.A_p is not None  # they were asked for
+            assert seen.A_s is not None and seen.A_p is not None
             return seen.A_s, seen.A_p
-        from nacre.matter.stack.incoherent import incoherent_absorption
-
         flags = [layer.incoherent for layer in self.layers]
         absorbed = incoherent_absorption(n, self.thicknesses_nm, flags, wavelengths_nm, theta_rad, jobs=jobs)
         return absorbed[0], absorbed[1]

@@ -15,6 +15,8 @@ T is the product of |2 q_j / (s + t X)|^2 and |e^{2 i x}|, times Re q_substrate 
 the two. A guided wave (s + t X = 0) has no solution here; light from a clear ambient does not excite one.
 """
 
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -26,14 +28,7 @@ from numpy.typing import ArrayLike
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.jit import compiled
-from nacre.matter.stack.kernel import (
-    ROUNDER,
-    TWO_PI,
-    TWO_PI_OVER_LN2,
-    cos_half_turn,
-    exp2_minus,
-    sin_half_turn,
-)
+from nacre.matter.stack.kernel import ROUNDER, TWO_PI, TWO_PI_OVER_LN2, cos_half_turn, exp2_minus, sin_half_turn
 
 SAMPLES = 88  # wavelengths per block: rows of 704 bytes, not a power of two, avoid cache-line conflicts
 _ROWS = 8  # scratch rows per layer: e^{2ix}, X, dG/dX and, for transmission, t / (s + t X)
@@ -64,12 +59,7 @@ class StackTables(NamedTuple):
     is_clear: Any
 
 
-def stack_tables(
-    n: ArrayLike,
-    wavelengths_nm: ArrayLike,
-    angles_rad: ArrayLike,
-    sides: Sequence[str],
-) -> StackTables:
+def stack_tables(n: ArrayLike, wavelengths_nm: ArrayLike, angles_rad: ArrayLike, sides: Sequence[str]) -> StackTables:
     """Tabulate media for `spectra_and_gradients`.
 
     Args:
@@ -247,10 +237,7 @@ def _top(a: Any, g: Any, seen: Any, share: float, is_transmitted: bool, count: i
 
 
 @compiled(error_model="numpy", fastmath={"contract"}, nogil=True)
-def spectra_and_gradients(
-    tables: Any, media: Any, thicknesses: Any, layers: int, substrate: int, with_gradients: bool, w: Any, spectra: Any,
-    gradients: Any,
-) -> None:  # fmt: skip
+def spectra_and_gradients(tables, media, thicknesses, layers, substrate, with_gradients, w, spectra, gradients):
     """Fill R or T of one stack, and the derivatives in the thicknesses.
 
     Args:

@@ -1,7 +1,6 @@
-"""Descents of candidates that take long: Gauss-Newton steps whose slopes are taken once and kept up after each step.
+"""Levenberg-Marquardt with Broyden updates, for candidates that are expensive to evaluate.
 
-Broyden's rank-one update makes of what a step found the slope along it; anew they are taken only where that goes
-astray.
+Hand-written because the searches interleave many descents and pause each with its Jacobian, which scipy cannot.
 """
 
 from __future__ import annotations
@@ -13,102 +12,101 @@ import numpy as np
 
 from nacre.core.arrays import Array
 
-LONGEST = 0.2  # of a range: the longest step
-SETTLED = 1e-6  # relative: a step that gains less ends a descent
-MOST_DAMPING = 1e4  # beyond which there is no way down
+MAX_STEP = 0.2  # of the bounds
+XTOL = 1e-6  # smallest step, and smallest relative gain of a step
+MAX_DAMPING = 1e4
 
 
 @dataclass(eq=False)
 class Descent:
-    """Where one descent is, what it sees there, and what it knows of the slopes."""
+    """State of one descent."""
 
-    place: Array
+    point: Array
     residuals: Array
-    slopes: Array | None = None
+    jacobian: Array | None = None
     damping: float = 1e-2
     weights: Array | None = None  # of each residual
-    is_settled: bool = False
+    is_converged: bool = False
 
     @property
     def cost(self) -> float:
-        """Sum of the squares of what is wanted and not there."""
+        """Sum of the squared residuals."""
         return float(np.sum(self.residuals**2))
 
 
-def go_down(
+def descend(
     run: Descent,
-    look: Callable[[Array], Array | None],
-    slopes: Callable[[Descent], Array],
-    numbers: Sequence[int],
-    tries: int,
+    residuals: Callable[[Array], Array | None],
+    jacobian: Callable[[Descent], Array],
+    columns: Sequence[int],
+    steps: int,
     *,
     low: Array | float = 0.0,
-    settled: float = SETTLED,
+    ftol: float = XTOL,
     is_enough: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Go down by some damped steps, inside the bounds 0 and 1.
+    """Take some damped Gauss-Newton steps within the bounds, in place.
+
+    Broyden's rank-one update corrects the Jacobian after each step; a new one is computed only if the updates fail.
 
     Args:
-        run: moved by it.
-        look: residuals of a place; None where there are none.
-        slopes: of a descent where it is, `[residual, number]`.
-        numbers: which of the place may move.
-        tries: steps.
-        low: of the numbers, in place of 0.
-        settled: a step that gains less ends the descent.
-        is_enough: asked after each step that went down.
+        residuals: of a point; None if they cannot be computed.
+        jacobian: of a descent at its point, `[residual, parameter]`.
+        columns: indices of the parameters.
+        low: lower bounds of these parameters.
+        ftol: relative gain of a step below which the descent has converged.
+        is_enough: asked after each successful step.
     """
-    if run.is_settled:
+    if run.is_converged:
         return
-    columns = list(numbers)
-    fresh = run.slopes is None
-    if run.slopes is None:
-        run.slopes = slopes(run)
-    weight = np.ones(len(run.residuals)) if run.weights is None else run.weights
-    for _ in range(tries):
-        place = run.place.copy()
-        place[columns] = np.clip(place[columns] + step_of(run, weight, columns, low), low, 1.0)
-        moved = place[columns] - run.place[columns]
+    at = list(columns)
+    is_fresh = run.jacobian is None
+    if run.jacobian is None:
+        run.jacobian = jacobian(run)
+    weights = np.ones(len(run.residuals)) if run.weights is None else run.weights
+    for _ in range(steps):
+        point = run.point.copy()
+        point[at] = np.clip(point[at] + gauss_newton_step(run, weights, at, low), low, 1.0)
+        moved = point[at] - run.point[at]
         size = float(moved @ moved)
-        if size < SETTLED**2:
-            run.is_settled = True
+        if size < XTOL**2:
+            run.is_converged = True
             return
-        seen = look(place)
-        if seen is not None:
-            error = seen - run.residuals - run.slopes @ moved
-            run.slopes = run.slopes + np.outer(error, moved) / size
-        before = float(np.sum((weight * run.residuals) ** 2))
-        after = np.inf if seen is None else float(np.sum((weight * seen) ** 2))
-        if seen is not None and after < before:
-            run.place, run.residuals, run.damping = place, seen, max(0.3 * run.damping, 1e-8)
-            fresh = False
-            if before - after < settled * before or is_enough():
-                run.is_settled = True
+        found = residuals(point)
+        if found is not None:
+            run.jacobian = run.jacobian + np.outer(found - run.residuals - run.jacobian @ moved, moved) / size
+        before = float(np.sum((weights * run.residuals) ** 2))
+        after = np.inf if found is None else float(np.sum((weights * found) ** 2))
+        if found is not None and after < before:
+            run.point, run.residuals, run.damping = point, found, max(0.3 * run.damping, 1e-8)
+            is_fresh = False
+            if before - after < ftol * before or is_enough():
+                run.is_converged = True
                 return
-        elif run.damping > 1.0 and not fresh:
-            run.slopes, run.damping, fresh = slopes(run), 1e-2, True  # the updates have gone astray
+        elif run.damping > 1.0 and not is_fresh:
+            run.jacobian, run.damping, is_fresh = jacobian(run), 1e-2, True
         else:
             run.damping *= 6.0
-            if run.damping > MOST_DAMPING:
-                run.is_settled = True
+            if run.damping > MAX_DAMPING:
+                run.is_converged = True
                 return
 
 
-def step_of(run: Descent, weight: Array, columns: list[int], low: Array | float = 0.0) -> Array:
-    """Return a damped Gauss-Newton step of the free numbers; one that leans against its bound stays there."""
-    assert run.slopes is not None
-    slopes = weight[:, None] * run.slopes
-    gradient = slopes.T @ (weight * run.residuals)
-    x = run.place[columns]
-    moves = ~(((x <= low) & (gradient > 0.0)) | ((x >= 1.0) & (gradient < 0.0)))
+def gauss_newton_step(run: Descent, weights: Array, columns: list[int], low: Array | float = 0.0) -> Array:
+    """Return a damped Gauss-Newton step; parameters pushed against their bounds stay there."""
+    assert run.jacobian is not None
+    jacobian = weights[:, None] * run.jacobian
+    gradient = jacobian.T @ (weights * run.residuals)
+    x = run.point[columns]
+    is_free = ~(((x <= low) & (gradient > 0.0)) | ((x >= 1.0) & (gradient < 0.0)))
     step = np.zeros(len(x))
-    if np.any(moves):
-        normal = slopes[:, moves].T @ slopes[:, moves]
+    if np.any(is_free):
+        normal = jacobian[:, is_free].T @ jacobian[:, is_free]
         scale = np.diag(normal)
         damped = normal + np.diag(run.damping * (scale + 1e-3 * scale.max()) + 1e-12)
-        step[moves] = -np.linalg.solve(damped, gradient[moves])
+        step[is_free] = -np.linalg.solve(damped, gradient[is_free])
     longest = float(np.max(np.abs(step), initial=0.0))
-    return step if longest <= LONGEST else step * (LONGEST / longest)
+    return step if longest <= MAX_STEP else step * (MAX_STEP / longest)
 
 
-__all__ = ["Descent", "go_down", "step_of"]
+__all__ = ["Descent", "descend", "gauss_newton_step"]

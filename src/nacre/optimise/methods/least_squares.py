@@ -1,14 +1,12 @@
-"""How free numbers are searched, whatever the question: even draws of the bounds, then least squares from the best.
+"""Multistart least squares: Sobol draws of the unit cube, then trust-region refinement of the best (scipy).
 
-A place is a point of the unit cube of the bounds. A fit asks where the residuals to a measurement are small, a design
-where those to wanted looks are; both start and refine here.
+Fits and designs share `sobol_points` and `minimise_residuals`.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,394 +14,342 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.core.parallel import in_threads
 from nacre.light import delta_e_2000
-from nacre.material.material import Material
 from nacre.measure.evaluate import DEFAULT_SAMPLES
-from nacre.optimise.measurement import Geometry, search_wavelengths, simulate_measurement
 from nacre.optimise.merit import MeritFunction
-from nacre.optimise.parameters import Parameter, nominal_point, point_of, values_at
-from nacre.optimise.solutions import are_alike
-from nacre.optimise.spec import LightSpec
-from nacre.optimise.targets import Target, merit_function
-from nacre.optimise.task import total_nm
+from nacre.optimise.problem import PENALTY, STOP_TOL, Problem, Search
 
-SCOUTS_PER_NUMBER = 24
-STEP = 1e-4  # of the bounds: far above rounding, far below an interference fringe
-STOCHASTIC_STEP = 1e-2  # where the walk keeps its seed, and jumps all the same as paths go another way
-INSIDE = 1e-6  # least squares starts within its bounds
+SCOUTS_PER_PARAMETER = 24
+STEP = 1e-4  # finite difference, of the bounds: far above rounding, far below an interference fringe
+STOCHASTIC_STEP = 1e-2  # with Monte Carlo noise of a fixed seed, which is not smooth
+INSIDE = 1e-6  # scipy requires a start inside the bounds
 
 
 @dataclass(frozen=True, eq=False)
-class End:
-    """Where a descent ended: place `[number]`, sum of squares, d residual / d place `[residual, number]`."""
+class LocalMinimum:
+    """Result of a refinement: point `[parameter]`, sum of squares, Jacobian `[residual, parameter]`."""
 
-    place: Array
+    point: Array
     loss: float
-    slopes: Array
+    jacobian: Array
 
 
-def draw(numbers: int, count: int, seed: int | Sequence[int]) -> Array:
-    """Return an even draw of the unit cube, `[place, number]`: a scrambled Sobol sequence, whole powers of two.
-
-    Args:
-        numbers: that are free.
-        count: least number of places.
-        seed: of the scrambling.
-    """
+def sobol_points(parameters: int, count: int, seed: int | Sequence[int]) -> Array:
+    """Return scrambled Sobol points of the unit cube, `[point, parameter]`, the next power of two of `count`."""
     from scipy.stats import qmc
 
-    sampler = qmc.Sobol(numbers, scramble=True, rng=np.random.default_rng(seed))
+    sampler = qmc.Sobol(parameters, scramble=True, rng=np.random.default_rng(seed))
     return np.asarray(sampler.random(1 << int(np.ceil(np.log2(max(2, count))))))
 
 
-def apart(place: Array, others: Sequence[Array], least: float) -> bool:
-    """Whether a place differs from all others by some share of the bounds of one number at least."""
-    return all(float(np.max(np.abs(place - other))) >= least for other in others)
+def is_distinct(point: Array, others: Sequence[Array], distance: float) -> bool:
+    """Whether a point differs from all others by some distance in one parameter at least."""
+    return all(float(np.max(np.abs(point - other))) >= distance for other in others)
 
 
-def descend(
+def minimise_residuals(
     residuals: Callable[[Array], Array],
     start: Array,
     *,
     step: float = STEP,
-    most: int = 60,
+    max_nfev: int = 60,
     low: ArrayLike = 0.0,
     high: ArrayLike = 1.0,
-    slopes: Callable[[Array], Array] | None = None,
-    tolerance: float = 1e-8,
-) -> End:
-    """Refine one start by bounded least squares, a trust region of finite differences.
+    jacobian: Callable[[Array], Array] | None = None,
+    tol: float = 1e-8,
+) -> LocalMinimum:
+    """Minimise a sum of squares from one start by a bounded trust-region method.
 
     Args:
-        residuals: of a place `[number]`; flat. One that cannot be computed should be far off, not NaN.
-        start: `[number]`, in the unit cube.
-        step: of the finite differences, as a share of the bounds.
-        most: steps.
-        low, high: bounds in the unit cube, where they are not 0 and 1.
-        slopes: in place of finite differences.
-        tolerance: relative, of places and losses.
+        residuals: of a point `[parameter]`; flat; large and finite if they cannot be computed.
+        start: `[parameter]`, in the unit cube.
+        step: relative finite-difference step, without `jacobian`.
+        max_nfev: number of steps.
+        low, high: bounds.
+        jacobian: replaces finite differences.
+        tol: relative tolerance of point and loss.
     """
     from scipy.optimize import least_squares
 
     begin = np.clip(start, np.asarray(low) + INSIDE, np.asarray(high) - INSIDE)
-    derivative = {"diff_step": np.full(len(begin), step)} if slopes is None else {"jac": slopes}
+    derivative = {"diff_step": np.full(len(begin), step)} if jacobian is None else {"jac": jacobian}
     found = least_squares(
         residuals,
         begin,
         bounds=(low, high),
         x_scale=1.0,
-        xtol=tolerance,
-        ftol=tolerance,
-        gtol=1e-2 * tolerance,
-        max_nfev=most,
+        xtol=tol,
+        ftol=tol,
+        gtol=1e-2 * tol,
+        max_nfev=max_nfev,
         **derivative,
     )
-    return End(np.asarray(found.x), float(2.0 * found.cost), np.asarray(found.jac))
+    return LocalMinimum(np.asarray(found.x), float(2.0 * found.cost), np.asarray(found.jac))
 
 
-__all__ = ["End", "apart", "descend", "draw"]
+def reweighted(weights: Array, distances: Array) -> Array | None:
+    """Return term weights that emphasise the worst terms; None if all terms are about equally far off."""
+    if distances.max() <= 1.05 * distances.mean():
+        return None
+    weights = weights * np.sqrt(np.maximum(distances / distances.max(), 0.05))
+    return np.asarray(weights / weights.max())
 
 
-# The search that knows nothing of the material: any free numbers and words of any recipe.
-
-MET = 0.2  # of `within`: a search that is so near everywhere ends
-LEAST_SCOUTS, MOST_SCOUTS = 32, 1024
-SCOUT_SHARE = 0.3  # of the time
-STEPS_OF_A_START, WEIGHTINGS = 40, 3
-FAR_OFF = 1e3  # residual of what cannot be computed
-QUIET_SHARE = 0.1  # of `within`: noise that does not disturb
-SLOWEST_SHARE = 1 / 150  # of the time, for one candidate
-MOST_SAMPLES = 1 << 20
-DISTURBANCES = (0.03, 0.1, 0.3)
-LAST_TRIES = 32  # for a first answer after the time is over
-APART = 0.05  # of the bounds: starts that are not one
-POOL = 4  # times the answers asked for
-
-
-class TimeIsUp(Exception):
-    """Raised inside an optimiser to leave it at once; what was best is kept."""
-
-
-@dataclass
-class Pool:
-    """Answers that differ from one another, the best first: values by path, and the objective of each."""
-
-    most: int
-    answers: list[tuple[float, dict[str, Any]]] = field(default_factory=list)
-
-    def offer(self, objective: float, values: dict[str, Any]) -> None:
-        """Take an answer if it is new, or better than the one that it is like."""
-        if not np.isfinite(objective) or objective >= FAR_OFF:
-            return
-        like = [a for a in self.answers if are_alike(a[1], values)]
-        if any(a[0] <= objective for a in like):
-            return
-        kept = [a for a in self.answers if not any(a is other for other in like)]
-        self.answers = sorted([*kept, (objective, values)], key=lambda a: a[0])[: self.most]
-
-
-class LeastSquaresSearch:
-    """The search of one problem.
+def refine(
+    spectra: Callable[[Array], Array | None],
+    merit: MeritFunction,
+    start: Array,
+    columns: Sequence[int],
+    *,
+    low: ArrayLike = 0.0,
+    high: ArrayLike = 1.0,
+    step: float = STEP,
+    max_nfev: int = 40,
+    tol: float = 1e-7,
+    reweightings: int = 3,
+    stop_tol: float = STOP_TOL,
+    in_parallel: bool = False,
+) -> tuple[float, Array]:
+    """Refine some parameters of a point; after the first minimisation the weights shift to the worst terms.
 
     Args:
-        material: the recipe.
-        free: what may change.
-        wants: what is wanted.
-        light: lamps and observer.
-        seed: of draws and walks.
-        solutions: number of answers that are asked for.
+        spectra: of a point, `[row, wavelength]`; None if it cannot be computed.
+        columns: indices of the parameters.
+        reweightings: minimisations with new weights.
+        stop_tol: objective at which to end.
+        in_parallel: compute the finite differences in threads.
+
+    Returns:
+        objective and point.
+    """
+    best, point = PENALTY, start
+    weights = np.ones(len(merit.terms))
+    for turn in range(1 + (reweightings if len(weights) > 1 else 0)):
+        row_weights = np.repeat(weights, merit.residual_counts)
+        computed: dict[bytes, Array] = {}  # the Jacobian is evaluated at the last accepted point
+
+        def full(x: Array, base: Array = point) -> Array:
+            moved = base.copy()
+            moved[list(columns)] = x
+            return moved
+
+        def residuals(x: Array, weights: Array = row_weights, computed: dict[bytes, Array] = computed) -> Array:
+            key = x.tobytes()
+            if key not in computed:
+                found = spectra(full(x))
+                computed[key] = (
+                    np.full(len(weights), PENALTY) if found is None else np.asarray(merit.residuals(found)) * weights
+                )
+            return computed[key]
+
+        def jacobian(x: Array, residuals: Callable[[Array], Array] = residuals) -> Array:
+            steps = np.where(x > 0.5, -step, step)
+            points = [x, *(x + steps[:, None] * np.eye(len(x)))]
+            here, *there = in_threads(residuals, points) if in_parallel else map(residuals, points)
+            return np.stack([(r - here) / h for r, h in zip(there, steps, strict=True)], axis=1)
+
+        begin = point[list(columns)]
+        found = minimise_residuals(residuals, begin, low=low, high=high, jacobian=jacobian, max_nfev=max_nfev, tol=tol)
+        trial = full(found.point)
+        reached = spectra(trial)
+        if reached is None:
+            break
+        distances = np.asarray(merit.distances(reached))
+        objective = float(merit.objective(distances))
+        # the first minimisation reduces the mean square, not the worst term, and is always accepted
+        if turn > 0 and objective >= best * 0.999:
+            break
+        best, point = objective, trial
+        new = reweighted(weights, distances * merit.scale)
+        if best <= stop_tol or new is None:
+            break
+        weights = new
+    return best, point
+
+
+@dataclass(frozen=True)
+class LeastSquaresOptions:
+    """Options of `LeastSquaresSearch`.
+
+    Attributes:
+        scouts_per_parameter, min_scouts, max_scouts: size of the Sobol draw.
+        scout_share: share of the budget for it.
+        max_nfev, reweightings: see `refine`.
+        max_noise: Monte Carlo noise of colours, in tolerances, that does not disturb the search.
+        max_samples: largest number of Monte Carlo samples.
+        perturbations: standard deviations of restarts near the best solutions, of the bounds.
+        min_start_distance: of two starts, of the bounds.
     """
 
-    def __init__(
-        self,
-        material: Material,
-        free: Sequence[Parameter],
-        wants: Sequence[Target],
-        light: LightSpec,
-        seed: int,
-        solutions: int,
-    ) -> None:
-        self.material, self.parameters, self.targets, self.seed = material, tuple(free), tuple(wants), seed
-        self.rows: list[Geometry] = list(dict.fromkeys(want.geometry for want in wants))
-        widest = material.vary({n.path: n.high for n in free if not n.choices}) if self._widest_works() else material
-        self.grid = search_wavelengths(widest, light.illuminants)
-        self.goals: MeritFunction = merit_function(self.targets, self.rows, light, self.grid)
-        self.pool = Pool(POOL * solutions)
-        self.samples: int | None = None
-        self.wanted_samples = 0  # with which the noise is small
-        self.is_stochastic = False
-        self.evaluations = 0
-        self.best = np.inf
-        self.best_values: dict[str, Any] = {}
-        self._deadline = np.inf
-        self._tell: Callable[[float, dict[str, Any]], None] | None = None
-        self.most_nm: float | None = None  # of all layers together
-        self._numbers = [i for i, number in enumerate(self.parameters) if not number.choices and not number.is_whole]
+    scouts_per_parameter: int = SCOUTS_PER_PARAMETER
+    min_scouts: int = 32
+    max_scouts: int = 1024
+    scout_share: float = 0.3
+    max_nfev: int = 40
+    reweightings: int = 3
+    max_noise: float = 0.1
+    max_samples: int = 1 << 20
+    perturbations: tuple[float, ...] = (0.03, 0.1, 0.3)
+    min_start_distance: float = 0.05
 
-    def _widest_works(self) -> bool:
-        try:
-            self.material.vary({n.path: n.high for n in self.parameters if not n.choices})
-        except NacreError:
-            return False
-        return True
 
-    def run(
-        self,
-        seconds: float,
-        tell: Callable[[float, dict[str, Any]], None] | None = None,
-        known: Sequence[Mapping[str, Any]] = (),
-    ) -> str:
-        """Search; return why it ended: "met", "time" or "interrupted".
+class LeastSquaresSearch(Search):
+    """Multistart least squares for any recipe and parameters.
 
-        Args:
-            seconds: of wall time.
-            tell: called with the objective and the values of every better answer, and now and then.
-            known: answers of an earlier run, tried first.
-        """
-        begun = time.monotonic()
-        self._deadline, self._tell = begun + seconds, tell
-        try:
-            self._settle_samples(seconds)
-            if not self._numbers:
-                self._rest_of_choices()
-            places = self._scout(begun + SCOUT_SHARE * seconds, known) if self._numbers else []
-            for start in self._starts(places):
-                self._refine(start)
-                if self.best <= MET and self._sharpen():
-                    continue
-                if self.best <= MET and len(self.pool.answers) >= self.pool.most // POOL:
-                    return "met"
-                if self.best <= MET and time.monotonic() - begun > 0.5 * seconds:
-                    return "met"
-        except TimeIsUp:
-            return "met" if self.best <= MET else "time"
-        except KeyboardInterrupt:
-            return "interrupted"
-        return "met" if self.best <= MET else "exhausted"
+    Monte Carlo materials use the same seed for all candidates. Their number of samples grows once the targets are met,
+    until the noise is small.
+    """
 
-    def _sharpen(self) -> bool:
-        """Walk four times as often and refine the best anew, until the noise is small; return whether that was done.
+    default_evaluations = 20_000.0
 
-        What was found with more noise is no longer comparable, and gives way.
-        """
-        if self.samples is None or self.samples >= self.wanted_samples:
-            return False
-        self.samples = min(4 * self.samples, MOST_SAMPLES)
-        kept = [values for _, values in self.pool.answers]
-        units = [number.unit(self.best_values[number.path]) for number in self.parameters]
-        self.best, self.pool.answers = np.inf, []
-        for values in kept[1:]:
-            place = np.array([number.unit(values[number.path]) for number in self.parameters], dtype=float)
-            self.pool.offer(self._judge(place)[0], values)
-        self._refine(np.array(units, dtype=float))
-        return True
+    def __init__(self, problem: Problem, options: LeastSquaresOptions | None = None) -> None:
+        super().__init__(problem.task.spec.search.solutions)
+        self.problem = problem
+        self.options = LeastSquaresOptions() if options is None else options
+        self.samples: int | None = None  # of Monte Carlo materials
+        self.sufficient_samples = 0
 
-    def answers(self) -> list[tuple[float, dict[str, Any]]]:
-        """Return answers that differ from one another, the best first."""
-        self.pool.offer(self.best, self.best_values)
-        return list(self.pool.answers)
-
-    def made(self, values: Mapping[str, Any]) -> Material:
-        """Return a candidate.
-
-        Raises:
-            NacreError: it cannot be, or is thicker than it may be.
-        """
-        made = self.material.vary(values)
-        if self.most_nm is not None and total_nm(made) > self.most_nm:
-            raise NacreError(f"its layers are thicker than {self.most_nm:g} nm")
-        return made
-
-    def spectra(self, place: Array) -> Array:
-        """Return `[row, wavelength]` of a candidate.
-
-        Raises:
-            NacreError: it cannot be computed.
-        """
-        made = self.made(values_at(self.parameters, place))
-        return simulate_measurement(made, self.rows, self.grid, samples=self.samples, seed=self.seed).factors
-
-    def _judge(self, place: Array) -> tuple[float, Array | None]:
-        """Return the objective of a place and its spectra, and note it where it is the best."""
-        # one answer is better than none, however long the first one took to compile
-        if time.monotonic() > self._deadline and (np.isfinite(self.best) or self.evaluations >= LAST_TRIES):
-            raise TimeIsUp
-        self.evaluations += 1
-        try:
-            spectra = self.spectra(place)
-            objective = float(self.goals.objective(self.goals.distances(spectra)))
-        except (NacreError, ArithmeticError):
-            return FAR_OFF, None
-        if not np.isfinite(objective):
-            return FAR_OFF, None
-        if objective < self.best:
-            self.best, self.best_values = objective, values_at(self.parameters, place)
-        if self._tell is not None:
-            self._tell(self.best, self.best_values)
-        return objective, spectra
-
-    def _settle_samples(self, seconds: float) -> None:
-        """Find how many walks make the noise small beside `within`, as far as the time allows."""
-        place = nominal_point(self.parameters, self.material)
-        place = np.full(len(self.parameters), 0.5) if place is None else place
-        try:
-            made = self.material.vary(values_at(self.parameters, place))
-            seen = simulate_measurement(made, self.rows, self.grid, seed=self.seed)
-            if seen.error is None:
+    def _search(self, known: Sequence[Mapping[str, Any]]) -> None:
+        self._measure_noise()
+        if not self.problem.continuous:
+            self._enumerate()
+            return
+        for start in self._starts(self._scout(known)):
+            self._refine(start)
+            if self.is_met and self._increase_samples():
+                continue
+            if self.is_finished:
                 return
-            begun = time.monotonic()
-            simulate_measurement(made, self.rows, self.grid, seed=self.seed)
-            cost = time.monotonic() - begun
+
+    def _spectra(self, point: Array) -> Array | None:
+        """Return `[row, wavelength]` of a candidate and record it; None if it cannot be computed."""
+        self.charge(1.0 if self.samples is None else self.samples / DEFAULT_SAMPLES)
+        problem = self.problem
+        try:
+            spectra = problem.measure(point, problem.wavelengths_nm, samples=self.samples).factors
+            objective = float(problem.merit.objective(problem.merit.distances(spectra)))
+        except (NacreError, ArithmeticError):
+            return None
+        if not np.isfinite(objective):
+            return None
+        self.record(objective, problem.changes(point))
+        return spectra
+
+    def _objective(self, point: Array) -> float:
+        spectra = self._spectra(point)
+        merit = self.problem.merit
+        return PENALTY if spectra is None else float(merit.objective(merit.distances(spectra)))
+
+    def _measure_noise(self) -> None:
+        """Find whether the material is a Monte Carlo one, and how many samples reduce its noise below `max_noise`."""
+        problem = self.problem
+        point = problem.nominal_point()
+        try:
+            seen = problem.measure(point, problem.wavelengths_nm)
         except NacreError:
             return
-        self.is_stochastic = True
-        noisy = self.goals.labs(seen.factors + seen.error)
-        noise = np.max(delta_e_2000(self.goals.labs(seen.factors), noisy), axis=-1)
-        within = np.array([min(w.tolerance / w.weight for w in self.targets if w.geometry == at) for at in self.rows])
-        wanted = float(np.max(noise / (QUIET_SHARE * within))) ** 2
-        affordable = max(1.0, SLOWEST_SHARE * seconds / max(cost, 1e-6))
-        # in steps of four: another number of walks is another kernel, which takes seconds to compile
-        steps = int(np.floor(np.log(min(wanted, affordable)) / np.log(4.0))) if min(wanted, affordable) > 0 else 0
-        self.wanted_samples = int(np.clip(DEFAULT_SAMPLES * wanted, 0, MOST_SAMPLES))
-        self.samples = int(np.clip(DEFAULT_SAMPLES * 4.0 ** max(steps, 0), DEFAULT_SAMPLES, MOST_SAMPLES))
-
-    def _scout(self, until: float, known: Sequence[Mapping[str, Any]]) -> list[tuple[float, Array]]:
-        """Judge known answers, the recipe's own place and an even draw; return (objective, place), best first."""
-        places = [place for values in known if (place := point_of(self.parameters, values)) is not None]
-        own = nominal_point(self.parameters, self.material)
-        if own is not None:
-            places.append(own)
-        count = int(np.clip(SCOUTS_PER_NUMBER * len(self.parameters), LEAST_SCOUTS, MOST_SCOUTS))
-        places += list(draw(len(self.parameters), count, [self.seed, 1]))
-        judged = []
-        for place in places:
-            judged.append((self._judge(place)[0], place))
-            self.pool.offer(judged[-1][0], values_at(self.parameters, place))
-            if time.monotonic() > until:
-                break
-        return sorted(judged, key=lambda pair: pair[0])
-
-    def _rest_of_choices(self) -> None:
-        """Try every combination where only words and whole numbers are free and the combinations are few."""
-        counts = [len(n.choices) if n.choices else int(n.high - n.low) + 1 for n in self.parameters]
-        total = int(np.prod(counts, dtype=float))
-        for index in range(min(total, 1 << 16)):
-            picks = np.unravel_index(index, counts)
-            place = np.array(
-                [
-                    (pick + 0.5) / count if n.choices else pick / max(count - 1, 1)
-                    for n, pick, count in zip(self.parameters, picks, counts, strict=True)
-                ]
-            )
-            self.pool.offer(self._judge(place)[0], values_at(self.parameters, place))
-
-    def _starts(self, places: list[tuple[float, Array]]) -> Iterator[Array]:
-        """Yield where to refine from: the best draws, disturbed answers, and new draws, in turn without end."""
-        if not self._numbers:
+        if seen.error is None:
             return
-        generator = np.random.default_rng([self.seed, 2])
+        labs = problem.merit.labs(seen.factors)
+        noise = np.max(delta_e_2000(labs, problem.merit.labs(seen.factors + seen.error)), axis=-1)
+        factor = float(np.max(noise / (self.options.max_noise * problem.tolerances()))) ** 2
+        self.samples = DEFAULT_SAMPLES
+        self.sufficient_samples = int(np.clip(DEFAULT_SAMPLES * factor, 0, self.options.max_samples))
+
+    def _increase_samples(self) -> bool:
+        """Take four times the samples and refine anew, until the noise is small; return whether that was done.
+
+        In steps of four: another number of samples needs another kernel, which takes seconds to compile.
+        """
+        if self.samples is None or self.samples >= self.sufficient_samples:
+            return False
+        self.samples = min(4 * self.samples, self.options.max_samples)
+        solutions, best = [changes for _, changes in self.archive.solutions[1:]], self.best_changes
+        self.best, self.archive.solutions = np.inf, []  # noisier objectives are not comparable
+        for changes in (best, *solutions):
+            point = self.problem.point_of(changes)
+            if point is not None:
+                self.archive.add(self._objective(point), changes)
+        start = self.problem.point_of(best)
+        if start is not None:
+            self._refine(start)
+        return True
+
+    def _scout(self, known: Sequence[Mapping[str, Any]]) -> list[Array]:
+        """Return earlier solutions, the recipe's own point and a Sobol draw, sorted by objective."""
+        problem, options = self.problem, self.options
+        phase = self.budget.phase(options.scout_share)
+        points = [point for changes in known if (point := problem.point_of(changes)) is not None]
+        points.append(problem.nominal_point())
+        parameters = len(problem.parameters)
+        count = int(np.clip(options.scouts_per_parameter * parameters, options.min_scouts, options.max_scouts))
+        points += list(sobol_points(parameters, count, [problem.seed, 1]))
+        found: list[tuple[float, Array]] = []
+        for point in points:
+            found.append((self._objective(point), point))
+            self.archive.add(found[-1][0], problem.changes(point))
+            if phase.is_over:
+                break
+        return [point for _, point in sorted(found, key=lambda pair: pair[0])]
+
+    def _enumerate(self) -> None:
+        """Evaluate every combination of categorical and integer parameters, as far as the budget goes."""
+        parameters = self.problem.parameters
+        counts = [len(p.choices) if p.choices else int(p.high - p.low) + 1 for p in parameters]
+        for index in range(min(int(np.prod(counts, dtype=float)), 1 << 16)):
+            picks = np.unravel_index(index, counts)
+            units = [
+                (pick + 0.5) / count if p.choices else pick / max(count - 1, 1)
+                for p, pick, count in zip(parameters, picks, counts, strict=True)
+            ]
+            point = np.array(units)
+            self.archive.add(self._objective(point), self.problem.changes(point))
+
+    def _starts(self, waiting: list[Array]) -> Iterator[Array]:
+        """Yield starts of refinements without end: the best scouts, perturbed solutions and new draws, in turn."""
+        problem, options = self.problem, self.options
+        generator = np.random.default_rng([problem.seed, 2])
         begun: list[Array] = []
-        waiting = [place for _, place in places]
         turn = 0
         while True:
             turn += 1
             if waiting and turn % 3:
-                place = waiting.pop(0)
-                if not apart(place, begun, APART):
+                point = waiting.pop(0)
+                if not is_distinct(point, begun, options.min_start_distance):
                     continue
-            elif self.pool.answers and turn % 2:
-                values = self.pool.answers[int(generator.integers(min(len(self.pool.answers), 3)))][1]
-                units = [number.unit(values[number.path]) for number in self.parameters]
-                place = np.array([0.5 if unit is None else unit for unit in units])
-                size = DISTURBANCES[turn % len(DISTURBANCES)]
-                place = np.clip(place + size * generator.standard_normal(len(place)), 0.0, 1.0)
+            elif self.archive.solutions and turn % 2:
+                pick = int(generator.integers(min(len(self.archive.solutions), 3)))
+                near = problem.point_of(self.archive.solutions[pick][1])
+                size = options.perturbations[turn % len(options.perturbations)]
+                noise = size * generator.standard_normal(len(problem.parameters))
+                point = np.clip((0.5 if near is None else near) + noise, 0.0, 1.0)
             else:
-                draws = generator.random((8, len(self.parameters)))
-                place = min(draws, key=lambda draw: self._judge(draw)[0])
-            begun.append(place)
-            yield place
+                point = min(generator.random((8, len(problem.parameters))), key=self._objective)
+            begun.append(point)
+            yield point
 
     def _refine(self, start: Array) -> None:
-        """Refine the numbers of a place; words stay. The last steps weigh what is worst."""
-        place = start.copy()
-        weights = np.ones(len(self.goals.terms))
-        sizes: Any = self._block_sizes()
-        last = np.inf
-        for _ in range(1 + (WEIGHTINGS if len(weights) > 1 else 0)):
-            spread = np.repeat(weights, sizes)
-
-            def residuals(x: Array, place: Array = place, spread: Array = spread) -> Array:
-                full = place.copy()
-                full[self._numbers] = x
-                _, spectra = self._judge(full)
-                if spectra is None:
-                    return np.full(len(spread), FAR_OFF)
-                return np.asarray(self.goals.residuals(spectra)) * spread
-
-            found = descend(
-                residuals,
-                place[self._numbers],
-                step=STOCHASTIC_STEP if self.is_stochastic else STEP,
-                most=STEPS_OF_A_START,
-                tolerance=1e-7,
-            )
-            trial = place.copy()
-            trial[self._numbers] = found.place
-            objective, spectra = self._judge(trial)
-            if spectra is None or objective >= last * 0.999:
-                break
-            place, last = trial, objective
-            self.pool.offer(objective, values_at(self.parameters, place))
-            distances = np.asarray(self.goals.distances(spectra)) * self.goals.scale
-            if objective <= MET or distances.max() <= 1.05 * distances.mean():
-                break
-            weights = weights * np.sqrt(np.maximum(distances / distances.max(), 0.05))
-            weights /= weights.max()
-
-    def _block_sizes(self) -> Array:
-        """Return how many residuals each term has."""
-        sizes = {"colour": 3, "hue": 1, "chroma": 1, "lightness": 1, "spectrum": len(self.grid)}
-        return np.array([sizes[self.goals.goals[index].kind] for index, _ in self.goals.terms])
+        problem, options = self.problem, self.options
+        objective, point = refine(
+            self._spectra,
+            problem.merit,
+            start,
+            problem.continuous,
+            step=STEP if self.samples is None else STOCHASTIC_STEP,
+            max_nfev=options.max_nfev,
+            reweightings=options.reweightings,
+        )
+        self.archive.add(objective, problem.changes(point))
 
 
-__all__ = ["LeastSquaresSearch", "Pool"]
+__all__ = [
+    "LeastSquaresOptions",
+    "LeastSquaresSearch",
+    "LocalMinimum",
+    "is_distinct",
+    "minimise_residuals",
+    "refine",
+    "reweighted",
+    "sobol_points",
+]

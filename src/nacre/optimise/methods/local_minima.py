@@ -1,146 +1,171 @@
-"""How a search goes through many valleys: short descents side by side, and hops from the best to those beside it.
+"""Basin hopping over interference orders: interleaved descents, and restarts from the minima next to the best one.
 
-Lengths interfere: a coating that is half a wave thicker looks much the same, and no descent gets over the ridge
-between. So along each length of a good valley the looks are scanned, and where they have another minimum a descent
-begins; it also begins without any one of what may be left out. Valleys count as one where they look the same, wherever
-they are: what hardly shows in the looks may have any value.
+Lengths interfere: a coating thicker by half a wavelength has nearly the same spectrum, and no descent crosses the ridge
+between. Hence the merit is scanned along each length of a good minimum, and new descents begin at the other minima of
+the scan. Minima with equal residuals count once, wherever they are: parameters without effect may have any value.
 """
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.parallel import in_threads
-from nacre.optimise.methods.broyden import Descent, go_down
+from nacre.optimise.methods.broyden import Descent, descend
 
-HOPE = 0.3  # what the first steps down make of the rms
-TRIES, GOES_ON = 6, 0.9  # steps a turn; a turn that leaves less of the squares is followed by another
-SETTLED = 1e-3  # relative: a step that gains less ends a descent here; what is good is gone down further
-ALIKE = 0.2  # of the smaller residuals: a difference of looks that is none
-ENDS_A_HOP = 3  # new ends until the best is hopped from
-SCANNED = 15  # places along a length: a tenth of a wave or so, for the usual bounds of a coating
-BESIDE = 0.1  # of the bounds: what is nearer is the same minimum
-STEP = 1e-3  # of the bounds, for slopes
+
+@dataclass(frozen=True)
+class BasinHoppingOptions:
+    """Options of `BasinHopping`.
+
+    Attributes:
+        first_gain: expected reduction of the rms by the first steps.
+        steps: of one turn of a descent.
+        turn_gain: remaining share of the squares below which a descent has another turn.
+        ftol: relative gain of a step that ends a descent.
+        min_difference: of residuals of two minima, relative to the smaller.
+        minima_per_hop: new minima before the next hop.
+        scan_points: along a length; about a tenth of a wavelength for a coating.
+        min_hop: distance of a new start from the minimum, of the bounds.
+        step: finite difference, of the bounds.
+    """
+
+    first_gain: float = 0.3
+    steps: int = 6
+    turn_gain: float = 0.9
+    ftol: float = 1e-3
+    min_difference: float = 0.2
+    minima_per_hop: int = 3
+    scan_points: int = 15
+    min_hop: float = 0.1
+    step: float = 1e-3
 
 
 class BasinHopping:
-    """All descents of one question.
+    """All descents of one problem.
 
     Args:
-        look: residuals of a place; None where it cannot be computed.
-        numbers: which of a place may move.
-        low: the least value of each number, of a place's own bounds.
-        lengths: which of them interfere.
-        others: places that a good one is compared to besides, such as without one of its parts.
-        kind: of a place: descents are begun from all kinds, whatever they look like.
+        residuals: of a point; None if they cannot be computed.
+        columns: indices of the parameters of a point that may move.
+        low: lower bound of each parameter.
+        lengths: indices of the parameters that interfere.
+        variants: further starts from a good minimum, such as without one of its tables.
+        structure: of a point; descents begin from all structures in turn.
     """
 
     def __init__(
         self,
-        look: Callable[[Array], Array | None],
-        numbers: Callable[[Array], Sequence[int]],
+        residuals: Callable[[Array], Array | None],
+        columns: Callable[[Array], Sequence[int]],
         low: Array,
         lengths: Sequence[int],
-        others: Callable[[Array], Sequence[Array]],
-        kind: Callable[[Array], Hashable],
+        variants: Callable[[Array], Sequence[Array]],
+        structure: Callable[[Array], Hashable],
+        options: BasinHoppingOptions | None = None,
     ) -> None:
-        self._look, self._numbers, self._low, self._lengths = look, numbers, low, set(lengths)
-        self._others, self._kind = others, kind
+        self._residuals, self._columns, self._low, self._lengths = residuals, columns, low, set(lengths)
+        self._variants, self._structure = variants, structure
+        self.options = BasinHoppingOptions() if options is None else options
         self._begun: Counter[Hashable] = Counter()
         self.open: list[Descent] = []
-        self.ends: list[Descent] = []
+        self.minima: list[Descent] = []
         self._hopped: list[Descent] = []
 
-    def begin(self, places: Sequence[Array]) -> None:
-        """Add places to begin from."""
-        looks = in_threads(self._look, places)
-        self.open += [Descent(place, seen) for place, seen in zip(places, looks, strict=True) if seen is not None]
+    def begin(self, points: Sequence[Array]) -> None:
+        """Add starts."""
+        found = in_threads(self._residuals, points)
+        self.open += [Descent(point, r) for point, r in zip(points, found, strict=True) if r is not None]
 
-    def run(self, until: float) -> Iterator[Descent]:
-        """Go down until a time of `time.monotonic`; yield each end that looks like no other so far."""
+    def run(self, is_over: Callable[[], bool] = lambda: False) -> Iterator[Descent]:
+        """Yield each new minimum until `is_over()` or nothing is left."""
         since = 0
-        while time.monotonic() < until:
-            if since >= ENDS_A_HOP or not self.open:
+        while not is_over():
+            if since >= self.options.minima_per_hop or not self.open:
                 since = 0
                 if not self._hop() and not self.open:
                     return
                 continue
             run = self._next()
-            before, numbers = run.cost, self._numbers(run.place)
-            if numbers:
-                go_down(
-                    run,
-                    self._look,
-                    lambda run, numbers=numbers: self._slopes(run, numbers),
-                    numbers,
-                    TRIES,
-                    low=self._low[numbers],
-                    settled=SETTLED,
-                )
-            else:
-                run.is_settled = True  # all that was free is left out
+            before = run.cost
+            self._descend(run)
             if not self._is_new(run):
                 continue
-            if not run.is_settled and run.cost < GOES_ON * before:
+            if not run.is_converged and run.cost < self.options.turn_gain * before:
                 self.open.append(run)
                 continue
-            self.ends.append(run)
+            self.minima.append(run)
             since += 1
             yield run
 
+    def _descend(self, run: Descent) -> None:
+        columns = self._columns(run.point)
+        if not columns:
+            run.is_converged = True  # all parameters belong to removed tables
+            return
+        descend(
+            run,
+            self._residuals,
+            lambda run: self._jacobian(run, columns),
+            columns,
+            self.options.steps,
+            low=self._low[list(columns)],
+            ftol=self.options.ftol,
+        )
+
     def _next(self) -> Descent:
-        """Take the descent that promises most; of those to be begun every other one of the kind begun least."""
-        run = min(self.open, key=lambda run: run.cost * (1.0 if run.slopes is not None else HOPE**2))
-        if run.slopes is None:
-            fresh = [other for other in self.open if other.slopes is None]
+        """Take the most promising descent; every other new one is of the structure that was begun least."""
+        gain = self.options.first_gain**2
+        run = min(self.open, key=lambda run: run.cost * (1.0 if run.jacobian is not None else gain))
+        if run.jacobian is None:
+            fresh = [other for other in self.open if other.jacobian is None]
             if sum(self._begun.values()) % 2:
-                run = min(fresh, key=lambda run: (self._begun[self._kind(run.place)], run.cost))
-            self._begun[self._kind(run.place)] += 1
+                run = min(fresh, key=lambda run: (self._begun[self._structure(run.point)], run.cost))
+            self._begun[self._structure(run.point)] += 1
         self.open = [other for other in self.open if other is not run]
         return run
 
     def _is_new(self, run: Descent) -> bool:
+        share = self.options.min_difference**2
         return all(
-            np.sum((run.residuals - end.residuals) ** 2) > ALIKE**2 * min(run.cost, end.cost) for end in self.ends
+            np.sum((run.residuals - end.residuals) ** 2) > share * min(run.cost, end.cost) for end in self.minima
         )
 
     def _hop(self) -> bool:
-        """Add what lies beside the best end that was not hopped from; return whether there was one."""
-        new = [end for end in self.ends if not any(end is other for other in self._hopped)]
+        """Add the minima next to the best one that was not hopped from; return whether there was one."""
+        new = [end for end in self.minima if not any(end is other for other in self._hopped)]
         if not new:
             return False
         best = min(new, key=lambda end: end.cost)
         self._hopped.append(best)
-        line = np.linspace(0.0, 1.0, SCANNED)
-        for number in self._numbers(best.place):
-            if number not in self._lengths:
+        line = np.linspace(0.0, 1.0, self.options.scan_points)
+        for column in self._columns(best.point):
+            if column not in self._lengths:
                 continue
-            places = np.repeat(best.place[None], SCANNED, axis=0)
-            places[:, number] = np.maximum(line, self._low[number])
-            looks = in_threads(self._look, list(places))
-            cost = np.array([np.inf if seen is None else float(np.sum(seen**2)) for seen in looks])
+            points = np.repeat(best.point[None], len(line), axis=0)
+            points[:, column] = np.maximum(line, self._low[column])
+            found = in_threads(self._residuals, list(points))
+            cost = np.array([np.inf if r is None else float(np.sum(r**2)) for r in found])
             around = np.concatenate([[np.inf], cost, [np.inf]])
-            is_least = (cost < around[:-2]) & (cost < around[2:]) & (np.abs(line - best.place[number]) >= BESIDE)
-            self.open += [Descent(places[i], seen) for i in np.flatnonzero(is_least) if (seen := looks[i]) is not None]
-        self.begin(self._others(best.place))
+            is_far = np.abs(line - best.point[column]) >= self.options.min_hop
+            is_minimum = (cost < around[:-2]) & (cost < around[2:]) & is_far
+            self.open += [Descent(points[i], r) for i in np.flatnonzero(is_minimum) if (r := found[i]) is not None]
+        self.begin(self._variants(best.point))
         return True
 
-    def _slopes(self, run: Descent, numbers: Sequence[int]) -> Array:
-        """Return d residual / d place by differences, `[residual, number]`."""
-        steps = np.where(run.place > 0.5, -STEP, STEP)
+    def _jacobian(self, run: Descent, columns: Sequence[int]) -> Array:
+        steps = np.where(run.point > 0.5, -self.options.step, self.options.step)
 
-        def column(number: int) -> Array:
-            place = run.place.copy()
-            place[number] += steps[number]
-            seen = self._look(place)
-            return np.zeros_like(run.residuals) if seen is None else (seen - run.residuals) / steps[number]
+        def column(index: int) -> Array:
+            point = run.point.copy()
+            point[index] += steps[index]
+            found = self._residuals(point)
+            return np.zeros_like(run.residuals) if found is None else (found - run.residuals) / steps[index]
 
-        return np.stack(in_threads(column, numbers), axis=1)
+        return np.stack(in_threads(column, columns), axis=1)
 
 
-__all__ = ["BasinHopping"]
+__all__ = ["BasinHopping", "BasinHoppingOptions"]

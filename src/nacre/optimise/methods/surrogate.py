@@ -1,8 +1,15 @@
-"""What walks told of a likeness: how far off its guess is, here and at places of much the same light."""
+"""Surrogate-assisted optimisation of Monte Carlo materials (pearl pigments) at multi-angle geometries.
+
+The deterministic surrogate (`Surrogate.surrogate_radiance`) has an exact and an approximate part. Its coarse form
+locates local minima and its fine form refines them. The approximate part is corrected by a Monte Carlo estimate at the
+current point (space mapping: spectrum = exact + estimated rest x approximation / approximation there), the search goes
+on from the corrected surrogate, and the estimate is repeated there, until the point no longer moves and the noise is
+small. If a family knows the error of its surrogate, estimates count as far as they are more accurate than that, and
+minima are located without them. Draws and estimates keep their seeds for all candidates.
+"""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,88 +18,152 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.parallel import in_threads, single_threaded_blas
+from nacre.core.parallel import single_threaded_blas
 from nacre.families.contract import Surrogate, surrogate_radiance
 from nacre.light import delta_e_2000, lamp_lines_nm, with_lamp_lines
-from nacre.material.material import Material
 from nacre.measure.evaluate import DEFAULT_SAMPLES, evaluate_with_error
 from nacre.optimise.evaluation import geometries_of, rank
-from nacre.optimise.measurement import Geometry, aspecular_pairs, search_wavelengths
+from nacre.optimise.measurement import Geometry, aspecular_pairs
 from nacre.optimise.merit import MeritFunction
-from nacre.optimise.methods.least_squares import APART, FAR_OFF, MET, QUIET_SHARE, Pool, TimeIsUp, apart, descend
+from nacre.optimise.methods.least_squares import is_distinct, refine
 from nacre.optimise.methods.local_minima import BasinHopping
-from nacre.optimise.parameters import point_of
-from nacre.optimise.sparsify import changes_of, draws, removable_tables, tables_kept, values_of
-from nacre.optimise.targets import merit_function
+from nacre.optimise.problem import PENALTY, STOP_TOL, Budget, Changes, OnProgress, Phase, Problem, Result, Search
+from nacre.optimise.sparsify import count_tables, draws
 from nacre.optimise.task import DesignTask
 from nacre.recipe.paths import is_within
 
-ALIKE = 0.1  # mean difference of the logarithms of two guesses, within which the walks at their places tell the same
-MOST_FACTOR = 10.0  # by which a correction is trusted to grow
-KNOWN_ERROR = 0.01  # of what a likeness knows: it is computed on coarser tables than the walk
+SUBSET_NM = np.linspace(400.0, 700.0, 14)  # enough for flakes of spread thickness, at half the time
+COARSE_COST = 0.1  # of a coarse surrogate relative to a fine one
+WALKS_PER_EVALUATION = 16_384  # Monte Carlo walks that cost as much as a fine surrogate
+
+
+@dataclass(frozen=True)
+class SurrogateOptions:
+    """Options of `SurrogateSearch`.
+
+    Attributes:
+        scout_share, exploration_share: of the budget of a round.
+        fine_share: of the budget for scouts and descents if the error of the surrogate is known.
+        fine_starts: scouts that start fine descents.
+        starts, starts_per_structure: refinements of a round if the error is unknown.
+        best_starts: of them that are corrected by estimates.
+        scout_refinements, scout_walks, scout_radius: refinements of each start, walks of their estimates, and the
+            trust radius of the correction, of the bounds.
+        max_nfev, corrected_nfev: steps of a refinement, without and with a known error.
+        step: finite difference, of the bounds.
+        trust_radius, radius_shrink, min_radius: of the correction, of the bounds.
+        min_amount: least amount of an optional table that is present, of its bounds.
+        first_walks, max_walks: of an estimate.
+        corrections: refinements between estimates.
+        max_noise, noise_share: acceptable noise of colours in tolerances, and relative to the objective.
+        good_rms, poor_objective: rms in tolerances of a minimum that is corrected at once, and objective beyond which a
+            minimum must improve quickly.
+        gain, max_idle: smaller improvements of the objective, and how many of them end the work on a minimum.
+        max_start_ratio: rms of a start relative to the best one.
+        unconfirmed_ratio: objective of the surrogate relative to the best estimate at which it becomes a solution.
+        hopeless_ratio: objective relative to the best one at which a minimum is given up.
+        small_amount, removal_cost: amounts that are tried without, of their bounds, and the objective that may cost.
+        idle_rounds: rounds without improvement that end the search.
+        min_start_distance: of two starts, of the bounds.
+        max_subset_error: colour error of the wavelength subset, in tolerances.
+    """
+
+    scout_share: float = 0.2
+    exploration_share: float = 0.65
+    fine_share: float = 0.75
+    fine_starts: int = 72
+    starts: int = 6
+    starts_per_structure: int = 2
+    best_starts: int = 3
+    scout_refinements: int = 2
+    scout_walks: int = 8192
+    scout_radius: float = 0.35
+    max_nfev: int = 10
+    corrected_nfev: int = 3
+    step: float = 1e-3
+    trust_radius: float = 0.2
+    radius_shrink: float = 0.4
+    min_radius: float = 5e-3
+    min_amount: float = 1e-4
+    first_walks: int = 1 << 15
+    max_walks: int = 1 << 17
+    corrections: int = 12
+    max_noise: float = 0.1
+    noise_share: float = 0.2
+    good_rms: float = 0.5
+    poor_objective: float = 4.0
+    gain: float = 0.95
+    max_idle: int = 3
+    max_start_ratio: float = 1.6
+    unconfirmed_ratio: float = 0.5
+    hopeless_ratio: float = 20.0
+    small_amount: float = 0.1
+    removal_cost: float = 0.05
+    idle_rounds: int = 6
+    min_start_distance: float = 0.05
+    max_subset_error: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What a walk told at one place.
+    """Multiplicative correction of the surrogate by an estimate at one point.
 
     Attributes:
-        rest: `[row, wavelength]`, factors beyond what is known.
-        guess: `[row, wavelength]`, what the likeness said of them.
+        rest: `[row, wavelength]`, estimated factors beyond the exact part.
+        approximation: `[row, wavelength]`, the surrogate's approximate part there.
     """
 
     rest: Array
-    guess: Array
+    approximation: Array
 
-    def of(self, known: Array, guess: Array) -> Array:
-        """Return the factors of another place."""
-        ratio = np.where(self.guess > 1e-9, guess / np.maximum(self.guess, 1e-9), 1.0)
-        return np.asarray(known + self.rest * np.clip(ratio, 0.0, MOST_FACTOR))
+    def apply(self, exact: Array, approximation: Array) -> Array:
+        """Return the corrected factors of another point."""
+        known = self.approximation > 1e-9
+        ratio = np.where(known, approximation / np.maximum(self.approximation, 1e-9), 1.0)
+        return np.asarray(exact + self.rest * np.clip(ratio, 0.0, 10.0))
 
 
 @dataclass
-class Told:
-    """All walks of a search.
+class SurrogateError:
+    """Error model of the surrogate: combines its own error with all estimates so far.
 
     Attributes:
-        off: by what share the likeness' guess is off, as a standard deviation; None: not known.
-        walks: their number, guess, rest and its error at each place.
+        relative: standard error of the approximate part; None if unknown.
+        exact_error: of the exact part, which uses coarser tables than the walk.
+        similarity: mean log difference of two approximations whose estimates apply to each other.
+        estimates: walks, approximation, rest and its error of each estimate.
     """
 
-    off: float | None
-    walks: list[tuple[int, Array, Array, Array]] = field(default_factory=list)
+    relative: float | None
+    exact_error: float = 0.01
+    similarity: float = 0.1
+    estimates: list[tuple[int, Array, Array, Array]] = field(default_factory=list)
 
-    @property
-    def count(self) -> int:
-        """Places that were walked at."""
-        return len(self.walks)
+    def combine(self, walks: int, exact: Array, approximation: Array, rest: Array, error: Array) -> tuple[Array, Array]:
+        """Add an estimate; return the rest at its point and the standard error, by all estimates and the surrogate.
 
-    def told(self, walks: int, known: Array, guess: Array, rest: Array, error: Array) -> tuple[Array, Array]:
-        """Take a walk; return the rest at its place and its error, by this and all others and by the guess itself.
-
-        Each had its own seed: together they are quieter than one alone. Walks and guess count each as it is sure of
-        itself.
+        Estimates have independent seeds. Estimates and surrogate are weighted by their inverse variances.
 
         Args:
-            walks: their number.
-            known, guess: `[row, wavelength]`, of the likeness there.
-            rest, error: `[row, wavelength]`, what the walk says beyond what is known.
+            walks: of the estimate.
+            exact, approximation: `[row, wavelength]`, of the surrogate there.
+            rest, error: `[row, wavelength]`, estimated factors beyond the exact part, and their standard error.
         """
-        self.walks.append((walks, guess, rest, error))
-        found, off = self._pooled(guess)
-        if self.off is None:
-            return found, off
-        own = (self.off * guess) ** 2 + (KNOWN_ERROR * known) ** 2
-        share = own / np.maximum(own + off**2, 1e-30)
-        return guess + share * (found - guess), np.sqrt(share) * off
+        self.estimates.append((walks, approximation, rest, error))
+        pooled, noise = self._pool(approximation)
+        if self.relative is None:
+            return pooled, noise
+        own = (self.relative * approximation) ** 2 + (self.exact_error * exact) ** 2
+        share = own / np.maximum(own + noise**2, 1e-30)
+        return approximation + share * (pooled - approximation), np.sqrt(share) * noise
 
-    def _pooled(self, guess: Array) -> tuple[Array, Array]:
-        """Return what the walks at places of much the same light say of the rest at the last one, and its error."""
-        total, rest, square = 0.0, np.zeros_like(guess), np.zeros_like(guess)
-        floor = np.maximum(guess, 1e-9)
-        for walks, other, found, error in self.walks:
-            apart = float(np.mean(np.abs(np.log(floor / np.maximum(other, 1e-9)))))
-            weight = walks * np.exp(-((apart / ALIKE) ** 2))
+    def _pool(self, approximation: Array) -> tuple[Array, Array]:
+        """Return the mean rest and its error at the last point, by the estimates at points of similar radiance."""
+        total, rest, square = 0.0, np.zeros_like(approximation), np.zeros_like(approximation)
+        floor = np.maximum(approximation, 1e-9)
+        for walks, other, found, error in self.estimates:
+            difference = float(np.mean(np.abs(np.log(floor / np.maximum(other, 1e-9)))))
+            weight = walks * np.exp(-((difference / self.similarity) ** 2))
             scale = np.where(other > 1e-9, floor / np.maximum(other, 1e-9), 1.0)
             total += weight
             rest += weight * scale * found
@@ -100,529 +171,405 @@ class Told:
         return rest / total, np.sqrt(square) / total
 
 
-__all__ = ["Correction", "Told"]
-
-
-# Fewer wavelengths for a search to find its way by, where they tell the colours too.
-
-FEW_NM = np.linspace(400.0, 700.0, 14)  # enough for the colours of flakes of spread thickness, at half the time
-CHECKED, OFF = 3, 1.0  # places where they are compared with all wavelengths; of `within`: what they may be off
-
-
-def tolerances_of(target: DesignTask, rows: Sequence[Geometry]) -> Array:
-    """Return `[row]`, the least `within` over weight of the wants at each geometry."""
-    return np.array([min(w.tolerance / w.weight for w in target.targets if w.geometry == at) for at in rows])
-
-
 def wavelength_subset(
-    target: DesignTask,
-    rows: Sequence[Geometry],
-    whole: tuple[Array, MeritFunction],
-    places: Sequence[Array],
+    problem: Problem,
+    points: Sequence[Array],
     spectra: Callable[[Array, Array], Array | None],
+    max_error: float = 1.0,
+    checked: int = 3,
 ) -> tuple[Array, MeritFunction]:
-    """Return wavelengths and the goals on them: few where their colours are near those of all.
+    """Return wavelengths and the merit function on them: a subset if its colours agree with those of all.
 
     Args:
-        target: what is wanted.
-        rows: its geometries.
-        whole: all wavelengths, and the goals on them.
-        places: that are looked at to find out, the first of them.
-        spectra: of a place on wavelengths, `[row, wavelength]`; None where it cannot be computed.
+        points: of which the first `checked` are compared.
+        spectra: of a point on wavelengths, `[row, wavelength]`; None if it cannot be computed.
+        max_error: colour difference in tolerances.
     """
-    grid, goals = whole
-    if FEW_NM[0] < grid[0] or FEW_NM[-1] > grid[-1] or any(want.spectrum is not None for want in target.targets):
-        return whole  # a wanted spectrum is compared on all of its wavelengths
-    few, light = FEW_NM, target.spec.light
-    for lamp in light.illuminants:
-        few = with_lamp_lines(few, lamp) if len(lamp_lines_nm(lamp)) else few
-    if len(few) >= len(grid):
+    whole = problem.wavelengths_nm, problem.merit
+    grid, merit = whole
+    targets = problem.task.targets
+    if SUBSET_NM[0] < grid[0] or SUBSET_NM[-1] > grid[-1] or any(target.spectrum is not None for target in targets):
+        return whole  # a target spectrum is compared on all of its wavelengths
+    subset = SUBSET_NM
+    for lamp in problem.task.spec.light.illuminants:
+        subset = with_lamp_lines(subset, lamp) if len(lamp_lines_nm(lamp)) else subset
+    if len(subset) >= len(grid):
         return whole
-    of_few = merit_function(target.targets, rows, light, few)
-    for place in places[:CHECKED]:
-        here, there = spectra(place, few), spectra(place, grid)
-        if here is None or there is None:
+    reduced = problem.merit_on(subset)
+    for point in points[:checked]:
+        few, every = spectra(point, subset), spectra(point, grid)
+        if few is None or every is None:
             return whole
-        if np.any(delta_e_2000(of_few.labs(here), goals.labs(there)).max(axis=-1) > OFF * tolerances_of(target, rows)):
+        error = delta_e_2000(reduced.labs(few), merit.labs(every)).max(axis=-1)
+        if np.any(error > max_error * problem.tolerances()):
             return whole
-    return few, of_few
+    return subset, reduced
 
 
-__all__ = ["tolerances_of", "wavelength_subset"]
+class SurrogateSearch(Search):
+    """Space mapping between a surrogate and Monte Carlo estimates, for a problem with aspecular targets only."""
 
+    default_evaluations = 2_500.0
 
-# The search of what is a random walk but has a smooth likeness: pearls, in the geometries of the trade.
-
-SCOUT_SHARE, REFINE_SHARE = 0.2, 0.45  # of the time
-RANKED = 72  # of the scouts, by the fine likeness
-SETTLING_STEPS = 3
-FINE_SHARE = 0.75  # of the time, for scouts and descents
-STARTS, STARTS_OF_A_SET, KEPT_STARTS = 6, 2, 3
-GOOD = 0.5  # rms over `within` of a valley that is settled at once
-DESCENTS, SCOUT_WALKS, REACH_OF_START = 2, 8192, 0.35
-STEPS, STEP = 10, 1e-3
-REACH = 0.2  # of the bounds: how far a walk is trusted to tell how far off the likeness is
-TELL_EVERY_S = 0.3
-LEAST = 1e-4  # of its bounds: what may be 0 is not nearer to it unless it is 0
-FEW_WALKS, MOST_WALKS = 1 << 15, 1 << 17
-SETTLINGS = 12
-LOUD_SHARE = 0.2  # of the objective: the noise of a place's colours that says enough of it
-GAIN, MOST_IDLE = 0.95, 3  # of the objective: so many steps that leave more, and the next valley has its turn
-SHORTER = 0.4  # times the reach, after a step that the walk finds worse
-WORSE = 1.6  # times the rms of the best start: what is not settled
-POOR = 4.0  # an objective beyond which a valley must go down quickly, or is left
-UNSEEN = 0.5  # times the best that was walked, where that is poor: what the likeness alone promises is an answer too
-HOPELESS = 20.0  # times the best of before
-SETTLED = 5e-3  # of the bounds: a step that no longer counts
-SMALL = 0.1  # of its bounds: an amount that it is tried to do without
-WITHOUT = 0.05  # of `within`: what that may cost
-ROUNDS_WITHOUT_GAIN = 6
-
-
-class SurrogateSearch:
-    """The search of one target.
-
-    Args:
-        target: of a material that has a likeness, with aspecular wants only.
-        seed: of draws and walks.
-    """
-
-    def __init__(self, target: DesignTask, seed: int) -> None:
-        self.target, self.parameters, self.seed = target, target.parameters, seed
-        self.material = target.material
-        light = target.spec.light
-        self.rows = geometries_of(target.targets)
-        self.grid = np.asarray(search_wavelengths(self.material, light.illuminants), dtype=float)
-        self.goals: MeritFunction = merit_function(target.targets, self.rows, light, self.grid)
-        self.wi, self.wo = aspecular_pairs(self.rows)
-        self.drops = removable_tables(self.parameters, self.material)
-        self.pool = Pool(4 * target.spec.search.solutions)
-        self.best, self.best_changes = np.inf, dict[str, Any]()
+    def __init__(self, problem: Problem, options: SurrogateOptions | None = None) -> None:
+        super().__init__(problem.task.spec.search.solutions)
+        self.problem = problem
+        self.options = SurrogateOptions() if options is None else options
+        self.wi, self.wo = aspecular_pairs(problem.geometries)
+        self._grid, self._merit = problem.wavelengths_nm, problem.merit
         self._best_rank = (np.inf, 0, np.inf)
-        self.noise = np.inf  # of the best, over `within`
-        self.evaluations = self.walks = 0
         self._correction: Correction | None = None
-        self._told = Told(self.material.model.surrogate_error if isinstance(self.material.model, Surrogate) else None)
-        self._deadline = np.inf
-        self._tell: Callable[[float, dict[str, Any]], None] | None = None
-        self._likely = (np.inf, np.zeros(0))  # best by likeness alone, should no walk end there in time
+        model = problem.material.model
+        self.error = SurrogateError(model.surrogate_error if isinstance(model, Surrogate) else None)
+        self._unconfirmed = (np.inf, np.zeros(0))  # best by the surrogate, if no estimate follows in time
         self._is_fine = False
-        self._last_told = -np.inf
 
-    @single_threaded_blas()  # its candidates would each find out anew how many there are
+    @single_threaded_blas()  # the candidates would query the thread count one by one
     def run(
         self,
-        seconds: float,
-        tell: Callable[[float, dict[str, Any]], None] | None = None,
+        budget: Budget | None = None,
+        on_progress: OnProgress | None = None,
         known: Sequence[Mapping[str, Any]] = (),
-    ) -> str:
-        """Search; return why it ended: "met", "time" or "interrupted".
+    ) -> Result:
+        """Search; see `Search.run`."""
+        return super().run(budget, on_progress, known)
 
-        Args:
-            seconds: of wall time.
-            tell: called with the objective and the changes of every better answer, and now and then.
-            known: answers of an earlier run, tried first.
-        """
-        begun = time.monotonic()
-        self._deadline, self._tell = begun + seconds, tell
-        try:
-            starts = [place for place in map(self._place_of, known) if place is not None]
-            own = self._own()
-            if starts:
-                self._settle(starts[0])
-                if self._is_met() and len(self.pool.answers) >= self.target.spec.search.solutions:
-                    return "met"
-            else:
-                self._walk(own, FEW_WALKS)
-            generator = np.random.default_rng([self.seed, 4])
-            idle = 0
-            while idle < ROUNDS_WITHOUT_GAIN:
-                turn = time.monotonic()
-                places = self._scout(generator, [*starts, self._allowed(own)], turn + SCOUT_SHARE * seconds)
-                before = self.best
-                is_sure = self._told.off is not None
-                share = FINE_SHARE if is_sure else SCOUT_SHARE + REFINE_SHARE
-                refined = self._explore(places, turn + share * seconds)
-                if self._is_met() and len(self.pool.answers) >= self.target.spec.search.solutions:
-                    return "met"
-                for rms, place in refined:
-                    if rms > WORSE * refined[0][0] + MET:
-                        continue
-                    self._settle(place)
-                    has_all = len(self.pool.answers) >= self.target.spec.search.solutions
-                    if self._is_met() and (has_all or time.monotonic() - begun > 0.5 * seconds):
-                        return "met"
-                idle = 0 if self.best < 0.98 * before else idle + 1
-                starts, own = [], generator.random(len(own))  # another round looks elsewhere
-        except TimeIsUp:
-            pass
-        except KeyboardInterrupt:
-            return "interrupted"
-        return "met" if self._is_met() else "time"
+    @property
+    def is_met(self) -> bool:
+        """Whether the best solution is good enough to stop, within the noise."""
+        return self.best <= STOP_TOL + self.options.max_noise
 
-    def _is_met(self) -> bool:
-        return self.best <= MET + QUIET_SHARE
+    @property
+    def _has_all(self) -> bool:
+        return self.is_met and len(self.archive.solutions) >= self.solution_count
 
-    def answers(self) -> list[tuple[float, dict[str, Any]]]:
-        """Return answers that differ from one another, the best first: of equal looks, those of the fewest tables."""
-        self.pool.offer(self.best, self.best_changes)
-        if self._likely[0] < UNSEEN * self.best and self.best > POOR:
-            self.pool.offer(self._likely[0], self._changes(self._likely[1]))
-        return sorted(self.pool.answers, key=lambda a: rank(a[0], tables_kept(self.material, self.parameters, a[1])))
+    def solutions(self) -> list[tuple[float, Changes]]:
+        """Return distinct solutions, best first; of equally good ones, those with the fewest tables."""
+        self.archive.add(self.best, self.best_changes)
+        objective, point = self._unconfirmed
+        if objective < self.options.unconfirmed_ratio * self.best and self.best > self.options.poor_objective:
+            self.archive.add(objective, self.problem.changes(point))
+        material, parameters = self.problem.material, self.problem.parameters
+        return sorted(self.archive.solutions, key=lambda one: rank(one[0], count_tables(material, parameters, one[1])))
 
-    def _own(self) -> Array:
-        units = []
-        for number in self.parameters:
-            try:
-                unit = number.unit(self.material.get(number.path))
-            except (NacreError, KeyError, IndexError):
-                unit = None
-            units.append(0.5 if unit is None else unit)
-        return self._allowed(np.array(units, dtype=float))
+    def _search(self, known: Sequence[Mapping[str, Any]]) -> None:
+        starts = [point for changes in known if (point := self.problem.point_of(changes)) is not None]
+        own = self._allowed(self.problem.nominal_point())
+        if starts:
+            self._converge(starts[0])
+            if self._has_all:
+                return
+        else:
+            self.estimate(own, self.options.first_walks)
+        generator = np.random.default_rng([self.problem.seed, 4])
+        idle = 0
+        while idle < self.options.idle_rounds:
+            is_sure = self.error.relative is not None
+            scouting = self.budget.phase(self.options.scout_share)
+            exploring = self.budget.phase(self.options.fine_share if is_sure else self.options.exploration_share)
+            points = self._scout(generator, [*starts, own], scouting)
+            before = self.best
+            found = self._hop(points, exploring) if is_sure else self._explore(points, exploring)
+            if self._has_all:
+                return
+            for rms, point in found:
+                if rms > self.options.max_start_ratio * found[0][0] + STOP_TOL:
+                    continue
+                self._converge(point)
+                if self.is_finished:
+                    return
+            idle = 0 if self.best < 0.98 * before else idle + 1
+            starts, own = [], self._allowed(generator.random(len(own)))  # another round begins elsewhere
 
-    def _place_of(self, changes: Mapping[str, Any]) -> Array | None:
-        values = values_of(self.material, self.parameters, changes)
-        if values is None:
-            return None
-        return point_of(
-            self.parameters, {number.path: value for number, value in zip(self.parameters, values, strict=True)}
-        )
-
-    def _allowed(self, place: Array) -> Array:
-        """Return a place where what may be 0 is 0 or well above it."""
-        found = place.copy()
-        for i, holder in self.drops.items():
-            found[i] = 0.0 if found[i] < LEAST else found[i]
-            if found[i] == 0.0:  # what is in a table that is gone makes no difference between places
-                found[[j for j, n in enumerate(self.parameters) if j != i and is_within(n.path, holder)]] = 0.5
+    def _allowed(self, point: Array) -> Array:
+        """Return a point whose optional tables are either removed or well present."""
+        found = point.copy()
+        parameters = self.problem.parameters
+        for i, table in self.problem.removable.items():
+            found[i] = 0.0 if found[i] < self.options.min_amount else found[i]
+            if found[i] == 0.0:  # the contents of a removed table do not distinguish points
+                found[[j for j, p in enumerate(parameters) if j != i and is_within(p.path, table)]] = 0.5
         return found
 
-    def _changes(self, place: Array) -> dict[str, Any]:
-        return changes_of(
-            self.material, self.parameters, [n.value(u) for n, u in zip(self.parameters, place, strict=True)]
-        )
+    def _structure(self, point: Array) -> tuple[bool, ...]:
+        return tuple(bool(point[i] > 0.0) for i in self.problem.removable)
 
-    def _made(self, place: Array) -> Material:
-        return self.material.vary(self._changes(place))
+    def _columns(self, point: Array) -> list[int]:
+        """Return the continuous parameters outside removed tables."""
+        removed = [table for i, table in self.problem.removable.items() if point[i] == 0.0]
+        parameters = self.problem.parameters
+        return [j for j in self.problem.continuous if not any(is_within(parameters[j].path, t) for t in removed)]
 
-    def _check_time(self) -> None:
-        if time.monotonic() > self._deadline:
-            raise TimeIsUp
-
-    def spectra(self, place: Array, grid: Array | None = None) -> Array | None:
-        """Return `[row, wavelength]` of a candidate by its likeness, set right; None where it cannot be computed."""
-        self._check_time()
-        self.evaluations += 1
+    def spectra(self, point: Array, grid: Array | None = None) -> Array | None:
+        """Return `[row, wavelength]` of the corrected surrogate; None if it cannot be computed."""
+        self.charge(1.0 if self._is_fine else COARSE_COST)
+        wavelengths_nm = self._grid if grid is None else grid
         try:
-            model = self._made(place).model
-            found = surrogate_radiance(model, self.wi, self.wo, self.grid if grid is None else grid, self._is_fine)
+            model = self.problem.candidate(self.problem.changes(point)).model
+            found = surrogate_radiance(model, self.wi, self.wo, wavelengths_nm, self._is_fine)
         except (NacreError, ArithmeticError):
             return None
         if found is None:
             return None
-        known, guess = np.pi * found[0], np.pi * found[1]
-        spectra = known + guess if self._correction is None else self._correction.of(known, guess)
+        exact, approximation = np.pi * found[0], np.pi * found[1]
+        correction = self._correction
+        spectra = exact + approximation if correction is None else correction.apply(exact, approximation)
         return spectra if np.all(np.isfinite(spectra)) else None
 
-    def _mean(self, place: Array) -> float:
-        """Return the rms of weight x distance / within by the likeness: far off it says more than the worst."""
-        spectra = self.spectra(place)
-        self._report()
+    def _rms(self, point: Array) -> float:
+        """Return the rms of weight x distance / tolerance by the surrogate, which ranks poor points better."""
+        distances = self._distances(point)
+        return PENALTY if distances is None else float(np.sqrt(np.mean((distances * self._merit.scale) ** 2)))
+
+    def surrogate_objective(self, point: Array) -> float:
+        """Return the objective by the corrected surrogate."""
+        distances = self._distances(point)
+        return PENALTY if distances is None else float(self._merit.objective(distances))
+
+    def _distances(self, point: Array) -> Array | None:
+        spectra = self.spectra(point)
+        self.report()
         if spectra is None:
-            return FAR_OFF
-        distances = self.goals.distances(spectra)
-        self._likely = min(self._likely, (float(self.goals.objective(distances)), place), key=lambda pair: pair[0])
-        return float(np.sqrt(np.mean((distances * self.goals.scale) ** 2)))
+            return None
+        distances = np.asarray(self._merit.distances(spectra))
+        candidate = float(self._merit.objective(distances)), point
+        self._unconfirmed = min(self._unconfirmed, candidate, key=lambda pair: pair[0])
+        return distances
 
-    def _likeness(self, place: Array) -> float:
-        spectra = self.spectra(place)
-        if spectra is None:
-            return FAR_OFF
-        objective = float(self.goals.objective(self.goals.distances(spectra)))
-        self._likely = min(self._likely, (objective, place), key=lambda pair: pair[0])
-        self._report()
-        return objective
-
-    def _report(self) -> None:
-        """Tell how far the search is, now and then."""
-        if self._tell is not None and time.monotonic() - self._last_told > TELL_EVERY_S:
-            self._last_told = time.monotonic()
-            self._tell(self.best, self.best_changes)
-
-    def _walk(self, place: Array, walks: int) -> tuple[float, float]:
-        """Walk at a place, keep what that says of the likeness; return the objective and its noise over `within`."""
-        self._check_time()
-        self._is_fine = True  # what a walk sets right
-        self.walks += walks
+    def estimate(self, point: Array, walks: int) -> tuple[float, float]:
+        """Estimate a point and correct the surrogate there; return the objective and its noise in tolerances."""
+        self.charge(walks / WALKS_PER_EVALUATION)
+        self._is_fine = True
+        problem, seed = self.problem, self.problem.seed + len(self.error.estimates)
         try:
-            model = self._made(place).model
-            seed = self.seed + self._told.count
-            assert isinstance(model, Surrogate)
-            found = model.estimate_radiance(self.wi, self.wo, self.grid, walks, seed)
+            model = problem.candidate(problem.changes(point)).model
+            found = None
+            if isinstance(model, Surrogate):
+                found = model.estimate_radiance(self.wi, self.wo, self._grid, walks, seed)
             if found is None:
-                found = evaluate_with_error(
-                    model.bsdf(self.grid), self.wi, self.wo, samples=max(walks // 4, DEFAULT_SAMPLES), seed=seed
-                )  # type: ignore[assignment]  # its error is None only of what is no walk
-            likeness = surrogate_radiance(model, self.wi, self.wo, self.grid, True)
+                samples = max(walks // 4, DEFAULT_SAMPLES)
+                bsdf = model.bsdf(self._grid)
+                found = evaluate_with_error(bsdf, self.wi, self.wo, samples=samples, seed=seed)  # type: ignore[assignment]
+            surrogate = surrogate_radiance(model, self.wi, self.wo, self._grid, True)
         except (NacreError, ArithmeticError):
-            return FAR_OFF, 0.0
-        assert found is not None and likeness is not None
-        known, guess = np.pi * likeness[0], np.pi * likeness[1]
-        error = np.zeros_like(guess) if found[1] is None else np.pi * found[1]
-        rest, error = self._told.told(walks, known, guess, np.pi * found[0] - known, error)
-        self._correction = Correction(rest, guess)
-        factors = known + rest
-        objective = float(self.goals.objective(self.goals.distances(factors)))
-        noise = self._noise(factors, error)
-        # a lucky draw of few walks is none better than a quiet one
-        here = rank(objective + noise, sum(place[i] > 0.0 for i in self.drops))
-        if here < self._best_rank:
-            self._best_rank = here
-            self.best, self.best_changes, self.noise = objective + noise, self._changes(place), noise
-        self.pool.offer(objective + noise, self._changes(place))
-        if self._tell is not None:
-            self._tell(self.best, self.best_changes)
+            return PENALTY, 0.0
+        assert found is not None and surrogate is not None
+        exact, approximation = np.pi * surrogate[0], np.pi * surrogate[1]
+        error = np.zeros_like(approximation) if found[1] is None else np.pi * found[1]
+        rest, error = self.error.combine(walks, exact, approximation, np.pi * found[0] - exact, error)
+        self._correction = Correction(rest, approximation)
+        factors = exact + rest
+        objective = float(self._merit.objective(self._merit.distances(factors)))
+        moved = delta_e_2000(self._merit.labs(factors), self._merit.labs(factors + error)).max(axis=-1)
+        noise = float(np.max(moved / problem.tolerances()))
+        # the noise is added: a lucky estimate of few walks should not win
+        ranking = rank(objective + noise, sum(self._structure(point)))
+        changes = problem.changes(point)
+        if ranking < self._best_rank:
+            self._best_rank = ranking
+            self.best, self.best_changes = objective + noise, changes
+        self.archive.add(objective + noise, changes)
+        self.report(is_forced=True)
         return objective, noise
 
-    def _noise(self, factors: Array, error: Array) -> float:
-        """Return the noise of the colours as dE00, over `within` of their wants, at worst."""
-        moved = delta_e_2000(self.goals.labs(factors), self.goals.labs(factors + error)).max(axis=-1)
-        return float(np.max(moved / tolerances_of(self.target, self.rows)))
-
-    def _scout(self, generator: np.random.Generator, known: Sequence[Array], until: float) -> list[Array]:
-        """Return places, the best first, by the likeness."""
-        self._correction, self._is_fine = None, False  # what was told of one place is not true of them all
-        judged = [(self._mean(place), place) for place in known]
-        for place in draws(generator, self.parameters, self.drops):
-            place = self._allowed(place)
-            judged.append((self._mean(place), place))
-            if time.monotonic() > until:
+    def _scout(self, generator: np.random.Generator, known: Sequence[Array], phase: Phase) -> list[Array]:
+        """Return points, best first by the coarse surrogate."""
+        self._correction, self._is_fine = None, False  # a correction at one point does not hold for all
+        found = [(self._rms(point), point) for point in known]
+        for point in draws(generator, self.problem.parameters, self.problem.removable):
+            point = self._allowed(point)
+            found.append((self._rms(point), point))
+            if phase.is_over:
                 break
-        judged.sort(key=lambda pair: pair[0])
-        return [place for _, place in judged]
+        return [point for _, point in sorted(found, key=lambda pair: pair[0])]
 
-    def _explore(self, places: Sequence[Array], until: float) -> list[tuple[float, Array]]:
-        """Go down from the best places that are not one; return (rms over `within` by the walk, place), best first.
+    def _explore(self, points: Sequence[Array], phase: Phase) -> list[tuple[float, Array]]:
+        """Refine the best distinct points, each with its own estimates; return (rms, point), best first.
 
-        How far the likeness is off differs from place to place: each descent has a walk of its own, and does not go far
-        on what that told.
+        The error of the surrogate differs from point to point, so a descent does not go far on one correction.
         """
+        options = self.options
         begun: list[Array] = []
         found: list[tuple[float, Array]] = []
         self._is_fine = True
-        if self._told.off is not None:
-            return self._descend_finely(places, until)
-        for place in places:
-            alike = [other for other in begun if self._kept(other) == self._kept(place)]
-            if not apart(place, begun, APART) or len(alike) >= STARTS_OF_A_SET:
+        for point in points:
+            similar = [other for other in begun if self._structure(other) == self._structure(point)]
+            if not is_distinct(point, begun, options.min_start_distance):
                 continue
-            begun.append(place)
-            here, tried = place, []
-            for _ in range(DESCENTS):
-                self._walk(here, SCOUT_WALKS)
-                tried.append((self._mean(here), here))
-                here = self._refine(here, 0, REACH_OF_START)[1]
-            self._walk(here, SCOUT_WALKS)
-            tried.append((self._mean(here), here))
+            if len(similar) >= options.starts_per_structure:
+                continue
+            begun.append(point)
+            here, tried = point, []
+            for turn in range(options.scout_refinements + 1):
+                self.estimate(here, options.scout_walks)
+                tried.append((self._rms(here), here))
+                if turn < options.scout_refinements:
+                    here = self._refine(here, 0, options.scout_radius)[1]
             found.append(min(tried, key=lambda pair: pair[0]))
-            if len(begun) >= STARTS or time.monotonic() > until:
+            if len(begun) >= options.starts or phase.is_over:
                 break
         found.sort(key=lambda pair: pair[0])
-        return [
-            pair
-            for k, pair in enumerate(found)
-            if all(np.max(np.abs(pair[1] - other)) >= APART for _, other in found[:k])
-        ][:KEPT_STARTS]
+        chosen: list[tuple[float, Array]] = []
+        for rms, point in found:
+            if is_distinct(point, [other for _, other in chosen], options.min_start_distance):
+                chosen.append((rms, point))
+        return chosen[: options.best_starts]
 
-    def _descend_finely(self, places: Sequence[Array], until: float) -> list[tuple[float, Array]]:
-        """As `_explore`, by a likeness that needs no walk; a good valley is settled before the next one is tried."""
-        lengths = [
-            j for j, n in enumerate(self.parameters) if n.path.endswith("_nm") and not n.choices and not n.is_whole
-        ]
-        low = np.array([LEAST if j in self.drops else 0.0 for j in range(len(self.parameters))])
-        valleys = BasinHopping(self._residuals, self._numbers, low, lengths, self._with_less, self._kept)
-        self._correction = None
-        whole = self.grid, self.goals
+    def _hop(self, points: Sequence[Array], phase: Phase) -> list[tuple[float, Array]]:
+        """Search local minima by the fine surrogate; good ones are corrected at once. Return (rms, point) as above."""
+        options, problem = self.options, self.problem
+        lengths = [j for j in problem.continuous if problem.parameters[j].path.endswith("_nm")]
+        low = np.array([options.min_amount if j in problem.removable else 0.0 for j in range(len(problem.parameters))])
+        hopping = BasinHopping(self._residuals, self._columns, low, lengths, self._variants, self._structure)
+        self._correction, self._is_fine = None, True
+        whole = self._grid, self._merit
         best = np.inf
         found: list[tuple[float, Array]] = []
         try:
-            self.grid, self.goals = wavelength_subset(self.target, self.rows, whole, places, self.spectra)
-            valleys.begin(places[:RANKED])
-            for run in valleys.run(until):
-                rms = self._mean(run.place)
-                found.append((rms, run.place))
-                if rms > max(GOOD, min(POOR, GAIN * best)):
+            self._grid, self._merit = wavelength_subset(problem, points, self.spectra, options.max_subset_error)
+            hopping.begin(points[: options.fine_starts])
+            for run in hopping.run(lambda: phase.is_over):
+                rms = self._rms(run.point)
+                found.append((rms, run.point))
+                if rms > max(options.good_rms, min(options.poor_objective, options.gain * best)):
                     continue
                 best = min(best, rms)
-                few, (self.grid, self.goals) = (self.grid, self.goals), whole
-                if rms <= GOOD:
-                    self._settle(run.place)
-                    if self._is_met():
+                subset, (self._grid, self._merit) = (self._grid, self._merit), whole
+                if rms <= options.good_rms:
+                    self._converge(run.point)
+                    if self.is_met:
                         break
                 else:
-                    self._walk(run.place, FEW_WALKS)  # the best so far, should the time end
-                self.grid, self.goals = few
+                    self.estimate(run.point, options.first_walks)  # the best so far, in case the budget ends
+                self._grid, self._merit = subset
                 self._correction = None
-            found += [(self._mean(run.place), run.place) for run in valleys.open if run.slopes is not None]
+            found += [(self._rms(run.point), run.point) for run in hopping.open if run.jacobian is not None]
         finally:
-            self.grid, self.goals = whole
+            self._grid, self._merit = whole
         found.sort(key=lambda pair: pair[0])
-        for rms, place in found[1 : self.target.spec.search.solutions]:
-            if rms <= POOR and not self._is_met():
-                self._walk(place, FEW_WALKS)  # one of the other answers
-        return found[:KEPT_STARTS]
+        for rms, point in found[1 : self.solution_count]:
+            if rms <= options.poor_objective and not self.is_met:
+                self.estimate(point, options.first_walks)  # one of the other solutions
+        return found[: options.best_starts]
 
-    def _residuals(self, place: Array) -> Array | None:
-        spectra = self.spectra(place)
-        self._report()
-        return None if spectra is None else np.asarray(self.goals.residuals(spectra))
+    def _residuals(self, point: Array) -> Array | None:
+        spectra = self.spectra(point)
+        return None if spectra is None else np.asarray(self._merit.residuals(spectra))
 
-    def _with_less(self, place: Array) -> list[Array]:
-        """Return a place without any one of what may be left out, as far as anything is left."""
-        there = [i for i in self.drops if place[i] > 0.0]
+    def _variants(self, point: Array) -> list[Array]:
+        """Return the point without each of its optional tables."""
+        present = [i for i in self.problem.removable if point[i] > 0.0]
         found = []
-        for i in there if len(there) > 1 else []:
-            fewer = place.copy()
-            fewer[i] = 0.0
-            found.append(self._allowed(fewer))
+        for i in present if len(present) > 1 else []:
+            reduced = point.copy()
+            reduced[i] = 0.0
+            found.append(self._allowed(reduced))
         return found
 
-    def _kept(self, place: Array) -> tuple[bool, ...]:
-        return tuple(bool(place[i] > 0.0) for i in self.drops)
+    def _refine(
+        self, start: Array, reweightings: int = 1, radius: float = 1.0, max_nfev: int | None = None
+    ) -> tuple[float, Array]:
+        """Refine a point by the corrected surrogate within a trust radius; return objective and point."""
+        columns = self._columns(start)
+        objective = self.surrogate_objective(start)
+        if not columns or objective >= PENALTY:
+            return objective, start
+        removable, least = self.problem.removable, self.options.min_amount
+        low = np.array([max(least if j in removable else 0.0, start[j] - radius) for j in columns])
+        return refine(
+            self.spectra,
+            self._merit,
+            start,
+            columns,
+            low=low,
+            high=np.minimum(np.maximum(start[columns] + radius, low + 1e-3), 1.0),
+            step=self.options.step,
+            max_nfev=self.options.max_nfev if max_nfev is None else max_nfev,
+            tol=1e-5,
+            reweightings=reweightings,
+            stop_tol=STOP_TOL / 2,
+            in_parallel=True,
+        )
 
-    def _numbers(self, place: Array) -> list[int]:
-        """Return which numbers may be refined: none of a table that is gone."""
-        gone = [holder for i, holder in self.drops.items() if place[i] == 0.0]
-        return [
-            j
-            for j, n in enumerate(self.parameters)
-            if not n.choices and not n.is_whole and not any(is_within(n.path, h) for h in gone)
-        ]
-
-    def _refine(self, start: Array, weightings: int = 1, reach: float = 1.0, most: int = STEPS) -> tuple[float, Array]:
-        """Refine the numbers of a place by the likeness; the last steps weigh what is worst."""
-        place, numbers = start.copy(), self._numbers(start)
-        best = self._likeness(place)
-        if not numbers or best >= FAR_OFF:
-            return best, place
-        low = np.array([max(LEAST if j in self.drops else 0.0, start[j] - reach) for j in numbers])
-        high = np.minimum(np.maximum(start[numbers] + reach, low + 1e-3), 1.0)
-        weights = np.ones(len(self.goals.terms))
-        sizes = {"colour": 3, "hue": 1, "chroma": 1, "lightness": 1, "spectrum": len(self.grid)}
-        blocks = [sizes[self.goals.goals[index].kind] for index, _ in self.goals.terms]
-        for turn in range(1 + (weightings if len(weights) > 1 else 0)):
-            is_first = turn == 0
-            spread = np.repeat(weights, blocks)
-            known: dict[bytes, Array] = {}  # where slopes are asked for the descent has just been
-
-            def residuals(
-                x: Array, place: Array = place, spread: Array = spread, known: dict[bytes, Array] = known
-            ) -> Array:
-                found = known.get(x.tobytes())
-                if found is None:
-                    full = place.copy()
-                    full[numbers] = x
-                    spectra = self.spectra(full)
-                    found = np.full(len(spread), FAR_OFF)
-                    if spectra is not None:
-                        found = np.asarray(self.goals.residuals(spectra)) * spread
-                    known[x.tobytes()] = found
-                return found
-
-            def slopes(x: Array, residuals: Callable[[Array], Array] = residuals) -> Array:
-                steps = np.where(x > 0.5, -STEP, STEP)
-                here, *there = in_threads(residuals, [x, *(x + steps[:, None] * np.eye(len(x)))])
-                return np.stack([(r - here) / step for r, step in zip(there, steps, strict=True)], axis=1)
-
-            found = descend(residuals, place[numbers], low=low, high=high, slopes=slopes, most=most, tolerance=1e-5)
-            trial = place.copy()
-            trial[numbers] = found.place
-            objective = self._likeness(trial)
-            # the first descent makes all distances small, not the worst one, and is believed; the others are for that
-            if objective >= best * 0.999 and not is_first:
-                break
-            place, best = trial, objective
-            spectra = self.spectra(place)
-            if spectra is None or best <= MET / 2:
-                break
-            distances = np.asarray(self.goals.distances(spectra)) * self.goals.scale
-            if distances.max() <= 1.05 * distances.mean():
-                break
-            weights = weights * np.sqrt(np.maximum(distances / distances.max(), 0.05))
-            weights /= weights.max()
-        return best, place
-
-    def _without(self, objective: float, place: Array, small: float = SMALL) -> tuple[float, Array]:
-        """Leave out, one after another, small amounts that the looks do not need."""
-        for i in sorted(self.drops, key=lambda i: place[i]):
+    def _without_tables(self, objective: float, point: Array, small: float) -> tuple[float, Array]:
+        """Remove, one by one, the tables of small amounts that the merit does not need."""
+        removable = self.problem.removable
+        for i in sorted(removable, key=lambda i: point[i]):
             if objective > 1.0:
-                break  # what is not met may need it yet
-            if not 0.0 < place[i] < small:
+                break  # an unmet target may need the table yet
+            if not 0.0 < point[i] < small:
                 continue
-            trial = place.copy()
+            trial = point.copy()
             trial[i] = 0.0
-            trial = self._allowed(trial)
-            cost, trial = self._refine(trial, 0)
-            if cost <= max(objective, MET / 2) + WITHOUT:
-                objective, place = cost, trial
-        return objective, place
+            cost, trial = self._refine(self._allowed(trial), 0)
+            if cost <= max(objective, STOP_TOL / 2) + self.options.removal_cost:
+                objective, point = cost, trial
+        return objective, point
 
-    def _simplify(self, objective: float, place: Array, walks: int) -> None:
-        """Try an answer that meets the wants without any one of its pigments, and take what does."""
-        _, fewer = self._without(objective, place, 1.0)
-        if all((fewer[i] > 0.0) == (place[i] > 0.0) for i in self.drops):
-            return
-        self._walk(fewer, walks)
+    def _simplify(self, objective: float, point: Array, walks: int) -> None:
+        """Try a solution without each of its tables, and estimate it if tables could be removed."""
+        _, reduced = self._without_tables(objective, point, 1.0)
+        if self._structure(reduced) != self._structure(point):
+            self.estimate(reduced, walks)
 
-    def _settle(self, start: Array) -> None:
-        """Let walk and likeness agree about a place: walk there, refine with what that says, walk again.
+    def _converge(self, start: Array) -> None:
+        """Alternate estimates and refinements of the corrected surrogate until they agree.
 
-        A step that the walk finds worse is not taken; the next one from there is shorter. Walks are as quiet as the
-        place is good: what is far off needs no more of them.
+        A step that the estimate finds worse is rejected and the trust radius shrinks. The number of walks follows the
+        objective: poor points need no small noise.
         """
-        place, walks, reach = start, FEW_WALKS, REACH
-        most = STEPS if self._told.off is None else SETTLING_STEPS
-        objective, noise = self._walk(place, walks)
-        told, best, idle = self._correction, self.best, 0
-        for turn in range(SETTLINGS):
-            if objective <= MET and noise <= QUIET_SHARE:
-                self._simplify(objective, place, walks)
+        options = self.options
+        point, walks, radius = start, options.first_walks, options.trust_radius
+        max_nfev = options.max_nfev if self.error.relative is None else options.corrected_nfev
+        objective, noise = self.estimate(point, walks)
+        correction, best, idle = self._correction, self.best, 0
+        for turn in range(options.corrections):
+            if objective <= STOP_TOL and noise <= options.max_noise:
+                self._simplify(objective, point, walks)
                 return
-            if objective > HOPELESS * max(best, 1.0) or objective >= FAR_OFF:
+            if objective > options.hopeless_ratio * max(best, 1.0) or objective >= PENALTY:
                 return
-            quiet = max(QUIET_SHARE, LOUD_SHARE * objective)
-            if noise > quiet:
-                walks = int(min(walks * np.clip((noise / quiet) ** 2, 1.5, 4.0), MOST_WALKS))
-            self._correction = told
-            _, moved = self._without(*self._refine(place, reach=reach, most=most))
-            if np.max(np.abs(moved - place)) < SETTLED and noise <= quiet:
+            enough = max(options.max_noise, options.noise_share * objective)
+            if noise > enough:
+                walks = int(min(walks * np.clip((noise / enough) ** 2, 1.5, 4.0), options.max_walks))
+            self._correction = correction
+            _, moved = self._without_tables(
+                *self._refine(point, radius=radius, max_nfev=max_nfev), options.small_amount
+            )
+            if np.max(np.abs(moved - point)) < options.min_radius and noise <= enough:
                 return
-            found, loud = self._walk(moved, walks)
-            if found - noise - loud > objective:
-                reach *= SHORTER
-                if reach < SETTLED:
+            found, found_noise = self.estimate(moved, walks)
+            if found - noise - found_noise > objective:
+                radius *= options.radius_shrink
+                if radius < options.min_radius:
                     return
                 continue
-            if turn >= 3 and found > POOR and found > 0.8 * objective:
-                return  # a valley that does not go down far enough
-            idle = idle + 1 if found > GAIN * objective else 0
-            if idle >= MOST_IDLE and found > 1.0:
+            if turn >= 3 and found > options.poor_objective and found > 0.8 * objective:
+                return  # does not improve quickly enough
+            idle = idle + 1 if found > options.gain * objective else 0
+            if idle >= options.max_idle and found > 1.0:
                 return
-            place, objective, noise, told = moved, found, loud, self._correction
+            point, objective, noise, correction = moved, found, found_noise, self._correction
 
 
-def walked_search(target: DesignTask, seed: int) -> SurrogateSearch | None:
-    """Return the search for a target that has a likeness everywhere it is asked, or None."""
-    if target.spec.layers is not None or any(at.kind != "aspecular" for at in geometries_of(target.targets)):
-        return None
-    search = SurrogateSearch(target, seed)
+def is_applicable(task: DesignTask) -> bool:
+    """Whether a task has a surrogate at all of its geometries."""
+    geometries: list[Geometry] = geometries_of(task.targets)
+    if task.spec.layers is not None or any(geometry.kind != "aspecular" for geometry in geometries):
+        return False
+    wi, wo = aspecular_pairs(geometries)
+    grid = np.asarray(task.material.model.wavelengths_nm)
     try:
-        probe = surrogate_radiance(
-            search.material.model, search.wi, search.wo, search.grid[:: max(len(search.grid) // 3, 1)]
-        )
+        return surrogate_radiance(task.material.model, wi, wo, grid[:: max(len(grid) // 3, 1)]) is not None
     except NacreError:
-        return None
-    return None if probe is None else search
+        return False
 
 
-__all__ = ["SurrogateSearch", "walked_search"]
+__all__ = [
+    "Correction",
+    "SurrogateError",
+    "SurrogateOptions",
+    "SurrogateSearch",
+    "is_applicable",
+    "wavelength_subset",
+]

@@ -6,7 +6,6 @@ import contextlib
 import re
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -22,124 +21,110 @@ from nacre.optimise.evaluation import geometries_of
 from nacre.optimise.measurement import Geometry
 from nacre.optimise.merit import MeritFunction, default_wavelengths_nm
 from nacre.optimise.parameters import Parameter
+from nacre.optimise.problem import BudgetExhausted, Changes, Search
 from nacre.optimise.solutions import are_alike
 from nacre.optimise.spec import LayersSpec
 from nacre.optimise.targets import Target, merit_function
 from nacre.optimise.task import DesignTask, bounds_of, palette_name, substrates
 from nacre.optimise.thin_film.problem import Medium, Slot, StackProblem
-from nacre.optimise.thin_film.search import StackSolution, search
+from nacre.optimise.thin_film.search import StackSolution, default_evaluations, search
 from nacre.optimise.thin_film.search import many as many_stacks
 from nacre.recipe.path_tables import by_path
 from nacre.recipe.paths import EVERY
 from nacre.recipe.units import LENGTH_UNITS_NM
 
-ENGINE_KINDS = ("specular", "transmitted")
+ENGINE_GEOMETRIES = ("specular", "transmitted")
 SIDES = {"specular": "reflected", "transmitted": "transmitted"}
-OWN = (16, 600)  # so many wavelengths of wanted spectra are searched as they are
-STEP_NM = 2.0  # of the grid where spectra are wanted
-MET = 0.2
+OWN_WAVELENGTHS = (16, 600)  # target spectra with as many wavelengths define the grid
+STEP_NM = 2.0  # of the grid for target spectra otherwise
 _LAYER = re.compile(r"layers\[(\d+)\]\.(material|thickness_(?:nm|um|mm))$")
-_SPREAD = re.compile(r"layers\[(\d+|\*)\]\.thickness_(nm|um|mm)$")
+_TOLERANCE = re.compile(r"layers\[(\d+|\*)\]\.thickness_(nm|um|mm)$")
 
 
-class ThinFilmSearch:
-    """The search of one film's stack.
+class ThinFilmSearch(Search):
+    """Genetic search of the stack of a film."""
 
-    Args:
-        target: what is asked, of a film.
-        seed: of the search.
-    """
-
-    def __init__(self, target: DesignTask, seed: int) -> None:
-        self.target, self.seed = target, seed
-        self.entries: dict[str, Any] = {}  # name of a medium -> as a recipe writes it
+    def __init__(self, task: DesignTask, seed: int) -> None:
+        super().__init__(task.spec.search.solutions)
+        self.task, self.seed = task, seed
+        self.entries: dict[str, Any] = {}  # name of a medium -> its recipe entry
         self.problem = self._problem()
-        self._answers: list[tuple[float, dict[str, Any]]] = []
-        self._known: list[tuple[float, dict[str, Any]]] = []
+        self.default_evaluations = default_evaluations(self.problem)
+        self._found: list[tuple[float, Changes]] = []
 
-    def run(
-        self, seconds: float, tell: Callable[[float, dict[str, Any]], None] | None, known: Sequence[Mapping[str, Any]]
-    ) -> str:
-        """Search; return why it ended: "met", "time" or "interrupted".
+    def _search(self, known: Sequence[Mapping[str, Any]]) -> None:
+        self._found = [(self._objective(changes), dict(changes)) for changes in known]
+        self.best = min((objective for objective, _ in self._found), default=np.inf)
 
-        Args:
-            known: answers of an earlier run, which are kept if nothing better is found.
-        """
-        self._known = [(self._objective(changes), dict(changes)) for changes in known]
-        best = min((o for o, _ in self._known), default=np.inf)
-        begun = time.monotonic()
-        told: list[Any] = [np.inf, {}]  # the best that was told
-
-        def show(progress: Any) -> None:
-            if tell is not None:
-                if progress.objective < told[0]:
-                    told[0] = progress.objective
-                    told[1] = self.changes(progress.solution()) if progress.objective < best else {}
-                tell(min(progress.objective, best), told[1])
+        def report(objective: float, solution: Callable[[], StackSolution]) -> None:
+            is_better = objective < self.best
+            if is_better:
+                self.best, self.best_changes = objective, self.changes(solution())
+            self.report(is_better)
 
         with interrupt_flag() as is_interrupted:
-            found = search(self.problem, seconds, self.target.spec.search.solutions, self.seed, show, is_interrupted)
-            stopped = is_interrupted()
-        self._answers = [(s.objective, self.changes(s)) for s in found]
-        if stopped:
-            return "interrupted"
-        reached = min((o for o, _ in self.answers()), default=np.inf)
-        return "met" if reached <= MET or time.monotonic() - begun < 0.5 * seconds else "time"
+            found = search(self.problem, self.budget, self.solution_count, self.seed, report, is_interrupted)
+            is_stopped = is_interrupted()
+        self._found = [*((s.objective, self.changes(s)) for s in found), *self._found]
+        if is_stopped:
+            raise KeyboardInterrupt
+        self.best = min((objective for objective, _ in self.solutions()), default=np.inf)
+        if not self.is_met and self.budget.share_used > 0.5:
+            raise BudgetExhausted
 
-    def answers(self) -> list[tuple[float, dict[str, Any]]]:
-        """Return answers that differ from one another, the best first."""
-        chosen: list[tuple[float, dict[str, Any]]] = []
-        pool = [*self._answers, *self._known]
-        if not self.problem.fewest and not self.problem.has_spread:
-            pool.sort(key=lambda a: a[0])  # else the search's own order is by layers or by yield
-        for objective, changes in pool:
+    def solutions(self) -> list[tuple[float, Changes]]:
+        """Return distinct solutions, best first."""
+        found = list(self._found)
+        if not self.problem.prefer_few_layers and not self.problem.has_tolerance:
+            found.sort(key=lambda one: one[0])  # otherwise in the search's order, by layers or by yield
+        chosen: list[tuple[float, Changes]] = []
+        for objective, changes in found:
             if not any(are_alike(changes, other) for _, other in chosen):
                 chosen.append((objective, changes))
-        return chosen[: self.target.spec.search.solutions]
+        return chosen[: self.solution_count]
 
-    def changes(self, solution: StackSolution) -> dict[str, Any]:
-        """Return a stack as changes of the recipe."""
+    def changes(self, solution: StackSolution) -> Changes:
+        """Return a stack as recipe changes."""
         below = {"substrate": self.entries[solution.substrate]} if len(self.problem.substrates) > 1 else {}
-        if self.target.spec.layers is not None:
+        if self.task.spec.layers is not None:
             layers = [
                 {"material": self.entries[name], "thickness_nm": float(d)}
                 for name, d in zip(solution.materials, solution.thicknesses_nm)
             ]
             return {"layers": layers, **below}
-        found: dict[str, Any] = {}
-        for number in self.target.parameters:
-            match = _LAYER.match(number.path)
+        found: Changes = {}
+        for parameter in self.task.parameters:
+            match = _LAYER.match(parameter.path)
             if match is None:
                 continue
-            i, word = int(match[1]), match[2]
-            if word == "material":
-                found[number.path] = self.entries[solution.materials[i]]
+            i, key = int(match[1]), match[2]
+            if key == "material":
+                found[parameter.path] = self.entries[solution.materials[i]]
             else:
-                value = float(solution.thicknesses_nm[i]) / LENGTH_UNITS_NM[word.rpartition("_")[2]]
-                found[number.path] = min(max(value, number.low), number.high)
+                value = float(solution.thicknesses_nm[i]) / LENGTH_UNITS_NM[key.rpartition("_")[2]]
+                found[parameter.path] = min(max(value, parameter.low), parameter.high)
         return {**found, **below}
 
-    def goals(self, wants: Sequence[Target]) -> MeritFunction:
-        """Return goals of other wants at the same geometries."""
-        return merit_function(
-            wants, geometries_of(self.target.targets), self.target.spec.light, self.problem.goals.wavelengths_nm
-        )
+    def merit_of(self, targets: Sequence[Target]) -> MeritFunction:
+        """Return the merit function of other targets at the same geometries."""
+        grid = self.problem.merit.wavelengths_nm
+        return merit_function(targets, geometries_of(self.task.targets), self.task.spec.light, grid)
 
     def _objective(self, changes: Mapping[str, Any]) -> float:
-        made = self.target.material.vary(changes)
-        seen = stack_factors(made, geometries_of(self.target.targets), self.problem.goals.wavelengths_nm)
-        return np.inf if seen is None else float(self.problem.goals.objective(self.problem.goals.distances(seen)))
+        made, merit = self.task.material.vary(changes), self.problem.merit
+        seen = stack_factors(made, geometries_of(self.task.targets), merit.wavelengths_nm)
+        return np.inf if seen is None else float(merit.objective(merit.distances(seen)))
 
     def _problem(self) -> StackProblem:
-        target = self.target
-        spec, rows = target.spec, geometries_of(target.targets)
-        grid = engine_wavelengths(target.targets)
+        task = self.task
+        spec, rows = task.spec, geometries_of(task.targets)
+        grid = engine_wavelengths(task.targets)
         slots, names, below = self._given_layers() if spec.layers is None else self._open_stack(spec.layers)
         media = self._media([*names, *below], grid)
-        film = _film(target.material)
-        relative, absolute = self._spreads(len(slots) if slots is not None else None)
+        film = _film(task.material)
+        relative, absolute = self._tolerances(len(slots) if slots is not None else None)
         return StackProblem(
-            goals=merit_function(target.targets, rows, spec.light, grid),
+            merit=merit_function(task.targets, rows, spec.light, grid),
             palette=tuple(media[: len(names)]),
             substrates=tuple(media[len(names) :]),
             angles_rad=tuple(float(np.radians(at.theta_deg)) for at in rows),
@@ -150,16 +135,16 @@ class ThinFilmSearch:
             if spec.layers is None
             else {palette_name(e): bounds_of(spec.layers, e) for e in spec.layers.palette},
             slots=slots,
-            total_nm=spec.limits.max_total_nm if spec.limits.max_total_nm is not None else np.inf,
-            fewest=spec.limits.max_layers == "fewest",
-            spread_relative=relative,
-            spread_nm=absolute,
+            max_total_nm=spec.limits.max_total_nm if spec.limits.max_total_nm is not None else np.inf,
+            prefer_few_layers=spec.limits.max_layers == "fewest",
+            relative_tolerance=relative,
+            absolute_tolerance_nm=absolute,
         )
 
     def _open_stack(self, layers: LayersSpec) -> tuple[None, list[str], list[str]]:
         for entry in layers.palette:
             self.entries[palette_name(entry)] = entry
-        below = substrates(layers) or [self.target.material.data["substrate"]]
+        below = substrates(layers) or [self.task.material.data["substrate"]]
         return None, [palette_name(e) for e in layers.palette], [self._below(entry) for entry in below]
 
     def _below(self, entry: Any) -> str:
@@ -169,8 +154,8 @@ class ThinFilmSearch:
 
     def _given_layers(self) -> tuple[tuple[Slot, ...], list[str], list[str]]:
         """Return the recipe's layers as slots, with what is free in them."""
-        film, layers = _film(self.target.material), self.target.material.data.get("layers", [])
-        free = {number.path: number for number in self.target.parameters}
+        film, layers = _film(self.task.material), self.task.material.data.get("layers", [])
+        free = {number.path: number for number in self.task.parameters}
         names: dict[str, None] = {}
         slots = []
         for i, layer in enumerate(layers):
@@ -187,29 +172,29 @@ class ThinFilmSearch:
                     low, high = factor * number.low, factor * number.high
             slots.append(Slot(own, float(low), float(high)))
         choice = free.get("substrate")
-        below = list(choice.choices) if choice is not None else [self.target.material.data["substrate"]]
+        below = list(choice.choices) if choice is not None else [self.task.material.data["substrate"]]
         return tuple(slots), list(names), [self._below(entry) for entry in below]
 
     def _media(self, names: Sequence[str], grid: Array) -> list[Medium]:
         """Return the media, their indices built as the recipe builds them."""
         data = [{"material": self.entries[name], "thickness_nm": 1.0} for name in names]
-        film = _film(self.target.material.vary({"layers": data}))
+        film = _film(self.task.material.vary({"layers": data}))
         return [Medium(name, layer.material.n_complex(grid)) for name, layer in zip(names, film.layers, strict=True)]
 
-    def _spreads(self, slots: int | None) -> tuple[float | tuple[float, ...], float | tuple[float, ...]]:
+    def _tolerances(self, slots: int | None) -> tuple[float | tuple[float, ...], float | tuple[float, ...]]:
         """Return the spread of thicknesses, relative and in nm: one number, or one a layer.
 
         Raises:
             RecipeError: a spread of something else than the layers' thicknesses.
         """
-        table = by_path(self.target.spec.tolerance, {"deviation", "percent"}, self.target.context.source, "tolerance")
+        table = by_path(self.task.spec.tolerance, {"deviation", "percent"}, self.task.context.source, "tolerance")
         relative, absolute = np.zeros(max(slots or 1, 1)), np.zeros(max(slots or 1, 1))
         # of an index last: it wins over every one
         for path, entry in sorted(table.items(), key=lambda pair: -pair[0].count(EVERY)):
-            match = _SPREAD.match(path)
+            match = _TOLERANCE.match(path)
             if match is None or (slots is None and match[1] != "*"):
                 raise RecipeError(
-                    f'{self.target.context.source}: tolerance."{path}" is not of the layers that are sought; '
+                    f'{self.task.context.source}: tolerance."{path}" is not of the layers that are sought; '
                     'write "layers[*].thickness_nm"'
                 )
             share, size = _deviation(entry, LENGTH_UNITS_NM[match[2]])
@@ -237,7 +222,7 @@ def thin_film_search(target: DesignTask, seed: int) -> ThinFilmSearch | None:
     Raises:
         RecipeError: the stack is sought for looks that it does not decide alone.
     """
-    others = [want for want in target.targets if want.geometry.kind not in ENGINE_KINDS]
+    others = [want for want in target.targets if want.geometry.kind not in ENGINE_GEOMETRIES]
     if target.spec.layers is not None:
         if others:
             raise RecipeError(
@@ -248,7 +233,7 @@ def thin_film_search(target: DesignTask, seed: int) -> ThinFilmSearch | None:
         return ThinFilmSearch(target, seed)
     is_stack = not others and is_plain(target.material) and all(_is_of_stack(number) for number in target.parameters)
     spreads = by_path(target.spec.tolerance, {"deviation", "percent"}, target.context.source, "tolerance")
-    return ThinFilmSearch(target, seed) if is_stack and all(_SPREAD.match(path) for path in spreads) else None
+    return ThinFilmSearch(target, seed) if is_stack and all(_TOLERANCE.match(path) for path in spreads) else None
 
 
 def thin_film_search_many(
@@ -271,10 +256,10 @@ def thin_film_search_many(
     if one is None:
         return False
     if which:
-        goals = [one.goals(other.targets) for other in targets]
+        merits = [one.merit_of(other.targets) for other in targets]
         many_stacks(
             one.problem,
-            goals,
+            merits,
             target.spec.search.seed,
             which=which,
             on_progress=lambda number, solution: take(number, one.changes(solution)),
@@ -328,7 +313,7 @@ def engine_wavelengths(wants: Sequence[Target]) -> Array:
             else grid
         )
     own = np.unique(np.concatenate([s[0] for s in spectra]))
-    if OWN[0] <= len(own) <= OWN[1]:
+    if OWN_WAVELENGTHS[0] <= len(own) <= OWN_WAVELENGTHS[1]:
         return own
     return np.linspace(low, high, max(int(np.ceil((high - low) / STEP_NM)) + 1, 4))
 
@@ -341,7 +326,7 @@ def stack_factors(
     Args:
         thicknesses_nm: `[..., layer]`, of stacks of the same materials; default: the material's own.
     """
-    if not is_plain(material) or any(at.kind not in ENGINE_KINDS for at in rows):
+    if not is_plain(material) or any(at.kind not in ENGINE_GEOMETRIES for at in rows):
         return None
     film = _film(material)
     d = np.array([layer.thickness_at() for layer in film.layers]) if thicknesses_nm is None else thicknesses_nm
@@ -365,7 +350,7 @@ def drawn_factors(
         return None
     d = np.repeat([[layer.thickness_at() for layer in _film(material).layers]], len(values), axis=0)
     for path, column in zip(paths, values.T, strict=True):
-        match = _SPREAD.match(path)
+        match = _TOLERANCE.match(path)
         if match is None or match[1] == "*":
             return None
         d[:, int(match[1])] = column * LENGTH_UNITS_NM[match[2]]

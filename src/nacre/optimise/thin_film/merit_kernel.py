@@ -51,7 +51,7 @@ class CompiledMerit(NamedTuple):
     residuals: Any
 
 
-def compile_merit(goals: MeritFunction, margin: float = 0.0) -> CompiledMerit:
+def compile_merit(merit: MeritFunction, margin: float = 0.0) -> CompiledMerit:
     """Return the goals as arrays for `look`.
 
     Args:
@@ -59,11 +59,12 @@ def compile_merit(goals: MeritFunction, margin: float = 0.0) -> CompiledMerit:
             narrowed by as many degrees at most, and by a tenth of the range; no range is narrowed to nothing.
     """
     order = sorted(
-        range(len(goals.terms)), key=lambda t: (goals.goals[goals.terms[t][0]].row, goals.terms[t][1], goals.terms[t])
+        range(len(merit.terms)),
+        key=lambda t: (merit.operands[merit.terms[t][0]].row, merit.terms[t][1], merit.terms[t]),
     )
-    chosen = [(goals.goals[goals.terms[t][0]], goals.terms[t][1], t) for t in order]
+    chosen = [(merit.operands[merit.terms[t][0]], merit.terms[t][1], t) for t in order]
     ranges = [_narrowed(goal, margin) for goal, _, _ in chosen]
-    samples = len(goals.wavelengths_nm)
+    samples = len(merit.wavelengths_nm)
     wanted, shares = np.zeros((len(chosen), samples)), np.ones(len(chosen))
     sizes = {"colour": 3, "spectrum": samples}
     for i, (goal, _, _) in enumerate(chosen):
@@ -72,15 +73,15 @@ def compile_merit(goals: MeritFunction, margin: float = 0.0) -> CompiledMerit:
             wanted[i] = np.where(known, goal.reflectance, NOTHING)
             shares[i] = np.sqrt(samples / known.sum())
     return CompiledMerit(
-        np.ascontiguousarray(np.swapaxes(goals.colour_weights, 1, 2)),
-        goals.whites,
+        np.ascontiguousarray(np.swapaxes(merit.colour_weights, 1, 2)),
+        merit.whites,
         np.array([KINDS.index(goal.kind) for goal, _, _ in chosen]),
         np.array([goal.row for goal, _, _ in chosen]),
         np.array([lamp for _, lamp, _ in chosen]),
-        np.ascontiguousarray(goals.lab[order]),
+        np.ascontiguousarray(merit.lab[order]),
         np.array([ends[0] for ends in ranges]),
         np.array([ends[1] for ends in ranges]),
-        np.ascontiguousarray(goals.scale[order] * shares),
+        np.ascontiguousarray(merit.scale[order] * shares),
         np.array([goal.weight for goal, _, _ in chosen]),
         wanted,
         np.array([sum(sizes.get(goal.kind, 1) for goal, _, _ in chosen)]),

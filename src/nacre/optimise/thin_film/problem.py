@@ -46,7 +46,7 @@ class StackProblem:
     """A film to be found.
 
     Attributes:
-        goals: what is wanted; its rows are those of `angles_rad`.
+        merit: merit function; its rows are those of `angles_rad`.
         palette: materials of the layers.
         substrates: one or more media to choose from below the layers.
         angles_rad: `[row]`, in the ambient.
@@ -55,16 +55,16 @@ class StackProblem:
         max_layers: how many layers there may be (open stack).
         bounds_nm: name -> (low, high), of the palette (open stack).
         slots: the layers from the top, where they are given; then `most` and `bounds_nm` are not asked.
-        total_nm: bound of the sum of thicknesses.
-        fewest: whether fewer layers are preferred at equal looks.
-        spread_relative, spread_nm: standard deviation of a layer's thickness, as a share of it and in nm, one number
-            or one a slot; both 0 without `[tolerance]`.
+        max_total_nm: bound of the sum of thicknesses.
+        prefer_few_layers: whether fewer layers win at equal merit.
+        relative_tolerance, absolute_tolerance_nm: standard deviations of the thicknesses, as a share and in nm:
+            one number or one per slot.
 
     Raises:
         NacreError: where these do not fit together.
     """
 
-    goals: MeritFunction
+    merit: MeritFunction
     palette: tuple[Medium, ...]
     substrates: tuple[Medium, ...]
     angles_rad: tuple[float, ...] = (0.0,)
@@ -73,18 +73,18 @@ class StackProblem:
     max_layers: int = 6
     bounds_nm: dict[str, tuple[float, float]] | None = None
     slots: tuple[Slot, ...] | None = None
-    total_nm: float = float("inf")
-    fewest: bool = False
-    spread_relative: float | tuple[float, ...] = 0.0
-    spread_nm: float | tuple[float, ...] = 0.0
+    max_total_nm: float = float("inf")
+    prefer_few_layers: bool = False
+    relative_tolerance: float | tuple[float, ...] = 0.0
+    absolute_tolerance_nm: float | tuple[float, ...] = 0.0
 
     def __post_init__(self) -> None:
         if not self.substrates:
             raise NacreError("a film needs at least one substrate")
-        if self.goals.rows > len(self.angles_rad):
-            raise NacreError(f"a want looks at row {self.goals.rows - 1}; there are {len(self.angles_rad)} directions")
+        if self.merit.rows > len(self.angles_rad):
+            raise NacreError(f"a want looks at row {self.merit.rows - 1}; there are {len(self.angles_rad)} directions")
         names = [m.name for m in self.palette]
-        samples = len(self.goals.wavelengths_nm)
+        samples = len(self.merit.wavelengths_nm)
         for medium in (*self.palette, *self.substrates):
             if np.shape(medium.n) != (samples,):
                 raise NacreError(f'the index of "{medium.name}" needs {samples} values, one a wavelength')
@@ -99,8 +99,8 @@ class StackProblem:
         for slot in self.slots or ():
             if not slot.materials or not 0.0 <= slot.low_nm <= slot.high_nm:
                 raise NacreError(f"a layer needs a material and bounds that do not cross: {slot}")
-        if sum(s.low_nm for s in self.slots or ()) > self.total_nm:
-            raise NacreError(f"the least thicknesses sum to more than total_nm = {self.total_nm:g}")
+        if sum(s.low_nm for s in self.slots or ()) > self.max_total_nm:
+            raise NacreError(f"the least thicknesses sum to more than max_total_nm = {self.max_total_nm:g}")
 
     def bounds_of(self, name: str) -> tuple[float, float]:
         """Return the bounds of a material's layers in nm (of an open stack)."""
@@ -117,9 +117,11 @@ class StackProblem:
         return self.max_layers if self.slots is None else len(self.slots)
 
     @property
-    def has_spread(self) -> bool:
+    def has_tolerance(self) -> bool:
         """Whether thicknesses vary in manufacture."""
-        return bool(np.any(np.asarray(self.spread_relative) > 0.0) or np.any(np.asarray(self.spread_nm) > 0.0))
+        return bool(
+            np.any(np.asarray(self.relative_tolerance) > 0.0) or np.any(np.asarray(self.absolute_tolerance_nm) > 0.0)
+        )
 
     def media(self) -> tuple[Medium, ...]:
         """Return palette and substrates, in the order of the tables after the ambient."""
@@ -127,12 +129,12 @@ class StackProblem:
 
     def tables(self, samples: Any = slice(None)) -> StackTables:
         """Return the tables of all media on some of the wavelengths."""
-        n = np.empty((1 + len(self.media()), len(self.goals.wavelengths_nm)), dtype=complex)
+        n = np.empty((1 + len(self.media()), len(self.merit.wavelengths_nm)), dtype=complex)
         n[0] = self.ambient
         for row, medium in zip(n[1:], self.media()):
             row[:] = medium.n
         return stack_tables(
-            n[:, samples], self.goals.wavelengths_nm[samples], np.asarray(self.angles_rad, dtype=float), self.sides
+            n[:, samples], self.merit.wavelengths_nm[samples], np.asarray(self.angles_rad, dtype=float), self.sides
         )
 
     def space(self) -> Space:
@@ -150,7 +152,7 @@ class StackProblem:
             for name in names:
                 ends = self.bounds_of(name) if self.slots is None else (self.slots[j].low_nm, self.slots[j].high_nm)
                 low[j, number[name]], high[j, number[name]] = ends
-        middle = len(self.goals.wavelengths_nm) // 2
+        middle = len(self.merit.wavelengths_nm) // 2
         return Space(
             choices,
             choice_count,
@@ -159,21 +161,24 @@ class StackProblem:
             np.array([False, *(m.n[middle].imag > METAL_K for m in self.media())]),
             np.arange(1 + len(self.palette), media),
             np.array([self.slots is None]),
-            np.array([min(self.total_nm, 1e9)]),
-            np.array(np.broadcast_to(np.asarray(self.spread_relative, dtype=float), (count,))),
-            np.array(np.broadcast_to(np.asarray(self.spread_nm, dtype=float), (count,))),
-            np.random.default_rng(YIELD_SEED).normal(size=(YIELD_DRAWS if self.has_spread else 0, count)),
+            np.array([min(self.max_total_nm, 1e9)]),
+            np.array(np.broadcast_to(np.asarray(self.relative_tolerance, dtype=float), (count,))),
+            np.array(np.broadcast_to(np.asarray(self.absolute_tolerance_nm, dtype=float), (count,))),
+            np.random.default_rng(YIELD_SEED).normal(size=(YIELD_DRAWS if self.has_tolerance else 0, count)),
         )
 
     def sigma_nm(self, thicknesses_nm: Array) -> Array:
         """Return the standard deviations of layers `[layer]`, nm."""
         d = np.asarray(thicknesses_nm, dtype=float)
-        relative, absolute = np.asarray(self.spread_relative, dtype=float), np.asarray(self.spread_nm, dtype=float)
+        relative, absolute = (
+            np.asarray(self.relative_tolerance, dtype=float),
+            np.asarray(self.absolute_tolerance_nm, dtype=float),
+        )
         return np.asarray(np.hypot(np.broadcast_to(relative, d.shape) * d, np.broadcast_to(absolute, d.shape)))
 
-    def coarse(self) -> Any:
+    def coarse_samples(self) -> Any:
         """Return the numbers of the wavelengths on which the search begins: few, by the thickness to be expected."""
-        grid = self.goals.wavelengths_nm
+        grid = self.merit.wavelengths_nm
         space = self.space()
         dense = np.array([1.0, *(float(np.mean(m.n.real)) for m in self.media())])
         expected = 0.0
@@ -181,7 +186,7 @@ class StackProblem:
             names = space.choices[j, : space.choice_count[j]]
             expected += float(np.mean([0.4 * min(space.high[j, m], 1e5) * dense[m] for m in names if m]))
         step = next((s for s, limit in zip(COARSE_STEPS_NM, COARSE_LIMITS_NM) if expected < limit), COARSE_STEPS_NM[-1])
-        has_colour = any(goal.kind != "spectrum" for goal in self.goals.goals)
+        has_colour = any(goal.kind != "spectrum" for goal in self.merit.operands)
         inside = (grid >= SEEN_NM[0]) & (grid <= SEEN_NM[1]) if has_colour else np.ones(len(grid), dtype=bool)
         numbers = np.flatnonzero(inside)
         stride = max(1, int(round(step / float(np.median(np.diff(grid))))))

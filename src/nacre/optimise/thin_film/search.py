@@ -1,8 +1,8 @@
-"""The search of films: islands of stacks that breed, on few wavelengths; the best are finished and judged on all.
+"""Island-model genetic search of thin-film stacks on a coarse wavelength grid; the best are refined on the full grid.
 
-An island starts from draws and breeds until it stands still; then another starts, and every third is peopled by the
-best of all before. Materials, order and count change by breeding, thicknesses by descent (`stack_breed`,
-`stack_descent`). What counts in the end is `MeritFunction` on the full grid.
+An island starts from random stacks and evolves until it stagnates; then another starts, and every third is populated by
+the best of all before. Materials, order and number of layers change by evolution, thicknesses by descent (`genetic`,
+`levenberg_marquardt`). Solutions are evaluated by the `MeritFunction` itself.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from typing import Any
@@ -22,6 +22,7 @@ from nacre.core.errors import NacreError
 from nacre.core.parallel import available_jobs
 from nacre.matter.stack.thickness_gradient import scratch, spectra_and_gradients
 from nacre.optimise.merit import MeritFunction, difference_components
+from nacre.optimise.problem import STOP_TOL, Budget
 from nacre.optimise.thin_film.genetic import (
     WORST_POWER,
     Population,
@@ -35,43 +36,69 @@ from nacre.optimise.thin_film.levenberg_marquardt import descend, keep_total, wo
 from nacre.optimise.thin_film.merit_kernel import compile_merit
 from nacre.optimise.thin_film.problem import StackProblem
 
-POOL = 48
-LITTER = 96
-FRESH = 0.1
-MARGIN = 0.15  # of `within`, by which ranges are narrowed
-REACHED = 0.2  # of `within`: the issue's end of a search
-PLAIN_SHARE, ROBUST_SHARE = 0.95, 0.9  # of the seconds for the search itself; the rest finishes and judges
-LADDER_SHARE = 0.5  # of that time: what stacks of fewer layers than are allowed may take, where few are preferred
-COMPILED_SHARE = 0.5  # of the seconds that a search keeps where kernels are compiled first, once an installation
-YIELD_DRAWS = 1000  # for the yield that is told
-YIELD_SEED, SETTLING_SEED = 21, 22  # the yield that is told was not what the last steps were chosen by
-SETTLING_STEPS = 150
-SETTLING_SIZE = (0.02, 0.002)  # of the thicknesses: the first such step, and the smallest
-MADE = 0.01  # share of misses at which a search for yield ends
-STILL_LITTERS = 30  # rounds without a gain of `GAIN`, then a new island
-GAIN = 0.02
-MERGE_EVERY = 3
-FINISHED = 24  # candidates that are finished on all wavelengths
-FINISH_STEPS = 25
-ALIKE = 0.2  # the same materials with all thicknesses this near are one answer
-EQUAL_LOOKS = 0.1  # of `within`: nobody chooses between these by their look
-SHARED_DRAWS = 60_000
-MANY_STARTS = 24
-MANY_LITTER = 48
-MANY_ROUNDS = 30
+YIELD_SEED, SETTLING_SEED = 21, 22  # the reported yield has draws of its own
+SIMILAR = 0.2  # relative thickness difference within which stacks of the same materials are one solution
+
+
+@dataclass(frozen=True)
+class GeneticOptions:
+    """Options of `search`.
+
+    Attributes:
+        population_size: structures of an island.
+        offspring: stacks of a batch; `batches` of them, each with its own seed, are a generation.
+        fresh_share: offspring drawn anew.
+        margin: of the tolerance, by which ranges are narrowed.
+        search_share, robust_search_share: of the budget before the refinement; with manufacturing tolerances.
+        ladder_share: of the search, for fewer layers than allowed if few are preferred.
+        compile_share: of the time limit that remains if kernels are compiled first.
+        stall_generations, min_gain: generations without that relative gain end an island.
+        merge_every: every such island is populated by the best of all.
+        finalists, final_steps: stacks refined on all wavelengths, and steps of each.
+        yield_draws: samples of the yield.
+        stop_failure: share of failing samples at which a search for yield ends.
+        settling_steps, settling_size: random steps towards a higher yield, their first and smallest relative size.
+        equal_objective: difference of objectives within which fewer layers win.
+        shared_draws: stacks drawn for many targets together; of them `shared_starts` are refined per target, then
+            up to `shared_generations` of `shared_offspring` follow.
+    """
+
+    population_size: int = 48
+    offspring: int = 24
+    batches: int = 8
+    fresh_share: float = 0.1
+    margin: float = 0.15
+    search_share: float = 0.95
+    robust_search_share: float = 0.9
+    ladder_share: float = 0.5
+    compile_share: float = 0.5
+    stall_generations: int = 30
+    min_gain: float = 0.02
+    merge_every: int = 3
+    finalists: int = 24
+    final_steps: int = 25
+    yield_draws: int = 1000
+    stop_failure: float = 0.01
+    settling_steps: int = 150
+    settling_size: tuple[float, float] = (0.02, 0.002)
+    equal_objective: float = 0.1
+    shared_draws: int = 60_000
+    shared_starts: int = 24
+    shared_offspring: int = 48
+    shared_generations: int = 30
 
 
 @dataclass(frozen=True, eq=False)
 class StackSolution:
-    """One answer.
+    """One solution.
 
     Attributes:
         materials: names of the layers from the top.
         thicknesses_nm: `[layer]`.
-        substrate: name of what lies below.
-        d: `[term]`, distances of the goals' terms on all wavelengths (`MeritFunction.distances`).
+        substrate: name.
+        d: `[term]`, distances on all wavelengths (`MeritFunction.distances`).
         objective: `MeritFunction.objective` of them.
-        yield_share: share of made samples that meet all wants, or None without spreads.
+        yield_share: share of manufactured samples that meet all targets, or None without tolerances.
     """
 
     materials: tuple[str, ...]
@@ -82,18 +109,10 @@ class StackSolution:
     yield_share: float | None = None
 
 
-@dataclass(frozen=True)
-class Progress:
-    """How far a search is: seconds, stacks begun, the best objective so far (coarse grid), and what names its stack."""
-
-    seconds: float
-    children: int
-    objective: float
-    solution: Callable[[], StackSolution]
-
-
 @dataclass
-class _Candidate:
+class Stack:
+    """A candidate: media numbers and thicknesses, with room for more layers than it has."""
+
     score: float
     media: Any
     d: Array
@@ -101,110 +120,118 @@ class _Candidate:
     substrate: int
 
     @property
-    def key(self) -> tuple[int, ...]:
-        """Materials, order, count and substrate."""
+    def structure(self) -> tuple[int, ...]:
+        """Materials, order, number of layers and substrate."""
         return (*(int(m) for m in self.media[: self.layers]), -self.substrate)
 
 
 @dataclass
 class _Island:
-    """The best stack of each structure, and the arrays that `breed` reads."""
+    """The best stack of each structure."""
 
     slots: int
-    items: dict[tuple[int, ...], _Candidate] = field(default_factory=dict)
-    still: int = 0
+    options: GeneticOptions
+    stacks: dict[tuple[int, ...], Stack] = field(default_factory=dict)
+    stalled: int = 0
     best: float = np.inf
 
-    def take(self, found: Iterable[_Candidate]) -> None:
-        """Add candidates, and keep the best structures."""
+    def add(self, found: Iterable[Stack]) -> None:
+        """Add stacks and keep the best structures."""
         for one in found:
-            held = self.items.get(one.key)
-            if held is None or one.score < held.score:
-                self.items[one.key] = one
-        if len(self.items) > POOL:
-            ordered = sorted(self.items.values(), key=lambda c: c.score)[:POOL]
-            self.items = {c.key: c for c in ordered}
-        best = min((c.score for c in self.items.values()), default=np.inf)
-        self.still = 0 if best < (1.0 - GAIN) * self.best else self.still + 1
-        self.best = min(best, self.best) if self.still else best
+            other = self.stacks.get(one.structure)
+            if other is None or one.score < other.score:
+                self.stacks[one.structure] = one
+        if len(self.stacks) > self.options.population_size:
+            self.stacks = {one.structure: one for one in self.ordered()[: self.options.population_size]}
+        best = min((one.score for one in self.stacks.values()), default=np.inf)
+        self.stalled = 0 if best < (1.0 - self.options.min_gain) * self.best else self.stalled + 1
+        self.best = min(best, self.best) if self.stalled else best
 
-    def ordered(self) -> list[_Candidate]:
-        """Return the candidates, best first."""
-        return sorted(self.items.values(), key=lambda c: c.score)
+    def ordered(self) -> list[Stack]:
+        """Return the stacks, best first."""
+        return sorted(self.stacks.values(), key=lambda one: one.score)
 
-    def brood(self) -> tuple[Population, int]:
-        """Return them as arrays, best first, and how many."""
-        return _as_brood(self.ordered(), self.slots)
-
-
-def _as_brood(candidates: Sequence[_Candidate], slots: int) -> tuple[Population, int]:
-    pool = empty_population(max(len(candidates), 1), slots + 3)
-    for i, c in enumerate(candidates):
-        pool.score[i], pool.layers[i], pool.substrate[i] = c.score, c.layers, c.substrate
-        pool.media[i, : c.layers], pool.d[i, : c.layers] = c.media[: c.layers], c.d[: c.layers]
-    return pool, len(candidates)
+    def population(self) -> tuple[Population, int]:
+        """Return the stacks as arrays, best first, and their number."""
+        stacks = self.ordered()
+        found = empty_population(max(len(stacks), 1), self.slots + 3)
+        for i, one in enumerate(stacks):
+            found.score[i], found.layers[i], found.substrate[i] = one.score, one.layers, one.substrate
+            found.media[i, : one.layers], found.d[i, : one.layers] = one.media[: one.layers], one.d[: one.layers]
+        return found, len(stacks)
 
 
-def _candidates(brood: Population, count: int) -> list[_Candidate]:
-    return [
-        _Candidate(
-            float(brood.score[i]),
-            brood.media[i].copy(),
-            brood.d[i].copy(),
-            int(brood.layers[i]),
-            int(brood.substrate[i]),
-        )
-        for i in range(count)
-    ]
+def _stacks(population: Population, count: int) -> Iterator[Stack]:
+    for i in range(count):
+        media, d = population.media[i].copy(), population.d[i].copy()
+        yield Stack(float(population.score[i]), media, d, int(population.layers[i]), int(population.substrate[i]))
 
 
-class _Engine:
+class Engine:
     """A problem in compiled form, on the coarse and on the full grid."""
 
-    def __init__(self, problem: StackProblem, jobs: int | None = None) -> None:
+    def __init__(self, problem: StackProblem, jobs: int | None = None, options: GeneticOptions | None = None) -> None:
         self.problem = problem
+        self.options = GeneticOptions() if options is None else options
         self.slots = problem.layers
         self.space = problem.space()
-        self.samples = problem.coarse()
+        self.samples = problem.coarse_samples()
         self.tables, self.fine_tables = problem.tables(self.samples), problem.tables()
         self.jobs = available_jobs() if jobs is None else max(1, jobs)
-        self.aim(problem.goals)
+        self.aim(problem.merit)
 
-    def aim(self, goals: MeritFunction) -> None:
-        """Take other goals of the same rows."""
-        self.goals = goals
-        self.coarse_goals = goals.on(self.samples)
-        self.looks, self.fine_looks = compile_merit(self.coarse_goals, MARGIN), compile_merit(goals, MARGIN)
+    def aim(self, merit: MeritFunction) -> None:
+        """Take another merit function of the same rows."""
+        self.merit, self.coarse_merit = merit, merit.on(self.samples)
+        self.compiled = compile_merit(self.coarse_merit, self.options.margin)
+        self.fine_compiled = compile_merit(merit, self.options.margin)
         n = self.slots + 3
-        self.spaces = [workspace(self.tables, self.looks, n) for _ in range(self.jobs)]
-        self.fine_spaces = [workspace(self.fine_tables, self.fine_looks, n) for _ in range(self.jobs)]
+        self.workspaces = [workspace(self.tables, self.compiled, n) for _ in range(self.options.batches)]
+        self.fine_workspace = workspace(self.fine_tables, self.fine_compiled, n)
 
-    def finish(self, one: _Candidate, worker: int = 0) -> _Candidate:
-        """Descend on all wavelengths; the same stack where nothing is gained."""
-        media, d = one.media.copy(), one.d.copy()
+    def bounds(self, one: Stack) -> tuple[Array, Array]:
+        """Return the bounds of the layers, with room as the stack."""
         low, high = np.zeros(self.slots + 3), np.zeros(self.slots + 3)
-        for j in range(one.layers):
-            low[j], high[j] = self.space.low[j, media[j]], self.space.high[j, media[j]]
-        score = one.score
-        powers = (2.0, WORST_POWER, 3.0 * WORST_POWER) if len(self.fine_looks.kind) > 1 else (2.0,)
+        at = np.arange(one.layers), one.media[: one.layers]
+        low[: one.layers], high[: one.layers] = self.space.low[at], self.space.high[at]
+        return low, high
+
+    def evolve(
+        self, space: Space, population: Population, size: int, count: int, target: float, seed: int, batch: int,
+        out: Population,
+    ) -> int:  # fmt: skip
+        """Fill `out` with improved offspring of a population; return their number."""
+        return int(
+            evolve(
+                self.tables, self.compiled, space, population, size, count, self.options.fresh_share, target, seed,
+                self.workspaces[batch], out,
+            )
+        )  # fmt: skip
+
+    def refine(self, one: Stack, steps: int = 20) -> Stack:
+        """Descend on the coarse grid, in place."""
+        low, high = self.bounds(one)
+        one.score = float(
+            descend(
+                self.tables, self.compiled, one.media, one.d, low, high, one.layers, one.substrate,
+                float(self.space.total[0]), steps, 2.0, self.workspaces[0],
+            )
+        )  # fmt: skip
+        return one
+
+    def finish(self, one: Stack) -> Stack:
+        """Return a stack refined on all wavelengths."""
+        media, d, score = one.media.copy(), one.d.copy(), one.score
+        low, high = self.bounds(one)
+        powers = (2.0, WORST_POWER, 3.0 * WORST_POWER) if len(self.fine_compiled.kind) > 1 else (2.0,)
         for p in powers:
             score = descend(
-                self.fine_tables,
-                self.fine_looks,
-                media,
-                d,
-                low,
-                high,
-                one.layers,
-                one.substrate,
-                float(self.space.total[0]),
-                FINISH_STEPS,
-                p,
-                self.fine_spaces[worker],
-            )
-        return _Candidate(float(score), media, d, one.layers, one.substrate)
+                self.fine_tables, self.fine_compiled, media, d, low, high, one.layers, one.substrate,
+                float(self.space.total[0]), self.options.final_steps, p, self.fine_workspace,
+            )  # fmt: skip
+        return Stack(float(score), media, d, one.layers, one.substrate)
 
-    def spectra(self, one: _Candidate) -> Array:
+    def spectra(self, one: Stack) -> Array:
         """Return `[row, wavelength]` on all wavelengths."""
         rows, _, samples = self.fine_tables.turns_r.shape
         seen, none = np.zeros((rows, samples)), np.zeros((rows, 1, samples))
@@ -213,159 +240,155 @@ class _Engine:
         )
         return seen
 
-    def solution(self, one: _Candidate) -> StackSolution:
-        """Name a candidate and judge it by the goals themselves."""
+    def solution(self, one: Stack) -> StackSolution:
+        """Return a stack with names, evaluated by the merit function itself."""
         names = [m.name for m in self.problem.media()]
-        d = self.goals.distances(self.spectra(one))
-        made = self.made(one) if self.problem.has_spread else None
+        d = self.merit.distances(self.spectra(one))
         return StackSolution(
             tuple(names[m - 1] for m in one.media[: one.layers]),
             one.d[: one.layers].copy(),
             names[one.substrate - 1],
             d,
-            float(self.goals.objective(d)),
-            made,
+            float(self.merit.objective(d)),
+            self.yield_share(one) if self.problem.has_tolerance else None,
         )
 
-    def settle(self, one: _Candidate, until: float) -> _Candidate:
-        """Shift a stack's thicknesses by chance so that more of its made samples meet all wants, to the time `until`.
+    def settle(self, one: Stack, end_time: float) -> Stack:
+        """Change the thicknesses by random steps that increase the yield, until a time of `time.monotonic`.
 
-        The search ranks by the slopes at a stack's own thicknesses; here each step is judged by the samples themselves.
+        The search ranks by a linear estimate of the yield; here each step is evaluated by samples.
         """
         rng = np.random.default_rng(SETTLING_SEED)
-        best, share, n = one, self.made(one, SETTLING_SEED), one.layers
-        low, high = (bound[np.arange(n), one.media[:n]] for bound in (self.space.low, self.space.high))
-        size, smallest = SETTLING_SIZE
-        for _ in range(SETTLING_STEPS):
-            if not 0.0 < share < 1.0 - MADE or time.monotonic() > until:
+        best, share, n = one, self.yield_share(one, SETTLING_SEED), one.layers
+        low, high = (bound[:n] for bound in self.bounds(one))
+        size, smallest = self.options.settling_size
+        for _ in range(self.options.settling_steps):
+            if not 0.0 < share < 1.0 - self.options.stop_failure or time.monotonic() > end_time:
                 break
             d = best.d.copy()
             d[:n] = np.clip(d[:n] * np.exp(size * rng.normal(size=n)), low, high)
             keep_total(d, low, n, float(self.space.total[0]))
             step = dataclasses.replace(best, d=d)
-            found = self.made(step, SETTLING_SEED)
+            found = self.yield_share(step, SETTLING_SEED)
             size = 1.3 * size if found > share else max(0.93 * size, smallest)
             if found > share:
                 best, share = step, found
         return best
 
-    def made(self, one: _Candidate, seed: int = YIELD_SEED) -> float:
-        """Return the share of made samples within all tolerances, of `YIELD_DRAWS` on the coarse grid."""
-        layers = one.layers
+    def yield_share(self, one: Stack, seed: int = YIELD_SEED) -> float:
+        """Return the share of `yield_draws` manufactured samples that meet all targets, on the coarse grid."""
+        layers, draws = one.layers, self.options.yield_draws
         sigma = np.hypot(self.space.relative[:layers] * one.d[:layers], self.space.absolute[:layers])
         rng = np.random.default_rng(seed)
         rows, _, samples = self.tables.turns_r.shape
-        seen, none, w = np.zeros((YIELD_DRAWS, rows, samples)), np.zeros((rows, 1, samples)), scratch(layers)
-        for out, z in zip(seen, rng.normal(size=(YIELD_DRAWS, self.slots))):
+        seen, none, w = np.zeros((draws, rows, samples)), np.zeros((rows, 1, samples)), scratch(layers)
+        for out, z in zip(seen, rng.normal(size=(draws, self.slots))):
             d = np.maximum(one.d[:layers] + sigma * z[:layers], 0.0)
             spectra_and_gradients(self.tables, one.media, d, layers, one.substrate, False, w, out, none)
-        within = np.array([self.goals.goals[g].tolerance for g, _ in self.goals.terms])
-        return float(np.mean(np.all(self.coarse_goals.distances(seen) <= within, axis=-1)))
+        tolerances = np.array([self.merit.operands[g].tolerance for g, _ in self.merit.terms])
+        return float(np.mean(np.all(self.coarse_merit.distances(seen) <= tolerances, axis=-1)))
 
 
 def is_alike(one: StackSolution, other: StackSolution) -> bool:
-    """Whether two answers count as one: same materials and substrate, no thickness off by more than 20 %."""
+    """Whether two solutions count as one: same materials and substrate, and thicknesses within 20 %."""
     if (one.materials, one.substrate) != (other.materials, other.substrate):
         return False
     larger = np.maximum(one.thicknesses_nm, other.thicknesses_nm)
-    return bool(np.all(np.abs(one.thicknesses_nm - other.thicknesses_nm) <= ALIKE * larger))
+    return bool(np.all(np.abs(one.thicknesses_nm - other.thicknesses_nm) <= SIMILAR * larger))
 
 
 def search(
     problem: StackProblem,
-    seconds: float = 60.0,
+    budget: Budget | float,
     solutions: int = 5,
     seed: int = 0,
-    on_progress: Callable[[Progress], None] | None = None,
+    on_progress: Callable[[float, Callable[[], StackSolution]], None] | None = None,
     stop: Callable[[], bool] | None = None,
     jobs: int | None = None,
+    options: GeneticOptions | None = None,
 ) -> list[StackSolution]:
-    """Find stacks that look as wanted, best first.
+    """Find stacks that meet the targets, best first.
 
-    Ends when all goals are within a fifth of `within`, or at `seconds` by the clock. The best is as good as was
-    found; the others differ from each other in material, order, count or a thickness by more than 20 %. What a seed
-    gives depends on the machine only through how far it comes in the time, and on `jobs`.
+    Ends if all operands are within a fifth of their tolerances, or with the budget. Solutions differ from each other in
+    material, order, number of layers or by 20 % in a thickness. A seed gives the same result on any number of threads.
 
     Args:
-        solutions: how many at most.
-        on_progress: called after every round.
-        stop: asked after every round; True ends the search with the best so far.
-        jobs: threads; by default as many as this process may use.
+        budget: evaluations are stacks begun; a number is a time limit in seconds.
+        solutions: at most.
+        on_progress: called after every generation with the best objective (coarse grid) and a function that returns
+            its solution.
+        stop: asked after every generation; True ends the search with the best so far.
+        jobs: threads; default: as many as this process may use.
 
     Raises:
-        NacreError: seconds that are not positive.
+        NacreError: a budget that is not positive.
     """
-    if not seconds > 0.0:
-        raise NacreError(f"seconds = {seconds:g} is not allowed; it must be above 0")
-    begun = time.monotonic()
-    engine = _Engine(problem, jobs)
-    hall = _explore(engine, seconds, seed, on_progress, stop, begun)
-    return choose(engine, hall, solutions, begun + seconds)
+    if not isinstance(budget, Budget):
+        budget = Budget(default_evaluations(problem), budget)
+    if not budget.seconds > 0.0:
+        raise NacreError(f"seconds = {budget.seconds:g} is not allowed; it must be above 0")
+    engine = Engine(problem, jobs, options)
+    found = _explore(engine, budget, seed, on_progress, stop)
+    return choose(engine, found, solutions, budget.start_time + budget.seconds)
 
 
-def _explore(engine: _Engine, seconds: float, seed: int, on_progress: Any, stop: Any, begun: float) -> list[_Candidate]:
-    """Breed until the goals are reached or the time is over; return all islands' best."""
-    outs = [empty_population(LITTER, engine.slots + 3) for _ in range(engine.jobs)]
-    done: list[_Candidate] = []
-    island, islands, rounds, children = _Island(engine.slots), 1, 0, 0
-    robust = engine.problem.has_spread
-    end, target = (MADE, 0.0) if robust else (REACHED, 0.9 * REACHED)
-    pool, size = island.brood()
-    # no children: what is not compiled yet is compiled here, and the search keeps half of its time all the same
-    evolve(engine.tables, engine.looks, engine.space, pool, size, 0, FRESH, target, 0, engine.spaces[0], outs[0])
-    begun = max(begun, time.monotonic() - (1.0 - COMPILED_SHARE) * seconds)
-    # where few layers are preferred, the first island has one, the next two, and so on
-    fewest = engine.problem.fewest and engine.problem.slots is None
-    space = _shorter(engine.space, 1) if fewest else engine.space
-    end_of_time = (ROBUST_SHARE if robust else PLAIN_SHARE) * seconds
-    with ThreadPoolExecutor(engine.jobs) as threads:
+def default_evaluations(problem: StackProblem) -> float:
+    """Return a number of stacks whose evaluation takes about two minutes of one core, from the size of the problem."""
+    return float(np.clip(WORK / (problem.layers**1.2 * problem.merit.rows * len(problem.coarse_samples())), 1e4, 1e7))
+
+
+WORK = 4e8  # layers^1.2 x rows x wavelengths of all stacks
+
+
+def _explore(engine: Engine, budget: Budget, seed: int, on_progress: Any, stop: Any) -> list[Stack]:
+    """Evolve until the targets are met or the budget is spent; return the best stacks of all islands."""
+    options, problem = engine.options, engine.problem
+    outs = [empty_population(options.offspring, engine.slots + 3) for _ in range(options.batches)]
+    is_robust, done = problem.has_tolerance, list[Stack]()
+    end, target = (options.stop_failure, 0.0) if is_robust else (STOP_TOL, 0.9 * STOP_TOL)
+    island, islands, generation = _Island(engine.slots, options), 1, 0
+    population, size = island.population()
+    # compiles the kernels; the time limit leaves a share for the search all the same
+    engine.evolve(engine.space, population, size, 0, target, 0, 0, outs[0])
+    budget.start_time = max(budget.start_time, time.monotonic() - (1.0 - options.compile_share) * budget.seconds)
+    # if few layers are preferred, the first island has one layer, the next two, and so on
+    is_ladder = problem.prefer_few_layers and problem.slots is None
+    space = _shortened(engine.space, 1) if is_ladder else engine.space
+    limit = options.robust_search_share if is_robust else options.search_share
+    with ThreadPoolExecutor(min(engine.jobs, options.batches)) as threads:
         while True:
-            pool, size = island.brood()
-            seeds = np.random.SeedSequence([seed, rounds]).generate_state(engine.jobs)
+            population, size = island.population()
+            seeds = np.random.SeedSequence([seed, generation]).generate_state(options.batches)
+            arguments = (space, population, size, options.offspring, target)
             futures = [
-                threads.submit(
-                    evolve,
-                    engine.tables,
-                    engine.looks,
-                    space,
-                    pool,
-                    size,
-                    LITTER,
-                    FRESH,
-                    target,
-                    int(seeds[k]),
-                    engine.spaces[k],
-                    outs[k],
-                )
-                for k in range(engine.jobs)
+                threads.submit(engine.evolve, *arguments, int(seeds[k]), k, outs[k]) for k in range(options.batches)
             ]
-            counts = [f.result() for f in futures]
-            island.take(c for k, n in enumerate(counts) for c in _candidates(outs[k], n))
-            rounds += 1
-            children += LITTER * engine.jobs
-            spent = time.monotonic() - begun
-            best = min(island.best, min((c.score for c in done), default=np.inf))
-            if on_progress is not None:
-                near = min([*island.ordered()[:1], *done], key=lambda c: c.score)
-                on_progress(Progress(spent, children, best, functools.partial(engine.solution, near)))
-            if spent >= end_of_time or (stop is not None and stop()):
+            counts = [future.result() for future in futures]
+            island.add(one for k, count in enumerate(counts) for one in _stacks(outs[k], count))
+            generation += 1
+            budget.used += options.offspring * options.batches
+            best = min([*island.ordered()[:1], *done], key=lambda one: one.score, default=None)
+            if on_progress is not None and best is not None:
+                on_progress(best.score, functools.partial(engine.solution, best))
+            if (spent := budget.share_used) >= limit or (stop is not None and stop()):
+                budget.is_late = budget.used < limit * budget.evaluations
                 break
-            if island.best <= end and (robust or _is_reached(engine, island.ordered()[0])):
+            if island.best <= end and (is_robust or engine.finish(island.ordered()[0]).score <= STOP_TOL):
                 break
-            share = LADDER_SHARE * islands / engine.slots if fewest and islands < engine.slots else 1.0
-            if island.still >= STILL_LITTERS or spent >= share * end_of_time:
-                done += island.ordered()[:FINISHED]
+            share = options.ladder_share * islands / engine.slots if is_ladder and islands < engine.slots else 1.0
+            if island.stalled >= options.stall_generations or spent >= share * limit:
+                done += island.ordered()[: options.finalists]
                 islands += 1
-                island = _Island(engine.slots)
-                if fewest and islands <= engine.slots:
-                    space = _shorter(engine.space, islands)
-                elif islands % MERGE_EVERY == 0:
-                    island.take(done)
-                    island.still = 0
+                island = _Island(engine.slots, options)
+                if is_ladder and islands <= engine.slots:
+                    space = _shortened(engine.space, islands)
+                elif islands % options.merge_every == 0:
+                    island.add(done)
+                    island.stalled = 0
     return done + island.ordered()
 
 
-def _shorter(space: Space, layers: int) -> Space:
+def _shortened(space: Space, layers: int) -> Space:
     return space._replace(
         choices=space.choices[:layers],
         choice_count=space.choice_count[:layers],
@@ -377,27 +400,23 @@ def _shorter(space: Space, layers: int) -> Space:
     )
 
 
-def _is_reached(engine: _Engine, one: _Candidate) -> bool:
-    return engine.finish(one).score <= REACHED
-
-
-def choose(engine: _Engine, hall: Sequence[_Candidate], solutions: int, until: float) -> list[StackSolution]:
-    """Finish the best candidates on all wavelengths and return those that differ, best first, by the time `until`."""
-    ordered = sorted({id(c): c for c in hall}.values(), key=lambda c: c.score)
-    robust = engine.problem.has_spread
-    # a last descent would leave the middle of what may be made
-    first = ordered[: 2 * solutions + 2 if robust else max(FINISHED, 4 * solutions)]
-    finished = [engine.solution(c if robust else engine.finish(c)) for c in first]
-    if robust:
-        most = max(range(len(first)), key=lambda i: finished[i].yield_share or 0.0, default=None)
-        if most is not None:
-            finished.append(engine.solution(engine.settle(first[most], until)))
+def choose(engine: Engine, found: Sequence[Stack], solutions: int, end_time: float) -> list[StackSolution]:
+    """Refine the best stacks on all wavelengths and return distinct ones, best first."""
+    options, problem = engine.options, engine.problem
+    ordered = sorted({id(one): one for one in found}.values(), key=lambda one: one.score)
+    if problem.has_tolerance:  # a refinement would leave the middle of the tolerance region
+        first = ordered[: 2 * solutions + 2]
+        finished = [engine.solution(one) for one in first]
+        if first:
+            best = max(range(len(first)), key=lambda i: finished[i].yield_share or 0.0)
+            finished.append(engine.solution(engine.settle(first[best], end_time)))
         finished.sort(key=lambda s: (-(s.yield_share or 0.0), s.objective))
-    elif engine.problem.fewest:
-        equal = max(REACHED, min((s.objective for s in finished), default=np.inf) + EQUAL_LOOKS)
-        finished.sort(key=lambda s: (max(s.objective, equal), len(s.materials), s.objective))
     else:
-        finished.sort(key=lambda s: s.objective)
+        first = ordered[: max(options.finalists, 4 * solutions)]
+        finished = sorted((engine.solution(engine.finish(one)) for one in first), key=lambda s: s.objective)
+        if problem.prefer_few_layers and finished:
+            equal = max(STOP_TOL, finished[0].objective + options.equal_objective)
+            finished.sort(key=lambda s: (max(s.objective, equal), len(s.materials), s.objective))
     chosen: list[StackSolution] = []
     for one in finished:
         if len(chosen) < solutions and not any(is_alike(one, other) for other in chosen):
@@ -407,42 +426,42 @@ def choose(engine: _Engine, hall: Sequence[_Candidate], solutions: int, until: f
 
 def many(
     problem: StackProblem,
-    goals_list: Sequence[MeritFunction],
+    merits: Sequence[MeritFunction],
     seed: int = 0,
     jobs: int | None = None,
     on_progress: Callable[[int, StackSolution], None] | None = None,
     which: Sequence[int] | None = None,
 ) -> list[StackSolution]:
-    """Find a stack for each of many goals that look at the same rows under the same lamps, with all else shared.
+    """Find a stack for each of many merit functions of the same rows and lamps.
 
-    Draws are made and looked at once; each goal starts from those nearest to it, and breeds only if their descents
-    do not reach it. No clock is asked: a seed gives the same answers everywhere.
+    Random stacks are drawn once; each target starts from the nearest ones and evolves only if their descents fail.
+    No time limit: a seed gives the same result everywhere.
 
     Args:
-        goals_list: colours as in `problem.goals`, in the same order of rows and lamps.
-        on_progress: called with the number of each goal and its answer, from threads.
-        which: numbers of the goals that are asked for, whose answers are as if all were; default: all.
+        merits: of colours as in `problem.merit`, in the same order of rows and lamps.
+        on_progress: called with the number of each merit function and its solution, from threads.
+        which: numbers of the merit functions to solve, with the same results as if all were; default: all.
 
     Raises:
-        NacreError: goals that are no colours, or of another shape.
+        NacreError: merit functions of another shape, or not of colours only.
     """
-    engine = _Engine(problem, 1)
+    engine = Engine(problem, 1, GeneticOptions(batches=1))
     workers = available_jobs() if jobs is None else max(1, jobs)
-    terms = len(engine.looks.kind)
-    for goals in goals_list:
-        if any(goal.kind != "colour" for goal in goals.goals) or len(goals.terms) != terms:
-            raise NacreError("many designs share one set of draws: each needs the same wants, of colours")
-    draws = empty_population(SHARED_DRAWS, engine.slots + 3)
-    labs = np.zeros((SHARED_DRAWS, terms, 3))
+    terms = len(engine.compiled.kind)
+    for merit in merits:
+        if any(operand.kind != "colour" for operand in merit.operands) or len(merit.terms) != terms:
+            raise NacreError("many designs share one set of draws: each needs the same targets, of colours")
+    draws = empty_population(engine.options.shared_draws, engine.slots + 3)
+    labs = np.zeros((engine.options.shared_draws, terms, 3))
     first = int(np.random.SeedSequence([seed, 0]).generate_state(1)[0])
-    draw_many(engine.tables, engine.looks, engine.space, first, engine.spaces[0], draws, labs)
-    numbers = iter(range(len(goals_list)) if which is None else which)
-    found: list[StackSolution | None] = [None] * len(goals_list)
+    draw_many(engine.tables, engine.compiled, engine.space, first, engine.workspaces[0], draws, labs)
+    numbers = iter(range(len(merits)) if which is None else which)
+    found: list[StackSolution | None] = [None] * len(merits)
 
     def work() -> None:
-        own = _Engine(problem, 1)
+        own = Engine(problem, 1, engine.options)
         for i in numbers:
-            own.aim(goals_list[i])
+            own.aim(merits[i])
             found[i] = one = own.solution(_from_draws(own, draws, labs, seed, i))
             if on_progress is not None:
                 on_progress(i, one)
@@ -453,7 +472,7 @@ def many(
             wait(futures, return_when=FIRST_EXCEPTION)
         finally:
             for _ in numbers:
-                pass  # what an error or an interrupt leaves over is not begun
+                pass  # after an error or an interrupt the rest is not begun
         for future in futures:
             future.result()
     return [one for one in found if one is not None]
@@ -466,29 +485,38 @@ def local_metric(lab: Array) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def _from_draws(engine: _Engine, draws: Population, labs: Array, seed: int, number: int) -> _Candidate:
-    looks, s = engine.looks, engine.spaces[0]
-    best, at = np.empty(MANY_STARTS), np.zeros(MANY_STARTS, dtype=np.int64)
-    nearest(labs, looks.lab, local_metric(looks.lab), looks.scale, best, at)
-    island = _Island(engine.slots)
-    low, high = np.zeros(engine.slots + 3), np.zeros(engine.slots + 3)
-    target = 0.5 * REACHED
-    total = float(engine.space.total[0])
-    for k in at:
-        layers, substrate = int(draws.layers[k]), int(draws.substrate[k])
+def _from_draws(engine: Engine, draws: Population, labs: Array, seed: int, number: int) -> Stack:
+    compiled, options = engine.compiled, engine.options
+    starts = np.zeros(options.shared_starts, dtype=np.int64)
+    distances = np.empty(options.shared_starts)
+    nearest(labs, compiled.lab, local_metric(compiled.lab), compiled.scale, distances, starts)
+    island = _Island(engine.slots, options)
+    target = 0.5 * STOP_TOL
+    for k in starts:
         media, d = draws.media[k].copy(), draws.d[k].copy()
-        for j in range(layers):
-            low[j], high[j] = engine.space.low[j, media[j]], engine.space.high[j, media[j]]
-        score = descend(engine.tables, looks, media, d, low, high, layers, substrate, total, 20, 2.0, s)
-        island.take([_Candidate(float(score), media, d, layers, substrate)])
-        if score < target and (done := engine.finish(island.ordered()[0])).score < target:
+        one = engine.refine(Stack(np.inf, media, d, int(draws.layers[k]), int(draws.substrate[k])))
+        island.add([one])
+        if one.score < target and (done := engine.finish(island.ordered()[0])).score < target:
             return done
-    out = empty_population(MANY_LITTER, engine.slots + 3)
-    for turn in range(MANY_ROUNDS):
-        pool, size = island.brood()
+    out = empty_population(options.shared_offspring, engine.slots + 3)
+    for turn in range(options.shared_generations):
+        population, size = island.population()
         own = int(np.random.SeedSequence([seed, 1 + number, turn]).generate_state(1)[0])
-        n = evolve(engine.tables, looks, engine.space, pool, size, MANY_LITTER, FRESH, target, own, s, out)
-        island.take(_candidates(out, n))
+        count = engine.evolve(engine.space, population, size, options.shared_offspring, target, own, 0, out)
+        island.add(_stacks(out, count))
         if island.best < target and (done := engine.finish(island.ordered()[0])).score < target:
             return done
-    return min((engine.finish(c) for c in island.ordered()[:4]), key=lambda c: c.score)
+    return min((engine.finish(one) for one in island.ordered()[:4]), key=lambda one: one.score)
+
+
+__all__ = [
+    "Engine",
+    "GeneticOptions",
+    "Stack",
+    "StackSolution",
+    "choose",
+    "default_evaluations",
+    "is_alike",
+    "many",
+    "search",
+]

@@ -16,8 +16,8 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
-from nacre.device.variant import use_variant
 from nacre.picture.camera import View
+from nacre.picture.plugin import mi
 from nacre.picture.scenes import grounds
 from nacre.picture.shapes import backdrop as stages
 from nacre.picture.shapes.mesh import Mesh, rotation
@@ -52,7 +52,7 @@ class Part:
     def _moved(self, matrix: Array, transform: Callable[[Any], Any]) -> Part:
         if isinstance(self.shape, Mesh):
             return Part(self.shape.moved(matrix), self.material)
-        identity = use_variant().ScalarTransform4f()
+        identity = mi.ScalarTransform4f()
         to_world = transform(identity) @ self.shape.get("to_world", identity)
         return Part({**self.shape, "to_world": to_world}, self.material)
 
@@ -66,7 +66,7 @@ class Part:
             to_world = self.shape.get("to_world")
             matrix = np.eye(4) if to_world is None else np.array(to_world.matrix, dtype=float)
             return np.asarray(ends @ matrix[:3, :3].T + matrix[:3, 3])
-        box = use_variant().load_dict(self.shape).bbox()
+        box = mi.load_dict(self.shape).bbox()
         sides = np.stack([np.array(box.min, dtype=float).ravel(), np.array(box.max, dtype=float).ravel()])
         return np.stack(np.meshgrid(*sides.T), axis=-1).reshape(-1, 3)
 
@@ -173,17 +173,16 @@ def _parts(module: str, *rows: tuple[Any, ...]) -> Parts:
 @functools.cache
 def _sphere() -> list[Part]:
     # Mitsuba counts v from the upper pole; the reflection makes v run upward as on all our shapes
-    upright = use_variant().ScalarTransform4f().translate([0.0, 0.0, 1.0]).scale([1.0, 1.0, -1.0])
+    upright = mi.ScalarTransform4f().translate([0.0, 0.0, 1.0]).scale([1.0, 1.0, -1.0])
     return [Part({"type": "sphere", "to_world": upright, "flip_normals": True})]
 
 
 @functools.cache
 def _bubbles() -> list[Part]:
-    (sphere,) = _sphere()
-    return [
-        sphere.scaled(size)._moved(np.eye(3), lambda world, place=place: world.translate(list(place)))
-        for size, place in BUBBLES
-    ]
+    def moved(part: Part, place: tuple[float, float, float]) -> Part:
+        return part._moved(np.eye(3), lambda world: world.translate(list(place)))
+
+    return [moved(part.scaled(size), place) for size, place in BUBBLES for part in _sphere()]
 
 
 @functools.cache

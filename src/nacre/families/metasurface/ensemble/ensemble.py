@@ -1,8 +1,8 @@
-"""Ensemble of multi-sphere patterns that measures the error of the mean-field model for the diffuse light.
+"""Multi-sphere pattern ensemble, the reference for the diffuse light in the mean-field model.
 
-Periodic squares of about 130 particles of the recipe's pattern are solved for many incident waves. Their diffuse light,
-all orders except the zeroth, is compared with the mean-field model of the same multipole order. The result is the
-smooth ratio of both, see `ensemble_ratio`.
+Periodic squares with about 130 particles each, in the recipe's pattern, are solved for many incident waves. Their
+diffuse light, all orders except the zeroth, is compared with a mean-field model at the same multipole order. The result
+is the smooth ratio, see `ensemble_ratio`.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from nacre.families.metasurface.tmatrix.axisymmetric import truncated
 from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 
-WIDEST = np.radians(84.0)  # largest angle of incidence and view; the ratio extrapolates smoothly
-REACH = 0.8  # window reach over the side of the square
-ANGLES = 8  # angle bins of the errors
-LIGHTS = (48, 30)  # incident directions of one pattern above and below
+WIDEST = np.radians(84.0)  # largest incidence and view angle; the ratio extrapolates smoothly
+REACH = 0.8  # window reach over the square side
+ANGLES = 8  # angle bins for the errors
+LIGHTS = (48, 30)  # incident directions per pattern, above and below
 VIEWS = (3.2, 1.25)  # views per particle above and below; more particles have more orders
-ON_THE_LINE = 1e-3  # directions below this close to the light line, over k, are skipped: kink of the reflection
-HARMONICS = 14  # of the model
-MODEL_NODES = (24, 14, 18)  # nodes of the model over the angle: above, below within and beyond the critical angle
-BALANCE_NODES = (24, 20)  # nodes of its balance over the cosine
+ON_THE_LINE = 1e-3  # directions below this close to the light line, over k, are skipped: the reflection has a kink
+HARMONICS = 14  # model harmonics
+MODEL_NODES = (24, 14, 18)  # model nodes over the angle: above, below within and beyond the critical angle
+BALANCE_NODES = (24, 20)  # balance nodes over the cosine
 
 
 @dataclass(frozen=True)
@@ -57,12 +57,12 @@ class EnsembleSettings:
 
 @dataclass(frozen=True)
 class Side:
-    """Directions on one side of one pattern.
+    """Directions on one pattern side.
 
     Attributes:
         wavevectors: in the plane, `[direction, 2]`, 1/nm.
         directions: vectors for the first species.
-        others: vectors for the other species of a mixture.
+        others: vectors for the other species in a mixture.
     """
 
     wavevectors: Array
@@ -71,17 +71,17 @@ class Side:
 
     @cached_property
     def ways(self) -> RatioDirections:
-        """The directions as variables of the ratio."""
+        """The directions as ratio variables."""
         d = self.directions
         return RatioDirections.of(d.transverse, np.full(d.cosines.size, d.index), np.full(d.cosines.size, d.below))
 
 
 @dataclass(frozen=True)
 class Ensemble:
-    """The patterns of a monolayer at one wavelength, of equal particles or of a mixture.
+    """Patterns for one monolayer and wavelength, with equal particles or a mixture.
 
     Attributes:
-        layer: the mean-field model of the same multipole order, with one particle size per species.
+        layer: mean-field model with the same multipole order and one particle size per species.
         supercells: the patterns; for a mixture with species numbers.
     """
 
@@ -90,7 +90,7 @@ class Ensemble:
 
     @property
     def reach_nm(self) -> float:
-        """Distance of the real-space coupling sum."""
+        """Real-space range for the coupling sum."""
         return REACH * min(cell.period.side_nm for cell in self.supercells)
 
     @cached_property
@@ -107,7 +107,7 @@ class Ensemble:
 
     @cached_property
     def angles_rad(self) -> Array:
-        """Centres of the angle bins."""
+        """Angle bin centres."""
         return np.asarray((np.arange(ANGLES) + 0.5) * WIDEST / ANGLES)
 
     @cached_property
@@ -116,7 +116,7 @@ class Ensemble:
         return ModelTable.build(self.layer)
 
     def prepare(self) -> None:
-        """Compute the shared tables of all patterns."""
+        """Compute the tables shared by all patterns."""
         _ = self.lattice, self.model
 
     def forget(self) -> None:
@@ -125,7 +125,7 @@ class Ensemble:
             self.__dict__.pop(name, None)
 
     def _sides(self, cell: Supercell) -> list[tuple[Side, Side]]:
-        """Directions of view and of incidence, above and then below."""
+        """View and incident directions, above and then below."""
         layer, rng = self.layer, np.random.default_rng(cell.seed)
         k = layer.surface.wavenumber
         out = []
@@ -148,7 +148,7 @@ class Ensemble:
         return out
 
     def side(self, wavevectors: Array, below: bool) -> Side:
-        """Return directions of one side, `wavevectors` `[direction, 2]` in 1/nm."""
+        """Return directions on one side, `wavevectors` `[direction, 2]` in 1/nm."""
         surface, order = self.layer.surface, self.layer.particles[0].lmax
         sine = np.hypot(*wavevectors.T) / (surface.wavenumber * (surface.index_below if below else 1.0))
         cosines = np.sqrt((1 - sine) * (1 + sine))
@@ -158,7 +158,7 @@ class Ensemble:
         return Side(wavevectors, first, tuple(others))
 
     def solve(self, number: int) -> dict[Block, Sums]:
-        """Solve one pattern; return the fit sums of its diffuse light."""
+        """Solve one pattern; return the fit sums for its diffuse light."""
         cell, layer = self.supercells[number], self.layer
         sides = self._sides(cell)
         arriving = PlaneWaves.of([self.waves(light, False) for _, light in sides])
@@ -182,7 +182,7 @@ class Ensemble:
         return found
 
     def waves(self, side: Side, is_leaving: bool) -> PlaneWaves:
-        """Return the waves of all directions of a side."""
+        """Return the waves for all directions on one side."""
         index = multipole_index(self.layer.particles[0].lmax)
         azimuth = np.arctan2(side.wavevectors[:, 1], side.wavevectors[:, 0])
         turn = np.exp((1j if is_leaving else -1j) * index.m[:, None] * azimuth)
@@ -195,10 +195,10 @@ class Ensemble:
         return PlaneWaves(spread, spread, np.concatenate([side.wavevectors, side.wavevectors]))
 
     def _pairs(self, cell: Supercell, view: Side, light: Side, powers: Array) -> list[tuple[Block, Pairs]]:
-        """Return the solved and the model light of all pairs of two sides, by polarisations.
+        """Return solved and model light for all direction pairs, by polarisations.
 
-        In the control, the S of the pattern replaces the mean one; in a mixture, its species order also replaces pure
-        chance. The product of both, zero on average, remains in the noise.
+        In the control, the pattern's S replaces the mean one; in a mixture, its species order also replaces pure
+        chance. Their product, zero on average, remains in the noise.
         """
         to, by = view.wavevectors, light.wavevectors
         q = np.hypot(*np.moveaxis(to[:, None] - by, -1, 0))
@@ -218,9 +218,16 @@ class Ensemble:
                 model, control = model + varying, control + varying * odd
             block = (int(view.directions.below), int(light.directions.below), pol, p)
             pairs = Pairs(
-                view.ways, light.ways, phi, powers[pol, :, p] * diffuse, model, control,
-                self.model.level(view, light, pol, p), self._bin(view), self._bin(light),
-            )  # fmt: skip
+                view.ways,
+                light.ways,
+                phi,
+                powers[pol, :, p] * diffuse,
+                model,
+                control,
+                self.model.level(view, light, pol, p),
+                self._bin(view),
+                self._bin(light),
+            )
             out.append((block, pairs))
         return out
 
@@ -236,13 +243,13 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class ModelTable:
-    """The mean-field model at interpolation nodes of the angle.
+    """The mean-field model at angular interpolation nodes.
 
     Attributes:
         layer: the model.
-        harmonics: of |F|^2 C / (n_s n_i) per particle without S, `[s, i, pol_s, pol_i, k]` over all nodes.
-        varying: the same of the difference between the species of a mixture, without S; else empty.
-        levels: mean square of both with S over azimuth and solid angle of one side, `[node, side, pol_s, pol_i]`.
+        harmonics: from |F|^2 C / (n_s n_i) per particle without S, `[s, i, pol_s, pol_i, k]` over all nodes.
+        varying: the same for the difference between both species, without S; empty without a mixture.
+        levels: mean square (with S) over azimuth and solid angle on one side, `[node, side, pol_s, pol_i]`.
     """
 
     layer: Monolayer
@@ -287,7 +294,7 @@ class ModelTable:
         return cls(layer, harmonics, varying, np.moveaxis(np.stack(levels), (0, 3), (1, 0)))
 
     def _weights(self, side: Side) -> tuple[slice, Array]:
-        """Return the nodes of a side, and the interpolation from them, `[direction, node]`."""
+        """Return the nodes on one side, and the interpolation from them, `[direction, node]`."""
         start = MODEL_NODES[0] if side.directions.below else 0
         out = node_weights(side.directions, self.layer.surface.index_below, MODEL_NODES, WIDEST)
         return slice(start, start + out.shape[1]), out
@@ -315,17 +322,17 @@ class ModelTable:
 
 
 def _nodes(layer: Monolayer, below: bool) -> list[Array]:
-    """Sines of the model nodes on one side."""
+    """Sines for the model nodes on one side."""
     return node_sines(layer.surface.index_below, below, MODEL_NODES, WIDEST)
 
 
 def _solid(layer: Monolayer, below: bool) -> Array:
-    """Solid angles of the nodes of a side, to some per cent."""
+    """Solid angles for the nodes on one side, to some per cent."""
     return np.concatenate([-np.gradient(np.sqrt((1 - s) * (1 + s))) for s in _nodes(layer, below)])
 
 
 def nearest_distance(cell: Supercell) -> float:
-    """Return the smallest particle distance of a pattern, nm."""
+    """Return the smallest particle distance in a pattern, nm."""
     xy = cell.xy_nm
     if len(xy) < 2:
         return cell.period.side_nm
@@ -335,13 +342,13 @@ def nearest_distance(cell: Supercell) -> float:
 
 def same_order(layer: Monolayer, order: int, *particles: Particle) -> Monolayer:
     """Return the mean-field model with multipoles up to `order` and one particle size per species."""
-    # the cutoff has little effect on few multipoles, equal in both parts of the ratio
+    # the cutoff has little effect on few multipoles, equal in numerator and denominator
     kept = tuple(dataclasses.replace(p, t_matrix=truncated(p.t_matrix, min(order, p.lmax))) for p in particles)
     return Monolayer(layer.surface, kept, layer.structure, "qca-balanced", kept[0].lmax)
 
 
 def middle_sizes(layer: Monolayer) -> tuple[Particle, ...]:
-    """Return the middle particle size of each species, with the share of the species."""
+    """Return the middle particle size for each species, with the species share."""
     by_species = [
         [p for p in layer.particles if p.species == number] for number in sorted({p.species for p in layer.particles})
     ]
@@ -351,10 +358,10 @@ def middle_sizes(layer: Monolayer) -> tuple[Particle, ...]:
 
 
 def _kind_factor(cell: Supercell, shares: Array, leaving: ComplexArray, arriving: ComplexArray) -> Array:
-    """Return the interference of the species order of a pattern, `[view, light]`; 1 on average over random orders.
+    """Return the interference factor from the species order, `[view, light]`; 1 on average over random orders.
 
     sum_k |sum_j (delta_kj - x_k) e^{-i q r_j}|^2 / (N sum_k x_k (1 - x_k)), x the shares: for two species this factor
-    multiplies the mean square of their difference.
+    multiplies their mean squared difference.
     """
     total = np.zeros((leaving.shape[1], arriving.shape[1]))
     for number, share in enumerate(shares):

@@ -30,9 +30,9 @@ from nacre.families.metasurface.tmatrix.substrate import Embedded
 from nacre.recipe.fingerprint import fingerprint
 
 MOST_WAVELENGTHS = 16  # solved wavelengths; sufficient for resonances wider than 30 nm
-SOLVE_S = 0.9  # seconds per pattern of `UNKNOWNS` on one core
+SOLVE_S = 0.9  # seconds per pattern with `UNKNOWNS` on one core
 UNKNOWNS = 2080
-ONE_SIDE, OF_MIXTURES = 0.5, 1.15  # share of the work other than the factorisation: opaque substrate, and mixtures
+ONE_SIDE, OF_MIXTURES = 0.5, 1.15  # relative work without the factorisation: opaque substrate, and mixtures
 TABLES_S = 1.0  # seconds per wavelength
 # species at different heights need vertical translations: seconds per pattern, wave and
 # pair of multipoles, and per wavelength
@@ -47,8 +47,9 @@ class EnsembleInterpolation:
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
         ratios: at each.
-        errors: relative standard error of the diffuse light above, `[wavelength, s, i]`, over azimuth and polarisation.
-        angles_rad: `[s]`, of s and i.
+        errors: relative standard error for the diffuse light above, `[wavelength, s, i]`, over azimuth and
+            polarisation.
+        angles_rad: `[s]`, for s and i.
         settings: ensemble size.
     """
 
@@ -94,10 +95,10 @@ def chosen(wavelengths_nm: Array) -> Array:
 
 
 def expected_seconds(wavelengths: int, settings: EnsembleSettings, layer: Monolayer) -> float:
-    """Return the expected wall clock time of an ensemble on this machine.
+    """Return the expected wall clock time for an ensemble on this machine.
 
     Args:
-        layer: the model at one of the wavelengths.
+        layer: the model at any one wavelength.
     """
     n = 2 * settings.multipole_order * (settings.multipole_order + 2)
     share = settings.spheres * n / UNKNOWNS
@@ -126,14 +127,14 @@ def interpolate_ensemble(
     is_list: bool = False,
     because: str = "",
 ) -> EnsembleInterpolation:
-    """Return the ratios for a grid of wavelengths, reusing cached results, also of an interrupted run.
+    """Return the ratios for a wavelength grid, reusing cached results, also from an interrupted run.
 
     Args:
         wavelengths_nm: ascending.
-        layer: the mean-field model at a wavelength, of which the middle particle size of each species is used.
-        pattern: function of count and seed that returns the arrangement.
-        source: name of the recipe, for messages.
-        is_list: whether the arrangement is a list of points.
+        layer: the mean-field model at a wavelength, used with the middle particle size per species.
+        pattern: function (count, seed) that returns the arrangement.
+        source: recipe name, for messages.
+        is_list: whether the arrangement is a point list.
         because: reason for an ensemble, for the progress message.
 
     Raises:
@@ -193,13 +194,13 @@ def interpolate_ensemble(
 def _solve(
     ensembles: list[Ensemble], keys: list[str], names: list[int], begun: list[dict[int, dict[Block, Sums]]]
 ) -> list[tuple[int, tuple[Ratio, Array]]]:
-    """Solve all patterns of all wavelengths, and fit each wavelength after its last pattern.
+    """Solve all patterns for all wavelengths, and fit each wavelength after its last pattern.
 
     Each pattern is cached until the fit, for a resumed run.
 
     Args:
-        keys, names: of each ensemble, for the disk cache and the result.
-        begun: solved patterns of each.
+        keys, names: identify each ensemble in the disk cache and the result.
+        begun: patterns already solved for each.
     """
     solved = [dict(patterns) for patterns in begun]
     lock = threading.Lock()
@@ -241,7 +242,7 @@ def _of_pattern(key: str, number: int) -> str:
 
 
 def _begun(key: str, patterns: int) -> dict[int, dict[Block, Sums]]:
-    """Return the cached patterns of a wavelength, by pattern number."""
+    """Return the cached patterns for one wavelength, by pattern number."""
     out = {}
     for number in range(patterns):
         stored = cached_arrays(_of_pattern(key, number))
@@ -252,7 +253,7 @@ def _begun(key: str, patterns: int) -> dict[int, dict[Block, Sums]]:
 
 
 def _key(one: Ensemble, settings: EnsembleSettings) -> str:
-    """Return a fingerprint of the optics, the positions and the code."""
+    """Return a fingerprint for optics, positions and code."""
     surface, particles, structure = one.layer.surface, one.layer.particles, one.layer.structure
     digest = hashlib.sha256()
     arrays = [surface.indices, surface.thicknesses_nm, *(p.t_matrix for p in particles)]
@@ -262,11 +263,13 @@ def _key(one: Ensemble, settings: EnsembleSettings) -> str:
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
     numbers = [
-        surface.wavelength_nm, structure.density_per_nm2, structure.diameter_nm,
+        surface.wavelength_nm,
+        structure.density_per_nm2,
+        structure.diameter_nm,
         *(n for p in particles for n in (p.share, p.centre_nm, p.cut or 0.0)),
         *(n for cell in one.supercells for n in (cell.period.side_nm, float(cell.seed))),
         *([float(surface.host)] if isinstance(surface, Embedded) else ()),
-    ]  # fmt: skip
+    ]
     return "ensemble-" + fingerprint(
         {"arrays": digest.hexdigest(), "numbers": [float(n).hex() for n in numbers]}, {}, settings=str(settings)
     )

@@ -1,7 +1,7 @@
-"""Multi-sphere T-matrix equations of one finite particle pattern on a stack.
+"""Multi-sphere T-matrix equations for a finite particle pattern on a stack.
 
-b_j = M (a_j + sum_k W(r_j - r_k) b_k), M the dressed response of one particle, W the coupling of two: the translation
-of spherical waves and the reflection by the stack, a Sommerfeld integral. All centres of one species have one height,
+b_j = M (a_j + sum_k W(r_j - r_k) b_k), M the dressed single-particle response, W the pair coupling: the translation
+for spherical waves and the reflection by the stack, a Sommerfeld integral. Each species has one centre height,
 so W depends on the distance and both species, and on the azimuth by a phase; it is tabulated once per wavelength.
 
 A multipole is n = (m, tau, l) with m from -L to L, flat, as in `translation_sums`; distances are times k.
@@ -21,20 +21,20 @@ from nacre.families.metasurface.monolayer.monolayer import Particle
 from nacre.families.metasurface.monolayer.translation_sums import (
     direct_coefficients,
     pair_orders,
+    reflected_sums,
     stack_contour,
     translation_coefficients,
 )
-from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, spread_blocks, with_negative_orders
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, spread_blocks
 from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack
 from nacre.families.metasurface.tmatrix.special_functions import (
     bessel_j,
     legendre,
-    plane_wave_vectors,
     spherical_hankel_scaled,
 )
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 
-STEP = 0.05  # in k times distance: cubic interpolation has an error of 1e-5 for touching spheres
+STEP = 0.05  # in k times distance: cubic interpolation error 1e-5 for touching spheres
 GROWTH = 10.0  # cancellation by e^10 at the largest distance
 LOW = 1.0  # k times the mirror distance below which steep evanescent waves reach far
 SingleComplex = NDArray[np.complex64]
@@ -46,53 +46,38 @@ def reflected_coupling(
 ) -> ComplexArray:
     """Return W^R(R), the coupling of multipole n' to n by the stack at a horizontal distance, `[n, n', distance]`.
 
-    4 int kap dkap/(k kz) i^mu J_mu(kap R) e^(2ikzd) sum_pol Bdag_n(kz/k) R B_n'(-kz/k), mu = |m' - m|; inside a layer
-    with the waves of `StackReflection`.
+    See `reflected_sums`; the moments are J_mu(kap R).
 
     Args:
         centre_nm: mean centre height.
         distances: k R, `[distance]`, real.
-        lift_nm: height of the target above the source.
-        reach: largest k R for the contour; default that of `distances`.
+        lift_nm: target height above the source.
+        reach: largest k R for the contour; default from `distances`.
     """
-    index = multipole_index(order)
-    mu = pair_orders(order)
-    out = np.zeros((*mu.shape, distances.size), dtype=complex)
+    size = len(multipole_index(order).m)
     if surface.is_absent:
-        return out
+        return np.zeros((size, size, distances.size), dtype=complex)
     far = float(max(distances.max(), 1.0)) if reach is None else reach
     heard = far if surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm) < LOW else 10.0
-    kappa, weight = stack_contour(surface, centre_nm, order, far, min(0.3, GROWTH / far), heard)
-    w = np.sqrt((1 - kappa) * (1 + kappa))
-    w = np.where(w.imag < 0, -w, w)
-    b = plane_wave_vectors(w, order, order, kappa)
-    measure = 4 * weight * kappa / w
-    ways = [
-        (with_negative_orders(left, index) * measure, with_negative_orders(right, index))
-        for left, right in surface.reflection_at(centre_nm, w, lift_nm).pairs(b)
-    ]
-    radial = bessel_j(np.outer(kappa, distances), 2 * order)
-    for m in range(2 * order + 1):
-        rows, columns = np.nonzero(mu == m)
-        pairs = sum(left[pol, rows] * right[pol, columns] for left, right in ways for pol in range(2))
-        out[rows, columns] = (1j) ** m * (pairs @ radial[m])
-    return out
+    contour = stack_contour(surface, centre_nm, order, far, min(0.3, GROWTH / far), heard)
+    moments = bessel_j(np.outer(contour[0], distances), 2 * order)
+    return reflected_sums(surface, centre_nm, lift_nm, order, contour, moments)
 
 
 def direct_coupling(order: int, distances: Array, height: float = 0.0) -> ComplexArray:
-    """Return W^D(R), the translation of outgoing multipole n' to regular n, `[n, n', distance]`.
+    """Return W^D(R), the translation from outgoing multipole n' to regular n, `[n, n', distance]`.
 
     sum_p c_p h_p(kr) P_p^mu(cos) with `translation_coefficients`.
 
     Args:
         distances: k times the horizontal ones.
-        height: k times the height of the target above the source.
+        height: k times the target height above the source.
     """
     top = 2 * order
     r = np.hypot(distances, height)
     waves = spherical_hankel_scaled(r, top) * np.exp(1j * r)
     if height == 0.0:
-        table = direct_coefficients(order).sum(axis=3)  # only the mu of the pair is not zero
+        table = direct_coefficients(order).sum(axis=3)  # only the pair's mu is not zero
         return np.asarray(table @ waves)
     angular = legendre(height / r, top, top)  # mu, p, distance
     by_order = np.stack([translation_coefficients(order) @ (waves * each) for each in angular])
@@ -102,7 +87,7 @@ def direct_coupling(order: int, distances: Array, height: float = 0.0) -> Comple
 
 
 def mean_and_lift(surface: Substrate, target_nm: float, source_nm: float) -> tuple[float, float]:
-    """Return the mean of two heights, and inside a layer their difference, for the coupling by the stack.
+    """Return the mean height, and inside a layer the height difference, for the coupling by the stack.
 
     Above a stack the coupling depends only on the mean height.
     """
@@ -121,7 +106,7 @@ class Period:
 
     Attributes:
         side_nm: its side.
-        bloch: Bloch wavevector of the phase between images, `[2]`, 1/nm.
+        bloch: Bloch wavevector (phase between images), `[2]`, 1/nm.
     """
 
     side_nm: float
@@ -130,12 +115,12 @@ class Period:
 
 @dataclass(frozen=True)
 class Coupling:
-    """Pair coupling over the distance at one wavelength, and the response of one particle.
+    """Pair coupling over the distance at one wavelength, and the single-particle response.
 
     Attributes:
         surface, order: stack and multipole order.
         centres_nm: centre heights, `[species]`.
-        start, step: of k times the distance.
+        start, step: in k times the distance.
         table: M W(R), `[species, species', distance, n, n']`, single precision, without the phase e^{i(m'-m) phi}.
         dressed: M over all m, `[species, n, n']`.
     """
@@ -160,7 +145,7 @@ class Coupling:
     ) -> Coupling:
         """Tabulate between two centre distances; with `fades` multiplied by `window`, which ends at the farthest.
 
-        The `others` of a mixture have the same order.
+        The `others` in a mixture have the same order.
         """
         particles, order = (particle, *others), particle.lmax
         alone = [ParticleOnStack(surface, p.centre_nm, p.t_matrix, order, p.cut) for p in particles]
@@ -185,11 +170,11 @@ class Coupling:
         return cls(surface, order, centres_nm, start, STEP, table, dressed)
 
     def matrix(self, xy_nm: Array, period: Period | None = None, species: IntArray | None = None) -> SingleComplex:
-        """Return 1 - M W of a pattern, `[sphere x n, sphere x n]`, in column order for LAPACK.
+        """Return 1 - M W for a pattern, `[sphere x n, sphere x n]`, in column order for LAPACK.
 
         Args:
-            period: of a periodic pattern; includes every image within the table.
-            species: species number of each particle; default 0.
+            period: for a periodic pattern; includes every image within the table.
+            species: species number per particle; default 0.
         """
         index = multipole_index(self.order)
         size = len(xy_nm) * len(index.m)
@@ -205,18 +190,18 @@ class Coupling:
         return turned.T
 
     def excitations(self, xy_nm: Array, waves: PlaneWaves, species: IntArray | None = None) -> SingleComplex:
-        """Return M a of plane waves, `[sphere, n, wave]`, polarisation before direction."""
+        """Return M a for plane waves, `[sphere, n, wave]`, polarisation before direction."""
         answered = np.matmul(self.dressed, waves.excitation)
         return np.asarray(answered[species_numbers(xy_nm, species)] * waves.phases(xy_nm)[:, None], dtype=np.complex64)
 
     def solve(
         self, xy_nm: Array, waves: PlaneWaves, species: IntArray | None = None, matrix: SingleComplex | None = None
     ) -> SingleComplex:
-        """Return the multipoles of every particle, `[sphere, n, wave]`.
+        """Return the multipoles for every particle, `[sphere, n, wave]`.
 
         Args:
-            species: species number of each particle; default 0.
-            matrix: coupling matrix, overwritten; default `matrix` of the pattern.
+            species: species number per particle; default 0.
+            matrix: coupling matrix, overwritten; default the pattern's `matrix`.
         """
         right = self.excitations(xy_nm, waves, species)
         if matrix is None:
@@ -228,7 +213,7 @@ class Coupling:
     def far_field(
         self, xy_nm: Array, multipoles: SingleComplex, waves: PlaneWaves, species: IntArray | None = None
     ) -> SingleComplex:
-        """Return F towards the directions of `waves`, `[direction, wave of multipoles]`, nm."""
+        """Return F towards the directions of `waves`, `[direction, wave]`, nm."""
         phases = waves.phases(xy_nm).conj() / self.surface.inner_wavenumber  # sphere, direction
         rows = (waves.emission[species_numbers(xy_nm, species)] * phases[:, None]).astype(np.complex64)
         return np.asarray(rows.reshape(-1, rows.shape[-1]).T @ multipoles.reshape(-1, multipoles.shape[-1]))
@@ -236,10 +221,10 @@ class Coupling:
 
 @dataclass(frozen=True)
 class PlaneWaves:
-    """Plane waves of all polarisations and azimuths: excitation and emission vectors.
+    """Plane waves for all polarisations and azimuths: excitation and emission vectors.
 
     Attributes:
-        excitation, emission: `[species, n, wave]`, of a particle at the origin; waves are ordered by pol, angle,
+        excitation, emission: `[species, n, wave]`, for a particle at the origin; waves are ordered by pol, angle,
             azimuth.
         wavevectors: `[wave, 2]`, in the plane, 1/nm, along the propagation.
     """
@@ -283,7 +268,7 @@ def _fill(xy, species, start, step, tables, m, side, shift, far, images, turned)
                 for ny in range(-images, images + 1):
                     if j == k and nx == 0 and ny == 0:
                         continue
-                    # field of an image of particle k at particle j
+                    # field from an image (particle k) at particle j
                     dx, dy = xy[j, 0] - xy[k, 0] - nx * side, xy[j, 1] - xy[k, 1] - ny * side
                     distance = np.sqrt(dx * dx + dy * dy)
                     if distance >= far:

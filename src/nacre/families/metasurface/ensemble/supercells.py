@@ -1,7 +1,7 @@
-"""Periodic supercells of a pattern, and the coupling of particles with all periodic images.
+"""Periodic supercells, and the particle coupling with all periodic images.
 
 A finite patch has an edge that scatters near grazing. A periodic square has none. One Bloch wavevector serves all
-diffraction orders of the square, some hundred directions of incidence and view; every order except the zeroth is
+diffraction orders, some hundred incident and view directions; every order except the zeroth is
 diffuse light. The coupling between particles and images is summed in real space within a window and beyond it over the
 diffraction orders.
 """
@@ -32,10 +32,11 @@ from nacre.families.metasurface.ensemble.multisphere import (
 from nacre.families.metasurface.monolayer.arrangement import Pattern
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.monolayer.qca import NeighbourTable, barycentric, chebyshev, mixed
-from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.monolayer.translation_sums import (
+    NeighbourGeometry,
     folded,
     pair_orders,
+    panels,
     translation_coefficients,
     unfolded,
 )
@@ -45,18 +46,18 @@ from nacre.families.metasurface.tmatrix.substrate import Substrate
 
 BEYOND = 24.0  # wavevector range past the light line, in k, needed by the window edge, times k times its reach
 BEYOND_IN_A_LAYER = 36.0  # the same for a host layer that guides light
-QUIET = 3e-5  # share of the response of one particle below which waves of random phases are negligible
+QUIET = 3e-5  # relative response below which waves with random phases are negligible
 
 
 @dataclass(frozen=True)
 class Supercell:
-    """One square of a periodic pattern.
+    """One square in a periodic pattern.
 
     Attributes:
         xy_nm: positions, `[sphere, 2]`.
         period: its period.
         seed: for random choices in it.
-        species: species number of each particle, `[sphere]`; None for one species.
+        species: species number per particle, `[sphere]`; None for one species.
     """
 
     xy_nm: Array
@@ -74,12 +75,12 @@ def supercells(
     seed: int,
     is_list: bool = False,
 ) -> list[Supercell]:
-    """Return squares of about `spheres` particles, each with a random Bloch wavevector.
+    """Return squares with about `spheres` particles, each with a random Bloch wavevector.
 
     Args:
-        pattern: function of count and seed that returns a pattern.
-        least_nm: smallest distance; one particle of each closer pair is removed.
-        is_list: whether the pattern is a fixed list of points, from which random squares are cut.
+        pattern: function (count, seed) that returns a pattern.
+        least_nm: smallest distance; one particle in each closer pair is removed.
+        is_list: whether the pattern is a fixed point list, cut to random squares.
     """
     out = []
     for number in range(realisations):
@@ -99,9 +100,9 @@ def supercells(
 
 
 def with_species(patterns: list[Supercell], shares: Array, seed: int) -> list[Supercell]:
-    """Return the patterns of a mixture with randomly placed species in exact total shares.
+    """Return mixture patterns with randomly placed species in exact total shares.
 
-    An excess of a bright species over all patterns would be an error of the mean.
+    Excess bright particles over all patterns would bias the mean.
     """
     counts = [len(one.xy_nm) for one in patterns]
     drawn = draw_species(sum(counts), shares, np.random.default_rng((seed, len(counts), 1)))
@@ -140,23 +141,15 @@ class DistantSheet:
     largest: float
 
     @classmethod
-    def build(
-        cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, reach_nm: float, largest: float,
-        lift_nm: float = 0.0,
-    ) -> DistantSheet:  # fmt: skip
-        """Tabulate; `structure` gives density and least distance, without correlation.
-
-        Args:
-            centre_nm: mean of both heights.
-            lift_nm: height of the target above the source, for the reflection by the stack.
-        """
-        k = surface.inner_wavenumber
+    def build(cls, geometry: NeighbourGeometry, reach_nm: float, largest: float) -> DistantSheet:
+        """Tabulate; the structure gives density and least distance, without correlation."""
+        structure, order, k = geometry.structure, geometry.order, geometry.surface.inner_wavenumber
         a, far = structure.diameter_nm * k, reach_nm * k
         edges = np.linspace(a, far, int(np.ceil((far - a) / min(a / 2, 2.0))) + 1)
-        x, weight = np.polynomial.legendre.leggauss(8)
-        half = np.diff(edges)[:, None] / 2
-        r, w = (edges[:-1, None] + half * (1 + x)).ravel(), (half * weight).ravel()
-        single = direct_coupling(order, r) + reflected_coupling(surface, centre_nm, order, r, lift_nm=lift_nm)
+        r, w = panels(edges, 8)
+        single = direct_coupling(order, r) + reflected_coupling(
+            geometry.surface, geometry.centre_nm, order, r, lift_nm=geometry.lift_nm
+        )
         kappa, _ = chebyshev(int(30 + 0.7 * far * largest), 0.0, largest)
         mu = pair_orders(order)
         sums = np.zeros((*mu.shape, kappa.size), dtype=complex)
@@ -166,7 +159,7 @@ class DistantSheet:
             sums[rows, columns] = (-1j) ** m * (single[rows, columns] @ (seen * jv(m, np.outer(r, kappa))))
         sums *= 2 * np.pi * structure.density_per_nm2 / k**2
         within = np.stack([np.moveaxis(folded(sums, order, pol), -1, 0) for pol in range(2)])
-        table = NeighbourTable.build(surface, centre_nm, structure, order, largest=largest, lift_nm=lift_nm)
+        table = NeighbourTable.build(geometry, largest=largest)
         return cls(table, within, largest)
 
     def at(self, kappa: Array) -> ComplexArray:
@@ -174,17 +167,17 @@ class DistantSheet:
         w = np.sqrt((1.0 - kappa**2).astype(complex))
         nodes, weights = chebyshev(self.within.shape[1], 0.0, self.largest)
         rest = self.table.sums(kappa, w) - mixed(barycentric(nodes, weights, kappa), self.within)
-        return unfolded(rest, self.table.order) / self.table.structure.density_per_nm2
+        return unfolded(rest, self.table.geometry.order) / self.table.geometry.structure.density_per_nm2
 
 
 @dataclass(frozen=True)
 class PeriodicCoupling:
-    """Coupling with the images beyond the window, as waves of in-plane wavevectors.
+    """Coupling with the images beyond the window, as plane waves.
 
     Attributes:
         coupling: pair tables within the window.
         sheets: one for each pair of heights, see `mean_and_lift`.
-        direct: the direct waves, of a higher order; None if all centres have one height.
+        direct: the direct waves, at a higher order; None if all centres have one height.
         largest: largest in-plane wavevector over k.
     """
 
@@ -202,7 +195,7 @@ class PeriodicCoupling:
         largest = max_far_wavenumber(surface, reach_nm)
         pairs = {mean_and_lift(surface, float(a), float(b)) for a in heights for b in heights}
         sheets = {
-            (mean, up): DistantSheet.build(surface, mean, alone, order, reach_nm, largest, up)
+            (mean, up): DistantSheet.build(NeighbourGeometry(surface, mean, alone, order, up), reach_nm, largest)
             for mean, up in sorted(pairs)
         }
         direct, step = None, k * float(np.ptp(heights))
@@ -210,12 +203,12 @@ class PeriodicCoupling:
             nothing = Substrate(surface.wavelength_nm, np.full(2, surface.inner_index + 0j), np.zeros(0))
             # shorter distances cancel within the window, and high multipoles are large there
             further = dataclasses.replace(alone, diameter_nm=max(alone.diameter_nm, reach_nm / 2))
-            top = translation_order(order, step)
-            direct = DistantSheet.build(nothing, float(heights.max()), further, top, reach_nm, largest)
+            top = NeighbourGeometry(nothing, float(heights.max()), further, translation_order(order, step))
+            direct = DistantSheet.build(top, reach_nm, largest)
         return cls(coupling, sheets, direct, largest)
 
     def beyond(self, wavevectors: Array) -> ComplexArray:
-        """Return M times the Fourier transform of the coupling beyond the window, `[species, species', wave, n, n']`.
+        """Return M times the Fourier-transformed coupling beyond the window, `[species, species', wave, n, n']`.
 
         Args:
             wavevectors: `[wave, 2]`, 1/nm, off the light line.
@@ -236,18 +229,18 @@ class PeriodicCoupling:
         return out
 
     def _lifted(self, straight: ComplexArray, height: float) -> ComplexArray:
-        """Return the correction of the direct waves, `[wave, n, n']`, for a target higher by `height` / k.
+        """Return the direct-wave correction, `[wave, n, n']`, for a target higher by `height` / k.
 
         Waves from beyond the window are regular at the target and are translated as regular waves.
         """
         assert self.direct is not None  # set for different heights
-        top = self.direct.table.order
+        top = self.direct.table.geometry.order
         low = multipole_index(top).l <= self.coupling.order
         carried = lift(top, height) - np.eye(len(low))
         return np.asarray(carried[low] @ straight[:, :, low])
 
     def matrix(self, cell: Supercell) -> SingleComplex:
-        """Return 1 - M W of a pattern and all its images, `[sphere x n, sphere x n]`, in column order."""
+        """Return 1 - M W for a pattern with all its images, `[sphere x n, sphere x n]`, in column order."""
         xy, period, species = cell.xy_nm, cell.period, species_numbers(cell.xy_nm, cell.species)
         out = self.coupling.matrix(xy, period, species).T  # rows: source and its multipole
         waves = orders(period, self.largest * self.coupling.surface.inner_wavenumber)
@@ -268,23 +261,23 @@ class PeriodicCoupling:
         return out.T
 
     def solve(self, cell: Supercell, waves: PlaneWaves) -> SingleComplex:
-        """Return the multipoles of every particle, `[sphere, n, wave]`."""
+        """Return the multipoles for every particle, `[sphere, n, wave]`."""
         return self.coupling.solve(cell.xy_nm, waves, cell.species, self.matrix(cell))
 
 
 def translation_order(order: int, step: float) -> int:
-    """Return the order of waves translated vertically by `step` / k for results of `order`."""
+    """Return the wave order for a vertical translation by `step` / k to results with `order`."""
     return order + 2 + int(np.ceil(1.5 * step))
 
 
 def max_far_wavenumber(surface: Substrate, reach_nm: float) -> float:
-    """Return the largest in-plane wavevector, over k around the particles, of waves from beyond the window."""
+    """Return the largest in-plane wavevector, over k around the particles, for waves from beyond the window."""
     beyond = BEYOND_IN_A_LAYER if surface.inner_nm else BEYOND
     return max_guided_index(surface) / surface.inner_index + beyond / (reach_nm * surface.inner_wavenumber)
 
 
 def max_guided_index(surface: Substrate) -> float:
-    """Return the largest index of propagating in-plane wavevectors: outer media and films that guide light."""
+    """Return the largest index for propagating in-plane wavevectors: outer media and films that guide light."""
     outside = [surface.inner_index, surface.ambient_index]
     if surface.is_transparent:
         outside.append(float(surface.indices[-1].real))

@@ -1,14 +1,14 @@
-"""Monolayer of aligned particles without rotational symmetry: coherent light, diffuse light, and lobes.
+"""Aligned particles without rotational symmetry in a monolayer: coherent light, diffuse light, and lobes.
 
-The arrangement is isotropic, so the neighbour sums depend on the azimuth phi of the light only by phases:
-Q(phi) = e^(i (m' - m) phi) Q(0). In a frame rotated with the light, Q is that of any monolayer and the particle is
+The arrangement is isotropic, so the neighbour sums depend on the light azimuth phi only by phases:
+Q(phi) = e^(i (m' - m) phi) Q(0). In a frame rotated with the light, Q equals any monolayer's and the particle is
 rotated by -phi: M -> e^(i m phi) M e^(-i m' phi). There b = (M^-1 - Q)^-1 v is solved at each azimuth, with all orders
-m coupled. Azimuths are those of in-plane wavevectors; light of a direction at azimuth a propagates at a + pi.
+m coupled. Azimuths refer to in-plane wavevectors; light from azimuth a propagates at a + pi.
 
 As in `diffuse`, f = rho |X||Y| S C / (cos_i cos_o) with the far field X and its reverse Y, and C = g_i g_o balanced to
 the power that the mean field radiates, but here directions and g depend on the azimuth. Without S and C, f is smooth: a
 short Fourier series in both azimuths. S has rings sharper than the azimuth step; sums over azimuths use its first
-harmonics over the difference, which is exact for the few harmonics of particle patterns.
+harmonics over the difference, which is exact for particle patterns with few harmonics.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, dre
 
 @dataclass(frozen=True)
 class AlignedIllumination:
-    """Directions of one side with the response of a particle among its neighbours to light from there.
+    """Directions on one side with the response to light from there, neighbours included.
 
     Attributes:
         directions: excitation and emission vectors.
@@ -80,8 +80,8 @@ class AlignedLayer:
     """Aligned particles on a stack at one wavelength.
 
     Attributes:
-        mean: the monolayer of rotationally averaged particles: stack, arrangement, neighbour sums.
-        whole: full T of one particle, `[n, n']`, with at least the multipoles of `mean`.
+        mean: the monolayer with rotationally averaged particles: stack, arrangement, neighbour sums.
+        whole: full T for one particle, `[n, n']`, with at least the `mean` multipoles.
     """
 
     mean: Monolayer
@@ -99,14 +99,14 @@ class AlignedLayer:
 
     @cached_property
     def dressed(self) -> ComplexArray:
-        """M = (T^-1 - W)^-1 of the particle above its stack, `[n, n']`."""
+        """M = (T^-1 - W)^-1 for the particle above its stack, `[n, n']`."""
         index, kept = self._kept
         t = truncated_full(self.whole, index.order)[kept[:, None], kept]
         return np.asarray(dressed_matrix(t[None], spread_blocks(self.mean.spheres[0].coupling, index)[None])[0])
 
     @cached_property
     def _exchanged(self) -> tuple[int, NDArray[np.intp]]:
-        """The order of the neighbour interaction, and the places of its multipoles in `index`."""
+        """The neighbour interaction order, and its multipole places in `index`."""
         order = min(self.mean.interaction_order, self.index.order, self.mean.spheres[0].mmax)
         places = {k: i for i, k in enumerate(zip(self.index.m, self.index.tau, self.index.l, strict=True))}
         few = multipole_index(order)
@@ -120,18 +120,16 @@ class AlignedLayer:
         sines: Array | None = None,
         untabulated: bool = False,
     ) -> AlignedIllumination:
-        """Return the directions at `cosines` of one side, and the response to light with wavevectors at `azimuths`.
+        """Return the directions at `cosines` on one side, and the response to light with wavevectors at `azimuths`.
 
         Args:
-            untabulated: compute the neighbour sums at these few angles instead of tabulating them.
+            untabulated: compute the neighbour sums at these few angles without a table.
         """
         directions = self.mean.spheres[0].directions(cosines, below, sines)
         order, few = self._exchanged
         if untabulated:
-            mean = self.mean
-            folded = neighbour_sums_at(
-                mean.surface, mean.mean_centre_nm, mean.structure, order, directions, mean.includes_near_fields
-            )
+            geometry = self.mean.neighbour_geometry(order)
+            folded = neighbour_sums_at(geometry, directions, self.mean.includes_near_fields)
         else:
             folded = self.mean.neighbours.at(directions)
         sums = unfolded(folded, order)  # angle, n, n'
@@ -150,15 +148,15 @@ class AlignedLayer:
         )
 
     def leaving(self, cosines: Array, below: bool) -> Directions:
-        """Return directions of emission to one side."""
+        """Return emission directions to one side."""
         return self.mean.spheres[0].directions(cosines, below)
 
     def coherent_sum(self, emission: ComplexArray, lit: AlignedIllumination) -> ComplexArray:
-        """Return F towards the reflected or refracted direction of each of `lit`, nm, `[azimuth, q, p, angle]`."""
+        """Return F towards the reflected or refracted direction for each in `lit`, nm, `[azimuth, q, p, angle]`."""
         return np.asarray(np.einsum("qna,fpna->fqpa", emission, lit.response) / self.mean.surface.inner_wavenumber)
 
     def specular_above(self, cosines: Array, azimuths: Array, untabulated: bool = False) -> tuple[Array, Array]:
-        """Power reflectance and transmittance of coherent light from above, `[azimuth, pol, angle]`."""
+        """Power reflectance and transmittance for coherent light from above, `[azimuth, pol, angle]`."""
         layer = self.mean
         k, rho = layer.surface.wavenumber, layer.structure.density_per_nm2
         lit = self.illuminate(cosines, azimuths, untabulated=untabulated)
@@ -172,7 +170,7 @@ class AlignedLayer:
         return reflected, cos_below / cosines * np.sum(np.abs(t) ** 2, axis=1)
 
     def specular_below(self, cosines: Array, azimuths: Array) -> Array:
-        """Power reflectance of the coherent light from below, `[azimuth, pol, angle]`."""
+        """Power reflectance for coherent light from below, `[azimuth, pol, angle]`."""
         layer = self.mean
         k, rho = layer.surface.wavenumber, layer.structure.density_per_nm2
         lit = self.illuminate(cosines, azimuths, below=True)
@@ -183,20 +181,20 @@ class AlignedLayer:
 
 
 def _both(amplitudes: ComplexArray) -> ComplexArray:
-    """Return the amplitudes of s and p, `[pol, angle]`, as a diagonal Jones matrix, `[q, p, angle]`."""
+    """Return the s and p amplitudes, `[pol, angle]`, as a diagonal Jones matrix, `[q, p, angle]`."""
     return np.asarray(np.eye(2)[:, :, None] * amplitudes[None])
 
 
-AZIMUTHS = 24  # a multiple of four makes rotations by 90 degrees exact
+AZIMUTHS = 24  # multiples by four make 90 degree rotations exact
 
 
 @dataclass(frozen=True)
 class AlignedTerm:
-    """The diffuse power between all pairs of directions; angle s (i) with azimuth b (a), above first.
+    """The diffuse power between all direction pairs; angle s (i) with azimuth b (a), above first.
 
     Attributes:
         power: `[s, b, i, a]`, rho |X||Y| C / (n_s n_i), unpolarised, without S.
-        flow: the same times the low harmonics of S.
+        flow: the same times the low S harmonics.
     """
 
     power: Array
@@ -204,7 +202,7 @@ class AlignedTerm:
 
 
 def azimuth_nodes(count: int) -> Array:
-    """Return the azimuths of directions, `[azimuth]`."""
+    """Return the direction azimuths, `[azimuth]`."""
     return np.asarray(np.arange(count) * (2 * np.pi / count), dtype=np.float64)
 
 
@@ -214,11 +212,11 @@ def light_of(layer: AlignedLayer, cosines: Array, below: bool, count: int) -> Al
 
 
 def aligned_term(layer: AlignedLayer, sides: list[tuple[AlignedIllumination, Array]]) -> AlignedTerm:
-    """Return the diffuse term between all directions of `sides` (above first), each with its weights dmu.
+    """Return the diffuse term between all `sides` directions (above first), each with its weights dmu.
 
     Args:
         layer: the monolayer.
-        sides: from `light_of`, with the weights of their polar angles.
+        sides: from `light_of`, with polar angle weights.
     """
     count = len(sides[0][0].response)
     joined = DirectionSet.join([(lit.directions, w) for lit, w in sides])
@@ -229,7 +227,7 @@ def aligned_term(layer: AlignedLayer, sides: list[tuple[AlignedIllumination, Arr
     smooth_s = smooth_structure(joined, layer, k, count)
     size = joined.cosines.size
     power = np.empty((size, 2, count, size, 2, count))
-    totals = np.zeros((2, size, 2, count))  # side of the view
+    totals = np.zeros((2, size, 2, count))  # view side
     step = 2 * np.pi / count
     weights = joined.weights * joined.index**2
     scale = rho / (joined.index[:, None] * joined.index)
@@ -249,7 +247,7 @@ def aligned_term(layer: AlignedLayer, sides: list[tuple[AlignedIllumination, Arr
         power[part, :, :, s] = both.transpose(2, 3, 4, 0, 1)
     flow = power * (scale[:, None, None, :, None, None] * smooth_s.transpose(0, 2, 1, 3)[:, None, :, :, None])
     factors = _factors(flow, totals, weights * step, is_below)
-    pair = factors[..., is_below.astype(int)]  # [s, q, b, i]: g of s for the side of i
+    pair = factors[..., is_below.astype(int)]  # [s, q, b, i]: g(s) for the side of i
     # one direction at a time limits the memory
     for s in range(size):
         c = pair[s][..., None, None] * pair[..., s].transpose(0, 1, 2)[None, None]
@@ -263,7 +261,7 @@ def _turned(
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return emission towards and response to light from each direction, `[angle, pol, azimuth, n]`.
 
-    Both are in the frame of the surface, over the root of k of the particle medium.
+    Both are in the surface frame, over the root of the inner k.
     """
     m, alpha = layer.index.m, azimuth_nodes(count)
     root = np.sqrt(layer.mean.surface.inner_wavenumber)
@@ -276,7 +274,7 @@ def _turned(
 
 
 def _squared(leaving: ComplexArray, met: ComplexArray, is_reverse: bool = False) -> Array:
-    """Return |F|^2 of one angle s and several i, `[q, b, i, p, a]`; reversed: light from s to i."""
+    """Return |F|^2 for one angle s and several i, `[q, b, i, p, a]`; reversed: light from s to i."""
     n = leaving.shape[-1]
     of_leaving, of_met = leaving.reshape(-1, n), met.reshape(-1, n)
     found = of_met @ of_leaving.T if is_reverse else of_leaving @ of_met.T
@@ -295,15 +293,15 @@ def far_powers(layer: AlignedLayer, leaving: Directions, lit: AlignedIlluminatio
 def smooth_structure(
     joined: DirectionSet, layer: AlignedLayer, wavenumber: float, count: int, against_wave: bool = False
 ) -> Array:
-    """Return the low harmonics of S between pairs of directions, `[s, i, b, a]`.
+    """Return the low S harmonics between direction pairs, `[s, i, b, a]`.
 
     Args:
-        against_wave: measure the azimuths of the light by its wavevector.
+        against_wave: measure the light azimuth by its wavevector.
     """
     few = min(S_HARMONICS, count // 2)
     harmonics = structure_harmonics(joined, layer.mean.structure, wavenumber, few) / (2 * np.pi)
     k = np.arange(few)
-    # the wavevector of the light is opposite to its direction
+    # the light wavevector is opposite to its direction
     difference = azimuth_nodes(count) - (0.0 if against_wave else np.pi)
     waves = np.where(k == 0, 1.0, 2.0)[:, None] * np.cos(np.multiply.outer(k, difference))
     by_difference = harmonics @ waves
@@ -312,7 +310,7 @@ def smooth_structure(
 
 
 def _factors(flow: Array, totals: Array, weights: Array, is_below: NDArray[np.bool_]) -> Array:
-    """Return g, `[angle, pol, azimuth, side of the other]`."""
+    """Return g, `[angle, pol, azimuth, other side]`."""
     size, _, count = flow.shape[:3]
 
     def rows(chosen: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -334,16 +332,16 @@ def _factors(flow: Array, totals: Array, weights: Array, is_below: NDArray[np.bo
 
 
 NO_ENSEMBLE = "aligned particles have no ensemble, so the error of their mean field is not measured"
-SPECULAR_STEPS = 72  # azimuths of the specular tables; interpolation has an error of 0.4 % of the variation
-LEFT_OUT = 5e-4  # relative rms of all omitted Fourier terms of f
+SPECULAR_STEPS = 72  # specular table azimuths; the interpolation error is 0.4 % of the variation
+LEFT_OUT = 5e-4  # relative rms for all omitted Fourier terms in f
 MOST_TERMS = 48
-VALUE_NODES = 12  # nodes over the cosine of the balance, for direct values to 1e-4
+VALUE_NODES = 12  # balance nodes over the cosine, for direct values to 1e-4
 # angles above an opaque substrate; on a clear one above, below and beyond the critical angle
 MOST_ANGLES = 64, (40, 20, 14)
 
 
 def aligned_grids(grids: Grids) -> Grids:
-    """Limit the number of angles by time and memory of pairs of azimuths."""
+    """Limit the angle count by time and memory for azimuth pairs."""
     opaque, (above, below, beyond) = MOST_ANGLES
     if grids.below is None:
         return Grids(PolarGrid(min(grids.above.count, opaque)), None)
@@ -356,7 +354,7 @@ def aligned_grids(grids: Grids) -> Grids:
 
 @dataclass(frozen=True)
 class AlignedResult:
-    """Table columns of one wavelength: specular `[azimuth, node]`, `series` `[pair, term]` of `series_orders`."""
+    """Table columns for one wavelength: specular `[azimuth, node]`, `series` `[pair, term]` of `series_orders`."""
 
     reflectance: Array
     transmittance: Array
@@ -460,7 +458,7 @@ def tabulate_aligned(
     turn_rad: float,
     jobs: int | None = None,
 ) -> tuple[tuple[Lobe, ...], float]:
-    """Solve all wavelengths in parallel; return the two lobes and the largest raw excess of energy over 1."""
+    """Solve all wavelengths in parallel; return the two lobes and the largest raw energy excess over 1."""
 
     def work(wavelength: float) -> tuple[AlignedResult, float, float]:
         layer = layer_at(float(wavelength))
@@ -474,18 +472,32 @@ def tabulate_aligned(
 
     transmits = grids.below is not None
     response = InterfaceResponse(
-        wavelengths_nm, np.linspace(0.0, 1.0, SPECULAR_NODES), column("reflectance"), column("transmittance"),
-        column("reflectance_inside"), column("total"), eta, transmits,
-    )  # fmt: skip
+        wavelengths_nm,
+        np.linspace(0.0, 1.0, SPECULAR_NODES),
+        column("reflectance"),
+        column("transmittance"),
+        column("reflectance_inside"),
+        column("total"),
+        eta,
+        transmits,
+    )
     series = np.stack([r.series for r in results], axis=-1)
     chosen = _chosen(series)
     below = grids.below or PolarGrid(0)
     lobe = Aligned(
-        wavelengths_nm, np.ascontiguousarray(series[:, chosen]), series_orders()[chosen].astype(float),
-        grids.above.count, below.count, below.beyond, eta, turn_rad, np.array([k for _, k, _ in solved]),
+        wavelengths_nm,
+        np.ascontiguousarray(series[:, chosen]),
+        series_orders()[chosen].astype(float),
+        grids.above.count,
+        below.count,
+        below.beyond,
+        eta,
+        turn_rad,
+        np.array([k for _, k, _ in solved]),
         np.array([n if transmits else 1.0 for _, _, n in solved]),
-        float(structure.q_per_nm[1] - structure.q_per_nm[0]), structure.s,
-    )  # fmt: skip
+        float(structure.q_per_nm[1] - structure.q_per_nm[0]),
+        structure.s,
+    )
     return (AlignedSpecular(response, turn_rad), lobe), max(r.excess for r in results)
 
 
@@ -512,8 +524,8 @@ def aligned_powers(layer: AlignedLayer, cosines: Array, azimuth_rad: float) -> t
 
     Args:
         layer: the monolayer.
-        cosines: `[angle]`, of incidence, > 0.
-        azimuth_rad: of incidence, relative to the x axis of the particles.
+        cosines: `[angle]`, incident, > 0.
+        azimuth_rad: incident, relative to the particle x axis.
     """
     wave = np.array([azimuth_rad + np.pi])
     reflected, passed = (p[0] for p in layer.specular_above(cosines, wave, untabulated=True))
@@ -526,12 +538,12 @@ def aligned_powers(layer: AlignedLayer, cosines: Array, azimuth_rad: float) -> t
 
 
 def aligned_values(layer: AlignedLayer, wi: Array, wo: Array, turn_rad: float) -> Array:
-    """Return the diffuse BRDF of pairs of directions above the surface, `[pair]`, 1/sr, unpolarised.
+    """Return the diffuse BRDF for direction pairs above the surface, `[pair]`, 1/sr, unpolarised.
 
     Args:
         layer: the monolayer.
         wi, wo: `[pair, 3]`, unit vectors, z > 0.
-        turn_rad: rotation of the particles.
+        turn_rad: particle rotation.
     """
     mu, weights = hemisphere_rule(VALUE_NODES)
     cosines, place = np.unique(np.concatenate([wi[:, 2], wo[:, 2]]), return_inverse=True)

@@ -1,6 +1,6 @@
 """Particle arrangements: seeded point patterns on a periodic square, point lists, pictures and measured S(q).
 
-The kernels use the least distance a as the unit of length; a grid of cells of side below a/sqrt(2) holds at most one
+The kernels use the least distance a as the length unit; a grid with cells below a/sqrt(2) holds at most one
 point per cell, so each overlap test inspects 24 neighbours.
 """
 
@@ -38,7 +38,7 @@ class Pattern:
 
     Attributes:
         xy_nm: `[point, 2]`, in [0, box_nm).
-        box_nm: side of the square.
+        box_nm: square side.
     """
 
     xy_nm: Array
@@ -47,7 +47,7 @@ class Pattern:
 
 @compiled(nogil=True)
 def _free(grid, wrap, ix, iy, x, y, box):  # type: ignore[no-untyped-def]  # numba
-    """Whether no point of another cell is closer than 1; cells of side <= 1/sqrt(2), the own cell empty."""
+    """Whether no point in another cell is closer than 1; cell side <= 1/sqrt(2), the own cell empty."""
     for dx in range(-2, 3):
         cx = wrap[ix + dx + 2]
         for dy in range(-2, 3):
@@ -110,7 +110,7 @@ def _add(count, box, cells, seed, start, shrink, tries, xy):  # type: ignore[no-
 
 @compiled(nogil=True)
 def _move(xy, box, cells, seed, sweeps, step):  # type: ignore[no-untyped-def]  # numba
-    """Metropolis moves of hard disks of diameter 1, one after the other; return the accepted share."""
+    """Sequential Metropolis moves for hard disks with diameter 1; return the accepted share."""
     np.random.seed(seed)  # noqa: NPY002  # numba knows the generator of its own thread only
     side = box / cells
     grid = np.full((cells, cells, 2), -1.0)
@@ -177,7 +177,7 @@ def poisson_disk(count: int, density_per_nm2: float, packing: float, seed: int =
     McCool & Fiume, Graphics Interface (1992). More uniform than random sequential addition at the same density.
 
     Raises:
-        NacreError: the points do not fit, as above a packing of about 0.53.
+        NacreError: the points do not fit, as above packing 0.53.
     """
     if packing > POISSON_LIMIT:
         raise NacreError(
@@ -226,7 +226,7 @@ def _hexagonal(count: int, box: float) -> Array:
 def lattice(count: int, density_per_nm2: float, kind: str = "hexagonal", jitter: float = 0.0, seed: int = 0) -> Pattern:
     """A square or hexagonal lattice with Gaussian displacements of `jitter` lattice constants.
 
-    The number of points is rounded to close the lattice on the (nearly) square box.
+    The point count is rounded to close the lattice on the (nearly) square box.
     """
     rng = np.random.default_rng(seed)
     columns = max(2, round(np.sqrt(count)))
@@ -243,7 +243,7 @@ def lattice(count: int, density_per_nm2: float, kind: str = "hexagonal", jitter:
 
 
 def nearest_distances(pattern: Pattern) -> Array:
-    """Distance of each point to its nearest periodic neighbour in nm, `[point]`."""
+    """Distance from each point to its nearest periodic neighbour in nm, `[point]`."""
     from scipy.spatial import cKDTree
 
     xy = pattern.xy_nm % pattern.box_nm
@@ -252,9 +252,9 @@ def nearest_distances(pattern: Pattern) -> Array:
 
 
 def measured_structure_factor(pattern: Pattern, q_edges_per_nm: Array) -> Array:
-    """S(q) of a pattern, averaged over the modes of its box between the edges, `[bin]`.
+    """S(q), averaged over the box modes between the edges, `[bin]`.
 
-    Points are spread on a mesh by cubic B-splines and transformed; the transform of the spline is divided out. A bin
+    Points are spread on a mesh by cubic B-splines and transformed; the spline transform is divided out. A bin
     without a mode is interpolated.
     """
     count = len(pattern.xy_nm)
@@ -321,7 +321,7 @@ def _count_pairs(xy, box, order, starts, cells, reach, bins, counts):  # type: i
 
 
 def measured_pair_correlation(pattern: Pattern, reach_nm: float, bins: int = 300) -> tuple[Array, Array]:
-    """r (bin centres, nm) and g(r) of a pattern up to `reach_nm`, at most a third of the box."""
+    """r (bin centres, nm) and g(r) up to `reach_nm`, at most a third of the box."""
     box = pattern.box_nm
     if reach_nm > box / 3:
         raise NacreError(f"g(r) to {reach_nm:g} nm needs a box of at least three times that, not {box:g} nm")
@@ -345,12 +345,12 @@ MEASURED_POINTS = 200_000
 MAX_FILE_BYTES = 200 << 20
 LEAST_POINTS = 50
 FARTHEST_UM = 4.0  # largest neighbour distance; beyond, S(q) has more rings than light resolves
-BIN_REDUCED = 0.1  # bin width of a measured S, in q a
+BIN_REDUCED = 0.1  # bin width for a measured S, in q a
 
 
 @dataclass(frozen=True)
 class Arrangement:
-    """A name of `ARRANGEMENTS`, density, packing and seed, and for a lattice its type and jitter."""
+    """A name from `ARRANGEMENTS`, density, packing and seed, and for a lattice its type and jitter."""
 
     name: str
     density_per_nm2: float
@@ -360,7 +360,7 @@ class Arrangement:
     jitter: float = 0.1
 
     def pattern(self, count: int) -> Pattern:
-        """Return a pattern of about `count` points.
+        """Return a pattern with about `count` points.
 
         Raises:
             NacreError: the packing cannot be reached.
@@ -376,7 +376,7 @@ class Arrangement:
 
 
 def measured_structure(name: str, pattern: Pattern, diameter_nm: float, q_max_per_nm: float) -> Structure:
-    """Measure and tabulate S(q) and g(r) of a pattern."""
+    """Measure and tabulate S(q) and g(r) for a pattern."""
     density = len(pattern.xy_nm) / pattern.box_nm**2
     top = min(q_max_per_nm, 25.0 / diameter_nm)
     edges = np.arange(0.0, top * diameter_nm + 2 * BIN_REDUCED, BIN_REDUCED) / diameter_nm
@@ -436,12 +436,12 @@ def jittered_structure(
 
 
 def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_um: float | None = None) -> Pattern:
-    """Read points as one period of a square: a list with x and y in um per line, or a picture of particles.
+    """Read points as one square period: a list with x and y in um per line, or a picture.
 
     The middle square is used if the area is not square.
 
     Args:
-        width_um: of the picture.
+        width_um: picture width.
 
     Raises:
         RecipeError: the file is unusable, or particles overlap.
@@ -453,11 +453,11 @@ def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_
     short, long = sorted(high - low)
     if short <= 0:
         raise context.fail(key, name, "holds points on one line")
-    if short < long * (1 - 2 / np.sqrt(len(xy_um))):  # not square to within a row of particles
+    if short < long * (1 - 2 / np.sqrt(len(xy_um))):  # not square to within a particle row
         xy_um = xy_um[np.abs(xy_um - (low + high) / 2).max(axis=1) <= short / 2]
         _check_count(context, key, name, xy_um, " in its middle square")
         low, high = xy_um.min(axis=0), xy_um.max(axis=0)
-    # the list has no period; N random points leave 2/(N+1) of a side free
+    # the list has no period; N random points leave a fraction 2/(N+1) per side free
     side = float(np.max(high - low)) * 1e3 * (len(xy_um) + 1) / (len(xy_um) - 1)
     pattern = Pattern((xy_um - low) * 1e3, side)
     # the overlap test ignores the guessed periodic repetition
@@ -481,7 +481,7 @@ def _check_count(context: RecipeContext, key: str, name: str, xy_um: Array, wher
 
 
 def _points_in_picture(context: RecipeContext, name: str, width_um: float) -> Array:
-    """Find the particles in the middle square of a picture, `[point, 2]`, um.
+    """Find the particles in a picture's middle square, `[point, 2]`, um.
 
     Raises:
         RecipeError: no particles, or unreadable.
@@ -502,7 +502,7 @@ def _points_in_picture(context: RecipeContext, name: str, width_um: float) -> Ar
 
 
 def points_structure(pattern: Pattern, q_max_per_nm: float) -> Structure:
-    """Measure a list of points; the least distance ignores the periodic repetition, see `points_pattern`."""
+    """Measure a point list; the least distance ignores the periodic repetition, see `points_pattern`."""
     nearest = float(nearest_distances(Pattern(pattern.xy_nm, 3 * pattern.box_nm)).min())
     return measured_structure("points", pattern, nearest, q_max_per_nm)
 
@@ -525,7 +525,7 @@ def sq_structure(
     grid = np.asarray(np.arange(int(max(q[-1], q_max_per_nm) / step) + 2) * step, dtype=np.float64)
     values = np.interp(grid, q, s, right=1.0)
     r = np.linspace(a, RANGE_IN_DIAMETERS * a, 385)
-    # a soft window suppresses ringing in g from the end of the table
+    # a soft window suppresses ringing in g from the table end
     window = np.cos(np.clip(grid / q[-1], 0.0, 1.0) * np.pi / 2)
     spectrum = (values - 1) * window * grid * step / (2 * np.pi * density_per_nm2)
     h = np.array([j0(grid * x) @ spectrum for x in r])
@@ -533,7 +533,7 @@ def sq_structure(
 
 
 def read_columns(context: RecipeContext, key: str, name: str) -> Array:
-    """Read two columns of numbers, with or without a heading.
+    """Read two number columns, with or without a heading.
 
     The first two columns count; with a heading that names x and y (in nm, um or mm), those columns, converted to um.
 

@@ -1,15 +1,15 @@
-"""Diffuse light of a monolayer: |F|^2 S C between all pairs of directions, under a chosen correction C.
+"""Diffuse monolayer light: |F|^2 S C between all direction pairs, under a chosen correction C.
 
 f = rho |F|^2 S C / (cos_i cos_o). Directions (polarisation and angle, on either side of the stack) are treated equally:
 `power[s, i] = rho |F|^2 / (n_s n_i)` is symmetric by reciprocity.
 
-`qca-balanced` is the default of nacre, tested against multi-sphere solutions: the geometric mean of the one-sided
-mean-field powers with C = g_i g_s, g > 0, balanced to give each direction the power that the mean field of the
-quasi-crystalline approximation radiates. The correction C of the source model is not published. The simple corrections
-serve comparison and are wrong by up to a factor of three; the table of `in-only`, which is not reciprocal, holds the
-geometric mean of both directions.
+`qca-balanced` is the default, tested against multi-sphere solutions: the geometric mean between one-sided
+mean-field powers with C = g_i g_s, g > 0, balanced to give each direction the power that the mean field in the
+quasi-crystalline approximation radiates. The source model's correction C is not published. The simple corrections
+serve comparison and are wrong by up to a factor three; the table of `in-only`, which is not reciprocal, holds the
+geometric mean for both directions.
 
-The ladder is smooth in the angles: it is solved for a few directions of each side and interpolated.
+The ladder is smooth in the angles: it is solved for a few directions per side and interpolated.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from nacre.families.metasurface.tmatrix.full_tmatrix import full_order, multipol
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, extinction
 from nacre.families.metasurface.tmatrix.special_functions import adjoint, mirrored
 
-HARMONICS = 11  # harmonics of |X||Y| over dphi: 8 are exact for |F|^2, the geometric mean adds a small tail
+HARMONICS = 11  # |X||Y| harmonics over dphi: 8 are exact for |F|^2, the geometric mean adds a small tail
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class DirectionSet:
     """Directions above, and below a transparent substrate, as one list.
 
     Attributes:
-        index: `[angle]`, index of the side over the ambient index.
+        index: `[angle]`, relative index on that side.
         cosines: `[angle]`, in that side.
         transverse: `[angle]`, in-plane wavevector over the ambient k.
         weights: `[angle]`, solid-angle weights dmu; zero for directions that are only evaluated.
@@ -111,7 +111,7 @@ def structure_harmonics(directions: DirectionSet, structure: Structure, wavenumb
 
 @compiled(nogil=True, fastmath=True)
 def _projection(total, samples):  # type: ignore[no-untyped-def]  # numba
-    """Weights `[k, point]` of the cosine series of an even function sampled on [0, pi]."""
+    """Weights `[k, point]` for the cosine series of an even function sampled on [0, pi]."""
     out = np.empty((total, samples + 1))
     for k in range(total):
         for j in range(samples + 1):
@@ -122,7 +122,7 @@ def _projection(total, samples):  # type: ignore[no-untyped-def]  # numba
 
 @compiled(nogil=True, fastmath=True, forceinline=True)
 def _far_fields(a, b, basis, xr, xi, yr, yi):  # type: ignore[no-untyped-def]  # numba
-    """Fill the real and imaginary parts of X and Y at each point from their harmonics `[m]`."""
+    """Fill X and Y (real and imaginary parts) at each point from their harmonics `[m]`."""
     for j in range(xr.size):
         xr[j], xi[j], yr[j], yi[j] = 0.0, 0.0, 0.0, 0.0
     for m in range(a.size):
@@ -181,7 +181,7 @@ def _dots(weights, a, b, c):  # type: ignore[no-untyped-def]  # numba
 def _pair_powers(  # type: ignore[no-untyped-def]  # numba
     x, mean, shares, two_sided, s_harmonics, samples, coherent, varying, kernel, target
 ):
-    """Fill, for all pairs, the harmonics of the pair power and its sums with S; see `pair_powers`."""
+    """Fill, for all pairs, the power harmonics and sums with S; see `pair_powers`."""
     _, count, _, _, sizes, orders = x.shape
     points = samples + 1
     basis = np.empty((2, orders, points))  # cosine and sine
@@ -231,7 +231,7 @@ def _pair_powers(  # type: ignore[no-untyped-def]  # numba
 
 @dataclass(frozen=True)
 class PairPowers:
-    """Powers between all pairs of a `DirectionSet`, per incident irradiance and particle, nm^2/sr.
+    """Powers between all pairs in a `DirectionSet`, per incident irradiance and particle, nm^2/sr.
 
     Attributes:
         coherent: `[s, i, pol_s, pol_i, k]`, harmonics of |<X>||<Y>|, to be multiplied by S.
@@ -246,7 +246,7 @@ class PairPowers:
     target: Array
 
     def with_ladder(self, power: Array) -> PairPowers:
-        """Return the powers with that of the ladder, `[s, i, pol_s, pol_i, k]`, added."""
+        """Return the powers plus the ladder, `[s, i, pol_s, pol_i, k]`."""
         varying = self.varying + power if self.varying.size else power
         return dataclasses.replace(
             self, varying=varying, kernel=self.kernel + 2 * np.pi * power[..., 0].transpose(2, 0, 3, 1)
@@ -256,14 +256,14 @@ class PairPowers:
 def pair_powers(
     fields: ComplexArray, s_harmonics: Array, shares: Array | None = None, two_sided: bool = True, kept: int = HARMONICS
 ) -> PairPowers:
-    """Form the pair powers from the far-field harmonics X_m of every pair.
+    """Form the pair powers from the far-field harmonics X_m.
 
     Args:
-        fields: `[size, m, pol_s, s, pol_i, i]` in nm, `emission_harmonics` of each particle size.
-        s_harmonics: `[s, i, k]` of `structure_harmonics`; its length truncates the S integral.
+        fields: `[size, m, pol_s, s, pol_i, i]` in nm, `emission_harmonics` for each particle size.
+        s_harmonics: `[s, i, k]` from `structure_harmonics`; its length truncates the S integral.
         shares: `[size]`, number fractions; equal particles by default.
-        two_sided: use the geometric mean of X and its reverse Y (reciprocal), else |X|^2.
-        kept: number of harmonics.
+        two_sided: use the geometric mean with the reverse Y (reciprocal), else |X|^2.
+        kept: harmonics count.
     """
     sizes, orders, _, count, _, _ = fields.shape
     shares = np.ones(1) if shares is None else np.asarray(shares, dtype=float)
@@ -284,16 +284,16 @@ NODES = (10, 6, 7)  # nodes above, below within and beyond the critical angle
 
 
 def neighbour_emission(added: ComplexArray) -> ComplexArray:
-    """Return the neighbours' part of the emission, `[m, pol, n, angle]`, from their part of the excitation.
+    """Return the emission added by neighbours, `[m, pol, n, angle]`, from the excitation that they add.
 
-    Emission is the reverse of excitation: upward for downward waves, B for its adjoint, and no factor 4.
+    Emission reverses excitation: upward for downward waves, B for its adjoint, and no factor 4.
     """
     ones = np.ones((*added.shape[:3], 1), dtype=complex)
     return np.asarray(added * mirrored(adjoint(ones)) / 4.0)
 
 
 def ladder_power(layer: Monolayer, sides: list[tuple[Illumination, Array]], count: int) -> Array:
-    """Return the power of the ladder per particle, `[s, i, pol_s, pol_i, k]`, nm^2/sr, symmetric.
+    """Return the ladder power per particle, `[s, i, pol_s, pol_i, k]`, nm^2/sr, symmetric.
 
     Args:
         sides: the directions, above first.
@@ -344,24 +344,24 @@ def _low(vectors: ComplexArray, order: int) -> ComplexArray:
 
 
 def _lights(parts: list[ComplexArray]) -> ComplexArray:
-    """Return `[pol, n, angle]` of each species as `[species, n, light]`, polarisation before angle."""
+    """Return `[pol, n, angle]` per species as `[species, n, light]`, polarisation before angle."""
     both = np.stack(parts).swapaxes(1, 2)
     return np.asarray(both.reshape(*both.shape[:2], -1))
 
 
 NOTHING = 1e-30  # relative power below which opaque layers block light
-S_HARMONICS = 14  # harmonics of S in the power sums; |X||Y| has no more
+S_HARMONICS = 14  # S harmonics in the power sums; |X||Y| has no more
 
 
 @dataclass(frozen=True)
 class DiffuseTerm:
-    """The diffuse power between all pairs of directions, with polarisations.
+    """The diffuse power between all direction pairs, with polarisations.
 
     Attributes:
-        coherent: `[s, i, pol_s, pol_i, k]`, harmonics over dphi of rho |F|^2 C / (n_s n_i), to be multiplied by S.
-        varying: the same of the size variance, without S; empty for equal particles.
+        coherent: `[s, i, pol_s, pol_i, k]`, harmonics over dphi: rho |F|^2 C / (n_s n_i), to be multiplied by S.
+        varying: the same for the size variance, without S; empty for equal particles.
         above, below: `[pol, i]`, power per incident irradiance emitted to either side, including S.
-        unpolarised: `[s, i]`, azimuth-integrated power between two directions per n_s^2 of solid angle, including S,
+        unpolarised: `[s, i]`, azimuth-integrated power between two directions per n_s^2 and solid angle, including S,
             averaged over polarisations; symmetric if the correction is.
     """
 
@@ -379,13 +379,13 @@ def diffuse_term(
     s_count: int = S_HARMONICS,
     symmetric: bool = True,
 ) -> DiffuseTerm:
-    """Return the diffuse term between all directions of `sides` (above first), each with its dmu weights.
+    """Return the diffuse term between all `sides` directions (above first), each with its dmu weights.
 
     Args:
         layer: the monolayer.
-        sides: directions and weights of each side; weight 0 for directions that are only evaluated.
-        kept: number of harmonics.
-        s_count: harmonics of S in the power sums.
+        sides: directions and weights per side; weight 0 for directions that are only evaluated.
+        kept: harmonics count.
+        s_count: S harmonics in the power sums.
         symmetric: False leaves `in-only` as published, not symmetric.
     """
     joined = DirectionSet.join([(lit.directions[0], w) for lit, w in sides])
@@ -421,7 +421,7 @@ def diffuse_term(
         target = powers.target * scale[None, :, None, :]
         factors = _balanced(kernel, target, weights, is_below)
     elif layer.correction == "gv-balanced":
-        # the closed form ignores g(r): its total is that of independent particles
+        # the closed form ignores g(r): its total is for independent particles
         flat = np.zeros_like(s_harmonics)
         flat[:, :, 0] = 2 * np.pi
         alone = pair_powers(layer.fields(*one_sided), flat, layer.shares, False, 1)
@@ -433,7 +433,7 @@ def diffuse_term(
     if layer.correction == LADDER:
         powers = powers.with_ladder(ladder_power(layer, sides, max(series, kept)))
         kernel = powers.kernel * scale[None, :, None, :]
-    # C of a pair: g of s for the side of i, times g of i for the side of s
+    # C of a pair: g(s) for the side of i, times g of i for the side of s
     pair = factors[:, :, is_below.astype(int)]  # [pol_s, s, i]
     both = pair[:, None] * np.swapaxes(pair, 1, 2)[None]  # pol_s, pol_i, s, i
     spread = (both * scale).transpose(2, 3, 0, 1)[..., None]
@@ -462,10 +462,16 @@ def limit_to_incident_power(specular: Array, up: Array, down: Array) -> tuple[Ar
 
 
 def _judged(
-    ratio: Ratio, joined: DirectionSet, powers: PairPowers, spread: Array, s_harmonics: Array, weights: Array,
-    is_below: NDArray[np.bool_], kept: int,
-) -> DiffuseTerm:  # fmt: skip
-    """Return the term multiplied by the ratio of an ensemble, and its totals."""
+    ratio: Ratio,
+    joined: DirectionSet,
+    powers: PairPowers,
+    spread: Array,
+    s_harmonics: Array,
+    weights: Array,
+    is_below: NDArray[np.bool_],
+    kept: int,
+) -> DiffuseTerm:
+    """Return the term multiplied by an ensemble ratio, and its totals."""
     ways = RatioDirections.of(joined.transverse, joined.index, is_below)
     coherent = ratio.applied(powers.coherent * spread, ways)
     varying = ratio.applied(powers.varying * spread, ways) if powers.varying.size else powers.varying
@@ -485,12 +491,12 @@ def _judged(
 
 
 def _uniform(factors: Array) -> Array:
-    """Return the same factors for both sides of the other direction, `[pol, angle, side]`."""
+    """Return the same factors for either side on the other end, `[pol, angle, side]`."""
     return np.stack([factors, factors], axis=-1)
 
 
 def _balanced(kernel: Array, target: Array, weights: Array, is_below: NDArray[np.bool_]) -> Array:
-    """Balance all directions, `[pol, angle, side of the other]`; see `balanced_factors`."""
+    """Balance all directions, `[pol, angle, other side]`; see `balanced_factors`."""
     size = weights.size
     matrix, sums = kernel.reshape(2 * size, -1), target.reshape(2 * size, -1)
     both = np.tile(weights, 2)
@@ -500,8 +506,10 @@ def _balanced(kernel: Array, target: Array, weights: Array, is_below: NDArray[np
         out,
         lambda seen, lit: matrix[seen[:, None], lit],
         lambda seen, lit: both[seen] @ sums[seen[:, None], lit],
-        both, above, below,
-    )  # fmt: skip
+        both,
+        above,
+        below,
+    )
     return out.reshape(2, size, 2)
 
 
@@ -509,20 +517,24 @@ Rows = NDArray[np.intp]
 
 
 def balanced_factors(
-    out: Array, block: Callable[[Rows, Rows], Array], total: Callable[[Rows, Rows], Array], weights: Array,
-    above: Rows, below: Rows,
-) -> None:  # fmt: skip
-    """Balance the three blocks (above-above, below-below, across) separately, into `[direction, side of the other]`.
+    out: Array,
+    block: Callable[[Rows, Rows], Array],
+    total: Callable[[Rows, Rows], Array],
+    weights: Array,
+    above: Rows,
+    below: Rows,
+) -> None:
+    """Balance the three blocks (above-above, below-below, across) separately, into `[direction, other side]`.
 
-    A common balance would let errors of the transmitted light change the reflected light: on silicon resonances that
-    doubles the error of the reflected light.
+    A common balance would let transmission errors change the reflected light: on silicon resonances that
+    doubles the reflection error.
 
     Args:
         out: ones, to be filled; a direction includes a polarisation.
-        block: function of view and incident directions that returns the powers between them.
-        total: function of the same that returns the target power of each incident one into all views.
-        weights: `[direction]`, of solid angle.
-        above, below: indices of the directions.
+        block: function (views, incident directions) that returns the powers between them.
+        total: function (same arguments) that returns the target power into all views.
+        weights: `[direction]`, solid angle.
+        above, below: direction indices.
     """
     w_up, w_down = weights[above], weights[below]
     out[above, 0] = reciprocal_scaling(block(above, above), total(above, above), w_up)
@@ -530,7 +542,7 @@ def balanced_factors(
         return
     up, down = total(below, above), total(above, below)
     # across, sum w t_u = sum w t_d must hold, which a mean field violates by some per cent. Light from
-    # above is exact; the deficit of light from below is reflected, so its total is exact as well
+    # above is exact; the deficit from below is reflected, so its total is exact as well
     back = total(below, below)
     passed = w_down @ down
     consistent = down

@@ -1,12 +1,12 @@
-"""Smooth ratio of multi-sphere solutions to the mean-field model: fit in low orders and application.
+"""Smooth ratio between multi-sphere solutions and the mean-field model: fit in low orders and application.
 
-The direct solution of an ensemble of some twenty patterns is noisy, but its ratio to the model is smooth and has few
-parameters. r_qp(s, i, dphi) is a sum of products f_a(s) f_b(i) (kappa_s kappa_i)^k cos(k dphi), with f_a powers of kz/k
-(beyond the critical angle of |kz|/k: the field has a kink there), symmetric under exchange of s and i with their
+The direct solution with some twenty patterns is noisy, but its ratio to the model is smooth and has few
+parameters. r_qp(s, i, dphi) is a sum over products f_a(s) f_b(i) (kappa_s kappa_i)^k cos(k dphi), with f_a powers: kz/k
+(beyond the critical angle of |kz|/k: the field has a kink there), symmetric when s and i are exchanged with their
 polarisations, which conserves reciprocity.
 
-Most of the speckle of one pattern follows its own S(q), which is known without solving. The deviation of S, times the
-share that the light follows, is therefore subtracted before the fit (a control variate of zero mean).
+Most speckle in a pattern follows its own S(q), which is known without solving. The deviation from mean S, times the
+share that the light follows, is therefore subtracted before the fit (a control variate with zero mean).
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from nacre.core.arrays import Array
 
 SAME, CROSS = "same", "cross"
 Block = tuple[int, int, int, int]
-HIGHEST = (4, 3, 2)  # highest power of w of each direction for azimuthal harmonic k
-LEAST, MOST = 0.1, 5.0  # accepted range of the ratio; outside the polynomial extrapolates
+HIGHEST = (4, 3, 2)  # highest power w per direction for azimuthal harmonic k
+LEAST, MOST = 0.1, 5.0  # accepted ratio range; outside the polynomial extrapolates
 
 
 @dataclass(frozen=True)
 class RatioDirections:
-    """Directions on either side, `[direction]`, as variables of the ratio.
+    """Directions on either side, `[direction]`, as ratio variables.
 
     Attributes:
-        real, imaginary: of kz/k in the ambient.
-        transverse: in-plane wavevector over that of grazing light of the same side.
+        real, imaginary: kz/k in the ambient.
+        transverse: in-plane wavevector relative to grazing light on the same side.
         below: whether it is on the substrate side.
     """
 
@@ -43,12 +43,12 @@ class RatioDirections:
 
     @classmethod
     def of(cls, transverse: Array, index: Array, below: NDArray[np.bool_]) -> RatioDirections:
-        """Build them from kappa/k in the ambient and the index of each side over the ambient index."""
+        """Build them from kappa/k in the ambient and each side's relative index."""
         square = 1.0 - transverse**2
         return cls(np.sqrt(np.maximum(square, 0.0)), np.sqrt(np.maximum(-square, 0.0)), transverse / index, below)
 
     def powers(self, below: bool) -> Array:
-        """f_a, `[a, direction]`: powers of w, and below of v, with w + iv = kz/k; for their degrees see `_degrees`."""
+        """f_a, `[a, direction]`: powers w^a, and below v^a, with w + iv = kz/k; for their degrees see `_degrees`."""
         rows = [self.real**a for a in range(HIGHEST[0] + 1)]
         if below:
             rows += [self.imaginary, self.imaginary**2]
@@ -62,7 +62,7 @@ def _degrees(below: bool) -> tuple[int, ...]:
 
 @lru_cache(maxsize=16)
 def _terms(left_below: bool, right_below: bool, kind: str) -> tuple[tuple[int, int, int], ...]:
-    """The products (a, b, k) of one block; a >= b if sides and polarisations are equal, since (b, a) is the same."""
+    """The products (a, b, k) in one block; a >= b if sides and polarisations are equal, since (b, a) is the same."""
     folded = kind == SAME and left_below == right_below
     return tuple(
         (a, b, k)
@@ -90,12 +90,9 @@ def _columns(
     return np.stack(out)
 
 
-# (side of s, side of i, pol of s, pol of i); the others follow by exchange
+# (side s, side i, pol s, pol i); the others follow by exchange
 BLOCKS_ABOVE = ((0, 0, 0, 0), (0, 0, 1, 1), (0, 0, 0, 1))
-BLOCKS_BELOW = (
-    (1, 1, 0, 0), (1, 1, 1, 1), (1, 1, 0, 1),
-    (1, 0, 0, 0), (1, 0, 1, 1), (1, 0, 0, 1), (1, 0, 1, 0),
-)  # fmt: skip
+BLOCKS_BELOW = ((1, 1, 0, 0), (1, 1, 1, 1), (1, 1, 0, 1), (1, 0, 0, 0), (1, 0, 1, 1), (1, 0, 0, 1), (1, 0, 1, 0))
 
 
 def blocks(transmits_below: bool) -> tuple[Block, ...]:
@@ -108,7 +105,7 @@ def _kind(block: Block) -> str:
 
 
 def products(left: RatioDirections, right: RatioDirections, block: Block, phi: Array) -> Array:
-    """Return the products of one block, `[term, left, right, phi]`; `phi` is `[phi]` or `[left, right, phi]`."""
+    """Return the products in one block, `[term, left, right, phi]`; `phi` is `[phi]` or `[left, right, phi]`."""
     return _columns(left, right, bool(block[0]), bool(block[1]), _kind(block), phi)
 
 
@@ -117,7 +114,7 @@ class Ratio:
     """The fitted ratio at one wavelength.
 
     Attributes:
-        coefficients: of each of `blocks`, `[realisation, term]`: estimates from the single realisations, whose mean is
+        coefficients: per block, `[realisation, term]`: estimates from the single realisations, whose mean is
             the ratio and whose spread its error.
     """
 
@@ -129,7 +126,7 @@ class Ratio:
         return Ratio({b: (1 - share) * self.coefficients[b] + share * other.coefficients[b] for b in sorted(both)})
 
     def at(self, left: RatioDirections, right: RatioDirections, block: Block, phi: Array) -> Array:
-        """Return r of one block, `[left, right, phi]`."""
+        """Return r for one block, `[left, right, phi]`."""
         found = self.coefficients[block]
         columns = products(left, right, block, phi)
         return np.asarray(np.clip(1.0 + np.tensordot(found.mean(axis=0), columns, 1), LEAST, MOST))
@@ -163,24 +160,24 @@ def _picked(ways: RatioDirections, rows: NDArray[np.intp]) -> RatioDirections:
     return RatioDirections(ways.real[rows], ways.imaginary[rows], ways.transverse[rows], ways.below[rows])
 
 
-PRIOR = 3.0  # prior standard deviation of the coefficients
-# floor of the weights, relative to the mean square over a direction: for weak model light,
+PRIOR = 3.0  # prior standard deviation for the coefficients
+# weight floor, relative to the mean square over a direction: for weak model light,
 # multiple scattering dominates and is not a smooth factor (0.1 instead raises the ratio by 5 %)
 FLOOR = 0.3
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """One block of the light of one pattern, `[s, i]`.
+    """One block for one pattern, `[s, i]`.
 
     Attributes:
         left, right: the directions s and i.
         phi: between their in-plane wavevectors.
         truth: |F|^2 / (n_s n_i) per sphere.
-        model: the same of the model.
-        control: the model with the deviation of S of the pattern instead of S.
-        level: mean square of the model over the pairs with s and with i.
-        left_bins, right_bins: angle bins of s and of i, ascending.
+        model: the same by the model.
+        control: the model with the pattern's S deviation instead of S.
+        level: mean squared model over the pairs with s and with i.
+        left_bins, right_bins: angle bins for s and i, ascending.
     """
 
     left: RatioDirections
@@ -196,22 +193,29 @@ class Pairs:
     def exchanged(self) -> Pairs:
         """Exchange both directions."""
         return Pairs(
-            self.right, self.left, self.phi.T, self.truth.T, self.model.T, self.control.T, self.level.T,
-            self.right_bins, self.left_bins,
-        )  # fmt: skip
+            self.right,
+            self.left,
+            self.phi.T,
+            self.truth.T,
+            self.model.T,
+            self.control.T,
+            self.level.T,
+            self.right_bins,
+            self.left_bins,
+        )
 
 
 @dataclass(frozen=True)
 class Sums:
-    """Sufficient statistics of one block of one pattern; `b` are angle bins, `t` the products of the ratio.
+    """Sufficient statistics per block and pattern; `b` are angle bins, `t` ratio products.
 
     Attributes:
-        normal, rest, controls: `[t, t]`, `[t]` and `[b, t]`: weighted products with each other, with the residual of
-            the model, and with the control of each bin.
+        normal, rest, controls: `[t, t]`, `[t]` and `[b, t]`: weighted products with each other, with the residual
+            against the model, and with the control in each bin.
         follows: `[2, b]`: residual times control, and control squared, weighted.
         totals: `[3, b]`: truth, model and control.
         shapes: `[b, t]`: model times products.
-        noise: mean weighted square of the residual.
+        noise: mean weighted squared residual.
     """
 
     normal: Array
@@ -224,14 +228,18 @@ class Sums:
 
     def __add__(self, other: Sums) -> Sums:
         return Sums(
-            self.normal + other.normal, self.rest + other.rest, self.controls + other.controls,
-            self.follows + other.follows, self.totals + other.totals, self.shapes + other.shapes,
+            self.normal + other.normal,
+            self.rest + other.rest,
+            self.controls + other.controls,
+            self.follows + other.follows,
+            self.totals + other.totals,
+            self.shapes + other.shapes,
             0.5 * (self.noise + other.noise),
-        )  # fmt: skip
+        )
 
 
 def as_arrays(pattern: Mapping[Block, Sums]) -> dict[str, Array]:
-    """Return the sums of a pattern as named arrays for the disk cache."""
+    """Return the pattern sums as named arrays for the disk cache."""
     return {
         f"{'-'.join(map(str, block))}.{field.name}": np.asarray(getattr(sums, field.name), dtype=float)
         for block, sums in pattern.items()
@@ -240,7 +248,7 @@ def as_arrays(pattern: Mapping[Block, Sums]) -> dict[str, Array]:
 
 
 def from_arrays(arrays: Mapping[str, Array]) -> dict[Block, Sums]:
-    """Return the sums of a pattern from `as_arrays`.
+    """Return the pattern sums from `as_arrays`.
 
     Raises:
         KeyError: arrays are missing.
@@ -255,10 +263,10 @@ def from_arrays(arrays: Mapping[str, Array]) -> dict[Block, Sums]:
 
 
 def block_sums(block: Block, pairs: Pairs, bins: int) -> Sums:
-    """Return the sums of one block of one pattern.
+    """Return the sums for one block and pattern.
 
     Args:
-        bins: number of angle bins per direction.
+        bins: angle bin count per direction.
     """
     columns = products(pairs.left, pairs.right, block, pairs.phi[..., None])[..., 0]
     x, rest, control = pairs.model, pairs.truth - pairs.model, pairs.control
@@ -298,7 +306,7 @@ def _summed(values: Array, ascending: NDArray[np.intp], bins: int, axis: int) ->
 
 
 def fit_ratio(patterns: list[dict[Block, Sums]]) -> tuple[Ratio, Array]:
-    """Return the ratio and the relative standard error of the diffuse light above in each angle bin, `[b]`."""
+    """Return the ratio and the relative standard error for the diffuse light above in each angle bin, `[b]`."""
     found: dict[Block, Array] = {}
     shares: dict[Block, Array] = {}
     for block in patterns[0]:
@@ -318,7 +326,7 @@ def fit_ratio(patterns: list[dict[Block, Sums]]) -> tuple[Ratio, Array]:
 
 
 def _errors(ratio: Ratio, patterns: list[dict[Block, Sums]], shares: dict[Block, Array]) -> Array:
-    """Standard error over the patterns, and the residual of the smooth ratio beyond their speckle, `[b]`."""
+    """Standard error over the patterns, and the smooth ratio's residual beyond their speckle, `[b]`."""
     above = [block for block in patterns[0] if block in BLOCKS_ABOVE]
     count = len(patterns)
     model = np.stack([np.sum([one[b].totals[1] for b in above], axis=0) for one in patterns])

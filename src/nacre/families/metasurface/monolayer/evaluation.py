@@ -1,8 +1,8 @@
-"""Evaluation of a monolayer: tables of the Bsdf lobes with an energy check, and direct values at a few directions.
+"""Monolayer evaluation: Bsdf lobe tables with an energy check, and direct values at a few directions.
 
-The balance of `diffuse` gives every direction the diffuse power that its mean field radiates. That total needs only the
+The balance in `diffuse` gives every direction the diffuse power that its mean field radiates. That total needs only the
 response at the requested directions and the emission at quadrature nodes; the neighbour sums are computed at the
-requested angles. The result equals the full term to rounding with the same quadrature, except for the interpolation of
+requested angles. The result equals the full term to rounding with the same quadrature, except for interpolation in
 the neighbour table.
 """
 
@@ -32,13 +32,13 @@ LOW_OPAQUE = 48  # angles above a thin opaque structure
 LOW_CLEAR = (32, 24, 16)  # thin and on a clear substrate: above, below within and beyond the critical angle
 SPECULAR_NODES = 129
 TOTAL_NODES = 33
-GRAZING_COS = 1e-3  # replaces 0, where the wave of the monolayer diverges
+GRAZING_COS = 1e-3  # replaces 0, at which the monolayer wave diverges
 SCALING_STEPS = 200
 
 
 @dataclass(frozen=True)
 class Grids:
-    """Angular grids of the diffuse tables; `below` is None without transmission."""
+    """Angular grids for the diffuse tables; `below` is None without transmission."""
 
     above: PolarGrid
     below: PolarGrid | None
@@ -47,14 +47,14 @@ class Grids:
 def choose_grids(eta: float | None, polydisperse: bool, thick: bool, low: bool = False) -> Grids:
     """Return angular grids fine enough for the stack, with tables below 100 MB for 48 wavelengths.
 
-    Linear interpolation has a relative L2 error of 0.5 % (0.8 % for a film that guides light; 4 % for suspended silicon
+    Linear interpolation has a relative L2 error 0.5 % (0.8 % for a film that guides light; 4 % for suspended silicon
     near its resonance, nearly all in the last two degrees); for thin structures 0.35 %, with a size distribution 0.45
     %. Fewer nodes also speed up renders, whose random access then stays in the processor cache.
 
     Args:
-        eta: relative index of a transparent substrate; None for an opaque one.
+        eta: relative index for a transparent substrate; None for an opaque one.
         polydisperse: whether the tables without S are needed.
-        thick: whether films of more than a micrometre cause fringes over the angle (0.5 degree steps).
+        thick: whether films above a micrometre cause fringes over the angle (0.5 degree steps).
         low: whether films and particles together are too thin for fringes.
     """
     if eta is None:
@@ -73,13 +73,13 @@ def choose_grids(eta: float | None, polydisperse: bool, thick: bool, low: bool =
 def fit_linear(table: Array, grids: Grids) -> Array:
     """Return nodes whose linear interpolation fits a smooth table in the mean square.
 
-    Interpolation between exact nodes overestimates convex functions. The optimal nodes are shifted by a twelfth of the
-    second differences, which removes the mean error and leaves 0.4 of the rms error. On triangles the mixed difference
-    of both angles counts like those of each.
+    Interpolation between exact nodes overestimates convex functions. The optimal nodes are shifted by 1/12 times
+    the second differences, which removes the mean error and leaves 0.4 of the rms error. On triangles the mixed
+    difference of both angles counts like those of each.
 
     Args:
         table: `[s, i, harmonic]`, nodes above, then below, symmetric.
-        grids: of the nodes; no difference crosses the critical angle.
+        grids: for the nodes; no difference crosses the critical angle.
     """
     starts = grid_groups(grids)
     rows = np.swapaxes(table, 0, 1)
@@ -89,7 +89,7 @@ def fit_linear(table: Array, grids: Grids) -> Array:
 
 
 def grid_groups(grids: Grids) -> list[tuple[int, int]]:
-    """Return the range of nodes of each smooth part of the grids."""
+    """Return the node range for each smooth grid part."""
     starts = [(0, grids.above.count)]
     if grids.below is not None:
         n, below = grids.above.size, grids.below
@@ -113,7 +113,7 @@ def differences(table: Array, groups: list[tuple[int, int]], order: int) -> Arra
 
 @dataclass(frozen=True)
 class WavelengthResult:
-    """Table columns of one wavelength; directions as in `Grids`, see `tabulate`."""
+    """Table columns for one wavelength; directions as in `Grids`, see `tabulate`."""
 
     reflectance: Array
     transmittance: Array
@@ -171,7 +171,7 @@ def solve_wavelength(layer: Monolayer, grids: Grids, eta: float) -> WavelengthRe
 
 
 def specular_at_nodes(grids: Grids, eta: float, reflected: Array, passed: Array, inside: Array, total: Array) -> Array:
-    """R + T of the stored specular tables at the angles of the diffuse grid, `[angle]`."""
+    """R + T from the stored specular tables at the diffuse grid angles, `[angle]`."""
     out = take_uniform((reflected + passed)[:, None], np.cos(grids.above.nodes), 0)[:, 0]
     if grids.below is None:
         return out
@@ -196,12 +196,12 @@ def _energy_scale(
 
 
 def energy_factors(pairs: Array, weights: Array, cosines: Array, specular: Array) -> tuple[Array, float]:
-    """Return the factors and the excess of `_energy_scale` for powers between any directions.
+    """Return factors and excess as `_energy_scale` for powers between any directions.
 
     Args:
         pairs: `[direction, direction]`, symmetric.
-        weights: of solid angle, times the squared index.
-        cosines: of the directions.
+        weights: solid angle times squared index.
+        cosines: per direction.
         specular: R + T there.
     """
     room = np.maximum(1.0 - specular, 0.0)
@@ -225,7 +225,7 @@ def tabulate(
     eta: float,
     jobs: int | None = None,
 ) -> tuple[tuple[Lobe, ...], float]:
-    """Solve all wavelengths in parallel; return the two lobes and the largest raw excess of energy over 1."""
+    """Solve all wavelengths in parallel; return the two lobes and the largest raw energy excess over 1."""
 
     def work(wavelength: float) -> tuple[WavelengthResult, float, float]:
         layer = monolayer(float(wavelength))
@@ -281,7 +281,7 @@ def direct_powers(layer: Monolayer, cosines: Array) -> tuple[Array, Array, Array
 
     Args:
         layer: with the correction "qca-balanced".
-        cosines: `[angle]`, of incidence, > 0.
+        cosines: `[angle]`, incident, > 0.
     """
     lit = layer.illuminate(cosines, untabulated=True)
     reflected, passed = layer.specular_above(cosines, lit)
@@ -296,7 +296,7 @@ def direct_powers(layer: Monolayer, cosines: Array) -> tuple[Array, Array, Array
 def _sent(layer: Monolayer, lit: Illumination, mu: Array, weights: Array, below: bool) -> Array:
     """Return the diffuse power emitted to one side per incident irradiance, `[pol, angle]`.
 
-    rho / cos_i times the integral of |F|^2 S / n over the directions, for each incident polarisation.
+    rho / cos_i times the integral |F|^2 S / n over the directions, for each incident polarisation.
     """
     leaving = [s.directions(mu, below) for s in layer.spheres]
     fields = layer.fields([d.emission for d in leaving], lit.response)  # size, m, q, s, p, i
@@ -315,7 +315,7 @@ def _sent(layer: Monolayer, lit: Illumination, mu: Array, weights: Array, below:
 
 
 def _azimuths(orders: int) -> tuple[Array, Array]:
-    """Azimuths in [0, pi] and full-circle weights, exact for products of two patterns with `orders` harmonics."""
+    """Azimuths in [0, pi] and full-circle weights, exact for a product between two patterns with `orders` harmonics."""
     count = 2 * orders
     phi = np.linspace(0.0, np.pi, count + 1)
     weights = np.full(count + 1, 2.0 * np.pi / count)
@@ -324,14 +324,14 @@ def _azimuths(orders: int) -> tuple[Array, Array]:
 
 
 def _structure_weights(layer: Monolayer, out: Directions, into: Directions, phi: Array, step: Array) -> Array:
-    """Return weights `[s, i, phi]` that integrate a pattern of few harmonics times the sharp S over the azimuth."""
+    """Return weights `[s, i, phi]` that integrate a pattern with few harmonics times the sharp S over the azimuth."""
     k, structure = layer.surface.wavenumber, layer.structure
     kappa_s, kappa_i = out.transverse[:, None], into.transverse
     reach = 2.0 * float(max(kappa_s.max(), kappa_i.max())) * k * structure.diameter_nm
     samples = int(32 + 1.2 * reach)
     fine = np.linspace(0.0, np.pi, samples + 1)
     s = _structure_at(structure, k, kappa_s, kappa_i, np.cos(fine))
-    count = 2 * (phi.size // 4) + 1  # number of harmonics of |F|^2
+    count = 2 * (phi.size // 4) + 1  # harmonics in |F|^2
     orders = np.arange(count)
     ends = np.full(samples + 1, 2.0 * np.pi / samples)
     ends[[0, -1]] *= 0.5
@@ -347,7 +347,7 @@ def _structure_at(structure: Structure, k: float, kappa_s: Array, kappa_i: Array
 
 
 def direct_values(layer: Monolayer, wi: Array, wo: Array) -> Array:
-    """Return the diffuse BRDF of pairs of directions above the surface, `[pair]`, 1/sr, unpolarised.
+    """Return the diffuse BRDF for direction pairs above the surface, `[pair]`, 1/sr, unpolarised.
 
     The balance uses quadrature nodes instead of the table nodes; values near grazing are not scaled to the incident
     power.
@@ -375,5 +375,5 @@ def direct_values(layer: Monolayer, wi: Array, wo: Array) -> Array:
 
 
 def _at(source: Array, rows: NDArray[np.intp], columns: NDArray[np.intp], waves: Array) -> Array:
-    """Return the series of unpolarised harmonics at pairs."""
+    """Return the unpolarised series at pairs."""
     return np.einsum("nk,nk->n", 0.5 * source[rows, columns].sum(axis=(1, 2)), waves)

@@ -1,14 +1,14 @@
-"""Correlated ladder: multiple scattering of diffuse light between the particles of a monolayer.
+"""Correlated ladder: multiple scattering between the particles in a monolayer.
 
-The density fluctuation dn around the mean field, b (dn), is a source of waves that propagate in the same mean field,
+The density fluctuation dn around the mean field, b (dn), is a source for waves that propagate in the same mean field,
 meet particles and scatter again. With W the transfer between two particles and Q = rho int g W as in `qca`, a source s
-in a mode of in-plane wavevector kappa produces D s, D = (1 - M Q)^-1, of which (D - 1) s / rho is the response of each
+in a mode with in-plane wavevector kappa produces D s, D = (1 - M Q)^-1, with (D - 1) s / rho the response from each
 particle. It scatters at the same fluctuations, with S between the modes:
 
     B_1 = S(kappa - kappa_i) b b^+,  B_n+1 = 1/rho int d^2kappa'/(2 pi)^2 S(kappa - kappa') G B_n G^+,  G = D - 1,
 
-and u D B D^+ u^+ is emitted. Single scattering retains S and its ring; the sum of all higher orders is smooth. The
-neighbours also respond to the particle itself, like a stack: 1/rho int d^2kappa/(2 pi)^2 Q D M Q is added to the W_m of
+and u D B D^+ u^+ is emitted. Single scattering retains S and its ring; the sum over higher orders is smooth. The
+neighbours also respond to the particle itself, like a stack: 1/rho int d^2kappa/(2 pi)^2 Q D M Q is added to W_m from
 the stack, without S. Both follow dense-media radiative transfer (Tsang and Kong, Scattering of Electromagnetic Waves:
 Advanced Topics, 2001), here with multipoles above a stack.
 """
@@ -23,35 +23,40 @@ from scipy.fft import fft, ifft, rfft
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import neighbour_sums, plane_wave_sums, unfolded
+from nacre.families.metasurface.monolayer.translation_sums import (
+    NeighbourGeometry,
+    neighbour_sums,
+    plane_wave_sums,
+    unfolded,
+)
 from nacre.families.metasurface.tmatrix.full_tmatrix import full_order, multipole_index
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K, Substrate
 
 NAME = "qca-ladder"
-ORDER = 2  # highest multipole of the ladder
-ROUNDS = 2  # iterations of the neighbour reflection
+ORDER = 2  # highest multipole in the ladder
+ROUNDS = 2  # neighbour reflection iterations
 TIMES = 7  # explicit scattering orders; later ones form a geometric series
 BATCH = 12  # incident waves per batch
 LEAST_STEP = 1e-3  # smallest difference between two indices
-HIGHEST_PEAK = 3.0  # of S, a fluid of packing about 0.6; sharper peaks fall between the modes
+HIGHEST_PEAK = 3.0  # largest S, a fluid with packing 0.6; sharper peaks fall between the modes
 STEEP = 9.0  # in-plane wavenumber, times the least distance, beyond the light line, at which near fields are truncated
-NEAR_NODES = 10  # nodes of the near fields; the truncated part has no visible effect
+NEAR_NODES = 10  # near-field nodes; the truncated part has no visible effect
 
 
 @dataclass(frozen=True)
 class Modes:
-    """Nodes of the in-plane wavevector, and the mean-field response to a source there.
+    """In-plane wavevector nodes, and the mean-field response to a source there.
 
     Attributes:
         structure: density and S.
         wavenumber: around the particles, 1/nm.
         kappa: in-plane wavevector over k, `[mode]`, along x.
-        weights: of int d^2kappa / (2 pi)^2 / rho over modes of one azimuth, `[mode]`.
-        back: reflection by the neighbours, `[n, n']`, added to that of the stack.
+        weights: for int d^2kappa / (2 pi)^2 / rho at one azimuth, `[mode]`.
+        back: reflection by the neighbours, `[n, n']`, in addition to the stack.
         step: G = D - 1, `[mode, n, n']`.
         unlike: M_j over the mean M, `[species, n, n']`; empty for equal particles.
-        shares: number fractions of the species.
-        azimuths: number of azimuths.
+        shares: species number fractions.
+        azimuths: azimuth count.
     """
 
     structure: Structure
@@ -72,7 +77,7 @@ class Modes:
 
         Args:
             centre_nm: mean centre height.
-            alone: M of each species without its neighbours, over all m, `[species, n, n']`, of order `ORDER` or less.
+            alone: M per species without neighbours, over all m, `[species, n, n']`, order `ORDER` or less.
         """
         k, rho = surface.inner_wavenumber, structure.density_per_nm2
         order = full_order(alone)
@@ -80,8 +85,8 @@ class Modes:
         kappa, weights = _nodes(surface, reach)
         weights = weights * k**2 / (4 * np.pi**2 * rho)
         w = np.sqrt((1.0 - kappa**2).astype(complex))
-        folded = neighbour_sums(surface, centre_nm, structure, order, kappa)
-        q = unfolded(folded + plane_wave_sums(structure, surface, centre_nm, order, w, kappa), order)
+        geometry = NeighbourGeometry(surface, centre_nm, structure, order)
+        q = unfolded(neighbour_sums(geometry, kappa) + plane_wave_sums(geometry, w, kappa), order)
         m = multipole_index(order).m
         one, same = np.eye(len(m)), m[:, None] == m
         dressed: ComplexArray = alone
@@ -104,14 +109,14 @@ class Modes:
     def ladder_power(
         self, met: ComplexArray, kappa_i: Array, leaving: ComplexArray, kappa_s: Array, count: int
     ) -> Array:
-        """Return the power of all multiply scattered light per particle, nm^2/sr.
+        """Return the multiply scattered power per particle, nm^2/sr.
 
         Args:
             met: b, the response to each incident wave, `[species, n, light]`.
-            kappa_i: of the incident waves, over k.
+            kappa_i: incident, over k.
             leaving: u D, `[pol, n, view]`.
-            kappa_s: of the views.
-            count: number of azimuthal harmonics.
+            kappa_s: views, over k.
+            count: azimuthal harmonics count.
 
         Returns:
             `[view, pol, light, harmonic]`.
@@ -125,12 +130,12 @@ class Modes:
     def _batch(self, met: ComplexArray, kappa_i: Array, leaving: ComplexArray, kappa_s: Array, count: int) -> Array:
         m = multipole_index(full_order(self.step)).m
         phi = 2 * np.pi * np.arange(self.azimuths) / self.azimuths
-        # rotation of the multipoles to each azimuth: [azimuth, n, light, n']
+        # multipole rotation to each azimuth: [azimuth, n, light, n']
         turn = np.exp(1j * np.multiply.outer(phi, m[:, None] - m)).astype(np.complex64)[:, None, :, None, :]
         mean = np.tensordot(self.shares, met, 1).astype(np.complex64)
         pairs = np.einsum("nl,ml->nlm", mean, mean.conj())
         source = self._between(self.kappa, kappa_i)[:, :, None, :, None].astype(np.float32) * pairs
-        odd = np.zeros_like(pairs)  # uncorrelated part from the random order of the species
+        odd = np.zeros_like(pairs)  # uncorrelated part from the random species order
         if self.unlike.size:
             odd = (np.einsum("j,jnl,jml->nlm", self.shares, met, met.conj()) - pairs).astype(np.complex64)
         step, weights = self.step.astype(np.complex64), (self.weights * 2 * np.pi / self.azimuths).astype(np.float32)
@@ -169,7 +174,7 @@ class Modes:
         return out
 
     def _odd(self, local: ComplexArray) -> ComplexArray:
-        """Scattering by the random order of the species in a mixture, `[n, light, n']`."""
+        """Scattering by the random species order in a mixture, `[n, light, n']`."""
         out = np.zeros_like(local)
         for share, part in zip(self.shares, self.unlike.astype(np.complex64)):
             turned = np.tensordot(part, local, 1) @ part.conj().T
@@ -177,13 +182,13 @@ class Modes:
         return out
 
     def _between(self, to: Array, by: Array) -> Array:
-        """S between modes of all azimuths, `[azimuth, to, by]`."""
+        """S between modes at all azimuths, `[azimuth, to, by]`."""
         phi = 2 * np.pi * np.arange(self.azimuths) / self.azimuths
         square = to[:, None] ** 2 + by**2 - 2 * np.multiply.outer(np.cos(phi), np.multiply.outer(to, by))
         return self.structure.structure_factor(self.wavenumber * np.sqrt(np.maximum(square, 0.0)))
 
     def _series(self, to: Array) -> Array:
-        """Azimuthal harmonics of S against the modes, `[harmonic, to, mode]`, real since S is even."""
+        """Azimuthal S harmonics against the modes, `[harmonic, to, mode]`, real since S is even."""
         return np.asarray(fft(self._between(to, self.kappa), axis=0).real, dtype=np.float32)
 
 
@@ -216,7 +221,7 @@ def _mixed(between: Array, sent: ComplexArray) -> ComplexArray:
 
 
 def _nodes(surface: Substrate, reach: float) -> tuple[Array, Array]:
-    """Nodes and weights of int kappa dkappa: propagating above, only in denser media, and near fields."""
+    """Nodes and weights for int kappa dkappa: propagating above, only in denser media, and near fields."""
     fringes = surface.inner_wavenumber * float(np.sum(surface.thicknesses_nm))
     x, weight = _gauss(int(10 + 1.2 * reach + fringes))
     angle, weight = np.pi / 4 * (1 + x), np.pi / 4 * weight
@@ -240,7 +245,7 @@ def _nodes(surface: Substrate, reach: float) -> tuple[Array, Array]:
 
 
 def _denser(surface: Substrate) -> list[float]:
-    """Relative indices, above that of the particle medium, at which the waves of a clear medium end, ascending."""
+    """Relative indices above the particle medium at which clear-medium waves end, ascending."""
     clear = [n for n in surface.indices if abs(n.imag) < LOSSLESS_K]
     found = {float(n.real) / surface.inner_index for n in clear}
     return sorted(index for index in found if index > 1.0 + LEAST_STEP)

@@ -1,7 +1,7 @@
 """Particle positions and sizes from a microscope picture.
 
 The smoothed grey levels are split by Otsu's threshold (IEEE Trans. Syst. Man Cybern. 9, 62, 1979); the particles are
-the rarer level, bright or dark. Touching blobs are separated at the maxima of the distance transform. Particles at the
+the rarer level, bright or dark. Touching blobs are separated at the distance transform maxima. Particles at the
 border, annotations and a scale banner are left out.
 """
 
@@ -21,14 +21,14 @@ SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 MOST_PIXELS = 60_000_000
 SMOOTHING = 1.0  # pixels
 LEAST_WIDTH = 4.0  # smallest usable particle diameter in pixels
-SPECK = 0.25  # share of the median area below which a blob is noise
+SPECK = 0.25  # blobs below this share relative to the median area are noise
 LEVELS = 256
-SHADE = 0.1  # share of the width: slower variation is uneven illumination
-BANNER, IN_PICTURE = 0.5, 0.2  # share of a row with one level: minimum in a banner, maximum in a picture
-LEAST_BANNER = 0.02  # share of the height
-DRAWN = 0.1  # share of the median noise within particles; less identifies an annotation
+SHADE = 0.1  # relative to the width: slower variation is uneven illumination
+BANNER, IN_PICTURE = 0.5, 0.2  # one-level share per row: minimum in a banner, maximum in a picture
+LEAST_BANNER = 0.02  # relative to the height
+DRAWN = 0.1  # relative to the median noise within particles; less identifies an annotation
 LEAST_NOISE = 1e-3  # a quarter of an 8-bit step
-SURE = 0.7  # required share of the grey-level variance explained by two levels; 0.64 for pure noise
+SURE = 0.7  # grey-level variance that two levels must explain; 0.64 for pure noise
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class Found:
 
     Attributes:
         xy_um: `[particle, 2]`, x to the right, y up, from the lower left corner.
-        diameters_nm: `[particle]`, of discs with the areas of the blobs.
-        size_um: width and height of the picture.
+        diameters_nm: `[particle]`, for discs with the blob areas.
+        size_um: picture width and height.
         is_bright: whether the particles are the bright parts.
-        left_out: description of a banner or annotations; "" without any.
+        left_out: banner or annotations, in words; "" without any.
     """
 
     xy_um: Array
@@ -61,15 +61,15 @@ class Found:
 
 
 def is_picture(name: str) -> bool:
-    """Whether a file name has the suffix of a picture."""
+    """Whether a file name has a picture suffix."""
     return Path(name).suffix.lower() in SUFFIXES
 
 
 def grey_levels(path: str | Path) -> Array:
-    """Return the grey levels of a picture, `[row, column]`, 0 to 1.
+    """Return picture grey levels, `[row, column]`, 0 to 1.
 
     Raises:
-        NacreError: unreadable or too large; the message is the end of a sentence that begins with the file.
+        NacreError: unreadable or too large; the message ends a sentence that begins with the file.
     """
     from PIL import Image
 
@@ -93,10 +93,10 @@ def grey_levels(path: str | Path) -> Array:
 
 
 def find_particles(levels: Array, width_um: float) -> Found:
-    """Find the particles in grey levels, `[row, column]`, of a picture `width_um` wide.
+    """Find the particles in grey levels, `[row, column]`, for picture width `width_um`.
 
     Raises:
-        NacreError: no contrast, or too small particles; the message is the end of a sentence that begins with the file.
+        NacreError: no contrast, or too small particles; the message ends a sentence that begins with the file.
     """
     from scipy import ndimage
 
@@ -138,7 +138,7 @@ def find_particles(levels: Array, width_um: float) -> Found:
 
 
 def _banner(levels: Array) -> int:
-    """Return the number of banner rows at the top, which are mostly of one level each."""
+    """Return the count of banner rows at the top, each mostly one level."""
     alike = np.array([np.unique(row, return_counts=True)[1].max() for row in levels]) / levels.shape[1]
     ends = np.flatnonzero(alike < BANNER)
     count = int(ends[0]) if ends.size else 0
@@ -147,11 +147,11 @@ def _banner(levels: Array) -> int:
 
 
 def _of_one_level(levels: Array, cores: NDArray[np.intp], whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which blobs are of one level, `[blob]`: annotations have no noise.
+    """Return which blobs have one level, `[blob]`: annotations have no noise.
 
     Args:
         cores: `[row, column]`, blob numbers from 1 away from outlines, else 0.
-        whole: `[blob]`, which of them count.
+        whole: `[blob]`, the blobs that count.
     """
     count, first, second = (
         np.bincount(cores.ravel(), by, len(whole) + 1)[1:] for by in (None, levels.ravel(), levels.ravel() ** 2)
@@ -166,7 +166,7 @@ def _of_one_level(levels: Array, cores: NDArray[np.intp], whole: NDArray[np.bool
 
 
 def otsu(levels: Array) -> tuple[float, float]:
-    """Return Otsu's threshold of levels in 0 to 1, and the share of their variance that it explains."""
+    """Return Otsu's threshold for levels in 0 to 1, and the explained variance share."""
     counts, edges = np.histogram(levels, LEVELS)
     middle = (edges[1:] + edges[:-1]) / 2
     weight = np.cumsum(counts) / counts.sum()
@@ -190,7 +190,7 @@ def _split(inside: NDArray[np.bool_]) -> NDArray[np.intp]:
     deepest = ndimage.maximum(depth, together, np.arange(1, count + 1))
     radius = max(1.0, float(np.median(deepest)))
     around = ndimage.maximum_filter(depth, size=2 * int(np.ceil(0.7 * radius)) + 1)
-    # seeds are at least half as deep as a full particle, unlike bumps of the outline
+    # seeds are at least half as deep as a full particle, unlike outline bumps
     seeds, seeded = ndimage.label((depth == around) & (depth > 0.5 * radius) & inside)
     if seeded == 0:
         return np.asarray(together)

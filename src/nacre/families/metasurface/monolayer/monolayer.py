@@ -1,7 +1,7 @@
-"""A monolayer at one wavelength: coherent reflection and transmission, and the fields of its diffuse light.
+"""A monolayer at one wavelength: coherent reflection and transmission, and diffuse fields.
 
-Simple corrections use a coherent field in closed form: the monolayer as a thin sheet of independent scatterers
-(Garcia-Valenzuela's model with a substrate). Each particle is excited by the incident wave, half of the waves radiated
+Simple corrections use a coherent field in closed form: the monolayer as a thin sheet with independent scatterers
+(Garcia-Valenzuela's model with a substrate). Each particle is excited by the incident wave, half the waves radiated
 by the sheet and their reflections. With the free T-matrix the 2 x 2 matrix form equals the closed form; with the
 dressed one it includes the near field between particle and stack. It ignores g(r) and is valid for p = f.
 """
@@ -26,6 +26,7 @@ from nacre.families.metasurface.monolayer.qca import (
     neighbour_sums_at,
 )
 from nacre.families.metasurface.monolayer.structure import Structure
+from nacre.families.metasurface.monolayer.translation_sums import NeighbourGeometry
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_order
 from nacre.families.metasurface.tmatrix.full_tmatrix import azimuthal_blocks, multipole_index, spread_blocks
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
@@ -49,14 +50,14 @@ class SheetField:
     phase: ComplexArray
 
     def reflection(self, bare: ComplexArray) -> ComplexArray:
-        """Return the specular amplitude for light from above, `[pol, angle]`, given that of the bare stack."""
+        """Return the specular amplitude for light from above, `[pol, angle]`, from the bare stack's."""
         return bare * (1 + self.phase * self.a_d) + self.a_u / self.phase
 
 
 def sheet_field(
     surface: Substrate, centre_nm: float, response: ComplexArray, density_per_nm2: float, directions: Directions
 ) -> SheetField:
-    """Solve the 2 x 2 system of the sheet for plane waves from the side of `directions`.
+    """Solve the sheet's 2 x 2 system for plane waves from the `directions` side.
 
     Args:
         response: `[m, n, n']`, the free T (diagonal blocks) or the dressed M.
@@ -91,7 +92,7 @@ def sheet_field(
 
 
 def sheet_vectors(field: SheetField, directions: Directions, lmax: int, mmax: int) -> tuple[ComplexArray, ComplexArray]:
-    """Excitation and emission vectors in the mean field of the sheet, `[m, pol, n, angle]`."""
+    """Excitation and emission vectors in the sheet's mean field, `[m, pol, n, angle]`."""
     up = plane_wave_vectors(directions.inner_cosines, lmax, mmax, directions.transverse.astype(complex))
     down = mirrored(up)
     excitation = 4 * (adjoint(down) * field.e_d[None, :, None] + adjoint(up) * field.e_u[None, :, None])
@@ -105,14 +106,14 @@ MEAN_FIELDS = ("qca-balanced", LADDER)
 
 @dataclass(frozen=True)
 class Particle:
-    """One size of one particle species.
+    """One particle size and species.
 
     Attributes:
         share: number fraction.
         centre_nm: centre height above the stack.
-        t_matrix: diagonal, `[n]`, or the blocks of an axisymmetric particle, `[m, n, n']`.
+        t_matrix: diagonal, `[n]`, or axisymmetric blocks, `[m, n, n']`.
         cut: in-plane wavenumber over k that truncates the coupling with the stack, or None.
-        species: number of its species in a mixture.
+        species: species number in a mixture.
     """
 
     share: float
@@ -129,11 +130,11 @@ class Particle:
 
 @dataclass(frozen=True)
 class Illumination:
-    """Directions of one side with the response to light from there, one entry per particle size.
+    """Directions on one side with the response to light from there, per particle size.
 
     Attributes:
         directions: excitation and emission vectors per size (with its own height).
-        response: b, `[m, pol, n, angle]`, per size: multipoles of a particle among its neighbours.
+        response: b, `[m, pol, n, angle]`, per size: multipoles with neighbours included.
         added: excitation by the neighbours, `[m, pol, n, angle]`; None without a mean field.
     """
 
@@ -155,11 +156,11 @@ class Monolayer:
         surface: the stack.
         particles: one per size and species.
         structure: density, S(q), g(r).
-        correction: one of `CORRECTIONS`.
+        correction: from `CORRECTIONS`.
         interaction_order: highest multipole exchanged by neighbours.
         mmax: highest azimuthal order.
-        ratio: ratio of an ensemble to this model of the diffuse light, or None.
-        includes_near_fields: False ignores the near fields of neighbours for a few directions.
+        ratio: ensemble over this model for the diffuse light, or None.
+        includes_near_fields: False ignores near fields from neighbours for a few directions.
     """
 
     surface: Substrate
@@ -173,7 +174,7 @@ class Monolayer:
 
     @property
     def shares(self) -> Array:
-        """Number fractions of the sizes."""
+        """Number fractions per size."""
         return np.array([p.share for p in self.particles])
 
     @property
@@ -204,7 +205,7 @@ class Monolayer:
 
     @cached_property
     def modes(self) -> Modes:
-        """The modes of the ladder."""
+        """The ladder modes."""
         order = min(LADDER_ORDER, *(s.lmax for s in self._alone))
         alone = np.stack([spread_blocks(s.dressed, multipole_index(order)) for s in self._alone])
         return Modes.build(self.surface, self.mean_centre_nm, self.structure, alone, self.shares)
@@ -221,38 +222,39 @@ class Monolayer:
 
     @cached_property
     def neighbours(self) -> NeighbourTable:
-        """The table of neighbour sums."""
-        order = min(self.interaction_order, self.spheres[0].lmax)
-        return NeighbourTable.build(self.surface, self.mean_centre_nm, self.structure, order, self.transmits_below)
+        """The neighbour sum table."""
+        return NeighbourTable.build(self.neighbour_geometry(), self.transmits_below)
+
+    def neighbour_geometry(self, order: int | None = None) -> NeighbourGeometry:
+        """Return the neighbour interaction up to `order`, by default the monolayer's."""
+        order = min(self.interaction_order, self.spheres[0].lmax) if order is None else order
+        return NeighbourGeometry(self.surface, self.mean_centre_nm, self.structure, order)
 
     def illuminate(
         self, cosines: Array, below: bool = False, sines: Array | None = None, untabulated: bool = False
     ) -> Illumination:
-        """Return the directions at `cosines` of one side with the response of the particles.
+        """Return the directions at `cosines` on one side with the particle response.
 
         `MEAN_FIELDS` use the quasi-crystalline mean field, other corrections the response without neighbours.
 
         Args:
-            untabulated: compute the neighbour sums at these few angles instead of tabulating them.
+            untabulated: compute the neighbour sums at these few angles without a table.
         """
         directions = [s.directions(cosines, below, sines) for s in self.spheres]
         own = [apply_response(s.dressed, d.excitation) for s, d in zip(self.spheres, directions)]
         if not self.has_mean_field:
             return Illumination(directions, own)
-        order = min(self.interaction_order, self.spheres[0].lmax)
+        geometry = self.neighbour_geometry()
         if untabulated:
-            sums = neighbour_sums_at(
-                self.surface, self.mean_centre_nm, self.structure, order, directions[0], self.includes_near_fields
-            )
+            sums = neighbour_sums_at(geometry, directions[0], self.includes_near_fields)
         else:
             sums = self.neighbours.at(directions[0])
-        added = mean_excitation(sums, order, self.mean_dressed, sum_over(self.shares, own))
-        return Illumination(
-            directions, [o + apply_response(s.dressed, added) for o, s in zip(own, self.spheres)], added
-        )
+        added = mean_excitation(sums, geometry.order, self.mean_dressed, sum_over(self.shares, own))
+        response = [o + apply_response(s.dressed, added) for o, s in zip(own, self.spheres)]
+        return Illumination(directions, response, added)
 
     def coherent_sum(self, leaving: list[Directions], lit: Illumination) -> ComplexArray:
-        """Return the mean F towards `leaving`, paired with the directions of `lit`, nm, `[pol, angle]`."""
+        """Return the mean F towards `leaving`, paired with `lit`, nm, `[pol, angle]`."""
         total = 0
         for share, out, response in zip(self.shares, leaving, lit.response):
             weight = np.full(len(response), 2.0)
@@ -261,10 +263,10 @@ class Monolayer:
         return np.asarray(total / self.surface.inner_wavenumber)
 
     def specular_above(self, cosines: Array, lit: Illumination | None = None) -> tuple[Array, Array]:
-        """Power reflectance and transmittance of the coherent light from above, `[pol, angle]`.
+        """Power reflectance and transmittance for coherent light from above, `[pol, angle]`.
 
         Args:
-            cosines: of incidence.
+            cosines: incident.
             lit: `illuminate` at these, if known.
         """
         k, rho = self.surface.wavenumber, self.structure.density_per_nm2
@@ -280,7 +282,7 @@ class Monolayer:
         return np.abs(r) ** 2, cos_below / cosines * np.abs(t) ** 2
 
     def specular_below(self, cosines: Array) -> Array:
-        """Power reflectance of the coherent light from below, `[pol, angle]`; zero for an opaque substrate."""
+        """Power reflectance for coherent light from below, `[pol, angle]`; zero for an opaque substrate."""
         if not self.transmits_below:
             return np.zeros((2, cosines.size))
         k, rho = self.surface.wavenumber, self.structure.density_per_nm2
@@ -296,7 +298,7 @@ class Monolayer:
         return np.abs(r) ** 2
 
     def refracted(self, cosines: Array) -> tuple[list[Directions], Array, ComplexArray]:
-        """Directions below refracted from `cosines` above, n cos there, and t of the bare stack, `[pol, angle]`."""
+        """Directions below refracted from `cosines` above, n cos there, and the bare stack's t, `[pol, angle]`."""
         index = self.surface.index_below
         sines = np.sqrt((1 - cosines) * (1 + cosines)) / index
         inner = np.sqrt((1 - sines) * (1 + sines))
@@ -317,7 +319,7 @@ class Monolayer:
         return reflected, cos_below / cosines * np.abs(passed) ** 2
 
     def fields(self, emissions: list[ComplexArray], responses: list[ComplexArray]) -> ComplexArray:
-        """Return X_m of every pair, `[size, m, pol_s, s, pol_i, i]`, nm."""
+        """Return X_m for every pair, `[size, m, pol_s, s, pol_i, i]`, nm."""
         return np.stack([emission_harmonics(u, x, self.surface.inner_wavenumber) for u, x in zip(emissions, responses)])
 
     def mean_field_vectors(self, lit: Illumination) -> tuple[ComplexArray, ComplexArray]:
@@ -329,7 +331,7 @@ class Monolayer:
 
 
 def sum_over(shares: Array, parts: list[ComplexArray]) -> ComplexArray:
-    """Return the mean of arrays by number fraction."""
+    """Return the array mean by number fraction."""
     total = shares[0] * parts[0]
     for share, part in zip(shares[1:], parts[1:]):
         total = total + share * part

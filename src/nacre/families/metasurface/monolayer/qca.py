@@ -1,7 +1,7 @@
 """Quasi-crystalline approximation: the mean field that excites a particle among its neighbours.
 
 b = (M^-1 - Q)^-1 v: each particle, its T-matrix dressed by the stack, responds to the incident wave and to the mean
-radiation of its neighbours, weighted by g(r). The coherent (specular) wave and the diffuse light follow from b.
+radiation from its neighbours, weighted by g(r). The coherent (specular) wave and the diffuse light follow from b.
 """
 
 from __future__ import annotations
@@ -11,17 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
-from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import half_index, neighbour_sums, plane_wave_sums
+from nacre.families.metasurface.monolayer.translation_sums import (
+    NeighbourGeometry,
+    half_index,
+    neighbour_sums,
+    plane_wave_sums,
+)
 from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions
-from nacre.families.metasurface.tmatrix.substrate import Substrate
 
 INTERACTION_ORDER = 3  # order 4 changes |u.b|^2 by at most 2e-3
 
 
 def chebyshev(count: int, low: float, high: float) -> tuple[Array, Array]:
-    """Chebyshev nodes of the first kind in (low, high) and their barycentric weights."""
+    """Chebyshev nodes (first kind) in (low, high) and their barycentric weights."""
     j = np.arange(count)
     angle = (2 * j + 1) * np.pi / (2 * count)
     nodes: Array = low + (high - low) * (1 - np.cos(angle)) / 2
@@ -50,52 +53,39 @@ def mixed(matrix: Array, nodes: ComplexArray) -> ComplexArray:
 
 @dataclass(frozen=True)
 class NeighbourTable:
-    """Q of one monolayer at one wavelength for every angle, tabulated without its plane-wave terms.
+    """Q for one monolayer and wavelength at every angle, tabulated without its plane-wave terms.
 
     Attributes:
-        surface, centre_nm, structure, order, lift_nm: see `neighbour_sums`.
-        propagating: `[pol, node, h, h']` at Chebyshev nodes of theta in (0, pi/2), folded (see `HalfIndex`).
-        evanescent: the same at nodes of eta, kappa = cosh(eta), up to `eta_max` (for light from below).
+        geometry: the monolayer.
+        propagating: `[pol, node, h, h']` at Chebyshev nodes: theta in (0, pi/2), folded (see `HalfIndex`).
+        evanescent: the same at nodes eta, kappa = cosh(eta), up to `eta_max` (for light from below).
     """
 
-    surface: Substrate
-    centre_nm: float
-    structure: Structure
-    order: int
+    geometry: NeighbourGeometry
     propagating: ComplexArray
     evanescent: ComplexArray | None
     eta_max: float
-    lift_nm: float = 0.0
 
     @classmethod
-    def build(
-        cls, surface: Substrate, centre_nm: float, structure: Structure, order: int, from_below: bool = False,
-        largest: float = 1.0, lift_nm: float = 0.0,
-    ) -> NeighbourTable:  # fmt: skip
-        """Tabulate; `from_below` adds the angles beyond the critical angle of a denser substrate.
+    def build(cls, geometry: NeighbourGeometry, from_below: bool = False, largest: float = 1.0) -> NeighbourTable:
+        """Tabulate; `from_below` adds the angles beyond a denser substrate's critical angle.
 
         Args:
-            largest: minimum of the largest in-plane wavevector over k.
+            largest: minimum for the largest in-plane wavevector over k.
         """
-        a = structure.diameter_nm * surface.inner_wavenumber
-        count = int(14 + 2.0 * a)
-        theta, _ = chebyshev(count, 0.0, np.pi / 2)
-        kappa = np.sin(theta)
-        eta_max, evanescent = 0.0, None
-        if from_below:
-            largest = max(largest, surface.index_below * surface.ambient_index / surface.inner_index)
-        largest = max(largest, surface.ambient_index / surface.inner_index)
-        if largest > 1.0 + 1e-9:
-            eta_max = float(np.arccosh(largest))
-            eta, _ = chebyshev(count, 0.0, eta_max)
-            kappa = np.concatenate([kappa, np.cosh(eta)])
-        sums = neighbour_sums(surface, centre_nm, structure, order, kappa, lift_nm=lift_nm)
+        surface = geometry.surface
+        count = int(14 + 2.0 * geometry.structure.diameter_nm * surface.inner_wavenumber)
+        kappa = np.sin(chebyshev(count, 0.0, np.pi / 2)[0])
+        relative = surface.ambient_index / surface.inner_index
+        largest = max(largest, relative, surface.index_below * relative if from_below else 0.0)
+        eta_max = float(np.arccosh(largest)) if largest > 1.0 + 1e-9 else 0.0
         if eta_max:
-            evanescent = sums[:, count:]
-        return cls(surface, centre_nm, structure, order, sums[:, :count], evanescent, eta_max, lift_nm)
+            kappa = np.concatenate([kappa, np.cosh(chebyshev(count, 0.0, eta_max)[0])])
+        sums = neighbour_sums(geometry, kappa)
+        return cls(geometry, sums[:, :count], sums[:, count:] if eta_max else None, eta_max)
 
     def at(self, directions: Directions) -> ComplexArray:
-        """Return Q, folded, `[pol, angle, h, h']`, at the in-plane wavevectors of `directions`."""
+        """Return Q, folded, `[pol, angle, h, h']`, at the `directions` in-plane wavevectors."""
         return self.sums(directions.inner, directions.inner_cosines)
 
     def sums(self, kappa: Array, w: ComplexArray) -> ComplexArray:
@@ -112,37 +102,27 @@ class NeighbourTable:
             nodes, weights = chebyshev(self.evanescent.shape[1], 0.0, self.eta_max)
             matrix = barycentric(nodes, weights, np.arccosh(kappa[~inside]))
             out[:, ~inside] = mixed(matrix, self.evanescent)
-        return out + plane_wave_sums(self.structure, self.surface, self.centre_nm, self.order, w, kappa, self.lift_nm)
+        return out + plane_wave_sums(self.geometry, w, kappa)
 
 
 def neighbour_sums_at(
-    surface: Substrate,
-    centre_nm: float,
-    structure: Structure,
-    order: int,
-    directions: Directions,
-    includes_near_fields: bool = True,
+    geometry: NeighbourGeometry, directions: Directions, includes_near_fields: bool = True
 ) -> ComplexArray:
     """Return Q at a few directions without tabulation; see `NeighbourTable.at`.
 
-    Without `includes_near_fields` it holds only the plane waves of the monolayer, as of a sheet.
+    Without `includes_near_fields` it holds only the monolayer plane waves, like a sheet.
     """
-    kappa = directions.inner
-    waves = plane_wave_sums(structure, surface, centre_nm, order, directions.inner_cosines, kappa)
-    return (
-        neighbour_sums(surface, centre_nm, structure, order, kappa, quick=True) + waves
-        if includes_near_fields
-        else waves
-    )
+    waves = plane_wave_sums(geometry, directions.inner_cosines, directions.inner)
+    return neighbour_sums(geometry, directions.inner, quick=True) + waves if includes_near_fields else waves
 
 
 def mean_excitation(q: ComplexArray, order: int, dressed: ComplexArray, own: ComplexArray) -> ComplexArray:
-    """Return Q b, the excitation of each particle by its neighbours, `[m, pol, n, angle]`.
+    """Return Q b, the excitation by neighbours, `[m, pol, n, angle]`.
 
     Args:
-        q: neighbour sums at the directions of incidence, folded, `[pol, angle, h, h']`.
+        q: neighbour sums at the incident directions, folded, `[pol, angle, h, h']`.
         order: their highest multipole.
-        dressed: M_m, averaged over the particle sizes, `[m, n, n']`, of any multipole order.
+        dressed: M_m, averaged over the particle sizes, `[m, n, n']`, any multipole order.
         own: M_m v averaged over the sizes, the response to the incident wave, `[m, pol, n, angle]`.
     """
     lmax = dressed.shape[1] // 2
@@ -164,13 +144,13 @@ Counts = tuple[int, int, int]  # node counts above, below within and beyond the 
 
 
 def node_sines(index_below: float, below: bool, counts: Counts, widest_rad: float = np.pi / 2) -> list[Array]:
-    """Return the sines of interpolation nodes on one side, in parts.
+    """Return the interpolation node sines on one side, in parts.
 
     Above, and below up to the critical angle, functions are smooth in the angle; beyond it in eta, kappa = cosh(eta).
 
     Args:
         index_below: over the ambient index.
-        counts: of nodes.
+        counts: node counts.
         widest_rad: largest angle above.
     """
     if not below:
@@ -182,7 +162,7 @@ def node_sines(index_below: float, below: bool, counts: Counts, widest_rad: floa
 
 
 def node_weights(directions: Directions, index_below: float, counts: Counts, widest_rad: float = np.pi / 2) -> Array:
-    """Return the interpolation from `node_sines` to directions of the same side, `[direction, node]`."""
+    """Return the interpolation from `node_sines` to directions on the same side, `[direction, node]`."""
     d = directions
     if not d.below:
         nodes, weights = chebyshev(counts[0], 0.0, widest_rad)

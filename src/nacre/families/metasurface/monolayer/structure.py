@@ -1,6 +1,6 @@
-"""Structure factor S(q) and pair correlation g(r) of particles in a monolayer.
+"""Structure factor S(q) and pair correlation g(r) for particles in a monolayer.
 
-Hard disks in equilibrium have the closed form of Baus & Colot, Phys. Rev. A 36, 3912 (1987). Every arrangement, also a
+Hard disks in equilibrium have a closed form, Baus & Colot, Phys. Rev. A 36, 3912 (1987). Every arrangement, also a
 measured one, becomes one `Structure`: two tables.
 """
 
@@ -19,17 +19,17 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 
 _VIRIAL = (0.1280, 0.0018, -0.0507, -0.0533, -0.0410)
-SCALE_STEPS = 1 << 50  # steps of A between 1 and 2
+SCALE_STEPS = 1 << 50  # steps in A between 1 and 2
 PACKING_LIMIT = 0.7  # hard disks freeze at 0.70; the closed form is for the fluid
-SMALLEST_MENDED = 0.02  # packing below which the core of the closed form is empty to 1e-5
+SMALLEST_MENDED = 0.02  # packing below which the closed-form core is empty to 1e-5
 RANGE_IN_DIAMETERS = 9.0  # g - 1 beyond this many diameters changes results by less than 1e-3
-S_STEP = 0.01  # step of the tables of S, in units of 1 / diameter
-S_BLOCK = 1000  # samples of S that share one quadrature rule
+S_STEP = 0.01  # S table step, in units 1 / diameter
+S_BLOCK = 1000  # S samples that share one quadrature rule
 MOST_KEPT = 512  # largest grid with cached Bessel functions; the same few grids recur at every packing
 
 
 def _compressibility(eta: float) -> float:
-    """D = d(eta Z)/d eta of the hard-disk equation of state, the inverse of S(0)."""
+    """D = d(eta Z)/d eta from the hard-disk equation of state, the inverse S(0)."""
     z_top, z_slope = 1.0, 0.0
     for power, c in enumerate(_VIRIAL, start=2):
         z_top += c * eta**power
@@ -40,7 +40,7 @@ def _compressibility(eta: float) -> float:
 
 @lru_cache(maxsize=64)
 def baus_colot_scale(eta: float) -> float:
-    """The length scale A in (1, 2) of the direct correlation function; 1.566 at packing 0.3."""
+    """The length scale A in (1, 2) in the direct correlation function; 1.566 at packing 0.3."""
     target = (1 - 4 * eta - 1 / _compressibility(eta)) / eta**2
 
     def falling(step: int) -> float:
@@ -60,7 +60,7 @@ def _overlap(y: Array) -> Array:
 
 @lru_cache(maxsize=24)
 def _overlap_rule(q_reduced: bytes) -> tuple[Array, Array, Array]:
-    """Nodes and weights of int_0^1 dx, and J0(Q x) there, `[q, node]`, independent of the packing."""
+    """Nodes and weights for int_0^1 dx, and J0(Q x) there, `[q, node]`, for any packing."""
     q = np.frombuffer(q_reduced)
     # the integrand oscillates Q/2pi times: about pi nodes per period are exact to rounding
     x, weight = np.polynomial.legendre.leggauss(int(24 + 0.55 * q.max()))
@@ -69,7 +69,7 @@ def _overlap_rule(q_reduced: bytes) -> tuple[Array, Array, Array]:
 
 
 def baus_colot_direct(q_reduced: ArrayLike, eta: float) -> Array:
-    """rho times the Fourier transform of the Baus-Colot direct correlation function at Q = q a."""
+    """rho times the Fourier-transformed Baus-Colot direct correlation function at Q = q a."""
     q = np.asarray(q_reduced, dtype=float)
     flat = np.maximum(np.abs(q.ravel()), 1e-9)
     d, a = _compressibility(eta), baus_colot_scale(eta)
@@ -85,11 +85,11 @@ def baus_colot_direct(q_reduced: ArrayLike, eta: float) -> Array:
 
 
 def baus_colot(q_reduced: ArrayLike, packing: float) -> Array:
-    """Structure factor S(Q) of hard disks in equilibrium, Q = q a with a the disk diameter.
+    """Structure factor S(Q) for hard disks in equilibrium, Q = q a with a the disk diameter.
 
     Args:
         q_reduced: any shape, dimensionless.
-        packing: area fraction of the disks, 0 (S = 1) to 0.7.
+        packing: disk area fraction, 0 (S = 1) to 0.7.
 
     Raises:
         NacreError: packing outside that range.
@@ -106,7 +106,7 @@ def baus_colot(q_reduced: ArrayLike, packing: float) -> Array:
 
 @lru_cache(maxsize=1)
 def _indirect_rule() -> tuple[Array, Array]:
-    # Gauss panels: a sum of step h leaves an offset of h^2/12 times the slope at Q = 0 in g
+    # Gauss panels: a sum with step h leaves an offset h^2/12 times the slope at Q = 0 in g
     x, weight = np.polynomial.legendre.leggauss(16)
     edges = np.concatenate([np.arange(0.0, 100.0, 1.0), np.arange(100.0, 601.0, 2.0)])
     half = np.diff(edges)[:, None] / 2
@@ -122,14 +122,14 @@ def _indirect_spectrum(packing: float) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=4)
 def _indirect_waves(x: bytes) -> Array:
-    """J0(Q x) at the nodes of `_indirect_rule`, `[x, q]`, independent of the packing."""
+    """J0(Q x) at the `_indirect_rule` nodes, `[x, q]`, for any packing."""
     return np.asarray(j0(np.outer(np.frombuffer(x), _indirect_rule()[0])))
 
 
 def baus_colot_pair_correlation(r_reduced: ArrayLike, packing: float) -> Array:
-    """g(r/a) of the same fluid: zero inside the core, 1 + gamma outside.
+    """g(r/a) for the same fluid: zero inside the core, 1 + gamma outside.
 
-    gamma is the transform of the indirect part of S: subtracting the direct correlation function removes the jump at
+    gamma transforms the indirect part of S: subtracting the direct correlation function removes the jump at
     contact and its ringing.
     """
     x = np.asarray(r_reduced, dtype=float)
@@ -153,13 +153,13 @@ class CoreCorrection:
     The closed form leaves a small g inside the core (0.001 at packing 0.1, up to 0.12 at 0.5). Setting it to zero
     without changing S breaks S = 1 + rho FT(g - 1), and the mean field and the diffuse light then disagree, by 0.7 % of
     the energy at packing 0.5. The area removed from the core moves to a layer `amplitude e^(-decay (r - 1))` outside,
-    which preserves S(0) = 1/D; its height is the step from the contact value of the closed form to that of the equation
+    which preserves S(0) = 1/D; its height is the step from the closed-form contact value to the equation
     of state, Z = 1 + 2 eta g(1), as in Verlet and Weis for three dimensions.
 
     Attributes:
-        amplitude, decay: of the layer; amplitude 0 without correction.
-        inside: nodes, and weights of the removed area, `[node]`.
-        layer: nodes and weights of the layer.
+        amplitude, decay: layer parameters; amplitude 0 without correction.
+        inside: nodes, and weights for the removed area, `[node]`.
+        layer: nodes and weights in the layer.
     """
 
     amplitude: float
@@ -181,7 +181,7 @@ class CoreCorrection:
 
 @lru_cache(maxsize=1)
 def _core_rule() -> tuple[Array, Array]:
-    """Nodes and weights of int_0^1 dx."""
+    """Nodes and weights for int_0^1 dx."""
     x, weight = np.polynomial.legendre.leggauss(60)
     return (x + 1) / 2, weight / 2
 
@@ -207,7 +207,7 @@ def core_correction(packing: float) -> CoreCorrection:
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Structure factor and pair correlation of an arrangement.
+    """Structure factor and pair correlation for an arrangement.
 
     Attributes:
         name: "hard-disk", "rsa", "points", ... for labels and provenance.
@@ -254,7 +254,7 @@ def _hard_disk_excess(packing: float) -> tuple[Array, Array]:
 def hard_disk_structure(density_per_nm2: float, packing: float, q_max_per_nm: float) -> Structure:
     """Tabulate hard disks in equilibrium; `q_max_per_nm` is the largest |q| used.
 
-    S is that of Baus and Colot with `CoreCorrection`, which changes it by less than 1e-4 at packing 0.1 and 0.023 at
+    S follows Baus and Colot with `CoreCorrection`, which changes it by less than 1e-4 at packing 0.1 and 0.023 at
     0.5, closer to Monte Carlo disks.
 
     Raises:

@@ -1,11 +1,11 @@
-"""T-matrices of axisymmetric particles, and particles whose T-matrices come from a file.
+"""T-matrices for axisymmetric particles, and particles whose T-matrices come from a file.
 
-In the basis of `special_functions` such a matrix is one block for each azimuthal order m >= 0, `[m, n, n']` with
-n = (tau, l); blocks of -m follow from the mirror plane through the axis, which changes the sign between different tau.
+In the `special_functions` basis such a matrix is one block for each azimuthal order m >= 0, `[m, n, n']` with
+n = (tau, l); blocks for -m follow from the mirror plane through the axis, which changes the sign between different tau.
 The orthonormal basis with Condon-Shortley phases (tmat.h5 files, treams) differs by factors that depend only on m, so
 the blocks are the same in both.
 
-A tabulated sphere takes the multipole order of spheres instead of all orders in the file. Beyond the file, Mie
+A tabulated sphere takes the sphere multipole order instead of all orders in the file. Beyond the file, Mie
 coefficients extend it if the file states radius and index and agrees with Mie theory.
 """
 
@@ -27,7 +27,7 @@ SAME_WAVELENGTH = 1e-6  # relative; files hold wavenumbers with few digits
 
 
 def multipole_order(t_matrix: ComplexArray) -> int:
-    """Return the highest l of a T-matrix: diagonal, `[n]`, or blocks, `[m, n, n']`."""
+    """Return the highest l in a T-matrix: diagonal, `[n]`, or blocks, `[m, n, n']`."""
     return int(t_matrix.shape[-1] // 2)
 
 
@@ -53,7 +53,7 @@ def as_blocks(t_matrix: ComplexArray, mmax: int | None = None) -> ComplexArray:
 
 
 def mirror_signs(lmax: int) -> Array:
-    """Return the signs between the blocks of m and -m, `[n, n']`; they also relate T to its transpose."""
+    """Return the signs between the blocks m and -m, `[n, n']`; they also relate T to its transpose."""
     tau = np.repeat([1.0, -1.0], lmax)
     return np.asarray(tau[:, None] * tau)
 
@@ -65,9 +65,9 @@ def reciprocal(blocks: ComplexArray) -> ComplexArray:
 
 
 def gain(blocks: ComplexArray) -> float:
-    """Return the maximum excess of radiated over incident power for T `[..., n, n']`; 0 for passive particles.
+    """Return the maximum radiated excess over incident power for T `[..., n, n']`; 0 for passive particles.
 
-    The largest eigenvalue of (T + T^+)/2 + T^+ T, which is 0 for lossless and negative for absorbing particles.
+    The largest eigenvalue in (T + T^+)/2 + T^+ T, which is 0 for lossless and negative for absorbing particles.
     """
     turned = np.conj(np.swapaxes(blocks, -1, -2))
     return max(0.0, float(np.linalg.eigvalsh(0.5 * (blocks + turned) + turned @ blocks).max()))
@@ -75,18 +75,18 @@ def gain(blocks: ComplexArray) -> float:
 
 @dataclass(frozen=True)
 class AxialTMatrices:
-    """T-matrices of one particle over the wavelength.
+    """T-matrices for one particle over the wavelength.
 
     Attributes:
         wavelengths_nm: `[wavelength]`, in vacuum, ascending.
         blocks: `[wavelength, m, n, n']`, m from 0 to the highest order.
-        ambient_index: `[wavelength]`, of the surrounding medium.
-        name: description of the particle.
+        ambient_index: `[wavelength]`, surrounding medium.
+        name: particle description.
         radius_nm: largest distance from the axis; None if unknown.
         height_nm: full height along the axis, centred; None if unknown.
         circumscribing_nm: largest distance from the centre; None if unknown.
-        material_index: `[wavelength]`, of the particle; None if unknown or for several materials.
-        turn_loss: share of the scattered power that depends on the rotation about the axis and is not in the blocks.
+        material_index: `[wavelength]`, particle; None if unknown or for several materials.
+        turn_loss: scattered power share that depends on the rotation about the axis and is not in the blocks.
         shape: "sphere", "spheroid" or "cylinder", "" for others.
         whole: full T over all m, `[wavelength, n, n']`, see `full_tmatrix`, for aligned particles without rotational
             symmetry, whose rotational average the blocks are; else None.
@@ -112,8 +112,8 @@ class AxialTMatrices:
     def at(self, wavelength_nm: float, hold_ends: bool = False, is_whole: bool = False) -> ComplexArray:
         """Return T at a wavelength, `[m, n, n']`, or `[n, n']` over all m, linear between the tabulated wavelengths.
 
-        A mean of passive T-matrices is passive (scattering matrices of norm <= 1 form a convex set). Interpolation of
-        higher order could violate energy conservation.
+        Averages of passive T-matrices are passive (scattering matrices with norm <= 1 form a convex set). Interpolation
+        with higher order could violate energy conservation.
 
         Raises:
             MaterialRangeError: outside the range, unless `hold_ends`.
@@ -145,7 +145,7 @@ class Body(abc.ABC):
         source: recipe key and value, for messages.
         shape: "cylinder", "spheroid" or "sphere", or "" if only the T-matrix is known.
         lmax: highest multipole order.
-        method: origin of the T-matrix, in words.
+        method: T-matrix origin, in words.
     """
 
     method: ClassVar[str] = "from a file"
@@ -168,7 +168,7 @@ class Body(abc.ABC):
 
     @abc.abstractmethod
     def index(self, wavelength_nm: float) -> complex | None:
-        """Return the refractive index of the particle, or None if unknown."""
+        """Return the particle index, or None if unknown."""
 
     def with_radius(self, radius_nm: float) -> Body:
         """Return the same particle with another width and the same height.
@@ -180,12 +180,12 @@ class Body(abc.ABC):
 
     @property
     def estimated_error(self) -> float | None:
-        """Largest estimated relative error of the computed T-matrices; None without an estimate."""
+        """Largest estimated relative error in the computed T-matrices; None without an estimate."""
         return None
 
     @property
     def turn_loss(self) -> float:
-        """Share of the scattered power that depends on the rotation about the axis and is left out; 0 if symmetric."""
+        """Scattered power share that depends on the rotation about the axis and is left out; 0 if symmetric."""
         return 0.0
 
     @property
@@ -215,7 +215,7 @@ class TabulatedBody(Body):
 
     Attributes:
         hold_ends: whether the end values hold beyond the tabulated wavelengths.
-        turn_rad: rotation about the normal, from x towards y, of an aligned particle.
+        turn_rad: rotation about the normal, from x towards y, if aligned.
     """
 
     known: AxialTMatrices
@@ -229,11 +229,11 @@ class TabulatedBody(Body):
 
     @property
     def is_aligned(self) -> bool:
-        """Whether the full T-matrix is used instead of its rotational average."""
+        """Whether the full T-matrix is used and not its rotational average."""
         return self.known.whole is not None
 
     def full_t_matrix(self, wavelength_nm: float) -> ComplexArray:
-        """Return the full T at a wavelength, `[n, n']`, of an aligned particle before its rotation.
+        """Return the full T at a wavelength, `[n, n']`, for an aligned particle before its rotation.
 
         Raises:
             MaterialRangeError: outside the tabulated wavelengths.
@@ -247,12 +247,12 @@ class TabulatedBody(Body):
 
     @property
     def lmax(self) -> int:  # type: ignore[override]
-        """Highest multipole order of the file."""
+        """Highest multipole order in the file."""
         return self.known.lmax
 
     @property
     def turn_loss(self) -> float:
-        """Share of the scattered power that depends on the rotation about the axis and is left out."""
+        """Scattered power share that depends on the rotation about the axis and is left out."""
         return self.known.turn_loss
 
     def t_matrix(self, wavelength_nm: float) -> ComplexArray:
@@ -264,14 +264,14 @@ class TabulatedBody(Body):
         return self.known.at(wavelength_nm, self.hold_ends)
 
     def index(self, wavelength_nm: float) -> complex | None:
-        """Return the refractive index of the particle if the file states it."""
+        """Return the particle index if the file states it."""
         if self.known.material_index is None:
             return None
         nearest = int(np.argmin(np.abs(self.known.wavelengths_nm - wavelength_nm)))
         return complex(self.known.material_index[nearest])
 
     def exported_t_matrices(self, wavelengths_nm: Array) -> AxialTMatrices:
-        """Return the tabulated T-matrices with the dimensions of the recipe."""
+        """Return the tabulated T-matrices with the recipe's dimensions."""
         return replace(
             self.known, radius_nm=self.radius_nm, height_nm=self.height_nm, circumscribing_nm=self.circumscribing_nm
         )
@@ -283,7 +283,7 @@ SPHERE = "sphere"
 
 
 def is_spherical(known: AxialTMatrices) -> bool:
-    """Return whether the T-matrices are those of spheres at all wavelengths."""
+    """Return whether the T-matrices belong to spheres at all wavelengths."""
     return all(
         np.linalg.norm(as_blocks(np.diagonal(blocks[1])) - blocks) <= SAME_T * np.linalg.norm(blocks)
         for blocks in known.blocks

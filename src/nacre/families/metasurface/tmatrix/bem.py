@@ -1,18 +1,18 @@
-"""T-matrix of a body of revolution with a mirror plane by the boundary element method (PMCHWT).
+"""T-matrix for a body of revolution with a mirror plane by the boundary element method (PMCHWT).
 
 The tangential fields inside and outside, radiated by the equivalent currents J and M, are equal on the surface.
-Galerkin with polynomials on panels of the generating curve; J_t and M_t are continuous, and panels are graded towards
-edges with singular fields. The system is symmetric in the bilinear product and the excitation and test waves are the
-same, so T = v~ S^-1 v has an error of second order in that of the currents. Poggio and Miller; Chang and Harrington; Wu
-and Tsai; for bodies of revolution Mautz and Harrington, AEU 33, 71 (1979).
+Galerkin with polynomials on panels along the generating curve; J_t and M_t are continuous, and panels are graded
+towards edges with singular fields. The system is symmetric in the bilinear product and the excitation and test waves
+are the same, so T = v~ S^-1 v has a second-order error in the current error. Poggio and Miller; Chang and Harrington;
+Wu and Tsai; for bodies of revolution Mautz and Harrington, AEU 33, 71 (1979).
 
 The kernels exp(ikR)/(4 pi R) and its gradient are integrated over the azimuth in a variable that resolves the near
 singularity, psi = a sinh u, then over panels: directly for distant panels, split towards the target for near ones, and
 with nodes clustered at a target on the panel itself.
 
 Lengths are times the ambient k. A panel is a row (type, p0, p1, p2, p3, d): type 0 is a line from (rho, z) to (rho, z);
-type 1 a curve at distance d outside an arc of a spheroid with semi-axes a, c between two parametric angles; type 2 an
-arc of radius d around the ring (rho, z) between two angles from the normal. Panels cover the upper half, z >= 0, from
+type 1 a curve at distance d outside a spheroid arc with semi-axes a, c between two parametric angles; type 2 an
+arc with radius d around the ring (rho, z) between two angles from the normal. Panels cover the upper half, z >= 0, from
 the pole to the equator; the lower half is its mirror image.
 """
 
@@ -29,18 +29,18 @@ from nacre.core.jit import compiled
 from nacre.families.metasurface.tmatrix.special_functions import angular_functions, legendre
 
 MOST_AZIMUTHS = 96
-CROWDING = 4  # exponent of the node clustering at a target on the panel
-NEAR = 1.0  # maximum length of an unsplit panel over its distance
+CROWDING = 4  # node clustering exponent at a target on the panel
+NEAR = 1.0  # maximum unsplit panel length over its distance
 DEEPEST = 40
 
-# kernel numbers: the vector kernels of L (tt, tp, pt, pp) and its scalar kernel with the
-# divergence of a t and of a p function, for both equations; then the kernels of K
+# kernel numbers: the vector kernels in L (tt, tp, pt, pp) and its scalar kernel with the
+# divergence (t and p functions), for both equations; then the kernels in K
 E_TT, E_TP, E_PT, E_PP, E_ST, E_SP, H_TT, H_TP, H_PT, H_PP, H_ST, H_SP, K_TT, K_TP, K_PT, K_PP = range(16)
 
 
 @lru_cache(maxsize=2)
 def gauss_table(most: int = MOST_AZIMUTHS) -> tuple[Array, Array]:
-    """Return Gauss-Legendre nodes and weights on [0, 1] of every count up to `most`, `[count, node]`."""
+    """Return Gauss-Legendre nodes and weights on [0, 1] for every count up to `most`, `[count, node]`."""
     nodes, weights = np.zeros((most + 1, most)), np.zeros((most + 1, most))
     for n in range(1, most + 1):
         x, w = np.polynomial.legendre.leggauss(n)
@@ -194,7 +194,7 @@ def _add(target, panel, s, step, weight, sign, waves, degree, rules, modal, work
 
 @compiled(nogil=True, error_model="numpy")
 def _nearest(panel, rho, z, sign):  # type: ignore[no-untyped-def]  # numba
-    """Return s of the panel point nearest to a target, its distance, and the panel length."""
+    """Return s at the panel point nearest to a target, its distance, and the panel length."""
     best, where, length = 1e300, 0.0, 0.0
     for n in range(33):
         s = -1.0 + n / 16.0
@@ -226,7 +226,7 @@ def fill_rows(panels, targets, homes, waves, degree, far, self_count, rules, row
     """Fill `[target, mirror, panel, kernel, m, shape]` for targets (rho, z, t_rho, t_z, s) on their home panels.
 
     `waves` holds the wavenumbers, over the ambient one, inside and outside the panels, whose kernels are summed; or
-    that of the one medium between the panels and targets on another surface, whose home is -1.
+    that in the one medium between the panels and targets on another surface, whose home is -1.
     """
     nodes, weights = rules  # Gauss tables
     orders = rows.shape[4]
@@ -278,7 +278,7 @@ __all__ = ["Array", "ComplexArray", "fill_rows", "gauss_table", "locate", "shape
 
 @dataclass(frozen=True)
 class Mesh:
-    """Resolution of a body: panels (also of its core, if coated), polynomial degree, and quadrature nodes."""
+    """Body resolution: panels (core panels, if coated), polynomial degree, and quadrature nodes."""
 
     panels: Array
     core: Array | None = None
@@ -299,13 +299,13 @@ def block_t_matrix(
 ) -> ComplexArray:
     """Return T, `[m, n, n']`, as `AxialTMatrices.blocks`.
 
-    The field in a shell is that of the currents on both its surfaces: the diagonal blocks hold the operators of the
-    media on both sides of a surface, the off-diagonal ones minus those of the shell.
+    The field in a shell comes from the currents on both its surfaces: the diagonal blocks hold the operators for the
+    media on both sides, the off-diagonal ones minus the shell operators.
 
     Args:
         mesh: lengths times the ambient k.
-        index: of the body or its shell, over the ambient index.
-        core: index inside the second surface of the mesh.
+        index: body or shell, over the ambient index.
+        core: index inside the second mesh surface.
     """
     top = lmax if mmax is None else mmax
     surfaces = [_Surface.of(mesh, panels) for panels in (mesh.panels, mesh.core) if panels is not None]
@@ -338,7 +338,7 @@ def block_t_matrix(
 
 @dataclass(frozen=True)
 class _Surface:
-    """Panels of a surface, its targets (rho, z, t_rho, t_z, s), and test functions there, `[panel, shape, target]`.
+    """Surface panels, targets (rho, z, t_rho, t_z, s), and test functions there, `[panel, shape, target]`.
 
     The test functions are rho b_t, (rho b_t)', rho b_p and b_p.
     """
@@ -352,17 +352,17 @@ class _Surface:
 
     @property
     def count(self) -> int:
-        """Number of panels."""
+        """Panel count."""
         return len(self.panels)
 
     @property
     def size(self) -> int:
-        """Number of shape functions per panel."""
+        """Shape functions per panel."""
         return int(self.t.shape[1])
 
     @classmethod
     def of(cls, mesh: Mesh, panels: Array) -> _Surface:
-        """Prepare a surface at the nodes of a mesh."""
+        """Prepare a surface at the mesh nodes."""
         panels = np.ascontiguousarray(panels, dtype=float)
         s, w = _outer_rule(mesh.outer)
         points = np.array([[*locate(p, x), x] for p in panels for x in s])
@@ -375,13 +375,17 @@ class _Surface:
             along[:, n], slope[:, n], around[:, n] = a, b, c
         rho, t_rho, speed = (points[:, k].reshape(count, 1, -1) for k in (0, 2, 4))
         return cls(
-            panels, targets, rho * along * speed * w, (t_rho * speed * along + rho * slope) * w,
-            rho * around * speed * w, np.broadcast_to(around * w, (count, *around.shape)) * speed,
-        )  # fmt: skip
+            panels,
+            targets,
+            rho * along * speed * w,
+            (t_rho * speed * along + rho * slope) * w,
+            rho * around * speed * w,
+            np.broadcast_to(around * w, (count, *around.shape)) * speed,
+        )
 
 
 def _rows(mesh: Mesh, at: _Surface, of: _Surface, waves: list[complex], top: int) -> ComplexArray:
-    """Return the integrals over the panels of one surface at the targets of another, see `fill_rows`."""
+    """Return the integrals over one surface's panels at another's targets, see `fill_rows`."""
     homes = np.repeat(np.arange(at.count), len(at.targets) // at.count) if at is of else np.full(len(at.targets), -1)
     rows = np.zeros((len(at.targets), 2, of.count, 16, top + 1, of.size), dtype=complex)
     numbers = np.array(waves, dtype=complex)
@@ -390,7 +394,7 @@ def _rows(mesh: Mesh, at: _Surface, of: _Surface, waves: list[complex], top: int
 
 
 def _block(with_images: tuple[ComplexArray, ...], at: _Surface, of: _Surface, m: int, parity: float) -> ComplexArray:
-    """Return a block of S of one azimuthal order and one parity; the unknowns are J_t, J_p, M_t, M_p."""
+    """Return a block of S for one azimuthal order and parity; the unknowns are J_t, J_p, M_t, M_p."""
 
     def tested(image: int, kernel: int, test: Array) -> ComplexArray:
         part = with_images[image][:, :, kernel, m].reshape(at.count, -1, of.count * of.size)
@@ -408,9 +412,11 @@ def _block(with_images: tuple[ComplexArray, ...], at: _Surface, of: _Surface, m:
 
     def crossed(image: int) -> tuple[ComplexArray, ...]:
         return (
-            tested(image, K_TT, at.t), tested(image, K_TP, at.t), tested(image, K_PT, at.p),
+            tested(image, K_TT, at.t),
+            tested(image, K_TP, at.t),
+            tested(image, K_PT, at.p),
             tested(image, K_PP, at.p),
-        )  # fmt: skip
+        )
 
     def square(parts: tuple[ComplexArray, ...], rows: float, columns: float) -> ComplexArray:
         left, right = _joined(at, rows), _joined(of, columns)
@@ -424,7 +430,7 @@ def _block(with_images: tuple[ComplexArray, ...], at: _Surface, of: _Surface, m:
 
 
 def _joined(surface: _Surface, parity: float) -> Array:
-    """Return the matrix from continuous functions to those of the panels, `[panel x shape, unknown]`.
+    """Return the matrix from continuous functions to panel functions, `[panel x shape, unknown]`.
 
     A vector field even in the mirror has an odd t component along the curve, zero on the equator.
     """
@@ -441,7 +447,7 @@ def _joined(surface: _Surface, parity: float) -> Array:
 
 
 def _waves(targets: Array, lmax: int, top: int) -> dict[str, Array]:
-    """Tangential components of the regular waves at the targets, `[m, l, target]`, without factors i."""
+    """Tangential regular wave components at the targets, `[m, l, target]`, without factors i."""
     rho, z, t_rho, t_z = targets[:, 0], targets[:, 1], targets[:, 2], targets[:, 3]
     x = np.hypot(rho, z)
     cos, sin = z / x, rho / x
@@ -464,7 +470,7 @@ def _waves(targets: Array, lmax: int, top: int) -> dict[str, Array]:
 def _excitations(
     waves: dict[str, Array], surface: _Surface, m: int, lmax: int, parity: float
 ) -> tuple[ComplexArray, ComplexArray, Array]:
-    """Return v and v~, `[unknown, wave]`, of the waves of one parity on a surface, and their places n = (tau, l)."""
+    """Return v and v~, `[unknown, wave]`, for the waves with one parity on a surface, and their places n = (tau, l)."""
     l = np.arange(1, lmax + 1)
     even = (-1.0) ** (l + m)
     magnetic = l[(l >= max(m, 1)) & (-even == parity)] - 1
@@ -480,13 +486,16 @@ def _excitations(
         n_t, n_p = waves["n_t"][m] + 0j, i * waves["n_p"][m]
         e_t, e_p = np.concatenate([m_t[magnetic], n_t[electric]]), np.concatenate([m_p[magnetic], n_p[electric]])
         h_t, h_p = (
-            -1j * np.concatenate([n_t[magnetic], m_t[electric]]), -1j * np.concatenate([n_p[magnetic], m_p[electric]]),
-        )  # fmt: skip
+            -1j * np.concatenate([n_t[magnetic], m_t[electric]]),
+            -1j * np.concatenate([n_p[magnetic], m_p[electric]]),
+        )
         return np.concatenate(
             [
-                -_joined(surface, parity).T @ tested(e_t, surface.t), -tested(e_p, surface.p),
-                _joined(surface, -parity).T @ tested(h_t, surface.t), tested(h_p, surface.p),
+                -_joined(surface, parity).T @ tested(e_t, surface.t),
+                -tested(e_p, surface.p),
+                _joined(surface, -parity).T @ tested(h_t, surface.t),
+                tested(h_p, surface.p),
             ]
-        )  # fmt: skip
+        )
 
     return side(1.0), side(-1.0), np.concatenate([magnetic, lmax + electric])

@@ -1,7 +1,7 @@
 """Full T-matrices, which couple azimuthal orders: particles without rotational symmetry about the normal.
 
-Multipoles are n = (m, tau, l) with m from -L to L, in the order of `multipole_index` and the phases of
-`special_functions`: those of tmat.h5 files without the Condon-Shortley sign, (-1)^m for m > 0.
+Multipoles are n = (m, tau, l) with m from -L to L, in `multipole_index` order and with the phases in
+`special_functions`: as in tmat.h5 files without the Condon-Shortley sign, (-1)^m for m > 0.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ IntArray = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class MultipoleIndex:
-    """Flat index of multipoles up to order L: arrays `[n]` of m, tau and l."""
+    """Flat multipole index up to order L: arrays `[n]` for m, tau and l."""
 
     order: int
     m: IntArray
@@ -28,13 +28,13 @@ class MultipoleIndex:
 
     @property
     def block(self) -> IntArray:
-        """Position on the (tau, l) axis of `plane_wave_vectors`."""
+        """Position on the (tau, l) axis in `plane_wave_vectors`."""
         return self.tau * self.order + self.l - 1
 
 
 @lru_cache(maxsize=8)
 def multipole_index(order: int) -> MultipoleIndex:
-    """Return the index of all (m, tau, l) with |m| <= l <= order."""
+    """Return the index for all (m, tau, l) with |m| <= l <= order."""
     rows = [(m, tau, l) for m in range(-order, order + 1) for tau in range(2) for l in range(max(1, abs(m)), order + 1)]
     m, tau, l = np.array(rows, dtype=np.intp).T
     return MultipoleIndex(order, m, tau, l)
@@ -43,7 +43,7 @@ def multipole_index(order: int) -> MultipoleIndex:
 def with_negative_orders(vectors: ComplexArray, index: MultipoleIndex) -> ComplexArray:
     """Expand `[m >= 0, pol, (tau, l), ...]` to all m: `[pol, n, ...]`.
 
-    m -> -m changes the sign of the m pi functions, those with tau != pol.
+    m -> -m changes the sign in the m pi functions, those with tau != pol.
     """
     picked = vectors[np.abs(index.m), :, index.block]  # advanced indices lead: [n, pol, ...]
     flips = (index.m[:, None] < 0) & (index.tau[:, None] != np.arange(2))
@@ -72,7 +72,7 @@ def truncated_index(lmax: int, mmax: int) -> tuple[MultipoleIndex, IntArray]:
 
 
 def full_order(matrix: ComplexArray) -> int:
-    """Return the highest l of matrices over all m, `[..., n, n']`, of 2 L (L + 2) multipoles."""
+    """Return the highest l in matrices over all m, `[..., n, n']`, with 2 L (L + 2) multipoles."""
     return round(np.sqrt(matrix.shape[-1] / 2 + 1)) - 1
 
 
@@ -83,7 +83,7 @@ def truncated_full(matrix: ComplexArray, lmax: int) -> ComplexArray:
 
 
 def spread_blocks(blocks: ComplexArray, index: MultipoleIndex) -> ComplexArray:
-    """Return blocks `[m >= 0, (tau, l), (tau, l)']` of an axisymmetric operator over the multipoles of `index`."""
+    """Return blocks `[m >= 0, (tau, l), (tau, l)']` for an axisymmetric operator over the `index` multipoles."""
     rows = index.tau * (blocks.shape[1] // 2) + index.l - 1
     sign = np.where((index.m[:, None] < 0) & (index.tau[:, None] != index.tau), -1.0, 1.0)
     same = index.m[:, None] == index.m
@@ -91,14 +91,14 @@ def spread_blocks(blocks: ComplexArray, index: MultipoleIndex) -> ComplexArray:
 
 
 def condon_shortley_signs(index: MultipoleIndex) -> NDArray[np.float64]:
-    """Return the Condon-Shortley sign of each multipole, `[n]`."""
+    """Return the Condon-Shortley sign per multipole, `[n]`."""
     return np.where((index.m > 0) & (index.m % 2 == 1), -1.0, 1.0)
 
 
 def reversed_full(matrix: ComplexArray) -> ComplexArray:
-    """Return T of reversed light, `[..., n, n']`; equal to T for a reciprocal particle.
+    """Return T for reversed light, `[..., n, n']`; equal to T for a reciprocal particle.
 
-    T_(m tau l),(m' tau' l') becomes T_(-m' tau' l'),(-m tau l) times the signs of tau and tau': a reversed wave rotates
+    T_(m tau l),(m' tau' l') becomes T_(-m' tau' l'),(-m tau l) times the tau and tau' signs: a reversed wave rotates
     the other way about the axis, and B becomes its adjoint.
     """
     index = multipole_index(full_order(matrix))
@@ -108,15 +108,15 @@ def reversed_full(matrix: ComplexArray) -> ComplexArray:
 
 
 def rotated_full(matrix: ComplexArray, turn_rad: float) -> ComplexArray:
-    """Return T, `[..., n, n']`, of the particle rotated about the normal, from x towards y."""
+    """Return T, `[..., n, n']`, for the particle rotated about the normal, from x towards y."""
     phase = np.exp(-1j * multipole_index(full_order(matrix)).m * turn_rad)
     return np.asarray(phase[:, None] * matrix * phase.conj())
 
 
 def tilted_full(matrix: ComplexArray, tilt_rad: float) -> ComplexArray:
-    """Return T, `[..., n, n']`, of the particle rotated about y, from z towards x.
+    """Return T, `[..., n, n']`, for the particle rotated about y, from z towards x.
 
-    Multipoles of one l and tau mix by d = exp(-i tilt J_y), in Condon-Shortley phases; J_y has
+    Multipoles with one l and tau mix by d = exp(-i tilt J_y), in Condon-Shortley phases; J_y has
     (m + 1, m) = sqrt(l (l + 1) - m (m + 1)) / 2i.
     """
     index = multipole_index(full_order(matrix))

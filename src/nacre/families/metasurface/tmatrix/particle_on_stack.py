@@ -1,12 +1,12 @@
 """One particle above a planar stack at one wavelength: dressed T-matrix, far fields and cross-sections.
 
-The stack reflects the radiation of the particle back to it: one block W_m per azimuthal order. For a sphere, whose
+The stack reflects the particle's radiation back to it: one block W_m per azimuthal order. For a sphere, whose
 T-matrix is diagonal (Mie), the dressed response is M_m = q (1 - q W_m q)^-1 q with q = sqrt(T), which stays balanced
-at high multipole orders. Lengths in nm, z = 0 at the top of the stack, centre at z = d.
+at high multipole orders. Lengths in nm, z = 0 at the stack top, centre at z = d.
 
 Outgoing multipoles diverge inside the circumscribing sphere. If that sphere cuts the stack, the complete Sommerfeld
 integral diverges with the multipole order. Multipoles up to L resolve in-plane wavenumbers up to about L / (k r), r the
-radius of the sphere, so the integral is truncated in proportion (Egel et al.), and two cutoffs must agree.
+sphere radius, so the integral is truncated in proportion (Egel et al.), and two cutoffs must agree.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def truncated_reflection_operator(
     4 int_0^cut kap dkap/(k kz) e^(2ikzd) sum_pol Bdag(kz) R B(-kz), on a contour below the guided modes.
     """
     x, weight = np.polynomial.legendre.leggauss(nodes)
-    angle = np.pi * (x + 1) / 2  # nodes are dense at both ends of the contour
+    angle = np.pi * (x + 1) / 2  # nodes are dense at both contour ends
     kappa = cut * (1 - np.cos(angle)) / 2 - 1j * DETOUR * np.sin(angle)
     slope = (cut * np.sin(angle) / 2 - 1j * DETOUR * np.cos(angle)) * np.pi / 2
     w = np.sqrt((1 - kappa) * (1 + kappa))
@@ -67,10 +67,10 @@ Coefficients = Callable[[int], ComplexArray]
 
 
 class MultipoleConvergenceError(UnsupportedError):
-    """The multipole series of a particle on a stack does not converge.
+    """The multipole series for a particle on a stack does not converge.
 
     Attributes:
-        change: remaining change of the far field at the last `order`.
+        change: remaining far-field change at the last `order`.
     """
 
     def __init__(self, message: str, change: float, order: int) -> None:
@@ -80,7 +80,7 @@ class MultipoleConvergenceError(UnsupportedError):
 
 @lru_cache(maxsize=64)
 def _path_rule(count: int) -> tuple[Array, Array]:
-    """Nodes and weights of int_0^1 du for the path w = 1 + i tmax u^2."""
+    """Nodes and weights for int_0^1 du for the path w = 1 + i tmax u^2."""
     x, weights = np.polynomial.legendre.leggauss(count)
     return (x + 1) / 2, weights / 2
 
@@ -88,14 +88,14 @@ def _path_rule(count: int) -> tuple[Array, Array]:
 def reflection_operator(
     surface: Substrate, centre_nm: float, lmax: int, mmax: int, nodes: int | None = None
 ) -> ComplexArray:
-    """Return W_m, `[m, n, n']`: reflection of the radiated multipoles by the stack, a Sommerfeld integral.
+    """Return W_m, `[m, n, n']`: reflection by the stack for radiated multipoles, a Sommerfeld integral.
 
-    The path w = kz/k = 1 + i t keeps a distance of at least 1 from every pole and branch point of a passive stack, so
-    one Gauss rule serves glass, films and metals. W_m of a high order contains all lower ones and is cached per height.
+    The path w = kz/k = 1 + i t stays at least 1 away from every pole and branch point for a passive stack, so
+    one Gauss rule serves glass, films and metals. High-order W_m contains all lower ones and is cached per height.
 
     Args:
         surface: the stack.
-        centre_nm: height of the particle centre.
+        centre_nm: particle centre height.
         lmax, mmax: highest multipole and azimuthal orders.
         nodes: quadrature nodes; 48 + 2 lmax by default (error below 1e-8).
     """
@@ -131,7 +131,7 @@ def dressed_matrix(t_matrix: ComplexArray, w_blocks: ComplexArray) -> ComplexArr
 
     Args:
         t_matrix: diagonal, `[n]`, or blocks, `[m, n, n']`. The diagonal form is q (1 - q W_m q)^-1 q with q = sqrt(T);
-            a full T is balanced by the roots of its diagonal: T = q t q, M = q (1 - t q W_m q)^-1 t q.
+            a full T is balanced by its diagonal roots: T = q t q, M = q (1 - t q W_m q)^-1 t q.
     """
     if t_matrix.ndim == 3:
         t = t_matrix[: len(w_blocks)]
@@ -152,7 +152,7 @@ class ParticleOnStack:
     Attributes:
         surface: the stack.
         centre_nm: centre height.
-        t_matrix: `[n]`, n = (tau, l): -b_l, then -a_l of `mie_coefficients`; or blocks `[m, n, n']`.
+        t_matrix: `[n]`, n = (tau, l): -b_l, then -a_l from `mie_coefficients`; or blocks `[m, n, n']`.
         mmax: highest azimuthal order.
         cut: in-plane wavenumber over k that truncates the coupling with the stack, or None.
         neighbours: additional reflection by neighbours, `[m, n, n']`, see `ladder`, or None.
@@ -200,19 +200,19 @@ class ParticleOnStack:
 
 @dataclass(frozen=True)
 class Directions:
-    """Excitation vectors v and emission vectors u at directions on one side of the stack.
+    """Excitation vectors v and emission vectors u at directions on one side.
 
     Attributes:
-        cosines: `[angle]`, against the normal, positive, in the medium of that side.
+        cosines: `[angle]`, against the normal, positive, in the medium on that side.
         transverse: `[angle]`, in-plane wavevector over the ambient k.
         inner: `[angle]`, in-plane wavevector over k around the particles (the ambient k unless embedded).
         inner_cosines: `[angle]`, kz/k there; imaginary beyond the critical angle.
-        index: index of that side over the ambient index.
+        index: relative index on that side.
         below: whether it is the substrate side.
         excitation: v, `[m, pol, n, angle]`.
         emission: u, `[m, pol, n, angle]`.
-        reflection: amplitude of the bare stack for light from that side, `[pol, angle]`.
-        transmission_up: amplitude of the bare stack for light from the substrate; None above.
+        reflection: bare stack amplitude for light from that side, `[pol, angle]`.
+        transmission_up: bare stack amplitude for light from the substrate; None above.
     """
 
     cosines: Array
@@ -237,7 +237,7 @@ class Directions:
         below: bool = False,
         sines: ArrayLike | None = None,
     ) -> Directions:
-        """Compute the vectors of plane waves incident from, or emitted to, one side.
+        """Compute the vectors for plane waves incident from, or emitted to, one side.
 
         Raises:
             UnsupportedError: `below` with an absorbing substrate.
@@ -311,10 +311,10 @@ def beam_extinction(
     """Power removed from one coherent beam per incident irradiance, nm^2, `[pol, angle]` (optical theorem).
 
     Args:
-        harmonics: of the same directions on both sides of the scattering, `[m, pol, angle, pol, angle]`.
+        harmonics: for equal incident and scattered directions, `[m, pol, angle, pol, angle]`.
         beam: beam amplitude without the particle, `[pol, angle]`.
         wavenumber: ambient k.
-        incident_index: index of the incident side over the ambient index.
+        incident_index: relative index on the incident side.
     """
     summed = harmonics.sum(axis=0)
     forward = np.stack([np.diagonal(summed[pol, :, pol]) for pol in range(2)])
@@ -322,7 +322,7 @@ def beam_extinction(
 
 
 def beam_extinctions(sphere: ParticleOnStack, incident: Directions) -> tuple[Array, Array]:
-    """Extinction of the reflected and the transmitted beam, `[pol, angle]`."""
+    """Extinction from the reflected and the transmitted beam, `[pol, angle]`."""
     k, inner, index = sphere.surface.wavenumber, sphere.surface.inner_wavenumber, incident.index
     solved = apply_response(sphere.dressed, incident.excitation)
     reflected = beam_extinction(emission_harmonics(incident.emission, solved, inner), incident.reflection, k, index)
@@ -352,15 +352,15 @@ def extinction(sphere: ParticleOnStack, incident: Directions) -> Array:
 
 
 def hemisphere_rule(count: int, index: float = 1.0) -> tuple[Array, Array]:
-    """Gauss nodes and weights of int_0^1 dmu on a side of the given relative index, ascending.
+    """Gauss nodes and weights of int_0^1 dmu on a side with the given relative index, ascending.
 
-    The rule is split at the critical angle of a denser substrate, where the far field has a square-root kink.
+    The rule is split at a denser substrate's critical angle, a square-root kink in the far field.
     """
     x, weight = _path_rule(count)
     if index <= 1.0 + 1e-9:
         return x, weight
     critical = np.sqrt(1 - 1 / index**2)
-    # u^2 clusters nodes on both sides of the kink and removes the root
+    # u^2 clusters nodes beside the kink and removes the root
     low_mu, low_weight = critical * (1 - x**2), weight * 2 * x * critical
     high_mu, high_weight = critical + (1 - critical) * x**2, weight * 2 * x * (1 - critical)
     order = np.argsort(np.concatenate([low_mu, high_mu]))
@@ -376,17 +376,17 @@ def choose_order(
 ) -> int:
     """Return the lowest multipole order whose far field changes by at most `tolerance` when it is doubled.
 
-    The change is the relative L2 norm of d sigma/d Omega over scattering angles, the maximum over four incidences and
+    The change is the relative L2 norm for d sigma/d Omega over scattering angles, the maximum over four incidences and
     two polarisations.
 
     Args:
-        coefficients: function of lmax that returns the diagonal T, `[n]`.
+        coefficients: function (lmax) that returns the diagonal T, `[n]`.
 
     Raises:
         MultipoleConvergenceError: no order up to 40, as for a metal sphere touching a high-index solid.
     """
     largest = _representable(surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm), 2 * ORDER_LADDER[-1])
-    begin = 0  # first untested rung of the ladder
+    begin = 0  # first untested ladder rung
     for top in (12, 24, largest):
         t_top = coefficients(top)
         blocks = reflection_operator(surface, centre_nm, top, mmax)
@@ -412,7 +412,7 @@ def choose_order(
 
 
 def order_change(surface: Substrate, centre_nm: float, coefficients: Coefficients, low: int, high: int) -> float:
-    """Return the change of the far field of a sphere between two multipole orders; see `choose_order`."""
+    """Return the far-field change for a sphere between two multipole orders; see `choose_order`."""
     high = _representable(surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm), high)
     t_top, blocks = coefficients(high), reflection_operator(surface, centre_nm, high, AZIMUTHAL_ORDERS)
     directions = probes(surface, centre_nm, high, AZIMUTHAL_ORDERS)
@@ -420,14 +420,14 @@ def order_change(surface: Substrate, centre_nm: float, coefficients: Coefficient
 
 
 def probes(surface: Substrate, centre_nm: float, lmax: int, mmax: int) -> tuple[Directions, Directions]:
-    """Return incident and scattered directions for the comparison of orders."""
+    """Return incident and scattered directions for comparing orders."""
     angles = np.array([0.0, 30.0, 60.0, 80.0]), np.arange(5.0, 90.0, 12.0)
     light, views = (Directions.build(surface, centre_nm, lmax, mmax, np.cos(np.radians(each))) for each in angles)
     return light, views
 
 
 def pattern_change(of: Array, to: Array) -> float:
-    """Return the largest relative L2 difference of two `probe_pattern` over incidences and polarisations."""
+    """Return the largest relative L2 difference between two `probe_pattern` over incidences and polarisations."""
     axes = (0, 1, 4)
     return float(np.max(np.sqrt(np.sum((of - to) ** 2, axis=axes) / np.maximum(np.sum(to**2, axis=axes), 1e-300))))
 
@@ -440,7 +440,7 @@ def _representable(kd: float, top: int) -> int:
 
 
 def probe_pattern(dressed: ComplexArray, incident: Directions, scattered: Directions) -> Array:
-    """Return k^2 d sigma/d Omega at the directions of `probes`, `[pol_s, s, pol_i, i, phi]`, from M_m.
+    """Return k^2 d sigma/d Omega at the `probes` directions, `[pol_s, s, pol_i, i, phi]`, from M_m.
 
     `incident` and `scattered` may have more multipoles than `dressed`.
     """

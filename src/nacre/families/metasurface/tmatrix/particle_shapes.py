@@ -35,7 +35,7 @@ class Shell:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Core radii of spheres, or full radii of other particles, and their number fractions."""
+    """Core radii for spheres, or full radii for other particles, and their number fractions."""
 
     radii_nm: tuple[float, ...]
     shares: tuple[float, ...]
@@ -46,7 +46,7 @@ class Sizes:
 
     @classmethod
     def of(cls, radius_nm: float, deviation_nm: float = 0.0, distribution: str = "gaussian") -> Sizes:
-        """Quadrature nodes of a size distribution with the given mean and standard deviation."""
+        """Quadrature nodes for a size distribution with the given mean and standard deviation."""
         if deviation_nm == 0.0:
             return cls((radius_nm,), (1.0,))
         x, w = np.polynomial.hermite_e.hermegauss(SIZE_NODES)
@@ -61,7 +61,7 @@ class Sizes:
 def sphere_t_matrix(
     core: OpticalConstant, shell: Shell | None, radius_nm: float, lmax: int, surface: Substrate
 ) -> ComplexArray:
-    """Return the diagonal T of one sphere at the wavelength of `surface`, `[n]`: -b_l, then -a_l (Mie)."""
+    """Return the diagonal T for one sphere at the wavelength of `surface`, `[n]`: -b_l, then -a_l (Mie)."""
     lam = np.array([surface.wavelength_nm])
     radii, indices = [radius_nm], [complex(core.n_complex(lam)[0])]
     if shell is not None:
@@ -73,35 +73,35 @@ def sphere_t_matrix(
 
 
 LEAST_ORDER, HIGHEST_ORDER = 20, 28  # discs near a stack converge to 1 % at l = 10, to 0.2 % at l = 20
-EXPORTED_ORDER = 10  # limits an exported file of 48 wavelengths, 600 MB with all orders
+EXPORTED_ORDER = 10  # limits an exported file with 48 wavelengths, 600 MB with all orders
 SHORTEST_NM = 360.0
-GRADING = 0.15  # ratio of panels towards an edge: GRADING^(2 n nu) remains after n levels, nu the field exponent
+GRADING = 0.15  # panel ratio towards an edge: GRADING^(2 n nu) remains after n levels, nu the field exponent
 LADDER, CONTENT = (3, 7, 14), 1e-3  # levels, and the target error: nu is 0.5 to 0.8, but near 0 for silver at 360 nm
-SMOOTH_LADDER = (-1, 0, 3)  # additional panels of a spheroid
-LONGEST = 4.0  # panel length times index; degree 6 resolves two thirds of a wavelength to 1e-7
-LONGEST_OVER_WIDTH = 3.0  # panel length over the smallest extent: the field of the far side varies as fast
+SMOOTH_LADDER = (-1, 0, 3)  # additional spheroid panels
+LONGEST = 4.0  # panel length times index; degree 6 resolves 2/3 wavelength to 1e-7
+LONGEST_OVER_WIDTH = 3.0  # panel length over the smallest extent: the far side's field varies as fast
 MOST_PANELS, MOST_WITH_COAT = 40, 60
 REFUSED = 1e-2  # largest accepted relative error
 CHECKED_ORDER = 3
-RIM_PIECES = 2  # panels on the rim of a coat
-CLOSER = 1.5  # refinement of the next mesh of a coat
+RIM_PIECES = 2  # panels on a coat rim
+CLOSER = 1.5  # refinement for the next coat mesh
 COAT_STEPS = 4.0  # grading ratio beyond the coat thickness
-SEEN = 0.5  # fraction of the coat thickness; closer to the edge the outer surface need not follow the core mesh
+SEEN = 0.5  # relative to the coat thickness; closer to the edge the outer surface need not follow the core mesh
 COARSE = partial(Mesh, degree=4, outer=10, far=8, on_itself=10)
 
 
 def cylinder_panels(
     radius: float, height: float, index: float, levels: int = LADDER[0], coat: float = 0.0
 ) -> tuple[Array, Array]:
-    """Return panels of the upper half of a cylinder, and of the outer surface of a coat, rounded about the edge.
+    """Return panels for the upper half cylinder, and for the outer coat surface, rounded about the edge.
 
     They run from the axis along the top to the equator, graded towards the edge. Close surfaces are cut at the same
-    places, since the fields of the panel currents change at the ends.
+    places, since panel current fields change at the ends.
 
     Args:
-        radius, height: of the cylinder, times the ambient k.
-        index: highest modulus of the indices over the ambient index.
-        levels: of the grading.
+        radius, height: cylinder, times the ambient k.
+        index: highest modulus over the ambient index.
+        levels: grading levels.
         coat: thickness times the ambient k.
     """
     longest = min(LONGEST / max(1.0, index), LONGEST_OVER_WIDTH * min(2 * radius, height))
@@ -128,7 +128,7 @@ def cylinder_panels(
 
 
 def _grading(length: float, width: float, levels: int, coat: float) -> list[float]:
-    """Return the cuts of a line from an edge; multiples of the coat thickness are among them."""
+    """Return the cuts on a line from an edge, including coat thickness multiples."""
     first = min(width, length)
     finest = first * GRADING**levels
     if not finest < coat < length / 2:
@@ -139,7 +139,7 @@ def _grading(length: float, width: float, levels: int, coat: float) -> list[floa
 
 
 def film_mode(core: complex, coat: complex, thickness: float) -> float:
-    """Return the wavenumber of the shortest wave guided by a thin coat, over the ambient k, in the quasistatic limit.
+    """Return the wavenumber for the shortest wave guided by a thin coat, over the ambient k, in the quasistatic limit.
 
     Between two half spaces: e^(2 k t) = (e - e1)(e - e2) / ((e + e1)(e + e2)).
     """
@@ -155,9 +155,9 @@ def _turns(count: int) -> Array:
 
 
 def spheroid_panels(radius: float, height: float, index: float, coarser: int = 0, coat: float = 0.0) -> Array:
-    """Return panels of the upper half of a spheroid, from the pole to the equator; see `cylinder_panels`.
+    """Return panels for the upper half spheroid, from the pole to the equator; see `cylinder_panels`.
 
-    With `coat`, they are those of the outer surface; without their last column, those of the core.
+    With `coat`, they belong to the outer surface; without their last column, to the core.
     """
     a, c = radius, height / 2
     count = 2
@@ -175,10 +175,10 @@ class SolvedBody(Body):
 
     Attributes:
         radius_nm, height_nm: with the shell.
-        core: material of the core.
+        core: core material.
         ambient: the surrounding medium.
-        shell: a coat of uniform thickness, rounded about the edges of a cylinder, or None.
-        edge_nm: edge radius of a cylinder core; 0 for sharp edges.
+        shell: a coat with uniform thickness, rounded about cylinder edges, or None.
+        edge_nm: cylinder core edge radius; 0 for sharp edges.
     """
 
     method: ClassVar[str] = "PMCHWT, Galerkin, body of revolution"
@@ -195,7 +195,7 @@ class SolvedBody(Body):
 
     @property
     def name(self) -> str:  # type: ignore[override]  # read only, as all of a frozen dataclass
-        """Description of the particle."""
+        """Particle description."""
         radius, height = self.core_extents_nm
         coat = "" if self.shell is None else f", in {self.shell.thickness_nm:g} nm of {self.shell.material.name}"
         edge = f", edges of {self.edge_nm:g} nm" if self.edge_nm else ""
@@ -203,7 +203,7 @@ class SolvedBody(Body):
 
     @property
     def core_extents_nm(self) -> tuple[float, float]:
-        """Largest distance from the axis and height of the core."""
+        """Core radius and height."""
         coat = 0.0 if self.shell is None else self.shell.thickness_nm
         return self.radius_nm - coat, self.height_nm - 2 * coat
 
@@ -277,7 +277,7 @@ class SolvedBody(Body):
         return k * self.shell.thickness_nm, index / around
 
     def _around(self, wavelength_nm: float) -> tuple[float, float]:
-        """Wavenumber and index of the ambient."""
+        """Ambient wavenumber and index."""
         around = float(self.ambient.n_complex(np.array([wavelength_nm]))[0].real)
         return 2 * np.pi * around / wavelength_nm, around
 
@@ -333,7 +333,7 @@ class SolvedBody(Body):
 
         def mesh(fineness: int, closer: float, make: Callable[..., Mesh] = Mesh) -> Mesh:
             if self.shape == "cylinder":
-                # a rounded cylinder is the outer surface of a coat on a smaller sharp one
+                # a rounded cylinder is the outer coat surface on a smaller sharp one
                 sharp = (radius - edge, height - 2 * edge, closer * highest, fineness)
                 core, outside = cylinder_panels(*sharp, edge + thickness)
                 if edge:
@@ -358,7 +358,7 @@ class SolvedBody(Body):
     def _compared(
         self, fine: Mesh, coarse: Mesh, index: complex, mmax: int, coat: tuple[float, complex] | None
     ) -> tuple[ComplexArray, float]:
-        """Return T and its relative difference from a coarser mesh, an upper bound of its error."""
+        """Return T and its relative difference from a coarser mesh, an upper error bound."""
         count = len(fine.panels) + (0 if fine.core is None else len(fine.core))
         if count > (MOST_PANELS if coat is None else MOST_WITH_COAT):
             raise UnsupportedError(
@@ -374,7 +374,7 @@ class SolvedBody(Body):
         return found, max(change, gain(found), 1e-6)
 
     def index(self, wavelength_nm: float) -> complex | None:
-        """Return the refractive index of the particle."""
+        """Return the particle index."""
         return complex(self.core.n_complex(np.array([wavelength_nm]))[0])
 
     def exported_t_matrices(self, wavelengths_nm: Array) -> AxialTMatrices:
@@ -386,6 +386,12 @@ class SolvedBody(Body):
         blocks = in_threads(whole, [float(w) for w in wavelengths_nm])
         around = self.ambient.n_complex(wavelengths_nm).real
         return AxialTMatrices(
-            wavelengths_nm, np.stack(blocks), around, self.name, self.radius_nm, self.height_nm, self.circumscribing_nm,
+            wavelengths_nm,
+            np.stack(blocks),
+            around,
+            self.name,
+            self.radius_nm,
+            self.height_nm,
+            self.circumscribing_nm,
             None if self.shell is not None else self.core.n_complex(wavelengths_nm),
-        )  # fmt: skip
+        )

@@ -1,4 +1,4 @@
-"""Bessel functions of complex argument and vector angular functions for multipole expansions.
+"""Bessel functions with complex argument and vector angular functions for multipole expansions.
 
 `bessel_j` returns all orders 0..mu at many points from one recurrence: scipy evaluates one order at a time, about 1 us
 each, and the neighbour sums need every order at 1e5 points per wavelength.
@@ -26,7 +26,7 @@ LANES = 16  # points processed together: two or four vector registers
 
 @compiled(nogil=True)
 def _hankel_sums(nu, inverse):  # type: ignore[no-untyped-def]  # numba
-    """P and Q of Hankel's asymptotic expansion in 1/z."""
+    """P and Q in Hankel's asymptotic expansion in 1/z."""
     mu = 4.0 * nu * nu
     p, q, term = 1.0 + 0.0j, 0.0 + 0.0j, 1.0 + 0.0j
     for j in range(1, 30):
@@ -67,7 +67,7 @@ def _far_hankel(z, sign, out):  # type: ignore[no-untyped-def]  # numba
 
 
 def hankel_scaled(z: ComplexArray, sign: int) -> ComplexArray:
-    """Return e^(-i sign z) H_0 and H_1, `[order, n]`, of the first kind for sign = 1, of the second for -1.
+    """Return e^(-i sign z) H_0 and H_1, `[order, n]`, first kind for sign = 1, second for -1.
 
     Large arguments use Hankel's expansion, five times faster than scipy's general routine.
     """
@@ -84,7 +84,7 @@ def hankel_scaled(z: ComplexArray, sign: int) -> ComplexArray:
 
 @compiled(nogil=True)
 def _series(x, out, i):  # type: ignore[no-untyped-def]  # numba
-    """J_m of a small x by five terms of the power series; three suffice below `SERIES_BELOW`."""
+    """J_m at small x by five power series terms; three suffice below `SERIES_BELOW`."""
     half = 0.5 * x
     square, lead = -half * half, 1.0 + 0.0j
     for m in range(out.shape[0]):
@@ -100,10 +100,10 @@ def _series(x, out, i):  # type: ignore[no-untyped-def]  # numba
 def _downward(state, start, top, kept):  # type: ignore[no-untyped-def]  # numba
     """Miller's downward recurrence for `LANES` points; rows of `state`: 2/x, J_n+1, J_n, even sum, odd sum.
 
-    The points form vector instructions, which hide the latency of each product. Rows alternate real and imaginary
+    The points form vector instructions, which hide the product latency. Rows alternate real and imaginary
     parts.
     """
-    sign = 1.0 if start % 4 < 2 else -1.0  # sign of turn^n, without one factor `turn` for odd n
+    sign = 1.0 if start % 4 < 2 else -1.0  # sign in turn^n, without one factor `turn` for odd n
     for n in range(start, 0, -1):
         if n <= top:
             for j in range(2 * LANES):
@@ -205,7 +205,7 @@ def spherical_hankel_scaled(z: NDArray, top: int) -> ComplexArray:
 
 @lru_cache(maxsize=64)
 def _recurrence(lmax: int, mmax: int) -> tuple[Array, Array, Array, Array]:
-    """Recurrence coefficients of pi and tau: c_m, A_l^m, B_l^m and the tau coefficient."""
+    """Recurrence coefficients for pi and tau: c_m, A_l^m, B_l^m and the tau coefficient."""
     m = np.arange(mmax + 1)[:, None].astype(float)
     l = np.arange(lmax + 2)[None, :].astype(float)
     valid = l > m
@@ -293,7 +293,7 @@ def legendre(w: Array, pmax: int, mmax: int) -> Array:
 
 @lru_cache(maxsize=64)
 def _phases(lmax: int, mmax: int) -> tuple[ComplexArray, Array]:
-    """The prefactors of B, `[pol, tau, l]`, and the sign of B(-w) over B(w), `[m, pol, tau, l]`."""
+    """The prefactors in B, `[pol, tau, l]`, and the sign B(-w) over B(w), `[m, pol, tau, l]`."""
     l = np.arange(1, lmax + 1)
     base = -1.0 / ((1j) ** (l + 1) * np.sqrt(2.0 * l * (l + 1)))
     phase = np.array([1j, 1.0])[:, None, None] * np.ones((1, 2, 1)) * base
@@ -304,7 +304,7 @@ def _phases(lmax: int, mmax: int) -> tuple[ComplexArray, Array]:
 
 
 def plane_wave_vectors(w: NDArray, lmax: int, mmax: int, sine: NDArray | None = None) -> ComplexArray:
-    """Return B_n,pol(w), the multipole amplitudes of a plane wave, `[m, pol, n, ...]` with pol 0 = s, 1 = p."""
+    """Return B_n,pol(w), the multipole amplitudes for a plane wave, `[m, pol, n, ...]` with pol 0 = s, 1 = p."""
     w = np.asarray(w)
     tau, mpi = angular_functions(w, lmax, mmax, sine)
     phase, _ = _phases(lmax, mmax)

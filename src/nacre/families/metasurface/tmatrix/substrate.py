@@ -1,11 +1,11 @@
-"""Planar stack below or around the particles at one wavelength, and its reflection of multipole plane waves.
+"""Planar stack below or around the particles at one wavelength, and its reflection for multipole plane waves.
 
-`nacre.matter.stack` solves the stratified media at w = kz/k in the medium of the particles, which may be complex.
+`nacre.matter.stack` solves the stratified media at w = kz/k in the particle medium, which may be complex.
 
 Above a stack, a downward wave returns upward. Inside a layer both faces reflect: with R_b and R_a the reflections
 below and above, phase at the centre, waves return reversed with R_b (R_a) over 1 - R_a R_b and in their own direction
-with R_a R_b over the same. For centres at different heights, the phases of the first two refer to the mean height;
-waves in their own direction gain the phase of the height difference.
+with R_a R_b over the same. For centres at different heights, the first two phases refer to the mean height;
+waves in their own direction gain the height difference phase.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from nacre.matter.stack import solve as solver
 
 @dataclass(frozen=True)
 class StackReflection:
-    """Round-trip amplitudes of plane waves at a particle centre, `[pol, angle]` each.
+    """Round-trip amplitudes for plane waves at a particle centre, `[pol, angle]` each.
 
     Attributes:
-        up: of a downward wave that returns upward.
-        down: of an upward wave that returns downward; None without a mirror above, as for the next two.
-        risen: of an upward wave that returns upward.
-        fallen: of a downward wave that returns downward.
+        up: downward wave that returns upward.
+        down: upward wave that returns downward; None without a mirror above, as for the next two.
+        risen: upward wave that returns upward.
+        fallen: downward wave that returns downward.
     """
 
     up: ComplexArray
@@ -39,20 +39,25 @@ class StackReflection:
 
     @classmethod
     def between(
-        cls, below: ComplexArray, above: ComplexArray, risen: ComplexArray | None = None,
+        cls,
+        below: ComplexArray,
+        above: ComplexArray,
+        risen: ComplexArray | None = None,
         fallen: ComplexArray | None = None,
-    ) -> StackReflection:  # fmt: skip
+    ) -> StackReflection:
         """Combine two mirrors R_b and R_a with multiple reflections.
 
         Args:
-            risen, fallen: R_a R_b with the phases of a wave to another height; default R_a R_b.
+            risen, fallen: R_a R_b with the phases for a wave to another height; default R_a R_b.
         """
         both = below * above
         left = 1.0 - both
         return cls(
-            below / left, above / left, (both if risen is None else risen) / left,
+            below / left,
+            above / left,
+            (both if risen is None else risen) / left,
             (both if fallen is None else fallen) / left,
-        )  # fmt: skip
+        )
 
     def pairs(self, b: ComplexArray) -> list[tuple[ComplexArray, ComplexArray]]:
         """Return left and right factors, `[m, pol, n, angle]`, whose summed products carry multipole n' to n.
@@ -72,10 +77,10 @@ class StackReflection:
         ]
 
     def signed(self, pol: int, target: Array, source: Array) -> ComplexArray:
-        """Return the factor of Bdag_n(+) B_n'(+), `[angle, n or 1, n']`, from the mirror signs of n and n'.
+        """Return the Bdag_n(+) B_n'(+) factor, `[angle, n or 1, n']`, from the n and n' mirror signs.
 
         Args:
-            pol: polarisation of the waves.
+            pol: polarisation.
             target, source: mirror signs, `[n]` and `[n']`.
         """
         out: ComplexArray = self.up[pol][:, None, None] * source
@@ -97,10 +102,10 @@ class IncidentWaves:
     """Plane waves from one side at a particle, `[pol, angle]`, phase at its centre.
 
     Attributes:
-        ahead: the part that travels in the direction of incidence.
+        ahead: the part along the incident direction.
         back: the part reversed by the mirror beyond the particle; None without one.
-        reflection: amplitude of the bare stack.
-        transmission_up: amplitude of the bare stack for light from the substrate; None for light from above.
+        reflection: bare stack amplitude.
+        transmission_up: bare stack amplitude for light from the substrate; None for light from above.
     """
 
     ahead: ComplexArray
@@ -125,7 +130,7 @@ class Substrate:
 
     @property
     def ambient_index(self) -> float:
-        """Real index of the ambient."""
+        """Real ambient index."""
         return float(self.indices[0].real)
 
     @property
@@ -135,7 +140,7 @@ class Substrate:
 
     @property
     def inner_index(self) -> float:
-        """Index of the medium around the particles."""
+        """Index around the particles."""
         return self.ambient_index
 
     @property
@@ -145,7 +150,7 @@ class Substrate:
 
     @property
     def inner_nm(self) -> float:
-        """Thickness of the layer that holds the particles; 0 above the stack."""
+        """Host layer thickness; 0 above the stack."""
         return 0.0
 
     def mirror_distance_nm(self, centre_nm: float) -> float:
@@ -173,7 +178,7 @@ class Substrate:
         return bool(np.all(np.abs(self.indices - self.indices[0]) < 1e-12))
 
     def reflection(self, w: NDArray) -> ComplexArray:
-        """Return r_s, r_p, `[pol, angle]`, for light from the ambient at w = kz/k; phase at the top of the stack."""
+        """Return r_s, r_p, `[pol, angle]`, for light from the ambient at w = kz/k; phase at the stack top."""
         found = solver.amplitudes(
             self.indices[:, None],
             self.thicknesses_nm,
@@ -187,8 +192,8 @@ class Substrate:
         """Return the round-trip amplitudes at a centre for plane waves at w = kz/k.
 
         Args:
-            centre_nm: centre height, or the mean height of source and target.
-            lift_nm: height of the target above the source; above a stack only the mean height counts.
+            centre_nm: centre height, or the mean source and target height.
+            lift_nm: target height above the source; above a stack only the mean height counts.
         """
         return StackReflection(np.exp(2j * self.inner_wavenumber * centre_nm * w) * self.reflection(w))
 
@@ -196,7 +201,7 @@ class Substrate:
         """Return light from one side at a particle centre.
 
         Args:
-            cosines: of the light on its side.
+            cosines: on the incident side.
             w: kz/k in the medium around the particles.
         """
         # b = e^{ikd cos} moves the phase reference from the stack to the centre
@@ -228,22 +233,22 @@ class Substrate:
 
 @dataclass(frozen=True)
 class Embedded(Substrate):
-    """A stack with the particles inside one of its layers; centre heights are above the lower face of that layer.
+    """A stack with the particles inside a layer; centre heights are above its lower face.
 
     Attributes:
-        host: number of the lossless host medium.
+        host: number for the lossless host medium.
     """
 
     host: int
 
     @property
     def inner_index(self) -> float:
-        """Index of the host layer."""
+        """Host layer index."""
         return float(self.indices[self.host].real)
 
     @property
     def inner_nm(self) -> float:
-        """Thickness of the host layer."""
+        """Host layer thickness."""
         return float(self.thicknesses_nm[self.host - 1])
 
     def mirror_distance_nm(self, centre_nm: float) -> float:
@@ -276,14 +281,16 @@ class Embedded(Substrate):
         # combined phases: e^{-ikw lift} may overflow
         risen, fallen = (under * over * np.exp(1j * k * (2 * self.inner_nm + way) * w) for way in (lift_nm, -lift_nm))
         return StackReflection.between(
-            under * np.exp(2j * k * centre_nm * w), over * np.exp(2j * k * (self.inner_nm - centre_nm) * w), risen,
+            under * np.exp(2j * k * centre_nm * w),
+            over * np.exp(2j * k * (self.inner_nm - centre_nm) * w),
+            risen,
             fallen,
-        )  # fmt: skip
+        )
 
     def incident_waves(self, centre_nm: float, cosines: Array, w: ComplexArray, below: bool) -> IncidentWaves:
         """Return light from one side at a centre between both faces; see `Substrate.incident_waves`."""
         under, over = self._mirrors(centre_nm, w)
-        # the transmission into the layer is `from_below` of the near mirror
+        # the transmission into the layer is the near mirror's `from_below`
         near, way_nm = (self._below, centre_nm) if below else (self._above, self.inner_nm - centre_nm)
         _, into = near.from_below(cosines)
         ahead = into * np.exp(1j * self.inner_wavenumber * way_nm * w) / (1.0 - under * over)

@@ -1,4 +1,4 @@
-"""Read and write T-matrix files, `*.tmat.h5`, and check the symmetry of their particles.
+"""Read and write T-matrix files, `*.tmat.h5`, and check the particle symmetry.
 
 Format: Asadova et al., "T-matrix representation of optical scattering response: suggestion for a data format",
 arXiv:2408.10727. HDF5; T over one spectral axis, modes given by l, m and polarization in the parity or the helicity
@@ -31,17 +31,17 @@ if TYPE_CHECKING:
     import h5py
 
 
-AXIS_TOLERANCE = 1e-3  # relative Frobenius norm of symmetry-forbidden couplings left by a mesh
-TURN_TOLERANCE = 0.05  # share of the scattered power lost by the rotational average; the mean field has an error of 0.1
-GAIN_TOLERANCE = 1e-2  # excess of the largest singular value of a scattering matrix, 1 if passive
+AXIS_TOLERANCE = 1e-3  # relative Frobenius norm for symmetry-forbidden couplings left by a mesh
+TURN_TOLERANCE = 0.05  # scattered power share lost by the rotational average; the mean-field error is 0.1
+GAIN_TOLERANCE = 1e-2  # largest singular value excess in a scattering matrix, 1 if passive
 
 
 class TMatrixFileError(NacreError):
-    """A T-matrix file cannot be used; the message is the end of a sentence that begins with the file."""
+    """A T-matrix file cannot be used; the message ends a sentence that begins with the file."""
 
 
 def axial(blocks: ComplexArray) -> tuple[ComplexArray, float]:
-    """Return the rotational average, `[wavelength, m >= 0, n, n']`, and the share of power that it leaves out.
+    """Return the rotational average, `[wavelength, m >= 0, n, n']`, and the power share that it leaves out.
 
     Raises:
         TMatrixFileError: it depends too much on the rotation, is chiral, not reciprocal, or not passive.
@@ -78,7 +78,7 @@ def axial(blocks: ComplexArray) -> tuple[ComplexArray, float]:
 
 
 def mean_blocks(blocks: ComplexArray) -> ComplexArray:
-    """Return the blocks of m >= 0 of the mean over rotations and over both mirror images."""
+    """Return the blocks m >= 0 averaged over rotations and both mirror images."""
     count = blocks.shape[1]
     m = np.arange(count)
     own = blocks[:, m, m]
@@ -116,7 +116,7 @@ def _check_passive(matrix: ComplexArray) -> None:
         )
 
 
-MAX_BYTES = 512 << 20  # matrix size: 100 wavelengths of l = 12
+MAX_BYTES = 512 << 20  # matrix size: 100 wavelengths with l = 12
 HIGHEST_ORDER = 60
 SPEED_OF_LIGHT = 299792458.0
 PATIENCE_S = 60.0
@@ -134,38 +134,58 @@ except Exception:
     pass
 """
 PREFIXES = {
-    "y": 1e-24, "z": 1e-21, "a": 1e-18, "f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3,
-    "c": 1e-2, "d": 1e-1, "": 1.0, "da": 1e1, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12, "P": 1e15, "E": 1e18,
-    "Z": 1e21, "Y": 1e24,
-}  # fmt: skip
-UNITS = {  # units of the format, for messages; 1/ forms are read too
+    "y": 1e-24,
+    "z": 1e-21,
+    "a": 1e-18,
+    "f": 1e-15,
+    "p": 1e-12,
+    "n": 1e-9,
+    "u": 1e-6,
+    "µ": 1e-6,
+    "μ": 1e-6,
+    "m": 1e-3,
+    "c": 1e-2,
+    "d": 1e-1,
+    "": 1.0,
+    "da": 1e1,
+    "h": 1e2,
+    "k": 1e3,
+    "M": 1e6,
+    "G": 1e9,
+    "T": 1e12,
+    "P": 1e15,
+    "E": 1e18,
+    "Z": 1e21,
+    "Y": 1e24,
+}
+UNITS = {  # format units, for messages; 1/ forms are read too
     "length": "m with an SI prefix, as nm",
     "inverse length": "m^{-1} with an SI prefix, as nm^{-1} or cm^{-1}",
     "frequency": "Hz or s^{-1} with an SI prefix, as THz or fs^{-1}",
 }
-SPECTRAL: Mapping[str, tuple[str, Callable[[Array], Array]]] = {  # name -> type of unit, and vacuum wavelength in m
+SPECTRAL: Mapping[str, tuple[str, Callable[[Array], Array]]] = {  # name -> unit type, and vacuum wavelength in m
     "vacuum_wavelength": ("length", lambda x: x),
     "vacuum_wavenumber": ("inverse length", lambda x: 1.0 / x),
     "angular_vacuum_wavenumber": ("inverse length", lambda x: 2 * np.pi / x),
     "frequency": ("frequency", lambda x: SPEED_OF_LIGHT / x),
     "angular_frequency": ("frequency", lambda x: 2 * np.pi * SPEED_OF_LIGHT / x),
 }
-SHAPES = ("sphere", "spheroid", "cylinder")  # axisymmetric shapes of the format
-REACH, ROUNDED = "circumscribing_radius", 1e-9  # geometry dataset; relative rounding of a length
+SHAPES = ("sphere", "spheroid", "cylinder")  # axisymmetric shapes in the format
+REACH, ROUNDED = "circumscribing_radius", 1e-9  # geometry dataset; relative length rounding
 ELECTRIC, MAGNETIC = ("electric", "tm", "n"), ("magnetic", "te", "m")
 POSITIVE, NEGATIVE = ("positive", "plus"), ("negative", "minus")
 
 
 def read_tmatrices(path: str | Path, is_aligned: bool = False) -> AxialTMatrices:
-    """Read a file of T-matrices of one particle; without rotational symmetry, its average over rotations about z.
+    """Read T-matrices for one particle; without rotational symmetry, its average over rotations about z.
 
-    The average is T without couplings of different m: exactly the mean scattered field of randomly rotated particles.
-    It omits the power of the rotational fluctuations; see `AxialTMatrices.turn_loss`. Symmetry-forbidden couplings up
-    to 1e-3 of the norm are removed.
+    The average is T without couplings between different m: exactly the mean field scattered by randomly rotated
+    particles. It omits the power in rotational fluctuations; see `AxialTMatrices.turn_loss`. Symmetry-forbidden
+    couplings up to 1e-3 of the norm are removed.
 
     Args:
-        path: of the file.
-        is_aligned: also store the full T of a particle without rotational symmetry, which may then be chiral.
+        path: file path.
+        is_aligned: also store the full T for a particle without rotational symmetry, which may then be chiral.
 
     Raises:
         TMatrixFileError: damaged, not passive, not reciprocal, chiral, or far from axisymmetric.
@@ -232,14 +252,22 @@ def _read(file: h5py.File, is_aligned: bool) -> AxialTMatrices:
     name = file.attrs.get("name", "")
     name = _shown(name.decode("utf-8", "replace") if isinstance(name, bytes) else str(name), 60)
     return AxialTMatrices(
-        wavelengths[order], blocks, index[order], name or Path(file.filename).name,
-        geometry.get("radius"), geometry.get("height"), geometry.get("circumscribing"),
-        _material(file, len(values), order), turn_loss, shape, whole,
-    )  # fmt: skip
+        wavelengths[order],
+        blocks,
+        index[order],
+        name or Path(file.filename).name,
+        geometry.get("radius"),
+        geometry.get("height"),
+        geometry.get("circumscribing"),
+        _material(file, len(values), order),
+        turn_loss,
+        shape,
+        whole,
+    )
 
 
 def _dataset(file: h5py.Group, name: str) -> Any:
-    """Return a dataset of the file itself, or None; refuse links to other files."""
+    """Return a dataset in the file itself, or None; refuse links to other files."""
     import h5py
 
     where: Any = file
@@ -257,12 +285,12 @@ def _dataset(file: h5py.Group, name: str) -> Any:
 
 
 def _shown(text: str, most: int = 20) -> str:
-    """Return printable text of a file on one line."""
+    """Return printable file text on one line."""
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())[:most]
 
 
 def _complex(values: Any) -> ComplexArray:
-    """Return complex numbers, also from a pair of fields."""
+    """Return complex numbers, also from two fields."""
     found = np.asarray(values)
     if found.dtype.names is not None and len(found.dtype.names) == 2:
         real, imaginary = found.dtype.names
@@ -314,7 +342,7 @@ def _wavelengths(file: h5py.File) -> Array:
 
 
 def _ambient(file: h5py.File, count: int) -> Array:
-    """Return the index of the embedding, `[wavelength]`."""
+    """Return the embedding index, `[wavelength]`."""
 
     def number(name: str, default: float | None) -> ComplexArray | None:
         found = _dataset(file, f"embedding/{name}")
@@ -358,7 +386,7 @@ def _parity_blocks(file: h5py.File, values: ComplexArray) -> ComplexArray:
     """Return T over all m from -lmax to lmax, `[wavelength, m, m', n, n']`, in the parity basis.
 
     Raises:
-        TMatrixFileError: modes are missing or of several centres.
+        TMatrixFileError: modes are missing or for several centres.
     """
     for name in ("position_index", "index"):
         several = _dataset(file, f"modes/{name}")
@@ -392,7 +420,7 @@ def _parity_blocks(file: h5py.File, values: ComplexArray) -> ComplexArray:
 def _places(
     l: NDArray[np.int64], m: NDArray[np.int64], words: list[str], lmax: int, helicity: bool
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the flat places (m, polarisation, l) of the modes up to lmax, and the selected modes.
+    """Return the flat places (m, polarisation, l) for the modes up to lmax, and the selected modes.
 
     The first polarisation is magnetic, or positive.
     """
@@ -472,7 +500,7 @@ def write_tmatrices(
 
     Args:
         shape: "sphere", "spheroid", "cylinder", or "".
-        method: of the computation.
+        method: computation method.
         description: for instance the recipe.
 
     Raises:
@@ -497,10 +525,12 @@ def write_tmatrices(
     with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
         file.attrs.update(
             {
-                "name": known.name, "description": description, "storage_format_version": "v1",
+                "name": known.name,
+                "description": description,
+                "storage_format_version": "v1",
                 "keywords": "passive, reciprocal" if known.whole is not None else "czinfinity, passive, reciprocal",
             }
-        )  # fmt: skip
+        )
         file.create_dataset("tmatrix", data=whole, compression="gzip")
         file["vacuum_wavelength"] = known.wavelengths_nm
         file["vacuum_wavelength"].attrs["unit"] = "nm"

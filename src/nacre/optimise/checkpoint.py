@@ -1,0 +1,80 @@
+"""Checkpoints: the state of a search on disk, from which `--resume` continues."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nacre.core.errors import NacreError, RecipeError
+from nacre.core.files import read_text, write_text
+
+STATE = "search.json"
+WRITE_INTERVAL_S = 2.0
+
+
+@dataclass
+class Checkpointer:
+    """Writes the state of a search, at intervals unless forced.
+
+    Attributes:
+        folder: of the design.
+        fingerprint: of the task; a checkpoint of another one is refused.
+        runs: how often the search has been started, this run included.
+        solutions: recipe changes by path, best first.
+    """
+
+    folder: Path
+    fingerprint: str
+    runs: int = 1
+    solutions: Sequence[Mapping[str, Any]] = ()
+    written_at: float = -np.inf
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the interval since the last write is over."""
+        return time.monotonic() - self.written_at > WRITE_INTERVAL_S
+
+    def update(self, solutions: Sequence[Mapping[str, Any]]) -> None:
+        """Write the solutions.
+
+        Raises:
+            NacreError: the folder cannot be written.
+        """
+        self.written_at, self.solutions = time.monotonic(), solutions
+        state = {"target": self.fingerprint, "runs": self.runs, "solutions": [dict(one) for one in solutions]}
+        write_text(self.folder / STATE, json.dumps(state) + "\n")
+
+    @classmethod
+    def open(cls, folder: Path, fingerprint: str, resume: bool) -> Checkpointer:
+        """Return the checkpointer of a folder, with the state of an earlier run if the search resumes.
+
+        Raises:
+            RecipeError: the checkpoint belongs to another task.
+            NacreError: the checkpoint cannot be read.
+        """
+        path = folder / STATE
+        if not resume or not path.exists():
+            return cls(folder, fingerprint)
+        try:
+            state = json.loads(read_text(path, "state"))
+            solutions, runs, owner = state["solutions"], int(state["runs"]), state["target"]
+            is_valid = isinstance(solutions, list) and all(isinstance(one, dict) for one in solutions)
+        except (ValueError, KeyError, TypeError):
+            is_valid = False
+        if not is_valid:
+            raise NacreError(f"{path}: cannot be read to resume; delete it to start afresh")
+        if owner != fingerprint:
+            raise RecipeError(
+                f"{path}: belongs to another target, or a file that it names, or nacre itself has changed since; "
+                "take another folder, or omit --resume"
+            )
+        return cls(folder, fingerprint, runs + 1, solutions)
+
+
+__all__ = ["STATE", "Checkpointer"]
