@@ -64,7 +64,7 @@ def evaluate(
     """Return the non-delta BSDF, `[..., wavelength]`, in 1/sr, without the cosine.
 
     Args:
-        thing: a material, a Bsdf, or the path of a recipe or `.nacre` file, an example's name or a recipe's table.
+        thing: a material, a Bsdf, or a path of a recipe or `.nacre` file, an example's name or a recipe's table.
         wi: unit vectors to the light, `[..., 3]`, in the local frame (z is the normal).
         wo: unit vectors to the viewer, `[..., 3]`; on the other side of the surface: the radiance BTDF.
         uv: surface coordinates `[..., 2]` for materials that vary over the surface; default: (0.5, 0.5).
@@ -101,7 +101,7 @@ def report(
     """Measure a material in the standard geometries: Lab at 15 to 110 degrees, flop, gloss, haze, totals.
 
     Args:
-        thing: a material, or the path of a recipe, `.nacre` file or design folder, an example's name or a recipe's
+        thing: a material, or a path of a recipe, `.nacre` file or design folder, an example's name or a recipe's
             table.
         illuminant, observer: of the colours.
         samples, seed: of the walk, for families that are evaluated by one.
@@ -122,7 +122,7 @@ def tolerance(
     Args:
         thing: a material or a path.
         spreads: such as "layers[0].thickness_nm=2%", beside those of the recipe's `[tolerance]`.
-        draws: number of materials drawn; limit: CIEDE2000 difference (dE00) within which one passes.
+        draws: material count drawn; limit: CIEDE2000 difference (dE00) within which one passes.
         options: the others of `nacre.analysis.tolerance.run_tolerance`.
 
     Raises:
@@ -183,7 +183,7 @@ def gamut(
         at: "specular 0", "transmitted 0", "diffuse 0", "hemispherical 0" or "45as15", as in a design's wants; None:
             what shows a family's colour: "45as15" for a pearl, "45as45" for a photonic glass, "specular 0" for the
             others.
-        points: number of materials.
+        points: material count.
         seconds: after which the colours found so far are told.
         within: the dE00 within which a colour counts as reached.
         illuminant, observer: of the colours.
@@ -276,12 +276,12 @@ def fabricate(
     """Write a fabrication file, and beside it, but for a layer table, a JSON that says how to read it.
 
     Args:
-        source: a material, its model, or the path of a recipe or a design folder.
+        source: a material, its model, or a path of a recipe or design folder.
         to: a relief: "png16", "tiff16", "stl", "gds", "oas" or "csv"; a metasurface: "gds", "oas", "csv" or
             "sheet"; a film: "sheet"; numbers that an image gives over the surface, of any family: "png16", "tiff16",
             "npy", "csv", "gds" or "oas", a file each.
         path: where; default: what is drawn and the format's ending, in the design folder or the current one.
-        size_mm: repeat what is drawn over an area (x, y); default: one period. Of maps: the size of the whole.
+        size_mm: repeat what is drawn over an area (x, y); default: one period. Size of maps.
         calibration: CSV of grey value and depth in um, for images, or "published" for the built-in curve; default:
             linear, 65,535 at the top and 0 at the deepest point of this relief. Of maps: a CSV of a machine's setting
             and the value that it makes (volts, nm), or a table from the number's path to such a file.

@@ -46,7 +46,7 @@ def sweep(sweep_file: str, output: str | None, cluster: str | None, security: st
         def show(done: int, failed: int, total: int) -> None:
             bar.update(task, completed=done + failed, info=f"{failed} failed" if failed else "")
 
-        workers = Workers(None, cluster, security)  # --jobs sets the default of the process
+        workers = Workers(None, cluster, security)  # --jobs sets the process's default
         finished, failed = run_sweep(plan, path, workers=workers, progress=show, report=common.note)
     common.note(f"{path}: {finished} of {plan.points.count} points" + (f", {failed} failed" if failed else ""))
     if failed:

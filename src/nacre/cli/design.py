@@ -161,7 +161,7 @@ class _Screen:
             self._status.update(f"{done} of {total} colours")
 
     def show(self, progress: Any) -> None:
-        """Show the progress of the search."""
+        """Show the search's progress."""
         if self._status and hasattr(progress, "worst"):
             self._status.update(
                 f"worst {progress.worst:.3g} of what was asked (1 is within), {progress.seconds:.0f} s, "

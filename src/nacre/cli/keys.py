@@ -1,4 +1,4 @@
-"""`nacre keys`: the reference of the keys that recipes, targets and sweeps may hold, and a JSON Schema for editors."""
+"""`nacre keys`: the keys' reference that recipes, targets and sweeps may hold, and a JSON Schema for editors."""
 
 from __future__ import annotations
 

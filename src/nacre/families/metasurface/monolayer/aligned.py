@@ -128,10 +128,8 @@ class AlignedLayer:
         directions = self.mean.spheres[0].directions(cosines, below, sines)
         order, few = self._exchanged
         if untabulated:
-            mean = self.mean
-            folded = neighbour_sums_at(
-                mean.surface, mean.mean_centre_nm, mean.structure, order, directions, mean.includes_near_fields
-            )
+            geometry = self.mean.neighbour_geometry(order)
+            folded = neighbour_sums_at(geometry, directions, self.mean.includes_near_fields)
         else:
             folded = self.mean.neighbours.at(directions)
         sums = unfolded(folded, order)  # angle, n, n'
