@@ -175,7 +175,6 @@ def test_a_mitsuba_scene_takes_the_material(tmp_path: Path) -> None:
 
 def test_a_file_that_a_scene_names_is_read_anew_once_it_has_changed(tmp_path: Path, grey: Any) -> None:
     """A built scene is cached: the mesh of an XML scene and the buffer of a glTF are part of it."""
-    it."""
     import trimesh
 
     mesh, options = tmp_path / "m.ply", {"spp": 1, "exposure": 0.0, "progress": False, "denoise": False}
