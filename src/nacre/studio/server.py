@@ -83,9 +83,7 @@ def make_app(opened: OpenedFolder, token: str, port: int) -> Starlette:
         port: part of the accepted host names.
     """
     app = Starlette(
-        routes=routes(),
-        middleware=[Middleware(Gate, token=token, port=port)],
-        exception_handlers={NacreError: failed},
+        routes=routes(), middleware=[Middleware(Gate, token=token, port=port)], exception_handlers={NacreError: failed}
     )
     app.state.studio = Studio(opened)
     return app
