@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from nacre.core.errors import NacreError
 from nacre.families.contract import OwnFormats, fabrications
-from nacre.formats.export_formats import EXPORTS, FOLDER, OF_SOME, said_of
+from nacre.formats.export_formats import EXPORTS, FOLDER, FAMILY_FORMATS, export_remarks
 from nacre.formats.fabrication import SUFFIXES
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
@@ -95,7 +95,7 @@ def formats_of(material: Material) -> dict[str, list[str]]:
     drawn = list(fabrications(material.model))
     maps = [name for name in MAP_FORMATS if name not in drawn] if number_maps(material) else []
     own = material.model.own_formats if isinstance(material.model, OwnFormats) else {}
-    exports = [name for name in EXPORTS if name not in OF_SOME or name in own]
+    exports = [name for name in EXPORTS if name not in FAMILY_FORMATS or name in own]
     return {"export": sorted(exports), "fabricate": [*drawn, *maps], "picture": list(PICTURES)}
 
 
@@ -187,7 +187,7 @@ def _export(material: Material, request: Mapping[str, Any], folder: Path, stem: 
     to, options = request["to"], dict(request["options"])
     if to == FOLDER:
         options["illuminant"] = request["lamp"]
-    return said_of(export_material(material, to, folder / f"{stem}{EXPORTS[to]}", **options))
+    return export_remarks(export_material(material, to, folder / f"{stem}{EXPORTS[to]}", **options))
 
 
 def _fabricate(material: Material, request: Mapping[str, Any], folder: Path, stem: str) -> list[str]:
