@@ -11,7 +11,7 @@ import numpy as np
 
 from nacre.cli import common
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.formats.export_formats import EXPORTS, FOLDER, said_of
+from nacre.formats.export_formats import EXPORTS, FOLDER, export_remarks
 
 PLOT_KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
@@ -294,7 +294,7 @@ def export(
         click.echo(json.dumps(facts))
         return
     common.note(str(path))
-    for line in said_of(facts):
+    for line in export_remarks(facts):
         common.note(line)
 
 
