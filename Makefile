@@ -38,6 +38,7 @@ fuzz: setup
 
 lint: setup
 	@$(PY) -m ruff check src tests benchmarks validation tools examples
+	@$(PY) -m ruff check --select C901,PLR0913 src
 	@$(PY) -m ruff format --check src tests benchmarks validation tools examples
 	@$(PY) -m mypy
 
