@@ -23,7 +23,7 @@ import abc
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
@@ -249,6 +249,37 @@ class OwnFormats(abc.ABC):
         """Formats: name -> function that writes the file."""
 
 
+@runtime_checkable
+class RoughSurface(Protocol):
+    """A model with a rough upper surface (`nacre.bsdf.facet_distributions.Roughness`)."""
+
+    surface: Any
+
+
+@runtime_checkable
+class Ridged(Protocol):
+    """A model that may have ridges of lamellae."""
+
+    ridges: Any
+
+
+@runtime_checkable
+class Aligned(Protocol):
+    """A model that is anisotropic if its particles are aligned."""
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether the particles are aligned."""
+
+
+@runtime_checkable
+class BetweenMedia(Protocol):
+    """A model between two media."""
+
+    ambient: Any
+    substrate: Any
+
+
 def figure_data(model: Model, name: str, **options: Any) -> dict[str, NDArray[Any]]:
     """Return the arrays of one of `model.figures`.
 
@@ -303,6 +334,8 @@ def energy_defect(model: Model, theta_rad: Array, wavelengths_nm: Array, seed: i
 
 
 __all__ = [
+    "Aligned",
+    "BetweenMedia",
     "DirectEvaluation",
     "Draft",
     "EnergyDefect",
@@ -312,6 +345,8 @@ __all__ = [
     "Figure",
     "Model",
     "OwnFormats",
+    "Ridged",
+    "RoughSurface",
     "SearchFidelity",
     "Strata",
     "Surrogate",
