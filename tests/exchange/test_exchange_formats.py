@@ -273,9 +273,9 @@ def test_a_stored_material_is_taken_as_measured_and_scaled_only_where_it_is_a_ta
     wi, wo = random_directions(9, 1), random_directions(9, 2)
     taken = nacre.material(plain, tmp_path).bsdf()
     np.testing.assert_array_equal(taken.evaluate(wi, wo), film.evaluate(wi, wo))
-    with pytest.raises(UnsupportedError, match="keeps its own wavelengths and scale"):
+    with pytest.raises(UnsupportedError, match="fixed wavelengths and scale"):
         nacre.material(plain, tmp_path).bsdf(film.wavelengths_nm[::2])
-    with pytest.raises(UnsupportedError, match="keeps its own wavelengths and scale"):
+    with pytest.raises(UnsupportedError, match="fixed wavelengths and scale"):
         nacre.material(plain | {"scale": 2.0}, tmp_path).bsdf()
 
 
