@@ -135,9 +135,9 @@ def by_multijitter(case: Case, bsdf: Any, seed: int = SEEDS[0]) -> NDArray[np.fl
     """Render the samples of before: Mitsuba's own sampler, wavelengths and tracers."""
     mi = use_variant()
     with (
-        patch.object(passes, "going_on", lambda: mi.load_dict({"type": "multijitter"})),
-        patch.object(passes, "_response", lambda stage: None),
-        patch.object(passes, "_tracer", lambda stage: mi.load_dict(passes.path_tracer(stage))),
+        patch.object(passes, "continued_sampler", lambda: mi.load_dict({"type": "multijitter"})),
+        patch.object(passes, "_response", lambda scene: None),
+        patch.object(passes, "_tracer", lambda scene: mi.load_dict(passes.path_tracer(scene))),
     ):
         return take(case, bsdf, SIDE, case.before_spp, seed=seed).xyz
 

@@ -30,7 +30,8 @@ from nacre.material.material import load
 from nacre.picture import picture as pictures
 from nacre.picture.camera import Framing
 from nacre.picture.lights.light_mixture import read_lamps
-from nacre.picture.passes import Frame, Shot, Until, shoot
+from nacre.picture.options import Subject
+from nacre.picture.passes import Frame, RenderSettings, Until, render_passes
 from nacre.picture.scenes.catalogue import scene as find_scene
 
 FOLDER = Path(__file__).resolve().parent / "references"
@@ -103,13 +104,13 @@ def take(case: Case, bsdf: Any, side: int, spp: int, seed: int) -> Frame:
     """Render a case as it is, through the box filter."""
     lamps = read_lamps(case.light or find_scene(case.scene).light)
     clear = bool(getattr(bsdf, "transmits", False))
-    set_up = pictures._SetUp(case.scene, None, None, 0.0, 0.0, "D65", 0.0, clear, is_plain=False)
-    stage = set_up.stage(lamps)
-    stage.set_material(bsdf)
+    set_up = pictures._SetUp(case.scene, Subject(), 0.0, "D65", 0.0, clear, is_plain=False)
+    built = set_up.cached(lamps)
+    built.set_material(bsdf)
     size = find_scene(case.scene).size
     is_framed = size[0] != size[1]  # as `nacre.render` sees past the backdrop's edges
-    shot = Shot(stage.view(Framing()), (side, side), Until(spp), seed, boxed=True, is_framed=is_framed)
-    return shoot(stage, shot, lambda *_: None)
+    settings = RenderSettings(built.view(Framing()), (side, side), Until(spp), seed, boxed=True, is_framed=is_framed)
+    return render_passes(built, settings, lambda *_: None)
 
 
 def path_of(case: Case) -> Path:

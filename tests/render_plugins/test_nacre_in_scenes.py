@@ -60,7 +60,7 @@ def scene(mi: Any, bsdf: Any, size: int = 16) -> Any:
 
 def test_scene_entries_take_recipes_files_and_objects(mi: Any, tmp_path: Path) -> None:
     """{"type": "nacre", ...} by recipe, by compiled file, by an object handed over."""
-    from nacre.render.scene_plugin import hand_over
+    from nacre.render.scene_plugin import register_bsdf
 
     (tmp_path / "soap.toml").write_text(SOAP)
     bsdf = nacre.load(tmp_path / "soap.toml").bsdf()
@@ -68,7 +68,7 @@ def test_scene_entries_take_recipes_files_and_objects(mi: Any, tmp_path: Path) -
     entries = (
         {"recipe": str(tmp_path / "soap.toml")},
         {"file": str(tmp_path / "soap.nacre")},
-        {"bsdf": hand_over(bsdf), "two_sided": True},
+        {"bsdf": register_bsdf(bsdf), "two_sided": True},
     )
     pictures = [np.array(mi.render(scene(mi, {"type": "nacre", **entry}), spp=4, seed=1)) for entry in entries]
     assert np.isfinite(pictures[0]).all() and pictures[0].max() > 0
@@ -95,7 +95,7 @@ def test_a_scene_file_finds_recipes_beside_itself(mi: Any, tmp_path: Path, monke
         ({"recipe": "a.toml", "file": "a.nacre"}, "got recipe, file"),
         ({"recipe": "missing.toml"}, "missing.toml: does not exist"),
         ({"recipe": "bad.toml"}, 'substrate = "aar" is not known. Did you mean "air"?'),
-        ({"bsdf": "nobody"}, 'bsdf = "nobody" was not handed over'),
+        ({"bsdf": "nobody"}, 'bsdf = "nobody" was not registered'),
         ({"recipe": "good.toml", "colour": 3.0}, "unreferenced property"),
         ({"recipe": "good.toml", "two_sided": "false"}, "two_sided = 'false' of a \"nacre\" BSDF is no boolean"),
     ],

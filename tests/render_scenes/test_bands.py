@@ -11,7 +11,7 @@ import pytest
 
 import nacre
 from nacre.picture import passes
-from nacre.picture.tiling import MARGIN, Banded, divide
+from nacre.picture.tiling import MARGIN, TiledCamera, divide
 
 pytestmark = pytest.mark.render
 
@@ -34,7 +34,7 @@ def test_every_row_is_decided_once_by_a_band_that_has_its_surroundings(
 
 
 def _in_bands(monkeypatch: pytest.MonkeyPatch, pixels: int, **options: Any) -> Any:
-    monkeypatch.setattr(passes, "Banded", functools.partial(Banded, pixels=pixels))
+    monkeypatch.setattr(passes, "TiledCamera", functools.partial(TiledCamera, pixels=pixels))
     return nacre.render(nacre.material(FILM), size=SIZE, seed=3, progress=False, **options)
 
 

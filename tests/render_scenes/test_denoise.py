@@ -220,23 +220,23 @@ def test_halves_of_the_samples_tell_the_noise_of_a_picture() -> None:
     from nacre.picture import picture as pictures
 
     material, found = nacre.material(GOLD), []
-    real = passes.shoot
+    real = passes.render_passes
 
     def noting(*arguments: Any) -> Any:
         found.append(real(*arguments))
         return found[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pictures, "shoot", noting)
+        patch.setattr(pictures, "render_passes", noting)
         for options in ({"spp": 16}, {"spp": 16}, {"noise": 0.5}, {"spp": 1}):
             render(material, seed=len(found), **options)
     first, second, by_noise, single = found
     spread = np.mean((first.xyz - second.xyz) ** 2) / 2.0
-    told = np.mean(first.doubt**2)
+    told = np.mean(first.difference**2)
     # halves of a sequence that evens itself out lie further apart than independent ones, never nearer; twice the
     # variance would be as if half of the samples did nothing
     assert 0.7 * spread < told < 3.0 * spread
-    assert by_noise.doubt is not None and single.doubt is None
+    assert by_noise.difference is not None and single.difference is None
 
 
 def test_walks_have_no_halves_to_compare() -> None:
@@ -249,13 +249,13 @@ def test_walks_have_no_halves_to_compare() -> None:
     found = []
 
     def noting(*arguments: Any) -> Any:
-        found.append(passes.shoot(*arguments))
+        found.append(passes.render_passes(*arguments))
         return found[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("nacre.picture.picture.shoot", noting)
+        patch.setattr("nacre.picture.picture.render_passes", noting)
         nacre.render.render(pearl, size=(16, 16), spp=2)
-    assert found[0].doubt is None and found[0].guides
+    assert found[0].difference is None and found[0].aovs
 
 
 def test_fine_lines_keep_their_contrast() -> None:
@@ -287,7 +287,7 @@ def test_guides_are_made_in_passes_that_bound_memory_as_the_picture_is(monkeypat
     monkeypatch.setattr(mi, "render", noting)
     monkeypatch.setattr(passes, "PASS_SAMPLES", 4 * SIZE[0] * SIZE[1])
     assert render(nacre.material(GOLD), spp=16).stats["denoised"]
-    assert max(asked) <= 4 and sum(asked) == 16 + denoise.EVEN_GUIDE_SPP
+    assert max(asked) <= 4 and sum(asked) == 16 + denoise.EVEN_AOV_SPP
     asked.clear()
     assert render(nacre.material(GOLD), spp=1).stats["denoised"]
     assert sum(asked) == 1 + 4  # guides do not take longer than the picture
@@ -361,8 +361,8 @@ def test_a_large_picture_is_denoised_in_bands_without_seams(monkeypatch: pytest.
     noisy = truth * rng.gamma(20.0, 0.05, truth.shape)
     albedo, normal = np.full(truth.shape, 0.5, np.float32), np.zeros(truth.shape, np.float32)
     whole = denoise.denoised(noisy, albedo, normal)
-    monkeypatch.setattr(denoise, "BAND_PIXELS", 1)
-    parts = denoise.bands(700, 64)
+    monkeypatch.setattr(denoise, "STRIP_PIXELS", 1)
+    parts = denoise.strips(700, 64)
     assert [kept for _, kept, _ in parts] == [slice(0, 256), slice(256, 512), slice(512, 700)]
     split = denoise.denoised(noisy, albedo, normal)
     assert np.abs(noisy - truth).mean() > 10 * np.abs(whole - truth).mean()
@@ -396,7 +396,7 @@ def test_a_bound_on_the_denoisers_memory_changes_nothing(monkeypatch: pytest.Mon
 
 
 def test_glints_and_spectra_stay_as_rendered(tmp_path: Path) -> None:
-    from nacre.picture.denoise import why_not
+    from nacre.picture.denoise import inapplicable_reason
 
     flakes = {
         "volume_fraction": 0.01, "coatings": [{"material": "TiO2", "thickness_nm": 60}],
@@ -408,7 +408,7 @@ def test_glints_and_spectra_stay_as_rendered(tmp_path: Path) -> None:
     for quality in ("reference", "fast"):
         plain = nacre.material({**pearl, "quality": quality}).bsdf(grid)
         sparkling = nacre.material({**pearl, "quality": quality, "glints": {"surface_mm": 100}}).bsdf(grid)
-        assert why_not(plain) == "" and "glints" in why_not(sparkling)
+        assert inapplicable_reason(plain) == "" and "glints" in inapplicable_reason(sparkling)
     result = render(nacre.material(GOLD), spp=1, spectral=True)
     assert not result.stats["denoised"] and result.raw is None
 
@@ -430,15 +430,15 @@ def test_an_exr_shows_the_same_picture_with_layers_of_more_samples(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[tuple[int, int]] = []
-    real = passes._guides
+    real = passes._aov_counts
 
-    def noting(*arguments: Any, **options: Any) -> Any:
-        asked.append(arguments[4])
-        return real(*arguments, **options)
+    def noting(*arguments: Any) -> Any:
+        asked.append(real(*arguments))
+        return asked[-1]
 
-    monkeypatch.setattr(passes, "_guides", noting)
+    monkeypatch.setattr(passes, "_aov_counts", noting)
     shown, layered = (render(nacre.material(GOLD), spp=16, output=tmp_path / name) for name in ("a.png", "a.exr"))
-    few, many = denoise.EVEN_GUIDE_SPP, denoise.GUIDE_SPP
+    few, many = denoise.EVEN_AOV_SPP, denoise.AOV_SPP
     assert asked == [(few, few), (few, many)]
     # threads add the samples of a pixel in any order, so single precision is all that can be had
     np.testing.assert_allclose(layered.xyz, shown.xyz, rtol=1e-3, atol=1e-4)

@@ -81,7 +81,7 @@ def test_a_stage_remembers_nothing_of_the_last_material(gold: Any) -> None:
 
 
 def test_each_of_several_threads_gets_its_own_picture() -> None:
-    """They share the kept stage, which wears one material at a time: a thread got the picture of another's."""
+    """They share the cached scene, which has one material at a time: a thread got the picture of another's."""
     from concurrent.futures import ThreadPoolExecutor
 
     def made(thickness_nm: float) -> Any:
@@ -230,15 +230,15 @@ def test_ctrl_c_before_the_first_pass_writes_nothing(
 
 
 def test_twenty_pictures_keep_to_one_stage(gold: Any) -> None:
-    picture.forget_stages()
-    stages = set()
+    picture.forget_scenes()
+    scenes = set()
     for seed in range(20):
         nacre.render(gold, size=(8, 8), spp=1, seed=seed)
-        stages.add(id(next(iter(picture._stages.values()))))
-    assert len(stages) == 1 and len(picture._stages) == 1
+        scenes.add(id(next(iter(picture._scenes.values()))))
+    assert len(scenes) == 1 and len(picture._scenes) == 1
     for scene in ("sphere", "knob", "bottle", "speedshape", "panel"):
         nacre.render(gold, scene, size=(8, 8), spp=1)
-    assert len(picture._stages) == picture.KEPT_STAGES
+    assert len(picture._scenes) == picture.CACHED_SCENES
 
 
 def test_a_picture_shows_itself_in_a_notebook() -> None:

@@ -11,7 +11,7 @@ from scipy.stats import kstest
 import nacre
 from nacre.device.variant import use_variant
 from nacre.picture import passes
-from nacre.picture.samples import TILE, begin, going_on
+from nacre.picture.samples import TILE, begin, continued_sampler
 
 PIXELS = 512
 GREY: dict[str, Any] = {"type": "diffuse", "reflectance": 0.5}
@@ -22,7 +22,7 @@ def drawn(parts: list[tuple[int, int]], seed: int = 3, skip: int = 0) -> np.ndar
     use_variant()
     found = []
     for first, spp in parts:
-        sampler = going_on()
+        sampler = continued_sampler()
         begin(sampler, seed, first, spp)
         sampler.seed(0, PIXELS * spp)
         for _ in range(skip):
@@ -53,7 +53,7 @@ def test_neighbours_share_a_sequence_where_its_length_is_known() -> None:
     use_variant()
     found = []
     for first, spp in ((0, 5), (5, 11)):
-        sampler = going_on()
+        sampler = continued_sampler()
         begin(sampler, 3, first, spp, total=16, width=32)
         sampler.seed(0, PIXELS * spp)
         pair = sampler.next_2d()
@@ -74,7 +74,7 @@ def test_several_points_of_each_sample_are_even_among_those_of_all_samples() -> 
     use_variant()
     found = []
     for first, spp in ((0, 5), (5, 11)):
-        sampler = going_on()
+        sampler = continued_sampler()
         begin(sampler, 3, first, spp)
         sampler.seed(0, PIXELS * spp)
         point = sampler.several_2d(use_variant().UInt32(4))
@@ -125,7 +125,7 @@ def test_small_passes_are_quieter_than_mitsubas_own(monkeypatch: pytest.MonkeyPa
         return float(np.median(np.var(made, axis=0) / np.mean(made, axis=0) ** 2))
 
     ours = variance()
-    monkeypatch.setattr(passes, "going_on", lambda: use_variant().load_dict({"type": "multijitter"}))
+    monkeypatch.setattr(passes, "continued_sampler", lambda: use_variant().load_dict({"type": "multijitter"}))
     assert ours < variance()  # of 24 seeds .85 times as much; of 8, over so many pixels, known to .04
 
 
@@ -184,7 +184,7 @@ def test_the_pixels_that_see_the_object_are_those_that_it_covers(at_once: int) -
 def test_the_pixels_of_a_tile_take_one_run_of_a_sequence() -> None:
     """Gaps between their shares would leave the tile's mean as noisy as samples that know nothing of each other."""
     use_variant()
-    sampler, spp = going_on(), 5
+    sampler, spp = continued_sampler(), 5
     begin(sampler, 3, 0, spp, spp, TILE)
     sampler.seed(0, spp * TILE * TILE)
     assert np.array_equal(np.sort(np.array(sampler.index)), np.arange(spp * TILE * TILE))

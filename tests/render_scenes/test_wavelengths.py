@@ -31,9 +31,9 @@ def drawn(response: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_light_keeps_its_colour_and_each_part_of_it_has_less_noise() -> None:
-    from nacre.picture.spectral import by_colour
+    from nacre.picture.spectral import wavelength_density
 
-    ours, wavelengths = drawn(by_colour())
+    ours, wavelengths = drawn(wavelength_density())
     theirs, _ = drawn(None)
     true = observer("2deg").sum(axis=0)
     # single precision over 16,384 even places: a thousandth is ten times what they leave
@@ -55,7 +55,7 @@ def test_pictures_keep_their_mean(monkeypatch: pytest.MonkeyPatch) -> None:
         return made.xyz.mean(axis=(0, 1))
 
     ours = mean()
-    monkeypatch.setattr(passes, "_response", lambda stage: None)
+    monkeypatch.setattr(passes, "_response", lambda scene: None)
     # 150,000 paths, each XYZ known to some 60 % by its wavelengths: 0.2 %, and as much for what it meets
     assert np.abs(ours / mean() - 1.0).max() < 0.01
 
@@ -63,7 +63,7 @@ def test_pictures_keep_their_mean(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_wavelength_that_rounding_puts_beyond_the_last_is_dark() -> None:
     """Light over a density of nothing is no number: a path in 60,000 left its pixel black."""
     from nacre.device.variant import use_variant
-    from nacre.picture.spectral import by_colour, evened
+    from nacre.picture.spectral import divided, wavelength_density
 
     mi = use_variant()
 
@@ -73,5 +73,5 @@ def test_a_wavelength_that_rounding_puts_beyond_the_last_is_dark() -> None:
 
     ray = mi.Ray3f()
     ray.wavelengths = mi.Spectrum(550.0, 829.9, 830.0001, 359.9999)
-    light = np.array(evened(White(), by_colour()).sample(None, None, ray)[0]).ravel()
+    light = np.array(divided(White(), wavelength_density()).sample(None, None, ray)[0]).ravel()
     assert np.isfinite(light).all() and (light[:2] > 0.0).all() and (light[2:] == 0.0).all()

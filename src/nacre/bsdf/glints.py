@@ -10,6 +10,8 @@ glints equals the smooth one on average, and samples spread over a pixel average
 Slopes follow p(t) = 1 / (pi (1 + t^2)^2): SGGX along its axis (and GGX).
 """
 
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
 from __future__ import annotations
 
 import math
@@ -85,7 +87,7 @@ def mean_ratio(width: float) -> Array:
 
 
 @compiled(nogil=True)
-def mix(x):  # type: ignore[no-untyped-def]  # numba
+def mix(x):
     """Hash a 32-bit number (stored in 64 bits)."""
     x = (x ^ (x >> 16)) * 0x7FEB352D & 0xFFFFFFFF
     x = (x ^ (x >> 15)) * 0x846CA68B & 0xFFFFFFFF
@@ -93,19 +95,19 @@ def mix(x):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True)
-def _uniform(key, step):  # type: ignore[no-untyped-def]  # numba
+def _uniform(key, step):
     return (mix((key + step) & 0xFFFFFFFF) >> 8) * 5.9604644775390625e-08
 
 
 @compiled(nogil=True)
-def _read(table, share):  # type: ignore[no-untyped-def]  # numba
+def _read(table, share):
     at = share * (table.size - 1)
     low = min(int(at), table.size - 2)
     return table[low] + (at - low) * (table[low + 1] - table[low])
 
 
 @compiled(nogil=True)
-def factor(numbers, radii, ratio, u, v, tx, ty):  # type: ignore[no-untyped-def]  # numba
+def factor(numbers, radii, ratio, u, v, tx, ty):
     """Return g at a surface point for the slope (tx, ty) over the flakes' deviation."""
     x, y = u * numbers[CELLS_U], v * numbers[CELLS_V]
     column, line = int(math.floor(x - 0.5)), int(math.floor(y - 0.5))
@@ -131,7 +133,7 @@ def factor(numbers, radii, ratio, u, v, tx, ty):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def factors(numbers, radii, ratio, uv, slopes):  # type: ignore[no-untyped-def]  # numba
+def factors(numbers, radii, ratio, uv, slopes):
     """Return g for points `uv[n, 2]` and slopes `[n, 2]`."""
     out = np.empty(len(uv))
     for n in range(len(uv)):

@@ -101,7 +101,7 @@ def parse_formula(text: str, names: Mapping[str, float] | None = None) -> Formul
     try:
         body = ast.parse(text.replace("^", "**"), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError):
-        raise RecipeError(f'formula "{text[:80]}" cannot be read; write an expression of u and v') from None
+        raise RecipeError(f'formula "{text[:80]}" cannot be read; write an expression in u and v') from None
     if sum(1 for _ in ast.walk(body)) > MAX_FORMULA_NODES:
         raise RecipeError(f'formula "{text[:40]}..." has too many terms; at most {MAX_FORMULA_NODES} are allowed')
     return Formula(" ".join(filled.split()), _convert(body, text, names), text)
@@ -277,7 +277,7 @@ def at_the_middle(thing: Any) -> Any:
 
 
 def refuse_place(thing: Any, where: str = "") -> None:
-    """Refuse formulas in x, y and z outside pictures, which alone have an object.
+    """Refuse formulas in x, y and z outside pictures, which have no object.
 
     Args:
         thing: see `place_formula`.

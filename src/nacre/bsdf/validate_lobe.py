@@ -37,9 +37,9 @@ def check_lobe(lobe: Lobe) -> None:
         raise ValueError(f"its {lobe.kind} lobe cannot be evaluated: {type(error).__name__}") from None
     for answer in answers:
         if answer.shape[-1:] != (len(lobe.wavelengths_nm),):
-            raise ValueError(f"its {lobe.kind} lobe answers for other wavelengths than its own")
+            raise ValueError(f"its {lobe.kind} lobe has values at other wavelengths than its own")
         if not np.isfinite(answer).all() or answer.min() < -ROUNDING * max(float(answer.max()), ROUNDING):
-            raise ValueError(f"its {lobe.kind} lobe answers with values that are negative or not finite")
+            raise ValueError(f"its {lobe.kind} lobe has values that are negative or not finite")
 
 
 def _trial(lobe: Lobe) -> typing.Iterator[Any]:
@@ -67,9 +67,7 @@ def check_fields(part: Any) -> None:
         if isinstance(value, np.ndarray) and value.size and np.abs(value).max() > LARGEST:
             raise ValueError(f"{name} of its {type(part).__name__} has the value {np.abs(value).max():.3g}: too large")
         if not _fits(value, declared):
-            raise ValueError(
-                f"{name} of its {type(part).__name__} is a {type(value).__name__}, which cannot stand there"
-            )
+            raise ValueError(f"{name} of its {type(part).__name__} is a {type(value).__name__}, an invalid type")
         for inner in value if isinstance(value, tuple) else (value,):
             if dataclasses.is_dataclass(inner):
                 check_fields(inner)

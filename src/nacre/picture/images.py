@@ -1,13 +1,14 @@
-"""From XYZ to pictures: exposure, white balance, tone, hue-constant clipping, cut-out subjects on a background.
+"""Pictures from XYZ: exposure, white balance, tone, gamut clipping, backgrounds; picture files and their provenance.
 
-Exposure policy. Lights are scaled so that white paper on the floor has a luminance of about 0.6 (`lights`).
-"auto", the default, moves the picture so that luminance percentile 98.5 lies at 0.7, but by no more than
--0.5 to +2.5 stops, so that a dark material stays darker than a bright one. A number fixes it, in stops; 0 shows
-the scene as lit, and any two pictures at one number compare. Outputs state the stops used.
+Exposure. Lights give white paper on the floor a luminance near 0.6 (`lights`). "auto", the default,
+moves luminance percentile 98.5 to 0.7, limited to -0.5 to +2.5 stops; dark materials stay darker than bright ones. A
+number fixes the stops; 0 shows the scene as lit, and pictures with one number are comparable. Outputs state the stops.
 
-White balance: the light's own white becomes the picture's white (Bradford). By default no tone curve bends the
-colours: what is brighter than white is white, what lies outside sRGB keeps hue and lightness and is counted. The tone
-"filmic" lets highlights roll off instead, as film does: a look, and no measure of colour any more.
+White balance: the light's white becomes the picture's white (Bradford). By default there is no tone curve:
+colours brighter than white become white, colours outside sRGB are clipped at constant hue and lightness, and counted.
+The tone "filmic" compresses highlights like film; such colours are no measurement.
+
+Files: PNG, JPEG and WebP with provenance; EXR with linear light and layers.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,26 +42,25 @@ AUTO_PERCENTILE = 98.5
 AUTO_LEVEL = 0.7
 AUTO_STOPS = (-0.5, 2.5)
 TONES = ("srgb", "filmic")
-SHOWN_AT_ONCE = 1 << 20  # pixels that are shown at a time
+SHOWN_AT_ONCE = 1 << 20  # pixels processed at a time
 
 
 @dataclass(frozen=True, eq=False)
 class RenderResult:
-    """A picture and how it was made.
+    """A picture and its provenance.
 
     Attributes:
-        xyz: linear XYZ `[row, column, 3]` under the scene's light, white paper on the floor at Y of about 0.6.
+        xyz: linear XYZ `[row, column, 3]`, white paper on the floor has Y near 0.6.
         rgb: linear sRGB `[row, column, 3]`, balanced and exposed, not clipped.
         path: the file written, if any.
-        stats: seconds, spp, exposure_stops, clipped_pixels, interrupted and the rest of the provenance.
-        spectral: `[row, column, band]` spectral radiance, where it was asked for, and its `bands_nm`.
-        raw: XYZ as rendered, where `xyz` is denoised.
-        alpha: share of each pixel that the subject covers `[row, column]`, where it is cut out; `xyz`, `raw` and `rgb`
-            are premultiplied by it.
-        background: linear sRGB of what a cut-out subject is put on; None: nothing.
-        tone: "srgb" or "filmic", of the picture as shown.
-        lights: XYZ `[row, column, 3]` of each light alone, where it was asked for.
-        layers: what each pixel sees first, by name: channel letters and values `[row, column, letter]`.
+        stats: seconds, spp, exposure_stops, clipped_pixels, interrupted and more provenance.
+        spectral: `[row, column, band]` spectral radiance, if requested, and its `bands_nm`.
+        raw: XYZ as rendered, if `xyz` is denoised.
+        alpha: coverage `[row, column]` by a cut-out subject; `xyz`, `raw` and `rgb` are premultiplied by it.
+        background: linear sRGB behind a cut-out subject; None: transparent.
+        tone: "srgb" or "filmic".
+        lights: XYZ `[row, column, 3]` per light, if requested.
+        layers: AOVs by name: channel letters and values `[row, column, letter]`.
     """
 
     xyz: Array
@@ -78,19 +78,19 @@ class RenderResult:
 
     @property
     def srgb8(self) -> NDArray[np.uint8]:
-        """The picture as it is shown: 8-bit sRGB `[row, column, 3]`, with alpha as a fourth where it is clear."""
+        """The displayed picture: 8-bit sRGB `[row, column, 3]`, or with alpha `[row, column, 4]`."""
         return show(self.rgb, self.alpha, self.background, self.tone)[0]
 
     def save(self, path: str | Path) -> RenderResult:
-        """Write a .png, .jpg, .webp or .exr file, whole or not at all, and return the result with its path.
+        """Write a .png, .jpg, .webp or .exr file atomically; return the result with its path.
 
         Raises:
-            NacreError: the folder cannot be written, or the suffix is neither.
+            NacreError: the folder cannot be written, or the suffix is unknown.
         """
         path = Path(path)
         suffix = path.suffix.lower()
         if suffix not in STILL_SUFFIXES:
-            raise NacreError(f"{path}: pictures are written as {', '.join(STILL_SUFFIXES[:-1])} or .exr")
+            raise NacreError(f"{path}: pictures are written as {spoken_suffixes()}")
         if suffix == ".exr":
             write_exr(path, self)
         else:
@@ -109,9 +109,9 @@ class RenderResult:
 
 
 def auto_stops(xyz: Array) -> float:
-    """Return the exposure that brings the bright end of a picture just below white, within `AUTO_STOPS`.
+    """Return the automatic exposure in stops, within `AUTO_STOPS`.
 
-    In thousandths: threads sum a picture in any order, and frames must know the exposure of one rendered again.
+    Rounded to thousandths, because thread timing must not change an animation's exposure.
     """
     bright = float(np.percentile(xyz[..., 1], AUTO_PERCENTILE))
     if bright <= 0.0:
@@ -119,28 +119,32 @@ def auto_stops(xyz: Array) -> float:
     return round(float(np.clip(np.log2(AUTO_LEVEL / bright), *AUTO_STOPS)), 3)
 
 
+def _row_parts(picture: Array) -> list[slice]:
+    """Split the rows of a picture into parts, because intermediates need several times its memory."""
+    rows = max(SHOWN_AT_ONCE // max(picture.shape[1], 1), 1) if picture.ndim == 3 else max(len(picture), 1)
+    return [slice(first, first + rows) for first in range(0, len(picture), rows)]
+
+
 def develop(xyz: Array, illuminant: str, exposure: Exposure = "auto") -> tuple[Array, float]:
     """Return linear sRGB `[..., 3]`, not clipped, and the stops used."""
     stops = auto_stops(xyz) if exposure == "auto" else float(exposure)
     rgb: Array = np.empty_like(xyz, dtype=float)
-    rows = max(SHOWN_AT_ONCE // max(rgb.shape[1], 1), 1) if rgb.ndim == 3 else max(len(rgb), 1)
-    for first in range(0, len(rgb), rows):  # as in `show`
-        part = slice(first, first + rows)
+    for part in _row_parts(rgb):
         balanced = adapt_xyz(xyz[part], white_xyz(illuminant), SRGB_WHITE_XYZ)
         rgb[part] = xyz_to_srgb_linear(balanced) * 2.0**stops
     return rgb, stops
 
 
 def encode(rgb: Array, tone: str = "srgb") -> tuple[NDArray[np.uint8], int]:
-    """Return 8-bit sRGB and the number of pixels outside the gamut that had to move."""
+    """Return 8-bit sRGB and the number moved into the gamut."""
     clipped = clip_to_srgb(toned(rgb, tone))
     return np.round(255.0 * srgb_encode(clipped.rgb)).astype(np.uint8), clipped.count
 
 
 def toned(rgb: Array, tone: str) -> Array:
-    """Bend linear sRGB by a tone: "srgb" not at all, "filmic" by the fit of ACES' display curve, channel by channel.
+    """Apply a tone curve to linear sRGB: "srgb" is the identity, "filmic" the ACES display curve per channel.
 
-    The fit is K. Narkowicz's (2015), x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), with its range bound to 1.
+    The latter is K. Narkowicz's fit (2015), x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), limited to 1.
 
     Raises:
         NacreError: an unknown tone.
@@ -154,61 +158,53 @@ def toned(rgb: Array, tone: str) -> Array:
 
 
 def count_clipped(rgb: Array, alpha: Array | None, tone: str) -> int:
-    """Return how many pixels `show` would clip into the gamut, without showing them."""
-    rows = max(SHOWN_AT_ONCE // max(rgb.shape[1], 1), 1)
+    """Count the pixels that `show` would clip into the gamut."""
     count = 0
-    for first in range(0, len(rgb), rows):
-        part = rgb[first : first + rows]
-        if alpha is not None:
-            part = _uncovered(part, np.clip(alpha[first : first + rows], 0.0, 1.0)[..., None])
-        count += int(np.count_nonzero(outside_srgb(toned(part, tone))))
+    for part in _row_parts(rgb):
+        colours = rgb[part] if alpha is None else _uncovered(rgb[part], np.clip(alpha[part], 0.0, 1.0)[..., None])
+        count += int(np.count_nonzero(outside_srgb(toned(colours, tone))))
     return count
 
 
 def _uncovered(rgb: Array, cover: Array) -> Array:
-    """Return colours as they are where they cover all, of colours premultiplied by what they cover."""
+    """Divide premultiplied colours by their coverage."""
     return np.where(cover > 0, rgb / np.maximum(cover, 1e-6), 0.0)
 
 
 def show(
     rgb: Array, alpha: Array | None, background: tuple[float, float, float] | None, tone: str
 ) -> tuple[NDArray[np.uint8], int]:
-    """Return 8-bit sRGB as shown, `[row, column, 3 or 4]`, and the number of pixels clipped into the gamut.
+    """Return 8-bit sRGB `[row, column, 3 or 4]` for display, and the clipped pixel count.
 
     Args:
-        rgb: linear sRGB, exposed; premultiplied where there is an alpha.
-        alpha: share of the pixel that is covered, `[row, column]`, or None.
-        background: linear sRGB behind a cut-out subject; None: clear, with alpha as the fourth channel.
+        rgb: linear sRGB, exposed, premultiplied by alpha.
+        alpha: coverage `[row, column]`, or None.
+        background: linear sRGB behind a cut-out subject; None: alpha as the fourth channel.
         tone: see `toned`.
     """
-    rows = max(SHOWN_AT_ONCE // max(rgb.shape[1], 1), 1)
-    if rgb.ndim == 3 and len(rgb) > rows:  # a large picture: what it takes on the way is several times its size
-        parts = [
-            show(rgb[first : first + rows], None if alpha is None else alpha[first : first + rows], background, tone)
-            for first in range(0, len(rgb), rows)
-        ]
-        return np.concatenate([shown for shown, _ in parts]), sum(count for _, count in parts)
+    parts = _row_parts(rgb)
+    if len(parts) > 1:
+        shown = [show(rgb[part], None if alpha is None else alpha[part], background, tone) for part in parts]
+        return np.concatenate([each for each, _ in shown]), sum(count for _, count in shown)
     if alpha is None:
         return encode(rgb, tone)
     cover = np.clip(alpha, 0.0, 1.0)[..., None]
     clipped = clip_to_srgb(toned(_uncovered(rgb, cover), tone))
     if background is None:
-        shown = np.concatenate([srgb_encode(clipped.rgb), cover], axis=-1)
+        pixels = np.concatenate([srgb_encode(clipped.rgb), cover], axis=-1)
     else:
-        shown = srgb_encode(cover * clipped.rgb + (1.0 - cover) * np.array(background))
-    return np.round(255.0 * shown).astype(np.uint8), clipped.count
+        pixels = srgb_encode(cover * clipped.rgb + (1.0 - cover) * np.array(background))
+    return np.round(255.0 * pixels).astype(np.uint8), clipped.count
 
-
-# Pictures as files: PNG, JPEG and WebP with their provenance, EXR with linear light and layers.
 
 PROVENANCE_KEY = "nacre"
 STILL_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".exr")
 OPAQUE_SUFFIXES = (".jpg", ".jpeg")
 JPEG_QUALITY = 95
 WEBP_QUALITY = 95
-JPEG_PACKET = 65_502  # bytes of XMP that one segment of a JPEG holds
+JPEG_PACKET = 65_502  # XMP bytes in one JPEG segment
 LEFT_OUT = "left out: too long for a JPEG"
-# an XMP packet with one property of our own namespace
+# an XMP packet with one property in our own namespace
 _XMP = (
     '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?><x:xmpmeta xmlns:x="adobe:ns:meta/">'
     '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description rdf:about="" '
@@ -217,39 +213,26 @@ _XMP = (
     '</x:xmpmeta><?xpacket end="r"?>'
 )
 _XMP_TEXT = ("<nacre:provenance>", "</nacre:provenance>")
+SRGB_CHROMATICITIES = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)  # primaries and white, as (x, y) pairs
+LAYOUT_VERSION = "1.0"
+EMISSIVE_UNITS = "W.m^-2.sr^-1"
 
 
-class Linear(Protocol):
-    """What an EXR is made from; see `nacre.picture.images.RenderResult`."""
-
-    @property
-    def xyz(self) -> Array: ...
-    @property
-    def raw(self) -> Array | None: ...
-    @property
-    def alpha(self) -> Array | None: ...
-    @property
-    def lights(self) -> Mapping[str, Array]: ...
-    @property
-    def layers(self) -> Mapping[str, tuple[str, NDArray[np.float32]]]: ...
-    @property
-    def spectral(self) -> NDArray[np.float32] | None: ...
-    @property
-    def bands_nm(self) -> Array | None: ...
-    @property
-    def stats(self) -> Mapping[str, Any]: ...
+def spoken_suffixes() -> str:
+    """Return the picture-file suffixes for messages."""
+    return f"{', '.join(STILL_SUFFIXES[:-1])} or {STILL_SUFFIXES[-1]}"
 
 
 def provenance(stats: Mapping[str, Any]) -> str:
-    """Return what an output says about its making, as JSON."""
+    """Return the provenance as JSON."""
     return json.dumps({"nacre": __version__, **stats}, default=str, sort_keys=True)
 
 
 def write_picture(path: Path, picture: NDArray[np.uint8], stats: Mapping[str, Any]) -> None:
-    """Write an 8-bit sRGB picture `[row, column, 3 or 4]` that carries its provenance, by its suffix.
+    """Write an 8-bit sRGB picture `[row, column, 3 or 4]` with its provenance; the suffix selects the format.
 
     Raises:
-        NacreError: the folder cannot be written, or the format knows no transparency.
+        NacreError: the folder cannot be written, or the format does not support transparency.
     """
     suffix = path.suffix.lower()
     if suffix == ".png":
@@ -260,15 +243,15 @@ def write_picture(path: Path, picture: NDArray[np.uint8], stats: Mapping[str, An
     if suffix in OPAQUE_SUFFIXES and picture.shape[-1] == 4:
         raise NacreError(f"{path}: a JPEG knows no transparency; write .png, .webp or .exr")
     packet = _xmp(stats, JPEG_PACKET if suffix in OPAQUE_SUFFIXES else None)
+    options: dict[str, Any] = {"format": "JPEG", "quality": JPEG_QUALITY, "subsampling": 0}
+    if suffix == ".webp":
+        options = {"format": "WEBP", "quality": WEBP_QUALITY, "method": 6}
     with atomic_path(path) as temporary:
-        if suffix == ".webp":
-            Image.fromarray(picture).save(temporary, format="WEBP", quality=WEBP_QUALITY, method=6, xmp=packet)
-        else:
-            Image.fromarray(picture).save(temporary, format="JPEG", quality=JPEG_QUALITY, subsampling=0, xmp=packet)
+        Image.fromarray(picture).save(temporary, xmp=packet, **options)
 
 
 def _xmp(stats: Mapping[str, Any], most: int | None) -> bytes:
-    """Return the packet of how a picture was made, without its longest texts where it would have more bytes."""
+    """Return the provenance as an XMP packet; its longest texts are dropped above `most` bytes."""
     tree = json.loads(provenance(stats))
     while True:
         text = html.escape(json.dumps(tree, sort_keys=True), quote=False)
@@ -279,7 +262,7 @@ def _xmp(stats: Mapping[str, Any], most: int | None) -> bytes:
 
 
 def _leave_out_the_longest(tree: Any) -> None:
-    """Replace the longest text in a tree, such as a recipe, by a word that tells of it."""
+    """Replace the longest text in a tree, such as a recipe, by a note."""
     longest, holder, key = -1, None, None
     nodes = [tree]
     while nodes:
@@ -295,7 +278,7 @@ def _leave_out_the_longest(tree: Any) -> None:
 
 
 def write_png(path: Path, picture: NDArray[np.uint8], stats: Mapping[str, Any]) -> None:
-    """Write a PNG that carries its provenance as text.
+    """Write a PNG with its provenance as text.
 
     Raises:
         NacreError: the folder cannot be written.
@@ -312,7 +295,7 @@ def write_png(path: Path, picture: NDArray[np.uint8], stats: Mapping[str, Any]) 
 
 
 def read_provenance(path: str | Path) -> dict[str, Any]:
-    """Return what a PNG, JPEG or WebP of nacre says about its making; empty for other pictures."""
+    """Return the provenance in a PNG, JPEG or WebP from nacre; empty for other pictures."""
     from PIL import Image
 
     with Image.open(path) as picture:
@@ -325,33 +308,22 @@ def read_provenance(path: str | Path) -> dict[str, Any]:
     return loaded if isinstance(loaded, dict) else {}
 
 
-# primaries and white of sRGB, as (x, y) pairs
-SRGB_CHROMATICITIES = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
-
-
-LAYOUT_VERSION = "1.0"
-
-
-EMISSIVE_UNITS = "W.m^-2.sr^-1"
-
-
 def spectral_channel(wavelength_nm: float) -> str:
-    """Name of an emissive, unpolarised channel: S0 and the wavelength with a decimal comma.
+    """Name an emissive, unpolarised channel: S0 and the wavelength with a decimal comma.
 
     Example: `spectral_channel(550)` is "S0.550,000000nm".
     """
     return f"S0.{wavelength_nm:.6f}nm".replace(".", ",").replace("S0,", "S0.")
 
 
-def write_exr(path: str | Path, result: Linear) -> None:
-    """Write a picture's linear light, unexposed and unclipped, as R, G, B, and its layers.
+def write_exr(path: str | Path, result: RenderResult) -> None:
+    """Write linear light, unexposed and unclipped, as R, G, B, with layers.
 
-    Layers: A, where the subject is cut out (the light is then premultiplied by it); `raw` as rendered, where the
-    picture is denoised; `albedo`, `normal` and `depth` of what each pixel sees first; `light.NAME`, what one lamp
-    gives, where that was asked for; a channel for each band if the picture has spectra.
+    Layers: A, if the subject is cut out (light is premultiplied by it); `raw` as rendered, if denoised; the AOVs
+    `albedo`, `normal` and `depth`; `light.NAME` for each light, if requested; a channel per band for spectra.
 
-    R, G, B are linear sRGB balanced to the light's white, so that white paper is grey in any viewer; spectral
-    channels hold the radiance as it is, relative units of which the header says so.
+    R, G, B are linear sRGB balanced to the light's white. Spectral channels are radiances in relative units, which
+    the header states.
 
     Raises:
         NacreError: the folder cannot be written.
@@ -365,7 +337,7 @@ def write_exr(path: str | Path, result: Linear) -> None:
         for index, name in enumerate(names):
             channels[f"{layer}{name}"] = np.ascontiguousarray(values[..., index], dtype=np.float32)
 
-    # a point would part a layer's name: as in spectral channels, a comma stands for it
+    # points separate layers; names have commas instead, as in spectral channels
     lights = {f"light.{name.replace('.', ',')}.": xyz for name, xyz in result.lights.items()}
     for layer, xyz in {"": result.xyz, "raw.": result.raw, **lights}.items():
         if xyz is not None:

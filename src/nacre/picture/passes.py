@@ -1,5 +1,7 @@
-"""The passes of a picture: a few samples a pixel each, so that progress shows, an interrupt ends it cleanly with what
-is done, and memory stays bounded; and the guides of the denoiser."""
+"""Rendering in passes with a few samples per pixel, and denoiser AOVs.
+
+Passes bound the memory, report progress, and let an interrupt end the picture with the samples so far.
+"""
 
 from __future__ import annotations
 
@@ -17,68 +19,72 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.memory import check_memory
 from nacre.core.progress import Clock, ProgressCallback
-from nacre.device.variant import use_variant
 from nacre.picture import interrupt
 from nacre.picture.camera import View
-from nacre.picture.denoise import EVEN_GUIDE_SPP, GUIDE_SPP
-from nacre.picture.denoiser_aovs import first_hits, guide_tracer, walks, ways_of
-from nacre.picture.infinite_backdrop import without_edges
+from nacre.picture.denoise import AOV_SPP, EVEN_AOV_SPP
+from nacre.picture.denoiser_aovs import AovSampling, aov_integrator, aov_sampling, first_hits, has_random_walks
+from nacre.picture.infinite_backdrop import with_infinite_backdrop
 from nacre.picture.paths import DRAWS, can_split, cut_out, make_paths, sees_objects
-from nacre.picture.samples import going_on
-from nacre.picture.spectral import by_colour, evened
-from nacre.picture.tiling import Banded
+from nacre.picture.plugin import mi
+from nacre.picture.samples import continued_sampler
+from nacre.picture.spectral import band_centres, band_film, bands_to_xyz, divided, wavelength_density
+from nacre.picture.tiling import Pass, TiledCamera
 
 logger = logging.getLogger("nacre")
 
-# samples of one pass: bounds memory (some hundred bytes each) and keeps passes near a second
+# samples in one pass: bounds memory (some hundred bytes each) and limits passes to about a second
 PASS_SAMPLES = 1 << 22
-BYTES_A_PIXEL = 240  # measured: 195, of a large picture, whose passes take one sample a pixel; and what tells the noise
-BYTES_A_BAND = 32  # in single precision as rendered, in double twice as added up
-BYTES_OF_GUIDES = 124  # and of what tells the denoiser the noise
+BYTES_PER_PIXEL = 240  # 195 measured, for a large picture with one sample per pass; plus the noise estimate
+BYTES_PER_BAND = 32  # single precision as rendered, double precision twice in the sum
+BYTES_OF_AOVS = 124  # with the noise estimate for the denoiser
 BAND_STEP_NM = 10.0
 FIRST_HIT = {"albedo": "RGB", "normal": "XYZ", "depth": "Z"}
 RUSSIAN_ROULETTE_DEPTH = 6
-# of the guides for one of the picture, where that has few: they are not to take longer than it; without grain one does
-GUIDES_A_SAMPLE, FEWEST_GUIDES = 4, 4
-GUIDES_FROM = 1 << 20  # the number of their first pass: beyond those of any picture
-# where a noise or a time ends the picture, so many independent sequences of samples take turns: what they differ by
-# tells the noise. Each is the more even the longer it is, so there are no more than it takes
+# AOV samples per picture sample, because AOVs must not take longer than a short picture; minimum without grain
+AOVS_PER_SAMPLE, MIN_AOVS = 4, 4
+AOVS_FROM = 1 << 20  # sequence number for AOVs, above all passes
+# With a noise target or a time limit, independent sequences take turns, and their difference is the noise. A longer
+# sequence is more even, therefore there are only two
 SEQUENCES, TURN = 2, 8
-# where many a picture ends, a whole turn would be a third more than it takes
-FINE, FINE_TURN = range(16, 32), 4
-MEDIAN = NormalDist().inv_cdf(0.75) ** 2  # of the square of a normal variable of variance 1: of two sequences' variance
+FINE, FINE_TURN = range(16, 32), 4  # shorter turns in the range in which many pictures end
+MEDIAN = NormalDist().inv_cdf(0.75) ** 2  # median over mean, for the variance of two normal values
 
 
 @dataclass(frozen=True)
 class Until:
-    """When a picture has samples enough: after a number of them, at a noise, or after a time.
+    """Stopping rule for a picture.
 
     Attributes:
-        spp: samples a pixel; with `noise` or `seconds` the most that are taken.
-        noise: median, over the pixels that see an object, of the relative standard error of their luminance, as
-            rendered; over all pixels where none does.
-        seconds: wall time of the passes; the picture then depends on the machine.
+        spp: samples per pixel; a maximum with `noise` or `seconds`.
+        noise: target for the median relative standard error of the raw luminance, over pixels that see an
+            object (or over all pixels).
+        seconds: wall time for the passes; the picture then depends on the machine.
     """
 
     spp: int
     noise: float | None = None
     seconds: float | None = None
 
+    @property
+    def is_open(self) -> bool:
+        """Whether the sample count is unknown at the start."""
+        return self.noise is not None or self.seconds is not None
+
 
 @dataclass(frozen=True)
-class Shot:
-    """All that the passes need besides the scene.
+class RenderSettings:
+    """Settings for the passes.
 
     Attributes:
-        view: the camera; None: the scene's own.
+        view: the camera; None: the user scene's.
         size: width and height.
-        until, seed: when the samples are enough, and where they begin.
-        spectral: bands of 10 nm instead of XYZ.
-        boxed: pixels that share no samples, as a denoiser needs them.
-        cut: see the objects alone.
-        with_guides: what each pixel sees first, too.
-        with_layers: that again of more samples, to be looked at; the picture stays the same.
-        is_framed: another frame than the scene's own, which may see past the edge of the backdrop.
+        until, seed: stopping rule and seed.
+        spectral: 10 nm bands, not XYZ.
+        boxed: box filter, as required by the denoiser.
+        cut: see only the objects.
+        with_aovs: render denoiser AOVs.
+        with_layers: render AOVs with more samples for display; the picture stays the same.
+        is_framed: the frame differs from the scene's and may see past the backdrop's edge.
     """
 
     view: View | None
@@ -88,28 +94,27 @@ class Shot:
     spectral: bool = False
     boxed: bool = False
     cut: bool = False
-    with_guides: bool = False
+    with_aovs: bool = False
     with_layers: bool = False
     is_framed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What the passes gave: means over the samples.
+    """Means over the samples.
 
     Attributes:
-        xyz: `[row, column, 3]`, premultiplied by alpha where there is one.
-        spp: samples a pixel that were taken.
-        alpha: `[row, column]`, where the objects are cut out.
-        spectral, bands_nm: `[row, column, band]`, where asked for, and the centres of the bands.
-        guides: albedo, normal, and depth of what each pixel sees first.
-        layers: the same, of more samples where asked for.
-        not_finite: pixels with a value that is no number.
-        noise: median relative standard error of the pixels that see an object, where there were passes enough to tell.
-        is_interrupted: whether it was ended before the samples were enough.
-        doubt: `[row, column, 3]`, a draw of the noise of `xyz`, from how far two halves of the samples lie apart; only
-            where there are guides, and samples for both halves.
-        has_grain: whether the guides may have some.
+        xyz: `[row, column, 3]`, premultiplied by alpha.
+        spp: samples per pixel taken.
+        alpha: `[row, column]`, coverage by cut-out objects.
+        spectral, bands_nm: `[row, column, band]` and the band centres.
+        aovs: albedo, normal and depth at the first hit.
+        layers: the same with more samples.
+        not_finite: pixel count with NaN or infinity.
+        noise: median relative standard error over pixels that see an object.
+        is_interrupted: whether it ended early.
+        difference: `[row, column, 3]`, a noise sample for `xyz`, from two sample halves.
+        has_grain: whether the AOVs may have grain.
     """
 
     xyz: Array
@@ -117,152 +122,207 @@ class Frame:
     alpha: Array | None = None
     spectral: NDArray[np.float32] | None = None
     bands_nm: Array | None = None
-    guides: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    aovs: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     layers: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     not_finite: int = 0
     noise: float | None = None
     is_interrupted: bool = False
-    doubt: NDArray[np.float32] | None = None
+    difference: NDArray[np.float32] | None = None
     has_grain: bool = True
 
 
-def shoot(stage: Any, shot: Shot, report: ProgressCallback, on_better: Callable[[Frame], None] | None = None) -> Frame:
+def render_passes(
+    scene: Any, settings: RenderSettings, report: ProgressCallback, on_better: Callable[[Frame], None] | None = None
+) -> Frame:
     """Render pass by pass.
 
     Args:
-        report: told how far it is, after every pass.
-        on_better: given the picture so far each time the samples have doubled, but for the last.
+        scene: a `BuiltScene` or `UserScene`.
+        settings: see `RenderSettings`.
+        report: called after every pass.
+        on_better: given the picture each time the samples have doubled, except at the end.
 
     Raises:
-        KeyboardInterrupt: before the first pass was done.
+        KeyboardInterrupt: within the first pass.
     """
-    film: dict[str, Any] = {
-        "type": "hdrfilm",
-        "pixel_format": "xyza" if shot.cut else "xyz",
-        "rfilter": {"type": "box" if shot.boxed else "gaussian"},
-    }
-    bands = np.zeros(0)
-    if shot.spectral:
-        from nacre.picture.spectral import band_centres, band_film
+    return _Passes(scene, settings).run(report, on_better)
 
-        bands = band_centres(BAND_STEP_NM)
-        film = band_film(bands, BAND_STEP_NM)
-    each = BYTES_A_PIXEL + BYTES_A_BAND * len(bands) + (BYTES_OF_GUIDES if shot.with_guides else 0)
-    check_memory(float(each) * shot.size[0] * shot.size[1], f"size = {shot.size[0]}x{shot.size[1]}: the picture")
-    sampler = going_on()
-    response = None if shot.spectral else _response(stage)
-    guided = {"sampler": sampler, **({"response": response} if response else {})}  # a user's scene knows no response
-    sensor = stage.sensor(shot.view, shot.size, film, **guided)
-    camera = Banded(
-        lambda size: stage.sensor(shot.view, shot.size, film, rows=size[1], **guided), shot.size, sampler,
-        # a film of bands of the spectrum knows one filter, as wide as this
-        is_boxed=shot.boxed and not shot.spectral,
-    )  # fmt: skip
-    integrator = _tracer(stage)
-    if shot.cut:
-        integrator = cut_out(integrator, stage.objects)
-    elif shot.is_framed and stage.endless is not None:
-        integrator = without_edges(integrator, stage.endless)
-    integrator = evened(integrator, response) if response else integrator
-    most = max(1, PASS_SAMPLES // (shot.size[0] * shot.size[1]))
-    until = shot.until
-    is_open = until.noise is not None or until.seconds is not None
-    # the noise of walks has such tails that two halves of it look alike by chance: spots would come back as texture
-    halved = shot.with_guides and not shot.spectral and until.spp > 1 and not walks(stage.mitsuba_scene)
-    plan = pass_plan(until.spp, min(most, (until.spp + 1) // 2) if halved and not is_open else most, is_open)
-    count = len(plan)
-    total: NDArray[np.float64] | None = None
-    half, in_half = np.zeros(0, dtype=np.float32), 0
-    judged = sees_objects(stage.mitsuba_scene, sensor, stage.objects, shot.size) if is_open else None
-    done, clock, spread, noise = 0, Clock(), Spread(judged), None
-    stopped = False
-    guides: dict[str, NDArray[np.float32]] = {}
-    layers: dict[str, NDArray[np.float32]] = {}
-    ways = ways_of(stage.mitsuba_scene, is_ours=getattr(stage, "light", None) is not None)
 
-    def frame(is_last: bool = False) -> Frame:
-        assert total is not None  # spp is at least 1
-        if shot.with_guides and not guides:
-            tracer = guide_tracer(stage.mitsuba_scene, ways)
-            tracer = evened(tracer, response) if response else tracer
-            most_of = GUIDES_A_SAMPLE * until.spp if ways.has_grain else max(FEWEST_GUIDES, until.spp)
-            samples = min(GUIDE_SPP if ways.has_grain else EVEN_GUIDE_SPP, most_of)
-            counts = (samples, max(samples, min(GUIDE_SPP, most_of) if shot.with_layers else 0))
-            seed_of = pass_seed(shot.seed, GUIDES_FROM)
-            seen = _guides(stage.mitsuba_scene, camera, tracer, seed_of, counts, alike=not ways.draws)
-            guides.update(seen[0])
-            layers.update(seen[1])
-        # of a large picture there is to be no copy more than it takes
-        clean = np.divide(total, done, out=total if is_last else None)
+class _Passes:
+    """Sums over one picture's passes, and the objects that render them."""
+
+    def __init__(self, scene: Any, settings: RenderSettings) -> None:
+        self.settings, self.scene = settings, scene.mitsuba_scene
+        film: dict[str, Any] = {
+            "type": "hdrfilm",
+            "pixel_format": "xyza" if settings.cut else "xyz",
+            "rfilter": {"type": "box" if settings.boxed else "gaussian"},
+        }
+        self.bands = band_centres(BAND_STEP_NM) if settings.spectral else np.zeros(0)
+        if settings.spectral:
+            film = band_film(self.bands, BAND_STEP_NM)
+        width, height = settings.size
+        each = BYTES_PER_PIXEL + BYTES_PER_BAND * len(self.bands) + (BYTES_OF_AOVS if settings.with_aovs else 0)
+        check_memory(float(each) * width * height, f"size = {width}x{height}: the picture")
+        self.response = None if settings.spectral else _response(scene)
+        sampler = continued_sampler()
+        # user scenes do not take a response
+        options = {"sampler": sampler, **({"response": self.response} if self.response else {})}
+        sensor = scene.sensor(settings.view, settings.size, film, **options)
+        self.camera = TiledCamera(
+            lambda size: scene.sensor(settings.view, settings.size, film, rows=size[1], **options),
+            settings.size,
+            sampler,
+            is_boxed=settings.boxed and not settings.spectral,  # band films have a wide filter
+        )
+        integrator = _tracer(scene)
+        if settings.cut:
+            integrator = cut_out(integrator, scene.objects)
+        elif settings.is_framed and scene.infinite_backdrop is not None:
+            integrator = with_infinite_backdrop(integrator, scene.infinite_backdrop)
+        self.integrator = self._divided(integrator)
+        until = settings.until
+        most = max(1, PASS_SAMPLES // (width * height))
+        # long-tailed random-walk noise agrees between halves by chance and would return as texture
+        has_halves = settings.with_aovs and not settings.spectral and until.spp > 1
+        self.halved = has_halves and not has_random_walks(self.scene)
+        if self.halved and not until.is_open:
+            most = min(most, (until.spp + 1) // 2)
+        self.plan = pass_plan(until.spp, most, until.is_open)
+        is_counted = sees_objects(self.scene, sensor, scene.objects, settings.size) if until.is_open else None
+        self.spread = Spread(is_counted)
+        self.sampling = aov_sampling(self.scene, is_ours=getattr(scene, "light", None) is not None)
+        self.total: NDArray[np.float64] | None = None
+        self.half, self.in_half = np.zeros(0, dtype=np.float32), 0
+        self.done, self.stopped = 0, False
+        self.noise: float | None = None
+        self.aovs: dict[str, NDArray[np.float32]] = {}
+        self.layers: dict[str, NDArray[np.float32]] = {}
+
+    def _divided(self, integrator: Any) -> Any:
+        return divided(integrator, self.response) if self.response else integrator
+
+    def run(self, report: ProgressCallback, on_better: Callable[[Frame], None] | None) -> Frame:
+        until, plan, clock = self.settings.until, self.plan, Clock()
+        is_asked = False  # to end
+        shown = 0  # samples last given to `on_better`
+        started = time.perf_counter()
+        with interrupt.held_back() as is_interrupted:
+            for index, part in enumerate(plan):
+                if not self._add_pass(part, lambda: self.done > 0 and is_interrupted()):
+                    self.stopped = True
+                    break
+                interrupt.keep_passes()
+                seconds = time.perf_counter() - started
+                count, is_enough = _remaining(until, plan, index + 1, self.noise, seconds)
+                try:
+                    report(index + 1, count, clock.left(index + 1, count))
+                except KeyboardInterrupt:
+                    self.stopped = True
+                is_asked = self.stopped or is_interrupted()
+                is_last = index + 1 == len(plan)
+                self.stopped = is_asked and not is_enough and not is_last
+                if self.stopped or is_enough:
+                    break
+                if on_better is not None and self.done >= 2 * shown and not is_last:
+                    shown = self.done
+                    on_better(self.frame())
+        if (is_asked or is_interrupted()) and not self.stopped:
+            interrupt.note_late()
+        made = self.frame(is_last=True)
+        if made.not_finite:
+            logger.warning("%d pixels came out as no number and are black; please report it", made.not_finite)
+        self.camera.free_memory()
+        return made
+
+    def _add_pass(self, part: Part, is_over: Callable[[], bool]) -> bool:
+        """Render a pass; return False if an interrupt stopped it."""
+        until = self.settings.until
+        known = 0 if until.is_open else until.spp
+        samples = Pass(pass_seed(self.settings.seed, part.sequence), part.first, part.spp, known)
+        values = self.camera.render(self.scene, self.integrator, samples, is_over)
+        if values is None:
+            return False
+        self.total = _added(self.total, values, part.spp)
+        self.done += part.spp
+        if self.halved and (part.sequence == 0 if until.is_open else 2 * part.first < until.spp):
+            in_part = (part.spp * values[..., :3]).astype(np.float32)
+            self.half = in_part if self.in_half == 0 else self.half + in_part
+            self.in_half += part.spp
+        if until.is_open:
+            self.spread.add(values.mean(axis=-1) if self.settings.spectral else values[..., 1], part)
+            self.noise = self.spread.noise() if part.ends_round else self.noise
+        return True
+
+    def frame(self, is_last: bool = False) -> Frame:
+        """Return the means so far; the last call may overwrite the sums."""
+        assert self.total is not None  # spp is at least 1
+        if self.settings.with_aovs and not self.aovs:
+            self._render_aovs()
+        # a large picture is not copied
+        clean = np.divide(self.total, self.done, out=self.total if is_last else None)
         not_finite = int(np.count_nonzero(~np.isfinite(clean).all(axis=-1)))
         np.nan_to_num(clean, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-        if shot.spectral:
-            from nacre.picture.spectral import bands_to_xyz
-
-            xyz = bands_to_xyz(clean, bands)
-            return Frame(
-                xyz, done, None, clean.astype(np.float32), bands, guides, layers, not_finite, noise, stopped,
-                has_grain=ways.has_grain,
-            )  # fmt: skip
-        alpha = clean[..., 3] if shot.cut else None
-        doubt = None
-        if halved and 0 < in_half < done:
-            # the halves' difference, as large as the noise of their mean
-            share = math.sqrt(in_half / (done - in_half))
-            doubt = np.asarray(share * (half / in_half - clean[..., :3]), dtype=np.float32)
-            doubt = np.nan_to_num(doubt, nan=0.0, posinf=0.0, neginf=0.0)
+        difference = None
+        if self.halved and 0 < self.in_half < self.done:
+            # the halves' difference, scaled to the noise in their mean
+            share = math.sqrt(self.in_half / (self.done - self.in_half))
+            difference = np.asarray(share * (self.half / self.in_half - clean[..., :3]), dtype=np.float32)
+            difference = np.nan_to_num(difference, nan=0.0, posinf=0.0, neginf=0.0)
+        is_spectral = self.settings.spectral
         return Frame(
-            clean[..., :3], done, alpha, None, None, guides, layers, not_finite, noise, stopped, doubt, ways.has_grain
+            bands_to_xyz(clean, self.bands) if is_spectral else clean[..., :3],
+            self.done,
+            clean[..., 3] if self.settings.cut and not is_spectral else None,
+            clean.astype(np.float32) if is_spectral else None,
+            self.bands if is_spectral else None,
+            self.aovs,
+            self.layers,
+            not_finite,
+            self.noise,
+            self.stopped,
+            difference,
+            self.sampling.has_grain,
         )
 
-    is_asked = False  # to end
-    shown = 0  # samples of the picture that was last given away
-    started = time.perf_counter()
-    with interrupt.held_back() as is_interrupted:
+    def _render_aovs(self) -> None:
+        """Render denoiser AOVs, and display AOVs with more samples.
 
-        def is_over() -> bool:
-            return done > 0 and is_interrupted()
-
-        for index, part in enumerate(plan):
-            now = part.spp
-            known = 0 if is_open else until.spp
-            seed = pass_seed(shot.seed, part.sequence)
-            values = camera.render(stage.mitsuba_scene, integrator, seed, part.first, now, known, is_over)
-            if values is None:
-                stopped = True
-                break
-            total = _added(total, values, now)
-            done += now
-            if halved and (part.sequence == 0 if is_open else 2 * part.first < until.spp):
-                part_of = (now * values[..., :3]).astype(np.float32)
-                half, in_half = part_of if in_half == 0 else half + part_of, in_half + now
-            interrupt.keep_passes()
-            if is_open:
-                spread.add(values.mean(axis=-1) if shot.spectral else values[..., 1], part)
-                noise = spread.noise() if part.ends_round else noise
-            count, is_enough = _left(until, plan, index + 1, noise, time.perf_counter() - started)
-            try:
-                report(index + 1, count, clock.left(index + 1, count))
-            except KeyboardInterrupt:
-                stopped = True
-            is_asked = stopped or is_interrupted()
-            stopped = is_asked and not is_enough and index + 1 < len(plan)
-            if stopped or is_enough:
-                break
-            if on_better is not None and done >= 2 * shown and index + 1 < len(plan):
-                shown = done
-                on_better(frame())
-    if (is_asked or is_interrupted()) and not stopped:
-        interrupt.note_late()
-    made = frame(is_last=True)
-    if made.not_finite:
-        logger.warning("%d pixels came out as no number and are black; please report it", made.not_finite)
-    camera.let_go()
-    return made
+        All pixels use equal numbers unless paths are chosen at random; grain would appear as texture or
+        blur thin lines.
+        """
+        integrator = self._divided(aov_integrator(self.scene, self.sampling))
+        counts = _aov_counts(self.settings, self.sampling)
+        most = max(1, PASS_SAMPLES // (self.camera.size[0] * self.camera.rows))
+        seed = pass_seed(self.settings.seed, AOVS_FROM)
+        for tile in self.camera.tiles:
+            seen: Any = 0.0
+            done = 0
+            for count, into in zip(counts, (self.aovs, self.layers), strict=True):
+                if count == done:
+                    into.update(self.aovs)
+                    continue
+                for part in pass_plan(count - done, most):
+                    samples = Pass(seed, done + part.first, part.spp, alike=not self.sampling.draws)
+                    made = self.camera.render_tile(tile, self.scene, integrator, samples)
+                    seen = seen + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
+                done = count
+                for name, values in first_hits(np.asarray(seen / done, dtype=float)).items():
+                    if name not in into:
+                        into[name] = np.empty((self.camera.size[1], *values.shape[1:]), dtype=np.float32)
+                    into[name][tile.kept] = values[tile.inner]
 
 
-def _left(until: Until, plan: Sequence[Part], done: int, noise: float | None, seconds: float) -> tuple[int, bool]:
-    """Return how many passes there will be as far as one can tell, and whether those done are enough."""
+def _aov_counts(settings: RenderSettings, sampling: AovSampling) -> tuple[int, int]:
+    """Return the samples per pixel for denoiser AOVs and display AOVs."""
+    spp = settings.until.spp
+    most = AOVS_PER_SAMPLE * spp if sampling.has_grain else max(MIN_AOVS, spp)
+    samples = min(AOV_SPP if sampling.has_grain else EVEN_AOV_SPP, most)
+    return samples, max(samples, min(AOV_SPP, most) if settings.with_layers else 0)
+
+
+def _remaining(until: Until, plan: Sequence[Part], done: int, noise: float | None, seconds: float) -> tuple[int, bool]:
+    """Return the estimated pass count, and whether enough are done."""
     if until.seconds is not None:
         by_time = max(math.ceil(until.seconds / seconds * done), done)
         return min(by_time, len(plan)), seconds >= until.seconds
@@ -273,103 +333,107 @@ def _left(until: Until, plan: Sequence[Part], done: int, noise: float | None, se
 
 
 class Spread:
-    """How far the sequences of a picture lie apart, which tells the noise of their mean.
+    """Noise estimate from the difference between sequences.
 
     Args:
-        judged: the pixels `[row, column]` whose noise counts; None, or none of them lit: all.
+        is_counted: pixels `[row, column]` to evaluate; None, or all unlit: all.
     """
 
-    def __init__(self, judged: NDArray[np.bool_] | None = None) -> None:
-        self._judged = judged
+    def __init__(self, is_counted: NDArray[np.bool_] | None = None) -> None:
+        self._is_counted = is_counted
         self._sums: list[Any] = [0.0] * SEQUENCES
         self._weights = [0] * SEQUENCES
 
     def add(self, luminance: NDArray[Any], part: Part) -> None:
-        """Take a pass `[row, column]` into account."""
+        """Add a pass `[row, column]`, in single precision to save memory."""
         luminance = np.nan_to_num(luminance, nan=0.0, posinf=0.0, neginf=0.0)
-        # in single precision: as many bytes as one sum and its squares would take
         self._sums[part.sequence] = self._sums[part.sequence] + (part.spp * luminance).astype(np.float32)
         self._weights[part.sequence] += part.spp
 
     def noise(self) -> float | None:
-        """Return the median over the lit pixels that count of the relative standard error of the mean.
+        """Return the median relative standard error over lit pixels; None within a turn.
 
-        None if turns are missing. The median of a variance from two values lies below its mean, as that of a normal
-        variable's square does, which is given back.
+        The bias of a median variance from two values is corrected.
         """
         if min(self._weights) != max(self._weights) or self._weights[0] == 0:
             return None
         mean = sum(self._sums) / SEQUENCES
         lit = mean > 0
-        if self._judged is not None and np.any(lit & self._judged):
-            lit = lit & self._judged
+        if self._is_counted is not None and np.any(lit & self._is_counted):
+            lit = lit & self._is_counted
         if not np.any(lit):
             return 0.0
         variance = sum((each - mean) ** 2 for each in self._sums) / SEQUENCES
         return float(np.median(np.sqrt(variance[lit] / MEDIAN) / mean[lit]))
 
 
-def path_tracer(stage: Any) -> dict[str, Any]:
-    """Return the integrator that a stage with its material needs, as a dict of Mitsuba."""
-    has_media = getattr(stage, "has_media", False)
-    kind = "volpath" if has_media or lets_through(stage.mitsuba_scene) else "path"
-    return {"type": kind, "max_depth": stage.depth, "rr_depth": RUSSIAN_ROULETTE_DEPTH}
+def path_tracer(scene: Any) -> dict[str, Any]:
+    """Return the Mitsuba integrator for a scene and its material, as a dict."""
+    has_media = getattr(scene, "has_media", False)
+    kind = "volpath" if has_media or lets_through(scene.mitsuba_scene) else "path"
+    return {"type": kind, "max_depth": scene.depth, "rr_depth": RUSSIAN_ROULETTE_DEPTH}
 
 
-def _response(stage: Any) -> Any:
-    """Return what guides the draws of wavelengths; None: Mitsuba's own curve, as in a user's scene."""
-    if getattr(stage, "light", None) is None or use_variant().variant().startswith("scalar"):
+def _response(scene: Any) -> Any:
+    """Return the wavelength density; None: Mitsuba's own, as in user scenes."""
+    if getattr(scene, "light", None) is None or mi.variant().startswith("scalar"):
         return None
-    return by_colour()
+    return wavelength_density()
 
 
-def _tracer(stage: Any) -> Any:
-    """Return the integrator of a stage: our own, but for scalar variants and scenes of the user's."""
-    mi = use_variant()
-    light = getattr(stage, "light", None)  # a user's scene has lights of its own, and may have media
-    clear = lets_through(stage.mitsuba_scene)
+def _tracer(scene: Any) -> Any:
+    """Return our own integrator, or Mitsuba's for scalar variants and user scenes."""
+    light = getattr(scene, "light", None)  # user scenes have their own lights, and perhaps media
+    clear = lets_through(scene.mitsuba_scene)
     if light is None or mi.variant().startswith("scalar"):
-        return mi.load_dict(path_tracer(stage))
-    shapes = [shape for shape in stage.mitsuba_scene.shapes() if shape.bsdf() is not None]
+        return mi.load_dict(path_tracer(scene))
+    shapes = [shape for shape in scene.mitsuba_scene.shapes() if shape.bsdf() is not None]
     bends = int(mi.BSDFFlags.DeltaTransmission | mi.BSDFFlags.GlossyTransmission)
     refracting = [shape for shape in shapes if int(shape.bsdf().flags()) & bends]
     soft, spread_by = light.soft, []
     if soft is None and light.soft_within is not None and refracting:
         soft, spread_by = light.soft_within, refracting
     splits = clear and all(can_split(shape.bsdf()) for shape in shapes)
-    glitters = _glitters(stage.mitsuba_scene)
-    is_one = walks(stage.mitsuba_scene) or glitters or _mirrors(getattr(stage, "subjects", ()))
-    draws = 1 if is_one else DRAWS
-    objects = [] if clear else stage.objects  # what is seen through a clear one counts as it does
-    return make_paths(stage.depth, RUSSIAN_ROULETTE_DEPTH, clear, soft, splits, spread_by, draws, glitters, objects)
+    glitters = _glitters(scene.mitsuba_scene)
+    is_single = has_random_walks(scene.mitsuba_scene) or glitters or _mirrors(getattr(scene, "subjects", ()))
+    objects = [] if clear else scene.objects  # the ground seen through a clear object counts equally
+    return make_paths(
+        scene.depth,
+        RUSSIAN_ROULETTE_DEPTH,
+        clear,
+        soft,
+        splits,
+        spread_by,
+        1 if is_single else DRAWS,
+        glitters,
+        objects,
+    )
 
 
 def _glitters(scene: Any) -> bool:
-    """Whether flakes are seen one by one, which takes many places of a pixel, not many of a lamp."""
+    """Return whether flakes are resolved; these need many samples per pixel rather than per lamp."""
     bsdfs = [shape.bsdf() for shape in scene.shapes()]
     return any(getattr(plugin, "glints", None) is not None for bsdf in bsdfs for plugin in getattr(bsdf, "plugins", ()))
 
 
 def _mirrors(subjects: Sequence[Any]) -> bool:
-    """Whether the subject only mirrors: what noise there is comes from edges and patterns in it, which many places of a
-    pixel tell, and draws of lamps on the matt surfaces about it do not."""
-    flags = use_variant().BSDFFlags
-    shows_more = int(flags.Smooth | flags.Null)  # what is seen through a clear one is matt, too
+    """Return whether the subject is purely specular; its noise depends on samples per pixel, not per lamp."""
+    flags = mi.BSDFFlags
+    shows_more = int(flags.Smooth | flags.Null)  # a clear subject's background is matt
     return bool(subjects) and not any(int(shape.bsdf().flags()) & shows_more for shape in subjects)
 
 
 def lets_through(scene: Any) -> bool:
-    """Whether light goes straight through a surface of the scene, which shadow rays then have to pass, coloured by it.
+    """Return whether a surface transmits light straight, which requires coloured shadow rays (`volpath`).
 
-    `path` takes every surface for opaque to them, so that a clear film would cast a black shadow; `volpath` asks.
+    `path` treats every surface as opaque for shadow rays; a clear film would cast a black shadow.
     """
-    mi = use_variant()
     null = int(mi.BSDFFlags.Null)
     return any(shape.bsdf() is not None and int(shape.bsdf().flags()) & null for shape in scene.shapes())
 
 
 def _added(total: NDArray[np.float64] | None, values: NDArray[np.float32], spp: int) -> NDArray[np.float64]:
-    """Add a pass to the sum of those before, in its place: a large picture is not to be there three times."""
+    """Add a pass to the sum in place, row by row to save memory."""
     if total is None:
         total = np.zeros(values.shape)
     for row, line in enumerate(values):
@@ -377,50 +441,16 @@ def _added(total: NDArray[np.float64] | None, values: NDArray[np.float32], spp: 
     return total
 
 
-def _guides(
-    scene: Any, camera: Banded, tracer: Any, seed: int, counts: tuple[int, int], alike: bool
-) -> tuple[dict[str, NDArray[np.float32]], ...]:
-    """Return the guides of the denoiser, see `nacre.picture.denoiser_aovs.first_hits`, of fewer and of more samples.
-
-    Args:
-        scene: of Mitsuba.
-        camera: of the picture.
-        tracer: a `guide_tracer`.
-        seed: of the samples.
-        counts: samples a pixel, of which the first ones are the same.
-        alike: all pixels take the same numbers: grain here would be taken for texture of the picture, or smoothed away
-            with thin lines.
-    """
-    most = max(1, PASS_SAMPLES // (camera.size[0] * camera.rows))
-    found: tuple[dict[str, NDArray[np.float32]], ...] = ({}, {})
-    for band in camera.bands:
-        seen: Any = 0.0
-        done = 0
-        for count, into in zip(counts, found, strict=True):
-            if count == done:  # the same once more
-                into.update(found[0])
-                continue
-            for part in pass_plan(count - done, most):
-                made = camera.band(band, scene, tracer, seed, done + part.first, part.spp, alike=alike)
-                seen = seen + part.spp * made[..., [0, 1, 2, -4, -3, -2, -1]]
-            done = count
-            for name, values in first_hits(np.asarray(seen / done, dtype=float)).items():
-                if name not in into:
-                    into[name] = np.empty((camera.size[1], *values.shape[1:]), dtype=np.float32)
-                into[name][band.kept] = values[band.inner]
-    return found
-
-
 @dataclass(frozen=True)
 class Part:
     """One pass.
 
     Attributes:
-        sequence: which of the sequences of samples goes on.
-        first: how many samples a pixel of it were taken before.
-        spp: how many this pass takes.
-        ends_round: whether all sequences have had their turn equally often after it: then the noise can be told, always
-            after the same passes, so that the same seed stays the same picture.
+        sequence: sequence number.
+        first: samples per pixel taken from it before.
+        spp: samples per pixel in this pass.
+        ends_round: whether all sequences have had equal turns after it. The noise is evaluated only then, therefore one
+            seed gives one picture.
     """
 
     sequence: int
@@ -430,20 +460,19 @@ class Part:
 
 
 def pass_plan(spp: int, most: int, is_open: bool = False) -> list[Part]:
-    """Split the samples of a pixel into passes of at most `most`.
+    """Split the samples per pixel into passes.
 
     Args:
-        spp: how many; with `is_open` no more than these, in whole rounds, of which there is at least one.
-        most: in one pass.
-        is_open: whether the noise is to be told, by sequences that take turns.
+        spp: samples per pixel; with `is_open` a maximum, in whole rounds but at least one.
+        most: maximum per pass.
+        is_open: alternate between sequences, for the noise estimate.
     """
     if not is_open:
         return [Part(0, first, min(most, spp - first)) for first in range(0, spp, most)]
     plan: list[Part] = []
-    begun, each = 0, max(spp // SEQUENCES, 1)  # samples of one sequence
+    begun, each = 0, max(spp // SEQUENCES, 1)  # samples in one sequence
     while begun < each:
-        turn = FINE_TURN if begun in FINE else TURN
-        end = begun + turn
+        end = begun + (FINE_TURN if begun in FINE else TURN)
         if end > each and plan:
             break
         end = min(end, each)
@@ -457,5 +486,5 @@ def pass_plan(spp: int, most: int, is_open: bool = False) -> list[Part]:
 
 
 def pass_seed(seed: int, index: int) -> int:
-    """Spread (seed, sequence) over 32 bits, so that neighbouring seeds share no sequence."""
+    """Hash (seed, sequence) to 32 bits; adjacent seeds share no sequence."""
     return (seed * 0x9E3779B1 + index * 0x85EBCA6B + 0x1B873593) & 0xFFFFFFFF

@@ -1,170 +1,163 @@
-"""The random numbers of a picture: a low-discrepancy sequence for each pixel that goes on from pass to pass.
+"""Sampler for pictures: a low-discrepancy sequence per pixel that continues from pass to pass.
 
-Mitsuba's samplers are stratified within one call of `mi.render` alone, and of a large picture a call holds one to four
-samples a pixel. Here each pixel and dimension has Sobol's first two dimensions, shuffled and scrambled by hashing
-(B. Burley, "Practical hash-based Owen scrambling", JCGT 9(4), 2020, which takes the permutation from S. Laine and
-T. Karras, "Stratified sampling for stochastic transparency", 2011), at an index that counts on: the picture is the same
-however its samples are divided into passes, and as even as if all had been taken at once.
+Mitsuba's samplers are stratified only within one `mi.render` call, and for a large picture a call takes one to four
+samples per pixel. Here each pixel and dimension has Sobol's first two dimensions, shuffled and Owen-scrambled by
+hashing (B. Burley, "Practical hash-based Owen scrambling", JCGT 9(4), 2020, and the permutation by S. Laine and T.
+Karras, "Stratified sampling for stochastic transparency", 2011). The index counts on, therefore the picture does not
+depend on the division into passes.
 """
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Callable
 from typing import Any
 
-from nacre.device.variant import use_variant
+from nacre.picture.plugin import Plugin, dr, make_plugin, mi
 
 LAINE_KARRAS = (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6)
 GOLDEN, OFFSET = 0x9E3779B1, 0x7F4A7C15
-AVALANCHE = ((16, 0x85EBCA6B), (13, 0xC2B2AE35), (16, 1))  # shifts and factors of MurmurHash3's end
-PARTS = (0x55555555, 0x33333333, 0x0F0F0F0F, 0x00FF00FF, 0x0000FFFF)  # whose bit 0, 1, ... of the place is 0
-TILE = 16  # pixels along a side of those that share a sequence
+AVALANCHE = ((16, 0x85EBCA6B), (13, 0xC2B2AE35), (16, 1))  # shifts and factors in MurmurHash3's finaliser
+PARTS = (0x55555555, 0x33333333, 0x0F0F0F0F, 0x00FF00FF, 0x0000FFFF)  # positions whose bit 0, 1, ... is 0
+TILE = 16  # side in pixels of tiles that share a sequence
 
 
-def going_on() -> Any:
-    """Return a sampler for the sensors of a picture; `begin` tells it what the next call of `mi.render` takes."""
-    mi = use_variant()
-    if mi.variant().startswith("scalar"):  # its plugins in C++ alone are quick enough to be of use
+def continued_sampler() -> Any:
+    """Return a sampler for picture sensors; `begin` prepares the next `mi.render` call."""
+    if mi.variant().startswith("scalar"):  # a sampler in Python would be too slow there
         return mi.load_dict({"type": "multijitter"})
-    return _class(mi.variant())(mi.Properties())
+    return make_plugin(ContinuedSampler)
 
 
 def begin(sampler: Any, seed: int, first: int, spp: int, total: int = 0, width: int = 0, alike: bool = False) -> int:
-    """Let a sampler of `going_on` begin a pass; return the seed for `mi.render`.
+    """Begin a pass with a `continued_sampler`; return the seed for `mi.render`.
 
     Args:
-        seed: of the sequences, 32 bits.
-        first: how many samples a pixel of these sequences are taken already.
-        spp: samples a pixel of this pass.
-        total: how many will be taken in all, where that is known: then neighbouring pixels share a sequence.
-        width: of the picture, where `total` is given.
-        alike: all pixels take the same numbers: what would be grain is one small error everywhere.
+        seed: sequence seed, 32 bits.
+        first: samples per pixel taken before.
+        spp: samples per pixel in this pass.
+        total: samples per pixel in all, if known; neighbouring pixels then share a sequence.
+        width: picture width, with `total`.
+        alike: use equal numbers in all pixels, which turns grain into one small common error.
     """
     if not hasattr(sampler, "start"):
         return (seed + first * GOLDEN) & 0xFFFFFFFF
     sampler.start, sampler.key_seed, sampler.spp = first, seed & 0xFFFFFFFF, spp
-    sampler.block, sampler.width = total, max(width, 1)  # shares without gaps: a tile's samples are one run of Sobol's
+    sampler.block, sampler.width = total, max(width, 1)  # a tile's samples are one Sobol run
     sampler.alike = alike
     return 0
 
 
-@functools.cache
-def _class(variant: str) -> type:
-    """Define the class for a variant: Mitsuba's base class differs from variant to variant."""
-    import drjit as dr
+class ContinuedSampler(Plugin):
+    """A sampler whose sequences continue in the next `mi.render` call."""
 
-    mi: Any = use_variant()
+    BASE = "Sampler"
+    STATE = ("start", "key_seed", "spp", "block", "width", "first_pixel", "alike")
+
+    def set_up(self) -> None:
+        whole = mi.UInt32
+        self.start, self.key_seed, self.spp = 0, 0, 1
+        self.block, self.width, self.first_pixel, self.alike = 0, 1, 0, False
+        self.index, self.key, self.dimension = whole(0), whole(0), whole(0)
+        self.own_key = whole(0)  # pixel key, also if `alike`
+
+    def fork(self) -> Any:
+        other = make_plugin(ContinuedSampler)
+        for name in self.STATE:
+            setattr(other, name, getattr(self, name))
+        return other
+
+    clone = fork
+
+    def seed(self, seed: Any, wavefront_size: int = 0xFFFFFFFF) -> None:
+        whole = mi.UInt32
+        mi.Sampler.seed(self, seed, wavefront_size)
+        lane = dr.arange(whole, wavefront_size)
+        pixel = lane // dr.opaque(whole, self.spp)
+        self.index = dr.opaque(whole, self.start) + (lane - pixel * dr.opaque(whole, self.spp))
+        pixel += dr.opaque(whole, self.first_pixel)  # tile position in the picture
+        if self.alike:
+            pixel = dr.zeros(whole, wavefront_size)
+        elif self.block:
+            # each pixel in a sampling tile, in Z order, has its share in the sequence
+            row = pixel // dr.opaque(whole, self.width)
+            column = pixel - row * dr.opaque(whole, self.width)
+            self.index += dr.opaque(whole, self.block) * _z_order(column, row)
+            tiles = dr.opaque(whole, (self.width + TILE - 1) // TILE)
+            pixel = (row // TILE) * tiles + column // TILE
+        self.key = _hashed(pixel, dr.opaque(whole, self.key_seed))
+        self.own_key = _hashed(dr.opaque(whole, self.first_pixel) + lane // dr.opaque(whole, self.spp), self.key)
+        self.dimension = dr.zeros(whole, wavefront_size)
+
+    def schedule_state(self) -> None:
+        dr.schedule(self.index, self.key, self.dimension, self.own_key)
+
+    def advance(self) -> None:
+        raise NotImplementedError("begin() and another call of mi.render take its place")
+
+    def _next(self, of_pixel: bool = False) -> tuple[Any, Any]:
+        """Return key and shuffled index for the next dimension."""
+        key = _hashed(self.own_key if of_pixel else self.key, self.dimension)
+        self.dimension = self.dimension + 1
+        return key, _scrambled(dr.brev(self.index), key)
+
+    def next_1d(self, active: Any = True, of_pixel: bool = False) -> Any:
+        """Return a number; with `of_pixel` an individual one for each pixel, also if `alike`."""
+        key, index = self._next(of_pixel)
+        return _unit(_scrambled(index, _hashed(key, mi.UInt32(1))))
+
+    def next_2d(self, active: Any = True, of_pixel: bool = False) -> Any:
+        """Return a point in the unit square; see `next_1d`."""
+        return _point(*self._next(of_pixel))
+
+    def several_2d(self, many: Any) -> Callable[[Any], Any]:
+        """Return a function from a number below `many` to a point; replaces one `next_2d`.
+
+        All samples in a pixel have points from one Sobol run.
+        """
+        key = _hashed(_hashed(self.key, self.dimension), many)
+        self.dimension = self.dimension + 1
+        first = self.index * many
+        return lambda number: _point(key, _scrambled(dr.brev(first + number), key))
+
+
+def _hashed(a: Any, b: Any) -> Any:
     whole = mi.UInt32
+    h = a ^ (b * whole(GOLDEN) + whole(OFFSET))
+    for shift, factor in AVALANCHE:
+        h = (h ^ (h >> shift)) * whole(factor)
+    return h
 
-    def mixed(a: Any, b: Any) -> Any:
-        h = a ^ (b * whole(GOLDEN) + whole(OFFSET))
-        for shift, factor in AVALANCHE:
-            h = (h ^ (h >> shift)) * whole(factor)
-        return h
 
-    def scrambled(digits: Any, seed: Any) -> Any:
-        """Owen's scrambling: each binary digit is flipped or not by a hash of those before it.
+def _scrambled(digits: Any, seed: Any) -> Any:
+    """Owen scrambling: a hash of the preceding digits flips each binary digit; digits come in reversed order."""
+    x = digits + seed
+    for factor in LAINE_KARRAS:
+        x = x ^ (x * mi.UInt32(factor))
+    return dr.brev(x)
 
-        The digits come in reversed order, the highest as bit 0.
-        """
-        x = digits + seed
-        for factor in LAINE_KARRAS:
-            x = x ^ (x * whole(factor))
-        return dr.brev(x)
 
-    def second(index: Any) -> Any:
-        """Sobol's second dimension, its 32 binary digits in reversed order: Pascal's triangle modulo 2.
+def _second(index: Any) -> Any:
+    """Sobol's second dimension, digits in reversed order: Pascal's triangle modulo 2.
 
-        Its entry for bits b and j is odd where j is a part of b, so five sums over supersets make it.
-        """
-        for bit, kept in enumerate(PARTS):
-            index = index ^ ((index >> (1 << bit)) & whole(kept))
-        return index
+    Its entry for bits b and j is odd if j is a subset of b; five sums over supersets give it.
+    """
+    for bit, kept in enumerate(PARTS):
+        index = index ^ ((index >> (1 << bit)) & mi.UInt32(kept))
+    return index
 
-    def interleaved(column: Any, row: Any) -> Any:
-        """A pixel's place in its tile along a Z."""
-        found = whole(0)
-        for bit in range(TILE.bit_length() - 1):
-            found |= (((column >> bit) & 1) << (2 * bit)) | (((row >> bit) & 1) << (2 * bit + 1))
-        return found
 
-    def unit(x: Any) -> Any:
-        return mi.Float(x >> 8) * (1.0 / (1 << 24))
+def _z_order(column: Any, row: Any) -> Any:
+    """A pixel's place in its sampling tile along a Z curve."""
+    found = mi.UInt32(0)
+    for bit in range(TILE.bit_length() - 1):
+        found |= (((column >> bit) & 1) << (2 * bit)) | (((row >> bit) & 1) << (2 * bit + 1))
+    return found
 
-    class GoingOn(mi.Sampler):
-        """A sampler whose sequences do not end with a call of `mi.render`."""
 
-        def __init__(self, properties: Any) -> None:
-            super().__init__(properties)
-            self.start, self.key_seed, self.spp = 0, 0, 1
-            self.block, self.width, self.first_pixel, self.alike = 0, 1, 0, False
-            self.index, self.key, self.dimension = whole(0), whole(0), whole(0)
-            self.own_key = whole(0)  # of the pixel, where the others take the same numbers
+def _unit(x: Any) -> Any:
+    return mi.Float(x >> 8) * (1.0 / (1 << 24))
 
-        def fork(self) -> Any:
-            other = GoingOn(mi.Properties())
-            other.start, other.key_seed, other.spp = self.start, self.key_seed, self.spp
-            other.block, other.width, other.first_pixel = self.block, self.width, self.first_pixel
-            other.alike = self.alike
-            return other
 
-        clone = fork
-
-        def seed(self, seed: Any, wavefront_size: int = 0xFFFFFFFF) -> None:
-            super().seed(seed, wavefront_size)
-            lane = dr.arange(whole, wavefront_size)
-            pixel = lane // dr.opaque(whole, self.spp)
-            self.index = dr.opaque(whole, self.start) + (lane - pixel * dr.opaque(whole, self.spp))
-            pixel += dr.opaque(whole, self.first_pixel)  # of a band, in the whole picture
-            if self.alike:
-                pixel = dr.zeros(whole, wavefront_size)
-            elif self.block:
-                # pixels of a tile along a Z, each with its share of the tile's sequence
-                row = pixel // dr.opaque(whole, self.width)
-                column = pixel - row * dr.opaque(whole, self.width)
-                self.index += dr.opaque(whole, self.block) * interleaved(column, row)
-                tiles = dr.opaque(whole, (self.width + TILE - 1) // TILE)
-                pixel = (row // TILE) * tiles + column // TILE
-            self.key = mixed(pixel, dr.opaque(whole, self.key_seed))
-            self.own_key = mixed(dr.opaque(whole, self.first_pixel) + lane // dr.opaque(whole, self.spp), self.key)
-            self.dimension = dr.zeros(whole, wavefront_size)
-
-        def schedule_state(self) -> None:
-            dr.schedule(self.index, self.key, self.dimension, self.own_key)
-
-        def advance(self) -> None:
-            raise NotImplementedError("begin() and another call of mi.render take its place")
-
-        def _next(self, of_pixel: bool = False) -> tuple[Any, Any]:
-            key = mixed(self.own_key if of_pixel else self.key, self.dimension)
-            self.dimension = self.dimension + 1
-            return key, scrambled(dr.brev(self.index), key)  # each dimension has an order of its own
-
-        def next_1d(self, active: Any = True, of_pixel: bool = False) -> Any:
-            """Return a number; with `of_pixel` one of the pixel's own even where all pixels take the same numbers."""
-            key, index = self._next(of_pixel)
-            return unit(scrambled(index, mixed(key, whole(1))))
-
-        def next_2d(self, active: Any = True, of_pixel: bool = False) -> Any:
-            """Return a point of the unit square; see `next_1d`."""
-            key, index = self._next(of_pixel)
-            x = scrambled(index, mixed(key, whole(1)))
-            return mi.Point2f(unit(x), unit(scrambled(second(index), mixed(key, whole(2)))))
-
-        def several_2d(self, many: Any) -> Any:
-            """Return a function of a number below `many` that gives a point; they take the place of one `next_2d`.
-
-            The points of all samples of a pixel are one run of Sobol's: as even as if each were a sample's own.
-            """
-            key = mixed(mixed(self.key, self.dimension), many)
-            self.dimension = self.dimension + 1
-            first = self.index * many
-
-            def point(number: Any) -> Any:
-                index = scrambled(dr.brev(first + number), key)
-                x = scrambled(index, mixed(key, whole(1)))
-                return mi.Point2f(unit(x), unit(scrambled(second(index), mixed(key, whole(2)))))
-
-            return point
-
-    return GoingOn
+def _point(key: Any, index: Any) -> Any:
+    x, y = (_scrambled(digits, _hashed(key, mi.UInt32(n))) for n, digits in ((1, index), (2, _second(index))))
+    return mi.Point2f(_unit(x), _unit(y))

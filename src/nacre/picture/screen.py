@@ -1,13 +1,14 @@
-"""The screen: a small flat tile in a beam, and the light that it projects on a white screen.
+"""The screen: the pattern that a flat tile in a beam projects on a white screen.
 
-As in the capture of fabricated reliefs: a narrow beam meets the tile at 10 degrees, the reflected pattern falls
-on a white matt screen parallel to the tile. Every point of the screen sees the tile from one direction, so the
-picture is one BSDF value a pixel, without noise: the luminance is f cos(i) cos^4(o), by the inverse square and
-the two slants, over that of a white matt tile straight ahead.
+As in the capture of fabricated reliefs, a narrow beam meets the tile at 10 degrees, and the reflected pattern falls on
+a white matt screen parallel to the tile. Each point of the screen sees the tile in one direction, therefore a pixel is
+one
+BSDF value without noise: the luminance is f cos(i) cos^4(o), by the inverse square and the two cosines, relative to a
+white matt tile straight ahead.
 
-The screen is translucent and seen from beyond it, facing the tile: +x runs down and +y to the right, as in the drawing
-that a relief was designed for, in its preview and in images of its heights (array rows run along x). On an opaque wall,
-seen from the tile's side, the same pattern is mirrored.
+The screen is translucent and seen from behind, facing the tile: +x runs down and +y to the right, as in the drawing of
+a relief design, in its preview and in height maps (array rows run along x). On an opaque wall, seen from the side of
+the tile, the pattern is mirrored.
 """
 
 from __future__ import annotations
@@ -21,24 +22,24 @@ from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.core.errors import UnsupportedError
-from nacre.device.variant import use_variant
 from nacre.light import illuminant as find_illuminant
 from nacre.light import xyz_weights
 from nacre.picture.images import AUTO_LEVEL, Exposure, RenderResult, develop, encode
+from nacre.picture.plugin import dr, mi
 
 BEAM_DEG = 10.0
-STEEPEST_DEG = 60.0  # of the beam on a tipped tile; beyond, the screen's edge would pass behind it
-HALF_WIDTH = 0.42  # of the screen, in units of its distance: 23 degrees to each side of the mirror direction
+STEEPEST_DEG = 60.0  # incidence on a tilted tile; beyond, the edge of the screen is behind the tile
+HALF_WIDTH = 0.42  # relative to the distance of the screen: 23 degrees
 DEFAULT_SIZE = (640, 640)
 WAVELENGTH_STEP_NM = 5.0
 _BRIGHT_PERCENTILE = 99.5
-_ROOM = 0.004  # the dark room round the screen
+_ROOM = 0.004  # luminance of the dark room
 _MARGIN = 0.03
-_BLOCK = 4096  # directions evaluated at a time by arrays
+_BLOCK = 4096  # directions per batch
 
 
 def screen_directions(size: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Unit vectors `[row, column, 3]` from the tile to each pixel of the screen, and which pixels are on it.
+    """Unit vectors `[row, column, 3]` from the tile to the pixels, and a mask of pixels on the screen.
 
     The screen is centred on the mirror direction of the beam; rows run along +x and columns along +y.
     """
@@ -60,14 +61,14 @@ def beam_direction(incidence_deg: float = BEAM_DEG) -> NDArray[np.float64]:
 def turned_directions(
     size: tuple[int, int], light_turn_deg: float, view_turn_deg: float
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
-    """Return directions to the pixels, which are on the screen, and the beam's direction, all in the tile's frame.
+    """Return directions to the pixels, the mask of the screen, and the direction of the beam, in the frame of the tile.
 
-    The beam turns about the tile's normal by the light's turn, the screen with it: on the screen the pattern turns.
-    The tile tips by the view's turn, so that the beam meets it at 10 degrees and that; the screen stays in the mirror
-    direction and faces it.
+    The turn of the light rotates beam and screen about the normal of the tile; the pattern turns on the screen. The
+    turn of the view tilts the tile, which adds to the incidence of 10 degrees; the screen stays in the mirror
+    direction.
 
     Raises:
-        UnsupportedError: the beam would graze the tile.
+        UnsupportedError: the incidence is too steep.
     """
     d, on_screen = screen_directions(size)
     incidence_deg = BEAM_DEG + view_turn_deg
@@ -95,20 +96,19 @@ def render_screen(
 ) -> RenderResult:
     """Render the pattern that a material projects.
 
-    Delta lobes would be a point on the screen and are left out; `stats` says so. "auto" exposure brings the
-    99.5th percentile of the screen just below white, without a limit: in a dark room the eye adapts.
+    Delta lobes, a point on the screen, are omitted, as `stats` states. "auto" exposure moves the 99.5th percentile of
+    the screen just below white without limits, because the eye adapts in a dark room.
 
     Args:
-        material: a `Bsdf` or a ready `mi.BSDF`.
+        material: a `Bsdf` or a `mi.BSDF`.
         light_turn_deg, view_turn_deg: see `turned_directions`.
     """
     started = time.perf_counter()
-    mi = use_variant()
     size = size or DEFAULT_SIZE
     light = find_illuminant(illuminant)
     d, on_screen, lamp = turned_directions(size, light_turn_deg, view_turn_deg)
     eye = d[on_screen]
-    slant = screen_directions(size)[0][on_screen][:, 2]  # the screen does not tip with the tile
+    slant = screen_directions(size)[0][on_screen][:, 2]  # the screen does not tilt
     wavelengths = np.arange(360.0, 830.0 + WAVELENGTH_STEP_NM, WAVELENGTH_STEP_NM)
     if mi.variant().startswith("scalar"):
         values = evaluate_arrays(material, eye, lamp, wavelengths)
@@ -124,7 +124,7 @@ def render_screen(
     if exposure == "auto":
         bright = float(np.percentile(thrown[:, 1], _BRIGHT_PERCENTILE))
         exposure = float(np.clip(np.log2(AUTO_LEVEL / bright), -30, 30)) if bright > 0 else 0.0
-    xyz *= 2.0 ** -float(exposure)  # the room's grey is a frame, not light of the tile
+    xyz *= 2.0 ** -float(exposure)  # constant after exposure
     xyz[on_screen] = thrown
     rgb, stops = develop(xyz, light.name, exposure)
     stats = {
@@ -149,8 +149,6 @@ def evaluate_plugin(
     mi: Any, bsdf: Any, eye: NDArray[np.float64], light: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Evaluate f cos(i) of a Mitsuba BSDF: `[direction, wavelength]` for view directions `[direction, 3]`."""
-    import drjit as dr
-
     si = dr.zeros(mi.SurfaceInteraction3f, len(eye))
     si.wi = mi.Vector3f(*(np.ascontiguousarray(eye[:, i], dtype=np.float32) for i in range(3)))
     si.uv = mi.Point2f(0.5, 0.5)
@@ -171,7 +169,7 @@ def evaluate_plugin(
 def evaluate_arrays(
     material: Any, eye: NDArray[np.float64], light: NDArray[np.float64], wavelengths_nm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The same by the Bsdf's own arrays, for variants without vectors.
+    """Evaluate f cos(i) of a `Bsdf` by its arrays, for scalar variants.
 
     Raises:
         UnsupportedError: a Mitsuba BSDF, or a lobe that only its plugin evaluates.

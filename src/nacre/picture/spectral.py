@@ -1,62 +1,59 @@
-"""Spectra as pictures: Mitsuba's `specfilm` with box bands, and the way from bands to XYZ."""
+"""Spectral sampling of pictures: importance-sampled wavelengths, and films of spectral bands.
+
+Mitsuba samples wavelengths by one broad peak at 538 nm, which leaves few for the narrow blue peak of Z: most noise of
+a blue wing was in Z. Here a quarter of the density follows the sum of the three colour-matching functions. With four
+wavelengths per path X, Y, Z and white are then estimated with less noise than by Mitsuba's density; a larger share
+would increase the noise of colourless light. The density is the response of the sensor, which the integrator divides
+out.
+"""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.device.variant import use_variant
 from nacre.light import xyz_weights
 from nacre.light.tables import observer, table_wavelengths_nm
+from nacre.picture.plugin import WrappedIntegrator, dr, make_plugin, mi
 
 FIRST_NM, LAST_NM = 360.0, 830.0
+SHARE = 0.25  # of the colour-matching functions in the density
+HUMP_NM, SLOPE = 538.0, 0.0072  # of Mitsuba's density, sech^2(slope (wavelength - hump))
 
 
 def band_centres(step_nm: float) -> NDArray[np.float64]:
-    """Centres of the bands, which lie side by side from 360 to 830 nm."""
+    """Centres of adjacent bands from 360 to 830 nm."""
     return np.arange(FIRST_NM + 0.5 * step_nm, LAST_NM, step_nm)
 
 
 def band_film(centres: NDArray[np.float64], step_nm: float) -> dict[str, Any]:
     """Return the dict of a film with one channel per band, in ascending order of wavelength.
 
-    A channel is the mean radiance over its band: each response is a box of area 1 (the film sorts channels by
-    name, hence the padded numbers).
+    A channel is the mean radiance over its band: each response is a box of area 1. The film sorts channels by name,
+    hence the padded numbers.
     """
-    mi = use_variant()
     film: dict[str, Any] = {"type": "specfilm", "rfilter": {"type": "gaussian"}, "component_format": "float32"}
-    edge = 1e-3 * step_nm  # a table cannot jump: the box's flanks take a thousandth of a band
+    edge = 1e-3 * step_nm  # width of the flanks, because tables are continuous
     for index, centre in enumerate(centres):
         low, high = centre - 0.5 * step_nm, centre + 0.5 * step_nm
-        knots = [low - edge, low + edge, high - edge, high + edge]
-        film[f"band{index:03d}"] = mi.load_dict(
-            {
-                "type": "irregular",
-                "wavelengths": ",".join(f"{k:.6f}" for k in knots),
-                "values": f"0,{1 / step_nm:.9g},{1 / step_nm:.9g},0",
-            }
-        )
+        knots = ",".join(f"{knot:.6f}" for knot in (low - edge, low + edge, high - edge, high + edge))
+        values = f"0,{1 / step_nm:.9g},{1 / step_nm:.9g},0"
+        film[f"band{index:03d}"] = mi.load_dict({"type": "irregular", "wavelengths": knots, "values": values})
     return film
 
 
 def bands_to_xyz(bands: NDArray[np.float64], centres: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return XYZ `[..., 3]` of mean radiances `[..., band]`; a radiance of 1 at all wavelengths has Y = 1."""
+    """Return XYZ `[..., 3]` of mean radiances `[..., band]`; radiance 1 at all wavelengths has Y = 1."""
     return bands @ xyz_weights(centres, "E")
 
 
-# Which wavelengths the paths of a picture take: those that its colours are made of.
-
-SHARE = 0.25
-HUMP_NM, SLOPE = 538.0, 0.0072  # of Mitsuba's curve: sech^2(slope (wavelength - hump))
-
-
-def by_colour() -> Any:
-    """Return the density of wavelengths, up to a factor, as a response for a sensor; needs `evened` around it."""
-    return use_variant().load_dict({"type": "regular", **_density()})
+def wavelength_density() -> Any:
+    """Return the density of wavelengths, up to a factor, as a sensor response; requires `divided` around
+    integrators."""
+    return mi.load_dict({"type": "regular", **_density()})
 
 
 @functools.cache
@@ -67,35 +64,21 @@ def _density() -> dict[str, Any]:
     return {"wavelength_min": float(nodes[0]), "wavelength_max": float(nodes[-1]), "values": values}
 
 
-def evened(integrator: Any, response: Any) -> Any:
-    """Return an integrator that sees as `integrator` does through a sensor whose response only guides the draws."""
-    mi = use_variant()
-    return _class(mi.variant())(mi.Properties(), integrator, response)
+def divided(integrator: Any, response: Any) -> Any:
+    """Return an integrator for a sensor whose response only guides the wavelength samples."""
+    return make_plugin(Divided, integrator, response)
 
 
-@functools.cache
-def _class(variant: str) -> type:
-    """Define the class for a variant: Mitsuba's base class differs from variant to variant."""
-    import drjit as dr
+class Divided(WrappedIntegrator):
+    """An integrator divided by the response of the sensor."""
 
-    mi: Any = use_variant()
+    def set_up(self, inner: Any, response: Any) -> None:
+        self.inner, self.response = inner, response
 
-    class Evened(mi.SamplingIntegrator):
-        """An integrator that divides by the sensor's response."""
-
-        def __init__(self, properties: Any, inner: Any, response: Any) -> None:
-            super().__init__(properties)
-            self.inner, self.response = inner, response
-
-        def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
-            light, is_valid, rest = self.inner.sample(scene, sampler, ray, medium, active)
-            si = dr.zeros(mi.SurfaceInteraction3f)
-            si.wavelengths = ray.wavelengths
-            response = self.response.eval(si, active)
-            # rounding may put a wavelength beyond the last one, where nothing is seen
-            return dr.select(response > 0.0, light / response, 0.0), is_valid, rest
-
-        def aov_names(self) -> Sequence[str]:
-            return list(self.inner.aov_names())
-
-    return Evened
+    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
+        light, is_valid, rest = self.inner.sample(scene, sampler, ray, medium, active)
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.wavelengths = ray.wavelengths
+        response = self.response.eval(si, active)
+        # rounding may put a wavelength beyond the last one
+        return dr.select(response > 0.0, light / response, 0.0), is_valid, rest

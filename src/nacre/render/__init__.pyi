@@ -1,6 +1,6 @@
 from .animation import animate as animate
 from .pictures import RenderResult as RenderResult
-from .pictures import forget_stages as forget_stages
+from .pictures import forget_scenes as forget_scenes
 from .pictures import make_bsdf as make_bsdf
 from .pictures import render as render
 from .pictures import report as report

@@ -1,7 +1,7 @@
-"""Animations: the light or the camera turns round the object, or a number of the recipe runs from A to B.
+"""Animations: the light or the camera turns round the object, or a recipe parameter runs from A to B.
 
-Each frame is a numbered PNG, written whole or not at all. A run that was stopped goes on where it ended:
-frames made with the same settings are kept. The last step joins the frames into a GIF or MP4.
+Each frame is a numbered PNG, written atomically. A stopped run resumes: frames with equal settings are reused. The last
+step joins the frames into a GIF or MP4.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from nacre.core.files import atomic_path, check_writable
 from nacre.core.progress import ProgressCallback, progress_bar
 from nacre.material.material import Material, loaded
 from nacre.picture import interrupt
-from nacre.picture.denoise import why_not
+from nacre.picture.denoise import inapplicable_reason
 from nacre.picture.images import read_provenance
 from nacre.picture.lights.light_mixture import read_lamps
-from nacre.picture.options import read_background
+from nacre.picture.options import KEYWORDS, read_background
 from nacre.picture.picture import render, resolve_material
 from nacre.recipe.fingerprint import file_digest, fingerprint
 from nacre.recipe.named_numbers import TIME, uses_time
@@ -35,21 +35,25 @@ MOTIONS = (*TURNS, "time")
 MOVIE_SUFFIXES = (".gif", ".mp4")
 MAX_FRAMES = 10_000
 FRAMES_PER_SECOND = 20
-VIEW_SWING_DEG = 32.0  # the camera swings in front of the backdrop and never goes behind it
+VIEW_SWING_DEG = 32.0  # camera amplitude, which stays before the backdrop
 TIME_PATH = f"{NUMBERS}.{TIME}"
-# settings of `render` that change a picture and so belong to a frame's key
-_SETTINGS = (
-    "scene", "shape", "up", "turn", "view", "fov", "zoom", "light", "illuminant", "background", "size", "spp", "noise",
-    "seconds", "seed", "quality", "components", "exposure", "tone", "denoise",
-)  # fmt: skip
+# `render` keywords that frames accept, and that belong to their key
+_SETTINGS = {"scene", *KEYWORDS} - {
+    "light_layers",
+    "light_turn_deg",
+    "view_turn_deg",
+    "output",
+    "spectral",
+    "progress",
+    "on_better",
+}
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What moves: "light", "view", nothing but the time ("time"), or a parameter's name with its first and last value.
+    """What moves: "light", "view", only the time ("time"), or a parameter with its first and last value.
 
-    In every one of them the time `t` of the recipe's formulas runs from 0 to 1, and of those that end where they began
-    it stops one step before.
+    The time `t` in recipe formulas always runs from 0 to 1, and stops one step before 1 for closed motions.
     """
 
     name: str
@@ -58,11 +62,11 @@ class Motion:
 
     @property
     def is_parameter(self) -> bool:
-        """Whether a number of the material changes, so that it is solved anew for each frame."""
+        """Whether the material changes with each frame."""
         return self.name not in MOTIONS
 
     def at(self, index: int, frames: int) -> float:
-        """Value in frame `index`: an angle in degrees, or the parameter; turns end one step before they began."""
+        """Value in a frame: angle in degrees, or the parameter; turns end one step before their start."""
         if self.name == "light":
             return 360.0 * index / frames
         if self.name == "view":
@@ -72,18 +76,18 @@ class Motion:
         return self.first + (self.last - self.first) * (index / max(frames - 1, 1))
 
     def time(self, index: int, frames: int) -> float:
-        """The time `t` of frame `index`."""
+        """A frame's time `t`."""
         return index / (frames if self.name in TURNS else max(frames - 1, 1))
 
 
 @dataclass(frozen=True)
 class Animation:
-    """What an animation wrote.
+    """An animation's files.
 
     Attributes:
-        path: the movie, or None if it was interrupted.
+        path: the movie, or None if interrupted.
         frames: the numbered pictures.
-        kept: how many of them an earlier run had made.
+        kept: frames reused from an earlier run.
     """
 
     path: Path | None
@@ -93,10 +97,10 @@ class Animation:
 
 
 def parse_motion(text: str) -> Motion:
-    """Read "light", "view", "time" or "PARAMETER=A:B"; "t=A:B" is the time itself.
+    """Read "light", "view", "time" or "PARAMETER=A:B"; "t=A:B" is the time.
 
     Raises:
-        NacreError: it is none of these.
+        NacreError: another text.
     """
     if text in MOTIONS:
         return Motion(text)
@@ -127,17 +131,16 @@ def animate(
     """Render an animation to numbered frames and a movie.
 
     Args:
-        material: as for `render`; where a number moves, a function from its value to the material, or a material
-            whose `vary` knows it.
-        motion: "light", "view", "time", "PARAMETER=A:B", or (A, B) for a function's value. Formulas of the material
-            may use the time `t`, which runs from 0 to 1 in all of them, or over "t=A:B".
-        output: .gif or .mp4; the frames lie beside it in a folder of its name with "_frames".
-        frames: how many.
+        material: as for `render`; for a parameter also a function from its value to the material.
+        motion: "light", "view", "time", "PARAMETER=A:B", or (A, B) for the value of a function. Formulas of the
+            material may use the time `t`, which runs from 0 to 1, or over "t=A:B".
+        output: .gif or .mp4; a folder beside it, with "_frames" after its name, contains the frames.
+        frames: frame count.
         progress: as for `render`, by frames.
-        settings: the other arguments of `render`. "auto" exposure is metered on the first frame and kept.
+        settings: other keywords of `render`. "auto" exposure uses the first frame.
 
     Raises:
-        NacreError: a bad motion, count, suffix or folder, or anything `render` refuses.
+        NacreError: a bad motion, count, suffix or folder, or any error from `render`.
     """
     asked_motion = motion
     if isinstance(motion, str):
@@ -146,21 +149,14 @@ def animate(
         motion = Motion("value", float(motion[0]), float(motion[1]))
     material = loaded(material)
     path = Path(output)
-    if path.suffix.lower() not in MOVIE_SUFFIXES:
-        raise NacreError(f"{path}: animations are written as {' or '.join(MOVIE_SUFFIXES)}")
-    if isinstance(frames, bool) or int(frames) != frames or not 1 <= frames <= MAX_FRAMES:
-        raise NacreError(f"frames = {frames!r} is not allowed; give a whole number from 1 to {MAX_FRAMES}")
-    unknown = set(settings) - set(_SETTINGS)
-    if unknown:
-        raise NacreError(f"animate does not take {', '.join(sorted(unknown))}")
-    if read_background(settings.get("background", "scene")).is_clear:
-        raise NacreError('background = "transparent": animations know no transparency; give a colour')
+    _check(path, frames, settings)
     if isinstance(material, Material):
-        material = material.inlined()  # a formula of a part may run with the time
+        material = material.inlined()  # formulas in parts may use the time
     has_time = uses_time(getattr(material, "data", None))
     if motion.name in ("time", TIME_PATH) and not has_time:
         raise NacreError(f'animate = "{asked_motion}": no formula of the material uses the time t')
-    material_at = _material_at(material, motion, has_time, frames) if motion.is_parameter or has_time else None
+    is_fixed = not (motion.is_parameter or has_time)
+    material_at = None if is_fixed else _material_at(material, motion, has_time, frames)
     if str(settings.get("scene", "")).lower().endswith(".xml") and motion.name in TURNS:
         raise UnsupportedError("animate: a Mitsuba scene keeps its own light and camera; only a parameter can move")
     check_writable(path)
@@ -170,7 +166,7 @@ def animate(
     exposure = settings.pop("exposure", "auto")
     asked, who = settings, ""
     if material_at is None:
-        who = _identity(material)
+        who = _fingerprint(material)
         material, _ = resolve_material(material, settings.get("quality"), settings.get("components", "sum"))
         settings = {**settings, "quality": None, "components": "sum"}
     kept = 0
@@ -178,20 +174,18 @@ def animate(
         for index, name in enumerate(names):
             value = motion.at(index, frames)
             subject = material if material_at is None else material_at(index, value)
-            key = _frame_key(who or _identity(subject), motion, value, {**asked, "exposure": exposure})
+            key = _frame_key(who or _fingerprint(subject), motion, value, {**asked, "exposure": exposure})
             old = _finished(name)
             if old.get("frame_key") == key:
                 kept += 1
                 stops = float(old["exposure_stops"])
             else:
-                arguments: dict[str, Any] = {**settings, "exposure": exposure, "progress": False}
-                if motion.name in TURNS:
-                    arguments[f"{motion.name}_turn_deg"] = value
+                turn: dict[str, Any] = {f"{motion.name}_turn_deg": value} if motion.name in TURNS else {}
                 try:
-                    result = render(subject, **arguments)
+                    result = render(subject, **settings, exposure=exposure, progress=False, **turn)
                 except KeyboardInterrupt:
-                    return Animation(None, names[:index], kept, True)
-                if result.stats["interrupted"]:
+                    result = None
+                if result is None or result.stats["interrupted"]:
                     return Animation(None, names[:index], kept, True)
                 stops = float(result.stats["exposure_stops"])
                 moving = {"frame_key": key, "motion": motion.name, "value": value, "frame": index}
@@ -205,9 +199,26 @@ def animate(
     return Animation(path, names, kept, False)
 
 
+def _check(path: Path, frames: int, settings: dict[str, Any]) -> None:
+    """Check arguments for `animate`.
+
+    Raises:
+        NacreError: unknown suffix or setting, bad frame count, or a transparent background.
+    """
+    if path.suffix.lower() not in MOVIE_SUFFIXES:
+        raise NacreError(f"{path}: animations are written as {' or '.join(MOVIE_SUFFIXES)}")
+    if isinstance(frames, bool) or int(frames) != frames or not 1 <= frames <= MAX_FRAMES:
+        raise NacreError(f"frames = {frames!r} is not allowed; give a whole number from 1 to {MAX_FRAMES}")
+    unknown = set(settings) - _SETTINGS
+    if unknown:
+        raise NacreError(f"animate does not take {', '.join(sorted(unknown))}")
+    if read_background(settings.get("background", "scene")).is_clear:
+        raise NacreError('background = "transparent": animations know no transparency; give a colour')
+
+
 @contextlib.contextmanager
 def _folder_of_frames(folder: Path) -> Iterator[None]:
-    """Make the folder, and take it away again where nothing came to lie in it.
+    """Make the folder, and remove it again if it stays empty.
 
     Raises:
         NacreError: it cannot be made.
@@ -221,15 +232,15 @@ def _folder_of_frames(folder: Path) -> Iterator[None]:
         yield
     finally:
         if is_new:
-            with contextlib.suppress(OSError):  # it holds frames
+            with contextlib.suppress(OSError):  # not empty
                 folder.rmdir()
 
 
 def _material_at(material: Any, motion: Motion, has_time: bool, frames: int) -> Callable[[int, float], Any]:
-    """The function from a frame's number and the moving number to the material.
+    """Return the function from frame number and value to the material.
 
     Raises:
-        UnsupportedError: the material is fixed.
+        UnsupportedError: the material cannot vary.
     """
     if hasattr(material, "vary"):
         material = material.at_low_fidelity()
@@ -246,8 +257,8 @@ def _material_at(material: Any, motion: Motion, has_time: bool, frames: int) -> 
     return lambda index, value: function(value)
 
 
-def _identity(material: Any) -> str:
-    """What a material is: its own fingerprint, or all that Mitsuba tells of a BSDF of its own, pixels included."""
+def _fingerprint(material: Any) -> str:
+    """Return a material's fingerprint, or a hash for a Mitsuba BSDF."""
     if hasattr(material, "fingerprint"):
         return str(material.fingerprint)
     import mitsuba as mi
@@ -261,16 +272,16 @@ def _identity(material: Any) -> str:
 
 
 def _frame_key(who: str, motion: Motion, value: float, settings: dict[str, Any]) -> str:
-    """A fingerprint of all that makes a frame: two equal ones mean equal pictures."""
+    """Return a frame's fingerprint."""
     named = [settings.get("scene"), settings.get("shape")]
     named += [lamp.name for lamp in read_lamps(settings["light"])] if settings.get("light") else []
     files = {str(name): file_digest(name) for name in named if name}
-    # a frame made where no denoiser is at hand is not the frame made where one is
-    return fingerprint(who, files, motion=motion.name, value=value, settings=settings, raw=why_not(None))
+    # frames with and without denoiser differ
+    return fingerprint(who, files, motion=motion.name, value=value, settings=settings, raw=inapplicable_reason(None))
 
 
 def _finished(path: Path) -> dict[str, Any]:
-    """What a finished frame says about itself; empty where there is none, or its pixels are not those written."""
+    """Return a finished frame's provenance; empty if it is missing or its pixels have changed."""
     from PIL import Image
 
     try:
@@ -283,7 +294,7 @@ def _finished(path: Path) -> dict[str, Any]:
 
 
 def join(frames: tuple[Path, ...], path: Path) -> None:
-    """Join frames of one size into a GIF or MP4, written whole or not at all.
+    """Join equally large frames into a GIF or MP4, written atomically.
 
     Raises:
         NacreError: the movie cannot be written.
@@ -319,7 +330,7 @@ def join(frames: tuple[Path, ...], path: Path) -> None:
             ffmpeg_log_level="error",
         )
         with warnings.catch_warnings():
-            # JAX, if it was used before, warns of any fork; this one becomes ffmpeg at once
+            # JAX warns of forks; this one starts ffmpeg
             warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
             writer.send(None)
         try:

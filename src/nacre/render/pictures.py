@@ -1,4 +1,4 @@
-"""The names that `nacre.render` re-exports from other packages, each imported when first used."""
+"""Functions in `nacre.render`, which also accept recipes; imported on first use."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from nacre.device.variant import report, use_variant
 from nacre.material.material import loaded
 from nacre.picture import picture
 from nacre.picture.images import RenderResult
-from nacre.picture.picture import forget_stages
+from nacre.picture.picture import forget_scenes
 
-__all__ = ["RenderResult", "forget_stages", "make_bsdf", "render", "report", "scene_dict", "use_variant"]
+__all__ = ["RenderResult", "forget_scenes", "make_bsdf", "render", "report", "scene_dict", "use_variant"]
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 
 def _loading(function: Callable[Concatenate[Any, _P], _R]) -> Callable[Concatenate[Any, _P], _R]:
-    """Let a function of pictures, which knows no recipes, take a path, an example's name or a recipe's table too."""
+    """Load a material given as a path, an example name, or a recipe table."""
 
     @functools.wraps(function)
     def call(material: Any = None, *arguments: _P.args, **options: _P.kwargs) -> _R:

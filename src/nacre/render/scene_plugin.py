@@ -1,4 +1,4 @@
-"""The registration of the `nacre` BSDF with Mitsuba, in every variant that carries spectra, whoever sets it."""
+"""The `nacre` BSDF in Mitsuba scenes: registration in spectral variants, and loading from `{"type": "nacre", ...}`."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ from nacre.device.variant import VARIANTS, check_set_variant, import_mitsuba
 from nacre.material.material import load
 
 _installed = False
+_registered: weakref.WeakValueDictionary[str, Bsdf] = weakref.WeakValueDictionary()
+_numbers = itertools.count()
+_failures: list[NacreError] = []
 
 
 def install() -> None:
-    """Register `nacre` now if a variant is set, and again whenever one is chosen; without mitsuba do nothing.
+    """Register `nacre` in the current variant and whenever one is set; do nothing without mitsuba.
 
-    Mitsuba keeps plugins by variant, and a user may set one before or after `import nacre.render`.
+    Mitsuba registers plugins per variant, which may be set before or after `import nacre.render`.
     """
     global _installed
     if _installed or importlib.util.find_spec("mitsuba") is None:
@@ -34,7 +37,7 @@ def install() -> None:
 
 
 def _refuse(properties: Any) -> NoReturn:
-    """Say why an RGB, mono or polarised scene holds no `nacre`, where Mitsuba would say "not found"."""
+    """Explain why RGB, mono and polarised variants do not support `nacre`; Mitsuba would report "not found"."""
     import mitsuba as mi
 
     variant = str(mi.variant())
@@ -46,50 +49,38 @@ def _refuse(properties: Any) -> NoReturn:
 
 
 def register() -> None:
-    """Register the `nacre` BSDF with the current variant, or what refuses it where values are not plain spectra."""
+    """Register the `nacre` BSDF, or its refusal, in the current variant."""
     import mitsuba as mi
 
-    if mi.variant() not in VARIANTS:
-        if mi.variant() is not None:
-            mi.register_bsdf("nacre", _refuse)
-        return
-    mi.register_bsdf("nacre", from_properties)
-
-
-# From a scene's `{"type": "nacre", ...}` to a BSDF: how recipes enter Mitsuba's scenes.
-
-_handed_over: weakref.WeakValueDictionary[str, Bsdf] = weakref.WeakValueDictionary()
-_numbers = itertools.count()
-_failures: list[NacreError] = []
+    if mi.variant() is not None:
+        mi.register_bsdf("nacre", from_properties if mi.variant() in VARIANTS else _refuse)
 
 
 def load_bsdf(path: str) -> Bsdf:
     """Load a recipe, a compiled file or a design folder.
 
     Raises:
-        NacreError: the file cannot be read or is not valid.
+        NacreError: unreadable or invalid file.
     """
     return Bsdf.load(path) if path.endswith(".nacre") else load(path).bsdf()
 
 
-def hand_over(bsdf: Bsdf) -> str:
-    """Return a key under which a scene dictionary may name a Bsdf object: `{"type": "nacre", "bsdf": key}`.
+def register_bsdf(bsdf: Bsdf) -> str:
+    """Register a Bsdf object and return its key for a scene dictionary: `{"type": "nacre", "bsdf": key}`.
 
-    The table holds the object weakly: it lives as long as the caller keeps it.
+    The reference is weak: the caller owns the object.
     """
     key = f"bsdf-{next(_numbers)}"
-    _handed_over[key] = bsdf
+    _registered[key] = bsdf
     return key
 
 
 @contextlib.contextmanager
 def clear_errors() -> Iterator[None]:
-    """Turn what Mitsuba makes of an error while loading a scene back into one line.
-
-    Mitsuba wraps an error of a plugin into a RuntimeError that holds the whole traceback.
+    """Replace scene-loading errors by one line; Mitsuba wraps plugin errors with their traceback.
 
     Raises:
-        NacreError: the error of our own plugin, else the first line of what Mitsuba said.
+        NacreError: our plugin's error, else the first lines from Mitsuba.
     """
     _failures.clear()
     try:
@@ -102,42 +93,40 @@ def clear_errors() -> Iterator[None]:
 
 
 def from_properties(properties: Any) -> Any:
-    """Build the BSDF of a scene entry; keys: one of recipe, file, bsdf; two_sided (default false), v_up (default true).
+    """Build a scene entry's BSDF; keys: recipe, file or bsdf; two_sided (default false), v_up (default true).
 
     Raises:
-        RecipeError: none or several sources are given, the key of a handed-over Bsdf is not known, or a switch is no
-            boolean.
-        NacreError: the file cannot be read or is not valid.
-        MachineError: the variant that is set does not work on this machine.
+        RecipeError: not exactly one source, an unregistered key, or a switch that is not a boolean.
+        NacreError: unreadable or invalid file.
+        MachineError: the current variant does not work on this machine.
     """
     try:
         import mitsuba as mi
 
         check_set_variant(str(mi.variant()))
-        return _from_properties(properties)
+        bsdf = _source(properties)
+        two_sided, v_up = _switch(properties, "two_sided", False), _switch(properties, "v_up", True)
+        return make_bsdf(bsdf, two_sided=two_sided, properties=properties, v_up=v_up)
     except NacreError as error:
         _failures.append(error)
         raise
 
 
-def _from_properties(properties: Any) -> Any:
+def _source(properties: Any) -> Bsdf:
     given = [key for key in ("recipe", "file", "bsdf") if key in properties]
     if len(given) != 1:
         got = f"got {', '.join(given)}" if given else "got none"
         raise RecipeError(f'scene: a "nacre" BSDF needs exactly one of recipe, file, bsdf; {got}')
     value = str(properties[given[0]])
-    two_sided, v_up = _switch(properties, "two_sided", False), _switch(properties, "v_up", True)
-    if given[0] == "bsdf":
-        if value not in _handed_over:
-            raise RecipeError(f'scene: bsdf = "{value}" was not handed over, or its Bsdf object is gone')
-        bsdf = _handed_over[value]
-    else:
-        bsdf = load_bsdf(_resolved(value))
-    return make_bsdf(bsdf, two_sided=two_sided, properties=properties, v_up=v_up)
+    if given[0] != "bsdf":
+        return load_bsdf(_resolved(value))
+    if value not in _registered:
+        raise RecipeError(f'scene: bsdf = "{value}" was not registered, or its Bsdf object is gone')
+    return _registered[value]
 
 
 def _switch(properties: Any, key: str, default: bool) -> bool:
-    """Read a boolean that may be left out; the text "false" would count as true."""
+    """Read an optional boolean; the text "false" would count as true."""
     value = properties.get(key, default)
     if not isinstance(value, bool):
         raise RecipeError(f'scene: {key} = {value!r} of a "nacre" BSDF is no boolean; write true or false')
@@ -145,7 +134,7 @@ def _switch(properties: Any, key: str, default: bool) -> bool:
 
 
 def _resolved(path: str) -> str:
-    """Find a relative path from the working folder, else as Mitsuba finds textures: beside the scene's file."""
+    """Resolve a relative path against the working folder, then against the folder of the scene file."""
     if os.path.isabs(path) or os.path.exists(path):
         return path
     import mitsuba as mi

@@ -9,6 +9,8 @@ H is smooth and tabulated. The structure factor S has sharp rings and is evaluat
 |q| = |k_par,i - k_par,o|, without interpolation error.
 """
 
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
 from __future__ import annotations
 
 import abc
@@ -77,7 +79,7 @@ class PolarGrid:
 
 
 @compiled(nogil=True)
-def coordinate(sine, cosine, count, beyond, eta):  # type: ignore[no-untyped-def]  # numba
+def coordinate(sine, cosine, count, beyond, eta):
     """Return the coordinate x of `PolarGrid`."""
     edge = count - 0.5
     outer = eta * sine
@@ -91,7 +93,7 @@ def coordinate(sine, cosine, count, beyond, eta):  # type: ignore[no-untyped-def
 
 
 @compiled(nogil=True)
-def _locate(w, grids, eta):  # type: ignore[no-untyped-def]  # numba
+def _locate(w, grids, eta):
     """Return the side (0 above), the sine, the lower node and the fraction above it."""
     side = 0 if w[2] > 0.0 else 1
     sine = np.sqrt(w[0] ** 2 + w[1] ** 2)
@@ -101,7 +103,7 @@ def _locate(w, grids, eta):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True)
-def _corner(number, a, b, fraction_a, fraction_b):  # type: ignore[no-untyped-def]  # numba
+def _corner(number, a, b, fraction_a, fraction_b):
     """Return nodes and weight of a corner of the cell's triangle: symmetric, with fewer reads than bilinear."""
     if number == 0:
         return a, b, 1.0 - max(fraction_a, fraction_b)
@@ -113,7 +115,7 @@ def _corner(number, a, b, fraction_a, fraction_b):  # type: ignore[no-untyped-de
 
 
 @compiled(nogil=True, fastmath=True)
-def _accumulate(table, row, weight, harmonics, out):  # type: ignore[no-untyped-def]  # numba
+def _accumulate(table, row, weight, harmonics, out):
     for k in range(table.shape[1]):
         c = weight * harmonics[k]  # double precision: single sums would break reciprocity at 1e-7
         for l in range(table.shape[2]):
@@ -121,7 +123,7 @@ def _accumulate(table, row, weight, harmonics, out):  # type: ignore[no-untyped-
 
 
 @compiled(nogil=True)
-def _combine(wi, wo, smooth, bare, grid, spectrum, out):  # type: ignore[no-untyped-def]  # numba
+def _combine(wi, wo, smooth, bare, grid, spectrum, out):
     """Multiply `smooth` by the structure factor, add `bare`, and scale to f; negative series values count as 0."""
     last_cos, eta = grid
     wavenumbers, index, step, s = spectrum
@@ -222,7 +224,7 @@ class MonolayerLobe(Lobe):
 
 
 @compiled(nogil=True)
-def _evaluate_harmonic(wi, wo, tables, free, grids, grid, spectrum, out):  # type: ignore[no-untyped-def]  # numba
+def _evaluate_harmonic(wi, wo, tables, free, grids, grid, spectrum, out):
     """Fill `out`; `tables` and `free` are the pairs above, across and below."""
     harmonics, count, eta = tables[0].shape[1], tables[0].shape[2], grid[1]
     cosines = np.empty(harmonics)
@@ -334,7 +336,7 @@ def pack_triangle(full: NDArray) -> SingleArray:
 
 
 @compiled(nogil=True)
-def _evaluate_aligned(wi, wo, table, orders, rotation, grids, grid, spectrum, out):  # type: ignore[no-untyped-def]  # numba
+def _evaluate_aligned(wi, wo, table, orders, rotation, grids, grid, spectrum, out):
     terms, count, eta = table.shape[1], table.shape[2], grid[1]
     waves = np.empty(terms)
     smooth, bare = np.empty(count), np.zeros(count)

@@ -17,6 +17,8 @@ With glints (`nacre.bsdf.glints`), the part of M reflected by one flake is multi
 mean over the surface is 1.
 """
 
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
 from __future__ import annotations
 
 import math
@@ -35,7 +37,7 @@ MIN_COS = 1e-6
 
 
 @compiled(nogil=True)
-def place(ax, ay, bx, by, spread, out):  # type: ignore[no-untyped-def]  # numba
+def place(ax, ay, bx, by, spread, out):
     """Write M's coordinates, each in [0, 1], to `out[3]` for two directions' components in the surface's plane."""
     qx, qy = ax + bx, ay + by
     cx, cy = 0.5 * (ax - bx), 0.5 * (ay - by)
@@ -50,7 +52,7 @@ def place(ax, ay, bx, by, spread, out):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True)
-def inner_half(ax, ay, cos_a, bx, by, cos_b, index):  # type: ignore[no-untyped-def]  # numba
+def inner_half(ax, ay, cos_a, bx, by, cos_b, index):
     """Return both cosines inside the resin, the half vector's normal component there, and its slope (x, y)."""
     inner_a = math.sqrt(1.0 - (1.0 - cos_a * cos_a) / (index * index))
     inner_b = math.sqrt(1.0 - (1.0 - cos_b * cos_b) / (index * index))
@@ -59,7 +61,7 @@ def inner_half(ax, ay, cos_a, bx, by, cos_b, index):  # type: ignore[no-untyped-
 
 
 @compiled(nogil=True)
-def flake_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha, number, deviation):  # type: ignore[no-untyped-def]  # numba
+def flake_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha, number, deviation):
     """Return K for two directions above the surface, given by in-plane components and cosines."""
     inner_a, inner_b, tall, sx, sy = inner_half(ax, ay, cos_a, bx, by, cos_b, index)
     bend = ((index * inner_a - cos_a) ** 2 + (index * inner_b - cos_b) ** 2) * (alpha / tall) ** 2
@@ -76,7 +78,7 @@ def flake_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha, number, deviation):  
 
 
 @compiled(nogil=True)
-def sparkle(ax, ay, cos_a, bx, by, cos_b, index, number, deviation, glints, uv):  # type: ignore[no-untyped-def]  # numba
+def sparkle(ax, ay, cos_a, bx, by, cos_b, index, number, deviation, glints, uv):
     """Return g for two directions at a point; species are weighted by their densities at the half vector."""
     numbers, radii, ratio = glints
     _, _, _, sx, sy = inner_half(ax, ay, cos_a, bx, by, cos_b, index)
@@ -91,7 +93,7 @@ def sparkle(ax, ay, cos_a, bx, by, cos_b, index, number, deviation, glints, uv):
 
 
 @compiled(nogil=True)
-def reflected(cos, eta):  # type: ignore[no-untyped-def]  # numba
+def reflected(cos, eta):
     """Return a bare interface's reflectance and the refracted cosine; (1, 0) for total reflection."""
     sin2 = (1.0 - cos * cos) / (eta * eta)
     if sin2 >= 1.0:
@@ -103,14 +105,14 @@ def reflected(cos, eta):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True)
-def masking(cos, alpha):  # type: ignore[no-untyped-def]  # numba
+def masking(cos, alpha):
     """Return Smith's G1 for isotropic GGX at a cosine."""
     tan2 = alpha * alpha * (1.0 - cos * cos) / max(cos * cos, 1e-18)
     return 2.0 / (1.0 + math.sqrt(1.0 + tan2))
 
 
 @compiled(nogil=True)
-def surface_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha):  # type: ignore[no-untyped-def]  # numba
+def surface_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha):
     """Return the rough interface's own reflection; 0 for a smooth one."""
     if alpha <= 0.0:
         return 0.0
@@ -124,7 +126,7 @@ def surface_lobe(ax, ay, cos_a, bx, by, cos_b, index, alpha):  # type: ignore[no
 
 
 @compiled(nogil=True)
-def _row(values, position, out, weight):  # type: ignore[no-untyped-def]  # numba
+def _row(values, position, out, weight):
     """Write `weight` times the interpolated row from `values[node, l]` to `out`."""
     i = min(int(position), values.shape[0] - 2)
     f = position - i
@@ -133,7 +135,7 @@ def _row(values, position, out, weight):  # type: ignore[no-untyped-def]  # numb
 
 
 @compiled(nogil=True)
-def _evaluate(wi, wo, uv, index, alpha, species, spread, entry, tables, base, glints, out):  # type: ignore[no-untyped-def]  # numba
+def _evaluate(wi, wo, uv, index, alpha, species, spread, entry, tables, base, glints, out):
     number, deviation = species
     flakes, single = tables
     count = flakes.shape[3]
@@ -181,7 +183,7 @@ def _evaluate(wi, wo, uv, index, alpha, species, spread, entry, tables, base, gl
 
 
 @compiled(nogil=True)
-def surface_values(wi, wo, index, alpha):  # type: ignore[no-untyped-def]  # numba
+def surface_values(wi, wo, index, alpha):
     """Return the interface's own reflection for direction pairs above the surface, `[n]`."""
     out = np.zeros(wi.shape[0])
     for n in range(wi.shape[0]):

@@ -8,6 +8,8 @@ with a smoothed power spectrum S, the Kirchhoff or the published factor C, the c
 half vector's angle, and the guard g <= 1, which limits the albedo to F. All factors are symmetric: f is reciprocal.
 """
 
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
 from __future__ import annotations
 
 import functools
@@ -190,7 +192,7 @@ def interpolate(power: Any, position: Any) -> Any:
 
 
 @compiled(nogil=True)
-def _interpolate(power, position, first, last, result):  # type: ignore[no-untyped-def]  # numba
+def _interpolate(power, position, first, last, result):
     """Fill the rows from `first` to `last`."""
     nx, ny, nz, count = power.shape
     weight = np.empty((3, 3))
@@ -251,7 +253,7 @@ def albedo_shares(power: Any, psi_step: float, xi_first: float, xi_step: float, 
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
-def _shares(  # type: ignore[no-untyped-def]  # numba
+def _shares(
     power, width, xi_first, xi_step, reflectance, ring_cosines, cosines, azimuths, is_kirchhoff, begin, end, out
 ):
     """Process tasks: each is a ring and an azimuth with its own output rows."""

@@ -105,7 +105,7 @@ class OpticalConstant:
         return replace(self, model=Clear(self.model))
 
     def describe(self) -> IndexDescription:
-        """Return what `nacre indices show` prints."""
+        """Return the data of `nacre indices show`."""
         return IndexDescription(self.name, self.title, self.source, self.range_nm, self.splice)
 
     def _range_message(self, wavelengths: Array) -> str:

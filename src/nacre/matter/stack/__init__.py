@@ -1,1 +1,1 @@
-"""Stratified media: what a plane wave does at any number of layers."""
+"""Stratified media: plane waves in stacks with any number of layers."""

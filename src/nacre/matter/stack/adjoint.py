@@ -1,5 +1,7 @@
 """The numba kernel of `nacre.matter.stack.gradient`; see there for the equations."""
 
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
 from __future__ import annotations
 
 import math
@@ -107,7 +109,7 @@ def _down(layer: Any, k0: Any, count: int, top: Any, size: Any, a: Any) -> float
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def _index(layer: Any, k0: Any, d: float, count: int, below: Any, size: Any, a: Any, w_bar: Any, kz2_bar: Any) -> None:
+def _index(layer, k0, d, count, below, size, a, w_bar, kz2_bar):
     """Add a layer's part to the adjoints of w and kz^2, from `a` at its top and the fields below it."""
     w, iw, kz2, c, m = layer
     for i in range(count):
@@ -170,9 +172,7 @@ def _load_block(n: Any, wavelengths: Any, l0: int, count: int, n2: Any, inverse:
 
 
 @compiled(error_model="numpy")
-def _load_angle(
-    cosine: float, n2: Any, thicknesses: Any, k0: Any, count: int, kz2: Any, c: Any, m: Any, decay: Any
-) -> None:
+def _load_angle(cosine, n2, thicknesses, k0, count, kz2, c, m, decay):
     """Fill kz^2, c and m of all layers, the substrate's kz^2, and the log of the decay, for one angle."""
     last = n2.shape[0] - 1
     kz0sq = np.empty(count)
@@ -218,17 +218,7 @@ def _substrate_adjoints(layers: Any, count: int, a: Any, qs_bar: Any, w_bar: Any
 
 
 @compiled(error_model="numpy", nogil=True)
-def pull_back(
-    n: Any,
-    thicknesses: Any,
-    wavelengths: Any,
-    cos_i: Any,
-    bars: Any,
-    with_index: bool,
-    d_bar: Any,
-    n_bar: Any,
-    cos_bar: Any,
-) -> None:
+def pull_back(n, thicknesses, wavelengths, cos_i, bars, with_index, d_bar, n_bar, cos_bar):
     """Add the gradients of one stack's loss to `d_bar`, `n_bar` and `cos_bar`.
 
     Args:
@@ -288,9 +278,7 @@ def pull_back(
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def _end(
-    n: Any, l0: int, count: int, angle: int, cosine: float, polarisation: int, adjoints: Any, n_bar: Any, cos_bar: Any
-) -> None:
+def _end(n, l0, count, angle, cosine, polarisation, adjoints, n_bar, cos_bar):
     """Convert a block's adjoints of q_0, w and kz^2 to those of the indices and the cosine."""
     q0_bar, w_bar, kz2_bar = adjoints
     for i in range(count):

@@ -5,6 +5,8 @@ f = F u_j and g = F v_j with one factor F per stack, so the Poynting flux throug
 A layer absorbs the flux difference between its two interfaces.
 """
 
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
 from __future__ import annotations
 
 import math
@@ -56,18 +58,7 @@ def _decay(n: Any, d: Any, k0: float, kz0sq: complex, sums: Any, turns: Any) -> 
 
 
 @compiled(error_model="numpy", nogil=True)
-def _absorbed_range(
-    n: Any,
-    thicknesses: Any,
-    wavelengths: Any,
-    normal: Any,
-    times_n0: bool,
-    start: int,
-    stop: int,
-    angle_start: int,
-    angle_stop: int,
-    out: Any,
-) -> None:
+def _absorbed_range(n, thicknesses, wavelengths, normal, times_n0, start, stop, angle_start, angle_stop, out):
     """Fill `out[pol, layer, batch, angle, wavelength]`."""
     layers = n.shape[1] - 2
     u, v = np.empty(layers + 2, dtype=np.complex128), np.empty(layers + 2, dtype=np.complex128)
@@ -136,9 +127,7 @@ class FieldProfile:
 
 
 @compiled(error_model="numpy", nogil=True)
-def _field_at(
-    n: Any, d: Any, wavelengths: Any, normal: Any, times_n0: bool, z: Any, medium: Any, below: Any, out: Any
-) -> None:
+def _field_at(n, d, wavelengths, normal, times_n0, z, medium, below, out):
     """Fill `out[pol, z, angle, wavelength]`; `below[i]` is the distance from z[i] to the bottom of its layer."""
     layers = n.shape[0] - 2
     u, v = np.empty(layers + 2, dtype=np.complex128), np.empty(layers + 2, dtype=np.complex128)

@@ -1,7 +1,7 @@
 """The numba kernel of stratified media: amplitudes of s and p for many stacks, angles and wavelengths.
 
 Own derivation, as an admittance recursion with scaled exponentials: let `f` be the
-tangential E field (s) or H field (p) and `g` its partner, so that `g = q f` for a wave that travels inward,
+tangential E field (s) or H field (p) and `g` its partner, with `g = q f` for a wave that travels inward,
 with `q = kz` (s) or `kz / n^2` (p), all wavevectors in units of k0. Start in the substrate with u = 1,
 v = q_s and carry (u, v) upward through each layer of phase x = k0 kz d:
 
@@ -15,6 +15,8 @@ first-level cache, in loops that vectorise; its sine, cosine and exponential are
 come from A = u + v/q and B = (u - v/q) e^{2ix}, which loses digits as q -> 0. A block with a small kz uses the robust
 form, which contains q only as q^2 and sin x / x.
 """
+
+# mypy: allow-untyped-defs, allow-incomplete-defs
 
 from __future__ import annotations
 
@@ -393,9 +395,7 @@ def _load_stack(n: Any, squares: Any, ambient: Any, lossless: Any) -> None:
 
 
 @compiled(error_model="numpy")
-def _solve_block(
-    w: Any, count: int, l0: int, squares: Any, ambient: Any, lossless: Any, lam: Any, d: Any, times_n0: bool
-) -> None:
+def _solve_block(w, count, l0, squares, ambient, lossless, lam, d, times_n0):
     """Run the recursion for a block of wavelengths, from the normal component in the rows of q_s."""
     n2r, n2i, i2r, i2i = squares
     n02r, n02i = n2r[0], n2i[0]
@@ -457,18 +457,8 @@ def _store_amplitudes(w: Any, valid: int, amplitudes: Any, b: int, angle: int, l
 
 @compiled(error_model="numpy", nogil=True)
 def solve_range(
-    n: Any,
-    thicknesses: Any,
-    wavelengths: Any,
-    normal: Any,
-    times_n0: bool,
-    start: int,
-    stop: int,
-    angle_start: int,
-    angle_stop: int,
-    amplitudes: Any,
-    powers: Any,
-) -> None:
+    n, thicknesses, wavelengths, normal, times_n0, start, stop, angle_start, angle_stop, amplitudes, powers
+):
     """Solve the stacks start..stop of a batch at the angles angle_start..angle_stop.
 
     Args:

@@ -15,6 +15,8 @@ T is the product of |2 q_j / (s + t X)|^2 and |e^{2 i x}|, times Re q_substrate 
 the two. A guided wave (s + t X = 0) has no solution here; light from a clear ambient does not excite one.
 """
 
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
 from __future__ import annotations
 
 from collections.abc import Sequence
@@ -235,10 +237,7 @@ def _top(a: Any, g: Any, seen: Any, share: float, is_transmitted: bool, count: i
 
 
 @compiled(error_model="numpy", fastmath={"contract"}, nogil=True)
-def spectra_and_gradients(
-    tables: Any, media: Any, thicknesses: Any, layers: int, substrate: int, with_gradients: bool, w: Any, spectra: Any,
-    gradients: Any,
-) -> None:  # fmt: skip
+def spectra_and_gradients(tables, media, thicknesses, layers, substrate, with_gradients, w, spectra, gradients):
     """Fill R or T of one stack, and the derivatives in the thicknesses.
 
     Args:

@@ -1,8 +1,9 @@
-"""Spectral environments of our own making: a studio of soft boxes, a room, a street under sky.
+"""Spectral environments: studio, beam, room, street and garden.
 
-None is a photograph: each is a small scene traced by arrays, whose surfaces carry reflectance spectra and
-whose lights carry measured illuminants, kept as a few spectra with a weight per direction. So the light is
-spectral throughout, and a metameric pair that would differ in the room differs in the picture.
+Each is a small procedural scene, evaluated over all directions, whose surfaces have reflectance spectra and whose
+lamps have measured illuminants. It is stored as a few spectra with a weight per direction, therefore metamers are
+distinguished as in the real place. Light bounces once, plus a grey share for further bounces. Brick,
+wood and leaf reflectances are smooth curves with edges at 570, 550 and 690 nm; daylight is sun, haze and blue sky.
 """
 
 from __future__ import annotations
@@ -17,17 +18,23 @@ from nacre.core.arrays import Array
 from nacre.light import Illuminant, illuminant, observer, table_wavelengths_nm
 from nacre.picture.filters import noise
 
-BEAM_DEG, BEAM_EDGE_DEG = 10.0, 0.7  # width of the lamp of `beam`, and of its soft rim, which texels can show
+BEAM_DEG, BEAM_EDGE_DEG = 10.0, 0.7  # width of the lamp of `beam`, and of its soft edge
+ROWS = 512
+STREET_TURN_DEG = 30.0
+SUN_DEG = 4.0  # wider than the sun at equal power, against noise
+SUN = (-0.62, -0.30, 0.60)  # in the garden: behind the camera's left shoulder, above the trees
+_SEED = 21
+_GRID = table_wavelengths_nm()
 
 
 @dataclass(frozen=True, eq=False)
 class Environment:
-    """Radiance over all directions: sum over k of weights[k] * spectra[k].
+    """Radiance over all directions: sum_k weights[k] * spectra[k].
 
     Attributes:
-        weights: `[spectrum, row, column]`; rows from the zenith down, columns from +x round by +y.
-        spectra: as many illuminants, each of luminance 1 (`unit_spectrum`).
-        name: how outputs state it.
+        weights: `[spectrum, row, column]`; rows from the zenith down, columns from +x towards +y.
+        spectra: illuminants with luminance 1 (`unit_spectrum`).
+        name: description for outputs.
     """
 
     weights: Array
@@ -41,34 +48,33 @@ class Environment:
 
     @property
     def irradiance(self) -> float:
-        """Luminous irradiance on a horizontal plane facing up; pi for a uniform sky of luminance 1."""
-        rows = self.weights.shape[1]
+        """Luminous irradiance on a horizontal plane facing up; pi for a uniform sky with luminance 1."""
+        _, rows, columns = self.weights.shape
         theta = (np.arange(rows) + 0.5) * np.pi / rows
         share = np.where(theta < np.pi / 2, np.sin(theta) * np.cos(theta), 0.0)[:, None]
-        columns = self.weights.shape[2]
         return float((self.luminance * share).sum() * (np.pi / rows) * (2 * np.pi / columns))
 
 
 def unit_spectrum(light: str | Illuminant) -> Illuminant:
     """Scale an illuminant to luminance 1: as an emitter it gives Y = 1 in Mitsuba's XYZ."""
     source = illuminant(light)
-    grid = table_wavelengths_nm()
-    power = source.at(grid)
-    return Illuminant(grid, power / luminance(Illuminant(grid, power)), source.name)
+    power = source.at(_GRID)
+    return Illuminant(_GRID, power / luminance(Illuminant(_GRID, power)), source.name)
 
 
 def luminance(light: Illuminant) -> float:
+    """Mean power, weighted by the luminous efficiency."""
     y = observer()[:, 1]
-    return float(np.sum(light.at(table_wavelengths_nm()) * y) / np.sum(y))
+    return float(np.sum(light.at(_GRID) * y) / np.sum(y))
 
 
 def tinted(light: Illuminant, reflectance: Array, name: str) -> Illuminant:
-    """The light that a surface of a reflectance spectrum reflects, not rescaled."""
+    """Light reflected by a surface, not rescaled."""
     return Illuminant(light.wavelengths_nm, light.power * reflectance, name)
 
 
 def directions(rows: int) -> Array:
-    """Unit vectors `[rows, 2 * rows, 3]` at the centres of an equirectangular map."""
+    """Unit vectors `[rows, 2 * rows, 3]` at equirectangular pixel centres."""
     theta = (np.arange(rows) + 0.5) * np.pi / rows
     phi = (np.arange(2 * rows) + 0.5) * np.pi / rows
     t, p = np.meshgrid(theta, phi, indexing="ij")
@@ -76,13 +82,22 @@ def directions(rows: int) -> Array:
 
 
 def smooth_step(x: Array, low: float, high: float) -> Array:
+    """Cubic step from 0 to 1."""
     t = np.clip((x - low) / (high - low), 0.0, 1.0)
     return t * t * (3 - 2 * t)
 
 
-def soft_box(d: Array, azimuth_deg: float, elevation_deg: float, width_deg: float, height_deg: float,
-             roll_deg: float = 0.0, edge: float = 0.12, fall: float = 0.5) -> Array:  # fmt: skip
-    """Radiance of a soft box seen along `d` `[..., 3]`: 1 at its bright end, falling by `fall` along its height."""
+def soft_box(
+    d: Array,
+    azimuth_deg: float,
+    elevation_deg: float,
+    width_deg: float,
+    height_deg: float,
+    roll_deg: float = 0.0,
+    edge: float = 0.12,
+    fall: float = 0.5,
+) -> Array:
+    """Soft-box radiance along `d` `[..., 3]`: 1 at its bright end, decreasing by `fall` along its height."""
     az, el, roll = np.radians([azimuth_deg, elevation_deg, roll_deg])
     forward = np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
     right = np.array([-np.sin(az), np.cos(az), 0.0])
@@ -98,10 +113,9 @@ def soft_box(d: Array, azimuth_deg: float, elevation_deg: float, width_deg: floa
 
 
 def studio(light: str | Illuminant = "D65", rows: int = 256) -> Environment:
-    """A dark studio with soft boxes: large key from the upper left, strips at the sides, one overhead.
+    """A dark studio with soft boxes: a large key light at the upper left, strips at the sides, one overhead.
 
-    The surround is dim and graded, so that a specular film shows its colour in large calm areas and a dark
-    edge beside each.
+    The surround is dim and graded: a specular film shows its colour in large calm areas, each with a dark edge beside.
     """
     d = directions(rows)
     z = d[..., 2]
@@ -110,16 +124,15 @@ def studio(light: str | Illuminant = "D65", rows: int = 256) -> Environment:
     boxes += 1.35 * soft_box(d, -26, 26, 20, 84, roll_deg=4, fall=0.7)
     boxes += 1.0 * soft_box(d, 158, 32, 11, 62, roll_deg=-6, fall=0.5)
     boxes += 1.2 * soft_box(d, 62, 64, 66, 30, fall=0.6)
-    weights = (surround + boxes)[None]
     spectrum = unit_spectrum(light)
-    return Environment(weights, (spectrum,), f"studio, {spectrum.name}")
+    return Environment((surround + boxes)[None], (spectrum,), f"studio, {spectrum.name}")
 
 
 def beam(light: str | Illuminant = "D65", rows: int = 512, width_deg: float = BEAM_DEG) -> Environment:
-    """One lamp far away at the upper left front, `BEAM_DEG` wide, and a weak fill that keeps shadows readable.
+    """A distant lamp at the upper left front, and a weak fill light for the shadows.
 
-    So wide that light which glass focuses or a mirror throws is found by the paths that look for it, and a mirror shows
-    the lamp; white paper on the floor has a luminance of 0.6 under the lamp. Another width keeps its power.
+    At the default width paths find caustics, and a mirror shows the lamp. White paper on the floor has luminance
+    0.6 under the lamp; other widths have the same power.
     """
     towards = np.array([-0.5, -0.62, 0.95])
     towards /= np.linalg.norm(towards)
@@ -138,34 +151,32 @@ def beam(light: str | Illuminant = "D65", rows: int = 512, width_deg: float = BE
     return Environment(weights[None], (spectrum,), f"beam, {spectrum.name}")
 
 
-# Two places with spectral light: a room with windows and lamps, a street under a clear sky.
-
-ROWS = 512
-STREET_TURN_DEG = 30.0
-SUN_DEG = 4.0  # wider than the sun, of its power: calmer glints
-_GRID = table_wavelengths_nm()
+def edge(low: float, high: float, middle_nm: float, width_nm: float) -> Array:
+    """A reflectance spectrum that rises smoothly from `low` to `high`."""
+    return np.asarray(low + (high - low) / (1 + np.exp(-(_GRID - middle_nm) / width_nm)))
 
 
-def _edge(low: float, high: float, middle_nm: float, width_nm: float) -> Array:
-    """A reflectance that rises from `low` to `high` about `middle_nm`."""
-    return low + (high - low) / (1 + np.exp(-(_GRID - middle_nm) / width_nm))
+def peak(low: float, high: float, middle_nm: float, width_nm: float) -> Array:
+    """A spectrum with one Gaussian peak."""
+    return np.asarray(low + (high - low) * np.exp(-(((_GRID - middle_nm) / width_nm) ** 2)))
 
 
-BRICK = _edge(0.07, 0.34, 575.0, 22.0)
-PLASTER = _edge(0.38, 0.62, 500.0, 60.0)
-WOOD = _edge(0.12, 0.45, 560.0, 45.0)
-CLOTH = _edge(0.30, 0.06, 520.0, 25.0)
-LEAF = 0.04 + 0.07 * np.exp(-(((_GRID - 550.0) / 32.0) ** 2)) + _edge(0.0, 0.42, 705.0, 9.0)
+BRICK = edge(0.07, 0.34, 575.0, 22.0)
+PLASTER = edge(0.38, 0.62, 500.0, 60.0)
+WOOD = edge(0.12, 0.45, 560.0, 45.0)
+CLOTH = edge(0.30, 0.06, 520.0, 25.0)
+LEAF = peak(0.04, 0.11, 550.0, 32.0) + edge(0.0, 0.42, 705.0, 9.0)
+THROUGH = peak(0.02, 0.24, 555.0, 34.0) + edge(0.0, 0.45, 710.0, 9.0)  # leaf transmittance
 
 
 def blue_sky() -> Illuminant:
-    """Light of the clear zenith: daylight scattered by air, D65 times (lambda / 550 nm)^-2.2."""
+    """Clear zenith light: D65 times (lambda / 550 nm)^-2.2."""
     day = illuminant("D65")
     return unit_spectrum(Illuminant(_GRID, day.at(_GRID) * (_GRID / 550.0) ** -2.2, "clear sky"))
 
 
 def _hash(*values: Array) -> Array:
-    """Repeatable numbers in [0, 1) for integer cells."""
+    """Repeatable pseudo-random numbers in [0, 1) for integer cells."""
     mix = sum(v * k for v, k in zip(values, (12.9898, 78.233, 37.719)))
     return np.mod(np.sin(mix) * 43758.5453, 1.0)
 
@@ -183,15 +194,15 @@ class Canvas:
         self.weights.append(np.broadcast_to(np.asarray(weight, dtype=float), self.shape))
 
     def finish(self, name: str, floor_luminance: float) -> Environment:
-        """Scale so that white paper on the floor has this luminance."""
+        """Scale to this luminance on white floor paper."""
         raw = Environment(np.stack(self.weights), tuple(self.spectra), name)
         return Environment(raw.weights * (floor_luminance * np.pi / raw.irradiance), raw.spectra, name)
 
 
 @functools.lru_cache(maxsize=2)
 def street(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
-    """A street of brick and plaster houses under a clear sky, the sun over one side; the street runs near y."""
-    # turned so that a camera at the front right looks down the street
+    """A street with brick and plaster houses under a clear sky, sun from one side, about along y."""
+    # a camera at the front right looks along the street
     turned = directions(rows)
     c, s = np.cos(np.radians(STREET_TURN_DEG)), np.sin(np.radians(STREET_TURN_DEG))
     x, y, z = c * turned[..., 0] + s * turned[..., 1], c * turned[..., 1] - s * turned[..., 0], turned[..., 2]
@@ -201,9 +212,8 @@ def street(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     sun_direction /= np.linalg.norm(sun_direction)
     sun, haze, blue = unit_spectrum("D50"), unit_spectrum("D65"), blue_sky()
 
-    # the house front that a direction meets, and how high above the road
-    with np.errstate(divide="ignore", invalid="ignore"):
-        reach = half / np.maximum(np.abs(x), 1e-9)
+    # house front in each direction, and height above the road
+    reach = half / np.maximum(np.abs(x), 1e-9)
     along, height = y * reach, z * reach + eye
     side = np.sign(x)
     house = np.floor((along + 3.0 * side) / 11.0)
@@ -213,27 +223,25 @@ def street(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     is_ground = (z < 0) & ~is_front
     is_sky = ~is_front & ~is_ground
 
-    # sky: haze towards the horizon, blue above, a glow round the sun
+    # sky: haze at the horizon, blue above, a glow round the sun
     up = np.clip(z, 0.0, 1.0)
     to_sun = np.arccos(np.clip(d @ sun_direction, -1, 1))
     glow = 0.55 * np.exp(-to_sun / 0.22) + 0.25 * np.exp(-to_sun / 0.7)
     haze_weight = 0.10 + 0.55 * np.exp(-up / 0.12) + glow
     blue_weight = 0.34 * (1 - 0.75 * np.exp(-up / 0.18)) * (1 + 0.4 * np.cos(to_sun) ** 2)
-    disc = (to_sun < np.radians(0.5 * sun_deg)) * (SUN_DEG / sun_deg) ** 2  # of its power, however wide
+    disc = (to_sun < np.radians(0.5 * sun_deg)) * (SUN_DEG / sun_deg) ** 2  # constant power
 
-    # light on surfaces: sun on the side it reaches, sky by the share of it in view
+    # irradiance: sun on one side, sky by its visible fraction
     lit_side = side * np.sign(sun_direction[0]) < 0
-    reaches = (sun_direction[2] / abs(sun_direction[0])) * 2 * half  # the shadow line climbs as the sun sinks
+    reaches = (sun_direction[2] / abs(sun_direction[0])) * 2 * half
     shadow_top = np.maximum(tall - reaches, 0.0) + 2.2 * smooth_step(_hash(house, -side), 0.0, 1.0)
     sun_on_front = np.where(lit_side & (height > shadow_top), abs(sun_direction[0]), 0.0)
     depth = np.clip(height / 14.0, 0.0, 1.0)
     sky_on_front = 0.16 + 0.30 * depth
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ground_x = np.where(is_ground, x * eye / np.maximum(-z, 1e-6), 0.0)
-        ground_y = np.where(is_ground, y * eye / np.maximum(-z, 1e-6), 0.0)
+    ground_x, ground_y = (np.where(is_ground, c * eye / np.maximum(-z, 1e-6), 0.0) for c in (x, y))
     sun_on_ground = np.where(ground_x > -2.5, sun_direction[2], 0.0)
 
-    # windows: rows of dark panes that mirror the sky; a door band at the street
+    # windows: dark panes that mirror the sky
     storey, column = np.floor(height / 3.1), np.floor(along / 2.2)
     in_storey, in_column = np.mod(height, 3.1) / 3.1, np.mod(along, 2.2) / 2.2
     pane = (np.abs(in_column - 0.5) < 0.27) & (np.abs(in_storey - 0.55) < 0.29) & is_front
@@ -245,12 +253,11 @@ def street(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     is_plaster = is_front & ~pane & ~is_brick
 
     canvas = Canvas(rows)
-    power_sun, power_sky = 3.0, 1.0  # irradiances, in units of the sky's luminance
-    canvas.add(tinted(sun, BRICK, "brick in sun"), is_brick * mottled * sun_on_front * power_sun)
-    canvas.add(tinted(blue, BRICK, "brick in shade"), is_brick * mottled * sky_on_front * power_sky)
-    canvas.add(tinted(sun, PLASTER, "plaster in sun"), is_plaster * mottled * sun_on_front * power_sun)
-    canvas.add(tinted(blue, PLASTER, "plaster in shade"), is_plaster * mottled * sky_on_front * power_sky)
-    # trees stand along one kerb every 13 m, in front of the houses
+    power_sun, power_sky = 3.0, 1.0  # irradiances relative to the sky luminance
+    for wall, reflectance, name in ((is_brick, BRICK, "brick"), (is_plaster, PLASTER, "plaster")):
+        canvas.add(tinted(sun, reflectance, f"{name} in sun"), wall * mottled * sun_on_front * power_sun)
+        canvas.add(tinted(blue, reflectance, f"{name} in shade"), wall * mottled * sky_on_front * power_sky)
+    # trees along one kerb every 13 m, before the houses
     tree_reach = (half - 2.2) / np.maximum(np.abs(x), 1e-9)
     tree_y, tree_z = y * tree_reach, z * tree_reach + eye
     offset = np.mod(tree_y + 6.5, 13.0) - 6.5
@@ -275,7 +282,7 @@ def street(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
 
 @functools.lru_cache(maxsize=1)
 def interior(rows: int = ROWS) -> Environment:
-    """A room by day: two windows with D65 daylight, F11 ceiling panels, one standing lamp of illuminant A."""
+    """A room by day: two windows with D65 daylight, F11 ceiling panels, a standing lamp with illuminant A."""
     d = directions(rows)
     size = np.array([3.6, 4.4, 1.9])  # half width, half depth, ceiling above the eye
     eye = 1.1
@@ -316,7 +323,7 @@ def interior(rows: int = ROWS) -> Environment:
     is_floor, is_ceiling = on_z & (d[..., 2] < 0), on_z & (d[..., 2] > 0)
     boards = 0.82 + 0.3 * _hash(np.floor(x / 0.14), np.floor(y / 1.3 + 7 * _hash(np.floor(x / 0.14))))
     boards = boards * (1 - 0.5 * (np.mod(x / 0.14, 1.0) < 0.035))
-    cloth = on_y & (y > 0) & (np.abs(x + 0.7) < 1.1) & (z < 0.35) & (z > -0.75)  # a hanging of teal cloth
+    cloth = on_y & (y > 0) & (np.abs(x + 0.7) < 1.1) & (z < 0.35) & (z > -0.75)  # a teal hanging
     book = on_x & (x > 0) & (np.abs(y - 0.2) < 1.2) & (z < 0.7)
     spine = 0.25 + 0.9 * _hash(np.floor(y / 0.045), np.floor((z + 1.1) / 0.33))
     spine = spine * (np.mod((z + 1.1) / 0.33, 1.0) > 0.12)
@@ -345,13 +352,12 @@ def _grid_x(x: float, y: float, half_y: float, z: float, half_z: float) -> Array
 
 
 def _grid_z(centre: tuple[float, float, float], half_x: float, half_y: float) -> Array:
-    return np.array(
-        [(centre[0] + half_x * a, centre[1] + half_y * b, centre[2]) for a in (-0.5, 0.5) for b in (-0.7, 0.0, 0.7)]
-    )
+    x, y, z = centre
+    return np.array([(x + half_x * a, y + half_y * b, z) for a in (-0.5, 0.5) for b in (-0.7, 0.0, 0.7)])
 
 
 def _from_panel(p: Array, normal: Array, points: Array, facing: Array) -> Array:
-    """Irradiance over pi at `p` from a panel of luminance 4, by the few points that stand for it."""
+    """Irradiance over pi at `p` from a panel with luminance 4, approximated by a few points."""
     total = np.zeros(p.shape[:-1])
     for point in points:
         to = point - p
@@ -361,17 +367,9 @@ def _from_panel(p: Array, normal: Array, points: Array, facing: Array) -> Array:
     return total * (1.3 / len(points))
 
 
-# A garden by day: trees and hedges round a lawn under a sky with light clouds, the sun on the left.
-
-SUN = (-0.62, -0.30, 0.60)  # behind the camera's left shoulder, so high that the trees stand in its light
-_SEED = 21
-# leaves with the light behind them: what chlorophyll lets through, yellower and brighter than what it reflects
-THROUGH = 0.02 + 0.22 * np.exp(-(((_GRID - 555.0) / 34.0) ** 2)) + 0.45 / (1 + np.exp(-(_GRID - 710.0) / 9.0))
-
-
 @functools.lru_cache(maxsize=2)
 def garden(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
-    """The garden, its far side before the camera."""
+    """A garden by day: trees and hedges round a lawn under a sky with light clouds, sun on the left."""
     d = directions(rows)
     shape, pixel = d.shape[:2], np.pi / rows
     z = d[..., 2]
@@ -384,7 +382,7 @@ def garden(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     def grain(degrees: float, seed: int) -> Array:
         return noise(shape, (np.radians(degrees) / pixel, np.radians(degrees) / pixel), _SEED + seed)
 
-    # three rows of trees, one before the other, each with an uneven crest
+    # three tree rows with uneven crests
     crest = [
         np.radians(base)
         + swell * np.interp(azimuth, *_outline(seed))
@@ -396,7 +394,7 @@ def garden(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     far, middle, hedge = trees
     is_lawn = smooth_step(-height, 0.0, 0.006)
 
-    # clumps of leaves: lit on the side of the sun, with gaps of shade between; deeper down there is less light
+    # leaf clumps, lit on the sun side, with shaded gaps between
     clump = grain(2.2, 10) + 0.8 * grain(0.8, 11)
     leaf = grain(0.3, 12)
     lit = np.roll(clump, (-int(0.5 / np.degrees(pixel)), -int(0.6 / np.degrees(pixel))), axis=(0, 1)) - clump
@@ -409,24 +407,22 @@ def garden(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     )
     cloud = cloud * smooth_step(up, 0.05, 0.3)
     glow = 0.5 * np.exp(-to_sun / 0.2) + 0.2 * np.exp(-to_sun / 0.7)
-    rim = (to_sun - np.radians(0.5 * sun_deg)) / pixel  # soft, as texels can show it
+    rim = (to_sun - np.radians(0.5 * sun_deg)) / pixel  # soft over a texel
     disc = (0.5 - 0.5 * np.clip(rim, -1.0, 1.0)) * (SUN_DEG / sun_deg) ** 2
     canvas.add(sun, sky * (disc * 250.0 + 0.35 * cloud))
     canvas.add(haze, sky * (0.12 + 0.5 * np.exp(-up / 0.14) + glow + 0.45 * cloud))
     canvas.add(blue, sky * (1 - 0.7 * cloud) * 0.34 * (1 - 0.7 * np.exp(-up / 0.2)))
-    # trees: leaves in sun, leaves in shade, and the sun through them where they are thin
     in_sun = [far * (1 - middle) * 0.75, middle * (1 - hedge) * 0.9, hedge * 1.1]
-    # before the camera stands a wood in its own shade, so that what is bright in front of it shows
+    # a shaded wood before the camera is the background for bright objects
     dry = (1 - is_lawn) * (1.0 - 0.72 * np.clip(np.sin(azimuth), 0.0, 1.0) ** 2)
     for share, depth in zip(in_sun, (0.8, 1.0, 1.0), strict=True):
         share = share * dry
         canvas.add(tinted(sun, LEAF, "leaves in sun"), share * bright * 2.1 * depth)
         canvas.add(tinted(sun, THROUGH, "light through leaves"), share * np.clip(bright - 0.75, 0.0, 1.0) * 1.5)
         canvas.add(tinted(blue, LEAF, "leaves in shade"), share * 0.5)
-        canvas.add(haze, share * (0.035 if depth < 1 else 0.012))  # air between
-    # the lawn, darker below the trees and striped by their shade
+        canvas.add(haze, share * (0.035 if depth < 1 else 0.012))  # haze
+    # the lawn, striped by tree shade
     away = 1.3 / np.maximum(np.tan(np.clip(-height, 0.0, 1.5)), 1e-3)
-    # stretched as it lies away: rows of the drawing below the horizon are soon far apart
     shade = smooth_step(noise(shape, (np.radians(0.5) / pixel, np.radians(9) / pixel), _SEED + 20), -1.2, 0.5)
     shade = 1 - (1 - shade) * smooth_step(away, 6.0, 30.0)
     blades = 1.0 + 0.1 * grain(0.4, 22)
@@ -438,7 +434,7 @@ def garden(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
 
 
 def _outline(seed: int) -> tuple[Array, Array]:
-    """Heights of a row of trees round the horizon, about 0, by azimuth: crowns beside each other."""
+    """Azimuth and height of tree crowns round the horizon."""
     rng = np.random.default_rng(_SEED + seed)
     azimuth = np.linspace(-np.pi, np.pi, 1441)
     height = np.full_like(azimuth, -1.0)
@@ -447,6 +443,3 @@ def _outline(seed: int) -> tuple[Array, Array]:
         apart = np.abs(np.angle(np.exp(1j * (azimuth - centre)))) / half
         height = np.maximum(height, top + 1.2 * (np.sqrt(np.clip(1 - apart**2, 0.0, 1.0)) - 1.0))
     return azimuth, height
-
-
-__all__ = ["SUN", "garden"]

@@ -1,13 +1,11 @@
-"""Several lights at once: what a user writes, and the environments of all of them as one.
+"""Several lights in one picture: their notation, and one emitter for several environments.
 
-Mitsuba takes one environment per scene; here one emitter is the sum of several, each with its own strength. A direction
-is drawn from one of them, by their powers, and its density is that of the mixture, so that every one of them can be
-found however small it is.
+Mitsuba accepts one environment per scene. The mixture samples a direction from one part and uses the mixture
+density, therefore every part is sampled, however small.
 """
 
 from __future__ import annotations
 
-import functools
 import math
 import re
 from collections.abc import Sequence
@@ -15,19 +13,19 @@ from dataclasses import dataclass
 from typing import Any
 
 from nacre.core.errors import NacreError
-from nacre.device.variant import use_variant
-from nacre.picture.lights.environment_plugin import FAR, thrown_ray
+from nacre.picture.lights.environment_plugin import FAR, DistantEmitter
+from nacre.picture.plugin import dr, make_plugin, mi
 
 MAX_STRENGTH = 1e4
 MAX_TURN_DEG = 36_000.0
-BELOW_ONE = 1.0 - 2.0**-24  # the largest single-precision number below 1
+BELOW_ONE = 1.0 - 2.0**-24  # largest single-precision number below 1
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _MARKS = re.compile(rf"(?P<name>.+?)(?P<marks>(?:[:@]{_NUMBER})*)\Z")
 
 
 @dataclass(frozen=True)
 class Lamp:
-    """One light of a picture: its name or environment map, how strong it is, and how far it is turned (degrees)."""
+    """One light: name or environment map, strength, and turn in degrees."""
 
     name: str
     strength: float = 1.0
@@ -39,10 +37,10 @@ class Lamp:
 
 
 def read_lamps(light: str | Sequence[str]) -> tuple[Lamp, ...]:
-    """Read "studio:0.5,sun@120": lights with their strengths (`:`) and turns about the vertical axis (`@`, degrees).
+    """Read "studio:0.5,sun@120": lights with strengths (`:`) and turns about the vertical axis (`@`, degrees).
 
     Raises:
-        NacreError: no name, a strength that is not above 0, a turn that is no usable angle, a light named twice.
+        NacreError: a missing name, a bad strength or turn, a light named twice.
     """
     parts = light.split(",") if isinstance(light, str) else list(light)
     lamps = tuple(_lamp(str(part).strip()) for part in parts)
@@ -71,93 +69,59 @@ def _lamp(text: str) -> Lamp:
 
 
 def sum_of_environments(parts: Sequence[tuple[Any, float]]) -> Any:
-    """Return one environment `mi.Emitter` that shines as all of these, each times its strength."""
+    """Return one environment `mi.Emitter` for the given emitters and strengths."""
     if len(parts) == 1 and parts[0][1] == 1.0:
         return parts[0][0]
-    mi = use_variant()
-    return _sum_class(mi.variant())(mi.Properties(), [emitter for emitter, _ in parts], [s for _, s in parts])
+    return make_plugin(NacreEnvironments, parts)
 
 
-@functools.cache
-def _sum_class(variant: str) -> type:
-    """Define the class for a variant: Mitsuba's base class differs from variant to variant."""
-    import drjit as dr
+class NacreEnvironments(DistantEmitter):
+    """Several environments, summed."""
 
-    mi: Any = use_variant()
-    is_scalar = variant.startswith("scalar")
+    def set_up(self, parts: Sequence[tuple[Any, float]]) -> None:
+        DistantEmitter.set_up(self)
+        self.parts, self.strengths = [part for part, _ in parts], [float(strength) for _, strength in parts]
+        self.share = 1.0 / len(self.parts)  # equal shares, because a strong part must not starve the others
 
-    class NacreEnvironments(mi.Emitter):
-        """The sum of several environments."""
+    def set_scene(self, scene: Any) -> None:
+        for part in self.parts:
+            part.set_scene(scene)
 
-        def __init__(self, properties: Any, parts: Sequence[Any], strengths: Sequence[float]) -> None:
-            super().__init__(properties)
-            self.parts, self.strengths = list(parts), [float(s) for s in strengths]
-            # one or two strong lights must not starve the others: equal shares are never far from the best ones
-            self.share = 1.0 / len(self.parts)
-            self.m_flags = int(mi.EmitterFlags.Infinite | mi.EmitterFlags.SpatiallyVarying)
-            self.m_needs_sample_3 = False
+    def _sum(self, values: Sequence[Any], active: Any) -> Any:
+        total = mi.Spectrum(0.0)
+        for value, strength in zip(values, self.strengths, strict=True):
+            total = total + strength * value
+        return total & active
 
-        def traverse(self, callback: Any) -> None:
-            """Nothing of the sum itself can be changed."""
+    def eval(self, si: Any, active: Any = True) -> Any:
+        return self._sum([part.eval(si, active) for part in self.parts], active)
 
-        def set_scene(self, scene: Any) -> None:
-            for part in self.parts:
-                part.set_scene(scene)
+    def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
+        # the first number selects the part and is then stretched to [0, 1)
+        slot = sample.x / self.share
+        chosen = dr.minimum(mi.UInt32(slot), len(self.parts) - 1)
+        sample = mi.Point2f(dr.clip(slot - mi.Float(chosen), 0.0, BELOW_ONE), sample.y)
+        ds = mi.DirectionSample3f() if self.is_scalar else dr.zeros(mi.DirectionSample3f)
+        for index, part in enumerate(self.parts):
+            here, _ = part.sample_direction(it, sample, active & (chosen == index))
+            ds = dr.select(chosen == index, here, ds)
+        is_drawn = active & (ds.pdf > 0.0)
+        # Mitsuba's own emitters outside a scene do not know its size; objects beyond their guess would cast no shadow
+        ds.dist = 2.0 * (FAR + dr.norm(it.p))
+        ds.p, ds.n = it.p + ds.d * ds.dist, -ds.d
+        ds.delta, ds.emitter = mi.Bool(False), self.emitter_pointer()
+        ds.pdf = dr.select(is_drawn, self.pdf_direction(it, ds, is_drawn), 0.0)
+        weight = self.eval_direction(it, ds, is_drawn) / dr.maximum(ds.pdf, 1e-12)
+        return ds, weight & is_drawn & (ds.pdf > 0.0)
 
-        def eval(self, si: Any, active: Any = True) -> Any:
-            total = mi.Spectrum(0.0)
-            for part, strength in zip(self.parts, self.strengths, strict=True):
-                total = total + strength * part.eval(si, active)
-            return total & active
+    def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
+        total = mi.Float(0.0)
+        for part in self.parts:
+            total = total + self.share * part.pdf_direction(it, ds, active)
+        return dr.select(active, total, 0.0)
 
-        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
-            # which part: by the first number, which is stretched again over its own share
-            slot = sample.x / self.share
-            chosen = dr.minimum(mi.UInt32(slot), len(self.parts) - 1)
-            sample = mi.Point2f(dr.clip(slot - mi.Float(chosen), 0.0, BELOW_ONE), sample.y)
-            ds = mi.DirectionSample3f() if is_scalar else dr.zeros(mi.DirectionSample3f)
-            for index, part in enumerate(self.parts):
-                here, _ = part.sample_direction(it, sample, active & (chosen == index))
-                ds = dr.select(chosen == index, here, ds)
-            is_drawn = active & (ds.pdf > 0.0)
-            # a part of Mitsuba's that is no light of the scene itself does not know how wide the scene is: what stands
-            # farther away than its guess would throw no shadow
-            ds.dist = 2.0 * (FAR + dr.norm(it.p))
-            ds.p, ds.n = it.p + ds.d * ds.dist, -ds.d
-            ds.delta = mi.Bool(False)
-            ds.emitter = self if is_scalar else mi.EmitterPtr(self)
-            ds.pdf = dr.select(is_drawn, self.pdf_direction(it, ds, is_drawn), 0.0)
-            weight = self.eval_direction(it, ds, is_drawn) / dr.maximum(ds.pdf, 1e-12)
-            return ds, weight & is_drawn & (ds.pdf > 0.0)
+    def eval_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
+        return self._sum([part.eval_direction(it, ds, active) for part in self.parts], active)
 
-        def sample_ray(self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True) -> Any:
-            return thrown_ray(self, mi.Point3f(0.0), mi.Float(FAR), time, (sample1, sample2, sample3), active)
-
-        def sample_position(self, time: Any, sample: Any, active: Any = True) -> Any:
-            # never used, but recorded for every lamp that lives, those of other scenes too
-            return mi.PositionSample3f() if is_scalar else dr.zeros(mi.PositionSample3f), mi.Float(0.0)
-
-        def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
-            total = mi.Float(0.0)
-            for part in self.parts:
-                total = total + self.share * part.pdf_direction(it, ds, active)
-            return dr.select(active, total, 0.0)
-
-        def eval_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
-            total = mi.Spectrum(0.0)
-            for part, strength in zip(self.parts, self.strengths, strict=True):
-                total = total + strength * part.eval_direction(it, ds, active)
-            return total & active
-
-        def sample_wavelengths(self, si: Any, sample: Any, active: Any = True) -> Any:
-            wavelengths, weight = mi.sample_rgb_spectrum(mi.sample_shifted(sample))
-            si.wavelengths = wavelengths
-            return wavelengths, self.eval(si, active) * weight
-
-        def bbox(self) -> Any:
-            return mi.ScalarBoundingBox3f()
-
-        def to_string(self) -> str:
-            return f"NacreEnvironments[{len(self.parts)}]"
-
-    return NacreEnvironments
+    def to_string(self) -> str:
+        return f"NacreEnvironments[{len(self.parts)}]"

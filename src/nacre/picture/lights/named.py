@@ -1,7 +1,7 @@
-"""The lights by name: soft boxes, a line of tubes, sun, sky, a beam, rooms and streets, a user's environment map.
+"""Lights by name: soft boxes, a line of tubes, sun, sky, beam, room, street, garden, and environment maps.
 
-Emission is scaled so that a matt white sheet lying on the floor has a luminance of about 0.6: pictures of
-different materials under one light compare at one exposure.
+Emission gives matt white paper on the floor a luminance near 0.6; pictures with different materials
+under one light therefore compare at one exposure.
 """
 
 from __future__ import annotations
@@ -16,35 +16,44 @@ from numpy.typing import NDArray
 
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import plain, why_unreadable
-from nacre.device.variant import use_variant
 from nacre.light import illuminant as light_illuminant
 from nacre.picture.lights.environment_plugin import make_environment, spectrum_texture
-from nacre.picture.lights.environments import BEAM_DEG, Environment, beam, studio, unit_spectrum
+from nacre.picture.lights.environments import (
+    BEAM_DEG,
+    Environment,
+    beam,
+    garden,
+    interior,
+    street,
+    studio,
+    unit_spectrum,
+)
 from nacre.picture.lights.light_mixture import Lamp, sum_of_environments
 from nacre.picture.paths import SOFT_LAMP_DEG, WITHIN_LAMP_DEG
+from nacre.picture.plugin import mi
 
 LIGHTS = ("studio", "line", "sun", "sky", "directional", "interior", "street", "garden")
 TURNING_LIGHTS = ("studio", "interior", "street", "garden", "directional")
 MAP_SUFFIXES = (".exr", ".hdr", ".pfm")
 MAX_MAP_BYTES = 1 << 30
-SUN_DEG = 1.5  # wider than the sun, of its power, which softens the glint of a mirror
+SUN_DEG = 1.5  # wider than the sun at equal power, which softens its mirror image
 BLACK = {"type": "diffuse", "reflectance": 0.0}
 PLACE_FLOORS = {"street": "ground", "interior": "boards", "garden": "deck"}
 
 
 @dataclass(frozen=True)
 class Light:
-    """The light of a picture.
+    """A picture's light.
 
     Attributes:
         emitters: Mitsuba objects or dicts by name.
-        illuminant: the white that the picture is balanced to.
-        is_surrounding: whether the light is a place that should be seen behind the subject.
-        note: how outputs state it.
-        floor: material of the floor where it is a place (`nacre.picture.scenes.catalogue.MATERIALS`).
-        turning: emitters that turn in place (`turn`), with the turn that each has of its own, in degrees.
-        soft: its environment with the small lamps `SOFT_LAMP_DEG` wide, for `nacre.picture.paths`; None: it has none.
-        soft_within: the same for light that the object itself has spread, `WITHIN_LAMP_DEG` wide; None: none is wanted.
+        illuminant: white point.
+        is_surrounding: whether the light is a visible place behind the subject.
+        note: description for outputs.
+        floor: floor material in a place (`nacre.picture.scenes.catalogue.MATERIALS`).
+        turning: emitters that turn in place (`turn`), each with its own turn in degrees.
+        soft: the environment with its small lamps widened to `SOFT_LAMP_DEG`, see `nacre.picture.paths`.
+        soft_within: the environment widened to `WITHIN_LAMP_DEG`, for light that the object has scattered.
     """
 
     emitters: dict[str, Any]
@@ -57,12 +66,12 @@ class Light:
     soft_within: Any = None
 
     def turn(self, angle_deg: float) -> None:
-        """Turn our own environments about the vertical axis; the other lights were built at their angle."""
+        """Turn our own environments about the vertical axis; other lights are built at their angle."""
         for emitter, own_deg in self.turning:
             emitter.set_state(1.0, own_deg + angle_deg)
 
     def among(self, others: Light) -> Light:
-        """The same light where those of the others that have a body stand there too, switched off."""
+        """Add other lights' bodies, switched off, and their place."""
         own = [emitter["to_world"] for emitter in self.emitters.values() if _is_body(emitter)]
         bodies = {
             f"off_{name}": {**{k: v for k, v in emitter.items() if k != "emitter"}, "bsdf": BLACK}
@@ -78,7 +87,7 @@ def _is_body(emitter: Any) -> bool:
 
 
 def check_light(name: str) -> str:
-    """Return the name, or the path of an environment map, if it is one.
+    """Return a light's name or an environment map's path.
 
     Raises:
         NacreError: neither a light nor a readable environment map.
@@ -103,114 +112,95 @@ def check_light(name: str) -> str:
 
 
 def make_lights(lamps: Sequence[Lamp], illuminant: str = "D65", turn_deg: float = 0.0) -> Light:
-    """Build lights of the current variant, balanced to the white of the first.
+    """Build lights in the current variant; the first one sets the white point.
 
     Args:
         lamps: see `nacre.picture.lights.light_mixture.read_lamps`.
-        illuminant: spectrum of the light sources; `sun`, `sky`, `street` and maps bring their own light and are
-            balanced to D65, `interior` mixes daylight and its lamps.
-        turn_deg: how far all of them have turned about the object.
+        illuminant: lamp spectrum. `sun`, `sky`, places and maps have their own spectra and the white
+            point D65.
+        turn_deg: common turn about the object.
 
     Raises:
         NacreError: unknown light or illuminant, unreadable map.
     """
     lights = [make_light(lamp.name, illuminant, turn_deg + lamp.turn_deg, lamp.strength) for lamp in lamps]
-    turning = tuple(
-        (emitter, own + lamp.turn_deg)
-        for lamp, light in zip(lamps, lights, strict=True)
-        for emitter, own in light.turning
-    )
+    both = list(zip(lamps, lights, strict=True))
+    turning = tuple((emitter, own + lamp.turn_deg) for lamp, light in both for emitter, own in light.turning)
     if len(lamps) == 1 and lamps[0].strength == 1.0:
         return replace(lights[0], turning=turning)
-    emitters: dict[str, Any] = {}
-    environments, softened = [], []
-    for index, (lamp, light) in enumerate(zip(lamps, lights, strict=True)):
-        for name, emitter in light.emitters.items():
-            if emitter is _environment_of(light):
-                environments.append((emitter, lamp.strength))
-                softened.append((light.soft or emitter, lamp.strength))
-            else:
-                emitters[f"{name}{index}"] = emitter
-    emitters["environments"] = sum_of_environments(environments)
-    soft = sum_of_environments(softened) if any(light.soft is not None for light in lights) else None
-    within = None
+    found = [(_environment_of(light), light, lamp.strength) for lamp, light in both]
+    surroundings = [each for each in found if each[0] is not None]
+    emitters = {
+        f"{name}{index}": emitter
+        for index, (environment, light, _) in enumerate(found)
+        for name, emitter in light.emitters.items()
+        if emitter is not environment
+    }
+    emitters["environments"] = sum_of_environments([(emitter, strength) for emitter, _, strength in surroundings])
+    soft = within = None
+    if any(light.soft is not None for light in lights):
+        soft = sum_of_environments([(light.soft or emitter, strength) for emitter, light, strength in surroundings])
     if any(light.soft_within is not None for light in lights):
-        # in order of the environments above
-        softest = [light.soft_within or light.soft for light in lights if _environment_of(light) is not None]
         within = sum_of_environments(
-            [(wide or emitter, strength) for wide, (emitter, strength) in zip(softest, environments, strict=True)]
+            [(light.soft_within or light.soft or emitter, strength) for emitter, light, strength in surroundings]
         )
-    note = " + ".join(
-        light.note + ("" if lamp.strength == 1.0 else f" at {lamp.strength:g}")
-        for lamp, light in zip(lamps, lights, strict=True)
-    )
+    note = " + ".join(light.note + ("" if lamp.strength == 1.0 else f" at {lamp.strength:g}") for lamp, light in both)
     place = next((light for light in lights if light.is_surrounding), lights[0])
     return Light(emitters, lights[0].illuminant, place.is_surrounding, note, place.floor, turning, soft, within)
 
 
 def _environment_of(light: Light) -> Any:
-    """Return the emitter of a light that is an environment; None: it has none."""
-    mi = use_variant()
+    """Return a light's environment emitter, or None."""
     found = (each for each in light.emitters.values() if isinstance(each, mi.Emitter) and each.is_environment())
     return next(found, None)
 
 
 def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, strength: float = 1.0) -> Light:
-    """Build a light of the current variant.
+    """Build one light in the current variant.
 
     Args:
-        name: one of `LIGHTS` or the path of an environment map.
+        name: in `LIGHTS`, or an environment map's path.
         illuminant, turn_deg: see `make_lights`.
-        strength: of its lamps; not of its environment, whose strength its caller gives.
+        strength: factor for lamps; `make_lights` scales environments.
 
     Raises:
         NacreError: unknown light or illuminant, unreadable map.
     """
     white = light_illuminant(illuminant).name
-    if name == "studio":
-        return _surrounding(studio(white), white, f"studio soft boxes, {white}", turn_deg, is_surrounding=False)
+    if name in TURNING_LIGHTS:
+        return _surrounding(name, white, turn_deg)
     if name == "line":
         return Light(_tubes(white, turn_deg, strength), white, False, f"line of tubes, {white}")
-    if name == "directional":
-        note = f"beam of {BEAM_DEG:g} degrees, {white}"
-        light = _surrounding(beam(white), white, note, turn_deg, False)
-        within = make_environment(beam(white, width_deg=WITHIN_LAMP_DEG), 1.0, turn_deg)
-        return replace(light, turning=(*light.turning, (within, 0.0)), soft_within=within)
     if name in ("sun", "sky"):
-        note = f"{name}, Mitsuba sunsky, turbidity 3"
-        mi = use_variant()
         sky = mi.load_dict(_sunsky(SUN_DEG if name == "sun" else 0.0, turn_deg))
         soft = mi.load_dict(_sunsky(SOFT_LAMP_DEG, turn_deg)) if name == "sun" else None
-        return Light({"sky": sky}, "D65", True, note, "plain", soft=soft)
-    if name in PLACE_FLOORS:
-        place, soft_place = _place(name)
-        return _surrounding(place, "D65", place.name, turn_deg, True, PLACE_FLOORS[name], soft_place)
+        return Light({"sky": sky}, "D65", True, f"{name}, Mitsuba sunsky, turbidity 3", "plain", soft=soft)
     return Light({"map": _map(Path(name), turn_deg)}, "D65", True, f"environment map {Path(name).name}, RGB up-sampled")
 
 
-def _place(name: str) -> tuple[Environment, Environment | None]:
-    """A place by name, and the same with a wider sun; None: it has none."""
-    from nacre.picture.lights import environments as garden
-    from nacre.picture.lights import environments as places
-
-    if name == "interior":
-        return places.interior(), None
-    made = garden.garden if name == "garden" else places.street
-    return made(), made(sun_deg=SOFT_LAMP_DEG)
-
-
-def _surrounding(
-    place: Environment, white: str, note: str, turn_deg: float, is_surrounding: bool, floor: str = "ground",
-    soft_place: Environment | None = None,
-) -> Light:  # fmt: skip
-    emitter = make_environment(place, 1.0, turn_deg)
-    soft = None if soft_place is None else make_environment(soft_place, 1.0, turn_deg)
-    turning = tuple((each, 0.0) for each in (emitter, soft) if each is not None)
-    return Light({"surround": emitter}, white, is_surrounding, note, floor, turning, soft)
+def _surrounding(name: str, white: str, turn_deg: float) -> Light:
+    """Build one of our environments, with the variants that have a wider lamp."""
+    wide: Environment | None = None
+    within: Environment | None = None
+    note = ""
+    if name == "studio":
+        place, note = studio(white), f"studio soft boxes, {white}"
+    elif name == "directional":
+        place, within = beam(white), beam(white, width_deg=WITHIN_LAMP_DEG)
+        note = f"beam of {BEAM_DEG:g} degrees, {white}"
+    elif name == "interior":
+        place = interior()
+    else:
+        build = garden if name == "garden" else street
+        place, wide = build(), build(sun_deg=SOFT_LAMP_DEG)
+    made = [None if each is None else make_environment(each, 1.0, turn_deg) for each in (place, wide, within)]
+    turning = tuple((each, 0.0) for each in made if each is not None)
+    emitters, floor, is_place = {"surround": made[0]}, PLACE_FLOORS.get(name, "ground"), name in PLACE_FLOORS
+    return Light(emitters, "D65" if is_place else white, is_place, note or place.name, floor, turning, *made[1:])
 
 
 def _turn(turn_deg: float) -> Any:
-    return use_variant().ScalarTransform4f().rotate([0, 0, 1], turn_deg)
+    return mi.ScalarTransform4f().rotate([0, 0, 1], turn_deg)
 
 
 def _emission(white: str, level: float) -> Any:
@@ -219,8 +209,7 @@ def _emission(white: str, level: float) -> Any:
 
 
 def _tubes(white: str, turn_deg: float, strength: float) -> dict[str, Any]:
-    """A row of seven broad tubes above and behind the samples, parallel to x, and a weak fill."""
-    mi = use_variant()
+    """Seven broad tubes above and behind the object, parallel to x, and a weak fill light."""
     parts: dict[str, Any] = {}
     for k in range(7):
         y = -4.2 + 1.6 * k
@@ -235,15 +224,15 @@ def _tubes(white: str, turn_deg: float, strength: float) -> dict[str, Any]:
 
 
 def _sunsky(sun_deg: float, turn_deg: float) -> dict[str, Any]:
-    """A clear sky and a sun as wide as this, of the same power; 0: none."""
-    # Mitsuba takes it as of the world, so that a `to_world` would not turn it
-    sun = np.array(_turn(turn_deg) @ use_variant().ScalarVector3f(-0.55, -0.55, 0.75))
+    """A clear sky and a sun with this width and constant power; 0: no sun."""
+    # in world coordinates: Mitsuba does not apply `to_world` to it
+    sun = np.array(_turn(turn_deg) @ mi.ScalarVector3f(-0.55, -0.55, 0.75))
     sky: dict[str, Any] = {
         "type": "sunsky",
         "turbidity": 3.0,
         "albedo": 0.2,
         "sun_direction": list(sun / np.linalg.norm(sun)),
-        # measured: a white floor has Y = 0.38 with the sun and 0.075 without it
+        # unscaled, a white floor has Y = 0.38 with the sun and 0.075 without
         "sky_scale": 1.6 if sun_deg else 8.0,
         "sun_scale": 1.6 if sun_deg else 0.0,
     }
@@ -253,7 +242,6 @@ def _sunsky(sun_deg: float, turn_deg: float) -> dict[str, Any]:
 
 
 def _map(path: Path, turn_deg: float) -> Any:
-    mi = use_variant()
     # Mitsuba's maps have y up
     upright = _turn(turn_deg) @ mi.ScalarTransform4f().rotate([1, 0, 0], 90.0)
     try:
@@ -265,10 +253,10 @@ def _map(path: Path, turn_deg: float) -> Any:
 
 
 def _check_pixels(pixels: NDArray[Any], path: Path) -> None:
-    """Refuse a map whose light cannot be drawn from: all of the picture would come out as no number.
+    """Check that a map can be sampled; otherwise the whole picture would be NaN.
 
     Raises:
-        NacreError: pixels that are not finite, as suns brighter than a half float holds, or none that shines.
+        NacreError: infinite pixels, such as suns above the half-float range, or only black pixels.
     """
     bad = int(np.count_nonzero(~np.isfinite(pixels).reshape(*pixels.shape[:2], -1).all(axis=-1)))
     if bad:

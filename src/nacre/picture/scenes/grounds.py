@@ -1,4 +1,4 @@
-"""Materials of grounds and printed surfaces: graded and chequered boards, wood, black acrylic, paper.
+"""Ground and printed materials: graded and chequered boards, wood, black acrylic, paper.
 
 Grounds with two or more colours blend reflectance spectra by seamless masks, never RGB.
 """
@@ -11,11 +11,15 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
+from nacre.light import table_wavelengths_nm
 from nacre.picture.filters import noise
+from nacre.picture.lights.environment_plugin import spectrum_texture
+from nacre.picture.lights.environments import WOOD, edge, peak
+from nacre.picture.plugin import mi
 
-PLANK = 1.5  # width of a plank of the desk
-_TILE = (12.0, 6.0)  # period of the desk along and across the grain, in scene units
-_ROWS = 1024  # resolution of its drawing
+PLANK = 1.5  # plank width on the desk
+_TILE = (12.0, 6.0)  # desk period along and across the grain, in scene units
+_ROWS = 1024  # drawing resolution
 _SEED = 11
 
 
@@ -25,8 +29,6 @@ def _diffuse(reflectance: dict[str, Any]) -> dict[str, Any]:
 
 def _per_length(x: float, y: float) -> dict[str, Any]:
     """Texture scale for uv in lengths: one period over x by y."""
-    import mitsuba as mi
-
     return {"to_uv": mi.ScalarTransform4f().scale([1 / x, 1 / y, 1.0])}
 
 
@@ -37,9 +39,7 @@ def chessboard(square: float, dark: float = 0.035, bright: float = 0.6) -> dict[
 
 
 def grey_bitmap(values: Array, **options: Any) -> dict[str, Any]:
-    """A spectrally flat texture of numbers `[row, column]`; `options` are those of Mitsuba's bitmap."""
-    import mitsuba as mi
-
+    """A spectrally flat texture from numbers `[row, column]`; `options` as for Mitsuba's bitmap."""
     data = np.ascontiguousarray(values[..., None], dtype=np.float32)
     return {"type": "bitmap", "data": mi.TensorXf(data), "raw": True, "wrap_mode": "clamp", **options}
 
@@ -59,10 +59,7 @@ def halo(across: float, along: float, centre: float) -> dict[str, Any]:
 
 
 def matt(reflectance: Array) -> dict[str, Any]:
-    """A matt surface with a reflectance spectrum on the wavelength grid of the light tables."""
-    from nacre.light import table_wavelengths_nm
-    from nacre.picture.lights.environment_plugin import spectrum_texture
-
+    """A matt surface with a reflectance spectrum on the light tables' wavelength grid."""
     return _diffuse(spectrum_texture(table_wavelengths_nm(), reflectance))
 
 
@@ -70,20 +67,6 @@ def mixed(first: dict[str, Any], second: dict[str, Any], share: Array, **options
     """Blend two surfaces; the mask `[row, column]` is the share of the second."""
     weight = grey_bitmap(np.clip(share, 0.0, 1.0), **options)
     return {"type": "blendbsdf", "weight": weight, "first": first, "second": second}
-
-
-def edge(low: float, high: float, middle_nm: float, width_nm: float) -> Array:
-    """A reflectance spectrum that rises smoothly from `low` to `high`."""
-    from nacre.light import table_wavelengths_nm
-
-    return np.asarray(low + (high - low) / (1 + np.exp(-(table_wavelengths_nm() - middle_nm) / width_nm)))
-
-
-def _peak(low: float, high: float, middle_nm: float, width_nm: float) -> Array:
-    """A reflectance spectrum with one Gaussian peak."""
-    from nacre.light import table_wavelengths_nm
-
-    return np.asarray(low + (high - low) * np.exp(-(((table_wavelengths_nm() - middle_nm) / width_nm) ** 2)))
 
 
 @functools.cache
@@ -128,8 +111,6 @@ def wood() -> dict[str, Any]:
 
 def boards() -> dict[str, Any]:
     """The wooden floor of the room."""
-    from nacre.picture.lights.environments import WOOD
-
     return matt(WOOD)
 
 
@@ -155,9 +136,9 @@ def printed_note(rows: int = 1024) -> dict[str, Any]:
     light, inks = note_drawing(rows, NOTE_WIDTH / NOTE_HEIGHT)
     spectra = {
         "ochre": edge(0.12, 0.62, 545.0, 28.0),
-        "teal": _peak(0.06, 0.42, 505.0, 55.0),
-        "violet": _peak(0.04, 0.22, 430.0, 40.0) + edge(0.0, 0.12, 630.0, 20.0),
-        "blue": _peak(0.02, 0.13, 455.0, 45.0),
+        "teal": peak(0.06, 0.42, 505.0, 55.0),
+        "violet": peak(0.04, 0.22, 430.0, 40.0) + edge(0.0, 0.12, 630.0, 20.0),
+        "blue": peak(0.02, 0.13, 455.0, 45.0),
         "red": edge(0.05, 0.6, 605.0, 14.0),
     }
     paper = edge(0.56, 0.8, 430.0, 30.0)
@@ -172,7 +153,7 @@ def printed_pass() -> dict[str, Any]:
     from nacre.picture.shapes.printed import pass_print
 
     light, ink = pass_print()
-    ground = mixed(_glossy(_peak(0.01, 0.10, 455.0, 42.0)), _glossy(_peak(0.02, 0.3, 495.0, 50.0)), light[::-1])
+    ground = mixed(_glossy(peak(0.01, 0.10, 455.0, 42.0)), _glossy(peak(0.02, 0.3, 495.0, 50.0)), light[::-1])
     return mixed(ground, _glossy(edge(0.6, 0.8, 430.0, 30.0)), ink[::-1])
 
 

@@ -1,4 +1,4 @@
-"""Mesh files as triangles: each part of a file with its own uv, which materials must not change."""
+"""Triangles from mesh files, part by part, with unmodified uv."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from nacre.core.errors import NacreError
 _GLB_HEADER = struct.Struct("<4sII")  # magic, version, length of all
 _GLB_CHUNK = struct.Struct("<I4s")  # length, kind
 _GLB_START = _GLB_HEADER.size + _GLB_CHUNK.size
-# of glTF: what makes numbers small, unread; and the integers that stand for 1 where numbers are "normalized"
+# unsupported compressions of glTF; integers that represent 1 in "normalized" numbers
 PACKINGS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
 INTEGER_WHITE = {5121: 255.0, 5123: 65535.0}
 
@@ -31,8 +31,8 @@ class Triangles:
     """One part of a file.
 
     Attributes:
-        vertices, normals: `[N, 3]`, as they stand in the file's scene.
-        uv: `[N, 2]`, v up, or None where the file has none for it.
+        vertices, normals: `[N, 3]` in the coordinates of the scene.
+        uv: `[N, 2]`, v up, or None.
         faces: `[M, 3]`.
     """
 
@@ -43,23 +43,23 @@ class Triangles:
 
 
 def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
-    """Read the parts of a mesh file; a mesh of several materials has as many.
+    """Read the parts of a mesh file, one per material.
 
-    They are not joined by `trimesh`, which packs the images of several materials into one and shrinks uv to its parts.
+    `trimesh` would pack the images of several materials into one and rescale uv if it joined the parts.
 
     Args:
         path: the file.
-        is_alone: files that it names are not read; what needs them cannot be.
+        is_alone: do not read other files.
 
     Raises:
-        NacreError: its numbers are packed in a way that is not read.
-        FileNotFoundError: a file that it names and needs is not beside it; its argument is the name.
-        Exception: whatever the format's parser raises.
+        NacreError: unsupported compression.
+        FileNotFoundError: a required file is missing; its argument is the name.
+        Exception: errors of the format's parser.
     """
     import trimesh
 
     class Beside(trimesh.resolvers.FilePathResolver):
-        """Files beside the mesh, by their name or by its URI, in which modelling programs write %20 for a space."""
+        """Files beside the mesh, by name or by URI with %20 for spaces."""
 
         def get(self, name: str) -> bytes:
             try:
@@ -74,14 +74,9 @@ def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
         if suffix == ".obj":
             content = with_triangles(content)
         uv_white = _uv_white(path, content, suffix)
-        # bytes alone have no folder in which other files would be looked for
+        file = io.BytesIO(with_materials(content, suffix))  # bytes have no folder with other files
         resolver = None if is_alone else Beside(str(path))
-        read: Any = trimesh.load(
-            io.BytesIO(with_materials(content, suffix)),
-            file_type=suffix.removeprefix("."),
-            resolver=resolver,
-            process=False,
-        )
+        read: Any = trimesh.load(file, file_type=suffix.removeprefix("."), resolver=resolver, process=False)
     else:
         read = trimesh.load(str(path), process=False)
     parts = read.dump(concatenate=False) if isinstance(read, trimesh.Scene) else [read]
@@ -95,14 +90,14 @@ def _triangles(part: Any, uv_white: float) -> Triangles:
         uv = np.asarray(uv, dtype=np.float64)
         uv = uv if uv.shape == (len(vertices), 2) and np.isfinite(uv).all() else None
     if uv is not None and uv_white != 1.0:
-        # `trimesh` takes v from 1 in the file's own unsigned integers, which run over
+        # `trimesh` subtracts v from 1 in unsigned integers, which overflow
         uv = np.stack([uv[:, 0], uv_white - (1.0 - uv[:, 1]) % (uv_white + 1.0)], axis=1) / uv_white
     normals = np.asarray(part.vertex_normals, dtype=np.float64)
     return Triangles(vertices, normals, uv, np.asarray(part.faces, dtype=np.int64))
 
 
 def with_materials(content: bytes, suffix: str) -> bytes:
-    """Return a glTF file in which what has uv names a material too: `trimesh` drops the uv of what names none."""
+    """Add a material to glTF primitives with uv but without material, whose uv `trimesh` drops."""
     text = _tree_text(content, suffix)
     named = _named(text) if text is not None else None
     if text is None or named is None:
@@ -117,7 +112,7 @@ def with_materials(content: bytes, suffix: str) -> bytes:
 
 
 def _tree_text(content: bytes, suffix: str) -> bytes | None:
-    """Return the JSON of a glTF file, or None where it is none."""
+    """Return the JSON of a glTF file, or None for other files."""
     if suffix == ".gltf":
         return content
     if suffix != ".glb" or len(content) < _GLB_START:
@@ -129,10 +124,10 @@ def _tree_text(content: bytes, suffix: str) -> bytes | None:
 
 
 def _uv_white(path: Path, content: bytes, suffix: str) -> float:
-    """Return the number that stands for 1 in a glTF file's uv, which `trimesh` gives as stored.
+    """Return the number that represents 1 in the uv of a glTF file, which `trimesh` returns as stored.
 
     Raises:
-        NacreError: numbers are packed in a way that `trimesh` reads wrongly, or as zeros.
+        NacreError: unsupported compression.
     """
     try:
         tree = json.loads(_tree_text(content, suffix) or b"{}")
@@ -154,7 +149,7 @@ def _uv_white(path: Path, content: bytes, suffix: str) -> float:
             for accessor in used["TEXCOORD_0"]
         }
     except (ValueError, AttributeError, TypeError, LookupError, RecursionError):
-        return 1.0  # who reads it says what it is
+        return 1.0  # the reader reports the error
     white = whites.pop() if whites else 1.0
     if white is None or whites:
         packings.append("texture coordinates of several kinds, or of signed numbers")
@@ -167,7 +162,7 @@ def _uv_white(path: Path, content: bytes, suffix: str) -> float:
 
 
 def _named(text: bytes) -> bytes | None:
-    """The same of a glTF's JSON; None where nothing is to be done or it is none."""
+    """`with_materials` for the JSON; None without changes."""
     try:
         tree = json.loads(text)
         bare = [
@@ -183,20 +178,17 @@ def _named(text: bytes) -> bytes | None:
         for primitive in bare:
             primitive["material"] = len(materials) - 1
     except (ValueError, AttributeError, TypeError, RecursionError):
-        return None  # who reads it says what it is
+        return None  # the reader reports the error
     return json.dumps(tree).encode()
 
 
-# Polygons of OBJ files that are not convex, cut into triangles: readers fan them out, across their notches.
-
-MAX_CORNERS = 512  # of a polygon; the work grows with their third power
 _POLYGON = re.compile(r"(?m)^[ \t]*f((?:[ \t]+[-\d/]+){5,})[ \t]*\r?$")
 _VERTEX = re.compile(r"(?m)^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)")
 
 
 def with_triangles(content: bytes) -> bytes:
-    """Return an OBJ file in which polygons of five corners and more that are not convex stand as triangles."""
-    text = content.decode("latin-1")  # any bytes, and back again
+    """Replace concave polygons of an OBJ file by triangles; readers would fan them out across their notches."""
+    text = content.decode("latin-1")  # accepts any bytes
     polygons = list(_POLYGON.finditer(text))
     if not polygons:
         return content
@@ -208,56 +200,38 @@ def with_triangles(content: bytes) -> bytes:
         for polygon in polygons:
             corners = polygon[1].split()
             numbers = [int(corner.partition("/")[0]) for corner in corners]
-            known = bisect_left(starts, polygon.start())  # numbers below 0 count back from the last one before
+            known = bisect_left(starts, polygon.start())  # negative numbers count back from the last vertex
             triangles = cut(points[[number - 1 if number > 0 else known + number for number in numbers]])
             if triangles:
                 lines = ("f " + " ".join(corners[k] for k in triangle) for triangle in triangles)
                 parts += [text[last : polygon.start()], "\n".join(lines)]
                 last = polygon.end()
-    except (ValueError, IndexError):  # who reads it says what is wrong
+    except (ValueError, IndexError):  # the reader reports the error
         return content
     return "".join([*parts, text[last:]]).encode("latin-1")
 
 
-def cut(points: NDArray[np.float64]) -> list[tuple[int, int, int]]:
-    """Return the triangles of a polygon that is not convex; empty for a convex one, and for one of too many corners.
-
-    Ear by ear (G. Meisters 1975): a corner that bends outward is cut off where no other corner lies in its triangle.
+def cut(points: NDArray[np.float64]) -> list[list[int]]:
+    """Triangulate a concave polygon by ear clipping (mapbox-earcut); empty for a convex one.
 
     Args:
-        points: its corners in order, `[corner, 3]`, about in one plane.
+        points: corners in order, `[corner, 3]`, about in one plane.
     """
-    following = np.roll(points, -1, axis=0)
-    normal = np.cross(points, following).sum(axis=0)  # Newell's
+    import mapbox_earcut
+
+    normal = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)  # Newell
     largest = int(np.argmax(np.abs(normal)))
-    flat = np.delete(points, largest, axis=1) * ([1.0, 1.0] if (normal[largest] > 0) != (largest == 1) else [-1.0, 1.0])
-    rest = list(range(len(flat)))
-    if len(rest) > MAX_CORNERS or not normal.any() or (_bends(flat) >= 0).all():
+    sign = 1.0 if (normal[largest] > 0) != (largest == 1) else -1.0
+    flat = np.delete(points, largest, axis=1) * [sign, 1.0]  # counter-clockwise
+    if not normal.any() or (_areas(flat, np.roll(flat, -1, axis=0), np.roll(flat, -2, axis=0)) >= 0).all():
         return []
-    triangles = []
-    while len(rest) > 3:
-        left = flat[rest]
-        bends = _bends(left)
-        ear = next((k for k in np.flatnonzero(bends > 0) if _is_empty(left, bends, int(k))), 0)
-        triangles.append((rest[ear - 1], rest[ear], rest[(ear + 1) % len(rest)]))
-        del rest[ear]
-    return [*triangles, (rest[0], rest[1], rest[2])]
+    triangles = mapbox_earcut.triangulate_float64(flat, np.array([len(flat)], dtype=np.uint32)).reshape(-1, 3)
+    is_reversed = _areas(*flat[triangles].transpose(1, 0, 2)).sum() < 0
+    found: list[list[int]] = (triangles[:, ::-1] if is_reversed else triangles).tolist()
+    return found
 
 
-def _bends(flat: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return twice the area of the triangle at each corner, negative where the polygon bends inward."""
-    return _area(np.roll(flat, 1, axis=0), flat, np.roll(flat, -1, axis=0))
-
-
-def _is_empty(flat: NDArray[np.float64], bends: NDArray[np.float64], ear: int) -> bool:
-    """Whether none of the corners that bend inward lies in the triangle at a corner."""
-    a, b, c = flat[ear - 1], flat[ear], flat[(ear + 1) % len(flat)]
-    inward = flat[bends <= 0]
-    inside = (_area(a, b, inward) >= 0) & (_area(b, c, inward) >= 0) & (_area(c, a, inward) >= 0)
-    at_corner = np.stack([(inward == corner).all(axis=1) for corner in (a, b, c)]).any(axis=0)
-    return not (inside & ~at_corner).any()
-
-
-def _area(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.float64]:
+def _areas(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Twice the signed areas of triangles `[N, 2]`."""
     first, second = b - a, c - a
     return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])

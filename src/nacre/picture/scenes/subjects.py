@@ -1,4 +1,4 @@
-"""The object in the picture ("subject"): a user's mesh, or one of our shapes, placed on the floor of any scene."""
+"""The subject of a picture: a mesh file or one of our shapes, placed on the floor of a scene."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from nacre.picture.shapes.mesh import Mesh, merge, open_seam, outward
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
 MAX_MESH_BYTES = 1 << 30
 MAX_FACES = 20_000_000
-BYTES_A_BYTE = 6  # of a file: its text, and the corners, normals and faces of it
-LEAST_AREA, AREAS = 1e-12, 1 << 16  # of its extent squared: more than rounding; triangles at a time
-HEIGHT = 2.0  # a mesh is scaled to the height of our sphere, or less where it would leave the frame
-FRAME_SHARE = 0.94  # of the frame's half width and height
-# which axis is up: Blender, Maya and the web write y into these formats; printers and scanners write z into the others
+BYTES_PER_BYTE = 6  # memory relative to the size of the file
+LEAST_AREA, AREAS = 1e-12, 1 << 16  # relative to the squared extent; triangles per batch
+HEIGHT = 2.0  # height of a mesh, that of our sphere, or less to stay in the frame
+FRAME_SHARE = 0.94  # usable share of the frame
+# formats with y up, by Blender, Maya and the web; printers and scanners use z in the others
 Y_UP = (".obj", ".glb", ".gltf")
-# rotations that bring an axis to +z and keep the handedness
+# rotations of each axis to +z
 TO_Z_UP = {
     "x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
     "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
@@ -33,15 +33,15 @@ TO_Z_UP = {
 
 
 def subject_parts(shape: str | Path, scene: Scene, up: str | None = None) -> list[Part]:
-    """Return the parts of a shape by name or of a mesh file, stood in a scene.
+    """Return the parts of a shape, placed in a scene.
 
     Args:
-        shape: a scene's name or a mesh file.
-        scene: the scene that it is to fit.
-        up: the axis of the file that points up; None: y for OBJ and glTF, z for STL, PLY and OFF.
+        shape: name of a scene, or a mesh file.
+        scene: the scene.
+        up: vertical axis of the file; None: y for OBJ and glTF, z for STL, PLY and OFF.
 
     Raises:
-        NacreError: neither a known name nor a readable mesh, or an axis that is none.
+        NacreError: neither a known name nor a readable mesh, or an unknown axis.
     """
     if up is not None and up not in TO_Z_UP:
         raise NacreError(f'up = "{up}" should be one of {", ".join(TO_Z_UP)}')
@@ -59,14 +59,14 @@ def subject_parts(shape: str | Path, scene: Scene, up: str | None = None) -> lis
 
 
 def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh:
-    """Read a mesh as one surface with normals and uv, turned so that z is up.
+    """Read a mesh as one surface with normals and uv, z up; a closed surface is oriented outward.
 
-    Without uv of its own, a mesh is wrapped: u runs once round the vertical axis, v up from the lowest point to the
-    highest. A closed surface is turned outward.
+    Without uv, u runs round the vertical axis and v from the lowest to the highest point.
 
     Args:
-        path: the file; up: see `subject_parts`.
-        is_alone: files that it names are not read; what needs them cannot be.
+        path: the file.
+        up: see `subject_parts`.
+        is_alone: do not read other files.
 
     Raises:
         NacreError: missing, unreadable, empty or too large.
@@ -77,14 +77,14 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
         raise NacreError(f"shape {path}: {why_unreadable(error)}") from None
     if path.stat().st_size > MAX_MESH_BYTES:
         raise NacreError(f"shape {path}: {path.stat().st_size} bytes; a mesh has at most {MAX_MESH_BYTES}")
-    check_memory(float(BYTES_A_BYTE) * path.stat().st_size, f"shape {path}: read as a mesh, it")
+    check_memory(float(BYTES_PER_BYTE) * path.stat().st_size, f"shape {path}: read as a mesh, it")
     try:
         parts = read_triangles(path, is_alone)
     except NacreError:
         raise
     except FileNotFoundError as error:
         raise NacreError(f'shape {path}: names "{error.args[-1]}", which is not beside it') from None
-    except Exception:  # every format's parser raises its own kind, in words of its own; all mean: not a mesh
+    except Exception:  # each parser raises its own types
         raise NacreError(
             f"shape {path}: cannot be read as a mesh; it is damaged, or of another kind than its ending says "
             "(.obj, .ply, .stl, .gltf, .glb)"
@@ -110,7 +110,7 @@ def _is_sound(part: Triangles) -> bool:
 
 
 def _surface(part: Triangles, turn: NDArray[np.float64], whole: NDArray[np.float64]) -> Mesh:
-    """Return a part turned so that z is up; without uv it is wrapped about the vertices of the whole."""
+    """Return a part with z up, and with cylindrical uv if it has none."""
     length = np.linalg.norm(part.normals, axis=1, keepdims=True)
     normals = np.where(length > 0, part.normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0]) @ turn.T
     vertices = part.vertices @ turn.T
@@ -120,7 +120,7 @@ def _surface(part: Triangles, turn: NDArray[np.float64], whole: NDArray[np.float
 
 
 def _has_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> bool:
-    """Whether a mesh can be seen at all; the first triangles nearly always tell."""
+    """Return whether a mesh has area, from its first triangles if possible."""
     least = LEAST_AREA * float(np.ptp(vertices, axis=0).max()) ** 2
     for start in range(0, len(faces), AREAS):
         first, second, third = vertices[faces[start : start + AREAS]].transpose(1, 0, 2)
@@ -130,7 +130,7 @@ def _has_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> bool:
 
 
 def _wrapped_uv(vertices: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[np.float64]:
-    """uv round the vertical axis of the whole, for what has none of its own: u by azimuth, v by height."""
+    """Cylindrical uv about the vertical axis of the whole mesh."""
     low, high = whole.min(axis=0), whole.max(axis=0)
     d = vertices - 0.5 * (low + high)
     height = max(float(high[2] - low[2]), 1e-12)
@@ -138,21 +138,21 @@ def _wrapped_uv(vertices: NDArray[np.float64], whole: NDArray[np.float64]) -> ND
 
 
 def stand_on_floor(surface: Mesh, scene: Scene) -> Mesh:
-    """Stand a surface on z = 0 above the origin, as large as our subjects or as the frame of its scene allows.
+    """Place a surface on z = 0 above the origin, as large as our subjects or as the frame of the scene allows.
 
-    It stays in the frame however it is turned about the vertical axis, and before each camera of the scene.
+    It stays in the frame of each camera of the scene at any turn about the vertical axis.
     """
     low, high = surface.bounds
     middle = 0.5 * (low + high)
-    centred = surface.moved(np.eye(3), (-middle[0], -middle[1], -low[2]))
+    centred = surface.shifted(-middle[0], -middle[1], -low[2])
     width, depth, height = high - low
-    largest = HEIGHT / max(height, 0.5 * width, 0.5 * depth)  # a mesh has some extent
+    largest = HEIGHT / max(height, 0.5 * width, 0.5 * depth)
     profile = _profile(centred.vertices)
     return centred.moved(np.eye(3) * _scale(profile, scene, largest))
 
 
 def _fitted(parts: list[Part], scene: Scene) -> list[Part]:
-    """Return one of our shapes as large as it is, or as the frame of a scene that is not its own allows."""
+    """Scale one of our shapes down to the frame of another scene."""
     if parts is scene.parts():
         return parts
     scale = _scale(_profile(np.concatenate([part.points() for part in parts])), scene, 1.0)
@@ -165,7 +165,7 @@ def _scale(profile: NDArray[np.float64], scene: Scene, largest: float) -> float:
 
 
 def _profile(vertices: NDArray[np.float64], slices: int = 64) -> NDArray[np.float64]:
-    """Distance from the vertical axis and height, `[point, 2]`, of what bounds a body that turns about that axis."""
+    """Profile (radius, height) `[point, 2]` of the body swept by a turn about the vertical axis."""
     radius, z = np.hypot(vertices[:, 0], vertices[:, 1]), vertices[:, 2]
     top = max(float(z.max()), 1e-300)
     slot = np.minimum((z / top * slices).astype(int), slices - 1)
@@ -177,7 +177,7 @@ def _profile(vertices: NDArray[np.float64], slices: int = 64) -> NDArray[np.floa
 
 
 def _fitting_scale(profile: NDArray[np.float64], view: View, size: tuple[int, int], largest: float) -> float:
-    """The largest scale, up to `largest`, at which a turning profile stays in the frame of a camera."""
+    """Return the largest scale, up to `largest`, at which a turning profile stays in the frame."""
     phi = 2 * np.pi * np.arange(24) / 24
     radius, z = profile[:, :1], profile[:, 1:]
     points = np.stack([radius * np.cos(phi), radius * np.sin(phi), z + 0 * phi], axis=-1).reshape(-1, 3)

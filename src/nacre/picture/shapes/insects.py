@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -203,7 +204,7 @@ def butterfly_fur() -> Mesh:
     y = body.vertices[body.faces].mean(axis=1)[:, 1]
     y = np.where(body.normals[body.faces].mean(axis=1)[:, 2] > -0.2, y, np.nan)  # not on the belly
 
-    parts = (
+    parts: tuple[tuple[Any, ...], ...] = (
         ((y > -0.12) & (y < 0.5), 2600, (0.07, 0.15), 0.0034, lean, 3),
         (y <= -0.12, 2600, (0.03, 0.06), 0.0028, lean, 4),
         ((y >= 0.46) & (y < 0.56), 350, (0.03, 0.06), 0.0028, -0.4 * lean, 5),
