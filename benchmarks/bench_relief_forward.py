@@ -60,19 +60,19 @@ def bench_slice(repeats: int) -> dict[str, Any]:
     """Time a slice and a part of the direct sum, in the same run."""
     from nacre.core.parallel import single_threaded_blas
     from nacre.families.relief.coherence import Coherence
-    from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
+    from nacre.families.relief.plane_cut import CutGeometry, plan_cut
     from nacre.families.relief.surface import Tile
 
     tile = Tile(800.0 * np.random.default_rng(1).random((FEATURES, FEATURES)), 800.0, 200.0)
     coherence = Coherence.from_sigma(2.6)
     axis = ((np.arange(DIRECTIONS) + 0.5) / DIRECTIONS * 2 - 1) * 0.3
-    geometry = SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), WAVELENGTHS_NM)
+    geometry = CutGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), WAVELENGTHS_NM)
     surface = tile.surface_nm(UPSAMPLING).astype(np.float32)
     samples = FEATURES * UPSAMPLING
     result: dict[str, Any] = {}
     with single_threaded_blas():
         for workers in (1, 2):
-            plan = plan_slice(
+            plan = plan_cut(
                 geometry, samples=samples, period_nm=tile.period_nm, height_range_nm=tile.height_range_nm,
                 coherence=coherence, node_error=0.3, dtype=np.float32, workers=workers,
             )  # fmt: skip
@@ -125,18 +125,18 @@ def bench_large(features: int = 512) -> dict[str, Any]:
     from nacre.core.parallel import single_threaded_blas
     from nacre.families.relief.coherence import Coherence
     from nacre.families.relief.diffraction_orders import choose_sampling
-    from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
+    from nacre.families.relief.plane_cut import CutGeometry, plan_cut
     from nacre.families.relief.surface import Tile
 
     t, c = time.perf_counter(), time.process_time()
     tile = Tile(600.0 * np.random.default_rng(1).random((features, features)), 1600.0, 500.0)
     coherence = Coherence.from_sigma(2.6)
     axis = ((np.arange(DIRECTIONS) + 0.5) / DIRECTIONS * 2 - 1) * 0.3
-    geometry = SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), WAVELENGTHS_NM)
+    geometry = CutGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), WAVELENGTHS_NM)
     with single_threaded_blas():
         highest = geometry.highest_line(tile.period_nm, coherence, np.float32)
         sampling = choose_sampling(tile, geometry.kappa_range[1], highest, 1e-2)
-        plan = plan_slice(
+        plan = plan_cut(
             geometry, samples=features * sampling.samples_per_feature, period_nm=tile.period_nm,
             height_range_nm=tile.height_range_nm, coherence=coherence, node_error=1e-2, dtype=np.float32, workers=2,
         )  # fmt: skip

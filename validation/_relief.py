@@ -10,7 +10,7 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.parallel import single_threaded_blas
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
+from nacre.families.relief.plane_cut import CutGeometry, plan_cut
 from nacre.families.relief.prefactor import coating_reflectance
 from nacre.families.relief.surface import Tile
 from nacre.matter.indices.library import index
@@ -57,8 +57,8 @@ class Model:
         tile = tile or self.tile(i)
         axis, nm = self.axis(i) if axis is None else axis, 1e3 * self.spectrum["wavelength_um"]
         coherence = Coherence.from_sigma(float(self.designs["sigma"][i]) if sigma is None else sigma)
-        plan = plan_slice(
-            SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), nm),
+        plan = plan_cut(
+            CutGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), nm),
             samples=tile.features * upsampling,
             period_nm=tile.period_nm,
             height_range_nm=tile.height_range_nm,

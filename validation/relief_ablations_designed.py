@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.families.relief.plane_cut import SliceGeometry, plan_slice
+from nacre.families.relief.plane_cut import CutGeometry, plan_cut
 from nacre.families.relief.surface import Tile
 from nacre.optimise.relief.merit import Problem
 from nacre.optimise.relief.report import robustness
@@ -51,8 +51,8 @@ class Made:
         p = self.problem
         tile = Tile(self.heights_nm, p.feature_nm, p.blur_nm)
         axis = np.linspace(-0.1, 0.1, 15)
-        geometry = SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), SPECTRUM_NM)
-        plan = plan_slice(
+        geometry = CutGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), SPECTRUM_NM)
+        plan = plan_cut(
             geometry, samples=tile.features * 16, period_nm=tile.period_nm, height_range_nm=tile.height_range_nm,
             coherence=p.coherence, prefactor=p.prefactor, node_error=0.01, dtype=np.float32,
         )  # fmt: skip

@@ -16,10 +16,10 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.plane_cut import (
-    SliceGeometry,
+    CutGeometry,
     chebyshev_nodes,
     interpolation_weights,
-    plan_slice,
+    plan_cut,
     smoothing_matrix,
 )
 from nacre.families.relief.surface import Tile
@@ -116,8 +116,8 @@ def plain_slice(
     tile = Tile(1e3 * heights_um, 1e3 * pixel_um, 1e3 * blur_um)
     upsampling = 24 if blur_um / pixel_um < 0.2 else 16
     axis = ((np.arange(64) + 0.5) / 64 * 2 - 1) * half_range
-    plan = plan_slice(
-        SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), 1e3 * spectrum["wavelength_um"]),
+    plan = plan_cut(
+        CutGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), 1e3 * spectrum["wavelength_um"]),
         samples=tile.features * upsampling,
         period_nm=tile.period_nm,
         height_range_nm=tile.height_range_nm,

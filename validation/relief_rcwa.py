@@ -20,8 +20,7 @@ import numpy as np
 
 from nacre.families.relief.prefactor import brdf_factor, difference_cosine, fresnel_reflectance
 from nacre.families.relief.validity import COEFFICIENTS, OUTSIDE_DE00, SINUSOID, expected_de00, mean_feature_nm
-from nacre.light.difference import delta_e_2000
-from nacre.light.spaces import xyz_to_lab
+from nacre.light.spaces import delta_e_2000, xyz_to_lab
 from nacre.light.tristimulus import white_xyz, xyz_weights
 from validation._film import canvas
 from validation._relief_cases import (
@@ -128,7 +127,7 @@ def scales(group: dict[str, Any]) -> tuple[float, float]:
 
 
 def fit_error(groups: list[dict[str, Any]], errors: Any) -> Any:
-    """Coefficients of log10 dE00 over the terms of `trust.expected_de00`, and what 95 of 100 add to it at most."""
+    """Coefficients of log10 dE00 over the terms of `validity.expected_de00`, and what 95 of 100 add to it at most."""
     terms = np.stack([_terms(group) for group in groups])
     found = np.linalg.lstsq(terms, np.log10(errors), rcond=None)[0]
     left = np.log10(errors) - terms @ found
@@ -229,7 +228,7 @@ def _reliefs(groups: list[dict[str, Any]], orders: dict[str, Any], drawn: int) -
 
 
 def _stated(group: dict[str, Any]) -> float:
-    """The dE00 that nacre states of a smooth relief, by the steps of `trust.trust`."""
+    """The dE00 that nacre states of a smooth relief, by the steps of `validity.assess`."""
     heights, pitch_nm = 1e3 * group["depth_um"] * relief_heights(group), 1e3 * group["period_um"] / RELIEF_GRID
     feature_nm, axis = mean_feature_nm(heights, pitch_nm)
     slopes = np.abs(relief_slopes(group)[axis])

@@ -14,7 +14,7 @@ from nacre.bsdf.lobes.masked import hat
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
 from nacre.material.material import material
-from nacre.material.spatial_variation import COLOUR_ERROR, MAX_NODES, Varying, choose_nodes, judged_colours
+from nacre.material.spatial_variation import COLOUR_ERROR, MAX_NODES, Varying, choose_nodes, node_colours
 from nacre.recipe.paths import varying_numbers
 from nacre.recipe.toml import dump_toml
 
@@ -114,12 +114,12 @@ def test_the_ends_of_a_walk_are_the_plain_materials(
 
 
 @pytest.mark.parametrize(("recipe", "path", "ends"), CASES[::2])
-def test_colours_between_nodes_are_within_the_stated_error(
+def node_colours_between_nodes_are_within_the_stated_error(
     recipe: dict[str, Any], path: str, ends: tuple[float, float]
 ) -> None:
     # places that the choice of nodes did not look at
     def colours(value: float) -> np.ndarray:
-        return judged_colours(fixed(recipe, path, value))
+        return node_colours(fixed(recipe, path, value))
 
     nodes, _ = choose_nodes(colours, *ends, path)
     known = [colours(float(node)) for node in nodes]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,18 @@ from read_back import read_grey16
 
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.plane_cut import SliceGeometry
+from nacre.families.relief.plane_cut import CutGeometry
 from nacre.formats.calibration import PUBLISHED_CALIBRATION
 from nacre.optimise.relief.merit import Problem, View, published_weights
-from nacre.optimise.relief.mosaic import mosaic, write_mosaic
 from nacre.optimise.relief.report import robustness
+
+_PATH = Path(__file__).resolve().parents[2] / "examples" / "mosaic.py"
+_SPEC = importlib.util.spec_from_file_location("example_mosaic", _PATH)
+assert _SPEC is not None and _SPEC.loader is not None
+example = importlib.util.module_from_spec(_SPEC)
+sys.modules["example_mosaic"] = example  # dataclasses look their module up
+_SPEC.loader.exec_module(example)
+mosaic, write_mosaic = example.mosaic, example.write_mosaic
 
 COLOURS = np.array([[3.0, 0.2, 0.1], [0.3, 2.0, 0.2], [0.1, 0.2, 4.0]])
 PALETTE = np.random.default_rng(1).random((3, 6, 6)) * 0.7
@@ -57,11 +65,6 @@ def test_mosaic_is_written_as_one_map(tmp_path: Path) -> None:
 
 
 def test_the_example_designs_patches_and_mixes_a_colour_wheel(tmp_path: Path) -> None:
-    path = Path(__file__).resolve().parents[2] / "examples" / "mosaic.py"
-    spec = importlib.util.spec_from_file_location("example_mosaic", path)
-    assert spec is not None and spec.loader is not None
-    example = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(example)
     made = example.main(tmp_path, quick=True)
     # each patch shows its own colour most: red and blue clearly, green as far as so small a relief can
     assert made.colours[1].argmax() == 0 and made.colours[2].argmax() == 1 and made.colours[3].argmax() == 2
@@ -83,7 +86,7 @@ def test_an_image_that_cannot_be_mixed_is_refused(image: np.ndarray) -> None:
 def test_errors_of_the_process_cost_more_the_larger_they_are() -> None:
     spectrum = published_weights(None)
     axis = np.linspace(-0.25, 0.25, 12)
-    geometry = SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), spectrum.wavelengths_nm)
+    geometry = CutGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), spectrum.wavelengths_nm)
     heights = 400.0 * np.random.default_rng(2).random((8, 8))
     view = View(geometry, np.ones((1, 12, 12, 3)), spectrum.rgb_weights)
     problem = Problem(8, 1500.0, 500.0, 400.0, Coherence.from_sigma(0.8), (view,), 0.1)

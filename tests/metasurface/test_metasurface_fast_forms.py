@@ -36,7 +36,9 @@ def _whole_sums(layer, order, kappa, w):
     direct = translation_sums._direct_sums(structure, surface.wavenumber, order, kappa)
     table = translation_sums.direct_coefficients(order).reshape(mu.size, -1)
     total = (table @ direct.reshape(table.shape[1], -1)).reshape(*mu.shape, -1)
-    total = total + translation_sums._stack_sums(surface, centre, structure, order, kappa, every_row=True)
+    total = total + translation_sums._stack_sums(
+        translation_sums.NeighbourGeometry(surface, centre, structure, order), kappa, every_row=True
+    )
     scale = 2 * np.pi * structure.density_per_nm2 / surface.wavenumber**2
     b = plane_wave_vectors(w, order, order, kappa.astype(complex))
     echo = 4 * scale / w * np.exp(2j * surface.wavenumber * centre * w) * surface.reflection(w)
@@ -157,6 +159,6 @@ def test_few_nodes_of_a_search_give_the_sums():
     ]
     for indices, thicknesses in stacks:
         surface = Substrate(550.0, np.array(indices, dtype=complex), np.array(thicknesses))
-        args = (surface, 78.0, structure, 4, kappa)
+        args = (translation_sums.NeighbourGeometry(surface, 78.0, structure, 4), kappa)
         fine, quick = translation_sums._stack_sums(*args), translation_sums._stack_sums(*args, quick=True)
         assert np.max(np.abs(quick - fine)) < 1e-4 * np.max(np.abs(fine))

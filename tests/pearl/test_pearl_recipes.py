@@ -91,11 +91,11 @@ def test_there_are_nine_bottles_three_cars_and_three_fits():
         ("strata.0.resin", {"n": 1.5, "k": -0.1}, "k"),
         ("strata.0.roughness", 1.5, "roughness"),
         ("strata", [], "strata"),
-        ("base", {"albedo": 0.5, "none": True}, "keep one"),
+        ("base", {"albedo": 0.5, "none": True}, "base"),
         ("base", {"albedo": 1.5}, "albedo"),
         ("quality", "best", "quality"),
         (FLAKE + "substrate", {"material": "mica", "histogram": "none.csv"}, "none.csv"),
-        (FLAKE + "substrate", {"material": "mica", "histogram": "h.csv", "deviation_nm": 0.5}, "no meaning beside"),
+        (FLAKE + "substrate", {"material": "mica", "histogram": "h.csv", "deviation_nm": 0.5}, "histogram"),
     ],
 )
 def test_bad_input_is_one_clear_line(path, value, words):
@@ -146,7 +146,7 @@ def test_flakes_on_edge_work_with_a_note():
 def test_more_than_eight_kinds_work_with_a_note():
     flake = {**GOOD["strata"][0]["platelets"][0], "volume_fraction": 0.01}
     bsdf = material(changed("strata.0.platelets", [flake] * 9)).bsdf(COARSE)
-    assert bsdf.lobes[0].kinds == 9 and "9 kinds" in bsdf.provenance["notes"][0]
+    assert bsdf.lobes[0].kinds == 9 and "9 types" in bsdf.provenance["notes"][0]
 
 
 def test_a_diameter_without_glints_has_no_effect_and_says_so():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.plane_cut import SliceGeometry
+from nacre.families.relief.plane_cut import CutGeometry
 from nacre.families.relief.surface import Tile
 
 REFERENCE = Path(__file__).resolve().parents[3] / "shared" / "reference" / "relief"
@@ -31,13 +31,13 @@ def random_tile(
     return Tile(height * generator.random((features, features)), feature_nm, blur * feature_nm)
 
 
-def random_slice(seed: int, count: int = 5, incidences: int = 2, half_range: float = 0.35) -> SliceGeometry:
+def random_slice(seed: int, count: int = 5, incidences: int = 2, half_range: float = 0.35) -> CutGeometry:
     """Return a few random directions, incidences and wavelengths."""
     generator = np.random.default_rng(seed)
     theta, phi = generator.uniform(0, 0.6, incidences), generator.uniform(0, 6.3, incidences)
     wi = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
     psi = generator.uniform(-half_range, half_range, (2, count))
-    return SliceGeometry(psi[0], psi[1], wi, np.array([430.0, 520.0, 610.0]))
+    return CutGeometry(psi[0], psi[1], wi, np.array([430.0, 520.0, 610.0]))
 
 
 def direct_sum(

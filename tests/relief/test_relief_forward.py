@@ -21,11 +21,11 @@ from nacre.families.relief.diffraction_orders import (
     reflection,
 )
 from nacre.families.relief.plane_cut import (
-    SliceGeometry,
+    CutGeometry,
     chebyshev_nodes,
     interpolation_weights,
     node_count,
-    plan_slice,
+    plan_cut,
 )
 from nacre.families.relief.prefactor import brdf_factor, coating_reflectance, fresnel_reflectance
 from nacre.families.relief.surface import Tile, blur_matrix
@@ -40,10 +40,10 @@ EXACT = 1e-12  # invariances: rounding only
 GRADIENT = 1e-5
 
 
-def forward(tile: Tile, geometry: SliceGeometry, upsampling: int, **options: object) -> np.ndarray:
+def forward(tile: Tile, geometry: CutGeometry, upsampling: int, **options: object) -> np.ndarray:
     settings: dict = {"coherence": Coherence.from_sigma(1.0), "node_error": 1e-13, **options}
     dtype = settings.get("dtype", np.float64)
-    plan = plan_slice(
+    plan = plan_cut(
         geometry,
         samples=tile.features * upsampling,
         period_nm=tile.period_nm,
@@ -96,7 +96,7 @@ def test_pruned_products_equal_the_fft() -> None:
 def test_invariances(change: str) -> None:
     tile, upsampling = helpers.random_tile(3), 5
     axis = np.linspace(-0.3, 0.3, 7)
-    geometry = SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), np.array([450.0, 600.0]))
+    geometry = CutGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), np.array([450.0, 600.0]))
     before = forward(tile, geometry, upsampling)
     h = tile.heights_nm
     other = {
@@ -144,7 +144,7 @@ def test_swapping_light_and_eye_changes_nothing(prefactor: str) -> None:
     wi, wo = np.array([0.3, -0.1, 0.0]), np.array([-0.2, 0.25, 0.0])
     wi[2], wo[2] = np.sqrt(1 - wi @ wi), np.sqrt(1 - wo @ wo)
     u, v = (wi + wo)[:1], (wi + wo)[1:2]
-    values = [forward(tile, SliceGeometry(u, v, w[None], np.array([500.0])), 6, prefactor=prefactor) for w in (wi, wo)]
+    values = [forward(tile, CutGeometry(u, v, w[None], np.array([500.0])), 6, prefactor=prefactor) for w in (wi, wo)]
     assert abs(values[0] / values[1] - 1.0).max() <= EXACT
 
 
@@ -196,7 +196,7 @@ def test_a_slice_takes_the_nodes_for_a_thousandth_unasked() -> None:
     tile, geometry = helpers.random_tile(3, height=1200.0), helpers.random_slice(3)
     settings = dict(samples=40, period_nm=tile.period_nm, height_range_nm=1200.0, coherence=Coherence.from_sigma(1.0))
     surface = tile.surface_nm(5)
-    unasked, exact = (plan_slice(geometry, **settings, **e) for e in ({}, {"node_error": 1e-10}))
+    unasked, exact = (plan_cut(geometry, **settings, **e) for e in ({}, {"node_error": 1e-10}))
     assert len(unasked.kappas) == node_count(1200.0, *geometry.kappa_range, 1e-3)
     values, truth = unasked.forward(surface)[0], exact.forward(surface)[0]
     assert np.linalg.norm(values - truth) <= 1e-3 * np.linalg.norm(truth)
@@ -212,7 +212,7 @@ def test_the_first_guess_of_the_sampling_has_the_phase_steps_of_the_note() -> No
 
 def test_gradient_agrees_with_finite_differences() -> None:
     tile, geometry = helpers.random_tile(7), helpers.random_slice(7)
-    plan = plan_slice(
+    plan = plan_cut(
         geometry, samples=40, period_nm=tile.period_nm, height_range_nm=600.0, coherence=Coherence.from_sigma(1.0)
     )
     generator = np.random.default_rng(8)
@@ -276,8 +276,8 @@ def test_gentle_reliefs_conserve_energy(slope: float) -> None:
     surface *= slope / slopes.std()
     coherence = Coherence.from_sigma(2.6)
     axis = np.linspace(-0.999, 0.999, 161)
-    geometry = SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), np.array([nm]))
-    plan = plan_slice(
+    geometry = CutGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), np.array([nm]))
+    plan = plan_cut(
         geometry, samples=samples, period_nm=period_nm, height_range_nm=float(np.ptp(surface)), coherence=coherence,
         node_error=1e-5,
     )  # fmt: skip
@@ -295,8 +295,8 @@ def test_short_waves_give_the_microfacet_brdf_of_the_slopes() -> None:
     steepest = 2 * np.pi * amplitude / period_nm
     coherence = Coherence.from_sigma(5.2)
     axis = np.linspace(-1.2, 1.2, 25) * steepest
-    geometry = SliceGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), np.array([nm]))
-    plan = plan_slice(
+    geometry = CutGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), np.array([nm]))
+    plan = plan_cut(
         geometry, samples=samples, period_nm=period_nm, height_range_nm=4 * amplitude, coherence=coherence,
         node_error=1e-3,
     )  # fmt: skip

@@ -14,8 +14,8 @@ from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.grids import direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.material import SKETCH_ERROR, Relief
-from nacre.families.relief.plane_cut import SliceGeometry, local_response, plan_slice
+from nacre.families.relief.material import DRAFT_ERROR, Relief
+from nacre.families.relief.plane_cut import CutGeometry, local_response, plan_cut
 from nacre.families.relief.prefactor import coating_reflectance, fresnel_reflectance
 from nacre.families.relief.spectrum_map import spectrum_map
 from nacre.families.relief.surface import Tile
@@ -65,8 +65,8 @@ def stored_error(relief: Tile, theta_deg: float, error: float, prefactor: Any = 
     # shifted from the mirror direction towards the normal, so that all exits are above the surface
     axis_x, axis_y = np.linspace(-0.4, 0.4, 13) + 0.5 * wi[0], np.linspace(-0.4, 0.4, 13)
     upsampling = 2 * report.sampling.samples_per_feature
-    plan = plan_slice(
-        SliceGeometry(axis_x, axis_y, wi[None], WAVELENGTHS),
+    plan = plan_cut(
+        CutGeometry(axis_x, axis_y, wi[None], WAVELENGTHS),
         samples=relief.features * upsampling,
         period_nm=relief.period_nm,
         height_range_nm=relief.height_range_nm,
@@ -155,8 +155,8 @@ def test_mean_of_the_local_response_is_the_slice() -> None:
     wi, wo = (np.array([*w[:2] * 0.3, np.sqrt(1 - (w[:2] ** 2).sum() * 0.09)]) for w in (wi, wo))
     local = local_response(tile(), coherence, wi, wo[None], WAVELENGTHS, 6)
     psi = wi + wo
-    plan = plan_slice(
-        SliceGeometry(psi[:1], psi[1:2], wi[None], WAVELENGTHS),
+    plan = plan_cut(
+        CutGeometry(psi[:1], psi[1:2], wi[None], WAVELENGTHS),
         samples=48,
         period_nm=8000.0,
         height_range_nm=500.0,
@@ -295,5 +295,5 @@ def test_a_sketch_is_the_relief_within_its_coarser_accuracy_where_the_bound_is_i
     wi = direction(polar, azimuth)
     wo = direction(polar[::-1], azimuth)
     own, sketched = (one.values_at(wi, wo, WAVELENGTHS) for one in (model, model.draft))
-    assert np.linalg.norm(sketched - own) < SKETCH_ERROR * np.linalg.norm(own)
+    assert np.linalg.norm(sketched - own) < DRAFT_ERROR * np.linalg.norm(own)
     assert not model.draft.bounded and model.draft.tile is model.tile

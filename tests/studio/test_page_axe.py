@@ -36,7 +36,7 @@ def test_axe_finds_nothing(page: Page, theme: str) -> None:
     assert violations(page) == []
     page.get_by_role("button", name="Undo").click()
     settled(page)
-    page.get_by_label("Manufacturing tolerance: layers ±").check()
+    page.get_by_label("Tolerance: layers ±").check()
     expect(page.locator("#tolerance-ribbon")).to_be_visible()
     page.get_by_role("tab", name="Design").click()
     page.locator("#design-seconds").fill("2")

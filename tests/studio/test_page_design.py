@@ -156,7 +156,7 @@ def test_the_gamut_is_shown_with_what_is_asked_in_it(page: Page) -> None:
 
 @pytest.mark.full
 def test_the_cloud_is_of_the_recipe_as_it_stands(page: Page) -> None:
-    page.get_by_label("Manufacturing tolerance: layers ±").check()
+    page.get_by_label("Tolerance: layers ±").check()
     expect(page.locator("#tolerance-text")).to_contain_text("95 % of 64 draws")
     expect(page.locator("#tolerance-ribbon")).to_be_visible()
     assert page.locator("#track .scatter circle").count() == 3 * 64
@@ -167,7 +167,7 @@ def test_the_cloud_is_of_the_recipe_as_it_stands(page: Page) -> None:
     page.locator("#percent").fill("6")
     page.locator("#percent").press("Tab")
     until(page, lambda: page.locator("#tolerance-text").inner_text() not in (said, "Sampling manufactured materials"))
-    page.get_by_label("Manufacturing tolerance: layers ±").uncheck()
+    page.get_by_label("Tolerance: layers ±").uncheck()
     expect(page.locator("#tolerance-ribbon")).to_be_hidden()
 
 

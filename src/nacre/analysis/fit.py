@@ -1,11 +1,11 @@
 """Fit recipe parameters to a measurement, with confidence intervals.
 
-Multistart least squares: the starts are the best of a Sobol sample of the bounds; each is refined by a bounded
+Multistart least squares: the starts are the best points in a Sobol sample; each is refined by a bounded
 trust-region method with finite differences. A stochastic family uses one seed, therefore its noise is a fixed function
 of the parameters; CMA-ES continues from starts at which finite differences see only noise.
 
 If a random walk has a noise-free surrogate (`contract.search_model` is direct), the starts are refined on the
-surrogate. At the best point the difference of the walk is added as a constant and the point refined again (space
+surrogate. At the best point the walk's difference is added as a constant and the point refined again (space
 mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
 """
 
@@ -37,17 +37,17 @@ from nacre.optimise.parameters import Parameter, nominal_point, read_parameters,
 from nacre.recipe.path_tables import by_path, with_options
 
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
-MAX_POWER, MIN_POWER = 1.1, -0.05  # allows for the error of instruments near white and black
+MAX_POWER, MIN_POWER = 1.1, -0.05  # allows for instrument errors near white and black
 MAX_PARAMETERS = 12
-UNDETERMINED_SHARE = 0.5  # of the bounds: 95 % half width of an undetermined number
+UNDETERMINED_SHARE = 0.5  # smallest relative 95 % half width for an undetermined number
 MIN_START_DISTANCE = 0.02  # between starts, relative to the bounds
 RELATIVE_FLOOR = 0.01
-PENALTY_RESIDUAL = 10.0  # of a material that cannot be computed
+PENALTY_RESIDUAL = 10.0  # if a material cannot be computed
 STALLED_RATIO, STALLED_RMS = 0.999, 0.02  # least squares that improved less, at a larger rms, is followed by CMA-ES
 WEIGHTS = ("equal", "relative")
-CORRECTIONS = 3  # largest number of space-mapping steps
+CORRECTIONS = 3  # largest space-mapping step count
 CORRECTION_SEEDS = 4  # independent walks per correction
-CORRECTION_TOL = 1e-3  # of the bounds: a smaller move ends the corrections
+CORRECTION_TOL = 1e-3  # a smaller relative move ends the corrections
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,10 @@ class Measured:
     """Measurement.
 
     Attributes:
-        kind: "spectrum" (parts over angle and wavelength) or "gonio" (BSDF values of direction pairs).
+        kind: "spectrum" (parts over angle and wavelength) or "gonio" (BSDF values at direction pairs).
         wavelengths_nm: `[wavelength]`.
         values: "spectrum": `[part, angle, wavelength]`; "gonio": `[pair, wavelength]`.
-        parts: of the spectrum; angles_deg: of the spectrum; gonio: direction pairs.
+        parts, angles_deg: spectrum only; gonio: direction pairs.
     """
 
     kind: str
@@ -69,7 +69,7 @@ class Measured:
     gonio: GonioData | None = None
 
     def model(self, material: Material, samples: int | None, seed: int) -> Array:
-        """Return the simulated measurement of a material, in the shape of `values`.
+        """Return a material's simulated measurement, shaped as `values`.
 
         Raises:
             NacreError: the material cannot be computed.
@@ -87,7 +87,7 @@ class Measured:
         return evaluate_with_error(bsdf, self.gonio.wi, self.gonio.wo, samples=samples, seed=seed)[0]
 
     def surrogate(self, model: Model) -> Array | None:
-        """Return the measurement simulated by the noise-free surrogate of a random walk; None without one.
+        """Return the measurement simulated by a random walk's noise-free surrogate; None without one.
 
         Raises:
             NacreError: the material cannot be computed.
@@ -121,15 +121,15 @@ class FittedNumber:
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of a fit.
+    """Fit result.
 
     Attributes:
         numbers: fitted numbers.
         material: recipe with them.
-        residual: model minus measurement, in the shape of the measurement.
-        rms: root mean square of the residual; relative_rms: relative to the rms of the measurement.
-        starts: final loss of each start, best first; several equal ones indicate a global minimum.
-        evaluations: number of computed materials.
+        residual: model minus measurement, shaped as the measurement.
+        rms: root mean square of the residual; relative_rms: relative to the measured rms.
+        starts: final loss per start, best first; several equal ones indicate a global minimum.
+        evaluations: computed materials.
     """
 
     numbers: tuple[FittedNumber, ...]
@@ -144,7 +144,7 @@ class Fit:
 def read_measurement(path: str | Path) -> Measured:
     """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, or a gonio CSV.
 
-    Columns of a spectrum may be in per cent and wavelengths in um, as their headings say. Rows without a measured value
+    Spectrum columns may be in per cent and wavelengths in um, as their headings say. Rows without a measured value
     are ignored.
 
     Raises:
@@ -201,7 +201,7 @@ def _check_spectrum(path: str | Path, parts: tuple[str, ...], angles: Array, wav
 
 
 def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
-    """Return the parameters of the recipe's `[fit]` table and of `PATH=LOW:HIGH` options, which take precedence.
+    """Return parameters from the recipe's `[fit]` table and `PATH=LOW:HIGH` options, which take precedence.
 
     Raises:
         RecipeError: with the path and the allowed values.
@@ -213,11 +213,11 @@ def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[P
         path, equals, text = option.rpartition("=")
         bounds = text.split(":")
         if not equals or len(bounds) != 2:
-            raise RecipeError(f'--free "{option}" cannot be read; write it like layers[0].thickness_nm=100:600')
+            raise RecipeError(f'--parameter "{option}" cannot be read; write it like layers[0].thickness_nm=100:600')
         given.append((path.strip(), [_number(bounds[0]), _number(bounds[1])]))
-    table = with_options(table, given, "--free")
+    table = with_options(table, given, "--parameter")
     if not table:
-        raise RecipeError(f"{source}: nothing is free; add a [fit] table or use --free PATH=LOW:HIGH")
+        raise RecipeError(f"{source}: nothing is free; add a [fit] table or use --parameter PATH=LOW:HIGH")
     return read_parameters(table, material, source, "fit", MAX_PARAMETERS, words=False)
 
 
@@ -283,7 +283,7 @@ def run_fit(
 
 
 class _Problem:
-    """Residuals over the unit cube of the bounds."""
+    """Residuals over the unit cube between the bounds."""
 
     def __init__(
         self,
@@ -298,12 +298,12 @@ class _Problem:
         self._samples, self._seed = samples, seed
         self.evaluations = 0
         rms = float(np.sqrt(np.mean(measured.values**2))) or 1.0
-        # the floor limits the weight of values near zero
+        # the floor limits the weight near zero
         shares = np.maximum(np.abs(measured.values), RELATIVE_FLOOR * rms)
         self._scale = shares if weights == "relative" else np.full(measured.values.shape, rms)
         self._correction: Array | float = 0.0  # random walk minus surrogate
         self.is_corrected = False
-        self._walked: Array | None = None  # `[seed, value]`, scaled results of independent walks at one point
+        self._walked: Array | None = None  # `[seed, value]`, scaled results from independent walks at one point
 
     def build(self, point: Array) -> Material:
         return self._material.vary(values_at(self._free, point))
@@ -326,7 +326,7 @@ class _Problem:
         return float(np.sum(self.residual(point) ** 2))
 
     def corrected(self, end: LocalMinimum) -> LocalMinimum:
-        """Refine a minimum of the surrogate with the difference of random walks (space mapping)."""
+        """Refine a surrogate minimum with random walk differences (space mapping)."""
         for _ in range(CORRECTIONS):
             material = self.build(end.point)
             surrogate = self._measured.surrogate(material.model)
@@ -351,11 +351,11 @@ class _Problem:
         return walked
 
     def relative(self, loss: float) -> float:
-        """Return the relative rms of a sum of squares."""
+        """Return the relative rms for a squared sum."""
         return float(np.sqrt(loss / self._measured.values.size))
 
     def select_starts(self, starts: int, scouts: int) -> list[Array]:
-        """Return the recipe's own point and the best, well separated points of a Sobol sample."""
+        """Return the recipe's own point and the best, well separated Sobol points."""
         nominal = nominal_point(self._free, self._material)
         chosen = [] if nominal is None else [nominal]
         if chosen and starts == 0:
@@ -403,10 +403,10 @@ class _Problem:
         return np.stack(columns, axis=1)
 
     def confidence(self, end: LocalMinimum) -> tuple[FittedNumber, ...]:
-        """Return each number with its 95 % half width, from the Gauss-Newton covariance of the residuals.
+        """Return each number with its 95 % half width, from the residuals' Gauss-Newton covariance.
 
         Errors are assumed independent and equal; a direction to which the data are insensitive has no half width. The
-        noise of random walks is common to all residuals of a fit and invisible in them; therefore the variance between
+        noise from random walks is common to all residuals and invisible in them; therefore the variance between
         independent walks is added (JCGM 100:2008, G.4).
         """
         from scipy.stats import t
@@ -432,7 +432,7 @@ class _Problem:
         )
 
     def _walk_variance(self, point: Array, pseudoinverse: Array) -> Array:
-        """Return the variance of each number, relative to its bounds, due to the seed of random walks."""
+        """Return each number's variance, relative to its bounds, due to the random walk seed."""
         if self._walked is None:
             material = self.build(point)
             if is_direct(material.model) or not _has_random_walk(material, self._measured.wavelengths_nm):

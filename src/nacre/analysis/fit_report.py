@@ -1,4 +1,4 @@
-"""Report of a fit as a self-contained HTML page."""
+"""Fit report as a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from nacre.plot import DesignSheet, Figure
 
 LIGHT = ("D65", "10deg")
-MAX_CURVES = 5  # of a measurement with many angles: those with the largest residuals
+MAX_CURVES = 5  # with many measured angles: those with the largest residuals
 RIBBON_DEG = np.linspace(0.0, 80.0, 41)
-BOUND_TOL = 1e-3  # of the bounds
+BOUND_TOL = 1e-3  # relative to the bounds
 LEGEND = ("measured", "fitted")
 
 
 def write_fit_page(path: str | Path, fit: Fit, measured: Measured, free: Sequence[Parameter]) -> None:
-    """Write the report of a fit as HTML: fitted numbers, and measured beside fitted spectra or BSDF values.
+    """Write the fit report as HTML: fitted numbers, and measured beside fitted spectra or BSDF values.
 
     Args:
         fit, measured, free: from `run_fit`, `read_measurement` and `fit_parameters`.
@@ -66,7 +66,7 @@ def _figure(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> Figure:
 
 
 def _sheet(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> DesignSheet:
-    """Return the sheet of a fitted spectrum: measured and fitted curves, colours, structure."""
+    """Return the sheet for a fitted spectrum: measured and fitted curves, colours, structure."""
     from nacre.plot import DesignSheet, Swatch
 
     assert measured.angles_deg is not None
@@ -101,7 +101,7 @@ def _sheet(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> DesignShe
 
 
 def _pair(seen: Array, made: Array, nm: Array) -> tuple[str, str, str]:
-    """Return the screen colours of a measured and a fitted spectrum, and their dE00 as text."""
+    """Return screen colours for a measured and a fitted spectrum, and their dE00 as text."""
     white = white_xyz(*LIGHT)
     xyz = np.stack([seen, made]) @ smooth_weights(nm, *LIGHT)
     lab = np.asarray(xyz_to_lab(np.clip(xyz, 0.0, None), white))
@@ -109,14 +109,14 @@ def _pair(seen: Array, made: Array, nm: Array) -> tuple[str, str, str]:
 
 
 def _ribbon(fit: Fit, measured: Measured) -> tuple[Array, Array, str]:
-    """Return angles and spectra of the first measured part; slow materials only at the measured angles."""
+    """Return angles and spectra for the first measured part; slow materials only at the measured angles."""
     part, nm = measured.parts[0], measured.wavelengths_nm
     label = f"Angle of the light, fitted {part.replace('_', ' ')} (degrees)"
     assert measured.angles_deg is not None
     if fit.material.model.traits.is_quick:
         try:
             found = fit.material.spectrum(np.radians(RIBBON_DEG), nm).parts().get(part)
-        except NacreError:  # an angle outside the range of the family
+        except NacreError:  # an angle outside the family's range
             found = None
         if found is not None:
             return RIBBON_DEG, found, label

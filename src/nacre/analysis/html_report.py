@@ -1,4 +1,4 @@
-"""The pictures of an HTML report, as data URIs: the page stays one file that needs nothing else."""
+"""Reports as text, JSON and one self-contained HTML page with embedded figures."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 CURVE_ANGLES_DEG = (0.0, 30.0, 60.0)
 RIBBON_ANGLES_DEG = tuple(np.linspace(0.0, 88.0, 45))
-COARSE_ANGLES_DEG = tuple(np.linspace(0.0, 80.0, 9))  # where an angle costs a hemisphere of directions
-SCREEN_DPI = 200  # sharp on a dense screen at the page's width
+COARSE_ANGLES_DEG = tuple(np.linspace(0.0, 80.0, 9))  # if each angle needs a hemisphere of directions
+SCREEN_DPI = 200  # sharp on dense screens
 
 
 def figures(materials: list[Material], reports: list[Report]) -> dict[str, str]:
-    """Return the pictures of a report, `caption -> data URI`.
+    """Return a report's figures: caption -> data URI.
 
-    For each material: its spectra, and its colour as the angle of incidence grows. For all together: the track
-    of the aspecular colours through a*, b*.
+    For each material: its spectra and its colour over the incidence angle. For all materials: the path of the
+    aspecular colours through a*, b*.
 
     Raises:
         NacreError: a material cannot be computed.
@@ -39,7 +39,7 @@ def figures(materials: list[Material], reports: list[Report]) -> dict[str, str]:
 
     found: dict[str, str] = {}
     for number, (material, report) in enumerate(zip(materials, reports, strict=True)):
-        # two recipes of one name must not share a caption, since captions are keys
+        # captions are keys, so recipes of the same name are numbered
         name = report.name if [r.name for r in reports].count(report.name) == 1 else f"{report.name} ({number + 1})"
         curves = _spectrum(material, CURVE_ANGLES_DEG, report.illuminant)
         if curves is None:
@@ -60,9 +60,9 @@ def figures(materials: list[Material], reports: list[Report]) -> dict[str, str]:
 
 
 def travel_figure(reports: list[Report]) -> Figure:
-    """Draw the colours of the reports in a*, b* and L*, C*, one mark a report.
+    """Draw the reports' colours in a*, b* and L*, C*, one marker per report.
 
-    A report whose aspecular table is black (a mirror) shows the colours of its mirror direction instead.
+    A report with a black aspecular table (a mirror) shows the colours of the mirror direction.
     """
     from nacre.plot import gamut_figure
 
@@ -78,14 +78,12 @@ def travel_figure(reports: list[Report]) -> Figure:
 
 
 def _spectrum(material: Material, angles_deg: tuple[float, ...], illuminant: str) -> Spectrum | None:
-    """Return the material's spectrum, None where its family has none (the report is then made without it)."""
+    """Return a material's spectrum, or None if its family has none."""
     try:
         return colour_spectrum(material, np.radians(angles_deg), illuminant)
     except UnsupportedError:
         return None
 
-
-# A report as text, JSON and one self-contained HTML page.
 
 STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#222;background:#fff;max-width:60rem;margin:2rem auto;padding:0 1rem}
@@ -99,7 +97,7 @@ p.n{color:#666;font-size:.85rem}img{max-width:100%}pre{background:#f6f6f6;paddin
 
 
 def report_json(reports: list[Report]) -> dict[str, Any]:
-    """Return one report, or several with the differences to the first, as JSON-able data."""
+    """Return one report, or several with differences to the first, as data for JSON."""
     document: dict[str, Any] = {"reports": [_document(report) for report in reports]}
     if len(reports) > 1:
         document["delta_e_2000_to_first"] = [
@@ -134,7 +132,7 @@ def _table_document(table: ColourTable) -> dict[str, Any]:
 
 
 def _clean(value: Any) -> Any:
-    """Replace what JSON cannot say (NaN, infinity) by null."""
+    """Return data with None in place of NaN and infinity."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
@@ -145,7 +143,7 @@ def _clean(value: Any) -> Any:
 
 
 def report_text(reports: list[Report]) -> str:
-    """Return the report as plain text; several reports follow one another, then their differences."""
+    """Return reports as plain text, followed by their differences."""
     lines: list[str] = []
     for report in reports:
         lines += [f"{report.name}   ({report.illuminant}, {report.observer} observer)", ""]
@@ -190,7 +188,7 @@ def report_numbers(report: Report) -> list[tuple[str, str]]:
 
 
 def report_html(reports: list[Report], figures: dict[str, str] | None = None) -> str:
-    """Return one HTML page; `figures` maps a caption to a data URI of a picture."""
+    """Return one HTML page; `figures` maps captions to data URIs."""
     title = " and ".join(html.escape(report.name) for report in reports)
     columns = "".join(f"<section>{_section(report)}</section>" for report in reports)
     compare = "".join(_difference_table(report, reports[0]) for report in reports[1:])

@@ -1,4 +1,4 @@
-"""Export and import: which format holds what of a material, and what of it is lost, said in words."""
+"""Export and import of materials, with a description of the lost properties."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import plain, why_unreadable, write_text
 from nacre.families.contract import OwnFormats
-from nacre.formats.gonio_csv import LARGEST_VALUE, read_gonio_csv, write_gonio_csv
+from nacre.formats.gonio_csv import MAX_VALUE, read_gonio_csv, write_gonio_csv
 from nacre.formats.half_angle_tables import merl_table, read_merl, write_merl
 from nacre.formats.lobes import delta_lost, gonio_grid, gonio_table, is_isotropic, lost_parts, merl_lobe
 from nacre.material.material import MAX_EXCESS, Material, material_from_data
 from nacre.recipe.model import RecipeContext
 from nacre.recipe.toml import dump_toml
 
-SNIFFED_BYTES = 4096  # of a file whose name says nothing; comments may stand before the root element
-MAX_F0 = 0.96  # a real index of 98, which a recipe still takes; a perfect mirror would need an endless one
+SNIFFED_BYTES = 4096  # of a file without a known suffix; comments may precede the root element
+MAX_F0 = 0.96  # a real index of 98; a perfect mirror would need an infinite one
 ENERGY_ANGLES_DEG = (0.0, 30.0, 60.0)
-MOST_ENERGY = 4.0  # real measurements, and tables made of narrow ones, exceed 1 by tens of per cent
+MOST_ENERGY = 4.0  # measurements exceed 1 by tens of per cent
 ROUNDING = 1e-6  # of the largest value
 TENSOR_MAGIC = b"tensor_file\0"
-OF_VALUES = ("rgl", "merl", "zemax", "csv", "exr")  # what asks a Bsdf for its values
+OF_VALUES = ("rgl", "merl", "zemax", "csv", "exr")  # formats that evaluate the Bsdf
 IMPORTS = ".csv (goniometer), .binary (MERL), .bsdf (RGL tensor or Zemax), .gltf, .mtlx"
 
 
@@ -47,16 +47,16 @@ def export_material(
 
     Args:
         target: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr", "nacre", "tmat", or "lut" (a folder).
-        angle_step_deg: of the csv's direction grid.
+        angle_step_deg: step of the direction grid of csv.
         wavelength_nm: for a monochrome zemax file.
-        illuminant: that the colours of lut are for.
-        progress: told what is computed for lut.
+        illuminant: of the colours of lut.
+        progress: called with a description of each step of lut.
 
     Returns:
-        what was written: `lost` lists in words what the format cannot hold.
+        facts about the file; `lost` lists the properties that the format cannot hold.
 
     Raises:
-        UnsupportedError: the format can hold nothing of the material, or a formula runs over an object in a picture.
+        UnsupportedError: the format cannot represent the material, or a formula depends on the place on an object.
         NacreError: the file cannot be written.
     """
     refuse_place(material.model, f"{material.context.source}: export")
@@ -127,11 +127,11 @@ def _export_film(material: Material, target: str, path: Path) -> dict[str, Any]:
     fit = fit_thin_film(material)
     provenance = {"nacre": __version__, "recipe": material.text, "residual_delta_e_2000": fit.mean_residual}
     if target == "gltf":
-        from nacre.formats.gltf import write_gltf
+        from nacre.formats.thin_film import write_gltf
 
         write_gltf(path, fit.film, material.name, provenance)
     else:
-        from nacre.formats.materialx import write_materialx
+        from nacre.formats.thin_film import write_materialx
 
         write_materialx(path, fit.film, material.name, f"nacre {__version__}, residual dE00 {fit.mean_residual:.2f}")
     return {
@@ -141,13 +141,13 @@ def _export_film(material: Material, target: str, path: Path) -> dict[str, Any]:
 
 
 def import_material(source: Path, recipe: Path) -> list[str]:
-    """Read another program's file and write a recipe (and, for tables, a `.nacre` file beside it).
+    """Read a file of another program and write a recipe, and for tables a `.nacre` file beside it.
 
     Returns:
-        remarks, in words.
+        remarks.
 
     Raises:
-        NacreError: the file is none of the known formats, or is damaged.
+        NacreError: the file has an unknown format or is damaged.
     """
     try:
         plain(source)
@@ -172,7 +172,7 @@ def import_material(source: Path, recipe: Path) -> list[str]:
 
 
 def _is_materialx(source: Path) -> bool:
-    """Whether a file of whatever name is a MaterialX document: its root element says so."""
+    """Whether the root element of a file is that of a MaterialX document."""
     try:
         with open(source, "rb") as file:
             return b"<materialx" in file.read(SNIFFED_BYTES)
@@ -181,14 +181,14 @@ def _is_materialx(source: Path) -> bool:
 
 
 def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
-    """Return a remark where more is sent out than arrives.
+    """Return a remark if reflectance and transmittance exceed the incident light.
 
     Raises:
-        NacreError: a value that no BSDF has, or a sum that no error of measurement explains.
+        NacreError: an impossible value, or a sum beyond any measurement error.
     """
     low, high = float(lobe.values.min()), float(lobe.values.max())
-    if not np.isfinite(low + high) or low < -ROUNDING * high or high > LARGEST_VALUE:
-        raise NacreError(f"{source}: holds BSDF values below 0 or beyond {LARGEST_VALUE:g}; none has them")
+    if not np.isfinite(low + high) or low < -ROUNDING * high or high > MAX_VALUE:
+        raise NacreError(f"{source}: holds BSDF values below 0 or beyond {MAX_VALUE:g}; none has them")
     for angle in ENERGY_ANGLES_DEG:
         sums = np.sum(lobe.hemispherical(direction(np.radians(angle))), axis=0)
         worst, nm = float(sums.max()), lobe.wavelengths_nm[int(np.argmax(sums))]
@@ -205,11 +205,11 @@ def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
 
 def _import_film(source: Path, recipe: Path) -> list[str]:
     if source.suffix.lower() == ".gltf":
-        from nacre.formats.gltf import read_gltf
+        from nacre.formats.thin_film import read_gltf
 
         film = read_gltf(source)
     else:
-        from nacre.formats.materialx import read_materialx
+        from nacre.formats.thin_film import read_materialx
 
         film = read_materialx(source)
     for name, value in film.__dict__.items():
@@ -223,7 +223,7 @@ def _import_film(source: Path, recipe: Path) -> list[str]:
         remarks.append("the metal's RGB became one real index of the same luminance; name the metal for its own colour")
     if film.not_read:
         remarks.append(f"not carried over: {', '.join(film.not_read)}")
-    # a metal transmits nothing: a trace of absorption makes the base opaque without changing its reflection
+    # slight absorption makes the base of a metal opaque without changing its reflection
     substrate = {"n": base} if film.transmits else {"n": base, "k": 1e-4}
     data: dict[str, Any] = {
         "family": "film", "ambient": "air", "substrate": substrate,
@@ -232,7 +232,7 @@ def _import_film(source: Path, recipe: Path) -> list[str]:
     }  # fmt: skip
     try:
         material_from_data(data, RecipeContext("film"))
-    except NacreError as error:  # better no recipe than one that is refused on the next command
+    except NacreError as error:  # leave no recipe that the next command refuses
         raise NacreError(f"{source}: holds a film that cannot be: {str(error).removeprefix('film: ')}") from None
     write_text(recipe, dump_toml(data))
     return remarks

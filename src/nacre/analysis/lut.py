@@ -1,6 +1,7 @@
-"""A film's interface as pictures of colour: by the angle at a facet, and averaged over the facets by the angle of view.
+"""Look-up tables of colour for engines: facets of films, scattered light, and the comparison with nacre.
 
-Colours are linear in spectra, and so are all averages here: a film's tables become three channels first.
+Colours are linear in spectra, as are all averages here; therefore a film's tables are first reduced to three
+channels.
 """
 
 from __future__ import annotations
@@ -46,18 +47,18 @@ from nacre.measure.gloss import Gloss, find_gloss
 from nacre.measure.wavelengths import colour_bsdf
 
 COLUMNS = 256
-ROUGH_COLUMNS = 91  # of colours that are averaged over facets: they are smooth
-FINE = 2049  # cosines between which what a facet reflects is taken as linear
-NODES = 64  # of the quadrature over facets, along each of two coordinates
+ROUGH_COLUMNS = 91  # columns of the smooth colours averaged over facets
+FINE = 2049  # cosines, with linear interpolation of facet colours
+NODES = 64  # of the quadrature over facets, per coordinate
 AZIMUTH_ROWS = 9
-AZIMUTHS = 6  # over a quarter of a turn, where the facets are not the same all round
-STEEPEST = np.radians(89.5)  # no light arrives at 90 degrees
-LEAST_SEEN = 1e-4  # share of a closure's facets below which a colour is kept from the angle before
+AZIMUTHS = 6  # over a quarter turn, for anisotropic facets
+STEEPEST = np.radians(89.5)  # below grazing incidence
+LEAST_SEEN = 1e-4  # visible share of facets below which the colour of the previous angle is used
 ToRgb = Callable[[Array], Array]
 
 
 def coloured(response: InterfaceResponse, to_rgb: ToRgb) -> InterfaceResponse:
-    """Return an interface whose wavelengths are three channels."""
+    """Return an interface with three channels in place of wavelengths."""
     return dataclasses.replace(
         response,
         wavelengths_nm=np.array([1.0, 2.0, 3.0]),
@@ -69,7 +70,7 @@ def coloured(response: InterfaceResponse, to_rgb: ToRgb) -> InterfaceResponse:
 
 
 def at_node(response: InterfaceResponse, node: tuple[int, ...]) -> InterfaceResponse:
-    """Return an interface that varies as it is at one node of what varies."""
+    """Return a varying interface at one node."""
     return dataclasses.replace(
         response,
         parameters=(),
@@ -81,7 +82,7 @@ def at_node(response: InterfaceResponse, node: tuple[int, ...]) -> InterfaceResp
 
 
 def facet_bands(response: InterfaceResponse) -> Array:
-    """Return the bands of a facet picture `[band, row, column, 3]` of a coloured interface: one if it is opaque."""
+    """Return the bands `[band, row, column, 3]` of a facet picture; an opaque interface has one."""
     cos = np.cos(column_angles(COLUMNS))
     bands = [take_uniform(response.reflectance, cos, -2)]
     if response.transmits:
@@ -92,10 +93,10 @@ def facet_bands(response: InterfaceResponse) -> Array:
 
 
 def sides(response: InterfaceResponse, cos: Array, is_behind: bool) -> tuple[Array, Array]:
-    """Return what a coloured interface reflects and passes, each `[row, cos, 3]`, for light on one side of the surface.
+    """Return reflectance and transmittance `[row, cos, 3]` of a coloured interface for light on one side.
 
     Args:
-        cos: `[cos]`, in the light's own medium.
+        cos: `[cos]`, in the light's medium.
     """
     inside = np.full(cos.shape, is_behind != response.flipped)
     count = len(response.parameters)
@@ -106,7 +107,7 @@ def sides(response: InterfaceResponse, cos: Array, is_behind: bool) -> tuple[Arr
 
 @dataclasses.dataclass(frozen=True)
 class ViewColours:
-    """Colours of closures over the angle of view, `[row, column, 3]` each."""
+    """Colours of closures over the view angle, `[row, column, 3]` each."""
 
     reflected: Array
     passed: Array
@@ -115,8 +116,8 @@ class ViewColours:
 def smooth_view(response: InterfaceResponse, is_behind: bool) -> ViewColours:
     """Return the colours of a smooth surface, seen from one side.
 
-    Each channel is kept within [0, 1]: engines take no negative ones, and light that is thrown to and fro inside a body
-    would grow by what is above 1. What is reflected and passed still adds up where nothing is absorbed.
+    Channels are clipped to [0, 1]: engines accept no negative values, and values above 1 would amplify light inside a
+    body. Without absorption, reflectance and transmittance still sum to 1.
     """
     return ViewColours(
         *(np.clip(part, 0.0, 1.0) for part in sides(response, np.cos(column_angles(COLUMNS)), is_behind))
@@ -124,19 +125,19 @@ def smooth_view(response: InterfaceResponse, is_behind: bool) -> ViewColours:
 
 
 def closure_distribution(distribution: str) -> str:
-    """Return the distribution that engines have for one of ours."""
+    """Return the microfacet distribution of engines for one of nacre."""
     return "beckmann" if distribution == "blinn" else distribution
 
 
 def rough_view(lobe: Microfacet, is_behind: bool) -> ViewColours:
-    """Return the colours by which an engine's rough closure reflects and passes as much light as a rough film.
+    """Return the colours with which the rough closure of an engine transmits and reflects the light of a rough film.
+
+    At each view angle: radiance of the film under uniform light, divided by that of the closure with masking losses
+    only (height-correlated Smith masking, as in engines). Brushed films have a row per azimuth (`over_azimuth`), or the
+    mean over azimuth if a number varies too.
 
     Args:
         lobe: the film in three channels.
-
-    At each angle of view: what the film sends out under even light, over what the closure would if it lost nothing but
-    what its facets hide (Smith's masking of both directions together, as engines have it). Brushed films have a row for
-    each of some azimuths (`over_azimuth`); where a number varies too, the mean over azimuth.
     """
     response = lobe.response
     tables = sides(response, np.linspace(0.0, 1.0, FINE), is_behind)
@@ -168,24 +169,24 @@ def rough_view(lobe: Microfacet, is_behind: bool) -> ViewColours:
 
 
 def over_azimuth(lobe: Microfacet) -> bool:
-    """Whether the rows of a view picture run over the squared cosine of the azimuth of view against u, from 0 to 1."""
+    """Whether the rows of a view picture are the squared cosine of the azimuth relative to u, from 0 to 1."""
     return lobe.alpha_x != lobe.alpha_y and not lobe.parameters
 
 
 def inner_index(response: InterfaceResponse, is_behind: bool) -> float:
-    """Return the index of the other side over that of the side which light comes from."""
+    """Return the index of the exit side relative to that of the incident side."""
     return response.eta if is_behind == response.flipped else 1.0 / response.eta
 
 
 def azimuths(alpha: tuple[float, float]) -> Array:
-    """Return azimuths whose mean stands for all, in rad: one where the facets are the same all round."""
+    """Return azimuths in rad whose mean represents all; one for isotropic facets."""
     if alpha[0] == alpha[1]:
         return np.array([0.0])
     return np.asarray((np.arange(AZIMUTHS) + 0.5) * (0.5 * np.pi / AZIMUTHS))
 
 
 def _shares(w: Array, lobe: Microfacet, facets: tuple[Array, Array], eta: float) -> Array:
-    """Return by which weights facets at each of the fine cosines reflect and pass light, `[2, cos]`."""
+    """Return the weights `[2, cos]` of facets in reflection and transmission at the fine cosines."""
     m, measure = facets
     w_m = m @ w
     m, measure, w_m = m[w_m > 0], measure[w_m > 0], w_m[w_m > 0]
@@ -200,10 +201,10 @@ def _shares(w: Array, lobe: Microfacet, facets: tuple[Array, Array], eta: float)
 
 
 class ClosureLoss:
-    """How much light an engine's white rough closure keeps: what its facets do not hide from each other.
+    """Energy of the white rough closure of an engine after masking losses.
 
-    Engines (Cycles, OSL's testrender) take Smith's masking of both directions together, 1 / (1 + Lambda_i + Lambda_o)
-    (Heitz 2014, eq. 99); Ashikhmin and Shirley's lobe is that of its source.
+    Engines (Cycles, OSL's testrender) use height-correlated Smith masking, 1 / (1 + Lambda_i + Lambda_o) (Heitz 2014,
+    eq. 99); the lobe of Ashikhmin and Shirley is that of their paper.
     """
 
     def __init__(self, distribution: str, alpha: tuple[float, float], eta: float = 1.0) -> None:
@@ -211,7 +212,7 @@ class ClosureLoss:
         self.facets = normal_quadrature(distribution, *alpha, NODES)
 
     def kept(self, w: Array) -> Array:
-        """Return the shares that are reflected, and refracted, of light along `w[3]`, z > 0."""
+        """Return the reflected and refracted shares of light along `w[3]`, z > 0."""
         m, measure = self.facets
         w_m = m @ w
         m, measure, w_m = m[w_m > 0], measure[w_m > 0], w_m[w_m > 0]
@@ -237,10 +238,10 @@ class ClosureLoss:
 
 
 def between_facets(lobe: Microfacet, is_behind: bool) -> Callable[[Array], Array]:
-    """Return what leaves after several facets under even light, `[reflected or passed, row, 3]`, as a function of w.
+    """Return a function of w for multiple scattering among facets under uniform light, `[side, row, 3]`.
 
     Raises:
-        UnsupportedError: what facets lose is not the same for all wavelengths.
+        UnsupportedError: the loss depends on the wavelength.
     """
     if lobe.loss is None or lobe.exchange is None:
         return lambda w: np.zeros((2, 1, 3))
@@ -264,17 +265,17 @@ def between_facets(lobe: Microfacet, is_behind: bool) -> Callable[[Array], Array
     return sent
 
 
-# Scattered light as pictures of colour: over the angle of view, and over half and difference angles.
+# Scattered light over the view angle, and over half and difference angles
 
 VIEW_DEG = np.array([0.0, 5, 10, 15, 20, 25, 30, 35, 40, 45, 50, 55, 60, 64, 68, 72, 75, 78, 81, 83.5, 86, 88])
-PATHS = 128  # squared: paths of a walk at each angle of view
-LOBE_SHAPE = (17, 48, 128)  # slices, rows, columns of a lobe picture
+PATHS = 128  # square root of the paths of a random walk per view angle
+LOBE_SHAPE = (17, 48, 128)  # slices, rows and columns of a lobe picture
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Views of scattered light, `[column, 3]`, by what an engine's closure is called; and the lobe."""
+    """Views of scattered light `[column, 3]` by the closure's name, and the lobe."""
 
     gloss: Array | None
     gloss_alpha: float
@@ -286,10 +287,10 @@ class Scatter:
 
 
 def scatter_views(bsdf: Bsdf, to_rgb: ToRgb) -> tuple[Array, Array | None, Gloss | None]:
-    """Return colours over `VIEW_DEG` of light that is scattered back and through, and the glossy part of the first.
+    """Return colours over `VIEW_DEG` of reflected and transmitted scattered light, and the glossy part of the former.
 
     Args:
-        bsdf: its scattering lobes alone.
+        bsdf: scattering lobes only.
     """
     theta = np.radians(VIEW_DEG)
     powers = _powers(bsdf, direction(theta, 0.0))
@@ -299,7 +300,7 @@ def scatter_views(bsdf: Bsdf, to_rgb: ToRgb) -> tuple[Array, Array | None, Gloss
 
 
 def _powers(bsdf: Bsdf, directions: Array) -> Array:
-    """Return what leaves on the side of the light and on the other, `[side, angle, wavelength]`."""
+    """Return the power `[side, angle, wavelength]` on the side of the light and on the other side."""
     found = [[hemispherical(lobe, w, nodes=PATHS if lobe.is_stochastic else NODES) for lobe in bsdf.lobes]
              for w in directions]  # fmt: skip
     return np.array([[sum(part[side] for part in parts) for parts in found] for side in (0, 1)])
@@ -309,8 +310,8 @@ def make_scatter(material: Any, bsdf: Bsdf, to_rgb: ToRgb, progress: Progress) -
     """Bake the scattering lobes of a material.
 
     Args:
-        bsdf: its scattering lobes alone, isotropic.
-        to_rgb: of spectra on its wavelengths.
+        bsdf: isotropic scattering lobes only.
+        to_rgb: converts spectra on its wavelengths.
     """
     progress("scattered light over the angle of view")
     total, through, gloss = scatter_views(bsdf, to_rgb)
@@ -334,7 +335,7 @@ def make_scatter(material: Any, bsdf: Bsdf, to_rgb: ToRgb, progress: Progress) -
 
 
 def _smooth(values: Array) -> Array:
-    """Return colours at the columns of a picture from those at `VIEW_DEG`, without overshoot."""
+    """Return colours at a picture's columns from those at `VIEW_DEG`, without overshoot."""
     from scipy.interpolate import PchipInterpolator
 
     angles = np.minimum(column_angles(COLUMNS), STEEPEST)
@@ -342,7 +343,7 @@ def _smooth(values: Array) -> Array:
 
 
 def _lobe(material: Any, bsdf: Bsdf, to_rgb: ToRgb) -> tuple[Picture | None, tuple[str, ...]]:
-    """Return the lobe picture, and what is lost."""
+    """Return the lobe picture and descriptions of lost properties."""
     lost = ("GLSL: light that is scattered to the other side",) if bsdf.transmits else ()
     about = "scattered light, pi f 2 cos_i cos_o / (cos_i + cos_o), over half angle, difference angle and its azimuth"
     wi, wo = lobe_directions(*LOBE_SHAPE)
@@ -356,7 +357,7 @@ def _lobe(material: Any, bsdf: Bsdf, to_rgb: ToRgb) -> tuple[Picture | None, tup
 
 
 def _noiseless(material: Any, wavelengths_nm: Array) -> Bsdf | None:
-    """Return a random walk's form without noise, where its recipe has one that is the same all round."""
+    """Return the noise-free form of a random walk, if its recipe has an isotropic one."""
     try:
         found: Bsdf = material.vary({"quality": "fast"}).bsdf(wavelengths_nm)
     except NacreError:
@@ -369,15 +370,15 @@ def _noiseless(material: Any, wavelengths_nm: Array) -> Bsdf | None:
 
 
 def _evaluated(bsdf: Bsdf, wi: Array, wo: Array, to_rgb: ToRgb) -> Array:
-    """Return colours of values at pairs, a slice at a time: all wavelengths of all pairs would fill the memory."""
+    """Return colours of values at pairs, computed in slices to save memory."""
     return np.stack([to_rgb(np.nan_to_num(bsdf.evaluate(i, o))) for i, o in zip(wi, wo, strict=True)])
 
 
 def lobe_pairs(count: int, seed: int, lowest: float = 0.1) -> tuple[Array, Array]:
-    """Return pairs of directions above the surface, spread over the picture's coordinates, `[count, 3]` each.
+    """Return direction pairs `[count, 3]` above the surface, distributed over the picture's coordinates.
 
     Args:
-        lowest: cosine that both directions keep at least.
+        lowest: smallest cosine of both directions.
     """
     from scipy.stats import qmc
 
@@ -392,26 +393,26 @@ def lobe_pairs(count: int, seed: int, lowest: float = 0.1) -> tuple[Array, Array
     return wi[kept][:count], wo[kept][:count]
 
 
-# A material as tables of colour for engines: what is baked, what is refused, and how far it is from nacre.
+# The complete table of a material, and its comparison with nacre
 
-MAP_SIZE = 512  # pixels a side of a formula's map
+MAP_SIZE = 512  # pixels per side of a formula's map
 LARGEST_MAP = 4096
-CHECKED = 64  # places at which a table is compared
+CHECKED = 64  # number of compared places
 CHECKED_PAIRS, CHECKED_WALKS = 64, 16384
 STEEPEST_CHECKED_DEG = 80.0
 CHECKED_DEG = np.array([2.5, 17.5, 32.5, 47.5, 62.0, 73.5])
-NOTHING = 1e-6  # reflectance below which there is no part
+MIN_REFLECTANCE = 1e-6  # smaller parts are ignored
 
 
 def make_table(material: Material, lamp: str = "D65", progress: Progress = lambda what: None) -> LightTable:
     """Bake a material.
 
     Args:
-        lamp: name of the illuminant.
-        progress: told what is computed.
+        lamp: illuminant name.
+        progress: called with a description of each step.
 
     Raises:
-        UnsupportedError: a table cannot hold the material; says why.
+        UnsupportedError: a table cannot represent the material.
     """
     source = material.context.source
     refuse_place(material.model, f"{source}: export")
@@ -462,7 +463,7 @@ def _baked(material: Material, bsdf: Bsdf, light: Illuminant, progress: Progress
 
 
 def _refuse(bsdf: Bsdf) -> None:
-    """Refuse what no picture of this kind holds.
+    """Check that tables can represent the lobes.
 
     Raises:
         UnsupportedError: with the reason.
@@ -491,13 +492,13 @@ def _refuse(bsdf: Bsdf) -> None:
 
 
 def _walk_mirror(bsdf: Bsdf) -> Array | None:
-    """Return what a walk or a table sends into the mirror direction, `[column, wavelength]`; None: nothing."""
+    """Return the specular reflectance `[column, wavelength]` of a random walk or table, or None."""
     found = bsdf.specular(np.minimum(column_angles(COLUMNS), np.radians(89.99)))
-    return found.reflectance if found.reflectance.max() > NOTHING else None
+    return found.reflectance if found.reflectance.max() > MIN_REFLECTANCE else None
 
 
 def _map(axis: ParameterAxis) -> Array:
-    """Return a number's map over uv, `[1, row, column, 3]`, the first row at v = 0."""
+    """Return a number's map over uv `[1, row, column, 3]`; the first row is v = 0."""
     image = axis.texture.image
     rows, columns = (MAP_SIZE, MAP_SIZE) if image is None else np.minimum(image.shape, LARGEST_MAP)
     u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
@@ -509,7 +510,7 @@ def _bake_interface(
     lobes: list[Specular | Microfacet], mirror: Array | None, to_rgb: Callable[[Array], Array],
     pictures: dict[str, Picture], closures: list[Closure], errors: dict[str, dict[str, float]],
 ) -> Facets:  # fmt: skip
-    """Add the pictures and closures of what is mirror-like."""
+    """Add the pictures and closures of specular and microfacet lobes."""
     if mirror is not None:
         values = to_rgb(mirror)[None]
         pictures["facet"] = Picture(values[None], "reflectance over the angle of incidence")
@@ -534,7 +535,7 @@ def _bake_interface(
         passed = views.passed if bends or rough is None else smooth_view(response, is_behind).passed
         for name, values, what in (("mirror", views.reflected, "reflects"), ("through", passed, "passes")):
             title = name + ("-behind" if is_behind else "")
-            if values.max() <= NOTHING:
+            if values.max() <= MIN_REFLECTANCE:
                 names[name].append(None)
                 continue
             side = ", seen from behind" if is_behind else ""
@@ -557,10 +558,10 @@ def _pair(names: list[str | None]) -> tuple[str | None, str | None]:
 
 
 def _joined(responses: list[InterfaceResponse]) -> InterfaceResponse:
-    """Return one interface from those of a rough free film: its facets reflect, and light passes straight through.
+    """Return one interface for a rough free-standing film, whose facets reflect and which transmits directly.
 
     Raises:
-        UnsupportedError: they do not belong together.
+        UnsupportedError: the lobes do not match.
     """
     first, *others = responses
     for other in others:
@@ -575,7 +576,7 @@ def _joined(responses: list[InterfaceResponse]) -> InterfaceResponse:
 
 
 def _add_loss(lobe: Microfacet, pictures: dict[str, Picture]) -> None:
-    """Add what makes up for light lost between facets, for shaders that know the light."""
+    """Add the compensation of light lost among facets, for shaders with access to the light."""
     if lobe.loss is None or lobe.exchange is None:
         return
     count = lobe.loss.shape[0]
@@ -589,7 +590,7 @@ def _add_loss(lobe: Microfacet, pictures: dict[str, Picture]) -> None:
 def _interface_errors(
     lobe: Specular | Microfacet, rough: Microfacet | None, response: InterfaceResponse, pictures: dict[str, Picture]
 ) -> dict[str, dict[str, float]]:
-    """Compare the pictures between their nodes: a facet's colour, and the colour under even light by angle of view."""
+    """Compare the pictures between their nodes: facet colour, and colour under uniform light by view angle."""
     generator = np.random.default_rng(0)
     theta = np.radians(generator.uniform(0.0, STEEPEST_CHECKED_DEG, CHECKED))
     rows = generator.integers(0, max(pictures["facet"].values.shape[1], 1), CHECKED)
@@ -617,7 +618,7 @@ def _interface_errors(
 
 
 def _node(lobe: Microfacet, row: int) -> Microfacet:
-    """Return a film that varies as it is at one node of the number."""
+    """Return a varying film at one node of the number."""
     if not lobe.parameters:
         return lobe
     exchange = None if lobe.exchange is None else lobe.exchange[row]
@@ -643,12 +644,12 @@ def _add_scatter(scatter: Scatter, pictures: dict[str, Picture], closures: list[
 
 
 def view_picture(values: Array, about: str = "") -> Picture:
-    """Return the picture of colours over the angle of view alone, `[column, 3]`."""
+    """Return the picture of colours `[column, 3]` over the view angle."""
     return Picture(values[None, None], about)
 
 
 def _scatter_errors(bsdf: Bsdf, scatter: Scatter, to_rgb: Callable[[Array], Array]) -> dict[str, dict[str, float]]:
-    """Compare scattered light with nacre: under one lamp, at pairs of directions."""
+    """Compare scattered light with nacre under one lamp at direction pairs."""
     theta = np.radians(CHECKED_DEG)
     back = [sum(hemispherical(lobe, w, nodes=PATHS, seed=1)[0] for lobe in bsdf.lobes) for w in direction(theta, 0.0)]
     alpha = max(scatter.gloss_alpha, 1e-3)
@@ -673,7 +674,7 @@ def _scatter_errors(bsdf: Bsdf, scatter: Scatter, to_rgb: Callable[[Array], Arra
 
 
 def compared(picture: Picture, look_up: Callable[[Picture], Array], wanted: Array) -> dict[str, float]:
-    """Return mean and largest dE00 of a picture's colours to the right ones, of the EXR and of the PNG."""
+    """Return mean and largest dE00 of the colours in the EXR and in the PNG."""
     lab = _lab(wanted)
     told: dict[str, float] = {}
     for ending, held in (("", picture), ("_png", as_png(picture))):

@@ -1,8 +1,8 @@
 """Industrial appearance measures: multi-angle colour, flop, colour travel, gloss, haze, hemispherical totals.
 
-Every value states its geometry. Colours are of the reflectance factor pi f (a perfect diffuser is 1), so they
-compare with what a multi-angle spectrophotometer prints; the mirror-like part of a smooth film lies outside
-its apertures and is listed apart, as colours over the angle of incidence.
+Every value states its geometry. Colours are computed from the reflectance factor pi f (a perfect diffuser is 1), as by
+multi-angle spectrophotometers. The specular part of a smooth film lies outside their apertures and is listed separately
+as colours over the incidence angle.
 """
 
 from __future__ import annotations
@@ -35,12 +35,15 @@ from nacre.measure.wavelengths import colour_bsdf
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 FLOP_FACTOR, FLOP_POWER, FLOP_BASE = 2.69, 1.11, 0.86  # Alman's flop index
 MIRROR_THRESHOLD = 1e-6
-APERTURE_WALKS, LEAST_SAMPLES = 1 << 15, 64  # random walks over the gloss meter's aperture, and at each of its nodes
+APERTURE_WALKS, LEAST_SAMPLES = (
+    1 << 15,
+    64,
+)  # random walks over a gloss meter's aperture, and per node
 
 
 @dataclass(frozen=True)
 class ColourTable:
-    """Colours at a row of angles: `angles_deg[angle]`, `xyz[angle, 3]`, `lab[angle, 3]`, and swatches as hex."""
+    """Colours over angles: `angles_deg[angle]`, `xyz[angle, 3]`, `lab[angle, 3]`, and hex swatches."""
 
     what: str
     angles_deg: Array
@@ -55,7 +58,7 @@ class ColourTable:
 
     @property
     def travel(self) -> float:
-        """Length of the track through a*, b* over the angles."""
+        """Length of the path through a*, b* over the angles."""
         return float(np.sum(np.linalg.norm(np.diff(self.lab[:, 1:], axis=0), axis=1)))
 
 
@@ -64,18 +67,18 @@ class Report:
     """The report of one material.
 
     Attributes:
-        name: of the recipe.
-        illuminant, observer: of all colours; flop index, gloss and haze have those of their standards.
+        name: name of the recipe.
+        illuminant, observer: of all colours; flop index, gloss and haze use those of their standards.
         aspecular: colours at 45 degree incidence, at the standard aspecular angles.
-        specular: colours of the mirror direction over incidence; None if nothing is mirror-like.
-        flop_index: Alman's, from L* at 15, 45 and 110 degrees under D65 with the 10 degree observer; None where L* at
+        specular: colours of the mirror direction over incidence; None without a specular part.
+        flop_index: Alman's, from L* at 15, 45 and 110 degrees under D65 with the 10 degree observer; None if L* at
             45 is 0.
         gloss: gloss units at 20, 60 and 85 degrees, under illuminant C with the 2 degree observer as all haze.
         reflection_haze: ASTM E430 at 30 degrees, as a percentage of the specular flux; None for no specular flux.
-        hemispherical: `name -> luminous value` at normal incidence and 45 degrees; `energy_defect` where a recipe
-            counts as its source does and loses light that nothing absorbs.
+        hemispherical: `name -> luminous value` at normal incidence and 45 degrees; `energy_defect` if the
+            published energy balance of a recipe loses light that is not absorbed.
         transmission_haze: ASTM D1003 percentage, None for an opaque material.
-        noise: largest standard error of a reflectance factor, 0 where nothing is stochastic.
+        noise: largest standard error of a reflectance factor, 0 without a random walk.
     """
 
     name: str
@@ -98,9 +101,9 @@ def make_report(
     """Measure a material in the standard geometries.
 
     Args:
-        material: from `nacre.load`.
-        illuminant, observer: of the colours; industry's usual choice is D65 and 10 degrees.
-        samples, seed: of the random walk, for families that have one.
+        material: the material.
+        illuminant, observer: of the colours; usually D65 and 10 degrees.
+        samples, seed: of random walks.
 
     Raises:
         NacreError: the material cannot be computed.
@@ -145,8 +148,8 @@ def make_report(
 def colour_table(
     what: str, angles_deg: tuple[float, ...], factors: Array, bsdf: Bsdf, illuminant: str, observer: str
 ) -> ColourTable:
-    """Turn reflectance factors `[angle, wavelength]` into a table of colours."""
-    # a random walk has few wavelengths: between them a spectrum is a smooth curve
+    """Return the colours of reflectance factors `[angle, wavelength]`."""
+    # the random-walk spectrum is interpolated smoothly between its few wavelengths
     xyz = np.asarray(factors @ smooth_weights(bsdf.wavelengths_nm, illuminant, observer))
     lab = xyz_to_lab(xyz, white_xyz(illuminant, observer))
     swatches = tuple(swatch_hex(row, white_xyz(illuminant, observer)) for row in xyz)
@@ -154,7 +157,7 @@ def colour_table(
 
 
 def flop_index(lightness_15: float, lightness_45: float, lightness_110: float) -> float | None:
-    """Return Alman's flop index 2.69 (L15 - L110)^1.11 / L45^0.86, None where it has no meaning.
+    """Return Alman's flop index 2.69 (L15 - L110)^1.11 / L45^0.86, or None if L45 is 0.
 
     Example: 11.8 for lightnesses 120, 60 and 30: a strong metallic.
     """
@@ -168,9 +171,9 @@ def _luminous(values: Array, wavelengths_nm: Array, illuminant: str, observer: s
 
 
 def aperture_flux(bsdf: Bsdf, theta_deg: float, aperture: geometry.Aperture, samples: int | None, seed: int) -> Array:
-    """Return the share of the incident flux that falls into an aperture, `[wavelength]`, delta part left out."""
+    """Return the share of the incident flux in an aperture `[wavelength]`, without the delta part."""
     wi = np.broadcast_to(direction(np.radians(theta_deg)), aperture.wo.shape)
-    # a walk is asked at so many nodes that each needs a few samples only
+    # the aperture has many nodes, so that each needs few samples
     fair = max(LEAST_SAMPLES, APERTURE_WALKS // len(aperture.wo)) if samples is None else samples
     values, _ = evaluate_with_error(bsdf, wi, aperture.wo, samples=fair, seed=seed)
     return np.asarray((aperture.weight * np.abs(aperture.wo[:, 2])) @ values)
@@ -180,7 +183,7 @@ def gloss(bsdf: Bsdf, theta_deg: float, samples: int | None = None, seed: int = 
     """Return gloss units at 20, 60 or 85 degrees: the receptor's flux over that of black glass, times 100.
 
     Source: ISO 2813 and ASTM D523 (receptor apertures, illuminant C with the 2 degree observer, black glass of
-    n = 1.567), described in NIST Special Publication 250-70; the light source is taken as collimated.
+    n = 1.567), described in NIST Special Publication 250-70; collimated light.
     """
     aperture = geometry.rectangular_aperture(theta_deg, *geometry.GLOSS_APERTURES_DEG[theta_deg])
     flux = aperture_flux(bsdf, theta_deg, aperture, samples, seed)
@@ -190,9 +193,9 @@ def gloss(bsdf: Bsdf, theta_deg: float, samples: int | None = None, seed: int = 
 
 
 def _reflection_haze(bsdf: Bsdf, samples: int | None, seed: int) -> float | None:
-    """Return ASTM E430 haze: flux 2 degrees off the mirror direction over the flux in it, same aperture, per cent.
+    """Return ASTM E430 haze: flux 2 degrees off the mirror direction relative to the flux in it, in per cent.
 
-    Both sides of the mirror direction are averaged; illuminant C and the 2 degree observer, as the standard has it.
+    Mean of both sides of the mirror direction; illuminant C and the 2 degree observer.
     """
     theta, size = geometry.HAZE_INCIDENCE_DEG, geometry.HAZE_APERTURE_DEG
     at = {}
@@ -208,9 +211,9 @@ def _reflection_haze(bsdf: Bsdf, samples: int | None, seed: int) -> float | None
 
 
 def transmission_haze(bsdf: Bsdf, samples: int | None = None, seed: int = 0) -> float:
-    """Return ASTM D1003 haze, per cent: what leaves more than 2.5 degrees off the straight way, of all that passes.
+    """Return ASTM D1003 haze: the share of transmitted light that deviates by more than 2.5 degrees, in per cent.
 
-    Light along the normal, illuminant C and the 2 degree observer. Directions behind are those inside the substrate.
+    Normal incidence, illuminant C and the 2 degree observer. Transmitted directions are those inside the substrate.
     """
     normal = direction(0.0)
     straight = bsdf.specular(0.0).transmittance
@@ -223,7 +226,7 @@ def transmission_haze(bsdf: Bsdf, samples: int | None = None, seed: int = 0) -> 
 
 
 def differences(report: Report, standard: Report) -> dict[str, Array]:
-    """Return dE00 of each table of a report to the same table of a standard, `name -> [angle]`."""
+    """Return dE00 between a report's tables and a standard: name -> `[angle]`."""
     found = {"aspecular": delta_e_2000(standard.aspecular.lab, report.aspecular.lab)}
     if report.specular is not None and standard.specular is not None:
         found["specular"] = delta_e_2000(standard.specular.lab, report.specular.lab)

@@ -38,13 +38,13 @@ Progress = Callable[[int, int, int], None]  # done, failed, total
 
 
 def lock_file(store: Path) -> Path:
-    """Return the lock of a store; it lies beside the store, since Zarr warns of unknown files."""
+    """Return a store's lock; it lies beside the store, since Zarr warns of unknown files."""
     return store.with_name(store.name + ".lock")
 
 
 @contextlib.contextmanager
 def locked(store: Path, report: Callable[[str], None] | None = None) -> Iterator[None]:
-    """Hold the lock of a store, after waiting for another process that writes it.
+    """Hold a store's lock, after waiting for another process that writes it.
 
     The operating system releases the lock when its process ends.
 
@@ -100,7 +100,7 @@ class Store:
 
     @classmethod
     def open(cls, path: Path, sweep: Sweep) -> Store:
-        """Open the store of a sweep, creating it if needed.
+        """Open a sweep's store, creating it if needed.
 
         Raises:
             NacreError: the folder cannot be written, or the path holds something else.
@@ -112,7 +112,7 @@ class Store:
         return cls(path, sweep)
 
     def missing(self) -> list[int]:
-        """Return the numbers of the points that are not finished, failed ones included."""
+        """Return the numbers of unfinished points, failed ones included."""
         return [int(i) for i in np.flatnonzero(self._status() != DONE)]
 
     def counts(self) -> tuple[int, int]:
@@ -121,7 +121,7 @@ class Store:
         return int(np.sum(status == DONE)), int(np.sum(status == FAILED))
 
     def write(self, number: int, result: Result) -> None:
-        """Store the values of a point, or its error; the status comes last.
+        """Store a point's values, or its error; the status comes last.
 
         Raises:
             NacreError: the disk is full or not writable.
@@ -288,7 +288,7 @@ class _Changes(Sequence[dict[str, Any]]):
 
 
 def _compute_point(shared: Mapping[str, Any], changes: Mapping[str, Any]) -> Result:
-    """Return the values of a point, or the message of its error; runs in a worker."""
+    """Return a point's values, or the message of its error; runs in a worker."""
     try:
         varied = _parametrised(shared["folder"], shared["data"], shared["paths"], shared["files"])(changes)
         expected = dict(shared["files"])

@@ -1,4 +1,4 @@
-"""The points of a sweep: which recipe numbers take which values, in which order, with which seed."""
+"""Sweep files: the recipe, the points and their order, and the quantities to store."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from nacre.recipe.toml import parse_toml
 
 MAX_POINTS = 10_000_000
 MAX_AXES = 12
-BYTES_A_POINT = 200  # its number, its state, and what a batch of results holds of it
+BYTES_PER_POINT = 200
 AXIS_KEYS = {"values", "start", "stop", "low", "high"}
 MODES = ("grid", "random", "sobol")
 
 
 class AxisSpec(RecipeModel):
-    """The values of one number: a list of them, or an interval.
+    """The values of one number: a list or an interval.
 
-    `read_points` reads an axis and tells what is wrong in its own words; here stand its keys, for the reference.
+    `read_points` reads and validates an axis; this model serves the key reference.
     """
 
     forms: ClassVar[tuple[str, ...]] = (
@@ -71,10 +71,10 @@ class Axis:
     """One recipe number of a sweep.
 
     Attributes:
-        path: where the number stands in the recipe, such as `layers[0].thickness_nm`.
-        values: the values of a grid axis (numbers or strings), or None for an interval.
-        low, high: the interval of a random or Sobol axis.
-        is_logarithmic: whether the interval is filled evenly in the logarithm.
+        path: recipe path, such as `layers[0].thickness_nm`.
+        values: values of a grid axis (numbers or words), or None for an interval.
+        low, high: interval of a random or Sobol axis.
+        is_logarithmic: whether the logarithm is distributed evenly.
     """
 
     path: str
@@ -94,12 +94,12 @@ class Axis:
 
 @dataclass(frozen=True)
 class Points:
-    """The points of a sweep, numbered; a grid runs its last axis fastest.
+    """The numbered points of a sweep; the last axis of a grid varies fastest.
 
     Attributes:
         axes: the varied numbers.
         mode: "grid", "random" or "sobol".
-        count: number of points.
+        count: point count.
         fractions: `[point, axis]` in [0, 1) for random and Sobol points, None for a grid.
     """
 
@@ -110,7 +110,7 @@ class Points:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the result: one dimension an axis for a grid, one for the points otherwise."""
+        """Shape of the result: one dimension per axis of a grid, otherwise one for the points."""
         if self.mode == "grid":
             return tuple(len(axis.values or ()) for axis in self.axes)
         return (self.count,)
@@ -127,7 +127,7 @@ class Points:
 
 
 def point_seed(changes: Mapping[str, Any]) -> int:
-    """Return the seed of a point: a hash of its parameters, so that it does not depend on who computes it when."""
+    """Return a point's seed: a hash of its parameters, independent of order and worker."""
     text = json.dumps(changes, sort_keys=True, default=float)
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
 
@@ -139,7 +139,7 @@ def read_points(axes: Mapping[str, Any], mode: str, count: int, seed: int, sourc
     {start, stop, step}, or, for random and Sobol sweeps, {low, high}; `log = true` spaces evenly in the logarithm.
 
     Raises:
-        RecipeError: naming the axis and what is allowed.
+        RecipeError: naming the axis and the allowed values.
     """
     if not isinstance(axes, Mapping) or not axes:
         raise RecipeError(f"{source}: axes is empty; give at least one recipe number to vary")
@@ -169,7 +169,7 @@ def read_points(axes: Mapping[str, Any], mode: str, count: int, seed: int, sourc
 
 
 def _check_memory(source: str, count: int, axes: int) -> None:
-    check_memory(float(BYTES_A_POINT + 16 * axes) * count, f"{source}: a sweep of {count} points")
+    check_memory(float(BYTES_PER_POINT + 16 * axes) * count, f"{source}: a sweep of {count} points")
 
 
 def _read_axis(path: str, value: Any, mode: str, source: str) -> Axis:
@@ -218,20 +218,18 @@ def _grid_values(low: float, high: float, value: Mapping[str, Any], logarithmic:
     return tuple(low + step * i for i in range(count))
 
 
-# What a sweep stores of each point: a fixed set of named arrays, the same shape for every point.
-
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What to measure of each material.
+    """The quantities that a sweep stores of each point.
 
     Attributes:
-        angles_deg: incidence in the ambient medium.
-        illuminant, observer: for the colours.
-        wavelengths_nm: the grid on which spectra are stored, or None to store colours only.
-        parts: which of the spectrum's parts are measured.
+        angles_deg: incidence angles in the ambient medium.
+        illuminant, observer: of the colours.
+        wavelengths_nm: grid of stored spectra, or None to store colours only.
+        parts: parts of the spectrum.
     """
 
     angles_deg: tuple[float, ...] = (0.0, 15.0, 30.0, 45.0, 60.0)
@@ -241,7 +239,7 @@ class Measurement:
     parts: tuple[str, ...] = ("specular_reflectance",)
 
     def layout(self) -> dict[str, tuple[tuple[str, ...], tuple[int, ...]]]:
-        """Return the arrays a point gives: name -> (dimension names, shape)."""
+        """Return a point's arrays: name -> (dimension names, shape)."""
         angles = len(self.angles_deg)
         arrays: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {}
         for part in self.parts:
@@ -252,13 +250,13 @@ class Measurement:
         return arrays
 
     def take(self, material: Material, seed: int) -> dict[str, Array]:
-        """Measure one material; `seed` serves families whose spectrum is a random walk.
+        """Return the arrays of one material; `seed` is that of random walks.
 
         Raises:
             NacreError: the material cannot be computed.
         """
         theta = np.radians(self.angles_deg)
-        # on the material's own grid, and a narrow-band lamp's lines: fine enough, and wide enough for a colour
+        # on the material's grid with the lines of a narrow-band lamp
         colours, stored = colour_spectrum(material, theta, self.illuminant, seed), None
         if self.wavelengths_nm is not None:
             stored = material.spectrum(theta, np.asarray(self.wavelengths_nm), seed=seed)
@@ -274,22 +272,19 @@ class Measurement:
 
 
 def _part(spectrum: Spectrum, name: str) -> Array:
-    """Return a part of a spectrum, zeros where the material has none of it."""
+    """Return a part of a spectrum, or zeros if the material has no such part."""
     values = spectrum.parts().get(name)
     return np.zeros((len(spectrum.angles_deg), len(spectrum.wavelengths_nm))) if values is None else values
 
 
 def measurement_from(data: dict[str, Any]) -> Measurement:
-    """Rebuild a measurement from its dictionary (as it travels to a worker)."""
+    """Rebuild a measurement from the dictionary sent to a worker."""
     fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
     return Measurement(**fields)
 
 
-# What a sweep computes: its recipe, its points, and what is kept of each.
-
-
 class MeasureSpec(RecipeModel):
-    """The `[measure]` table: what is stored of each point."""
+    """The `[measure]` table: the quantities to store of each point."""
 
     forms: ClassVar[tuple[str, ...]] = ('{angles_deg = [0, 45], illuminant = "A", parts = ["specular_reflectance"]}',)
 
@@ -313,7 +308,7 @@ class MeasureSpec(RecipeModel):
 
 
 class SweepSpec(RecipeModel):
-    """A sweep file: a recipe, the axes, how to fill them, what to measure."""
+    """A sweep file: recipe, axes, sampling and stored quantities."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "recipe": "film.toml",
@@ -333,22 +328,22 @@ class SweepSpec(RecipeModel):
     )
     count: int = pydantic.Field(default=256, description="number of points of random and sobol sweeps")
     seed: int = pydantic.Field(default=0, description="seed of the points")
-    measure: MeasureSpec = pydantic.Field(default=MeasureSpec(), description="what is stored of each point")
+    measure: MeasureSpec = pydantic.Field(default=MeasureSpec(), description="the quantities to store of each point")
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """A checked sweep: the material, its points and the measurement of each."""
+    """A validated sweep: material, points and measurement."""
 
     material: Material
     points: Points
     measurement: Measurement
     source: str
-    files: Mapping[str, str]  # digests of the files that any of the points reaches, by name
+    files: Mapping[str, str]  # digests of the dependencies of all points, by name
 
     @property
     def fingerprint(self) -> str:
-        """A hash of everything that decides the results; a store of another fingerprint is refused."""
+        """A hash of everything that determines the results; a store with another fingerprint is refused."""
         axes = [[a.path, a.values, a.low, a.high, a.is_logarithmic] for a in self.points.axes]
         fractions = (
             None if self.points.fractions is None else hashlib.sha256(self.points.fractions.tobytes()).hexdigest()
@@ -360,10 +355,10 @@ class Sweep:
 
 
 def load_sweep(path: str | Path) -> Sweep:
-    """Read and check a sweep file; every axis must exist in the recipe and its first point must build.
+    """Read a sweep file; every axis must exist in the recipe, and the first point must be valid.
 
     Raises:
-        RecipeError: naming file, key, value and what is allowed.
+        RecipeError: naming file, key, value and the allowed values.
     """
     path = Path(path)
     text = read_text(path, "sweep")
@@ -375,19 +370,19 @@ def load_sweep(path: str | Path) -> Sweep:
     try:
         first = material.vary(points.changes(0))
     except NacreError as error:
-        # a later point may fail and is recorded; when the first one does, the sweep is probably mistyped
+        # failures of later points are recorded; a failure of the first one indicates a typing error
         raise RecipeError(f"{path}: the first point cannot be built: {error}") from None
     refuse_place(first.model, f"{path}: sweep")
     return Sweep(material, points, measurement, str(path), _files(material, points))
 
 
 def _files(material: Material, points: Points) -> dict[str, str]:
-    """Return the digests of the recipe's files, and of those that an axis names in its place."""
+    """Return the digests of the recipe's files and of the axes."""
     files = dict(material.context.files)
     for axis in points.axes:
         for value in axis.values or ():
             if not isinstance(value, int | float):
-                # a value that cannot be built is a point that fails, which its own run tells
+                # an invalid value is reported as a failed point
                 with contextlib.suppress(NacreError):
                     files |= material.vary({axis.path: value}).context.files
     return files

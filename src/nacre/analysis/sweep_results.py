@@ -1,4 +1,4 @@
-"""Read a sweep's Zarr store back: its axes, its colours, and which points are there."""
+"""Read a sweep's Zarr store and draw figures of it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from nacre.plot import Figure
 
 
-DONE = 1  # as nacre.analysis.sweep writes it
+DONE = 1  # see nacre.analysis.sweep
 MAX_POINTS_READ = 2_000_000
 
 
@@ -26,8 +26,8 @@ class SweepAxis:
 
     Attributes:
         path: the recipe path.
-        values: grid: `[value]`; random and Sobol: `[point]`. Words are counted 0, 1, 2.
-        words: the words that the counts stand for, empty for numbers.
+        values: grid: `[value]`; random and Sobol: `[point]`. Words have the values 0, 1, 2.
+        words: the words in this order, empty for numbers.
     """
 
     path: str
@@ -42,10 +42,10 @@ class SweepColours:
     Attributes:
         axes: the varied numbers.
         is_grid: whether the points form a grid of the axes' values.
-        part: which part of the spectrum the colours are of.
-        parts: all parts that the store holds.
+        part: the part of the spectrum of these colours.
+        parts: all parts in the store.
         angles_deg: `[angle]`, incidence.
-        xyz, lab: `[axis 0, axis 1, ..., angle, 3]` of a grid, `[point, angle, 3]` otherwise; NaN where missing.
+        xyz, lab: `[axis 0, axis 1, ..., angle, 3]` of a grid, `[point, angle, 3]` otherwise; NaN for missing points.
         illuminant, observer: of the colours.
         recipe: the recipe's text; source: the sweep's file name.
     """
@@ -75,10 +75,10 @@ def read_sweep(path: str | Path, part: str | None = None) -> SweepColours:
 
     Args:
         path: the Zarr folder that `nacre sweep` wrote.
-        part: such as "diffuse_reflectance"; default: the brightest of those stored.
+        part: such as "diffuse_reflectance"; default: the brightest stored part.
 
     Raises:
-        NacreError: no such store, not a sweep's, no such part, or no finished point.
+        NacreError: there is no such store or part, it is not a sweep, or it has no finished point.
     """
     path = Path(path)
     if not (path / "zarr.json").is_file():
@@ -117,7 +117,7 @@ def read_sweep(path: str | Path, part: str | None = None) -> SweepColours:
         )  # fmt: skip
     except NacreError:
         raise
-    except Exception as error:  # a store that was edited or cut can fail anywhere inside zarr
+    except Exception as error:  # a damaged store can raise any error inside zarr
         raise NacreError(f"{path}: cannot be read as a sweep ({type(error).__name__}: {str(error)[:80]!r})") from None
 
 
@@ -126,8 +126,6 @@ def _axis(group: Any, name: str, recipe_path: str) -> SweepAxis:
     words = tuple(str(word) for word in array.attrs.get("labels", ()))
     return SweepAxis(recipe_path, np.asarray(array[...], dtype=float), words)
 
-
-# From a sweep's store to a figure: which two numbers to map, which angles to show, what stays fixed.
 
 SWEEP_KINDS = ("gamut", "colour-map", "parallel")
 MAX_MAPS = 4
@@ -142,11 +140,11 @@ def save_sweep_figure(
         store: the Zarr folder of `nacre sweep`, finished or not.
         kind: one of `SWEEP_KINDS`.
         path: a PNG, PDF or SVG.
-        angles_deg: which of the stored angles; default: the first, or up to four of them spread evenly.
+        angles_deg: stored angles; default: the first, or up to four of them.
         part: of the spectrum; default: the brightest stored.
 
     Raises:
-        NacreError: not a sweep, an angle that it does not hold, or a kind that it cannot feed.
+        NacreError: not a sweep, an angle that is not stored, or an unsuitable kind.
     """
     from nacre.plot import save_figure
 
@@ -156,7 +154,7 @@ def save_sweep_figure(
 
 
 def sweep_figure(colours: SweepColours, kind: str, angles_deg: Array | None = None) -> Figure:
-    """Return the figure of a kind; see `save_sweep_figure`."""
+    """Draw one kind of figure; see `save_sweep_figure`."""
     from nacre.plot import sweeps
 
     chosen = _angles(colours, kind, angles_deg)
@@ -194,7 +192,7 @@ def _angles(colours: SweepColours, kind: str, angles_deg: Array | None) -> list[
 
 
 def _map(colours: SweepColours, chosen: list[int], labels: list[str], title: str, sweeps: Any) -> Figure:
-    """Map the two longest axes; a single axis is mapped over the angle; further axes stay at their first value."""
+    """Map the two longest axes, or one axis over the angle; further axes have their first value."""
     if not colours.is_grid:
         raise NacreError("a colour map needs a grid sweep; draw random points with --kind gamut or parallel")
     light = (colours.illuminant, colours.observer)
@@ -206,7 +204,7 @@ def _map(colours: SweepColours, chosen: list[int], labels: list[str], title: str
         over = sweeps.AxisValues("Angle of incidence (degrees)", colours.angles_deg)
         return sweeps.sweep_map_figure(axes[long], over, np.swapaxes(values, 0, 1)[None], *light, titles=[title])
     first, second = sorted(np.argsort([-length for length in lengths], kind="stable")[:2])
-    # words read better along y, where they have room
+    # words have more room along y
     x, y = (second, first) if axes[first].words and not axes[second].words else (first, second)
     place: list[Any] = [0] * len(axes)
     place[x] = place[y] = slice(None)
@@ -223,7 +221,7 @@ def _map(colours: SweepColours, chosen: list[int], labels: list[str], title: str
 
 
 def _short(path: str) -> str:
-    """Return a label of a recipe path: its last name and unit, and which of several it is."""
+    """Return a label of a recipe path: its last name, unit and index."""
     head, _, last = path.rpartition(".")
     stem, _, unit = last.rpartition("_")
     name = f"{stem.replace('_', ' ')} ({unit})" if unit in ("nm", "um", "mm", "deg") else last.replace("_", " ")

@@ -1,8 +1,8 @@
-"""The single thin film that best represents a material in a real-time renderer, and its residual.
+"""Fit of a single thin film for real-time renderers to a material, with its residual.
 
-The fit is in colour: the material's mirror-like colours over the angle of incidence against those of one film
-of constant index on a base of constant index (dielectric) or of constant reflectance a channel (metal), under
-D65. What the renderer makes of these numbers (its own approximation of the spectrum) comes on top.
+The fit compares colours under D65: the specular colours of the material over the incidence angle and those of one
+film of constant index on a base of constant index (dielectric) or of constant reflectance per channel (metal). The
+spectral approximation of the renderer adds to the residual.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MAX_F0 = 0.98
 
 @dataclass(frozen=True)
 class ThinFilmFit:
-    """The best film, its residual dE00 at `angles_deg`, and what the target cannot represent, in words."""
+    """The best film, its residual dE00 at `angles_deg`, and descriptions of lost properties."""
 
     film: ThinFilm
     angles_deg: Array
@@ -41,10 +41,10 @@ class ThinFilmFit:
 
 
 def fit_thin_film(material: Material) -> ThinFilmFit:
-    """Fit one film to the mirror-like colours of a material.
+    """Fit one film to the specular colours of a material.
 
     Raises:
-        UnsupportedError: the material has no mirror-like part.
+        UnsupportedError: the material has no specular part.
     """
     spectrum = material.spectrum(np.radians(ANGLES_DEG))
     reflectance = spectrum.specular_reflectance
@@ -57,7 +57,7 @@ def fit_thin_film(material: Material) -> ThinFilmFit:
     transmits = spectrum.specular_transmittance is not None and float(spectrum.specular_transmittance.max()) > 1e-3
     candidates = [_fit_metal(target, reflectance, grid)]
     candidates.append(_fit_dielectric(target, grid, transmits))
-    # a transmitting material must stay one, however well a metal would match its reflection
+    # a transmitting material stays a dielectric, even if a metal matches its reflection better
     film, residual = candidates[1] if transmits else min(candidates, key=lambda c: float(c[1].mean()))
     film = ThinFilm(**{**film.__dict__, "roughness": _roughness(material)})
     return ThinFilmFit(film, ANGLES_DEG, residual, _lost(material, film))
@@ -76,7 +76,7 @@ def film_lab(film: ThinFilm, wavelengths_nm: Array) -> Array:
 
 
 def _base_index(f0: float) -> float:
-    """Return the real index whose reflectance at normal incidence is f0: what glTF renderers use for metals."""
+    """Return the real index with normal reflectance f0, which glTF renderers use for metals."""
     root = np.sqrt(min(max(f0, 0.0), MAX_F0))
     return float((1 + root) / (1 - root))
 
@@ -114,7 +114,7 @@ def _fit_dielectric(target: Array, grid: Array, transmits: bool) -> tuple[ThinFi
 
 
 def _search(build: object, starts: list[Array], target: Array, grid: Array) -> tuple[ThinFilm, Array]:
-    """Score all starts, then refine the best few with Nelder-Mead: dE00 has kinks where gradients fail."""
+    """Evaluate all starts and refine the best with Nelder-Mead, since dE00 is not smooth."""
     from scipy.optimize import minimize
 
     coarse = grid if len(grid) <= 48 else np.linspace(grid[0], grid[-1], 48)
@@ -130,7 +130,7 @@ def _search(build: object, starts: list[Array], target: Array, grid: Array) -> t
 
 
 def _roughness(material: Material) -> float:
-    """Return one GGX alpha for the surface: the geometric mean of the recipe's."""
+    """Return the geometric mean of the recipe's GGX alphas."""
     surface = material.data.get("surface", {})
     alpha = surface.get("roughness", 0.0) if isinstance(surface, dict) else 0.0
     values = np.atleast_1d(np.asarray(alpha, dtype=float)) if not isinstance(alpha, dict | str) else np.zeros(1)
@@ -138,7 +138,7 @@ def _roughness(material: Material) -> float:
 
 
 def _lost(material: Material, film: ThinFilm) -> tuple[str, ...]:
-    """Say what of the material the target cannot represent."""
+    """Return descriptions of the properties that the format cannot represent."""
     lost = []
     layers = material.data.get("layers", [])
     if isinstance(layers, list) and len(layers) > 1:

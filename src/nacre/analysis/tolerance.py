@@ -20,13 +20,13 @@ from nacre.optimise.tolerances import Tolerance, read_tolerances, wilson_interva
 from nacre.recipe.path_tables import by_path, with_options
 
 MAX_DRAWS = 1_000_000
-SENSITIVITY_STEP = 0.5  # half step of the central difference, in standard deviations
+SENSITIVITY_STEP = 0.5  # central difference half step, in standard deviations
 LIGHT_DEG = 45.0
 
 
 @dataclass(frozen=True)
 class ToleranceResult:
-    """Result of a tolerance analysis.
+    """Tolerance analysis result.
 
     Attributes:
         geometry: "aspecular, 45 degree incidence" or "mirror direction".
@@ -34,9 +34,9 @@ class ToleranceResult:
         nominal_lab: `[angle, 3]`.
         lab: `[draw, angle, 3]`.
         delta_e: `[draw, angle]`, dE00 to the nominal colour.
-        limit: dE00 limit of the yield.
-        yield_share: share of draws within the limit at every angle; `yield_interval`: its 95 % interval.
-        sensitivities: (path, dE00 of one standard deviation at the worst angle, share of variance), largest first.
+        limit: dE00 limit for the yield.
+        yield_share: draw share within the limit at every angle; `yield_interval`: its 95 % interval.
+        sensitivities: (path, dE00 per standard deviation at the worst angle, variance share), largest first.
         failed: draws that could not be computed; they count as outside the limit.
     """
 
@@ -53,7 +53,7 @@ class ToleranceResult:
 
 
 def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tuple[Tolerance, ...]:
-    """Return the tolerances of the recipe's `[tolerance]` table and of `PATH=SPREAD` options, which take precedence.
+    """Return tolerances from the recipe's `[tolerance]` table and `PATH=SPREAD` options, which take precedence.
 
     A tolerance is a number (standard deviation), a percentage ("2%"), or in the recipe a table `{deviation = 5}` or
     `{percent = 2}`, optionally with `distribution = "uniform"`; `[*]` means every index.
@@ -67,11 +67,11 @@ def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tupl
     for option in options:
         path, equals, text = option.rpartition("=")
         if not equals:
-            raise RecipeError(f'--spread "{option}" cannot be read; write it like layers[0].thickness_nm=2% or =5')
+            raise RecipeError(f'--tolerance "{option}" cannot be read; write it like layers[0].thickness_nm=2% or =5')
         given.append((path.strip(), text.strip()))
-    table = with_options(table, given, "--spread")
+    table = with_options(table, given, "--tolerance")
     if not table:
-        raise RecipeError(f"{source}: no spread is given; add a [tolerance] table or use --spread PATH=VALUE")
+        raise RecipeError(f"{source}: no spread is given; add a [tolerance] table or use --tolerance PATH=VALUE")
     return read_tolerances(table, material, source)
 
 
@@ -94,12 +94,12 @@ def run_tolerance(
     Args:
         material: the nominal material.
         tolerances: from `recipe_tolerances`.
-        draws: number of materials.
+        draws: material count.
         limit: dE00 within which a material passes, at every angle.
         progress: called with (done, total): draws, and two materials per sensitivity.
 
     Raises:
-        NacreError: the nominal material cannot be computed, or a number is out of its range.
+        NacreError: the nominal material cannot be computed, or a number leaves its range.
     """
     if not 1 <= draws <= MAX_DRAWS:
         raise NacreError(f"--draws = {draws} must lie in [1, {MAX_DRAWS}]")
@@ -169,7 +169,7 @@ class ColourProbe:
 
 
 def _sensitivity(material: Material, tolerance: Tolerance, measure: ColourProbe, nominal: Array) -> float:
-    """Return the dE00 of one standard deviation at the worst angle, from a central difference."""
+    """Return the dE00 per standard deviation at the worst angle, from a central difference."""
     sigma = tolerance.standard_deviation
     step = SENSITIVITY_STEP * sigma
     low = max(tolerance.nominal - step, 0.0) if tolerance.nominal >= 0 else tolerance.nominal - step

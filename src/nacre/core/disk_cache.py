@@ -32,7 +32,7 @@ MATERIAL, ARRAYS = ".nacre", ".npz"
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of the cache: in `$NACRE_CACHE` or the user's cache folder; None if the cache is off."""
+    """Return the cache's folder: in `$NACRE_CACHE` or the user's cache folder; None if the cache is off."""
     chosen = os.environ.get(VARIABLE)
     if chosen == OFF:
         return None
@@ -60,7 +60,7 @@ def _private_folder() -> Path | None:
 
 
 def entries(folder: Path) -> list[tuple[float, int, Path]]:
-    """Return the entries of a cache, least recently used first: time of use, bytes, path."""
+    """Return a cache's entries, least recently used first: time of use, bytes, path."""
     found = []
     for path in (p for suffix in (MATERIAL, ARRAYS) for p in folder.glob(f"*{suffix}")):
         with contextlib.suppress(OSError):  # another process may have removed it
@@ -100,7 +100,7 @@ def clear(folder: Path) -> int:
 
 
 def _read(path: Path, load: Callable[[Path], Value]) -> Value | None:
-    """Return the content of an entry and mark it as used, or None if it is absent or damaged."""
+    """Return an entry's content and mark it as used, or None if it is absent or damaged."""
     if not path.exists():
         return None
     with contextlib.suppress(Exception):  # damage raises many types of errors; all mean that it is solved again

@@ -24,15 +24,15 @@ def _environment() -> jinja2.Environment:
 
 
 def render_page(template: str, **values: Any) -> str:
-    """Return a page from a template of the folder `templates`; text values are escaped.
+    """Return a page from a template in the folder `templates`; text values are escaped.
 
     Args:
         template: file name.
-        values: variables of the template; `title` is that of the page.
+        values: template variables; `title` is the page title.
     """
     return _environment().get_template(template).render(values)
 
 
 def png_uri(png: bytes) -> str:
-    """Return the bytes of a PNG as a data URI."""
+    """Return PNG bytes as a data URI."""
     return "data:image/png;base64," + base64.b64encode(png).decode("ascii")

@@ -1,6 +1,6 @@
 """One runner for parallel work: in this process, in worker processes of this machine, or on a Dask cluster.
 
-Items are sent in batches that grow with the speed of the workers. Results return to the calling process, which stores
+Items are sent in batches that grow with the workers' speed. Results return to the calling process, which stores
 them: no result is written twice. Worker processes use one thread each; they end with the calling process.
 """
 

@@ -61,7 +61,7 @@ def progress_bar(title: str, wanted: bool | ProgressCallback | None) -> Iterator
 
 
 def _is_notebook() -> bool:
-    """Whether this process is the kernel of a notebook, without importing anything of its."""
+    """Whether this process is a notebook's kernel, without importing anything of its."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     return type(shell).__name__ == "ZMQInteractiveShell"
@@ -98,7 +98,7 @@ def announce(what: str, seconds: float) -> None:
 
 @contextlib.contextmanager
 def on_progress(listener: Listener) -> Iterator[None]:
-    """Register a listener, `listener(what, seconds)`, for the duration of a block."""
+    """Register a listener, `listener(what, seconds)`, for a block's duration."""
     _listeners.append(listener)
     try:
         yield

@@ -1,4 +1,4 @@
-"""The example recipes that come with nacre: found by name, listed, copied."""
+"""Example recipes of the package: find, list and copy."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ NO_RECIPES = ("gallery.toml",)
 
 @dataclass(frozen=True)
 class Example:
-    """A recipe or a target of a design: its name ("soap", "pearl/foil"), its family or "target", what it says of
-    itself, and its file."""
+    """A recipe or design target: name ("soap", "pearl/foil"), family or "target", description and file."""
 
     name: str
     family: str
@@ -29,10 +28,10 @@ class Example:
 
 
 def examples_folder() -> Path:
-    """Return the folder of the example recipes: of the checkout, or of the installed package.
+    """Return the folder of the example recipes in the checkout or the installed package.
 
     Raises:
-        NacreError: neither is there.
+        NacreError: there is neither.
     """
     roots = (sys.prefix, sysconfig.get_path("data"), sysconfig.get_path("data", f"{os.name}_user"))
     installed = [Path(root) / "share" / "nacre" / "examples" for root in dict.fromkeys(roots)]
@@ -62,7 +61,7 @@ def examples() -> list[Example]:
 
 
 def find_example(name: str) -> Path | None:
-    """Return the file of an example by its name, with or without its folder and ending; None if there is none."""
+    """Return an example's file by its name, with or without folder and suffix, or None."""
     try:
         folder = examples_folder()
     except NacreError:
@@ -78,10 +77,10 @@ def find_example(name: str) -> Path | None:
 
 
 def resolve_recipe_path(path: str | Path) -> Path:
-    """Return the path of a file of one's own or, where there is none, of the example of that name.
+    """Return a path if it exists, else the path of the example of that name.
 
     Raises:
-        NacreError: a word that is neither, and is near the name of an example.
+        NacreError: there is neither, but an example or a file has a similar name.
     """
     if os.path.lexists(path):
         return Path(path)
@@ -95,7 +94,7 @@ def resolve_recipe_path(path: str | Path) -> Path:
 
 
 def _words() -> set[str]:
-    """What an example may be called by: its name, with its folder and without."""
+    """Return the names of all examples, with and without folder."""
     try:
         folder = examples_folder()
     except NacreError:
@@ -105,16 +104,16 @@ def _words() -> set[str]:
 
 
 def copy_examples(names: list[str], to: Path) -> list[Path]:
-    """Copy examples, with the files that they name, to a folder; they keep their places to each other.
+    """Copy examples and the files that they name to a folder, with the same relative paths.
 
     Args:
-        names: as `find_example` takes them; empty: all.
+        names: names for `find_example`; empty: all.
 
     Returns:
         The files written.
 
     Raises:
-        NacreError: an unknown name, or a file of another content is in the way.
+        NacreError: an unknown name, or a file with other content exists.
     """
     folder = examples_folder()
     known = {example.name: example for example in examples()}
@@ -138,7 +137,7 @@ def copy_examples(names: list[str], to: Path) -> list[Path]:
 
 
 def _named_files(path: Path) -> list[Path]:
-    """The files beside an example that its values name, and those that these name."""
+    """Return the files that an example names, recursively."""
     found: list[Path] = []
 
     def walk(value: object) -> None:
@@ -160,7 +159,7 @@ def _named_files(path: Path) -> list[Path]:
 
 
 def _about(text: str) -> str:
-    """The first sentence of the comment at the top."""
+    """Return the first sentence of the comment at the top."""
     lines = []
     for line in text.splitlines():
         if not line.startswith("#"):

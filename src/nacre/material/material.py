@@ -71,7 +71,7 @@ class Material:
     context: RecipeContext = field(default_factory=RecipeContext)
 
     def __repr__(self) -> str:
-        """Return family and source on one line, without the tables of the model."""
+        """Return family and source on one line, without the model's tables."""
         return f"<{self.family} material: {self.context.source}>"
 
     @property
@@ -153,7 +153,7 @@ class Material:
         this is logged as a warning.
 
         Args:
-            theta_rad: angles of incidence in the ambient medium, in [0, pi/2].
+            theta_rad: incidence angles in the ambient medium, in [0, pi/2].
             wavelengths_nm: vacuum wavelengths; default: chosen by the material.
             polarisation: "s", "p" or "both" (unpolarised).
             seed: seed of a random walk; another seed gives independent noise.
@@ -235,7 +235,7 @@ class Material:
         return Parametrisation(self, paths)
 
     def with_parts_loaded(self, paths: Iterable[str]) -> Material:
-        """Return the material with nested recipe files replaced by tables if one of the paths leads into them.
+        """Return the material with nested recipe files replaced by tables if one paths leads into them.
 
         `first.layers[0].thickness_nm` names a number of the recipe that `first = {recipe = "film.toml"}` names.
 
@@ -291,7 +291,7 @@ class Material:
         return numbers_of({key: value for key, value in self.data.items() if key not in STUDY_TABLES})
 
     def layers(self) -> tuple[list[str], list[float]]:
-        """Return the media of a stack from the light's side and its thicknesses in nm; empty lists for no stack."""
+        """Return a stack's media from the light's side and its thicknesses in nm; empty lists for no stack."""
         if "structure" not in self.model.figures:
             return [], []
         try:
@@ -416,7 +416,7 @@ def material(data: Mapping[str, Any], folder: str | Path = ".") -> Material:
 
 
 def loaded(thing: Any) -> Any:
-    """Return the material of a path, an example's name or a recipe's table; anything else unchanged.
+    """Load a path, an example's name or a recipe's table; return anything else unchanged.
 
     A table with the key `type` belongs to Mitsuba and is returned unchanged.
 
@@ -429,10 +429,10 @@ def loaded(thing: Any) -> Any:
 
 
 def as_material(thing: MaterialLike) -> Material:
-    """Return a material unchanged, and load the material of a path, an example's name or a recipe's table.
+    """Return a material unchanged; load a path, an example's name or a recipe's table.
 
     Raises:
-        UnsupportedError: it is none of these.
+        UnsupportedError: it is neither.
         NacreError: there is no such material, or it is not valid.
     """
     found = loaded(thing)

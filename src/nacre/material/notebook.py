@@ -1,4 +1,4 @@
-"""How a material shows itself in a notebook: a small rendered sphere and its colour over the angle."""
+"""HTML of a material in a notebook: a small rendered sphere and its colour over the angle."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from nacre.core.errors import NacreError
 
 SIDE, SPP = 160, 48
 RIBBON_ANGLES_DEG = np.linspace(0.0, 85.0, 60)
-# a random walk costs a second and more an angle; light scattered in a resin changes slowly with the angle
+# a random walk costs over a second per angle, and its colour changes slowly with the angle
 WALK_STRIDE, WALK_SPP = 8, 24
 _cache: dict[str, str] = {}
 CACHE_SIZE = 32
 
 
 def material_html(material: Any) -> str:
-    """Return the HTML of a material: picture, ribbon, name; a part that cannot be made leaves a line saying why."""
-    key = f"{material.context.source}\n{material.text}\n{material.fingerprint}"  # and of the files it reads
+    """Return picture, colour ribbon and name of a material as HTML; a failed part is replaced by its error."""
+    key = f"{material.context.source}\n{material.text}\n{material.fingerprint}"
     if key not in _cache:
         while len(_cache) >= CACHE_SIZE:
             _cache.pop(next(iter(_cache)))

@@ -1,4 +1,4 @@
-"""The numbers of a recipe that an image gives over the surface, as maps for makers."""
+"""Maps of recipe numbers that images give over the surface, for fabrication."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nacre.recipe.units import LENGTH_UNITS_NM
 
 
 def number_maps(material: Material) -> list[NumberMap]:
-    """Return a map for every number of a recipe that an image gives; formulas have no pixels and are left out.
+    """Return a map for every number of a recipe that an image gives; formulas are omitted.
 
     Raises:
         RecipeError: an image cannot be read.

@@ -35,9 +35,9 @@ class _Place:
     Attributes:
         owner: attributes and indices from the top table to the table that holds the number.
         field: field of that table.
-        below: keys from the field's raw value to the number, such as the index of a list.
+        below: keys from the field's raw value to the number, such as a list's index.
         raw: keys of the field's raw value in the recipe's dictionary.
-        factor: from the unit of the path to the unit of the field; 1 if it is no length.
+        factor: from the path's unit to the field's unit; 1 if it is no length.
         check: validates a value of the field.
     """
 
@@ -75,7 +75,7 @@ class Parametrisation:
         self._compile()
 
     def __call__(self, values: Mapping[str, Any]) -> Material:
-        """Return the material with these values; paths left out keep the values of the recipe.
+        """Return the material with these values; paths left out keep the recipe's values.
 
         Raises:
             RecipeError: a value is not allowed, or a path is not one of `paths`.
@@ -90,7 +90,7 @@ class Parametrisation:
             try:
                 return self._quick({path: v if type(v) in (float, int) else v.item() for path, v in values.items()})
             except (NacreError, ValueError, AssertionError):
-                pass  # the complete validation names the place of the mistake
+                pass  # the complete validation names the mistake's place
         return self._complete(values)
 
     def _complete(self, values: Mapping[str, Any]) -> Material:
@@ -190,6 +190,7 @@ def _locate(top: RecipeModel, keys: Keys, context: RecipeContext) -> _Place | No
 
 def _field_check(model: type[RecipeModel], field: str, context: RecipeContext) -> Callable[[Any], Any] | None:
     """Return a function that validates one field of a table, or None if the table has no plain list of fields."""
+    model.model_rebuild()  # resolves tables that are defined further down in their module
     schema: Any = model.__pydantic_core_schema__
     definitions: list[Any] = []
     while schema["type"] != "model-fields":
@@ -207,7 +208,7 @@ def _field_check(model: type[RecipeModel], field: str, context: RecipeContext) -
 
 
 def _after_checks(model: type[RecipeModel]) -> list[Callable[[Any, Any], Any]]:
-    """Return the checks of a table that run once its fields are valid."""
+    """Return a table's checks that run once its fields are valid."""
     found: list[Callable[[Any, Any], Any]] = []
     for decorator in model.__pydantic_decorators__.model_validators.values():
         if decorator.info.mode == "after":

@@ -1,8 +1,7 @@
-"""A recipe number that varies over the surface, for any family: solved at some values, interpolated between.
+"""Recipe numbers that vary over the surface, for any family: solved at nodes and interpolated linearly.
 
-The values (nodes) are as many as keep the colour between two of them within a stated error; each node's lobes are
-weighted by a hat function of the texture (linear interpolation). Numbers for which a family has its own tables (a
-film's thickness) are not treated here.
+The node count follows from the allowed colour error between two of them; a hat function of the texture weights the
+lobes of each node. Numbers for which a family has tables of its own (a film's thickness) are not treated here.
 """
 
 from __future__ import annotations
@@ -30,17 +29,17 @@ from nacre.measure.instruments import aspecular_direction
 from nacre.recipe.model import RecipeContext, validate
 
 MAX_NUMBERS = 2
-MAX_NODES = 9  # each is one more set of lobes in every kernel
-COLOUR_ERROR = 1.0  # dE00 midway between nodes, at any of the test geometries
-WALK_SAMPLES = 65_536  # of a random walk: its noise stays well below that
-JUDGED_ANGLES_DEG = (0.0, 45.0)  # of the mirror direction and of transmission
-JUDGED_ASPECULAR_DEG = (15.0, 25.0, 45.0, 75.0)
-JUDGED_NM = (400.0, 720.0, 9)  # pigments and particles have broad bands; the walk's noise evens out over nine
+MAX_NODES = 9  # each adds a set of lobes to every kernel
+COLOUR_ERROR = 1.0  # dE00 midway between nodes, at any the test geometries
+WALK_SAMPLES = 65_536  # of a random walk, with noise well below the colour error
+TEST_ANGLES_DEG = (0.0, 45.0)  # mirror direction and transmission
+TEST_ASPECULAR_DEG = (15.0, 25.0, 45.0, 75.0)
+TEST_RANGE_NM = (400.0, 720.0, 9)  # nine bands suffice for pigments and particles
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number that varies: its path in the recipe and the texture that gives it, in the recipe's own unit."""
+    """A varying number: its recipe path and its texture, in the recipe's unit."""
 
     path: str
     texture: Texture
@@ -48,11 +47,11 @@ class Number:
 
 @dataclass(frozen=True)
 class Varying(Model):
-    """A material of which one or two numbers vary over the surface.
+    """A material with one or two numbers that vary over the surface.
 
     Attributes:
-        numbers: what varies.
-        fixed: builds the plain material of given values.
+        numbers: the varying numbers.
+        fixed: builds the uniform material of given values.
     """
 
     traits = Traits(noun="material with a varying number")
@@ -67,7 +66,7 @@ class Varying(Model):
         fixed: Callable[[Mapping[str, float]], Any],
         context: RecipeContext,
     ) -> Varying:
-        """Read the textures and check that the material exists at the ends of their ranges.
+        """Read the textures and build the material at the ends of their ranges.
 
         Raises:
             RecipeError: a texture cannot be read, or a value in its range is not allowed.
@@ -91,13 +90,13 @@ class Varying(Model):
         return {number.path: float(value) for number, value in zip(self.numbers, values, strict=True)}
 
     def _axes(self) -> tuple[list[Array], dict[str, Any]]:
-        """Return each number's nodes, and how many there are and why, for the provenance."""
+        """Return each number's nodes, and their count and colour error for the provenance."""
         axes, notes = [], {}
         middle = [0.5 * (n.texture.low + n.texture.high) for n in self.numbers]
         for i, number in enumerate(self.numbers):
 
             def colours(value: float, i: int = i) -> Array:
-                return judged_colours(self.fixed(self._values((*middle[:i], value, *middle[i + 1 :]))))
+                return node_colours(self.fixed(self._values((*middle[:i], value, *middle[i + 1 :]))))
 
             nodes, error = choose_nodes(colours, number.texture.low, number.texture.high, number.path)
             axes.append(nodes)
@@ -105,21 +104,21 @@ class Varying(Model):
         return axes, notes
 
     def _grid(self, axes: list[Array]) -> Iterator[tuple[tuple[int, ...], Any]]:
-        """Yield each node's index and material."""
+        """Yield index and material of each node."""
         for index in itertools.product(*(range(len(nodes)) for nodes in axes)):
             yield index, self.fixed(self._values(tuple(nodes[k] for nodes, k in zip(axes, index, strict=True))))
 
     @property
     def wavelengths_nm(self) -> Array:
-        """The finest of the grids of the materials at the ends."""
+        """The finest grid of the materials at the ends of the ranges."""
         ends = itertools.product(*((n.texture.low, n.texture.high) for n in self.numbers))
         return max((np.asarray(self.fixed(self._values(end)).model.wavelengths_nm) for end in ends), key=len)
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
-        """Return the lobes of all nodes, masked, on one grid: the finest of the ends' own unless one is given.
+        """Return the masked lobes of all nodes on one grid.
 
         Raises:
-            UnsupportedError: more nodes would be needed than are allowed.
+            UnsupportedError: `MAX_NODES` are not enough.
         """
         if wavelengths_nm is None:
             wavelengths_nm = self.wavelengths_nm
@@ -164,43 +163,43 @@ class Varying(Model):
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """The figures of the material at the middle of the surface."""
+        """The figures of the material at the surface centre."""
         middle = np.array([0.5, 0.5])
         values = tuple(float(number.texture(middle)) for number in self.numbers)
         found: Mapping[str, Figure] = self.fixed(self._values(values)).model.figures
         return found
 
 
-def judged_colours(material: Any) -> Array:
+def node_colours(material: Any) -> Array:
     """Return XYZ `[geometry, 3]` of a material at the geometries where interpolation is tested.
 
-    Of a material that is known in a part of the colours only, each wavelength is taken as a grey, see `comparison_xyz`.
+    If the material covers only a part of the visible range, each wavelength counts as a grey, see `comparison_xyz`.
     """
-    low, high, count = JUDGED_NM
+    low, high, count = TEST_RANGE_NM
     own = np.asarray(material.model.wavelengths_nm)
     low, high = (max(low, own[0]), min(high, own[-1])) if spans_colour(own) else (own[0], own[-1])
     grid = np.linspace(low, high, count) if high > low else own
     bsdf = material.bsdf(grid)
-    wo = np.stack([aspecular_direction(45.0, angle) for angle in JUDGED_ASPECULAR_DEG])
+    wo = np.stack([aspecular_direction(45.0, angle) for angle in TEST_ASPECULAR_DEG])
     wi = np.broadcast_to(direction(np.radians(45.0)), wo.shape)
     parts = [np.pi * evaluate_with_error(bsdf, wi, wo, samples=WALK_SAMPLES)[0]]
     if bsdf.transmits:
         parts.append(np.pi * evaluate_with_error(bsdf, wi, wo * [1.0, 1.0, -1.0], samples=WALK_SAMPLES)[0])
-    mirror = bsdf.specular(np.radians(JUDGED_ANGLES_DEG))
+    mirror = bsdf.specular(np.radians(TEST_ANGLES_DEG))
     parts += [mirror.reflectance, mirror.transmittance]
     return comparison_xyz(np.concatenate(parts), grid).reshape(-1, 3)
 
 
 def choose_nodes(colours: Callable[[float], Array], low: float, high: float, path: str) -> tuple[Array, float]:
-    """Halve intervals until colours midway between nodes are within the error; return nodes and error.
+    """Bisect intervals until the colours midway between nodes are within the error; return nodes and error.
 
     Args:
         colours: XYZ `[geometry, 3]` at a value.
         low, high: range of the number.
-        path: its name, for the message.
+        path: name of the number, for messages.
 
     Raises:
-        UnsupportedError: the most nodes are not enough, or the ends do not blend.
+        UnsupportedError: `MAX_NODES` are not enough, or the ends cannot be blended.
     """
     if high <= low:
         return np.array([low]), 0.0

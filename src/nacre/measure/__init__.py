@@ -1,1 +1,1 @@
-"""Measuring a Bsdf, as instruments do."""
+"""Simulated measurements of a Bsdf."""

@@ -1,4 +1,4 @@
-"""Values of a Bsdf for pairs of directions: tables are looked up, random walks run by Mitsuba."""
+"""Values of a Bsdf for direction pairs, from tables or random walks."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from nacre.core.arrays import Array, floats
 from nacre.core.errors import UnsupportedError
 from nacre.core.memory import check_memory
 
-BYTES_A_VALUE = 40  # of a pair and wavelength: the sum, one lobe's values, and what they are made of
-UNIT_TOLERANCE = 1e-3  # of a vector's length; float32 directions are far within
-DEFAULT_SAMPLES = 4096  # paths a direction pair of a stochastic lobe: about 2 % noise for a broad lobe
+BYTES_PER_VALUE = 40  # per pair and wavelength: the sum, the values of one lobe, and intermediate results
+UNIT_TOLERANCE = 1e-3  # of a vector's length
+DEFAULT_SAMPLES = 4096  # paths per direction pair: about 2 % noise for a broad lobe
 
 
 class HasBsdf(Protocol):
@@ -36,17 +36,17 @@ def evaluate_with_error(
     samples: int | None = None,
     seed: int = 0,
 ) -> tuple[Array, Array | None]:
-    """Return the values of `nacre.evaluate` and, where a lobe is stochastic, their standard error (else None).
+    """Return the values of `nacre.evaluate` and, if a lobe is stochastic, their standard error (else None).
 
     Raises:
-        UnsupportedError: a stochastic lobe, and no LLVM on this machine; directions of another shape or length, or uv
-            that is not finite; a formula of x, y or z.
+        UnsupportedError: a stochastic lobe without LLVM on this machine; directions of wrong shape or length; uv that
+            is not finite; a formula of x, y or z.
     """
     refuse_place(bsdf, "evaluate")
     wi_array, wo_array = _directions(wi, wo)
     uv_array = None if uv is None else _places(uv, wi_array.shape[:-1])
     pairs, count = wi_array.size // 3, len(bsdf.wavelengths_nm)
-    check_memory(float(BYTES_A_VALUE) * pairs * count, f"{pairs} pairs of directions x {count} wavelengths")
+    check_memory(float(BYTES_PER_VALUE) * pairs * count, f"{pairs} pairs of directions x {count} wavelengths")
     total = np.zeros((*wi_array.shape[:-1], len(bsdf.wavelengths_nm)))
     variance: Array | None = None
     for lobe in bsdf.lobes:
@@ -64,7 +64,7 @@ def evaluate_with_error(
 
 
 def _directions(wi: ArrayLike, wo: ArrayLike) -> tuple[Array, Array]:
-    """Return pairs of unit vectors of one shape, `[..., 3]`."""
+    """Return unit vector pairs of equal shape `[..., 3]`."""
     given = {"wi": floats(wi, "wi"), "wo": floats(wo, "wo")}
     try:
         wi_array, wo_array = np.broadcast_arrays(*given.values())
@@ -79,7 +79,7 @@ def _directions(wi: ArrayLike, wo: ArrayLike) -> tuple[Array, Array]:
 
 
 def _places(uv: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return surface coordinates that go with directions of a shape, `[..., 2]`."""
+    """Return surface coordinates `[..., 2]` for directions of a shape."""
     places = floats(uv, "uv")
     if places.shape[-1:] != (2,) or not np.all(np.isfinite(places)):
         raise UnsupportedError(f"uv must hold pairs of finite numbers, [..., 2]; its shape is {list(places.shape)}")
@@ -92,10 +92,11 @@ def _places(uv: ArrayLike, shape: tuple[int, ...]) -> Array:
 def hemispherical(
     lobe: Lobe, wi: Array, uv: Array | None = None, nodes: int = 64, seed: int = 0
 ) -> tuple[Array, Array]:
-    """Integrate a lobe's non-delta part over all exits, for light along one `wi[3]`; walks take `nodes`^2 paths.
+    """Integrate the non-delta part of a lobe over all exit directions, for light along one `wi[3]`.
 
     Args:
-        seed: of random walks; another one gives independent noise.
+        nodes: per coordinate; random walks use `nodes`^2 paths.
+        seed: of random walks; another seed gives independent noise.
 
     Returns:
         power `(to the side of wi, to the other side)`, each `[wavelength]`.
@@ -108,7 +109,7 @@ def hemispherical(
 
 
 def unmasked(lobe: Lobe, uv: Array | None, shape: tuple[int, ...]) -> tuple[Lobe, Array]:
-    """Return what lies under the masks of a lobe, and the product of the masks at uv, `shape`.
+    """Return the lobe under all masks, and the product of the masks at uv, `shape`.
 
     A masked random walk runs without its mask and is multiplied by it afterwards.
     """
@@ -120,10 +121,10 @@ def unmasked(lobe: Lobe, uv: Array | None, shape: tuple[int, ...]) -> tuple[Lobe
 
 
 def _walks() -> Any:
-    """Return the walk on arrays, imported where it is first needed: Mitsuba comes with it.
+    """Return the random walk on arrays, which imports Mitsuba.
 
     Raises:
-        UnsupportedError: there is no Mitsuba.
+        UnsupportedError: Mitsuba is missing.
     """
     try:
         from nacre.device.walk import arrays

@@ -1,8 +1,7 @@
-"""The part of spread light that leaves near the mirror direction, as a rough mirror that draws like it.
+"""Approximate the glossy part of scattered light by a rough mirror (GGX microfacets, Trowbridge and Reitz).
 
-Flakes that lie nearly flat, and measured coatings, send most of their light into a lobe about the mirror direction. The
-page can draw such a lobe as a rough mirror (microfacets of Trowbridge and Reitz, "GGX"), so a Bsdf is asked at some
-eleven pairs of directions for the lobe's width and for its strength over the angle. What is left stays spread light.
+Nearly flat flakes and measured coatings scatter most light into a lobe about the mirror direction. The width of the
+lobe and its strength over the angle are determined from about eleven direction pairs. The rest remains diffuse.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.core.arrays import Array
 from nacre.measure.evaluate import evaluate_with_error
 
-TILTS_DEG = np.array([1.5, 3.0, 6.0, 12.0, 24.0, 50.0])  # of the half vector; at the last one there is only the ground
-AT_DEG = 20.0  # difference angle at which the width is found
-FALL = 0.4  # of the peak: the tilt that comes nearest to it gives the width
-LEAST_PEAK = 2.0  # times the ground; flatter lobes stay spread light
+TILTS_DEG = np.array([1.5, 3.0, 6.0, 12.0, 24.0, 50.0])  # of the half vector; the last one measures the background
+AT_DEG = 20.0  # difference angle at which the width is determined
+FALL = 0.4  # of the peak, at the tilt that gives the width
+LEAST_PEAK = 2.0  # relative to the background; lower lobes count as diffuse
 NARROWEST, WIDEST = 0.02, 0.7
 
 
@@ -30,8 +29,8 @@ class Gloss:
     """A lobe about the mirror direction.
 
     Attributes:
-        alpha: roughness of the mirror that draws like it.
-        reflectance: `[angle, wavelength]`, never above the light that the material spreads.
+        alpha: roughness of the mirror.
+        reflectance: `[angle, wavelength]`, at most the scattered light of the material.
     """
 
     alpha: float
@@ -39,13 +38,13 @@ class Gloss:
 
 
 def find_gloss(bsdf: Bsdf, theta_rad: Array, spread: Array, samples: int | None = None) -> Gloss | None:
-    """Return the glossy part of a Bsdf's spread light; None where there is none.
+    """Return the glossy part of the scattered light of a Bsdf, or None.
 
     Args:
-        bsdf: its mirror-like and microfacet lobes are left out, as they are drawn apart.
-        theta_rad: `[angle]`, below a right angle.
-        spread: reflectance `[angle, wavelength]` of what is asked about.
-        samples: of a random walk at each pair of directions; None: as `nacre.evaluate` takes.
+        bsdf: specular and microfacet lobes are ignored.
+        theta_rad: `[angle]`, below pi/2.
+        spread: scattered reflectance `[angle, wavelength]`.
+        samples: random walks per direction pair; None: default of `nacre.evaluate`.
     """
     lobes = tuple(lobe for lobe in bsdf.lobes if not lobe.is_delta and not isinstance(lobe, Microfacet))
     if not lobes:
@@ -57,14 +56,14 @@ def find_gloss(bsdf: Bsdf, theta_rad: Array, spread: Array, samples: int | None 
 
 
 def fit_gloss(values_at: Callable[[Array, Array], Array], theta_rad: Array, spread: Array) -> Gloss | None:
-    """Return the rough mirror that fits a BSDF about the mirror direction; None where it has no lobe there.
+    """Return the rough mirror that fits a BSDF about the mirror direction, or None if it has no lobe there.
 
-    For a microfacet lobe f = R D(h) / (4 cos_i cos_o) but for shadowing, and the GGX D falls with the tilt t of the
-    half vector as D(t) / D(0) = (a^2 / (sin^2 t + a^2 cos^2 t))^2, D(0) = 1 / (pi a^2) (Walter et al. 2007, eq. 33).
+    Without shadowing a microfacet lobe is f = R D(h) / (4 cos_i cos_o), and GGX falls with the tilt t of the half
+    vector as D(t) / D(0) = (a^2 / (sin^2 t + a^2 cos^2 t))^2, D(0) = 1 / (pi a^2) (Walter et al. 2007, eq. 33).
 
     Args:
-        values_at: gives f `[pair, wavelength]`, 1/sr, at unit vectors to light and eye `[pair, 3]`.
-        theta_rad, spread: as for `find_gloss`.
+        values_at: returns f `[pair, wavelength]`, 1/sr, at unit vectors to light and viewer `[pair, 3]`.
+        theta_rad, spread: see `find_gloss`.
     """
     tilts = np.radians(TILTS_DEG)
     wi, wo = (np.concatenate(parts) for parts in zip(_pairs(theta_rad, 0.0 * theta_rad), _pairs(_same(tilts), tilts)))
@@ -88,7 +87,7 @@ def _same(tilts: Array) -> Array:
 
 
 def _pairs(difference: Array, tilt: Array) -> tuple[Array, Array]:
-    """Return directions to light and eye about half vectors that are tilted across the plane of both."""
+    """Return directions to light and viewer for half vectors that are tilted out of their plane."""
     half = np.stack([0.0 * tilt, np.sin(tilt), np.cos(tilt)], axis=-1) * np.cos(difference)[:, None]
     side = np.array([1.0, 0.0, 0.0]) * np.sin(difference)[:, None]
     return half + side, half - side

@@ -1,8 +1,7 @@
-"""The measuring geometries of the coatings industry: aspecular angles, gloss and haze apertures.
+"""Measuring geometries of the coatings industry: aspecular angles, gloss and haze apertures.
 
-Light falls at `theta_i` in the plane phi = 0; an aspecular angle is counted from the mirror direction towards
-the light, so that 45 degree incidence with 45 degrees aspecular looks along the normal, and 110 looks from the
-light's own side.
+Light is incident at `theta_i` in the plane phi = 0. Aspecular angles are counted from the mirror direction towards the
+light: at 45 degrees incidence, 45 degrees aspecular is the normal, and 110 lies on the side of the light.
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from nacre.bsdf.facet_distributions import fresnel
 from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
 
-STANDARD_LIGHT = ("C", "2deg")  # ISO 2813, ASTM D523, E430 and D1003: gloss and haze are read with these, always
-FLOP_LIGHT = ("D65", "10deg")  # ASTM E2194, whose angles Alman's index is read at
+STANDARD_LIGHT = ("C", "2deg")  # for gloss and haze: ISO 2813, ASTM D523, E430 and D1003
+FLOP_LIGHT = ("D65", "10deg")  # ASTM E2194, with the angles of Alman's index
 ASPECULAR_DEG = (-15.0, 15.0, 25.0, 45.0, 75.0, 110.0)  # ASTM E2194 and E2539, and the sixth angle of newer devices
-GLOSS_BLACK_GLASS_INDEX = 1.567  # ISO 2813: the standard's refractive index at 587.6 nm
+GLOSS_BLACK_GLASS_INDEX = 1.567  # ISO 2813: refractive index at 587.6 nm
 # ISO 2813: full angles of the receptor in the plane of incidence and across it
 GLOSS_APERTURES_DEG = {20.0: (1.80, 3.60), 60.0: (4.40, 11.70), 85.0: (4.00, 6.00)}
 HAZE_INCIDENCE_DEG = 30.0  # ASTM E430, test method B: reflection haze 2 degrees off the specular direction
@@ -36,7 +35,7 @@ class Aperture:
 
 
 def aspecular_direction(incidence_deg: float, aspecular_deg: float) -> Array:
-    """Return the direction of view at an aspecular angle, light coming from +x.
+    """Return the view direction at an aspecular angle for light from +x.
 
     Example: 45 degree incidence and 45 degrees aspecular is the normal.
     """
@@ -49,12 +48,12 @@ def rectangular_aperture(centre_deg: float, in_plane_deg: float, across_deg: flo
     Args:
         centre_deg: polar angle of the centre, on the side away from the light.
         in_plane_deg, across_deg: full angles.
-        nodes: an axis; doubled inwards so that a narrow lobe at the centre is not missed.
+        nodes: per axis; denser at the centre, for narrow lobes.
     """
     along, along_weight = _graded(np.radians(in_plane_deg) / 2, nodes)
     across, across_weight = _graded(np.radians(across_deg) / 2, nodes)
     a, b = np.meshgrid(along, across, indexing="ij")
-    # a moves in the plane of incidence, b out of it along a great circle through the moved direction
+    # a rotates in the plane of incidence, b out of it along a great circle
     polar = np.radians(centre_deg) + a
     wo = np.stack([-np.sin(polar) * np.cos(b), np.sin(b), np.cos(polar) * np.cos(b)], axis=-1).reshape(-1, 3)
     weight = (along_weight[:, None] * across_weight[None, :] * np.cos(b)).ravel()
@@ -63,11 +62,11 @@ def rectangular_aperture(centre_deg: float, in_plane_deg: float, across_deg: flo
 
 
 def transmission_cone(half_angle_deg: float, nodes: int = 24, turns: int = 12) -> Aperture:
-    """Return directions and weights of a cone about the light that goes straight on through a surface.
+    """Return directions and weights of a cone about the direct transmission.
 
     Args:
-        half_angle_deg: of the cone.
-        nodes: polar angles, crowded towards the axis where a narrow lobe sits; turns: azimuths.
+        half_angle_deg: half angle of the cone.
+        nodes: polar angles, denser near the axis, for narrow lobes; turns: azimuths.
     """
     x, weight = np.polynomial.legendre.leggauss(nodes)
     t, half = 0.5 * (x + 1.0), np.radians(half_angle_deg)
@@ -79,9 +78,9 @@ def transmission_cone(half_angle_deg: float, nodes: int = 24, turns: int = 12) -
 
 
 def _graded(half: float, nodes: int) -> tuple[Array, Array]:
-    """Return nodes and weights on [-half, half], crowded towards the centre where a sharp lobe sits.
+    """Return nodes and weights on [-half, half], denser at the centre, for narrow lobes.
 
-    The cubic map of a Gauss rule puts the mesh at the centre some 20 times finer than at the rim.
+    The cubic map of a Gauss rule is some 20 times finer at the centre than at the rim.
     """
     x, w = np.polynomial.legendre.leggauss(nodes)
     shape = 0.05 * x + 0.95 * x**3

@@ -14,13 +14,13 @@ from nacre.measure.evaluate import hemispherical
 
 
 def directional_hemispherical(bsdf: Bsdf, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
-    """Return what leaves on the side of `wi` and on the other, delta parts included.
+    """Return the power that leaves on the side of `wi` and on the other side, delta parts included.
 
-    In a white furnace their sum is the brightness of the surface seen from `wi` (by reciprocity).
+    By reciprocity their sum is the surface's brightness in a white furnace, seen from `wi`.
 
     Args:
         wi: `[..., 3]`, unit vectors towards the light.
-        nodes: of the quadrature, along each of two coordinates.
+        nodes: of the quadrature, per coordinate.
 
     Returns:
         `(reflected, transmitted)`, each `[..., wavelength]`.
@@ -40,17 +40,16 @@ def directional_hemispherical(bsdf: Bsdf, wi: Array, uv: Array | None = None, no
 def bsdf_spectrum(
     bsdf: Bsdf, theta_rad: Array, uv: Array | None = None, seed: int = 0, *, diffuse: bool = True, nodes: int = 64
 ) -> Spectrum:
-    """Return a Bsdf's spectra: delta parts (of rough films the values of their stack), and the rest integrated.
+    """Return the spectra of a Bsdf: delta parts (rough films: of the smooth stack) and integrated diffuse parts.
 
-    A base under a rough film counts as it is under the smooth one, so that the parts belong together.
-
-    The light comes in the plane y = 0, where that matters.
+    A base under a rough film has its values under the smooth film, for consistency. Light is incident in the plane
+    y = 0.
 
     Args:
         theta_rad: `[angle]`, in the ambient.
-        seed: of random walks; another one gives independent noise.
-        diffuse: whether the diffuse parts are wanted, which are integrated over all exits.
-        nodes: of that quadrature, along each of two coordinates; a walk takes their square of paths.
+        seed: of random walks; another seed gives independent noise.
+        diffuse: whether diffuse parts are computed, by integration over all exit directions.
+        nodes: of the quadrature, per coordinate; a random walk uses `nodes`^2 paths.
     """
     theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
     delta = bsdf.specular(theta, uv)
@@ -68,14 +67,14 @@ def bsdf_spectrum(
             rest.append(lobe)
     spread = None
     if rest and diffuse:
-        # exactly at 90 degrees no light arrives on the surface; just before it the integrals have their limit
+        # at exactly 90 degrees no light reaches the surface; slightly below, the integrals have their limit
         directions = direction(np.minimum(theta, np.radians(89.99)))
         sums = [[hemispherical(lobe, w, uv, nodes, seed) for lobe in rest] for w in directions]
         spread = np.array([[sum(part[side] for part in parts) for parts in sums] for side in (0, 1)])
     for base in bases if diffuse else ():
         spread = np.zeros((2, *reflected.shape)) if spread is None else spread
         spread[0] += base.smooth_albedo(np.cos(theta), uv)
-    # a walk is no delta lobe, but reflects as mirrors do where its interfaces are smooth
+    # a random walk is no delta lobe, but has mirror reflection at smooth interfaces
     has_delta = len(rest) < len(bsdf.lobes) or bool(np.any(reflected > 0))
     return Spectrum(
         bsdf.wavelengths_nm,

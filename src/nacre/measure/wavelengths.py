@@ -1,4 +1,4 @@
-"""The coarser wavelengths at which a random walk is evaluated for colours: accurate enough, a third of the work."""
+"""Wavelength grids for colours: a material's grid, a lamp's lines, a coarser grid for random walks."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from nacre.core.errors import UnsupportedError
 from nacre.light import lamp_lines_nm, with_lamp_lines
 from nacre.measure.evaluate import evaluate_with_error
 
-WALK_NM = np.linspace(380.0, 780.0, 26)  # 16 nm: with 20, colours of pigments with fringes are off by up to 0.9 dE00
+WALK_NM = np.linspace(380.0, 780.0, 26)  # 16 nm; 20 nm causes errors up to 0.9 dE00
 
 
 def solve_coarse_walk(material: Any, wavelengths_nm: Any = None, walk_nm: Any = WALK_NM) -> Bsdf:
-    """Solve a material; one that is a random walk on a coarse grid, unless a grid is asked for.
+    """Return the Bsdf of a material; random walks use a coarse grid unless a grid is given.
 
     Args:
         material: anything with `bsdf(wavelengths_nm)`.
@@ -25,21 +25,18 @@ def solve_coarse_walk(material: Any, wavelengths_nm: Any = None, walk_nm: Any = 
     """
     bsdf: Bsdf = material.bsdf(wavelengths_nm)
     if wavelengths_nm is None and any(lobe.is_stochastic for lobe in bsdf.lobes):
-        if "quality" in getattr(material, "data", {}):  # what could not be made noise-free is not tried again
+        if "quality" in getattr(material, "data", {}):  # a recipe that already chose a method is not tried again
             material = material.vary({"quality": "reference"})
         bsdf = material.bsdf(walk_nm)
     return bsdf
 
 
-# The wavelengths at which a material is asked for a colour: its own, and the lines of a narrow-band lamp.
-
-
 def colour_grid(material: Any, illuminant: str) -> Array | None:
-    """Return wavelengths for a colour under a narrow-band lamp; None for any other: the material's own will do.
+    """Return wavelengths for a colour under a narrow-band lamp, or None if the material's grid suffices.
 
     Args:
-        material: with a `model` that tells its own grid.
-        illuminant: the lamp; its name.
+        material: material whose `model` has a wavelength grid.
+        illuminant: lamp name.
     """
     if not len(lamp_lines_nm(illuminant)):
         return None
@@ -49,16 +46,16 @@ def colour_grid(material: Any, illuminant: str) -> Array | None:
 def colour_spectrum(
     material: Any, theta_rad: Array, illuminant: str, seed: int = 0, wavelengths_nm: Array | None = None
 ) -> Spectrum:
-    """Return a material's spectra on wavelengths that keep a colour under a lamp within 0.5 dE00.
+    """Return spectra of a material on wavelengths that give colours under a lamp within 0.5 dE00.
+
+    A material with fixed wavelengths (a measurement, a compiled file) uses those.
 
     Args:
         material: anything with `spectrum` and `bsdf`.
         theta_rad: `[angle]`.
-        illuminant: the lamp; its name.
+        illuminant: lamp name.
         seed: of a random walk.
-        wavelengths_nm: what a person asked for, which is then taken as it is.
-
-    A material that keeps its wavelengths (a measurement, a compiled file) answers on those.
+        wavelengths_nm: grid chosen by the user, which is used unchanged.
     """
     grid = colour_grid(material, illuminant) if wavelengths_nm is None else wavelengths_nm
     if wavelengths_nm is None and grid is not None:
@@ -72,11 +69,11 @@ def colour_spectrum(
 
 
 def colour_bsdf(material: Any, illuminant: str, wavelengths_nm: Array | None = None, coarse: bool = True) -> Bsdf:
-    """Return a material solved on such wavelengths, a random walk on a coarse grid; see `solve_coarse_walk`.
+    """Return the Bsdf of a material on such wavelengths, for random walks on a coarse grid; see `solve_coarse_walk`.
 
     Args:
-        wavelengths_nm: what a person asked for, which is then taken as it is.
-        coarse: False keeps the material's own grid for a random walk, too.
+        wavelengths_nm: grid chosen by the user, which is used unchanged.
+        coarse: False uses the material's grid also for random walks.
     """
     if wavelengths_nm is not None:
         asked: Bsdf = material.bsdf(wavelengths_nm)
@@ -96,9 +93,9 @@ def colour_bsdf(material: Any, illuminant: str, wavelengths_nm: Array | None = N
 def colour_values(
     material: Any, wi: Array, wo: Array, illuminant: str, samples: int | None = None, seed: int = 0
 ) -> tuple[Array, Array]:
-    """Return a material's values at a few pairs of directions, `[pair, wavelength]`, and such wavelengths.
+    """Return values of a material at a few direction pairs `[pair, wavelength]`, and such wavelengths.
 
-    A family that knows a shorter way to a few pairs than its whole Bsdf goes it.
+    A family with direct evaluation does not solve the whole Bsdf.
     """
     few: tuple[Array, Array] | None = material.values_at(wi, wo, colour_grid(material, illuminant))
     if few is not None:

@@ -1,4 +1,4 @@
-"""Batch design: many colours of one target in one process, in memory or as a folder per colour with a common table."""
+"""Batch design: many colours for one target in one process, in memory or as a folder per colour with a common table."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class BatchDesign:
-    """Solutions of a batch.
+    """Batch solutions.
 
     Attributes:
         solutions: the best one for each colour.
-        rows: content of many.json; empty without a folder.
-        folder: folder of the solutions, if any.
+        rows: many.json content; empty without a folder.
+        folder: solution folder, if any.
     """
 
     solutions: list[Solution]
@@ -65,16 +65,16 @@ def many(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> list[Solution]:
-    """Return the best solution for each of many colours of one target.
+    """Return the best solution for each colour in a list, one target.
 
     Args:
         target: as in `nacre.design`; its colours are replaced, everything else applies to each design.
             `search.seconds` is per design; a stack without `[tolerance]` and `max_layers = "fewest"` takes some
             hundredths of a second.
-        labs: `[n, 3]`, CIELAB for all targets of the file, or `[n, target, 3]`, one for each; or a CSV file of L, a, b
+        labs: `[n, 3]`, CIELAB for all targets, or `[n, target, 3]`, one for each; or a CSV file with L, a, b
             or name, L, a, b (see `nacre.optimise.colour_list`).
         out: a folder for the solutions, one folder each, with many.csv and many.json.
-        resume: reuse the solutions in `out` for the same colours of the same target.
+        resume: reuse solutions in `out` for the same colours and target.
         progress: called with (done, total).
 
     Raises:
@@ -94,7 +94,7 @@ def design_batch(
     resume: bool = False,
     progress: Progress | None = None,
 ) -> BatchDesign:
-    """As `many`, with the rows of the table. After an interrupt the folder contains the finished designs."""
+    """As `many`, with table rows. After an interrupt the folder contains the finished designs."""
     task = _read(target)
     rows = read_colours(labs, len(task.targets))
     tasks = [
@@ -144,7 +144,7 @@ def _read(target: str | Path | Mapping[str, Any]) -> DesignTask:
 def _solve(
     task: DesignTask, tasks: Sequence[DesignTask], numbers: Sequence[int], collect: Callable[[int, Solution], None]
 ) -> None:
-    """Search for the tasks of the given numbers; call `collect` for each, one at a time.
+    """Search the tasks with the given numbers; call `collect` for each, one at a time.
 
     Raises:
         KeyboardInterrupt: on an interrupt; collected solutions remain.
@@ -177,16 +177,16 @@ def _solve(
 
 
 class _BatchFolder:
-    """Folder of a batch, updated as solutions arrive.
+    """Batch folder, updated as solutions arrive.
 
     Args:
         folder: created with the first solution.
-        task: its colours are replaced by those of the rows.
+        task: its colours are replaced by the rows' colours.
         rows: the colours.
         resume: reuse solutions in the folder.
 
     Raises:
-        RecipeError: there are no rows, or the folder contains foreign files or solutions of another target.
+        RecipeError: there are no rows, or the folder contains foreign files or another target's solutions.
         NacreError: the folder cannot be written.
     """
 
@@ -221,7 +221,7 @@ class _BatchFolder:
         }
 
     def _earlier(self) -> dict[str, Any] | None:
-        """Return the summary of an earlier run, if any."""
+        """Return an earlier run's summary, if any."""
         path = self.folder / SUMMARY
         if not path.exists():
             return None
@@ -234,12 +234,12 @@ class _BatchFolder:
 
     @property
     def done(self) -> list[int]:
-        """Numbers of the finished rows."""
+        """Finished row numbers."""
         return sorted(self._documents)
 
     @property
     def rows(self) -> list[dict[str, Any]]:
-        """Documents of the finished rows."""
+        """Finished row documents."""
         return [self._documents[number] for number in self.done]
 
     def add(self, number: int, task: DesignTask, solution: Solution) -> Solution:
@@ -261,7 +261,7 @@ class _BatchFolder:
         return written
 
     def read(self, number: int, task: DesignTask) -> Solution:
-        """Return a solution of an earlier run, with its evaluation."""
+        """Return an earlier run's solution, with its evaluation."""
         one = self._documents[number]
         pairs = [(target, lamp) for target in task.targets for lamp in task.spec.light.illuminants]
         results = [
@@ -274,7 +274,7 @@ class _BatchFolder:
         return Solution(path, self.task.material.vary(one["changes"]), one["changes"], results, facts)
 
     def write(self, status: str) -> None:
-        """Write the table and the summary of all solutions; remove solutions of colours that are no longer listed.
+        """Write table and summary; remove solutions for colours that are no longer listed.
 
         Raises:
             NacreError: a file cannot be written.
@@ -322,7 +322,7 @@ def folder_names(names: Sequence[str]) -> list[str]:
 
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return a CSV with the worst target of each row and the parameters of its solution."""
+    """Return a CSV with each row's worst target and its solution's parameters."""
     paths = list(dict.fromkeys(path for row in rows for path in row["changes"]))
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""Lists of target colours: CSV of L*, a*, b* with optional names, as spreadsheets and instruments write them."""
+"""Target colour lists: CSV with L*, a*, b* and optional names, as spreadsheets and instruments write them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _COLUMN = re.compile(r"(?:cie)?(?:lab)?([lab])(?:star)?(\d*)")
 
 @dataclass(frozen=True)
 class ColourRow:
-    """Target colours of one row.
+    """Target colours in one row.
 
     Attributes:
         name: may be empty.
@@ -40,13 +40,13 @@ class ColourRow:
 def read_colours(labs: Any, targets: int) -> list[ColourRow]:
     """Return target colours from a CSV file, or from an array `[n, 3]` or `[n, target, 3]`.
 
-    A row of a file contains L*, a*, b*, optionally after a name; if the file of targets has several, one colour for
-    all of them or as many triples. A heading may name the columns (`Name;L*;a*;b*`, and `L1`, `a1` ... of several
+    A file row contains L*, a*, b*, optionally after a name; for several targets, one colour for
+    all or as many triples. A heading may name the columns (`Name;L*;a*;b*`, and `L1`, `a1` ... of several
     targets); other columns are then ignored. Delimiters are semicolons, tabs, commas or blanks; unless the comma is
     the delimiter, it may be the decimal point.
 
     Args:
-        targets: number of targets.
+        targets: target count.
 
     Raises:
         RecipeError: an entry is not a colour; with its line.
@@ -93,7 +93,7 @@ def _file_rows(path: Path, targets: int) -> list[ColourRow]:
 
 
 def _cells(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the line number and the cells of each line that is neither empty nor a comment."""
+    """Yield line number and cells for each line that is neither empty nor a comment."""
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
     lines = [(number, line) for number, line in lines if line and line[0] != "#"]
     mark = next((mark for mark in ";\t," if any(mark in line for _, line in lines)), None)
@@ -126,7 +126,7 @@ def _number(cell: str) -> float | None:
 
 
 def _columns(heading: Sequence[str], targets: int, where: str) -> tuple[int | None, list[int]]:
-    """Return the column of names, if any, and those of L, a, b, target by target."""
+    """Return the name column, if any, and the L, a, b columns, target by target."""
     without = [re.split(r"[(\[]", cell.lower())[0] for cell in heading]  # lamp and observer
     words = [re.sub(r"[^a-z0-9]+", "", cell) for cell in without]
     found: dict[str, int] = {}

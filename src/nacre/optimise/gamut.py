@@ -1,7 +1,7 @@
-"""Gamut of a material: the colours that its parameters reach at one geometry, with the structure of each.
+"""Material gamut: colours that parameters reach at one geometry, with their structures.
 
-Shares count colours: of the colours of a solid (sRGB, or all optimal colours under the lamp), distributed evenly over
-its volume in CIELAB, the share that lies within a dE00 of a reached colour.
+Shares count colours: among those in a solid (sRGB, or all optimal colours under the lamp), distributed evenly over
+its volume in CIELAB, the share that lies within a dE00 from a reached colour.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ from nacre.recipe.model import RecipeContext
 if TYPE_CHECKING:
     from nacre.plot import Figure
 
-EVEN_SHARE = 0.5  # of the points; the others are drawn near the most extreme colours
-RIM_STEP = 0.12  # standard deviation of a step near an extreme colour, relative to the bounds
-HUES = 36  # directions of the extremes
+EVEN_SHARE = 0.5  # evenly drawn points; the others are drawn near the most extreme colours
+RIM_STEP = 0.12  # step standard deviation near an extreme colour, relative to the bounds
+HUES = 36  # hue directions for extremes
 SOLID_POINTS, BATCH = 1200, 2048
 NEIGHBOURS = 12
-EDGE_STEP_NM = 10.0  # between the edges of the optimal colours
+EDGE_STEP_NM = 10.0  # between the edges in optimal colours
 OTHER_GEOMETRIES = ("45as15", "45as45", "transmitted 0")  # in turn, if the usual one does not apply
 MIN_POINTS, MAX_POINTS = 8, 1_000_000
-STACKS, REPORT_POINTS = 800, 400  # points of the gamut in a report: thin films, other materials
-THIN_SHARE = 0.3  # of the drawn thicknesses lie near the lower bound: thin metals transmit
+STACKS, REPORT_POINTS = 800, 400  # gamut points in a report: thin films, other materials
+THIN_SHARE = 0.3  # thicknesses drawn near the lower bound: thin metals transmit
 
 Light = tuple[str, str]  # illuminant and observer
 
@@ -66,16 +66,16 @@ class Gamut:
     """TargetResult colours.
 
     Attributes:
-        geometry: of the measurement.
-        illuminant, observer: of the colours.
+        geometry: measurement geometry.
+        illuminant, observer: colour conditions.
         lab: `[point, 3]`.
         xyy: `[point, 3]`, chromaticity and luminance (white has 1).
-        structures: parameter values of each point, by path.
+        structures: parameter values per point, by path.
         tolerance: dE00 within which a colour counts as reached.
-        share_of_srgb: share of the colours of sRGB that are reached.
-        share_of_optimal: share of the optimal colours (MacAdam limits) that are reached.
+        share_of_srgb: reached share, sRGB colours.
+        share_of_optimal: reached share, optimal colours (MacAdam limits).
         failed: points that could not be computed.
-        possible: number of combinations if all parameters are discrete; None otherwise.
+        possible: combination count if all parameters are discrete; None otherwise.
     """
 
     geometry: str
@@ -107,7 +107,7 @@ class Gamut:
 
 
 def parse_parameters(options: Iterable[str]) -> dict[str, Any]:
-    """Read `PATH=A:B` (bounds) and `PATH=a,b,c` (choices) into a table of parameters.
+    """Read `PATH=A:B` (bounds) and `PATH=a,b,c` (choices) into a parameter table.
 
     Raises:
         RecipeError: an option has another form.
@@ -117,10 +117,10 @@ def parse_parameters(options: Iterable[str]) -> dict[str, Any]:
         path, equals, text = (part.strip() for part in option.rpartition("="))
         if not equals or not path or not text:
             raise RecipeError(
-                f'--free "{option}" cannot be read; write it like layers[0].thickness_nm=50:400 or substrate=Al,Ag'
+                f'--parameter "{option}" cannot be read; write it like layers[0].thickness_nm=50:400 or substrate=Al,Ag'
             )
         if path in found:
-            raise RecipeError(f"--free {path} is given twice; keep one")
+            raise RecipeError(f"--parameter {path} is given twice; keep one")
         ends = [_number_or_text(end) for end in text.split(":")]
         if len(ends) == 2 and all(isinstance(end, float) for end in ends):
             found[path] = ends
@@ -152,17 +152,17 @@ def find_gamut(
 ) -> Gamut:
     """Return the colours that a material's parameters reach at a geometry.
 
-    Half of the points are drawn evenly, the others near the most extreme colours of each hue.
+    One half is drawn evenly, the other near each hue's most extreme colours.
 
     Args:
-        table: path -> bounds or choices, as in the parameters of a design.
-        geometry: "specular 0", "45as15" and so on, as in a target; None: the default geometry of the family (mirror
-            direction of a film, 45 degrees for a photonic glass, near the mirror direction for a pearl or a relief),
+        table: path -> bounds or choices, as in a design's parameters.
+        geometry: "specular 0", "45as15" and so on, as in a target; None: the family's default geometry (mirror
+            direction for a film, 45 degrees for a photonic glass, near the mirror direction for a pearl or a relief),
             or another one that applies.
-        points: number of materials.
+        points: material count.
         seconds: time limit.
         tolerance: dE00 within which a colour counts as reached.
-        samples: of random walks.
+        samples: random walks.
         progress: called with (done, points).
 
     Raises:
@@ -172,21 +172,21 @@ def find_gamut(
     if not MIN_POINTS <= points <= MAX_POINTS:
         raise NacreError(f"--points = {points} must lie in [{MIN_POINTS}, {MAX_POINTS}]")
     if not tolerance > 0:
-        raise NacreError(f"--within = {tolerance:g} must be above 0")
+        raise NacreError(f"--tolerance = {tolerance:g} must be above 0")
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
     material = material.at_low_fidelity().with_parts_loaded(table)
     parameters = read_parameters(dict(table), material, source)
     if not parameters:
-        raise RecipeError(f"{source}: nothing is free; use --free PATH=LOW:HIGH")
+        raise RecipeError(f"{source}: nothing is free; use --parameter PATH=LOW:HIGH")
     at = applicable_geometry([material, *_variants(material, parameters)], geometry, f"{source}: at")
     draws = (points, seconds, seed)
     return _parameter_gamut(material, parameters, at, (illuminant, observer), draws, tolerance, samples, progress)
 
 
 def applicable_geometry(materials: Sequence[Material], geometry: str | None, where: str) -> Geometry:
-    """Return the given geometry; default: that of the family, or the first other one that applies.
+    """Return the given geometry; default: the family's, or the first other one that applies.
 
-    The default geometry may not apply to a recipe: a blend of two pearls has no specular part.
+    The default geometry may not apply to a recipe: a blend between two pearls lacks a specular part.
 
     Raises:
         RecipeError: the geometry is not known or does not apply.
@@ -243,7 +243,7 @@ def _parameter_gamut(
     """Draw points evenly, then near the most extreme colours.
 
     Args:
-        draws: number of points, time limit in seconds, seed.
+        draws: point count, time limit in seconds, seed.
 
     Raises:
         NacreError: no point can be computed.
@@ -300,7 +300,7 @@ def _variants(material: Material, parameters: Sequence[Parameter]) -> list[Mater
 
 
 def _combinations(parameters: Sequence[Parameter], most: int) -> list[Array]:
-    """Return every combination of discrete parameters; empty if a parameter is continuous, or if they are too many."""
+    """Return all discrete parameter combinations; empty if a parameter is continuous, or if they are too many."""
     if not all(p.choices or p.is_whole for p in parameters):
         return []
     counts = [len(p.choices) if p.choices else int(p.high - p.low) + 1 for p in parameters]
@@ -314,7 +314,7 @@ def _combinations(parameters: Sequence[Parameter], most: int) -> list[Array]:
 
 
 def _near_extreme(points: Sequence[Array], labs: Array, turn: int, generator: np.random.Generator) -> Array:
-    """Return a point near the most extreme one in one direction of hue and lightness."""
+    """Return a point near the most extreme one in a hue and lightness direction."""
     if not len(labs):
         return generator.random(0)
     hue = 2.0 * np.pi * (turn % HUES) / HUES
@@ -366,7 +366,7 @@ def _spectra_gamut(
     light: Light,
     tolerance: float = 2.0,
 ) -> Gamut:
-    """Return the gamut of spectra `[point, wavelength]`."""
+    """Return the gamut from spectra `[point, wavelength]`."""
     xyz = np.asarray(spectrum_to_xyz(factors, wavelengths_nm, *light))
     lab = np.asarray(xyz_to_lab(xyz, white_xyz(*light)))
     shares = [share_within(lab, solid(*light), tolerance) for solid in (srgb_colours, optimal_colours)]
@@ -375,7 +375,7 @@ def _spectra_gamut(
 
 
 def share_within(lab: Array, solid: Array, tolerance: float) -> float:
-    """Return the share of the colours of a solid `[n, 3]` that lie within a dE00 of one of the points `[m, 3]`."""
+    """Return the share in a solid `[n, 3]` that lies within a dE00 from the points `[m, 3]`."""
     from scipy.spatial import cKDTree
 
     count = min(NEIGHBOURS, len(lab))
@@ -386,7 +386,7 @@ def share_within(lab: Array, solid: Array, tolerance: float) -> float:
 
 @functools.lru_cache(maxsize=16)
 def srgb_colours(illuminant: str, observer: str) -> Array:
-    """Return colours of sRGB, distributed evenly over its volume in CIELAB, adapted to the lamp, `[n, 3]`."""
+    """Return sRGB colours, distributed evenly over the volume in CIELAB, adapted to the lamp, `[n, 3]`."""
     white = white_xyz(illuminant, observer)
 
     def is_inside(xyz: Array) -> Any:
@@ -399,7 +399,7 @@ def srgb_colours(illuminant: str, observer: str) -> Array:
 
 @functools.lru_cache(maxsize=16)
 def srgb_limits(illuminant: str, observer: str) -> Array:
-    """Return colours on the surface of sRGB, adapted to the lamp, CIELAB `[n, 3]`."""
+    """Return sRGB surface colours, adapted to the lamp, CIELAB `[n, 3]`."""
     face = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 33) ** 2.2] * 2), axis=-1).reshape(-1, 2)
     faces = [np.insert(face, axis, end, axis=1) for axis in range(3) for end in (0.0, 1.0)]
     return _srgb_to_lab(np.concatenate(faces), white_xyz(illuminant, observer))
@@ -411,9 +411,9 @@ def _srgb_to_lab(linear: Array, white: Array) -> Array:
 
 @functools.lru_cache(maxsize=16)
 def optimal_limits(illuminant: str, observer: str) -> Array:
-    """Return XYZ of the optimal colours, `[n, 3]`: reflectances of 0 and 1 with at most two edges.
+    """Return XYZ for the optimal colours, `[n, 3]`: reflectances 0 and 1 with at most two edges.
 
-    These are the limits of all non-fluorescent surfaces (Schroedinger 1920, MacAdam 1935).
+    They limit all non-fluorescent surfaces (Schroedinger 1920, MacAdam 1935).
     """
     weights = xyz_weights(table_wavelengths_nm(), illuminant, observer)
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(weights, axis=0)])
@@ -439,7 +439,7 @@ def optimal_colours(illuminant: str, observer: str) -> Array:
 
 
 def _fill(is_inside: Callable[[Array], Any], rim: Array, white: Array) -> Array:
-    """Return the points of a Halton sequence inside a solid."""
+    """Return Halton points inside a solid."""
     from scipy.stats import qmc
 
     low, high = rim.min(axis=0) - 1.0, rim.max(axis=0) + 1.0
@@ -452,20 +452,20 @@ def _fill(is_inside: Callable[[Array], Any], rim: Array, white: Array) -> Array:
 
 
 def colour_chart(xyz: Array, light: Light, title: str, note: str, marks: ArrayLike | None = None) -> Figure:
-    """Draw colours XYZ `[point, 3]` within the limits of sRGB and of the optimal colours.
+    """Draw colours XYZ `[point, 3]` within the sRGB and optimal colour limits.
 
     Args:
         marks: `[n, 3]`, CIELAB, drawn as crosses.
     """
-    from nacre.plot import reach_figure
+    from nacre.plot import gamut_limits_figure
 
     white = white_xyz(*light)
     lab, limits = (np.asarray(xyz_to_lab(each, white)) for each in (xyz, optimal_limits(*light)))
-    return reach_figure(lab, np.asarray(xyz_to_xyy(xyz)), srgb_limits(*light), limits, white, title, note, marks)
+    return gamut_limits_figure(lab, np.asarray(xyz_to_xyy(xyz)), srgb_limits(*light), limits, white, title, note, marks)
 
 
 def gamut_chart(found: Gamut, marks: ArrayLike | None = None, title: str = "") -> Figure:
-    """Return the figure of a gamut; `marks` `[n, 3]` (CIELAB) are drawn as crosses."""
+    """Return the gamut figure; `marks` `[n, 3]` (CIELAB) are drawn as crosses."""
     note = (
         f"{found.illuminant}, {found.observer} observer; within dE00 {found.tolerance:g} of {len(found.lab)} points: "
         f"{100 * found.share_of_srgb:.2g} % of sRGB, {100 * found.share_of_optimal:.2g} % of the optimal colours"

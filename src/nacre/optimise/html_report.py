@@ -1,4 +1,4 @@
-"""Report of a design: a self-contained HTML page, and a picture of the best solution."""
+"""Design report: a self-contained HTML page, and a picture of the best solution."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 REPORT, PICTURE = "report.html", "report.png"
 RIBBON_DEG = np.linspace(0.0, 80.0, 41)
-COARSE_DEG = np.linspace(0.0, 80.0, 9)  # of slow materials
+COARSE_DEG = np.linspace(0.0, 80.0, 9)  # for slow materials
 ASPECULAR_DEG = np.array([-15.0, 0.0, 15.0, 25.0, 35.0, 45.0, 60.0, 75.0, 90.0, 110.0])
 MIN_GAMUT_S = 3.0
-PICTURES_SHARE, GAMUT_SHARE = 0.5, 0.7  # of the time limit, at which pictures and the gamut end
+PICTURES_SHARE, GAMUT_SHARE = 0.5, 0.7  # time limit shares at which pictures and the gamut end
 MAX_LINE = 200
 
 
@@ -42,11 +42,11 @@ def write_page(folder: Path, target: DesignTask, design: Any, seconds: float, be
     """Write report.html and report.png.
 
     Args:
-        folder: of the design.
+        folder: design folder.
         target: the task.
         design: the `Design`; its summary gets the total time.
         seconds: time limit; in a short one only the best solution has a picture, and the gamut is omitted.
-        begun: `time.monotonic()` at the start of the design.
+        begun: `time.monotonic()` at the design start.
 
     Raises:
         NacreError: the folder cannot be written.
@@ -86,7 +86,7 @@ def write_page(folder: Path, target: DesignTask, design: Any, seconds: float, be
 
 
 def _entry(solution: Solution, picture: str | None, folder: Path, target: DesignTask) -> dict[str, Any]:
-    """Return the data of a solution for the template."""
+    """Return a solution's template data."""
     where = "" if solution.recipe is None else solution.recipe.parent.relative_to(folder).as_posix()
     return {
         "solution": solution,
@@ -105,7 +105,7 @@ def _gamut(target: DesignTask, seconds: float, evaluation_s: float) -> dict[str,
     """Return gamut, chart and SVG at the first target colour; None if the time does not suffice.
 
     Args:
-        evaluation_s: duration of the final evaluation of a solution at all of its wavelengths.
+        evaluation_s: final evaluation time per solution, at all wavelengths.
     """
     lamps = target.spec.light.illuminants
     few, every = (len(choose(target.material, lamps)) for choose in (search_wavelengths, evaluation_wavelengths))
@@ -119,7 +119,7 @@ def _gamut(target: DesignTask, seconds: float, evaluation_s: float) -> dict[str,
 
 
 def sheet_of(target: DesignTask, solution: Solution, number: int, design: Any) -> DesignSheet:
-    """Return the sheet of a solution.
+    """Return a solution's sheet.
 
     Raises:
         NacreError: the solution cannot be computed.
@@ -160,9 +160,9 @@ def sheet_of(target: DesignTask, solution: Solution, number: int, design: Any) -
 
 
 def _shown_wavelengths(made: Material, lamps: Sequence[str]) -> Array:
-    """Return the wavelengths of curves and ribbon: those of the search.
+    """Return the wavelengths for curves and ribbon: the search wavelengths.
 
-    For slow wavelengths (aspherical particles): as many of the final evaluation, which are already solved.
+    For slow wavelengths (aspherical particles): as many final evaluation wavelengths, which are already solved.
     """
     few = search_wavelengths(made, lamps)
     if not is_direct(made.model):
@@ -173,7 +173,7 @@ def _shown_wavelengths(made: Material, lamps: Sequence[str]) -> Array:
 
 
 def _ribbon(first: Geometry, material: Material) -> tuple[Array, list[Geometry], str]:
-    """Return angles, geometries and axis label of the ribbon, from the geometry of the first target."""
+    """Return angles, geometries and axis label for the ribbon, from the first target's geometry."""
     if first.kind == "aspecular":
         angles = ASPECULAR_DEG[np.abs(ASPECULAR_DEG - first.theta_deg) < 89.0]
         label = f"Aspecular angle, light from {first.theta_deg:g}\u00b0"

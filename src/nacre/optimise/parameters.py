@@ -1,6 +1,6 @@
 """Optimisation parameters: recipe numbers with bounds and words with choices, addressed by path.
 
-Fits, designs and gamuts share them. A point of the search is a point of the unit cube of the bounds.
+Fits, designs and gamuts share them. A search point lies in the unit cube between the bounds.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from nacre.recipe.path_tables import FreeNumberSpec, FreeSpec, by_path, known_on
 from nacre.recipe.paths import expand_table
 
 MAX_PARAMETERS = 200
-INSIDE = 1e-6  # distance of a trial value from its bound, relative to the bounds
+INSIDE = 1e-6  # trial value distance from its bound, relative to the bounds
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """Number or word of a recipe that may vary.
+    """Recipe number or word that may vary.
 
     Attributes:
         path: in the recipe.
-        low, high: bounds of a number.
-        choices: values of a word; empty for a number.
+        low, high: numeric bounds.
+        choices: allowed values; empty for a number.
         is_whole: whether only whole numbers are allowed.
     """
 
@@ -50,7 +50,7 @@ class Parameter:
         return int(round(value)) if self.is_whole else value
 
     def unit(self, value: Any) -> float | None:
-        """Return the coordinate in [0, 1] of a value; None if it is outside the bounds or not a choice."""
+        """Return a value's coordinate in [0, 1]; None if it is outside the bounds or not a choice."""
         if self.choices:
             return (self.choices.index(value) + 0.5) / len(self.choices) if value in self.choices else None
         if not _is_number(value) or not self.low <= value <= self.high:
@@ -66,13 +66,13 @@ def read_parameters(
     most: int = MAX_PARAMETERS,
     words: bool = True,
 ) -> tuple[Parameter, ...]:
-    """Read a `[parameters]` table of a design or a `[fit]` table of a recipe.
+    """Read a design's `[parameters]` table or a recipe's `[fit]` table.
 
     Args:
-        table: path -> bounds or choices; `[*]` in a path means every index without a path of its own.
+        table: path -> bounds or choices; `[*]` in a path means every index without its own path.
         material: the recipe.
-        source: name of the file, for messages; name: of the table.
-        most: largest number of parameters.
+        source: file name, for messages; name: table name.
+        most: largest parameter count.
         words: whether choices are allowed.
 
     Raises:
@@ -148,7 +148,7 @@ def _check_bounds(path: str, low: float, high: float, material: Material, where:
         try:
             material.vary({path: value})
         except NacreError as error:
-            # a validator of a whole table writes "table: key"
+            # a whole-table validator writes "table: key"
             holder, _, key = path.rpartition(".")
             message = re.search(
                 rf"({re.escape(path)}|{re.escape(holder)}: {re.escape(key)}) = (\S+) is not allowed", str(error)
@@ -180,16 +180,16 @@ def _recipe_value(material: Material, path: str) -> Any:
 
 
 def nominal_point(parameters: Sequence[Parameter], material: Material) -> Array | None:
-    """Return the recipe's own values as a point of the unit cube; None if one lies outside its bounds."""
+    """Return the recipe's own values as a unit cube point; None if one lies outside its bounds."""
     return point_of(parameters, {p.path: _recipe_value(material, p.path) for p in parameters})
 
 
 def point_of(parameters: Sequence[Parameter], values: Mapping[str, Any]) -> Array | None:
-    """Return values by path as a point of the unit cube; None if one is missing or outside its bounds."""
+    """Return values by path as a unit cube point; None if one is missing or outside its bounds."""
     units = [p.unit(values.get(p.path)) for p in parameters]
     return None if any(unit is None for unit in units) else np.array(units, dtype=float)
 
 
 def values_at(parameters: Sequence[Parameter], point: Array) -> dict[str, Any]:
-    """Return the recipe's changes at a point of the unit cube."""
+    """Return the recipe's changes at a unit cube point."""
     return {p.path: p.value(unit) for p, unit in zip(parameters, point, strict=True)}

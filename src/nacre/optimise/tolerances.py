@@ -1,4 +1,4 @@
-"""Manufacturing tolerances: reading, sampling, and the confidence interval of a yield."""
+"""Manufacturing tolerances: reading, sampling, and yield confidence interval."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ DISTRIBUTIONS = ("gaussian", "uniform")
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Manufacturing tolerance of a recipe number.
+    """Manufacturing tolerance for a recipe number.
 
     Attributes:
         path: in the recipe.
-        nominal: value of the recipe.
-        deviation: standard deviation (gaussian) or half width (uniform), in the unit of the number.
+        nominal: recipe value.
+        deviation: standard deviation (gaussian) or half width (uniform), in the number's unit.
         distribution: "gaussian" or "uniform".
     """
 
@@ -36,11 +36,11 @@ class Tolerance:
 
     @property
     def standard_deviation(self) -> float:
-        """Standard deviation of either distribution."""
+        """Standard deviation, either distribution."""
         return self.deviation / np.sqrt(3) if self.distribution == "uniform" else self.deviation
 
     def draw(self, generator: np.random.Generator, count: int) -> Array:
-        """Draw values; those of a non-negative number are clipped at zero."""
+        """Draw values; non-negative numbers are clipped at zero."""
         is_uniform = self.distribution == "uniform"
         unit = generator.uniform(-1, 1, count) if is_uniform else generator.standard_normal(count)
         values = self.nominal + self.deviation * unit
@@ -48,11 +48,11 @@ class Tolerance:
 
 
 def read_tolerances(table: Any, material: Material, source: str, name: str = "tolerance") -> tuple[Tolerance, ...]:
-    """Read a `[tolerance]` table; percentages refer to the numbers of the material.
+    """Read a `[tolerance]` table; percentages refer to the material's numbers.
 
     Args:
-        table: path -> tolerance; `[*]` in a path means every index without a path of its own.
-        source: the file, for messages; name: of the table.
+        table: path -> tolerance; `[*]` in a path means every index without its own path.
+        source: file name, for messages; name: table name.
 
     Raises:
         RecipeError: with the path and the allowed values.
@@ -93,7 +93,7 @@ def _read(material: Material, path: str, value: Any, where: str) -> Tolerance:
 
 
 def wilson_interval(good: int, count: int, z: float = 1.96) -> tuple[float, float]:
-    """Return Wilson's 95 % confidence interval of a share; unlike the normal one it is valid at 0 and 1."""
+    """Return Wilson's 95 % confidence interval for a share; unlike the normal one it is valid at 0 and 1."""
     share = good / count
     centre = (share + z**2 / (2 * count)) / (1 + z**2 / count)
     half = z / (1 + z**2 / count) * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))

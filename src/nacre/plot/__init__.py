@@ -1,10 +1,10 @@
-"""Figures of publication quality: one column wide, in the colours that a material really has.
+"""Publication figures, one column wide, with true material colours.
 
 Each `*_figure` function takes a `Bsdf`, a `Spectrum` or plain arrays and returns a matplotlib `Figure`;
-`save_figure` writes it as PNG, PDF or SVG with its provenance. `material_figure(material, kind)` chooses by the
-name that `nacre plot --kind` takes. matplotlib is loaded with the first figure.
+`save_figure` writes it as PNG, PDF or SVG with its provenance. `material_figure(material, kind)` takes the names of
+`nacre plot --kind`. The first figure loads matplotlib.
 
-What a family supplies through `figure_data(kind)`, as a dictionary of arrays (`title` is always optional):
+Arrays that a family returns from `figure_data(kind)` (`title` is always optional):
 
 | kind | arrays |
 |---|---|

@@ -1,6 +1,6 @@
 from .colours import chromaticity_figure as chromaticity_figure
 from .colours import colour_map_figure as colour_map_figure
-from .colours import reach_figure as reach_figure
+from .colours import gamut_limits_figure as gamut_limits_figure
 from .directions import bsdf_slice_figure as bsdf_slice_figure
 from .directions import lobe_figure as lobe_figure
 from .directions import scattering_figure as scattering_figure

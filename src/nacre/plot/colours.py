@@ -1,4 +1,4 @@
-"""Figures of colour itself: colour maps over two parameters, and tracks in chromaticity diagrams."""
+"""Colour figures: maps over two parameters, tracks in chromaticity diagrams, gamuts."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ def colour_map_figure(
     illuminant: str = "D65",
     title: str = "",
 ) -> Figure:
-    """Draw the colours of spectra over two parameters as an image.
+    """Draw spectral colours over two parameters as an image.
 
     Args:
         x, y: `[x]` and `[y]`, ascending.
         values: `[y, x, wavelength]`, reflectances or transmittances.
         wavelengths_nm: `[wavelength]`.
         x_label, y_label, title: words.
-        illuminant: under which the colours are seen.
+        illuminant: lamp.
     """
     x, y, spectra = (np.asarray(v, dtype=float) for v in (x, y, values))
     if len(x) < 2 or len(y) < 2 or spectra.shape[:2] != (len(y), len(x)):
@@ -79,13 +79,13 @@ def chromaticity_figure(
     illuminant: str = "D65",
     title: str = "",
 ) -> Figure:
-    """Draw the path of a colour in CIE xy and in CIELAB's a*, b* as a parameter changes.
+    """Draw a colour track in CIE xy and in CIELAB a*, b*.
 
     Args:
         values: `[step, wavelength]`, spectra in order.
         wavelengths_nm: `[wavelength]`.
-        labels: `[step]`, of which the first and the last are written beside the track.
-        illuminant: under which the colours are seen; its white is marked.
+        labels: `[step]`; the first and the last are written at the track.
+        illuminant: lamp; its white is marked.
         title: over the first panel.
     """
     spectra = np.atleast_2d(np.asarray(values, dtype=float))
@@ -100,8 +100,8 @@ def chromaticity_figure(
         left.plot(*light.xyz_to_xyy(white)[:2], "+", color=INK, markersize=5, markeredgewidth=0.7)
         draw_track(left, light.xyz_to_xyy(xyz)[:, :2], colours, labels)
         panel_title(left, title or "CIE 1931 chromaticity")
-        reach = 10.0 * np.ceil(max(30.0, 1.12 * float(np.abs(lab[:, 1:]).max())) / 10.0)
-        draw_hue_circle(right, reach)
+        extent = 10.0 * np.ceil(max(30.0, 1.12 * float(np.abs(lab[:, 1:]).max())) / 10.0)
+        draw_hue_circle(right, extent)
         draw_track(right, lab[:, 1:], colours, labels)
         panel_title(right, "CIELAB")
         small_print(figure, remark(illuminant, exposure, clipped, len(spectra)))
@@ -109,7 +109,7 @@ def chromaticity_figure(
 
 
 def draw_track(axes: Axes, points: Array, colours: Array, labels: list[str] | None, ink: str = INK) -> None:
-    """Draw points in their colours along a line; of the labels, the first and the last are written."""
+    """Draw coloured points along a line, with the first and the last label."""
     axes.plot(points[:, 0], points[:, 1], color=ink, linewidth=0.6, zorder=2)
     axes.scatter(points[:, 0], points[:, 1], s=13, c=colours, edgecolors=INK, linewidths=0.35, zorder=3)
     if labels and len(labels) == len(points):
@@ -149,20 +149,20 @@ def draw_locus(axes: Axes) -> None:
     axes.set(xlim=(-0.09, 0.8), ylim=(-0.03, 0.9), xlabel="$x$", ylabel="$y$", aspect="equal")
 
 
-def draw_hue_circle(axes: Axes, reach: float) -> None:
-    """Draw rings of equal chroma in a*, b* out to `reach`."""
+def draw_hue_circle(axes: Axes, extent: float) -> None:
+    """Draw circles of constant chroma in a*, b* up to `extent`."""
     turn = np.linspace(0, 2 * np.pi, 181)
-    for radius in np.arange(20 if reach <= 80 else 40, reach + 1, 20 if reach <= 80 else 40):
+    for radius in np.arange(20 if extent <= 80 else 40, extent + 1, 20 if extent <= 80 else 40):
         axes.plot(radius * np.cos(turn), radius * np.sin(turn), color="#e0e0e0", linewidth=0.5, zorder=0)
     axes.axhline(0, color="#d0d0d0", linewidth=0.5, zorder=0)
     axes.axvline(0, color="#d0d0d0", linewidth=0.5, zorder=0)
-    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="a*", ylabel="b*", aspect="equal")
+    axes.set(xlim=(-extent, extent), ylim=(-extent, extent), xlabel="a*", ylabel="b*", aspect="equal")
 
 
-# The chart of what can be reached: a*b*, chromaticity, and lightness over chroma, with the limits of any surface.
+# Gamut charts: a*b*, chromaticity, and lightness over chroma, with the optimal colours.
 
 
-def reach_figure(
+def gamut_limits_figure(
     lab: ArrayLike,
     xyy: ArrayLike,
     srgb: ArrayLike,
@@ -176,7 +176,7 @@ def reach_figure(
 
     Args:
         lab, xyy: `[point, 3]`.
-        srgb, optimal: `[n, 3]` CIELAB, colours on the surface of both solids, of which the outlines are drawn.
+        srgb, optimal: `[n, 3]` CIELAB, surface colours of both solids; their outlines are drawn.
         white: `[3]`, XYZ of the lamp's white.
         title: over the first panel; note: small print.
         wanted: `[want, 3]` CIELAB, marked with crosses.
@@ -187,8 +187,8 @@ def reach_figure(
         figure = new_figure(SHEET_IN, 2.75)
         left, middle, right = figure.subplots(1, 3)
         outlines = {"optimal colours": (np.asarray(optimal, float), "-"), "sRGB": (np.asarray(srgb, float), "--")}
-        reach = 10.0 * np.ceil(max(40.0, *(float(np.abs(o[:, 1:]).max()) for o, _ in outlines.values())) / 10.0)
-        draw_hue_circle(left, reach)
+        extent = 10.0 * np.ceil(max(40.0, *(float(np.abs(o[:, 1:]).max()) for o, _ in outlines.values())) / 10.0)
+        draw_hue_circle(left, extent)
         draw_locus(middle)
         style = {
             "s": 9,
@@ -227,7 +227,7 @@ def _shown(lab: Array, white: Array) -> Array:
 
 
 def _outline(points: Array) -> Array:
-    """Return the closed outline of points in the plane: the farthest in each of many directions."""
+    """Return the closed outline of plane points: the farthest in each direction."""
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
     ways = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     return np.asarray(points[np.argmax(points @ ways.T, axis=0)])

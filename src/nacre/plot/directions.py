@@ -1,4 +1,4 @@
-"""Figures of scattering over directions: image slices of a BRDF, lobes in the plane of incidence, one particle."""
+"""Scattering figures: image slices of a BRDF, lobes in the plane of incidence, single particles."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from nacre.plot.style import (
 )
 
 Evaluate = Callable[[Array, Array], Array]
-TOP_DEG = 60.0  # the largest f up to this difference angle is white: towards grazing f grows without bound
-DECADES = 5.0  # lightness of a slice spans this much of f: what a print can still tell apart
+TOP_DEG = 60.0  # white is the largest f up to this difference angle, since f diverges at grazing
+DECADES = 5.0  # range of f that a slice shows, limited by print
 TICKS_H_DEG = (0, 5, 15, 30, 45, 60, 90)
 SLICE_NODES = 181
 
 
 def slice_directions(nodes: int = SLICE_NODES, phi_d_deg: float = 90.0) -> tuple[Array, Array, Array]:
-    """Return the half and difference angles of a slice in degrees, and its pairs `wi, wo` stacked `[2, d, h, 3]`.
+    """Return half and difference angles of a slice in degrees, and its pairs `wi, wo` stacked `[2, d, h, 3]`.
 
     Rusinkiewicz's coordinates with phi_h = 0: theta_h tilts the half vector from the normal, theta_d opens the
     pair about it, phi_d turns it. At phi_d = 90 degrees both directions stay above the surface. The half angle is
@@ -74,11 +74,11 @@ def slice_figure(
         values: `[theta_d, theta_h, wavelength]`, f in 1/sr.
         wavelengths_nm: `[wavelength]`.
         theta_h_deg, theta_d_deg: the axes, ascending from 0; the half angle is drawn by its square root.
-        illuminant: under which the colours are seen.
+        illuminant: lamp.
         title: over the image.
 
     Raises:
-        NacreError: f is zero everywhere (a mirror has no image: its lobe is a delta).
+        NacreError: f is zero everywhere, as for a mirror, whose lobe is a delta.
     """
     xyz = light.spectrum_to_xyz(np.maximum(values, 0.0), wavelengths_nm, illuminant)
     strength = xyz[..., 1]
@@ -126,15 +126,15 @@ def bsdf_slice_figure(
     phi_d_deg: float = 90.0,
     evaluate: Evaluate | None = None,
 ) -> Figure:
-    """Draw the slice of a Bsdf; see `slice_figure`. Delta lobes do not show.
+    """Draw a slice of a Bsdf without its delta lobes; see `slice_figure`.
 
     Args:
         bsdf: any; illuminant, title: as for `slice_figure`.
-        nodes: pixels a side; phi_d_deg: the slice's azimuth of the pair about the half vector.
-        evaluate: replaces `bsdf.evaluate(wi, wo)`, for lobes that are random walks in the renderer.
+        nodes: pixels along a side; phi_d_deg: azimuth of the pair about the half vector.
+        evaluate: replaces `bsdf.evaluate(wi, wo)` for random walks.
 
     Raises:
-        NacreError: nothing but delta lobes.
+        NacreError: all lobes are deltas.
     """
     theta_h, theta_d, (wi, wo) = slice_directions(nodes, phi_d_deg)
     above = (wi[..., 2] > 0) & (wo[..., 2] > 0)
@@ -152,7 +152,7 @@ def lobe_figure(
     nodes: int = 721,
     evaluate: Evaluate | None = None,
 ) -> Figure:
-    """Draw the light scattered in the plane of incidence, one polar diagram an angle, in its own colours.
+    """Draw scattered light in the plane of incidence, one polar diagram per angle, in its colours.
 
     The radius is luminance of f cos(theta_o), relative to the diagram's largest; a dashed spoke is the incident
     direction, a solid one with a dot the mirror reflection with its luminous reflectance (and transmittance).
@@ -160,11 +160,11 @@ def lobe_figure(
     Args:
         bsdf: any, also with transmission: the circle is then full.
         angles_deg: incidence; at most 6.
-        illuminant: under which the colours are seen.
+        illuminant: lamp.
         title: over the first diagram.
-        azimuth_deg: of the plane of incidence, from the surface's x axis.
+        azimuth_deg: azimuth of the plane of incidence from the x axis.
         nodes: exit angles over a half circle.
-        evaluate: replaces `bsdf.evaluate(wi, wo)`, for lobes that only a renderer can walk.
+        evaluate: replaces `bsdf.evaluate(wi, wo)` for random walks.
     """
     incidence = np.atleast_1d(np.asarray(angles_deg, dtype=float))[:6]
     exits = np.radians(
@@ -194,13 +194,13 @@ def lobe_figure(
 
 
 def _polar(axes: Any, exits: Array, values: Array, nm: Array, illuminant: str) -> tuple[int, int]:
-    """Fill the diagram with wedges in the colour of each direction, all at one lightness scale."""
+    """Fill the diagram with wedges in the direction's colour, with a common lightness scale."""
     xyz = light.spectrum_to_xyz(np.maximum(values, 0.0), nm, illuminant)
     top = float(xyz[:, 1].max())
     if top <= 0.0:
         return 0, 0
     radius = xyz[:, 1] / top
-    # colour at mid lightness: the radius tells the strength, the tile the hue
+    # constant lightness: the radius shows the intensity, the wedge the hue
     rgb = light.spectrum_to_rgb_linear(np.maximum(values, 0.0), nm, illuminant)
     clipped = light.clip_to_srgb(rgb * (0.4 / np.maximum(xyz[:, 1], 1e-30))[:, None])
     x, y = radius * np.sin(exits), radius * np.cos(exits)
@@ -262,7 +262,7 @@ def scattering_figure(data: Mapping[str, Any]) -> Figure:
 
     Args:
         data: `theta_deg[t]`, 0 (forward) ... 180 (back); `s[..., t]` and `p[..., t]`, intensities, with a leading
-            axis of `wavelengths_nm[l]` if there are several; optional `title`. The radius is logarithmic over
+            axis `wavelengths_nm[l]` if there are several; optional `title`. The radius is logarithmic over
             `decades` (default 3) below the largest value.
 
     Raises:
@@ -277,7 +277,7 @@ def scattering_figure(data: Mapping[str, Any]) -> Figure:
         raise NacreError("figure scattering: the intensities are zero everywhere")
     with house_style():
         figure = new_figure(COLUMN_IN, 2.9)
-        axes: Any = figure.add_subplot(projection="polar")  # a PolarAxes, which the stubs do not know
+        axes: Any = figure.add_subplot(projection="polar")  # PolarAxes is missing in the stubs
         for row in range(min(len(s), len(LINES))):
             for values, side, style in ((s[row], 1.0, "-"), (p[row], -1.0, "-")):
                 radius = np.clip(decades + np.log10(np.maximum(values, 1e-300) / top), 0.0, None)

@@ -1,4 +1,4 @@
-"""From a material to a figure, by the kind's name: what `nacre plot` does, without knowing any family."""
+"""Figures of any material by name, as drawn by `nacre plot`."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ KINDS = (
 SPECTRUM_ANGLES_DEG = (0.0, 30.0, 60.0)
 LOBE_ANGLES_DEG = (10.0, 30.0, 60.0)
 TRACK_ANGLES_DEG = np.linspace(0.0, 85.0, 35)
-WALK_NODES = 46  # pixels along a side of a slice that is evaluated by random walks: 2,000 in all instead of 33,000
+WALK_NODES = 46  # pixels along a side of a slice by random walks: 2,000 in total instead of 33,000
 RIBBON_ANGLES_DEG = np.linspace(0.0, 89.0, 179)
-PLOT_SAMPLES = 1024  # the same for a pixel of a figure, the least; a figure of few pairs takes more ...
-PLOT_WALKS = 1 << 16  # ... up to so many together
+PLOT_SAMPLES = 1024  # minimum per pair of directions; figures with few pairs take more ...
+PLOT_WALKS = 1 << 16  # ... up to this total
 MOST_SAMPLES = 1 << 14
 MAP_ANGLES_DEG = np.linspace(0.0, 85.0, 35)
 OVER_KINDS = ("spectrum", "ribbon", "tracks", "colour-map", "chromaticity")
-COLOURED_DATA = ("colour-map", "platelet", "microscope")  # figures of arrays in which colours are seen
+COLOURED_DATA = ("colour-map", "platelet", "microscope")  # figures of arrays that show colours
 DIRECTIONAL_KINDS = ("slice", "lobe", "tracks")
 
 
@@ -54,22 +54,22 @@ def material_figure(
     lightness: float | None = None,
     evaluate: Callable[[Bsdf, Array, Array], Array] | None = None,
 ) -> Figure:
-    """Draw a figure of a material.
+    """Draw a material figure.
 
     Args:
         material: any material, its recipe's path, an example's name or a recipe's table.
-        kind: one of `KINDS`.
-        angles_deg: of incidence, where the kind has such an axis; sensible ones by default.
+        kind: a name in `KINDS`.
+        angles_deg: angles of incidence, for figures with such an axis.
         wavelengths_nm: ascending; default: chosen by the material, with the lines of a narrow-band lamp.
-        illuminant: under which colours are seen.
-        over: for `OVER_KINDS`, a number of the recipe by its path and the values that it takes; default: the angle, of
+        illuminant: lamp.
+        over: for `OVER_KINDS`, a parameter of the recipe by path and its values; default: the angle, for
             a colour-map the family's own choice. All but "colour-map" and "tracks" take one angle then, 0 by default.
         lightness: for "tracks", the L* that a*, b* are scaled to; default: the sample's own values.
-        evaluate: evaluates a Bsdf with lobes that need a renderer's random walk; such a slice is drawn coarser.
+        evaluate: evaluates a Bsdf with random walks; its slice is coarser.
 
     Raises:
-        UnsupportedError: no such kind, or the family has no such figure.
-        NacreError: what the material itself refuses.
+        UnsupportedError: unknown kind, or the family lacks this figure.
+        NacreError: the material cannot be computed.
     """
     material = as_material(material)
     if kind not in KINDS:
@@ -121,7 +121,7 @@ def _over_a_number(
     wavelengths_nm: ArrayLike | None,
     illuminant: str,
 ) -> Figure:
-    """Draw what a material sends back in all, over a number of its recipe (and the angle, as a colour-map)."""
+    """Draw the total reflectance over a parameter, and for a colour map also over the angle."""
     path, steps = over[0], np.asarray(over[1], dtype=float)
     if len(steps) < 2:
         raise NacreError(f"over {path}: give at least two values")
@@ -154,7 +154,7 @@ def _over_a_number(
 def _common_spectra(
     made: Sequence[Material], theta_rad: Array, wavelengths_nm: ArrayLike | None, illuminant: str
 ) -> list[Spectrum]:
-    """Return the spectra of several materials on one grid: the finer of the ends' own, with a lamp's lines."""
+    """Return spectra of several materials on a common grid: the finer grid of both ends, with the lines of the lamp."""
     if wavelengths_nm is not None:
         return [one.spectrum(theta_rad, wavelengths_nm) for one in made]
     finer = max((made[0], made[-1]), key=lambda one: len(one.model.wavelengths_nm))
@@ -176,7 +176,7 @@ def _family_data(material: Material, kind: str, options: dict[str, Any]) -> dict
     try:
         return dict(material.figure_data(kind, **options))
     except TypeError as error:
-        # the family's figure has no such axis (a structure has no angles): say so instead of a traceback
+        # the family's figure lacks this axis (a structure has no angles)
         refused = [name for name in options if name in str(error)]
         if not refused:
             raise
@@ -185,13 +185,13 @@ def _family_data(material: Material, kind: str, options: dict[str, Any]) -> dict
 
 
 def data_figure(kind: str, data: Mapping[str, Any], illuminant: str = "D65", title: str = "") -> Figure:
-    """Draw a figure of plain arrays: "field", "structure", "platelet", "scattering", "microscope", "colour-map".
+    """Draw plain arrays: "field", "structure", "platelet", "scattering", "microscope", "colour-map".
 
-    The arrays of each kind are described by its own function, and all together in `nacre.plot`.
+    `nacre.plot` lists the arrays of each kind.
 
     Raises:
         NacreError: an array is missing.
-        UnsupportedError: no such kind.
+        UnsupportedError: unknown kind.
     """
     data = {"title": title, **data}
     if kind == "colour-map":
@@ -224,7 +224,7 @@ def _colour_map(data: Mapping[str, Any], illuminant: str) -> Figure:
 def save_material(
     material: Material, kind: str, path: str | Path, *, provenance: Mapping[str, Any] | None = None, **options: Any
 ) -> None:
-    """Draw a figure of a material into a file with its provenance; `options` as of `material_figure`."""
+    """Draw a material figure into a file with its provenance; `options` as in `material_figure`."""
     figure = material_figure(material, kind, **options)
     illuminant = options.get("illuminant", "D65")
     save_figure(figure, path, {"figure": kind, "illuminant": illuminant, **(provenance or {})})
@@ -233,7 +233,7 @@ def save_material(
 def save_index(constant: Any, path: str | Path, title: str = "", wavelengths_nm: ArrayLike | None = None) -> None:
     """Draw n and k of an optical constant (`nacre.matter.OpticalConstant`) into a file.
 
-    Over 360-830 nm, or what of it is known; over the whole range where that lies elsewhere.
+    The range is 360-830 nm as far as tabulated, or the whole range if it lies elsewhere.
     """
     low, high = constant.range_nm
     if wavelengths_nm is None:
@@ -263,13 +263,13 @@ def plot_material(
     over: tuple[str, Sequence[float] | Array] | None = None,
     lightness: float | None = None,
 ) -> None:
-    """Draw a figure of a material into a PNG, PDF or SVG that carries the recipe; kinds: `nacre.plot.KINDS`.
+    """Draw a material figure into a PNG, PDF or SVG that carries the recipe; kinds: `nacre.plot.KINDS`.
 
-    `over` and `lightness` as of `material_figure`. Figures over directions show the noise-free
-    form (`quality = "fast"`) of a material that has one, unless its recipe names a quality.
+    `over` and `lightness` as in `material_figure`. Figures over directions show the noise-free form
+    (`quality = "fast"`) if there is one, unless the recipe names a quality.
 
     Raises:
-        UnsupportedError: the material has no such figure.
+        UnsupportedError: the material lacks this figure.
         NacreError: the recipe is wrong, or the file cannot be written.
     """
     material = as_material(material)
@@ -281,19 +281,19 @@ def plot_material(
 
 
 def as_drawn(material: Material, kind: str, over: object = None) -> Material:
-    """Return the material as a figure shows it: over directions noise-free, where its family and recipe allow it.
+    """Return the noise-free form of a material for figures over directions, if its family and recipe allow it.
 
-    Over a number every step would need its own tables; there a few random walks are cheaper.
+    Over a parameter each step would need its own tables, so that random walks are cheaper.
     """
     if kind not in DIRECTIONAL_KINDS or over is not None or "quality" in material.data:
         return material
     try:
         return material.vary({"quality": "fast"})
-    except RecipeError:  # a family that knows no such choice
+    except RecipeError:  # the family has no quality
         return material
 
 
 def plot_walk(bsdf: Bsdf, wi: Array, wo: Array) -> Array:
-    """Evaluate for a figure: lobes that are random walks get the fewer samples the more pairs there are."""
+    """Evaluate a Bsdf for a figure, with fewer random-walk samples for more pairs."""
     pairs = max(1, int(np.prod(np.shape(wi)[:-1])))
     return evaluate_with_error(bsdf, wi, wo, samples=int(np.clip(PLOT_WALKS // pairs, PLOT_SAMPLES, MOST_SAMPLES)))[0]

@@ -1,4 +1,4 @@
-"""What was measured against what a model gives: all values at once."""
+"""Full-page figures: fits, designs, images."""
 
 from __future__ import annotations
 
@@ -31,26 +31,26 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-DECADE = 10.0  # a span of values above it is drawn in logarithms
-MOST_WAVES = 5
+LOG_SPAN = 10.0  # larger ratios are drawn on logarithmic axes
+MAX_NAMED_WAVES = 5
 
 
 def agreement_figure(measured: Array, model: Array, angles_deg: Array, wavelengths_nm: Array, title: str) -> Figure:
-    """Draw modelled over measured values with the line of agreement, and their difference over the angle of view.
+    """Draw modelled over measured values, and their difference over the view angle.
 
     Args:
         measured, model: `[pair, wavelength]`, BSDF values in 1/sr.
-        angles_deg: `[pair]`, of view, from the normal.
-        wavelengths_nm: `[wavelength]`; of more than five, five are named, and all are drawn.
+        angles_deg: `[pair]`, view angle from the normal.
+        wavelengths_nm: `[wavelength]`; at most five are named in the key.
     """
     positive = measured[measured > 0.0]
     floor = float(positive.min()) if positive.size else 1e-6
-    is_wide = positive.size > 0 and float(measured.max()) > DECADE * floor
+    is_wide = positive.size > 0 and float(measured.max()) > LOG_SPAN * floor
     with house_style():
         figure = new_figure(SHEET_IN, 3.4)
         figure.suptitle(title, fontsize=9, x=0.01, ha="left")
         left, right = figure.subplots(1, 2)
-        named = np.unique(np.linspace(0, len(wavelengths_nm) - 1, min(MOST_WAVES, len(wavelengths_nm))).round())
+        named = np.unique(np.linspace(0, len(wavelengths_nm) - 1, min(MAX_NAMED_WAVES, len(wavelengths_nm))).round())
         inks = [LINES[k * len(named) // len(wavelengths_nm) % len(LINES)] for k in range(len(wavelengths_nm))]
         scale = float(np.sqrt(np.mean(measured**2))) or 1.0
         for k, nm in enumerate(wavelengths_nm):
@@ -70,18 +70,18 @@ def agreement_figure(measured: Array, model: Array, angles_deg: Array, wavelengt
     return figure
 
 
-# The sheet of a design: what was asked beside what is reached, over the angle, over wavelength, and of what.
+# Design sheet: target and result, colour over the angle, spectra, layers.
 
-MOST_SWATCHES, MOST_CURVES, MOST_BARS, MOST_NAMED = 24, 10, 8, 30
-LONGEST_NAME = 24  # characters that the panel of layers has room for
-LINE_OF_NAMES = 0.06  # of the panel's height
-THINNEST_DRAWN = 0.035  # of the whole height: a layer of some nanometres is drawn thicker than it is
+MAX_SWATCHES, MAX_CURVES, MAX_BARS, MAX_NAMED = 24, 10, 8, 30
+LONGEST_NAME = 24
+LABEL_HEIGHT = 0.06  # relative to the panel
+MIN_LAYER_HEIGHT = 0.035  # relative to the panel; thinner layers are exaggerated
 QUIET = "#5a6b7c"
 
 
 @dataclass(frozen=True)
 class Swatch:
-    """Two colours side by side: `label`, screen colours `asked` and `reached` as #rrggbb, and the distance in words."""
+    """Two adjacent colours: `label`, sRGB colours `asked` and `reached` as #rrggbb, and a text with their distance."""
 
     label: str
     asked: str
@@ -91,21 +91,21 @@ class Swatch:
 
 @dataclass(frozen=True)
 class DesignSheet:
-    """What the sheet shows.
+    """Contents of the sheet.
 
     Attributes:
         title: over it.
         swatches: one each want and lamp.
         wavelengths_nm: `[wavelength]`, of all spectra.
         curves: label -> factor `[wavelength]`.
-        wanted: label -> wavelengths and factors `[2, n]` of wanted spectra.
-        ribbon_deg, ribbon: angles `[angle]` and factors `[angle, wavelength]`; ribbon_label: of the angle.
-        media: names from the light's side, ambient and substrate included; thicknesses_nm: one each layer; empty where
-            the material is no stack.
-        numbers: lines of text that stand in place of a stack.
-        bars: (path, value) of the sensitivity, the largest first; bars_title: what it is.
-        illuminant: of the ribbon.
-        words: what the left and the right half of a swatch are called, and the first of them the wanted curves.
+        wanted: label -> wavelengths and factors `[2, n]` of target spectra.
+        ribbon_deg, ribbon: angles `[angle]` and factors `[angle, wavelength]`; ribbon_label: name of the angle.
+        media: names from the light's side, ambient and substrate included; thicknesses_nm: one per layer; empty if
+            the material is not a stack.
+        numbers: lines of text that replace the stack.
+        bars: (path, value) pairs, the largest first; bars_title: their meaning.
+        illuminant: lamp of the ribbon.
+        words: names of the left and the right half of a swatch; the first also names target curves.
     """
 
     title: str
@@ -127,7 +127,7 @@ class DesignSheet:
 
 def design_figure(sheet: DesignSheet) -> Figure:
     """Draw a design's sheet: swatches asked and reached, ribbon over the angle, spectra, layers, sensitivity."""
-    rows = (min(len(sheet.swatches), MOST_SWATCHES) + 2) // 3  # none of spectra
+    rows = (min(len(sheet.swatches), MAX_SWATCHES) + 2) // 3  # spectra have no swatch
     colours, exposure, clipped = shown_colours(sheet.ribbon, sheet.wavelengths_nm, sheet.illuminant)
     with house_style():
         figure = new_figure(SHEET_IN, 3.9 + 0.42 * rows)
@@ -152,15 +152,15 @@ def design_figure(sheet: DesignSheet) -> Figure:
 def _swatches(axes: Axes, swatches: Sequence[Swatch], rows: int) -> None:
     axes.set(xlim=(0, 3), ylim=(rows, 0))
     axes.axis("off")
-    for i, swatch in enumerate(swatches[:MOST_SWATCHES]):
+    for i, swatch in enumerate(swatches[:MAX_SWATCHES]):
         x, y = i % 3, i // 3
         for shift, colour in ((0.0, swatch.asked), (0.2, swatch.reached)):
             axes.add_patch(Rectangle((x + shift, y + 0.1), 0.2, 0.8, facecolor=colour, edgecolor="none"))
         axes.add_patch(Rectangle((x, y + 0.1), 0.4, 0.8, facecolor="none", edgecolor=INK, linewidth=0.4))
         axes.text(x + 0.43, y + 0.34, swatch.label, va="center", fontsize=6.5)
         axes.text(x + 0.43, y + 0.68, swatch.distance, va="center", fontsize=6.5, color=QUIET)
-    if len(swatches) > MOST_SWATCHES:
-        axes.text(3, rows, f"and {len(swatches) - MOST_SWATCHES} more", ha="right", va="bottom", fontsize=6)
+    if len(swatches) > MAX_SWATCHES:
+        axes.text(3, rows, f"and {len(swatches) - MAX_SWATCHES} more", ha="right", va="bottom", fontsize=6)
 
 
 def _ribbon(axes: Axes, sheet: DesignSheet, colours: Array) -> None:
@@ -170,7 +170,7 @@ def _ribbon(axes: Axes, sheet: DesignSheet, colours: Array) -> None:
 
 
 def _curves(axes: Axes, sheet: DesignSheet) -> None:
-    names = list(sheet.curves)[:MOST_CURVES]
+    names = list(sheet.curves)[:MAX_CURVES]
     for ink, name in zip(angle_colours(len(names)), names):
         axes.plot(sheet.wavelengths_nm, sheet.curves[name], color=ink, label=name)
     for name, (nm, values) in sheet.wanted.items():
@@ -193,21 +193,21 @@ def _layers(axes: Axes, sheet: DesignSheet) -> None:
     if not sheet.media:
         for i, line in enumerate(sheet.numbers[:14]):
             axes.text(0.0, 0.04 + 0.07 * i, line, fontsize=6, va="top")
-        panel_title(axes, "What was chosen")
+        panel_title(axes, "Parameters")
         return
     total = float(np.sum(sheet.thicknesses_nm))
-    drawn = np.maximum(np.asarray(sheet.thicknesses_nm, dtype=float) / max(total, 1e-9), THINNEST_DRAWN)
+    drawn = np.maximum(np.asarray(sheet.thicknesses_nm, dtype=float) / max(total, 1e-9), MIN_LAYER_HEIGHT)
     drawn = 0.72 * drawn / max(float(drawn.sum()), 1e-9) if len(drawn) else drawn
     edges = np.concatenate([[0.0, 0.12], 0.12 + np.cumsum(drawn), [1.0]])
     kinds = list(dict.fromkeys(sheet.media[1:-1]))
-    beside = apart(0.5 * (edges[:-1] + edges[1:]), LINE_OF_NAMES)  # names of thin neighbours would cover each other
+    beside = apart(0.5 * (edges[:-1] + edges[1:]), LABEL_HEIGHT)  # labels of thin layers would overlap
     for i, name in enumerate(sheet.media):
         is_layer = 0 < i < len(sheet.media) - 1
         face = LINES[kinds.index(name) % (len(LINES) - 1)] if is_layer else ("white" if i == 0 else "#cfcfcf")
         height = float(edges[i + 1] - edges[i])
         axes.add_patch(Rectangle((0, edges[i]), 0.42, height, facecolor=face, alpha=0.55 if is_layer else 1.0,
                                  edgecolor="white", linewidth=0.6))  # fmt: skip
-        if len(sheet.media) <= MOST_NAMED:
+        if len(sheet.media) <= MAX_NAMED:
             known = _short(name)
             text = f"{known}, {sheet.thicknesses_nm[i - 1]:.4g} nm" if is_layer else known
             axes.text(0.46, beside[i], text, va="center", fontsize=min(6.0, 150.0 / len(sheet.media)))
@@ -215,48 +215,48 @@ def _layers(axes: Axes, sheet: DesignSheet) -> None:
 
 
 def apart(places: Array, least: float) -> Array:
-    """Return ascending places in [0, 1] moved so that neighbours are `least` apart, or evenly apart where many are.
+    """Move ascending positions in [0, 1] to a distance of at least `least`, or space them evenly if they are many.
 
     Example: `apart([0.1, 0.5, 0.51], 0.05)` is [0.1, 0.5, 0.55].
     """
     steps = np.arange(len(places)) * min(least, 1.0 / max(len(places) - 1, 1))
     lowered = np.maximum.accumulate(places - steps) + steps
-    room = 1.0 - steps[-1] + steps  # the last may have been pushed out
+    room = 1.0 - steps[-1] + steps  # limit of each position
     return np.minimum(lowered, room)
 
 
 def _short(name: str) -> str:
-    """Return a medium's name as it fits beside a layer; of a long path, or an entry of a database, its end."""
+    """Shorten a medium's name to its end."""
     return name if len(name) <= LONGEST_NAME else "\u2026" + name[1 - LONGEST_NAME :]
 
 
 def _bars(axes: Axes, sheet: DesignSheet) -> None:
-    bars = list(sheet.bars)[:MOST_BARS]
+    bars = list(sheet.bars)[:MAX_BARS]
     axes.barh(range(len(bars)), [value for _, value in bars], color=LINES[0], height=0.3)
     for i, (path, value) in enumerate(bars):
-        # above its bar: a path may be longer than the panel has room for beside it
+        # above its bar, since paths are long
         axes.text(0.0, i - 0.22, f"{path.removesuffix('.thickness_nm')}: {value:.2g}", fontsize=5.5, va="bottom")
     axes.set(ylim=(max(len(bars), 3) - 0.6, -0.7), xlim=(0, None), yticks=[])
     axes.grid(axis="x")
     panel_title(axes, sheet.bars_title)
 
 
-# The sheet of a picture made of structure: asked beside reached, how far off, and the maps of what varies.
+# Image sheet: target and result, their distance, and the parameter maps.
 
-FAR_DE00 = 10.0  # at least the top of the scale of distances
+MIN_SCALE_DE00 = 10.0  # smallest upper end of the distance scale
 OUT, IN = "#d55e00", "#f4f4f4"
 
 
 @dataclass(frozen=True, eq=False)
 class PictureSheet:
-    """What the sheet shows.
+    """Contents of the sheet.
 
     Attributes:
         title: over it.
         asked, reached: `[row, column, 3]`, encoded sRGB, the first row on top.
         distance: `[row, column]`, dE00.
-        is_mapped: `[row, column]`, whether a pixel was out of reach.
-        maps: (name, `[row, column]` values) of each number.
+        is_mapped: `[row, column]`, whether a pixel was out of gamut.
+        maps: name and `[row, column]` values for each parameter.
         note: small print.
     """
 
@@ -281,7 +281,7 @@ def picture_figure(sheet: PictureSheet) -> Figure:
         _shown(figure.add_subplot(top[0]), sheet.asked, "Asked")
         _shown(figure.add_subplot(top[1]), sheet.reached, "Reached")
         bottom = outer[1].subgridspec(1, 2 + len(sheet.maps))
-        far = max(FAR_DE00, float(np.percentile(sheet.distance, 99.0)))
+        far = max(MIN_SCALE_DE00, float(np.percentile(sheet.distance, 99.0)))
         _scaled(figure, figure.add_subplot(bottom[0]), sheet.distance, "dE00", "magma", 0.0, far)
         axes = figure.add_subplot(bottom[1])
         _shown(axes, np.where(sheet.is_mapped[..., None], _rgb(OUT), _rgb(IN)), "Out of reach (orange)")

@@ -43,7 +43,7 @@ PART_TITLES = {
 
 
 def parts_of(spectrum: Spectrum) -> dict[str, Array]:
-    """Return the parts of a spectrum that get a panel: those that are not zero throughout (one at least)."""
+    """Return the non-zero parts of a spectrum, at least one."""
     parts = spectrum.parts()
     if not parts:
         raise NacreError("the spectrum has neither reflectance nor transmittance")
@@ -55,10 +55,10 @@ def spectrum_figure(spectrum: Spectrum, illuminant: str = "D65", title: str = ""
     """Draw reflectance and transmittance over wavelength, one curve an angle, each with its colour beside it.
 
     Args:
-        spectrum: at most 12 angles are drawn as curves, evenly chosen among more.
-        illuminant: of the colour swatches.
+        spectrum: at most 12 angles are drawn as curves, evenly spaced among more.
+        illuminant: lamp of the swatches.
         title: over the first panel.
-        step_label: what the curves differ in, where `angles_deg` holds the values of another number.
+        step_label: name of the parameter if `angles_deg` has values other than angles.
     """
     parts = parts_of(spectrum)
     nm = spectrum.wavelengths_nm
@@ -123,13 +123,13 @@ def _swatches(axes: Axes, inks: list[Any], colours: Array, angles_deg: Array, st
 def ribbon_figure(
     spectrum: Spectrum, illuminant: str = "D65", title: str = "", step_label: str = "Angle of incidence (degrees)"
 ) -> Figure:
-    """Draw the colour over the angle of incidence as a ribbon, with its lightness and chroma below.
+    """Draw colour over the angle of incidence as a ribbon, with lightness and chroma below.
 
     Args:
         spectrum: at 2 angles or more, ascending; a degree apart looks smooth.
-        illuminant: under which the colours are seen.
+        illuminant: lamp.
         title: over the first ribbon.
-        step_label: what runs, where `angles_deg` holds the values of another number.
+        step_label: name of the parameter if `angles_deg` has values other than angles.
     """
     parts = parts_of(spectrum)
     nm, angles = spectrum.wavelengths_nm, spectrum.angles_deg
@@ -173,13 +173,13 @@ def ribbon_figure(
 def index_figure(
     wavelengths_nm: ArrayLike, n_complex: ArrayLike, title: str = "", source: str = "", splice_nm: float | None = None
 ) -> Figure:
-    """Draw n and k of an optical constant over wavelength.
+    """Draw the optical constants n and k over wavelength.
 
     Args:
         wavelengths_nm: `[wavelength]`.
-        n_complex: `[wavelength]`, n + ik; k gets its own axis, and none if it is zero.
-        title: the material; source: where the values are from, in small print.
-        splice_nm: where published data end; drawn as a thin line.
+        n_complex: `[wavelength]`, n + ik; k has a second axis unless it is zero.
+        title: the material; source: reference, in small print.
+        splice_nm: end of the published data, drawn as a thin line.
     """
     nm, values = np.asarray(wavelengths_nm, dtype=float), np.asarray(n_complex, dtype=complex)
     with house_style():
@@ -211,7 +211,7 @@ def index_figure(
 
 
 def _room(axes: Axes, values: Array) -> None:
-    """Leave a margin around a curve, and do not magnify a constant into noise."""
+    """Set axis limits with a margin; constants are not magnified."""
     low, high = float(values.min()), float(values.max())
     air = max(0.08 * (high - low), 0.01 * max(abs(high), 0.1))
     axes.set_ylim(low - air, high + air)

@@ -1,4 +1,4 @@
-"""Figures of what is inside a material: fields, stacks, flakes, structure factors, microscope images."""
+"""Structure figures: fields, stacks, flakes, structure factors, microscope images."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def field_figure(data: Mapping[str, Any]) -> Figure:
     Args:
         data: `z_nm[z]`, depth below the first interface; `s[z, l]` and `p[z, l]` (or `intensity[z, l]`), relative
             to the incident wave; `wavelengths_nm[l]`; `interfaces_nm[i]`, from the first to the last; optional
-            `names[i + 1]` of the media, `theta_deg`, `title`. Up to 3 wavelengths are drawn as curves.
+            media `names[i + 1]`, `theta_deg`, `title`. Up to 3 wavelengths are drawn as curves.
 
     Raises:
         NacreError: an array is missing.
@@ -48,7 +48,7 @@ def field_figure(data: Mapping[str, Any]) -> Figure:
     theta = float(np.asarray(data.get("theta_deg", 0.0)))
     fields = {label: need(data, "field", key)[0].reshape(len(z), len(nm)) for key, label in waves.items()}
     if theta == 0.0 and len(fields) == 2:
-        fields = {"": fields["s"]}  # s and p are one at normal incidence
+        fields = {"": fields["s"]}  # s and p are equal at normal incidence
     title = str(data.get("title", ""))
     with house_style():
         if len(nm) <= 3:
@@ -97,12 +97,12 @@ def _bands(axes: Any, interfaces: Array, names: Any) -> None:
 
 
 def structure_figure(data: Mapping[str, Any]) -> Figure:
-    """Draw the structure of a material: a stack of layers, the structure factor of a monolayer, or a height map.
+    """Draw a layer stack, the structure factor of a monolayer, or a height map.
 
     Args:
-        data: of a stack, `names[medium]` from the light's side, `thicknesses_nm[layer]`, `n[medium]`, `k[medium]`,
-            optional `wavelength_nm` of these. Of a monolayer, `q[q]` (dimensionless, or with `q_label`),
-            `sq[..., q]` with optional `labels`, and optional points `xy_um[point, 2]` with `radius_um`. Of a relief,
+        data: for a stack `names[medium]` from the light's side, `thicknesses_nm[layer]`, `n[medium]`, `k[medium]`,
+            optional `wavelength_nm`. For a monolayer `q[q]` (dimensionless, or with `q_label`),
+            `sq[..., q]` with optional `labels`, and optional points `xy_um[point, 2]` with `radius_um`. For a relief
             `heights_nm[x, y]` and `x_nm[x]`.
 
     Raises:
@@ -196,12 +196,12 @@ def _stack(data: Mapping[str, Any]) -> Figure:
 
 
 def platelet_figure(data: Mapping[str, Any], illuminant: str = "D65") -> Figure:
-    """Draw the colours of platelets over the angle of incidence: one pair of ribbons (reflected, transmitted) each.
+    """Draw platelet colours over the angle of incidence: a pair of ribbons (reflected, transmitted) each.
 
     Args:
         data: `angles_deg[a]`; `wavelengths_nm[l]`; `reflectance[..., a, l]` and optional `transmittance[..., a, l]`,
-            with a leading axis if there are several kinds, named by `names`; optional `title`.
-        illuminant: under which the colours are seen.
+            with a leading axis for several types, named by `names`; optional `title`.
+        illuminant: lamp.
 
     Raises:
         NacreError: an array is missing.
@@ -239,9 +239,9 @@ def microscope_figure(data: Mapping[str, Any], illuminant: str = "D65") -> Figur
 
     Args:
         data: `rgb[y, x, 3]`, linear sRGB, or `spectra[y, x, l]` with `wavelengths_nm[l]`, or `intensity[y, x]`;
-            `extent_um`, the width of the image; optional `title`, and `exposure`, by default the factor that puts
-            the 99.5th percentile of luminance at white.
-        illuminant: under which spectra are seen.
+            `extent_um`, the image width; optional `title`, and `exposure`, by default the factor that maps
+            the 99.5th luminance percentile to white.
+        illuminant: lamp for spectra.
 
     Raises:
         NacreError: an array is missing or has another shape.

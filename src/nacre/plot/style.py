@@ -1,6 +1,6 @@
-"""Style and storage of nacre's figures: one column wide, and colours only where they stand for colours.
+"""Figure style and storage.
 
-Figures are made without pyplot, so drawing changes no global state and works in any thread.
+Figures are created without pyplot, therefore drawing changes no global state and is thread-safe.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ COLUMN_IN = 3.46  # 88 mm, a journal's column
 WIDE_IN = 5.4
 SHEET_IN = 7.2  # a page's width
 INK, FAINT = "#222222", "#9a9a9a"
-# Okabe and Ito 2008: told apart by colour-blind readers too
+# Okabe and Ito 2008: distinguishable for colour-blind readers
 LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#222222")
 SUFFIXES = (".png", ".pdf", ".svg")
-DARKEST_SHOWN = 0.18  # luminance under which swatches are brightened to be told apart; the factor is printed
+MIN_LUMINANCE = 0.18  # darker swatches are brightened; the factor is printed
 
 STYLE: dict[str, Any] = {
     "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 7.5,
@@ -52,7 +52,7 @@ STYLE: dict[str, Any] = {
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Draw inside this context: matplotlib's defaults plus `STYLE`, whatever the user's own settings are."""
+    """Context with matplotlib's defaults plus `STYLE`, independent of the user's settings."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         settings: Any = matplotlib.rcParams  # its stubs list every key as a literal
@@ -61,7 +61,7 @@ def house_style() -> Iterator[None]:
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure with a canvas, laid out so that labels never collide."""
+    """Return an empty figure with a canvas and constrained layout."""
     figure = Figure(figsize=(width_in, height_in))
     figure.set_layout_engine("constrained", w_pad=0.03, h_pad=0.03, wspace=0.03, hspace=0.04)
     FigureCanvasAgg(figure)
@@ -69,12 +69,12 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 
 def save_figure(figure: Figure, path: str | Path, provenance: Mapping[str, Any] | None = None) -> None:
-    """Write a figure as PNG (300 dpi), PDF or SVG, whole or not at all, with its provenance inside.
+    """Write a figure as PNG (300 dpi), PDF or SVG atomically, with its provenance.
 
     PNG carries the provenance as JSON in the text chunk `nacre`, PDF in its subject, SVG in its description.
 
     Raises:
-        NacreError: another suffix, or a place that cannot be written.
+        NacreError: another suffix, or the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -91,15 +91,15 @@ def save_figure(figure: Figure, path: str | Path, provenance: Mapping[str, Any] 
 
 
 def angle_colours(count: int) -> list[tuple[float, float, float, float]]:
-    """Return ink for an ordered set (angles, thicknesses): one uniform ramp, dark first, never too pale to print."""
+    """Return line colours for an ordered set (angles, thicknesses): a uniform ramp, dark first."""
     ramp = matplotlib.colormaps["viridis"]
     return [ramp(0.85 * i / max(count - 1, 1)) for i in range(count)]
 
 
 def exposure_of(xyz: Array) -> float:
-    """Return the factor by which colours are shown brighter: 1, or a round number that lifts dark ones into sight."""
+    """Return the brightening factor of colours: 1, or a round number for dark ones."""
     brightest = float(np.max(xyz[..., 1], initial=0.0))
-    if brightest <= 0.0 or brightest >= DARKEST_SHOWN:
+    if brightest <= 0.0 or brightest >= MIN_LUMINANCE:
         return 1.0
     wanted = 0.45 / brightest
     decade = 10.0 ** np.floor(np.log10(wanted))
@@ -109,7 +109,7 @@ def exposure_of(xyz: Array) -> float:
 def shown_colours(
     values: ArrayLike, wavelengths_nm: ArrayLike, illuminant: str = "D65", exposure: float | None = None
 ) -> tuple[Array, float, int]:
-    """Return the sRGB of spectra `[..., wavelength]`, the exposure they are shown at, and how many were clipped."""
+    """Return sRGB for spectra `[..., wavelength]`, the exposure, and the number of clipped colours."""
     spectra = np.asarray(values, dtype=float)
     if exposure is None:
         exposure = exposure_of(light.spectrum_to_xyz(spectra, wavelengths_nm, illuminant))
@@ -118,8 +118,8 @@ def shown_colours(
 
 
 def remark(illuminant: str | None, exposure: float = 1.0, clipped: int = 0, total: int = 0) -> str:
-    """Return the small print: light, brightening, colours that the screen cannot show."""
-    adapted = "" if illuminant == "D65" else ", eye adapted to it"  # the white balance of nacre.light
+    """Return the small print: lamp, exposure, number of colours outside sRGB."""
+    adapted = "" if illuminant == "D65" else ", eye adapted to it"
     parts = [f"illuminant {illuminant}{adapted}"] if illuminant else []
     if exposure != 1.0:
         parts.append(f"shown {exposure:g}\u00d7 brighter")
@@ -140,12 +140,12 @@ def panel_title(axes: Axes, text: str) -> None:
 
 
 def spectral_strip(axes: Axes, low_nm: float, high_nm: float, height: float = 0.025) -> None:
-    """Draw the colours of the spectrum just above an axis of wavelengths, fading where the eye does."""
+    """Draw the spectral colours above a wavelength axis, fading with the eye's sensitivity."""
     nm = np.arange(max(low_nm, 380.0), min(high_nm, 720.0) + 1.0)
     if len(nm) < 2:
         return
     matching = np.stack([np.interp(nm, light.table_wavelengths_nm(), c) for c in light.observer().T], axis=-1)
-    # a pure spectral colour has no sRGB: an ornament may cut what is missing, and be as bright as the screen
+    # spectral colours lie outside sRGB: cut negative values and use full brightness
     rgb = np.maximum(light.xyz_to_srgb_linear(matching), 0.0)
     rgb /= rgb.max(axis=-1, keepdims=True)
     sight = np.clip(np.minimum((nm - 385.0) / 45.0, (715.0 - nm) / 60.0), 0.0, 1.0)[:, None]
@@ -157,16 +157,16 @@ def spectral_strip(axes: Axes, low_nm: float, high_nm: float, height: float = 0.
 
 
 def cell_edges(centres: Array) -> Array:
-    """Return the edges of image cells around ascending centres; the outer edges are the outer centres."""
+    """Return cell edges around ascending centres; the outer edges are the outer centres."""
     middle = 0.5 * (centres[1:] + centres[:-1])
     return np.concatenate([[centres[0]], middle, [centres[-1]]])
 
 
 def need(data: Mapping[str, Any], kind: str, *names: str) -> list[Array]:
-    """Return the named arrays of a figure's data.
+    """Return named arrays of the figure data.
 
     Raises:
-        NacreError: one is missing or holds a value that is not finite.
+        NacreError: an array is missing or has a value that is not finite.
     """
     arrays = []
     for name in names:

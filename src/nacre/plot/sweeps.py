@@ -1,4 +1,4 @@
-"""Figures of a sweep: its gamut in CIELAB, colour maps over two numbers, parallel coordinates."""
+"""Sweep figures: CIELAB gamut, colour maps over two parameters, parallel coordinates."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from nacre.plot.style import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MAX_LINES = 4000  # more lines hide one another and swell a PDF
+MAX_LINES = 4000  # more would overlap and enlarge a PDF
 MISSING = (0.93, 0.93, 0.93)
-GROUND = "#c4c4c4"  # behind lines in their own colours, of which some are white
+GROUND = "#c4c4c4"  # background of coloured lines, some of them white
 
 
 @dataclass(frozen=True)
 class AxisValues:
-    """An axis of a figure: its label, its values, and words where the values only count them."""
+    """An axis: label, values, and words if the values are indices of words."""
 
     label: str
     values: Array
@@ -47,7 +47,7 @@ class AxisValues:
 
 
 def _swatches(xyz: Array, illuminant: str, observer: str) -> tuple[Array, str]:
-    """Return encoded sRGB of XYZ `[..., 3]` (grey where missing) and the small print that belongs to it."""
+    """Return encoded sRGB for XYZ `[..., 3]` (missing: grey) and its small print."""
     is_there = np.isfinite(xyz).all(axis=-1)
     rgb = np.broadcast_to(np.array(MISSING), xyz.shape).copy()
     exposure, clipped_count = 1.0, 0
@@ -69,16 +69,16 @@ def gamut_figure(
     labels: Sequence[str] = (),
     tracks: bool = False,
 ) -> Figure:
-    """Draw the colours that a sweep reaches: a* over b*, and lightness over chroma.
+    """Draw the gamut of a sweep: a* over b*, and lightness over chroma.
 
     Args:
-        xyz: `[group, point, 3]`, Y = 1 for white; NaN where a point is missing. Each group (an angle) has its mark.
-        illuminant, observer: of the colours.
+        xyz: `[group, point, 3]`, Y = 1 for white; missing points are NaN. Each group (an angle) has its marker.
+        illuminant, observer: colour conditions.
         title: over the first panel; labels: `[group]`.
-        tracks: whether the points of a group are joined, in their order.
+        tracks: connect the points in each group.
 
     Raises:
-        NacreError: no finite colour.
+        NacreError: all colours are missing.
     """
     values = np.asarray(xyz, dtype=float)
     values = values[None] if values.ndim == 2 else values
@@ -125,16 +125,16 @@ def sweep_map_figure(
     titles: Sequence[str] = ("",),
     note: str = "",
 ) -> Figure:
-    """Draw the colours of a sweep over two of its numbers, one panel a further value (an angle).
+    """Draw sweep colours over two parameters, one panel for each further value (an angle).
 
     Args:
         x, y: the axes, `[x]` and `[y]`; words become evenly spaced steps.
-        xyz: `[panel, y, x, 3]`; NaN where a point is missing.
-        illuminant, observer: of the colours.
-        titles: `[panel]`; note: what the other numbers are, in the small print.
+        xyz: `[panel, y, x, 3]`; missing points are NaN.
+        illuminant, observer: colour conditions.
+        titles: `[panel]`; note: values of other parameters, in the small print.
 
     Raises:
-        NacreError: shapes that do not fit together.
+        NacreError: incompatible shapes.
     """
     values = np.asarray(xyz, dtype=float)
     if values.shape[1:] != (len(y.values), len(x.values), 3) or len(titles) != len(values):
@@ -163,7 +163,7 @@ def sweep_map_figure(
 
 
 def _edges(axis: AxisValues) -> tuple[NDArray[np.intp], Array]:
-    """Return the ascending order of an axis's values and the edges of their cells."""
+    """Return the ascending order of axis values and their cell edges."""
     order = np.asarray(np.argsort(axis.values, kind="stable"), dtype=np.intp)
     ordered = axis.values[order]
     if axis.words or len(ordered) < 2 or np.any(np.diff(ordered) <= 0):
@@ -181,22 +181,18 @@ def _name(axes: Axes, axis: AxisValues, which: str, show: bool) -> None:
 
 
 def parallel_figure(
-    axes_values: Sequence[AxisValues],
-    xyz: ArrayLike,
-    illuminant: str = "D65",
-    observer: str = "2deg",
-    title: str = "",
+    axes_values: Sequence[AxisValues], xyz: ArrayLike, illuminant: str = "D65", observer: str = "2deg", title: str = ""
 ) -> Figure:
-    """Draw every point of a sweep as a line, in its own colour, through its numbers and its L*, a*, b*.
+    """Draw sweep points as coloured lines through their parameters and L*, a*, b* (parallel coordinates).
 
     Args:
-        axes_values: the numbers, each `[point]`.
+        axes_values: the parameters, each `[point]`.
         xyz: `[point, 3]`; points with NaN are left out and counted.
-        illuminant, observer: of the colours.
+        illuminant, observer: colour conditions.
         title: over the figure.
 
     Raises:
-        NacreError: no finite colour.
+        NacreError: all colours are missing.
     """
     values = np.asarray(xyz, dtype=float)
     is_there = np.isfinite(values).all(axis=-1)

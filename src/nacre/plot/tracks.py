@@ -1,7 +1,7 @@
-"""Tracks of gloss and diffuse colour: near the mirror direction and far from it, over the angle or a number.
+"""Colour tracks of gloss and diffuse light, near and far from the mirror direction, over an angle or a parameter.
 
-Pearls have two colours, what their flakes reflect and what they transmit to the base; how the two change characterises
-the material (Guillen et al. 2020, figures 9, 10 and 12). Any other material has the same two directions of view.
+The reflected and the transmitted colour of its flakes characterise a pearl (Guillen et al. 2020, figures 9, 10, 12).
+Other materials are measured in the same two directions.
 """
 
 from __future__ import annotations
@@ -24,17 +24,20 @@ from nacre.plot.style import INK, LINES, house_style, new_figure, panel_title, s
 
 Evaluate = Callable[[Bsdf, Array, Array], Array]
 WIDTH_IN, HEIGHT_IN = 7.2, 2.7
-GLOSS_HALF_DEG = 4.0  # beside the mirror direction: past a clear coat's own reflection, within the flakes' lobe
+GLOSS_HALF_DEG = 4.0  # outside a clear coat's reflection, within the flakes' lobe
 GLOSS_DEG = np.arange(5.0, 71.0, 5.0)
-RADIAL_DEG = np.arange(15.0, 51.0, 5.0)  # half angle = difference angle: straight away from the mirror direction
-STEP_GLOSS_DEG, STEP_DIFFUSE_DEG = (GLOSS_HALF_DEG, 10.0), (40.0, 10.0)  # of each value, where a number moves
+RADIAL_DEG = np.arange(15.0, 51.0, 5.0)  # half angle = difference angle: away from the mirror direction
+STEP_GLOSS_DEG, STEP_DIFFUSE_DEG = (
+    (GLOSS_HALF_DEG, 10.0),
+    (40.0, 10.0),
+)  # half and difference angle, for tracks over a parameter
 MIDDLE_GREY = 0.1842  # luminance of L* = 50
-DARK = 1e-9  # luminance below which a direction has no colour
+DARK = 1e-9  # smallest luminance with a defined colour
 
 
 @dataclass(frozen=True)
 class Track:
-    """A colour that moves: `steps[s]` along the axis, spectra `values[s, wavelength]` relative to perfect white."""
+    """A colour track: axis values `steps[s]`, spectra `values[s, wavelength]` relative to perfect white."""
 
     steps: Array
     values: Array
@@ -43,19 +46,19 @@ class Track:
 def angle_tracks(
     bsdf: Bsdf, angles_deg: Sequence[float] | Array | None = None, evaluate: Evaluate | None = None
 ) -> dict[str, Track]:
-    """Return the gloss of a Bsdf over the difference angle, and its diffuse light straight away from the mirror.
+    """Return gloss over the difference angle, and diffuse light away from the mirror direction.
 
-    A smooth coloured mirror (a film, a metasurface) is its own gloss: its delta reflectance. Otherwise the gloss is
-    pi f, 4 degrees of half angle beside the mirror direction, so that a clear coat's own reflection stays out.
+    The gloss of a smooth coloured mirror (a film, a metasurface) is its delta reflectance. Otherwise it is pi f at 4
+    degrees half angle, which excludes the reflection of a clear coat.
 
     Args:
         bsdf: any.
-        angles_deg: difference angles, the angle of incidence of the gloss; default 5 to 70. The diffuse track takes
-            those within 15 to 50.
-        evaluate: replaces `bsdf.evaluate`, for lobes that are random walks.
+        angles_deg: difference angles, equal to the angle of incidence for gloss; default 5 to 70. The diffuse track
+            uses those from 15 to 50.
+        evaluate: replaces `bsdf.evaluate` for random walks.
 
     Raises:
-        NacreError: nothing is reflected anywhere.
+        NacreError: all reflectances are zero.
     """
     gloss = GLOSS_DEG if angles_deg is None else np.atleast_1d(np.asarray(angles_deg, dtype=float))
     radial = RADIAL_DEG if angles_deg is None else gloss[(gloss >= RADIAL_DEG[0]) & (gloss <= RADIAL_DEG[-1])]
@@ -69,11 +72,11 @@ def number_tracks(
     materials: Sequence[Any], steps: Sequence[float] | Array, evaluate: Evaluate | None = None,
     wavelengths_nm: Array | None = None, illuminant: str = "D65",
 ) -> tuple[dict[str, Track], Array]:  # fmt: skip
-    """Return gloss and diffuse light of one material after the other, and their common wavelengths.
+    """Return gloss and diffuse light for a sequence of materials, and their common wavelengths.
 
     Args:
         materials: one for each step, with `bsdf(wavelengths_nm)`.
-        steps: the number that moves.
+        steps: values of the parameter.
         evaluate: as for `angle_tracks`.
         wavelengths_nm: default: the first material's own, with the lines of a narrow-band lamp.
         illuminant: the lamp.
@@ -97,7 +100,7 @@ def _gloss(bsdf: Bsdf, half_deg: float, difference_deg: Array, evaluate: Evaluat
 
 
 def _scattered(bsdf: Bsdf, half_deg: Array, difference_deg: Array, evaluate: Evaluate | None) -> Array:
-    """Pi f across the half vector's plane, where both directions stay above the surface, `[step, wavelength]`."""
+    """Return pi f at phi_d = 90 degrees, with both directions above the surface, `[step, wavelength]`."""
     across = np.full(len(half_deg), 0.5 * np.pi)
     wi, wo = from_half_difference(np.radians(half_deg), np.radians(difference_deg), across)
     values = bsdf.evaluate(wi, wo) if evaluate is None else evaluate(bsdf, wi, wo)
@@ -105,7 +108,7 @@ def _scattered(bsdf: Bsdf, half_deg: Array, difference_deg: Array, evaluate: Eva
 
 
 def _bright(tracks: dict[str, Track], nm: Array) -> dict[str, Track]:
-    """Leave out tracks that are dark somewhere: a mirror has no diffuse colour."""
+    """Omit tracks with dark points, such as the diffuse track of a mirror."""
     kept = {
         name: track
         for name, track in tracks.items()
@@ -126,18 +129,18 @@ def tracks_figure(
 ) -> Figure:
     """Draw tracks through CIE xy and a*, b*, and their luminance over the step.
 
-    The axes show the sample's own values; the points are coloured as they are at L* 50, so that hues can be told.
+    The axes show the actual values; the points are coloured at L* 50 to show their hues.
 
     Args:
         tracks: by name, "gloss" and "diffuse" as a rule.
-        wavelengths_nm: `[wavelength]`, of all tracks.
-        step_label: what moves.
-        illuminant: under which the colours are seen; its white is marked.
+        wavelengths_nm: `[wavelength]`.
+        step_label: name of the axis.
+        illuminant: lamp; its white is marked.
         title: over the first panel.
-        lightness: scale a*, b* to this L*, to compare hues of bright gloss and dark body; None: as they are.
+        lightness: scale a*, b* to this L*, to compare hues; by default unscaled.
 
     Raises:
-        NacreError: a lightness that is not in (0, 100].
+        NacreError: lightness outside (0, 100].
     """
     if lightness is not None and not 0.0 < lightness <= 100.0:
         raise NacreError(f"lightness = {lightness:g} is not allowed; it should be over 0 and at most 100")
@@ -184,7 +187,7 @@ def material_tracks(
     evaluate: Evaluate | None,
     lightness: float | None = None,
 ) -> Figure:
-    """Draw the tracks of a material, over the angle or `over` a number of its recipe; `lightness` scales a*, b*."""
+    """Draw material tracks over the angle, or over a parameter; `lightness` scales a*, b*."""
     if over is None:
         bsdf = colour_bsdf(material, illuminant, wavelengths_nm)
         found = angle_tracks(bsdf, angles_deg, evaluate)

@@ -1,4 +1,4 @@
-"""Tables of numbers as text, as instruments and spreadsheets of every country write them."""
+"""Tables of numbers as text, in the formats of instruments and spreadsheets of all countries."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _UNIT_WORDS = {"µm": "um", "μm": "um", "å": "angstrom", "angstroms": "angstro
 _BETWEEN_NUMBERS = re.compile(r"[\d.]\s+[-+.\d]")
 _COMMA_APART = re.compile(r",\s|\s,")
 REMARKS = "%!"
-JUDGED = 200  # rows by which it is seen what parts the cells
+MAX_SAMPLE = 200  # rows from which the delimiter is determined
 
 
 def decoded(data: bytes) -> str:
-    """Return the text of a file: UTF-8, UTF-16 with its mark, or the one-byte text of western Windows.
+    """Return a file's text in UTF-8, UTF-16 with a byte order mark, or Windows-1252.
 
     Raises:
-        UnicodeDecodeError: it is none of them, or holds NUL, which no text does.
+        UnicodeDecodeError: another encoding, or a NUL character.
     """
     if data.startswith(UTF_16_MARKS):
         return data.decode("utf-16")
@@ -38,28 +38,28 @@ def decoded(data: bytes) -> str:
 
 
 def rows(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the line number and the cells of each line that is neither empty nor a remark: behind # or led by % or !.
+    """Yield line number and cells of each line that is not empty or a comment (after #, or starting with % or !).
 
-    Cells are parted by semicolons where the text has any, else by tabs, else by commas, else by blanks. Where no
-    comma parts them, one within a number is its decimal point. Empty cells at a line's end are dropped.
+    Semicolons delimit cells if the text has any, else tabs, else commas, else blanks. If commas are not the delimiter,
+    they are decimal points. Empty cells at the end of a line are dropped.
     """
     lines = [(number, line.partition("#")[0].strip()) for number, line in enumerate(text.splitlines(), start=1)]
     lines = [(number, line) for number, line in lines if line and line[0] not in REMARKS]
-    parting = _parting([line for _, line in lines])
+    delimiter = _delimiter([line for _, line in lines])
     for number, line in lines:
-        cells = line.split(parting)
-        if '"' in line or " " in line:  # not of every line of a large table
+        cells = line.split(delimiter)
+        if '"' in line or " " in line:  # saves time in large tables
             cells = [cell.strip().strip('"') for cell in cells]
         while cells and not cells[-1]:
             cells.pop()
-        if parting != ",":
-            cells = [cell.rstrip(",").replace(",", ".") if _is_led(cell) else cell for cell in cells]
+        if delimiter != ",":
+            cells = [cell.rstrip(",").replace(",", ".") if _starts_with_number(cell) else cell for cell in cells]
         yield number, cells
 
 
-def _parting(lines: list[str]) -> str | None:
-    """Return what parts the cells of a text's lines; None stands for blanks."""
-    numbers = [line for line in lines if _is_led(line)][:JUDGED]
+def _delimiter(lines: list[str]) -> str | None:
+    """Return the cells' delimiter; None means blanks."""
+    numbers = [line for line in lines if _starts_with_number(line)][:MAX_SAMPLE]
     for mark in (";", "\t"):
         if any(mark in line for line in numbers):
             return mark
@@ -68,15 +68,15 @@ def _parting(lines: list[str]) -> str | None:
     return "," if any("," in line for line in numbers) else None
 
 
-def _is_led(text: str) -> bool:
-    """Whether a text begins as a number does."""
+def _starts_with_number(text: str) -> bool:
+    """Whether a text starts with a number."""
     return text.lstrip('-+.,"')[:1].isdigit()
 
 
 def headings(cells: list[str]) -> list[str]:
-    """Return the cells of a heading as our files write them: in small letters, the unit behind an underscore.
+    """Return a heading's cells in lower case, with the unit after an underscore.
 
-    One that is parted in another way than the numbers below is parted at its commas and blanks.
+    A heading with another delimiter than the numbers is split at commas and blanks.
 
     Example: `headings(["Wavelength (nm)", "n"])` is `["wavelength_nm", "n"]`.
     """
@@ -84,7 +84,7 @@ def headings(cells: list[str]) -> list[str]:
         cells = [cell for cell in re.split(r"[,;\s]+", cells[0]) if cell]
     whole: list[str] = []
     for cell in cells:
-        if whole and cell[:1] in ("(", "["):  # a unit, parted from its word by the blank that parts cells
+        if whole and cell[:1] in ("(", "["):  # a unit that was split from its word
             whole[-1] += cell
         else:
             whole.append(cell)
@@ -99,16 +99,14 @@ def _heading(cell: str) -> str:
     return f"{match[1].replace(' ', '_')}_{_UNIT_WORDS.get(match[2], match[2])}"
 
 
-# Text files of two columns of numbers that a recipe names.
-
-NM_IN = {"um": 1e3, "angstrom": 0.1}  # as headings name the unit of a wavelength
+NM_IN = {"um": 1e3, "angstrom": 0.1}
 
 
 def two_columns(context: RecipeContext, key: str, name: str, *, is_share: bool = False) -> NDArray[np.float64]:
-    """Read a text file of two columns of numbers; headings are passed over.
+    """Read a text file of two columns of numbers; headings are skipped.
 
     Args:
-        is_share: whether it is a share over the wavelength, whose units the heading may name: see `shares_over_nm`.
+        is_share: whether the columns are wavelength and share, with units in the heading; see `shares_over_nm`.
     """
     path = context.path(name)
     try:
@@ -136,7 +134,7 @@ def two_columns(context: RecipeContext, key: str, name: str, *, is_share: bool =
 
 
 def shares_over_nm(heading: Sequence[str], table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return `[row, (nm, share)]` of a table whose heading may say um or angstrom, and per cent.
+    """Return `[row, (nm, share)]` of a table whose heading may name um or angstrom, and per cent.
 
     Example: under the heading `wavelength (um), R (%)` the row 0.55, 42 is 550, 0.42.
     """

@@ -1,4 +1,4 @@
-"""What should have stood at a key, in nacre's own words: one sentence end for each kind of error of pydantic."""
+"""Error messages of recipes: the rule for each error type of pydantic."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ import pydantic
 
 from nacre.core.errors import did_you_mean
 
-NAMED_KEYS = 4  # of a table that has no form to show
+MAX_KEYS = 4  # in the message for a table without an example form
 
 
-def wish(kind: str, context: Mapping[str, Any], given: Any, tables: Iterable[type[pydantic.BaseModel]]) -> str:
-    """Return how "it should ..." goes on.
+def rule_of(error_type: str, context: Mapping[str, Any], given: Any, tables: Iterable[type[pydantic.BaseModel]]) -> str:
+    """Return the end of the sentence "it should ...".
 
     Args:
-        kind: pydantic's name of the error.
-        context: the numbers and names that come with it.
-        given: what stood there.
-        tables: the models of tables that may stand in the recipe, for their written form.
+        error_type: pydantic's name of the error.
+        context: numbers and names of the error.
+        given: the value in the recipe.
+        tables: table models of the recipe, for their example forms.
     """
-    if kind in ("model_type", "model_attributes_type", "dataclass_type"):
+    if error_type in ("model_type", "model_attributes_type", "dataclass_type"):
         name = context.get("class_name")
         return f"be a table{next((_form(table) for table in tables if table.__name__ == name), '')}"
-    if kind == "literal_error":
+    if error_type == "literal_error":
         allowed = str(context["expected"]).replace("'", '"')
         words = [word for word in allowed.split('"') if word.strip(" ,") not in ("", "or")]
         one_of = "one of " if len(words) > 1 else ""
         return f"be {one_of}{allowed}{('.' + hint) if (hint := did_you_mean(str(given), words)) else ''}"
-    if kind in COUNTS:
-        word, key = COUNTS[kind]
-        one, more = ("character", "characters") if kind.startswith("string") else ("entry", "entries")
+    if error_type in COUNTS:
+        word, key = COUNTS[error_type]
+        one, more = ("character", "characters") if error_type.startswith("string") else ("entry", "entries")
         return f"have {word} {context[key]} {one if context[key] == 1 else more}"
-    if kind in LIMITS:
-        word, key = LIMITS[kind]
+    if error_type in LIMITS:
+        word, key = LIMITS[error_type]
         return f"be {word} {_short(context[key])}"
-    return WORDS[kind]
+    return WORDS[error_type]
 
 
 LIMITS = {
@@ -84,8 +84,8 @@ def _form(table: type[pydantic.BaseModel]) -> str:
     shown = needed or keys
     if not shown:
         return ""
-    more = ", ..." if len(keys) > len(shown[:NAMED_KEYS]) else ""
-    return f" with the key{'s' * (len(shown) > 1 or bool(more))} {', '.join(shown[:NAMED_KEYS])}{more}"
+    more = ", ..." if len(keys) > len(shown[:MAX_KEYS]) else ""
+    return f" with the key{'s' * (len(shown) > 1 or bool(more))} {', '.join(shown[:MAX_KEYS])}{more}"
 
 
 def _short(number: Any) -> str:

@@ -1,4 +1,4 @@
-"""Images that a recipe or a target names, as a viewer shows them: upright, with what is clear in them."""
+"""Orientation and opacity of images that recipes and targets name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LARGEST_16_BIT = 65535.0
 
 
 def upright(image: Image) -> Image:
-    """Return an image turned as its camera says that it was held."""
+    """Return an image turned by its EXIF orientation."""
     from PIL import ImageOps
 
     turned = ImageOps.exif_transpose(image)
@@ -23,7 +23,7 @@ def upright(image: Image) -> Image:
 
 
 def opacity(image: Image) -> Array | None:
-    """Return how opaque each pixel is, `[row, column]` in [0, 1], or None where all are."""
+    """Return the opacity of each pixel `[row, column]` in [0, 1], or None if all pixels are opaque."""
     if "A" not in image.getbands() and ("transparency" not in image.info or image.mode[0] in "IF"):
         return None
     alpha = np.asarray(image.convert("RGBA").getchannel("A"), dtype=float) / 255.0

@@ -1,6 +1,6 @@
-"""The reference of the keys, read off the recipe models: meaning, unit, range, default, how it is written.
+"""Key reference, derived from the recipe models: meaning, unit, range, default, form.
 
-`nacre keys` prints it, the documentation sets it into tables, and `schema.py` hands it to editors.
+Used by `nacre keys`, the documentation, and `schema.py`.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from pydantic.fields import FieldInfo
 from nacre.core.errors import RecipeError, did_you_mean
 from nacre.recipe.model import RecipeModel, spellings
 
-UNITS = {"deg": "degrees", "ev": "eV", "um2": "1/um^2", "s": "s"}  # the last word of a key -> its unit
-LONGEST_LINE = 76  # of a snippet, which is indented
-SHORTEST_WORD = 4  # of a word that is looked for among the meanings
+UNITS = {"deg": "degrees", "ev": "eV", "um2": "1/um^2", "s": "s"}  # last word of a key -> unit
+LONGEST_LINE = 76  # characters of a snippet
+SHORTEST_WORD = 4  # characters of a word that is searched in the meanings
 LIMITS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 PLURALS = {"table": "tables", "number": "numbers", "whole number": "whole numbers", "text": "texts"}
 SCHEMA_LIMITS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
@@ -29,11 +29,11 @@ SCHEMA_LIMITS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt
 
 @dataclass(frozen=True)
 class ByPath:
-    """Marks a table whose own keys are paths of numbers, such as `[fit]`: what may stand at each.
+    """Mark of a table whose keys are recipe paths, such as `[fit]`.
 
     Attributes:
-        table: the table that may stand there.
-        others: JSON Schemas of what may stand there beside it.
+        table: model of its entries.
+        others: JSON Schemas of alternative entries.
     """
 
     table: type[RecipeModel]
@@ -42,7 +42,7 @@ class ByPath:
     def __get_pydantic_json_schema__(self, schema: Any, handler: pydantic.GetJsonSchemaHandler) -> dict[str, Any]:
         inner = handler(self.table.__pydantic_core_schema__)
         own = [{"required": [key]} for key in self.table.model_fields]
-        deeper = {"type": "object", "minProperties": 1, "not": {"anyOf": own}}  # surface.roughness, written unquoted
+        deeper = {"type": "object", "minProperties": 1, "not": {"anyOf": own}}  # an unquoted surface.roughness
         return {"type": "object", "additionalProperties": {"anyOf": [*map(dict, self.others), inner, deeper]}}
 
 
@@ -51,13 +51,13 @@ class Key:
     """One key of a table.
 
     Attributes:
-        name: as a file writes it.
+        name: the key in a file.
         meaning: one sentence.
         unit: "nm, or _um and _mm", "degrees", or empty.
-        value: what may stand there: "number from 0 to 1", "list of tables".
-        default: as TOML; empty where leaving the key out is a choice of its own; None: the key must be given.
-        tables: the models of the tables that may stand there.
-        is_list: whether those tables stand in a list.
+        value: allowed values: "number from 0 to 1", "list of tables".
+        default: as TOML; empty if the absent key has a meaning of its own; None if the key is required.
+        tables: models of allowed tables.
+        is_list: whether these tables form a list.
         examples: values as TOML.
     """
 
@@ -72,22 +72,23 @@ class Key:
 
     @property
     def own_tables(self) -> tuple[type[RecipeModel], ...]:
-        """The tables that belong to this key alone, and not to many places."""
+        """The tables that belong only to this key."""
         return tuple(table for table in self.tables if not table.noun)
 
     @property
     def snippet(self) -> tuple[str, ...]:
-        """Lines that could stand in a file."""
+        """Example lines of a file."""
         return tuple(f"{self.name} = {text}" for text in self.examples)
 
 
 def keys_of(model: type[RecipeModel]) -> tuple[Key, ...]:
     """Return the keys of one table, in the order of the model."""
+    model.model_rebuild()  # resolves tables that are defined further down in their module
     return tuple(_key(name, field) for name, field in model.model_fields.items())
 
 
 def tables_below(model: type[RecipeModel], path: str = "") -> Iterator[tuple[str, type[RecipeModel]]]:
-    """Yield the place and the model of a table and of all tables inside it, without those that have a noun."""
+    """Yield place and model of a table and its nested tables, without those that have a noun."""
     yield path, model
     for key in keys_of(model):
         for table in key.own_tables:
@@ -96,7 +97,7 @@ def tables_below(model: type[RecipeModel], path: str = "") -> Iterator[tuple[str
 
 
 def shared_tables(model: type[RecipeModel]) -> list[type[RecipeModel]]:
-    """Return the tables with a noun that stand somewhere inside a table, each once."""
+    """Return the nested tables that have a noun, each once."""
     found: dict[type[RecipeModel], None] = {}
     for _, table in tables_below(model):
         for key in keys_of(table):
@@ -105,15 +106,15 @@ def shared_tables(model: type[RecipeModel]) -> list[type[RecipeModel]]:
 
 
 def find_key(roots: Sequence[type[RecipeModel]], path: str, source: str) -> tuple[str, Key]:
-    """Return the key at a path such as `layers.thickness_nm`, and the path as it is best written.
+    """Return the key at a path such as `layers.thickness_nm`, and the normal form of the path.
 
     Args:
-        roots: the models whose keys stand at the top of the file.
-        path: indices and brackets of lists may be left out; a length may carry any of its units.
-        source: what the path starts from, for messages.
+        roots: models of the top level of the file.
+        path: may omit indices and brackets of lists; a length may have any unit.
+        source: start of the path, for messages.
 
     Raises:
-        RecipeError: there is no such key; with a guess.
+        RecipeError: there is no such key; with a suggestion.
     """
     models: Sequence[type[RecipeModel]] = roots
     walked, found = "", None
@@ -129,7 +130,7 @@ def find_key(roots: Sequence[type[RecipeModel]], path: str, source: str) -> tupl
 
 
 def as_written(value: Any) -> Any:
-    """Return a default as a recipe would give it: models as tables of what they give, or as their one bare value."""
+    """Return a default in the form of a recipe: a model as a table of its given keys, or as its single value."""
     if isinstance(value, pydantic.BaseModel):
         given = {key: as_written(getattr(value, key)) for key in value.model_fields_set}
         is_bare = list(given) in (["name"], ["n"]) and isinstance(value, RecipeModel) and value.shorthands
@@ -156,11 +157,11 @@ def toml_value(value: Any) -> str:
 
 
 def toml_lines(path: str, value: Any) -> list[str]:
-    """Return a value as lines that can stand in a file: inline where a line holds it, else under a header.
+    """Return a value as lines of TOML: inline if it fits one line, else under a header.
 
     Args:
-        path: the keys from the top of the file to the value, brackets of lists left out.
-        value: what stands there.
+        path: keys from the top of the file, without brackets.
+        value: the value.
 
     Example: `toml_lines("layers", [{"material": "Si"}])` is ['layers = [{material = "Si"}]'].
     """
@@ -172,13 +173,13 @@ def toml_lines(path: str, value: Any) -> list[str]:
     for table in value if is_list else [value]:
         lines.append(f"[[{path}]]" if is_list else f"[{path}]")
         inner = [toml_lines(f"{path}.{key}", entry) for key, entry in table.items()]
-        # what needs a header of its own comes last, as all below a header belongs to it
+        # tables with headers come last, since all lines below a header belong to it
         lines += [line for block in sorted(inner, key=lambda block: block[0].startswith("[")) for line in block]
     return lines
 
 
 def one_sentence(model: type[RecipeModel]) -> str:
-    """Return the first paragraph of what a model says about itself, without marks."""
+    """Return the first paragraph of a model's docstring without markup."""
     return " ".join((model.__doc__ or "").partition("\n\n")[0].split()).replace("`", "")
 
 
@@ -222,7 +223,7 @@ def _unknown(word: str, keys: Mapping[str, Key], walked: str, roots: Sequence[ty
         return f"{where} holds no keys; {word} is not known"
     hint = did_you_mean(word, keys)
     if not hint and len(word) >= SHORTEST_WORD:
-        # "pigments" is no key, but the meaning of "platelets" names them; else the same key in another table
+        # a key's meaning may contain the word; else another table may have the key
         stem = word.lower().rstrip("s")
         said = [name for name, key in keys.items() if stem in key.meaning.lower() or stem in name]
         hint = f' Did you mean "{said[0]}"?' if said else ""
@@ -245,7 +246,7 @@ def _models_in(annotation: Any, metadata: Sequence[Any] = ()) -> list[type[Recip
 
 
 def _form(annotation: Any, metadata: Sequence[Any] = ()) -> str:
-    """Say what may stand at a key: its type with its limits."""
+    """Return the type of a key with its limits, in words."""
     if any(isinstance(item, ByPath) for item in metadata):
         return "table of paths"
     named = {float: "number", int: "whole number", str: "text", bool: "true or false"}
@@ -279,7 +280,7 @@ def _form(annotation: Any, metadata: Sequence[Any] = ()) -> str:
 
 
 def _plain(metadata: Sequence[Any]) -> Iterator[Any]:
-    """Yield the constraints themselves: a `Field` inside `Annotated` keeps them in a list."""
+    """Yield the constraints; a `Field` inside `Annotated` holds them in a list."""
     for item in metadata:
         yield from getattr(item, "metadata", [item])
 

@@ -1,7 +1,7 @@
-"""What every recipe model shares: strict keys, lengths in any unit, one-line errors.
+"""Base of all recipe models: strict keys, lengths in any unit, one-line errors.
 
-A recipe is checked here and nowhere else: a family's `spec.py` declares its keys as `RecipeModel`s, and the
-numerics behind do not check again.
+A family's `spec.py` declares its keys as `RecipeModel`s, which validate recipes completely; the numerics do not
+validate again.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pydantic_core import PydanticCustomError, core_schema
 
 from nacre.core.errors import RecipeError, did_you_mean
 from nacre.core.files import real
-from nacre.recipe.error_messages import wish
+from nacre.recipe.error_messages import rule_of
 from nacre.recipe.fingerprint import file_digest
 from nacre.recipe.paths import NUMBERS, TEXTURE_KEYS
 from nacre.recipe.renamed_keys import renamed_hint
@@ -103,7 +103,7 @@ class RecipeContext:
         assert self.load_recipe is not None
         if isinstance(name, Mapping):
             own = name.get(NUMBERS, {})
-            is_named = len(self.names) > 1 or any(self.names.values())  # more than the time of a still
+            is_named = len(self.names) > 1 or any(self.names.values())  # more than a still's time
             if is_named and isinstance(own, Mapping):
                 name = {**name, NUMBERS: {**self.names, **own}}
         key = ("recipe", self.folder, id(self.ambient), repr(name), tuple((k, id(v)) for k, v in options.items()))
@@ -154,7 +154,7 @@ class RecipeContext:
 
 
 def show_value(value: object) -> str:
-    """Show a value the way TOML would, shortened to stay on the line."""
+    """Return a value as TOML, shortened for messages."""
     if isinstance(value, str):
         text = f'"{value}"'
     elif isinstance(value, bool):
@@ -170,9 +170,9 @@ def show_value(value: object) -> str:
 
 
 def _refuse_text(schema: Any) -> None:
-    """Make every number and every truth value inside a core schema strict, in place.
+    """Make every number and every boolean in a core schema strict, in place.
 
-    A whole number may still be written 7.0: sweeps and fits hand on floats.
+    An integer may be written 7.0, since sweeps and fits pass floats.
     """
     if isinstance(schema, list | tuple):
         for inner in schema:
@@ -186,7 +186,7 @@ def _refuse_text(schema: Any) -> None:
             schema.clear()
             schema.update(core_schema.no_info_before_validator_function(_whole, whole))
         elif kind == "function-before" and schema["function"]["function"] is _whole:
-            return  # a table inside a table was seen to already
+            return  # a nested table that is strict already
         else:
             for key, inner in schema.items():
                 if key not in ("default", "metadata", "serialization"):
@@ -213,32 +213,32 @@ def length_factor(given: str, wanted: str) -> float:
 
 @functools.cache
 def _length_spellings(model: type[RecipeModel]) -> dict[str, str]:
-    """Return the field for each spelling of the lengths of a table."""
+    """Return the field for each spelling of a table's lengths."""
     return {way: name for name in model.model_fields for way in spellings(name) if len(spellings(name)) > 1}
 
 
 class RecipeModel(pydantic.BaseModel):
-    """A table of a recipe: unknown keys are refused, numbers are finite, lengths may carry any unit.
+    """A table of a recipe: unknown keys are refused, numbers are finite, lengths may have any unit.
 
-    A field named `<quantity>_nm` (or `_um`, `_mm`) may be written with any of the three suffixes.
+    A field named `<quantity>_nm` (or `_um`, `_mm`) may be written with any the three suffixes.
     """
 
-    # of a family: a small whole recipe, for the reference and for the suites that every family has to pass
+    # of a family: a small complete recipe, for the reference and the tests of all families
     example: ClassVar[Mapping[str, Any]] = {}
-    varies: ClassVar[str] = ""  # of a family: which numbers a texture or formula may give, for messages
-    varies_by_nodes: ClassVar[tuple[str, ...]] = ()  # paths solved at some values and blended between
-    zero_drops: ClassVar[tuple[str, ...]] = ()  # numbers whose table is left out where a search sets them to 0
-    # for the reference and for editors, see `keys.py` and `schema.py` beside this file
-    noun: ClassVar[str] = ""  # of a table that stands in many places: what it is called, "an optical constant"
-    forms: ClassVar[tuple[str, ...]] = ()  # every way to write the table, as TOML
-    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ()  # JSON Schemas of what may stand in its place
-    one_of: ClassVar[tuple[str, ...]] = ()  # keys of which exactly one is given; "a|b" stands for one or both
+    varies: ClassVar[str] = ""  # of a family: numbers that may be textures or formulas, for messages
+    varies_by_nodes: ClassVar[tuple[str, ...]] = ()  # paths that are solved at nodes and interpolated
+    zero_drops: ClassVar[tuple[str, ...]] = ()  # numbers whose table is removed if a search sets them to 0
+    # for the reference and for editors; see `keys.py` and `schema.py`
+    noun: ClassVar[str] = ""  # name of a table that is used in many places, such as "optical constant"
+    forms: ClassVar[tuple[str, ...]] = ()  # all forms of the table, as TOML
+    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ()  # JSON Schemas of alternatives to the table
+    one_of: ClassVar[tuple[str, ...]] = ()  # exactly one of these keys is given; "a|b" means one or both
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: pydantic.GetCoreSchemaHandler) -> Any:
-        """Take numbers for numbers only: pydantic by itself reads "12" as 12, true as 1 and "yes" as true."""
+        """Make numbers strict: pydantic otherwise reads "12" as 12, true as 1 and "yes" as true."""
         schema = handler(source)
         _refuse_text(handler.resolve_ref_schema(schema))
         return schema
@@ -288,7 +288,7 @@ def _built_once(build: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def scale_length(value: Any, factor: float) -> Any:
-    """Scale a length or a texture of lengths; leave what is not a number for the checks that follow."""
+    """Return a scaled length or texture of lengths; other values are left to later checks."""
     if isinstance(value, bool):
         return value
     if isinstance(value, int | float):
@@ -306,10 +306,10 @@ def scale_length(value: Any, factor: float) -> Any:
 
 
 def validate(model: type[RecipeModel], data: Mapping[str, Any], context: RecipeContext) -> Any:
-    """Check `data` against `model`; the first problem becomes one `RecipeError` line.
+    """Validate `data`; the first problem becomes a one-line `RecipeError`.
 
     Raises:
-        RecipeError: naming file, key, value and what is allowed.
+        RecipeError: naming file, key, value and the allowed values.
     """
     try:
         return model.model_validate(dict(data), context={"recipe": context})
@@ -318,7 +318,7 @@ def validate(model: type[RecipeModel], data: Mapping[str, Any], context: RecipeC
 
 
 def _is_texture(data: Any, location: tuple[int | str, ...]) -> bool:
-    """Whether an unknown key stands in a table that could only be a texture or formula: one where a number belongs."""
+    """Whether an unknown key belongs to a texture or formula in place of a number."""
     if location[-1] not in TEXTURE_KEYS:
         return False
     holder = _walked(data, location[:-1])
@@ -326,7 +326,7 @@ def _is_texture(data: Any, location: tuple[int | str, ...]) -> bool:
 
 
 def _walked(data: Any, location: Iterable[int | str]) -> Any:
-    """Return what stands at a location; members of unions stand in it, and not in the recipe."""
+    """Return the value at a pydantic location, which also names members of unions."""
     holder = data
     for part in location:
         if isinstance(holder, Mapping) and part in holder:
@@ -337,7 +337,7 @@ def _walked(data: Any, location: Iterable[int | str]) -> Any:
 
 
 def _own_spelling(data: Any, location: tuple[int | str, ...]) -> tuple[int | str, ...]:
-    """Return a location with the units of lengths that the recipe itself wrote."""
+    """Return a location with the length units of the recipe."""
     spelt: list[int | str] = []
     for part in location:
         holder = _walked(data, spelt)
@@ -350,7 +350,7 @@ def _first_line(
     error: pydantic.ValidationError, model: type[RecipeModel], data: Mapping[str, Any], context: RecipeContext
 ) -> str:
     problems = error.errors(include_url=False)
-    # the deepest location is the most telling one when a union of forms was tried
+    # of the attempts at a union, the deepest location is the most specific
     problem = max(problems, key=lambda p: (p["type"] == "extra_forbidden", len(p["loc"])))
     key = _key(problem["loc"], ends_in_a_key=problem["type"] == "extra_forbidden")
     if as_text := _number_as_text(problem, data):
@@ -374,7 +374,7 @@ def _first_line(
         hint = did_you_mean(word, sorted(places))
         meant = next((name for name in places if hint == did_you_mean(name, [name])), None)
         if meant is not None and f"{table}.{meant}".lstrip(".") not in places[meant]:
-            hint = f' Did you mean "{places[meant][0]}"?'  # the name in another table is no use without its place
+            hint = f' Did you mean "{places[meant][0]}"?'  # a key of another table needs its place
             if places[meant][0] == word:
                 hint = " It belongs at the top of the recipe."
         return f"{context.source}: key {key} is not known.{hint}"
@@ -382,17 +382,17 @@ def _first_line(
         return f"{context.source}: {key} is missing"
     if problem["type"] == "value_error":
         message = problem["msg"].removeprefix("Value error, ").strip()
-        if message.startswith(("= ", ".")):  # a validator that goes on behind its key: `= "TiO3" is not known`
+        if message.startswith(("= ", ".")):  # a message that continues after its key: `= "TiO3" is not known`
             tail = f" {message}" if message.startswith("=") else message
             return f"{context.source}: {(key + tail).lstrip(' .=')}"
         where = f"{key}: " if key and not message.startswith(key) else ""
         return f"{context.source}: {where}{message}"
-    should = wish(problem["type"], problem.get("ctx", {}), problem["input"], _tables_in(model))
+    should = rule_of(problem["type"], problem.get("ctx", {}), problem["input"], _tables_in(model))
     return f"{context.source}: {key} = {show_value(problem['input'])} is not allowed; it should {should}"
 
 
 def _number_as_text(problem: Any, data: Mapping[str, Any]) -> str | None:
-    """Return the line's end for a number that stands as text, or None where something else is wrong."""
+    """Return the message for a number given as text, or None for other problems."""
     given = problem["input"]
     wants_number = problem["type"] in ("float_type", "int_type") or " is not a " in problem["msg"]
     if not wants_number or not isinstance(given, str):
@@ -407,24 +407,24 @@ def _number_as_text(problem: Any, data: Mapping[str, Any]) -> str | None:
 
 
 def _key(location: tuple[int | str, ...], ends_in_a_key: bool = False) -> str:
-    """Return a location as a path; capitalised parts are names of union members, but for a key that the user wrote."""
+    """Return a location as a path; capitalised parts other than the user's own key are names of union members."""
     key = ""
     for number, part in enumerate(location, start=1):
         own = ends_in_a_key and number == len(location)
         if isinstance(part, int):
             key += f"[{part}]"
         elif not own and part.removeprefix("constrained-") in ("float", "int", "str", "bool"):
-            continue  # names of union members, as are capitalised parts
+            continue  # a union member
         elif part.isidentifier() and (own or not part[:1].isupper()):
             key += f".{part}" if key else part
         elif own or (not part[:1].isupper() and "[" not in part):
-            shown = " ".join(part.split())[:60]  # a key may be any text; the message stays one line
+            shown = " ".join(part.split())[:60]  # a key may be any text
             key += f'."{shown}"' if key else f'"{shown}"'
     return key
 
 
 def _known_keys(model: type[pydantic.BaseModel], prefix: str = "", seen: tuple[type, ...] = ()) -> dict[str, list[str]]:
-    """All keys of a model and of the models inside it, each with the places where it may stand."""
+    """Return all keys of a model and its nested models, each with its possible places."""
     places: dict[str, list[str]] = {}
     for name, info in model.model_fields.items():
         word = info.alias or name
@@ -440,7 +440,7 @@ def _known_keys(model: type[pydantic.BaseModel], prefix: str = "", seen: tuple[t
 
 
 def _tables_in(model: type[pydantic.BaseModel], seen: tuple[type, ...] = ()) -> Iterator[type[pydantic.BaseModel]]:
-    """Yield a model and all models inside it; those inside many others more than once."""
+    """Yield a model and its nested models, some more than once."""
     yield model
     for info in model.model_fields.values():
         for inner in _models_in(info.annotation):
@@ -449,7 +449,7 @@ def _tables_in(model: type[pydantic.BaseModel], seen: tuple[type, ...] = ()) -> 
 
 
 def _parts(annotation: Any) -> list[Any]:
-    """An annotation and all that it is made of."""
+    """Return an annotation and its arguments, recursively."""
     return [annotation, *(p for arg in getattr(annotation, "__args__", ()) for p in _parts(arg))]
 
 

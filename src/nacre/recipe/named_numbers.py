@@ -1,4 +1,7 @@
-"""The names in a formula's text; what a formula means is known where it is evaluated, in `nacre.bsdf.texture`."""
+"""Named numbers of a recipe: `[numbers] drain = 0.4` and the time `t` may be used in every formula.
+
+`nacre.bsdf.texture` evaluates formulas; only the names in their text are handled here.
+"""
 
 from __future__ import annotations
 
@@ -15,34 +18,29 @@ _WORD = re.compile(r"(?<![A-Za-z_0-9.])[A-Za-z_][A-Za-z_0-9]*(?!\s*\(|[A-Za-z_0-
 
 
 def words(formula: str) -> list[str]:
-    """Return the names in a formula, but for those of functions."""
+    """Return the names in a formula without those of functions."""
     return _WORD.findall(formula)
 
 
 def with_values(formula: str, names: Mapping[str, float]) -> str:
-    """Return a formula's text with values in place of names, which can be read without the recipe that names them.
+    """Return a formula with values in place of names.
 
     Example: `with_values("100*drain + 1e2", {"drain": 0.4})` is "100*(0.4) + 1e2".
     """
     return _WORD.sub(lambda found: f"({names[found[0]]!r})" if found[0] in names else found[0], formula)
 
 
-__all__ = ["with_values", "words"]
-
-
-# Named numbers of a recipe: `[numbers] drain = 0.4` may stand in every formula of it, and so may the time `t`.
-
-TIME = "t"  # of an animation: 0 in its first frame and in stills, 1 in its last
+TIME = "t"  # time of an animation: 0 in the first frame and in stills, 1 in the last
 RESERVED = ("u", "v", "x", "y", "z", "pi", "e")
 MAX_NUMBERS = 100
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]{0,39}\Z")
 
 
 def named_numbers(data: Mapping[str, Any], source: str) -> dict[str, float]:
-    """Return the numbers that the recipe's `[numbers]` names, and `t`, which is 0 unless it is given.
+    """Return the numbers of the table `[numbers]`, and `t`, by default 0.
 
     Raises:
-        RecipeError: no table, a name that cannot be one, or a value that is no number.
+        RecipeError: not a table, an invalid name, or a value that is not a number.
     """
     table = data.get(NUMBERS, {})
     if not isinstance(table, Mapping):
@@ -63,13 +61,13 @@ def named_numbers(data: Mapping[str, Any], source: str) -> dict[str, float]:
 
 
 def refuse_new_number(data: Mapping[str, Any], path: str, source: str) -> None:
-    """Refuse to give a value to a named number that the recipe does not have: no formula could use it.
+    """Refuse to set a named number that the recipe does not have.
 
     Args:
-        path: of what is to be set, such as `numbers.drain`; others pass.
+        path: recipe path, such as `numbers.drain`; paths outside the table are accepted.
 
     Raises:
-        RecipeError: with a guess at the name that was meant.
+        RecipeError: with a suggestion.
     """
     holder, dot, name = path.rpartition(".")
     if not dot or holder.rpartition(".")[2] != NUMBERS or name == TIME:
@@ -82,7 +80,7 @@ def refuse_new_number(data: Mapping[str, Any], path: str, source: str) -> None:
 
 
 def uses_time(data: Any) -> bool:
-    """Whether a formula of the recipe runs with the time `t`."""
+    """Whether a formula of the recipe depends on the time `t`."""
     if isinstance(data, Mapping):
         formula = data.get("formula")
         own = isinstance(formula, str) and TIME in words(formula)

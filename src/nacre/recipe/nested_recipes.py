@@ -1,4 +1,4 @@
-"""Recipes inside a recipe, named as files: put in their place as tables where a path reaches into them."""
+"""Nested recipes: files that a recipe names, replaced by tables if a path leads into them."""
 
 from __future__ import annotations
 
@@ -11,49 +11,49 @@ from nacre.core.errors import RecipeError
 from nacre.core.files import read_text, real
 from nacre.recipe.toml import parse_toml
 
-DEEPEST = 8
+MAX_DEPTH = 8
 
 
 def open_parts(data: Mapping[str, Any], paths: Iterable[str], folder: Path) -> dict[str, Any]:
-    """Return a copy of a recipe in which every part that a path reaches into stands as a table.
+    """Return a copy of a recipe with a table in place of every nested file that a path leads into.
 
-    `first.layers[0].thickness_nm` puts the recipe that `first = {recipe = "film.toml"}` names in its place.
+    `first.layers[0].thickness_nm` inlines the recipe that `first = {recipe = "film.toml"}` names.
 
     Args:
-        folder: what names of files in the recipe are relative to.
+        folder: base of relative file names.
 
     Raises:
-        RecipeError: a part cannot be read.
+        RecipeError: a nested recipe cannot be read.
     """
     opened = copy.deepcopy(dict(data))
     for path in paths:
         if isinstance(path, str):
-            _open(opened, path.split("."), folder, DEEPEST)
+            _open(opened, path.split("."), folder, MAX_DEPTH)
     return opened
 
 
 def open_all(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a copy of a recipe in which every part that a recipe's file gives stands as a table, at any depth.
+    """Return a copy of a recipe with tables in place of all nested files, at any depth.
 
     Raises:
-        RecipeError: a part cannot be read.
+        RecipeError: a nested recipe cannot be read.
     """
     opened = copy.deepcopy(dict(data))
-    _open_below(opened, folder, DEEPEST)
+    _open_below(opened, folder, MAX_DEPTH)
     return opened
 
 
 def _open_below(data: dict[str, Any], folder: Path, depth: int) -> None:
     for key, part in list(data.items()):
         if depth and isinstance(part, Mapping):
-            if str(part.get("recipe", "")).endswith(".toml"):  # a solved or measured part stays as it is
+            if str(part.get("recipe", "")).endswith(".toml"):  # not a compiled file
                 _open(data, [key, "family"], folder, 1)
             if "family" in data[key]:
                 _open_below(data[key], folder, depth - 1)
 
 
 def _open(data: dict[str, Any], words: list[str], folder: Path, depth: int) -> None:
-    """Put the parts on the way of one path in place."""
+    """Inline the nested recipes along one path."""
     key, rest = words[0], words[1:]
     part = data.get(key)
     if not rest or depth == 0 or not isinstance(part, Mapping):
@@ -68,14 +68,14 @@ def _open(data: dict[str, Any], words: list[str], folder: Path, depth: int) -> N
         return
     file = real(folder / name)
     if file.suffix != ".toml":
-        raise RecipeError(f'{name}: is no recipe whose numbers can be free; "{".".join(words)}" leads nowhere')
+        raise RecipeError(f'{name}: is no recipe with parameters; "{".".join(words)}" does not exist')
     inner = _moved(parse_toml(read_text(file, "recipe"), str(file)), file.parent)
     data[key] = inner
     _open(inner, rest, folder, depth - 1)
 
 
 def _moved(value: Any, folder: Path) -> Any:
-    """Return a recipe whose names of files do not depend on the folder that it came from."""
+    """Return a recipe with absolute file names."""
     if isinstance(value, Mapping):
         return {key: _moved(inner, folder) for key, inner in value.items()}
     if isinstance(value, list):

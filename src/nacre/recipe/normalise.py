@@ -1,7 +1,7 @@
-"""What a recipe may be made of, before its keys are checked: tables with text keys, lists, numbers of 64 bits.
+"""Normalisation of recipe data: tables with text keys, lists, numbers of 64 bits.
 
-TOML files, dictionaries from Python and `--set` all come through here, so that no reader behind it meets an endless
-nesting, a whole number that no float holds, or numpy's types.
+TOML files, Python dictionaries and `--set` pass through here. Later code meets no unbounded nesting, no integer beyond
+64 bits and no numpy types.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ import numpy as np
 
 from nacre.core.errors import RecipeError
 
-MAX_DEPTH = 48  # nested recipes and formulas have their own, smaller limits
+MAX_DEPTH = 48  # nested recipes and formulas have smaller limits
 MAX_VALUES = 2_000_000  # a file of 4 MiB holds no more
 LARGEST_WHOLE = 2**63  # TOML's integers have 64 bits
 
 
 def plain_data(data: Any, source: str) -> dict[str, Any]:
-    """Return a copy of a recipe's dictionary in Python's own types; numpy's numbers and arrays become theirs.
+    """Return a copy of a recipe's dictionary with Python types in place of numpy types.
 
     Raises:
-        RecipeError: not a table, a key that is not text, nesting without end, or a whole number of over 64 bits.
+        RecipeError: not a table, a key that is not text, too deep nesting, or an integer of over 64 bits.
     """
     if not isinstance(data, Mapping):
         raise RecipeError(f"{source}: {type(data).__name__} is not a recipe; give a table of keys and values")
@@ -36,7 +36,7 @@ def _copied(value: Any, source: str, key: str, depth: int, count: list[int]) -> 
         what = f"tables and lists are nested more than {MAX_DEPTH} deep"
         raise RecipeError(f"{source}: {key[:60]}: {what if depth > MAX_DEPTH else f'over {MAX_VALUES} values'}")
     kind = type(value)
-    if kind is float or kind is bool:  # most of a recipe
+    if kind is float or kind is bool:  # most frequent
         return value
     if kind is dict or isinstance(value, Mapping):
         made = {}
@@ -50,7 +50,7 @@ def _copied(value: Any, source: str, key: str, depth: int, count: list[int]) -> 
         return [_copied(inner, source, f"{key}[{i}]", depth + 1, count) for i, inner in enumerate(value)]
     if isinstance(value, np.ndarray | np.generic):
         if value.dtype.kind not in "biufU" or value.ndim > MAX_DEPTH:
-            return value  # the key's own check says what may stand there
+            return value  # the check of the key reports it
         return _copied(value.tolist(), source, key, depth, count)
     if isinstance(value, str) and not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
         raise RecipeError(f"{source}: {key[:60]} = {ascii(value):.60} is no Unicode text")
@@ -65,5 +65,5 @@ def _copied(value: Any, source: str, key: str, depth: int, count: list[int]) -> 
 def _shown(key: object) -> str:
     try:
         return " ".join(repr(key).split())[:40]
-    except Exception:  # of a stranger's class
+    except Exception:  # a foreign class
         return type(key).__name__

@@ -1,4 +1,4 @@
-"""Tables of a recipe that are named by paths: `[fit]`, `[tolerance]` and the axes of a sweep."""
+"""Tables whose keys are recipe paths: `[fit]`, `[tolerance]` and a sweep's axes."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class SpreadSpec(RecipeModel):
 
 
 class StudySpec(RecipeModel):
-    """The tables that every recipe may hold beside the keys of its family."""
+    """Tables that a recipe of any family may hold."""
 
     numbers: dict[str, float] = pydantic.Field(
         default={},
@@ -85,7 +85,7 @@ def known_only(entry: Any, model: type[RecipeModel], where: str) -> None:
     """Refuse a key that an entry's table does not have.
 
     Raises:
-        RecipeError: naming the key, with a guess.
+        RecipeError: naming the key, with a suggestion.
     """
     for key in entry if isinstance(entry, Mapping) else ():
         if key not in model.model_fields:
@@ -95,10 +95,10 @@ def known_only(entry: Any, model: type[RecipeModel], where: str) -> None:
 
 
 def with_options(table: Mapping[str, Any], options: Iterable[tuple[str, Any]], name: str) -> dict[str, Any]:
-    """Return path -> entry of a table and of a command's options, which win, those with `[*]` too.
+    """Return path -> entry of a table, overridden by a command's options, also by those with `[*]`.
 
     Args:
-        name: the option's, for messages.
+        name: name of the option, for messages.
 
     Raises:
         RecipeError: a path is given twice.
@@ -113,15 +113,15 @@ def with_options(table: Mapping[str, Any], options: Iterable[tuple[str, Any]], n
 
 
 def by_path(table: Any, own_keys: frozenset[str] | set[str], source: str, name: str) -> dict[str, Any]:
-    """Return path -> entry; a TOML writer may have written `surface.roughness` unquoted, as a table in a table.
+    """Return path -> entry; an unquoted path such as `surface.roughness` is a nested table in TOML.
 
     Args:
         table: the recipe's table.
-        own_keys: a table with one of these is an entry, not a part of a path.
-        source, name: of the file and of the table, for messages.
+        own_keys: a table with one of these keys is an entry, not a part of a path.
+        source, name: names of file and table, for messages.
 
     Raises:
-        RecipeError: it is no table, or a part of it is empty.
+        RecipeError: it is not a table, or a part of it is empty.
     """
     if not isinstance(table, Mapping):
         raise RecipeError(f"{source}: {name} = {show_value(table)} should be a table")

@@ -1,4 +1,4 @@
-"""Numbers of a recipe by their paths, such as `layers[0].thickness_nm`: found, read and set."""
+"""Recipe paths such as `layers[0].thickness_nm`: find, read and set values."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import Any
 
 from nacre.core.errors import RecipeError
 
-MAX_PATH = 1000  # characters; the longest of a recipe has some 60
-NUMBERS = "numbers"  # the table of the names that a recipe gives to numbers, which its formulas know
-TEXTURE_KEYS = ("formula", "texture")  # what a recipe writes where a number varies over the surface
+MAX_PATH = 1000  # characters
+NUMBERS = "numbers"  # table of named numbers for formulas
+TEXTURE_KEYS = ("formula", "texture")  # keys of a number that varies over the surface
 EVERY = "[*]"  # in place of an index
 _PATH_PART = re.compile(r"([A-Za-z_][A-Za-z_0-9-]*)((?:\[\d+\])*)$")
 
 
 def varying_numbers(data: Any, patterns: tuple[str, ...], path: str = "") -> dict[str, Mapping[str, Any]]:
-    """Find the textures and formulas of a recipe that stand at one of the patterns: path -> table.
+    """Return the textures and formulas of a recipe at paths that match a pattern: path -> table.
 
     Args:
-        patterns: such as `strata[].platelets[].volume_fraction`; lengths end in `_nm`, whatever unit a recipe takes.
+        patterns: such as `strata[].platelets[].volume_fraction`; lengths end in `_nm` for any unit of the recipe.
     """
     if isinstance(data, list):
         inner = [varying_numbers(value, patterns, f"{path}[{i}]") for i, value in enumerate(data)]
@@ -37,10 +37,10 @@ def varying_numbers(data: Any, patterns: tuple[str, ...], path: str = "") -> dic
 
 
 def expand_path(data: Any, path: str, source: str) -> tuple[str, ...]:
-    """Return the paths that a path with `[*]` stands for, one for each entry of the list; others stand for themselves.
+    """Return the paths of all list entries that a path with `[*]` means; a path without it is returned alone.
 
     Raises:
-        RecipeError: `[*]` stands behind what is no list, or an empty one.
+        RecipeError: `[*]` follows an empty list, or a value that is no list.
 
     Example: "layers[*].thickness_nm" of two layers is "layers[0].thickness_nm" and "layers[1].thickness_nm".
     """
@@ -56,12 +56,12 @@ def expand_path(data: Any, path: str, source: str) -> tuple[str, ...]:
 
 
 def expand_table(data: Any, table: Mapping[str, Any], source: str) -> dict[str, tuple[str, Any]]:
-    """Return each path of a table -> the entry that holds for it and how the table writes its path.
+    """Return each expanded path of a table -> its path in the table and its entry.
 
-    A path with an index wins over one with `[*]`, wherever either stands: the more `[*]`, the weaker.
+    A path with an index takes precedence over a path with `[*]`; fewer `[*]` take precedence over more.
 
     Raises:
-        RecipeError: a path leads nowhere, or two that are as strong name the same number.
+        RecipeError: a path does not exist, or two paths of equal precedence name the same number.
     """
     found: dict[str, tuple[str, Any]] = {}
     for path, entry in table.items():
@@ -121,14 +121,14 @@ def find_by_path(data: Any, path: str, source: str) -> tuple[Any, Any]:
 
 
 def set_by_path(data: MutableMapping[str, Any], path: str, value: Any, source: str = "recipe") -> None:
-    """Set one value of a recipe's dictionary in place; a missing last key is added (it may have a default).
+    """Set one value of a recipe's dictionary in place; a missing last key is added.
 
     Raises:
-        RecipeError: the path leads nowhere.
+        RecipeError: the path does not exist.
     """
     head, _, _ = path.rpartition(".") if isinstance(path, str) else ("", "", "")
     if head and "[" not in head and head not in data and "." not in head:
-        data[head] = {}  # a whole optional table, such as [surface], may be absent
+        data[head] = {}  # an optional table such as [surface]
     holder, last = find_by_path(data, path, source)
     if isinstance(last, str):
         stem, _, unit = last.rpartition("_")
@@ -139,7 +139,7 @@ def set_by_path(data: MutableMapping[str, Any], path: str, value: Any, source: s
 
 
 def is_within(path: str, holder: str) -> bool:
-    """Whether a path is another one, or leads into what that names.
+    """Whether a path equals another one or leads into it.
 
     Example: `layers[1].n` is within `layers[1]` and `layers`, not within `layers[1].no`.
     """
@@ -147,7 +147,7 @@ def is_within(path: str, holder: str) -> bool:
 
 
 def numbers_of(data: Any, path: str = "") -> dict[str, float]:
-    """Return every number that a recipe's dictionary gives, by its path: what a fit or a search may free."""
+    """Return all numbers of a recipe's dictionary by their paths: possible parameters of a fit or design."""
     if isinstance(data, Mapping):
         inner = [numbers_of(value, f"{path}.{key}" if path else str(key)) for key, value in data.items()]
     elif isinstance(data, list):

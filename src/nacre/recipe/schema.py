@@ -1,8 +1,8 @@
-"""A JSON Schema of a recipe model, by which editors complete and check TOML.
+"""JSON Schemas of recipe models, for completion and checks in editors.
 
-Draft-07, as taplo and Even Better TOML read it. Pydantic makes it from the models; here it learns what recipes add:
-lengths in any unit, shorthands, textures where a number may vary, and no null, which TOML does not have.
-A schema says less than a model: what two keys must be together stays with the model.
+Draft-07, as taplo and Even Better TOML read it. Pydantic derives the schemas; this module adds lengths in any unit,
+shorthands and textures for varying numbers, and removes null, which TOML lacks. Conditions on several keys are checked
+by the models only.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ BOUNDS = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "default
 def json_schema(
     models: Sequence[type[RecipeModel]], texture: type[RecipeModel], *, is_recipe: bool = False
 ) -> dict[str, Any]:
-    """Return the schema of one kind of file.
+    """Return the schema of one file type.
 
     Args:
-        models: whose keys stand at the top of the file, the file's own model first.
-        texture: the table that may stand at the paths of `varies_by_nodes` in place of a number.
-        is_recipe: `family` must be given, though the model has a default for it.
+        models: models of the top level of the file, its main model first.
+        texture: alternative to a number at the paths of `varies_by_nodes`.
+        is_recipe: whether `family` is required, although the model has a default.
     """
     first, *others = (
         model.model_json_schema(schema_generator=_Generator, ref_template="#/definitions/{model}") for model in models
@@ -53,7 +53,7 @@ def json_schema(
 
 
 def one_of_files(schemas: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return a schema for a folder of mixed files: each file is judged by its family, or by the keys that mark it.
+    """Return a schema for a folder of mixed files, which are distinguished by family or characteristic keys.
 
     Args:
         schemas: name of a family, "relief-design", "design" or "sweep" -> its schema.
@@ -104,7 +104,7 @@ class _Generator(GenerateJsonSchema):
 
     def tuple_schema(self, schema: Any) -> JsonSchemaValue:
         made = super().tuple_schema(schema)
-        if "prefixItems" in made:  # a word of later drafts
+        if "prefixItems" in made:  # a keyword of later drafts
             made = {**made, "items": made["prefixItems"], "additionalItems": False}
             del made["prefixItems"]
         return made
@@ -132,13 +132,13 @@ class _Generator(GenerateJsonSchema):
 
 
 def _given(key: str, made: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the rule that a key is given, a length in any of its units."""
+    """Return the rule that a key is given, for a length in any unit."""
     names = [name for name in spellings(key) if name in made["properties"]]
     return {"anyOf": [{"required": [name]} for name in names]} if len(names) > 1 else {"required": [key]}
 
 
 def _add_units(made: dict[str, Any]) -> None:
-    """Let every length of a table be written in any unit, but in one only."""
+    """Allow every length of a table in exactly one units."""
     required = list(made.get("required", []))
     rules: list[dict[str, Any]] = []
     properties: dict[str, Any] = {}
@@ -163,7 +163,7 @@ def _add_units(made: dict[str, Any]) -> None:
 
 
 def _scaled(value: Any, factor: float) -> Any:
-    """Scale the bounds of a length to another unit; examples are dropped, they stand beside the first spelling."""
+    """Return a schema with bounds in another length unit, without examples."""
     if isinstance(value, list):
         return [_scaled(inner, factor) for inner in value]
     if not isinstance(value, Mapping):
@@ -175,21 +175,21 @@ def _scaled(value: Any, factor: float) -> Any:
     return scaled
 
 
-def _inlined(schema: Any, definitions: Mapping[str, Any], kept: set[str]) -> Any:
-    """Write tables where they stand, so that each place can be changed by itself; those with a noun stay apart."""
+def _inlined(schema: Any, definitions: Mapping[str, Any], separate: set[str]) -> Any:
+    """Inline all definitions except those in `separate`, so that each place can be changed separately."""
     if isinstance(schema, list):
-        return [_inlined(inner, definitions, kept) for inner in schema]
+        return [_inlined(inner, definitions, separate) for inner in schema]
     if not isinstance(schema, Mapping):
         return schema
     name = str(schema.get("$ref", "")).rpartition("/")[2]
-    if name and name not in kept:
+    if name and name not in separate:
         beside = {key: value for key, value in schema.items() if key != "$ref"}
-        return {**_inlined(definitions[name], definitions, kept), **beside}
-    return {key: _inlined(inner, definitions, kept) for key, inner in schema.items()}
+        return {**_inlined(definitions[name], definitions, separate), **beside}
+    return {key: _inlined(inner, definitions, separate) for key, inner in schema.items()}
 
 
 def _let_vary(schema: Any, path: Sequence[str], texture: Mapping[str, Any]) -> None:
-    """Add a texture to what may stand at a path such as `strata[].thickness_nm`, in place."""
+    """Allow a texture at a path such as `strata[].thickness_nm`, in place."""
     word, *rest = path
     for table in _tables(schema):
         for name in spellings(word.replace("[]", "")):
@@ -208,7 +208,7 @@ def _let_vary(schema: Any, path: Sequence[str], texture: Mapping[str, Any]) -> N
 
 
 def _tables(schema: Any) -> list[dict[str, Any]]:
-    """Return the tables among the alternatives of a schema."""
+    """Return the tables among a schema's alternatives."""
     if "properties" in schema:
         return [schema]
     return [table for word in ("anyOf", "oneOf") for inner in schema.get(word, ()) for table in _tables(inner)]
@@ -230,7 +230,7 @@ def _references(schema: Any) -> set[str]:
 
 
 def _without_siblings(schema: Any) -> Any:
-    """Move references into `allOf` where something stands beside them: draft-07 reads nothing beside a reference."""
+    """Move references with siblings into `allOf`, since draft-07 ignores siblings of a reference."""
     if isinstance(schema, list):
         return [_without_siblings(inner) for inner in schema]
     if not isinstance(schema, Mapping):
@@ -242,7 +242,7 @@ def _without_siblings(schema: Any) -> Any:
 
 
 def _with_noun(models: Sequence[type[pydantic.BaseModel]]) -> set[type[RecipeModel]]:
-    """Return the tables that stand in many places, wherever they are below some models."""
+    """Return the tables with a noun at any depth below some models."""
     found: set[type[RecipeModel]] = set()
     for model in models:
         if not issubclass(model, RecipeModel):

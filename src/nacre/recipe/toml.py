@@ -1,4 +1,4 @@
-"""Recipes as text: read as TOML, written from a dictionary, and changed in place with their comments kept."""
+"""Recipes as TOML: reading, writing, and editing with preserved comments."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from nacre.recipe.normalise import MAX_DEPTH, plain_data
 from nacre.recipe.paths import set_by_path
 
 NESTED = "brackets or dotted keys are nested without end"
-MOST_REMEMBERED = 20_000  # characters of a text whose reading is kept for the next time
+MAX_CACHED = 20_000  # characters
 _PLACE = re.compile(r"\(at line (\d+), column (\d+)\)")
 _CURLY = "\u201c\u201d\u201e\u2018\u2019\u00ab\u00bb"  # what word processors write for quotes
 _DECIMAL_COMMA = re.compile(r"=\s*[-+]?\d+,\d+")
 
-# A dotted key of n parts costs tomllib n^2: 40 GB for a file of 200 kB. Nothing that short a text nests costs much.
+# A dotted key of n parts costs tomllib n^2: 40 GB for a file of 200 kB. Shorter texts need no check.
 SHORT = 4000
-# each matches to its end or the text's, so that no place is tried twice
+# each alternative matches to its end or the end of the text, which avoids backtracking
 STRINGS = re.compile(
     r'''"""(?:\\.|[^\\])*?(?:"""|\Z)|\'\'\'.*?(?:\'\'\'|\Z)|"(?:\\.|[^"\\\n])*+"?|'[^'\n]*+'?|#[^\n]*+''', re.DOTALL
 )
 ENDLESS = re.compile(rf"(?<![\w \t.-])[ \t]*+(?:[\w-]*+[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 
-# a change of the studio reads one text three times: before the change, to check it, and to build it
+# the studio reads each text three times per change
 _read_again = functools.lru_cache(maxsize=32)(tomllib.loads)
 
 
@@ -41,8 +41,8 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
     if len(text) > SHORT and ENDLESS.search(STRINGS.sub("_", text)):
         raise RecipeError(f"{source}: not valid TOML: {NESTED}")
     try:
-        read = _read_again if len(text) <= MOST_REMEMBERED else tomllib.loads
-        return plain_data(read(text), source)  # a copy, which is the caller's own
+        read = _read_again if len(text) <= MAX_CACHED else tomllib.loads
+        return plain_data(read(text), source)  # a copy that the caller may change
     except tomllib.TOMLDecodeError as error:
         said = " ".join(str(error).split())
         raise RecipeError(f"{source}: not valid TOML: {said}{_hint(text, said)}") from None
@@ -53,7 +53,7 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def _hint(text: str, said: str) -> str:
-    """Return what the usual slips at the place of a mistake mean; empty where it is none of them."""
+    """Return advice for a common mistake at an error's place, or an empty string."""
     place = _PLACE.search(said)
     lines = text.splitlines()
     if place is None or not 0 < int(place[1]) <= len(lines):
@@ -72,7 +72,7 @@ def _hint(text: str, said: str) -> str:
 
 
 def dump_toml(data: Mapping[str, Any]) -> str:
-    """Write a recipe's dictionary as TOML: scalars first, then its tables, each with inline tables inside.
+    """Return a recipe's dictionary as TOML: scalars first, then tables, which hold inline tables.
 
     Example: `dump_toml({"family": "film"})` is 'family = "film"' and a newline.
     """
@@ -92,14 +92,14 @@ def dump_toml(data: Mapping[str, Any]) -> str:
 
 
 def edit_toml(text: str, changes: Mapping[str, Any], source: str) -> str:
-    """Return a recipe's text with some values changed, each named by its path; the user's comments stay.
+    """Return a recipe's text with the values at some paths changed; comments are preserved.
 
     Raises:
-        RecipeError: the text is not TOML, or a path leads nowhere.
+        RecipeError: the text is not TOML, or a path does not exist.
     """
     import tomlkit
 
-    parse_toml(text, source)  # its message is the better one
+    parse_toml(text, source)  # has better messages than tomlkit
     document = tomlkit.parse(text)
     for path, value in changes.items():
         set_by_path(document, path, _item(value), source)
@@ -107,7 +107,7 @@ def edit_toml(text: str, changes: Mapping[str, Any], source: str) -> str:
 
 
 def _item(value: Any) -> Any:
-    """Turn a value of a recipe into what TOML can hold, tables inline; what it cannot hold becomes its text."""
+    """Return a recipe's value as a TOML item, with inline tables; other types become text."""
     import tomlkit
 
     if isinstance(value, bool | np.bool_):

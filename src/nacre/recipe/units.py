@@ -1,4 +1,4 @@
-"""Numbers that were written as text, with their unit or without: what the recipe should say instead."""
+"""Numbers written as text, with or without a unit, and their form in a recipe."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ _MEASURE = re.compile(r"([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([
 
 
 def written_as_number(key: str, text: str) -> str | None:
-    """Return how a recipe gives what stands as text at a key: `key = number`, or None where the text is no measure.
+    """Return the correct recipe line, `key = number`, for a number given as text; None if the text is no measure.
 
-    A length keeps the unit that the text names, where recipes take that unit; what has no unit at all is taken to be
-    in the key's own.
+    A length retains its unit if recipes accept it; a number without unit has the key's unit.
 
     Args:
-        key: the key's own word, such as `thickness_nm`.
-        text: what stood there, such as "60 nm" or "0,06 µm".
+        key: last word of the key, such as `thickness_nm`.
+        text: the given text, such as "60 nm" or "0,06 µm".
 
     Example: `written_as_number("thickness_nm", "0,06 µm")` is "thickness_um = 0.06".
     """

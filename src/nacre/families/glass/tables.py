@@ -87,7 +87,7 @@ def behind_rough(table: TableLobe, medium: Medium, slabs: list[Slab], surface: R
     if interface is None:
         return table
     share = interface.over_smooth(np.cos(np.linspace(0, np.pi / 2, THETA_NODES)))
-    kept = np.array([interface.kept(slab) for slab in slabs])
+    kept = np.array([interface.internal_factor(slab) for slab in slabs])
     return replace(table, values=table.values * kept * share[:, None, None, None] * share[:, None, None])
 
 

@@ -1,4 +1,4 @@
-"""Spatial coherence: the coherence window, stated as sigma or as the angular size of the light source.
+"""Spatial coherence: the coherence window, given by sigma or the angular size of the light source.
 
 The window is a Gaussian of standard deviation s = `width_in_wavelengths` x lambda. Its spectrum smooths the
 diffraction lines by the same angle at every wavelength (physics/relief.md, sections 2, 3 and 11.3).
@@ -49,8 +49,6 @@ class Coherence:
         return self.width_in_wavelengths * PUBLISHED_REFERENCE_UM
 
 
-# The `[coherence]` table of recipes and targets.
-
 LARGEST_SOURCE_ANGLE_DEG = 90.0
 
 
@@ -61,10 +59,10 @@ class CoherenceSpec(RecipeModel):
     forms: ClassVar[tuple[str, ...]] = ("{sigma = 5}", "{source_angle_deg = 0.53}")
 
     sigma: Annotated[float, pydantic.Field(gt=0.0, le=1e4)] | None = pydantic.Field(
-        default=None, description="width of the window of coherence in um, at a wavelength of 0.5 um", examples=[5]
+        default=None, description="width of the coherence window in um, at a wavelength of 0.5 um", examples=[5]
     )
     source_angle_deg: Annotated[float, pydantic.Field(gt=0.0, le=LARGEST_SOURCE_ANGLE_DEG)] | None = pydantic.Field(
-        default=None, description="in place of sigma: full angle under which a uniform lamp is seen", examples=[0.53]
+        default=None, description="instead of sigma: full angle of a uniform light source", examples=[0.53]
     )
 
     @pydantic.model_validator(mode="after")

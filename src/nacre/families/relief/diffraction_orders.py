@@ -1,9 +1,11 @@
-"""The power of the diffraction lines of a periodic surface, and its adjoint.
+"""Power of the diffraction lines (orders) of a periodic surface, its adjoint, and the sampling that it needs.
 
 A periodic relief reflects into lines m/P; line (m, n) carries |c[m, n]|^2 with c the Fourier coefficient of
-exp(-2 pi i kappa H). Only lines near the wanted directions matter, so the transform is pruned: a real product
-with a cosine/sine basis along each axis (half the work of a complex one, no bit reversal, any sampling), or the
-FFT when many lines are wanted. Both give the same numbers to rounding; a test ties them.
+exp(-2 pi i kappa H). For few lines the transform is pruned: a real product with a cosine/sine basis along each axis
+(half the work of a complex one, any sampling). For many lines it is an FFT, with the same numbers to rounding.
+
+A wall with a phase step above about 5 rad between neighbouring samples causes aliasing (physics/relief.md, section
+11.4): the rule gives a first sampling, and the comparison of two samplings decides.
 """
 
 from __future__ import annotations
@@ -20,8 +22,8 @@ from nacre.core.memory import check_memory
 from nacre.families.relief.surface import Array, Tile, largest_step_nm
 
 RealArray = NDArray[Any]
-# products cost lines x samples^2, the FFT samples^2 log(samples): above this many lines for each doubling of samples
-# the FFT is cheaper (measured: 90 lines of 256 samples, 140 of 1024, 150 of 1728; one core, either precision)
+# products cost lines x samples^2, the FFT samples^2 log(samples): the FFT is cheaper above this number of lines per
+# log2(samples) (measured: 90 lines of 256 samples, 140 of 1024, 150 of 1728; one core, either precision)
 FFT_LINES = 12.0
 
 
@@ -31,7 +33,7 @@ class LineBasis:
 
     Attributes:
         rows: `[2 (highest + 1), samples]`, cosines first.
-        highest: the highest line number kept, below samples / 2.
+        highest: highest line number, below samples / 2.
     """
 
     rows: RealArray
@@ -44,9 +46,9 @@ class LineBasis:
 
 
 def line_basis(samples: int, highest: int, dtype: Any = np.float64) -> LineBasis:
-    """Build the basis; `highest` is clipped to the lines that `samples` can hold (samples / 2 - 1)."""
+    """Build the basis; `highest` is limited by the sampling (samples / 2 - 1)."""
     highest = min(highest, max((samples - 1) // 2, 0))
-    # whole-number phases keep the argument of the cosine exact for any line
+    # integer phases make the argument of the cosine exact for any line
     turns = (np.arange(highest + 1)[:, None] * np.arange(samples)[None, :]) % samples
     angle = turns * (2.0 * np.pi / samples)
     return LineBasis(np.concatenate([np.cos(angle), np.sin(angle)]).astype(dtype), highest)
@@ -64,7 +66,7 @@ def reflection(surface: RealArray, kappa: float) -> RealArray:
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Fourier coefficients of one reflection as products with the basis: `[2, row, row]`, already over samples^2."""
+    """Fourier coefficients of one reflection as products with the basis: `[2, row, row]`, divided by samples^2."""
 
     products: RealArray
 
@@ -85,7 +87,7 @@ class Coefficients:
         result[h:, h:] = mean + cross
         mean = (d2 * d2).sum(axis=0) + (e2 * e2).sum(axis=0)
         cross = 2.0 * (d2[0] * e2[1] - d2[1] * e2[0])
-        # column 0 and row 0 were written above; these writes give them the same values
+        # column 0 and row 0 get the same values again
         result[h:, h::-1] = mean + cross
         result[h::-1, h:] = mean - cross
         return result
@@ -141,11 +143,11 @@ def height_gradient(field: RealArray, cotangent: RealArray, basis: LineBasis, ka
 def line_power(surface: RealArray, kappa: float, highest: int, basis: LineBasis | None = None) -> RealArray:
     """Return |c|^2 of exp(-2 pi i kappa H) for lines -highest..highest, `[2 highest + 1, 2 highest + 1]`.
 
-    The sum over all lines is 1. `highest` is clipped to what the samples hold.
+    The sum over all lines is 1. `highest` is limited by the sampling.
 
     Args:
         surface: `[x, y]`, one period of H in the unit of 1/kappa; its dtype is the precision.
-        basis: reuse a basis over several kappa; without it the cheaper of FFT and products is chosen.
+        basis: shared by several kappa; default: the cheaper of FFT and products is chosen.
     """
     samples = surface.shape[0]
     highest = min(highest, max((samples - 1) // 2, 0))
@@ -157,7 +159,7 @@ def line_power(surface: RealArray, kappa: float, highest: int, basis: LineBasis 
     waves = np.empty(surface.shape, dtype=np.result_type(surface.dtype, np.complex64))
     waves.real, waves.imag = field
     keep = np.arange(-highest, highest + 1) % samples
-    # columns that are not kept need no transform along x; along y first, for its samples lie side by side
+    # along y first, where samples are contiguous; then along x for the selected columns
     spectrum = scipy.fft.fft(waves, axis=1, overwrite_x=True)[:, keep]
     spectrum = scipy.fft.fft(spectrum, axis=0, overwrite_x=True)[keep]
     power: RealArray = (spectrum.real**2 + spectrum.imag**2) * field.dtype.type(1.0 / samples**4)
@@ -165,30 +167,28 @@ def line_power(surface: RealArray, kappa: float, highest: int, basis: LineBasis 
 
 
 def is_fft_cheaper(samples: int, highest: int) -> bool:
-    """Whether the lines up to `highest` cost less by the FFT than by products with their basis."""
+    """Whether the FFT is cheaper than products for the lines up to `highest`."""
     return 2 * highest + 1 > FFT_LINES * np.log2(max(samples, 2))
 
 
-# How finely a surface must be sampled for a stated error.
-
-# phase steps, rad, at which the measured errors are about 1e-4, 1e-3 and 1e-2 (section 11.4); interpolated in log error
+# phase steps, rad, and their measured errors (section 11.4); interpolated in log error
 STEP_FOR_ERROR = ((1e-6, 1.6), (1e-4, 3.0), (1e-3, 4.4), (1e-2, 6.0))
-GROWTH = 1.5  # ratio of the sampling that checks to the one that is checked
+GROWTH = 1.5  # of the sampling, for a check
 MAX_SAMPLES = 16384  # along one side; 2 GiB of complex field in single precision
-# the difference of two samplings is a good measure of the coarser one's error; the margin covers its scatter
+# on the difference of two samplings as the error of the coarser one
 MARGIN = 2.0
-BYTES_A_SAMPLE = 24  # the surface in double precision, and the field and its transform in single
+BYTES_PER_SAMPLE = 24  # surface in double precision, field and transform in single
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """A chosen sampling and why.
+    """A chosen sampling.
 
     Attributes:
         samples_per_feature: U.
         phase_step_rad: largest phase difference between neighbouring samples at the largest kappa.
-        estimated_error: relative L2 difference of the line powers from a finer sampling; an upper estimate.
-        highest_line: lines kept on each side.
+        estimated_error: relative L2 difference of the line powers from a finer sampling.
+        highest_line: lines on each side.
     """
 
     samples_per_feature: int
@@ -203,30 +203,30 @@ def _step_limit(error: float) -> float:
 
 
 def choose_sampling(tile: Tile, kappa_max: float, highest_line: int, error: float) -> Sampling:
-    """Return the smallest sampling whose line powers are within `error` of converged, relative L2.
+    """Return the smallest sampling with converged line powers within `error`, relative L2.
 
     Args:
-        tile: the relief.
-        kappa_max: largest xi / lambda that will be asked for, 1/nm; the phase is steepest there.
-        highest_line: highest wanted diffraction line; the samples must hold it twice over.
-        error: wanted error, for example 1e-3.
+        tile: relief.
+        kappa_max: largest xi / lambda, 1/nm, with the steepest phase.
+        highest_line: highest diffraction line, at most a quarter of the samples.
+        error: allowed error, such as 1e-3.
 
     Raises:
-        UnsupportedError: more than 16384 samples along a side would be needed, or more memory than is allowed.
+        UnsupportedError: more than 16384 samples along a side, or more memory than allowed, would be needed.
     """
     n = tile.features
     least = max(2, -(-(2 * highest_line + 4) // n))
     check_memory(
-        BYTES_A_SAMPLE * float(n * least) ** 2,
+        BYTES_PER_SAMPLE * float(n * least) ** 2,
         f"feature_um = {tile.feature_nm / 1e3:.4g} of {n} x {n} features, which sends light into {highest_line} orders "
         "on each side of the mirror's,",
         "take smaller or fewer features, or light of higher coherence",
     )
-    # walls of a blurred relief are no steeper than this; without blur a wall is one step whatever the sampling
+    # the steepest wall of a blurred relief; without blur a wall is one step at any sampling
     probe = max(least, 4)
     step_nm = largest_step_nm(tile.surface_nm(probe)) * probe
-    wanted = int(np.ceil(2.0 * np.pi * kappa_max * step_nm / _step_limit(error) * 0.8)) if tile.blur_nm > 0 else least
-    upsampling = max(least, min(wanted, MAX_SAMPLES // n))
+    needed = int(np.ceil(2.0 * np.pi * kappa_max * step_nm / _step_limit(error) * 0.8)) if tile.blur_nm > 0 else least
+    upsampling = max(least, min(needed, MAX_SAMPLES // n))
     coarse = _powers(tile, upsampling, kappa_max, highest_line)
     while True:
         finer = max(upsampling + 1, int(np.ceil(GROWTH * upsampling)))
@@ -245,7 +245,7 @@ def choose_sampling(tile: Tile, kappa_max: float, highest_line: int, error: floa
 
 
 def _powers(tile: Tile, upsampling: int, kappa: float, highest: int) -> Array:
-    # large tiles in single precision: half the memory, and rounding (1e-6) is far under any error asked for there
+    # large tiles in single precision: half the memory, with a rounding error of 1e-6
     dtype = np.float64 if tile.features * upsampling <= 1024 else np.float32
     surface = tile.surface_nm(upsampling).astype(dtype)
     return np.asarray(line_power(surface, kappa, highest), dtype=float)

@@ -1,4 +1,4 @@
-"""A relief as a material: its parameters, its Bsdf and its figures."""
+"""The relief material: parameters, Bsdf and figures."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from nacre.families.relief.plane_cut import Reflectance, local_response
 from nacre.families.relief.prefactor import Prefactor, coating_reflectance
 from nacre.families.relief.spectrum_map import MapReport, map_values, spectrum_map
 from nacre.families.relief.surface import Array, Tile, slopes
-from nacre.families.relief.validity import Trust, trust
+from nacre.families.relief.validity import Validity, assess
 from nacre.matter.drawings import Drawer, DrawingRequest, HeightMap
 from nacre.matter.indices.constant import OpticalConstant
 
-# the relief's spectra change over about lambda / 10 at most (a blurred line sweeping past): 30 nm resolve that
+# a blurred diffraction line passes within lambda / 10: 30 nm resolve the spectra
 WAVELENGTH_COUNT = 17
-SKETCH_ERROR = 1e-2  # of a draft's sampling and nodes: eight bits show no less
-INDEX_NM = 550.0  # where the medium's index is taken for the window, one for all colours
+DRAFT_ERROR = 1e-2  # of a draft's sampling and nodes, invisible in 8 bits
+INDEX_NM = 550.0  # for the medium's index in the coherence window
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
 
     Attributes:
         tile: heights and process.
-        coherence: the window.
+        coherence: coherence window.
         coating: optical constant of the opaque coating.
         prefactor: "kirchhoff" conserves energy, "published" compares with the source.
-        error: wanted relative error of sampling and interpolation.
-        bounded: keep the albedo within Fresnel.
-        ambient: what lies above, with directions as they are inside it; None: vacuum.
+        error: allowed relative error of sampling and interpolation.
+        bounded: limit the albedo to Fresnel.
+        ambient: medium above, with directions inside it; default: vacuum.
     """
 
     traits = Traits(
@@ -60,12 +60,12 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
 
     @property
     def wavelengths_nm(self) -> Array:
-        """The grid of its own choice: 360-830 nm in about 30 nm, finer for reliefs deeper than 2 um."""
+        """Default grid: 360-830 nm in about 30 nm, finer for reliefs deeper than 2 um."""
         deep = max(1.0, self.tile.height_range_nm / 2000.0)
         return np.linspace(360.0, 830.0, int(np.ceil(WAVELENGTH_COUNT * deep)))
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
-        """Return the four-dimensional lobe; the provenance says what was chosen.
+        """Return the four-dimensional lobe; the provenance lists the chosen nodes.
 
         Raises:
             MaterialRangeError: the coating is not known at a wavelength.
@@ -76,9 +76,9 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         return Bsdf((lobe,), {"relief": report_summary(report)})
 
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array:
-        """Return the lobe's values at a few pairs, `[pair, wavelength]`, without the table of all directions.
+        """Return the lobe at pairs, `[pair, wavelength]`, without the table of all directions.
 
-        Equal to those of `bsdf` but for the rounding of single precision: 1e-5 of the largest.
+        Equal to `bsdf` up to single-precision rounding, 1e-5 of the maximum.
         """
         grid = np.asarray(wavelengths_nm, dtype=float)
         window, n, reflectance = self._optics(grid)
@@ -95,16 +95,16 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
 
     @property
     def draft(self) -> Relief:
-        """The relief on coarser nodes, and not bounded: the sums over all exits that the bound needs cost the most.
+        """The relief on coarser nodes without the energy bound, whose sums over all exits cost the most.
 
-        What the bound takes away it takes near grazing light; see `spectrum_map.energy_guard`.
+        The bound affects mostly grazing light; see `spectrum_map.energy_guard`.
         """
-        return replace(self, error=max(self.error, SKETCH_ERROR), bounded=False)
+        return replace(self, error=max(self.error, DRAFT_ERROR), bounded=False)
 
     def _optics(self, grid: Array) -> tuple[Coherence, Array, Reflectance]:
-        """The window in the medium above, that medium's index `[wavelength]`, and the coating's reflectance."""
+        """Return the coherence window in the medium above, its index `[wavelength]`, and the coating's reflectance."""
         n = np.ones(len(grid)) if self.ambient is None else self.ambient.n_complex(grid).real
-        # waves are shorter inside a medium by its index, and so are the angles of the light's source
+        # wavelengths and source angles are smaller inside a medium by its index
         window = Coherence(self.coherence.width_in_wavelengths * self._index_above)
         return window, n, coating_reflectance(self.coating.n_complex(grid) / n)
 
@@ -112,27 +112,27 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         return id(self)
 
     def report(self, wavelengths_nm: Array | None = None) -> dict[str, Any]:
-        """Return what was chosen and found: sampling, nodes, and the energy bound, in plain numbers."""
+        """Return sampling, nodes and energy bound as plain numbers."""
         grid = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         return report_summary(self._map(tuple(grid.tolist()))[1])
 
     @property
     def excess_reason(self) -> str:
-        """The published prefactor, or a bound switched off, sends out what the formula says."""
+        """The published prefactor, or the absence of a bound."""
         if self.prefactor == "published":
-            return 'prefactor = "published" does not keep energy'
-        return "" if self.bounded else "bounded = false keeps what scalar diffraction sends out"
+            return 'prefactor = "published" does not conserve energy'
+        return "" if self.bounded else "bounded = false leaves scalar diffraction unbounded"
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Slopes too steep, or features too small, for scalar diffraction."""
-        found = self.trust
+        found = self.validity
         return (found.line(),) if found.is_outside else ()
 
     @functools.cached_property
-    def trust(self) -> Trust:
-        """The colour error to expect, of its features and slopes."""
-        return trust(self.tile, self._index_above)
+    def validity(self) -> Validity:
+        """The expected colour error."""
+        return assess(self.tile, self._index_above)
 
     @property
     def _index_above(self) -> float:
@@ -143,15 +143,15 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         """The surface, and its microscope image.
 
         "structure": `heights_nm` `[x, y]` of the blurred surface, `x_nm`, `slope` (magnitude).
-        "microscope": `brdf` `[x, y, wavelength]` of every window position (`spectra`: the same as a picture, with
-        `extent_um`), seen through an aperture of half angle
-        `aperture_deg` (5) about the direction `view_deg` = (theta, phi) (0, 0), light along `light_deg` (0, 0).
+        "microscope": `brdf` `[x, y, wavelength]` at every window position (`spectra`: the same as a picture, with
+        `extent_um`), for an aperture of half angle `aperture_deg` (5) around the direction `view_deg` = (theta, phi)
+        (0, 0), light along `light_deg` (0, 0).
         """
         return {"structure": self._structure, "microscope": self._microscope}
 
     @property
     def fabrications(self) -> Mapping[str, Drawer]:
-        """The heights, for every format that holds them."""
+        """The heights, in all formats of height maps."""
         return dict.fromkeys(("png16", "tiff16", "stl", "gds", "oas", "csv"), self._height_map)
 
     def _height_map(self, request: DrawingRequest) -> HeightMap:
@@ -176,7 +176,7 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         grid = np.linspace(400.0, 700.0, 7) if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         wi = direction(*np.radians(light_deg))
         centre = direction(*np.radians(view_deg))
-        # exits over the aperture: the middle and a ring at the radius that holds half its area
+        # exits over the aperture: the centre and a ring that encloses half its area
         ring = np.radians(aperture_deg) / np.sqrt(2.0)
         around = np.arange(exits - 1) * (2.0 * np.pi / max(exits - 1, 1))
         offsets = np.stack([ring * np.cos(around), ring * np.sin(around)], axis=-1)

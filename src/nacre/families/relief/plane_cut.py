@@ -1,8 +1,9 @@
-"""Interpolation in kappa = xi / lambda, the only way in which height and direction cosine enter the phase.
+"""BRDF on a grid of half-vector sums for all wavelengths, its gradient, and the local response of a tile.
 
-The power of a diffraction line is entire in kappa with bandwidth 2 pi h, h the range of heights; a few Chebyshev
-nodes serve all wavelengths and all elevations at once (physics/relief.md, section 4: there per wavelength; since
-|c|^2 depends on xi and lambda through their ratio alone, one set of nodes is enough).
+<|A|^2>(u, v) is the power of the diffraction lines smoothed by a Gaussian (physics/relief.md, section 3): a product of
+two small matrices with the array of lines. Height and direction enter the phase only by kappa = xi / lambda, and the
+power of a line is entire in kappa with bandwidth 2 pi h, h the height range: a few Chebyshev nodes serve all
+wavelengths and directions (section 4).
 """
 
 from __future__ import annotations
@@ -40,16 +41,16 @@ def chebyshev_nodes(low: float, high: float, count: int) -> Array:
 
 
 def node_count(height_range_nm: float, low: float, high: float, error: float) -> int:
-    """Return how many nodes keep the interpolation of |c|^2 on [low, high] within `error`.
+    """Return the number of nodes that interpolates |c|^2 on [low, high] within `error`.
 
-    A line's power is a positive mixture of exp(2 pi i kappa (h - h')), so the error is at most that of the fastest
-    one: twice the tail of its Chebyshev series, whose coefficients are Bessel functions J_k(a), a = pi h (high - low).
+    A line's power is a positive mixture of exp(2 pi i kappa (h - h')), so the fastest one bounds the error: twice the
+    tail of its Chebyshev series, with Bessel functions J_k(a) as coefficients, a = pi h (high - low).
     """
     from scipy.special import jv
 
     argument = math.pi * height_range_nm * (high - low)
     orders = np.arange(1, int(argument) + 60)
-    # |T_n - interpolant| <= 2 per order, and each coefficient is 2 |J_k|; the bound is for the sum of all powers
+    # |T_n - interpolant| <= 2 per order, and each coefficient is 2 |J_k|; the bound applies to the sum of powers
     tail = np.cumsum((4.0 * np.abs(jv(orders, argument)))[::-1])[::-1]
     enough = np.nonzero(tail < error)[0]
     return max(1, int(orders[enough[0]]))
@@ -58,7 +59,7 @@ def node_count(height_range_nm: float, low: float, high: float, error: float) ->
 def interpolation_weights(nodes: Array, points: ArrayLike) -> Array:
     """Return barycentric weights `[node, ...]` that interpolate values at `nodes` to `points`.
 
-    Exact at the nodes themselves; stable for any number of first-kind nodes (Berrut & Trefethen 2004).
+    Exact at the nodes; stable for any number of first-kind nodes (Berrut & Trefethen 2004).
     """
     points = np.asarray(points, dtype=float)
     count = len(nodes)
@@ -75,20 +76,18 @@ def interpolation_weights(nodes: Array, points: ArrayLike) -> Array:
     return np.where(hit[None], exact.astype(float), weights)
 
 
-# The BRDF on a grid of half-vector sums, for all wavelengths at once, and its gradient.
-
 Reflectance = Callable[[Array], Array]
 """Power reflectance `[..., wavelength]` at cosines `[...]`."""
 
-# where the smoothing Gaussian is cut, in standard deviations: below rounding in double, 3e-7 in single precision
+# truncation of the smoothing Gaussian in standard deviations: an error below rounding, or 3e-7 in single precision
 REACH = {np.dtype(np.float64): 8.6, np.dtype(np.float32): 5.5}
-# reflections are kept between the forward and the backward pass up to this size, recomputed beyond
-KEPT_FIELD_BYTES = 96 << 20
+# reflections up to this size are stored between forward and backward pass, larger ones recomputed
+STORED_FIELD_BYTES = 96 << 20
 
 
 @dataclass(frozen=True)
-class SliceGeometry:
-    """Which part of the BRDF is wanted.
+class CutGeometry:
+    """Directions and wavelengths of a plane cut through the BRDF.
 
     Attributes:
         psi_x, psi_y: lateral components of w_i + w_o; the grid is their product.
@@ -142,12 +141,12 @@ def window_norm(coherence: Coherence) -> float:
 
 
 @dataclass(frozen=True)
-class SlicePlan:
-    """All that a slice needs beside the surface: bases, smoothing matrices, node weights.
+class CutPlan:
+    """Precomputed matrices of a plane cut, independent of the surface.
 
     Attributes:
         kappas: `[node]`, 1/nm.
-        basis: rows of the pruned transform.
+        basis: pruned transform.
         smooth_x, smooth_y: `[wavelength, direction, line]`.
         blend: `[node, incidence, wavelength, x, y]`: interpolation weight x BRDF factor x Fresnel.
         workers: threads over the nodes.
@@ -167,11 +166,11 @@ class SlicePlan:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the slice, `[incidence, wavelength, x, y]`."""
+        """Shape of the result, `[incidence, wavelength, x, y]`."""
         return tuple(self.blend.shape[1:])
 
     def _share(self, work: Callable[[Sequence[int]], Any]) -> list[Any]:
-        """Run `work` on the nodes, split over the workers."""
+        """Distribute `work` on the nodes over the workers."""
         count = min(self.workers, len(self.kappas))
         parts = [range(k, len(self.kappas), count) for k in range(count)]
         if count == 1:
@@ -179,16 +178,16 @@ class SlicePlan:
         return list(_pool(count).map(work, parts))
 
     def forward(self, surface: RealArray, keep: bool = False) -> tuple[RealArray, list[Any]]:
-        """Return the BRDF `[incidence, wavelength, x, y]` in 1/sr, and what `pullback` needs.
+        """Return the BRDF `[incidence, wavelength, x, y]` in 1/sr, and the tape for `pullback`.
 
         Args:
             surface: `[sample, sample]` heights in nm, in the plan's precision.
-            keep: hold the reflections for the gradient, if they fit.
+            keep: store the reflections for the gradient if they fit.
         """
         count, directions, lines = self.smooth_x.shape
         flat_x = self.smooth_x.reshape(count * directions, lines)
         smooth_yt = self.smooth_y.transpose(0, 2, 1)
-        keep = keep and surface.nbytes * 2 * len(self.kappas) <= KEPT_FIELD_BYTES
+        keep = keep and surface.nbytes * 2 * len(self.kappas) <= STORED_FIELD_BYTES
         tape: list[Any] = [None] * len(self.kappas)
 
         def work(nodes: Sequence[int]) -> RealArray:
@@ -234,8 +233,8 @@ def _sum(parts: list[RealArray]) -> RealArray:
     return total
 
 
-def plan_slice(
-    geometry: SliceGeometry,
+def plan_cut(
+    geometry: CutGeometry,
     *,
     samples: int,
     period_nm: float,
@@ -246,18 +245,18 @@ def plan_slice(
     node_error: float = 1e-3,
     dtype: Any = np.float64,
     workers: int = 1,
-) -> SlicePlan:
-    """Prepare the evaluation of a slice.
+) -> CutPlan:
+    """Prepare the evaluation of a plane cut.
 
     Args:
-        geometry: the directions and wavelengths.
-        samples: samples of the surface along one side of the tile.
+        geometry: directions and wavelengths.
+        samples: surface samples along one side of the tile.
         period_nm: side of the tile.
-        height_range_nm: largest height difference that will be asked for; sets the number of nodes.
-        coherence: the coherence window.
+        height_range_nm: largest height difference, which sets the number of nodes.
+        coherence: coherence window.
         prefactor: see `brdf_factor`.
-        reflectance: Fresnel power reflectance of the coating; None for a perfect reflector.
-        node_error: error of the interpolation over kappa, relative to the sum of all line powers.
+        reflectance: Fresnel reflectance of the coating; default: a perfect reflector.
+        node_error: interpolation error over kappa, relative to the sum of all line powers.
         dtype: float64 or float32.
         workers: threads.
     """
@@ -279,13 +278,10 @@ def plan_slice(
         factor *= np.moveaxis(reflectance(difference_cosine(u, v, geometry.xi)), -1, 1)
     blend = np.empty((len(kappas), *factor.shape), dtype=dtype)
     for k, wavelength in enumerate(wavelengths):
-        # invisible directions lie outside the nodes' range; their factor is zero, their weight must stay finite
+        # invisible directions lie outside the nodes' range: their factor is zero and their weight must be finite
         points = np.clip(geometry.xi / wavelength, low, high)
         blend[:, :, k] = interpolation_weights(kappas, points) * factor[:, k]
-    return SlicePlan(kappas, basis, smooth_x, smooth_y, blend, workers)
-
-
-# The response of each spot of a tile, as a microscope with a small aperture sees it.
+    return CutPlan(kappas, basis, smooth_x, smooth_y, blend, workers)
 
 
 def local_response(
@@ -297,7 +293,10 @@ def local_response(
     samples_per_feature: int,
     prefactor: Prefactor = "kirchhoff",
 ) -> Array:
-    """Return the BRDF of every window position, averaged over exits, `[x, y, wavelength]`, 1/sr, before Fresnel.
+    """Return the BRDF at every window position, averaged over exits, `[x, y, wavelength]`, 1/sr, without Fresnel.
+
+    A microscope with a small aperture shows it. The window at c gives A_c, the reflection shifted to the direction and
+    smoothed, so that one inverse FFT gives all positions.
 
     Args:
         wi: `[3]`, to the light.
@@ -315,7 +314,7 @@ def local_response(
             u, v = float(wi[0] + w[0]), float(wi[1] + w[1])
             xi = float(wi[2] + w[2])
             spectrum: NDArray[np.complex128] = scipy.fft.fft2(np.exp(-2j * np.pi * xi / wavelength * surface))
-            # the window's own transform, 2 sqrt(pi) s exp(-2 pi^2 s^2 f^2), separable
+            # transform of the window, 2 sqrt(pi) s exp(-2 pi^2 s^2 f^2), separable
             gain_x, gain_y = (
                 np.exp(-2.0 * (np.pi * width * (lines - direction / wavelength)) ** 2) for direction in (u, v)
             )

@@ -1,6 +1,7 @@
-"""Reflectance of the coating at the half-vector's angle.
+"""Factors of the relief's BRDF that do not depend on the heights: directions, obliquity, coating reflectance.
 
-Every facet of a relief reflects at cos(theta_d) = w_i . h, the same for both directions, so that reciprocity holds
+With psi = w_i + w_o: (u, v) its lateral part, xi its normal part. The relief's power spectrum depends on
+(u, v, xi, lambda). Every facet reflects at cos(theta_d) = w_i . h, equal for both directions, hence reciprocal
 (physics/relief.md, section 11.2).
 """
 
@@ -19,7 +20,7 @@ def fresnel_reflectance(cos_d: Array, n: NDArray[np.complex128], n_ambient: floa
     """Return the unpolarised power reflectance `[..., wavelength]` of an opaque medium.
 
     Args:
-        cos_d: cosines of the angle of incidence, `[...]`.
+        cos_d: cosines of incidence, `[...]`.
         n: complex index n + ik `[wavelength]`, k >= 0.
         n_ambient: index outside.
 
@@ -33,31 +34,29 @@ def fresnel_reflectance(cos_d: Array, n: NDArray[np.complex128], n_ambient: floa
 
 
 def _ratio(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return (a - b)/(a + b); both are 0 only where a coating has the ambient's index, which reflects nothing."""
+    """Return (a - b)/(a + b); 0 for an index-matched coating, where both vanish."""
     total = a + b
     return np.asarray((a - b) / np.where(total == 0, 1.0, total))
 
 
 def coating_reflectance(n: NDArray[np.complex128], n_ambient: float = 1.0) -> Callable[[Array], Array]:
-    """Return the function of the cosine that `plan_slice` takes."""
+    """Return the reflectance as a function of the cosine, for `plan_cut`."""
     return lambda cos_d: fresnel_reflectance(cos_d, n, n_ambient)
 
 
-# Directions and factors of the relief's BRDF that do not depend on the heights.
-
 Prefactor = Literal["kirchhoff", "published"]
-# an edge-on direction is kept this far above the horizon, so that 1/cos stays finite
+# lower bound of cosines, for a finite 1/cos at grazing
 LEAST_COSINE = 1e-6
 
 
 def outgoing(wi: Array, u: Array, v: Array) -> tuple[Array, Array]:
-    """Return cos(theta_o) for lateral sums `u`, `v` (broadcast), and where that direction is above the surface."""
+    """Return cos(theta_o) for lateral sums `u`, `v` (broadcast), and whether that direction is above the surface."""
     lateral = (u - wi[0]) ** 2 + (v - wi[1]) ** 2
     return np.sqrt(np.maximum(1.0 - lateral, 0.0)), lateral < 1.0 - LEAST_COSINE**2
 
 
 def brdf_factor(u: Array, v: Array, cos_i: Array, cos_o: Array, prefactor: Prefactor) -> Array:
-    """Return what multiplies <|A|^2> / lambda^2 to give the BRDF in 1/sr.
+    """Return the factor from <|A|^2> / lambda^2 to the BRDF in 1/sr.
 
     "published" is C1 = xi^2 / (4 cos_i cos_o); "kirchhoff" restores the obliquity 1/cos^4 of the half-vector's angle,
     with which smooth reliefs conserve energy (physics/relief.md, section 11.1). Both are reciprocal.
@@ -70,5 +69,5 @@ def brdf_factor(u: Array, v: Array, cos_i: Array, cos_o: Array, prefactor: Prefa
 
 
 def difference_cosine(u: Array, v: Array, xi: Array) -> Array:
-    """Return cos(theta_d) = |w_i + w_o| / 2, the cosine at which Fresnel reflection happens."""
+    """Return cos(theta_d) = |w_i + w_o| / 2, the cosine of incidence for Fresnel reflection."""
     return np.minimum(0.5 * np.sqrt(u**2 + v**2 + xi**2), 1.0)

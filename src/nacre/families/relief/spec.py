@@ -1,4 +1,4 @@
-"""The relief's recipe."""
+"""The recipe of a relief."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
 class ReliefSpec(RecipeModel):
     """A periodic height map with an opaque coating.
 
-    `heights` is a .npy array `[x, y]` in um, or a grey image (row = x) whose black to white spans
-    `height_scale_um`.
+    `heights` is a .npy array `[x, y]` in um, or a grey image (row = x) with heights from 0 (black) to
+    `height_scale_um` (white).
     """
 
     example: ClassVar[Mapping[str, Any]] = {
@@ -45,29 +45,29 @@ class ReliefSpec(RecipeModel):
         examples=["heights.npy", "heights.png"],
     )
     height_scale_um: Annotated[float, pydantic.Field(gt=0.0, le=MAX_HEIGHT_UM)] | None = pydantic.Field(
-        default=None, description="height of an image's white over its black; an image needs it", examples=[0.5]
+        default=None, description="height of white over black in an image; required for images", examples=[0.5]
     )
     feature_um: Annotated[float, pydantic.Field(gt=0.0)] = pydantic.Field(
-        description="pitch of the features: the side of one pixel of the heights", examples=[2]
+        description="side of one square feature, a pixel of the heights", examples=[2]
     )
     blur_um: Annotated[float, pydantic.Field(gt=0.0)] = pydantic.Field(
         description="standard deviation of the Gaussian blur of the process", examples=[0.6]
     )
     coating: IndexSpec = pydantic.Field(
-        default_factory=lambda: IndexSpec.model_validate("Al"), description="metal of the surface, opaque"
+        default_factory=lambda: IndexSpec.model_validate("Al"), description="opaque metal of the surface"
     )
     prefactor: Literal["kirchhoff", "published"] = pydantic.Field(
         default="kirchhoff",
         description="prefactor of the diffraction integral: the one that conserves energy, or the one as published",
     )
     coherence: CoherenceSpec = pydantic.Field(
-        description="coherence of the light, which is the angular size of the lamp"
+        description="coherence of the light, given by the angular size of the light source"
     )
     accuracy: Annotated[float, pydantic.Field(ge=1e-6, le=0.1)] = pydantic.Field(
         default=3e-3, description="accuracy of the interpolation in the third component of wi + wo"
     )
     bounded: bool = pydantic.Field(
-        default=True, description="keep strong reliefs below the coating's reflectance at grazing light"
+        default=True, description="limit strong reliefs to the coating's reflectance at grazing light"
     )
 
     def build(self, context: RecipeContext) -> Relief:
@@ -101,7 +101,7 @@ class ReliefSpec(RecipeModel):
 
 
 def read_heights(path: Path, name: str, context: RecipeContext) -> Array:
-    """Read a .npy array, its size checked before memory is taken.
+    """Read a .npy array, with its size checked first.
 
     Raises:
         RecipeError: not a numeric array, or too large.

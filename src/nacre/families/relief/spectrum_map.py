@@ -1,8 +1,8 @@
-"""From a tile to its four-dimensional lobe: the xi cache of physics/relief.md, section 4, and its energy bound.
+"""Four-dimensional lobe of a tile (physics/relief.md, section 4) and its energy bound.
 
-The spectra of a few kappa nodes give those of every (xi, wavelength). On the psi grid a quadratic B-spline takes over
-part of the Gaussian smoothing: coefficients are smoothed by what is left, a narrower Gaussian with its fourth and sixth
-cumulants set so that the sum is the wanted Gaussian, positive and with its integral kept exactly.
+The spectra at a few kappa nodes are interpolated to every (xi, wavelength). On the psi grid a quadratic B-spline is
+part of the Gaussian smoothing: its coefficients are smoothed by a narrower Gaussian with corrected fourth and sixth
+cumulants, so that the sum is the Gaussian, positive and with an exact integral.
 """
 
 from __future__ import annotations
@@ -23,41 +23,41 @@ from nacre.families.relief.plane_cut import Reflectance, chebyshev_nodes, interp
 from nacre.families.relief.prefactor import Prefactor
 from nacre.families.relief.surface import Array, Tile
 
-# steps of the grids for an error of 1e-3: of psi in units of the smoothing, of xi in radians of the highest wall's
-# phase; a quadratic spline's error grows as the third power of its step (both measured, tests hold them)
+# grid steps for an error of 1e-3 (measured): psi in units of the smoothing, xi in radians of the highest wall's phase;
+# the error of a quadratic spline grows as the third power of its step
 PSI_STEP_AT_1E_3 = 0.36
 XI_PHASE_AT_1E_3 = 0.8
-# the spline's variance, step^2 / 4, must stay well under the smoothing's
+# the spline's variance, step^2 / 4, must be well below the smoothing's
 WIDEST_PSI_STEP, COARSE_PSI_STEP = 0.65, 0.9
 SPLINE_VARIANCE = 0.25
-# sums over the smoothed map are exact to 1e-7 with nodes this far apart
+# step for sums over the smoothed map with an error of 1e-7
 GUARD_PSI_STEP = 1.05
 MAX_TABLE_BYTES = 3 << 30
-# kappa nodes are computed side by side as long as their fields and transforms keep within this
-FIELDS_BYTES, FIELD_BYTES_A_SAMPLE = 1 << 30, 24
+# limit on the fields and transforms of kappa nodes computed in parallel
+FIELDS_BYTES, FIELD_BYTES_PER_SAMPLE = 1 << 30, 24
 TABLE_BLOCK = 512
-BAND_ROWS = 24  # rows of a banded matrix that are multiplied together
-NOTHING = 1e-12  # of a Gaussian's peak: sums in single precision do not see it
+BAND_ROWS = 24  # rows of a banded matrix in one product
+NEGLIGIBLE = 1e-12  # of a Gaussian's peak, in single-precision sums
 GUARD_COSINES, GUARD_AZIMUTHS, GUARD_WAVELENGTHS = 21, 48, 8
 GUARD_ROUNDS = 60
 LEAST_GUARDED_COSINE = 1e-4
-# the albedo may reach Fresnel and a hair more: a gentle relief conserves energy to 0.1 %, and must keep doing so;
-# between the guard's nodes it stays below (they hold the maximum of their neighbourhood)
+# allowed albedo over Fresnel: smooth reliefs conserve energy to 0.1 % and must not be scaled; between the guard's nodes
+# the albedo is lower, as they hold the maximum of their neighbourhood
 GUARD_AIM = 1.0005
-COSINES = np.linspace(0.0, 1.0, 65)  # at which the coating's reflectance is tabulated
+COSINES = np.linspace(0.0, 1.0, 65)  # of the coating's tabulated reflectance
 EXCESS_ANGLES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
 
 
 @dataclass(frozen=True)
 class MapReport:
-    """What was chosen, and by how much the guard scales.
+    """Chosen nodes, and the scaling by the energy bound.
 
     Attributes:
-        sampling: of the surface.
-        kappa_nodes: spectra computed.
+        sampling: surface sampling.
+        kappa_nodes: number of spectra.
         xi_nodes, psi_nodes: size of the table.
-        psi_error: relative L2 error of the grid in psi; above the wanted one where memory sets the step.
-        excess: `[angle]`, largest albedo over Fresnel before the guard at 0, 30, 60, 75 and 85 degrees.
+        psi_error: relative L2 error of the psi grid; larger than allowed if memory limits the step.
+        excess: `[angle]`, largest albedo over Fresnel before scaling, at 0, 30, 60, 75 and 85 degrees.
     """
 
     sampling: Sampling
@@ -81,12 +81,12 @@ def spectrum_map(
 
     Args:
         tile: heights and process.
-        coherence: the window.
+        coherence: coherence window.
         wavelengths_nm: ascending.
         reflectance: Fresnel reflectance `[..., wavelength]` at cosines.
         prefactor: "kirchhoff" or "published".
-        error: wanted error of sampling and nodes.
-        bounded: scale symmetrically so that the albedo never exceeds Fresnel.
+        error: allowed error of sampling and nodes.
+        bounded: scale symmetrically to an albedo of at most Fresnel.
 
     Raises:
         UnsupportedError: the table or the sampling would be too large.
@@ -113,19 +113,19 @@ def map_values(
     error: float = 3e-3,
     bounded: bool = True,
 ) -> Array:
-    """Return what the lobe of `spectrum_map` gives at a few pairs of directions, `[pair, wavelength]`, in 1/sr.
+    """Return the lobe of `spectrum_map` at pairs of directions, `[pair, wavelength]`, in 1/sr.
 
-    Only the nodes that those pairs touch are filled, and those that the energy bound sums over, which are fewer and
-    at fewer wavelengths: the same numbers but for the rounding of single precision.
+    Only the nodes around these pairs are computed, and the coarse ones for the energy bound: equal to the full lobe up
+    to single-precision rounding.
 
     Args:
-        wi, wo: `[pair, 3]`; all else, and the errors, as in `spectrum_map`.
+        wi, wo: `[pair, 3]`; other arguments and errors as in `spectrum_map`.
     """
     plan = _plan(tile, coherence, wavelengths_nm, error)
     fresnel = reflectance(COSINES)
     place = (wi[:, :2] + wo[:, :2] - plan.psi[0]) / plan.step
     centre = np.floor(place + 0.5).astype(int)
-    # nodes about a centre stay neighbours in these lists, so the look-up of the whole table serves the small one
+    # nodes around a centre are neighbours in these lists, so that the whole table's look-up applies to the small one
     along_x, along_y = (np.unique(centre[:, axis, None] + np.arange(-1, 2)) for axis in (0, 1))
     near = np.stack([np.searchsorted(along_x, centre[:, 0]), np.searchsorted(along_y, centre[:, 1])], axis=-1)
     first, skip = _guard_nodes(len(plan.psi), plan.step, coherence.blur)
@@ -145,7 +145,7 @@ def map_values(
 
 @dataclass(frozen=True)
 class _Plan:
-    """The nodes of a table and of what it is made from, before any of it is computed."""
+    """Nodes of a table and of the spectra behind it."""
 
     tile: Tile
     coherence: Coherence
@@ -160,7 +160,7 @@ class _Plan:
     def lobe(
         self, table: NDArray[np.float32], psi: Array, wavelengths_nm: Array, fresnel: Array, prefactor: Prefactor
     ) -> SpectrumMap:
-        """Return the lobe, not bounded, of a table on `psi`, with `fresnel` `[cosine, wavelength]`."""
+        """Return the unbounded lobe of a table on `psi`, with `fresnel` `[cosine, wavelength]`."""
         return SpectrumMap(
             wavelengths_nm=wavelengths_nm,
             power=table,
@@ -174,7 +174,7 @@ class _Plan:
         )
 
     def table(self, psi_x: Array, psi_y: Array, wavelengths_nm: Array) -> NDArray[np.float32]:
-        """Return B-spline coefficients `[psi_x, psi_y, xi, wavelength]`; one kappa node's lines in memory at a time."""
+        """Return B-spline coefficients `[psi_x, psi_y, xi, wavelength]`; with the lines of one kappa node in memory."""
         return self.tables([(psi_x, psi_y, wavelengths_nm)])[0]
 
     def tables(self, wanted: list[tuple[Array, Array, Array]]) -> list[NDArray[np.float32]]:
@@ -190,19 +190,19 @@ class _Plan:
             for part in parts:
                 part.smooth_lines(node, power)
 
-        fitting = FIELDS_BYTES // (FIELD_BYTES_A_SAMPLE * samples**2)
+        fitting = FIELDS_BYTES // (FIELD_BYTES_PER_SAMPLE * samples**2)
         in_threads(fill, range(len(self.kappas)), max(1, min(available_jobs(), fitting)))
         return [part.finish() for part in parts]
 
 
 class _Part:
-    """A table on its way: smoothed lines of each kappa node, then interpolated to xi and wavelength."""
+    """A table under construction: smoothed lines of each kappa node, then interpolated to xi and wavelength."""
 
     def __init__(self, plan: _Plan, held: int, psi_x: Array, psi_y: Array, wavelengths_nm: Array) -> None:
         self._plan, self._held, self._wavelengths = plan, held, wavelengths_nm
         self._shape = (len(psi_x), len(psi_y))
         blur, step, period = plan.coherence.blur, plan.step, plan.tile.period_nm
-        # the spline adds step^2/4 of variance, so the coefficients are smoothed by the rest
+        # the spline adds a variance of step^2/4; the coefficients are smoothed by the rest
         rest = float(np.sqrt(blur**2 - SPLINE_VARIANCE * step**2))
         self._gain = np.float32(window_norm(plan.coherence) * (blur / rest) ** 2)
         self._matrices = []
@@ -216,7 +216,7 @@ class _Part:
         self._smooth = np.empty(count, dtype=np.float32)
 
     def smooth_lines(self, node: int, power: NDArray[np.float32]) -> None:
-        """Take up the lines of one kappa node."""
+        """Add the lines of one kappa node."""
         for k, (reach, along_x, along_y) in enumerate(self._matrices):
             inner = slice(self._held - reach, self._held + reach + 1)
             across = np.empty((self._shape[0], 2 * reach + 1), dtype=np.float32)
@@ -227,7 +227,7 @@ class _Part:
 
     def finish(self) -> NDArray[np.float32]:
         """Return the table `[psi_x, psi_y, xi, wavelength]`."""
-        # interpolation over kappa and the spline's prefilter along xi are both small matrices: one product does both
+        # one product for the interpolation over kappa and the spline's prefilter along xi
         kappas, xi = self._plan.kappas, self._plan.xi
         filtering = spline_filter1d(np.eye(len(xi)), order=2, axis=0, mode="mirror")
         weights = np.stack([filtering @ interpolation_weights(kappas, xi / w).T for w in self._wavelengths])
@@ -235,19 +235,19 @@ class _Part:
         smooth = self._smooth.reshape(*self._smooth.shape[:2], -1)
         table = np.empty((smooth.shape[-1], len(xi), len(self._wavelengths)), dtype=np.float32)
         for start in range(0, len(table), TABLE_BLOCK):
-            # in blocks that stay in cache: the transposition to wavelength-last is what costs here
+            # in blocks that fit the processor cache, for the transposition to wavelength last
             block = weights @ smooth[:, :, start : start + TABLE_BLOCK]
             table[start : start + TABLE_BLOCK] = block.transpose(2, 1, 0)
         return table.reshape(*self._shape, len(xi), -1)
 
 
 def _bands(matrix: NDArray[np.float32]) -> list[tuple[slice, slice, NDArray[np.float32]]]:
-    """Cut a banded matrix `[direction, line]` into blocks of rows with the columns that they reach.
+    """Split a banded matrix `[direction, line]` into blocks of rows with their non-zero columns.
 
-    A direction is reached by the few lines within its Gaussian; the rest are zero to single precision.
+    Lines outside a direction's Gaussian are zero in single precision.
     """
     blocks = []
-    least = NOTHING * float(np.abs(matrix).max(initial=0.0))
+    least = NEGLIGIBLE * float(np.abs(matrix).max(initial=0.0))
     for start in range(0, len(matrix), BAND_ROWS):
         rows = slice(start, min(start + BAND_ROWS, len(matrix)))
         reached = np.flatnonzero(np.abs(matrix[rows]).max(axis=0) > least)
@@ -257,7 +257,7 @@ def _bands(matrix: NDArray[np.float32]) -> list[tuple[slice, slice, NDArray[np.f
 
 
 def _plan(tile: Tile, coherence: Coherence, wavelengths_nm: Array, error: float) -> _Plan:
-    """Choose all nodes for a wanted error.
+    """Choose all nodes for an allowed error.
 
     Raises:
         UnsupportedError: see `spectrum_map`.
@@ -269,10 +269,10 @@ def _plan(tile: Tile, coherence: Coherence, wavelengths_nm: Array, error: float)
     phase = XI_PHASE_AT_1E_3 * coarser
     xi_nodes = max(6, int(np.ceil(2.0 * np.pi * height * 2.0 / shortest / phase)) + 1)
     xi_step = 2.0 / (xi_nodes - 1)
-    # two nodes beyond each end keep the spline's end conditions away from the values that are used
+    # two more nodes at each end, so that the spline's end conditions have no effect
     xi: Array = np.arange(-2.0, xi_nodes + 2.0) * xi_step
     node_bytes = len(xi) * len(wavelengths_nm) * 4
-    # a small source may not fit at the wanted error: then the widest step that does, and the report says what it costs
+    # a small source may need too much memory: then the smallest possible step, with its error in the report
     fitting = 4.0 / blur / max(np.sqrt(MAX_TABLE_BYTES / node_bytes) - 7.0, 1e-9)
     step_in_blurs = float(min(max(min(PSI_STEP_AT_1E_3 * coarser, WIDEST_PSI_STEP), fitting), COARSE_PSI_STEP))
     step = step_in_blurs * blur
@@ -296,10 +296,10 @@ def _plan(tile: Tile, coherence: Coherence, wavelengths_nm: Array, error: float)
 
 
 def _rest_matrix(psi: Array, highest: int, lines_per_rest: float, rest: float, step: float) -> NDArray[np.float32]:
-    """Return the kernel `[direction, line]` that the quadratic spline of `step` completes to the Gaussian.
+    """Return the kernel `[direction, line]` that completes the quadratic spline of `step` to the Gaussian.
 
-    The spline is no Gaussian: its fourth and sixth cumulants are -step^4/40 and step^6/84. Hermite terms of the
-    narrower Gaussian take them back; without them a lone line is 0.2 % wrong at its peak and 10 % at four widths.
+    The spline has fourth and sixth cumulants -step^4/40 and step^6/84, compensated by Hermite terms of the narrower
+    Gaussian; without them a single line has an error of 0.2 % at its peak and 10 % at four widths.
     """
     x = psi[:, None] / rest - np.arange(-highest, highest + 1)[None, :] / lines_per_rest
     square = x * x
@@ -310,14 +310,14 @@ def _rest_matrix(psi: Array, highest: int, lines_per_rest: float, rest: float, s
 
 
 def energy_guard(lobe: SpectrumMap, blur: float) -> tuple[Array, Array]:
-    """Return the guard g `[t, azimuth, wavelength]` and the excess before it at `EXCESS_ANGLES_DEG`.
+    """Return the scaling g `[t, azimuth, wavelength]` and the excess before it at `EXCESS_ANGLES_DEG`.
 
-    g starts at 1 and is divided by the root of the excess, g <- g / sqrt(max(1, a)), until the albedo exceeds Fresnel
-    at none of its nodes and half way between them; the scaling is the same for both directions, so reciprocity stays.
+    g starts at 1 and is divided by the root of the excess, g <- g / sqrt(max(1, a)), until the albedo is at most
+    Fresnel at its nodes and midway between them. The scaling is symmetric, hence reciprocal.
 
     Args:
-        lobe: with its guard still 1.
-        blur: the smoothing that its spectrum has, in direction cosines.
+        lobe: with a guard of 1.
+        blur: smoothing of its spectrum, in direction cosines.
     """
     from nacre.bsdf.lobes.spectrum_map import albedo_shares
 
@@ -346,7 +346,7 @@ def energy_guard(lobe: SpectrumMap, blur: float) -> tuple[Array, Array]:
         albedo = here * _apply(shares, guard) / fresnel
         if albedo.max() <= GUARD_AIM:
             break
-        # aim a little lower than asked, so that the rounds end
+        # a slightly lower aim, for convergence
         excess = np.maximum(1.0, albedo / (GUARD_AIM - 1e-4))
         divide = np.ones_like(guard)
         for k in range(4):
@@ -354,7 +354,7 @@ def energy_guard(lobe: SpectrumMap, blur: float) -> tuple[Array, Array]:
             np.maximum.at(divide, own[touched, k], excess[touched])
         guard /= np.sqrt(divide)
     grid = guard.reshape(GUARD_COSINES, GUARD_AZIMUTHS, len(chosen))
-    grid[-1] = grid[-1].min(axis=0)  # azimuths mean nothing at the pole
+    grid[-1] = grid[-1].min(axis=0)  # no azimuth at the pole
     nm = lobe.wavelengths_nm
     full = np.apply_along_axis(lambda g: np.interp(nm, nm[chosen], g), 2, grid)
     by_cosine = before.reshape(-1, GUARD_AZIMUTHS, len(chosen)).max(axis=(1, 2))
@@ -363,14 +363,14 @@ def energy_guard(lobe: SpectrumMap, blur: float) -> tuple[Array, Array]:
 
 
 def _guard_wavelengths(count: int) -> NDArray[np.int64]:
-    """Which of `count` wavelengths the bound is computed at: the albedo is smooth, so the rest follows linearly."""
+    """Return the wavelengths of `count` for the bound; the albedo is smooth and interpolated linearly."""
     return np.unique(np.linspace(0, count - 1, min(count, GUARD_WAVELENGTHS)).round().astype(np.int64))
 
 
 def _guard_nodes(count: int, psi_step: float, blur: float) -> tuple[int, int]:
-    """The first node and the step of the sums over psi: a fine map's second or third nodes give the same integrals."""
+    """Return the first node and the step of sums over psi: every second or third node gives the same integrals."""
     skip = max(1, int(GUARD_PSI_STEP * blur / psi_step))
-    return (count // 2) % skip, skip  # the middle one stays
+    return (count // 2) % skip, skip  # with the middle node
 
 
 def _apply(shares: NDArray[np.float32], guard: Array) -> Array:
@@ -379,9 +379,9 @@ def _apply(shares: NDArray[np.float32], guard: Array) -> Array:
 
 
 def _guard_rings() -> Array:
-    """Return the cosines of incidence at which the albedo is bounded: the guard's nodes, and half way between in t."""
+    """Return the cosines of incidence for the bound: the guard's nodes and their midpoints in t."""
     t = np.linspace(0.0, 1.0, 2 * GUARD_COSINES - 1)
-    # exactly edge-on nothing arrives; just above it the albedo has its limit
+    # the albedo at grazing is a limit
     return np.maximum(t**2, LEAST_GUARDED_COSINE)
 
 

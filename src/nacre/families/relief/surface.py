@@ -1,6 +1,6 @@
-"""From feature heights to the physical surface: piecewise constant features, blurred by the process.
+"""Physical surface of feature heights: piecewise constant features, blurred by the process.
 
-A *tile* is n x n square features of width `feature_nm`; it repeats without end. Axis 0 is x, axis 1 is y.
+A *tile* is n x n square features of width `feature_nm`, repeated periodically. Axis 0 is x, axis 1 is y.
 Blur and up-sampling are separable and linear, so the surface is `B h B^T` with one small matrix, and the
 gradient with respect to the features is `B^T g B`.
 """
@@ -14,9 +14,9 @@ from scipy.special import erf
 
 from nacre.core.arrays import Array
 
-# a Gaussian edge further away than this many blur widths has no influence in double precision
+# range of a Gaussian edge in blur widths, in double precision
 EDGE_REACH = 8.5
-# blurred by so many periods a tile is flat to 1e-77: exp(-2 pi^2 3^2) is left of its slowest wave
+# blur in periods that flattens a tile to exp(-2 pi^2 3^2) = 1e-77
 FLAT_FROM_PERIODS = 3.0
 
 
@@ -28,10 +28,10 @@ def blur_matrix(features: int, samples_per_feature: int, blur_over_feature: floa
 
     Args:
         features: n, the number of features along the axis.
-        samples_per_feature: U, any positive whole number.
+        samples_per_feature: U, a positive integer.
         blur_over_feature: standard deviation of the blur in feature widths; 0 leaves sharp walls.
     """
-    if blur_over_feature > FLAT_FROM_PERIODS * features:  # the sum over neighbouring tiles would never end
+    if blur_over_feature > FLAT_FROM_PERIODS * features:  # avoids an endless sum over neighbouring tiles
         return np.full((features * samples_per_feature, features), 1.0 / features)
     x = (np.arange(features * samples_per_feature) + 0.5) / samples_per_feature
     first = ((x >= 0) & (x < 1)).astype(float)
@@ -40,7 +40,7 @@ def blur_matrix(features: int, samples_per_feature: int, blur_over_feature: floa
         images = int(np.ceil((EDGE_REACH * blur_over_feature + 1.0) / features)) + 1
         t = x[:, None] - np.arange(-images, images + 1) * features
         first = 0.5 * (erf(t / width) - erf((t - 1.0) / width)).sum(axis=1)
-    # every feature has the first one's column, moved on by its place
+    # the columns are shifted copies of the first one
     by_feature = first.reshape(features, samples_per_feature)
     places = (np.arange(features)[:, None] - np.arange(features)) % features
     matrix = by_feature[places].transpose(0, 2, 1).reshape(-1, features)
@@ -49,10 +49,10 @@ def blur_matrix(features: int, samples_per_feature: int, blur_over_feature: floa
 
 @dataclass(frozen=True)
 class Tile:
-    """One period of a relief: feature heights and the process that makes a surface of them.
+    """One period of a relief: feature heights and process blur.
 
     Attributes:
-        heights_nm: `[x, y]`, n x n feature heights; only differences matter to the optics.
+        heights_nm: `[x, y]`, n x n feature heights; only differences have an effect.
         feature_nm: width p of a square feature.
         blur_nm: standard deviation of the Gaussian process blur.
     """
@@ -73,7 +73,7 @@ class Tile:
 
     @property
     def height_range_nm(self) -> float:
-        """Highest minus lowest feature; the blurred surface stays inside it."""
+        """Highest minus lowest feature; an upper bound after blur."""
         return float(self.heights_nm.max() - self.heights_nm.min())
 
     def surface_nm(self, samples_per_feature: int) -> Array:
@@ -83,7 +83,7 @@ class Tile:
 
 
 def largest_step_nm(surface_nm: Array) -> float:
-    """Return the largest height difference between neighbouring samples, the period's seam included."""
+    """Return the largest height difference between neighbouring samples, including the seam of the period."""
     along_x = np.abs(surface_nm - np.roll(surface_nm, 1, axis=0)).max()
     along_y = np.abs(surface_nm - np.roll(surface_nm, 1, axis=1)).max()
     return float(max(along_x, along_y))

@@ -1,7 +1,7 @@
-"""How far scalar diffraction is to be trusted: the colour error to expect, from a relief's features and slopes.
+"""Validity of scalar diffraction: the expected colour error from a relief's features and slopes.
 
-Fitted to gratings solved by two rigorous solvers (docs: physics/relief, "Where scalar diffraction ends"; made by
-`validation/relief_rcwa.py`). On those not fitted to, where it states dE00 10 or less, it was never exceeded.
+Fitted to gratings solved by two rigorous solvers (docs: physics/relief, "Where scalar diffraction ends"; computed by
+`validation/relief_rcwa.py`). Predictions up to dE00 10 were never exceeded by gratings outside the fit.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from nacre.families.relief.surface import Tile
 MIDDLE_NM = 550.0
 SAMPLES_PER_FEATURE = 8
 # log10 of the mean dE00 of the strong orders = offset + log10 slope, log10 feature, sine of the incidence, smoothness
-# and smoothness by log10 slope times these; the last is added for what 95 of 100 stay below
+# and smoothness by log10 slope times these; the last is a margin for 95 of 100 gratings
 COEFFICIENTS = (1.2707, 0.6210, -0.3622, 0.6342, -0.0663, 0.6126, 0.3658)
-SINUSOID = np.pi / np.sqrt(8.0)  # rms of a sinusoid's slope over its mean size
-# dE00 from which a relief is called outside
+SINUSOID = np.pi / np.sqrt(8.0)  # rms over mean absolute slope of a sinusoid
+# dE00 above which a relief is outside the range of validity
 OUTSIDE_DE00 = 10.0
 
 
 @dataclass(frozen=True)
-class Trust:
-    """What the error is expected from, and the error.
+class Validity:
+    """The expected error and its causes.
 
     Attributes:
-        slope: mean slope, the heights' range over `feature`.
-        feature: mean distance between crossings of the middle height, in wavelengths of 550 nm.
-        smoothness: 1 where slopes are as even as a sinusoid's, towards 0 where all is in steep walls.
-        de00: colour error of the strong orders, light along the normal, which 95 of 100 stay below.
+        slope: height range over `feature`.
+        feature: mean distance between crossings of the middle height, over 550 nm.
+        smoothness: 1 for slopes as uniform as a sinusoid's, towards 0 for steep walls.
+        de00: colour error of the strong orders at normal incidence, not exceeded by 95 of 100 gratings.
     """
 
     slope: float
@@ -41,23 +41,23 @@ class Trust:
 
     @property
     def is_outside(self) -> bool:
-        """Whether the error is one that nobody would call small."""
+        """Whether the relief is outside the range of validity."""
         return self.de00 > OUTSIDE_DE00
 
     def line(self) -> str:
         """Return the warning, without the recipe's name."""
         return (
-            f"its slopes of {self.slope:.2g} with features of {self.feature:.2g} wavelengths lie outside what scalar "
-            f"diffraction was found good for: colours may be off by dE00 {self.de00:.0f}"
+            f"its slopes of {self.slope:.2g} with features of {self.feature:.2g} wavelengths lie outside the validity "
+            f"of scalar diffraction: colours may be off by dE00 {self.de00:.0f}"
         )
 
 
 def expected_de00(slope: float, feature: float, theta_deg: float = 0.0, smoothness: float = 0.0) -> float:
-    """Return the dE00 that 95 of 100 gratings stay below.
+    """Return the dE00 that 95 of 100 gratings do not exceed.
 
     Args:
         slope: depth over `feature`.
-        feature: half a period, in wavelengths of 550 nm.
+        feature: half a period over 550 nm.
         theta_deg: incidence.
         smoothness: 0 for vertical walls, 1 for a sinusoid.
     """
@@ -69,31 +69,30 @@ def expected_de00(slope: float, feature: float, theta_deg: float = 0.0, smoothne
 
 
 def largest_depth_nm(feature_nm: float) -> float:
-    """Return the depth at which vertical walls so far apart reach `OUTSIDE_DE00`, light along the normal."""
+    """Return the depth at which vertical walls at this distance reach `OUTSIDE_DE00` at normal incidence."""
     offset, by_slope, by_feature, *_, margin = COEFFICIENTS
     rest = np.log10(OUTSIDE_DE00) - offset - by_feature * np.log10(feature_nm / MIDDLE_NM) - margin
     return float(feature_nm * 10.0 ** (rest / by_slope))
 
 
-def trust(tile: Tile, wavelength_scale: float = 1.0) -> Trust:
-    """Judge a tile; `wavelength_scale` is the index of what lies above it."""
+def assess(tile: Tile, wavelength_scale: float = 1.0) -> Validity:
+    """Return the validity for a tile; `wavelength_scale` is the index of the medium above."""
     surface = tile.surface_nm(SAMPLES_PER_FEATURE)
     depth = float(np.ptp(surface))
     if depth < 1e-6 * tile.feature_nm:
-        return Trust(0.0, float("inf"), 1.0, 0.0)
+        return Validity(0.0, float("inf"), 1.0, 0.0)
     pitch_nm = tile.feature_nm / SAMPLES_PER_FEATURE
     feature_nm, axis = mean_feature_nm(surface, pitch_nm)
     slopes = np.abs(np.roll(surface, -1, axis=axis) - surface) / pitch_nm
     smoothness = min(1.0, SINUSOID * float(slopes.mean() / np.sqrt(np.mean(slopes**2))))
     slope, feature = depth / feature_nm, feature_nm * wavelength_scale / MIDDLE_NM
-    return Trust(slope, feature, smoothness, expected_de00(slope, feature, smoothness=smoothness))
+    return Validity(slope, feature, smoothness, expected_de00(slope, feature, smoothness=smoothness))
 
 
 def mean_feature_nm(surface: Array, pitch_nm: float) -> tuple[float, int]:
-    """Return the mean distance between crossings of the middle height, along x or y, the shorter, and that axis.
+    """Return the shorter mean distance between crossings of the middle height along x or y, and that axis.
 
-    Half a period of a grating: the mean width of its ridges and grooves. Lines that never cross it, between hills, say
-    nothing of their width and are left out.
+    Half a period of a grating: the mean width of its ridges and grooves. Lines without crossings are skipped.
     """
     above = surface > 0.5 * (surface.max() + surface.min())
     lines = [np.mean(above != np.roll(above, 1, axis=axis), axis=axis) for axis in (0, 1)]

@@ -1,1 +1,1 @@
-"""Design of images: parameter maps that reproduce a picture."""
+"""Image design: parameter maps that reproduce a picture."""

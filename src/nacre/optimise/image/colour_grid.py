@@ -21,12 +21,12 @@ from nacre.optimise.merit import smooth_weights
 from nacre.optimise.parameters import Parameter, values_at
 from nacre.optimise.thin_film.adapter import drawn_factors
 
-# nodes per parameter, by the number of parameters
+# nodes per parameter, by parameter count
 FIRST_NODES = {1: 17, 2: 9}
 MAX_NODES = {1: 2049, 2: 257}
-FINE = {1: 8192, 2: 512}  # points of the interpolated grid
-SPLINE_ERROR = 0.1  # largest dE00 of the interpolation
-SPLINE_PERCENTILE = 99.9  # of the points within it
+FINE = {1: 8192, 2: 512}  # interpolated grid points
+SPLINE_ERROR = 0.1  # largest interpolation dE00
+SPLINE_PERCENTILE = 99.9  # share within that error
 SPLINE_GAIN = 4.0  # conservative; a cubic spline gains 2^4 per halving
 BATCH = 8192  # stacks computed at a time
 
@@ -36,10 +36,10 @@ class ColourGrid:
     """Colours over one or two parameters.
 
     Attributes:
-        axes: ascending values of each parameter, in the unit of the recipe.
+        axes: ascending parameter values, in recipe units.
         xyz: `[value, 3]` or `[value, value, 3]`; white has Y = 1.
-        nodes: number of solved nodes per parameter.
-        error: dE00 of the interpolation (99.9th percentile); 0 if every value is solved.
+        nodes: solved nodes per parameter.
+        error: interpolation dE00 (99.9th percentile); 0 if every value is solved.
     """
 
     axes: tuple[Array, ...]
@@ -53,18 +53,18 @@ class ColourGrid:
         return self.xyz.reshape(-1, 3)
 
     def values(self, points: NDArray[np.int64]) -> Array:
-        """Return the parameters `[parameter, ...]` of points (indices into `flat_xyz`)."""
+        """Return parameters `[parameter, ...]` at points (indices into `flat_xyz`)."""
         places = np.unravel_index(points, tuple(len(axis) for axis in self.axes))
         return np.stack([axis[place] for axis, place in zip(self.axes, places, strict=True)])
 
 
 class ColourSampler:
-    """Computes colours of many variants of a material at one geometry; thin films are computed in batches.
+    """Computes many variants' colours at one geometry; thin films are computed in batches.
 
     Args:
         parameters: free parameters.
-        seed: of random walks.
-        is_final: whether to use the wavelengths of the final evaluation.
+        seed: random walk seed.
+        is_final: whether to use final evaluation wavelengths.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class ColourSampler:
         return drawn_factors(self.material, self._paths, low, [self.at], self.grid) is not None
 
     def xyz(self, points: Array, is_over: Callable[[], bool] = lambda: False) -> Array | None:
-        """Return XYZ `[point, 3]` at points `[point, parameter]` of the unit cube; None if `is_over` stops it.
+        """Return XYZ `[point, 3]` at unit cube points `[point, parameter]`; None if `is_over` stops it.
 
         Raises:
             NacreError: a material cannot be computed.
@@ -116,7 +116,7 @@ class ColourSampler:
 
 
 def level_grid(sampler: ColourSampler, levels: int) -> ColourGrid:
-    """Return the colours of all combinations of process levels.
+    """Return the colours for all level combinations.
 
     Raises:
         NacreError: a material cannot be computed.
@@ -131,7 +131,7 @@ def fine_grid(sampler: ColourSampler, seconds: float, is_interrupted: Callable[[
     """Return the colours over the full ranges, so finely that neighbours hardly differ.
 
     Args:
-        seconds: time limit of the refinement.
+        seconds: refinement time limit.
         is_interrupted: polled; true ends the refinement.
 
     Raises:

@@ -31,7 +31,7 @@ from nacre.light import (
     xyz_to_srgb_linear,
 )
 from nacre.material.material import load
-from nacre.optimise.evaluation import JUDGE_SEED, TargetResult
+from nacre.optimise.evaluation import SEED_OFFSET, TargetResult
 from nacre.optimise.gamut import colour_chart
 from nacre.optimise.html_report import PICTURE, REPORT
 from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, fine_grid, level_grid
@@ -46,10 +46,10 @@ if TYPE_CHECKING:
     from nacre.plot import Figure
 
 REACHED = "reached.png"
-GRID_SHARE = 0.6  # of the time limit, for the colour grid
-CHECKED_PIXELS, CHECKED_SLOW = 256, 4  # pixels of the final evaluation: batched materials, others
-MAX_UNREACHABLE = 0.01  # share of pixels up to which a picture is met
-CHART_POINTS, CHART_MARKS = 4000, 400  # colours of the grid and of the picture in the gamut chart
+GRID_SHARE = 0.6  # time limit share for the colour grid
+CHECKED_PIXELS, CHECKED_SLOW = 256, 4  # pixels in the final evaluation: batched materials, others
+MAX_UNREACHABLE = 0.01  # largest unreachable pixel share for a met picture
+CHART_POINTS, CHART_MARKS = 4000, 400  # grid and picture colours in the gamut chart
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +57,13 @@ class PictureDesign:
     """DesignTask picture and its reproduction.
 
     Attributes:
-        asked: `[row, column, 3]`, encoded sRGB of the target.
-        reached: the same of the reproduction, clipped to sRGB.
-        distance: `[row, column]`, dE00 between both; if levels are dithered, of the blurred pictures.
+        asked: `[row, column, 3]`, encoded target sRGB.
+        reached: the reproduction, clipped to sRGB.
+        distance: `[row, column]`, dE00 between both; if levels are dithered, between blurred pictures.
         is_mapped: `[row, column]`, whether the colour is unreachable.
         keeps_hue: `[row, column]`, whether the hue is preserved.
         maps: parameter maps.
-        grid, white: the reachable colours, and XYZ of the white.
+        grid, white: the reachable colours, and the white's XYZ.
     """
 
     asked: Array
@@ -85,7 +85,7 @@ def make_picture(
     """Assign a reachable colour to each pixel.
 
     Args:
-        seconds: time limit of the colour grid.
+        seconds: colour grid time limit.
         is_interrupted: polled during its computation.
 
     Raises:
@@ -119,12 +119,12 @@ def make_picture(
 
 
 def srgb_lab(rgb: Array) -> Array:
-    """Return CIELAB of encoded sRGB `[..., 3]` under the white of sRGB (D65, 2 degree observer)."""
+    """Return CIELAB for encoded sRGB `[..., 3]` under its white (D65, 2 degree observer)."""
     return np.asarray(xyz_to_lab(srgb_linear_to_xyz(srgb_decode(rgb)), SRGB_WHITE_XYZ))
 
 
 def screen_rgb(xyz: Array, white: Array) -> Array:
-    """Return the encoded sRGB that has the CIELAB values of XYZ `[..., 3]` under `white`, clipped to sRGB."""
+    """Return the encoded sRGB with the same CIELAB values as XYZ `[..., 3]` under `white`, clipped to sRGB."""
     shown = np.clip(lab_to_xyz(xyz_to_lab(xyz, white), SRGB_WHITE_XYZ), 0.0, None)
     return np.asarray(srgb_encode(clip_to_srgb(xyz_to_srgb_linear(shown)).rgb))
 
@@ -188,7 +188,7 @@ def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
 
 def _sampler(target: DesignTask, is_final: bool = False) -> ColourSampler:
     light = target.spec.light
-    seed = target.spec.search.seed + (JUDGE_SEED if is_final else 0)
+    seed = target.spec.search.seed + (SEED_OFFSET if is_final else 0)
     pair = (light.illuminants[0], light.observer)
     return ColourSampler(target.material, target.parameters, target.targets[0].geometry, pair, seed, is_final)
 
@@ -228,7 +228,7 @@ def _figures(target: DesignTask, picture: PictureDesign) -> dict[str, Any]:
 
 
 def _evaluate_pixels(target: DesignTask, picture: PictureDesign) -> dict[str, Any]:
-    """Compute some pixels with the accuracy of the final evaluation and another seed; return their differences."""
+    """Compute some pixels with final evaluation accuracy and another seed; return their differences."""
     sampler = _sampler(target, is_final=True)
     count = CHECKED_PIXELS if sampler.is_batched else CHECKED_SLOW
     values = np.stack([m.values.ravel() for m in picture.maps], axis=-1)
@@ -248,7 +248,7 @@ def _write(target: DesignTask, folder: Path, picture: PictureDesign, facts: dict
     """Write recipe, maps and the reproduced picture; load the recipe as a user would."""
     from PIL import Image
 
-    clear_answers(folder, 0)  # maps of an earlier run under other names
+    clear_answers(folder, 0)  # earlier maps under other names
     folder.mkdir(parents=True, exist_ok=True)
     map_files = write_maps(folder, picture.maps, {"nacre": __version__, "target": target.fingerprint})
     changes = {m.path: m.texture for m in picture.maps}

@@ -1,4 +1,4 @@
-"""Image files of a picture design: the target image, and the parameter maps as 16-bit PNG, TIFF and NPY."""
+"""Picture design image files: the target image, and the parameter maps as 16-bit PNG, TIFF and NPY."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 MAX_PIXELS = 16_000_000
 MIN_SIDE = 2
-BYTES_PER_PIXEL = 400  # of the design: colours in several spaces, their order, the maps
+BYTES_PER_PIXEL = 400  # used memory: colours in several spaces, their order, the maps
 MODES = ("RGB", "L", "P", "1", "I;16", "I;16B", "I;16L")
 
 
@@ -36,7 +36,7 @@ def read_picture(path: Path, where: str) -> Array:
     The camera's orientation and an embedded colour profile are applied.
 
     Args:
-        where: file, key and value of the target, for messages.
+        where: target file, key and value, for messages.
 
     Raises:
         RecipeError: it cannot be read, or is not an opaque still image in sRGB or grey.
@@ -45,7 +45,7 @@ def read_picture(path: Path, where: str) -> Array:
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of sizes, which are checked here, and of broken tags
+            warnings.simplefilter("ignore")  # sizes are checked here; broken tags are skipped
             with Image.open(plain(path)) as opened:
                 _check_size(opened, where)
                 return _pixels(opened, where)
@@ -99,13 +99,13 @@ def _in_srgb(picture: Image, profile: bytes | None) -> Image:
 
 @dataclass(frozen=True, eq=False)
 class ParameterMap:
-    """Values of a parameter over the picture.
+    """Parameter values over the picture.
 
     Attributes:
-        path: of the parameter in the recipe.
-        values: `[row, column]`, first row on top, in the unit of the recipe.
-        low, high: bounds (black and white of the map).
-        levels: number of levels of the process; None: continuous.
+        path: recipe path.
+        values: `[row, column]`, first row on top, in recipe units.
+        low, high: bounds (map black and white).
+        levels: process levels; None: continuous.
     """
 
     path: str

@@ -1,7 +1,7 @@
-"""Assignment of reachable colours to pixels: nearest colour with hue-preserving clipping, and error diffusion.
+"""Colour assignment to pixels: nearest colour with hue-preserving clipping, and error diffusion.
 
-Nearest means by CIEDE2000. An unreachable pixel is mapped to the nearest colour of its hue ("hue-angle preserving
-minimum dE clipping", CIE 156:2004), unless the nearest colour of any hue is much closer. If a process makes only a few
+Nearest means by CIEDE2000. An unreachable pixel is mapped to the nearest colour with its hue ("hue-angle preserving
+minimum dE clipping", CIE 156:2004), unless another colour is much closer. If a process makes only a few
 levels, mixtures of neighbouring pixels are additive and span a solid in XYZ: colours are mapped into the solid, then
 dithered by error diffusion (Floyd and Steinberg 1976) in serpentine order.
 """
@@ -22,34 +22,34 @@ from nacre.light import delta_e_2000, lab_to_xyz, xyz_to_lab
 from nacre.optimise.thin_film.merit_kernel import components
 
 NEIGHBOURS = 12  # nearest colours in the uniform space, from which the descent starts
-CELL = 0.5  # side of a cell of the uniform space; colours in one cell share their starts
-STRIDES = (8, 4, 2, 1)  # of the descent over the grid
-HUE_STEP = 1.0  # largest hue term of dE00 between colours of the same hue
-WEDGES = 180  # wedges of hue with common starts
+CELL = 0.5  # cell side in the uniform space; colours in one cell share their starts
+STRIDES = (8, 4, 2, 1)  # descent strides over the grid
+HUE_STEP = 1.0  # largest dE00 hue term between colours with equal hue
+WEDGES = 180  # hue wedges with common starts
 MIN_CHROMA = 2.0  # below it, a pixel has no hue
 HUE_COST = 2.0  # largest additional dE00 for preserving the hue
 ANY_HUE = -1.0
 
-LATTICE, MARGIN = 2.0, 8.0  # step and margin of the lattice in the solid, CIELAB
+LATTICE, MARGIN = 2.0, 8.0  # lattice step and margin, CIELAB
 BISECTIONS = 12
-MAX_MIXED = 12  # levels of which mixtures are listed
-PLANE_TOLERANCE = 1e-9  # of the solid's faces, XYZ
-MAX_DIFFUSED = 0.5  # of white; bounds the diffused error of unreachable colours
-BLUR_PIXELS = 2.0  # width of the Gaussian through which dithered pictures are compared
+MAX_MIXED = 12  # largest level count for listed mixtures
+PLANE_TOLERANCE = 1e-9  # solid face tolerance, XYZ
+MAX_DIFFUSED = 0.5  # relative to white; bounds the error diffused from unreachable colours
+BLUR_PIXELS = 2.0  # Gaussian width for comparing dithered pictures
 
 Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """Assignment of a reachable colour to every colour of a picture.
+    """Reachable colour assigned to every picture colour.
 
     Attributes:
-        points: `[colour]`, index of the assigned colour in the flattened grid.
+        points: `[colour]`, assigned index in the flattened grid.
         distance: `[colour]`, dE00 between both.
-        nearest: `[colour]`, dE00 of the nearest colour of any hue.
+        nearest: `[colour]`, dE00 to the nearest colour, any hue.
         is_mapped: `[colour]`, whether `nearest` exceeds the tolerance.
-        keeps_hue: `[colour]`, whether both have the same hue, or one of them is grey.
+        keeps_hue: `[colour]`, whether both have the same hue, or one is grey.
     """
 
     points: Indices
@@ -60,10 +60,10 @@ class Match:
 
 
 def match_colours(targets: Array, grid: Array, tolerance: float, keep_hue: bool = True) -> Match:
-    """Assign to each target colour `[colour, 3]` a colour of a grid of reachable ones, both CIELAB.
+    """Assign to each target colour `[colour, 3]` a colour from a reachable grid, both CIELAB.
 
     Args:
-        grid: `[value, 3]` or `[value, value, 3]`; smooth, or small enough for a search of the nearest neighbours.
+        grid: `[value, 3]` or `[value, value, 3]`; smooth, or small enough for a nearest-neighbour search.
         tolerance: dE00 below which a colour counts as reached.
         keep_hue: whether unreachable colours are mapped at constant hue.
     """
@@ -91,7 +91,7 @@ def match_colours(targets: Array, grid: Array, tolerance: float, keep_hue: bool 
 
 
 def _one_per_cell(even: Array) -> tuple[Indices, Indices]:
-    """Return one colour of each cell of the uniform space, and the cell index of every colour."""
+    """Return one colour per uniform-space cell, and every colour's cell index."""
     cells = np.floor(even / CELL).astype(np.int64)
     cells -= cells.min(axis=0)
     width = cells.max(axis=0) + 1
@@ -107,7 +107,7 @@ def _nearest(tree: Any, among: Indices, places: Array, count: int) -> Indices:
 
 
 def _starts_by_hue(places: Array, even: Array, few: Indices) -> Indices:
-    """Return starts `[place, start]` of approximately the hue of each place, by wedges of the hue circle."""
+    """Return starts `[place, start]` with approximately each place's hue, by hue circle wedges."""
     from scipy.spatial import cKDTree
 
     starts = np.full((len(places), NEIGHBOURS), -1, dtype=np.int64)
@@ -116,7 +116,7 @@ def _starts_by_hue(places: Array, even: Array, few: Indices) -> Indices:
         angle = 2.0 * np.pi * k / WEDGES
         along = even[few, 1] * np.cos(angle) + even[few, 2] * np.sin(angle)
         across = np.abs(even[few, 2] * np.cos(angle) - even[few, 1] * np.sin(angle))
-        # a wedge is wider than the hue of its pixels; `_descend` rejects the excess
+        # a wedge is wider than its pixels' hue; `_descend` rejects the excess
         inside = few[(across <= HUE_STEP + np.pi / WEDGES * np.abs(along)) & (along > -HUE_STEP)]
         if len(inside):
             mine = np.flatnonzero(wedge == k)
@@ -129,7 +129,7 @@ def _starts_by_hue(places: Array, even: Array, few: Indices) -> Indices:
 def _descend(
     targets: Array, group: Indices, starts: Indices, reachable: Array, rows: int, columns: int, hue_step: Array
 ) -> tuple[Indices, Array]:
-    """Descend over the grid from the best start of each colour's group, with decreasing strides.
+    """Descend over the grid from each colour group's best start, with decreasing strides.
 
     Args:
         hue_step: `[colour]`, largest allowed hue term; negative: any.
@@ -172,7 +172,7 @@ def _cost(target: Array, colour: Array, hue_step: float) -> float:
 
 @compiled(error_model="numpy")
 def _hue_term(lab: Array, other: Array) -> float:
-    """Hue term of dE00, 2 sqrt(C1 C2) sin(dh / 2) / S_H, without the hue weights in S_H."""
+    """dE00 hue term, 2 sqrt(C1 C2) sin(dh / 2) / S_H, without the hue weights in S_H."""
     mean = 0.5 * (math.hypot(lab[1], lab[2]) + math.hypot(other[1], other[2]))
     stretch = 1.5 - 0.5 * math.sqrt(mean**7 / (mean**7 + 6103515625.0))
     a, u = lab[1] * stretch, other[1] * stretch
@@ -190,7 +190,7 @@ def _same_hues(lab: Array, other: Array) -> Any:
 
 
 def has_same_hue(lab: Array, other: Array) -> NDArray[np.bool_]:
-    """Whether the hue term of dE00 between colours `[colour, 3]` is at most one unit; greys match any hue.
+    """Whether the dE00 hue term between colours `[colour, 3]` is at most one unit; greys match any hue.
 
     Example: (50, 20, 0) and (50, 5, 0) match; (50, 20, 0) and (50, 0, 20) do not.
     """
@@ -201,7 +201,7 @@ def has_same_hue(lab: Array, other: Array) -> NDArray[np.bool_]:
 def uniform_space(lab: Array) -> Array:
     """Return CIELAB coordinates whose Euclidean distance approximates CIEDE2000.
 
-    Integrals of dL / S_L and dC / C-weight, and the stretch of a* near grey (Sharma, Wu and Dalal 2005). The rotation
+    Integrates dL / S_L and dC / C-weight and stretches a* near grey (Sharma, Wu and Dalal 2005). The rotation
     in the blue and the hue weights are neglected.
     """
     level = np.linspace(0.0, 200.0, 2001)
@@ -218,7 +218,7 @@ def uniform_space(lab: Array) -> Array:
 def map_into_solid(
     targets: Array, levels_xyz: Array, white: Array, tolerance: float
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Map CIELAB colours `[colour, 3]` into the convex hull of the levels' XYZ `[level, 3]`.
+    """Map CIELAB colours `[colour, 3]` into the convex hull around the levels' XYZ `[level, 3]`.
 
     A colour outside goes to the lattice point in the solid that `match_colours` assigns, and from there as far as
     possible towards the target.
@@ -240,7 +240,7 @@ def map_into_solid(
 
     outside = np.flatnonzero(~is_inside(targets))
     corners = np.asarray(xyz_to_lab(levels_xyz, white))
-    # the margin allows for the nonlinearity of CIELAB: mixtures may be slightly more colourful than their components
+    # the margin allows for CIELAB's nonlinearity: mixtures may be slightly more colourful than their components
     low, high = corners.min(axis=0) - MARGIN, corners.max(axis=0) + MARGIN
     axes = [np.arange(np.floor(a / LATTICE), np.ceil(b / LATTICE) + 1.0) * LATTICE for a, b in zip(low, high)]
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -257,7 +257,7 @@ def map_into_solid(
 
 
 def _mixtures(levels: Array) -> Array:
-    """Return XYZ of mixtures of up to three of (some of) the levels, in steps of a sixteenth."""
+    """Return XYZ for mixtures with up to three (selected) levels, in steps by 1/16."""
     some = levels[np.unique(np.linspace(0, len(levels) - 1, MAX_MIXED).astype(int))]
     shares = np.array([(a, b, 16 - a - b) for a in range(17) for b in range(17 - a)]) / 16.0
     ends = itertools.combinations_with_replacement(range(len(some)), 3)
@@ -265,11 +265,11 @@ def _mixtures(levels: Array) -> Array:
 
 
 def dither(targets_xyz: Array, levels_xyz: Array, white: Array) -> Indices:
-    """Return the level of each pixel of `[row, column, 3]`, by error diffusion.
+    """Return each pixel's level for `[row, column, 3]`, by error diffusion.
 
     Args:
         levels_xyz: `[level, 3]`.
-        white: XYZ of the white.
+        white: XYZ white point.
     """
     even = np.ascontiguousarray(uniform_space(xyz_to_lab(levels_xyz, white)))
     lightness = uniform_space(np.stack([np.linspace(0.0, 200.0, 2001), *np.zeros((2, 2001))], axis=-1))[:, 0]
@@ -312,7 +312,7 @@ def _diffuse(targets: Array, levels: Array, even: Array, white: Array, lightness
 
 @compiled(error_model="numpy")
 def _place(xyz: Array, white: Array, lightness: Array, place: Array) -> None:
-    """Write the `uniform_space` coordinates of an XYZ colour to `place`; negative values count as 0."""
+    """Write an XYZ colour's `uniform_space` coordinates to `place`; negative values count as 0."""
     f = np.empty(3)
     for k in range(3):
         t = max(xyz[k] / white[k], 0.0)

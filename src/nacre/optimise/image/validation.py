@@ -1,4 +1,4 @@
-"""Restrictions of a picture design: one or two continuous parameters that may vary over the surface."""
+"""Picture design restrictions: one or two continuous parameters that may vary over the surface."""
 
 from __future__ import annotations
 

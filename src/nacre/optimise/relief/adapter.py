@@ -21,14 +21,14 @@ from nacre.core.errors import RecipeError
 from nacre.core.files import read_text
 from nacre.core.jit import seconds_compiled
 from nacre.families.relief.material import Relief
-from nacre.families.relief.plane_cut import SliceGeometry
+from nacre.families.relief.plane_cut import CutGeometry
 from nacre.families.relief.prefactor import coating_reflectance
 from nacre.families.relief.surface import Tile
 from nacre.families.relief.validity import largest_depth_nm
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, lab_to_xyz, white_xyz, xyz_to_srgb_linear
 from nacre.material.material import load
 from nacre.measure.instruments import aspecular_direction
-from nacre.optimise.evaluation import geometries_of, reached
+from nacre.optimise.evaluation import geometries_of, results_of
 from nacre.optimise.measurement import aspecular_pairs, evaluation_wavelengths, simulate_measurement
 from nacre.optimise.relief.merit import GAMMA, Problem, View, default_weights
 from nacre.optimise.relief.run import DesignResult, design
@@ -41,20 +41,20 @@ from nacre.recipe.toml import parse_toml
 
 HEIGHTS, FEATURES = "heights", "features"
 KNOWN_IN = {"tolerance": {HEIGHTS}, "limits": {"within_validity"}}  # keys of these tables that apply to relief heights
-PATCH_SINE, PATCH_COUNT = 0.01, 8  # half the side of the uniform view of a colour, and its samples along a side
-PICTURE_SHARE = 4  # a picture has this many times the samples of a colour along a side
+PATCH_SINE, PATCH_COUNT = 0.01, 8  # half side and samples per side for the uniform view around a colour
+PICTURE_SHARE = 4  # ratio between picture and colour samples per side
 RECIPE_KEYS = ("feature_um", "blur_um", "coating", "prefactor", "coherence")
 FAMILY = "relief"
 
 
 @dataclass(frozen=True)
 class ReliefTarget:
-    """Validated target of a relief.
+    """Validated relief target.
 
     Attributes:
-        spec: target of the gradient search.
-        context: of the target file.
-        problem: design problem of the search.
+        spec: gradient search target.
+        context: target file context.
+        problem: design problem.
         asked: the whole target.
         colours: target colours at directions.
     """
@@ -119,7 +119,7 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
 
 
 def _recipe(spec: DesignSpec, context: RecipeContext) -> dict[str, Any]:
-    """Return the recipe's table: feature_um, blur_um, coherence and the other keys of a relief beside its heights."""
+    """Return the recipe's table: feature_um, blur_um, coherence and the other relief keys except heights."""
     if isinstance(spec.recipe, str):
         path = context.path(spec.recipe)
         recipe = parse_toml(read_text(path, "recipe"), str(path))
@@ -139,7 +139,7 @@ def _recipe(spec: DesignSpec, context: RecipeContext) -> dict[str, Any]:
 
 
 def _bounds(spec: DesignSpec, source: str) -> tuple[float, int]:
-    """Return the largest height in um and the number of features along a side."""
+    """Return the largest height in um and the features per side."""
     free = dict(spec.parameters)
     if HEIGHTS not in free:
         raise RecipeError(
@@ -166,7 +166,7 @@ def _bounds(spec: DesignSpec, source: str) -> tuple[float, int]:
 
 
 def _noise(spec: DesignSpec, source: str) -> float:
-    """Return the relative noise of each height, from `[tolerance] heights = "2%"`."""
+    """Return the relative height noise from `[tolerance] heights = "2%"`."""
     given = spec.tolerance.get(HEIGHTS)
     if given is None:
         return 0.0
@@ -192,7 +192,7 @@ def _check_colour(want: Target) -> None:
 def _with_colours(
     problem: Problem, relief: TargetSpec, colours: tuple[Target, ...], spec: DesignSpec, has_pictures: bool
 ) -> Problem:
-    """Return the problem with a uniform view about the directions of each colour."""
+    """Return the problem with a uniform view about each colour's directions."""
     scale = problem.intensity_scale if has_pictures else np.pi  # display = (scale f)^(1/2.2); pi f = 1 is white
     assert scale is not None
     count = max(max(v.target.shape[1] for v in problem.views) // PICTURE_SHARE, 4) if has_pictures else PATCH_COUNT
@@ -204,7 +204,7 @@ def _with_colours(
     for want in colours:
         wi = direction(np.radians(want.geometry.theta_deg))
         wo = aspecular_direction(want.geometry.theta_deg, want.geometry.aspecular_deg)
-        geometry = SliceGeometry(wi[0] + wo[0] + offsets, wi[1] + wo[1] + offsets, wi[None], weights.wavelengths_nm)
+        geometry = CutGeometry(wi[0] + wo[0] + offsets, wi[1] + wo[1] + offsets, wi[None], weights.wavelengths_nm)
         lab = want.target_lab(white)
         assert lab is not None  # by `_check_colour`
         shown = (scale / np.pi * _linear_rgb(lab, white)) ** (1.0 / GAMMA)
@@ -226,13 +226,13 @@ def run_relief(
     progress: Callable[[Any], None] | None = None,
     jobs: int | None = None,
 ) -> DesignResult:
-    """Design a relief for a target with free heights; the folder is that of every relief design.
+    """Design a relief for a target with free heights; the folder has the usual relief files.
 
     `solutions` in `design.json` contains the colours reached.
 
     Raises:
         RecipeError: the target is not usable.
-        NacreError: the folder cannot be written, or contains the search of another target.
+        NacreError: the folder cannot be written, or contains another target's search.
     """
     start_time = time.monotonic()
     data, context = read_data(target)
@@ -252,7 +252,7 @@ def run_relief(
 
 
 def _evaluation_seconds(read: ReliefTarget) -> float:
-    """Return the duration of a final evaluation, measured with random heights; also compiles the kernels."""
+    """Return the final evaluation time, measured with random heights; also compiles the kernels."""
     if not read.colours:
         return 0.0
     spec = read.spec
@@ -265,7 +265,7 @@ def _evaluation_seconds(read: ReliefTarget) -> float:
 
 
 def _solution(read: ReliefTarget, folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Evaluate the finished relief at the directions of the target colours."""
+    """Evaluate the finished relief at the target colours' directions."""
     light, recipe = read.asked.light, folder / "recipe.toml"
     losses = {name: summary[name] for name in ("loss_fixed", "loss_free")}
     wants = [
@@ -282,5 +282,5 @@ def _solution(read: ReliefTarget, folder: Path, summary: Mapping[str, Any]) -> d
         relief = load(recipe)
         grid = evaluation_wavelengths(relief, light.illuminants)
         seen = simulate_measurement(relief, geometries_of(read.colours), grid, memory={})
-        wants += [r.document(light.observer) for r in reached(seen, read.colours, light)]
+        wants += [r.document(light.observer) for r in results_of(seen, read.colours, light)]
     return {"recipe": str(recipe), "targets": wants, "yield": None}

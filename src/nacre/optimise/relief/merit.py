@@ -1,4 +1,4 @@
-"""Merit function of a relief design: loss of the simulated pictures against their targets, with its gradient.
+"""Relief merit function: loss between simulated pictures and targets, with its gradient.
 
 Linear colours are multiplied by an intensity scale, raised to 1/2.2 and compared with display-referred targets; the
 loss is the mean square over pixels and channels (physics/relief.md, sections 7 and 11.8).
@@ -15,25 +15,25 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.plane_cut import SliceGeometry, SlicePlan, plan_slice
+from nacre.families.relief.plane_cut import CutGeometry, CutPlan, plan_cut
 from nacre.families.relief.prefactor import Prefactor
 from nacre.families.relief.surface import Tile, blur_matrix, largest_step_nm
 
 GAMMA = 2.2
 # x^(1/2.2) has an infinite slope at 0; this offset bounds the gradient and changes the loss by < 1e-4
 GRADIENT_FLOOR = 1e-6
-# Weight of the fixed-scale loss in the search. A product of both losses would let a free-scale loss near zero outweigh
+# Weight for the fixed-scale loss. A product would let a free-scale loss near zero outweigh
 # a design that is far too dark or too bright at the requested scale.
 FIXED_SHARE = 0.7
-# interpolation error over kappa: measured 1e-4 of the image in the search, 1e-6 in the final measurement
+# interpolation error over kappa: measured 1e-4 relative in the search, 1e-6 in the final measurement
 SEARCH_NODE_ERROR, MEASURE_NODE_ERROR = 0.3, 1e-2
-CONVERGED_CHANGE = 0.01  # largest relative change of a loss when the sampling is doubled
+CONVERGED_CHANGE = 0.01  # largest relative loss change when the sampling is doubled
 MAX_UPSAMPLING = 64
 MAX_SAMPLES = 8192
 
-# the published sampling: 8 wavelengths in the middle of equal parts of 420-680 nm
+# the published sampling: 8 midpoints between 420 and 680 nm
 PUBLISHED_WAVELENGTHS_NM = 420.0 + 260.0 * (np.arange(8) + 0.5) / 8
-# published normal-incidence reflectance of aluminium (physics/relief.md, section 5)
+# published normal-incidence aluminium reflectance (physics/relief.md, section 5)
 PUBLISHED_ALUMINIUM = np.array([0.92272, 0.92042, 0.91842, 0.91635, 0.91442, 0.91111, 0.90800, 0.90336])
 PUBLISHED_XYZ_TO_RGB = np.array(
     [[3.240479, -1.537150, -0.498535], [-0.969256, 1.875991, 0.041556], [0.055648, -0.204043, 1.057311]]
@@ -43,7 +43,7 @@ DEFAULT_WAVELENGTHS_NM = np.linspace(400.0, 700.0, 16)
 
 @dataclass(frozen=True)
 class Losses:
-    """Losses of a picture at the given and at the best intensity scale, both scales, and the loss of a black picture.
+    """Picture losses at the given and at the best intensity scale, both scales, and the loss for black.
 
     If `black` is below `fixed`, the fixed-scale loss rewards dark designs and means little.
     """
@@ -56,7 +56,7 @@ class Losses:
 
 
 def exact_losses(rgb: Array, target: Array, intensity_scale: float | None) -> Losses:
-    """Return the losses of linear `rgb` against `target`, both `[..., 3]`, without the gradient floor.
+    """Return losses for linear `rgb` against `target`, both `[..., 3]`, without the gradient floor.
 
     Without an intensity scale the fixed loss equals the free one.
     """
@@ -74,9 +74,9 @@ def exact_losses(rgb: Array, target: Array, intensity_scale: float | None) -> Lo
 def objective(
     rgb: Array, target: Array, intensity_scale: float | None, brightness_floor: float = 0.0
 ) -> tuple[float, Array]:
-    """Return the objective of the search and its gradient with respect to `rgb`.
+    """Return the search objective and its gradient with respect to `rgb`.
 
-    Fixed scale: logarithm of a weighted mean of the fixed and the free loss. Free scale: logarithm of the free loss,
+    Fixed scale: logarithm over a weighted mean between fixed and free loss. Free scale: logarithmic free loss,
     plus a penalty if the brightness (1 / scale) falls below `brightness_floor`; otherwise dark designs would be free.
     """
     reference = intensity_scale if intensity_scale is not None else max(_rough_scale(rgb, target), 1e-30)
@@ -154,16 +154,16 @@ def default_weights() -> ColourWeights:
 
 @dataclass(frozen=True)
 class View:
-    """Target picture over a grid of directions, and its colour conversion.
+    """Target picture over a direction grid, and its colour conversion.
 
     Attributes:
-        geometry: grid of half-vector sums, incidences and wavelengths.
+        geometry: half-vector sums, incidences and wavelengths.
         target: `[incidence, x, y, 3]`, display-referred.
-        rgb_weights: `[3, wavelength]`, linear sRGB from BRDF values of a perfect reflector.
+        rgb_weights: `[3, wavelength]`, linear sRGB from BRDF values; a perfect reflector is white.
         reflectance: Fresnel reflectance `[..., wavelength]` at cosines; None if `rgb_weights` includes it.
     """
 
-    geometry: SliceGeometry
+    geometry: CutGeometry
     target: Array
     rgb_weights: Array
     reflectance: Callable[[Array], Array] | None = None
@@ -180,9 +180,9 @@ class Problem:
         views: target pictures.
         intensity_scale: factor before the gamma; None: the best one.
         brightness_floor: least brightness (1 / scale) without penalty; only used with a free scale.
-        noise: relative standard deviation of each height.
-        blur_error: relative error of the process blur.
-        levels: number of heights of the process; 0: continuous.
+        noise: relative standard deviation per height.
+        blur_error: relative process blur error.
+        levels: process heights; 0: continuous.
     """
 
     features: int
@@ -200,19 +200,19 @@ class Problem:
 
     @property
     def period_nm(self) -> float:
-        """Side of the tile."""
+        """Tile side."""
         return self.features * self.feature_nm
 
     @property
     def target(self) -> Array:
-        """All targets as one list of pixels, `[pixel, 3]`."""
+        """All target pixels, `[pixel, 3]`."""
         return np.concatenate([view.target.reshape(-1, 3) for view in self.views])
 
     def search_upsamplings(self) -> tuple[int, int]:
         """Return samples per feature for exploring and for refining.
 
         Samples slightly narrower than the blur are the coarsest that still approximate the surface. The highest
-        diffraction order of the targets must lie below the highest frequency of the samples.
+        target diffraction order must lie below the highest sampled frequency.
         """
         highest = max(v.geometry.highest_line(self.period_nm, self.coherence, np.float32) for v in self.views)
         ratio = self.feature_nm / self.blur_nm if self.blur_nm > 0 else 4.0
@@ -223,12 +223,12 @@ class Problem:
 
 @dataclass
 class Evaluator:
-    """Loss and gradient of a problem at one sampling, in single precision.
+    """Loss and gradient at one sampling, in single precision.
 
     Attributes:
         problem: the problem.
         upsampling: samples per feature.
-        evaluations: number of gradient evaluations.
+        evaluations: gradient evaluation count.
     """
 
     problem: Problem
@@ -240,8 +240,8 @@ class Evaluator:
 
     def __post_init__(self) -> None:
         problem, samples = self.problem, self.upsampling * self.problem.features
-        self.plans: list[SlicePlan] = [
-            plan_slice(
+        self.plans: list[CutPlan] = [
+            plan_cut(
                 view.geometry,
                 samples=samples,
                 period_nm=problem.period_nm,
@@ -269,7 +269,7 @@ class Evaluator:
         return matrix @ heights_nm.astype(self.dtype) @ matrix.T
 
     def rgb(self, surface: NDArray[Any], keep: bool = False) -> tuple[NDArray[Any], list[list[Any]]]:
-        """Return linear colours `[pixel, 3]` of all views and the tapes for `pullback`."""
+        """Return linear colours `[pixel, 3]` for all views and the tapes for `pullback`."""
         colours, tapes = [], []
         for plan, weights in zip(self.plans, self._weights):
             values, tape = plan.forward(surface, keep)
@@ -297,7 +297,7 @@ class Evaluator:
 
         Args:
             noise: relative height error `[n, n]`.
-            blur_factor: error of the process blur, as a factor.
+            blur_factor: process blur error, as a factor.
         """
         self.evaluations += 1
         problem = self.problem
@@ -310,14 +310,14 @@ class Evaluator:
         return value, np.asarray(gradient * gain, dtype=float).ravel()
 
     def losses(self, heights_nm: Array) -> Losses:
-        """Return the exact losses of a design at this sampling."""
+        """Return exact design losses at this sampling."""
         rgb, _ = self.rgb(self.surface(heights_nm))
         return exact_losses(rgb, self._target, self.problem.intensity_scale)
 
 
 @dataclass(frozen=True)
 class ConvergedMeasurement:
-    """Losses and picture of a design at a converged sampling."""
+    """Design losses and picture at a converged sampling."""
 
     losses: Losses
     rgb: Array
@@ -328,7 +328,7 @@ class ConvergedMeasurement:
 def measure_design(problem: Problem, heights_nm: Array, workers: int = 1) -> ConvergedMeasurement:
     """Measure a design by doubling the sampling until both losses change by less than 1 %."""
     tile = Tile(heights_nm, problem.feature_nm, problem.blur_nm)
-    # the range of these heights may be far smaller than the allowed one
+    # these heights may span far less than the allowed range
     tight = replace(problem, height_max_nm=max(tile.height_range_nm, 1.0))
     upsampling = problem.search_upsamplings()[1]
     previous: Losses | None = None

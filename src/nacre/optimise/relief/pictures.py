@@ -1,4 +1,4 @@
-"""Target pictures over the directions of a slice: published shapes, images and colours, display-referred.
+"""Target pictures over slice directions: published shapes, images and colours, display-referred.
 
 Directions are half-vector sums (u, v) = (w_i + w_o)_xy; u runs along array axis 0. Shapes and their default widths are
 the published ones (physics/relief.md, sections 7 and 11.6).
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 PUBLISHED_COLOURS: dict[str, tuple[float, float, float]] = {
-    # display-referred triples of the publication, which differ from the CSS colours of the same names
+    # display-referred published triples, which differ from CSS colours with equal names
     "red": (1.0, 0.0, 0.0),
     "orange": (1.0, 0.5, 0.0),
     "yellow": (1.0, 1.0, 0.0),
@@ -35,8 +35,8 @@ PUBLISHED_COLOURS: dict[str, tuple[float, float, float]] = {
 IRIDESCENT = ("iridescent-half", "iridescent-disk", "inverted-iridescent-disk")
 COLOUR_ALIASES = {"iri": "iridescent-half", "disk_iri": "iridescent-disk", "inv_disk_iri": "inverted-iridescent-disk"}
 RED, BLUE = np.array(PUBLISHED_COLOURS["red"]), np.array(PUBLISHED_COLOURS["blue"])
-IMAGE_PIXELS = 512  # side of the resampled image, as published
-HALF_VECTOR_PER_SCALE = 0.0625  # half width of the picture, in half-vector units, at image_scale 1
+IMAGE_PIXELS = 512  # resampled image side, as published
+HALF_VECTOR_PER_SCALE = 0.0625  # picture half width, in half-vector units, at image_scale 1
 MAX_IMAGE_PIXELS = 64_000_000
 
 
@@ -46,7 +46,7 @@ def slice_axis(half_range: float, resolution: int) -> Array:
 
 
 def mirror_angle(u: Array, v: Array, wi: Array) -> Array:
-    """Return the angle between w_o = (u, v) - w_i and the mirror direction of `wi`; pi/2 below the horizon."""
+    """Return the angle between w_o = (u, v) - w_i and the mirror direction for `wi`; pi/2 below the horizon."""
     ox, oy = u - wi[0], v - wi[1]
     lateral = ox**2 + oy**2
     oz = np.sqrt(np.maximum(1.0 - lateral, 0.0))
@@ -69,7 +69,7 @@ def anti_mirror(u: Array, v: Array, wi: Array, hole: float, width: float) -> Arr
 def anisotropic_anti_mirror(
     u: Array, v: Array, wi: Array, hole: float, width_x: float = 0.015, width_y: float = 0.06
 ) -> Array:
-    """Return two lobes along y with a dark mirror direction, from the components of the unit half vector."""
+    """Return two lobes along y with a dark mirror direction, from the unit half vector."""
     angle = mirror_angle(u, v, wi)
     oz = np.sqrt(np.maximum(1.0 - (u - wi[0]) ** 2 - (v - wi[1]) ** 2, 0.0))
     length = np.sqrt(u**2 + v**2 + (wi[2] + oz) ** 2)
@@ -86,8 +86,8 @@ def load_picture(path: Path, where: str, is_stretched: bool = False) -> Array:
 
     Args:
         path: the image.
-        where: file and key of the target, for messages.
-        is_stretched: stretch the image to the square instead of padding it.
+        where: target file and key, for messages.
+        is_stretched: stretch the image to the square; no padding.
 
     Raises:
         RecipeError: the image is missing, unreadable, too large or uniform.
@@ -101,7 +101,7 @@ def load_picture(path: Path, where: str, is_stretched: bool = False) -> Array:
         raise RecipeError(f"{named} {why_unreadable(error)}") from None
     try:
         with warnings.catch_warnings(), Image.open(path) as image:
-            warnings.simplefilter("ignore")  # of broken tags, which are either read or skipped
+            warnings.simplefilter("ignore")  # broken tags are either read or skipped
             if image.width * image.height > MAX_IMAGE_PIXELS:
                 raise RecipeError(
                     f"{named} has {image.width} x {image.height} pixels; at most {MAX_IMAGE_PIXELS} are allowed"
@@ -150,7 +150,7 @@ def picture_on_directions(picture: Array, u: Array, v: Array, image_scale: float
 
 
 def colour_on_directions(colour: str, u: Array, v: Array, iridescent_range: float, source: str) -> Array:
-    """Return the display-referred RGB `[..., 3]` of a named, hexadecimal or iridescent colour.
+    """Return display-referred RGB `[..., 3]` for a named, hexadecimal or iridescent colour.
 
     Raises:
         RecipeError: the name is not known.
@@ -169,7 +169,7 @@ def colour_on_directions(colour: str, u: Array, v: Array, iridescent_range: floa
 
 
 def parse_colour(name: str, source: str) -> Array:
-    """Return the display-referred triple in 0..1 of a published name or a hexadecimal value.
+    """Return the display-referred triple in 0..1 for a published name or a hexadecimal value.
 
     Raises:
         RecipeError: it is neither.

@@ -1,4 +1,4 @@
-"""Report of a relief design: pictures, losses, spectra, heights, slopes, process errors, warnings."""
+"""Relief design report: pictures, losses, spectra, heights, slopes, process errors, warnings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nacre.core.arrays import Array
 from nacre.core.files import atomic_path, write_text
 from nacre.core.html import png_uri, render_page
 from nacre.families.relief.surface import Tile, blur_matrix, slopes
-from nacre.families.relief.validity import trust
+from nacre.families.relief.validity import assess
 from nacre.light import delta_e_2000, srgb_linear_to_xyz, xyz_to_lab
 from nacre.optimise.relief.merit import (
     GAMMA,
@@ -28,18 +28,18 @@ from nacre.optimise.relief.merit import (
 )
 from nacre.optimise.relief.target import TargetSpec
 
-PICTURE_PIXELS = 256  # side of each picture on the page
-LIT_SHARE = 0.1  # a direction belongs to the target if the target exceeds this share of its maximum there
-# slopes at which facets begin to shadow each other at the angles of a slice; the scalar model ignores shadowing
+PICTURE_PIXELS = 256  # picture side on the page
+LIT_SHARE = 0.1  # a direction belongs to the target if the target there exceeds this share, relative to its maximum
+# slopes at which facets begin to shadow each other at slice angles; the scalar model ignores shadowing
 STEEP_DEG, VERY_STEEP_DEG = 30.0, 45.0
-# (largest number of samples along the tile, Monte Carlo draws): at most a second
+# (largest sample count along the tile, Monte Carlo draws): at most a second
 DRAWS = ((512, 40), (1024, 12), (4096, 3))
 HEIGHT_ERROR, BLUR_ERROR, NOISE = 0.03, 0.1, 0.05
 
 
 @dataclass(frozen=True)
 class Distribution:
-    """Nominal value, mean and 95th percentile of a quantity over the draws."""
+    """Nominal value, mean and 95th percentile over the draws."""
 
     nominal: float
     mean: float
@@ -52,9 +52,9 @@ class Robustness:
 
     Attributes:
         loss_fixed, loss_free: against the target.
-        delta_e: mean CIEDE2000 between the nominal and the perturbed design over the lit directions, at the scale of
+        delta_e: mean CIEDE2000 between the nominal and the perturbed design over the lit directions, at the scale for
             the fixed loss; its nominal value is 0.
-        draws: number of draws.
+        draws: draw count.
     """
 
     loss_fixed: Distribution
@@ -73,16 +73,16 @@ def robustness(
     draws: int = 100,
     seed: int = 1,
 ) -> Robustness:
-    """Return losses and colour differences of a design under process errors, by Monte Carlo.
+    """Return design losses and colour differences under process errors, by Monte Carlo.
 
     Args:
         problem: the design problem.
         heights_nm: `[n, n]`.
-        height_error: standard deviation of the factor on all heights.
-        blur_error: standard deviation of the factor on the process blur.
-        noise: standard deviation of the factor on each height.
-        draws: number of draws.
-        seed: of the draws.
+        height_error: standard deviation, common factor on all heights.
+        blur_error: standard deviation, factor on the process blur.
+        noise: standard deviation, factor on each height.
+        draws: draw count.
+        seed: random seed.
     """
     generator = np.random.default_rng(seed)
     evaluator = Evaluator(problem, problem.search_upsamplings()[1], node_error=0.1)
@@ -108,7 +108,7 @@ def robustness(
 
 
 def _lab(rgb: Array, scale: float) -> Array:
-    """Return Lab of the displayed colours: scaled and clipped to [0, 1]."""
+    """Return displayed Lab colours: scaled and clipped to [0, 1]."""
     return np.asarray(xyz_to_lab(srgb_linear_to_xyz(_display(np.asarray(rgb, dtype=float), scale) ** GAMMA)))
 
 
@@ -118,7 +118,7 @@ def _display(rgb: Array, scale: float) -> Array:
 
 
 def write_preview(path: Path, problem: Problem, rgb: NDArray[Any], losses: Losses, enlarge: int = 4) -> None:
-    """Write a PNG of target | fixed scale | free scale of the first view and incidence, side by side."""
+    """Write a PNG with target | fixed scale | free scale, first view and incidence, side by side."""
     nx, ny = problem.views[0].target.shape[1:3]
     linear = np.asarray(rgb[: nx * ny], dtype=float).reshape(nx, ny, 3)
     gap = np.ones((nx, max(ny // 16, 1), 3))
@@ -138,7 +138,7 @@ def _png(image: Array, enlarge: int) -> bytes:
 
 
 def _slopes(problem: Problem, heights_nm: Array) -> tuple[Array, dict[str, float]]:
-    """Return the slope angles of the surface in degrees, and their rms, 99th percentile and maximum."""
+    """Return surface slope angles in degrees, and their rms, 99th percentile and maximum."""
     upsampling = max(problem.search_upsamplings()[1], 8)
     surface = Tile(heights_nm, problem.feature_nm, problem.blur_nm).surface_nm(upsampling)
     dx, dy = slopes(surface, problem.feature_nm / upsampling)
@@ -190,7 +190,7 @@ def write_report(
 ) -> dict[str, Any]:
     """Write a self-contained HTML page; return its figures: efficiency, slopes, robustness, warnings."""
     angles, slope_figures = _slopes(problem, heights_nm)
-    validity = trust(Tile(heights_nm, problem.feature_nm, problem.blur_nm))
+    validity = assess(Tile(heights_nm, problem.feature_nm, problem.blur_nm))
     notes = [f"Mind: {validity.line()}."] * validity.is_outside
     notes += _warnings(problem, summary, slope_figures["slope_99_percent_deg"])
     spread = _robustness_in_a_second(problem, heights_nm)
@@ -236,8 +236,8 @@ def write_report(
 def _spectra(problem: Problem, heights_nm: Array) -> tuple[dict[str, Array], float]:
     """Return the mean BRDF spectra inside the target and in the mirror direction, and the efficiency (first view).
 
-    The efficiency is the share of the incident light inside the target: the integral of f cos(theta_o) over the
-    directions in which the target exceeds a tenth of its maximum, as a mean over the wavelengths.
+    The efficiency is the incident light's share inside the target: f cos(theta_o) integrated over the
+    directions in which the target exceeds a tenth relative to its maximum, as a mean over the wavelengths.
     """
     view = problem.views[0]
     evaluator = Evaluator(problem, problem.search_upsamplings()[1], node_error=MEASURE_NODE_ERROR)

@@ -31,7 +31,7 @@ CHECKPOINT_INTERVAL_S = 2.0
 CHECKPOINT = "search.npz"
 # reserved from the time limit for the final measurement and the report
 FINAL_SHARE, FINAL_MAX_S = 0.15, 3.0
-MIN_SEARCH_SHARE = 0.25  # of the time limit
+MIN_SEARCH_SHARE = 0.25  # relative to the time limit
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class DesignResult:
     """Finished or interrupted relief design.
 
     Attributes:
-        folder: folder of its files.
+        folder: result folder.
         heights_um: `[x, y]`.
-        summary: content of `design.json`.
+        summary: `design.json` content.
     """
 
     folder: Path
@@ -73,7 +73,7 @@ def run(
     progress: Callable[[Progress], None] | None = None,
     jobs: int | None = None,
 ) -> DesignResult:
-    """Design the relief of a target file.
+    """Design a relief for a target file.
 
     The folder contains height.npy, recipe.toml and design.json from the first seconds on, each written atomically and
     updated every other second. An interrupt ends the search with the best design so far.
@@ -81,13 +81,13 @@ def run(
     Args:
         target_path: a target TOML.
         out_dir: created if it does not exist.
-        resume: continue a stopped run of the same target.
+        resume: continue a stopped run, same target.
         progress: called from worker threads, one at a time, after every iteration.
         jobs: threads; default: all cores.
 
     Raises:
         RecipeError: the target is not usable.
-        NacreError: the folder cannot be written, or contains the search of another target.
+        NacreError: the folder cannot be written, or contains another target's search.
     """
     spec, context = load_target(target_path)
     return design(spec, context, out_dir, resume=resume, progress=progress, jobs=jobs)
@@ -110,7 +110,7 @@ def design(
 
     Args:
         problem: if it differs from `spec.build`.
-        start_time: start of the time limit (`time.monotonic`); default: now.
+        start_time: time limit start (`time.monotonic`); default: now.
         evaluation_s: time reserved for `evaluate`.
         evaluate: returns additions to the summary from the finished folder and the summary.
     """
@@ -154,7 +154,7 @@ def design(
 
 
 class _Output:
-    """Result folder of a running search."""
+    """Result folder during the search."""
 
     def __init__(self, folder: Path, spec: TargetSpec, problem: Problem, search: Search, fingerprint: str) -> None:
         self.folder, self.spec, self.problem, self.search = folder, spec, problem, search
@@ -172,7 +172,7 @@ class _Output:
     def write(self, best: Array, status: str, measured: ConvergedMeasurement | None = None) -> dict[str, Any]:
         """Write height.npy, recipe.toml, preview.png and design.json atomically; return the summary.
 
-        Without a converged measurement the losses are those at the sampling of the search.
+        Without a converged measurement the losses use the search sampling.
         """
         problem, spec = self.problem, self.spec
         heights_um = best.reshape(problem.features, -1) * (problem.height_max_nm / 1e3)
@@ -229,13 +229,13 @@ def _recipe_text(spec: TargetSpec) -> str:
 
 
 def target_fingerprint(spec: TargetSpec, problem: Problem, context: RecipeContext) -> str:
-    """Return the fingerprint of a search: target, files that it names, and version of nacre."""
+    """Return the search fingerprint: target, files that it names, and nacre version."""
     target = hashlib.sha256(np.ascontiguousarray(problem.target).tobytes()).hexdigest()
     return fingerprint(spec.model_dump(exclude={"search": {"seconds"}}), context.files, target=target)
 
 
 def save_checkpoint(search: Search, folder: Path, fingerprint: str) -> None:
-    """Write the state of a search."""
+    """Write the search state."""
     with atomic_path(folder / CHECKPOINT) as temporary, temporary.open("wb") as stream:
         np.savez(
             stream,
@@ -250,7 +250,7 @@ def save_checkpoint(search: Search, folder: Path, fingerprint: str) -> None:
 
 
 def load_checkpoint(search: Search, folder: Path, fingerprint: str) -> None:
-    """Restore the state of a stopped search, if the folder contains one.
+    """Restore a stopped search, if the folder contains one.
 
     Raises:
         RecipeError: the state belongs to another target.

@@ -1,8 +1,8 @@
 """Multistart gradient search for relief heights: successive refinement, robust optimisation, perturbed restarts.
 
-Bounded L-BFGS-B on the feature heights (physics/relief.md, section 10). The budget is a fixed list of stages with a
-number of iterations each, so that a seed gives the same design on any machine; a time limit only cuts the list
-short. Starts run in parallel threads and do not share state, so the number of threads does not change the result.
+Bounded L-BFGS-B on the feature heights (physics/relief.md, section 10). The budget is a fixed stage list with a
+fixed iteration count each; a seed gives the same design on any machine; a time limit only cuts the list
+short. Starts run in parallel threads and do not share state, so the thread count does not change the result.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from nacre.core.arrays import Array
 from nacre.core.parallel import single_threaded_blas
 from nacre.optimise.relief.merit import Evaluator, Problem
 
-# height ranges of the random starts, relative to the allowed range, about its middle (section 11.9)
+# random start ranges, relative to the allowed range, about its middle (section 11.9)
 AMPLITUDES = (0.5, 0.25, 1.0, 0.12)
 NOISE_DRAWS = 6
-CORRECTIONS = 20  # of L-BFGS-B
-# Relative noise of the perturbed restarts. About half of the restarts find a lower minimum (measured on designs 3, 12
+CORRECTIONS = 20  # L-BFGS-B memory
+# Relative noise for perturbed restarts. About every second restart finds a lower minimum (measured on designs 3, 12
 # and 16: 2 % lower fixed and 7 % lower free loss).
 PERTURBATIONS = (0.08, 0.15, 0.05)
 PERTURBED_COPIES = 2
-LEVELS_SHARE = 0.3  # of the time limit is reserved for the rounding to levels
-# weights of the penalty between levels, in turn; the objective is a logarithm of order 1
+LEVELS_SHARE = 0.3  # time limit share reserved for rounding to levels
+# penalty weights between levels, in turn; the logarithmic objective is about 1
 LEVEL_PENALTIES = (0.02, 0.1, 0.5, 2.0)
 LEVEL_ITERATIONS = 25
 FLIP_PASSES = 12
@@ -38,9 +38,9 @@ FLIP_PASSES = 12
 
 @dataclass(frozen=True)
 class Stage:
-    """Stage of the search: `iterations` for each of the best `keep` candidates at one sampling.
+    """Search stage: `iterations` for the best `keep` candidates each, at one sampling.
 
-    A perturbing stage starts from noisy copies of the best candidate and accepts improvements only.
+    A perturbing stage starts from noisy best-candidate copies and accepts improvements only.
     """
 
     name: str
@@ -61,7 +61,7 @@ ROBUST_STAGE = Stage("robust", 2, 60, fine=True, robust=True)
 
 
 def stages(problem: Problem, perturbed_restarts: int = 0) -> tuple[Stage, ...]:
-    """Return the stages of a problem: a robust one if the process has errors, then the perturbed restarts."""
+    """Return the search stages: a robust one if the process has errors, then the perturbed restarts."""
     robust = problem.noise > 0 or problem.blur_error > 0
     perturb = Stage("perturb", PERTURBED_COPIES, 80, fine=True, robust=robust, perturbs=True)
     return (*STAGES, *((ROBUST_STAGE,) if robust else ()), *(perturbed_restarts * (perturb,)))
@@ -69,7 +69,7 @@ def stages(problem: Problem, perturbed_restarts: int = 0) -> tuple[Stage, ...]:
 
 @dataclass
 class Candidate:
-    """State of one start.
+    """One start's state.
 
     Attributes:
         x: relative heights, flat.
@@ -85,11 +85,11 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress report of a running search.
+    """Search progress report.
 
     Attributes:
         stage, stage_number, stage_count: current stage; numbers from 1.
-        best_value: best loss, a weighted mean of the fixed and the free one.
+        best_value: best loss, a weighted mean between fixed and free.
         evaluations, seconds: used so far.
         seconds_left: until the time limit, or None.
         best_x: best relative heights so far, flat.
@@ -115,7 +115,7 @@ class Search:
     Attributes:
         problem: the problem.
         candidates: starts that were not discarded.
-        plan, stage: the stages, and the index of the current one.
+        plan, stage: the stages, and the current index.
         seconds, evaluations: used so far, including earlier runs.
         stop_reason: "time limit" or "interrupted"; "" while running or if all stages before the perturbed restarts
             are complete.
@@ -136,7 +136,7 @@ class Search:
 
     @property
     def best(self) -> Candidate:
-        """Candidate with the lowest objective; of equal ones the first, whatever the order of the threads."""
+        """Candidate with the lowest objective; the first among equals, whatever the thread order."""
         return min(self.candidates, key=lambda c: (-c.stage, c.value))
 
     def stop(self) -> None:
@@ -269,7 +269,7 @@ def _random_start(features: int, seed: int, number: int) -> Array:
 
 
 def robust_objective(evaluator: Evaluator, seed: int) -> Callable[[Array], tuple[float, Array]]:
-    """Return the objective averaged over fixed draws of height noise and blur error (a smooth function)."""
+    """Return the objective averaged over fixed height noise and blur error draws (a smooth function)."""
     problem = evaluator.problem
     generator = np.random.default_rng([seed, 7919])
     shape = (problem.features, problem.features)
@@ -290,7 +290,7 @@ def round_to_levels(x: Array, levels: int) -> Array:
 
 
 def optimise_levels(evaluator: Evaluator, x: Array, levels: int, is_over: Callable[[], bool]) -> Array:
-    """Discretise a continuous design: growing penalty between the levels, rounding, then flips of single features.
+    """Discretise a continuous design: growing penalty between the levels, rounding, then single-feature flips.
 
     Args:
         x: relative heights, `[n, n]`.
@@ -320,7 +320,7 @@ def optimise_levels(evaluator: Evaluator, x: Array, levels: int, is_over: Callab
 
 
 def _flip(evaluator: Evaluator, x: Array, value: float, steps: int, is_over: Callable[[], bool]) -> Array:
-    """Move groups of features by one level along the gradient while the loss falls; halve the group otherwise."""
+    """Move feature groups by one level along the gradient while the loss falls; halve the group otherwise."""
     group = max(1, x.size // 16)
     for _ in range(FLIP_PASSES):
         if is_over():

@@ -1,4 +1,4 @@
-"""Target file of a relief design: target pictures, process and search budget.
+"""Relief target file: target pictures, process and search budget.
 
 The keys are public: add keys, do not rename them.
 """
@@ -18,7 +18,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.families.relief.coherence import CoherenceSpec
-from nacre.families.relief.plane_cut import SliceGeometry
+from nacre.families.relief.plane_cut import CutGeometry
 from nacre.families.relief.prefactor import coating_reflectance, fresnel_reflectance
 from nacre.formats.calibration import find_calibration
 from nacre.matter.indices.spec import IndexSpec
@@ -43,9 +43,9 @@ WIDTHS = {"anti-mirror": 0.12, "gaussian": 0.15, "inverted-image": 0.20}
 HOLES = {"anti-mirror": 0.05, "anisotropic-anti-mirror": 0.7}
 LARGEST_TARGET_VALUES = 64_000_000
 LARGEST_TILE_FEATURES = 512
-# share of the light that the picture of a free-scale design must contain; published designs contain 6 % or more
+# light share that a free-scale picture must contain; published designs contain 6 % or more
 LEAST_LIGHT = 0.05
-MAX_REFLECTANCE = 1.1  # allows for the error of an instrument's white
+MAX_REFLECTANCE = 1.1  # allows for an instrument's white error
 VISIBLE_THRESHOLD = 1e-3  # target values below this may lie beyond the horizon
 
 
@@ -72,7 +72,7 @@ class ColourSource(RecipeModel):
 
 
 class TargetTable(RecipeModel):
-    """Target picture over the directions of a slice."""
+    """Target picture over slice directions."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{kind = "anti-mirror", range = 0.5}',
@@ -140,10 +140,10 @@ class TargetTable(RecipeModel):
         return self
 
     def least_brightness(self, picture: Array) -> float:
-        """Return the floor of 1 / scale: as given, or such that the picture contains `LEAST_LIGHT` of the light.
+        """Return the floor for 1 / scale: as given, or such that the picture contains the light share `LEAST_LIGHT`.
 
-        The BRDF of a perfect reflector integrates to 1 over (u, v); therefore a picture of mean m over a slice of
-        area A, shown at a scale, contains m A / scale of the light.
+        A perfect reflector's BRDF integrates to 1 over (u, v); therefore a picture with mean m over a slice with
+        area A, shown at a scale, contains the share m A / scale.
         """
         if self.brightness_floor is not None:
             return self.brightness_floor
@@ -214,7 +214,7 @@ class TargetTable(RecipeModel):
 
 
 class SearchTable(RecipeModel):
-    """Budget and robustness of the search; all keys are optional."""
+    """Search budget and robustness; all keys are optional."""
 
     forms: ClassVar[tuple[str, ...]] = (
         "{seconds = 20}",
@@ -248,7 +248,7 @@ class SearchTable(RecipeModel):
 
 
 class TargetSpec(RecipeModel):
-    """Target of a relief design."""
+    """Relief design target."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "family": "relief",
@@ -360,7 +360,7 @@ class TargetSpec(RecipeModel):
         incidences = table.incidence_deg or self.search.incidence_deg
         directions = [_incidence(theta, phi, context) for theta, phi in incidences]
         axis = pictures.slice_axis(table.range, table.resolution)
-        geometry = SliceGeometry(axis, axis, np.stack(directions), spectrum.wavelengths_nm)
+        geometry = CutGeometry(axis, axis, np.stack(directions), spectrum.wavelengths_nm)
         target = np.stack([table.build(wi, context) for wi in directions])
         if not target.any():
             raise RecipeError(f"{context.source}: the target is black everywhere; give a picture with bright areas")
@@ -378,7 +378,7 @@ def _incidence(theta_deg: float, phi_deg: float, context: RecipeContext) -> Arra
 
 
 def _spectrum_colour(name: str, context: RecipeContext) -> Array:
-    """Return the display-referred colour of a reflectance spectrum under D65."""
+    """Return a reflectance spectrum's display-referred colour under D65."""
     from nacre.light import spectrum_to_rgb_linear
 
     key = "target.colour.spectrum"

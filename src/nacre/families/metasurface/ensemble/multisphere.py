@@ -21,15 +21,15 @@ from nacre.families.metasurface.monolayer.monolayer import Particle
 from nacre.families.metasurface.monolayer.translation_sums import (
     direct_coefficients,
     pair_orders,
+    reflected_sums,
     stack_contour,
     translation_coefficients,
 )
-from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, spread_blocks, with_negative_orders
+from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, spread_blocks
 from nacre.families.metasurface.tmatrix.particle_on_stack import ParticleOnStack
 from nacre.families.metasurface.tmatrix.special_functions import (
     bessel_j,
     legendre,
-    plane_wave_vectors,
     spherical_hankel_scaled,
 )
 from nacre.families.metasurface.tmatrix.substrate import Substrate
@@ -46,8 +46,7 @@ def reflected_coupling(
 ) -> ComplexArray:
     """Return W^R(R), the coupling of multipole n' to n by the stack at a horizontal distance, `[n, n', distance]`.
 
-    4 int kap dkap/(k kz) i^mu J_mu(kap R) e^(2ikzd) sum_pol Bdag_n(kz/k) R B_n'(-kz/k), mu = |m' - m|; inside a layer
-    with all waves in `StackReflection`.
+    See `reflected_sums`; the moments are J_mu(kap R).
 
     Args:
         centre_nm: mean centre height.
@@ -55,28 +54,14 @@ def reflected_coupling(
         lift_nm: target height above the source.
         reach: largest k R for the contour; default from `distances`.
     """
-    index = multipole_index(order)
-    mu = pair_orders(order)
-    out = np.zeros((*mu.shape, distances.size), dtype=complex)
+    size = len(multipole_index(order).m)
     if surface.is_absent:
-        return out
+        return np.zeros((size, size, distances.size), dtype=complex)
     far = float(max(distances.max(), 1.0)) if reach is None else reach
     heard = far if surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm) < LOW else 10.0
-    kappa, weight = stack_contour(surface, centre_nm, order, far, min(0.3, GROWTH / far), heard)
-    w = np.sqrt((1 - kappa) * (1 + kappa))
-    w = np.where(w.imag < 0, -w, w)
-    b = plane_wave_vectors(w, order, order, kappa)
-    measure = 4 * weight * kappa / w
-    ways = [
-        (with_negative_orders(left, index) * measure, with_negative_orders(right, index))
-        for left, right in surface.reflection_at(centre_nm, w, lift_nm).pairs(b)
-    ]
-    radial = bessel_j(np.outer(kappa, distances), 2 * order)
-    for m in range(2 * order + 1):
-        rows, columns = np.nonzero(mu == m)
-        pairs = sum(left[pol, rows] * right[pol, columns] for left, right in ways for pol in range(2))
-        out[rows, columns] = (1j) ** m * (pairs @ radial[m])
-    return out
+    contour = stack_contour(surface, centre_nm, order, far, min(0.3, GROWTH / far), heard)
+    moments = bessel_j(np.outer(contour[0], distances), 2 * order)
+    return reflected_sums(surface, centre_nm, lift_nm, order, contour, moments)
 
 
 def direct_coupling(order: int, distances: Array, height: float = 0.0) -> ComplexArray:

@@ -32,10 +32,11 @@ from nacre.families.metasurface.ensemble.multisphere import (
 from nacre.families.metasurface.monolayer.arrangement import Pattern
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.monolayer.qca import NeighbourTable, barycentric, chebyshev, mixed
-from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.monolayer.translation_sums import (
+    NeighbourGeometry,
     folded,
     pair_orders,
+    panels,
     translation_coefficients,
     unfolded,
 )
@@ -140,29 +141,15 @@ class DistantSheet:
     largest: float
 
     @classmethod
-    def build(
-        cls,
-        surface: Substrate,
-        centre_nm: float,
-        structure: Structure,
-        order: int,
-        reach_nm: float,
-        largest: float,
-        lift_nm: float = 0.0,
-    ) -> DistantSheet:
-        """Tabulate; `structure` gives density and least distance, without correlation.
-
-        Args:
-            centre_nm: mean height.
-            lift_nm: target height above the source, for the reflection by the stack.
-        """
-        k = surface.inner_wavenumber
+    def build(cls, geometry: NeighbourGeometry, reach_nm: float, largest: float) -> DistantSheet:
+        """Tabulate; the structure gives density and least distance, without correlation."""
+        structure, order, k = geometry.structure, geometry.order, geometry.surface.inner_wavenumber
         a, far = structure.diameter_nm * k, reach_nm * k
         edges = np.linspace(a, far, int(np.ceil((far - a) / min(a / 2, 2.0))) + 1)
-        x, weight = np.polynomial.legendre.leggauss(8)
-        half = np.diff(edges)[:, None] / 2
-        r, w = (edges[:-1, None] + half * (1 + x)).ravel(), (half * weight).ravel()
-        single = direct_coupling(order, r) + reflected_coupling(surface, centre_nm, order, r, lift_nm=lift_nm)
+        r, w = panels(edges, 8)
+        single = direct_coupling(order, r) + reflected_coupling(
+            geometry.surface, geometry.centre_nm, order, r, lift_nm=geometry.lift_nm
+        )
         kappa, _ = chebyshev(int(30 + 0.7 * far * largest), 0.0, largest)
         mu = pair_orders(order)
         sums = np.zeros((*mu.shape, kappa.size), dtype=complex)
@@ -172,7 +159,7 @@ class DistantSheet:
             sums[rows, columns] = (-1j) ** m * (single[rows, columns] @ (seen * jv(m, np.outer(r, kappa))))
         sums *= 2 * np.pi * structure.density_per_nm2 / k**2
         within = np.stack([np.moveaxis(folded(sums, order, pol), -1, 0) for pol in range(2)])
-        table = NeighbourTable.build(surface, centre_nm, structure, order, largest=largest, lift_nm=lift_nm)
+        table = NeighbourTable.build(geometry, largest=largest)
         return cls(table, within, largest)
 
     def at(self, kappa: Array) -> ComplexArray:
@@ -180,7 +167,7 @@ class DistantSheet:
         w = np.sqrt((1.0 - kappa**2).astype(complex))
         nodes, weights = chebyshev(self.within.shape[1], 0.0, self.largest)
         rest = self.table.sums(kappa, w) - mixed(barycentric(nodes, weights, kappa), self.within)
-        return unfolded(rest, self.table.order) / self.table.structure.density_per_nm2
+        return unfolded(rest, self.table.geometry.order) / self.table.geometry.structure.density_per_nm2
 
 
 @dataclass(frozen=True)
@@ -208,7 +195,7 @@ class PeriodicCoupling:
         largest = max_far_wavenumber(surface, reach_nm)
         pairs = {mean_and_lift(surface, float(a), float(b)) for a in heights for b in heights}
         sheets = {
-            (mean, up): DistantSheet.build(surface, mean, alone, order, reach_nm, largest, up)
+            (mean, up): DistantSheet.build(NeighbourGeometry(surface, mean, alone, order, up), reach_nm, largest)
             for mean, up in sorted(pairs)
         }
         direct, step = None, k * float(np.ptp(heights))
@@ -216,8 +203,8 @@ class PeriodicCoupling:
             nothing = Substrate(surface.wavelength_nm, np.full(2, surface.inner_index + 0j), np.zeros(0))
             # shorter distances cancel within the window, and high multipoles are large there
             further = dataclasses.replace(alone, diameter_nm=max(alone.diameter_nm, reach_nm / 2))
-            top = translation_order(order, step)
-            direct = DistantSheet.build(nothing, float(heights.max()), further, top, reach_nm, largest)
+            top = NeighbourGeometry(nothing, float(heights.max()), further, translation_order(order, step))
+            direct = DistantSheet.build(top, reach_nm, largest)
         return cls(coupling, sheets, direct, largest)
 
     def beyond(self, wavevectors: Array) -> ComplexArray:
@@ -247,7 +234,7 @@ class PeriodicCoupling:
         Waves from beyond the window are regular at the target and are translated as regular waves.
         """
         assert self.direct is not None  # set for different heights
-        top = self.direct.table.order
+        top = self.direct.table.geometry.order
         low = multipole_index(top).l <= self.coupling.order
         carried = lift(top, height) - np.eye(len(low))
         return np.asarray(carried[low] @ straight[:, :, low])

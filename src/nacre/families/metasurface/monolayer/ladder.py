@@ -23,7 +23,12 @@ from scipy.fft import fft, ifft, rfft
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import neighbour_sums, plane_wave_sums, unfolded
+from nacre.families.metasurface.monolayer.translation_sums import (
+    NeighbourGeometry,
+    neighbour_sums,
+    plane_wave_sums,
+    unfolded,
+)
 from nacre.families.metasurface.tmatrix.full_tmatrix import full_order, multipole_index
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K, Substrate
 
@@ -80,8 +85,8 @@ class Modes:
         kappa, weights = _nodes(surface, reach)
         weights = weights * k**2 / (4 * np.pi**2 * rho)
         w = np.sqrt((1.0 - kappa**2).astype(complex))
-        folded = neighbour_sums(surface, centre_nm, structure, order, kappa)
-        q = unfolded(folded + plane_wave_sums(structure, surface, centre_nm, order, w, kappa), order)
+        geometry = NeighbourGeometry(surface, centre_nm, structure, order)
+        q = unfolded(neighbour_sums(geometry, kappa) + plane_wave_sums(geometry, w, kappa), order)
         m = multipole_index(order).m
         one, same = np.eye(len(m)), m[:, None] == m
         dressed: ComplexArray = alone

@@ -26,6 +26,7 @@ from nacre.families.metasurface.monolayer.qca import (
     neighbour_sums_at,
 )
 from nacre.families.metasurface.monolayer.structure import Structure
+from nacre.families.metasurface.monolayer.translation_sums import NeighbourGeometry
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_order
 from nacre.families.metasurface.tmatrix.full_tmatrix import azimuthal_blocks, multipole_index, spread_blocks
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
@@ -222,8 +223,12 @@ class Monolayer:
     @cached_property
     def neighbours(self) -> NeighbourTable:
         """The neighbour sum table."""
-        order = min(self.interaction_order, self.spheres[0].lmax)
-        return NeighbourTable.build(self.surface, self.mean_centre_nm, self.structure, order, self.transmits_below)
+        return NeighbourTable.build(self.neighbour_geometry(), self.transmits_below)
+
+    def neighbour_geometry(self, order: int | None = None) -> NeighbourGeometry:
+        """Return the neighbour interaction up to `order`, by default the monolayer's."""
+        order = min(self.interaction_order, self.spheres[0].lmax) if order is None else order
+        return NeighbourGeometry(self.surface, self.mean_centre_nm, self.structure, order)
 
     def illuminate(
         self, cosines: Array, below: bool = False, sines: Array | None = None, untabulated: bool = False
@@ -239,17 +244,14 @@ class Monolayer:
         own = [apply_response(s.dressed, d.excitation) for s, d in zip(self.spheres, directions)]
         if not self.has_mean_field:
             return Illumination(directions, own)
-        order = min(self.interaction_order, self.spheres[0].lmax)
+        geometry = self.neighbour_geometry()
         if untabulated:
-            sums = neighbour_sums_at(
-                self.surface, self.mean_centre_nm, self.structure, order, directions[0], self.includes_near_fields
-            )
+            sums = neighbour_sums_at(geometry, directions[0], self.includes_near_fields)
         else:
             sums = self.neighbours.at(directions[0])
-        added = mean_excitation(sums, order, self.mean_dressed, sum_over(self.shares, own))
-        return Illumination(
-            directions, [o + apply_response(s.dressed, added) for o, s in zip(own, self.spheres)], added
-        )
+        added = mean_excitation(sums, geometry.order, self.mean_dressed, sum_over(self.shares, own))
+        response = [o + apply_response(s.dressed, added) for o, s in zip(own, self.spheres)]
+        return Illumination(directions, response, added)
 
     def coherent_sum(self, leaving: list[Directions], lit: Illumination) -> ComplexArray:
         """Return the mean F towards `leaving`, paired with `lit`, nm, `[pol, angle]`."""

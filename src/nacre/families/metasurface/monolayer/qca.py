@@ -11,11 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
-from nacre.families.metasurface.monolayer.structure import Structure
-from nacre.families.metasurface.monolayer.translation_sums import half_index, neighbour_sums, plane_wave_sums
+from nacre.families.metasurface.monolayer.translation_sums import (
+    NeighbourGeometry,
+    half_index,
+    neighbour_sums,
+    plane_wave_sums,
+)
 from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions
-from nacre.families.metasurface.tmatrix.substrate import Substrate
 
 INTERACTION_ORDER = 3  # order 4 changes |u.b|^2 by at most 2e-3
 
@@ -53,52 +56,33 @@ class NeighbourTable:
     """Q for one monolayer and wavelength at every angle, tabulated without its plane-wave terms.
 
     Attributes:
-        surface, centre_nm, structure, order, lift_nm: see `neighbour_sums`.
+        geometry: the monolayer.
         propagating: `[pol, node, h, h']` at Chebyshev nodes: theta in (0, pi/2), folded (see `HalfIndex`).
         evanescent: the same at nodes eta, kappa = cosh(eta), up to `eta_max` (for light from below).
     """
 
-    surface: Substrate
-    centre_nm: float
-    structure: Structure
-    order: int
+    geometry: NeighbourGeometry
     propagating: ComplexArray
     evanescent: ComplexArray | None
     eta_max: float
-    lift_nm: float = 0.0
 
     @classmethod
-    def build(
-        cls,
-        surface: Substrate,
-        centre_nm: float,
-        structure: Structure,
-        order: int,
-        from_below: bool = False,
-        largest: float = 1.0,
-        lift_nm: float = 0.0,
-    ) -> NeighbourTable:
+    def build(cls, geometry: NeighbourGeometry, from_below: bool = False, largest: float = 1.0) -> NeighbourTable:
         """Tabulate; `from_below` adds the angles beyond a denser substrate's critical angle.
 
         Args:
             largest: minimum for the largest in-plane wavevector over k.
         """
-        a = structure.diameter_nm * surface.inner_wavenumber
-        count = int(14 + 2.0 * a)
-        theta, _ = chebyshev(count, 0.0, np.pi / 2)
-        kappa = np.sin(theta)
-        eta_max, evanescent = 0.0, None
-        if from_below:
-            largest = max(largest, surface.index_below * surface.ambient_index / surface.inner_index)
-        largest = max(largest, surface.ambient_index / surface.inner_index)
-        if largest > 1.0 + 1e-9:
-            eta_max = float(np.arccosh(largest))
-            eta, _ = chebyshev(count, 0.0, eta_max)
-            kappa = np.concatenate([kappa, np.cosh(eta)])
-        sums = neighbour_sums(surface, centre_nm, structure, order, kappa, lift_nm=lift_nm)
+        surface = geometry.surface
+        count = int(14 + 2.0 * geometry.structure.diameter_nm * surface.inner_wavenumber)
+        kappa = np.sin(chebyshev(count, 0.0, np.pi / 2)[0])
+        relative = surface.ambient_index / surface.inner_index
+        largest = max(largest, relative, surface.index_below * relative if from_below else 0.0)
+        eta_max = float(np.arccosh(largest)) if largest > 1.0 + 1e-9 else 0.0
         if eta_max:
-            evanescent = sums[:, count:]
-        return cls(surface, centre_nm, structure, order, sums[:, :count], evanescent, eta_max, lift_nm)
+            kappa = np.concatenate([kappa, np.cosh(chebyshev(count, 0.0, eta_max)[0])])
+        sums = neighbour_sums(geometry, kappa)
+        return cls(geometry, sums[:, :count], sums[:, count:] if eta_max else None, eta_max)
 
     def at(self, directions: Directions) -> ComplexArray:
         """Return Q, folded, `[pol, angle, h, h']`, at the `directions` in-plane wavevectors."""
@@ -118,28 +102,18 @@ class NeighbourTable:
             nodes, weights = chebyshev(self.evanescent.shape[1], 0.0, self.eta_max)
             matrix = barycentric(nodes, weights, np.arccosh(kappa[~inside]))
             out[:, ~inside] = mixed(matrix, self.evanescent)
-        return out + plane_wave_sums(self.structure, self.surface, self.centre_nm, self.order, w, kappa, self.lift_nm)
+        return out + plane_wave_sums(self.geometry, w, kappa)
 
 
 def neighbour_sums_at(
-    surface: Substrate,
-    centre_nm: float,
-    structure: Structure,
-    order: int,
-    directions: Directions,
-    includes_near_fields: bool = True,
+    geometry: NeighbourGeometry, directions: Directions, includes_near_fields: bool = True
 ) -> ComplexArray:
     """Return Q at a few directions without tabulation; see `NeighbourTable.at`.
 
     Without `includes_near_fields` it holds only the monolayer plane waves, like a sheet.
     """
-    kappa = directions.inner
-    waves = plane_wave_sums(structure, surface, centre_nm, order, directions.inner_cosines, kappa)
-    return (
-        neighbour_sums(surface, centre_nm, structure, order, kappa, quick=True) + waves
-        if includes_near_fields
-        else waves
-    )
+    waves = plane_wave_sums(geometry, directions.inner_cosines, directions.inner)
+    return neighbour_sums(geometry, directions.inner, quick=True) + waves if includes_near_fields else waves
 
 
 def mean_excitation(q: ComplexArray, order: int, dressed: ComplexArray, own: ComplexArray) -> ComplexArray:

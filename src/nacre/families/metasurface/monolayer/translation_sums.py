@@ -28,7 +28,7 @@ from nacre.families.metasurface.tmatrix.special_functions import (
     plane_wave_vectors,
     spherical_hankel_scaled,
 )
-from nacre.families.metasurface.tmatrix.substrate import StackReflection, Substrate
+from nacre.families.metasurface.tmatrix.substrate import Substrate
 
 IntArray = NDArray[np.intp]
 
@@ -36,6 +36,24 @@ CONTOUR_DEPTH = 0.3  # contour depth below guided modes, in k; the growth e^{0.3
 SILENT, NEAR_START = 46.0, 1e-19  # exponent and ray distance below which terms are lost to rounding
 ALONG_THE_NORMAL = 1e-9  # in-plane wavevectors below this, over k, count as 0
 EXCESS_FLOOR = 2e-3  # |g - 1| below which distances count as uncorrelated
+
+
+@dataclass(frozen=True)
+class NeighbourGeometry:
+    """Neighbours of a particle in a monolayer, and their interaction.
+
+    Attributes:
+        surface, centre_nm: the stack and the particle height.
+        structure: density and g(r).
+        order: highest multipole in the interaction.
+        lift_nm: target height above the source (`centre_nm` is their mean), for the reflection by the stack.
+    """
+
+    surface: Substrate
+    centre_nm: float
+    structure: Structure
+    order: int
+    lift_nm: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -136,7 +154,7 @@ def _gauss(count: int) -> tuple[Array, Array]:
     return np.polynomial.legendre.leggauss(count)
 
 
-def _panels(edges: Array, count: int) -> tuple[Array, Array]:
+def panels(edges: Array, count: int) -> tuple[Array, Array]:
     x, weight = _gauss(count)
     half = np.diff(edges) / 2
     middle = (edges[1:] + edges[:-1]) / 2
@@ -156,7 +174,7 @@ def _direct_sums(structure: Structure, wavenumber: float, order: int, kappa: Arr
     a = structure.diameter_nm * wavenumber
     reach = _correlation_range(structure) * wavenumber
     pieces = int(np.ceil((reach - a) / (a / 2)))
-    r, weight = _panels(np.linspace(a, reach, pieces + 1), int(8 + 0.6 * a))
+    r, weight = panels(np.linspace(a, reach, pieces + 1), int(8 + 0.6 * a))
     g = 1.0 + structure.pair_excess(r / wavenumber)
     hankel = spherical_hankel_scaled(r, top) * (np.exp(1j * r) * weight * g * r)
     bessel = jv(np.arange(top + 1)[:, None, None], r[:, None] * kappa)  # mu, R, angle
@@ -221,24 +239,53 @@ def stack_contour(
     # relative error 1e-8; a pattern needs a narrow last panel for the Bessel functions
     edges = [0.0, 1.0, 2.0, bend] if depth == CONTOUR_DEPTH else [0.0, 1.0, *np.linspace(2.0, bend, 5)]
     fringes = float(surface.indices[1:-1].real @ surface.thicknesses_nm) * surface.wavenumber / surface.ambient_index
-    x, weight = _panels(np.array(edges), int(24 + 0.5 * (reach + fringes)) if quick else int(40 + 0.8 * reach))
+    x, weight = panels(np.array(edges), int(24 + 0.5 * (reach + fringes)) if quick else int(40 + 0.8 * reach))
     kappa = x - 1j * depth * np.sin(np.pi * x / bend)
     slope = 1 - 1j * depth * np.pi / bend * np.cos(np.pi * x / bend)
     if far <= bend:
         return kappa, weight * slope
-    y, rest = _panels(np.array([bend, far]), int((48 if quick else 60) + 0.5 * (far - bend) * min(reach, heard) / 3))
+    y, rest = panels(np.array([bend, far]), int((48 if quick else 60) + 0.5 * (far - bend) * min(reach, heard) / 3))
     return np.concatenate([kappa, y]), np.concatenate([weight * slope, rest.astype(complex)])
 
 
-def _stack_sums(
+def reflected_sums(
     surface: Substrate,
     centre_nm: float,
-    structure: Structure,
+    lift_nm: float,
     order: int,
-    kappa_i: Array,
-    every_row: bool = False,
-    quick: bool = False,
-    lift_nm: float = 0.0,
+    contour: tuple[ComplexArray, ComplexArray],
+    moments: ComplexArray,
+    rows_wanted: NDArray[np.bool_] | bool = True,
+) -> ComplexArray:
+    """Integrate multipole pairs reflected by the stack over a contour, `[n, n', column]`.
+
+    4 int kap dkap/(k kz) i^mu moments e^(2ikzd) sum_pol Bdag_n(kz/k) R B_n'(-kz/k), mu = |m' - m|; inside a layer with
+    all waves in `StackReflection`.
+
+    Args:
+        contour: from `stack_contour`.
+        moments: `[mu, kappa, column]`.
+        rows_wanted: the n computed, `[n, 1]`.
+    """
+    (kappa, weight), index, mu = contour, multipole_index(order), pair_orders(order)
+    w = np.sqrt((1 - kappa) * (1 + kappa))
+    w = np.where(w.imag < 0, -w, w)
+    factors = [
+        (with_negative_orders(left, index) * (4 * weight * kappa / w), with_negative_orders(right, index))
+        for left, right in surface.reflection_at(centre_nm, w, lift_nm).pairs(
+            plane_wave_vectors(w, order, order, kappa)
+        )
+    ]
+    out = np.zeros((*mu.shape, moments.shape[-1]), dtype=complex)
+    for m, moment in enumerate(moments):
+        rows, columns = np.nonzero((mu == m) & rows_wanted)
+        products = sum(left[pol, rows] * right[pol, columns] for left, right in factors for pol in range(2))
+        out[rows, columns] = (1j) ** m * (products @ moment)
+    return out
+
+
+def _stack_sums(
+    geometry: NeighbourGeometry, kappa_i: Array, every_row: bool = False, quick: bool = False
 ) -> ComplexArray:
     """The part reflected by the stack for g - 1, `[n, n', angle]` (g = 1 has a closed form).
 
@@ -247,112 +294,70 @@ def _stack_sums(
     int (g-1) W^R(R) J_mu(kappa_i R) R dR with the Sommerfeld integral W^R outside: the radial integral over two Bessel
     functions comes first.
     """
+    surface, structure, order = geometry.surface, geometry.structure, geometry.order
     k = surface.inner_wavenumber
-    index = multipole_index(order)
     a, reach = structure.diameter_nm * k, _correlation_range(structure) * k
     # W^R is smooth also inside the core, with g - 1 = -1
-    r_in, w_in = _panels(np.array([0.0, a]), int(14 + 0.8 * a))
-    r_out, w_out = _panels(np.linspace(a, reach, int(np.ceil(reach / a - 1 + 1e-9)) + 1), int(10 + 0.8 * a))
+    r_in, w_in = panels(np.array([0.0, a]), int(14 + 0.8 * a))
+    r_out, w_out = panels(np.linspace(a, reach, int(np.ceil(reach / a - 1 + 1e-9)) + 1), int(10 + 0.8 * a))
     r = np.concatenate([r_in, r_out])
     measure = np.concatenate([w_in, w_out]) * r * structure.pair_excess(r / k)
-    kappa, weight = stack_contour(surface, centre_nm, order, reach, quick=quick)
-    w = np.sqrt((1 - kappa) * (1 + kappa))
-    w = np.where(w.imag < 0, -w, w)
-    b = plane_wave_vectors(w, order, order, kappa)
-    measured = 4 * weight * kappa / w
-    ways = [
-        (with_negative_orders(left, index) * measured, with_negative_orders(right, index))
-        for left, right in surface.reflection_at(centre_nm, w, lift_nm).pairs(b)
-    ]
+    contour = stack_contour(surface, geometry.centre_nm, order, reach, quick=quick)
     top = 2 * order if np.any(kappa_i >= ALONG_THE_NORMAL) else 0  # J_mu(0) = delta_{mu 0}
-    radial = bessel_j(np.outer(kappa, r), top)  # mu, kappa, R
+    radial = bessel_j(np.outer(contour[0], r), top)  # mu, kappa, R
     seen = jv(np.arange(top + 1)[:, None, None], r[:, None] * kappa_i)
     moments = np.matmul(radial, measure[:, None] * seen)  # mu, kappa, angle
-    mu = pair_orders(order)
-    out = np.zeros((*mu.shape, kappa_i.size), dtype=complex)
-    wanted = np.broadcast_to(every_row | (index.m[:, None] >= 0), mu.shape)
-    for order_mu in range(top + 1):
-        rows, columns = np.nonzero((mu == order_mu) & wanted)
-        pairs = sum(left[pol, rows] * right[pol, columns] for left, right in ways for pol in range(2))
-        out[rows, columns] = (1j) ** order_mu * (pairs @ moments[order_mu])
-    return out
+    rows = every_row | (multipole_index(order).m[:, None] >= 0)
+    return reflected_sums(surface, geometry.centre_nm, geometry.lift_nm, order, contour, moments, rows)
 
 
-def neighbour_sums(
-    surface: Substrate,
-    centre_nm: float,
-    structure: Structure,
-    order: int,
-    kappa: Array,
-    quick: bool = False,
-    lift_nm: float = 0.0,
-) -> ComplexArray:
+def neighbour_sums(geometry: NeighbourGeometry, kappa: Array, quick: bool = False) -> ComplexArray:
     """Return Q minus its plane-wave terms, folded, `[pol, angle, h, h']`, at in-plane wavevectors `kappa` over k.
 
     Args:
-        surface, centre_nm: the stack and the particle height.
-        structure: density and g(r).
-        order: highest multipole in the interaction.
         kappa: `[angle]`, real, >= 0 and not 1.
         quick: relative error 1e-4 to 1e-5.
-        lift_nm: target height above the source (`centre_nm` is their mean), for the reflection by the stack.
     """
+    surface, structure, order = geometry.surface, geometry.structure, geometry.order
     mu = pair_orders(order)
-    phase = (-1j) ** mu
-    k2 = surface.inner_wavenumber**2
     direct = _direct_sums(structure, surface.inner_wavenumber, order, kappa)
-    size, top = len(mu), 2 * order
-    table = direct_coefficients(order).reshape(size * size, -1)
-    total = (table @ direct.reshape((top + 1) ** 2, -1)).reshape(size, size, -1)
+    table = direct_coefficients(order).reshape(mu.size, -1)
+    total = (table @ direct.reshape(table.shape[1], -1)).reshape(*mu.shape, -1)
     if not surface.is_absent:
-        total = total + _stack_sums(surface, centre_nm, structure, order, kappa, quick=quick, lift_nm=lift_nm)
-    total = total * (2 * np.pi * structure.density_per_nm2 / k2) * phase[:, :, None]
-    w = np.sqrt((1 - kappa**2).astype(complex))
-    waves = _wave_sums(structure, surface, order, w, kappa, None)
+        total = total + _stack_sums(geometry, kappa, quick=quick)
+    total = total * (2 * np.pi * structure.density_per_nm2 / surface.inner_wavenumber**2) * ((-1j) ** mu)[:, :, None]
+    waves = plane_wave_sums(geometry, np.sqrt((1 - kappa**2).astype(complex)), kappa, False)
     return np.stack([np.moveaxis(folded(total, order, pol), -1, 0) - waves[pol] for pol in range(2)])
 
 
-def _wave_sums(
-    structure: Structure, surface: Substrate, order: int, w: ComplexArray, kappa: Array, echo: StackReflection | None
+def plane_wave_sums(
+    geometry: NeighbourGeometry, w: ComplexArray, kappa: Array, is_reflected: bool = True
 ) -> ComplexArray:
-    """Half the monolayer plane waves in both directions, and their reflection, folded, `[pol, angle, h, h']`.
+    """The plane-wave terms in Q, folded: half the monolayer waves in both directions, and their reflection.
 
     They grow as 1/cos and are therefore not interpolated. Folded, each is one product: a plane wave with one
     polarisation excites only its own multipoles.
 
     Args:
-        echo: reflection by the stack, or None.
+        is_reflected: whether the reflection by the stack is included.
+
+    Returns: `[pol, angle, h, h']`.
     """
+    surface, order = geometry.surface, geometry.order
     b = plane_wave_vectors(w, order, order, kappa.astype(complex))
-    factor = 4 * np.pi * structure.density_per_nm2 / (surface.inner_wavenumber**2 * w)
+    factor = 4 * np.pi * geometry.structure.density_per_nm2 / (surface.inner_wavenumber**2 * w)
     turned = mirrored(np.ones((*b.shape[:3], 1), dtype=complex)).real[..., 0]
     left_all = adjoint(b)
+    reflection = None
+    if is_reflected and not surface.is_absent:
+        reflection = surface.reflection_at(geometry.centre_nm, w, geometry.lift_nm)
     out = []
     for pol in range(2):
         half = half_index(order, pol)
         left, right = left_all[half.m, pol, half.block].T, b[half.m, pol, half.block].T
         sign = turned[half.m, pol, half.block]
-        ways: ComplexArray = factor[:, None, None] * (1.0 + sign[:, None] * sign)
-        if echo is not None:
-            ways = ways + (2.0 * factor)[:, None, None] * echo.signed(pol, sign, sign)
-        out.append(left[:, :, None] * (right * half.multiplicity)[:, None, :] * ways)
+        waves: ComplexArray = factor[:, None, None] * (1.0 + sign[:, None] * sign)
+        if reflection is not None:
+            waves = waves + (2.0 * factor)[:, None, None] * reflection.signed(pol, sign, sign)
+        out.append(left[:, :, None] * (right * half.multiplicity)[:, None, :] * waves)
     return np.stack(out)
-
-
-def plane_wave_sums(
-    structure: Structure,
-    surface: Substrate,
-    centre_nm: float,
-    order: int,
-    w: ComplexArray,
-    kappa: Array,
-    lift_nm: float = 0.0,
-) -> ComplexArray:
-    """The plane-wave terms in Q, folded: monolayer waves and their reflection by the stack.
-
-    Returns: `[pol, angle, h, h']`.
-    """
-    echo = None
-    if not surface.is_absent:
-        echo = surface.reflection_at(centre_nm, w, lift_nm)
-    return _wave_sums(structure, surface, order, w, kappa, echo)

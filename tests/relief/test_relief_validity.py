@@ -1,4 +1,4 @@
-"""How far a relief's colours are to be trusted: what is measured on it, what is said, and a design that keeps to it."""
+"""Validity of a relief's colours: measurement, warning, and designs within the limits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.families.relief.surface import Tile
-from nacre.families.relief.validity import OUTSIDE_DE00, expected_de00, largest_depth_nm, mean_feature_nm, trust
+from nacre.families.relief.validity import OUTSIDE_DE00, assess, expected_de00, largest_depth_nm, mean_feature_nm
 from nacre.optimise.relief.adapter import read_relief
 from nacre.recipe.model import RecipeContext
 
@@ -33,12 +33,12 @@ def test_a_feature_is_half_a_period_whatever_the_axis_and_the_profile() -> None:
     assert mean_feature_nm(wave, 100.0) == (pytest.approx(3200.0), 0)
     assert mean_feature_nm(np.sign(wave).T, 100.0) == (pytest.approx(3200.0), 1)
     stripes = Tile(500.0 * (np.indices((16, 16))[0] // 2 % 2), 1000.0, 200.0)
-    found = trust(stripes)
+    found = assess(stripes)
     assert found.feature == pytest.approx(2000.0 / 550.0)
     assert found.slope == pytest.approx(0.25, rel=0.02)  # the blur takes a little of the depth
     # waves are shorter in a medium, and features longer for them
-    assert trust(stripes, 1.5).feature == pytest.approx(1.5 * found.feature)
-    assert trust(Tile(np.zeros((4, 4)), 1000.0, 200.0)).de00 == 0.0
+    assert assess(stripes, 1.5).feature == pytest.approx(1.5 * found.feature)
+    assert assess(Tile(np.zeros((4, 4)), 1000.0, 200.0)).de00 == 0.0
 
 
 def test_a_feature_is_half_a_period_of_hills_too() -> None:
@@ -52,8 +52,8 @@ def test_a_feature_is_half_a_period_of_hills_too() -> None:
 def test_smoothness_tells_walls_from_waves() -> None:
     x = (np.arange(32) + 0.5) / 32
     wave = Tile(np.tile(100.0 * np.cos(2 * np.pi * x)[:, None], (1, 32)), 100.0, 100.0)
-    assert trust(wave).smoothness == pytest.approx(1.0, abs=0.01)
-    walls = [trust(Tile(500.0 * (np.indices((16, 16))[0] // 4 % 2), 1000.0, blur)) for blur in (50.0, 200.0, 800.0)]
+    assert assess(wave).smoothness == pytest.approx(1.0, abs=0.01)
+    walls = [assess(Tile(500.0 * (np.indices((16, 16))[0] // 4 % 2), 1000.0, blur)) for blur in (50.0, 200.0, 800.0)]
     assert walls[0].smoothness < walls[1].smoothness < walls[2].smoothness
     assert walls[0].smoothness < 0.25
 
@@ -75,7 +75,7 @@ def test_a_steep_relief_warns_once_and_a_flat_one_does_not(tmp_path: Path, caplo
     (record,) = caplog.records
     told = record.getMessage()
     assert "slopes of 1.2" in told and "3.6 wavelengths" in told
-    assert f"dE00 {steep.model.trust.de00:.0f}" in told
+    assert f"dE00 {steep.model.validity.de00:.0f}" in told
 
 
 def wants(**more: Any) -> dict[str, Any]:
@@ -95,7 +95,7 @@ def test_a_trusted_design_stays_as_flat_as_its_features_ask(tmp_path: Path) -> N
     assert kept.problem.height_max_nm == pytest.approx(largest_depth_nm(1000.0))
     random = np.random.default_rng(2)
     tile = Tile(random.uniform(0.0, kept.problem.height_max_nm, (16, 16)), 1000.0, 200.0)
-    assert not trust(tile).is_outside
+    assert not assess(tile).is_outside
     with pytest.raises(NacreError, match="limits"):
         read_relief(wants(limits={"max_total_nm": 100}), context)
 
