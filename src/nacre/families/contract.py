@@ -23,7 +23,7 @@ import abc
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
@@ -247,6 +247,37 @@ class OwnFormats(abc.ABC):
     @abc.abstractmethod
     def own_formats(self) -> Mapping[str, Writer]:
         """Formats: name -> function that writes the file."""
+
+
+@runtime_checkable
+class RoughSurface(Protocol):
+    """A model with a rough upper surface (`nacre.bsdf.facet_distributions.Roughness`)."""
+
+    surface: Any
+
+
+@runtime_checkable
+class Ridged(Protocol):
+    """A model that may have ridges of lamellae."""
+
+    ridges: Any
+
+
+@runtime_checkable
+class Aligned(Protocol):
+    """A model that is anisotropic if its particles are aligned."""
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether the particles are aligned."""
+
+
+@runtime_checkable
+class BetweenMedia(Protocol):
+    """A model between two media."""
+
+    ambient: Any
+    substrate: Any
 
 
 def figure_data(model: Model, name: str, **options: Any) -> dict[str, NDArray[Any]]:
