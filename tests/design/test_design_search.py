@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from nacre.core.errors import NacreError, RecipeError
+from nacre.optimise.checkpoint import STATE
 from nacre.optimise.relief.merit import (
     FIXED_SHARE,
     Evaluator,
@@ -21,7 +22,7 @@ from nacre.optimise.relief.merit import (
     measure_design,
     objective,
 )
-from nacre.optimise.relief.run import CHECKPOINT, load_target, run
+from nacre.optimise.relief.run import load_target, run
 from nacre.optimise.relief.search import Search, robust_objective
 
 GRADIENT = 1e-5  # the bar against finite differences
@@ -291,7 +292,7 @@ def test_default_spectrum_gives_a_white_mirror_its_white() -> None:
 
 def test_a_truncated_checkpoint_gives_one_line(tmp_path: Path) -> None:
     run(write(tmp_path, starts="1", perturbed_restarts="0"), tmp_path / "out")
-    checkpoint = tmp_path / "out" / CHECKPOINT
+    checkpoint = tmp_path / "out" / STATE
     checkpoint.write_bytes(checkpoint.read_bytes()[:200])
     with pytest.raises(NacreError) as caught:
         run(write(tmp_path, starts="1", perturbed_restarts="0"), tmp_path / "out", resume=True)
