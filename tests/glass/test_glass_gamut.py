@@ -25,7 +25,7 @@ FREE = ["spheres.radius_nm=90:140"]
 
 def test_a_gamut_of_balls_is_of_light_from_45_degrees_and_ends_in_its_seconds() -> None:
     found = nacre.gamut(nacre.material(PAINT), FREE, points=1000, seconds=1.0)
-    assert found.at == "45as45" and 8 <= len(found.lab) < 1000
+    assert found.geometry == "45as45" and 8 <= len(found.lab) < 1000
     # a mirror of n = 1.5 would be 4 % of grey: hues run here
     assert np.ptp(found.lab[:, 1]) > 5 and np.ptp(found.lab[:, 2]) > 5
 
@@ -40,7 +40,7 @@ def test_the_command_says_that_it_stopped(tmp_path: Any, capsys: pytest.CaptureF
 
 def test_a_film_is_still_asked_for_its_mirror() -> None:
     film = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]}
-    assert nacre.gamut(nacre.material(film), ["layers[0].thickness_nm=0:400"], points=8).at == "specular 0"
+    assert nacre.gamut(nacre.material(film), ["layers[0].thickness_nm=0:400"], points=8).geometry == "specular 0"
 
 
 def test_candidates_of_balls_are_walked_through_by_fewer_and_look_alike() -> None:

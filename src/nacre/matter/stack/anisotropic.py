@@ -1,0 +1,252 @@
+"""Stacks of anisotropic and helical layers: Jones and Mueller matrices, transmission, absorption per layer.
+
+Frame of incidence: z points into the stack, x lies in the plane of incidence, y = s; light arrives along
+(sin t, 0, cos t). Every wave has a right-handed triad (p, s, k), with s = y: at normal incidence r_pp = -r_ss.
+Time factor exp(-i w t). Matrices are [out, in] in the order (p, s).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from nacre.core.arrays import Array, ComplexArray
+from nacre.core.errors import NacreError
+from nacre.core.parallel import parallel_for
+from nacre.matter.stack.anisotropic_kernel import solve_stacks
+
+FEWEST_SLICES = 32  # of half a turn of a helix
+STOKES = np.array([[1, 0, 0, 1], [1, 0, 0, -1], [0, 1, 1, 0], [0, -1j, 1j, 0]])  # of (pp*, ps*, sp*, ss*)
+
+
+@dataclass(frozen=True)
+class AnisotropicLayer:
+    """A homogeneous or helical layer.
+
+    Attributes:
+        tensor: relative permittivity in the frame of the sample, symmetric, `[3, 3]` or `[wavelength, 3, 3]`.
+        thickness_nm: thickness.
+        pitch_nm: length of a full turn about the normal; None: homogeneous.
+        handedness: +1: the tensor turns from x to y with growing z (a right-handed screw), -1: the reverse.
+        slices: integration steps of half a turn; 0: chosen from pitch and birefringence.
+    """
+
+    tensor: ComplexArray
+    thickness_nm: float
+    pitch_nm: float | None = None
+    handedness: int = 1
+    slices: int = 0
+
+    def __post_init__(self) -> None:
+        tensor = np.asarray(self.tensor, dtype=complex)
+        object.__setattr__(self, "tensor", tensor)
+        if (
+            tensor.shape[-2:] != (3, 3)
+            or np.abs(tensor - np.swapaxes(tensor, -1, -2)).max() > 1e-12 * np.abs(tensor).max()
+        ):
+            raise NacreError("a permittivity tensor must be a symmetric 3 x 3 matrix")
+        if not self.thickness_nm >= 0:
+            raise NacreError(f"thickness_nm = {self.thickness_nm} must be 0 or more")
+        if self.pitch_nm is not None and not self.pitch_nm > 0:
+            raise NacreError(f"pitch_nm = {self.pitch_nm} must be above 0")
+        if self.handedness not in (1, -1):
+            raise NacreError(f"handedness = {self.handedness} must be 1 (right) or -1 (left)")
+
+
+@dataclass(frozen=True)
+class AnisotropicResponse:
+    """Response of an anisotropic stack; matrices are [out, in] over (p, s), `[angle, wavelength, 2, 2]`.
+
+    Attributes:
+        jones_reflected: amplitudes.
+        transmitted: flux into the substrate as a Hermitian matrix F: T = e^H F e for an incident Jones vector e.
+        absorbed: the same for each layer, `[layer, angle, wavelength, 2, 2]`, or None.
+        jones_transmitted: amplitudes in power units for an isotropic clear substrate, else None.
+    """
+
+    jones_reflected: ComplexArray
+    transmitted: ComplexArray
+    absorbed: ComplexArray | None = None
+    jones_transmitted: ComplexArray | None = field(default=None)
+
+    @property
+    def R(self) -> Array:
+        """Reflected powers, [out, in]."""
+        return np.abs(self.jones_reflected) ** 2
+
+    @property
+    def T_in(self) -> Array:
+        """Transmittance for p and for s, `[angle, wavelength, 2]`."""
+        return np.diagonal(self.transmitted, axis1=-2, axis2=-1).real
+
+    @property
+    def mueller_reflected(self) -> Array:
+        """Mueller matrices of reflection, `[angle, wavelength, 4, 4]`."""
+        return mueller(self.jones_reflected)
+
+
+def mueller(jones: ComplexArray) -> Array:
+    """Return the Mueller matrices of Jones matrices over (p, s).
+
+    Stokes: S0 = |p|^2 + |s|^2, S1 = |p|^2 - |s|^2, S2 = 2 Re(p s*), S3 = 2 Im(p s*).
+    """
+    coherence = np.einsum("...ij,...kl->...ikjl", jones, jones.conj()).reshape(*jones.shape[:-2], 4, 4)
+    return np.real(STOKES @ coherence @ np.linalg.inv(STOKES))
+
+
+def principal_tensor(indices: ArrayLike, euler_deg: ArrayLike = (0.0, 0.0, 0.0)) -> ComplexArray:
+    """Return R diag(n^2) R^T with the principal axes as the columns of Rz(a) Rx(b) Rz(c).
+
+    Args:
+        indices: complex principal indices, `[..., 3]`.
+        euler_deg: a, b, c in degrees.
+    """
+    a, b, c = np.radians(np.asarray(euler_deg, dtype=float))
+    axes = _about_z(a) @ np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]]) @ _about_z(c)
+    return np.einsum("ij,...j,kj->...ik", axes, np.asarray(indices, dtype=complex) ** 2, axes)
+
+
+def _about_z(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def solve_anisotropic(
+    ambient_index: float,
+    layers: list[AnisotropicLayer],
+    substrate: ComplexArray,
+    wavelengths_nm: ArrayLike,
+    theta_rad: ArrayLike,
+    azimuth_rad: float = 0.0,
+    *,
+    absorption: bool = False,
+    jobs: int | None = None,
+) -> AnisotropicResponse:
+    """Return the response of a stack of anisotropic layers at angles and wavelengths.
+
+    Scattering-matrix doubling of Berreman's equations; see `nacre.matter.stack.anisotropic_kernel`.
+
+    Args:
+        ambient_index: real index of the clear ambient.
+        layers: from the ambient to the substrate.
+        substrate: relative permittivity: a number, `[wavelength]`, `[3, 3]` or `[wavelength, 3, 3]`.
+        wavelengths_nm: vacuum wavelengths, `[wavelength]`.
+        theta_rad: angles of incidence in the ambient, below 90 degrees, `[angle]`.
+        azimuth_rad: angle of the plane of incidence (the direction x of propagation) from the x axis of the sample.
+        absorption: compute the absorption of each layer.
+        jobs: threads.
+
+    Raises:
+        NacreError: the ambient is absorbing, or an angle is not in [0, 90) degrees.
+    """
+    waves, theta = np.atleast_1d(np.asarray(wavelengths_nm, float)), np.atleast_1d(np.asarray(theta_rad, float))
+    if np.imag(ambient_index) != 0 or not np.real(ambient_index) > 0:
+        raise NacreError("the ambient of an anisotropic stack must be clear")
+    if np.any(theta < 0) or np.any(theta >= np.pi / 2):
+        raise NacreError("angles of incidence must be in [0, 90) degrees")
+    n0 = float(np.real(ambient_index))
+    turn = _about_z(-azimuth_rad)
+    count = waves.size
+    kx = np.repeat(n0 * np.sin(theta)[:, None], count, axis=1)
+    tensors = np.empty((len(layers), count, 3, 3), complex)
+    for i, layer in enumerate(layers):
+        tensors[i] = np.einsum("ij,...jk,lk->...il", turn, layer.tensor, turn)
+    thicknesses = np.array([layer.thickness_nm for layer in layers], float)
+    turns = np.array(
+        [0.0 if e.pitch_nm is None else e.handedness * 2 * np.pi * e.thickness_nm / e.pitch_nm for e in layers]
+    )
+    slices = np.array([_slices(layer, waves) for layer in layers], dtype=np.int64)
+    bottom, modes = _substrate_reflection(np.asarray(substrate, complex), turn, kx, count)
+    shape = (theta.size, count, 2, 2)
+    gamma, entering = np.empty(shape, complex), np.empty(shape, complex)
+    absorbed = np.empty((len(layers) if absorption else 0, *shape), complex)
+    k0 = 2 * np.pi / waves
+
+    def task(_start: int, _stop: int, first: int, last: int) -> None:
+        solve_stacks(
+            tensors, thicknesses, turns, slices, k0, kx, bottom, absorption, gamma, entering, absorbed, first, last
+        )
+
+    work = int(theta.size * count * sum(20 + 40 * int(n) for n in slices))
+    parallel_for(task, 1, theta.size, 100 * work, jobs)
+    # the ambient: columns p and s of the incident wave, then of the reflected one, as a and b
+    cosine = np.cos(theta)[:, None, None, None]
+    zero, one = np.zeros_like(cosine), np.ones_like(cosine)
+    incident_e, incident_h = _columns(cosine, zero, zero, one), _columns(n0 * one, zero, zero, n0 * cosine)
+    reflected_e, reflected_h = _columns(-cosine, zero, zero, one), _columns(n0 * one, zero, zero, -n0 * cosine)
+    d_in, u_in = 0.5 * (incident_e + incident_h), 0.5 * (incident_e - incident_h)
+    d_out, u_out = 0.5 * (reflected_e + reflected_h), 0.5 * (reflected_e - reflected_h)
+    jones = np.asarray(-np.linalg.solve(u_out - gamma @ d_out, u_in - gamma @ d_in), dtype=complex)
+    top = d_in + d_out @ jones
+    scale = 1.0 / (n0 * np.cos(theta))[:, None, None, None]
+    down: ComplexArray = entering @ top
+    up: ComplexArray = bottom @ down
+    transmitted: ComplexArray = scale * (_gram(down) - _gram(up))
+    jones_t = None
+    if modes is not None:
+        jones_t = np.sqrt(scale) * (modes @ (down + up))
+    found = scale * np.einsum("awji,lawjk,awkm->lawim", top.conj(), absorbed, top) if absorption else None
+    return AnisotropicResponse(jones, transmitted, found, jones_t)
+
+
+def _columns(a: Array, b: Array, c: Array, d: Array) -> Array:
+    return np.block([[a, b], [c, d]])
+
+
+def _gram(matrix: ComplexArray) -> ComplexArray:
+    return np.swapaxes(matrix, -1, -2).conj() @ matrix
+
+
+def _slices(layer: AnisotropicLayer, waves: Array) -> int:
+    """Return the Magnus steps of half a turn: the error per half turn falls with their fourth power."""
+    if layer.pitch_nm is None or layer.slices:
+        return layer.slices
+    values = np.linalg.eigvals(layer.tensor)
+    spread = float(np.max(np.ptp(np.real(np.sqrt(values)), axis=-1)))
+    retardation = np.pi * layer.pitch_nm * spread / float(waves.min())
+    return int(np.ceil(max(FEWEST_SLICES, 40.0 * retardation, 32.0 * layer.pitch_nm / float(waves.min()))))
+
+
+def _substrate_reflection(
+    substrate: ComplexArray, turn: Array, kx: Array, count: int
+) -> tuple[ComplexArray, ComplexArray | None]:
+    """Return b = G a of the two downward modes of the substrate, and a matrix from E to amplitudes of (p, s)."""
+    if substrate.ndim <= 1:
+        eps = np.broadcast_to(substrate, (count,))
+        kz = np.sqrt(eps - kx**2 + 0j)
+        kz = np.where(kz.imag < 0, -kz, kz)
+        # H = Y E: Hy = eps/kz Ex, -Hx = kz Ey
+        y_p, y_s = eps / kz, kz
+        g = np.zeros((*kx.shape, 2, 2), complex)
+        g[..., 0, 0], g[..., 1, 1] = (1 - y_p) / (1 + y_p), (1 - y_s) / (1 + y_s)
+        if np.any(eps.imag != 0):
+            return g, None
+        modes = np.zeros_like(g)
+        modes[..., 0, 0], modes[..., 1, 1] = np.sqrt(np.maximum(y_p.real, 0)), np.sqrt(np.maximum(y_s.real, 0))
+        return g, modes
+    eps = np.broadcast_to(np.einsum("ij,...jk,lk->...il", turn, substrate, turn), (count, 3, 3))
+    d = _berreman(eps, kx)
+    values, vectors = np.linalg.eig(d)
+    flux = np.real(vectors[..., 0, :] * vectors[..., 1, :].conj() + vectors[..., 2, :] * vectors[..., 3, :].conj())
+    decays = np.abs(values.imag) > 1e-9 * np.abs(values)
+    order = np.argsort(-np.where(decays, np.sign(values.imag) * 2.0, np.sign(flux)), axis=-1, kind="stable")[..., :2]
+    down = np.take_along_axis(vectors, order[..., None, :], axis=-1)
+    e, h = down[..., [0, 2], :], down[..., [1, 3], :]
+    return (e - h) @ np.linalg.inv(e + h), None
+
+
+def _berreman(eps: ComplexArray, kx: Array) -> ComplexArray:
+    """Return the Berreman matrices `[angle, wavelength, 4, 4]` for psi = (Ex, Hy, Ey, -Hx)."""
+    d = np.zeros((*kx.shape, 4, 4), complex)
+    over = 1 / eps[:, 2, 2]
+    d[..., 0, 0], d[..., 0, 1], d[..., 0, 2] = -kx * eps[:, 2, 0] * over, 1 - kx**2 * over, -kx * eps[:, 2, 1] * over
+    d[..., 1, 0] = eps[:, 0, 0] - eps[:, 0, 2] * eps[:, 2, 0] * over
+    d[..., 1, 1] = -kx * eps[:, 0, 2] * over
+    d[..., 1, 2] = eps[:, 0, 1] - eps[:, 0, 2] * eps[:, 2, 1] * over
+    d[..., 2, 3] = 1
+    d[..., 3, 0] = eps[:, 1, 0] - eps[:, 1, 2] * eps[:, 2, 0] * over
+    d[..., 3, 1] = -kx * eps[:, 1, 2] * over
+    d[..., 3, 2] = eps[:, 1, 1] - eps[:, 1, 2] * eps[:, 2, 1] * over - kx**2
+    return d
