@@ -91,7 +91,7 @@ def test_only_targets_of_heights_or_pictures_go_to_the_search_of_reliefs():
         ({"recipe": {**RELIEF, "family": "film"}}, 'recipe.family = "film"'),
         ({"recipe": {**RELIEF, "featur_um": 1}}, "recipe.featur_um is not known"),
         ({"target": [{**COLOUR, "geometry": "specular 0"}]}, 'target[0].geometry = "specular 0" cannot be met'),
-        ({"target": [{"geometry": "30as15", "chroma": ">=30"}]}, "target[0]: of a relief's heights a colour is sought"),
+        ({"target": [{"geometry": "30as15", "chroma": ">=30"}]}, "target[0]: heights need a target colour"),
         ({"target": [{"directions": {**PICTURE, "image": "none.png"}}]}, "target[0].directions.image"),
         (
             {"target": [{"directions": {**PICTURE, "intensity_scale": "free"}}, COLOUR]},
