@@ -1,7 +1,7 @@
 """`nacre render soap.toml --size 128x128`, and the shipped bubble at 256 x 256: whole processes, warm; fifty renders.
 
 Floor: an empty Python (0.02 s), importing mitsuba and numba (about 0.9 s), 1.6 million samples through a film.
-Prediction (before the first run): 3 s on two free cores; fifty renders flat, since stage and kernels are kept.
+Prediction (before the first run): 3 s on two free cores; fifty renders flat, since scenes and kernels are cached.
 The first command is bound to 5 s by the clock, the second to 4 s; a shared machine disturbs it, so CPU seconds stand
 beside it.
 Outcome: see RESULTS.md. The second took 6.0 s (9.7 CPU s) with one draw of a lamp a sample on what is seen through the

@@ -55,9 +55,7 @@ def recipe(model=None, **more):
 
 def some_ratio(transmits_below, seed=0):
     g = np.random.default_rng(seed)
-    sizes = {
-        b: len(_terms(bool(b[0]), bool(b[1]), "same" if b[2] == b[3] else "cross")) for b in blocks(transmits_below)
-    }
+    sizes = {b: len(_terms(b)) for b in blocks(transmits_below)}
     return Ratio({b: np.tile(0.1 * g.normal(size=n), (3, 1)) for b, n in sizes.items()})
 
 

@@ -21,26 +21,26 @@ GREY = {"type": "diffuse", "reflectance": 0.5}
 WIDEST = FOV_DEG[1]
 
 
-def depths(stage: BuiltScene, framing: Framing, *, is_endless: bool, size: tuple[int, int] = (48, 48)) -> np.ndarray:
+def depths(built: BuiltScene, framing: Framing, *, is_infinite: bool, size: tuple[int, int] = (48, 48)) -> np.ndarray:
     """How far away what each pixel sees is, 0 where it is nothing."""
     mi = use_variant()
     integrator = mi.load_dict({"type": "depth"})
-    if is_endless:
-        assert stage.infinite_backdrop is not None
-        integrator = with_infinite_backdrop(integrator, stage.infinite_backdrop)
+    if is_infinite:
+        assert built.infinite_backdrop is not None
+        integrator = with_infinite_backdrop(integrator, built.infinite_backdrop)
     film = {"type": "hdrfilm", "rfilter": {"type": "box"}, "pixel_format": "luminance"}
-    sensor = stage.sensor(stage.view(framing), size, film)
-    return np.array(mi.render(stage.mitsuba_scene, sensor=sensor, integrator=integrator, spp=1))[..., 0]
+    sensor = built.sensor(built.view(framing), size, film)
+    return np.array(mi.render(built.mitsuba_scene, sensor=sensor, integrator=integrator, spp=1))[..., 0]
 
 
 @pytest.mark.parametrize("name", ["sphere", "probe", "butterfly"])  # one of each backdrop
 def test_the_widest_lens_sees_no_edge(name: str) -> None:
-    stage = BuiltScene(SCENES[name], make_light("studio"), see_through=False)
+    built = BuiltScene(SCENES[name], make_light("studio"), see_through=False)
     past = 0
     for direction in (None, (0.0, 2.0), (0.0, 50.0)):
         framing = Framing(direction, WIDEST)
-        past += np.count_nonzero(depths(stage, framing, is_endless=False) == 0)
-        assert (depths(stage, framing, is_endless=True) > 0).all()
+        past += np.count_nonzero(depths(built, framing, is_infinite=False) == 0)
+        assert (depths(built, framing, is_infinite=True) > 0).all()
     assert past > 0  # there was something to mend
 
 
@@ -50,11 +50,11 @@ def test_the_widest_lens_sees_no_edge(name: str) -> None:
 def test_no_scene_shows_an_edge(name: str, clear: bool) -> None:
     for azimuth in (0.0, 40.0, 200.0):
         light = make_light("directional")
-        stage = BuiltScene(SCENES[name], light, see_through=clear, turn_deg=30.0, backdrop_deg=azimuth)
+        built = BuiltScene(SCENES[name], light, see_through=clear, turn_deg=30.0, backdrop_deg=azimuth)
         for elevation in (5.0, 40.0, 90.0):
             framing = Framing((azimuth, elevation), WIDEST)
-            assert (depths(stage, framing, is_endless=True) > 0).all()
-            assert (depths(stage, framing, is_endless=True, size=(120, 20)) > 0).all()
+            assert (depths(built, framing, is_infinite=True) > 0).all()
+            assert (depths(built, framing, is_infinite=True, size=(120, 20)) > 0).all()
 
 
 def test_at_the_scenes_own_frame_the_picture_is_as_it_was() -> None:

@@ -286,13 +286,13 @@ def test_the_beam_is_ten_degrees_wide_and_lights_white_paper_to_its_level() -> N
         ("studio", "bragg-mirror"),
     ],
 )  # fmt: skip
-def test_our_tracer_knows_what_a_stage_has(light: str, recipe: str) -> None:
+def test_the_tracer_follows_the_scene(light: str, recipe: str) -> None:
     mi = use_variant()
     ball = {"type": "sphere", "bsdf": make_bsdf(nacre.load(EXAMPLES / f"{recipe}.toml").bsdf())}
     made = make_lights(read_lamps(light))
     scene = mi.load_dict({"type": "scene", "ball": ball})
-    stage = SimpleNamespace(light=made, depth=6, mitsuba_scene=scene, subjects=scene.shapes(), objects=scene.shapes())
-    tracer = passes._tracer(stage)
+    built = SimpleNamespace(light=made, depth=6, mitsuba_scene=scene, subjects=scene.shapes(), objects=scene.shapes())
+    tracer = passes._tracer(built)
     assert tracer.spread_by == []
     # a bare mirror only mirrors: draws of lamps would not lessen its noise; through a clear film matt walls are seen
     assert tracer.draws == (1 if recipe == "bragg-mirror" else passes.DRAWS)

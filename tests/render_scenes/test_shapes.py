@@ -8,8 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from nacre.picture.shapes import backdrop as stage
-from nacre.picture.shapes import insects, objects, printed
+from nacre.picture.shapes import backdrop, insects, objects, printed
 from nacre.picture.shapes.car import car
 from nacre.picture.shapes.implicit import smooth_max, smooth_min, surface_net
 from nacre.picture.shapes.mesh import (
@@ -37,7 +36,7 @@ CLOSED: dict[str, Callable[[], Mesh]] = {
     "knob": objects.knob,
     "knob core": objects.knob_core,
     "knob foot": objects.knob_foot,
-    "sheet": lambda: stage.sheet(1.7, 1.9),
+    "sheet": lambda: backdrop.sheet(1.7, 1.9),
     "lens elements": objects.elements,
     "balls": objects.balls,
 }
@@ -54,10 +53,10 @@ OPEN: dict[str, Callable[[], Mesh]] = {
     "margins": insects.butterfly_margins,
     "veins": insects.butterfly_veins,
     "butterfly body": insects.butterfly_body,
-    "sweep": lambda: stage.sweep(5, 4, 3, 2, 3),
-    "bowl": lambda: stage.bowl(1.4, 9.0, 4.2),
-    "rolled": lambda: stage.rolled(1.7, 0.8, 170.0),
-    "tile": lambda: stage.tile(1, 1),
+    "sweep": lambda: backdrop.sweep(5, 4, 3, 2, 3),
+    "bowl": lambda: backdrop.bowl(1.4, 9.0, 4.2),
+    "rolled": lambda: backdrop.rolled(1.7, 0.8, 170.0),
+    "tile": lambda: backdrop.tile(1, 1),
     "seal": printed.seal,
     "card": printed.card_face,
     "name ring": objects.name_ring,

@@ -146,10 +146,10 @@ def test_an_open_lens_blurs_what_is_not_in_focus() -> None:
     view = SCENES["cuff"].view
     assert view.placed(30.0, 40.0).lens == view.turned(10.0).lens == view.zoomed(2.0).lens == view.lens > 0
     assert view.placed(30.0, 40.0).focus == pytest.approx(view.focus)
-    stage = BuiltScene(SCENES["cuff"], make_light("directional"), see_through=False)
+    built = BuiltScene(SCENES["cuff"], make_light("directional"), see_through=False)
     import mitsuba as mi
 
-    sensor = stage.sensor(view, (32, 32), {"type": "hdrfilm"})
+    sensor = built.sensor(view, (32, 32), {"type": "hdrfilm"})
     ends = []
     for place in ((0.1, 0.2), (0.9, 0.7)):
         ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(0.5, 0.5), mi.Point2f(*place))
@@ -174,7 +174,7 @@ def test_a_mitsuba_scene_takes_the_material(tmp_path: Path) -> None:
 
 
 def test_a_file_that_a_scene_names_is_read_anew_once_it_has_changed(tmp_path: Path, grey: Any) -> None:
-    """A stage is kept from picture to picture: the mesh of an XML scene and the buffer of a glTF are part of it."""
+    """A built scene is cached: the mesh of an XML scene and the buffer of a glTF are part of it."""
     import trimesh
 
     mesh, options = tmp_path / "m.ply", {"spp": 1, "exposure": 0.0, "progress": False, "denoise": False}

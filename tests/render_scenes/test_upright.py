@@ -32,17 +32,17 @@ def seen(scene: Scene, count: int = 96) -> tuple[np.ndarray, np.ndarray]:
     from nacre.picture.built_scene import BuiltScene
     from nacre.picture.lights.named import make_light
 
-    stage = BuiltScene(scene, make_light("directional", "D65", 0.0), see_through=False)
+    built = BuiltScene(scene, make_light("directional", "D65", 0.0), see_through=False)
     from nacre.device.variant import use_variant
 
     mi = use_variant()
-    sensor = stage.sensor(scene.view, (count, count), {"type": "hdrfilm"})
+    sensor = built.sensor(scene.view, (count, count), {"type": "hdrfilm"})
     across, down = np.meshgrid(*2 * [(np.arange(count) + 0.5) / count])
     place = mi.Point2f(across.ravel(), down.ravel())
     ray, _ = sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))
-    hit = stage.mitsuba_scene.ray_intersect(ray)
+    hit = built.mitsuba_scene.ray_intersect(ray)
     subject = np.zeros(count * count, dtype=bool)
-    for shape in stage.subjects:
+    for shape in built.subjects:
         subject |= np.array(hit.shape == mi.ShapePtr(shape))
     uv, point = np.array(hit.uv).T, np.array(hit.p).T
     uv[~subject] = np.nan

@@ -10,7 +10,7 @@ import click
 
 from nacre.cli import common
 from nacre.core.errors import NacreError
-from nacre.formats.export_formats import EXPORTS, FOLDER, said_of
+from nacre.formats.export_formats import EXPORTS, FOLDER, export_remarks
 
 
 @click.command()
@@ -50,7 +50,7 @@ def export(
         click.echo(json.dumps(facts))
         return
     common.note(str(path))
-    for line in said_of(facts):
+    for line in export_remarks(facts):
         common.note(line)
 
 

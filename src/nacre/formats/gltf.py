@@ -1,6 +1,6 @@
 """glTF 2.0 with `KHR_materials_iridescence`: a sphere that shows the material in any viewer.
 
-The thickness is in nm. glTF's roughness is the square root of the GGX alpha. A dielectric base carries
+The thickness is in nm. The roughness of glTF is the square root of GGX alpha. A dielectric base has
 `KHR_materials_ior`, a transmitting one `KHR_materials_transmission`.
 """
 
@@ -24,7 +24,7 @@ READ = ("KHR_materials_iridescence", "KHR_materials_ior", "KHR_materials_transmi
 
 
 def gltf_material(film: ThinFilm, name: str) -> dict[str, Any]:
-    """Return the glTF material object of a thin film."""
+    """Return the glTF material of a thin film."""
     extensions: dict[str, Any] = {
         "KHR_materials_iridescence": {
             "iridescenceFactor": 1.0,
@@ -49,7 +49,7 @@ def gltf_material(film: ThinFilm, name: str) -> dict[str, Any]:
 
 
 def write_gltf(path: str | Path, film: ThinFilm, name: str, provenance: dict[str, Any] | None = None) -> None:
-    """Write a sphere with the material; `extras` of the asset hold the provenance.
+    """Write a sphere with the material; `extras` contain the provenance.
 
     Raises:
         NacreError: the file cannot be written.
@@ -87,7 +87,7 @@ def read_gltf(path: str | Path) -> ThinFilm:
     """Read the first material with a thin film from a .gltf file.
 
     Raises:
-        NacreError: not glTF, or no material has `KHR_materials_iridescence`.
+        NacreError: not glTF, or `KHR_materials_iridescence` is missing.
     """
     path = Path(path)
     try:
@@ -118,7 +118,7 @@ def read_gltf(path: str | Path) -> ThinFilm:
 
 
 def _sphere(rings: int = 48, segments: int = 96) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-    """Return positions (which are the normals too) and triangle indices of a unit sphere."""
+    """Return positions, equal to the normals, and triangle indices of a unit sphere."""
     theta, phi = np.meshgrid(np.linspace(0, np.pi, rings + 1), np.linspace(0, 2 * np.pi, segments + 1), indexing="ij")
     points = np.stack([np.sin(theta) * np.cos(phi), np.cos(theta), -np.sin(theta) * np.sin(phi)], axis=-1)
     ring, segment = np.meshgrid(np.arange(rings), np.arange(segments), indexing="ij")

@@ -1,6 +1,6 @@
-"""MaterialX documents with an OpenPBR surface and its thin film; the thickness is in micrometres.
+"""MaterialX documents with an OpenPBR surface and thin film; thickness in micrometres.
 
-OpenPBR's `specular_roughness` is the square root of the GGX alpha.
+OpenPBR's `specular_roughness` is the square root of GGX alpha.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def read_materialx(path: str | Path) -> ThinFilm:
     """Read the first OpenPBR surface with a thin film.
 
     Raises:
-        NacreError: not MaterialX, or no surface has a thin film.
+        NacreError: not MaterialX, or a thin film is missing.
     """
     path = Path(path)
     try:
@@ -65,7 +65,7 @@ def read_materialx(path: str | Path) -> ThinFilm:
             raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
         text = path.read_text(encoding="utf-8")
         if "<!DOCTYPE" in text or "<!ENTITY" in text:
-            # entities can blow a small file up to gigabytes, and no MaterialX document needs them
+            # entities can expand to gigabytes and are not part of MaterialX
             raise NacreError(f"{path}: holds a document type declaration, which MaterialX does not use")
         root = ET.fromstring(text)
         for surface in root.iter("open_pbr_surface"):
@@ -76,7 +76,7 @@ def read_materialx(path: str | Path) -> ThinFilm:
             metal, clear = (float(inputs.get(key, "0")) for key in ("base_metalness", "transmission_weight"))
             not_read = sorted(str(name) for name in inputs if name not in READ)
             if metal < 0.5 and clear <= 0 and float(inputs.get("base_weight", "1")) > 0:
-                not_read.insert(0, "base_color")  # what scatters below a dielectric surface
+                not_read.insert(0, "base_color")  # scattering below a dielectric surface
             return ThinFilm(
                 thickness_nm=1000 * float(inputs.get("thin_film_thickness", "0.5")),
                 film_ior=float(inputs.get("thin_film_ior", "1.4")),

@@ -1,4 +1,4 @@
-"""One film on a base, as in real-time renderers: the numbers that glTF and OpenPBR materials hold."""
+"""A single thin film on a base, as in glTF and OpenPBR materials."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ class ThinFilm:
     """A single thin film over a base.
 
     Attributes:
-        thickness_nm: of the film.
-        film_ior: its real index.
+        thickness_nm: film thickness.
+        film_ior: real film index.
         base_rgb: linear sRGB reflectance of the metal base at normal incidence, white for a dielectric one.
-        base_ior: index of a dielectric base.
+        base_ior: index, for a dielectric base.
         is_metal: whether the base is a metal.
-        roughness: GGX alpha of the surface.
+        roughness: GGX alpha.
         transmits: whether the (dielectric) base transmits.
-        not_read: names of what a file says of the material beyond this.
+        not_read: names of unsupported properties in the file.
     """
 
     thickness_nm: float

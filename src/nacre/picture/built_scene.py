@@ -1,7 +1,7 @@
 """Scenes as Mitsuba objects, with exchangeable material and camera: built scenes and user scenes.
 
 Building a scene anew for each picture increases memory and time (mitsuba3 issue 563). Scenes are therefore cached, and
-the BSDF of the object is updated or exchanged.
+the object's BSDF is updated or exchanged.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from nacre.picture.shapes.mesh import Mesh, bounding_ball, rotation
 
 SEE_THROUGH_DEPTH = 16
 DEFAULT_DEPTH = 16
-# values copied from the cameras of user scenes, besides angle and position
+# values copied from user cameras, besides angle and position
 COPIED_CAMERA_VALUES = (
     "near_clip",
     "far_clip",
@@ -34,7 +34,7 @@ COPIED_CAMERA_VALUES = (
     "aperture_radius",
     "focus_distance",
 )
-FARTHEST = 1e30  # the square of larger distances overflows in single precision
+FARTHEST = 1e30  # larger distances squared overflow in single precision
 
 
 def make_mesh(surface: Mesh, bsdf: Any, name: str = "mesh") -> Any:
@@ -52,14 +52,14 @@ def make_mesh(surface: Mesh, bsdf: Any, name: str = "mesh") -> Any:
 
 
 class BuiltScene:
-    """One of our scenes in Mitsuba.
+    """A scene from our catalogue in Mitsuba.
 
     Args:
         scene: the scene.
         light: its light.
         see_through: whether the material transmits light, which requires a chequered backdrop and longer paths.
-        turn_deg: turn of the subject about the vertical axis.
-        backdrop_deg: turn of the backdrop, which stays behind the subject.
+        turn_deg: subject turn about the vertical axis.
+        backdrop_deg: backdrop turn, which follows the camera.
         is_plain: a backdrop without chequers, for cut-out subjects.
     """
 
@@ -127,14 +127,14 @@ class BuiltScene:
 
     @property
     def radius(self) -> float:
-        """Half of the longest side of the bounding box of all objects."""
+        """Half the longest bounding-box side, over all objects."""
         boxes = [shape.bbox() for shape in self.objects]
         low = np.min([np.array(box.min) for box in boxes], axis=0)
         high = np.max([np.array(box.max) for box in boxes], axis=0)
         return float(0.5 * (high - low).max())
 
     def view(self, framing: Framing) -> View:
-        """Return the camera of the scene, or of a visible place, with a framing.
+        """Return the scene's camera, or that for a visible place, with a framing.
 
         Raises:
             NacreError: it would be below the floor.
@@ -153,7 +153,7 @@ class BuiltScene:
         rows: int | None = None,
     ) -> Any:
         """Return a camera with its film; default sampler and response are Mitsuba's; `rows`: central rows only."""
-        # wider pictures preserve the height of the scene, narrower ones its width
+        # wider pictures preserve the scene height, narrower ones its width
         half = np.tan(np.radians(0.5 * view.fov_deg))
         is_wider = size[0] / size[1] > self.scene.size[0] / self.scene.size[1]
         half_x = half * (self.scene.size[1] / self.scene.size[0]) * (size[0] / size[1]) if is_wider else half
@@ -163,7 +163,7 @@ class BuiltScene:
                 **({"aperture_radius": view.lens, "focus_distance": view.focus} if view.lens else {}),
                 "fov": float(2 * np.degrees(np.arctan(half_x))),
                 "fov_axis": "x",
-                "near_clip": 1e-3,  # origin of depths
+                "near_clip": 1e-3,  # depths start here
                 "far_clip": 1e4,
                 "to_world": mi.ScalarTransform4f().look_at(list(view.origin), list(view.target), list(view.up)),
                 "film": {**film, "width": size[0], "height": rows or size[1]},
@@ -174,7 +174,7 @@ class BuiltScene:
 
 
 def _object_frame(scene: Scene, turn_deg: float) -> ObjectFrame:
-    """Coordinates of formulas in x, y and z: the bounding ball of the subject before its turn."""
+    """Coordinates for formulas in x, y and z: the subject's bounding ball before its turn."""
     points = np.concatenate([part.points() for part in scene.parts() if part.material == SUBJECT])
     centre, radius = bounding_ball(points)
     return ObjectFrame(tuple(float(value) for value in centre), radius, turn_deg)
@@ -186,7 +186,7 @@ def with_subject(scene: Scene, parts: Parts) -> Scene:
 
 
 class UserScene:
-    """The scene of a Mitsuba .xml file, with the interface of `BuiltScene`; BSDFs of id "nacre" take the material.
+    """A Mitsuba .xml scene with the interface of `BuiltScene`; BSDFs with id "nacre" take the material.
 
     Raises:
         NacreError: missing or unreadable, without a camera, or without a shape whose BSDF has the id "nacre".
@@ -243,7 +243,7 @@ class UserScene:
     def sensor(
         self, view: object, size: tuple[int, int], film: dict[str, Any], sampler: Any = None, rows: int | None = None
     ) -> Any:
-        """Return the first camera of the scene with our film; `view` is ignored; `rows`: central rows only.
+        """Return the first scene camera with our film; `view` is ignored; `rows`: central rows only.
 
         Raises:
             NacreError: not a perspective camera.
@@ -264,13 +264,13 @@ class UserScene:
             raise NacreError(f"scene {self.path}: only perspective cameras are supported, not {kind}")
         settings |= {"fov": float(np.ravel(values["x_fov"])[0]), "fov_axis": "x"}
         settings |= {name: float(np.ravel(values[name])[0]) for name in COPIED_CAMERA_VALUES if name in values}
-        if rows and "principal_point_offset_y" in settings:  # relative to the height of the film
+        if rows and "principal_point_offset_y" in settings:  # relative to the film height
             settings["principal_point_offset_y"] *= size[1] / rows
         return mi.load_dict(settings)
 
 
 def _subject_nodes(path: Path) -> list[Any]:
-    """Return the nodes of the shapes whose BSDF is to be exchanged.
+    """Return the shape nodes whose BSDF is to be exchanged.
 
     Raises:
         NacreError: Mitsuba cannot exchange a BSDF inside another BSDF or in a shapegroup.
@@ -310,7 +310,7 @@ def _runs_down(shape: Any) -> bool:
 
 
 def _check_extents(scene: Any, path: Path) -> None:
-    """Check the positions of shapes and cameras, which Mitsuba would ignore.
+    """Check shape and camera positions, which Mitsuba would ignore.
 
     Raises:
         NacreError: a shape without a finite size above 0, or a camera at infinity.
@@ -318,7 +318,7 @@ def _check_extents(scene: Any, path: Path) -> None:
     for shape in scene.shapes():
         box = shape.bbox()
         corners = np.array([np.ravel(box.min), np.ravel(box.max)])
-        # an empty box has its corners at the limits of floats
+        # an empty box has its corners at the float limits
         if not (np.abs(corners).max() < FARTHEST and np.ptp(corners, axis=0).max() > 0.0):
             raise NacreError(
                 f"scene {path}: a shape of type {shape.class_name()} has no finite size above 0; look at its radius, "

@@ -1,4 +1,4 @@
-"""The camera: position, target, angle of view, and their notation."""
+"""The camera: position, target, field of view, and their notation."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class View:
-    """A camera: position, target, horizontal angle of view in degrees, up vector.
+    """A camera: position, target, horizontal field of view in degrees, up vector.
 
-    `lens` is the radius of the aperture in scene units, 0 for a pinhole. The focus is at the distance of the target,
+    `lens` is the aperture radius in scene units, 0 for a pinhole. The focus is at the target distance,
     reduced by `nearer`.
     """
 
@@ -72,7 +72,7 @@ class View:
         return self._at(offset, up=_point(math.cos(elevation) * vertical - math.sin(elevation) * outward))
 
     def with_lens(self, fov_deg: float, radius: float) -> View:
-        """Change the angle of view and the distance; a ball of `radius` about the target keeps its size in the
+        """Change field of view and distance; a ball with `radius` about the target keeps its size in the
         picture."""
         offset = self._offset
         distance = max(float(np.linalg.norm(offset)), 1.001 * radius)
@@ -93,7 +93,7 @@ class Framing:
 
     Attributes:
         direction_deg: azimuth (0 front, 90 right side) and elevation above the horizon.
-        fov_deg: horizontal angle of view.
+        fov_deg: horizontal field of view.
         zoom: magnification.
     """
 
@@ -106,11 +106,11 @@ class Framing:
 
     @property
     def azimuth_deg(self) -> float:
-        """Turn of the camera, and of the backdrop behind the subject."""
+        """Camera turn, which the backdrop follows."""
         return 0.0 if self.direction_deg is None else self.direction_deg[0] % 360.0
 
     def of(self, view: View, radius: float) -> View:
-        """Apply the changes to a camera; `radius` is that of the subject about its target.
+        """Apply the changes to a camera; `radius` is the subject's, about the target.
 
         Raises:
             NacreError: the camera would be below the floor.
@@ -123,10 +123,10 @@ class Framing:
 
 
 def read_framing(view: str | Sequence[float] | None, fov: float | None, zoom: float | None) -> Framing:
-    """Read the keywords of the camera; `view` is "30,20" or (30, 20).
+    """Read the camera keywords; `view` is "30,20" or (30, 20).
 
     Raises:
-        NacreError: not two angles, or out of range.
+        NacreError: not two angles, or too large or small.
     """
     direction = None
     if view is not None:

@@ -1,10 +1,10 @@
-"""Denoising of finished pictures by Intel's Open Image Denoise (package `mitsuba-oidn`).
+"""Picture denoising by Intel's Open Image Denoise (package `mitsuba-oidn`).
 
 The denoiser works in linear Rec. 2020, close to its training data and wide enough that few values are negative (it
-clips these). AOVs guide it (`nacre.picture.denoiser_aovs`). Afterwards two errors are corrected. Mean colours of
-neighbourhoods, which it biases because it measures grain on a compressive scale, are restored. Texture that it
-mistook for grain is restored scale by scale: by the share of the removed signal that noise cannot explain. Two halves
-of the samples give the noise; highlights present in both are restored. Pixels must not share samples, therefore the
+clips these). AOVs guide it (`nacre.picture.denoiser_aovs`). Afterwards two errors are corrected. Local mean
+colours, which it biases because it measures grain on a compressive scale, are restored. Texture that it
+mistook for grain is restored scale by scale: by the share that noise cannot explain in the removed signal. Two sample
+halves give the noise; highlights present in both are restored. Pixels must not share samples, therefore the
 picture needs the box filter; the denoiser takes grain through a wider filter for texture.
 """
 
@@ -22,47 +22,47 @@ from numpy.typing import NDArray
 from nacre.core.parallel import available_jobs, single_threaded_blas
 from nacre.picture.filters import Real, smooth
 
-# samples per pixel of AOVs with grain and of AOV layers, and of AOVs without grain (8 instead of 4 lower the FLIP of a
-# bubble from 0.0279 to 0.0277, at the cost of one and a half samples of the picture)
+# samples per pixel for AOVs with grain and AOV layers, and for AOVs without grain (8 instead of 4 lower a bubble's FLIP
+# from 0.0279 to 0.0277 and cost one and a half picture samples)
 AOV_SPP, EVEN_AOV_SPP = 16, 8
 # XYZ -> linear Rec. 2020 (ITU-R BT.2020, white D65)
 TO_RGB = np.array(
     [[1.7166512, -0.3556708, -0.2533663], [-0.6666844, 1.6164812, 0.0157685], [0.0176399, -0.0427706, 0.9421031]]
 )
-# standard deviations, in pixels, between the scales; beyond the last one all of the loss is restored (otherwise mean
+# standard deviations, in pixels, between the scales; beyond the last one the whole loss is restored (otherwise mean
 # colours were off by dE00 0.2 to 0.4 at 64 samples per pixel)
 SCALES = (1.0, 2.0, 5.0)
 ALL_SCALES = math.sqrt(sum(scale**2 for scale in SCALES))  # the Gaussian equivalent to all scales in succession
 NEARBY = 2.5  # relative to the scale: averaging width for noise and loss
-KEPT_MEANS = 6.0  # the only scale if the noise is unknown; restored grain is 1/20 of that in the raw picture
+KEPT_MEANS = 6.0  # the only scale if the noise is unknown; restored grain is 1/20 relative to the raw picture
 # luminance and two colour differences, which separate spectral noise and texture better than XYZ
 OPPONENT = np.array([[0.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, -1.0, 1.0]])
-# Maximum correction relative to the light of the pixel, against fireflies. Spectral noise is skewed (many dark pixels,
-# few very bright ones): with 1 a blue pearl lost 12 % of its blue (dE00 3.4), with 8 it loses 0.3 %, and 3.5 % of a
-# firefly returns.
+# Maximum correction relative to the pixel's light, against fireflies. Spectral noise is skewed (many dark pixels,
+# few very bright ones): with 1 a blue pearl lost 12 % blue light (dE00 3.4), with 8 it loses 0.3 %, and a firefly
+# returns by 3.5 %.
 LARGEST_RETURN = 8.0
 DARKEST = 1e-3  # relative to the neighbourhood: black below
-EVEN = 1.0  # spread of log light in a neighbourhood up to which it counts as even
+EVEN = 1.0  # log-light spread up to which a neighbourhood counts as even
 LARGEST_TEXTURE = 1.0  # as LARGEST_RETURN, for texture: both halves may contain a firefly
-# Highlights exceed this multiple of the fourth root of the local fourth moment of the noise, in both halves: where
+# Highlights exceed this multiple of the noise (fourth root of its local fourth moment) in both halves: where
 # fireflies are frequent, both halves may contain one at the same place
 BEYOND_CHANCE, ABOUT = 6.0, 5.0
 SURE = 0.5  # smaller shares may be chance and count less
 CHANCE = 0.25  # excess over the noise, in standard errors, that counts as chance; twice as much counts in full
-# kurtosis of normal noise, and range over which texture fades out; longer tails scale CHANCE (light from a bubble on
-# its floor returned as specks)
+# kurtosis of normal noise, and the range over which texture fades out; longer tails scale CHANCE (light from a bubble
+# on its floor returned as specks)
 NORMAL_TAILS, TAILS = 3.0, (20.0, 40.0)
 # relative to the noise nearby: one path made a pixel with a larger difference, unless that is still small
 OUTLIER, FAR_LARGER = 2.0, 0.25
-STRIP_PIXELS = 1 << 21  # per strip of a large picture: half a gigabyte
-TILED_FROM, TILED_MB = 3 << 19, 512  # pixels above which the memory of the denoiser is limited, and the limit
+STRIP_PIXELS = 1 << 21  # per strip: half a gigabyte
+TILED_FROM, TILED_MB = 3 << 19, 512  # pixels above which the denoiser's memory is limited, and the limit
 MARGIN = 128  # rows beyond a strip in the denoiser's field of view
 BLOCK, MIDDLE_GREY = 16, 0.18
 OFF = "NACRE_DENOISE"  # environment variable; "0" turns denoising off
 
 
 def inapplicable_reason(bsdf: Any) -> str:
-    """Return why pictures of a BSDF cannot be denoised; "" if they can."""
+    """Return why a BSDF's pictures cannot be denoised; "" if they can."""
     if os.environ.get(OFF) == "0":
         return f"{OFF} = 0"
     if any(_has_glints(lobe) for lobe in getattr(bsdf, "lobes", ())):
@@ -98,13 +98,13 @@ def denoised(
     Args:
         xyz: as rendered.
         albedo, normal: AOVs; the albedo clean.
-        difference: `[row, column, 3]`, a sample of the noise in `xyz` (see `nacre.picture.passes.Frame`). Without it
+        difference: `[row, column, 3]`, a noise sample for `xyz` (see `nacre.picture.passes.Frame`). Without it
             only mean colours are restored.
     """
     found = np.empty_like(xyz)
     parts = strips(*xyz.shape[:2])
     scale = None if len(parts) == 1 else exposure(xyz[..., 1])
-    with single_threaded_blas():  # small products, some of them in threads
+    with single_threaded_blas():  # small products, some in threads
         for seen, kept, inner in parts:
             noise = None if difference is None else difference[seen]
             found[kept] = _strip(xyz[seen], albedo[seen], normal[seen], scale, noise)[inner]
@@ -120,7 +120,7 @@ def _strip(
 ) -> NDArray[np.float64]:
     rgb = np.asarray(np.maximum(xyz @ TO_RGB.T, 0.0), dtype=np.float32)
     # `clean_aux`: without it the error at edges was 1.3 times as large. The smaller network saves 0.2 CPU s at 256 x
-    # 256 and loses 4 to 10 % of FLIP, more than samples recover
+    # 256 and loses 4 to 10 % FLIP, more than samples recover
     clean = _filtered(rgb, {"albedo": albedo, "normal": normal}, hdr=True, clean_aux=True, input_scale=scale)
     clean = np.maximum(np.asarray(clean, dtype=np.float64) @ np.linalg.inv(TO_RGB).T, 0.0)
     own = clean.max(axis=-1).astype(np.float32)
@@ -130,7 +130,7 @@ def _strip(
         lost = np.clip(lost, -bound, bound)
         mean, share = means_by_light(lost, own, lambda values: smooth(values, KEPT_MEANS))
         return np.maximum(clean + share * mean * beyond_chance(mean, lost), 0.0)
-    # separate from the scales, in which the rest of a highlight would appear as a glow
+    # separate from the scales, in which a highlight's rest would glow
     sharp = highlights(lost, difference)
     lost -= sharp
     mean, share = means_by_light(np.clip(lost, -bound, bound), own, means)
@@ -140,11 +140,11 @@ def _strip(
 
 
 def highlights(lost: NDArray[Any], difference: NDArray[np.float32]) -> NDArray[Any]:
-    """Return the part of `lost` present in both halves beyond chance: mirrored lamps, not fireflies.
+    """Return the signal in `lost` that both halves contain beyond chance: mirrored lamps, not fireflies.
 
     Args:
         lost: XYZ `[row, column, 3]`, raw minus clean picture.
-        difference: half the difference of the halves.
+        difference: half the difference between the halves.
     """
     first, second = lost + difference, lost - difference
     held = np.where(first * second > 0.0, np.minimum(np.abs(first), np.abs(second)), 0.0)
@@ -178,14 +178,14 @@ def _filtered(
 
 
 def beyond_noise(lost: NDArray[Any], noise: NDArray[Any]) -> NDArray[np.float32]:
-    """Return the texture in `lost`: the part that noise does not explain, without the means of neighbourhoods.
+    """Return the texture in `lost`: the part that noise does not explain, without local means.
 
-    Wiener filter: each scale and opponent colour keeps the share 1 - (noise power) / (power of the loss), with local
+    Wiener filter: each scale and opponent colour keeps the share 1 - (noise power) / (loss power), with local
     powers; small shares are reduced.
 
     Args:
         lost: XYZ `[row, column, 3]`, raw minus clean picture.
-        noise: another sample of the noise in `lost`.
+        noise: another noise sample for `lost`.
     """
     # normalised, because fourth powers must fit single precision, which halves the time
     size = max(float(np.mean(np.abs(lost))), float(np.mean(np.abs(noise))), 1e-30)
@@ -197,14 +197,14 @@ def beyond_noise(lost: NDArray[Any], noise: NDArray[Any]) -> NDArray[np.float32]
 
 
 def means(lost: NDArray[Real]) -> NDArray[Real]:
-    """Return the mean of each neighbourhood, the complement of the scales of `beyond_noise`."""
+    """Return local means, the complement to the scales in `beyond_noise`."""
     return smooth(lost, ALL_SCALES)
 
 
 def beyond_chance(mean: NDArray[np.float32], lost: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the Wiener share of the means of neighbourhoods if the noise is unknown.
+    """Return the Wiener share for local means if the noise is unknown.
 
-    The loss itself is the noise estimate, reduced by the number of pixels in the mean. Without it flake paints rendered
+    The loss itself is the noise estimate, reduced by the pixel count in the mean. Without it flake paints rendered
     by random walks had blotches.
 
     Args:
@@ -254,7 +254,7 @@ def _texture(lost: NDArray[np.float32], noise: NDArray[np.float32]) -> NDArray[n
         found = smooth(power - noise_power, reach)
         share = np.maximum(found / np.maximum(smooth(power, reach), 1e-20), 0.0)
         # excess over the noise in standard errors
-        blot = 1.0 if scale == SCALES[0] else 2.0 * np.pi * before**2  # pixels per independent sample of the noise
+        blot = 1.0 if scale == SCALES[0] else 2.0 * np.pi * before**2  # pixels per independent noise sample
         error = np.sqrt(2.0 * smooth(fourth, reach / np.sqrt(2.0)) * blot / (4.0 * np.pi * reach**2))
         # with long tails both halves may agree by chance
         usual_power = smooth(noise_power, 2.0 * reach)
@@ -270,7 +270,7 @@ def _texture(lost: NDArray[np.float32], noise: NDArray[np.float32]) -> NDArray[n
 
 
 def strips(rows: int, columns: int) -> list[tuple[slice, slice, slice]]:
-    """Split a large picture into strips of rows, which bounds the memory of the denoiser.
+    """Split a large picture into row strips, which bounds the denoiser's memory.
 
     Returns:
         Per strip the visible rows, the contributed rows, and the latter within the former.
@@ -290,7 +290,7 @@ def strips(rows: int, columns: int) -> list[tuple[slice, slice, slice]]:
 def exposure(luminance: NDArray[np.float64]) -> float:
     """Return the denoiser's own input scale for a whole picture `[row, column]`, to be used in all strips.
 
-    It maps the geometric mean of the luminances of blocks of 16 x 16 pixels to 0.18.
+    It maps the geometric mean luminance, over blocks with 16 x 16 pixels, to 0.18.
     """
     rows, columns = (side // BLOCK * BLOCK for side in luminance.shape)
     blocks = luminance[:rows, :columns].reshape(rows // BLOCK, BLOCK, columns // BLOCK, BLOCK).mean(axis=(1, 3))

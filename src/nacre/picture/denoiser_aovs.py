@@ -1,10 +1,10 @@
-"""AOVs that guide the denoiser: albedo, normal and depth at the first hit of each pixel.
+"""AOVs that guide the denoiser: albedo, normal and depth at each pixel's first hit.
 
-Through clear surfaces and mirrors the albedo is that of the surface seen, times the transmittance or reflectance; for
-lamps and sky it is their light, clipped at white. The AOVs therefore contain the edges of the picture.
+Through clear surfaces and mirrors the albedo belongs to the surface seen, times the transmittance or reflectance; for
+lamps and sky it is their light, clipped at white. The AOVs therefore contain the picture's edges.
 
 At surfaces that both reflect and transmit, both paths are followed, later only the brighter one, instead of one random
-path. All pixels may then use equal random numbers, and most AOVs are free of grain, whose removal would blur edges.
+path. All pixels may then use equal random numbers, and most AOVs have no grain, whose removal would blur edges.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ EVEN, LINED = [("microfacet",), ("diffuse",)], [("ridge",)]
 
 @dataclass(frozen=True)
 class AovSampling:
-    """Sampling of the AOVs of a scene.
+    """Sampling method for a scene's AOVs.
 
     Attributes:
         draws: choose one path at random, as random walks do; pixels use individual numbers.
@@ -43,22 +43,22 @@ class AovSampling:
 
 
 def has_random_walks(scene: Any) -> bool:
-    """Return whether a BSDF of a Mitsuba scene is evaluated by random walks."""
+    """Return whether a Mitsuba scene has a BSDF that uses random walks."""
     bsdfs = [shape.bsdf() for shape in scene.shapes()]
     return any(not plugin.pdf_is_exact for bsdf in bsdfs for plugin in getattr(bsdf, "plugins", ()))
 
 
 def aov_sampling(scene: Any, is_ours: bool) -> AovSampling:
-    """Choose the sampling of the AOVs.
+    """Choose the AOV sampling method.
 
     Args:
         scene: Mitsuba scene.
-        is_ours: whether the scene is ours; BSDFs of user scenes, such as `mask` and `blendbsdf`, may ignore type masks.
+        is_ours: whether the scene is ours; BSDFs in user scenes, such as `mask` and `blendbsdf`, may ignore type masks.
     """
     flags = mi.BSDFFlags
     sharp = int(flags.Delta | flags.Null)
     bsdfs = [shape.bsdf() for shape in scene.shapes() if shape.bsdf() is not None]
-    # (is specular in part, has several components) of Mitsuba's BSDFs, such as rough plastic with coat and base
+    # (is specular in part, has several components) for Mitsuba's BSDFs, such as rough plastic with coat and base
     others = [(bool(int(b.flags()) & sharp), b.component_count() > 1) for b in bsdfs if not hasattr(b, "plugins")]
     draws = (not is_ours and (True, True) in others) or has_random_walks(scene)
     spread = [_scattering_lobes(bsdf) for bsdf in bsdfs if hasattr(bsdf, "plugins")]
@@ -68,17 +68,17 @@ def aov_sampling(scene: Any, is_ours: bool) -> AovSampling:
 
 
 def _scattering_lobes(bsdf: Any) -> tuple[str, ...]:
-    """Return the lobe type of each non-specular component."""
+    """Return each non-specular component's lobe type."""
     smooth = int(mi.BSDFFlags.Smooth)
     return tuple(plugin.kind for plugin in bsdf.plugins for word in plugin.components if int(word) & smooth)
 
 
 def aov_integrator(scene: Any, sampling: AovSampling) -> Any:
-    """Return an integrator for the albedo, with normal and depth of the first hit as AOVs.
+    """Return an integrator for the albedo, with first-hit normal and depth as AOVs.
 
     Args:
         scene: Mitsuba scene.
-        sampling: `aov_sampling` of the scene.
+        sampling: from `aov_sampling`.
     """
     flags = [int(shape.bsdf().flags()) for shape in scene.shapes() if shape.bsdf() is not None]
     return make_plugin(AovIntegrator, functools.reduce(int.__or__, flags, 0), sampling)
@@ -91,7 +91,7 @@ def first_hits(mean: NDArray[np.float64]) -> dict[str, NDArray[np.float32]]:
         mean: `[row, column, 7]`: XYZ, normal and depth.
     """
     mean = np.nan_to_num(mean, nan=0.0, posinf=0.0, neginf=0.0)
-    # XYZ of reflectances refer to equal-energy light
+    # reflectances as XYZ refer to equal-energy light
     seen_as = adapt_xyz(mean[..., :3], white_xyz("E"), SRGB_WHITE_XYZ)
     albedo = np.clip(xyz_to_srgb_linear(seen_as), 0.0, 1.0).astype(np.float32)
     normal = np.clip(mean[..., 3:6], -1.0, 1.0).astype(np.float32)
@@ -100,14 +100,14 @@ def first_hits(mean: NDArray[np.float64]) -> dict[str, NDArray[np.float32]]:
 
 @dataclass
 class _Path:
-    """State of a path; all values are arrays of the variant."""
+    """Path state; all values are variant arrays."""
 
     ray: Any
     seen: Any  # albedo so far
     weight: Any
     count: Any
     is_first: Any  # transmission has been followed without interruption
-    kept: Any  # ray of the second path
+    kept: Any  # ray for the second path
     kept_weight: Any
     splits: Any
     active: Any
@@ -131,12 +131,12 @@ class AovIntegrator(Plugin):
         if active is False:  # a scalar variant without a hit
             return mi.Spectrum(0.0), mi.Vector3f(0.0, 0.0, 1.0), mi.Spectrum(0.0)
         bs, share = si.bsdf().sample(mi.BSDFContext(), si, sampler.next_1d(active), sampler.next_2d(active), active)
-        # the mean weight of a sample is the reflectance
+        # the mean sample weight is the reflectance
         is_sharp = (bs.sampled_type & self.sharp) != 0
         return dr.select(is_sharp, 0.0, dr.minimum(share, 1.0)), bs.wo, dr.select(is_sharp, share, 0.0)
 
     def _of_kind(self, kind: int, si: Any, first: Any, second: Any, active: Any) -> tuple[Any, Any]:
-        """Sample interactions of one type: direction and weight, 0 if there are none."""
+        """Sample one interaction type: direction and weight, 0 if there are none."""
         if not self.flags & kind or active is False:  # a scalar variant without a hit
             return mi.Vector3f(0.0, 0.0, 1.0), mi.Spectrum(0.0)
         context = mi.BSDFContext()
@@ -147,7 +147,7 @@ class AovIntegrator(Plugin):
         return bs.wo, dr.select(asked, share, 0.0)
 
     def _split(self, path: _Path, si: Any, sampler: Any) -> tuple[Any, Any, Any]:
-        """Follow reflection and transmission; return scattered share, direction and weight of the current path."""
+        """Follow reflection and transmission; return the current path's scattered share, direction and weight."""
         active = path.active
         one, two = sampler.next_1d(active), sampler.next_2d(active)
         own = (one, two)
@@ -186,7 +186,7 @@ class AovIntegrator(Plugin):
             path.weight = path.weight * share
             path.active = path.active & (dr.max(path.weight) > 0.0)
             path.ray, path.count = si.spawn_ray(si.to_world(way)), path.count + 1
-            if not self.sampling.draws:  # the second path, after the end of the first
+            if not self.sampling.draws:  # the second path, once the first has ended
                 turns = (path.active ^ True) & (dr.max(path.kept_weight) > 0.0)
                 path.ray = dr.select(turns, path.kept, path.ray)
                 path.weight = dr.select(turns, path.kept_weight, path.weight)

@@ -18,9 +18,9 @@ BLOCK = 32  # rows or columns per matrix product; larger blocks contain mostly z
 
 
 def smooth(picture: NDArray[Real], sigma: float) -> NDArray[Real]:
-    """Gaussian filter of a picture `[row, column]` or `[row, column, colour]` in its own precision, edges extended.
+    """Filter a picture by a Gaussian, `[row, column]` or `[row, column, colour]` in its own precision, edges extended.
 
-    Products of small matrices. scipy's filter gives the same numbers but takes 0.1 s to import, the total time for a
+    Small matrix products. scipy's filter gives the same numbers but takes 0.1 s to import, the total time for a
     small picture, and then up to twice as long.
     """
     if picture.ndim == 3:
@@ -43,7 +43,7 @@ def smooth(picture: NDArray[Real], sigma: float) -> NDArray[Real]:
 
 @functools.lru_cache(maxsize=32)
 def _weights(sigma: float) -> NDArray[np.float64]:
-    """Weights `[block, block + twice the reach]` of a block."""
+    """Weights `[block, block + twice the reach]` for one block."""
     reach = int(REACH * sigma + 0.5)
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     spread = np.zeros((BLOCK, BLOCK + 2 * reach))
@@ -57,7 +57,7 @@ def noise(shape: tuple[int, int], grain: Sequence[float], seed: int) -> Array:
 
     Args:
         shape: rows and columns.
-        grain: standard deviation in pixels of the Gaussian filter, along rows and columns.
+        grain: standard deviation in pixels, along rows and columns.
         seed: random seed.
     """
     white = np.random.default_rng(seed).standard_normal(shape)

@@ -1,10 +1,10 @@
 """Pictures from XYZ: exposure, white balance, tone, gamut clipping, backgrounds; picture files and their provenance.
 
-Exposure. Lights are scaled for a luminance of about 0.6 of white paper on the floor (`lights`). "auto", the default,
+Exposure. Lights give white paper on the floor a luminance near 0.6 (`lights`). "auto", the default,
 moves luminance percentile 98.5 to 0.7, limited to -0.5 to +2.5 stops; dark materials stay darker than bright ones. A
 number fixes the stops; 0 shows the scene as lit, and pictures with one number are comparable. Outputs state the stops.
 
-White balance: the white of the light becomes the white of the picture (Bradford). By default there is no tone curve:
+White balance: the light's white becomes the picture's white (Bradford). By default there is no tone curve:
 colours brighter than white become white, colours outside sRGB are clipped at constant hue and lightness, and counted.
 The tone "filmic" compresses highlights like film; such colours are no measurement.
 
@@ -50,16 +50,16 @@ class RenderResult:
     """A picture and its provenance.
 
     Attributes:
-        xyz: linear XYZ `[row, column, 3]`, white paper on the floor at Y of about 0.6.
+        xyz: linear XYZ `[row, column, 3]`, white paper on the floor has Y near 0.6.
         rgb: linear sRGB `[row, column, 3]`, balanced and exposed, not clipped.
         path: the file written, if any.
-        stats: seconds, spp, exposure_stops, clipped_pixels, interrupted and the rest of the provenance.
+        stats: seconds, spp, exposure_stops, clipped_pixels, interrupted and more provenance.
         spectral: `[row, column, band]` spectral radiance, if requested, and its `bands_nm`.
         raw: XYZ as rendered, if `xyz` is denoised.
-        alpha: coverage `[row, column]` of a cut-out subject; `xyz`, `raw` and `rgb` are premultiplied by it.
+        alpha: coverage `[row, column]` by a cut-out subject; `xyz`, `raw` and `rgb` are premultiplied by it.
         background: linear sRGB behind a cut-out subject; None: transparent.
         tone: "srgb" or "filmic".
-        lights: XYZ `[row, column, 3]` of each light, if requested.
+        lights: XYZ `[row, column, 3]` per light, if requested.
         layers: AOVs by name: channel letters and values `[row, column, letter]`.
     """
 
@@ -111,7 +111,7 @@ class RenderResult:
 def auto_stops(xyz: Array) -> float:
     """Return the automatic exposure in stops, within `AUTO_STOPS`.
 
-    Rounded to thousandths, because the summation order of threads must not change the exposure of an animation.
+    Rounded to thousandths, because thread timing must not change an animation's exposure.
     """
     bright = float(np.percentile(xyz[..., 1], AUTO_PERCENTILE))
     if bright <= 0.0:
@@ -119,20 +119,24 @@ def auto_stops(xyz: Array) -> float:
     return round(float(np.clip(np.log2(AUTO_LEVEL / bright), *AUTO_STOPS)), 3)
 
 
+def _row_parts(picture: Array) -> list[slice]:
+    """Split the rows of a picture into parts, because intermediates need several times its memory."""
+    rows = max(SHOWN_AT_ONCE // max(picture.shape[1], 1), 1) if picture.ndim == 3 else max(len(picture), 1)
+    return [slice(first, first + rows) for first in range(0, len(picture), rows)]
+
+
 def develop(xyz: Array, illuminant: str, exposure: Exposure = "auto") -> tuple[Array, float]:
     """Return linear sRGB `[..., 3]`, not clipped, and the stops used."""
     stops = auto_stops(xyz) if exposure == "auto" else float(exposure)
     rgb: Array = np.empty_like(xyz, dtype=float)
-    rows = max(SHOWN_AT_ONCE // max(rgb.shape[1], 1), 1) if rgb.ndim == 3 else max(len(rgb), 1)
-    for first in range(0, len(rgb), rows):  # in parts, to save memory
-        part = slice(first, first + rows)
+    for part in _row_parts(rgb):
         balanced = adapt_xyz(xyz[part], white_xyz(illuminant), SRGB_WHITE_XYZ)
         rgb[part] = xyz_to_srgb_linear(balanced) * 2.0**stops
     return rgb, stops
 
 
 def encode(rgb: Array, tone: str = "srgb") -> tuple[NDArray[np.uint8], int]:
-    """Return 8-bit sRGB and the number of pixels outside the gamut that had to move."""
+    """Return 8-bit sRGB and the number moved into the gamut."""
     clipped = clip_to_srgb(toned(rgb, tone))
     return np.round(255.0 * srgb_encode(clipped.rgb)).astype(np.uint8), clipped.count
 
@@ -140,7 +144,7 @@ def encode(rgb: Array, tone: str = "srgb") -> tuple[NDArray[np.uint8], int]:
 def toned(rgb: Array, tone: str) -> Array:
     """Apply a tone curve to linear sRGB: "srgb" is the identity, "filmic" the ACES display curve per channel.
 
-    The latter is the fit of K. Narkowicz (2015), x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), limited to 1.
+    The latter is K. Narkowicz's fit (2015), x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14), limited to 1.
 
     Raises:
         NacreError: an unknown tone.
@@ -154,14 +158,11 @@ def toned(rgb: Array, tone: str) -> Array:
 
 
 def count_clipped(rgb: Array, alpha: Array | None, tone: str) -> int:
-    """Return the number of pixels that `show` would clip into the gamut."""
-    rows = max(SHOWN_AT_ONCE // max(rgb.shape[1], 1), 1)
+    """Count the pixels that `show` would clip into the gamut."""
     count = 0
-    for first in range(0, len(rgb), rows):
-        part = rgb[first : first + rows]
-        if alpha is not None:
-            part = _uncovered(part, np.clip(alpha[first : first + rows], 0.0, 1.0)[..., None])
-        count += int(np.count_nonzero(outside_srgb(toned(part, tone))))
+    for part in _row_parts(rgb):
+        colours = rgb[part] if alpha is None else _uncovered(rgb[part], np.clip(alpha[part], 0.0, 1.0)[..., None])
+        count += int(np.count_nonzero(outside_srgb(toned(colours, tone))))
     return count
 
 
@@ -173,7 +174,7 @@ def _uncovered(rgb: Array, cover: Array) -> Array:
 def show(
     rgb: Array, alpha: Array | None, background: tuple[float, float, float] | None, tone: str
 ) -> tuple[NDArray[np.uint8], int]:
-    """Return 8-bit sRGB `[row, column, 3 or 4]` for display, and the number of pixels clipped into the gamut.
+    """Return 8-bit sRGB `[row, column, 3 or 4]` for display, and the clipped pixel count.
 
     Args:
         rgb: linear sRGB, exposed, premultiplied by alpha.
@@ -181,22 +182,19 @@ def show(
         background: linear sRGB behind a cut-out subject; None: alpha as the fourth channel.
         tone: see `toned`.
     """
-    rows = max(SHOWN_AT_ONCE // max(rgb.shape[1], 1), 1)
-    if rgb.ndim == 3 and len(rgb) > rows:  # in parts, because intermediates are several times as large
-        parts = [
-            show(rgb[first : first + rows], None if alpha is None else alpha[first : first + rows], background, tone)
-            for first in range(0, len(rgb), rows)
-        ]
-        return np.concatenate([shown for shown, _ in parts]), sum(count for _, count in parts)
+    parts = _row_parts(rgb)
+    if len(parts) > 1:
+        shown = [show(rgb[part], None if alpha is None else alpha[part], background, tone) for part in parts]
+        return np.concatenate([each for each, _ in shown]), sum(count for _, count in shown)
     if alpha is None:
         return encode(rgb, tone)
     cover = np.clip(alpha, 0.0, 1.0)[..., None]
     clipped = clip_to_srgb(toned(_uncovered(rgb, cover), tone))
     if background is None:
-        shown = np.concatenate([srgb_encode(clipped.rgb), cover], axis=-1)
+        pixels = np.concatenate([srgb_encode(clipped.rgb), cover], axis=-1)
     else:
-        shown = srgb_encode(cover * clipped.rgb + (1.0 - cover) * np.array(background))
-    return np.round(255.0 * shown).astype(np.uint8), clipped.count
+        pixels = srgb_encode(cover * clipped.rgb + (1.0 - cover) * np.array(background))
+    return np.round(255.0 * pixels).astype(np.uint8), clipped.count
 
 
 PROVENANCE_KEY = "nacre"
@@ -204,7 +202,7 @@ STILL_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".exr")
 OPAQUE_SUFFIXES = (".jpg", ".jpeg")
 JPEG_QUALITY = 95
 WEBP_QUALITY = 95
-JPEG_PACKET = 65_502  # bytes of XMP in one segment of a JPEG
+JPEG_PACKET = 65_502  # XMP bytes in one JPEG segment
 LEFT_OUT = "left out: too long for a JPEG"
 # an XMP packet with one property in our own namespace
 _XMP = (
@@ -221,12 +219,12 @@ EMISSIVE_UNITS = "W.m^-2.sr^-1"
 
 
 def spoken_suffixes() -> str:
-    """Return the suffixes of picture files for messages."""
+    """Return the picture-file suffixes for messages."""
     return f"{', '.join(STILL_SUFFIXES[:-1])} or {STILL_SUFFIXES[-1]}"
 
 
 def provenance(stats: Mapping[str, Any]) -> str:
-    """Return the provenance of a picture as JSON."""
+    """Return the provenance as JSON."""
     return json.dumps({"nacre": __version__, **stats}, default=str, sort_keys=True)
 
 
@@ -253,7 +251,7 @@ def write_picture(path: Path, picture: NDArray[np.uint8], stats: Mapping[str, An
 
 
 def _xmp(stats: Mapping[str, Any], most: int | None) -> bytes:
-    """Return the XMP packet of the provenance; its longest texts are dropped above `most` bytes."""
+    """Return the provenance as an XMP packet; its longest texts are dropped above `most` bytes."""
     tree = json.loads(provenance(stats))
     while True:
         text = html.escape(json.dumps(tree, sort_keys=True), quote=False)
@@ -297,7 +295,7 @@ def write_png(path: Path, picture: NDArray[np.uint8], stats: Mapping[str, Any]) 
 
 
 def read_provenance(path: str | Path) -> dict[str, Any]:
-    """Return the provenance in a PNG, JPEG or WebP of nacre; empty for other pictures."""
+    """Return the provenance in a PNG, JPEG or WebP from nacre; empty for other pictures."""
     from PIL import Image
 
     with Image.open(path) as picture:
@@ -311,7 +309,7 @@ def read_provenance(path: str | Path) -> dict[str, Any]:
 
 
 def spectral_channel(wavelength_nm: float) -> str:
-    """Return the name of an emissive, unpolarised channel: S0 and the wavelength with a decimal comma.
+    """Name an emissive, unpolarised channel: S0 and the wavelength with a decimal comma.
 
     Example: `spectral_channel(550)` is "S0.550,000000nm".
     """
@@ -324,7 +322,7 @@ def write_exr(path: str | Path, result: RenderResult) -> None:
     Layers: A, if the subject is cut out (light is premultiplied by it); `raw` as rendered, if denoised; the AOVs
     `albedo`, `normal` and `depth`; `light.NAME` for each light, if requested; a channel per band for spectra.
 
-    R, G, B are linear sRGB balanced to the white of the light. Spectral channels are radiances in relative units, which
+    R, G, B are linear sRGB balanced to the light's white. Spectral channels are radiances in relative units, which
     the header states.
 
     Raises:

@@ -1,6 +1,6 @@
 """Infinite backdrops: camera rays that miss the scene see the backdrop continued beyond its edges.
 
-A larger mesh would stand in front of lamps and change the light. Instead, the intersection of a missed ray with an
+A larger mesh would stand before lamps and change the light. Instead, a missed ray's intersection with an
 infinite backdrop is folded back into the finite one.
 """
 
@@ -14,8 +14,8 @@ from nacre.picture.scenes.catalogue import BOWL, BOWL_SQUARE, SQUARE, SWEEPS, Ba
 from nacre.picture.shapes.backdrop import sweep_length
 
 START = 0.05  # distance from the matt surface at which a redirected ray starts
-RIM = 0.02  # margin of the finite backdrop that is not used
-FAR = 1e4  # distance of rays that do not descend
+RIM = 0.02  # unused margin on the finite backdrop
+FAR = 1e4  # distance for rays that do not descend
 HALVINGS = 40
 
 
@@ -24,8 +24,8 @@ class InfiniteBackdrop:
     """An infinite backdrop.
 
     Attributes:
-        kind: backdrop of the scene.
-        square: side of its chequers, which continue evenly; 0: plain.
+        kind: scene backdrop.
+        square: side of the chequers; 0: plain.
         turn_deg: turn about the vertical axis.
     """
 
@@ -35,7 +35,7 @@ class InfiniteBackdrop:
 
 
 def infinite_backdrop(kind: Backdrop, is_chequered: bool, turn_deg: float) -> InfiniteBackdrop | None:
-    """Return the continuation of a backdrop; None without backdrop."""
+    """Return a backdrop's continuation; None without backdrop."""
     if kind == "none":
         return None
     if kind == "bowl":
@@ -57,7 +57,7 @@ def fold(value: Any, low: Any, high: Any, width: Any) -> Any:
 
 
 def _fold_limits(length: float, square: float) -> tuple[float, float, float]:
-    """Limits and width of the fold of a side; chequers fold at the middle of squares."""
+    """Limits and width for folding one side; chequers fold at square centres."""
     if square == 0.0:
         return RIM, length - RIM, 1.0
     return 0.5 * square, (int((length - RIM) / square - 0.5) + 0.5) * square, 2.0 * square

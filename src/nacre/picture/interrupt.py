@@ -1,4 +1,4 @@
-"""Ctrl-C during a picture: immediate before the end of the first pass, afterwards at the end of the current pass.
+"""Ctrl-C during a picture: immediate within the first pass, afterwards when the current pass ends.
 
 Solvers and compilers run outside Python for many seconds, during which Python does not handle signals.
 """
@@ -18,7 +18,7 @@ _came_late = threading.Event()  # the last picture was complete at the interrupt
 
 
 def begin_picture() -> None:
-    """Note the start of a picture."""
+    """Note that a picture begins."""
     _has_passes.clear()
     _came_late.clear()
 
@@ -29,7 +29,7 @@ def note_late() -> None:
 
 
 def came_late() -> bool:
-    """Return whether the last picture was complete at an interrupt; series of pictures should end."""
+    """Return whether the last picture was complete at an interrupt; a series should end."""
     return _came_late.is_set()
 
 
@@ -65,7 +65,7 @@ def held_back() -> Iterator[Callable[[], bool]]:
 
 @contextlib.contextmanager
 def leaving_at_once(status: int, message: str) -> Iterator[None]:
-    """End the process on an interrupt before the end of the first pass; for the command line.
+    """End the process on an interrupt within the first pass; for the command line.
 
     Files are written atomically, therefore no partial files remain.
     """
@@ -75,7 +75,7 @@ def leaving_at_once(status: int, message: str) -> Iterator[None]:
     begin_picture()
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
-    # acquired once, by the first of the two threads that notice the interrupt
+    # acquired once, by whichever thread notices the interrupt first
     leaving = threading.Lock()
 
     def listen() -> None:

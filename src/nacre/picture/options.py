@@ -1,4 +1,4 @@
-"""Options of a picture, grouped and validated: object, camera, lighting, sampling, tone, output."""
+"""Picture options, grouped and validated: object, camera, lighting, sampling, tone, output."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MAX_SECONDS = 7 * 24 * 3600
 
 @dataclass(frozen=True)
 class Background:
-    """Background of a subject.
+    """A subject's background.
 
     Attributes:
         is_scene: the scene's own backdrop.
@@ -64,7 +64,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Camera:
-    """Camera position, angle of view and picture size."""
+    """Camera position, field of view and picture size."""
 
     view: str | Sequence[float] | None = None
     fov: float | None = None
@@ -79,7 +79,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Lighting:
-    """Lights, their white and their turn; `lamps` are those of `light`."""
+    """Lights, their white and their turn; `lamps` are read from `light`."""
 
     light: str | Sequence[str] | None = None
     light_layers: bool = False
@@ -93,7 +93,7 @@ class Lighting:
 
 @dataclass(frozen=True)
 class Sampling:
-    """Stopping rule, seed, and the parts of the material that are rendered; `until` is the stopping rule."""
+    """Stopping rule, seed, and the rendered material components; `until` is the stopping rule."""
 
     spp: int | None = None
     noise: float | None = None
@@ -150,7 +150,7 @@ class Output:
 
 @dataclass(frozen=True)
 class RenderOptions:
-    """All options of a picture."""
+    """All picture options."""
 
     subject: Subject = field(default_factory=Subject)
     camera: Camera = field(default_factory=Camera)
@@ -174,9 +174,10 @@ _GROUPS = {
     "tone": Tone,
     "output": Output,
 }
-# the keywords of `nacre.render`: group and field
+# keywords for `nacre.render`: group and field
 KEYWORDS = {each.name: (group, each) for group, options in _GROUPS.items() for each in fields(options) if each.init}
-SCENE_KEYWORDS = ("shape", "up", "turn", "view", "fov", "zoom", "size", "light", "illuminant", "spp")  # of `scene_dict`
+# keywords for `nacre.render.scene_dict`
+SCENE_KEYWORDS = ("shape", "up", "turn", "view", "fov", "zoom", "size", "light", "illuminant", "spp")
 
 
 def read_options(keywords: Mapping[str, Any], allowed: Collection[str] = tuple(KEYWORDS)) -> RenderOptions:
@@ -207,7 +208,7 @@ def signature(function: Callable[..., Any], allowed: Collection[str] = tuple(KEY
 
 
 def check_choice(key: str, value: str, choices: Sequence[str]) -> None:
-    """Check that a value is one of the choices.
+    """Check a value against the choices.
 
     Raises:
         NacreError: it is not.
@@ -241,7 +242,7 @@ def read_background(text: str) -> Background:
 
 
 def check_output(path: Path, background: Background) -> None:
-    """Check the suffix of a picture's file name.
+    """Check a picture file's suffix.
 
     Raises:
         NacreError: unknown suffix, or a format without transparency for a transparent background.
@@ -257,7 +258,7 @@ def check_size(size: tuple[int, int] | str | None) -> tuple[int, int] | None:
     """Return (width, height), or None.
 
     Raises:
-        NacreError: not two whole numbers, or out of range.
+        NacreError: not two whole numbers, or too large or small.
     """
     if size is None:
         return None
@@ -277,10 +278,10 @@ def check_size(size: tuple[int, int] | str | None) -> tuple[int, int] | None:
 
 
 def read_until(spp: int | None, noise: float | None, seconds: float | None) -> Until:
-    """Return the stopping rule; by default a noise of 2 %, or `DEFAULT_SPP`.
+    """Return the stopping rule; by default noise 2 %, or `DEFAULT_SPP`.
 
     Raises:
-        NacreError: two rules are given, or one is out of range.
+        NacreError: two rules are given, or one is not allowed.
     """
     given = [name for name, value in (("spp", spp), ("noise", noise), ("seconds", seconds)) if value is not None]
     if len(given) > 1:

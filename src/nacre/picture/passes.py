@@ -1,4 +1,4 @@
-"""Rendering in passes with a few samples per pixel, and the AOVs of the denoiser.
+"""Rendering in passes with a few samples per pixel, and denoiser AOVs.
 
 Passes bound the memory, report progress, and let an interrupt end the picture with the samples so far.
 """
@@ -42,23 +42,23 @@ FIRST_HIT = {"albedo": "RGB", "normal": "XYZ", "depth": "Z"}
 RUSSIAN_ROULETTE_DEPTH = 6
 # AOV samples per picture sample, because AOVs must not take longer than a short picture; minimum without grain
 AOVS_PER_SAMPLE, MIN_AOVS = 4, 4
-AOVS_FROM = 1 << 20  # sequence number of the AOVs, above those of all passes
+AOVS_FROM = 1 << 20  # sequence number for AOVs, above all passes
 # With a noise target or a time limit, independent sequences take turns, and their difference is the noise. A longer
 # sequence is more even, therefore there are only two
 SEQUENCES, TURN = 2, 8
 FINE, FINE_TURN = range(16, 32), 4  # shorter turns in the range in which many pictures end
-MEDIAN = NormalDist().inv_cdf(0.75) ** 2  # median over mean of the variance of two normal values
+MEDIAN = NormalDist().inv_cdf(0.75) ** 2  # median over mean, for the variance of two normal values
 
 
 @dataclass(frozen=True)
 class Until:
-    """Stopping rule of a picture.
+    """Stopping rule for a picture.
 
     Attributes:
         spp: samples per pixel; a maximum with `noise` or `seconds`.
-        noise: target for the median relative standard error of the luminance, as rendered, over pixels that see an
+        noise: target for the median relative standard error of the raw luminance, over pixels that see an
             object (or over all pixels).
-        seconds: wall time of the passes; the picture then depends on the machine.
+        seconds: wall time for the passes; the picture then depends on the machine.
     """
 
     spp: int
@@ -67,24 +67,24 @@ class Until:
 
     @property
     def is_open(self) -> bool:
-        """Whether the number of samples is unknown at the start."""
+        """Whether the sample count is unknown at the start."""
         return self.noise is not None or self.seconds is not None
 
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """Settings of the passes.
+    """Settings for the passes.
 
     Attributes:
-        view: the camera; None: that of the user scene.
+        view: the camera; None: the user scene's.
         size: width and height.
         until, seed: stopping rule and seed.
-        spectral: 10 nm bands instead of XYZ.
+        spectral: 10 nm bands, not XYZ.
         boxed: box filter, as required by the denoiser.
         cut: see only the objects.
-        with_aovs: render the AOVs of the denoiser.
+        with_aovs: render denoiser AOVs.
         with_layers: render AOVs with more samples for display; the picture stays the same.
-        is_framed: the frame differs from that of the scene and may see past the edge of the backdrop.
+        is_framed: the frame differs from the scene's and may see past the backdrop's edge.
     """
 
     view: View | None
@@ -106,14 +106,14 @@ class Frame:
     Attributes:
         xyz: `[row, column, 3]`, premultiplied by alpha.
         spp: samples per pixel taken.
-        alpha: `[row, column]` of cut-out objects.
-        spectral, bands_nm: `[row, column, band]` and the centres of the bands.
+        alpha: `[row, column]`, coverage by cut-out objects.
+        spectral, bands_nm: `[row, column, band]` and the band centres.
         aovs: albedo, normal and depth at the first hit.
         layers: the same with more samples.
-        not_finite: number of pixels with NaN or infinity.
+        not_finite: pixel count with NaN or infinity.
         noise: median relative standard error over pixels that see an object.
         is_interrupted: whether it ended early.
-        difference: `[row, column, 3]`, a sample of the noise in `xyz`, from two halves of the samples.
+        difference: `[row, column, 3]`, a noise sample for `xyz`, from two sample halves.
         has_grain: whether the AOVs may have grain.
     """
 
@@ -138,18 +138,18 @@ def render_passes(
 
     Args:
         scene: a `BuiltScene` or `UserScene`.
-        settings: settings of the passes.
+        settings: see `RenderSettings`.
         report: called after every pass.
         on_better: given the picture each time the samples have doubled, except at the end.
 
     Raises:
-        KeyboardInterrupt: before the end of the first pass.
+        KeyboardInterrupt: within the first pass.
     """
     return _Passes(scene, settings).run(report, on_better)
 
 
 class _Passes:
-    """Sums of the passes of one picture, and the objects that render them."""
+    """Sums over one picture's passes, and the objects that render them."""
 
     def __init__(self, scene: Any, settings: RenderSettings) -> None:
         self.settings, self.scene = settings, scene.mitsuba_scene
@@ -173,7 +173,7 @@ class _Passes:
             lambda size: scene.sensor(settings.view, settings.size, film, rows=size[1], **options),
             settings.size,
             sampler,
-            is_boxed=settings.boxed and not settings.spectral,  # a film of bands has a wide filter
+            is_boxed=settings.boxed and not settings.spectral,  # band films have a wide filter
         )
         integrator = _tracer(scene)
         if settings.cut:
@@ -183,7 +183,7 @@ class _Passes:
         self.integrator = self._divided(integrator)
         until = settings.until
         most = max(1, PASS_SAMPLES // (width * height))
-        # long-tailed noise of random walks agrees between halves by chance and would return as texture
+        # long-tailed random-walk noise agrees between halves by chance and would return as texture
         has_halves = settings.with_aovs and not settings.spectral and until.spp > 1
         self.halved = has_halves and not has_random_walks(self.scene)
         if self.halved and not until.is_open:
@@ -205,7 +205,7 @@ class _Passes:
     def run(self, report: ProgressCallback, on_better: Callable[[Frame], None] | None) -> Frame:
         until, plan, clock = self.settings.until, self.plan, Clock()
         is_asked = False  # to end
-        shown = 0  # samples of the picture given to `on_better`
+        shown = 0  # samples last given to `on_better`
         started = time.perf_counter()
         with interrupt.held_back() as is_interrupted:
             for index, part in enumerate(plan):
@@ -265,7 +265,7 @@ class _Passes:
         np.nan_to_num(clean, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
         difference = None
         if self.halved and 0 < self.in_half < self.done:
-            # the difference of the halves, scaled to the noise of their mean
+            # the halves' difference, scaled to the noise in their mean
             share = math.sqrt(self.in_half / (self.done - self.in_half))
             difference = np.asarray(share * (self.half / self.in_half - clean[..., :3]), dtype=np.float32)
             difference = np.nan_to_num(difference, nan=0.0, posinf=0.0, neginf=0.0)
@@ -286,9 +286,9 @@ class _Passes:
         )
 
     def _render_aovs(self) -> None:
-        """Render the AOVs of the denoiser, and those for display with more samples.
+        """Render denoiser AOVs, and display AOVs with more samples.
 
-        All pixels use equal numbers unless paths are chosen at random; grain would appear as texture of the picture or
+        All pixels use equal numbers unless paths are chosen at random; grain would appear as texture or
         blur thin lines.
         """
         integrator = self._divided(aov_integrator(self.scene, self.sampling))
@@ -314,7 +314,7 @@ class _Passes:
 
 
 def _aov_counts(settings: RenderSettings, sampling: AovSampling) -> tuple[int, int]:
-    """Return the samples per pixel of AOVs for the denoiser and for display."""
+    """Return the samples per pixel for denoiser AOVs and display AOVs."""
     spp = settings.until.spp
     most = AOVS_PER_SAMPLE * spp if sampling.has_grain else max(MIN_AOVS, spp)
     samples = min(AOV_SPP if sampling.has_grain else EVEN_AOV_SPP, most)
@@ -322,7 +322,7 @@ def _aov_counts(settings: RenderSettings, sampling: AovSampling) -> tuple[int, i
 
 
 def _remaining(until: Until, plan: Sequence[Part], done: int, noise: float | None, seconds: float) -> tuple[int, bool]:
-    """Return the estimated number of passes, and whether those done are enough."""
+    """Return the estimated pass count, and whether enough are done."""
     if until.seconds is not None:
         by_time = max(math.ceil(until.seconds / seconds * done), done)
         return min(by_time, len(plan)), seconds >= until.seconds
@@ -333,10 +333,10 @@ def _remaining(until: Until, plan: Sequence[Part], done: int, noise: float | Non
 
 
 class Spread:
-    """Noise estimate from the difference of the sequences.
+    """Noise estimate from the difference between sequences.
 
     Args:
-        is_counted: pixels `[row, column]` to evaluate; None, or none of them lit: all.
+        is_counted: pixels `[row, column]` to evaluate; None, or all unlit: all.
     """
 
     def __init__(self, is_counted: NDArray[np.bool_] | None = None) -> None:
@@ -351,9 +351,9 @@ class Spread:
         self._weights[part.sequence] += part.spp
 
     def noise(self) -> float | None:
-        """Return the median relative standard error of the mean over lit pixels; None within a turn.
+        """Return the median relative standard error over lit pixels; None within a turn.
 
-        The bias of the median of a variance from two values is corrected.
+        The bias of a median variance from two values is corrected.
         """
         if min(self._weights) != max(self._weights) or self._weights[0] == 0:
             return None
@@ -419,7 +419,7 @@ def _glitters(scene: Any) -> bool:
 def _mirrors(subjects: Sequence[Any]) -> bool:
     """Return whether the subject is purely specular; its noise depends on samples per pixel, not per lamp."""
     flags = mi.BSDFFlags
-    shows_more = int(flags.Smooth | flags.Null)  # the background of a clear subject is matt
+    shows_more = int(flags.Smooth | flags.Null)  # a clear subject's background is matt
     return bool(subjects) and not any(int(shape.bsdf().flags()) & shows_more for shape in subjects)
 
 
@@ -446,9 +446,9 @@ class Part:
     """One pass.
 
     Attributes:
-        sequence: index of the sequence.
+        sequence: sequence number.
         first: samples per pixel taken from it before.
-        spp: samples per pixel of this pass.
+        spp: samples per pixel in this pass.
         ends_round: whether all sequences have had equal turns after it. The noise is evaluated only then, therefore one
             seed gives one picture.
     """
@@ -470,7 +470,7 @@ def pass_plan(spp: int, most: int, is_open: bool = False) -> list[Part]:
     if not is_open:
         return [Part(0, first, min(most, spp - first)) for first in range(0, spp, most)]
     plan: list[Part] = []
-    begun, each = 0, max(spp // SEQUENCES, 1)  # samples of one sequence
+    begun, each = 0, max(spp // SEQUENCES, 1)  # samples in one sequence
     while begun < each:
         end = begun + (FINE_TURN if begun in FINE else TURN)
         if end > each and plan:

@@ -8,12 +8,12 @@ against noise:
 - Shadow rays pass null interactions and take their colour, as in `volpath` without media; null interactions do not
   count as events.
 - If the camera ray passes clear surfaces straight, both transmission and reflection are followed. A soap film mirrors a
-  few per cent of a bright lamp, which a random choice would show as grain.
+  bright lamp by a few per cent, which a random choice would show as grain.
 - Caustics, light that reaches a matt surface by specular paths, require a BSDF sample that meets the lamp: one path in
   100,000 for the sun. On such paths the lamp is `SOFT_LAMP_DEG` wide at equal irradiance, which is unbiased in the mean
-  with a softer rim. The lamp of `directional` is `WITHIN_LAMP_DEG` wide for light scattered by a clear object that
+  with a softer rim. The `directional` lamp is `WITHIN_LAMP_DEG` wide for light scattered by a clear object that
   leaves it by refraction. Next-event estimation omits these paths, which are those by lobes narrower than
-  `SOFT_LAMP_DEG`. Direct light, shadows and mirror images of the sun stay sharp.
+  `SOFT_LAMP_DEG`. Direct light, shadows and the sun's mirror images stay sharp.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ WITHIN_LAMP_DEG = 40.0
 # solid-angle density above which a lobe is narrower than the soft lamp
 NARROW = 1.0 / (2.0 * math.pi * (1.0 - math.cos(math.radians(0.5 * SOFT_LAMP_DEG))))
 # light samples at the first non-specular vertex on an object, and on the ground, whose grain is even and less visible
-# (error of denoised pictures times CPU time: 5 to 12 % lower than with four everywhere). Pearls take one, since each
+# (denoised error times CPU time: 5 to 12 % lower than with four everywhere). Pearls take one, since each
 # sample is a random walk
 DRAWS, GROUND_DRAWS = 4, 2
-# relative MIS weight of light samples on a diffuse floor: they follow radiance and cosine (noise of a bubble -4 %;
+# relative MIS weight for light samples on a diffuse floor: they follow radiance and cosine (bubble noise -4 %;
 # equal from 2 to 4)
 DIFFUSE_LIGHT_SAMPLE_WEIGHT = 3.0
-FAINT = 0.3  # throughput of a split path below which one light sample is taken
+FAINT = 0.3  # throughput below which, on a split path, only one light sample is taken
 MAX_PASSED = 64  # clear surfaces on one shadow ray
 MAX_SPLITS = 4  # clear surfaces at which a camera ray splits
 RAYS_AT_ONCE = 1 << 20  # bounds memory
@@ -62,21 +62,21 @@ def make_paths(
     Args:
         max_depth, rr_depth: as in Mitsuba's `path`.
         passes_through: whether shadow rays pass null interactions.
-        soft: environment of the scene with its small lamps `SOFT_LAMP_DEG` wide; None: not used.
-        splits: whether camera rays split at clear surfaces; requires `can_split` of all BSDFs.
+        soft: the scene's environment with small lamps `SOFT_LAMP_DEG` wide; None: not used.
+        splits: whether camera rays split at clear surfaces; requires `can_split` for all BSDFs.
         spread_by: shapes whose scattered light `soft` illuminates; empty: all.
         draws: light samples at the first non-specular vertex.
         glitters: resolve single flakes, except in light on matt surfaces, which uses their mean; single paths would
-            appear there as grains of light.
+            appear there as light grains.
         objects: shapes that take all draws, others at most `GROUND_DRAWS`; empty: all.
     """
     return make_plugin(Paths, max_depth, rr_depth, passes_through, soft, splits, spread_by, draws, glitters, objects)
 
 
 def can_split(bsdf: Any) -> bool:
-    """Return whether the null interaction of a BSDF is a separate component that sampling can omit.
+    """Return whether a BSDF's null interaction is a separate component that sampling can omit.
 
-    Mitsuba's `mask` samples it regardless of the type mask, therefore only our own BSDFs qualify.
+    Mitsuba's `mask` samples it despite the type mask, therefore only our own BSDFs qualify.
     """
     null, everything = int(mi.BSDFFlags.Null), int(mi.BSDFFlags.All)
     if int(bsdf.flags()) & null and not hasattr(bsdf, "plugins"):
@@ -87,7 +87,7 @@ def can_split(bsdf: Any) -> bool:
 
 @dataclass
 class _Path:
-    """State of a path; all values are arrays of the variant."""
+    """Path state; all values are variant arrays."""
 
     ray: Any
     light: Any  # radiance so far
@@ -97,10 +97,10 @@ class _Path:
     depth: Any
     last: Any  # last vertex
     pdf: Any  # density of the last BSDF sample
-    lamp_weight: Any  # MIS weight of light samples at the last vertex
+    lamp_weight: Any  # MIS weight for light samples at the last vertex
     is_delta: Any  # the last event was specular
     has_spread: Any  # a surface has scattered the light
-    is_soft: Any  # the ray meets the soft lamp in place of the environment
+    is_soft: Any  # the ray meets the soft lamp, not the environment
     kept: Any  # ray transmitted at a split
     kept_weight: Any
     is_kept: Any
@@ -190,7 +190,7 @@ class Paths(Plugin):
         path.active = path.active & ((applies ^ True) | lives)
 
     def _add_light_samples(self, path: _Path, scene: Any, si: Any, bsdf: Any, context: Any, sampler: Any) -> Any:
-        """Next-event estimation; return the MIS weight of light samples."""
+        """Next-event estimation; return their MIS weight."""
         is_broad = path.active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         is_first = path.base == 0.0
         if self.splits:
@@ -276,7 +276,7 @@ class Paths(Plugin):
         path.active = path.active & ((applies ^ True) | lives)
 
     def _resume(self, path: _Path) -> None:
-        """Continue with the transmitted ray of the last split once a path has ended."""
+        """Continue with the last split's transmitted ray once a path has ended."""
         turns = path.is_kept & (path.active ^ True)
         path.ray, path.weight = dr.select(turns, path.kept, path.ray), dr.select(turns, path.kept_weight, path.weight)
         path.eta, path.pdf = dr.select(turns, 1.0, path.eta), dr.select(turns, 1.0, path.pdf)
@@ -296,7 +296,7 @@ def _power_heuristic(chosen: Any, other: Any) -> Any:
 
 
 def _transmittance(scene: Any, si: Any, ds: Any, active: Any) -> Any:
-    """Transmittance of clear surfaces between `si` and a light sample."""
+    """Clear-surface transmittance between `si` and a light sample."""
     straight = si.spawn_ray_to(ds.p)
     # most rays meet no surface, which the cheaper occlusion test finds
     state = (straight, mi.Spectrum(1.0), mi.UInt32(0), active & scene.ray_test(straight, active))
@@ -331,7 +331,7 @@ def _light_sample_points(sampler: Any, draws: Any, active: Any) -> Callable[[Any
 def cut_out(integrator: Any, shapes: Sequence[Any]) -> Any:
     """Return an integrator that sees only these shapes and is transparent elsewhere.
 
-    Light and mirror images of other objects stay. The picture is premultiplied by the alpha channel of the film.
+    Light and mirror images from other objects stay. The picture is premultiplied by the film's alpha channel.
     """
     return make_plugin(CutOut, integrator, shapes)
 
@@ -352,11 +352,11 @@ class CutOut(WrappedIntegrator):
 def sees_objects(
     scene: Any, sensor: Any, shapes: Sequence[Any], size: tuple[int, int], at_once: int = RAYS_AT_ONCE
 ) -> NDArray[np.bool_]:
-    """Return which pixels `[row, column]` see one of the shapes at their centre.
+    """Return which pixels `[row, column]` see the shapes at their centre.
 
     Args:
         scene, sensor: Mitsuba objects.
-        shapes: shapes of the scene.
+        shapes: scene shapes.
         size: width and height.
         at_once: rays per batch.
     """
@@ -374,7 +374,7 @@ def sees_objects(
 
 
 def is_one_of(met: Any, shapes: Sequence[Any]) -> Any:
-    """Return whether the shape of an interaction is one of the given shapes."""
+    """Return whether an interaction's shape is among the given ones."""
     is_scalar = mi.variant().startswith("scalar")
     is_seen = mi.Bool(False)
     for shape in shapes:

@@ -1,7 +1,7 @@
 """Render a material: `render(material, scene="probe")`.
 
 A picture is rendered in passes with a few samples per pixel, for progress reports, clean interrupts and bounded memory.
-Built scenes are cached; fifty pictures use the memory of one.
+Built scenes are cached; fifty pictures need no more memory than one.
 """
 
 from __future__ import annotations
@@ -68,36 +68,36 @@ def render(material: Any, scene: str = "sphere", **options: Any) -> RenderResult
     """Render a material on an object.
 
     Args:
-        material: a material, a `Bsdf`, or a Mitsuba BSDF or its dict; `nacre.render` also takes the path of a recipe,
-            the name of an example, or a recipe table.
+        material: a material, a `Bsdf`, or a Mitsuba BSDF or its dict; `nacre.render` also takes a recipe path,
+            an example name, or a recipe table.
         scene: sphere, probe, speedshape, panel, butterfly, beetle, bottle, knob, body, ring, bubble, feather, cuff,
-            card, strip, lens, banknote, pass, screen, or a Mitsuba .xml file whose BSDFs of id "nacre" are replaced.
-        shape: another object for the scene: one of those names or a mesh file (.ply, .obj, .stl, .glb, .gltf, .off).
-        up: vertical axis of a mesh file, x, y or z; None: y for .obj, .glb and .gltf, z for others.
-        turn: turn of the object about the vertical axis, degrees, counter-clockwise seen from above.
-        view: camera direction: azimuth (0 front, 90 the right side of the object) and elevation in degrees, as (30, 20)
-            or "30,20", at the distance of the scene's own camera; the backdrop stays behind the object.
-        fov: horizontal angle of view, degrees; the distance of the camera changes to preserve the object's size.
+            card, strip, lens, banknote, pass, screen, or a Mitsuba .xml file whose BSDFs with id "nacre" are replaced.
+        shape: another object for the scene: such a name or a mesh file (.ply, .obj, .stl, .glb, .gltf, .off).
+        up: a mesh file's vertical axis, x, y or z; None: y for .obj, .glb and .gltf, z for others.
+        turn: object turn about the vertical axis, degrees, counter-clockwise seen from above.
+        view: camera direction: azimuth (0 front, 90 the object's right side) and elevation in degrees, as (30, 20)
+            or "30,20", at the scene camera's distance; the backdrop stays behind the object.
+        fov: horizontal field of view, degrees; the camera distance changes to preserve the object's size.
         zoom: magnification from the same place.
-        size: (width, height) in pixels or "800x600"; None: that of the scene.
+        size: (width, height) in pixels or "800x600"; None: the scene's.
         light: studio, line, sun, sky, directional, interior, street, garden or an environment map; several as
-            "studio:0.5,sun@120", with strengths (:) and turns about the vertical axis in degrees (@), or a list of
-            such words. The first one sets the white point. None: that of the scene.
-        light_layers: also return the contribution of each light: `lights` of the result, layers of an .exr.
-        illuminant: spectrum of the light sources (D65, A, F11, ...).
-        light_turn_deg, view_turn_deg: turns of the light or the camera round the object; on the screen: turn of the
+            "studio:0.5,sun@120", with strengths (:) and turns about the vertical axis in degrees (@), or a list with
+            such words. The first one sets the white point. None: the scene's.
+        light_layers: also return each light's contribution: `lights` in the result, layers in an .exr.
+        illuminant: lamp spectrum (D65, A, F11, ...).
+        light_turn_deg, view_turn_deg: turn of light or camera round the object; on the screen: turn of the
             beam round the tile's normal, tilt of the tile.
         noise: target for the median relative standard error over the pixels that see an object (all pixels if there are
             none). It is evaluated after certain passes, therefore one seed gives one picture. Default: 0.02, with at
             most 1,024 samples per pixel.
         spp: instead of noise: samples per pixel.
         seconds: instead of noise: time limit; the picture then depends on the machine.
-        seed: seed of the samples; on one machine and variant pictures agree up to the summation order of threads (about
-            1e-7 of a pixel).
+        seed: sample seed; on one machine and variant pictures agree up to the threads' summation order (about
+            1e-7).
         quality: "reference" (random walk) or "fast" (noise-free), for pearls.
         components: "sum", "specular" (mirror and microfacet lobes) or "diffuse" (all others).
-        denoise: remove grain; not applied to resolved glints and spectra. The picture as rendered is `raw` of the
-            result and layer `raw` of an .exr.
+        denoise: remove grain; not applied to resolved glints and spectra. The raw picture is `raw` in the
+            result and layer `raw` in an .exr.
         exposure: "auto" or stops (see `nacre.picture.images`).
         tone: "srgb", or "filmic" for soft highlights (see `nacre.picture.images.toned`).
         background: "scene"; or the objects cut out, "transparent" or on a colour ("grey", "#30343a").
@@ -158,7 +158,7 @@ def _render_screen(bsdf: Any, options: RenderOptions, notes: Mapping[str, Any]) 
 
 
 class _Picture:
-    """One picture: its built scene, the settings of its passes, and the result."""
+    """One picture: its built scene, its pass settings, and the result."""
 
     def __init__(self, bsdf: Any, scene: str, options: RenderOptions, notes: Mapping[str, Any], started: float) -> None:
         self.bsdf, self.name, self.options, self.notes, self.started = bsdf, scene, options, notes, started
@@ -232,7 +232,7 @@ class _Picture:
         return self.result(frame, alone)
 
     def _each_light(self, spp: int, report: ProgressCallback) -> dict[str, Any]:
-        """Return the XYZ of each light in the same scene; other seeds make their noise independent."""
+        """Return each light's XYZ in the same scene; other seeds make their noise independent."""
         assert self.set_up is not None  # user scenes refuse light layers
         alone = {}
         for index, lamp in enumerate(self.lamps):
@@ -244,7 +244,7 @@ class _Picture:
         return alone
 
     def result(self, frame: Frame, alone: Mapping[str, Any] | None = None) -> RenderResult:
-        """Denoise and develop the means of the passes."""
+        """Denoise and develop a frame."""
         tone = self.options.tone
         xyz, raw = frame.xyz, None
         aovs, layers = dict(frame.aovs), dict(frame.layers)
@@ -307,15 +307,15 @@ class _Picture:
 
 
 def scene_dict(material: Any = None, scene: str = "sphere", **options: Any) -> dict[str, Any]:
-    """Return one of our scenes as a dict for `mi.load_dict`, to be modified.
+    """Return a catalogue scene as a dict for `mi.load_dict`, to be modified.
 
-    Its values are dicts and Mitsuba objects of the current variant: `integrator`, `sensor`, the object (`part0`, ...),
+    Its values are dicts and Mitsuba objects in the current variant: `integrator`, `sensor`, the object (`part0`, ...),
     the ground (`backdrop0`, ...) and the lights (`light_...`). Each call builds a new one.
 
     Args:
         material: as for `render`; None: white and matt.
         scene: as for `render`.
-        spp: samples per pixel of the sampler, default 64.
+        spp: samples per pixel, default 64.
         shape, up, turn, view, fov, zoom, light, illuminant, size: as for `render`.
 
     Raises:
@@ -346,7 +346,7 @@ scene_dict.__signature__ = signature(scene_dict, SCENE_KEYWORDS)  # type: ignore
 
 @dataclass(frozen=True)
 class _SetUp:
-    """Parameters of a built scene except its lights."""
+    """A built scene's parameters except its lights."""
 
     scene: str
     subject: Subject
@@ -361,7 +361,7 @@ class _SetUp:
 
         Args:
             lamps: its lights.
-            among: all lights of the picture, whose place and bodies it shows; None: `lamps`.
+            among: all lights in the picture, whose place and bodies it shows; None: `lamps`.
         """
         for lamp in lamps:
             check_light(lamp.name)

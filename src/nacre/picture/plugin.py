@@ -24,10 +24,10 @@ dr: Any = _LazyModule(lambda: importlib.import_module("drjit"))
 
 
 class Plugin:
-    """Methods of a Mitsuba plugin; `set_up` takes its arguments.
+    """Methods for a Mitsuba plugin; `set_up` takes its arguments.
 
     Base classes differ between variants and accept no second base, therefore `make_plugin` copies the methods into a
-    class of the variant.
+    class for the variant.
     """
 
     BASE: ClassVar[str] = "SamplingIntegrator"
@@ -38,7 +38,7 @@ class Plugin:
 
 
 class WrappedIntegrator(Plugin):
-    """An integrator that modifies the rays or the result of an inner integrator."""
+    """An integrator that modifies an inner integrator's rays or result."""
 
     inner: Any
 

@@ -1,8 +1,8 @@
 """Sampler for pictures: a low-discrepancy sequence per pixel that continues from pass to pass.
 
-Mitsuba's samplers are stratified only within one call of `mi.render`, and for a large picture a call takes one to four
+Mitsuba's samplers are stratified only within one `mi.render` call, and for a large picture a call takes one to four
 samples per pixel. Here each pixel and dimension has Sobol's first two dimensions, shuffled and Owen-scrambled by
-hashing (B. Burley, "Practical hash-based Owen scrambling", JCGT 9(4), 2020, with the permutation of S. Laine and T.
+hashing (B. Burley, "Practical hash-based Owen scrambling", JCGT 9(4), 2020, and the permutation by S. Laine and T.
 Karras, "Stratified sampling for stochastic transparency", 2011). The index counts on, therefore the picture does not
 depend on the division into passes.
 """
@@ -16,13 +16,13 @@ from nacre.picture.plugin import Plugin, dr, make_plugin, mi
 
 LAINE_KARRAS = (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6)
 GOLDEN, OFFSET = 0x9E3779B1, 0x7F4A7C15
-AVALANCHE = ((16, 0x85EBCA6B), (13, 0xC2B2AE35), (16, 1))  # shifts and factors of the finaliser of MurmurHash3
+AVALANCHE = ((16, 0x85EBCA6B), (13, 0xC2B2AE35), (16, 1))  # shifts and factors in MurmurHash3's finaliser
 PARTS = (0x55555555, 0x33333333, 0x0F0F0F0F, 0x00FF00FF, 0x0000FFFF)  # positions whose bit 0, 1, ... is 0
 TILE = 16  # side in pixels of tiles that share a sequence
 
 
 def continued_sampler() -> Any:
-    """Return a sampler for the sensors of a picture; `begin` prepares the next call of `mi.render`."""
+    """Return a sampler for picture sensors; `begin` prepares the next `mi.render` call."""
     if mi.variant().startswith("scalar"):  # a sampler in Python would be too slow there
         return mi.load_dict({"type": "multijitter"})
     return make_plugin(ContinuedSampler)
@@ -32,23 +32,23 @@ def begin(sampler: Any, seed: int, first: int, spp: int, total: int = 0, width: 
     """Begin a pass with a `continued_sampler`; return the seed for `mi.render`.
 
     Args:
-        seed: seed of the sequences, 32 bits.
+        seed: sequence seed, 32 bits.
         first: samples per pixel taken before.
         spp: samples per pixel in this pass.
         total: samples per pixel in all, if known; neighbouring pixels then share a sequence.
-        width: width of the picture, with `total`.
+        width: picture width, with `total`.
         alike: use equal numbers in all pixels, which turns grain into one small common error.
     """
     if not hasattr(sampler, "start"):
         return (seed + first * GOLDEN) & 0xFFFFFFFF
     sampler.start, sampler.key_seed, sampler.spp = first, seed & 0xFFFFFFFF, spp
-    sampler.block, sampler.width = total, max(width, 1)  # the samples of a tile are one run of Sobol points
+    sampler.block, sampler.width = total, max(width, 1)  # a tile's samples are one Sobol run
     sampler.alike = alike
     return 0
 
 
 class ContinuedSampler(Plugin):
-    """A sampler whose sequences continue in the next call of `mi.render`."""
+    """A sampler whose sequences continue in the next `mi.render` call."""
 
     BASE = "Sampler"
     STATE = ("start", "key_seed", "spp", "block", "width", "first_pixel", "alike")
@@ -58,7 +58,7 @@ class ContinuedSampler(Plugin):
         self.start, self.key_seed, self.spp = 0, 0, 1
         self.block, self.width, self.first_pixel, self.alike = 0, 1, 0, False
         self.index, self.key, self.dimension = whole(0), whole(0), whole(0)
-        self.own_key = whole(0)  # key of the pixel, also if `alike`
+        self.own_key = whole(0)  # pixel key, also if `alike`
 
     def fork(self) -> Any:
         other = make_plugin(ContinuedSampler)
@@ -74,11 +74,11 @@ class ContinuedSampler(Plugin):
         lane = dr.arange(whole, wavefront_size)
         pixel = lane // dr.opaque(whole, self.spp)
         self.index = dr.opaque(whole, self.start) + (lane - pixel * dr.opaque(whole, self.spp))
-        pixel += dr.opaque(whole, self.first_pixel)  # of the tile, in the picture
+        pixel += dr.opaque(whole, self.first_pixel)  # tile position in the picture
         if self.alike:
             pixel = dr.zeros(whole, wavefront_size)
         elif self.block:
-            # each pixel of a sampling tile, in Z order, has its share of the sequence
+            # each pixel in a sampling tile, in Z order, has its share in the sequence
             row = pixel // dr.opaque(whole, self.width)
             column = pixel - row * dr.opaque(whole, self.width)
             self.index += dr.opaque(whole, self.block) * _z_order(column, row)
@@ -95,7 +95,7 @@ class ContinuedSampler(Plugin):
         raise NotImplementedError("begin() and another call of mi.render take its place")
 
     def _next(self, of_pixel: bool = False) -> tuple[Any, Any]:
-        """Return key and shuffled index of the next dimension."""
+        """Return key and shuffled index for the next dimension."""
         key = _hashed(self.own_key if of_pixel else self.key, self.dimension)
         self.dimension = self.dimension + 1
         return key, _scrambled(dr.brev(self.index), key)
@@ -112,7 +112,7 @@ class ContinuedSampler(Plugin):
     def several_2d(self, many: Any) -> Callable[[Any], Any]:
         """Return a function from a number below `many` to a point; replaces one `next_2d`.
 
-        The points of all samples of a pixel are one run of Sobol points.
+        All samples in a pixel have points from one Sobol run.
         """
         key = _hashed(_hashed(self.key, self.dimension), many)
         self.dimension = self.dimension + 1
@@ -147,7 +147,7 @@ def _second(index: Any) -> Any:
 
 
 def _z_order(column: Any, row: Any) -> Any:
-    """Place of a pixel in its sampling tile along a Z curve."""
+    """A pixel's place in its sampling tile along a Z curve."""
     found = mi.UInt32(0)
     for bit in range(TILE.bit_length() - 1):
         found |= (((column >> bit) & 1) << (2 * bit)) | (((row >> bit) & 1) << (2 * bit + 1))

@@ -1,4 +1,4 @@
-"""Pictures of materials with Mitsuba 3, and materials in your own Mitsuba scenes.
+"""Material pictures with Mitsuba 3, and materials in your own Mitsuba scenes.
 
 After `import nacre.render` every `llvm_ad_spectral`, `cuda_ad_spectral` or `scalar_spectral` scene accepts
 `{"type": "nacre", "recipe": "soap.toml"}` or `{"type": "nacre", "file": "soap.nacre"}`. The import does not set a

@@ -1,4 +1,4 @@
-"""Animations: the light or the camera turns round the object, or a parameter of the recipe runs from A to B.
+"""Animations: the light or the camera turns round the object, or a recipe parameter runs from A to B.
 
 Each frame is a numbered PNG, written atomically. A stopped run resumes: frames with equal settings are reused. The last
 step joins the frames into a GIF or MP4.
@@ -35,9 +35,9 @@ MOTIONS = (*TURNS, "time")
 MOVIE_SUFFIXES = (".gif", ".mp4")
 MAX_FRAMES = 10_000
 FRAMES_PER_SECOND = 20
-VIEW_SWING_DEG = 32.0  # amplitude of the camera, which stays in front of the backdrop
+VIEW_SWING_DEG = 32.0  # camera amplitude, which stays before the backdrop
 TIME_PATH = f"{NUMBERS}.{TIME}"
-# keywords of `render` that frames accept, and that belong to their key
+# `render` keywords that frames accept, and that belong to their key
 _SETTINGS = {"scene", *KEYWORDS} - {
     "light_layers",
     "light_turn_deg",
@@ -53,7 +53,7 @@ _SETTINGS = {"scene", *KEYWORDS} - {
 class Motion:
     """What moves: "light", "view", only the time ("time"), or a parameter with its first and last value.
 
-    The time `t` in formulas of the recipe always runs from 0 to 1, and stops one step before 1 for closed motions.
+    The time `t` in recipe formulas always runs from 0 to 1, and stops one step before 1 for closed motions.
     """
 
     name: str
@@ -76,18 +76,18 @@ class Motion:
         return self.first + (self.last - self.first) * (index / max(frames - 1, 1))
 
     def time(self, index: int, frames: int) -> float:
-        """Time `t` of a frame."""
+        """A frame's time `t`."""
         return index / (frames if self.name in TURNS else max(frames - 1, 1))
 
 
 @dataclass(frozen=True)
 class Animation:
-    """Files of an animation.
+    """An animation's files.
 
     Attributes:
         path: the movie, or None if interrupted.
         frames: the numbered pictures.
-        kept: number of frames reused from an earlier run.
+        kept: frames reused from an earlier run.
     """
 
     path: Path | None
@@ -135,12 +135,12 @@ def animate(
         motion: "light", "view", "time", "PARAMETER=A:B", or (A, B) for the value of a function. Formulas of the
             material may use the time `t`, which runs from 0 to 1, or over "t=A:B".
         output: .gif or .mp4; a folder beside it, with "_frames" after its name, contains the frames.
-        frames: number of frames.
+        frames: frame count.
         progress: as for `render`, by frames.
-        settings: other keywords of `render`. "auto" exposure is that of the first frame.
+        settings: other keywords of `render`. "auto" exposure uses the first frame.
 
     Raises:
-        NacreError: a bad motion, count, suffix or folder, or an error of `render`.
+        NacreError: a bad motion, count, suffix or folder, or any error from `render`.
     """
     asked_motion = motion
     if isinstance(motion, str):
@@ -151,7 +151,7 @@ def animate(
     path = Path(output)
     _check(path, frames, settings)
     if isinstance(material, Material):
-        material = material.inlined()  # formulas of parts may use the time
+        material = material.inlined()  # formulas in parts may use the time
     has_time = uses_time(getattr(material, "data", None))
     if motion.name in ("time", TIME_PATH) and not has_time:
         raise NacreError(f'animate = "{asked_motion}": no formula of the material uses the time t')
@@ -200,10 +200,10 @@ def animate(
 
 
 def _check(path: Path, frames: int, settings: dict[str, Any]) -> None:
-    """Check the arguments of `animate`.
+    """Check arguments for `animate`.
 
     Raises:
-        NacreError: unknown suffix or setting, bad number of frames, or a transparent background.
+        NacreError: unknown suffix or setting, bad frame count, or a transparent background.
     """
     if path.suffix.lower() not in MOVIE_SUFFIXES:
         raise NacreError(f"{path}: animations are written as {' or '.join(MOVIE_SUFFIXES)}")
@@ -258,7 +258,7 @@ def _material_at(material: Any, motion: Motion, has_time: bool, frames: int) -> 
 
 
 def _fingerprint(material: Any) -> str:
-    """Return the fingerprint of a material, or a hash of the parameters of a Mitsuba BSDF."""
+    """Return a material's fingerprint, or a hash for a Mitsuba BSDF."""
     if hasattr(material, "fingerprint"):
         return str(material.fingerprint)
     import mitsuba as mi
@@ -272,7 +272,7 @@ def _fingerprint(material: Any) -> str:
 
 
 def _frame_key(who: str, motion: Motion, value: float, settings: dict[str, Any]) -> str:
-    """Return the fingerprint of a frame."""
+    """Return a frame's fingerprint."""
     named = [settings.get("scene"), settings.get("shape")]
     named += [lamp.name for lamp in read_lamps(settings["light"])] if settings.get("light") else []
     files = {str(name): file_digest(name) for name in named if name}
@@ -281,7 +281,7 @@ def _frame_key(who: str, motion: Motion, value: float, settings: dict[str, Any])
 
 
 def _finished(path: Path) -> dict[str, Any]:
-    """Return the provenance of a finished frame; empty if it is missing or its pixels have changed."""
+    """Return a finished frame's provenance; empty if it is missing or its pixels have changed."""
     from PIL import Image
 
     try:
@@ -294,7 +294,7 @@ def _finished(path: Path) -> dict[str, Any]:
 
 
 def join(frames: tuple[Path, ...], path: Path) -> None:
-    """Join frames of one size into a GIF or MP4, written atomically.
+    """Join equally large frames into a GIF or MP4, written atomically.
 
     Raises:
         NacreError: the movie cannot be written.

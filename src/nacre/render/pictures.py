@@ -1,4 +1,4 @@
-"""Functions of `nacre.render`, which also accept recipes; imported on first use."""
+"""Functions in `nacre.render`, which also accept recipes; imported on first use."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _R = TypeVar("_R")
 
 
 def _loading(function: Callable[Concatenate[Any, _P], _R]) -> Callable[Concatenate[Any, _P], _R]:
-    """Load a material given as a path, the name of an example, or a recipe table."""
+    """Load a material given as a path, an example name, or a recipe table."""
 
     @functools.wraps(function)
     def call(material: Any = None, *arguments: _P.args, **options: _P.kwargs) -> _R:

@@ -77,10 +77,10 @@ def register_bsdf(bsdf: Bsdf) -> str:
 
 @contextlib.contextmanager
 def clear_errors() -> Iterator[None]:
-    """Replace errors of scene loading by one line; Mitsuba wraps plugin errors with their traceback.
+    """Replace scene-loading errors by one line; Mitsuba wraps plugin errors with their traceback.
 
     Raises:
-        NacreError: the error of our plugin, else the first lines of Mitsuba's error.
+        NacreError: our plugin's error, else the first lines from Mitsuba.
     """
     _failures.clear()
     try:
@@ -93,7 +93,7 @@ def clear_errors() -> Iterator[None]:
 
 
 def from_properties(properties: Any) -> Any:
-    """Build the BSDF of a scene entry; keys: one of recipe, file, bsdf; two_sided (default false), v_up (default true).
+    """Build a scene entry's BSDF; keys: recipe, file or bsdf; two_sided (default false), v_up (default true).
 
     Raises:
         RecipeError: not exactly one source, an unregistered key, or a switch that is not a boolean.

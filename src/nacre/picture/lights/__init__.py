@@ -1,1 +1,1 @@
-"""The lights of pictures: studio lights, skies, rooms and streets, all with spectra."""
+"""Picture lights: studio lights, skies, rooms and streets, all with spectra."""

@@ -1,7 +1,7 @@
-"""A spectral environment light for Mitsuba: a sum of spectra, each with a weight per direction.
+"""A spectral environment light for Mitsuba: spectra with a weight per direction.
 
 Mitsuba's `envmap` up-samples RGB to smooth spectra, which falsify structural colours. Here the radiance along d is
-sum_k w_k(d) S_k(lambda) with any tabulated S_k, including the lines of a fluorescent lamp. Directions are sampled
+sum_k w_k(d) S_k(lambda) with any tabulated S_k, including fluorescent lines. Directions are sampled
 by luminance and by the cosine on a floor.
 """
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 # minimum density relative to its mean, because the density grid may round small values to zero
 _DENSITY_FLOOR = 1e-4
-# weights of directions below the horizon and at the horizon: most of a picture is a floor, which receives light by its
+# direction weights below and at the horizon: most pictures show mainly a floor, which receives light by its
 # cosine (noise at 64 samples: street -29 %, interior -18 %, studio -5 to -12 %)
 _SHARE_BELOW, _SHARE_LEVEL = 0.05, 0.1
 FAR = 1e3  # default scene radius
 
 
 def make_environment(environment: Environment, scale: float = 1.0, turn_deg: float = 0.0) -> Any:
-    """Return a `mi.Emitter` with the radiance of `environment` times `scale`, turned about z."""
+    """Return a `mi.Emitter` with `environment`'s radiance times `scale`, turned about z."""
     emitter = make_plugin(NacreEnvironment, environment)
     emitter.set_state(scale, turn_deg)
     return emitter
@@ -39,7 +39,7 @@ def spectrum_texture(wavelengths_nm: Any, power: Any) -> Any:
 
 
 class DistantEmitter(Plugin):
-    """Methods of emitters at infinity that define `sample_direction`, `eval` and densities."""
+    """Methods for emitters at infinity that define `sample_direction`, `eval` and densities."""
 
     BASE = "Emitter"
     eval: Any
@@ -67,7 +67,7 @@ class DistantEmitter(Plugin):
         return mi.Ray3f(start, towards, time, wavelengths), weight & active
 
     def sample_position(self, time: Any, sample: Any, active: Any = True) -> Any:
-        # never used, but recorded for every emitter alive, also those of other scenes
+        # never used, but recorded for every emitter alive, also in other scenes
         position = mi.PositionSample3f
         return position() if self.is_scalar else dr.zeros(position), mi.Float(0.0)
 
@@ -145,13 +145,13 @@ class NacreEnvironment(DistantEmitter):
         return f"NacreEnvironment[{self.count} spectra, {self.columns} x {self.rows}]"
 
     def _uv(self, d: Any) -> tuple[Any, Any]:
-        """Place in the map, and the sine of the polar angle."""
+        """Place in the map, and the polar angle's sine."""
         u = dr.atan2(d.y, d.x) / (2.0 * dr.pi) - self.turn
         v = dr.safe_acos(d.z) / dr.pi
         return mi.Point2f(u - dr.floor(u), v), dr.safe_sqrt(1.0 - dr.square(d.z))
 
     def _shine(self, uv: Any, wavelengths: Any, active: Any) -> Any:
-        """Radiance at a place of the map."""
+        """Radiance at a map place."""
         # half a texel away from the poles, because the map repeats sideways only
         half = 0.5 / self.rows
         weights = self.texture.eval(mi.Point2f(uv.x, dr.clip(uv.y, half, 1.0 - half)), active)
@@ -168,7 +168,7 @@ def _per_solid_angle(density: Any, sin_theta: Any) -> Any:
 
 
 def _density(environment: Environment) -> np.ndarray:
-    """Sampling density at the corners of texels: the largest adjacent luminance times sin(theta), more from above."""
+    """Sampling density at texel corners: the largest adjacent luminance times sin(theta), more from above."""
     luminance = environment.luminance
     padded = np.pad(np.concatenate([luminance[:, -1:], luminance, luminance[:, :1]], axis=1), ((1, 1), (0, 0)), "edge")
     corner = np.maximum(np.maximum(padded[:-1, :-1], padded[:-1, 1:]), np.maximum(padded[1:, :-1], padded[1:, 1:]))

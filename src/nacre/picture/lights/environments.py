@@ -2,8 +2,8 @@
 
 Each is a small procedural scene, evaluated over all directions, whose surfaces have reflectance spectra and whose
 lamps have measured illuminants. It is stored as a few spectra with a weight per direction, therefore metamers are
-distinguished as in the real place. Light bounces once, plus a grey share for further bounces. Reflectances of brick,
-wood and leaves are smooth curves with edges at 570, 550 and 690 nm; daylight consists of sun, haze and blue sky.
+distinguished as in the real place. Light bounces once, plus a grey share for further bounces. Brick,
+wood and leaf reflectances are smooth curves with edges at 570, 550 and 690 nm; daylight is sun, haze and blue sky.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ BEAM_DEG, BEAM_EDGE_DEG = 10.0, 0.7  # width of the lamp of `beam`, and of its s
 ROWS = 512
 STREET_TURN_DEG = 30.0
 SUN_DEG = 4.0  # wider than the sun at equal power, against noise
-SUN = (-0.62, -0.30, 0.60)  # of the garden: behind the left shoulder of the camera, above the trees
+SUN = (-0.62, -0.30, 0.60)  # in the garden: behind the camera's left shoulder, above the trees
 _SEED = 21
 _GRID = table_wavelengths_nm()
 
 
 @dataclass(frozen=True, eq=False)
 class Environment:
-    """Radiance over all directions: sum over k of weights[k] * spectra[k].
+    """Radiance over all directions: sum_k weights[k] * spectra[k].
 
     Attributes:
         weights: `[spectrum, row, column]`; rows from the zenith down, columns from +x towards +y.
-        spectra: illuminants of luminance 1 (`unit_spectrum`).
+        spectra: illuminants with luminance 1 (`unit_spectrum`).
         name: description for outputs.
     """
 
@@ -48,7 +48,7 @@ class Environment:
 
     @property
     def irradiance(self) -> float:
-        """Luminous irradiance on a horizontal plane facing up; pi for a uniform sky of luminance 1."""
+        """Luminous irradiance on a horizontal plane facing up; pi for a uniform sky with luminance 1."""
         _, rows, columns = self.weights.shape
         theta = (np.arange(rows) + 0.5) * np.pi / rows
         share = np.where(theta < np.pi / 2, np.sin(theta) * np.cos(theta), 0.0)[:, None]
@@ -63,7 +63,7 @@ def unit_spectrum(light: str | Illuminant) -> Illuminant:
 
 
 def luminance(light: Illuminant) -> float:
-    """Mean of the power, weighted by the luminous efficiency."""
+    """Mean power, weighted by the luminous efficiency."""
     y = observer()[:, 1]
     return float(np.sum(light.at(_GRID) * y) / np.sum(y))
 
@@ -74,7 +74,7 @@ def tinted(light: Illuminant, reflectance: Array, name: str) -> Illuminant:
 
 
 def directions(rows: int) -> Array:
-    """Unit vectors `[rows, 2 * rows, 3]` at the pixel centres of an equirectangular map."""
+    """Unit vectors `[rows, 2 * rows, 3]` at equirectangular pixel centres."""
     theta = (np.arange(rows) + 0.5) * np.pi / rows
     phi = (np.arange(2 * rows) + 0.5) * np.pi / rows
     t, p = np.meshgrid(theta, phi, indexing="ij")
@@ -97,7 +97,7 @@ def soft_box(
     edge: float = 0.12,
     fall: float = 0.5,
 ) -> Array:
-    """Radiance of a soft box along `d` `[..., 3]`: 1 at its bright end, decreasing by `fall` along its height."""
+    """Soft-box radiance along `d` `[..., 3]`: 1 at its bright end, decreasing by `fall` along its height."""
     az, el, roll = np.radians([azimuth_deg, elevation_deg, roll_deg])
     forward = np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)])
     right = np.array([-np.sin(az), np.cos(az), 0.0])
@@ -131,7 +131,7 @@ def studio(light: str | Illuminant = "D65", rows: int = 256) -> Environment:
 def beam(light: str | Illuminant = "D65", rows: int = 512, width_deg: float = BEAM_DEG) -> Environment:
     """A distant lamp at the upper left front, and a weak fill light for the shadows.
 
-    At the default width paths find caustics, and a mirror shows the lamp. White paper on the floor has a luminance of
+    At the default width paths find caustics, and a mirror shows the lamp. White paper on the floor has luminance
     0.6 under the lamp; other widths have the same power.
     """
     towards = np.array([-0.5, -0.62, 0.95])
@@ -166,11 +166,11 @@ PLASTER = edge(0.38, 0.62, 500.0, 60.0)
 WOOD = edge(0.12, 0.45, 560.0, 45.0)
 CLOTH = edge(0.30, 0.06, 520.0, 25.0)
 LEAF = peak(0.04, 0.11, 550.0, 32.0) + edge(0.0, 0.42, 705.0, 9.0)
-THROUGH = peak(0.02, 0.24, 555.0, 34.0) + edge(0.0, 0.45, 710.0, 9.0)  # transmittance of leaves
+THROUGH = peak(0.02, 0.24, 555.0, 34.0) + edge(0.0, 0.45, 710.0, 9.0)  # leaf transmittance
 
 
 def blue_sky() -> Illuminant:
-    """Light of the clear zenith: D65 times (lambda / 550 nm)^-2.2."""
+    """Clear zenith light: D65 times (lambda / 550 nm)^-2.2."""
     day = illuminant("D65")
     return unit_spectrum(Illuminant(_GRID, day.at(_GRID) * (_GRID / 550.0) ** -2.2, "clear sky"))
 
@@ -194,14 +194,14 @@ class Canvas:
         self.weights.append(np.broadcast_to(np.asarray(weight, dtype=float), self.shape))
 
     def finish(self, name: str, floor_luminance: float) -> Environment:
-        """Scale to this luminance of white paper on the floor."""
+        """Scale to this luminance on white floor paper."""
         raw = Environment(np.stack(self.weights), tuple(self.spectra), name)
         return Environment(raw.weights * (floor_luminance * np.pi / raw.irradiance), raw.spectra, name)
 
 
 @functools.lru_cache(maxsize=2)
 def street(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
-    """A street of brick and plaster houses under a clear sky, sun from one side, about along y."""
+    """A street with brick and plaster houses under a clear sky, sun from one side, about along y."""
     # a camera at the front right looks along the street
     turned = directions(rows)
     c, s = np.cos(np.radians(STREET_TURN_DEG)), np.sin(np.radians(STREET_TURN_DEG))
@@ -241,7 +241,7 @@ def street(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     ground_x, ground_y = (np.where(is_ground, c * eye / np.maximum(-z, 1e-6), 0.0) for c in (x, y))
     sun_on_ground = np.where(ground_x > -2.5, sun_direction[2], 0.0)
 
-    # windows: rows of dark panes that mirror the sky
+    # windows: dark panes that mirror the sky
     storey, column = np.floor(height / 3.1), np.floor(along / 2.2)
     in_storey, in_column = np.mod(height, 3.1) / 3.1, np.mod(along, 2.2) / 2.2
     pane = (np.abs(in_column - 0.5) < 0.27) & (np.abs(in_storey - 0.55) < 0.29) & is_front
@@ -257,7 +257,7 @@ def street(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     for wall, reflectance, name in ((is_brick, BRICK, "brick"), (is_plaster, PLASTER, "plaster")):
         canvas.add(tinted(sun, reflectance, f"{name} in sun"), wall * mottled * sun_on_front * power_sun)
         canvas.add(tinted(blue, reflectance, f"{name} in shade"), wall * mottled * sky_on_front * power_sky)
-    # trees along one kerb every 13 m, in front of the houses
+    # trees along one kerb every 13 m, before the houses
     tree_reach = (half - 2.2) / np.maximum(np.abs(x), 1e-9)
     tree_y, tree_z = y * tree_reach, z * tree_reach + eye
     offset = np.mod(tree_y + 6.5, 13.0) - 6.5
@@ -323,7 +323,7 @@ def interior(rows: int = ROWS) -> Environment:
     is_floor, is_ceiling = on_z & (d[..., 2] < 0), on_z & (d[..., 2] > 0)
     boards = 0.82 + 0.3 * _hash(np.floor(x / 0.14), np.floor(y / 1.3 + 7 * _hash(np.floor(x / 0.14))))
     boards = boards * (1 - 0.5 * (np.mod(x / 0.14, 1.0) < 0.035))
-    cloth = on_y & (y > 0) & (np.abs(x + 0.7) < 1.1) & (z < 0.35) & (z > -0.75)  # a hanging of teal cloth
+    cloth = on_y & (y > 0) & (np.abs(x + 0.7) < 1.1) & (z < 0.35) & (z > -0.75)  # a teal hanging
     book = on_x & (x > 0) & (np.abs(y - 0.2) < 1.2) & (z < 0.7)
     spine = 0.25 + 0.9 * _hash(np.floor(y / 0.045), np.floor((z + 1.1) / 0.33))
     spine = spine * (np.mod((z + 1.1) / 0.33, 1.0) > 0.12)
@@ -357,7 +357,7 @@ def _grid_z(centre: tuple[float, float, float], half_x: float, half_y: float) ->
 
 
 def _from_panel(p: Array, normal: Array, points: Array, facing: Array) -> Array:
-    """Irradiance over pi at `p` from a panel of luminance 4, approximated by a few points."""
+    """Irradiance over pi at `p` from a panel with luminance 4, approximated by a few points."""
     total = np.zeros(p.shape[:-1])
     for point in points:
         to = point - p
@@ -382,7 +382,7 @@ def garden(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     def grain(degrees: float, seed: int) -> Array:
         return noise(shape, (np.radians(degrees) / pixel, np.radians(degrees) / pixel), _SEED + seed)
 
-    # three rows of trees, each with an uneven crest
+    # three tree rows with uneven crests
     crest = [
         np.radians(base)
         + swell * np.interp(azimuth, *_outline(seed))
@@ -394,7 +394,7 @@ def garden(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     far, middle, hedge = trees
     is_lawn = smooth_step(-height, 0.0, 0.006)
 
-    # clumps of leaves, lit on the side of the sun, with shaded gaps between
+    # leaf clumps, lit on the sun side, with shaded gaps between
     clump = grain(2.2, 10) + 0.8 * grain(0.8, 11)
     leaf = grain(0.3, 12)
     lit = np.roll(clump, (-int(0.5 / np.degrees(pixel)), -int(0.6 / np.degrees(pixel))), axis=(0, 1)) - clump
@@ -413,7 +413,7 @@ def garden(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
     canvas.add(haze, sky * (0.12 + 0.5 * np.exp(-up / 0.14) + glow + 0.45 * cloud))
     canvas.add(blue, sky * (1 - 0.7 * cloud) * 0.34 * (1 - 0.7 * np.exp(-up / 0.2)))
     in_sun = [far * (1 - middle) * 0.75, middle * (1 - hedge) * 0.9, hedge * 1.1]
-    # a shaded wood in front of the camera is a background for bright objects
+    # a shaded wood before the camera is the background for bright objects
     dry = (1 - is_lawn) * (1.0 - 0.72 * np.clip(np.sin(azimuth), 0.0, 1.0) ** 2)
     for share, depth in zip(in_sun, (0.8, 1.0, 1.0), strict=True):
         share = share * dry
@@ -421,7 +421,7 @@ def garden(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
         canvas.add(tinted(sun, THROUGH, "light through leaves"), share * np.clip(bright - 0.75, 0.0, 1.0) * 1.5)
         canvas.add(tinted(blue, LEAF, "leaves in shade"), share * 0.5)
         canvas.add(haze, share * (0.035 if depth < 1 else 0.012))  # haze
-    # the lawn, striped by the shade of the trees
+    # the lawn, striped by tree shade
     away = 1.3 / np.maximum(np.tan(np.clip(-height, 0.0, 1.5)), 1e-3)
     shade = smooth_step(noise(shape, (np.radians(0.5) / pixel, np.radians(9) / pixel), _SEED + 20), -1.2, 0.5)
     shade = 1 - (1 - shade) * smooth_step(away, 6.0, 30.0)
@@ -434,7 +434,7 @@ def garden(rows: int = ROWS, sun_deg: float = SUN_DEG) -> Environment:
 
 
 def _outline(seed: int) -> tuple[Array, Array]:
-    """Azimuth and height of a row of tree crowns round the horizon."""
+    """Azimuth and height of tree crowns round the horizon."""
     rng = np.random.default_rng(_SEED + seed)
     azimuth = np.linspace(-np.pi, np.pi, 1441)
     height = np.full_like(azimuth, -1.0)

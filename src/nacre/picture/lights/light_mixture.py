@@ -1,7 +1,7 @@
 """Several lights in one picture: their notation, and one emitter for several environments.
 
-Mitsuba accepts one environment per scene. The mixture samples a direction from one of its parts and uses the density
-of the mixture, therefore every part is sampled, however small.
+Mitsuba accepts one environment per scene. The mixture samples a direction from one part and uses the mixture
+density, therefore every part is sampled, however small.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def read_lamps(light: str | Sequence[str]) -> tuple[Lamp, ...]:
     """Read "studio:0.5,sun@120": lights with strengths (`:`) and turns about the vertical axis (`@`, degrees).
 
     Raises:
-        NacreError: a missing name, a strength or turn out of range, a light named twice.
+        NacreError: a missing name, a bad strength or turn, a light named twice.
     """
     parts = light.split(",") if isinstance(light, str) else list(light)
     lamps = tuple(_lamp(str(part).strip()) for part in parts)
@@ -76,7 +76,7 @@ def sum_of_environments(parts: Sequence[tuple[Any, float]]) -> Any:
 
 
 class NacreEnvironments(DistantEmitter):
-    """The sum of several environments."""
+    """Several environments, summed."""
 
     def set_up(self, parts: Sequence[tuple[Any, float]]) -> None:
         DistantEmitter.set_up(self)

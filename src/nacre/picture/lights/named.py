@@ -1,6 +1,6 @@
 """Lights by name: soft boxes, a line of tubes, sun, sky, beam, room, street, garden, and environment maps.
 
-Emission is scaled for a luminance of about 0.6 of matt white paper on the floor; pictures of different materials
+Emission gives matt white paper on the floor a luminance near 0.6; pictures with different materials
 under one light therefore compare at one exposure.
 """
 
@@ -43,14 +43,14 @@ PLACE_FLOORS = {"street": "ground", "interior": "boards", "garden": "deck"}
 
 @dataclass(frozen=True)
 class Light:
-    """The light of a picture.
+    """A picture's light.
 
     Attributes:
         emitters: Mitsuba objects or dicts by name.
-        illuminant: white point of the picture.
+        illuminant: white point.
         is_surrounding: whether the light is a visible place behind the subject.
         note: description for outputs.
-        floor: material of the floor in a place (`nacre.picture.scenes.catalogue.MATERIALS`).
+        floor: floor material in a place (`nacre.picture.scenes.catalogue.MATERIALS`).
         turning: emitters that turn in place (`turn`), each with its own turn in degrees.
         soft: the environment with its small lamps widened to `SOFT_LAMP_DEG`, see `nacre.picture.paths`.
         soft_within: the environment widened to `WITHIN_LAMP_DEG`, for light that the object has scattered.
@@ -71,7 +71,7 @@ class Light:
             emitter.set_state(1.0, own_deg + angle_deg)
 
     def among(self, others: Light) -> Light:
-        """Add the bodies of other lights, switched off, and their place."""
+        """Add other lights' bodies, switched off, and their place."""
         own = [emitter["to_world"] for emitter in self.emitters.values() if _is_body(emitter)]
         bodies = {
             f"off_{name}": {**{k: v for k, v in emitter.items() if k != "emitter"}, "bsdf": BLACK}
@@ -87,7 +87,7 @@ def _is_body(emitter: Any) -> bool:
 
 
 def check_light(name: str) -> str:
-    """Return the name of a light or the path of an environment map.
+    """Return a light's name or an environment map's path.
 
     Raises:
         NacreError: neither a light nor a readable environment map.
@@ -116,7 +116,7 @@ def make_lights(lamps: Sequence[Lamp], illuminant: str = "D65", turn_deg: float 
 
     Args:
         lamps: see `nacre.picture.lights.light_mixture.read_lamps`.
-        illuminant: spectrum of the light sources. `sun`, `sky`, places and maps have their own spectra and the white
+        illuminant: lamp spectrum. `sun`, `sky`, places and maps have their own spectra and the white
             point D65.
         turn_deg: common turn about the object.
 
@@ -150,7 +150,7 @@ def make_lights(lamps: Sequence[Lamp], illuminant: str = "D65", turn_deg: float 
 
 
 def _environment_of(light: Light) -> Any:
-    """Return the environment emitter of a light, or None."""
+    """Return a light's environment emitter, or None."""
     found = (each for each in light.emitters.values() if isinstance(each, mi.Emitter) and each.is_environment())
     return next(found, None)
 
@@ -159,7 +159,7 @@ def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, streng
     """Build one light in the current variant.
 
     Args:
-        name: one of `LIGHTS` or the path of an environment map.
+        name: in `LIGHTS`, or an environment map's path.
         illuminant, turn_deg: see `make_lights`.
         strength: factor for lamps; `make_lights` scales environments.
 
@@ -167,47 +167,36 @@ def make_light(name: str, illuminant: str = "D65", turn_deg: float = 0.0, streng
         NacreError: unknown light or illuminant, unreadable map.
     """
     white = light_illuminant(illuminant).name
-    if name == "studio":
-        return _surrounding(studio(white), white, f"studio soft boxes, {white}", turn_deg, is_surrounding=False)
+    if name in TURNING_LIGHTS:
+        return _surrounding(name, white, turn_deg)
     if name == "line":
         return Light(_tubes(white, turn_deg, strength), white, False, f"line of tubes, {white}")
-    if name == "directional":
-        note = f"beam of {BEAM_DEG:g} degrees, {white}"
-        light = _surrounding(beam(white), white, note, turn_deg, False)
-        within = make_environment(beam(white, width_deg=WITHIN_LAMP_DEG), 1.0, turn_deg)
-        return replace(light, turning=(*light.turning, (within, 0.0)), soft_within=within)
     if name in ("sun", "sky"):
-        note = f"{name}, Mitsuba sunsky, turbidity 3"
         sky = mi.load_dict(_sunsky(SUN_DEG if name == "sun" else 0.0, turn_deg))
         soft = mi.load_dict(_sunsky(SOFT_LAMP_DEG, turn_deg)) if name == "sun" else None
-        return Light({"sky": sky}, "D65", True, note, "plain", soft=soft)
-    if name in PLACE_FLOORS:
-        place, soft_place = _place(name)
-        return _surrounding(place, "D65", place.name, turn_deg, True, PLACE_FLOORS[name], soft_place)
+        return Light({"sky": sky}, "D65", True, f"{name}, Mitsuba sunsky, turbidity 3", "plain", soft=soft)
     return Light({"map": _map(Path(name), turn_deg)}, "D65", True, f"environment map {Path(name).name}, RGB up-sampled")
 
 
-def _place(name: str) -> tuple[Environment, Environment | None]:
-    """Return a place, and the place with a wider sun if it has one."""
-    if name == "interior":
-        return interior(), None
-    build = garden if name == "garden" else street
-    return build(), build(sun_deg=SOFT_LAMP_DEG)
-
-
-def _surrounding(
-    place: Environment,
-    white: str,
-    note: str,
-    turn_deg: float,
-    is_surrounding: bool,
-    floor: str = "ground",
-    soft_place: Environment | None = None,
-) -> Light:
-    emitter = make_environment(place, 1.0, turn_deg)
-    soft = None if soft_place is None else make_environment(soft_place, 1.0, turn_deg)
-    turning = tuple((each, 0.0) for each in (emitter, soft) if each is not None)
-    return Light({"surround": emitter}, white, is_surrounding, note, floor, turning, soft)
+def _surrounding(name: str, white: str, turn_deg: float) -> Light:
+    """Build one of our environments, with the variants that have a wider lamp."""
+    wide: Environment | None = None
+    within: Environment | None = None
+    note = ""
+    if name == "studio":
+        place, note = studio(white), f"studio soft boxes, {white}"
+    elif name == "directional":
+        place, within = beam(white), beam(white, width_deg=WITHIN_LAMP_DEG)
+        note = f"beam of {BEAM_DEG:g} degrees, {white}"
+    elif name == "interior":
+        place = interior()
+    else:
+        build = garden if name == "garden" else street
+        place, wide = build(), build(sun_deg=SOFT_LAMP_DEG)
+    made = [None if each is None else make_environment(each, 1.0, turn_deg) for each in (place, wide, within)]
+    turning = tuple((each, 0.0) for each in made if each is not None)
+    emitters, floor, is_place = {"surround": made[0]}, PLACE_FLOORS.get(name, "ground"), name in PLACE_FLOORS
+    return Light(emitters, "D65" if is_place else white, is_place, note or place.name, floor, turning, *made[1:])
 
 
 def _turn(turn_deg: float) -> Any:
@@ -267,7 +256,7 @@ def _check_pixels(pixels: NDArray[Any], path: Path) -> None:
     """Check that a map can be sampled; otherwise the whole picture would be NaN.
 
     Raises:
-        NacreError: infinite pixels, such as suns above the range of a half float, or only black pixels.
+        NacreError: infinite pixels, such as suns above the half-float range, or only black pixels.
     """
     bad = int(np.count_nonzero(~np.isfinite(pixels).reshape(*pixels.shape[:2], -1).all(axis=-1)))
     if bad:

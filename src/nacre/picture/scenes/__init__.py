@@ -1,1 +1,1 @@
-"""The scenes of pictures, and the meshes of users."""
+"""Picture scenes and mesh files."""

@@ -19,24 +19,24 @@ from nacre.core.errors import NacreError, did_you_mean
 from nacre.picture.camera import View
 from nacre.picture.plugin import mi
 from nacre.picture.scenes import grounds
-from nacre.picture.shapes import backdrop as stages
+from nacre.picture.shapes import backdrop
 from nacre.picture.shapes.mesh import Mesh, rotation
 
 SUBJECT = "nacre"  # parts with this material take the rendered one
-# arguments of `backdrop.sweep` and `backdrop.bowl`; sides of the squares of chequers
+# arguments of `backdrop.sweep` and `backdrop.bowl`; chequer sides
 SWEEP, BOARD, BOWL = (20.0, 16.0, 5.0, 4.5, 5.2), (12.0, 12.0, 12.0, 2.0, 3.0), (1.4, 9.0, 4.2)
 SQUARE, BOWL_SQUARE = 0.55, 0.62
 # the wall behind black acrylic is high enough that the plate does not mirror its edge
 SWEEPS = {"sweep": SWEEP, "desk": BOARD, "specimen": BOARD, "acrylic": (20.0, 16.0, 5.0, 4.5, 10.0)}
-PLATE = (40.0, 26.0)  # width and depth of the black acrylic
-# size and shift of each soap bubble, relative to a resting ball of that size
+PLATE = (40.0, 26.0)  # width and depth of black acrylic
+# each soap bubble's size, and shift from a resting position
 BUBBLES = ((1.0, (-0.1, 0.0, 0.03)), (0.3, (1.02, -0.9, 0.05)), (0.17, (0.98, 1.6, 1.9)), (0.12, (-1.25, 2.4, 0.3)))
 Backdrop = Literal["sweep", "bowl", "desk", "acrylic", "specimen", "none"]
 
 
 @dataclass(frozen=True)
 class Part:
-    """A mesh, or a Mitsuba shape as a dict, and the name of its material."""
+    """A mesh, or a Mitsuba shape as a dict, and its material's name."""
 
     shape: Mesh | dict[str, Any]
     material: str = SUBJECT
@@ -57,7 +57,7 @@ class Part:
         return Part({**self.shape, "to_world": to_world}, self.material)
 
     def points(self) -> Array:
-        """Points `[N, 3]` with the bounding ball of the part: vertices, poles of a sphere, else corners of the box."""
+        """Points `[N, 3]` with the part's bounding ball: vertices, sphere poles, else box corners."""
         if isinstance(self.shape, Mesh):
             return self.shape.vertices
         if self.shape["type"] == "sphere":
@@ -85,7 +85,7 @@ class Scene:
         backdrop: the ground.
         light: default light.
         max_depth: path length for opaque subjects.
-        size: width and height of a default picture.
+        size: default picture size.
         place_view: camera for a light that is a visible place (street, room, sky); None: `view`.
         props: builds objects beside the subject, omitted in a visible place.
     """
@@ -101,7 +101,7 @@ class Scene:
     props: Parts = list
 
 
-# reflectances and simple models of all surfaces except the subject; the mean reflectance of printed ones
+# simple models for all surfaces except the subject; printed ones by their mean reflectance
 MATERIALS: dict[str, dict[str, Any]] = {
     "ground": {"type": "diffuse", "reflectance": 0.16},
     "plain": {"type": "diffuse", "reflectance": 0.16},
@@ -128,7 +128,7 @@ MATERIALS: dict[str, dict[str, Any]] = {
     "gilt": {"type": "roughconductor", "material": "Au", "alpha": 0.15},
     "steel": {"type": "roughconductor", "material": "Cr", "alpha": 0.08},
 }
-# printed surfaces: module and function of the drawing, its arguments
+# printed surfaces: module, function and arguments of the drawing
 _LABELS = {
     "label-butterfly": (("Morpho didius", "PERU  Satipo, 700 m", "leg. 12.iv.1987"), 0.436),
     "label-feather": (("Garrulus glandarius", "upper wing covert", "SAXONY  9.x.1991"), 0.86),
@@ -161,13 +161,19 @@ def plain_material(name: str) -> dict[str, Any]:
 
 
 def _shape(module: str, function: str, *arguments: Any) -> Any:
-    """Call a function of `nacre.picture.shapes.MODULE`, imported on first use."""
+    """Call a function in `nacre.picture.shapes.MODULE`, imported on first use."""
     return getattr(importlib.import_module(f"nacre.picture.shapes.{module}"), function)(*arguments)
 
 
-def _parts(module: str, *rows: tuple[Any, ...]) -> Parts:
-    """Return a cached builder of parts, each given by function, material and arguments."""
-    return functools.cache(lambda: [Part(_shape(module, name, *rest), material) for name, material, *rest in rows])
+def _parts(module: str, *rows: str | tuple[Any, ...]) -> Parts:
+    """Return a cached builder of parts.
+
+    Args:
+        module: module in `nacre.picture.shapes`.
+        rows: "function" for the subject, "function:material", or (function, material, arguments).
+    """
+    full = [row if isinstance(row, tuple) else row.split(":") for row in rows]
+    return functools.cache(lambda: [Part(_shape(module, row[0], *row[2:]), *row[1:2]) for row in full])
 
 
 @functools.cache
@@ -187,8 +193,8 @@ def _bubbles() -> list[Part]:
 
 @functools.cache
 def _panel() -> list[Part]:
-    flat = stages.sheet(1.7, 1.9).moved(rotation("x", 24.0), (-1.08, 0.0, 0.4))
-    return [Part(flat), Part(stages.rolled(1.7, 0.82, 170.0).shifted(1.08, 0.0, 0.0))]
+    flat = backdrop.sheet(1.7, 1.9).moved(rotation("x", 24.0), (-1.08, 0.0, 0.4))
+    return [Part(flat), Part(backdrop.rolled(1.7, 0.82, 170.0).shifted(1.08, 0.0, 0.0))]
 
 
 @functools.cache
@@ -203,30 +209,22 @@ def _body() -> list[Part]:
 
 _BUTTERFLY = _parts(
     "insects",
-    ("butterfly_wings", SUBJECT),
-    ("butterfly_margins", "margins"),
-    ("butterfly_veins", "velvet"),
-    ("butterfly_body", "velvet"),
-    ("butterfly_fur", "fur"),
+    "butterfly_wings",
+    "butterfly_margins:margins",
+    "butterfly_veins:velvet",
+    "butterfly_body:velvet",
+    "butterfly_fur:fur",
 )
-_FEATHER = _parts(
-    "insects",
-    ("feather_blue", SUBJECT),
-    ("feather_dark", "barbs"),
-    ("feather_shaft", "quill"),
-    ("feather_down", "down"),
-)
-_PASS = _parts("printed", ("seal", SUBJECT), ("card_face", "pass"), ("card_rim", "white"), ("chip", "gilt"))
-_LENS = _parts("objects", ("elements", SUBJECT), ("barrel", "enamel"), ("name_ring", "name-ring"), ("blades", "velvet"))
-_CARD = _parts(
-    "printed", ("card_coat", SUBJECT), ("card_paper", "card-white", False), ("card_paper", "card-black", True)
-)
-_KNOB = _parts("objects", ("knob", SUBJECT), ("knob_core", "white"), ("knob_foot", "dark"))
-_RING = _parts("objects", ("film_in_ring", SUBJECT), ("ring_wire", "dark"), ("ring_stand", "dark"))
-_BEETLE = _parts("insects", ("beetle_shell", SUBJECT), ("beetle_limbs", "horn"))
-_BOTTLE = _parts("objects", ("bottle", SUBJECT), ("bottle_cap", "dark"))
-_STRIP = _parts("objects", ("balls", SUBJECT), ("holders", "horn"))
-_BANKNOTE = _parts("printed", ("banknote_foil", SUBJECT), ("banknote", "banknote"))
+_FEATHER = _parts("insects", "feather_blue", "feather_dark:barbs", "feather_shaft:quill", "feather_down:down")
+_PASS = _parts("printed", "seal", "card_face:pass", "card_rim:white", "chip:gilt")
+_LENS = _parts("objects", "elements", "barrel:enamel", "name_ring:name-ring", "blades:velvet")
+_CARD = _parts("printed", "card_coat", ("card_paper", "card-white", False), ("card_paper", "card-black", True))
+_KNOB = _parts("objects", "knob", "knob_core:white", "knob_foot:dark")
+_RING = _parts("objects", "film_in_ring", "ring_wire:dark", "ring_stand:dark")
+_BEETLE = _parts("insects", "beetle_shell", "beetle_limbs:horn")
+_BOTTLE = _parts("objects", "bottle", "bottle_cap:dark")
+_STRIP = _parts("objects", "balls", "holders:horn")
+_BANKNOTE = _parts("printed", "banknote_foil", "banknote:banknote")
 
 
 def _specimen(name: str, label: tuple[float, float], *pin: float) -> Parts:
@@ -235,76 +233,56 @@ def _specimen(name: str, label: tuple[float, float], *pin: float) -> Parts:
     return _parts("insects", *pins, ("label", f"label-{name}", *label))
 
 
+_VIEWS = {
+    "sphere": View((0.0, -8.6, 2.7), (0.0, 0.0, 0.93), 19.0),
+    "probe": View((0.0, -7.6, 4.2), (0.0, 0.0, 0.85), 24.0),
+    "speedshape": View((-4.6, -7.6, 4.1), (0.0, 0.0, 0.5), 26.0),
+    "panel": View((0.0, -8.2, 4.6), (0.0, 0.1, 0.36), 27.5),
+    "butterfly": View((0.0, -3.3, 9.9), (0.0, -0.22, 0.1), 31.0, lens=0.05),
+    "bottle": View((0.0, -11.5, 3.6), (0.0, 0.0, 1.6), 17.5),
+    "knob": View((1.3, -8.8, 4.0), (0.0, 0.0, 1.18), 20.5),
+    "body": View((6.4, -7.6, 2.3), (0.05, 0.0, 0.42), 28.0, lens=0.05, nearer=1.2),
+    "bubble": View((0.0, -9.0, 0.3), (0.0, 0.0, 1.07), 19.0, lens=0.09),
+    "beetle": View((0.0, -3.6, 9.6), (0.05, -0.3, 0.35), 25.0, lens=0.1),
+    "ring": View((0.0, -9.0, 2.6), (0.0, 0.0, 1.56), 22.5, lens=0.05),
+    "cuff": View((0.0, -8.4, 3.0), (0.0, 0.0, 0.46), 24.5, lens=0.06, nearer=1.0),
+    "banknote": View((-1.2, -6.4, 4.4), (0.08, -0.02, 0.22), 28.6, lens=0.1),
+    "feather": View((0.35, -3.3, 9.9), (0.5, -0.13, 0.1), 27.8, lens=0.06),
+    "pass": View((0.0, -6.2, 5.4), (0.0, 0.0, 0.62), 31.0, lens=0.07),
+    "strip": View((0.0, -9.4, 3.0), (0.0, 0.0, 0.3), 40.0, lens=0.07),
+    "lens": View((1.0, -5.2, 6.2), (0.0, 0.0, 1.05), 26.0, lens=0.09, nearer=0.7),
+    "card": View((-1.6, -8.4, 5.2), (0.0, 0.1, 0.9), 22.0, lens=0.07),
+}
+_CAR_IN_PLACE = View((6.9, -7.6, 1.35), (0.05, 0.0, 0.86), 30.0, lens=0.06, nearer=1.2)
+_BUTTERFLY_PROPS = _specimen("butterfly", (1.85, -1.8), 0.0, 0.3, 1.0)
+_BEETLE_PROPS = _specimen("beetle", (1.3, -2.0), 0.24, 0.28, 1.25)
+
+
+def _scene(name: str, parts: Parts, backdrop: Backdrop = "sweep", light: str = "studio", **options: Any) -> Scene:
+    return Scene(name, parts, _VIEWS[name], backdrop, light, **options)
+
+
 SCENES: dict[str, Scene] = {
     scene.name: scene
     for scene in (
-        Scene("sphere", _sphere, View((0.0, -8.6, 2.7), (0.0, 0.0, 0.93), 19.0)),
-        Scene("probe", _sphere, View((0.0, -7.6, 4.2), (0.0, 0.0, 0.85), 24.0), "bowl", "directional"),
-        Scene(
-            "speedshape",
-            _parts("objects", ("speedshape", SUBJECT)),
-            View((-4.6, -7.6, 4.1), (0.0, 0.0, 0.5), 26.0),
-            size=(800, 520),
-        ),
-        Scene("panel", _panel, View((0.0, -8.2, 4.6), (0.0, 0.1, 0.36), 27.5), light="line", size=(800, 520)),
-        Scene(
-            "butterfly",
-            _BUTTERFLY,
-            View((0.0, -3.3, 9.9), (0.0, -0.22, 0.1), 31.0, lens=0.05),
-            "specimen",
-            size=(800, 600),
-            props=_specimen("butterfly", (1.85, -1.8), 0.0, 0.3, 1.0),
-        ),
-        Scene("bottle", _BOTTLE, View((0.0, -11.5, 3.6), (0.0, 0.0, 1.6), 17.5), max_depth=8, size=(512, 640)),
-        Scene("knob", _KNOB, View((1.3, -8.8, 4.0), (0.0, 0.0, 1.18), 20.5), max_depth=8),
-        Scene(
-            "body",
-            _body,
-            View((6.4, -7.6, 2.3), (0.05, 0.0, 0.42), 28.0, lens=0.05, nearer=1.2),
-            "acrylic",
-            size=(960, 540),
-            place_view=View((6.9, -7.6, 1.35), (0.05, 0.0, 0.86), 30.0, lens=0.06, nearer=1.2),
-        ),
-        Scene("bubble", _bubbles, View((0.0, -9.0, 0.3), (0.0, 0.0, 1.07), 19.0, lens=0.09), "acrylic", "garden"),
-        Scene(
-            "beetle",
-            _BEETLE,
-            View((0.0, -3.6, 9.6), (0.05, -0.3, 0.35), 25.0, lens=0.1),
-            "specimen",
-            size=(640, 720),
-            props=_specimen("beetle", (1.3, -2.0), 0.24, 0.28, 1.25),
-        ),
-        Scene("ring", _RING, View((0.0, -9.0, 2.6), (0.0, 0.0, 1.56), 22.5, lens=0.05), "acrylic", size=(640, 720)),
-        Scene(
-            "cuff",
-            _parts("objects", ("cuff", SUBJECT)),
-            View((0.0, -8.4, 3.0), (0.0, 0.0, 0.46), 24.5, lens=0.06, nearer=1.0),
-            "acrylic",
-            size=(800, 600),
-            max_depth=8,
-        ),
-        Scene(
-            "banknote", _BANKNOTE, View((-1.2, -6.4, 4.4), (0.08, -0.02, 0.22), 28.6, lens=0.1), "desk", size=(800, 520)
-        ),
-        Scene(
-            "feather",
-            _FEATHER,
-            View((0.35, -3.3, 9.9), (0.5, -0.13, 0.1), 27.8, lens=0.06),
-            "specimen",
-            props=_specimen("feather", (1.85, -1.9)),
-        ),
-        Scene(
-            "pass",
-            _PASS,
-            View((0.0, -6.2, 5.4), (0.0, 0.0, 0.62), 31.0, lens=0.07),
-            "desk",
-            "directional",
-            size=(800, 600),
-            props=_parts("printed", ("block", "dark")),
-        ),
-        Scene("strip", _STRIP, View((0.0, -9.4, 3.0), (0.0, 0.0, 0.3), 40.0, lens=0.07), "acrylic", size=(960, 400)),
-        Scene("lens", _LENS, View((1.0, -5.2, 6.2), (0.0, 0.0, 1.05), 26.0, lens=0.09, nearer=0.7), "desk"),
-        Scene("card", _CARD, View((-1.6, -8.4, 5.2), (0.0, 0.1, 0.9), 22.0, lens=0.07), "desk", size=(640, 720)),
+        _scene("sphere", _sphere),
+        _scene("probe", _sphere, "bowl", "directional"),
+        _scene("speedshape", _parts("objects", "speedshape"), size=(800, 520)),
+        _scene("panel", _panel, light="line", size=(800, 520)),
+        _scene("butterfly", _BUTTERFLY, "specimen", size=(800, 600), props=_BUTTERFLY_PROPS),
+        _scene("bottle", _BOTTLE, max_depth=8, size=(512, 640)),
+        _scene("knob", _KNOB, max_depth=8),
+        _scene("body", _body, "acrylic", size=(960, 540), place_view=_CAR_IN_PLACE),
+        _scene("bubble", _bubbles, "acrylic", "garden"),
+        _scene("beetle", _BEETLE, "specimen", size=(640, 720), props=_BEETLE_PROPS),
+        _scene("ring", _RING, "acrylic", size=(640, 720)),
+        _scene("cuff", _parts("objects", "cuff"), "acrylic", size=(800, 600), max_depth=8),
+        _scene("banknote", _BANKNOTE, "desk", size=(800, 520)),
+        _scene("feather", _FEATHER, "specimen", props=_specimen("feather", (1.85, -1.9))),
+        _scene("pass", _PASS, "desk", "directional", size=(800, 600), props=_parts("printed", "block:dark")),
+        _scene("strip", _STRIP, "acrylic", size=(960, 400)),
+        _scene("lens", _LENS, "desk"),
+        _scene("card", _CARD, "desk", size=(640, 720)),
     )
 }
 # names for `shape`: the subjects that stand on the floor, once each
@@ -327,29 +305,29 @@ def scene(name: str) -> Scene:
 
 
 def backdrop_parts(kind: Backdrop, see_through: bool, place_floor: str | None) -> list[tuple[Mesh, dict[str, Any]]]:
-    """Return the meshes and materials of a backdrop.
+    """Return a backdrop's meshes and materials.
 
     Args:
-        kind: the backdrop of the scene.
+        kind: scene backdrop.
         see_through: chequers on a plain sweep, because transparent subjects are seen by refraction.
-        place_floor: material of a plain floor that replaces the backdrop in a visible place; None: the backdrop.
+        place_floor: plain floor material that replaces the backdrop in a visible place; None: the backdrop.
     """
     if kind == "none":
         return []
     if kind == "bowl":
-        return [(stages.bowl(*BOWL), grounds.chessboard(BOWL_SQUARE))]
+        return [(backdrop.bowl(*BOWL), grounds.chessboard(BOWL_SQUARE))]
     if place_floor is not None:
         # a place paints its own ground at a distance; a bare sky has black below the horizon
         side = 8000.0 if place_floor == "plain" else 60.0
-        return [(stages.tile(side, side), plain_material(place_floor))]
-    surface = stages.sweep(*SWEEPS[kind])
+        return [(backdrop.tile(side, side), plain_material(place_floor))]
+    surface = backdrop.sweep(*SWEEPS[kind])
     top = float(surface.uv[:, 1].max())
     if kind == "desk":
         return [(surface, grounds.wood())]
     if kind == "specimen":
         return [(surface, grounds.museum_board())]
     if kind == "acrylic":
-        plate = stages.tile(*PLATE).shifted(0.0, -6.0, 0.001)  # above the matt ground
+        plate = backdrop.tile(*PLATE).shifted(0.0, -6.0, 0.001)  # above the matt ground
         return [(surface, grounds.halo(40.0, top, 25.5)), (plate, grounds.acrylic())]
     if see_through:  # dark, because a film on glass has faint colours
         return [(surface, grounds.chessboard(SQUARE, 0.012, 0.11))]

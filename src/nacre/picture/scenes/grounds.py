@@ -1,4 +1,4 @@
-"""Materials of grounds and printed surfaces: graded and chequered boards, wood, black acrylic, paper.
+"""Ground and printed materials: graded and chequered boards, wood, black acrylic, paper.
 
 Grounds with two or more colours blend reflectance spectra by seamless masks, never RGB.
 """
@@ -17,9 +17,9 @@ from nacre.picture.lights.environment_plugin import spectrum_texture
 from nacre.picture.lights.environments import WOOD, edge, peak
 from nacre.picture.plugin import mi
 
-PLANK = 1.5  # width of a plank of the desk
-_TILE = (12.0, 6.0)  # period of the desk along and across the grain, in scene units
-_ROWS = 1024  # resolution of its drawing
+PLANK = 1.5  # plank width on the desk
+_TILE = (12.0, 6.0)  # desk period along and across the grain, in scene units
+_ROWS = 1024  # drawing resolution
 _SEED = 11
 
 
@@ -39,7 +39,7 @@ def chessboard(square: float, dark: float = 0.035, bright: float = 0.6) -> dict[
 
 
 def grey_bitmap(values: Array, **options: Any) -> dict[str, Any]:
-    """A spectrally flat texture of numbers `[row, column]`; `options` are those of Mitsuba's bitmap."""
+    """A spectrally flat texture from numbers `[row, column]`; `options` as for Mitsuba's bitmap."""
     data = np.ascontiguousarray(values[..., None], dtype=np.float32)
     return {"type": "bitmap", "data": mi.TensorXf(data), "raw": True, "wrap_mode": "clamp", **options}
 
@@ -59,7 +59,7 @@ def halo(across: float, along: float, centre: float) -> dict[str, Any]:
 
 
 def matt(reflectance: Array) -> dict[str, Any]:
-    """A matt surface with a reflectance spectrum on the wavelength grid of the light tables."""
+    """A matt surface with a reflectance spectrum on the light tables' wavelength grid."""
     return _diffuse(spectrum_texture(table_wavelengths_nm(), reflectance))
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
@@ -256,7 +257,7 @@ def _key(one: Ensemble, settings: EnsembleSettings) -> str:
     """Return a fingerprint for optics, positions and code."""
     surface, particles, structure = one.layer.surface, one.layer.particles, one.layer.structure
     digest = hashlib.sha256()
-    arrays = [surface.indices, surface.thicknesses_nm, *(p.t_matrix for p in particles)]
+    arrays: list[NDArray[Any]] = [surface.indices, surface.thicknesses_nm, *(p.t_matrix for p in particles)]
     arrays += [structure.q_per_nm, structure.s, structure.r_nm, structure.h]
     arrays += [cell.xy_nm for cell in one.supercells] + [cell.period.bloch for cell in one.supercells]
     arrays += [cell.species for cell in one.supercells if cell.species is not None]

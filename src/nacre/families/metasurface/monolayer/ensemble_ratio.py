@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 
-SAME, CROSS = "same", "cross"
 Block = tuple[int, int, int, int]
 HIGHEST = (4, 3, 2)  # highest power w per direction for azimuthal harmonic k
 LEAST, MOST = 0.1, 5.0  # accepted ratio range; outside the polynomial extrapolates
@@ -60,36 +59,6 @@ def _degrees(below: bool) -> tuple[int, ...]:
     return (*degrees, 1, 2) if below else degrees
 
 
-@lru_cache(maxsize=16)
-def _terms(left_below: bool, right_below: bool, kind: str) -> tuple[tuple[int, int, int], ...]:
-    """The products (a, b, k) in one block; a >= b if sides and polarisations are equal, since (b, a) is the same."""
-    folded = kind == SAME and left_below == right_below
-    return tuple(
-        (a, b, k)
-        for k, most in enumerate(HIGHEST)
-        for a, p in enumerate(_degrees(left_below))
-        for b, q in enumerate(_degrees(right_below))
-        if p <= most and q <= most and not (folded and b > a)
-    )
-
-
-def _columns(
-    left: RatioDirections, right: RatioDirections, left_below: bool, right_below: bool, kind: str, phi: Array
-) -> Array:
-    """The products at all pairs, `[term, left, right, phi]`."""
-    f, g = left.powers(left_below), right.powers(right_below)
-    both = left.transverse[:, None] * right.transverse
-    waves = np.cos(np.multiply.outer(np.arange(len(HIGHEST)), phi))
-    folded = kind == SAME and left_below == right_below
-    out = []
-    for a, b, k in _terms(left_below, right_below, kind):
-        plain = f[a][:, None] * g[b]
-        if folded and a != b:
-            plain = 0.5 * (plain + f[b][:, None] * g[a])
-        out.append((plain * both**k)[..., None] * waves[k])
-    return np.stack(out)
-
-
 # (side s, side i, pol s, pol i); the others follow by exchange
 BLOCKS_ABOVE = ((0, 0, 0, 0), (0, 0, 1, 1), (0, 0, 0, 1))
 BLOCKS_BELOW = ((1, 1, 0, 0), (1, 1, 1, 1), (1, 1, 0, 1), (1, 0, 0, 0), (1, 0, 1, 1), (1, 0, 0, 1), (1, 0, 1, 0))
@@ -100,13 +69,34 @@ def blocks(transmits_below: bool) -> tuple[Block, ...]:
     return BLOCKS_ABOVE + (BLOCKS_BELOW if transmits_below else ())
 
 
-def _kind(block: Block) -> str:
-    return SAME if block[2] == block[3] else CROSS
+def _is_symmetric(block: Block) -> bool:
+    return block[0] == block[1] and block[2] == block[3]
+
+
+@lru_cache(maxsize=16)
+def _terms(block: Block) -> tuple[tuple[int, int, int], ...]:
+    """The products (a, b, k) in one block; a >= b if sides and polarisations are equal, since (b, a) is the same."""
+    return tuple(
+        (a, b, k)
+        for k, most in enumerate(HIGHEST)
+        for a, p in enumerate(_degrees(bool(block[0])))
+        for b, q in enumerate(_degrees(bool(block[1])))
+        if p <= most and q <= most and not (_is_symmetric(block) and b > a)
+    )
 
 
 def products(left: RatioDirections, right: RatioDirections, block: Block, phi: Array) -> Array:
     """Return the products in one block, `[term, left, right, phi]`; `phi` is `[phi]` or `[left, right, phi]`."""
-    return _columns(left, right, bool(block[0]), bool(block[1]), _kind(block), phi)
+    f, g = left.powers(bool(block[0])), right.powers(bool(block[1]))
+    both = left.transverse[:, None] * right.transverse
+    waves = np.cos(np.multiply.outer(np.arange(len(HIGHEST)), phi))
+    out = []
+    for a, b, k in _terms(block):
+        plain = f[a][:, None] * g[b]
+        if a != b and _is_symmetric(block):
+            plain = 0.5 * (plain + f[b][:, None] * g[a])
+        out.append((plain * both**k)[..., None] * waves[k])
+    return np.stack(out)
 
 
 @dataclass(frozen=True)

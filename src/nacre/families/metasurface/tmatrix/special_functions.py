@@ -57,13 +57,9 @@ def _asymptotic(z):  # type: ignore[no-untyped-def]  # numba
 def _far_hankel(z, sign, out):  # type: ignore[no-untyped-def]  # numba
     for i in range(z.size):
         for nu in range(2):
-            total, term = 1.0 + 0.0j, 1.0 + 0.0j
-            for j in range(1, 30):
-                term = term * (4.0 * nu * nu - (2 * j - 1) ** 2) / (j * 8.0) * (sign * 1.0j) / z[i]
-                total += term
-                if abs(term) < 1e-17:
-                    break
-            out[nu, i] = np.sqrt(2.0 / (np.pi * z[i])) * np.exp(-sign * 1.0j * (0.5 * nu + 0.25) * np.pi) * total
+            p, q = _hankel_sums(nu, 1.0 / z[i])
+            phase = np.exp(-sign * 1.0j * (0.5 * nu + 0.25) * np.pi)
+            out[nu, i] = np.sqrt(2.0 / (np.pi * z[i])) * phase * (p + sign * 1.0j * q)
 
 
 def hankel_scaled(z: ComplexArray, sign: int) -> ComplexArray:

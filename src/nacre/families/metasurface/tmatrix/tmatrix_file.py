@@ -134,30 +134,10 @@ except Exception:
     pass
 """
 PREFIXES = {
-    "y": 1e-24,
-    "z": 1e-21,
-    "a": 1e-18,
-    "f": 1e-15,
-    "p": 1e-12,
-    "n": 1e-9,
-    "u": 1e-6,
-    "µ": 1e-6,
-    "μ": 1e-6,
-    "m": 1e-3,
-    "c": 1e-2,
-    "d": 1e-1,
-    "": 1.0,
-    "da": 1e1,
-    "h": 1e2,
-    "k": 1e3,
-    "M": 1e6,
-    "G": 1e9,
-    "T": 1e12,
-    "P": 1e15,
-    "E": 1e18,
-    "Z": 1e21,
-    "Y": 1e24,
-}
+    "y": 1e-24, "z": 1e-21, "a": 1e-18, "f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3,
+    "c": 1e-2, "d": 1e-1, "": 1.0, "da": 1e1, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12, "P": 1e15, "E": 1e18,
+    "Z": 1e21, "Y": 1e24,
+}  # fmt: skip
 UNITS = {  # format units, for messages; 1/ forms are read too
     "length": "m with an SI prefix, as nm",
     "inverse length": "m^{-1} with an SI prefix, as nm^{-1} or cm^{-1}",
@@ -256,13 +236,11 @@ def _read(file: h5py.File, is_aligned: bool) -> AxialTMatrices:
         blocks,
         index[order],
         name or Path(file.filename).name,
-        geometry.get("radius"),
-        geometry.get("height"),
-        geometry.get("circumscribing"),
-        _material(file, len(values), order),
-        turn_loss,
-        shape,
-        whole,
+        **geometry,
+        shape=shape,
+        whole=whole,
+        material_index=_material(file, len(values), order),
+        turn_loss=turn_loss,
     )
 
 
@@ -466,9 +444,9 @@ def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:
         if moved is not None and np.any(np.asarray(moved[()], dtype=float) != 0.0):
             return "", {}  # the expansion centre is not the particle centre
     if shape == "sphere" and (radius := length("radius")):
-        return shape, {"radius": radius, "height": 2 * radius, "circumscribing": radius}
+        return shape, {"radius_nm": radius, "height_nm": 2 * radius, "circumscribing_nm": radius}
     if shape == "spheroid" and (radius := length("radiusxy")) and (axis := length("radiusz")):
-        return shape, {"radius": radius, "height": 2 * axis, "circumscribing": max(radius, axis)}
+        return shape, {"radius_nm": radius, "height_nm": 2 * axis, "circumscribing_nm": max(radius, axis)}
     reach = length(REACH)
     if (shape == "cylinder" or reach) and (radius := length("radius")) and (height := length("height")):
         least, most = max(radius, height / 2), float(np.hypot(radius, height / 2))
@@ -478,7 +456,7 @@ def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:
                 f"one from {least:.5g} to {most:.5g} nm"
             )
         named = shape if shape == "cylinder" else ""
-        return named, {"radius": radius, "height": height, "circumscribing": reach or most}
+        return named, {"radius_nm": radius, "height_nm": height, "circumscribing_nm": reach or most}
     return "", {}
 
 
