@@ -26,7 +26,17 @@ from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.families.contract import Draft, fabrications, is_direct, search_model, surrogate_radiance
+from nacre.families.contract import (
+    Aligned,
+    BetweenMedia,
+    Draft,
+    Ridged,
+    RoughSurface,
+    fabrications,
+    is_direct,
+    search_model,
+    surrogate_radiance,
+)
 from nacre.formats.lobes import is_isotropic
 from nacre.formats.lut.table import lobe_directions, lobe_weight
 from nacre.light import (
@@ -389,13 +399,14 @@ def _swatches(total: Array, wavelengths: Array) -> list[dict[str, Any]]:
 
 def _is_aligned(material: Material) -> bool:
     """Whether the material is anisotropic because its particles are aligned."""
-    return bool(getattr(material.model, "is_aligned", False))
+    return isinstance(material.model, Aligned) and material.model.is_aligned
 
 
 def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
     """Return the preview's roughness, its facet distribution, and notes on approximations."""
     notes: list[str] = []
-    rough = getattr(material.model, "surface", None)
+    model = material.model
+    rough = model.surface if isinstance(model, RoughSurface) else None
     alpha, facets = 0.0, {"distribution": "ggx", "compensated": False}
     if isinstance(rough, Roughness):
         facets = {"distribution": rough.distribution, "compensated": rough.compensate}
@@ -404,7 +415,7 @@ def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
             alpha *= float(rough.alpha_texture(np.array([0.5, 0.5])))
         if rough.alpha_x != rough.alpha_y:
             notes.append("Brushed surfaces are drawn with the mean of their two roughnesses.")
-    if getattr(material.model, "ridges", None) is not None:
+    if isinstance(model, Ridged) and model.ridges is not None:
         alpha = RIDGE_ROUGHNESS
         notes.append("The fan of light of the ridges is drawn as a rough mirror; the rendered picture shows its shape.")
     if _is_aligned(material):
@@ -416,10 +427,13 @@ def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
 
 def _is_free(material: Material) -> bool:
     """Whether transmitted light continues straight on: both sides are the same medium."""
-    sides = [getattr(material.model, name, None) for name in ("ambient", "substrate")]
+    model = material.model
+    if not isinstance(model, BetweenMedia):
+        return False
+    sides = (model.ambient, model.substrate)
     if not all(isinstance(side, OpticalConstant) for side in sides):
         return False
-    above, below = (side.n_complex(PROBE_NM) for side in sides)  # type: ignore[union-attr]  # checked above
+    above, below = (side.n_complex(PROBE_NM) for side in sides)
     return bool(np.array_equal(above, below))
 
 
