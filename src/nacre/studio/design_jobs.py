@@ -17,7 +17,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.material.material import Material
 from nacre.measure.spectrum import bsdf_spectrum
-from nacre.optimise.evaluation import TargetResult, evaluate, geometries_of, lab_hex, nearest_in_ranges, reached
+from nacre.optimise.evaluation import TargetResult, evaluate, geometries_of, lab_hex, nearest_in_ranges, results_of
 from nacre.optimise.gamut import find_gamut, optimal_limits, srgb_limits
 from nacre.optimise.measurement import search_wavelengths, simulate_measurement
 from nacre.optimise.parameters import point_of, values_at
@@ -120,7 +120,7 @@ class _Progress:
             material = self._task.material.vary(values)
             grid = search_wavelengths(material, spec.light.illuminants)
             seen = simulate_measurement(material, self._rows, grid, seed=spec.search.seed, memory=self._cache)
-            return reached(seen, self._task.targets, spec.light)
+            return results_of(seen, self._task.targets, spec.light)
         except NacreError:
             return []
         finally:
