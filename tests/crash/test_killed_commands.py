@@ -106,7 +106,7 @@ CASES = {
     "fabricate-gds": Case(("fabricate", "relief.toml", "--to", "oas", "-o", "out.oas"), "out.oas", 4),
     "fabricate-sheet": Case(("fabricate", "film.toml", "--to", "sheet", "-o", "out.csv"), "out.csv", 4),
     "report": Case(("report", "smooth.toml", "-o", "out.html"), "out.html", 5),
-    "tolerance": Case(("tolerance", "smooth.toml", "--spread", "layers[0].thickness_nm=5", "--draws", "20",
+    "tolerance": Case(("tolerance", "smooth.toml", "--tolerance", "layers[0].thickness_nm=5", "--draws", "20",
                        "-o", "out.json"), "out.json", 5),
     "fit": Case(("fit", "measured-spectrum.csv", "film.toml", "--starts", "1", "--residual", "out.npz",
                  "-o", "out.toml"), "out.toml", 5),

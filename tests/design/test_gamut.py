@@ -66,7 +66,17 @@ def test_the_command_writes_the_chart_and_the_structures(
 
     (tmp_path / "oxide.toml").write_text(dump_toml(OXIDE))
     path = tmp_path / f"x{suffix}"
-    arguments = ["gamut", str(tmp_path / "oxide.toml"), "--free", FREE[0], "--points", "16", "-o", str(path), "--json"]
+    arguments = [
+        "gamut",
+        str(tmp_path / "oxide.toml"),
+        "--parameter",
+        FREE[0],
+        "--points",
+        "16",
+        "-o",
+        str(path),
+        "--json",
+    ]
     assert run(arguments) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["count"] == 16 and "layers[0].thickness_nm" in document["points"][0]["structure"]
@@ -113,7 +123,9 @@ def test_words_alone_are_tried_once_each(capsys: pytest.CaptureFixture[str], tmp
     found = nacre.gamut(nacre.material(OXIDE), ["substrate=Si,Al,Ag"], points=30)
     assert [s["substrate"] for s in found.structures] == ["Si", "Al", "Ag"] and found.possible == 3
     (tmp_path / "o.toml").write_text(nacre.material(OXIDE).text)
-    assert run(["gamut", str(tmp_path / "o.toml"), "--free", "substrate=Si,Al", "-o", str(tmp_path / "g.json")]) == 0
+    assert (
+        run(["gamut", str(tmp_path / "o.toml"), "--parameter", "substrate=Si,Al", "-o", str(tmp_path / "g.json")]) == 0
+    )
     said = capsys.readouterr().out
     assert "2 points" in said and "stopped" not in said
 

@@ -250,10 +250,10 @@ def test_what_a_picture_cannot_be_made_of_is_refused_in_one_line(tmp_path: Path)
     assert "cannot vary" in refused(cannot) and "layers[].thickness_nm" in refused(cannot)
     for levels in (1, 0, 257, 2.5):
         assert "levels" in refused({**good, "limits": {"height_levels": levels}})
-    assert "only want" in refused(
+    assert "only target" in refused(
         {**good, "target": [*good["target"], {"geometry": "specular 30", "hue_deg": [0, 90]}]}
     )
-    assert "one lamp" in refused({**good, "light": {"illuminants": ["D65", "A"]}})
+    assert "single lamp" in refused({**good, "light": {"illuminants": ["D65", "A"]}})
     assert "tolerance" in refused({**good, "tolerance": {"layers[0].thickness_nm": "2%"}})
     stack = {key: value for key, value in good.items() if key != "parameters"} | {"layers": {"palette": ["SiO2"]}}
     assert "layers" in refused(stack)

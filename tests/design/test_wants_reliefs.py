@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.cli.design import _tell_relief
+from nacre.cli.design import _print_relief
 from nacre.core.errors import RecipeError
 from nacre.families.relief.material import Relief
 from nacre.optimise.relief.adapter import read_relief
@@ -139,8 +139,8 @@ def test_how_far_each_colour_is_missed_is_said_beside_the_loss(capsys):
         {"geometry": "30as20", "lamp": "D65", "de00": 35.4, "tolerance": 8.0, "met": False},
         {"geometry": "45as10", "lamp": "A", "de00": 1.2, "tolerance": 8.0, "met": True},
     ]
-    _tell_relief(SimpleNamespace(summary={**losses, "solutions": [{"targets": wants}]}, folder="out"), "t.toml", False)
-    _tell_relief(SimpleNamespace(summary=losses, folder="out"), "t.toml", False)  # a target without wants
+    _print_relief(SimpleNamespace(summary={**losses, "solutions": [{"targets": wants}]}, folder="out"), "t.toml", False)
+    _print_relief(SimpleNamespace(summary=losses, folder="out"), "t.toml", False)  # a target without wants
     told = capsys.readouterr().out.splitlines()
     assert told[1:3] == [
         "  dE00 35.40 at 30as20 under D65, out of reach so far (within 8 was asked)",

@@ -163,7 +163,7 @@ def test_spheres_by_way_of_a_file_are_spheres(tmp_path):
 def test_export_writes_what_a_recipe_reads_to_the_same_numbers(tmp_path, capsys):
     mie = _recipe(tmp_path, "material = {n = 4.0, k = 0.05}\nradius_nm = 75", name="mie.toml")
     assert run(["export", str(mie), "--to", "tmat", "-o", str(tmp_path / "out.tmat.h5")]) == 0
-    assert "not held: the stack" in capsys.readouterr().err
+    assert "not stored: the stack" in capsys.readouterr().err
     by_file = nacre.load(_recipe(tmp_path, 'tmatrix = "out.tmat.h5"'))
     for w in (400.0, 600.0):
         for a, b in zip(by_file.model.powers([0.9], w), nacre.load(mie).model.powers([0.9], w), strict=True):

@@ -117,10 +117,10 @@ def parse_parameters(options: Iterable[str]) -> dict[str, Any]:
         path, equals, text = (part.strip() for part in option.rpartition("="))
         if not equals or not path or not text:
             raise RecipeError(
-                f'--free "{option}" cannot be read; write it like layers[0].thickness_nm=50:400 or substrate=Al,Ag'
+                f'--parameter "{option}" cannot be read; write it like layers[0].thickness_nm=50:400 or substrate=Al,Ag'
             )
         if path in found:
-            raise RecipeError(f"--free {path} is given twice; keep one")
+            raise RecipeError(f"--parameter {path} is given twice; keep one")
         ends = [_number_or_text(end) for end in text.split(":")]
         if len(ends) == 2 and all(isinstance(end, float) for end in ends):
             found[path] = ends
@@ -172,12 +172,12 @@ def find_gamut(
     if not MIN_POINTS <= points <= MAX_POINTS:
         raise NacreError(f"--points = {points} must lie in [{MIN_POINTS}, {MAX_POINTS}]")
     if not tolerance > 0:
-        raise NacreError(f"--within = {tolerance:g} must be above 0")
+        raise NacreError(f"--tolerance = {tolerance:g} must be above 0")
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
     material = material.at_low_fidelity().with_parts_loaded(table)
     parameters = read_parameters(dict(table), material, source)
     if not parameters:
-        raise RecipeError(f"{source}: nothing is free; use --free PATH=LOW:HIGH")
+        raise RecipeError(f"{source}: nothing is free; use --parameter PATH=LOW:HIGH")
     at = applicable_geometry([material, *_variants(material, parameters)], geometry, f"{source}: at")
     draws = (points, seconds, seed)
     return _parameter_gamut(material, parameters, at, (illuminant, observer), draws, tolerance, samples, progress)

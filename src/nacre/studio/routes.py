@@ -1,4 +1,4 @@
-"""HTTP routes of the studio: the page's files, recipes, validated requests, and subprocess jobs."""
+"""HTTP routes: the page's files, recipes, validated requests, and subprocess jobs."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ from nacre.studio.session import MAX_MESSAGE, Session
 from nacre.studio.subprocess_jobs import SubprocessJob
 from nacre.studio.surroundings import ALPHAS, ROWS, SKIES, blurred_surroundings, floors
 
-MAX_JOBS = 2  # subprocesses at once of each of three groups: designs, other streaming jobs, jobs with one result
+MAX_JOBS = 2  # subprocesses at once in each group: designs, other streaming jobs, jobs with one result
 MAX_SOLVERS = 2  # sessions that compute at once
 MAX_SESSIONS = 64
 MAX_FOUND = 40
 MAX_BODY = 2 * MAX_MESSAGE  # two recipes
-MAX_UPLOAD = 64 << 20  # bytes of the user's mesh
+MAX_UPLOAD = 64 << 20  # bytes
 MAX_SESSION_NAME = 40
 MEDIA = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".jpg": "image/jpeg"}
 REMARKS_HEADER = "x-nacre-remarks"  # remarks on an exported file, as JSON
 JOB_S, FILE_S = 300.0, 1800.0  # time limits
-OVERHEAD_S = 240.0  # beyond the requested seconds of a streaming job: start, compilation, final evaluation
-MAX_JOB_BYTES = 4 << 30  # memory of a streaming job
+OVERHEAD_S = 240.0  # beyond the requested seconds: start, compilation, final evaluation
+MAX_JOB_BYTES = 4 << 30  # memory limit for streaming jobs
 TABLES = "table.glsl"
 DRAWS, MAX_PERCENT = (4, 400), 50.0
 BAD_INPUT, NOT_FOUND = 422, 404
@@ -70,14 +70,14 @@ Body = dict[str, Any]
 
 @dataclass
 class Studio:
-    """State of one server.
+    """Server state.
 
     Attributes:
         opened: the folder.
         meshes: uploaded meshes.
         slot: limits the sessions that compute at once.
-        limits: limit the subprocesses of each group.
-        running: the current streaming job of each page and route.
+        limits: limit subprocesses by group.
+        running: current streaming jobs by page and route.
         skies: surroundings computed by Mitsuba.
     """
 
@@ -94,7 +94,7 @@ class Studio:
 
 @dataclass(eq=False)
 class StreamingJob:
-    """A streaming job of a page: `stop` finishes it early, `is_replaced` cancels it for a newer one."""
+    """A page's streaming job: `stop` finishes it early, `is_replaced` cancels it for a newer one."""
 
     stop: asyncio.Event = field(default_factory=asyncio.Event)
     is_replaced: bool = False
@@ -129,13 +129,13 @@ def routes() -> list[BaseRoute]:
 
 
 def _page_files() -> dict[str, tuple[bytes, str]]:
-    """Return the files of the page, read once; names in requests therefore never become paths."""
+    """Return the page's files, read once; names in requests therefore never become paths."""
     found = {}
     for entry in files("nacre.studio").joinpath("page").iterdir():
         media = MEDIA.get(f".{entry.name.rpartition('.')[2]}")
         if media:
             found[entry.name] = (entry.read_bytes(), media)
-    found[TABLES] = (template(TABLES).encode(), "text/plain")  # the look-ups of exported tables
+    found[TABLES] = (template(TABLES).encode(), "text/plain")  # look-ups as in exported tables
     return found
 
 
@@ -150,7 +150,7 @@ def _studio(request: Request | WebSocket) -> Studio:
 
 
 def no_icon(request: Request) -> Response:
-    """Answer the request that browsers send before they have read that there is no icon."""
+    """Answer the browsers' initial icon request."""
     return Response(status_code=204)
 
 
@@ -158,7 +158,7 @@ def state(request: Request) -> Response:
     """Answer the recipes, examples, families, objects and surroundings."""
     opened = _studio(request).opened
     shipped = {example.name: example for example in examples()}
-    families = set(family_names())  # examples of other files, such as targets, are left out
+    families = set(family_names())  # other examples, such as targets, are omitted
     names = opened.names()
     return JSONResponse({
         "version": __version__,
@@ -202,7 +202,7 @@ def recipe(request: Request) -> Response:
 
 
 def form(request: Request) -> Response:
-    """Answer the form of a family."""
+    """Answer a family's form."""
     return JSONResponse(family_form(request.query_params.get("family")))
 
 
@@ -214,7 +214,7 @@ def indices(request: Request) -> Response:
 
 
 def picture_object(request: Request) -> Response:
-    """Answer the triangles of an object."""
+    """Answer an object's triangles."""
     return _binary(packed_object(request.query_params.get("name", "")))
 
 
@@ -230,20 +230,20 @@ async def save(request: Request) -> Response:
 
 
 async def report(request: Request) -> Response:
-    """Answer the report of one recipe or two."""
+    """Answer a report on one recipe or two."""
     question = read_report(await _body(request), _studio(request).opened)
     found = await _result(request, "report", "nacre.studio.downloads:report", question)
     return Response(found, media_type="application/json")
 
 
 async def formats(request: Request) -> Response:
-    """Answer the file formats of a recipe."""
+    """Answer a recipe's file formats."""
     placed = read_recipe(await _body(request), _studio(request).opened)
     return JSONResponse(await asyncio.to_thread(lambda: formats_of(built(placed))))
 
 
 async def parameters(request: Request) -> Response:
-    """Answer the possible parameters of a design."""
+    """Answer the possible design parameters."""
     placed = read_recipe(await _body(request), _studio(request).opened)
     return JSONResponse(await asyncio.to_thread(lambda: list_parameters(built(placed))))
 
@@ -330,7 +330,7 @@ async def stop(request: Request) -> Response:
 
 
 def _streaming(name: str) -> Callable[[Request], Awaitable[Response]]:
-    """Return the endpoint of a streaming job."""
+    """Return the endpoint for a streaming job."""
 
     async def endpoint(request: Request) -> Response:
         body = await _body(request)
@@ -354,7 +354,7 @@ def _question(name: str, body: Body, studio: Studio) -> dict[str, Any]:
 
 
 async def _stream(request: Request, name: str, session: str, question: Mapping[str, Any]) -> AsyncIterator[bytes]:
-    """Yield the events of a job; a newer job of the same page and route replaces it."""
+    """Yield a job's events; a newer job for the same page and route replaces it."""
     studio, own, key = _studio(request), StreamingJob(), (session, name)
     if session:
         if older := studio.running.get(key):
@@ -381,7 +381,7 @@ async def _stream(request: Request, name: str, session: str, question: Mapping[s
 
 
 async def talk(websocket: WebSocket) -> None:
-    """Run the session of a page."""
+    """Run a page's session."""
     studio = _studio(websocket)
     if len(studio.sessions) >= MAX_SESSIONS:
         await websocket.close(1013, "too many pages are open")

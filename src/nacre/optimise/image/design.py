@@ -31,7 +31,7 @@ from nacre.light import (
     xyz_to_srgb_linear,
 )
 from nacre.material.material import load
-from nacre.optimise.evaluation import JUDGE_SEED, TargetResult
+from nacre.optimise.evaluation import SEED_OFFSET, TargetResult
 from nacre.optimise.gamut import colour_chart
 from nacre.optimise.html_report import PICTURE, REPORT
 from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, fine_grid, level_grid
@@ -188,7 +188,7 @@ def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
 
 def _sampler(target: DesignTask, is_final: bool = False) -> ColourSampler:
     light = target.spec.light
-    seed = target.spec.search.seed + (JUDGE_SEED if is_final else 0)
+    seed = target.spec.search.seed + (SEED_OFFSET if is_final else 0)
     pair = (light.illuminants[0], light.observer)
     return ColourSampler(target.material, target.parameters, target.targets[0].geometry, pair, seed, is_final)
 

@@ -28,7 +28,7 @@ from nacre.families.relief.validity import largest_depth_nm
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, lab_to_xyz, white_xyz, xyz_to_srgb_linear
 from nacre.material.material import load
 from nacre.measure.instruments import aspecular_direction
-from nacre.optimise.evaluation import geometries_of, reached
+from nacre.optimise.evaluation import geometries_of, results_of
 from nacre.optimise.measurement import aspecular_pairs, evaluation_wavelengths, simulate_measurement
 from nacre.optimise.relief.merit import GAMMA, Problem, View, default_weights
 from nacre.optimise.relief.run import DesignResult, design
@@ -282,5 +282,5 @@ def _solution(read: ReliefTarget, folder: Path, summary: Mapping[str, Any]) -> d
         relief = load(recipe)
         grid = evaluation_wavelengths(relief, light.illuminants)
         seen = simulate_measurement(relief, geometries_of(read.colours), grid, memory={})
-        wants += [r.document(light.observer) for r in reached(seen, read.colours, light)]
+        wants += [r.document(light.observer) for r in results_of(seen, read.colours, light)]
     return {"recipe": str(recipe), "targets": wants, "yield": None}
