@@ -359,8 +359,8 @@ class MultipoleConvergence:
             if change > tolerance:
                 raise UnsupportedError(
                     f"{sphere.source}: holds multipoles up to l = {available}, and at {surface.wavelength_nm:g} nm "
-                    f"this sphere takes {required} over this stack: the far field changes by {change:.2g}, {tolerance:g} "
-                    "is allowed; a file of higher order or a larger gap_nm is needed"
+                    f"this sphere takes {required} over this stack: the far field changes by {change:.2g}, "
+                    f"{tolerance:g} is allowed; a file of higher order or a larger gap_nm is needed"
                 )
             _, most, worst = self.missing.get(sphere.source, (available, 0, 0.0))
             self.missing[sphere.source] = available, max(required, most), max(change, worst)
