@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PY := .venv/bin/python
 export NACRE_PROJECT := $(CURDIR)
 
-.PHONY: setup demo test test-full coverage mutants fuzz lint docs bench validate wheel clean
+.PHONY: setup demo test test-full test-lowest coverage mutants fuzz lint docs bench validate wheel clean
 
 setup:
 	@bash tools/setup.sh
@@ -16,6 +16,10 @@ test: setup lint
 
 test-full: setup
 	@$(PY) -m pytest -q -m "full and not gpu" -n 2 --dist worksteal --durations=25
+
+# a part of the tests with the lowest allowed versions of all dependencies, in an environment of its own
+test-lowest:
+	@bash tools/test_lowest.sh
 
 # lines of src/nacre that the quick suite reaches, in all its processes; fails below the bar of pyproject.toml
 coverage: setup
@@ -34,6 +38,8 @@ fuzz: setup
 
 lint: setup
 	@$(PY) -m ruff check src tests benchmarks validation tools examples
+	@$(PY) -m ruff check --select C901,PLR0913 src
+	@$(PY) -m ruff format --check src tests benchmarks validation tools examples
 	@$(PY) -m mypy
 
 bench validate: export NACRE_CACHE = off
@@ -57,4 +63,4 @@ docs: setup
 	@$(PY) -m sphinx -W --keep-going -b html docs docs/_build/html
 
 clean:
-	rm -rf .venv .llvm .venv-bench .venv-validate .venv-mutants .venv-cycles build dist docs/_build
+	rm -rf .venv .venv-lowest .llvm .venv-bench .venv-validate .venv-mutants .venv-cycles build dist docs/_build

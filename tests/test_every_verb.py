@@ -342,7 +342,7 @@ def test_gamut(both: Both) -> None:
     number = NUMBERS.get(both.recipe.stem) or next(iter(nacre.load(both.recipe).parameters))
     value = nacre.load(both.recipe).get(number)
     free = f"{number}={0.9 * value}:{1.1 * value}"
-    arguments = ["gamut", str(both.recipe), "--free", free, "--points", "8", "--samples", str(SAMPLES), "--json"]
+    arguments = ["gamut", str(both.recipe), "--parameter", free, "--points", "8", "--samples", str(SAMPLES), "--json"]
     found = both.ask(lambda: nacre.gamut(both.recipe, [free], points=8, samples=SAMPLES), arguments)
     if found is not None:
         assert json.loads(found[1]) == json.loads(json.dumps(found[0].document()))

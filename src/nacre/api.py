@@ -1,7 +1,7 @@
-"""nacre's functions for Python: the same names and the same defaults as on the command line.
+"""The Python interface, with the names and defaults of the command line.
 
-`nacre.load`, `nacre.material`, `nacre.evaluate`, `nacre.spectrum`, `nacre.report` and the rest; pictures come from
-`nacre.render`, figures from `nacre.plot`, structures from `nacre.design`.
+`nacre.load`, `nacre.material`, `nacre.evaluate`, `nacre.spectrum`, `nacre.report` and others; `nacre.render` makes
+pictures, `nacre.plot` figures, `nacre.design` structures.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def evaluate(
         wi: unit vectors to the light, `[..., 3]`, in the local frame (z is the normal).
         wo: unit vectors to the viewer, `[..., 3]`; on the other side of the surface: the radiance BTDF.
         uv: surface coordinates `[..., 2]` for materials that vary over the surface; default: (0.5, 0.5).
-        samples: random walks a pair, for lobes that are evaluated by one (pearls); seed: of those walks.
+        samples, seed: number per pair and seed of random walks, for stochastic lobes (pearls).
 
     Raises:
         UnsupportedError: the lobe needs a random walk, and there is no LLVM on this machine.
@@ -104,7 +104,7 @@ def report(
         thing: a material, or a path of a recipe, `.nacre` file or design folder, an example's name or a recipe's
             table.
         illuminant, observer: of the colours.
-        samples, seed: of the walk, for families that are evaluated by one.
+        samples, seed: of random walks.
 
     Raises:
         NacreError: the material cannot be loaded or measured.
@@ -115,45 +115,45 @@ def report(
 
 
 def tolerance(
-    thing: MaterialLike, spreads: Iterable[str] = (), *, draws: int = 500, limit: float = 1.0, **options: Any
+    thing: MaterialLike, tolerances: Iterable[str] = (), *, draws: int = 500, limit: float = 1.0, **options: Any
 ) -> ToleranceResult:
-    """Turn manufacturing spreads into the distribution of colour, yield and ranked sensitivities.
+    """Compute colour variation, yield and ranked sensitivities from manufacturing tolerances.
 
     Args:
         thing: a material or a path.
-        spreads: such as "layers[0].thickness_nm=2%", beside those of the recipe's `[tolerance]`.
-        draws: material count drawn; limit: CIEDE2000 difference (dE00) within which one passes.
-        options: the others of `nacre.analysis.tolerance.run_tolerance`.
+        tolerances: such as "layers[0].thickness_nm=2%", in addition to those of the recipe's `[tolerance]`.
+        draws: number of materials; limit: largest accepted CIEDE2000 difference (dE00).
+        options: further arguments of `nacre.analysis.tolerance.run_tolerance`.
 
     Raises:
-        NacreError: no spread, or one that names no number of the recipe.
+        NacreError: there is no tolerance, or one names no number of the recipe.
     """
     material = as_material(thing)
-    return run_tolerance(material, recipe_tolerances(material, tuple(spreads)), draws=draws, limit=limit, **options)
+    return run_tolerance(material, recipe_tolerances(material, tuple(tolerances)), draws=draws, limit=limit, **options)
 
 
 def fit(
-    measurement: str | Path, thing: MaterialLike, free: Iterable[str] = (), *, starts: int = 4,
+    measurement: str | Path, thing: MaterialLike, parameters: Iterable[str] = (), *, starts: int = 4,
     report: str | Path | None = None, **options: Any,
 ) -> Fit:  # fmt: skip
-    """Fit some numbers of a recipe, called free, to a measurement.
+    """Fit parameters of a recipe to a measurement.
 
     Args:
         measurement: CSV of a spectrum or of goniometer values.
         thing: a material or a path.
-        free: such as "layers[0].thickness_nm=50:400", beside those of the recipe's `[fit]`.
-        starts: starting points that are refined; options: the others of `nacre.analysis.fit.run_fit`.
-        report: an HTML file to be written: what was measured beside what the fitted material gives.
+        parameters: such as "layers[0].thickness_nm=50:400", in addition to those of the recipe's `[fit]`.
+        starts: refined starting points; options: further arguments of `nacre.analysis.fit.run_fit`.
+        report: HTML file that compares measurement and fit.
 
     Raises:
-        NacreError: the measurement cannot be read, or nothing is free.
+        NacreError: the measurement cannot be read, or there is no parameter.
     """
     if report is not None:
         if Path(report).suffix != ".html":
             raise NacreError(f"{report}: the suffix must be .html")
         check_writable(report)
     material, measured = as_material(thing), read_measurement(measurement)
-    numbers = fit_parameters(material, tuple(free))
+    numbers = fit_parameters(material, tuple(parameters))
     found = run_fit(material, measured, numbers, starts=starts, **options)
     if report is not None:
         from nacre.analysis.fit_report import write_fit_page
@@ -164,40 +164,40 @@ def fit(
 
 def gamut(
     thing: MaterialLike,
-    free: Iterable[str] | Mapping[str, Any] = (),
-    at: str | None = None,
+    parameters: Iterable[str] | Mapping[str, Any] = (),
+    geometry: str | None = None,
     *,
     points: int = 1000,
     seconds: float = 60.0,
     illuminant: str = "D65",
     observer: str = "10deg",
-    within: float = 2.0,
+    tolerance: float = 2.0,
     samples: int | None = None,
     seed: int = 0,
 ) -> Gamut:
-    """Return the colours that a material's free numbers reach at a geometry, and the structure under each.
+    """Return the colours that a material reaches with its parameters at a geometry, and their structures.
 
     Args:
         thing: a material or a path.
-        free: such as "layers[0].thickness_nm=50:400" or "substrate=Al,Ag"; or a mapping as a design's `[parameters]`.
-        at: "specular 0", "transmitted 0", "diffuse 0", "hemispherical 0" or "45as15", as in a design's wants; None:
-            what shows a family's colour: "45as15" for a pearl, "45as45" for a photonic glass, "specular 0" for the
-            others.
-        points: material count.
-        seconds: after which the colours found so far are told.
-        within: the dE00 within which a colour counts as reached.
+        parameters: such as "layers[0].thickness_nm=50:400" or "substrate=Al,Ag"; or a table as a design's
+            `[parameters]`.
+        geometry: "specular 0", "transmitted 0", "diffuse 0", "hemispherical 0" or "45as15"; None: "45as15" for a
+            pearl, "45as45" for a photonic glass, "specular 0" for other families.
+        points: number of materials.
+        seconds: time limit, after which the colours found so far are returned.
+        tolerance: dE00 up to which a colour counts as reached.
         illuminant, observer: of the colours.
-        samples, seed: of the walk, for families that are evaluated by one; the seed also of the draws.
+        samples, seed: of random walks; the seed also determines the materials.
 
     Raises:
-        NacreError: nothing is free, or the geometry is not known.
+        NacreError: there is no parameter, or the geometry is not known.
 
     Example: `nacre.gamut("oxide.toml", ["layers[0].thickness_nm=0:400"]).share_of_srgb`.
     """
-    table = free if isinstance(free, Mapping) else parse_parameters(free)
+    table = parameters if isinstance(parameters, Mapping) else parse_parameters(parameters)
     return find_gamut(
-        as_material(thing), table, at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
-        tolerance=within, samples=samples, seed=seed,
+        as_material(thing), table, geometry, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
+        tolerance=tolerance, samples=samples, seed=seed,
     )  # fmt: skip
 
 
@@ -210,7 +210,7 @@ def sweep(
     security: str | Path | None = None,
     progress: Callable[[int, int, int], None] | None = None,
 ) -> Path:
-    """Compute a sweep, or what is missing of it; return the Zarr folder (errors of failed points lie beside it).
+    """Compute a sweep, or its missing points; return the Zarr folder (errors of failed points lie beside it).
 
     Args:
         path: the sweep's TOML file.
@@ -221,7 +221,7 @@ def sweep(
         progress: called with (finished, failed, total) after every point.
 
     Raises:
-        NacreError: the file is wrong, or the folder holds another sweep.
+        NacreError: the file is not valid, or the folder holds another sweep.
     """
     store = Path(output) if output is not None else Path(f"{Path(path).stem}.zarr")
     run_sweep(load_sweep(path), store, workers=Workers(jobs, cluster, security), progress=progress)
@@ -229,16 +229,16 @@ def sweep(
 
 
 def export(thing: MaterialLike, to: str, output: str | Path, **options: Any) -> dict[str, Any]:
-    """Write a material in another program's format; `["lost"]` of the result lists what it cannot hold.
+    """Write a material in the format of another program; `["lost"]` of the result lists lost properties.
 
     Args:
         thing: a material or a path.
         to: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr", "nacre" or "lut".
-        output: the file; of "lut" the folder, which is new, empty or holds such tables.
-        options: those of `nacre.analysis.import_export.export_material`.
+        output: the file; for "lut" a folder, which is new, empty or holds such tables.
+        options: arguments of `nacre.analysis.import_export.export_material`.
 
     Raises:
-        UnsupportedError: the format can hold nothing of the material.
+        UnsupportedError: the format cannot represent the material.
         NacreError: the file cannot be written.
     """
     if to != "lut":
@@ -247,14 +247,14 @@ def export(thing: MaterialLike, to: str, output: str | Path, **options: Any) -> 
 
 
 def import_(source: str | Path, recipe: str | Path) -> Material:
-    """Turn another program's file (goniometer CSV, MERL, RGL, Zemax, glTF, MaterialX) into a recipe, and load it.
+    """Convert a file of another program (goniometer CSV, MERL, RGL, Zemax, glTF, MaterialX) to a recipe, and load it.
 
     Args:
         source: the file to read.
         recipe: the TOML file to write; tables go into a `.nacre` file beside it.
 
     Raises:
-        NacreError: the file is none of the known formats, or is damaged.
+        NacreError: the file has an unknown format or is damaged.
     """
     check_writable(recipe)
     import_material(Path(source), Path(recipe))
@@ -273,28 +273,27 @@ def fabricate(
     base_um: float = 1.0,
     seed: int | None = None,
 ) -> tuple[Path, ...]:
-    """Write a fabrication file, and beside it, but for a layer table, a JSON that says how to read it.
+    """Write a fabrication file and, except for a layer table, a JSON that describes it.
 
     Args:
         source: a material, its model, or a path of a recipe or design folder.
-        to: a relief: "png16", "tiff16", "stl", "gds", "oas" or "csv"; a metasurface: "gds", "oas", "csv" or
-            "sheet"; a film: "sheet"; numbers that an image gives over the surface, of any family: "png16", "tiff16",
-            "npy", "csv", "gds" or "oas", a file each.
-        path: where; default: what is drawn and the format's ending, in the design folder or the current one.
-        size_mm: repeat what is drawn over an area (x, y); default: one period. Size of maps.
+        to: relief: "png16", "tiff16", "stl", "gds", "oas" or "csv"; metasurface: "gds", "oas", "csv" or "sheet"; film:
+            "sheet"; numbers from images, of any family: "png16", "tiff16", "npy", "csv", "gds" or "oas", a file each.
+        path: output; default: name and format's suffix, in the design folder or the current one.
+        size_mm: area (x, y) that is tiled; default: one period. For maps: their size.
         calibration: CSV of grey value and depth in um, for images, or "published" for the built-in curve; default:
-            linear, 65,535 at the top and 0 at the deepest point of this relief. Of maps: a CSV of a machine's setting
-            and the value that it makes (volts, nm), or a table from the number's path to such a file.
-        levels: number of heights of a mask; default: as many as the heights have, or 16. Of maps: of their values.
+            linear, 65,535 at the top and 0 at the deepest point of this relief. For maps: a CSV of machine setting
+            and value (volts, nm), or a table from recipe paths to such files.
+        levels: number of heights of a mask; default: that of the relief, or 16. For maps: number of values.
         pixels_per_feature: pixels along a feature's side, for images.
         base_um: thickness of an STL's base.
-        seed: of positions drawn at random; default: the recipe's.
+        seed: of random positions; default: the recipe's.
 
     Returns:
-        the files' paths, the one asked for first.
+        paths of the files; `path` is the first.
 
     Raises:
-        UnsupportedError: a format that the material's family has no drawing for.
+        UnsupportedError: the family has no drawing for the format.
         NacreError: the calibration does not fit, or the file cannot be written.
     """
     folder, name, place = Path(), "material", "material"
@@ -330,5 +329,5 @@ def fabricate(
 
 
 def _maps_stem(maps: list[NumberMap]) -> str:
-    """Return how the files of maps are called: one by its number; several get their paths added."""
+    """Return the file names of maps; several maps have their recipe paths in the names."""
     return maps[0].slug if len(maps) == 1 else "map"

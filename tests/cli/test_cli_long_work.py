@@ -11,7 +11,7 @@ from nacre.core import parallel
 def asked(monkeypatch):
     questions = []
     monkeypatch.setattr(click, "confirm", lambda text, **_: questions.append(text))
-    monkeypatch.setattr(parallel, "watch", lambda tell: None)
+    monkeypatch.setattr(parallel, "add_progress_listener", lambda listener: None)
     return questions
 
 
@@ -59,10 +59,10 @@ def test_where_no_terminal_is_minutes_of_work_tell_how_far_they_are_in_lines_of_
     monkeypatch.setattr(progress.time, "monotonic", lambda: looks.append(float(next(clock))) or looks[-1])
     monkeypatch.setattr(progress.time, "process_time", lambda: 2 * share * looks[-1])
     monkeypatch.setattr(parallel, "available_jobs", lambda: 2)
-    watchers = list(parallel._watchers)
+    watchers = list(parallel._progress_listeners)
     progress.listener(False)("a.toml: 10 patterns: about 3 minutes", seconds)
     for done in range(1, 11):
-        for tell in list(parallel._watchers):
+        for tell in list(parallel._progress_listeners):
             tell(done, 10)
     told = [line for line in capsys.readouterr().err.splitlines() if "of 10 patterns" in line]
     assert len(told) == lines
@@ -71,4 +71,4 @@ def test_where_no_terminal_is_minutes_of_work_tell_how_far_they_are_in_lines_of_
     if lines > 1:
         rest = "70 seconds left" if share == 1.0 else "14 seconds left on free cores, 70 seconds as busy as it is"
         assert told[0] == f"3 of 10 patterns, about {rest}"
-    assert parallel._watchers == watchers
+    assert parallel._progress_listeners == watchers

@@ -42,7 +42,7 @@ def test_a_missing_package_is_named_with_the_command_that_brings_it(
     assert run(["doctor"]) == 0
     text = capsys.readouterr().out
     assert "missing: gdstk" in text and "pip install 'nacre[study]'" in text
-    assert text.splitlines()[-1].endswith("to mend, see above")
+    assert text.splitlines()[-1].endswith("see above")
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,7 @@ CASES = {
     "fabricate-gds": Case(("fabricate", "relief.toml", "--to", "oas", "-o", "out.oas"), "out.oas", 4),
     "fabricate-sheet": Case(("fabricate", "film.toml", "--to", "sheet", "-o", "out.csv"), "out.csv", 4),
     "report": Case(("report", "smooth.toml", "-o", "out.html"), "out.html", 5),
-    "tolerance": Case(("tolerance", "smooth.toml", "--spread", "layers[0].thickness_nm=5", "--draws", "20",
+    "tolerance": Case(("tolerance", "smooth.toml", "--tolerance", "layers[0].thickness_nm=5", "--draws", "20",
                        "-o", "out.json"), "out.json", 5),
     "fit": Case(("fit", "measured-spectrum.csv", "film.toml", "--starts", "1", "--residual", "out.npz",
                  "-o", "out.toml"), "out.toml", 5),
@@ -265,14 +265,14 @@ def test_a_killed_design_has_its_best_on_disk_and_goes_on(warm: Forker, inputs: 
     killed = 0
     for attempt in range(6):
         before = contents(folder)
-        resume = ["--resume"] if attempt % 2 and (folder / "out" / "search.npz").is_file() else []
+        resume = ["--resume"] if attempt % 2 and (folder / "out" / "search.json").is_file() else []
         killed += warm.kill([*arguments, *resume], folder, chance, seconds)
         found = visible(folder)
         assert set(before) <= set(found)
         for name, path in found.items():
             check_whole(path, before.get(name), reference / name)
     assert killed >= 3
-    warm.run([*arguments, "--resume"] if (folder / "out" / "search.npz").is_file() else arguments, folder)
+    warm.run([*arguments, "--resume"] if (folder / "out" / "search.json").is_file() else arguments, folder)
     assert names(folder) == names(reference)
 
 

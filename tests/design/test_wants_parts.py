@@ -112,7 +112,7 @@ def test_a_fit_of_a_part_writes_a_recipe_that_holds_it(blend):
     rows = zip(truth.wavelengths_nm, truth.specular_reflectance[0])
     lines = ["wavelength_nm,angle_deg,specular_reflectance", *(f"{nm},0,{value}" for nm, value in rows)]
     (blend / "seen.csv").write_text("\n".join(lines), encoding="utf-8")
-    arguments = ["fit", str(blend / "seen.csv"), str(blend / "blend.toml"), "--free", f"{path}=20:200"]
+    arguments = ["fit", str(blend / "seen.csv"), str(blend / "blend.toml"), "--parameter", f"{path}=20:200"]
     assert run([*arguments, "--starts", "1", "-o", str(blend / "fitted.toml")]) == 0
     assert nacre.load(blend / "fitted.toml").get(path) == pytest.approx(130.0, abs=0.1)
 

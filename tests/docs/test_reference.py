@@ -46,7 +46,7 @@ def test_every_command_and_option_is_listed(keys: ModuleType) -> None:
 
     for name in COMMANDS:
         assert f"## nacre {name}\n" in page
-    assert "--free PATH=LOW:HIGH" in page
+    assert "--parameter PATH=LOW:HIGH" in page
 
 
 def test_every_public_name_of_nacre_is_listed() -> None:

@@ -13,13 +13,11 @@ import nacre
 from nacre.bsdf.lobes.table import from_half_difference, half_difference
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.formats.gltf import read_gltf, write_gltf
 from nacre.formats.gonio_csv import read_gonio_csv, write_gonio_csv
 from nacre.formats.half_angle_tables import SHAPE, read_merl, slice_values, write_merl, write_slice
 from nacre.formats.lobes import gonio_grid, gonio_table, merl_lobe, rgb_basis
-from nacre.formats.materialx import read_materialx, write_materialx
 from nacre.formats.rgl import RglBsdf, Warp, read_tensor, rgl_fields, write_tensor
-from nacre.formats.thin_film import ThinFilm
+from nacre.formats.thin_film import ThinFilm, read_gltf, read_materialx, write_gltf, write_materialx
 from nacre.formats.zemax import read_zemax, scatter_direction, write_zemax, zemax_table
 from nacre.recipe.toml import dump_toml
 
@@ -273,9 +271,9 @@ def test_a_stored_material_is_taken_as_measured_and_scaled_only_where_it_is_a_ta
     wi, wo = random_directions(9, 1), random_directions(9, 2)
     taken = nacre.material(plain, tmp_path).bsdf()
     np.testing.assert_array_equal(taken.evaluate(wi, wo), film.evaluate(wi, wo))
-    with pytest.raises(UnsupportedError, match="keeps its own wavelengths and scale"):
+    with pytest.raises(UnsupportedError, match="fixed wavelengths and scale"):
         nacre.material(plain, tmp_path).bsdf(film.wavelengths_nm[::2])
-    with pytest.raises(UnsupportedError, match="keeps its own wavelengths and scale"):
+    with pytest.raises(UnsupportedError, match="fixed wavelengths and scale"):
         nacre.material(plain | {"scale": 2.0}, tmp_path).bsdf()
 
 

@@ -33,7 +33,7 @@ def test_a_gamut_of_balls_is_of_light_from_45_degrees_and_ends_in_its_seconds() 
 def test_the_command_says_that_it_stopped(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "paint.toml").write_text(dump_toml(PAINT))
     path = tmp_path / "gamut.svg"
-    assert run(["gamut", str(tmp_path / "paint.toml"), "--free", FREE[0], "--seconds", "1", "-o", str(path)]) == 0
+    assert run(["gamut", str(tmp_path / "paint.toml"), "--parameter", FREE[0], "--seconds", "1", "-o", str(path)]) == 0
     said = capsys.readouterr().out
     assert "paint: 45as45" in said and "of 1000 points; --seconds gives it more" in said
 

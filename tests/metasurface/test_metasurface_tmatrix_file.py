@@ -163,7 +163,7 @@ def test_spheres_by_way_of_a_file_are_spheres(tmp_path):
 def test_export_writes_what_a_recipe_reads_to_the_same_numbers(tmp_path, capsys):
     mie = _recipe(tmp_path, "material = {n = 4.0, k = 0.05}\nradius_nm = 75", name="mie.toml")
     assert run(["export", str(mie), "--to", "tmat", "-o", str(tmp_path / "out.tmat.h5")]) == 0
-    assert "not held: the stack" in capsys.readouterr().err
+    assert "not stored: the stack" in capsys.readouterr().err
     by_file = nacre.load(_recipe(tmp_path, 'tmatrix = "out.tmat.h5"'))
     for w in (400.0, 600.0):
         for a, b in zip(by_file.model.powers([0.9], w), nacre.load(mie).model.powers([0.9], w), strict=True):
@@ -444,7 +444,7 @@ def test_what_is_no_such_file_gets_one_line(tmp_path, capsys):
 def test_a_file_that_hdf5_does_not_survive_gets_one_line(tmp_path, capsys, monkeypatch, probe, patience, said):
     """Met by changing bytes at random: a broken heap of strings is read for ever."""
     monkeypatch.setattr(tmatrix_file, "PROBE", probe)
-    monkeypatch.setattr(tmatrix_file, "PATIENCE_S", patience)
+    monkeypatch.setattr(tmatrix_file, "PROBE_TIMEOUT_S", patience)
     write_tmatrices(tmp_path / "b.tmat.h5", _spheres(), "sphere")
     assert said in _refusal(tmp_path, capsys, 'tmatrix = "b.tmat.h5"')
 

@@ -213,11 +213,11 @@ def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[P
         path, equals, text = option.rpartition("=")
         bounds = text.split(":")
         if not equals or len(bounds) != 2:
-            raise RecipeError(f'--free "{option}" cannot be read; write it like layers[0].thickness_nm=100:600')
+            raise RecipeError(f'--parameter "{option}" cannot be read; write it like layers[0].thickness_nm=100:600')
         given.append((path.strip(), [_number(bounds[0]), _number(bounds[1])]))
-    table = with_options(table, given, "--free")
+    table = with_options(table, given, "--parameter")
     if not table:
-        raise RecipeError(f"{source}: nothing is free; add a [fit] table or use --free PATH=LOW:HIGH")
+        raise RecipeError(f"{source}: nothing is free; add a [fit] table or use --parameter PATH=LOW:HIGH")
     return read_parameters(table, material, source, "fit", MAX_PARAMETERS, words=False)
 
 

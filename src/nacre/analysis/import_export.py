@@ -16,7 +16,7 @@ from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import plain, why_unreadable, write_text
 from nacre.families.contract import OwnFormats
-from nacre.formats.gonio_csv import LARGEST_VALUE, read_gonio_csv, write_gonio_csv
+from nacre.formats.gonio_csv import MAX_VALUE, read_gonio_csv, write_gonio_csv
 from nacre.formats.half_angle_tables import merl_table, read_merl, write_merl
 from nacre.formats.lobes import delta_lost, gonio_grid, gonio_table, is_isotropic, lost_parts, merl_lobe
 from nacre.material.material import MAX_EXCESS, Material, material_from_data
@@ -127,11 +127,11 @@ def _export_film(material: Material, target: str, path: Path) -> dict[str, Any]:
     fit = fit_thin_film(material)
     provenance = {"nacre": __version__, "recipe": material.text, "residual_delta_e_2000": fit.mean_residual}
     if target == "gltf":
-        from nacre.formats.gltf import write_gltf
+        from nacre.formats.thin_film import write_gltf
 
         write_gltf(path, fit.film, material.name, provenance)
     else:
-        from nacre.formats.materialx import write_materialx
+        from nacre.formats.thin_film import write_materialx
 
         write_materialx(path, fit.film, material.name, f"nacre {__version__}, residual dE00 {fit.mean_residual:.2f}")
     return {
@@ -187,8 +187,8 @@ def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
         NacreError: an impossible value, or a sum beyond any measurement error.
     """
     low, high = float(lobe.values.min()), float(lobe.values.max())
-    if not np.isfinite(low + high) or low < -ROUNDING * high or high > LARGEST_VALUE:
-        raise NacreError(f"{source}: holds BSDF values below 0 or beyond {LARGEST_VALUE:g}; none has them")
+    if not np.isfinite(low + high) or low < -ROUNDING * high or high > MAX_VALUE:
+        raise NacreError(f"{source}: holds BSDF values below 0 or beyond {MAX_VALUE:g}; none has them")
     for angle in ENERGY_ANGLES_DEG:
         sums = np.sum(lobe.hemispherical(direction(np.radians(angle))), axis=0)
         worst, nm = float(sums.max()), lobe.wavelengths_nm[int(np.argmax(sums))]
@@ -205,11 +205,11 @@ def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
 
 def _import_film(source: Path, recipe: Path) -> list[str]:
     if source.suffix.lower() == ".gltf":
-        from nacre.formats.gltf import read_gltf
+        from nacre.formats.thin_film import read_gltf
 
         film = read_gltf(source)
     else:
-        from nacre.formats.materialx import read_materialx
+        from nacre.formats.thin_film import read_materialx
 
         film = read_materialx(source)
     for name, value in film.__dict__.items():

@@ -67,11 +67,11 @@ def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tupl
     for option in options:
         path, equals, text = option.rpartition("=")
         if not equals:
-            raise RecipeError(f'--spread "{option}" cannot be read; write it like layers[0].thickness_nm=2% or =5')
+            raise RecipeError(f'--tolerance "{option}" cannot be read; write it like layers[0].thickness_nm=2% or =5')
         given.append((path.strip(), text.strip()))
-    table = with_options(table, given, "--spread")
+    table = with_options(table, given, "--tolerance")
     if not table:
-        raise RecipeError(f"{source}: no spread is given; add a [tolerance] table or use --spread PATH=VALUE")
+        raise RecipeError(f"{source}: no spread is given; add a [tolerance] table or use --tolerance PATH=VALUE")
     return read_tolerances(table, material, source)
 
 

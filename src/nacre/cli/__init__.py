@@ -1,7 +1,7 @@
-"""The command line: thin, quick to start, one line for every mistake.
+"""The command line.
 
-Each command lives in a module that is imported only when the command runs, so that `nacre --help` answers at
-once. Bad input ends with one line on stderr and status 2; `--debug` shows the traceback instead.
+The module of a command is imported only when the command runs, which keeps `nacre --help` fast. Bad input ends with one
+line on stderr and status 2; `--debug` shows the traceback instead.
 """
 
 from __future__ import annotations
@@ -22,36 +22,36 @@ from nacre.cli.progress import listener
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.progress import on_progress
 
-GARBAGE_AFTER = 50_000  # new objects that may hold others
+GARBAGE_AFTER = 50_000  # new container objects
 
-# name -> (module, one line for the list)
+# name -> (module, description)
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("nacre.cli.demo", "Make pictures and plots of every example recipe, with a contact sheet."),
+    "demo": ("nacre.cli.render", "Make pictures and plots of every example recipe, with a contact sheet."),
     "render": ("nacre.cli.render", "Render a material on an object."),
     "spectrum": ("nacre.cli.show", "Print reflectance and transmittance over angle and wavelength."),
     "evaluate": ("nacre.cli.show", "Evaluate the BSDF for given directions."),
     "plot": ("nacre.cli.show", "Draw a figure of a material."),
     "compile": ("nacre.cli.show", "Solve a recipe once and store the result as a .nacre file."),
-    "design": ("nacre.cli.design", "Find the structure that gives a wanted appearance."),
-    "gamut": ("nacre.cli.design", "Show the colours that free numbers can reach."),
+    "design": ("nacre.cli.design", "Find a structure with a target appearance."),
+    "gamut": ("nacre.cli.design", "Show the colours that parameters can reach."),
     "fabricate": ("nacre.cli.design", "Write the files to make a design or a material."),
-    "export": ("nacre.cli.exchange", "Write a material in another program's format."),
-    "import": ("nacre.cli.exchange", "Read a measurement or another program's material into a recipe."),
-    "fit": ("nacre.cli.analysis", "Fit a recipe's free numbers to a measurement."),
-    "studio": ("nacre.cli.studio", "Open a live page on a recipe, on this machine only."),
+    "export": ("nacre.cli.show", "Write a material in another program's format."),
+    "import": ("nacre.cli.show", "Read a measurement or another program's material into a recipe."),
+    "fit": ("nacre.cli.analysis", "Fit parameters of a recipe to a measurement."),
+    "studio": ("nacre.cli.render", "Open a live page on a recipe, on this machine only."),
     "report": ("nacre.cli.analysis", "Report colour, gloss, haze and flop as instruments measure them."),
-    "tolerance": ("nacre.cli.analysis", "Turn manufacturing spreads into colour spread and yield."),
+    "tolerance": ("nacre.cli.analysis", "Compute colour variation and yield from manufacturing tolerances."),
     "sweep": ("nacre.cli.analysis", "Compute a material over many values of its numbers."),
     "indices": ("nacre.cli.machine", "Search and show optical constants."),
-    "examples": ("nacre.cli.examples", "List the recipes that come with nacre, or copy them."),
-    "keys": ("nacre.cli.keys", "Print what a recipe, target or sweep may hold, key by key."),
-    "cache": ("nacre.cli.machine", "Show what solved materials are kept on disk, or clear them."),
-    "doctor": ("nacre.cli.machine", "Say what works on this machine and what to do if something does not."),
+    "examples": ("nacre.cli.machine", "List the recipes that come with nacre, or copy them."),
+    "keys": ("nacre.cli.keys", "Print the keys of recipes, targets and sweeps."),
+    "cache": ("nacre.cli.machine", "Show or clear the disk cache of solved materials."),
+    "doctor": ("nacre.cli.machine", "Check this machine and say how to fix problems."),
 }
 
 
 class LazyGroup(click.Group):
-    """A group that knows its commands' names and imports a command only to run it or to show its own help."""
+    """A group that imports a command only to run it or to show its help."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return [name for name in COMMANDS if _exists(COMMANDS[name][0])]
@@ -83,24 +83,23 @@ def _exists(module: str) -> bool:
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     help="Structural colour from nanostructure to picture and back.\n\nA material is a recipe: a TOML file with a "
-    "family and its physical numbers. Start with: nacre demo --quick\n\nWork of minutes is asked about on a terminal; "
-    "--yes anywhere on the line answers.",
+    "family and its physical numbers. Start with: nacre demo --quick\n\nOn a terminal nacre asks before work of "
+    "minutes; --yes confirms.",
 )
 @click.version_option(__version__, "--version", prog_name="nacre")
 def cli() -> None:
-    """Hold the commands together; the work is in the modules of `COMMANDS`."""
+    """Group of all commands."""
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run the command line and leave the process with its status.
+    """Run the command line and exit with its status.
 
-    `--debug` anywhere on the line shows tracebacks instead of one-line errors; `--yes` answers what is asked before
-    work of minutes.
+    `--debug` shows tracebacks in place of one-line errors; `--yes` confirms work of minutes.
     """
     hold_closed_streams()
-    # imports make a million objects that all stay: searching them for garbage costs a command 0.3 s by default
+    # garbage collection of the million imported objects takes 0.3 s by default
     gc.set_threshold(GARBAGE_AFTER)
-    atexit.register(gc.freeze)  # nor are they searched once more, 0.2 s, when the process ends
+    atexit.register(gc.freeze)  # and 0.2 s at exit
     sys.exit(run(sys.argv[1:] if argv is None else argv))
 
 
@@ -128,7 +127,7 @@ def run(argv: list[str]) -> int:
         say(f"nacre{command}: {error.format_message()}")
         return STATUS_BAD_INPUT
     except BrokenPipeError:
-        # the reader of our output has gone (`nacre ... | head`): not an error, and nothing more can be said
+        # the reader of the output has ended (`nacre ... | head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except NacreError as error:
@@ -157,7 +156,7 @@ def run(argv: list[str]) -> int:
 
 
 def _say_warning(message: Warning | str, category: type[Warning], *where: Any) -> None:
-    """Say a warning of ours as all else is said: what it tells, without the line of code that told it."""
+    """Print a warning of nacre as a message, without the line of code."""
     if category.__module__.partition(".")[0] == "nacre":
         say(str(message))
     else:
@@ -165,7 +164,7 @@ def _say_warning(message: Warning | str, category: type[Warning], *where: Any) -
 
 
 def _was_interrupted(error: BaseException | None) -> bool:
-    """Whether an interrupt lies behind an error: the renderer wraps one that comes while it works."""
+    """Whether an interrupt caused an error; the renderer wraps interrupts."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return True

@@ -1,4 +1,4 @@
-"""Commands that study a material: sweep, report, tolerance, fit."""
+"""Commands that analyse a material: sweep, report, tolerance, fit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nacre.families.contract import method_overrides
 
 
 def _progress_bar(description: str) -> Any:
-    """Return a rich progress bar on stderr that is silent where stderr is not a terminal."""
+    """Return a progress bar on stderr, which is disabled if stderr is not a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -83,7 +83,7 @@ def report(
     materials = [common.load_material(recipe, changes) for recipe in recipes]
     reports = []
     with _progress_bar("report") as bar:
-        # a family that solves wavelength by wavelength shows them; one that is done at once shows nothing
+        # the bar appears only for families that report their wavelengths
         for number, material in enumerate(materials, start=1):
             task = bar.add_task("report", total=None, visible=False, info=f"{number} of {len(materials)}")
 
@@ -109,13 +109,11 @@ def report(
 @click.command()
 @click.argument("recipe")
 @click.option(
-    "--spread", "spreads", multiple=True, metavar="PATH=VALUE",
+    "--tolerance", "tolerances", multiple=True, metavar="PATH=VALUE",
     help="Standard deviation of a number, such as layers[0].thickness_nm=2% or =5; default: the recipe's [tolerance].",
 )  # fmt: skip
 @click.option("--draws", type=int, default=500, show_default=True, help="Materials drawn at random.")
-@click.option(
-    "--limit", type=float, default=1.0, show_default=True, help="CIEDE2000 difference within which a material passes."
-)
+@click.option("--limit", type=float, default=1.0, show_default=True, help="Largest accepted CIEDE2000 difference.")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--illuminant", default="D65", show_default=True, help=common.LAMPS)
 @click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
@@ -125,10 +123,10 @@ def report(
 @common.cache_option
 @common.jobs_option
 def tolerance(
-    recipe: str, spreads: tuple[str, ...], draws: int, limit: float, seed: int, illuminant: str, samples: int | None,
+    recipe: str, tolerances: tuple[str, ...], draws: int, limit: float, seed: int, illuminant: str, samples: int | None,
     as_json: bool, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
-    """Turn the manufacturing spreads of RECIPE into colour spread, yield and ranked sensitivities."""
+    """Compute colour variation, yield and ranked sensitivities from the manufacturing tolerances of RECIPE."""
     from nacre.analysis.tolerance import recipe_tolerances, run_tolerance, tolerance_document
     from nacre.core.files import check_writable, write_text
 
@@ -137,7 +135,7 @@ def tolerance(
             raise NacreError(f"-o {output}: the suffix must be .json")
         check_writable(output)
     material = common.load_material(recipe, changes)
-    found = recipe_tolerances(material, spreads)
+    found = recipe_tolerances(material, tolerances)
     with _progress_bar("tolerance") as bar:
         task = bar.add_task("tolerance", total=draws, info="")
         result = run_tolerance(
@@ -162,7 +160,7 @@ def tolerance(
                f"  (95 %: {100 * low:.1f} to {100 * high:.1f} %)")  # fmt: skip
     if document["failed_draws"]:
         click.echo(f"  {document['failed_draws']} draws could not be computed and count as outside")
-    click.echo("  what decides it (dE00 of one standard deviation, share of variance):")
+    click.echo("  sensitivities (dE00 of one standard deviation, share of variance):")
     for path, change, share in result.sensitivities:
         click.echo(f"    {path:44s} {change:8.3f}  {100 * share:5.1f} %")
 
@@ -170,36 +168,34 @@ def tolerance(
 @click.command()
 @click.argument("measurement", metavar="MEASUREMENT")
 @click.argument("recipe")
-@click.option(
-    "--free", "free", multiple=True, metavar="PATH=LOW:HIGH", help="Let the fit change a number between bounds."
-)
+@click.option("--parameter", "parameters", multiple=True, metavar="PATH=LOW:HIGH", help="Fit a number between bounds.")
 @click.option(
     "--starts",
     type=click.IntRange(1, 1000),
     default=4,
     show_default=True,
-    help="Refined starts beside the recipe's own values, which are one more.",
+    help="Refined starting points in addition to the recipe's values.",
 )
 @click.option(
     "--weights",
     type=click.Choice(["equal", "relative"]),
     default="equal",
     show_default=True,
-    help="Whether the noise is the same for all values or a share of each.",
+    help="Whether the noise is equal for all values or proportional to them.",
 )
 @click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--residual", default=None, metavar="FILE.npz", help="Store the residual map.")
-@click.option("--report", "page", default=None, metavar="FIT.html", help="Write a page: measured beside fitted.")
+@click.option("--report", "page", default=None, metavar="FIT.html", help="Write a page on measurement and fit.")
 @click.option("-o", "output", default=None, metavar="FITTED.toml", help="Default: RECIPE-fitted.toml.")
 @common.cache_option
 @common.jobs_option
 def fit(
-    measurement: str, recipe: str, free: tuple[str, ...], starts: int, weights: str, samples: int | None, seed: int,
-    as_json: bool, residual: str | None, page: str | None, output: str | None,
+    measurement: str, recipe: str, parameters: tuple[str, ...], starts: int, weights: str, samples: int | None,
+    seed: int, as_json: bool, residual: str | None, page: str | None, output: str | None,
 ) -> None:  # fmt: skip
-    """Fit the free numbers of RECIPE to MEASUREMENT (spectrum or gonio CSV)."""
+    """Fit parameters of RECIPE to MEASUREMENT (spectrum or gonio CSV)."""
     from nacre.analysis.fit import fit_parameters, read_measurement, run_fit
     from nacre.core.files import atomic_path, check_writable, short_name, write_text
     from nacre.recipe.toml import edit_toml
@@ -213,7 +209,7 @@ def fit(
             check_writable(target)
     measured = read_measurement(measurement)
     material = common.load_material(recipe)
-    numbers = fit_parameters(material, free)
+    numbers = fit_parameters(material, parameters)
     result = run_fit(
         material, measured, numbers, starts=starts, weights=weights, samples=samples, seed=seed,
         progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"),

@@ -1,4 +1,4 @@
-"""Options that commands share, and the notations for lists and sizes."""
+"""Shared options, notations for lists, messages and exit statuses."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def numbers(text: str, option: str) -> NDArray[np.float64]:
             values.append(fields[0])
         elif len(fields) == 3 and fields[2] > 0 and fields[1] >= fields[0]:
             steps = (fields[1] - fields[0]) / fields[2] + 1e-9
-            if not steps < MAX_LIST:  # endless where the step is lost against the range
+            if not steps < MAX_LIST:  # infinite if the step underflows
                 raise NacreError(f'{option} = "{text}" asks for {steps:.6g} values; at most {MAX_LIST} are allowed')
             values += list(fields[0] + fields[2] * np.arange(int(steps) + 1))
         else:
@@ -93,10 +93,10 @@ def _jobs_callback(ctx: click.Context, param: click.Parameter, value: int | None
 
 
 def jobs_option(function: F) -> F:
-    """Add `--jobs N`, which takes effect before anything heavy is imported."""
+    """Add `--jobs N`, which takes effect before numeric libraries are imported."""
     return click.option(
         "--jobs", type=int, metavar="N", is_eager=True, expose_value=False, callback=_jobs_callback,
-        help="Threads to use; default: all cores.",
+        help="Threads, or processes of a sweep; default: all cores.",
     )(function)  # fmt: skip
 
 
@@ -114,20 +114,20 @@ def cluster_options(function: F) -> F:
 
 def _no_cache_callback(ctx: click.Context, param: click.Parameter, value: bool) -> None:
     if value:
-        os.environ["NACRE_CACHE"] = "off"  # workers of a sweep inherit it
+        os.environ["NACRE_CACHE"] = "off"  # inherited by worker processes
 
 
 def cache_option(function: F) -> F:
-    """Add `--no-cache`, by which solved optics are neither taken from disk nor kept there."""
+    """Add `--no-cache`, which disables the disk cache of solved optics."""
     return click.option(
         "--no-cache", is_flag=True, is_eager=True, expose_value=False, callback=_no_cache_callback,
-        help="Solve anew, and keep nothing; see nacre cache.",
+        help="Do not use the disk cache; see nacre cache.",
     )(function)  # fmt: skip
 
 
-LAMPS = "A, C, D50, D65, E, F2, F11 or LED-B3."  # nacre.light.ILLUMINANTS, which is not loaded for a help
+LAMPS = "A, C, D50, D65, E, F2, F11 or LED-B3."  # nacre.light.ILLUMINANTS, without importing it
 
-WALKS = "Random walks a direction (pearls); default: 4096, or what the command's own question needs."
+WALKS = "Random walks per direction (pearls); default: 4096, or as many as the command needs."
 
 
 def set_option(function: F) -> F:
@@ -142,7 +142,7 @@ def load_material(recipe: str, changes: tuple[str, ...] = ()) -> Any:
     """Load a recipe, a .nacre file or a design folder, and apply `--set` changes.
 
     Raises:
-        NacreError: as `nacre.load`, or a change that cannot be read.
+        NacreError: see `nacre.load`, or a change cannot be read.
     """
     from nacre.material.material import load
 
@@ -151,7 +151,7 @@ def load_material(recipe: str, changes: tuple[str, ...] = ()) -> Any:
 
 
 def parse_change(text: str) -> tuple[str, Any]:
-    """Split `PATH=VALUE`; the value is read as TOML, and as a plain string where that fails.
+    """Split `PATH=VALUE`; the value is read as TOML, or as text if that fails.
 
     Raises:
         NacreError: no equals sign.
@@ -168,41 +168,39 @@ def parse_change(text: str) -> tuple[str, Any]:
     except tomllib.TOMLDecodeError:
         return path.strip(), value.strip()
     except (ValueError, OverflowError, RecursionError):
-        pass  # TOML, and told below
+        pass  # reported below
     return path.strip(), parse_toml(f"value = {value}", f"--set {path.strip()}")["value"]
 
 
 def note(message: str) -> None:
-    """Say something to the person; machine-readable output keeps stdout for itself."""
+    """Print a message on stderr; stdout is reserved for results."""
     say(message)
 
 
-# Exit statuses that are not 0, and how a line reaches the person: whole, on one line, and never in the way.
-
 STATUS_BAD_INPUT = 2
 STATUS_INTERRUPTED = 130
-STOPPED = "nacre: stopped; what was finished is kept"
-LONGEST_WORD = 200  # of a message: what is longer is somebody's 5,000 nines
+STOPPED = "nacre: stopped; finished results are stored"
+MAX_WORD = 200  # characters; longer words of a message are shortened
 
 
 def say(message: str) -> None:
-    """Print one line on stderr, if there is one: nobody's work fails because nobody listens."""
+    """Print one line on stderr; a closed stream is ignored."""
     with contextlib.suppress(OSError, ValueError):
         click.echo(one_line(message), err=True)
 
 
 def one_line(message: str) -> str:
-    """Return a message on one line, endless words cut short, and nothing in it that moves a terminal's cursor."""
+    """Return a message on one line, with long words shortened and control characters escaped."""
     line = " ".join(message.split())
-    line = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda word: f"{word[0][:60]}...{word[0][-20:]}", line)
+    line = re.sub(rf"\S{{{MAX_WORD},}}", lambda word: f"{word[0][:60]}...{word[0][-20:]}", line)
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in line)
 
 
 class _Closed(io.TextIOBase):
-    """Stands for a stdout that its caller closed: what is written to it is not lost in silence."""
+    """Replacement of a closed stdout that refuses output."""
 
     def write(self, text: str) -> int:
-        """Refuse.
+        """Refuse the output.
 
         Raises:
             OSError: always.
@@ -211,13 +209,13 @@ class _Closed(io.TextIOBase):
 
 
 def hold_closed_streams() -> None:
-    """Take the places of standard streams that are closed, so that no file of ours gets the number of one."""
+    """Occupy the descriptors of closed standard streams, so that no opened file receives them."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+            os.open(os.devnull, os.O_RDWR)  # receives the lowest free descriptor, which is this one
     if sys.stdout is None:
         sys.stdout = _Closed()
     if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # for the process's whole life
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # open until the process ends

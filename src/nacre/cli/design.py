@@ -1,4 +1,4 @@
-"""Commands on the way to fabrication: design and fabricate."""
+"""Commands that design and fabricate: design, gamut, fabricate."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import click
 from nacre.cli import common
 from nacre.core.errors import NacreError
 
-LONG_COMPILE_S = 3.0  # of compiling, from where it is told
-MOST_TOLD = 20  # colours of many, a line each
+LONG_COMPILE_S = 3.0  # longer compilation is reported
+MAX_LISTED = 20  # colours of a batch
 TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
 
 
 @click.command()
 @click.argument("target", metavar="TARGET.toml")
 @click.option("-o", "output", default=None, metavar="DIR", help="Default: the target's name.")
-@click.option("--resume", is_flag=True, help="Go on where a stopped run of the same target ended.")
+@click.option("--resume", is_flag=True, help="Resume a stopped run of the same target.")
 @click.option(
     "--many",
     "labs",
@@ -32,10 +32,10 @@ TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
 @common.cache_option
 @common.jobs_option
 def design(target: str, output: str | None, resume: bool, labs: str | None, as_json: bool) -> None:
-    """Find the structure with the look that TARGET asks for; the best so far is always on disk.
+    """Find a structure with the appearance of TARGET; the best solution so far is always on disk.
 
     TARGET holds [[target]] tables, for a film, pearl, metasurface or any other recipe, or a [target] table, for a
-    relief. Ctrl-C ends the search with the best answer so far.
+    relief. Ctrl-C ends the search with the best solution so far.
     """
     import os
 
@@ -55,15 +55,15 @@ def design(target: str, output: str | None, resume: bool, labs: str | None, as_j
     if as_json:
         click.echo(json.dumps(result.summary, default=str))
     if hasattr(result, "solutions"):
-        _tell_wants(result, as_json)
+        _print_solutions(result, as_json)
     else:
-        _tell_relief(result, target, as_json)
+        _print_relief(result, target, as_json)
     if "interrupted" in (result.summary.get("status"), result.summary.get("interrupted") and "interrupted"):
         raise KeyboardInterrupt
 
 
 def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bool) -> None:
-    """Design for each row of a CSV, and tell how it went."""
+    """Design for each row of a CSV and print the results."""
     from nacre.material.examples import resolve_recipe_path
     from nacre.optimise.batch import SUMMARY, TABLE, design_batch
 
@@ -75,19 +75,19 @@ def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bo
         met = sum(solution.is_met for solution in found.solutions)
         click.echo(f"{met} of {len(found.rows)} colours are met")
         pairs = list(zip(found.rows, found.solutions, strict=True))
-        if len(pairs) > MOST_TOLD:
-            pairs = sorted(pairs, key=lambda pair: -pair[1].worst.scaled)[:MOST_TOLD]
-            click.echo(f"the {MOST_TOLD} farthest; all are in {folder / TABLE}")
+        if len(pairs) > MAX_LISTED:
+            pairs = sorted(pairs, key=lambda pair: -pair[1].worst.scaled)[:MAX_LISTED]
+            click.echo(f"the {MAX_LISTED} farthest; all are in {folder / TABLE}")
         for row, solution in pairs:
             worst = solution.worst
-            missed = "" if solution.is_met else f", out of reach (within {worst.target.tolerance:g} was asked)"
+            missed = "" if solution.is_met else f", not reached (tolerance {worst.target.tolerance:g})"
             click.echo(f"  {row['name'] or row['folder']}: dE00 {worst.distance:.2f} at {worst.target.geometry} under "
                        f"{worst.lamp}{missed}   {solution.recipe.parent if solution.recipe else ''}")  # fmt: skip
     common.note(f"{folder}: {TABLE}; nacre render {folder / found.rows[0]['folder']}")
 
 
-def _tell_relief(result: Any, target: str, as_json: bool) -> None:
-    """Say what a relief's design came to, and what to do with it."""
+def _print_relief(result: Any, target: str, as_json: bool) -> None:
+    """Print the result of a relief design and the next commands."""
     from nacre.formats.calibration import PUBLISHED
 
     if not as_json:
@@ -96,10 +96,10 @@ def _tell_relief(result: Any, target: str, as_json: bool) -> None:
             f"loss {s['loss_fixed']:.5f} at the fixed scale, {s['loss_free']:.5f} at the best one "
             f"(scale {s['scale_free']:.4g}); {s['evaluations']} evaluations in {s['seconds']:.1f} s"
         )
-        for want in result.summary.get("solutions", [{"targets": []}])[0]["targets"]:
-            if want.get("de00") is not None:
-                missed = "" if want["met"] else f", out of reach so far (within {want['tolerance']:g} was asked)"
-                click.echo(f"  dE00 {want['de00']:.2f} at {want['geometry']} under {want['lamp']}{missed}")
+        for row in result.summary.get("solutions", [{"targets": []}])[0]["targets"]:
+            if row.get("de00") is not None:
+                missed = "" if row["met"] else f", not reached so far (tolerance {row['tolerance']:g})"
+                click.echo(f"  dE00 {row['de00']:.2f} at {row['geometry']} under {row['lamp']}{missed}")
     if result.summary.get("outside"):
         common.note(f"{result.folder}: {result.summary['outside']}")
     curve = result.summary.get("calibration")
@@ -109,8 +109,8 @@ def _tell_relief(result: Any, target: str, as_json: bool) -> None:
     common.note(f"{result.folder}: nacre render {result.folder}; nacre fabricate {result.folder} --to {target_format}")
 
 
-def _tell_wants(result: Any, as_json: bool) -> None:
-    """Say what a design by wants came to: the outcome in words, and each answer in a line."""
+def _print_solutions(result: Any, as_json: bool) -> None:
+    """Print the outcome of a design and one line per solution."""
     if not as_json:
         click.echo(f"{result.message} ({result.seconds:.1f} s)")
         for number, solution in enumerate(result.solutions, start=1):
@@ -126,19 +126,19 @@ def _tell_wants(result: Any, as_json: bool) -> None:
 
 
 class _Screen:
-    """One line on the terminal that follows a design: the worst want or the loss, time left."""
+    """Status line of a design on a terminal: worst target or loss, remaining time."""
 
     def __init__(self) -> None:
         from rich.console import Console
 
-        self._has_told = False
+        self._is_reported = False
         self._console = Console(stderr=True)
         self._status = self._console.status("designing") if self._console.is_terminal else None
 
     def __enter__(self) -> _Screen:
         from nacre.core.jit import on_compile
 
-        self._compile_listener = on_compile(self._tell_compiling)
+        self._compile_listener = on_compile(self._report_compiling)
         self._compile_listener.__enter__()
         if self._status:
             self._status.start()
@@ -149,14 +149,14 @@ class _Screen:
         if self._status:
             self._status.stop()
 
-    def _tell_compiling(self, seconds: float) -> None:
-        """Say once what a first run waits for."""
-        if seconds > LONG_COMPILE_S and not self._has_told:
-            self._has_told = True
-            common.note("compiling what this machine has not run yet; later runs find it ready")
+    def _report_compiling(self, seconds: float) -> None:
+        """Report once that kernels are being compiled."""
+        if seconds > LONG_COMPILE_S and not self._is_reported:
+            self._is_reported = True
+            common.note("compiling kernels for this machine; later runs reuse them")
 
     def count(self, done: int, total: int) -> None:
-        """Show how many of many designs are done."""
+        """Show how many designs of a batch are done."""
         if self._status:
             self._status.update(f"{done} of {total} colours")
 
@@ -164,7 +164,7 @@ class _Screen:
         """Show the search's progress."""
         if self._status and hasattr(progress, "worst"):
             self._status.update(
-                f"worst {progress.worst:.3g} of what was asked (1 is within), {progress.seconds:.0f} s, "
+                f"worst target at {progress.worst:.3g} of its tolerance, {progress.seconds:.0f} s, "
                 f"{progress.seconds_left:.0f} s left"
             )
         elif self._status:
@@ -179,19 +179,29 @@ class _Screen:
 @click.command()
 @click.argument("recipe")
 @click.option(
-    "--free", "free", multiple=True, metavar="PATH=A:B", help="What may change: bounds, or choices as PATH=Al,Ag."
+    "--parameter",
+    "parameters",
+    multiple=True,
+    metavar="PATH=A:B",
+    help="A number with its bounds, or a word with its choices as PATH=Al,Ag. May be repeated.",
 )
 @click.option(
-    "--at",
+    "--geometry",
     default=None,
-    help="Where it is seen: specular T, transmitted T, diffuse T, hemispherical T or IasA. Default: specular 0; of a "
-    "pearl or relief 45as15, of a photonic glass 45as45; the next of these where the recipe does not answer it.",
+    help="specular T, transmitted T, diffuse T, hemispherical T or IasA. Default: specular 0; pearl or relief 45as15, "
+    "photonic glass 45as45; the next of these if the recipe has no light there.",
 )
 @click.option("--points", type=click.IntRange(8, 1_000_000), default=1000, show_default=True, help="Materials tried.")
 @click.option(
-    "--seconds", type=click.FloatRange(1.0), default=60.0, show_default=True, help="After which what is found is shown."
+    "--seconds",
+    type=click.FloatRange(1.0),
+    default=60.0,
+    show_default=True,
+    help="Time limit of the search.",
 )
-@click.option("--within", type=float, default=2.0, show_default=True, help="dE00 within which a colour is reached.")
+@click.option(
+    "--tolerance", type=float, default=2.0, show_default=True, help="dE00 up to which a colour counts as reached."
+)
 @click.option("--illuminant", default="D65", show_default=True, help=common.LAMPS)
 @click.option("--observer", type=click.Choice(["2deg", "10deg"]), default="10deg", show_default=True)
 @click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
@@ -202,10 +212,10 @@ class _Screen:
 @common.cache_option
 @common.jobs_option
 def gamut(
-    recipe: str, free: tuple[str, ...], at: str | None, points: int, seconds: float, within: float, illuminant: str,
-    observer: str, samples: int | None, seed: int, as_json: bool, output: str | None, changes: tuple[str, ...],
+    recipe: str, parameters: tuple[str, ...], geometry: str | None, as_json: bool, output: str | None,
+    changes: tuple[str, ...], **search: Any,
 ) -> None:  # fmt: skip
-    """Show the colours that the free numbers of RECIPE can reach, in a*b* and xy, and their share of all colours."""
+    """Show the colours that RECIPE reaches with its parameters, in a*b* and xy, and their share of all colours."""
     from nacre.core.files import check_writable, short_name, write_text
     from nacre.optimise.gamut import find_gamut, gamut_chart, gamut_page, parse_parameters
 
@@ -215,10 +225,7 @@ def gamut(
             raise NacreError(f"-o {path}: the suffix must be .png, .pdf, .svg, .json or .html")
         check_writable(path)
     material = common.load_material(recipe, changes)
-    found = find_gamut(
-        material, parse_parameters(free), at, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
-        tolerance=within, samples=samples, seed=seed,
-    )  # fmt: skip
+    found = find_gamut(material, parse_parameters(parameters), geometry, **search)
     if path is not None:
         if path.suffix == ".json":
             write_text(path, json.dumps(found.document(), indent=1) + "\n")
@@ -232,14 +239,15 @@ def gamut(
         click.echo(json.dumps(found.document()))
     else:
         low, high = found.lab.min(axis=0), found.lab.max(axis=0)
-        click.echo(f"{material.name}: {found.geometry}, {illuminant}, {observer} observer, {len(found.lab)} points")
+        click.echo(f"{material.name}: {found.geometry}, {search['illuminant']}, {search['observer']} observer, "
+                   f"{len(found.lab)} points")  # fmt: skip
         click.echo("  " + ", ".join(f"{n} {a:.0f} to {b:.0f}" for n, a, b in zip(("L*", "a*", "b*"), low, high)))
-        click.echo(f"  within dE00 {within:g}: {100 * found.share_of_srgb:.1f} % of the colours of sRGB, "
+        click.echo(f"  within dE00 {search['tolerance']:g}: {100 * found.share_of_srgb:.1f} % of the colours of sRGB, "
                    f"{100 * found.share_of_optimal:.1f} % of the optimal colours")  # fmt: skip
         tried = len(found.lab) + found.failed
-        points = points if found.possible is None else found.possible
+        points = search["points"] if found.possible is None else found.possible
         if tried < points:
-            click.echo(f"  stopped after {seconds:g} s: {tried} of {points} points; --seconds gives it more")
+            click.echo(f"  stopped after {search['seconds']:g} s: {tried} of {points} points; --seconds gives it more")
         if found.failed:
             click.echo(f"  {found.failed} points could not be computed")
     if path is not None:
@@ -254,13 +262,16 @@ def gamut(
     "--calibration",
     multiple=True,
     metavar="CSV|published",
-    help="Of heights: grey value against depth in um; default: linear, 65535 the top, 0 the deepest point. Of numbers "
-    "that an image gives: setting of the machine against value, as volts, nm; of several PATH=CSV each.",
+    help="Heights: grey value against depth in um; default: linear, 65535 is the top, 0 the deepest point. Numbers "
+    "from an image: machine setting against value, such as volts, nm; for several numbers PATH=CSV each.",
 )
-@click.option("--size-mm", default=None, metavar="WxH", help="Tile the pattern over an area; of a picture: its size.")
-@click.option("--levels", type=click.IntRange(2, 256), default=None, help="gds, oas: levels of height, or of value.")
+@click.option("--size-mm", default=None, metavar="WxH", help="Tile the pattern over an area; for a picture: its size.")
+@click.option("--levels", type=click.IntRange(2, 256), default=None, help="gds, oas: number of heights or values.")
 @click.option(
-    "--seed", type=click.IntRange(0, 2**32 - 1), default=None, help="Of a metasurface's points; default: the recipe's."
+    "--seed",
+    type=click.IntRange(0, 2**32 - 1),
+    default=None,
+    help="Seed of random points; default: the recipe's.",
 )
 @common.cache_option
 @common.jobs_option
@@ -291,14 +302,14 @@ def fabricate(
         common.note(str(file))
     if target in ("png16", "tiff16"):
         for beside in (file for file in written if file.suffix == ".json"):
-            _tell_curve(beside)
+            _print_curve(beside)
 
 
 def _curves(given: tuple[str, ...]) -> str | dict[str, str | Path] | None:
-    """Return the one curve, or a table of those that name their number.
+    """Return one calibration curve, or a table of curves by recipe path.
 
     Raises:
-        NacreError: several curves, not all of which do.
+        NacreError: one of several curves has no path.
     """
     if len(given) < 2 and not (given and "=" in given[0] and not Path(given[0]).exists()):
         return given[0] if given else None
@@ -311,8 +322,8 @@ def _curves(given: tuple[str, ...]) -> str | dict[str, str | Path] | None:
     return table
 
 
-def _tell_curve(beside: Path) -> None:
-    """Say which curve the grey values follow, and how far it goes."""
+def _print_curve(beside: Path) -> None:
+    """Print the calibration curve of the grey values and its range."""
     facts = json.loads(beside.read_text(encoding="utf-8"))
     if "depth_um" not in facts:
         unit = facts["setting"] if "setting" in facts else facts["unit"] or ""

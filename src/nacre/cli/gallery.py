@@ -1,6 +1,6 @@
-"""Everything nacre shows in one run: pictures, figures, animations, a design, and a sheet with all of them.
+"""The gallery of `nacre demo`: pictures, figures, animations, a design and a contact sheet.
 
-What is shown is data: `examples/gallery.toml` names the recipes and the scenes.
+`examples/gallery.toml` lists the recipes and scenes.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from nacre.recipe.toml import parse_toml
 FULL_SIZE, QUICK_SIZE = 1024, 224
 FULL_FRAME, QUICK_FRAME = 512, 128
 FULL_FRAMES, QUICK_FRAMES = 24, 8
-# samples a pixel, as few as the denoiser makes clean; by number, so that the pictures are the same on every machine
+# samples per pixel, sufficient for the denoiser; fixed, so that pictures are equal on all machines
 FULL_SPP, QUICK_SPP = 12, 24
 FULL_FRAME_SPP, QUICK_FRAME_SPP = 6, 12
-# seconds that a still, a frame, and twelve samples of a still take besides, on two cores: what is left is told by them
+# seconds of a still, a frame, and twelve further samples on two cores, for the remaining time
 STILL_S = {False: 10.0, True: 3.0}
 FRAME_S = {False: 3.0, True: 0.4}
 SAMPLES_S = {False: 8.0, True: 1.0}
-# the sheet: cells in full and in quick runs, a row at most of so many; the rest for cells of 320
+# contact sheet: cell sizes of full and quick runs, cells per row; other sizes for cells of 320
 FULL_CELL, QUICK_CELL, MOST_COLUMNS = 480, 320, 6
 GAP, CAPTION, LINE, FONT = 16, 46, 19, 15
 Report = Callable[["Item", int, int, float, float], None]  # item, number, total, seconds spent, seconds left
@@ -66,13 +66,13 @@ class PictureSpec(RecipeModel):
 
 
 class AnimationSpec(PictureSpec):
-    """An animation: what moves."""
+    """An animation."""
 
     animate: str = pydantic.Field(description="what moves: light, view, or PATH=A:B of a number of the recipe")
 
 
 class RowSpec(RecipeModel):
-    """An animation of several materials at once, in rows, under one light and one exposure."""
+    """An animation of several materials in rows, with one light and one exposure."""
 
     recipes: list[str] = pydantic.Field(min_length=1, description="files of the recipes that are shown together")
     columns: Annotated[int, pydantic.Field(ge=1)] = pydantic.Field(description="number of materials in a row")
@@ -98,7 +98,7 @@ class PlotSpec(RecipeModel):
 
 
 class DesignSpec(RecipeModel):
-    """A design: its target file, and the seconds that it may take."""
+    """A design: target file and time limit in seconds."""
 
     target: str = pydantic.Field(description="file of the target")
     title: str = pydantic.Field(description="caption on the contact sheet")
@@ -107,7 +107,7 @@ class DesignSpec(RecipeModel):
 
 
 class GallerySpec(RecipeModel):
-    """What `nacre demo` shows, as in examples/gallery.toml."""
+    """The items of `nacre demo`, as in examples/gallery.toml."""
 
     picture: list[PictureSpec] = pydantic.Field(default=[], description="the stills")
     animation: list[AnimationSpec] = pydantic.Field(default=[], description="the animations of one material")
@@ -118,7 +118,7 @@ class GallerySpec(RecipeModel):
 
 @dataclass(frozen=True)
 class Item:
-    """One thing to make: its title, its file, its cost in arbitrary units, and how to make it."""
+    """One item: title, file, cost in arbitrary units, and the function that makes it."""
 
     title: str
     path: Path
@@ -130,7 +130,7 @@ def load_gallery(folder: Path) -> GallerySpec:
     """Read `gallery.toml` of a folder of recipes.
 
     Raises:
-        RecipeError: it is not what it should be.
+        RecipeError: it is not valid.
     """
     path = folder / "gallery.toml"
     text = read_text(path, "gallery")
@@ -139,7 +139,7 @@ def load_gallery(folder: Path) -> GallerySpec:
 
 
 def plan(folder: Path, out: Path, is_quick: bool) -> list[Item]:
-    """Return what the demo makes, in order."""
+    """Return the items in order."""
     gallery = load_gallery(folder)
     items = [_design(folder, out, d, is_quick) for d in gallery.design if d.quick or not is_quick]
     items += [_picture(folder, out, p, is_quick) for p in gallery.picture if p.quick or not is_quick]
@@ -153,7 +153,7 @@ def run_demo(out: Path, is_quick: bool, report: Report) -> list[Path]:
     """Make everything and the contact sheet; return the files.
 
     Args:
-        out: folder, made if it does not exist.
+        out: folder, created if needed.
         is_quick: small pictures of the quick items only.
         report: called before each item with (item, number, total, seconds spent, seconds left).
 
@@ -170,7 +170,7 @@ def run_demo(out: Path, is_quick: bool, report: Report) -> list[Path]:
     spent, total = 0.0, sum(item.cost for item in items)
     for number, item in enumerate(items):
         seconds = time.monotonic() - start
-        # before anything is finished the cost units are seconds of a common two-core machine
+        # before the first item is finished, cost units are seconds of a two-core machine
         left = (total - spent) * (seconds / spent if spent > 0 else 1.0)
         report(item, number + 1, len(items), seconds, left)
         item.make()
@@ -236,7 +236,7 @@ def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
             )
             if made.interrupted:
                 raise KeyboardInterrupt
-            # one exposure for all, or the pairs could not be compared
+            # one exposure for all, for comparison
             exposure = float(read_provenance(made.frames[0])["exposure_stops"])
             parts.append(made.frames)
         folder_of_frames = path.with_name(f"{path.stem}_frames")
@@ -250,7 +250,7 @@ def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
 
 
 def tile(pictures: Sequence[Path], columns: int, path: Path) -> None:
-    """Put pictures of one size beside each other, row by row.
+    """Arrange pictures of equal size in rows.
 
     Raises:
         NacreError: the file cannot be written.
@@ -270,12 +270,12 @@ def tile(pictures: Sequence[Path], columns: int, path: Path) -> None:
 
 
 def _size(width: int, ratio: float) -> tuple[int, int]:
-    """Return width and height; both even, as films need them."""
+    """Return width and height, both even, as video formats require."""
     return width, 2 * round(0.5 * ratio * width)
 
 
 def _rendered(material: Any, **options: Any) -> None:
-    """Render one picture of many: an interrupt that ends it, or comes at its end, ends them all."""
+    """Render one picture; an interrupt ends the whole run."""
     from nacre.picture import interrupt
     from nacre.picture.picture import render
 
@@ -320,7 +320,7 @@ def _design(folder: Path, out: Path, spec: DesignSpec, is_quick: bool) -> Item:
 
 
 def _find(folder: Path, out: Path, recipe: str) -> Any:
-    """Load a recipe of the examples, or a design that this run has made."""
+    """Load an example recipe, or a design of this run."""
     from nacre.material.material import load
 
     made = out / recipe
@@ -329,7 +329,7 @@ def _find(folder: Path, out: Path, recipe: str) -> Any:
 
 @functools.lru_cache(maxsize=4)
 def _solved(folder: Path, out: Path, recipe: str, quality: str | None) -> Any:
-    """Solve a recipe once for the pictures that follow one another; a few materials fill much memory."""
+    """Return the Bsdf of a recipe; few are cached, to save memory."""
     material = _find(folder, out, recipe)
     return (material.vary({"quality": quality}) if quality else material).bsdf()
 
@@ -342,7 +342,7 @@ def _look(spec: PictureSpec) -> dict[str, Any]:
 
 
 def contact_sheet(pictures: list[tuple[str, Path]], path: Path, cell: int = QUICK_CELL) -> None:
-    """Lay pictures out in rows with their titles; the longer side of each gets `cell` pixels.
+    """Arrange pictures with titles in rows; the longer side of each has `cell` pixels.
 
     Raises:
         NacreError: the file cannot be written.

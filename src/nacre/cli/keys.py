@@ -1,4 +1,4 @@
-"""`nacre keys`: the keys' reference that recipes, targets and sweeps may hold, and a JSON Schema for editors."""
+"""`nacre keys`: reference of the keys of recipes, targets and sweeps, and JSON Schemas for editors."""
 
 from __future__ import annotations
 
@@ -22,49 +22,49 @@ from nacre.recipe.path_tables import StudySpec
 
 WIDTH = 79
 MUST = "must be given"
-# kinds of files beside recipes -> what reads them
+# file types other than recipes -> their models
 OTHER_FILES = {
     "relief-design": "nacre.optimise.relief.target:TargetSpec",
     "design": "nacre.optimise.spec:DesignSpec",
     "sweep": "nacre.analysis.sweep_plan:SweepSpec",
     "gallery": "nacre.cli.gallery:GallerySpec",
 }
-# forms that stand inside many tables
+# forms that are used in many tables
 SHARED: dict[str, type[RecipeModel]] = {"index": IndexSpec, "texture": TextureSpec}
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of file, or a form that stands inside many: its name and the models of its keys."""
+    """A file type or shared form: its name and the models of its keys."""
 
     name: str
     models: tuple[type[RecipeModel], ...]
 
     @property
     def model(self) -> type[RecipeModel]:
-        """The model that is its own; a recipe's second one holds what every recipe may."""
+        """The main model; the second model of a recipe holds the keys of all recipes."""
         return self.models[0]
 
     @property
     def is_recipe(self) -> bool:
-        """Whether it is a family of recipes, which `family` at their top tells."""
+        """Whether it is a family of recipes."""
         return len(self.models) > 1
 
     def varies(self, place: str) -> bool:
-        """Whether a recipe may give a texture at a place that takes a plain number otherwise."""
+        """Whether a recipe may give a texture in place of the number at a path."""
         return place in self.model.varies_by_nodes or f"{place}[]" in self.model.varies_by_nodes
 
 
 def kind_names() -> tuple[str, ...]:
-    """Return all kinds: families, with those of other packages, other files, shared forms."""
+    """Return all families, including those of other packages, other file types and shared forms."""
     return (*family_names(), *OTHER_FILES, *SHARED)
 
 
 def kind(name: str) -> Kind:
-    """Return a kind by its name.
+    """Return a file type or form by its name.
 
     Raises:
-        NacreError: there is none; with a guess.
+        NacreError: it does not exist; with a suggestion.
     """
     if name in SHARED:
         return Kind(name, (SHARED[name],))
@@ -77,10 +77,10 @@ def kind(name: str) -> Kind:
 
 
 def editor_schema(name: str | None = None) -> dict[str, Any]:
-    """Return the JSON Schema (draft-07) of one kind of file, or of every recipe, target and sweep.
+    """Return the JSON Schema (draft-07) of one file type, or of all recipes, targets and sweeps.
 
     Raises:
-        NacreError: there is no such kind.
+        NacreError: the file type does not exist.
     """
     from nacre.recipe.schema import json_schema, one_of_files
 
@@ -96,9 +96,9 @@ def editor_schema(name: str | None = None) -> dict[str, Any]:
 @click.option("--schema", is_flag=True, help="Write a JSON Schema, by which editors complete and check TOML.")
 @click.option("--json", "as_json", is_flag=True, help="Print the keys as JSON.")
 def keys(path: str | None, schema: bool, as_json: bool) -> None:
-    """Print what a recipe, target or sweep may hold: key, unit, range, default, meaning, a snippet.
+    """Print the keys of a recipe, target or sweep: unit, range, default, meaning and an example.
 
-    Such as: nacre keys, nacre keys film, nacre keys pearl.strata.platelets, nacre keys index
+    Examples: nacre keys, nacre keys film, nacre keys pearl.strata.platelets, nacre keys index
     """
     name, _, place = (path or "").partition(".")
     if schema:
@@ -190,13 +190,13 @@ def _forms(model: type[RecipeModel]) -> Iterator[str]:
 
 
 def value_text(found: Kind, place: str, key: Key) -> str:
-    """Say what may stand at a key, with its range."""
+    """Return type and range of a key in words."""
     return f"{key.value} or texture" if found.varies(place) and "texture" not in key.value else key.value
 
 
 def default_text(found: Kind, place: str, key: Key) -> str:
-    """Say what holds where a key is left out."""
-    # a recipe is told by its family; a model knows its own name
+    """Return the default of a key in words."""
+    # `family` identifies a recipe and must be given
     if key.default is None or (found.is_recipe and place.lstrip(".") == "family"):
         return MUST
     return f"default {key.default}" if key.default else "may be left out"
@@ -208,7 +208,7 @@ def _snippet(path: str, value: object) -> Iterator[str]:
 
 
 def _wrapped(text: str, indent: str) -> list[str]:
-    # a path is not cut at its hyphens; what is longer than a line stays whole
+    # paths are not broken at hyphens, and long words are not broken
     return textwrap.wrap(
         text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
@@ -220,7 +220,7 @@ def _hanging(head: str, text: str, indent: str | None = None) -> list[str]:
 
 
 def _chosen(found: Kind, place: str) -> Iterator[tuple[Kind, str, Key]]:
-    """Yield a key and all below it, or all keys of a kind."""
+    """Yield a key and all keys below it, or all keys of a file type."""
     models: Sequence[type[RecipeModel]] = found.models
     start = ""
     if place:

@@ -1,8 +1,10 @@
-"""Commands about the machine and the data: `nacre doctor`, `nacre indices`."""
+"""Commands about the installation: doctor, indices, examples, cache."""
 
 from __future__ import annotations
 
 import json
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
 @common.jobs_option
 def doctor(as_json: bool) -> None:
-    """Say what works on this machine and what to do if something does not."""
+    """Check this machine and say how to fix problems."""
     from nacre.device.doctor import examine
 
     findings = examine()
@@ -31,7 +33,7 @@ def doctor(as_json: bool) -> None:
         if finding.advice:
             click.echo(f"      {''.ljust(width)}  -> {finding.advice}")
     bad = [finding for finding in findings if finding.state == "bad"]
-    click.echo("everything works" if not bad else f"{len(bad)} thing{'s' * (len(bad) > 1)} to mend, see above")
+    click.echo("everything works" if not bad else f"{len(bad)} problem{'s' * (len(bad) > 1)}, see above")
 
 
 @click.group()
@@ -66,7 +68,7 @@ def _range(range_nm: tuple[float, float]) -> str:
 @click.option("-o", "output", metavar="FILE", help="Also draw n and k to FILE (.png or .pdf).")
 @click.option("--json", "as_json", is_flag=True, help="Print the values as JSON.")
 def indices_show(name: str, output: str | None, as_json: bool) -> None:
-    """Show where an optical constant comes from, its range and its values."""
+    """Show source, range and values of an optical constant."""
     import numpy as np
 
     from nacre.core.files import check_writable
@@ -101,38 +103,38 @@ def indices_show(name: str, output: str | None, as_json: bool) -> None:
 
 
 @click.command()
-@click.option("--clear", is_flag=True, help="Remove everything that is kept.")
+@click.option("--clear", is_flag=True, help="Remove all entries.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def cache(clear: bool, as_json: bool) -> None:
-    """Show where solved materials are kept on disk and how much there is; --clear removes them.
+    """Show folder and size of the disk cache of solved materials; --clear empties it.
 
-    Beside whole materials there are parts: patterns of an ensemble, T-matrices, from which a stopped run goes on.
-    The folder is $NACRE_CACHE, or nacre in the user's cache folder; NACRE_CACHE=off keeps nothing.
+    Besides whole materials it holds parts, such as patterns of an ensemble and T-matrices, with which a stopped run is
+    resumed. The folder is $NACRE_CACHE, or nacre in the user's cache folder; NACRE_CACHE=off disables the cache.
     """
-    from nacre.core import disk_cache as kept
+    from nacre.core import disk_cache
 
-    folder = kept.cache_folder()
-    before = kept.entries(folder) if folder else []
-    removed = kept.clear(folder) if clear and folder else 0
-    found = kept.entries(folder) if folder else []
+    folder = disk_cache.cache_folder()
+    before = disk_cache.entries(folder) if folder else []
+    removed = disk_cache.clear(folder) if clear and folder else 0
+    found = disk_cache.entries(folder) if folder else []
     total = sum(size for _, size, _ in found)
-    materials = sum(kept.is_material(path) for _, _, path in found)
+    materials = sum(disk_cache.is_material(path) for _, _, path in found)
     if as_json:
         click.echo(json.dumps({
             "folder": None if folder is None else str(folder), "entries": len(found), "materials": materials,
-            "parts": len(found) - materials, "bytes": total, "most_bytes": kept.MAX_BYTES, "removed": removed,
+            "parts": len(found) - materials, "bytes": total, "most_bytes": disk_cache.MAX_BYTES, "removed": removed,
         }))  # fmt: skip
         return
     if folder is None:
         click.echo("off: NACRE_CACHE=off")
         return
     gone = f"; removed: {_in_words(before)}" if clear else ""
-    room = f"{total / 1e6:.1f} of at most {kept.MAX_BYTES / 1e6:.0f} MB"
+    room = f"{total / 1e6:.1f} of at most {disk_cache.MAX_BYTES / 1e6:.0f} MB"
     click.echo(f"{folder}: {_in_words(found)}, {room}{gone}")
 
 
 def _in_words(entries: list[tuple[float, int, Path]]) -> str:
-    """Return how many materials the entries are, and how many parts that materials are made of."""
+    """Return the numbers of whole materials and of parts in words."""
     from nacre.core.disk_cache import is_material
 
     materials = sum(is_material(path) for _, _, path in entries)
@@ -141,4 +143,42 @@ def _in_words(entries: list[tuple[float, int, Path]]) -> str:
     return f"{materials} material{'s' * (materials != 1)}{also}"
 
 
-commands = {"doctor": doctor, "indices": indices, "cache": cache}
+@click.command()
+@click.argument("names", metavar="[NAME]...", nargs=-1)
+@click.option("-o", "folder", default=None, metavar="DIR", help="Copy them there, with the files that they name.")
+@click.option("--json", "as_json", is_flag=True, help="Print the list as JSON.")
+def examples(names: tuple[str, ...], folder: str | None, as_json: bool) -> None:
+    """List the recipes that come with nacre, or copy them.
+
+    Commands accept the names in place of recipe files: nacre render soap. NAME selects names and families that contain
+    it; with -o the named examples, or all, are copied.
+    """
+    from nacre.material.examples import copy_examples
+    from nacre.material.examples import examples as shipped
+
+    if folder is not None:
+        written = copy_examples(list(names), Path(folder))
+        common.note(f"{folder}: {len(written)} files")
+        return
+    found = [e for e in shipped() if not names or any(n in e.name or n == e.family for n in names)]
+    if as_json:
+        fields = ("name", "family", "about")
+        click.echo(json.dumps([{f: getattr(e, f) for f in fields} | {"path": str(e.path)} for e in found], indent=2))
+        return
+    width = max((len(e.name) for e in found), default=0)
+    columns = max(60, _terminal_width() - width - 16)
+    for e in found:
+        about = e.about if len(e.about) <= columns else e.about[: columns - 3].rstrip() + "..."
+        click.echo(f"{e.name:{width}s}  {e.family:11s}  {about}")
+    if not found:
+        common.note(f"no example is called {', '.join(names)}")
+
+
+def _terminal_width() -> int:
+    try:
+        return os.get_terminal_size().columns
+    except OSError:
+        return 120
+
+
+commands = {"doctor": doctor, "indices": indices, "cache": cache, "examples": examples}

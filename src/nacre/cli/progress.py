@@ -1,4 +1,4 @@
-"""Work of minutes on the command line: told, asked about on a terminal, and followed while it runs."""
+"""Work of minutes on the command line: confirmation on a terminal, and progress."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import click
 
 from nacre.cli.common import one_line, say
 
-ASK_S = 60.0  # work that takes longer is asked about where a person can answer
-PACE_S = 30.0  # between lines where nobody sees a line that changes
-BUSY = 1.5  # by the clock over what the work takes of free cores, from where both are told
+ASK_S = 60.0  # longer work needs confirmation on a terminal
+PACE_S = 30.0  # between lines without a terminal
+BUSY = 1.5  # ratio of wall time to time on free cores, above which both are reported
 
 
 def listener(yes: bool) -> Callable[[str, float], None]:
-    """Return what hears of long work.
+    """Return the listener for long work.
 
     Args:
-        yes: go on without asking.
+        yes: whether the user has confirmed.
     """
 
     def hear(what: str, seconds: float) -> None:
         say(what)
         is_terminal = _is_terminal()
         if seconds > ASK_S and not yes and is_terminal:
-            # the answer goes to the terminal's own stream: stdout belongs to the command's output
+            # stdout is reserved for results
             click.confirm("Go on? (--yes answers)", default=True, abort=True, err=True)
         if is_terminal:
             _follow()
@@ -41,9 +41,9 @@ def _is_terminal() -> bool:
 
 
 def _report() -> None:
-    """Say in a line of its own, every half minute at most, how many parts are done and how long the rest may take.
+    """Print finished parts and remaining time at most every half minute.
 
-    Other work on the machine slows the clock's time, not the processor's: where they differ much, both are told.
+    On a busy machine both the wall time and the time on free cores are reported.
     """
     from nacre.core import parallel
     from nacre.core.progress import duration
@@ -51,11 +51,11 @@ def _report() -> None:
     begun = said = time.monotonic()
     spent = time.process_time()
 
-    def tell(done: int, total: int) -> None:
+    def report(done: int, total: int) -> None:
         nonlocal said
         now = time.monotonic()
         if done == total:
-            parallel.remove_progress_listener(tell)
+            parallel.remove_progress_listener(report)
             say(f"{total} of {total} patterns, after {duration(now - begun)}")
         elif now - said >= PACE_S:
             said = now
@@ -66,16 +66,16 @@ def _report() -> None:
                 left = f"about {duration(free)} left on free cores, {duration(by_clock)} as busy as it is"
             say(f"{done} of {total} patterns, {left}")
 
-    parallel.add_progress_listener(tell)
+    parallel.add_progress_listener(report)
 
 
 def _follow() -> None:
-    """Show how many parts are done, on one line, until the last one is."""
+    """Show the number of finished parts on one line."""
     from nacre.core import parallel
 
-    def tell(done: int, total: int) -> None:
+    def report(done: int, total: int) -> None:
         click.echo(f"\r{one_line(f'{done} of {total} patterns')} ", nl=done == total, err=True)
         if done == total:
-            parallel.remove_progress_listener(tell)
+            parallel.remove_progress_listener(report)
 
-    parallel.add_progress_listener(tell)
+    parallel.add_progress_listener(report)

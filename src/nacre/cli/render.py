@@ -1,4 +1,4 @@
-"""`nacre render`: a material on an object, as a picture or an animation."""
+"""Commands that show a material: render, demo, studio."""
 
 from __future__ import annotations
 
@@ -156,4 +156,45 @@ def _summary(path: Path, stats: Mapping[str, Any]) -> str:
     return line + (f", {clipped} pixels clipped into sRGB" if clipped else "")
 
 
-commands = {"render": render}
+@click.command()
+@click.option("--out", default="demo", show_default=True, metavar="DIR")
+@click.option("--quick", is_flag=True, help="Small pictures of a few recipes, in about a minute.")
+@common.jobs_option
+def demo(out: str, quick: bool) -> None:
+    """Make pictures, figures and animations of every example recipe, and a contact sheet."""
+    from nacre.cli.gallery import run_demo
+
+    def show(item: Any, number: int, total: int, seconds: float, left: float) -> None:
+        common.note(f"[{number:2d}/{total}] {_clock(seconds)} spent, about {_clock(left)} left: {item.title}")
+
+    files = run_demo(Path(out), quick, show)
+    common.note(f"{len(files)} files in {out}; begin with {files[0]}")
+
+
+def _clock(seconds: float) -> str:
+    return f"{int(seconds // 60)}:{int(seconds % 60):02d}"
+
+
+@click.command()
+@click.argument("what", metavar="[RECIPE|FOLDER]", required=False)
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=None, metavar="N",
+    help="Listen on this port, 0 for any that is free; default: 8642, or any.",
+)  # fmt: skip
+@click.option("--no-browser", is_flag=True, help="Only print the address, and open nothing.")
+@common.jobs_option
+def studio(what: str | None, port: int | None, no_browser: bool) -> None:
+    """Open a live page on a RECIPE, or on a FOLDER of recipes, in the browser.
+
+    Prints one address with a secret token and serves until Ctrl-C. Recipes are read from and saved to the folder;
+    default: the current one. Needs no network.
+    """
+    from nacre.studio.folder import OpenedFolder
+
+    opened = OpenedFolder.of(what)
+    from nacre.studio.server import serve
+
+    serve(opened, port, not no_browser)
+
+
+commands = {"render": render, "demo": demo, "studio": studio}

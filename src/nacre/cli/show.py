@@ -1,4 +1,4 @@
-"""Commands that answer with numbers or a figure: spectrum, evaluate, plot, compile."""
+"""Commands that evaluate, draw, store and convert a material: spectrum, evaluate, plot, compile, export, import."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ import numpy as np
 
 from nacre.cli import common
 from nacre.core.errors import NacreError, UnsupportedError
+from nacre.formats.export_formats import EXPORTS, FOLDER, export_remarks
 
 PLOT_KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
     "field", "scattering", "structure", "platelet", "microscope",
 )  # fmt: skip
-STEPS, TRACK_STEPS = {"colour-map": 61, "ribbon": 91, "spectrum": 6}, 11  # of a range without a step
+STEPS, TRACK_STEPS = {"colour-map": 61, "ribbon": 91, "spectrum": 6}, 11  # for a range without a step
 NO_DIRECTIONS = "is not an .npz file of numbers (wi[N,3], wo[N,3] and, if need be, uv[N,2])"
 SWEEP_ONLY_KINDS = ("gamut", "parallel")
 SWEEP_KINDS = ("gamut", "colour-map", "parallel")
@@ -173,7 +174,7 @@ def plot(
     recipe: str, kind: str | None, angles_deg: str | None, wavelengths_nm: str | None, illuminant: str,
     over: str | None, lightness: float | None, part: str | None, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
-    """Draw a figure of RECIPE, of publication quality, or of a sweep: gamut, colour-map or parallel coordinates."""
+    """Draw a figure of RECIPE in publication quality, or of a sweep: gamut, colour-map or parallel coordinates."""
     from nacre.core.files import check_writable, short_name
     from nacre.plot.material import plot_material
 
@@ -216,7 +217,7 @@ def plot(
 
 
 def _over(text: str | None, kind: str) -> tuple[str, np.ndarray] | None:
-    """Read `--over PATH=VALUES`; a range without a step is shared out evenly."""
+    """Read `--over PATH=VALUES`; a range without a step is divided evenly."""
     if text is None:
         return None
     path, equals, values = text.rpartition("=")
@@ -239,7 +240,7 @@ def _over(text: str | None, kind: str) -> tuple[str, np.ndarray] | None:
 @common.cache_option
 @common.jobs_option
 def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, changes: tuple[str, ...]) -> None:
-    """Solve RECIPE once and store its BSDF, to be rendered many times."""
+    """Solve RECIPE and store its BSDF for repeated rendering."""
     from nacre.core.files import check_writable, short_name
 
     path = Path(output) if output else Path(f"{short_name(recipe)}.nacre")
@@ -256,4 +257,71 @@ def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, change
     common.note(str(path))
 
 
-commands = {"spectrum": spectrum, "evaluate": evaluate, "plot": plot, "compile": compile_}
+@click.command()
+@click.argument("recipe")
+@click.option("--to", "target", required=True, type=click.Choice(sorted(EXPORTS)))
+@click.option(
+    "-o", "output", default=None, metavar="FILE", help="Default: RECIPE with the format's suffix; lut: a folder."
+)
+@click.option("--angle-step-deg", type=click.FloatRange(0.5, 30), default=10.0, show_default=True, help="csv: grid.")
+@click.option("--wavelength-nm", type=float, default=None, help="zemax: one wavelength instead of XYZ.")
+@click.option("--illuminant", default=None, help="lut: the lamp that the colours are for.  [default: D65]")
+@click.option("--json", "as_json", is_flag=True, help="Print what was written and what was lost, as JSON.")
+@common.set_option
+@common.cache_option
+@common.jobs_option
+def export(
+    recipe: str, target: str, output: str | None, angle_step_deg: float, wavelength_nm: float | None,
+    illuminant: str | None, as_json: bool, changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Write RECIPE in the format of another program and list the properties that it cannot hold."""
+    from nacre.analysis.import_export import export_material
+    from nacre.core.files import check_writable, short_name
+    from nacre.formats.lut.write import check_folder
+
+    path = Path(output) if output else Path(f"{short_name(recipe)}{EXPORTS[target]}")
+    options: dict[str, Any] = {"angle_step_deg": angle_step_deg, "wavelength_nm": wavelength_nm}
+    if target == FOLDER:
+        check_folder(path)
+        options |= {"illuminant": illuminant or "D65", "progress": lambda what: common.note(f"{what} ...")}
+    else:
+        if illuminant is not None:
+            raise NacreError(f"--illuminant {illuminant}: is for --to lut; {target} holds no colours of one lamp")
+        check_writable(path)
+    material = common.load_material(recipe, changes)
+    facts = export_material(material, target, path, **options)
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    common.note(str(path))
+    for line in export_remarks(facts):
+        common.note(line)
+
+
+@click.command(name="import")
+@click.argument("file", metavar="FILE")
+@click.option("-o", "output", default=None, metavar="RECIPE.toml", help="Default: FILE with the suffix .toml.")
+@common.cache_option
+@common.jobs_option
+def import_(file: str, output: str | None) -> None:
+    """Read a measurement or a material of another program and write a recipe for it."""
+    from nacre.analysis.import_export import import_material
+    from nacre.core.files import check_writable
+
+    path = Path(output) if output else Path(f"{Path(file).stem}.toml")
+    if path.suffix != ".toml":
+        raise NacreError(f"-o {path}: the suffix must be .toml")
+    check_writable(path)
+    for line in import_material(Path(file), path):
+        common.note(line)
+    common.note(str(path))
+
+
+commands = {
+    "spectrum": spectrum,
+    "evaluate": evaluate,
+    "plot": plot,
+    "compile": compile_,
+    "export": export,
+    "import": import_,
+}

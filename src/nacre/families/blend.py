@@ -1,4 +1,4 @@
-"""The recipe of a blend: two materials and a mask over the surface."""
+"""Blends: two materials and a mask over the surface."""
 
 from __future__ import annotations
 
@@ -20,22 +20,19 @@ from nacre.recipe.model import RecipeContext, RecipeModel
 
 
 class PartSpec(RecipeModel):
-    """A material of the blend: another recipe, by its file or as a table with the family's keys."""
+    """A part of the blend: another recipe, as a file or as a table with its family's keys."""
 
     forms: ClassVar[tuple[str, ...]] = ('{recipe = "film.toml"}', '{family = "film", substrate = "Ag"}')
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = (
         {
             "type": "object",
             "required": ["family"],
-            "properties": {
-                "family": {"type": "string", "description": "the family of a recipe that stands here itself"}
-            },
+            "properties": {"family": {"type": "string", "description": "family of a recipe given as a table"}},
         },
     )
 
     recipe: str | dict[str, Any] = pydantic.Field(
-        description="file of the recipe of this part; the recipe itself may stand in place of the table",
-        examples=["film.toml"],
+        description="recipe file of this part, or the recipe itself as a table", examples=["film.toml"]
     )
 
     @pydantic.model_validator(mode="before")
@@ -45,7 +42,7 @@ class PartSpec(RecipeModel):
 
 
 class BlendSpec(RecipeModel):
-    """Two recipes and a mask: `first` where it is 1 (white), `second` where it is 0 (black)."""
+    """Two recipes and a mask: `first` for mask 1 (white), `second` for mask 0 (black)."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "family": "blend",
@@ -57,8 +54,8 @@ class BlendSpec(RecipeModel):
     varies: ClassVar[str] = "mask"
 
     family: Literal["blend"] = pydantic.Field(description="the family's name")
-    first: PartSpec = pydantic.Field(description="the material shown where the mask is 1")
-    second: PartSpec = pydantic.Field(description="the material shown where the mask is 0")
+    first: PartSpec = pydantic.Field(description="material at mask 1")
+    second: PartSpec = pydantic.Field(description="material at mask 0")
     mask: NumberOrTexture = pydantic.Field(
         description="share of the first material, from 0 to 1; usually a texture or formula",
         examples=[{"texture": "grey.png", "min": 0, "max": 1}, {"formula": "step(0.5, u)"}, 0.5],
@@ -90,7 +87,7 @@ class BlendSpec(RecipeModel):
 
 @dataclass(frozen=True)
 class Blend(Model, EnergyDefect):
-    """Two materials and the share of the first over the surface."""
+    """Two materials, and the first one's share over the surface."""
 
     traits = Traits(noun="blend")
 
@@ -99,10 +96,10 @@ class Blend(Model, EnergyDefect):
     mask: Texture
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
-        """Return both materials' lobes, masked, on one grid: the finer of their own unless one is given.
+        """Return both materials' lobes, masked, on one grid; default: the finer of their own.
 
         Raises:
-            UnsupportedError: one material cannot be computed on the other's wavelengths.
+            UnsupportedError: a material cannot be computed on the other's wavelengths.
         """
         if wavelengths_nm is not None:
             parts = [self.first.bsdf(wavelengths_nm), self.second.bsdf(wavelengths_nm)]
@@ -123,10 +120,10 @@ class Blend(Model, EnergyDefect):
         return Bsdf(lobes, {"first": dict(parts[0].provenance), "second": dict(parts[1].provenance)})
 
     def spectrum(self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str, seed: int = 0) -> Spectrum:
-        """Return the spectra of both, weighed by the mask's mean over the surface; `seed` is of a pearl among them.
+        """Return the mean spectrum, weighted by the mask's mean over the surface; `seed` is for random walks.
 
         Raises:
-            NacreError: as either material.
+            NacreError: a material has no spectrum.
         """
         share = self._share
         one = self.first.spectrum(theta_rad, wavelengths_nm, polarisation, seed=seed)
@@ -137,7 +134,7 @@ class Blend(Model, EnergyDefect):
         return replace(one, **mixed)
 
     def energy_defect(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
-        """Return what both lose, weighed as their spectra are."""
+        """Return the mean energy defect, weighted as the spectra."""
         weights = (self._share, 1.0 - self._share)
         parts = [energy_defect(part.model, theta_rad, wavelengths_nm, seed) for part in (self.first, self.second)]
         known = [weight * lost for weight, lost in zip(weights, parts, strict=True) if lost is not None]

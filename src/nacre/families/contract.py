@@ -23,13 +23,13 @@ import abc
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
-from nacre.bsdf.substrate import Strata
+from nacre.bsdf.substrate import Strata as Strata  # one of the capabilities
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError, did_you_mean
 from nacre.light import default_wavelengths
@@ -45,7 +45,7 @@ class Traits:
 
     Attributes:
         noun: name in messages, as in "a film".
-        unpolarised_reason: end of the message that refuses s and p if `Model.spectrum` returns None.
+        unpolarised_reason: end of the message that refuses s and p polarisation.
         default_geometry: measurement geometry of its colour in targets and sweeps.
         default_parts: parts of the spectrum that a sweep stores.
         is_quick: `bsdf` takes milliseconds and may be called while a recipe is read.
@@ -92,7 +92,7 @@ class Model(abc.ABC):
     def spectrum(
         self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str, seed: int = 0
     ) -> Spectrum | None:
-        """Return reflectance and transmittance `[angle, wavelength]`; None: the Bsdf is integrated instead.
+        """Return reflectance and transmittance `[angle, wavelength]`, or None for integration of the Bsdf.
 
         Args:
             theta_rad: `[angle]` in the ambient, in [0, pi/2].
@@ -123,7 +123,7 @@ class EnergyDefect(abc.ABC):
     def energy_defect(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
         """Return the share of light that is neither reflected, transmitted nor absorbed, `[angle, wavelength]`.
 
-        None: the recipe asks for the energy-conserving model, or the defect cannot be computed.
+        None for an energy-conserving recipe, or if the defect cannot be computed.
         """
 
 
@@ -140,7 +140,7 @@ class DirectEvaluation(abc.ABC):
     """A material that can be evaluated at single pairs of directions without a whole Bsdf.
 
     Attributes:
-        is_direct: a few directions take a small fraction of the time of `bsdf`, and searches evaluate only these.
+        is_direct: a few directions take a small fraction of the time of `bsdf`; searches evaluate only these.
     """
 
     is_direct: ClassVar[bool] = True
@@ -149,7 +149,7 @@ class DirectEvaluation(abc.ABC):
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
         """Return the value of `bsdf` at pairs `[pair, 3]`, `[pair, wavelength]`, without delta lobes.
 
-        None: the pairs need the whole Bsdf.
+        None for pairs that need the whole Bsdf.
         """
 
 
@@ -162,8 +162,8 @@ class Surrogate(abc.ABC):
     ) -> tuple[Array, Array] | None:
         """Return the exact and the approximate part of the BRDF at pairs, each `[pair, wavelength]`, 1/sr.
 
-        Their sum approximates the Bsdf; a random walk may correct the second part. None: there is no surrogate for
-        these parameters.
+        Their sum approximates the Bsdf; a random walk may correct the second part. None if the surrogate does not apply
+        to these parameters.
 
         Args:
             wi, wo: `[pair, 3]`, above the surface.
@@ -173,13 +173,13 @@ class Surrogate(abc.ABC):
 
     @property
     def surrogate_error(self) -> float | None:
-        """Relative standard error of the approximate part of the fine surrogate; None: unknown."""
+        """Relative standard error of the fine surrogate's approximate part, if known."""
         return None
 
     def estimate_radiance(
         self, wi: Array, wo: Array, wavelengths_nm: Array, walks: int, seed: int
     ) -> tuple[Array, Array] | None:
-        """Return a Monte Carlo estimate of the BRDF at pairs and its standard error; None: use the walk of the Bsdf.
+        """Return a Monte Carlo estimate of the BRDF at pairs and its standard error, if there is a walk for pairs.
 
         Args:
             wi, wo: `[pair, 3]`, above the surface.
@@ -196,7 +196,7 @@ class Draft(abc.ABC):
     @property
     @abc.abstractmethod
     def draft(self) -> Model:
-        """The model without its most expensive part; nothing that is stored is computed with it."""
+        """The model without its most expensive part, never used for stored results."""
 
 
 class SearchFidelity(abc.ABC):
@@ -208,7 +208,7 @@ class SearchFidelity(abc.ABC):
 
         Args:
             memory: shared by the candidates; caches quantities that hardly change between them.
-            is_rough: leave out the most expensive part where the ranking of first draws survives.
+            is_rough: omit the most expensive part without effect on the ranking of first draws.
         """
 
 
@@ -241,12 +241,43 @@ class Fabricable(abc.ABC):
 
 
 class OwnFormats(abc.ABC):
-    """A material with data that only its own formats of other programs hold."""
+    """A material with its own file formats."""
 
     @property
     @abc.abstractmethod
     def own_formats(self) -> Mapping[str, Writer]:
         """Formats: name -> function that writes the file."""
+
+
+@runtime_checkable
+class RoughSurface(Protocol):
+    """A model with a rough upper surface (`nacre.bsdf.facet_distributions.Roughness`)."""
+
+    surface: Any
+
+
+@runtime_checkable
+class Ridged(Protocol):
+    """A model that may have ridges of lamellae."""
+
+    ridges: Any
+
+
+@runtime_checkable
+class Aligned(Protocol):
+    """A model that is anisotropic if its particles are aligned."""
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether the particles are aligned."""
+
+
+@runtime_checkable
+class BetweenMedia(Protocol):
+    """A model between two media."""
+
+    ambient: Any
+    substrate: Any
 
 
 def figure_data(model: Model, name: str, **options: Any) -> dict[str, NDArray[Any]]:
@@ -269,7 +300,7 @@ def is_direct(model: Model) -> bool:
 
 
 def values_at(model: Model, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
-    """Return `DirectEvaluation.values_at`, or None for a model without it."""
+    """Return `DirectEvaluation.values_at` of a model that has it."""
     return model.values_at(wi, wo, wavelengths_nm) if isinstance(model, DirectEvaluation) else None
 
 
@@ -281,48 +312,22 @@ def search_model(model: Model, memory: dict[Any, Any], is_rough: bool = False) -
 def surrogate_radiance(
     model: Model, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
 ) -> tuple[Array, Array] | None:
-    """Return `Surrogate.surrogate_radiance`; None for a model without it or with exact direct evaluation."""
+    """Return `Surrogate.surrogate_radiance` of a model that has it and no direct evaluation."""
     if not isinstance(model, Surrogate) or is_direct(model):
         return None
     return model.surrogate_radiance(wi, wo, wavelengths_nm, is_fine)
 
 
 def fabrications(model: Model) -> Mapping[str, Drawer]:
-    """Return `Fabricable.fabrications`, or none."""
+    """Return `Fabricable.fabrications`, or an empty table."""
     return model.fabrications if isinstance(model, Fabricable) else {}
 
 
 def method_overrides(model: Model) -> Mapping[str, Any]:
-    """Return `ExpensiveMethod.method_overrides`, or none."""
+    """Return `ExpensiveMethod.method_overrides`, or an empty table."""
     return model.method_overrides if isinstance(model, ExpensiveMethod) else {}
 
 
 def energy_defect(model: Model, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
-    """Return `EnergyDefect.energy_defect`; None for a model that conserves energy."""
+    """Return `EnergyDefect.energy_defect` of a model that has it."""
     return model.energy_defect(theta_rad, wavelengths_nm, seed) if isinstance(model, EnergyDefect) else None
-
-
-__all__ = [
-    "DirectEvaluation",
-    "Draft",
-    "EnergyDefect",
-    "ExcessEnergy",
-    "ExpensiveMethod",
-    "Fabricable",
-    "Figure",
-    "Model",
-    "OwnFormats",
-    "SearchFidelity",
-    "Strata",
-    "Surrogate",
-    "Traits",
-    "Writer",
-    "energy_defect",
-    "fabrications",
-    "figure_data",
-    "is_direct",
-    "method_overrides",
-    "search_model",
-    "surrogate_radiance",
-    "values_at",
-]

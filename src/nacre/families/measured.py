@@ -1,4 +1,4 @@
-"""The recipe of a measured material: the file that holds it."""
+"""Measured materials: a stored Bsdf with a scale."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nacre.recipe.model import RecipeContext, RecipeModel
 
 
 class MeasuredSpec(RecipeModel):
-    """A measurement: a `.nacre` file, as `nacre import` writes it, and a scale."""
+    """A measurement: a `.nacre` file from `nacre import`, and a scale."""
 
     example: ClassVar[Mapping[str, Any]] = {"family": "measured", "file": "paint.nacre"}
 
@@ -33,7 +33,7 @@ class MeasuredSpec(RecipeModel):
         """Load the file.
 
         Raises:
-            RecipeError: the file is no `.nacre` file or the scale is not positive.
+            RecipeError: the file has another suffix, or the scale is not positive.
             NacreError: the file cannot be read.
         """
         path = context.path(self.file)
@@ -61,7 +61,7 @@ class Measured(Model, ExcessEnergy):
         return self.stored.wavelengths_nm
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
-        """Return the measurement, interpolated linearly to other wavelengths inside its range if asked.
+        """Return the measurement, interpolated linearly to other wavelengths inside its range.
 
         Raises:
             UnsupportedError: wavelengths outside the measurement, or a lobe that cannot be resampled.
@@ -70,7 +70,7 @@ class Measured(Model, ExcessEnergy):
         for lobe in self.stored.lobes:
             if not isinstance(lobe, TableLobe):
                 if wavelengths_nm is not None or self.scale != 1.0:
-                    raise UnsupportedError(f"{self.path}: a {lobe.kind} lobe keeps its own wavelengths and scale")
+                    raise UnsupportedError(f"{self.path}: a {lobe.kind} lobe has fixed wavelengths and scale")
                 lobes.append(lobe)
                 continue
             grid, basis = lobe.wavelengths_nm, lobe.basis

@@ -1,7 +1,7 @@
-"""The families of materials: the only list of them.
+"""Registry of material families.
 
-A new family joins with one line here, or from another package by an entry point of the group `nacre.families` that
-leads to its recipe model. No family imports this file.
+A family joins with a line here, or from another package by an entry point in the group `nacre.families` to its recipe
+model. Families do not import this file.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from nacre.recipe.model import RecipeModel, show_value
 
 GROUP = "nacre.families"
 FAMILIES: dict[str, str] = {
-    # what a recipe writes -> "module:class" of its recipe model, imported when first needed
+    # family name -> "module:class" of its recipe model, imported on first use
     "film": "nacre.families.film.spec:FilmSpec",
     "pearl": "nacre.families.pearl.spec:PearlSpec",
     "metasurface": "nacre.families.metasurface.spec:MetasurfaceSpec",
@@ -26,16 +26,16 @@ FAMILIES: dict[str, str] = {
 
 
 def family_names() -> tuple[str, ...]:
-    """Return all families, those of other packages last."""
+    """Return all families, with other packages last."""
     return (*FAMILIES, *entry_points(GROUP, FAMILIES))
 
 
 def family_spec(family: object, source: str) -> type[RecipeModel]:
-    """Return the recipe model of a family, importing its package; its `build(context)` returns the model.
+    """Import and return a family's recipe model, with a method `build(context)` for its material.
 
     Raises:
         RecipeError: the family is missing or unknown.
-        NacreError: two packages register this family, or one registers something else.
+        NacreError: two packages register this family, or the entry point is no recipe model.
     """
     known = ", ".join(FAMILIES)
     if family is None:

@@ -1,1 +1,1 @@
-"""File formats of other programs and of fabrication, one module each, and conversions of lobes to them."""
+"""Exchange and fabrication file formats, and conversions between them and lobes."""

@@ -1,4 +1,4 @@
-"""Curves of a process as people write them: CSV of two columns, with headings and remarks."""
+"""Process and calibration curves from two-column CSV files."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ _UM_OF_UNIT = {"nm": 1e-3, "um": 1.0, "mm": 1e3}
 
 
 def read_curve(
-    path: Path, what: str, columns: str, is_second: Callable[[str], bool], unit: str, example: str = ""
+    path: Path, noun: str, columns: str, is_second: Callable[[str], bool], unit: str, example: str = ""
 ) -> tuple[Array, tuple[str, str] | None]:
-    """Read pairs of numbers, ascending by the first.
+    """Read pairs of numbers, sorted by the first.
 
     Cells are parted as `nacre.recipe.delimited_text` knows.
-    Headings that stand before the numbers and name the columns the
-    other way round turn them about; a unit of length in that of the second is brought to ours.
+    Headings before the numbers may name the columns in reverse order; a length
+    unit in the second heading is converted.
 
     Args:
         path: the CSV.
-        what: a noun for messages, such as "calibration curve".
-        columns: the names of the columns, for messages.
-        is_second: whether a heading, as `headings` writes it, is one of the second column alone.
-        unit: of the second column, "um" or "nm".
-        example: added to the columns' names where a line is none of them.
+        noun: used in messages, such as "calibration curve".
+        columns: names of the columns for messages.
+        is_second: whether a heading from `headings` belongs to the second column.
+        unit: "um" or "nm", for the second column.
+        example: added to the column names in messages about invalid lines.
 
     Returns:
-        `[point, 2]`, and the two words of the last heading before the numbers, or None.
+        `[point, 2]`, and the two headings, if there are any.
 
     Raises:
-        NacreError: it cannot be read, a line is no pair of numbers, or fewer than two are.
+        NacreError: it cannot be read, a line is not a pair of numbers, or there are fewer than two pairs.
     """
     try:
         text = decoded(plain(path).read_bytes())
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
     except UnicodeDecodeError:
-        raise NacreError(f"{path}: is not a {what}: it is not text") from None
+        raise NacreError(f"{path}: is not a {noun}: it is not text") from None
     pairs: list[tuple[float, float]] = []
     cells_above: list[str] = []
     for number, cells in rows(text):
@@ -59,7 +59,7 @@ def read_curve(
             raise NacreError(f"{path}: line {number}: {shown!r} is not '{columns}'{example}") from None
         pairs.append((first, second))
     if len(pairs) < 2:
-        raise NacreError(f"{path}: a {what} needs at least two lines of {columns}")
+        raise NacreError(f"{path}: a {noun} needs at least two lines of {columns}")
     table, words = np.array(pairs), None
     if len(cells_above) == 2:
         words, names = (cells_above[0], cells_above[1]), headings(cells_above)
@@ -71,27 +71,27 @@ def read_curve(
 
 
 def is_monotonic(table: Array) -> bool:
-    """Whether the second column rises or falls all the way, and no first one stands twice."""
+    """Whether the first column has distinct values and the second is strictly monotonic."""
     step = np.diff(table[:, 1])
     return bool((np.diff(table[:, 0]) > 0).all() and ((step > 0).all() or (step < 0).all()))
 
 
-# The calibration of a grey-scale process: which grey value exposes to which depth.
+# Calibration of grey-scale lithography: depth over grey value.
 
 LARGEST_GREY = 65535
 LARGEST_8_BIT = 255
 STRETCH = LARGEST_GREY // LARGEST_8_BIT
-PUBLISHED = "published"  # the name by which the built-in curve is asked for
+PUBLISHED = "published"  # name of the built-in curve
 LINEAR = "linear"
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Depth under the resist's surface as a function of the grey value, linear between the points.
+    """Depth below the resist surface over grey value, linear between the points.
 
     Attributes:
         grey: ascending, 0..65535.
-        depth_um: strictly monotonic, either way.
+        depth_um: strictly monotonic.
         name: "linear", "published" or the file's.
         stretched_from_8_bit: whether its grey values were below 256 and were stretched.
     """
@@ -108,7 +108,7 @@ class Calibration:
 
     @property
     def range_um(self) -> float:
-        """How deep a relief the process makes."""
+        """Largest possible depth of a relief."""
         return float(self.depth_um.max() - self.depth_um.min())
 
     def grey_of(self, depth_um: Array) -> NDArray[np.uint16]:
@@ -139,12 +139,12 @@ PUBLISHED_CALIBRATION = Calibration(np.array([201.0, 989.0]), np.array([0.376, 1
 
 
 def linear_calibration(height_range_um: float) -> Calibration:
-    """Return the curve of an image that no process is named for: 65,535 is the top, 0 the deepest point."""
+    """Return the linear default curve: 65,535 is the top, 0 the deepest point."""
     return Calibration(np.array([0.0, LARGEST_GREY]), np.array([height_range_um, 0.0]), LINEAR)
 
 
 def find_calibration(name: str | Path, folder: Path = Path()) -> Calibration:
-    """Return the built-in curve "published", or that of a CSV file.
+    """Return the built-in curve "published", or a curve from a CSV file.
 
     Raises:
         NacreError: as `read_calibration`.
@@ -157,12 +157,12 @@ def _is_depth(heading: str) -> bool:
 
 
 def read_calibration(path: str | Path) -> Calibration:
-    """Read a CSV of two columns, grey value (of 8 or of 16 bits) and depth in um.
+    """Read a two-column CSV: grey value (8 or 16 bits) and depth in um.
 
-    A heading may name them the other way round, and the depth in nm (`depth_nm`, `Depth (nm)`).
+    Headings may name them in reverse order, and the depth in nm (`depth_nm`, `Depth (nm)`).
 
     Raises:
-        NacreError: not readable, fewer than two points, grey values out of range, or depths that are not monotonic.
+        NacreError: not readable, fewer than two points, grey values outside the range, or non-monotonic depths.
     """
     path = Path(path)
     table, _ = read_curve(path, "calibration curve", "grey value, depth in um", _is_depth, "um")

@@ -1,21 +1,36 @@
-"""The formats that materials are exported in, and what is said of a file once it is written."""
+"""Export formats of materials, their requirements, and remarks on an exported file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-# the ending of a file, or of a folder's name
+from nacre.bsdf import Bsdf
+from nacre.core.errors import UnsupportedError
+
+# suffix of the file or folder
 EXPORTS = {
     "rgl": ".bsdf", "merl": ".binary", "csv": ".csv", "zemax": ".bsdf", "gltf": ".gltf", "materialx": ".mtlx",
     "exr": ".exr", "nacre": ".nacre", "lut": "-lut", "tmat": ".tmat.h5",
 }  # fmt: skip
-FOLDER = "lut"  # the one that is a folder of files
-OF_SOME = ("tmat",)  # that only models with such a format of their own can write (`OwnFormats`)
+FOLDER = "lut"  # this format is a folder
+FAMILY_FORMATS = ("tmat",)  # only some families write these (`OwnFormats`)
 
 
-def said_of(facts: Mapping[str, Any]) -> list[str]:
-    """Return what an export came to, in lines: its error, and what the format does not hold.
+def refuse_unsuitable(bsdf: Bsdf, noun: str) -> None:
+    """Refuse to tabulate random walks and pure mirrors.
+
+    Raises:
+        UnsupportedError: a lobe is stochastic, or all lobes are deltas.
+    """
+    if any(lobe.is_stochastic for lobe in bsdf.lobes):
+        raise UnsupportedError(f'{noun} needs arrays, not a random walk; set quality = "fast" in the recipe')
+    if all(lobe.is_delta for lobe in bsdf.lobes):
+        raise UnsupportedError(f"{noun} cannot store a smooth material: mirror directions are delta functions")
+
+
+def export_remarks(facts: Mapping[str, Any]) -> list[str]:
+    """Return remarks on an export: its colour error, and properties that the format cannot store.
 
     Args:
         facts: from `nacre.analysis.import_export.export_material`.
@@ -27,9 +42,9 @@ def said_of(facts: Mapping[str, Any]) -> list[str]:
             f"one film of {film['thickness_nm']:.1f} nm, n = {film['film_ior']:.3f}; "
             f"dE00 {facts['residual_delta_e_2000']:.2f} on the mean of the angles"
         )
-    for what, told in facts.get("errors_dE00", {}).items():
+    for name, error in facts.get("errors_dE00", {}).items():
         lines.append(
-            f"{what}: dE00 {told['mean']:.2f} mean, {told['max']:.2f} at most; PNG {told['mean_png']:.2f}, "
-            f"{told['max_png']:.2f}"
+            f"{name}: dE00 {error['mean']:.2f} mean, {error['max']:.2f} maximum; PNG {error['mean_png']:.2f}, "
+            f"{error['max_png']:.2f}"
         )
-    return lines + [f"not held: {what}" for what in facts["lost"]]
+    return lines + [f"not stored: {part}" for part in facts["lost"]]

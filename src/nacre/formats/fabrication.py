@@ -1,4 +1,4 @@
-"""Fabrication files: height images, solids, masks, layouts, tables."""
+"""Fabrication files: height images, solids, masks, layouts, layer tables."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ MAX_CSV_POINTS = 5_000_000
 
 @dataclass(frozen=True)
 class HeightOptions:
-    """How heights are written, and what was asked for besides.
+    """Options of a fabrication file.
 
     Attributes:
-        size_mm: repeat the tile over an area (x, y); None: one tile.
-        calibration: CSV of grey value and depth in um, for images, or "published"; None: linear from 65,535 at the top
-            to 0 at the deepest point.
-        levels: number of heights of a mask; None: as many as the heights have, or 16.
+        size_mm: area (x, y) filled by repeating the tile; default: one tile.
+        calibration: CSV of grey value and depth in um, for images, or "published"; default: linear from 65,535 at the
+            top to 0 at the deepest point.
+        levels: height levels of a mask; default: those of the heights, or 16.
         pixels_per_feature: pixels along a feature's side, for images.
-        base_um: thickness of an STL's base.
-        seed: of positions drawn at random, for layouts alone.
+        base_um: base thickness of an STL.
+        seed: random seed of positions in layouts.
     """
 
     size_mm: tuple[float, float] | None = None
@@ -57,20 +57,20 @@ class HeightOptions:
 
 
 def write_drawing(drawing: Drawing, to: str, path: Path, source: str, options: HeightOptions) -> tuple[Path, ...]:
-    """Write a drawing, and beside it, but for a layer table, a JSON that says how to read it.
+    """Write a drawing, and a JSON file with its units and orientation unless it is a layer table.
 
     Args:
         drawing: the layers, particles or heights that the material's family gave.
-        to: a key of `SUFFIXES` that the family offers.
-        path: where.
-        source: the recipe's name, for the provenance.
-        options: what was asked for besides; most are for heights.
+        to: a key of `SUFFIXES` that the family supports.
+        path: output file.
+        source: name of the recipe.
+        options: mostly for heights.
 
     Returns:
-        the files' paths, the one asked for first.
+        paths of the files, the drawing first.
 
     Raises:
-        UnsupportedError: the format cannot hold the drawing, or has no use for an option that was given.
+        UnsupportedError: the format cannot store the drawing, or does not use a given option.
         NacreError: the calibration does not fit, or the file cannot be written.
     """
     _refuse_unused(drawing, to, options)
@@ -89,7 +89,7 @@ def write_drawing(drawing: Drawing, to: str, path: Path, source: str, options: H
 
 
 def _refuse_unused(drawing: Drawing, to: str, options: HeightOptions) -> None:
-    """Refuse what was asked for and would change nothing of the file.
+    """Refuse options that would not affect the file.
 
     Raises:
         UnsupportedError: naming the option and the format.
@@ -120,7 +120,7 @@ def _sheet(sheet: LayerSheet, source: str) -> str:
 
 
 def _write_layout(drawing: Layout, to: str, path: Path, facts: dict[str, Any]) -> None:
-    """Write a period, every particle a reference to one cell, repeated by one array; a CSV lists every particle."""
+    """Write a period as cell references repeated by an array; a CSV lists every particle."""
     columns, rows = drawing.periods
     count = len(drawing.xy_um) * columns * rows
     if to == "csv":
@@ -164,7 +164,7 @@ def _write_heights(drawing: HeightMap, to: str, path: Path, options: HeightOptio
         "feature_um": feature_um,
         "height_range_um": float(heights_um.max()),
         "rows_run_along": "x",
-        # a turning by 90 degrees between the two, never a mirror image
+        # the two orientations differ by a rotation of 90 degrees
         "seen": "from above the relief; "
         + (
             "x to the right, y upward"
@@ -194,7 +194,7 @@ def _tiles(size_mm: tuple[float, float] | None, tile_um: float) -> tuple[int, in
 def _write_image(
     path: Path, to: str, heights_um: Array, feature_um: float, options: HeightOptions, facts: dict[str, Any]
 ) -> None:
-    """Write a grey image; the relief's top lies at the curve's shallowest depth."""
+    """Write a grey image; the top of the relief has the smallest depth of the curve."""
     deepest = float(heights_um.max())
     curve = linear_calibration(deepest) if options.calibration is None else find_calibration(options.calibration)
     top_um = float(curve.depth_um.min())
@@ -223,7 +223,7 @@ def _write_image(
 def _write_mask(
     path: Path, heights_um: Array, feature_um: float, options: HeightOptions, facts: dict[str, Any]
 ) -> None:
-    """Write a multi-level mask; a design on levels keeps its own heights."""
+    """Write a multi-level mask; heights that are already discrete are not changed."""
     distinct = np.unique(np.round(heights_um, 9))
     count = max(2, options.levels or (len(distinct) if len(distinct) <= DEFAULT_LEVELS else DEFAULT_LEVELS))
     own = options.levels is None and len(distinct) == count

@@ -17,10 +17,10 @@ from nacre.recipe.delimited_text import decoded, headings, rows
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "wavelength", "value")
 MAX_BYTES = 1 << 30
-GAPS = ("", "nan", "-", "--", "n/a", "na")  # cells of what was not measured
-BYTES_A_BYTE = 8  # of a file: its text, its lines, their fields
-LARGEST_VALUE = 1e12  # no BSDF is near it
-ROUND_TRIP_DIGITS = 9  # float32 survives a decimal round trip with nine significant digits
+GAPS = ("", "nan", "-", "--", "n/a", "na")  # cells without a measurement
+MEMORY_FACTOR = 8  # memory per byte of a file: text, lines, cells
+MAX_VALUE = 1e12  # far above any BSDF
+ROUND_TRIP_DIGITS = 9  # preserve float32
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class GonioData:
 
 
 def write_gonio_csv(path: str | Path, data: GonioData, comment: str = "") -> None:
-    """Write the measurement, one row a pair and wavelength; comment lines start with #.
+    """Write the measurement, one row per pair and wavelength; comment lines start with #.
 
     Raises:
         NacreError: the file cannot be written.
@@ -67,12 +67,12 @@ def write_gonio_csv(path: str | Path, data: GonioData, comment: str = "") -> Non
 
 
 def read_gonio_csv(path: str | Path) -> GonioData:
-    """Read a measurement; the columns may stand in any order, more columns are ignored.
+    """Read a measurement; the columns may have any order, additional ones are ignored.
 
     Every direction pair must be given at the same wavelengths.
 
     Raises:
-        NacreError: naming the file, the line and what is wrong.
+        NacreError: the file is invalid; names the line.
     """
     names, table = read_table(path)
     missing = [name for name in COLUMNS if name not in names]
@@ -98,20 +98,20 @@ def read_gonio_csv(path: str | Path) -> GonioData:
         )
     first = np.full(len(pairs), len(columns))
     np.minimum.at(first, np.ravel(inverse), np.arange(len(columns)))
-    order = np.argsort(first)  # keep the file's own order of pairs
+    order = np.argsort(first)  # order of the file
     return GonioData(pairs[order], waves, values[order])
 
 
 def _check_plausible(path: str | Path, columns: Array) -> None:
-    """Refuse what no instrument measures.
+    """Refuse physically impossible data.
 
     Raises:
-        NacreError: a negative or an impossibly large BSDF, or angles that are radians.
+        NacreError: a negative or far too large BSDF, or angles in radians.
     """
     values, thetas, phis = columns[:, 5], columns[:, [0, 2]], columns[:, [1, 3]]
     if values.min() < 0:
         raise NacreError(f"{path}: value = {values.min():g} is below 0, which no BSDF is; set noise about 0 to 0")
-    if values.max() > LARGEST_VALUE:
+    if values.max() > MAX_VALUE:
         raise NacreError(f"{path}: value = {values.max():g} is larger than any BSDF (1/sr)")
     widest = float(thetas.max())
     if 0.0 < widest <= np.pi / 2 * (1 + 1e-3) and np.abs(phis).max() <= 2 * np.pi * (1 + 1e-3):
@@ -122,22 +122,22 @@ def _check_plausible(path: str | Path, columns: Array) -> None:
 
 
 def read_table(path: str | Path, has_gaps: bool = False) -> tuple[list[str], Array]:
-    """Read a table of numbers with a line of headings (see `nacre.recipe.delimited_text`); # starts a remark.
+    """Read a table of numbers with headings (see `nacre.recipe.delimited_text`); # starts a comment.
 
     Args:
-        has_gaps: whether a cell may be empty; it is then NaN.
+        has_gaps: whether cells may be empty (NaN).
 
     Returns:
-        The headings, in small letters with their units behind an underscore, and `[row, column]`.
+        The headings in lower case with units after an underscore, and `[row, column]`.
 
     Raises:
-        NacreError: missing, too large, without header or rows, or with a cell that is not a finite number.
+        NacreError: the file is missing, too large, lacks header or rows, or has a cell that is not a finite number.
     """
     path = Path(path)
     try:
         if plain(path).stat().st_size > MAX_BYTES:
             raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-        check_memory(BYTES_A_BYTE * float(path.stat().st_size), f"{path}: read as a table, it")
+        check_memory(MEMORY_FACTOR * float(path.stat().st_size), f"{path}: read as a table, it")
         lines = rows(decoded(path.read_bytes()))
     except UnicodeDecodeError:
         raise NacreError(f"{path}: is not text") from None

@@ -1,7 +1,7 @@
 """MERL binary files: isotropic RGB reflectance in half and difference angles (Matusik et al. 2003).
 
 Three int32 sizes (90, 90, 180), then three planes of float64: red, green, blue, scaled by 1/1500, 1.15/1500 and
-1.66/1500. Bins: theta_half by its square root, theta_diff and phi_diff (mod pi, by reciprocity) evenly.
+1.66/1500. Bins are uniform in the square root of theta_half, in theta_diff and in phi_diff (mod pi, by reciprocity).
 """
 
 from __future__ import annotations
@@ -14,17 +14,18 @@ import numpy as np
 from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.table import from_half_difference
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError, UnsupportedError
+from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path, plain, reraise_as_oserror, why_unreadable
+from nacre.formats.export_formats import refuse_unsuitable
 from nacre.light import spectrum_to_rgb_linear
 
 SHAPE = (90, 90, 180)
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0
-MIN_COS = 1e-4  # a bin whose directions lie at or below the horizon holds 0
+MIN_COS = 1e-4  # bins below the horizon are 0
 
 
 def bin_directions() -> tuple[Array, Array]:
-    """Return wi and wo at the bins' centres, each `[theta_half, theta_diff, phi_diff, 3]`."""
+    """Return wi and wo at the bin centres, each `[theta_half, theta_diff, phi_diff, 3]`."""
     half = ((np.arange(SHAPE[0]) + 0.5) / SHAPE[0]) ** 2 * (np.pi / 2)
     diff = (np.arange(SHAPE[1]) + 0.5) / SHAPE[1] * (np.pi / 2)
     phi = (np.arange(SHAPE[2]) + 0.5) / SHAPE[2] * np.pi
@@ -37,10 +38,7 @@ def merl_table(bsdf: Bsdf, block: int = 1 << 16) -> Array:
     Raises:
         UnsupportedError: nothing but deltas, or a stochastic lobe.
     """
-    if any(lobe.is_stochastic for lobe in bsdf.lobes):
-        raise UnsupportedError('a MERL file needs arrays, not a random walk; set quality = "fast" in the recipe')
-    if all(lobe.is_delta for lobe in bsdf.lobes):
-        raise UnsupportedError("a MERL file cannot hold a smooth material: mirror directions are delta functions")
+    refuse_unsuitable(bsdf, "a MERL file")
     wi, wo = (a.reshape(-1, 3) for a in bin_directions())
     up = np.flatnonzero((wi[:, 2] > MIN_COS) & (wo[:, 2] > MIN_COS))
     table = np.zeros((len(wi), 3))
@@ -63,7 +61,7 @@ def write_merl(path: str | Path, table: Array) -> None:
 
 
 def read_merl(path: str | Path) -> Array:
-    """Read a MERL file as linear RGB reflectance `[90, 90, 180, 3]`; bins marked invalid (negative) become 0.
+    """Read a MERL file as linear RGB reflectance `[90, 90, 180, 3]`; invalid (negative) bins become 0.
 
     Raises:
         NacreError: not a MERL file, or damaged.
@@ -86,7 +84,7 @@ def read_merl(path: str | Path) -> Array:
     return np.maximum(np.moveaxis(planes * SCALE[:, None, None, None], 0, -1), 0.0)
 
 
-# The image slice of a BRDF as EXR: theta_half across, theta_diff down, phi_diff = 90 degrees (Burley 2012).
+# BRDF image slice as EXR: theta_half across, theta_diff down, phi_diff = 90 degrees (Burley 2012).
 
 SIZE = 90
 
@@ -97,10 +95,7 @@ def slice_values(bsdf: Bsdf, size: int = SIZE) -> Array:
     Raises:
         UnsupportedError: nothing but deltas, or a stochastic lobe.
     """
-    if any(lobe.is_stochastic for lobe in bsdf.lobes):
-        raise UnsupportedError('an EXR slice needs arrays, not a random walk; set quality = "fast" in the recipe')
-    if all(lobe.is_delta for lobe in bsdf.lobes):
-        raise UnsupportedError("an EXR slice cannot hold a smooth material: mirror directions are delta functions")
+    refuse_unsuitable(bsdf, "an EXR slice")
     angle = (np.arange(size) + 0.5) / size * (np.pi / 2)
     half, diff = np.meshgrid(angle, angle)
     wi, wo = from_half_difference(half, diff, np.full_like(half, np.pi / 2))

@@ -1,4 +1,8 @@
-"""Height fields as binary STL solids. STL knows no unit: ours is um, and the header says so."""
+"""Height fields as binary STL solids and 16-bit images.
+
+STL files have no unit; the header states um. Images are written row by row, since a wafer may exceed the memory: 50 mm
+x 50 mm at 1.6 um are 31,250 x 31,250 pixels, 2 GB. Libraries write PNG only as a whole, hence the own PNG writer.
+"""
 
 from __future__ import annotations
 
@@ -17,22 +21,22 @@ from nacre.core.errors import UnsupportedError
 from nacre.core.files import atomic_path
 from nacre.core.memory import check_memory
 
-# plateaus end this part of a feature before its edge; the wall between two stands on the rest
+# distance of a plateau from the edge of its feature; walls connect plateaus
 WALL_SHARE = 0.02
 MAX_TRIANGLES = 60_000_000
-BYTES_A_TRIANGLE = 300  # its corners twice, edges and normal in double precision, and its record
+TRIANGLE_BYTES = 300  # memory: corners twice, edges and normal in double precision, record
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
 def write_stl(
     path: str | Path, heights_um: Array, pitch_um: float, base_um: float = 1.0, repeat: tuple[int, int] = (1, 1)
 ) -> None:
-    """Write a watertight solid: flat features with steep walls, on a base.
+    """Write a watertight solid of flat features with steep walls on a base.
 
     Args:
         heights_um: `[x, y]` feature heights.
         pitch_um: feature width.
-        base_um: thickness of the base under the lowest feature.
+        base_um: base thickness below the lowest feature.
         repeat: tiles along x and y.
 
     Raises:
@@ -43,7 +47,7 @@ def write_stl(
     triangles = 2 * (2 * (2 * nx - 1) * (2 * ny - 1) + 2 * (2 * nx - 1) + 2 * (2 * ny - 1))
     if triangles > MAX_TRIANGLES:
         raise UnsupportedError(f"{nx} x {ny} features make {triangles} triangles; an STL here holds {MAX_TRIANGLES}")
-    check_memory(BYTES_A_TRIANGLE * float(triangles), f"an STL of {nx} x {ny} features")
+    check_memory(TRIANGLE_BYTES * float(triangles), f"an STL of {nx} x {ny} features")
     heights = np.tile(heights_um - heights_um.min() + base_um, repeat)
     x, y = (_plateau_edges(n) * pitch_um for n in (nx, ny))
     z = np.repeat(np.repeat(heights, 2, axis=0), 2, axis=1)
@@ -51,7 +55,7 @@ def write_stl(
     floor = top.copy()
     floor[..., 2] = 0.0
     parts = [_quads(top), _quads(floor)[:, ::-1]]
-    # round the border with the solid on the left hand
+    # around the border, solid on the left
     for side in (np.s_[:, 0], np.s_[-1], np.s_[::-1, -1], np.s_[0, ::-1]):
         parts.append(_quads(np.stack([floor[side], top[side]], axis=1)))
     corners = np.concatenate(parts)
@@ -67,20 +71,18 @@ def write_stl(
 
 
 def _plateau_edges(features: int) -> Array:
-    """Return the two edges of each plateau, in features; the outer ones reach the border."""
+    """Return both edges of each plateau, in features; the outer ones lie on the border."""
     edges = (np.arange(features)[:, None] + np.array([0.5 * WALL_SHARE, 1.0 - 0.5 * WALL_SHARE])).ravel()
     edges[0], edges[-1] = 0.0, features
     return np.asarray(edges)
 
 
 def _quads(grid: Array) -> Array:
-    """Return the triangles `[n, corner, 3]` of a grid of vertices `[a, b, 3]`, facing a x b."""
+    """Return triangles `[n, corner, 3]` for a vertex grid `[a, b, 3]`, facing a x b."""
     p00, p10, p01, p11 = grid[:-1, :-1], grid[1:, :-1], grid[:-1, 1:], grid[1:, 1:]
     first, second = np.stack([p00, p10, p11], axis=-2), np.stack([p00, p11, p01], axis=-2)
     return np.asarray(np.concatenate([first.reshape(-1, 3, 3), second.reshape(-1, 3, 3)]))
 
-
-# 16-bit grey images of heights, PNG and TIFF, written row by row so that a whole wafer never sits in memory.
 
 Grey = NDArray[np.uint16]
 MAX_PIXELS_A_SIDE = 1_000_000
@@ -88,22 +90,22 @@ TIFF_TILE = 256
 CHUNK_BYTES = 1 << 20
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 METADATA_KEY = "nacre"
+GREY, RGB = 0, 2  # PNG colour types
 
 
 def repeated_rows(tile: Grey, rows: int, columns: int) -> Iterator[Grey]:
-    """Yield `rows` rows of `columns` pixels of the tile repeated over the plane."""
+    """Yield `rows` rows with `columns` pixels of the periodic tile."""
     height, width = tile.shape
     times = -(-columns // width)
-    # each distinct row is laid out once per use: a tile has few rows, a wafer many
     for k in range(rows):
         yield np.tile(tile[k % height], times)[:columns]
 
 
 def check_size(rows: int, columns: int) -> None:
-    """Refuse images that no tool opens.
+    """Refuse image sizes that other programs cannot open.
 
     Raises:
-        UnsupportedError: a side is empty or beyond a million pixels.
+        UnsupportedError: a side is empty or above a million pixels.
     """
     if not (0 < rows <= MAX_PIXELS_A_SIDE and 0 < columns <= MAX_PIXELS_A_SIDE):
         raise UnsupportedError(f"an image of {rows} x {columns} pixels; each side may have 1 to {MAX_PIXELS_A_SIDE}")
@@ -117,13 +119,13 @@ def write_png16(
     rows: int | None = None,
     columns: int | None = None,
 ) -> None:
-    """Write a 16-bit grey PNG of the tile, repeated to `rows` x `columns` pixels; rows run along x.
+    """Write the tile, repeated to `rows` x `columns` pixels, as 16-bit grey PNG; rows are parallel to x.
 
-    The metadata go into a text chunk, the pitch into pHYs (pixels a metre).
+    Metadata are stored as text chunk, the pitch as pHYs (pixels per metre).
 
     Raises:
         NacreError: the file cannot be written.
-        UnsupportedError: the size is out of range.
+        UnsupportedError: invalid size.
     """
     rows, columns = rows or tile.shape[0], columns or tile.shape[1]
     write_png16_rows(path, repeated_rows(tile, rows, columns), metadata, pitch_um, rows, columns)
@@ -132,33 +134,43 @@ def write_png16(
 def write_png16_rows(
     path: str | Path, lines: Iterable[Grey], metadata: Mapping[str, Any], pitch_um: float, rows: int, columns: int
 ) -> None:
-    """Write a 16-bit grey PNG from `rows` lines of `columns` pixels, as they come.
+    """Write a 16-bit grey PNG from an iterable of rows.
 
     Raises:
         NacreError: the file cannot be written.
-        UnsupportedError: the size is out of range.
+        UnsupportedError: invalid size.
     """
     check_size(rows, columns)
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        stream.write(PNG_SIGNATURE)
-        _chunk(stream, b"IHDR", struct.pack(">IIBBBBB", columns, rows, 16, 0, 0, 0, 0))
+        text = json.dumps(dict(metadata))
+        # level 1: copies of a tile are farther apart than deflate's window of 32 kB
+        write_png_stream(stream, lines, (columns, rows), GREY, text, level=1, pitch_um=pitch_um)
+
+
+def write_png_stream(
+    stream: BinaryIO, lines: Iterable[Grey], size: tuple[int, int], colour_type: int, text: str, level: int,
+    pitch_um: float | None = None,
+) -> None:  # fmt: skip
+    """Write a 16-bit PNG with colour type `GREY` or `RGB` row by row; `text` is the chunk "nacre"."""
+    stream.write(PNG_SIGNATURE)
+    _chunk(stream, b"IHDR", struct.pack(">IIBBBBB", *size, 16, colour_type, 0, 0, 0))
+    if pitch_um is not None:
         per_metre = min(int(round(1e6 / pitch_um)), 0x7FFFFFFF)
         _chunk(stream, b"pHYs", struct.pack(">IIB", per_metre, per_metre, 1))
-        _chunk(stream, b"tEXt", METADATA_KEY.encode() + b"\0" + json.dumps(dict(metadata)).encode("latin-1"))
-        # level 1: rows of a repeated tile are long-range copies, which deflate's 32 kB window cannot reach anyway
-        packer = zlib.compressobj(1)
-        pending = bytearray()
-        for row in lines:
-            pending += packer.compress(b"\0" + row.astype(">u2").tobytes())
-            if len(pending) > CHUNK_BYTES:
-                _chunk(stream, b"IDAT", bytes(pending))
-                pending.clear()
-        _chunk(stream, b"IDAT", bytes(pending) + packer.flush())
-        _chunk(stream, b"IEND", b"")
+    _chunk(stream, b"tEXt", METADATA_KEY.encode() + b"\0" + text.encode("latin-1"))
+    packer = zlib.compressobj(level)
+    pending = bytearray()
+    for row in lines:
+        pending += packer.compress(b"\0" + row.astype(">u2").tobytes())
+        if len(pending) > CHUNK_BYTES:
+            _chunk(stream, b"IDAT", bytes(pending))
+            pending.clear()
+    _chunk(stream, b"IDAT", bytes(pending) + packer.flush())
+    _chunk(stream, b"IEND", b"")
 
 
-def _chunk(stream: BinaryIO, kind: bytes, data: bytes) -> None:
-    stream.write(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)))
+def _chunk(stream: BinaryIO, name: bytes, data: bytes) -> None:
+    stream.write(struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)))
 
 
 def write_tiff16(
@@ -169,11 +181,11 @@ def write_tiff16(
     rows: int | None = None,
     columns: int | None = None,
 ) -> None:
-    """Write a 16-bit grey TIFF in tiles (BigTIFF beyond 4 GB); metadata in ImageDescription, pitch as resolution.
+    """Write a tiled 16-bit grey TIFF (BigTIFF above 4 GB); metadata in ImageDescription, pitch as resolution.
 
     Raises:
         NacreError: the file cannot be written.
-        UnsupportedError: the size is out of range.
+        UnsupportedError: invalid size.
     """
     import tifffile
 

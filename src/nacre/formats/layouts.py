@@ -20,14 +20,14 @@ FORMATS = (".gds", ".oas")
 def write_levels(
     path: str | Path, levels: Levels, pitch_um: float, columns: int = 1, rows: int = 1, notes: str = ""
 ) -> None:
-    """Write features grouped by level: layer k holds the features of height level k, x to the right, y up.
+    """Write features grouped by level: layer k contains height level k, x to the right, y up.
 
     Args:
         path: ending in .gds or .oas.
         levels: `[x, y]`, whole numbers from 0.
         pitch_um: feature width.
         columns, rows: tiles along x and y.
-        notes: a line of text, put into the top cell's name space as a label on layer 255.
+        notes: a line of text, written as label on layer 255.
 
     Raises:
         UnsupportedError: too many levels or repetitions, or another ending.
@@ -42,7 +42,7 @@ def write_levels(
         raise UnsupportedError(f"levels run from {levels.min()} to {levels.max()}; allowed are 0 to {MAX_LEVELS - 1}")
     if not (0 < columns <= MAX_ARRAY and 0 < rows <= MAX_ARRAY):
         raise UnsupportedError(f"{columns} x {rows} tiles; a mask array holds at most {MAX_ARRAY} each way")
-    # database unit 1 nm, or finer when the pitch is not a whole number of nm
+    # database unit 1 nm, or finer for a fractional pitch
     precision = 1e-9 if abs(pitch_um * 1e3 - round(pitch_um * 1e3)) < 1e-9 else 1e-12
     library = gdstk.Library("nacre", unit=1e-6, precision=precision)
     tile = library.new_cell("tile")
@@ -62,7 +62,7 @@ def write_levels(
 
 
 def runs(levels: Levels) -> list[tuple[int, int, int, int]]:
-    """Return maximal runs of equal level along y as (level, x, first y, end y)."""
+    """Return maximal runs with equal level along y as (level, x, first y, end y)."""
     found = []
     for x, column in enumerate(levels):
         ends = np.flatnonzero(np.diff(column)) + 1
@@ -73,8 +73,8 @@ def runs(levels: Levels) -> list[tuple[int, int, int, int]]:
 
 # Point patterns for fabrication: GDSII and OASIS with referenced cells, CSV, and reading them back.
 
-PRECISION_M = 1e-9  # database unit of 1 nm
-MAX_COORDINATE_UM = 2.0e6  # 32-bit database units of 1 nm
+PRECISION_M = 1e-9  # database unit
+MAX_COORDINATE_UM = 2.0e6  # 32-bit coordinates
 TOLERANCE_UM = 5e-4
 
 
@@ -88,20 +88,20 @@ def write_layout(
     periods: tuple[int, int] | None = None,
     several: tuple[tuple[float, ...], NDArray[np.intp] | None] | None = None,
 ) -> int:
-    """Write particles as .gds or .oas; return how many particles the file stands for.
+    """Write particles as .gds or .oas; return the number of particles.
 
     Args:
         path: ends in .gds or .oas.
-        xy_um: `[point, 2]` centres of one period.
-        radius_um: of the circles; with `square` half of the side.
-        box_um: period of the pattern; needed with `field_um` and `periods`.
-        field_um: side of the field to fill by repeating the period; default: one period.
+        xy_um: `[point, 2]` centres within a period.
+        radius_um: circle radius; with `square` half the side.
+        box_um: period; required with `field_um` and `periods`.
+        field_um: side of the field, filled by repeating the period; default: one period.
         square: squares instead of circles.
-        periods: how often to repeat along x and y, instead of `field_um`.
-        several: radii in um of several kinds, and which kind each point is; each has a cell of its own.
+        periods: repetitions along x and y, instead of `field_um`.
+        several: radii in um of several particle types, each with its own cell, and the type of each point.
 
     Raises:
-        NacreError: an unknown ending, a field that 32-bit coordinates cannot hold, particles that are nothing.
+        NacreError: unknown suffix, a field too large for 32-bit coordinates, or invalid particles.
     """
     import gdstk
 
@@ -147,7 +147,7 @@ def write_layout(
 
 
 def write_points_csv(path: str | Path, xy_um: Array, radii_um: Array | None = None) -> None:
-    """Write centres, and radii where they differ, as CSV with a heading, in um to a tenth of a nanometre."""
+    """Write centres, and different radii, as CSV with headings, in um to 0.1 nm."""
     rows = np.asarray(xy_um, dtype=float)
     heading = "x_um,y_um"
     if radii_um is not None:

@@ -1,4 +1,4 @@
-"""Lobes to other programs' formats and back: grids, tables, colour bases, and what is lost."""
+"""Conversion of lobes to and from other formats: grids, tables, colour bases, losses."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from nacre.bsdf.grids import take_uniform
 from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
+from nacre.formats.export_formats import refuse_unsuitable
 from nacre.formats.gonio_csv import GonioData
 from nacre.formats.half_angle_tables import SHAPE
 from nacre.formats.zemax import ZemaxBsdf
 from nacre.light import default_wavelengths, spectrum_to_rgb_matrix
 
-TABLE_NODES = (46, 46, 37)  # theta_i, theta_o, dphi of a table made from scattered measurements
+TABLE_NODES = (46, 46, 37)  # theta_i, theta_o, dphi for scattered measurements
 
 
 def is_isotropic(bsdf: Bsdf) -> bool:
-    """Whether turning both directions about the normal changes nothing, tested at a few pairs."""
+    """Whether the values are invariant under rotation about the normal, tested at a few pairs."""
     from nacre.bsdf.grids import direction
 
     theta_i, theta_o, dphi = (np.radians(v) for v in ([20.0, 50.0, 70.0], [35.0, 45.0, 60.0], [180.0, 150.0, 90.0]))
@@ -40,15 +41,12 @@ def delta_lost(bsdf: Bsdf) -> list[str]:
 
 
 def gonio_grid(bsdf: Bsdf, step_deg: float) -> GonioData:
-    """Evaluate a Bsdf on a regular grid of directions, both sides where it transmits.
+    """Evaluate a Bsdf on a regular grid of directions, on both sides if it transmits.
 
     Raises:
         UnsupportedError: nothing but deltas, or a stochastic lobe.
     """
-    if any(lobe.is_stochastic for lobe in bsdf.lobes):
-        raise UnsupportedError('a gonio table needs arrays, not a random walk; set quality = "fast" in the recipe')
-    if all(lobe.is_delta for lobe in bsdf.lobes):
-        raise UnsupportedError("a gonio table cannot hold a smooth material: mirror directions are delta functions")
+    refuse_unsuitable(bsdf, "a gonio table")
     theta = np.arange(0.0, 90.0, step_deg)
     theta_out = np.concatenate([theta, 180.0 - theta[::-1]]) if bsdf.transmits else theta
     phi_i = np.zeros(1) if is_isotropic(bsdf) else np.arange(0.0, 180.0, max(step_deg, 15.0))
@@ -59,23 +57,23 @@ def gonio_grid(bsdf: Bsdf, step_deg: float) -> GonioData:
 
 
 def rgb_basis(wavelengths_nm: Array) -> Array:
-    """Return the smoothest three spectra that have the linear sRGB colours (1,0,0), (0,1,0), (0,0,1) under D65.
+    """Return the three smoothest spectra with linear sRGB colours (1,0,0), (0,1,0), (0,0,1) under D65.
 
-    Smooth in the sense of the summed squared first differences, so that they end flat where the eye is blind (second
-    ones let them run on: the spectrum of gold's colour reached 1.26 at 830 nm). They may dip below zero, which the
-    table's evaluation cuts, and they sum to one.
+    They minimise the summed squared first differences and are therefore flat outside the visible range (with second
+    differences the spectrum of gold reached 1.26 at 830 nm). They sum to one; the evaluation of a table clips negative
+    values.
     """
     matrix = np.asarray(spectrum_to_rgb_matrix(wavelengths_nm))
     matrix = matrix if matrix.shape[0] == 3 else matrix.T
     count = len(wavelengths_nm)
     first = np.diff(np.eye(count), 1, axis=0)
-    stiffness = first.T @ first + 1e-9 * np.eye(count)  # a flat spectrum alone would have none
+    stiffness = first.T @ first + 1e-9 * np.eye(count)  # regularises the constant spectrum
     inverse = np.linalg.inv(stiffness)
     return np.asarray((inverse @ matrix.T @ np.linalg.inv(matrix @ inverse @ matrix.T)).T)
 
 
 def merl_lobe(rgb: Array) -> TableLobe:
-    """Return the table of a MERL measurement, its bins taken as samples at their centres."""
+    """Return the table of a MERL measurement; bins are samples at their centres."""
     wavelengths = default_wavelengths()
     half, diff, phi = (np.linspace(0, 1, n) for n in SHAPE)
     values = rgb
@@ -87,10 +85,10 @@ def merl_lobe(rgb: Array) -> TableLobe:
 
 
 def gonio_table(data: GonioData, name: str) -> tuple[TableLobe, list[str]]:
-    """Return a table through the points of a measurement, and remarks.
+    """Return the table of a measurement, and remarks.
 
-    Regular grids are interpolated linearly in theta_i, theta_o and |dphi|; scattered points by their nearest
-    neighbours, weighted by the inverse square of the distance.
+    Regular grids are interpolated linearly in theta_i, theta_o and |dphi|; scattered points by nearest neighbours with
+    inverse-square distance weights.
 
     Raises:
         NacreError: fewer than four pairs lie above the surface.
@@ -108,7 +106,7 @@ def gonio_table(data: GonioData, name: str) -> tuple[TableLobe, list[str]]:
     if np.prod([len(a) for a in axes]) <= len(points) and min(len(a) for a in axes) > 1:
         table = _regular(points, axes, values, grid)
     else:
-        remarks.append("the directions form no grid; values between them come from the nearest ones")
+        remarks.append("the directions form no grid; values between them are interpolated from nearest neighbours")
         table = _scattered(points, values, grid)
     return TableLobe(data.wavelengths_nm, table, np.eye(values.shape[1])), remarks
 
@@ -119,7 +117,7 @@ def _regular(points: Array, axes: list[Array], values: Array, grid: list[Array])
     total = np.zeros((*(len(a) for a in axes), values.shape[1]))
     count = np.zeros(total.shape[:3])
     place = tuple(np.searchsorted(a, np.round(points[:, i], 6)) for i, a in enumerate(axes))
-    np.add.at(total, place, values)  # pairs that differ by a mirror of the plane are averaged
+    np.add.at(total, place, values)  # average mirror-symmetric pairs
     np.add.at(count, place, 1)
     interpolate = RegularGridInterpolator(axes, total / np.maximum(count, 1)[..., None])
     inside = [np.clip(g, a[0], a[-1]) for g, a in zip(grid, axes, strict=True)]
@@ -141,10 +139,10 @@ ZEMAX_NODES = (46, 91, 37)
 
 
 def zemax_lobe(table: ZemaxBsdf) -> TableLobe:
-    """Resample a reflection table; XYZ gets smooth spectra of its colours, monochrome a flat one.
+    """Resample a reflection table; XYZ is converted to smooth spectra, monochrome to constant ones.
 
     Raises:
-        UnsupportedError: the table is of transmitted scatter.
+        UnsupportedError: the table has transmitted scatter.
     """
     if table.scatter_type != "BRDF":
         raise UnsupportedError(f"a Zemax {table.scatter_type} is not imported; only BRDF is")
@@ -170,7 +168,7 @@ def zemax_lobe(table: ZemaxBsdf) -> TableLobe:
 
 
 def _with_slope(axes: tuple[Array, ...], values: Array) -> tuple[tuple[Array, ...], Array]:
-    """Repeat an axis with one node, since one node gives no slope."""
+    """Duplicate single-node axes, as interpolation needs two nodes."""
     grown, table = [], values
     for i, axis in enumerate(axes):
         if len(axis) == 1:

@@ -1,7 +1,6 @@
-"""Numbers that vary over a surface as files for makers: grey images, masks of levels, tables; a process between.
+"""Parameter maps over a surface as fabrication files: grey images, level masks, tables.
 
-A process curve says which setting of a machine (the volts of anodising, a dose, a time) makes which value, so that a
-map of thickness becomes one of volts.
+A process curve converts values to machine settings (anodising voltage, dose, time).
 """
 
 from __future__ import annotations
@@ -23,25 +22,25 @@ from nacre.formats.calibration import LARGEST_GREY, is_monotonic, read_curve
 from nacre.formats.height_fields import write_png16, write_tiff16
 from nacre.formats.layouts import MAX_LEVELS, write_levels
 
-DEFAULT_PIXEL_UM = 100.0  # where no size is given
+DEFAULT_PIXEL_UM = 100.0
 FORMATS = ("png16", "tiff16", "npy", "csv", "gds", "oas")
 SUFFIXES = {"png16": ".png", "tiff16": ".tif", "npy": ".npy", "csv": ".csv", "gds": ".gds", "oas": ".oas"}
 DEFAULT_LEVELS = 16
-# units that a heading may name where a length is needed: read as nm they would be wrong in silence
+# units in a heading that are not lengths
 NO_LENGTHS = ("v", "volt", "volts", "a", "s", "min", "kg", "g", "mg", "deg", "percent", "%", "ev", "roughness")
-SAME_LEVEL = 2.0 / LARGEST_GREY  # of the range: as far as a 16-bit map may have rounded one level
-SQUARE = 0.01  # of a pixel's side: how far its two sides may differ
+SAME_LEVEL = 2.0 / LARGEST_GREY  # rounding of a level in a 16-bit map, relative to the range
+MAX_ASPECT_ERROR = 0.01  # relative difference of the sides of a pixel
 
 
 @dataclass(frozen=True, eq=False)
 class NumberMap:
-    """A number over the surface.
+    """A parameter over the surface.
 
     Attributes:
         path: in the recipe.
-        values: `[row, column]`, the first row on top, seen from the light's side; lengths in nm.
-        low, high: the values of black and white.
-        unit: "nm", or "" for what has none, or another than a length.
+        values: `[row, column]`, first row at the top, from the light's side; lengths in nm.
+        low, high: values for black and white.
+        unit: "nm" for lengths, else "".
     """
 
     path: str
@@ -52,19 +51,19 @@ class NumberMap:
 
     @property
     def slug(self) -> str:
-        """The path as a part of a file's name."""
+        """The path as part of a file name."""
         return re.sub(r"[^A-Za-z0-9_]+", "-", self.path).strip("-")
 
 
 @dataclass(frozen=True, eq=False)
 class ProcessCurve:
-    """Which setting of a process makes which value; linear between the points.
+    """Process settings over values, linear between the points.
 
     Attributes:
         settings: ascending.
-        values: strictly monotonic, either way; lengths in nm.
-        name: of its file.
-        words: the headings of its two columns.
+        values: strictly monotonic; lengths in nm.
+        name: file name.
+        words: headings of the two columns.
     """
 
     settings: Array
@@ -73,10 +72,10 @@ class ProcessCurve:
     words: tuple[str, str]
 
     def settings_of(self, wanted: NumberMap) -> Array:
-        """Return the settings that make a map's values.
+        """Return the settings for a map.
 
         Raises:
-            NacreError: the curve does not reach them.
+            NacreError: the curve does not cover the values.
         """
         given = re.split(r"[_(\[\s]+", self.words[1].rstrip(")] ").lower())[-1]
         if wanted.unit == "nm" and given in NO_LENGTHS:
@@ -99,10 +98,10 @@ def _is_length(heading: str) -> bool:
 
 
 def read_process(path: str | Path) -> ProcessCurve:
-    """Read a CSV of two columns, the setting and the value that it makes; lengths in nm.
+    """Read a two-column CSV with settings and values; lengths in nm.
 
-    A first line of words names them, and a length's unit (`thickness_um`, `Oxide (nm)`); where the first column is the
-    length alone, the columns are turned about. Lines that start with # are left out.
+    Headings may include a length unit (`thickness_um`, `Oxide (nm)`); if only the first is a length, the columns are
+    swapped. Lines that start with # are ignored.
 
     Raises:
         NacreError: it cannot be read, has fewer than two points, or is not monotonic.
@@ -126,20 +125,20 @@ def write_number_maps(
     calibration: str | Path | Mapping[str, str | Path] | None = None,
     levels: int | None = None,
 ) -> tuple[Path, ...]:
-    """Write each map, and beside it a JSON that says how to read it.
+    """Write each map, and a JSON file with its scale and orientation.
 
     Args:
-        maps: one or more; the files of several carry the number's path in their names.
-        to: one of `FORMATS`.
-        path: where.
-        source: the recipe's name, for the provenance.
-        size_mm: width and height of the whole picture; default: 0.1 mm a pixel.
-        calibration: a CSV of setting and value, or of several maps a table from the number's path to such a file.
-        levels: of a mask; default: as many as the map has, or 16.
+        maps: file names of several maps contain the parameter's path.
+        to: a name in `FORMATS`.
+        path: output file.
+        source: name of the recipe.
+        size_mm: width and height; default: 0.1 mm per pixel.
+        calibration: a CSV of settings and values; for several maps a mapping from path to file.
+        levels: levels of a mask; default: those of the map, or 16.
 
     Raises:
-        UnsupportedError: the format's ending, the size or the levels do not fit.
-        NacreError: a curve does not fit, or a file cannot be written.
+        UnsupportedError: unsuitable suffix, size or levels.
+        NacreError: unsuitable curve, or a file cannot be written.
     """
     if path.suffix.lower() != SUFFIXES[to]:
         raise UnsupportedError(f"{path}: --to {to} needs a name that ends in {SUFFIXES[to]}")
@@ -175,7 +174,7 @@ def write_number_maps(
 def _curves(
     maps: Sequence[NumberMap], calibration: str | Path | Mapping[str, str | Path] | None
 ) -> dict[str, ProcessCurve]:
-    """Return the process curve of each number that has one."""
+    """Return process curves by parameter path."""
     if calibration is None:
         return {}
     paths = [one.path for one in maps]
@@ -197,7 +196,7 @@ def _pitch_um(one: NumberMap, size_mm: tuple[float, float] | None) -> float:
         return DEFAULT_PIXEL_UM
     rows, columns = one.values.shape
     wide, high = 1e3 * size_mm[0] / columns, 1e3 * size_mm[1] / rows
-    if abs(wide - high) > SQUARE * wide:
+    if abs(wide - high) > MAX_ASPECT_ERROR * wide:
         raise UnsupportedError(
             f"--size-mm {size_mm[0]:g}x{size_mm[1]:g} stretches the picture of {columns} x {rows} pixels; "
             f"{size_mm[0]:g}x{size_mm[0] * rows / columns:.4g} does not"
@@ -234,7 +233,7 @@ def _heading(one: NumberMap, facts: dict[str, Any]) -> str:
 def _write_mask(
     one: NumberMap, path: Path, settings: Array | None, pitch_um: float, levels: int | None, facts: dict[str, Any]
 ) -> None:
-    """Write a mask of which layer k holds the pixels of level k; a map of few values keeps its own."""
+    """Write a mask whose layer k contains the pixels with level k; few distinct values are levels."""
     steps = _distinct(one)
     if levels is not None or len(steps) > MAX_LEVELS:
         steps = np.linspace(one.low, one.high, levels or DEFAULT_LEVELS)
@@ -251,7 +250,7 @@ def _write_mask(
 
 
 def _distinct(one: NumberMap) -> Array:
-    """Return the values of a map, those that rounding has parted taken as one; more than a mask holds where many."""
+    """Return the distinct values of a map, merging those that differ only by rounding."""
     values = np.unique(one.values)
     if len(values) < 2:
         return values

@@ -1,7 +1,7 @@
-"""The bilinear sampling warp of RGL's tensor files: from the unit square to a tabulated density and back.
+"""RGL tensor files (`.bsdf`) of Mitsuba's `measured` and pbrt: writing, reading, evaluation, and their sampling warp.
 
-Densities live on the corners of a grid and are interpolated bilinearly; the warp takes the row by the marginal
-and the column by the conditional distribution, both inverted exactly (Dupuy & Jakob 2018, supplement).
+The warp maps the unit square to a bilinear density: the row follows the marginal, the column the conditional
+distribution, both inverted exactly (Dupuy & Jakob 2018, supplement).
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ from numpy.typing import NDArray
 from nacre.bsdf import Bsdf
 from nacre.bsdf.grids import direction, interpolate
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError, UnsupportedError
+from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path, plain, why_unreadable
 from nacre.core.memory import check_memory
+from nacre.formats.export_formats import refuse_unsuitable
 
-FLAT = 1e-4  # below this relative slope a segment is treated as constant, as the readers of the format do
+FLAT = 1e-4  # segments with smaller relative slope are constant, as in other readers
 
 
 @dataclass(frozen=True)
 class Warp:
-    """A normalised density on `[rows, columns]` corners of the unit square.
+    """A normalised density at `[rows, columns]` grid corners.
 
     Attributes:
         density: `[rows, columns]`, mean 1 over the square.
@@ -85,13 +86,13 @@ class Warp:
 
     @property
     def _unit(self) -> float:
-        """Turn the density into the units of the running integrals."""
+        """Scale from density to running integrals."""
         rows, columns = self.density.shape
         return 1.0 / ((rows - 1) * (columns - 1))
 
 
 def _solve(start: Array, end: Array, area: Array) -> Array:
-    """Return t in [0, 1] with the integral of the ramp from start to end over [0, t] equal to `area`."""
+    """Return t in [0, 1] such that the integral of a linear ramp over [0, t] equals `area`."""
     flat = np.abs(start - end) < FLAT * (start + end)
     with np.errstate(divide="ignore", invalid="ignore"):
         straight = 2 * area / (start + end)
@@ -104,12 +105,12 @@ def _solve(start: Array, end: Array, area: Array) -> Array:
 MAGIC = b"tensor_file\0"
 TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "u8", 8: "i8", 9: "f2", 10: "f4", 11: "f8"}
 MAX_FIELD_BYTES = 2 << 30
-BYTES_A_BYTE = 3  # of a file: the file itself, and its single precision in double
-NDF_FLOOR = 1e-4  # of the peak: directions where the retro-reflection is dark must stay reachable
+MEMORY_FACTOR = 3  # memory per byte of a file: the file and its arrays in double precision
+NDF_FLOOR = 1e-4  # relative to the peak; dark directions must remain sampled
 
 
 def write_tensor(path: str | Path, fields: Mapping[str, NDArray[Any]]) -> None:
-    """Write named arrays as a tensor file, version 1.0, whole or not at all."""
+    """Write named arrays as a tensor file, version 1.0, atomically."""
     codes = {np.dtype(text): code for code, text in TYPES.items()}
     arrays = {name: np.ascontiguousarray(value) for name, value in fields.items()}
     header = MAGIC + struct.pack("<BBI", 1, 0, len(arrays))
@@ -137,7 +138,7 @@ def read_tensor(path: str | Path) -> dict[str, NDArray[Any]]:
     """
     path = Path(path)
     try:
-        check_memory(BYTES_A_BYTE * float(plain(path).stat().st_size), f"{path}: read and in double precision, it")
+        check_memory(MEMORY_FACTOR * float(plain(path).stat().st_size), f"{path}: read and in double precision, it")
         data = path.read_bytes()
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
@@ -173,12 +174,12 @@ def _parse_tensor(data: bytes) -> dict[str, NDArray[Any]]:
 
 
 def theta_of(u: Array) -> Array:
-    """Return the polar angle of the format's unit coordinate."""
+    """Return the polar angle for a unit coordinate."""
     return np.asarray(u) ** 2 * (np.pi / 2)
 
 
 def phi_of(u: Array) -> Array:
-    """Return the azimuth of the format's unit coordinate."""
+    """Return the azimuth for a unit coordinate."""
     return (2 * np.asarray(u) - 1) * np.pi
 
 
@@ -192,23 +193,23 @@ def rgl_fields(
     phi_nodes: int = 16,
     wavelengths_nm: Array | None = None,
 ) -> dict[str, NDArray[Any]]:
-    """Tabulate the reflecting, non-delta part of a Bsdf in the format's coordinates.
+    """Tabulate the reflected, non-delta part of a Bsdf in the format's coordinates.
 
     Args:
-        bsdf: any Bsdf with arrays to evaluate (a stochastic lobe has none).
+        bsdf: without stochastic lobes.
         is_isotropic: whether the response depends on the azimuths' difference only.
-        resolution: of the sample grid, an axis.
+        resolution: nodes along each axis of the sample grid.
         theta_nodes, phi_nodes: incident directions.
-        wavelengths_nm: to keep; default: at most 48 of the Bsdf's own.
+        wavelengths_nm: default: at most 48 of the Bsdf's own.
 
     Raises:
         UnsupportedError: nothing but deltas, or a stochastic lobe.
     """
-    _refuse(bsdf)
+    refuse_unsuitable(bsdf, "the .bsdf tensor")
     own = bsdf.wavelengths_nm
     keep = np.unique(np.linspace(0, len(own) - 1, min(len(own), 48)).round().astype(int))
     grid = own[keep] if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
-    theta_i = np.linspace(0.0, 1.0, theta_nodes) ** 1.0 * np.radians(89.0)
+    theta_i = np.linspace(0.0, 1.0, theta_nodes) * np.radians(89.0)
     phi_i = np.zeros(1) if is_isotropic else np.linspace(-np.pi, np.pi, phi_nodes)
     ndf_u = np.linspace(0.0, 1.0, 128)
     ndf_v = np.linspace(0.0, 1.0, 2 if is_isotropic else 64)
@@ -245,18 +246,11 @@ def rgl_fields(
     }  # fmt: skip
 
 
-def _refuse(bsdf: Bsdf) -> None:
-    if any(lobe.is_stochastic for lobe in bsdf.lobes):
-        raise UnsupportedError('the .bsdf tensor needs arrays, not a random walk; set quality = "fast" in the recipe')
-    if all(lobe.is_delta for lobe in bsdf.lobes):
-        raise UnsupportedError("the .bsdf tensor cannot hold a smooth material: mirror directions are delta functions")
-
-
 def write_rgl(path: str | Path, bsdf: Bsdf, description: str = "", **options: Any) -> list[str]:
-    """Write a `.bsdf` file and return what of the material it cannot hold, in words.
+    """Write a `.bsdf` file and return the properties that it cannot store.
 
     Raises:
-        UnsupportedError: nothing of the material can be held.
+        UnsupportedError: the format cannot store the material.
         NacreError: the file cannot be written.
     """
     write_tensor(path, rgl_fields(bsdf, description, **options))
@@ -269,7 +263,7 @@ def write_rgl(path: str | Path, bsdf: Bsdf, description: str = "", **options: An
 
 
 def _f_cos(bsdf: Bsdf, grid: Array, wi: Array, m: Array) -> Array:
-    """Return f cos at the mirror of wi about m, `[direction, wavelength]`, zero below the horizon."""
+    """Return f cos for the reflection of wi at m, `[direction, wavelength]`, zero below the horizon."""
     wo = 2 * (m @ wi)[:, None] * m - wi
     up = wo[:, 2] > 1e-6
     values = np.zeros((len(m), len(grid)))
@@ -314,7 +308,7 @@ def _visible(ndf: Array, ndf_u: Array, ndf_v: Array, u: Array, v: Array, wi: Arr
 
 
 def _projected_area(ndf: Array, ndf_u: Array, ndf_v: Array, theta: Array, phi: Array) -> Array:
-    """Return sigma `[v, u]`: the integral of D <wi, m> over the half vectors."""
+    """Return sigma `[v, u]`: the integral of D <wi, m> over half vectors."""
     u = np.linspace(0, 1, 128)
     v = np.linspace(0, 1, 65)[:-1]
     mu, mv = (a.ravel() for a in np.meshgrid(u, v, indexing="xy"))
@@ -326,10 +320,10 @@ def _projected_area(ndf: Array, ndf_u: Array, ndf_v: Array, theta: Array, phi: A
     return np.maximum(np.maximum(wi @ m.T, 0.0) @ weight, 1e-12)
 
 
-# Evaluate an RGL `.bsdf` tensor as its renderers do: measurements of the RGL database become materials.
+# Evaluation of RGL `.bsdf` tensors, as in renderers.
 
 NEEDED = ("theta_i", "phi_i", "ndf", "sigma", "vndf", "spectra", "wavelengths", "jacobian")
-LARGEST = 1e12  # no BSDF, density or area is near it; a damaged file is, and overflows where it is used
+MAX_VALUE = 1e12  # larger values occur in damaged files only
 
 SMALLEST = 1e-12
 
@@ -384,7 +378,7 @@ class RglBsdf:
         if vndf.shape[1] != len(theta) or fields["ndf"].ndim != 2 or fields["sigma"].ndim != 2 or len(theta) < 2:
             raise ValueError("shapes")
         arrays = (theta, spectra, vndf, waves, fields["ndf"], fields["sigma"])
-        if not all(np.isfinite(a).all() and np.max(np.abs(a), initial=0.0) < LARGEST for a in arrays):
+        if not all(np.isfinite(a).all() and np.max(np.abs(a), initial=0.0) < MAX_VALUE for a in arrays):
             raise ValueError("values")
         if min(*vndf.shape[2:], *spectra.shape[3:], *fields["ndf"].shape, *fields["sigma"].shape) < 2:
             raise ValueError("nodes")

@@ -17,6 +17,7 @@ from nacre.bsdf import Bsdf
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, plain, why_unreadable
+from nacre.formats.export_formats import refuse_unsuitable
 from nacre.light import spectrum_to_xyz
 
 CHANNELS = {"Monochrome": ("Monochrome",), "XYZ": ("TristimulusX", "TristimulusY", "TristimulusZ")}
@@ -48,7 +49,7 @@ class ZemaxBsdf:
 
 
 def scatter_direction(incidence_deg: Array, azimuth_deg: Array, radial_deg: Array) -> Array:
-    """Return unit vectors `[..., 3]` of scatter angles about the mirror direction, light coming from +x."""
+    """Return unit vectors `[..., 3]` for scatter angles about the mirror direction; the light comes from +x."""
     theta, phi, rho = np.radians(incidence_deg), np.radians(azimuth_deg), np.radians(radial_deg)
     specular = np.stack([-np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1)
     to_normal = np.stack([np.cos(theta), np.zeros_like(theta), np.sin(theta)], axis=-1)
@@ -58,19 +59,16 @@ def scatter_direction(incidence_deg: Array, azimuth_deg: Array, radial_deg: Arra
 
 
 def zemax_table(bsdf: Bsdf, wavelength_nm: float | None = None, step_deg: float = 5.0) -> ZemaxBsdf:
-    """Tabulate the reflecting, non-delta part of a Bsdf.
+    """Tabulate the reflected, non-delta part of a Bsdf.
 
     Args:
         wavelength_nm: one wavelength for a monochrome file; default: XYZ under D65.
-        step_deg: of incidence and azimuth; radial angles are finer near the specular direction.
+        step_deg: step for incidence and azimuth; radial angles are finer near the specular direction.
 
     Raises:
         UnsupportedError: nothing but deltas, a stochastic lobe, or a wavelength outside the Bsdf's grid.
     """
-    if any(lobe.is_stochastic for lobe in bsdf.lobes):
-        raise UnsupportedError('a Zemax table needs arrays, not a random walk; set quality = "fast" in the recipe')
-    if all(lobe.is_delta for lobe in bsdf.lobes):
-        raise UnsupportedError("a Zemax table cannot hold a smooth material: mirror directions are delta functions")
+    refuse_unsuitable(bsdf, "a Zemax table")
     incidence = np.arange(0.0, 85.0 + step_deg / 2, step_deg)
     azimuth = np.arange(0.0, 180.0 + step_deg / 2, step_deg)
     radial = np.concatenate([np.arange(0, 5, 0.5), np.arange(5, 20, 1), np.arange(20, 90, 2.5), np.arange(90, 176, 5)])
@@ -99,14 +97,16 @@ def _light(incidence_deg: Array) -> Array:
 
 
 def _total(values: Array, cos_o: Array, azimuth_deg: Array, radial_deg: Array) -> Array:
-    """Integrate f cos over the half sphere of azimuths and double it."""
+    """Integrate f cos over half the azimuths and double it."""
+    from scipy.integrate import trapezoid
+
     rho = np.radians(radial_deg)
-    rings = np.trapezoid(values * np.maximum(cos_o, 0.0) * np.sin(rho), rho, axis=-1)
-    return np.asarray(2 * np.trapezoid(rings, np.radians(azimuth_deg), axis=-1))
+    rings = trapezoid(values * np.maximum(cos_o, 0.0) * np.sin(rho), rho, axis=-1)
+    return np.asarray(2 * trapezoid(rings, np.radians(azimuth_deg), axis=-1))
 
 
 def write_zemax(path: str | Path, table: ZemaxBsdf, comment: str = "") -> None:
-    """Write the table as text, whole or not at all.
+    """Write the table as text, atomically.
 
     Raises:
         NacreError: the file cannot be written.
@@ -134,7 +134,7 @@ def read_zemax(path: str | Path) -> ZemaxBsdf:
     """Read a tabular BSDF with one sample rotation.
 
     Raises:
-        NacreError: naming what is missing or wrong.
+        NacreError: the file is invalid.
     """
     path = Path(path)
     try:

@@ -83,6 +83,7 @@ class Key:
 
 def keys_of(model: type[RecipeModel]) -> tuple[Key, ...]:
     """Return the keys of one table, in the order of the model."""
+    model.model_rebuild()  # resolves tables that are defined further down in their module
     return tuple(_key(name, field) for name, field in model.model_fields.items())
 
 

@@ -1,7 +1,7 @@
-"""Appearance of a material for the page: colours over the angle, spectra, colours under lamps; packed as bytes.
+"""Material appearance for the page: colours over the angle, spectra, colours under lamps; packed as bytes.
 
-The preview draws a mirror-like part (R over the angle in the light of the studio), a glossy part (the lobe about the
-mirror direction, `nacre.measure.gloss`) and a diffuse part: the remaining light, as a matt surface of the same
+The preview draws a mirror-like part (R over the angle in the studio's light), a glossy part (the lobe about the
+mirror direction, `nacre.measure.gloss`) and a diffuse part: the remaining light, as a matt surface with the same
 reflectance at the view angle (reciprocity allows this). Layered films are solved at once. Other materials are first
 drafted with few angles and wavelengths, at a quality adapted to the machine.
 """
@@ -20,28 +20,16 @@ from typing import Any
 
 import numpy as np
 
+from nacre import light
 from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import Roughness
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.families.contract import Draft, fabrications, is_direct, search_model, surrogate_radiance
+from nacre.families import contract
 from nacre.formats.lobes import is_isotropic
 from nacre.formats.lut.table import lobe_directions, lobe_weight
-from nacre.light import (
-    SRGB_WHITE_XYZ,
-    adapt_xyz,
-    clip_to_srgb,
-    spans_colour,
-    spectrum_to_rgb_linear,
-    spectrum_to_xyz,
-    srgb_to_hex,
-    white_xyz,
-    xyz_to_lab,
-    xyz_to_srgb_linear,
-)
-from nacre.light.spaces import srgb_encode
 from nacre.material.material import Material
 from nacre.matter.drawings import DrawingRequest, HeightMap
 from nacre.matter.indices.constant import OpticalConstant
@@ -51,11 +39,11 @@ from nacre.studio.latest_only_worker import SupersededError
 
 LAMPS = ("D65", "A", "F11")
 PROBE_RAD, PROBE_NM = np.array([0.0]), np.array([450.0, 550.0, 650.0])
-QUICK_S = 0.01  # limit for one angle at three wavelengths; layered films take a tenth of it
+QUICK_S = 0.01  # limit for one angle at three wavelengths; layered films need a tenth
 MAX_QUICK_FORMS = 256
 SHOWN_DEG = (0.0, 30.0, 60.0)  # angles of the spectra
 BAND = 12  # wavelengths solved between two checks for a newer request
-RIDGE_ROUGHNESS = 0.5  # draws the fan of light of ridges
+RIDGE_ROUGHNESS = 0.5  # for the light fan of ridges
 DIFFUSE_NOTE = "Scattered light is drawn as diffuse; the rendered picture shows its lobes."
 GLOSS_NOTE = "Scattered light is drawn as a rough mirror of fitted width over a diffuse part; see the rendered picture."
 ALIGNED_NOTE = "Aligned particles are drawn as seen in the plane of u; the rendered picture includes the azimuth."
@@ -66,8 +54,8 @@ TRANSMITTED_PARTS = ("specular_transmittance", "diffuse_transmittance")
 VISIBLE_TRANSMITTANCE = 0.02
 
 ANGLES_DEG = np.arange(0.0, 91.0)
-MAX_ANGLE_DEG = 88.0  # of integrated spectra: no light arrives at 90 degrees
-SLOW_DRAFT_S, FAST_DRAFT_S = 0.3, 0.06  # slower drafts lower the quality of the next one, faster drafts raise it
+MAX_ANGLE_DEG = 88.0  # for integrated spectra: no light arrives at 90 degrees
+SLOW_DRAFT_S, FAST_DRAFT_S = 0.3, 0.06  # slower drafts lower the next quality, faster ones raise it
 
 LOBE_SHAPE = (4, 14, 24)  # slices, rows, columns of a lobe image: azimuth, difference angle, square root of half angle
 LOBE_NM = np.arange(400.0, 705.0, 8.0)
@@ -75,13 +63,13 @@ LOBE_NM = np.arange(400.0, 705.0, 8.0)
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """Sampling of an appearance.
+    """Sampling parameters.
 
     Attributes:
-        angles_deg: angles of the table.
-        wavelengths_nm: None: the grid of the material.
-        nodes: quadrature nodes of the exit directions along each of two coordinates; a random walk uses nodes**2 paths.
-        samples: paths of a random walk for one pair of directions; None: as in `nacre.evaluate`.
+        angles_deg: table angles.
+        wavelengths_nm: default: the material's grid.
+        nodes: quadrature nodes along both exit coordinates; a random walk uses nodes**2 paths.
+        samples: random-walk paths for one direction pair; default: as in `nacre.evaluate`.
     """
 
     angles_deg: Array
@@ -100,7 +88,7 @@ DRAFTS = (
 
 
 class AdaptiveQuality:
-    """Draft quality of each family, adapted to the measured duration of its drafts.
+    """Draft quality for each family, adapted to measured durations.
 
     The first draft at a level includes compilation and is ignored.
     """
@@ -110,11 +98,11 @@ class AdaptiveQuality:
         self._compiled: set[tuple[str, int]] = set()
 
     def of(self, family: str) -> Quality:
-        """Return the quality of the family's next draft."""
+        """Return the quality for the family's next draft."""
         return DRAFTS[self._levels.get(family, 0)]
 
     def update(self, family: str, seconds: float) -> None:
-        """Record the duration of a draft."""
+        """Record a draft's duration."""
         level = self._levels.get(family, 0)
         if (family, level) not in self._compiled:
             self._compiled.add((family, level))
@@ -135,16 +123,16 @@ class Appearance:
     Attributes:
         mirror_rgb, gloss_rgb, diffuse_rgb: `[angle, 3]` over `ANGLES_DEG`, linear sRGB, not clipped, adapted from the
             lamp.
-        transmitted_rgb: colours of the directly transmitted light of a free film; None: nothing is visible through it.
-        facets: of the mirror-like part: `distribution`, and whether multiple scattering is `compensated`.
+        transmitted_rgb: directly transmitted light, only for a visibly transparent free film.
+        facets: `distribution` of the mirror-like part, and whether multiple scattering is `compensated`.
         is_clear: light is transmitted; pictures then have a chequered stage.
-        alpha, gloss_alpha: roughness of the mirror-like and the glossy part.
-        lobe: image of the scattered light's lobe, see `lobe_image`; None: the preview's approximation is used.
+        alpha, gloss_alpha: roughness, mirror-like and glossy.
+        lobe: lobe image of scattered light, see `lobe_image`; the preview approximates it if missing.
         wavelengths_nm: `[wavelength]`; total: `[shown angle, wavelength]`, total reflectance.
-        swatches: for each lamp its name and the colours `hex` and `lab` of the total at `SHOWN_DEG`.
+        swatches: for each lamp its name and the total colours `hex` and `lab` at `SHOWN_DEG`.
         is_draft: solved at few angles and wavelengths; the final appearance follows.
-        notes: sentences about the approximations of the preview.
-        profile: `heights_um` of a height map along one line, its `length_um` and the map's `depth_um`; else None.
+        notes: sentences about approximations.
+        profile: for height maps `heights_um` along one line, its `length_um` and the map's `depth_um`.
     """
 
     mirror_rgb: Array
@@ -165,7 +153,7 @@ class Appearance:
     profile: dict[str, Any] | None
 
     def packed(self, **header: Any) -> bytes:
-        """Return the appearance as bytes, see `pack`; `header` adds entries such as the number of the request."""
+        """Return the appearance as bytes, see `pack`; `header` adds entries such as the request number."""
         arrays = {
             "mirror": self.mirror_rgb,
             "gloss": self.gloss_rgb,
@@ -191,8 +179,7 @@ class Appearance:
 
 
 def pack(header: Mapping[str, Any], arrays: Mapping[str, Array]) -> bytes:
-    """Return the header's length (little-endian), the header as JSON with names and shapes of the arrays, and float32
-    arrays."""
+    """Return the header's length (little-endian), the JSON header with array names and shapes, and float32 arrays."""
     shapes = [[name, list(array.shape)] for name, array in arrays.items()]
     text = json.dumps({**header, "arrays": shapes}).encode()
     text += b" " * (-len(text) % 4)
@@ -201,11 +188,11 @@ def pack(header: Mapping[str, Any], arrays: Mapping[str, Array]) -> bytes:
 
 
 def appearances(material: Material, illuminant: str, is_superseded: Callable[[], bool]) -> Iterator[Appearance]:
-    """Yield the final appearance of a material, after a draft if it is slow.
+    """Yield the final appearance, after a draft if the material is slow.
 
     Args:
-        illuminant: lamp of the studio, such as "D65".
-        is_superseded: polled between the parts of a long solution.
+        illuminant: lamp, such as "D65".
+        is_superseded: polled during a long solution.
 
     Raises:
         NacreError: the material cannot be solved.
@@ -227,10 +214,14 @@ def appearances(material: Material, illuminant: str, is_superseded: Callable[[],
 
 def _drafted(material: Material) -> Material:
     """Return the material with its family's draft model, or with one that has noise-free spectra instead of walks."""
-    if isinstance(material.model, Draft):
+    if isinstance(material.model, contract.Draft):
         return replace(material, model=material.model.draft)
-    near = search_model(material.model, {})
-    if is_direct(material.model) or not is_direct(near) or near.spectrum(PROBE_RAD, PROBE_NM, "both", 0) is None:
+    near = contract.search_model(material.model, {})
+    if (
+        contract.is_direct(material.model)
+        or not contract.is_direct(near)
+        or near.spectrum(PROBE_RAD, PROBE_NM, "both", 0) is None
+    ):
         return material
     return replace(material, model=near)
 
@@ -241,7 +232,7 @@ _quick_forms: set[str] = set()
 def _is_quick(material: Material) -> bool:
     """Whether the whole appearance takes milliseconds: spectra are available without integration.
 
-    It is measured, because films with ridges are slow. The second of two trials counts, as the first one may compile.
+    It is measured, because films with ridges are slow. The second trial counts, as the first may compile.
     The result is stored for recipes that differ in numbers only; a busy machine therefore does not draft films.
     """
     if not material.model.traits.is_quick:
@@ -276,7 +267,7 @@ def _solve(material: Material, illuminant: str, is_superseded: Callable[[], bool
     start = time.perf_counter()
     angles_deg, grid = quality.angles_deg, quality.wavelengths_nm
     wavelengths, parts, gloss, bsdf = _spectra(material, quality, is_superseded)
-    if not spans_colour(wavelengths):
+    if not light.spans_colour(wavelengths):
         raise NacreError(
             f"{material.context.source}: wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm make no colour"
         )
@@ -289,10 +280,10 @@ def _solve(material: Material, illuminant: str, is_superseded: Callable[[], bool
     alpha, facets, notes = _surface(material)
     lobe = None
     if np.any(diffuse > 0):
-        # a lobe image has no azimuth, and detecting an anisotropic lobe takes most of a minute
+        # lobe images lack the azimuth, and detecting anisotropy takes most of a minute
         if grid is None and not material.model.traits.is_quick and not _is_aligned(material):
             _check(is_superseded)
-            lobe = lobe_image(material, bsdf, functools.partial(spectrum_to_rgb_linear, illuminant=illuminant))
+            lobe = lobe_image(material, bsdf, functools.partial(light.spectrum_to_rgb_linear, illuminant=illuminant))
         if lobe is None:
             notes.append(DIFFUSE_NOTE if gloss is None else GLOSS_NOTE)
     transmitted = None
@@ -359,10 +350,10 @@ def _check(is_superseded: Callable[[], bool]) -> None:
 
 
 def _rgb(values: Array, wavelengths: Array, illuminant: str, angles_deg: Array) -> Array:
-    """Return the colours of spectra at the angles of the table, `[angle, 3]`."""
+    """Return spectral colours at the table angles, `[angle, 3]`."""
     if not values.any():
         return np.zeros((len(ANGLES_DEG), 3))
-    rgb = spectrum_to_rgb_linear(values, wavelengths, illuminant)
+    rgb = light.spectrum_to_rgb_linear(values, wavelengths, illuminant)
     return np.stack([np.interp(ANGLES_DEG, angles_deg, channel) for channel in rgb.T], axis=-1)
 
 
@@ -374,15 +365,18 @@ def _at_angles(total: Array, angles_deg: Array) -> Array:
 
 
 def _swatches(total: Array, wavelengths: Array) -> list[dict[str, Any]]:
-    whites = [white_xyz(lamp) for lamp in LAMPS]
-    xyz = [spectrum_to_xyz(total, wavelengths, lamp) for lamp in LAMPS]
-    linear = [xyz_to_srgb_linear(adapt_xyz(own, white, SRGB_WHITE_XYZ)) for own, white in zip(xyz, whites, strict=True)]
-    shown = srgb_encode(clip_to_srgb(np.stack(linear)).rgb)  # one call: gamut mapping dominates the cost
+    whites = [light.white_xyz(lamp) for lamp in LAMPS]
+    xyz = [light.spectrum_to_xyz(total, wavelengths, lamp) for lamp in LAMPS]
+    linear = [
+        light.xyz_to_srgb_linear(light.adapt_xyz(own, white, light.SRGB_WHITE_XYZ))
+        for own, white in zip(xyz, whites, strict=True)
+    ]
+    shown = light.srgb_encode(light.clip_to_srgb(np.stack(linear)).rgb)  # one call: gamut mapping dominates the cost
     return [
         {
             "lamp": lamp,
-            "hex": [srgb_to_hex(colour) for colour in colours],
-            "lab": np.round(xyz_to_lab(own, white), 1).tolist(),
+            "hex": [light.srgb_to_hex(colour) for colour in colours],
+            "lab": np.round(light.xyz_to_lab(own, white), 1).tolist(),
         }
         for lamp, colours, own, white in zip(LAMPS, shown, xyz, whites, strict=True)
     ]
@@ -390,13 +384,14 @@ def _swatches(total: Array, wavelengths: Array) -> list[dict[str, Any]]:
 
 def _is_aligned(material: Material) -> bool:
     """Whether the material is anisotropic because its particles are aligned."""
-    return bool(getattr(material.model, "is_aligned", False))
+    return isinstance(material.model, contract.Aligned) and material.model.is_aligned
 
 
 def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
-    """Return the roughness of the preview, its facet distribution, and notes on the approximations."""
+    """Return the preview's roughness, its facet distribution, and notes on approximations."""
     notes: list[str] = []
-    rough = getattr(material.model, "surface", None)
+    model = material.model
+    rough = model.surface if isinstance(model, contract.RoughSurface) else None
     alpha, facets = 0.0, {"distribution": "ggx", "compensated": False}
     if isinstance(rough, Roughness):
         facets = {"distribution": rough.distribution, "compensated": rough.compensate}
@@ -405,7 +400,7 @@ def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
             alpha *= float(rough.alpha_texture(np.array([0.5, 0.5])))
         if rough.alpha_x != rough.alpha_y:
             notes.append("Brushed surfaces are drawn with the mean of their two roughnesses.")
-    if getattr(material.model, "ridges", None) is not None:
+    if isinstance(model, contract.Ridged) and model.ridges is not None:
         alpha = RIDGE_ROUGHNESS
         notes.append("The fan of light of the ridges is drawn as a rough mirror; the rendered picture shows its shape.")
     if _is_aligned(material):
@@ -417,16 +412,19 @@ def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
 
 def _is_free(material: Material) -> bool:
     """Whether transmitted light continues straight on: both sides are the same medium."""
-    sides = [getattr(material.model, name, None) for name in ("ambient", "substrate")]
+    model = material.model
+    if not isinstance(model, contract.BetweenMedia):
+        return False
+    sides = (model.ambient, model.substrate)
     if not all(isinstance(side, OpticalConstant) for side in sides):
         return False
-    above, below = (side.n_complex(PROBE_NM) for side in sides)  # type: ignore[union-attr]  # checked above
+    above, below = (side.n_complex(PROBE_NM) for side in sides)
     return bool(np.array_equal(above, below))
 
 
 def _profile(material: Material) -> dict[str, Any] | None:
-    """Return the heights of a height map along the line with the largest steps."""
-    formats = fabrications(material.model)
+    """Return heights along the line with the largest steps."""
+    formats = contract.fabrications(material.model)
     drawing = formats[HEIGHT_MAP_FORMAT](DrawingRequest()) if HEIGHT_MAP_FORMAT in formats else None
     if not isinstance(drawing, HeightMap):
         return None
@@ -448,13 +446,13 @@ def _varies(data: Any) -> bool:
 
 
 def lobe_image(material: Material, bsdf: Bsdf | None, to_rgb: Callable[[Array, Array], Array]) -> Array | None:
-    """Return pi f 2 cos_i cos_o / (cos_i + cos_o) of the scattered light, `[slice, row, column, 3]`; or None.
+    """Return pi f 2 cos_i cos_o / (cos_i + cos_o) for scattered light, `[slice, row, column, 3]`; or None.
 
-    The coordinates are half and difference angles, as in exported tables. The page uses only the shape; the amount of
-    light comes from the spectra, therefore a coarse wavelength grid and the noise-free surrogate of a walk suffice.
+    The coordinates are half and difference angles, as in exported tables. The page uses only the shape and takes the
+    total from the spectra, therefore a coarse wavelength grid and the walk's noise-free surrogate suffice.
 
     Args:
-        bsdf: solved at any wavelengths, or None if the material's spectra need none.
+        bsdf: at any wavelengths, if it was solved for the spectra.
         to_rgb: maps spectra `[pair, wavelength]` and wavelengths `[wavelength]` to colours.
     """
     wi, wo = lobe_directions(*LOBE_SHAPE)
@@ -475,5 +473,5 @@ def _lobe_values(material: Material, bsdf: Bsdf | None, wi: Array, wo: Array) ->
         return None, LOBE_NM
     if not any(lobe.is_stochastic for lobe in lobes):
         return (scattering.evaluate(wi, wo) if is_isotropic(scattering) else None), bsdf.wavelengths_nm
-    found = surrogate_radiance(material.model, wi, wo, LOBE_NM)
+    found = contract.surrogate_radiance(material.model, wi, wo, LOBE_NM)
     return None if found is None else found[0] + found[1], LOBE_NM

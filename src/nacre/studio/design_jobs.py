@@ -1,7 +1,6 @@
-"""Jobs of the page's design tab: inverse design, gamut, and colour scatter of manufactured materials.
+"""Jobs for the page's design tab: inverse design, gamut, and colour scatter under manufacturing tolerances.
 
-They use the optimiser of `nacre design`, the sampling of `nacre gamut` and the tolerances of `nacre tolerance`, without
-folders and reports.
+They correspond to `nacre design`, `nacre gamut` and `nacre tolerance` without folders and reports.
 """
 
 from __future__ import annotations
@@ -12,21 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from nacre import light
 from nacre.analysis.tolerance import recipe_tolerances
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.light import (
-    SRGB_WHITE_XYZ,
-    adapt_xyz,
-    delta_e_2000,
-    spectrum_to_xyz,
-    white_xyz,
-    xyz_to_lab,
-    xyz_to_srgb_linear,
-)
 from nacre.material.material import Material
 from nacre.measure.spectrum import bsdf_spectrum
-from nacre.optimise.evaluation import TargetResult, evaluate, geometries_of, lab_hex, nearest_in_ranges, reached
+from nacre.optimise.evaluation import TargetResult, evaluate, geometries_of, lab_hex, nearest_in_ranges, results_of
 from nacre.optimise.gamut import find_gamut, optimal_limits, srgb_limits
 from nacre.optimise.measurement import search_wavelengths, simulate_measurement
 from nacre.optimise.parameters import point_of, values_at
@@ -47,11 +38,11 @@ WARM_UP_S = 0.05
 PROGRESS_S, SOLUTION_S = 0.25, 0.6  # shortest time between two progress events; between two solutions
 IMPROVEMENT = 0.99  # a better solution reduces the objective at least by this factor
 MAX_EVALUATION_S = 0.5  # slower models are not evaluated during the search
-FINAL_SHARE = 0.3  # of the search time, added for the final evaluation
+FINAL_SHARE = 0.3  # share added to the search time for the final evaluation
 
 GAMUT_POINTS, GAMUT_S = 400, 24.0  # for all angles together
-LOCAL_SHARE = 0.5  # of the time, for the local search towards the targets
-STEPS = (0.15, 0.08, 0.04, 0.02, 0.01, 0.005)  # standard deviations of the local search, as shares of the bounds
+LOCAL_SHARE = 0.5  # time share for local search towards the targets
+STEPS = (0.15, 0.08, 0.04, 0.02, 0.01, 0.005)  # standard deviations in local search, relative to the bounds
 TRIES = 16  # for each step
 OUTLINE_POINTS = 72
 
@@ -66,7 +57,7 @@ def design(request: Mapping[str, Any], emit: Emit) -> None:
     """Optimise; emit "begun", "progress", "solution" (the current best), then "final" for each solution and "ended".
 
     Raises:
-        NacreError: the recipe, a bound or a target is invalid, or the material has no such measurement.
+        NacreError: the recipe, a bound or a target is invalid, or the geometry is not applicable.
     """
     task = task_of(request)
     search_spec = task.spec.search
@@ -97,7 +88,7 @@ def design(request: Mapping[str, Any], emit: Emit) -> None:
 
 
 class _Progress:
-    """Emits the progress of a search and its current best solution."""
+    """Emits search progress and the current best solution."""
 
     def __init__(self, task: DesignTask, request: Mapping[str, Any], emit: Emit) -> None:
         self._task, self._request, self._emit = task, request, emit
@@ -109,7 +100,7 @@ class _Progress:
         self._cache: dict[Any, Any] = {}
 
     def update(self, worst: float, values: Mapping[str, Any]) -> None:
-        """Handle a callback of the search."""
+        """Handle a search callback."""
         now = time.monotonic() - self._start
         is_better = bool(values) and worst < IMPROVEMENT * self._best
         if is_better and now - self._last_solution > max(SOLUTION_S, 4.0 * self._evaluation_s):
@@ -129,7 +120,7 @@ class _Progress:
             material = self._task.material.vary(values)
             grid = search_wavelengths(material, spec.light.illuminants)
             seen = simulate_measurement(material, self._rows, grid, seed=spec.search.seed, memory=self._cache)
-            return reached(seen, self._task.targets, spec.light)
+            return results_of(seen, self._task.targets, spec.light)
         except NacreError:
             return []
         finally:
@@ -172,14 +163,14 @@ def text_with(text: str, material: Material, changes: Mapping[str, Any]) -> str:
 
 
 def gamut(request: Mapping[str, Any], emit: Emit) -> None:
-    """Emit "limits" (outlines of sRGB and of the optimal colours in a*b*), then "gamut" for each angle.
+    """Emit "limits" (a*b* outlines of sRGB and optimal colours), then "gamut" for each angle.
 
     Raises:
-        NacreError: the recipe, a bound or a target is invalid, or nothing can be computed.
+        NacreError: the recipe, a bound or a target is invalid, or the material cannot be computed.
     """
     task, lamp = task_of(request), request["lamp"]
-    white = white_xyz(lamp, OBSERVER)
-    optimal = np.asarray(xyz_to_lab(optimal_limits(lamp, OBSERVER), white))
+    white = light.white_xyz(lamp, OBSERVER)
+    optimal = np.asarray(light.xyz_to_lab(optimal_limits(lamp, OBSERVER), white))
     emit({"kind": "limits", "srgb": _outline(srgb_limits(lamp, OBSERVER)), "optimal": _outline(optimal)})
     rows = geometries_of(task.targets)
     seconds = min(GAMUT_S, request["seconds"]) / len(rows)
@@ -215,7 +206,7 @@ def _outline(solid: Array) -> list[list[float]]:
 
 
 def _colour_function(task: DesignTask, row: Any, lamp: str, white: Array) -> Callable[[Array], Array | None]:
-    """Return a function from normalised parameters to Lab; None if the material cannot be computed."""
+    """Return a function from normalised parameters to Lab, or to None if they cannot be computed."""
     grid = search_wavelengths(task.material, [lamp])
     cache: dict[Any, Any] = {}
 
@@ -225,17 +216,19 @@ def _colour_function(task: DesignTask, row: Any, lamp: str, white: Array) -> Cal
             seen = simulate_measurement(material, [row], grid, memory=cache)
         except NacreError:
             return None
-        return np.asarray(xyz_to_lab(spectrum_to_xyz(seen.factors[0], seen.wavelengths_nm, lamp, OBSERVER), white))
+        return np.asarray(
+            light.xyz_to_lab(light.spectrum_to_xyz(seen.factors[0], seen.wavelengths_nm, lamp, OBSERVER), white)
+        )
 
     return colour
 
 
 def distance_to(target: Target, labs: Array) -> Array:
-    """Return CIEDE2000 of colours `[n, 3]` to a target; for ranges to the nearest colour within them."""
+    """Return CIEDE2000 between colours `[n, 3]` and a target, for ranges the nearest colour within them."""
     if target.lab is not None:
-        return np.asarray(delta_e_2000(labs, target.lab))
+        return np.asarray(light.delta_e_2000(labs, target.lab))
     ranges = target.ranges or {}
-    return np.asarray(delta_e_2000(labs, np.array([nearest_in_ranges(lab, ranges) for lab in labs])))
+    return np.asarray(light.delta_e_2000(labs, np.array([nearest_in_ranges(lab, ranges) for lab in labs])))
 
 
 def _local_search(
@@ -267,11 +260,11 @@ def _local_search(
 def tolerance(request: Mapping[str, Any], emit: Emit) -> None:
     """Emit "tolerance" as the sample grows: linear sRGB `rgb` `[draw, angle, 3]`, and dE00 to the nominal colour.
 
-    The tolerances are the recipe's `[tolerance]`, and a percentage of every other layer's thickness; the colour is that
-    of all reflected light.
+    The tolerances are the recipe's `[tolerance]`, and a percentage for every other layer thickness; colours are
+    those under total reflection.
 
     Raises:
-        NacreError: the recipe is invalid, has no toleranced value, or cannot be computed.
+        NacreError: the recipe is invalid, lacks toleranced values, or cannot be computed.
     """
     material = inlined(built(request["recipe"])).at_low_fidelity()
     tolerances = recipe_tolerances(material, tolerance_options(material, request["percent"]))
@@ -312,7 +305,7 @@ def tolerance_options(material: Material, percent: float) -> tuple[str, ...]:
     """Return `PATH=PERCENT%` for every layer thickness, else for every length, that `[tolerance]` does not name.
 
     Raises:
-        NacreError: the recipe has no length.
+        NacreError: the recipe lacks lengths.
     """
     own = material.data.get("tolerance", {})
     numbers = [path for path, value in material.parameters.items() if value != 0.0]
@@ -325,7 +318,7 @@ def tolerance_options(material: Material, percent: float) -> tuple[str, ...]:
 
 
 def _sampling(material: Material, lamp: str) -> tuple[Array, Array | None]:
-    """Return angles and wavelengths: all of a quick material, few of a slow one."""
+    """Return angles and wavelengths: few for slow materials."""
     if not material.model.traits.is_quick:
         return COARSE_DEG, COARSE_NM
     for _ in range(2):  # the first trial may compile
@@ -336,21 +329,21 @@ def _sampling(material: Material, lamp: str) -> tuple[Array, Array | None]:
 
 
 def _reflected_xyz(material: Material, angles_deg: Array, grid: Array | None, lamp: str) -> Array:
-    """Return XYZ under the lamp, `[angle, 3]`, of all reflected light."""
+    """Return XYZ of the total reflected light under the lamp, `[angle, 3]`."""
     theta = np.radians(angles_deg)
     spectrum = material.model.spectrum(theta, grid, "both", 0)
     if spectrum is None:
         spectrum = bsdf_spectrum(material.bsdf(grid), theta)
     parts = spectrum.parts()
     total = sum(np.nan_to_num(parts[name]) for name in ("specular_reflectance", "diffuse_reflectance") if name in parts)
-    return np.asarray(spectrum_to_xyz(total, spectrum.wavelengths_nm, lamp))
+    return np.asarray(light.spectrum_to_xyz(total, spectrum.wavelengths_nm, lamp))
 
 
 def _scatter(nominal: Array, found: list[Array], angles: Array, lamp: str) -> dict[str, Any]:
-    white = white_xyz(lamp)
+    white = light.white_xyz(lamp)
     xyz = np.stack(found)
-    rgb = xyz_to_srgb_linear(adapt_xyz(xyz, white, SRGB_WHITE_XYZ))
-    distance = np.asarray(delta_e_2000(xyz_to_lab(nominal, white), xyz_to_lab(xyz, white)))
+    rgb = light.xyz_to_srgb_linear(light.adapt_xyz(xyz, white, light.SRGB_WHITE_XYZ))
+    distance = np.asarray(light.delta_e_2000(light.xyz_to_lab(nominal, white), light.xyz_to_lab(xyz, white)))
     return {
         "kind": "tolerance", "angles": angles.tolist(), "rgb": np.round(rgb, 5).tolist(),
         "median": np.round(np.median(distance, axis=0), 2).tolist(),

@@ -1,4 +1,4 @@
-"""Design requests of the page: target colours, and the parameters with their bounds."""
+"""Design requests: target colours, and the parameters with their bounds."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from nacre.optimise.task import DesignTask
 
 GEOMETRIES = ("specular", "transmitted", "diffuse", "hemispherical", "aspecular")
-OBSERVER = "2deg"  # of all colours of the page
+OBSERVER = "2deg"
 MAX_TARGETS, MAX_PARAMETERS, MAX_LISTED = 24, 80, 200
 SECONDS, SOLUTIONS = (2.0, 600.0), (1, 6)
 MIN_LAYER_NM = 5.0
@@ -135,7 +135,7 @@ def list_parameters(material: Material) -> dict[str, Any]:
 
 
 def _default_geometry(material: Material) -> str:
-    """Return the family's default geometry, or "aspecular" if the material has no specular reflection.
+    """Return the family's default geometry, or "aspecular" without specular reflection.
 
     Raises:
         NacreError: the material cannot be computed.
@@ -149,7 +149,7 @@ def _default_geometry(material: Material) -> str:
 
 
 def _bounds(material: Material, path: str, value: float) -> tuple[float, float] | None:
-    """Return bounds that the recipe allows: half to twice the value, of a layer from 5 nm; None: there are none."""
+    """Return allowed bounds, half to twice the value and for a layer from 5 nm, if there are any."""
     unit = THICKNESS.search(path)
     lows = [share * value for share in LOWER_FACTORS]
     if unit and MIN_LAYER_NM < value * IN_NM[unit[1]] <= MAX_FILM_NM:
@@ -174,7 +174,7 @@ def _is_allowed(material: Material, path: str, value: float) -> bool:
 
 
 def task_of(request: Mapping[str, Any]) -> DesignTask:
-    """Return the validated task of a request; changes the current folder to the recipe's.
+    """Return the validated design task; changes the current folder to the recipe's.
 
     Raises:
         NacreError: the recipe is invalid or reads a file outside its fence, or cannot be designed for these targets.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from nacre.core.errors import NacreError
 from nacre.families.contract import OwnFormats, fabrications
-from nacre.formats.export_formats import EXPORTS, FOLDER, OF_SOME, said_of
+from nacre.formats.export_formats import EXPORTS, FAMILY_FORMATS, FOLDER, export_remarks
 from nacre.formats.fabrication import SUFFIXES
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
@@ -29,8 +29,8 @@ from nacre.studio.surroundings import NAMES
 if TYPE_CHECKING:
     from nacre.picture.images import RenderResult
 
-MAX_RECIPES = 2  # of a report
-MAX_FILE = 96 << 20  # bytes; the command has no such limit
+MAX_RECIPES = 2  # in a report
+MAX_FILE = 96 << 20  # bytes; the command is unlimited
 MAX_REMARKS = 30
 PICTURES = (".png", ".jpg", ".webp", ".exr", ".spectral.exr")
 # option -> type, lowest and highest value
@@ -45,7 +45,7 @@ OPTIONS = {
     "fabricate": ("levels", "seed", "width_mm", "height_mm"),
     "picture": ("width", "height", "noise", "azimuth", "elevation", "seed"),
 }
-SCENES = ("sphere", "probe", *OBJECTS)  # of rendered pictures on the page
+SCENES = ("sphere", "probe", *OBJECTS)  # for rendered pictures on the page
 SIZES, SECONDS = (128, 640), (1.0, 120.0)
 
 
@@ -62,7 +62,7 @@ def read_report(body: Mapping[str, Any], opened: OpenedFolder) -> dict[str, Any]
 
 
 def report(request: Mapping[str, Any], emit: Emit) -> bytes:
-    """Return as JSON: `reports` with `colours` and `numbers`, and `differences` of two recipes.
+    """Return as JSON: `reports` with `colours` and `numbers`, and `differences` between two recipes.
 
     Raises:
         NacreError: a material cannot be computed.
@@ -87,15 +87,15 @@ def report(request: Mapping[str, Any], emit: Emit) -> bytes:
 
 
 def formats_of(material: Material) -> dict[str, list[str]]:
-    """Return the formats of a material by command: `export`, `fabricate` and `picture`.
+    """Return available formats by command: `export`, `fabricate` and `picture`.
 
     Raises:
-        NacreError: an image of the recipe cannot be read.
+        NacreError: an image in the recipe cannot be read.
     """
     drawn = list(fabrications(material.model))
     maps = [name for name in MAP_FORMATS if name not in drawn] if number_maps(material) else []
     own = material.model.own_formats if isinstance(material.model, OwnFormats) else {}
-    exports = [name for name in EXPORTS if name not in OF_SOME or name in own]
+    exports = [name for name in EXPORTS if name not in FAMILY_FORMATS or name in own]
     return {"export": sorted(exports), "fabricate": [*drawn, *maps], "picture": list(PICTURES)}
 
 
@@ -142,7 +142,7 @@ def _choice(body: Mapping[str, Any], key: str, default: str | None, known: tuple
 
 
 def make_file(request: Mapping[str, Any], emit: Emit) -> bytes:
-    """Return the length of a header, the header (the file's `name` and `remarks`) and the file; several are zipped.
+    """Return the header length, the header (file `name` and `remarks`) and the file; several files are zipped.
 
     Raises:
         NacreError: it cannot be written, or is too large for the page.
@@ -187,7 +187,7 @@ def _export(material: Material, request: Mapping[str, Any], folder: Path, stem: 
     to, options = request["to"], dict(request["options"])
     if to == FOLDER:
         options["illuminant"] = request["lamp"]
-    return said_of(export_material(material, to, folder / f"{stem}{EXPORTS[to]}", **options))
+    return export_remarks(export_material(material, to, folder / f"{stem}{EXPORTS[to]}", **options))
 
 
 def _fabricate(material: Material, request: Mapping[str, Any], folder: Path, stem: str) -> list[str]:
@@ -219,7 +219,7 @@ WRITERS = {"export": _export, "fabricate": _fabricate, "picture": _picture}
 
 
 def _mesh_options(request: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the render options of the user's mesh, which is stored with z up."""
+    """Return render options for the user's mesh, which is stored with z up."""
     return {"shape": request["mesh"], "up": "z"} if request.get("mesh") else {}
 
 
@@ -269,8 +269,7 @@ def _png(result: RenderResult) -> str:
     from PIL import Image
 
     from nacre.core.html import png_uri
-    from nacre.light import clip_to_srgb
-    from nacre.light.spaces import srgb_encode
+    from nacre.light import clip_to_srgb, srgb_encode
 
     pixels = (255.0 * srgb_encode(clip_to_srgb(result.rgb).rgb) + 0.5).astype("uint8")
     buffer = io.BytesIO()

@@ -1,4 +1,4 @@
-"""Edits of a recipe's text: numbers, layers and tables. Comments are preserved if possible."""
+"""Recipe text edits: numbers, layers and tables. Comments are preserved if possible."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def edited(text: str, edits: Sequence[Mapping[str, Any]], source: str) -> str:
         text: TOML.
         edits: each has `path` and `op`: "set" (`value`), "remove"; for lists "insert" (`index`, `value`) or "move"
             (`from`, `to`).
-        source: name of the recipe in messages.
+        source: recipe name in messages.
 
     Raises:
         RecipeError: the text is not TOML, a path does not exist, or an edit is invalid.
@@ -138,10 +138,10 @@ def _written(data: Mapping[str, Any]) -> str:
 
 
 def line_of(text: str, message: str) -> int | None:
-    """Return the line number, from 1, of an error message; None if it is unknown.
+    """Return the line number, from 1, for an error message, if known.
 
-    TOML errors contain their line. Recipe errors name a key such as `layers[1].material`: the line is the occurrence of
-    the key's last word with the list index.
+    TOML errors contain their line. Recipe errors name a key such as `layers[1].material`: the line is the last
+    word's occurrence with the list index.
     """
     if found := re.search(r"at line (\d+)", message):
         return int(found[1])

@@ -1,4 +1,4 @@
-"""The opened folder: its recipes, and the fence that keeps a recipe of the page from reading other files."""
+"""The opened folder: its recipes, and the fence that prevents the page's recipes from reading other files."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from nacre.material.material import MAX_NESTED_RECIPES, Material, material_from_
 from nacre.recipe.model import RecipeContext
 from nacre.recipe.toml import parse_toml
 
-MAX_TEXT = 300_000  # characters of a recipe
+MAX_TEXT = 300_000  # characters
 MAX_LISTED = 500
-MAX_DEPTH = 3  # of folders below the opened one
+MAX_DEPTH = 3  # folders below the opened one
 OTHER_FILE_KEYS = ("target", "recipe")  # files with these keys are targets and sweeps, even if they name a family
-EXAMPLE = "example:"  # prefix of the names of shipped recipes
-# the starting points offered to a visitor, one for each type of appearance
+EXAMPLE = "example:"  # name prefix for shipped recipes
+# starting points for a visitor, one for each type of appearance
 STARTS = ("jewel-beetle", "bragg-mirror", "blue-oxide", "morpho-film", "metasurface/silver_on_oxide", "pearl/bottle3")
 
 
 @dataclass(frozen=True)
 class FencedContext(RecipeContext):
-    """Context of a recipe of the page; files outside `fence` are refused.
+    """Recipe context for the page; files outside `fence` are refused.
 
     Attributes:
-        fence: folder that must contain all paths of the recipe.
-        depth: nesting depth of recipes.
+        fence: folder that must contain all paths.
+        depth: nesting depth.
     """
 
     fence: Path = dataclasses.field(default_factory=Path)
     depth: int = 0
 
     def path(self, name: str) -> Path:
-        """Resolve a path of the recipe, including links.
+        """Resolve a path, including links.
 
         Raises:
             RecipeError: it leads outside the fence.
@@ -81,7 +81,7 @@ class OpenedFolder:
 
     Attributes:
         folder: resolved; recipes are read from it and saved into it.
-        first: name of the recipe that is shown first, or "" to offer the starting points.
+        first: name of the first recipe shown, or "" to offer the starting points.
     """
 
     folder: Path
@@ -89,10 +89,10 @@ class OpenedFolder:
 
     @classmethod
     def of(cls, path: str | None) -> OpenedFolder:
-        """Open a recipe or a folder; None: the current folder, which need not contain a recipe.
+        """Open a recipe or a folder, by default the current folder, which need not contain recipes.
 
         Raises:
-            NacreError: no such file, or a folder without recipes.
+            NacreError: a missing file, or a folder without recipes.
         """
         if path is None:
             return cls(Path.cwd().resolve())
@@ -114,7 +114,7 @@ class OpenedFolder:
         raise NacreError(f"{path}: no such file or folder, and no example of that name")
 
     def names(self) -> list[str]:
-        """Return the relative names of the folder's recipes: .toml files with a family."""
+        """Return relative names for the folder's recipes: .toml files with a family."""
         found: list[str] = []
         for path in sorted(self.folder.rglob("*.toml")):
             inner = path.relative_to(self.folder)
@@ -130,7 +130,7 @@ class OpenedFolder:
         """Return a recipe's file and its fence.
 
         Raises:
-            NacreError: the name leads outside the folder, or is not the name of a recipe.
+            NacreError: the name leads outside the folder, or does not name a recipe.
         """
         fence = self.folder
         if name.startswith(EXAMPLE):
@@ -152,7 +152,7 @@ class OpenedFolder:
         return read_text(self.place(name)[0], "recipe")
 
     def is_readable(self, name: str) -> bool:
-        """Whether a recipe of the folder is TOML; its values may still be invalid."""
+        """Whether a recipe is TOML; its values may still be invalid."""
         try:
             parse_toml(self.read(name), name)
         except NacreError:
@@ -160,7 +160,7 @@ class OpenedFolder:
         return True
 
     def material(self, text: str, name: str) -> Material:
-        """Build a recipe's text as the file of that name.
+        """Build a recipe's text as the file with that name.
 
         Raises:
             NacreError: as `build`.
@@ -193,7 +193,7 @@ class OpenedFolder:
 
 
 def version_of(text: str) -> str:
-    """Return a hash that distinguishes two versions of a file."""
+    """Return a hash that distinguishes file versions."""
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -208,11 +208,11 @@ def _has_family(path: Path) -> bool:
         data = parse_toml(text, path.name)
         return isinstance(data.get("family"), str) and not any(key in data for key in OTHER_FILE_KEYS)
     except RecipeError:
-        return "family" in text  # invalid TOML is listed too: the page shows the line of the mistake
+        return "family" in text  # invalid TOML is listed too: the page shows the mistake
 
 
 def read_lamp(body: Mapping[str, Any]) -> str:
-    """Return the lamp of a request, by default D65.
+    """Return the requested lamp, by default D65.
 
     Raises:
         NacreError: it is not known.
@@ -224,10 +224,10 @@ def read_lamp(body: Mapping[str, Any]) -> str:
 
 
 def read_recipe(recipe: Any, opened: OpenedFolder) -> dict[str, str]:
-    """Return `text`, `path` and `fence` of a recipe in a request.
+    """Return `text`, `path` and `fence` for a recipe in a request.
 
     Raises:
-        NacreError: it has no text or name, is too long, or leads outside the folder.
+        NacreError: text or name is missing, it is too long, or leads outside the folder.
     """
     if not isinstance(recipe, dict) or not all(isinstance(recipe.get(key), str) for key in ("text", "name")):
         raise NacreError("a recipe needs text and name")
@@ -238,7 +238,7 @@ def read_recipe(recipe: Any, opened: OpenedFolder) -> dict[str, str]:
 
 
 def read_number(value: Any, name: str, low: float, high: float) -> float:
-    """Return a number of a request that lies within its limits.
+    """Return a number within its limits.
 
     Raises:
         NacreError: it is not a number, or is outside the limits.
@@ -249,7 +249,7 @@ def read_number(value: Any, name: str, low: float, high: float) -> float:
 
 
 def built(recipe: Mapping[str, str]) -> Material:
-    """Return the material of a recipe from `read_recipe`.
+    """Return the material for a recipe from `read_recipe`.
 
     Raises:
         NacreError: the recipe is invalid, or reads a file outside its fence.

@@ -1,7 +1,4 @@
-"""Form of a family: its recipe model as JSON data for the page.
-
-Names, meanings, units, ranges and defaults are those of `nacre keys`.
-"""
+"""Recipe model of a family as JSON data for the page's form, as in `nacre keys`."""
 
 from __future__ import annotations
 
@@ -21,14 +18,14 @@ LIMITS = ("ge", "gt", "le", "lt")
 
 
 def family_form(family: object, source: str = "recipe") -> dict[str, Any]:
-    """Return the tables of a family's recipe by name, and the name of the root table.
+    """Return a family's recipe tables by name, and the root table's name.
 
     Each key has `name`, `meaning`, `unit`, `value` (allowed values in words), `default`, `kind` (number, bool, choice,
     text, material, table, tables, other), and if applicable `limits`, `choices`, `tables`, `template` (a new list
-    entry) and `spellings` (other names of a length, with their unit factor).
+    entry) and `spellings` (other length names, with their unit factor).
 
     Raises:
-        NacreError: no such family.
+        NacreError: unknown family.
     """
     root = family_spec(family, source)
     tables: dict[str, Any] = {}
@@ -93,7 +90,7 @@ def _kind(key: Key, annotation: Any, metadata: Sequence[Any]) -> str:
 
 
 def _arms(annotation: Any) -> Iterator[Any]:
-    """Yield the alternatives of an annotation, without None and Pydantic metadata."""
+    """Yield an annotation's alternatives, without None and Pydantic metadata."""
     origin = typing.get_origin(annotation)
     if origin in (typing.Union, types.UnionType):
         for arm in typing.get_args(annotation):
@@ -111,7 +108,7 @@ def _choices(annotation: Any) -> list[Any]:
 
 
 def _number(annotation: Any, metadata: Sequence[Any] = ()) -> dict[str, Any] | None:
-    """Return the limits of a numeric annotation (`ge`, `gt`, `le`, `lt`, `whole`); None: it is not numeric."""
+    """Return the limits in a numeric annotation (`ge`, `gt`, `le`, `lt`, `whole`), else None."""
     if annotation in (float, int):
         limits: dict[str, Any] = {"whole": annotation is int}
         for item in metadata:
@@ -127,7 +124,7 @@ def _number(annotation: Any, metadata: Sequence[Any] = ()) -> dict[str, Any] | N
 
 
 def _template(key: Key) -> Any:
-    """Return the initial value of a new entry: the first example that is valid TOML."""
+    """Return the initial value for a new entry: the first example that is valid TOML."""
     for line in key.snippet:
         try:
             value = parse_toml(line, "example")[key.name]

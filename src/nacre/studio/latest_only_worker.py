@@ -19,7 +19,7 @@ class LatestOnlyWorker(Generic[Request]):
     """Answers the newest request; older ones are dropped, and one in progress is superseded.
 
     `answer(request, is_superseded)` yields `(message, is_draft)` and may raise `SupersededError`; the worker rests
-    after a draft. The thread ends when no request is left.
+    after a draft. The thread ends when all requests are answered.
     """
 
     def __init__(
@@ -33,9 +33,9 @@ class LatestOnlyWorker(Generic[Request]):
         """Create an idle worker.
 
         Args:
-            answer: generates the messages of a request.
+            answer: generates messages for a request.
             send: sends a message; never called concurrently.
-            fail: reports an exception of `answer`.
+            fail: reports an exception in `answer`.
             slot: held while a message is computed, to limit the workers that compute at once.
             drops_superseded: whether a message is dropped if a newer request arrived during its computation.
         """
@@ -50,7 +50,7 @@ class LatestOnlyWorker(Generic[Request]):
         self._thread: threading.Thread | None = None
 
     def submit(self, request: Request) -> None:
-        """Answer a request instead of the current one; return at once."""
+        """Replace the current request; return at once."""
         with self._changed:
             self._number += 1
             self._waiting = [request]

@@ -1,4 +1,4 @@
-"""`nacre.studio(material)`: the object of the studio in a notebook cell, without server, token or network.
+"""`nacre.studio(material)`: the studio's object in a notebook cell, without server, token or network.
 
 Messages to the view: `room` (surroundings and shader tables, sent on request), `appearance` (`Appearance.packed`) and
 `error`. Messages from the view: `ready`, and `vary` with a slider's path and value.
@@ -27,8 +27,8 @@ from nacre.studio.surroundings import ALPHAS, ROWS, blurred_surroundings
 
 TABLES = "table.glsl"
 MAX_SLIDERS = 6
-SLIDER_FACTOR = 2.0  # largest value of a slider, relative to the recipe's
-OPTICAL_CONSTANTS = ("n", "k")  # get no slider
+SLIDER_FACTOR = 2.0  # slider maximum relative to the recipe's value
+OPTICAL_CONSTANTS = ("n", "k")  # without sliders
 
 IMPORT = re.compile(r'^import \{ (\w+(?:, \w+)*) \} from "(\.[\w./-]+\.js)";$', re.MULTILINE)
 EXPORT = re.compile(r"^export (const|class|function|async function) (\w+)", re.MULTILINE)
@@ -36,14 +36,14 @@ UNSUPPORTED = re.compile(r"^\s*(?:import|export)\b.*|\bimport\s*[(.].*", re.MULT
 
 
 def show(material: MaterialLike, *, illuminant: str = "D65") -> Any:
-    """Return a widget of a material: sphere, colour over the angle, reflectance, sliders.
+    """Return a widget for a material: sphere, colour over the angle, reflectance, sliders.
 
-    `widget.material` is the material with the values of the sliders; setting it shows another one. Materials are solved
+    `widget.material` is the material with the sliders' values; setting it shows another one. Materials are solved
     in a thread, slow ones first as a draft.
 
     Args:
-        material: a material, or the path of a recipe, `.nacre` file, design folder or the name of an example.
-        illuminant: lamp of the studio.
+        material: a material, a path (recipe, `.nacre` file, design folder) or an example name.
+        illuminant: lamp.
 
     Raises:
         NacreError: anywidget is not installed, the material cannot be loaded, or the lamp is not known.
@@ -61,7 +61,7 @@ def show(material: MaterialLike, *, illuminant: str = "D65") -> Any:
 
 
 def sliders(material: Material) -> list[dict[str, Any]]:
-    """Return `path`, `value` and `max` of the first numbers of a recipe that a slider can change."""
+    """Return `path`, `value` and `max` for the first parameters, one slider each."""
     return [
         {"path": path, "value": value, "max": SLIDER_FACTOR * value}
         for path, value in material.parameters.items()
@@ -92,7 +92,7 @@ class NotebookView:
         self._lamp = lamp
         self.worker = LatestOnlyWorker(self._answer, self._send_packed, self._fail)
         self._number = 0
-        self._shown = 0  # number of the material that the sliders belong to
+        self._shown = 0  # counts materials with their own sliders
         self._sliders: list[dict[str, Any]] = []
         self._last: bytes | None = None
 
@@ -103,7 +103,7 @@ class NotebookView:
         self._solve(material)
 
     def receive(self, content: Any) -> None:
-        """Handle a message of the view; invalid ones are ignored."""
+        """Handle a message from the view; invalid ones are ignored."""
         if not isinstance(content, dict):
             return
         if content.get("kind") == "ready":
@@ -168,7 +168,7 @@ def widget_class() -> Any:
 
         @property
         def material(self) -> Material:
-            """The current material; setting it shows another one (also by path or name of an example)."""
+            """The current material; setting it shows another one (also by path or example name)."""
             return self.view.material
 
         @material.setter
@@ -184,11 +184,11 @@ def widget_class() -> Any:
 
 
 def bundle(entry: str) -> str:
-    """Return a JavaScript module of the studio together with its imports, as one module without build step.
+    """Return a JavaScript module with its imports as one module, without build step.
 
-    Each module becomes a function that runs once and returns its exports, so that names of different modules cannot
-    clash. Only the forms of import and export that the studio's modules use are supported. The default export holds the
-    exports of the entry.
+    Each module becomes a function that runs once and returns its exports, therefore names of different modules
+    cannot clash. Only import and export forms used by the studio are supported. The default export contains the entry's
+    exports.
 
     Args:
         entry: path relative to the studio's folder, such as "widget.js".
@@ -196,7 +196,7 @@ def bundle(entry: str) -> str:
     Raises:
         ValueError: an unsupported import or export, a circular import, or an unknown name.
     """
-    modules: dict[str, tuple[str, list[str]]] = {}  # in the order of their dependencies
+    modules: dict[str, tuple[str, list[str]]] = {}  # dependencies first
     _add(entry, modules, ())
     return "\n".join([*(text for text, _ in modules.values()), f"export default {_variable(entry)};\n"])
 

@@ -1,4 +1,4 @@
-"""Objects of the page: simplified triangle meshes of picture scenes or of the user, packed with their camera."""
+"""Objects on the page: simplified triangle meshes from picture scenes or from the user, packed with their camera."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from nacre.picture.shapes.printed import banknote_print
 OBJECTS = (
     "speedshape", "knob", "body", "bottle", "panel", "butterfly", "beetle", "ring", "cuff", "banknote", "card",
 )  # fmt: skip
-MAX_FACES = 160_000  # of all parts; a browser without a graphics card still turns it
+MAX_FACES = 160_000  # all parts together; fast enough without a graphics card
 BISECTIONS = 10
 MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93, 0xA0761D6478BD642F,
                 0xE7037ED1A0B428DB], dtype=np.uint64).astype(np.int64)  # fmt: skip
 WELD_TOLERANCE = 1e-6  # relative to the extent
-METAL_F0 = 0.55  # luminance of Mitsuba's chromium at normal incidence
+METAL_F0 = 0.55  # Mitsuba's chromium at normal incidence
 PRINTED, PRINT_ROWS = "banknote", 512
-SHADE_SHARE = 0.72  # width of the shade on the floor, relative to the object
+SHADE_SHARE = 0.72  # shade width on the floor, relative to the object
 
 
 def packed_object(name: str) -> bytes:
-    """Return one of `OBJECTS`, packed and cached.
+    """Return an object, packed and cached.
 
     Raises:
-        NacreError: no such object.
+        NacreError: unknown object.
     """
     if name not in OBJECTS:
         raise NacreError(f'object "{name[:40]}" is not known; choose from {", ".join(OBJECTS)}')
@@ -62,8 +62,8 @@ def mesh_job(request: Mapping[str, Any], emit: Any = None) -> bytes:
     """Return a user's mesh, placed on the floor as in pictures, packed; write it as PLY for pictures.
 
     Args:
-        request: `path` of the uploaded file, its original `name`, its `up` axis ("": the format's default), the path
-            `stored` of the PLY file, and the `id` by which the page refers to it.
+        request: uploaded file `path`, its original `name` and `up` axis ("": the format's default), PLY path `stored`,
+            and the page's `id` for it.
 
     Raises:
         NacreError: it cannot be read as a mesh; names the original file.
@@ -80,7 +80,7 @@ def mesh_job(request: Mapping[str, Any], emit: Any = None) -> bytes:
 
 
 def read_upload(name: str, up: str) -> str:
-    """Return the file suffix of an uploaded mesh.
+    """Return an uploaded mesh's file suffix.
 
     Raises:
         NacreError: an unknown format or axis.
@@ -95,10 +95,10 @@ def read_upload(name: str, up: str) -> str:
 
 def packed(parts: Sequence[Part], view: View, **about: str | bool) -> bytes:
     """Return the header's length, the header as JSON, float32 `[vertex, 8]` (position, normal, uv), uint32 indices, and
-    the reflectances of a print as bytes, bottom row first.
+    print reflectances as bytes, bottom row first.
 
-    The header has `vertices`, `indices`, `parts` (each `start` and `count` of indices; of companion objects the `plain`
-    reflectances and roughness; whether it is `printed`), the shape of the `print`, the camera (`target`, `distance`,
+    The header has `vertices`, `indices`, `parts` (each with index `start` and `count`; companion objects with `plain`
+    reflectances and roughness; whether it is `printed`), the `print` shape, the camera (`target`, `distance`,
     `fov`, `azimuth`, `elevation` in degrees), the shade on the floor (`foot`: centre and half extents), the number of
     `faces` before simplification, and `about` (`dark`: the stage is black).
     """
@@ -138,12 +138,12 @@ def packed(parts: Sequence[Part], view: View, **about: str | bool) -> bytes:
 
 
 def _print() -> NDArray[np.uint8]:
-    """Return the reflectance of the printed paper as bytes `[row, column]`, bottom row first."""
+    """Return the printed paper's reflectance as bytes `[row, column]`, bottom row first."""
     return np.asarray(np.round(255.0 * banknote_print(PRINT_ROWS)[::-1]), dtype=np.uint8)
 
 
 def plain_reflectance(name: str) -> list[float]:
-    """Return diffuse reflectance, specular reflectance at normal incidence and roughness of a companion object.
+    """Return diffuse reflectance, specular reflectance at normal incidence and roughness for a companion object.
 
     Args:
         name: its material in the scenes of pictures; the reflectance of a print is in its image.
@@ -162,7 +162,7 @@ def plain_reflectance(name: str) -> list[float]:
 def simplified(surface: Mesh, max_faces: int) -> Mesh:
     """Simplify a surface by vertex clustering (Rossignac and Borrel, 1993).
 
-    Vertices with different normals or uv are not merged, which preserves thin sheets and seams; vertices of open edges
+    Vertices with different normals or uv are not merged, which preserves thin sheets and seams; vertices on open edges
     are not moved, so that adjacent parts still fit. Normals are means of the exact ones.
     """
     if len(surface.faces) <= max_faces:
@@ -183,7 +183,7 @@ def simplified(surface: Mesh, max_faces: int) -> Mesh:
 
 
 def _open_corners(surface: Mesh, tolerance: float) -> NDArray[np.bool_]:
-    """Return which vertices lie on an edge of a single triangle, after welding."""
+    """Return which vertices lie on an edge with a single triangle, after welding."""
     _, welded = np.unique(np.round(surface.vertices / tolerance).astype(np.int64) @ MIX[:3], return_inverse=True)
     welded = welded.reshape(-1)
     faces = welded[surface.faces]
@@ -203,7 +203,7 @@ def _clustered(surface: Mesh, cell: float, fixed: NDArray[np.bool_]) -> Mesh:
     facing = (surface.normals > 0).astype(np.int64) @ np.array([1, 2, 4])
     seam = np.floor(4.0 * surface.uv[:, 0]).astype(np.int64)
     single = np.where(fixed, np.arange(1, len(fixed) + 1), 0)
-    # a hash of all distinguishing features; large odd factors make collisions improbable
+    # hash all distinguishing features; large odd factors make collisions improbable
     key = (places @ MIX[:3] + facing * MIX[3] + seam * MIX[4] + single * MIX[5]).astype(np.int64)
     _, where = np.unique(key, return_inverse=True)
     where = where.reshape(-1)
@@ -236,7 +236,7 @@ def _write_ply(path: Path, surface: Mesh) -> None:
 
 
 class MeshStore:
-    """The last few uploaded meshes of a server, as PLY files for pictures; deleted at its end."""
+    """The last few uploaded meshes, as PLY files for pictures; deleted at its end."""
 
     def __init__(self, capacity: int = 4) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="nacre-studio-meshes-"))
@@ -246,7 +246,7 @@ class MeshStore:
         self._count = 0
 
     def place(self, suffix: str) -> tuple[str, Path, Path]:
-        """Return the key of a new mesh, the path of its upload and that of its PLY file."""
+        """Return a new mesh's key, upload path and PLY path."""
         self._count += 1
         name = f"own-{self._count}"
         self._names.append(name)
@@ -261,7 +261,7 @@ class MeshStore:
         (self._folder / f"{name}.ply").unlink(missing_ok=True)
 
     def path(self, name: str) -> Path:
-        """Return the PLY file of a mesh.
+        """Return a mesh's PLY file.
 
         Raises:
             NacreError: it was deleted.

@@ -1,4 +1,4 @@
-"""HTTP routes of the studio: the page's files, recipes, validated requests, and subprocess jobs."""
+"""HTTP routes: the page's files, recipes, validated requests, and subprocess jobs."""
 
 from __future__ import annotations
 
@@ -23,38 +23,28 @@ from nacre.families.registry import family_names
 from nacre.formats.lut.write import template
 from nacre.material.examples import examples
 from nacre.matter.indices import library
+from nacre.studio import folder
 from nacre.studio.design_request import list_parameters, read_design
 from nacre.studio.downloads import formats_of, read_file, read_picture, read_report, unpacked
 from nacre.studio.edit import line_of
-from nacre.studio.folder import (
-    EXAMPLE,
-    MAX_TEXT,
-    STARTS,
-    OpenedFolder,
-    built,
-    read_lamp,
-    read_number,
-    read_recipe,
-    version_of,
-)
 from nacre.studio.form import family_form
 from nacre.studio.objects import OBJECTS, MeshStore, packed_object, read_upload
 from nacre.studio.session import MAX_MESSAGE, Session
 from nacre.studio.subprocess_jobs import SubprocessJob
 from nacre.studio.surroundings import ALPHAS, ROWS, SKIES, blurred_surroundings, floors
 
-MAX_JOBS = 2  # subprocesses at once of each of three groups: designs, other streaming jobs, jobs with one result
+MAX_JOBS = 2  # subprocesses at once in each group: designs, other streaming jobs, jobs with one result
 MAX_SOLVERS = 2  # sessions that compute at once
 MAX_SESSIONS = 64
 MAX_FOUND = 40
 MAX_BODY = 2 * MAX_MESSAGE  # two recipes
-MAX_UPLOAD = 64 << 20  # bytes of the user's mesh
+MAX_UPLOAD = 64 << 20  # bytes
 MAX_SESSION_NAME = 40
 MEDIA = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".jpg": "image/jpeg"}
 REMARKS_HEADER = "x-nacre-remarks"  # remarks on an exported file, as JSON
 JOB_S, FILE_S = 300.0, 1800.0  # time limits
-OVERHEAD_S = 240.0  # beyond the requested seconds of a streaming job: start, compilation, final evaluation
-MAX_JOB_BYTES = 4 << 30  # memory of a streaming job
+OVERHEAD_S = 240.0  # beyond the requested seconds: start, compilation, final evaluation
+MAX_JOB_BYTES = 4 << 30  # memory limit for streaming jobs
 TABLES = "table.glsl"
 DRAWS, MAX_PERCENT = (4, 400), 50.0
 BAD_INPUT, NOT_FOUND = 422, 404
@@ -70,18 +60,18 @@ Body = dict[str, Any]
 
 @dataclass
 class Studio:
-    """State of one server.
+    """Server state.
 
     Attributes:
         opened: the folder.
         meshes: uploaded meshes.
         slot: limits the sessions that compute at once.
-        limits: limit the subprocesses of each group.
-        running: the current streaming job of each page and route.
+        limits: limit subprocesses by group.
+        running: current streaming jobs by page and route.
         skies: surroundings computed by Mitsuba.
     """
 
-    opened: OpenedFolder
+    opened: folder.OpenedFolder
     meshes: MeshStore = field(default_factory=MeshStore)
     slot: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(MAX_SOLVERS))
     limits: dict[str, asyncio.Semaphore] = field(
@@ -94,7 +84,7 @@ class Studio:
 
 @dataclass(eq=False)
 class StreamingJob:
-    """A streaming job of a page: `stop` finishes it early, `is_replaced` cancels it for a newer one."""
+    """A page's streaming job: `stop` finishes it early, `is_replaced` cancels it for a newer one."""
 
     stop: asyncio.Event = field(default_factory=asyncio.Event)
     is_replaced: bool = False
@@ -129,13 +119,13 @@ def routes() -> list[BaseRoute]:
 
 
 def _page_files() -> dict[str, tuple[bytes, str]]:
-    """Return the files of the page, read once; names in requests therefore never become paths."""
+    """Return the page's files, read once; names in requests therefore never become paths."""
     found = {}
     for entry in files("nacre.studio").joinpath("page").iterdir():
         media = MEDIA.get(f".{entry.name.rpartition('.')[2]}")
         if media:
             found[entry.name] = (entry.read_bytes(), media)
-    found[TABLES] = (template(TABLES).encode(), "text/plain")  # the look-ups of exported tables
+    found[TABLES] = (template(TABLES).encode(), "text/plain")  # look-ups as in exported tables
     return found
 
 
@@ -150,7 +140,7 @@ def _studio(request: Request | WebSocket) -> Studio:
 
 
 def no_icon(request: Request) -> Response:
-    """Answer the request that browsers send before they have read that there is no icon."""
+    """Answer the browsers' initial icon request."""
     return Response(status_code=204)
 
 
@@ -158,7 +148,7 @@ def state(request: Request) -> Response:
     """Answer the recipes, examples, families, objects and surroundings."""
     opened = _studio(request).opened
     shipped = {example.name: example for example in examples()}
-    families = set(family_names())  # examples of other files, such as targets, are left out
+    families = set(family_names())  # other examples, such as targets, are omitted
     names = opened.names()
     return JSONResponse({
         "version": __version__,
@@ -167,7 +157,7 @@ def state(request: Request) -> Response:
         "recipes": names,
         "begin": next(filter(opened.is_readable, names), next(iter(names), "")),
         "families": sorted(families),
-        "starts": [_example(shipped[name]) for name in STARTS if name in shipped],
+        "starts": [_example(shipped[name]) for name in folder.STARTS if name in shipped],
         "examples": [_example(example) for example in shipped.values() if example.family in families],
         "objects": OBJECTS,
         "surroundings": {"rows": ROWS, "columns": 2 * ROWS, "alphas": ALPHAS, "places": floors()},
@@ -175,7 +165,12 @@ def state(request: Request) -> Response:
 
 
 def _example(example: Any) -> dict[str, str]:
-    return {"name": EXAMPLE + example.name, "title": example.name, "family": example.family, "about": example.about}
+    return {
+        "name": folder.EXAMPLE + example.name,
+        "title": example.name,
+        "family": example.family,
+        "about": example.about,
+    }
 
 
 async def surroundings(request: Request) -> Response:
@@ -196,13 +191,15 @@ def recipe(request: Request) -> Response:
     """Answer a recipe's text and version."""
     name = request.query_params.get("name", "")
     text = _studio(request).opened.read(name)
-    if len(text) > MAX_TEXT:
-        raise NacreError(f"{name}: a recipe of {len(text)} characters; at most {MAX_TEXT} are shown")
-    return JSONResponse({"name": name, "text": text, "version": "" if name.startswith(EXAMPLE) else version_of(text)})
+    if len(text) > folder.MAX_TEXT:
+        raise NacreError(f"{name}: a recipe of {len(text)} characters; at most {folder.MAX_TEXT} are shown")
+    return JSONResponse(
+        {"name": name, "text": text, "version": "" if name.startswith(folder.EXAMPLE) else folder.version_of(text)}
+    )
 
 
 def form(request: Request) -> Response:
-    """Answer the form of a family."""
+    """Answer a family's form."""
     return JSONResponse(family_form(request.query_params.get("family")))
 
 
@@ -214,7 +211,7 @@ def indices(request: Request) -> Response:
 
 
 def picture_object(request: Request) -> Response:
-    """Answer the triangles of an object."""
+    """Answer an object's triangles."""
     return _binary(packed_object(request.query_params.get("name", "")))
 
 
@@ -224,28 +221,28 @@ async def save(request: Request) -> Response:
     name, text, known = (body.get(key) for key in ("name", "text", "version"))
     if not (isinstance(name, str) and isinstance(text, str) and isinstance(known, str)):
         raise NacreError("saving takes name, text and version")
-    if len(text) > MAX_TEXT:
-        raise NacreError(f"{name[:80]}: a recipe of {len(text)} characters; at most {MAX_TEXT} are saved")
+    if len(text) > folder.MAX_TEXT:
+        raise NacreError(f"{name[:80]}: a recipe of {len(text)} characters; at most {folder.MAX_TEXT} are saved")
     return JSONResponse({"name": name, "version": _studio(request).opened.save(name, text, known)})
 
 
 async def report(request: Request) -> Response:
-    """Answer the report of one recipe or two."""
+    """Answer a report on one recipe or two."""
     question = read_report(await _body(request), _studio(request).opened)
     found = await _result(request, "report", "nacre.studio.downloads:report", question)
     return Response(found, media_type="application/json")
 
 
 async def formats(request: Request) -> Response:
-    """Answer the file formats of a recipe."""
-    placed = read_recipe(await _body(request), _studio(request).opened)
-    return JSONResponse(await asyncio.to_thread(lambda: formats_of(built(placed))))
+    """Answer a recipe's file formats."""
+    placed = folder.read_recipe(await _body(request), _studio(request).opened)
+    return JSONResponse(await asyncio.to_thread(lambda: formats_of(folder.built(placed))))
 
 
 async def parameters(request: Request) -> Response:
-    """Answer the possible parameters of a design."""
-    placed = read_recipe(await _body(request), _studio(request).opened)
-    return JSONResponse(await asyncio.to_thread(lambda: list_parameters(built(placed))))
+    """Answer the possible design parameters."""
+    placed = folder.read_recipe(await _body(request), _studio(request).opened)
+    return JSONResponse(await asyncio.to_thread(lambda: list_parameters(folder.built(placed))))
 
 
 async def file(request: Request) -> Response:
@@ -330,7 +327,7 @@ async def stop(request: Request) -> Response:
 
 
 def _streaming(name: str) -> Callable[[Request], Awaitable[Response]]:
-    """Return the endpoint of a streaming job."""
+    """Return the endpoint for a streaming job."""
 
     async def endpoint(request: Request) -> Response:
         body = await _body(request)
@@ -346,15 +343,15 @@ def _question(name: str, body: Body, studio: Studio) -> dict[str, Any]:
         return {**read_picture(body, studio.opened), **_mesh(body, studio)}
     if name == "tolerance":
         return {
-            "recipe": read_recipe(body, studio.opened), "lamp": read_lamp(body),
-            "percent": read_number(body.get("percent", 2), "tolerance in %", 0.0, MAX_PERCENT),
-            "draws": int(read_number(body.get("draws", 64), "draws", *DRAWS)),
+            "recipe": folder.read_recipe(body, studio.opened), "lamp": folder.read_lamp(body),
+            "percent": folder.read_number(body.get("percent", 2), "tolerance in %", 0.0, MAX_PERCENT),
+            "draws": int(folder.read_number(body.get("draws", 64), "draws", *DRAWS)),
         }  # fmt: skip
     return read_design(body, studio.opened)
 
 
 async def _stream(request: Request, name: str, session: str, question: Mapping[str, Any]) -> AsyncIterator[bytes]:
-    """Yield the events of a job; a newer job of the same page and route replaces it."""
+    """Yield a job's events; a newer job for the same page and route replaces it."""
     studio, own, key = _studio(request), StreamingJob(), (session, name)
     if session:
         if older := studio.running.get(key):
@@ -381,7 +378,7 @@ async def _stream(request: Request, name: str, session: str, question: Mapping[s
 
 
 async def talk(websocket: WebSocket) -> None:
-    """Run the session of a page."""
+    """Run a page's session."""
     studio = _studio(websocket)
     if len(studio.sessions) >= MAX_SESSIONS:
         await websocket.close(1013, "too many pages are open")

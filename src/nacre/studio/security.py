@@ -1,7 +1,7 @@
-"""Access control of the studio: only the user's own page may send requests.
+"""Access control: only the user's own page may send requests.
 
 The server listens on loopback, which every page in the user's browser can reach. Each request must therefore carry the
-token, name this server as its host, and come from no foreign page; the page itself may load nothing from elsewhere.
+token, name this server as its host, and not come from a foreign page; the page itself may load only its own files.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from nacre.core.disk_cache import cache_folder
 
 HOSTS = ("127.0.0.1", "localhost", "[::1]")
 HEADER = "x-nacre-token"
-TOKEN_LENGTH = 43  # characters of 256 bits
+TOKEN_LENGTH = 43  # characters for 256 bits
 TOKEN_LIFETIME_S = 7 * 24 * 3600
-REFUSED = 4403  # close code of a refused socket
+REFUSED = 4403  # close code
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -44,12 +44,12 @@ Asgi = Callable[[dict[str, Any], Receive, Send], Awaitable[None]]
 
 
 def new_token() -> str:
-    """Return a random token of 256 bits."""
+    """Return a random 256-bit token."""
     return secrets.token_urlsafe(32)
 
 
 def stored_token(port: int) -> str:
-    """Return the token of the server on a port: the previous one if it is recent, so that open pages stay valid.
+    """Return the token for the server on a port: the previous one if it is recent, so that open pages stay valid.
 
     It is stored in the user's cache folder, readable by the user only; without such a folder it is new.
     """
@@ -82,7 +82,7 @@ class Gate:
     def __init__(self, app: Asgi, token: str, port: int) -> None:
         self._app = app
         self._token = token
-        self._cookie = f"nacre_studio_{port}"  # cookies are shared by all ports of a host
+        self._cookie = f"nacre_studio_{port}"  # all ports share the host's cookies
         self._hosts = {f"{name}:{port}" for name in HOSTS} | (set(HOSTS) if port == 80 else set())
 
     async def __call__(self, scope: dict[str, Any], receive: Receive, send: Send) -> None:
@@ -117,7 +117,7 @@ class Gate:
             return "this host name is not the studio's"
         origin = headers.get("origin")
         if origin is None:
-            # browsers send the origin of a socket; other clients must send the token in a header
+            # browsers send a socket's origin; other clients must send the token in a header
             return "a socket without an origin" if is_socket and not self._is_token(headers.get(HEADER, "")) else ""
         own = origin.lower().removeprefix("http://")
         if not origin.lower().startswith("http://") or own != headers["host"].lower():
@@ -147,9 +147,9 @@ class Gate:
 
 
 def _cross_site_reason(headers: Mapping[str, str], scope: Mapping[str, Any]) -> str:
-    """Refuse requests of other servers' pages without an origin, such as images and scripts.
+    """Refuse requests from other servers' pages without an origin, such as images and scripts.
 
-    Another port of this host is the same site, so that browsers attach the cookie. Such a page cannot read the answer,
+    Another port on this host is the same site, so that browsers attach the cookie. Such a page cannot read the answer,
     but could start jobs. Links to the page itself are allowed.
     """
     if headers.get("sec-fetch-site", "none") in ("none", "same-origin"):

@@ -1,4 +1,4 @@
-"""Server of the studio on loopback: the application, the port, and the start."""
+"""Loopback server: application, port, start."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 8642  # the same at each start: an open page finds a restarted server
 BACKLOG = 64  # connections accepted at once
 WARM_UP_RECIPE = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]}
-IDLE_TIMEOUT_S = 10.0  # for the head of a request
+IDLE_TIMEOUT_S = 10.0  # for the request head
 MAX_IDLE = 64  # connections
 
 
 class IdleTimeoutProtocol(AutoHTTPProtocol):  # type: ignore[misc, valid-type]  # uvicorn chooses the class at import
     """HTTP protocol that closes connections without a complete request, after a timeout or when there are too many.
 
-    Any program of the machine can open many connections; without a limit no file descriptor would be left for the page.
+    Any program on the machine can open many connections; without a limit the page could run out of file descriptors.
     """
 
-    idle: dict[IdleTimeoutProtocol, asyncio.TimerHandle]  # all idle connections of a server, oldest first
+    idle: dict[IdleTimeoutProtocol, asyncio.TimerHandle]  # idle connections, oldest first
 
     def connection_made(self, transport: Any) -> None:
         """Start the timeout."""
@@ -70,7 +70,7 @@ class IdleTimeoutProtocol(AutoHTTPProtocol):  # type: ignore[misc, valid-type]  
 
 
 def idle_timeout_protocol() -> type[IdleTimeoutProtocol]:
-    """Return the protocol class of one server, with its own list of idle connections."""
+    """Return a server's protocol class with its own list of idle connections."""
     return type("ServerProtocol", (IdleTimeoutProtocol,), {"idle": {}})
 
 
@@ -80,7 +80,7 @@ def make_app(opened: OpenedFolder, token: str, port: int) -> Starlette:
     Args:
         opened: the folder.
         token: required in every request.
-        port: part of the accepted host names.
+        port: part of accepted host names.
     """
     app = Starlette(
         routes=routes(), middleware=[Middleware(Gate, token=token, port=port)], exception_handlers={NacreError: failed}
@@ -90,7 +90,7 @@ def make_app(opened: OpenedFolder, token: str, port: int) -> Starlette:
 
 
 def open_port(port: int | None) -> socket.socket:
-    """Return a listening socket on loopback; port 0: any free one; None: the default one, or any.
+    """Return a listening socket on loopback; port 0: any free one; default: the usual one, or any.
 
     Raises:
         NacreError: the port is in use or not permitted.
@@ -143,8 +143,8 @@ def _open_browser(address: str) -> None:
 
 
 def _warm_up() -> None:
-    """Prepare the first page: the light of the studio and the compiled kernels of a film."""
+    """Prepare the first page: studio light and compiled film kernels."""
     blurred_surroundings()
     material = material_from_data(WARM_UP_RECIPE, RecipeContext())
     next(appearances(material, "D65", lambda: False), None)
-    gc.freeze()  # scanning the objects of imported libraries would delay some answers by 0.1 s
+    gc.freeze()  # scanning imported libraries' objects would delay some answers by 0.1 s

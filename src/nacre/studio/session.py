@@ -1,7 +1,7 @@
-"""The WebSocket session of one page: the newest request is answered.
+"""A page's WebSocket session: the newest request is answered.
 
 The server is stateless: each request carries the recipe's text and the edits since, therefore a restarted server
-continues the sessions of the previous one.
+continues previous sessions.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MAX_LAB = 1e4
 
 @dataclass
 class PageRequest:
-    """A request of the page.
+    """A request from the page.
 
     Attributes:
         body: its JSON object.
@@ -45,12 +45,12 @@ class PageRequest:
 
     @property
     def name(self) -> str:
-        """Name of the recipe."""
+        """Recipe name."""
         return str(self.body.get("name", ""))
 
 
 class Session:
-    """The socket of one page. A newer request replaces the waiting one and interrupts the one in progress."""
+    """A page's socket. A newer request replaces the waiting one and interrupts the one in progress."""
 
     def __init__(self, socket: WebSocket, opened: OpenedFolder, slot: threading.Semaphore) -> None:
         self._socket = socket
@@ -98,7 +98,7 @@ class Session:
 
 
 def _message(text: str) -> dict[str, Any] | None:
-    """Return a valid request; None for any other message."""
+    """Return a valid request, else None."""
     if len(text) > MAX_MESSAGE:
         return None
     try:

@@ -31,7 +31,7 @@ MODULE = "nacre.studio.subprocess_jobs"
 
 @dataclass
 class SubprocessJob:
-    """One run of a job.
+    """A job's execution.
 
     Attributes:
         name: a noun for messages.
@@ -39,7 +39,7 @@ class SubprocessJob:
         request: the function's first argument, serialisable as JSON.
         is_connected: polled several times a second; the job is killed once it returns False.
         max_seconds: the job is killed after this time.
-        max_bytes: largest resident memory; None: unlimited.
+        max_bytes: largest resident memory; default: unlimited.
         stop: set to finish the job early with its current best result.
         result: bytes that the function returned, available after the last event.
     """
@@ -54,7 +54,7 @@ class SubprocessJob:
     result: bytes = b""
 
     async def run(self) -> bytes:
-        """Return the bytes of the job's result.
+        """Return the job's result.
 
         Raises:
             NacreError: the job failed, was cancelled or exceeded a limit.
@@ -67,7 +67,7 @@ class SubprocessJob:
         return self.result
 
     async def events(self) -> AsyncIterator[bytes]:
-        """Yield the job's events, one JSON line each; the last is of kind "done" or "error" unless it is cancelled."""
+        """Yield the job's events, one JSON line each; the last is "done" or "error" unless it is cancelled."""
         process = await asyncio.create_subprocess_exec(
             sys.executable, "-m", MODULE, self.function, stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.DEVNULL, start_new_session=True, limit=MAX_LINE_BYTES,
@@ -118,7 +118,7 @@ class SubprocessJob:
             return ""
         try:
             pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-        except (OSError, ValueError, IndexError):  # other systems have no /proc
+        except (OSError, ValueError, IndexError):  # systems without /proc
             return ""
         if pages * os.sysconf("SC_PAGE_SIZE") <= self.max_bytes:
             return ""
@@ -132,7 +132,7 @@ def _line(event: Mapping[str, Any]) -> bytes:
 def main() -> int:
     """Run the job that the command line names: read its request from stdin and write its events to stdout."""
     out = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # other output of the process must not mix with the events
+    os.dup2(2, 1)  # other output must not mix with the events
     lock = threading.Lock()
 
     def write(*parts: bytes) -> None:

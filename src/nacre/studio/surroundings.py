@@ -1,6 +1,6 @@
-"""Surroundings of the object on the page: prefiltered light, the light on the stage, the shade of a ball, the sky.
+"""Surroundings on the page: prefiltered light, light on the stage, a ball's shade, skies.
 
-The lights are those of pictures (`nacre.picture.lights`), so that preview and rendered picture agree. Each layer is the
+Preview and rendered picture use the same lights (`nacre.picture.lights`). Each layer is the
 radiance reflected by a rough mirror, averaged over the facet distribution with viewer, normal and reflection in one
 direction (B. Karis, "Real shading in Unreal Engine 4", SIGGRAPH course 2013): exact for a smooth surface, approximate
 for a rough one. A small bright lamp such as the sun is removed from the layers and drawn analytically. The stage is a
@@ -34,20 +34,20 @@ ALPHAS = (0.0, 0.03125, 0.0625, 0.125, 0.25, 0.5, 1.0)  # doubled from layer to 
 LAYERS = len(ALPHAS) + 3
 NAMES = ("studio", "interior", "street", "sun", "sky")
 SKIES = ("sun", "sky")  # evaluated by Mitsuba
-GREY = 0.16  # reflectance of the ground, as in pictures
+GREY = 0.16  # ground reflectance, as in pictures
 LAMP_RATIO, MAX_LAMP_SHARE = 30.0, 0.01  # a lamp exceeds the mean radiance this many times, in this share of the sphere
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 HALF_WIDTH, FRONT, BACK, RADIUS, HEIGHT = SWEEP
 FLOOR = FRONT + BACK
 LENGTH = sweep_length(*SWEEP)
-BALL_ROWS, BALL_COLUMNS, MEDIAN_DISTANCE = 32, 64, 1.5  # of the shade; half of the rows lie within this many radii
-STAGE_ROWS, STAGE_COLUMNS = 28, 12  # solved patches of the stage
-SKY_ROWS = 32  # rows of directions seen by a patch
-BOUNCES = 2  # each is a tenth of the one before
+BALL_ROWS, BALL_COLUMNS, MEDIAN_DISTANCE = 32, 64, 1.5  # shade; half the rows lie within this many radii
+STAGE_ROWS, STAGE_COLUMNS = 28, 12  # stage patches
+SKY_ROWS = 32  # direction rows seen by a patch
+BOUNCES = 2  # each has a tenth of the previous intensity
 DARKEST, LIGHTER, SPREAD, WIDER = 0.035, 0.14, 5.5, 1.5  # the stage's reflectance, as in `catalogue.graded`
 
-FINER, FINEST = 4, 32  # directions along each side of a table cell; near the sun, which is as wide as one row
+FINER, FINEST = 4, 32  # directions along each cell side; near the sun, which is one row wide
 STEP_NM = 10
 
 
@@ -56,8 +56,8 @@ class Lamp:
     """A small and very bright light.
 
     Attributes:
-        towards: direction of its centre `[3]`; irradiance: on a surface facing it, linear sRGB `[3]`.
-        radius_rad: radius of a disc of the same variance.
+        towards: direction to its centre `[3]`; irradiance: on a surface facing it, linear sRGB `[3]`.
+        radius_rad: radius of a disc with the same variance.
     """
 
     towards: Array
@@ -65,7 +65,7 @@ class Lamp:
     radius_rad: float
 
     def matt(self, normal: Array) -> Array:
-        """Return the radiance of a matt white surface `[3]` in its light."""
+        """Return the radiance `[3]` from a matt white surface in its light."""
         return np.asarray(self.irradiance * max(float(normal @ self.towards), 0.0) / np.pi)
 
 
@@ -88,7 +88,7 @@ class Surroundings:
 
 @functools.cache
 def floors() -> dict[str, list[float] | None]:
-    """Return the floor colours of all surroundings, linear sRGB; None for the studio, which is not drawn."""
+    """Return floor colours by surroundings, linear sRGB; the studio, which is not drawn, has None."""
     wood = xyz_to_srgb_linear(_xyz(unit_spectrum("D65").at(table_wavelengths_nm()) * WOOD))
     return {"studio": None, "interior": wood.tolist(), "street": [GREY] * 3, "sun": [GREY] * 3, "sky": [GREY] * 3}
 
@@ -136,14 +136,14 @@ def _computed(name: str) -> Surroundings:
 
 
 def surroundings_of(rgb: Array) -> Surroundings:
-    """Return surroundings of radiance `[row, column, 3]`; the number of rows is a multiple of `ROWS`."""
+    """Return surroundings for radiance `[row, column, 3]`; the row count is a multiple of `ROWS`."""
     rest, lamp = without_lamp(rgb)
     rest, whole = (_downsampled(each) for each in (rest, rgb))
     return Surroundings(np.stack([_layers(rest[..., c], whole[..., c]) for c in range(3)], axis=-1), lamp)
 
 
 def _downsampled(rgb: Array) -> Array:
-    """Return the mean radiance of the page's cells."""
+    """Average radiance over the page's cells."""
     rows = len(rgb)
     times = rows // ROWS
     area = np.sin((np.arange(rows) + 0.5) * np.pi / rows).reshape(ROWS, times, 1, 1, 1)
@@ -168,20 +168,20 @@ def without_lamp(rgb: Array) -> tuple[Array, Lamp | None]:
     towards, power = directions(rows)[cells], sent @ LUMINANCE
     centre = power @ towards / np.linalg.norm(power @ towards)
     off = np.arccos(np.clip(towards @ centre, -1.0, 1.0))
-    # the mean square distance in a disc is half of its radius squared; in a cell, a sixth of its side squared
+    # mean square distance: half the squared radius in a disc, a sixth of the squared side in a cell
     variance = max(float(power @ off**2 / power.sum()) - (np.pi / rows) ** 2 / 6.0, 0.0)
     radius = max(np.sqrt(2.0 * variance), 0.25 * np.pi / rows)
     return rest, Lamp(centre, np.maximum(sent.sum(axis=0), 0.0), float(radius))
 
 
 def _xyz(power: Array) -> Array:
-    """Return XYZ of a light spectrum; Y is its luminance."""
+    """Return XYZ for a light spectrum; Y is its luminance."""
     y = observer()[:, 1]
     return np.asarray(power @ observer() / np.sum(y))
 
 
 def _layers(room: Array, whole: Array) -> Array:
-    """Return the layers of a room; `whole` includes its lamp and lights the floor."""
+    """Return a room's layers; `whole` includes its lamp and lights the floor."""
     layers = [room]
     layers += [_blurred(room, functools.partial(_ggx, alpha=alpha)) for alpha in ALPHAS[1:]]
     layers.append(_blurred(room, lambda cos: np.maximum(cos, 0.0)))
@@ -190,13 +190,13 @@ def _layers(room: Array, whole: Array) -> Array:
 
 
 def _ggx(cos: Array, alpha: float) -> Array:
-    """Return the weight of light at an angle from the mirror direction, which is the normal too."""
-    half = 0.5 * (1.0 + cos)  # squared cosine of the half angle, which is the facet's
+    """Return the weight at an angle from the mirror direction, which is also the normal."""
+    half = 0.5 * (1.0 + cos)  # squared cosine of the half angle
     return np.maximum(cos, 0.0) / (half * (alpha**2 - 1.0) + 1.0) ** 2
 
 
 def _blurred(room: Array, weight: Callable[[Array], Array]) -> Array:
-    """Average over directions with a weight of the enclosed angle, by circular convolution of each pair of rows."""
+    """Average over directions with an angular weight, by circular convolution for each row pair."""
     rows, columns = room.shape
     theta = (np.arange(rows) + 0.5) * np.pi / rows
     turn = np.cos(2.0 * np.pi * np.arange(columns) / columns)
@@ -212,13 +212,13 @@ def _blurred(room: Array, weight: Callable[[Array], Array]) -> Array:
 
 
 def ball_shade(room: Array) -> Array:
-    """Return the share of the room's light that a ball on the floor leaves to the floor around it.
+    """Return the share of the room's light that reaches the floor around a ball.
 
     Args:
-        room: radiance `[row, column]` of all directions, rows from the zenith down.
+        room: radiance `[row, column]` over all directions, rows from the zenith down.
 
     Returns:
-        `[row, column]` of the shape of the room: columns are azimuths from +x via +y; at share s of the rows the
+        `[row, column]` as large as the room: columns are azimuths from +x via +y; at row share s the
         distance from the contact point is `MEDIAN_DISTANCE` s / (1 - s) radii.
     """
     d, power = _patches(room)
@@ -228,7 +228,7 @@ def ball_shade(room: Array) -> Array:
     distances = MEDIAN_DISTANCE * share / (1.0 - share)
     left = np.empty((BALL_ROWS, BALL_COLUMNS))
     turns = 2.0 * np.pi * (np.arange(BALL_COLUMNS) + 0.5) / BALL_COLUMNS
-    soft = np.pi / (2 * SKY_ROWS)  # half width of the patch of sky around a direction
+    soft = np.pi / (2 * SKY_ROWS)  # half width of a sky patch
     for row, distance in enumerate(distances):
         to_ball = np.stack([-distance * np.cos(turns), -distance * np.sin(turns), np.ones_like(turns)], axis=-1)
         length = np.sqrt(distance**2 + 1.0)
@@ -239,13 +239,13 @@ def ball_shade(room: Array) -> Array:
 
 
 def stage_light(room: Array) -> Array:
-    """Return the radiance of a matt white patch of the stage, rows from its front edge to the upper edge of its wall.
+    """Return the radiance from a matt white stage, rows from its front edge to the wall's upper edge.
 
     Args:
         room: as for `ball_shade`; the camera looks along +y.
 
     Returns:
-        `[row, column]` of the shape of the room, columns from left to right.
+        `[row, column]` as large as the room, columns from left to right.
     """
     along = (np.arange(STAGE_ROWS) + 0.5) / STAGE_ROWS * LENGTH
     across = ((np.arange(STAGE_COLUMNS) + 0.5) / STAGE_COLUMNS * 2.0 - 1.0) * HALF_WIDTH
@@ -299,7 +299,7 @@ def stage_hit(start: Array, d: Array) -> tuple[Array, Array]:
 
 
 def _place(along: float) -> tuple[Array, Array]:
-    """Return y and z of a point of the stage, and its normal `[3]`."""
+    """Return y and z for a point on the stage, and its normal `[3]`."""
     if along < FLOOR:
         return np.array([along - FRONT, 0.0]), np.array([0.0, 0.0, 1.0])
     turn = min((along - FLOOR) / RADIUS, 0.5 * np.pi)
@@ -309,7 +309,7 @@ def _place(along: float) -> tuple[Array, Array]:
 
 
 def _patches(room: Array) -> tuple[Array, Array]:
-    """Return directions `[patch, 3]`, and of each patch radiance times solid angle, and solid angle, `[2, patch]`."""
+    """Return directions `[patch, 3]`, and radiance times solid angle and solid angle, `[2, patch]`."""
     rows = room.shape[0]
     times = rows // SKY_ROWS
     height = np.sin((np.arange(rows) + 0.5) * np.pi / rows)[:, None]
@@ -330,7 +330,7 @@ def _at(values: Array, where: Array) -> Array:
 
 
 def _upsampled(values: Array, shape: tuple[int, ...], is_periodic: bool) -> Array:
-    """Interpolate cell values at the centres of smaller cells; columns may be periodic."""
+    """Interpolate cell values at smaller cells' centres; columns may be periodic."""
     from scipy.ndimage import map_coordinates
 
     places = [(np.arange(n) + 0.5) * m / n - 0.5 for n, m in zip(shape, values.shape, strict=True)]
@@ -350,10 +350,10 @@ def sky_job(request: Mapping[str, Any], emit: Any = None) -> bytes:
 
 
 def sky_radiance(name: str) -> Array:
-    """Return the radiance of sun or sky over all directions, linear sRGB `[row, column, 3]`, in the units of pictures.
+    """Return the sun or sky radiance over all directions, linear sRGB `[row, column, 3]`, in picture units.
 
     Raises:
-        NacreError: no such sky, or Mitsuba is not available on this machine.
+        NacreError: unknown sky, or Mitsuba is not available on this machine.
     """
     if name not in SKIES:
         raise NacreError(f'"{name[:40]}" is not a sky; choose from {", ".join(SKIES)}')
@@ -371,7 +371,7 @@ def sky_radiance(name: str) -> Array:
 
 
 def with_ground(rgb: Array) -> Array:
-    """Return the radiance of a sky `[row, column, 3]` with the grey ground, lit by it, below the horizon."""
+    """Return sky radiance `[row, column, 3]` with the lit grey ground below the horizon."""
     theta = (np.arange(ROWS // 2) + 0.5) * np.pi / ROWS
     share = (np.sin(theta) * np.cos(theta))[:, None, None] * (np.pi / ROWS) ** 2
     whole = rgb.copy()
@@ -380,7 +380,7 @@ def with_ground(rgb: Array) -> Array:
 
 
 def _mean_radiance(emitter: Any, rows: NDArray[np.integer], columns: NDArray[np.integer], finer: int) -> Array:
-    """Return the mean radiance of table cells, linear sRGB `[cell, 3]`, from finer x finer directions each."""
+    """Return mean radiances for table cells, linear sRGB `[cell, 3]`, from finer x finer directions each."""
     within = (np.arange(finer) + 0.5) / finer
     theta = (rows[:, None, None] + within[:, None]) * np.pi / ROWS
     phi = (columns[:, None, None] + within) * np.pi / ROWS
@@ -391,7 +391,7 @@ def _mean_radiance(emitter: Any, rows: NDArray[np.integer], columns: NDArray[np.
 
 
 def _emitter_xyz(emitter: Any, towards: Array) -> Array:
-    """Return the radiance of a Mitsuba emitter in directions `[n, 3]`, as XYZ `[n, 3]`."""
+    """Return a Mitsuba emitter's radiance in directions `[n, 3]`, as XYZ `[n, 3]`."""
     from nacre.device.variant import use_variant
 
     mi = use_variant()

@@ -1,4 +1,4 @@
-"""Films: stacks of thin layers on a substrate, smooth or rough, of even or varying thickness, flat or on ridges."""
+"""Films: stacks of thin layers on a substrate, smooth, rough or ridged, with uniform or varying thickness."""
 
 from nacre.families.film.material import Film, FilmLayer
 from nacre.families.film.ridges import Ridges

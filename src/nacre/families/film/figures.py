@@ -1,4 +1,4 @@
-"""Arrays of the figures that only films have."""
+"""Figures of films: field profile, colour over thickness and angle, structure."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.stack import solve as solver
 from nacre.matter.stack.incoherent import incoherent_powers
 
-MAP_NM = 1000.0  # where a clear layer's colours have all passed once and begin to pale
-OPAQUE_DEPTHS = 3.0  # of penetration: what lies below sends back less than e^-6
-NUDGE = 0.1  # of a thickness, when layers are compared
+MAP_NM = 1000.0  # thickness range of a clear layer's colours before they fade
+OPAQUE_DEPTHS = 3.0  # penetration depths, below which less than e^-6 is reflected
+NUDGE = 0.1  # relative thickness change for the comparison of layers
 
 
 def field(
@@ -30,7 +30,7 @@ def field(
     Raises:
         UnsupportedError: a layer is incoherent and has no standing wave.
     """
-    from nacre.matter.stack.field import field_profile  # takes numba, which a picture does without
+    from nacre.matter.stack.field import field_profile  # needs numba, which pictures do not
 
     if not film.stack.is_coherent:
         raise UnsupportedError("a stack with an incoherent layer has no field profile")
@@ -61,9 +61,8 @@ def colour_map(
     """Return reflectance over thickness and angle: `thicknesses_nm[t]`, `angles_deg[a]`, `reflectance[t, a, l]`.
 
     Args:
-        layer: which layer's thickness runs, 0 the outermost; default: the one that moves the colour most.
-        thicknesses_nm: default: from 0 to 1000 nm or, where the layer is opaque before that, to three times its
-            penetration depth; in any case to twice its own thickness.
+        layer: varied layer, 0 the outermost; default: the layer with the largest effect on colour.
+        thicknesses_nm: default: 0 to 1000 nm or three penetration depths, if shorter; at least twice its own thickness.
 
     Raises:
         UnsupportedError: the film has no such layer.
@@ -97,7 +96,7 @@ def colour_map(
 
 
 def leading_layer(film: Film) -> int:
-    """Return the layer whose thickness moves the colour most: the largest dE00 for a tenth more and a tenth less."""
+    """Return the layer with the largest dE00 between 90 % and 110 % thickness."""
     d = film.stack.thicknesses_nm
     tables = film.tables(film.wavelengths_nm)
     moved = []
@@ -110,7 +109,7 @@ def leading_layer(film: Film) -> int:
 
 
 def _reach_nm(film: Film, layer: int) -> float:
-    """Return the thickness to which a layer's map runs."""
+    """Return the largest thickness in a layer's map."""
     lam = np.linspace(*film.range_nm, 9)
     k = float(np.min(film.layers[layer].material.n_complex(lam).imag))
     opaque = OPAQUE_DEPTHS * REFERENCE_NM / (4.0 * np.pi * max(k, 1e-9))
@@ -118,7 +117,7 @@ def _reach_nm(film: Film, layer: int) -> float:
 
 
 def structure(film: Film, wavelength_nm: float = 550.0) -> dict[str, NDArray[Any]]:
-    """Return the stack as drawn: `names[medium]`, `thicknesses_nm[layer]`, `n[medium]`, `k[medium]`."""
+    """Return the drawn stack: `names[medium]`, `thicknesses_nm[layer]`, `n[medium]`, `k[medium]`."""
     at = np.array([float(np.clip(wavelength_nm, *film.range_nm))])
     media = _media(film)
     index = np.array([medium.n_complex(at)[0] for medium in media])

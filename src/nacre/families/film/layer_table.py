@@ -1,4 +1,4 @@
-"""The layer table for coating a film, from the light's side inward."""
+"""Layer table for coating a film, from the light inward."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ COLUMNS = (
 
 
 def layer_rows(film: Film) -> list[dict[str, Any]]:
-    """Return a row a medium: ambient, layers from the light's side inward, substrate.
+    """Return a row per medium: ambient, layers from the light inward, substrate.
 
-    A thickness that varies over the surface is given at its middle, with its ends beside it; quarter waves are of
-    550 nm.
+    Varying thicknesses are given at the centre with their range; quarter waves refer to 550 nm.
     """
     uv = np.stack(np.meshgrid(*[np.linspace(0, 1, 33)] * 2), axis=-1).reshape(-1, 2)
     middle = np.array([0.5, 0.5])

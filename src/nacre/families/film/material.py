@@ -1,4 +1,4 @@
-"""The film material: its physical parameters, and the Bsdf and spectra that follow from them."""
+"""The film material: physical parameters, Bsdf and spectra."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ from nacre.light.wavelengths import STEPS_NM
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.stack.stack import Layer, Stack
 
-COLOUR_COSINES = np.array([1.0, 0.8, 0.5, 0.25])  # where colours are compared when grids are chosen
+COLOUR_COSINES = np.array([1.0, 0.8, 0.5, 0.25])  # of the colours compared in the choice of grids
 MIDDLE = np.array([0.5, 0.5])
-UNSEEN = 1e-5  # of the light's amplitude: what comes back of it changes a reflectance by less than 1e-5
-SEEN_WAVELENGTHS = 48
-BYTES_A_LAYER = 64  # and wavelength: indices, phases and copies
+AMPLITUDE_CUTOFF = 1e-5  # round-trip amplitude below which deeper layers are neglected
+CUTOFF_WAVELENGTHS = 48
+BYTES_PER_LAYER = 64  # and wavelength: indices, phases and copies
 
 
 @dataclass(frozen=True)
@@ -61,15 +61,14 @@ class FilmLayer:
 
 @dataclass(frozen=True)
 class Film(Model):
-    """A stack of layers on a substrate, and how its surface is shaped.
+    """A stack of layers on a substrate, with a smooth, rough or ridged surface.
 
-    A substrate clear enough (k < 1e-4 at all wavelengths) transmits; one equal to the ambient makes a free film,
-    which does not refract. `base_albedo` puts a Lambertian base into the substrate, under the film;
-    then nothing is transmitted. `ridges` replace the surface's roughness.
+    A clear substrate (k < 1e-4 at all wavelengths) transmits; a substrate equal to the ambient makes a free film,
+    without refraction. `base_albedo` adds an opaque Lambertian base below the film. `ridges` replace the roughness.
 
     Attributes:
-        base_albedo: in [0, 1]; 0: none.
-        range_nm, step_nm: the wavelength grid; step None: chosen so that colours stay within 0.5 dE00.
+        base_albedo: in [0, 1]; 0: without a base.
+        range_nm, step_nm: wavelength grid; default step: colours within 0.5 dE00.
     """
 
     traits = Traits(noun="film", default_parts=("specular_reflectance",), is_quick=True)
@@ -95,18 +94,18 @@ class Film(Model):
 
     @cached_property
     def wavelengths_nm(self) -> Array:
-        """The grid: the step follows the optical thickness, and is halved until colours stop changing."""
+        """Default grid: the step follows the optical thickness, and is halved until colours converge."""
         low, high = self.range_nm
         if self.step_nm is not None:
             return _grid(low, high, self.step_nm)
-        grid = default_wavelengths(self._seen_thickness_nm())
+        grid = default_wavelengths(self._optical_thickness_nm())
         step = float(grid[1] - grid[0])
         finer = [s for s in STEPS_NM if s < step * 0.999][:3]
         coarser = _grid(low, high, step)
-        seen = self._judged_spectra(coarser)
+        seen = self._test_spectra(coarser)
         for smaller in finer:
             closer = _grid(low, high, smaller)
-            exact = self._judged_spectra(closer)
+            exact = self._test_spectra(closer)
             between = np.stack([np.interp(closer, coarser, row) for row in seen])
             change = delta_e_2000(reflected_lab(between, closer), reflected_lab(exact, closer))
             if float(np.max(change)) <= COLOUR_ERROR:
@@ -114,14 +113,13 @@ class Film(Model):
             seen, coarser, step = exact, closer, smaller
         return _grid(low, high, step)
 
-    def _seen_thickness_nm(self) -> float:
-        """Return the optical thickness of the layers that interfere, as deep as light goes and comes back.
+    def _optical_thickness_nm(self) -> float:
+        """Return the optical thickness of interfering layers within the round-trip penetration depth.
 
-        What lies deeper makes no fringes that a grid would have to resolve. A clear substrate shows the stack from
-        below as well.
+        Deeper layers cause no fringes. With a clear substrate the stack is also illuminated from below.
         """
         low, high = self.range_nm
-        lam = np.linspace(low, high, SEEN_WAVELENGTHS)
+        lam = np.linspace(low, high, CUTOFF_WAVELENGTHS)
         ends = np.array([low, 0.5 * (low + high), high])
         layers = []
         materials = {id(layer.material): layer.material for layer in self.layers}
@@ -130,7 +128,7 @@ class Film(Model):
             extinction, refraction = constants[id(layer.material)]
             thickest = layer.thickness_nm.high if isinstance(layer.thickness_nm, Texture) else layer.thickness_nm
             thinnest = layer.thickness_nm.low if isinstance(layer.thickness_nm, Texture) else layer.thickness_nm
-            # amplitude lost on the way through and back, a nm
+            # round-trip amplitude loss per nm
             loss = 4.0 * np.pi * extinction / lam
             n = 0.0 if layer.incoherent else float(np.max(refraction))
             layers.append((n, thickest, thinnest, loss))
@@ -139,15 +137,15 @@ class Film(Model):
             sides.append(layers[::-1])
         found = 0.0
         for side in sides:
-            left, optical = np.full(len(lam), -np.log(UNSEEN)), np.zeros(len(lam))
+            left, optical = np.full(len(lam), -np.log(AMPLITUDE_CUTOFF)), np.zeros(len(lam))
             for n, thickest, thinnest, loss in side:
                 optical += n * np.minimum(thickest, left / np.maximum(loss, 1e-300))
                 left = np.maximum(left - loss * thinnest, 0.0)
             found = max(found, float(np.max(optical)))
         return found
 
-    def _judged_spectra(self, wavelengths_nm: Array) -> Array:
-        """Return the reflectance `[case, wavelength]` at the angles and thicknesses where grids are tested."""
+    def _test_spectra(self, wavelengths_nm: Array) -> Array:
+        """Return the reflectance `[case, wavelength]` at the angles and thicknesses of the grid test."""
         spectra = []
         tables = self.tables(wavelengths_nm)
         varies = any(isinstance(layer.thickness_nm, Texture) for layer in self.layers)
@@ -167,11 +165,11 @@ class Film(Model):
         """Return the solver of the film's stack on a wavelength grid.
 
         Raises:
-            UnsupportedError: more memory than is allowed.
+            UnsupportedError: too much memory.
         """
         count, many = len(wavelengths_nm), len(self.layers) + 2
         check_memory(
-            float(BYTES_A_LAYER) * many * count, f"layers: {many - 2} of them at {count} wavelengths: the film"
+            float(BYTES_PER_LAYER) * many * count, f"layers: {many - 2} of them at {count} wavelengths: the film"
         )
         layers = [
             Layer(layer.material, d, layer.incoherent) for layer, d in zip(self.layers, self._middle_nm, strict=True)
@@ -188,7 +186,7 @@ class Film(Model):
 
         Raises:
             MaterialRangeError: an optical constant is not known at a wavelength.
-            UnsupportedError: more varies over the surface than tables can hold.
+            UnsupportedError: more thicknesses vary over the surface than tables allow.
         """
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         tables = self.tables(lam)
@@ -211,7 +209,7 @@ class Film(Model):
         return Bsdf(tuple(lobes), notes)
 
     def _response(self, tables: StackTables) -> tuple[InterfaceResponse, dict[str, Any]]:
-        """Return the tables of the smooth film, with an axis for each thickness that varies."""
+        """Return the tables of the smooth film, with an axis for each varying thickness."""
         d = self._middle_nm
         varying = [i for i, layer in enumerate(self.layers) if isinstance(layer.thickness_nm, Texture)]
         varying = [i for i in varying if self._range(i)[1] > self._range(i)[0]]
@@ -240,7 +238,7 @@ class Film(Model):
 
     @property
     def _middle_nm(self) -> Array:
-        """Thicknesses `[layer]` in the middle of what varies, in pictures too, where it may vary over an object."""
+        """Thicknesses `[layer]` at the centre of their ranges."""
         given = [layer.thickness_nm for layer in self.layers]
         return np.array([d.middle if isinstance(d, Texture) else d for d in given], dtype=float)
 
@@ -274,9 +272,8 @@ class Film(Model):
     def _straight_through(self, response: InterfaceResponse) -> Specular:
         """Return the transmission of a rough free film.
 
-        Both interfaces follow the same bumps, so every facet is a plane-parallel film and refracts no ray: light
-        goes straight on, weighted by the mean transmittance of the facets that it sees (of the roughness at the middle
-        of the surface, where a texture varies it).
+        Both interfaces are parallel, so every facet is a plane-parallel film without refraction: light goes straight
+        on, with the mean transmittance of the visible facets (for varying roughness: at the centre of the surface).
         """
         passed = facet_transmittance(response, self.surface.distribution, *self._mean_alpha())
         zero = np.zeros_like(passed)
@@ -291,7 +288,7 @@ class Film(Model):
         )
 
     def _base(self, response: InterfaceResponse) -> Diffuse:
-        """Return the diffuse base in the substrate, seen through the film, with the round trips between both."""
+        """Return the diffuse base below the film, with multiple reflections between both."""
         cos = np.linspace(0.0, 1.0, response.reflectance.shape[-2])
         relative = 1.0 / response.eta if response.flipped else response.eta
         outer = response.outside_cosine(cos) if response.flipped else cos
@@ -302,18 +299,18 @@ class Film(Model):
         behind = response.hemispherical[0 if response.flipped else 2]
         if not self.surface.is_smooth and not response.flipped:
             entry = facet_transmittance(response, self.surface.distribution, *self._mean_alpha())
-            # what the facets do not transmit outward on average, they reflect back inside
+            # light not transmitted outward by the facets on average is reflected inside
             behind = behind + (mean - _cosine_mean(entry)) / relative**2
         albedo = self.base_albedo
         scale = albedo / (relative**2 * (1.0 - albedo * np.clip(behind, 0.0, 1.0)))
-        under_smooth = None if self.surface.is_smooth else smooth * self._given_back(response)[..., None, :]
+        under_smooth = None if self.surface.is_smooth else smooth * self._returned_share(response)[..., None, :]
         return Diffuse(response.wavelengths_nm, scale, entry, response.parameters, under_smooth)
 
-    def _given_back(self, response: InterfaceResponse) -> Array:
-        """Return the share of what enters the base that leaves through the smooth film again, `[*params, wavelength]`.
+    def _returned_share(self, response: InterfaceResponse) -> Array:
+        """Return the share of light on the base that leaves through the smooth film again, `[*params, wavelength]`.
 
-        Albedo times what the film lets out of diffuse light, summed over the round trips. Both sums are of one
-        quadrature of one set of tables, so that the share never exceeds one.
+        Albedo times diffuse transmittance, summed over the round trips. One quadrature of one set of tables gives both
+        factors, so that the share never exceeds one.
         """
         reflected, passed = response.hemispherical[0:2] if response.flipped else response.hemispherical[2:4]
         return np.asarray(self.base_albedo * passed / (1.0 - self.base_albedo * np.clip(reflected, 0.0, 1.0 - passed)))
@@ -323,9 +320,8 @@ class Film(Model):
     ) -> Spectrum:
         """Return reflectance and transmittance at angles in the ambient, at the middle of the surface.
 
-        The specular parts of a rough film are those of its smooth stack. The diffuse part is what a base gets and
-        gives back through that same stack, so that the two never sum to more than one; of ridges, it is what they
-        send to all exits, for light in the plane y = 0.
+        The specular parts of a rough film are those of its smooth stack, as is the diffuse part of a base, so that
+        their sum never exceeds one. Ridges scatter diffusely, for light in the plane y = 0.
 
         Args:
             theta_rad: `[angle]` in [0, pi/2].
@@ -333,7 +329,7 @@ class Film(Model):
             polarisation: "s", "p" or "both".
 
         Raises:
-            UnsupportedError: a polarisation is asked of a part that has none.
+            UnsupportedError: the polarisation is not known for a part of the spectrum.
         """
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
@@ -349,13 +345,13 @@ class Film(Model):
         if self.ridges is not None or self.base_albedo > 0:
             if polarisation != "both":
                 raise UnsupportedError("ridges and a diffuse base are known for unpolarised light only")
-            bsdf = self.bsdf(lam)  # also refuses a base that does not show
+            bsdf = self.bsdf(lam)  # also refuses a hidden base
             if self.ridges is not None:
                 directions = direction(np.minimum(theta, np.radians(89.99)))
                 diffuse = np.array([sum(lobe.hemispherical(w)[0] for lobe in bsdf.lobes) for w in directions])
             else:
                 still = self.tables(lam).adaptive(np.array([layer.thickness_at() for layer in self.layers]))
-                diffuse = passed * self._given_back(still)
+                diffuse = passed * self._returned_share(still)
         return Spectrum(lam, np.degrees(theta), reflected, transmitted, diffuse)
 
 
@@ -377,7 +373,7 @@ def _cosine_mean(table: Array) -> Array:
 
 
 def _from_the_front(response: InterfaceResponse) -> InterfaceResponse:
-    """Return the response with no transmission and no light from the substrate."""
+    """Return the response without transmission and without light from the substrate."""
     zero = np.zeros_like(response.reflectance)
     if response.flipped:
         return dataclasses.replace(response, reflectance=zero, transmittance=zero, transmits=False)

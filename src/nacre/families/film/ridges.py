@@ -1,4 +1,4 @@
-"""The ridges of a butterfly's scale: how they diffract the light that their lamellae reflect."""
+"""Ridges of a butterfly's scale, which diffract the light reflected by their lamellae."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import Texture
 from nacre.core.arrays import Array
 
-SAFETY = 1.002  # the largest integral is found on a grid; what lies between its points differs by less
+SAFETY = 1.002  # on the largest integral, which is evaluated on a grid
 SCAN_ACROSS = np.sin(np.radians([0, 5, 10, 20, 30, 40, 50, 60, 70, 80]))
 SCAN_ALONG = np.sin(np.radians([0, 30, 60]))
 
@@ -24,12 +24,12 @@ class Ridges:
     """Parallel ridges along y, each a stack of lamellae, of random heights.
 
     Attributes:
-        pitch_nm, width_nm: distance of the ridges and width of one.
-        height_deviation_nm: standard deviation of their heights; 0: level ridges, which are a grating.
-        count: ridges lit coherently together.
+        pitch_nm, width_nm: period and width of the ridges.
+        height_deviation_nm: standard deviation of their heights; 0: a grating.
+        count: coherently illuminated ridges.
         along_deviation_deg: standard deviation of the spread along the ridges, degrees at normal incidence.
-        fill: share of the surface that the ridges cover.
-        rotation: direction across the ridges in rad; None: along x.
+        fill: area fraction of the ridges.
+        rotation: direction across the ridges in rad; default: along x.
     """
 
     pitch_nm: float
@@ -46,7 +46,7 @@ class Ridges:
         return float(np.sin(np.radians(self.along_deviation_deg)))
 
     def lobe(self, response: InterfaceResponse) -> Ridge:
-        """Return the lobe of ridges whose lamellae have the R and T of `response`."""
+        """Return the lobe of ridges with lamellae of the R and T of `response`."""
         return Ridge(
             response=response,
             pitch_nm=self.pitch_nm,
@@ -62,11 +62,11 @@ class Ridges:
     def norm(self, wavelengths_nm: Array) -> Array:
         """Return C(lambda), `[wavelength]`: the largest integral of K D_y over the exits, over all incidences.
 
-        The measure is cos_o d(omega_o) = ds_x ds_y over the unit disc of sine components. One number a
-        wavelength keeps the lobe reciprocal; at grazing incidence, where fewer exits propagate, energy is lost.
+        The measure is cos_o d(omega_o) = ds_x ds_y over the unit disc of sine components. One number per wavelength
+        makes the lobe reciprocal; at grazing incidence, with fewer propagating exits, energy is lost.
         """
         grid = np.asarray(wavelengths_nm, dtype=float)
-        # it changes slowly: one value every 10 nm is enough, though the lamellae may need a finer grid
+        # C varies slowly: one value every 10 nm is enough
         lam = grid[:: _stride(grid)]
         largest = np.zeros(len(lam))
         # ten points across the narrowest peak of the comb
@@ -99,10 +99,9 @@ class Ridges:
 
 
 def remainder(lobe: Ridge, albedo: Array, nodes: int = 9) -> Diffuse:
-    """Return a reciprocal diffuse base lit by the light that the ridges do not reflect.
+    """Return a reciprocal diffuse base for the light not reflected by the ridges.
 
-    Its entry is 1 - E(cos), with E the larger of the ridges' albedos across and along, so that ridges and base
-    together never reflect more than arrives.
+    Its entry is 1 - E(cos), with E the larger of the ridges' albedos across and along, which conserves energy.
 
     Args:
         albedo: `[wavelength]`.
@@ -131,7 +130,7 @@ def remainder(lobe: Ridge, albedo: Array, nodes: int = 9) -> Diffuse:
 
 
 def _stride(wavelengths_nm: Array, step_nm: float = 10.0) -> int:
-    """Return how many steps of a grid make about `step_nm`."""
+    """Return the number of grid steps in about `step_nm`."""
     if len(wavelengths_nm) < 3:
         return 1
     return max(1, round(step_nm / float(wavelengths_nm[1] - wavelengths_nm[0])))

@@ -1,4 +1,4 @@
-"""The recipe of a film: its keys, what they allow, and the material that they build."""
+"""The recipe of a film."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 MAX_LAYERS = 1000
 MAX_THICKNESS_NM = 1e8  # ten centimetres, for incoherent panes
-MAX_COHERENT_NM = 3e4  # thicker layers have no fringes left to see: 30 um already need 0.1 nm of resolution
+MAX_COHERENT_NM = 3e4  # fringes of 30 um need a resolution of 0.1 nm
 MAX_VARYING = 2
 
 # A scale of Morpho rhetenor: nine lamellae of cuticle, n = 1.56 + 0.06i (Vukusic et al. 1999), air between, in
 # ridges above a dark membrane. Pitch, width and a height deviation near a quarter wave follow Kinoshita et al. 2002.
-# Lamellae of some 70 nm fill about half of the tapered ridge, so each enters as 35 nm of solid cuticle: the whole
-# thickness would give a band 150 nm wide, which is cyan. The period puts the back-scattered peak near 464 nm.
+# Lamellae of about 70 nm fill half of the tapered ridge, hence 35 nm of solid cuticle; the full thickness would give a
+# cyan band of 150 nm width. The period sets the back-scattered peak to 464 nm.
 CUTICLE = {"n": 1.56, "k": 0.06}
 MORPHO: dict[str, Any] = {
     "substrate": CUTICLE,
@@ -41,7 +41,7 @@ MORPHO: dict[str, Any] = {
 
 
 def _thickness(value: Any) -> Any:
-    """Read a thickness: a number, or a table that makes a texture."""
+    """Check a thickness: a number, or a texture table."""
     if isinstance(value, bool) or not isinstance(value, int | float | Mapping | TextureSpec):
         raise ValueError(f"= {show_value(value)} is not a thickness; write a number, "
                          '{texture = "t.png", min = 100, max = 700} or {formula = "100 + 600*v"}')  # fmt: skip
@@ -51,7 +51,7 @@ def _thickness(value: Any) -> Any:
 
 
 def _unit(value: Any) -> Any:
-    """Read a roughness: a number in [0, 1], two of them, or a texture."""
+    """Check a roughness: one or two numbers in [0, 1], or a texture."""
     if not isinstance(value, Mapping | TextureSpec):
         check_widths(value, 'alpha, [alpha_x, alpha_y] or {texture = "r.png", ...}', show_value(value))
     return value
@@ -79,7 +79,7 @@ Width = Annotated[
 
 
 class LayerSpec(RecipeModel):
-    """One layer: a material, a thickness that may vary over the surface, and whether it is too thick to interfere."""
+    """One layer: material, thickness, and coherence."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{material = "SiO2", thickness_nm = 350}',
@@ -94,7 +94,7 @@ class LayerSpec(RecipeModel):
     )
     incoherent: bool = pydantic.Field(
         default=False,
-        description="the layer is too thick to interfere with itself, such as a pane or a varnish",
+        description="the layer is too thick for interference, such as a pane or a varnish",
         examples=[True],
     )
 
@@ -108,7 +108,7 @@ class SurfaceSpec(RecipeModel):
     )
 
     distribution: Literal["ggx", "beckmann", "blinn", "ashikhmin-shirley"] = pydantic.Field(
-        default="ggx", description="distribution of the normals of the surface's facets"
+        default="ggx", description="distribution of the facet normals"
     )
     roughness: Width = pydantic.Field(
         default=0.0,
@@ -118,23 +118,23 @@ class SurfaceSpec(RecipeModel):
     exponent: Exponent | Annotated[tuple[Exponent, ...], pydantic.Field(min_length=1, max_length=2)] | None = (
         pydantic.Field(
             default=None,
-            description="exponent e of the distribution, or [e_x, e_y], in place of roughness: e = 2/alpha^2 - 2",
+            description="exponent e of the distribution, or [e_x, e_y], instead of roughness: e = 2/alpha^2 - 2",
             examples=[200, [100, 800]],
         )
     )
     rotation_deg: NumberOrTexture = pydantic.Field(
         default=0.0,
-        description="direction of brushing: turns alpha_x from the x axis of the surface",
+        description="direction of brushing: angle of alpha_x to the surface's x axis",
         examples=[45, {"formula": "360*u"}],
     )
     compensate: bool = pydantic.Field(
-        default=False, description="give back the light that facets scatter among each other", examples=[True]
+        default=False, description="restore the light lost by multiple scattering between facets", examples=[True]
     )
 
     @pydantic.model_validator(mode="after")
     def _one_width(self) -> SurfaceSpec:
         if "roughness" in self.model_fields_set and self.exponent is not None:
-            raise ValueError("roughness and exponent give the same width twice; keep one")
+            raise ValueError("roughness and exponent exclude each other; remove one of the two")
         return self
 
     def build(self, context: RecipeContext) -> Roughness:
@@ -162,7 +162,7 @@ class SurfaceSpec(RecipeModel):
 
 
 def _preset_fills_ridges(schema: dict[str, Any]) -> None:
-    schema.pop("required")  # beside a preset one of the ridges' numbers may stand alone
+    schema.pop("required")  # a preset completes the ridges
 
 
 def _preset_fills_substrate(schema: dict[str, Any]) -> None:
@@ -188,16 +188,16 @@ class RidgesSpec(RecipeModel):
         examples=[120],
     )
     count: Annotated[int, pydantic.Field(ge=1, le=200)] = pydantic.Field(
-        default=7, description="number of neighbouring ridges that are lit coherently"
+        default=7, description="number of coherently illuminated ridges"
     )
     along_deviation_deg: Annotated[float, pydantic.Field(ge=0.1, le=30.0)] = pydantic.Field(
         default=4.0, description="standard deviation of the fan of light along the ridges"
     )
     fill: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
-        default=1.0, description="share of the area that the ridges cover"
+        default=1.0, description="area fraction of the ridges"
     )
     rotation_deg: NumberOrTexture = pydantic.Field(
-        default=0.0, description="turns the ridges in the surface", examples=[45, {"formula": "360*u"}]
+        default=0.0, description="rotation of the ridges in the surface", examples=[45, {"formula": "360*u"}]
     )
 
     @pydantic.model_validator(mode="after")
@@ -220,17 +220,17 @@ class RidgesSpec(RecipeModel):
 
 
 class SubstrateSpec(RecipeModel):
-    """A diffuse ground inside the substrate, under the film (under the ridges: what they leave lights it)."""
+    """A diffuse base below the film, or below the ridges."""
 
     forms: ClassVar[tuple[str, ...]] = ("{albedo = 0.05}",)
 
     albedo: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
-        default=0.0, description="share of the light that the diffuse ground sends back", examples=[0.05]
+        default=0.0, description="albedo of the diffuse base", examples=[0.05]
     )
 
 
 class WavelengthsSpec(RecipeModel):
-    """The wavelength grid, where the rule's choice is not wanted."""
+    """Wavelength grid."""
 
     forms: ClassVar[tuple[str, ...]] = ("{min_nm = 400, max_nm = 700, step_nm = 2}",)
 
@@ -241,7 +241,7 @@ class WavelengthsSpec(RecipeModel):
         default=830.0, description="last wavelength of the grid"
     )
     step_nm: Annotated[float, pydantic.Field(ge=0.01, le=50.0)] | None = pydantic.Field(
-        default=None, description="step of the grid; chosen by the optical thickness if not given", examples=[2]
+        default=None, description="step of the grid; default: chosen by the optical thickness", examples=[2]
     )
 
     @pydantic.model_validator(mode="after")
@@ -255,21 +255,21 @@ class WavelengthsSpec(RecipeModel):
 
 @dataclass(frozen=True)
 class FilmModel(Film, Fabricable):
-    """A film as its recipe builds it: with its figures and its layer sheet."""
+    """A film with its figures and its layer table."""
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """Standing waves, colour over thickness and angle, the stack as drawn."""
+        """Field profile, colour over thickness and angle, structure."""
         return {kind: partial(maker, self) for kind, maker in FIGURES.items()}
 
     @property
     def fabrications(self) -> Mapping[str, Drawer]:
-        """The layer sheet."""
+        """The layer table."""
         return {"sheet": lambda request: layer_sheet(self)}
 
 
 class FilmSpec(RecipeModel):
-    """Layers on a substrate, smooth, rough or in ridges; `preset = "morpho"` fills in what is not given."""
+    """Layers on a substrate, smooth, rough or in ridges; `preset = "morpho"` gives default values."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "family": "film",
@@ -286,26 +286,25 @@ class FilmSpec(RecipeModel):
     family: Literal["film"] = pydantic.Field(default="film", description="the family's name")
     title: str = pydantic.Field(default="", description="a title for figures", examples=["Oxide on silicon"])
     preset: Literal["morpho"] | None = pydantic.Field(
-        default=None, description="fills in the Morpho wing; keys that are given win", examples=["morpho"]
+        default=None, description="default values of a Morpho wing", examples=["morpho"]
     )
     ambient: IndexSpec = pydantic.Field(
-        default=IndexSpec.model_validate("air"), description="medium above the film, where the light comes from"
+        default=IndexSpec.model_validate("air"), description="medium above the film, on the side of the light"
     )
     substrate: IndexSpec = pydantic.Field(
-        description="medium below the layers; equal to the ambient: a free film; clear: the material transmits"
+        description="medium below the layers; transmits if clear; a free film if equal to the ambient"
     )
     layers: tuple[LayerSpec, ...] = pydantic.Field(
-        default=(), max_length=MAX_LAYERS, description="the layers, from the light's side inward"
+        default=(), max_length=MAX_LAYERS, description="the layers, from the light inward"
     )
-    surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="roughness, which all layers follow")
-    ridges: RidgesSpec | None = pydantic.Field(default=None, description="ridges of lamellae, in place of roughness")
-    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="a diffuse ground under the film")
+    surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="roughness of all layers")
+    ridges: RidgesSpec | None = pydantic.Field(default=None, description="ridges of lamellae, instead of roughness")
+    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="a diffuse base below the film")
     wavelengths: WavelengthsSpec = pydantic.Field(
-        default=WavelengthsSpec(), description="the grid of wavelengths, where the film's own choice is not wanted"
+        default=WavelengthsSpec(), description="wavelength grid, instead of the film's own choice"
     )
     extrapolate: Literal["error", "edge"] = pydantic.Field(
-        default="error",
-        description="outside the tabulated range of an optical constant: refuse, or hold the end values",
+        default="error", description="outside the tabulated range of an optical constant: an error, or the end values"
     )
 
     @pydantic.model_validator(mode="before")
@@ -315,7 +314,7 @@ class FilmSpec(RecipeModel):
             ridges = data.get("ridges")
             filled = {**MORPHO, **data}
             if isinstance(ridges, Mapping):
-                # a length of the recipe replaces the preset's whatever its unit
+                # a length in any unit replaces the preset's
                 given = {str(key).rpartition("_")[0] for key in ridges}
                 kept = {k: v for k, v in MORPHO["ridges"].items() if k.rpartition("_")[0] not in given}
                 filled["ridges"] = {**kept, **ridges}
@@ -337,14 +336,14 @@ class FilmSpec(RecipeModel):
                     f"layers[{i}].thickness_nm = {thickness:g} is too thick to interfere; write incoherent = true"
                 )
         if self.ridges is not None and self.surface.roughness != 0.0:
-            raise ValueError("surface.roughness has no effect beside ridges; keep one of the two")
+            raise ValueError("surface.roughness has no effect with ridges; remove one of the two")
         return self
 
     def build(self, context: RecipeContext) -> FilmModel:
         """Return the material.
 
         Raises:
-            RecipeError: an image is missing or broken, or a thickness leaves its range.
+            RecipeError: an image is missing or invalid, or a thickness is out of range.
         """
         layers = []
         for i, layer in enumerate(self.layers):
@@ -380,7 +379,7 @@ class FilmSpec(RecipeModel):
 
 
 def angle_texture(value: float | TextureSpec, context: RecipeContext, key: str) -> Texture | None:
-    """Return an angle in degrees, constant or varying, as a texture in rad; None for zero."""
+    """Return an angle in degrees, constant or varying, as a texture in rad, or None for zero."""
     degree = 0.017453292519943295
     if isinstance(value, TextureSpec):
         made = value.build(context, key)

@@ -1,1 +1,1 @@
-"""Tables of colour for engines that compute in three channels: pictures, and the shaders that read them."""
+"""Colour tables for RGB engines: images and shaders."""

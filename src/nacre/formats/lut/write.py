@@ -1,4 +1,4 @@
-"""Write tables of colour into a folder: pictures, shaders, a script for Blender, a MaterialX graph and a page."""
+"""Write a folder of colour tables: images, shaders, a Blender script, a MaterialX graph and an index page."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import json
 import os
 import re
 import shutil
-import struct
 import tempfile
-import zlib
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
@@ -22,55 +20,54 @@ from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.files import named, remove_leftovers, reraise_as_oserror, temporary_prefix
-from nacre.formats.lut.html_report import page_text
-from nacre.formats.lut.materialx import write_graph
-from nacre.formats.lut.osl import shader_text
+from nacre.core.html import render_page
+from nacre.formats.height_fields import RGB, write_png_stream
+from nacre.formats.lut.shaders import shader_text, write_graph
 from nacre.formats.lut.table import LightTable, Picture
 from nacre.light import clip_to_srgb, srgb_decode, srgb_encode
 
 MANIFEST = "table.json"
-DEEP = 65535
-DISTRIBUTIONS = ("ggx", "beckmann", "blinn", "ashikhmin-shirley")  # as the shaders number them
-WHITE = 1.5  # what lies little above is a colour out of gamut
+MAX_CODE = 65535
+DISTRIBUTIONS = ("ggx", "beckmann", "blinn", "ashikhmin-shirley")  # by shader number
+MAX_REFLECTANCE = 1.5  # images with brighter colours show light, not reflectance
 
 
 def png_values(picture: Picture) -> Array:
-    """Return what a PNG holds, in [0, 1]: code values of sRGB, colours out of gamut at their hue and lightness."""
+    """Return PNG values in [0, 1]: encoded sRGB; colours outside the gamut retain hue and lightness."""
     unit = picture.values / picture.png_scale
     if picture.is_data:
         return np.asarray(np.clip(unit, 0.0, 1.0))
-    # what is brighter than white anywhere is light, not a reflectance: there is no gamut to keep
-    inside = clip_to_srgb(unit).rgb if picture.png_scale <= WHITE else np.clip(unit, 0.0, 1.0)
+    inside = clip_to_srgb(unit).rgb if picture.png_scale <= MAX_REFLECTANCE else np.clip(unit, 0.0, 1.0)
     return np.asarray(srgb_encode(np.clip(inside, 0.0, 1.0)))
 
 
 def as_png(picture: Picture) -> Picture:
-    """Return a picture as it is read back from its PNG."""
-    held = np.round(png_values(picture) * DEEP) / DEEP
-    return dataclasses.replace(picture, values=(held if picture.is_data else srgb_decode(held)) * picture.png_scale)
+    """Return an image after a PNG round trip."""
+    stored = np.round(png_values(picture) * MAX_CODE) / MAX_CODE
+    return dataclasses.replace(picture, values=(stored if picture.is_data else srgb_decode(stored)) * picture.png_scale)
 
 
 def check_folder(folder: str | Path) -> Path:
-    """Return a folder's path if tables can be written there: it is new, empty, or holds tables of ours.
+    """Return the path of a folder that is new, empty, or contains tables of nacre.
 
     Raises:
-        NacreError: it is a file, holds other things, or cannot be made.
+        NacreError: it is a file, contains other files, or cannot be created.
     """
     path = named(folder)
     parent = path.parent if str(path.parent) else Path()
     if not parent.is_dir():
         raise NacreError(f"{path}: the folder {parent} does not exist")
     if path.is_symlink() or (path.exists() and not path.is_dir()):
-        raise NacreError(f"{path}: is no folder; give the name of a folder for the tables")
+        raise NacreError(f"{path}: is not a folder; give the name of a folder for the tables")
     if path.is_dir() and any(path.iterdir()) and not _is_ours(path):
-        raise NacreError(f"{path}: holds other files; give a new or an empty folder for the tables")
+        raise NacreError(f"{path}: contains other files; give a new or an empty folder for the tables")
     if not os.access(parent, os.W_OK):
         raise NacreError(f"{path}: the folder {parent} cannot be written")
     return path
 
 
 def _is_ours(folder: Path) -> bool:
-    """Whether all that a folder holds is named in a manifest of ours."""
+    """Whether the manifest lists all files of a folder."""
     try:
         known = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["files"]
     except (OSError, ValueError, KeyError, TypeError):
@@ -80,7 +77,7 @@ def _is_ours(folder: Path) -> bool:
 
 @contextlib.contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """Yield a folder beside `path` that takes its name, and the place of what was there, only if the block succeeds.
+    """Yield a temporary folder that replaces `path` if the block succeeds.
 
     Raises:
         NacreError: it cannot be written.
@@ -109,7 +106,7 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 
 def write_table(folder: str | Path, table: LightTable) -> tuple[Path, ...]:
-    """Write all files into a folder, whole or not at all; return their paths.
+    """Write all files into a folder atomically; return their paths.
 
     Raises:
         NacreError: as `check_folder`, or the disk is full.
@@ -135,8 +132,22 @@ def write_table(folder: str | Path, table: LightTable) -> tuple[Path, ...]:
     return tuple(path / name for name in (*names, MANIFEST))
 
 
+def page_text(table: LightTable) -> str:
+    """Return the index page as HTML; it refers only to the pictures in its folder."""
+    bound = [f"nacre{name.capitalize()}" for name in ("facet", "loss", "exchange", "lobe") if name in table.pictures]
+    return render_page(
+        "lut.html",
+        title=table.name,
+        table=table,
+        version=__version__,
+        has_lobe="lobe" in table.pictures or (table.facets is not None and table.facets.alpha[0] > 0),
+        bound=bound,
+        recipe=str(table.provenance.get("recipe", "")),
+    )
+
+
 def description(table: LightTable) -> dict[str, Any]:
-    """Return what a program needs to know of the table, as JSON takes it."""
+    """Return the machine-readable description of a table."""
     return {
         "name": table.name,
         "illuminant": table.illuminant,
@@ -151,19 +162,19 @@ def description(table: LightTable) -> dict[str, Any]:
         "closures": [dataclasses.asdict(closure) for closure in table.closures],
         "facets": None if table.facets is None else dataclasses.asdict(table.facets),
         "parameter": None if table.parameter is None else dataclasses.asdict(table.parameter),
-        "errors_dE00": {what: dict(told) for what, told in table.errors.items()},
+        "errors_dE00": {name: dict(error) for name, error in table.errors.items()},
         "lost": list(table.lost),
         "provenance": dict(table.provenance),
     }  # fmt: skip
 
 
 def template(name: str) -> str:
-    """Return one of the packaged shader texts."""
+    """Return a packaged shader text."""
     return files("nacre.formats.lut").joinpath("templates", name).read_text(encoding="utf-8")
 
 
 def glsl_text(table: LightTable) -> str:
-    """Return the shader: what this table has as definitions, before the text that serves all tables."""
+    """Return the GLSL shader: definitions of this table before the common text."""
     lines = [f"// {_line(table.name)}: colours for {table.illuminant}, by nacre {__version__}"]
     facets = table.facets
     scales = {name: picture.png_scale for name, picture in table.pictures.items()}
@@ -202,19 +213,19 @@ def glsl_text(table: LightTable) -> str:
 
 
 def osl_text(table: LightTable) -> str:
-    """Return the OSL shader: one look-up and one closure a part."""
+    """Return the OSL shader."""
     return shader_text(table, identifier(table.name))
 
 
 def blender_text(table: LightTable) -> str:
-    """Return the script that builds the node material: a description of the table before the text that serves all."""
-    told = description(table)
-    kept = {key: told[key] for key in ("name", "illuminant", "pictures", "closures", "parameter")}
-    return template("blender.template").replace("@TABLE@", repr(json.dumps(kept, indent=1)))
+    """Return the Blender script that builds the node material."""
+    document = description(table)
+    used = {key: document[key] for key in ("name", "illuminant", "pictures", "closures", "parameter")}
+    return template("blender.template").replace("@TABLE@", repr(json.dumps(used, indent=1)))
 
 
 def identifier(name: str) -> str:
-    """Return a material's name as an identifier of shading languages."""
+    """Return a material name as identifier for shading languages."""
     return "nacre_" + (re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "material")
 
 
@@ -228,7 +239,7 @@ def _number(value: float) -> str:
 
 
 def _rows(values: Array) -> Array:
-    """Return bands and rows one below the other as files have them: the first one at the bottom."""
+    """Return bands and rows in file order: the first at the bottom."""
     return np.ascontiguousarray(values.reshape(-1, *values.shape[2:])[::-1])
 
 
@@ -245,16 +256,7 @@ def _write_exr(path: Path, picture: Picture, table: LightTable) -> None:
 
 
 def _write_png16(path: Path, values: Array, table: LightTable) -> None:
-    """Write RGB of 16 bits: the usual libraries of pictures write 8."""
-    rows = np.round(_rows(values) * DEEP).astype(">u2")
+    rows = np.round(_rows(values) * MAX_CODE)
     height, width = rows.shape[:2]
-    lines = np.concatenate([np.zeros((height, 1), np.uint8), rows.reshape(height, -1).view(np.uint8)], axis=1)
-    said = b"nacre\0" + json.dumps(dict(table.provenance), ensure_ascii=True).encode("latin-1")
-    chunks = [
-        (b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 2, 0, 0, 0)), (b"tEXt", said),
-        (b"IDAT", zlib.compress(lines.tobytes(), 9)), (b"IEND", b""),
-    ]  # fmt: skip
     with open(path, "wb") as stream:
-        stream.write(b"\x89PNG\r\n\x1a\n")
-        for kind, data in chunks:
-            stream.write(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)))
+        write_png_stream(stream, rows, (width, height), RGB, json.dumps(dict(table.provenance)), level=9)

@@ -164,10 +164,10 @@ def solve_anisotropic(
     absorbed = np.empty((len(layers) if absorption else 0, *shape), complex)
     k0 = 2 * np.pi / waves
 
+    stack, light, outputs = (tensors, thicknesses, turns, slices), (k0, kx), (gamma, entering, absorbed)
+
     def task(_start: int, _stop: int, first: int, last: int) -> None:
-        solve_stacks(
-            tensors, thicknesses, turns, slices, k0, kx, bottom, absorption, gamma, entering, absorbed, first, last
-        )
+        solve_stacks(stack, light, bottom, outputs, first, last)
 
     work = int(theta.size * count * sum(20 + 40 * int(n) for n in slices))
     parallel_for(task, 1, theta.size, 100 * work, jobs)

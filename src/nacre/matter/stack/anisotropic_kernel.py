@@ -365,26 +365,24 @@ def _exp(mean, difference, rest, factor):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def solve_stacks(  # type: ignore[no-untyped-def]
-    tensors, thicknesses, turns, slices, k0, kx, bottom, wants_absorption, gamma, entering, absorbed, first, last
-):
-    """Solve stacks at angles `first` to `last` - 1 and all wavelengths.
+def solve_stacks(stack, light, bottom, outputs, first, last):  # type: ignore[no-untyped-def]
+    """Solve a stack at angles `first` to `last` - 1 and all wavelengths.
 
     Args:
-        tensors: `[layer, wavelength, 3, 3]`, in the frame of incidence; of a helical layer at its upper face.
-        thicknesses: `[layer]`, nm.
-        turns: `[layer]`, total rotation of a helical layer, rad; 0 for a homogeneous layer.
-        slices: slices of half a turn of a helix, `[layer]`.
-        k0: vacuum wave numbers, 1/nm, `[wavelength]`.
-        kx: in-plane wave numbers over k0, `[angle, wavelength]`.
+        stack: tensors `[layer, wavelength, 3, 3]` in the frame of incidence (of a helical layer at its upper face),
+            thicknesses `[layer]` in nm, turns `[layer]` (total rotation of a helical layer, rad; 0: homogeneous), and
+            slices of half a turn of a helix `[layer]`.
+        light: vacuum wave numbers k0 `[wavelength]`, 1/nm, and in-plane wave numbers over k0 `[angle, wavelength]`.
         bottom: b = bottom a in the substrate, `[angle, wavelength, 2, 2]`.
-        wants_absorption: whether `absorbed` is computed.
-        gamma: output, b = gamma a at the top, `[angle, wavelength, 2, 2]`.
-        entering: output, a in the substrate = entering a at the top, `[angle, wavelength, 2, 2]`.
-        absorbed: output, `[layer, angle, wavelength, 2, 2]`, Hermitian: flux lost in a layer = a^H absorbed a.
+        outputs: b = gamma a at the top `[angle, wavelength, 2, 2]`; a in the substrate = entering a at the top
+            `[angle, wavelength, 2, 2]`; absorbed `[layer, angle, wavelength, 2, 2]`, Hermitian: flux lost in a layer
+            = a^H absorbed a (not computed if it has no layers).
     """
+    tensors, thicknesses, turns, slices = stack
+    k0, kx = light
+    gamma, entering, absorbed = outputs
     layers = thicknesses.shape[0]
-    d, d2 = np.empty((4, 4), np.complex128), np.empty((4, 4), np.complex128)
+    d = np.empty((4, 4), np.complex128)
     work = np.empty((8, 4, 4), np.complex128)
     tensor = np.empty((3, 3), np.complex128)
     states = np.empty((layers + 1, 2, 4), np.complex128)
@@ -395,68 +393,86 @@ def solve_stacks(  # type: ignore[no-untyped-def]
         status[:] = 0
         for w in range(k0.shape[0]):
             x = kx[angle, w]
-            g = (bottom[angle, w, 0, 0], bottom[angle, w, 0, 1], bottom[angle, w, 1, 0], bottom[angle, w, 1, 1])
+            below = bottom[angle, w]
+            g = (below[0, 0], below[0, 1], below[1, 0], below[1, 1])
             through = (1.0 + 0j, 0j, 0j, 1.0 + 0j)
-            for k in range(4):
-                states[layers, 0, k] = g[k]
+            _store(states[layers], g, through)
             for layer in range(layers - 1, -1, -1):
-                eps = tensors[layer, w]
                 phase = 1j * k0[w] * thicknesses[layer]
-                down = through
-                if turns[layer] == 0.0:
-                    same = w > 0 and status[layer] > 0 and x == kx[angle, w - 1]
-                    if same:
-                        for i in range(3):
-                            for j in range(i, 3):
-                                same = same and eps[i, j] == tensors[layer, w - 1, i, j]
-                    if not same:
-                        generator(eps, x, 1.0, d)
-                        _product(d, d, d2)
-                        status[layer] = _find_modes(d, d2, factors[layer], modes[layer], status[layer] == 1)
-                if turns[layer] == 0.0 and status[layer] == 1:
-                    m = modes[layer]
-                    y, z = (m[0], m[1], m[2], m[3]), (m[4], m[5], m[6], m[7])
-                    e_down = _exp(m[8], m[9], (m[10], m[11], m[12], m[13]), phase)
-                    e_up = _exp(m[14], m[15], (m[16], m[17], m[18], m[19]), -phase)
-                    gz = _mul(g, z)
-                    rho = _mul(
-                        _inverse((1.0 - gz[0], -gz[1], -gz[2], 1.0 - gz[3])),
-                        (g[0] - y[0], g[1] - y[1], g[2] - y[2], g[3] - y[3]),
+                if turns[layer] != 0.0:
+                    t, r, u, s = helix(
+                        tensors[layer, w], x, k0[w] * thicknesses[layer], turns[layer], slices[layer], tensor, work
                     )
-                    rho_top = _mul(e_up, _mul(rho, e_down))
-                    over = _inverse(_one_plus(_mul(z, rho_top)))
-                    g = _mul(_add(y, rho_top), over)
-                    down = _mul(_one_plus(_mul(z, rho)), _mul(e_down, over))
+                    g, down = _over_scattering(g, t, r, u, s)
                 else:
-                    if turns[layer] != 0.0:
-                        t, r, u, s = helix(
-                            eps, x, k0[w] * thicknesses[layer], turns[layer], slices[layer], tensor, work
-                        )
+                    known = w > 0 and status[layer] > 0 and x == kx[angle, w - 1]
+                    if not (known and _is_same(tensors[layer, w], tensors[layer, w - 1])):
+                        generator(tensors[layer, w], x, 1.0, d)
+                        _product(d, d, work[0])
+                        status[layer] = _find_modes(d, work[0], factors[layer], modes[layer], status[layer] == 1)
+                    if status[layer] == 1:
+                        g, down = _over_modes(g, modes[layer], phase)
                     else:
-                        generator(eps, x, phase, d)
+                        generator(tensors[layer, w], x, phase, d)
                         t, r, u, s = scattering(d, work)
-                    full_t = _one_plus(t)
-                    down = _add(full_t, _mul(_excess(_mul(s, g)), full_t))
-                    g = _add(r, _mul(_one_plus(u), _mul(g, down)))
+                        g, down = _over_scattering(g, t, r, u, s)
                 through = _mul(through, down)
-                if wants_absorption:
-                    for k in range(4):
-                        states[layer, 0, k] = g[k]
-                        states[layer, 1, k] = down[k]
+                _store(states[layer], g, down)
             for k in range(4):
                 gamma[angle, w, k // 2, k % 2] = g[k]
                 entering[angle, w, k // 2, k % 2] = through[k]
-            if wants_absorption:
-                into = (1.0 + 0j, 0j, 0j, 1.0 + 0j)
-                before = _flux(into, g)
-                for layer in range(layers):
-                    step = states[layer, 1]
-                    into = _mul((step[0], step[1], step[2], step[3]), into)
-                    below = states[layer + 1, 0]
-                    after = _flux(into, (below[0], below[1], below[2], below[3]))
-                    for k in range(4):
-                        absorbed[layer, angle, w, k // 2, k % 2] = before[k] - after[k]
-                    before = after
+            if absorbed.shape[0] > 0:
+                _absorption(states, absorbed[:, angle, w])
+
+
+@compiled(nogil=True, inline="always")
+def _store(state, g, down):  # type: ignore[no-untyped-def]
+    for k in range(4):
+        state[0, k] = g[k]
+        state[1, k] = down[k]
+
+
+@compiled(nogil=True, inline="always")
+def _is_same(one, other):  # type: ignore[no-untyped-def]
+    same = one[0, 0] == other[0, 0] and one[1, 1] == other[1, 1] and one[2, 2] == other[2, 2]
+    return same and one[0, 1] == other[0, 1] and one[0, 2] == other[0, 2] and one[1, 2] == other[1, 2]
+
+
+@compiled(nogil=True, inline="always")
+def _over_scattering(g, t, r, u, s):  # type: ignore[no-untyped-def]
+    """Return the reflection above a layer, and the map of a from its upper to its lower face, given that below it."""
+    full_t = _one_plus(t)
+    down = _add(full_t, _mul(_excess(_mul(s, g)), full_t))
+    return _add(r, _mul(_one_plus(u), _mul(g, down))), down
+
+
+@compiled(nogil=True)
+def _over_modes(g, m, phase):  # type: ignore[no-untyped-def]
+    """Return the same for a layer with the modes of `_find_modes`."""
+    y, z = (m[0], m[1], m[2], m[3]), (m[4], m[5], m[6], m[7])
+    e_down = _exp(m[8], m[9], (m[10], m[11], m[12], m[13]), phase)
+    e_up = _exp(m[14], m[15], (m[16], m[17], m[18], m[19]), -phase)
+    gz = _mul(g, z)
+    rho = _mul(
+        _inverse((1.0 - gz[0], -gz[1], -gz[2], 1.0 - gz[3])), (g[0] - y[0], g[1] - y[1], g[2] - y[2], g[3] - y[3])
+    )
+    rho_top = _mul(e_up, _mul(rho, e_down))
+    over = _inverse(_one_plus(_mul(z, rho_top)))
+    return _mul(_add(y, rho_top), over), _mul(_one_plus(_mul(z, rho)), _mul(e_down, over))
+
+
+@compiled(nogil=True)
+def _absorption(states, absorbed):  # type: ignore[no-untyped-def]
+    """Write the flux lost in each layer from the reflections and maps of all layers."""
+    into = (1.0 + 0j, 0j, 0j, 1.0 + 0j)
+    before = _flux(into, (states[0, 0, 0], states[0, 0, 1], states[0, 0, 2], states[0, 0, 3]))
+    for layer in range(absorbed.shape[0]):
+        step, below = states[layer, 1], states[layer + 1, 0]
+        into = _mul((step[0], step[1], step[2], step[3]), into)
+        after = _flux(into, (below[0], below[1], below[2], below[3]))
+        for k in range(4):
+            absorbed[layer, k // 2, k % 2] = before[k] - after[k]
+        before = after
 
 
 @compiled(nogil=True)

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.monolayer import Aligned, PolarGrid, pack_triangle
 from nacre.bsdf.lobes.specular import AlignedSpecular
-from nacre.bsdf.response import InterfaceResponse
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.parallel import in_threads
 from nacre.families.metasurface.monolayer.diffuse import (
@@ -35,15 +34,16 @@ from nacre.families.metasurface.monolayer.diffuse import (
 from nacre.families.metasurface.monolayer.evaluation import (
     ABOVE_NODES,
     BELOW_NODES,
-    GRAZING_COS,
     HARMONICS,
-    SPECULAR_NODES,
-    TOTAL_NODES,
     Grids,
+    column,
     differences,
     energy_factors,
     grid_groups,
+    interface_response,
+    lobe_axes,
     specular_at_nodes,
+    specular_tables,
 )
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.monolayer.qca import neighbour_sums_at
@@ -58,6 +58,7 @@ from nacre.families.metasurface.tmatrix.full_tmatrix import (
     with_negative_orders,
 )
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, dressed_matrix, hemisphere_rule
+from nacre.families.metasurface.tmatrix.substrate import Substrate
 
 
 @dataclass(frozen=True)
@@ -100,8 +101,8 @@ class AlignedLayer:
     @cached_property
     def dressed(self) -> ComplexArray:
         """M = (T^-1 - W)^-1 for the particle above its stack, `[n, n']`."""
-        index, kept = self._kept
-        t = truncated_full(self.whole, index.order)[kept[:, None], kept]
+        index, selected = self._kept
+        t = truncated_full(self.whole, index.order)[selected[:, None], selected]
         return np.asarray(dressed_matrix(t[None], spread_blocks(self.mean.spheres[0].coupling, index)[None])[0])
 
     @cached_property
@@ -382,12 +383,12 @@ def _series(values: Array, grids: Grids) -> NDArray[np.float32]:
     for start in starts:  # no azimuth at the normal
         found[start, :, half[:, 0] != 0] = 0.0
         found[:, start, half[:, 1] != 0] = 0.0
-    found = found - _bent(found, grids, half) / 12.0
+    found = found - _curvature(found, grids, half) / 12.0
     real = np.where(np.any(half != 0, axis=1), 2.0, 1.0) * found.real
     return pack_triangle(np.concatenate([real, -2.0 * found.imag], axis=-1))
 
 
-def _bent(table: ComplexArray, grids: Grids, half: NDArray[np.int64]) -> ComplexArray:
+def _curvature(table: ComplexArray, grids: Grids, half: NDArray[np.int64]) -> ComplexArray:
     """Return the second differences of `fit_linear`; here both angles have an azimuthal order."""
     groups = grid_groups(grids)
 
@@ -405,25 +406,20 @@ def _bent(table: ComplexArray, grids: Grids, half: NDArray[np.int64]) -> Complex
 
 def solve_aligned(layer: AlignedLayer, grids: Grids, eta: float, count: int = AZIMUTHS) -> AlignedResult:
     """Solve one wavelength on all angles and azimuths, scaled to energy <= 1."""
-    cosines = np.linspace(0.0, 1.0, SPECULAR_NODES)
-    safe = np.maximum(cosines, GRAZING_COS)
     waves = azimuth_nodes(count) + np.pi
-    reflected, passed = (0.5 * p.sum(axis=1) for p in layer.specular_above(safe, waves))
-    inside, total = np.zeros_like(reflected), np.zeros((count, 0))
     index = layer.mean.surface.index_below
-    if grids.below is not None:
-        # tables are by exit direction, opposite to the incidence from inside
-        conjugate = np.sqrt(1 - (1 - safe**2) / index**2)
-        inside = 0.5 * layer.specular_below(conjugate, waves + np.pi).sum(axis=1)
-        if eta > 1.0:
-            x = np.clip(np.linspace(0.0, 1.0, TOTAL_NODES), 1e-3, 1 - 1e-3)
-            beyond = np.cos(np.pi / 2 * x) * np.sqrt(1 - 1 / index**2)
-            total = 0.5 * layer.specular_below(beyond, waves + np.pi).sum(axis=1)
+    # tables are by exit direction, opposite to the incidence from inside
+    tables = specular_tables(
+        lambda cosines: layer.specular_above(cosines, waves),
+        lambda cosines: layer.specular_below(cosines, waves + np.pi),
+        grids,
+        eta,
+        index,
+    )
     sides = [(light_of(layer, np.cos(grids.above.nodes), False, count), grids.above.weights)]
     if grids.below is not None:
         sides.append((light_of(layer, np.cos(grids.below.nodes), True, count), grids.below.weights))
     term = aligned_term(layer, sides)
-    tables = [np.clip(t, 0.0, 1.0) for t in (reflected, passed, inside, total)]
     delta = np.stack([specular_at_nodes(grids, eta, *(t[row] for t in tables)) for row in range(count)], axis=1)
     n_above = grids.above.size
     if grids.below is not None:
@@ -436,11 +432,11 @@ def solve_aligned(layer: AlignedLayer, grids: Grids, eta: float, count: int = AZ
     dispersion = index / eta if grids.below is not None else 1.0
     factor = scale / spread * np.where(np.arange(size) < n_above, 1.0, dispersion).repeat(count)
     values = (term.power.reshape(size * count, -1) * factor[:, None] * factor).reshape(size, count, size, count)
-    fine = [_finer(t) for t in tables]
-    return AlignedResult(fine[0], fine[1], fine[2], fine[3], _series(values, grids), excess)
+    r, t, inside, total = (_refine_azimuth(t) for t in tables)
+    return AlignedResult(r, t, inside, total, _series(values, grids), excess)
 
 
-def _finer(table: Array) -> Array:
+def _refine_azimuth(table: Array) -> Array:
     """Interpolate a table over the azimuth, `[azimuth, ...]`, to `SPECULAR_STEPS` nodes, the first one repeated."""
     waves = np.fft.rfft(table, axis=0)
     count = len(table)
@@ -460,48 +456,21 @@ def tabulate_aligned(
 ) -> tuple[tuple[Lobe, ...], float]:
     """Solve all wavelengths in parallel; return the two lobes and the largest raw energy excess over 1."""
 
-    def work(wavelength: float) -> tuple[AlignedResult, float, float]:
+    def work(wavelength: float) -> tuple[AlignedResult, Substrate]:
         layer = layer_at(float(wavelength))
-        return solve_aligned(layer, grids, eta), layer.mean.surface.wavenumber, layer.mean.surface.index_below
+        return solve_aligned(layer, grids, eta), layer.mean.surface
 
-    solved = in_threads(work, wavelengths_nm, jobs)
-    results = [r for r, _, _ in solved]
-
-    def column(name: str) -> Array:
-        return np.stack([getattr(r, name) for r in results], axis=-1)
-
-    transmits = grids.below is not None
-    response = InterfaceResponse(
-        wavelengths_nm,
-        np.linspace(0.0, 1.0, SPECULAR_NODES),
-        column("reflectance"),
-        column("transmittance"),
-        column("reflectance_inside"),
-        column("total"),
-        eta,
-        transmits,
-    )
-    series = np.stack([r.series for r in results], axis=-1)
-    chosen = _chosen(series)
-    below = grids.below or PolarGrid(0)
-    lobe = Aligned(
-        wavelengths_nm,
-        np.ascontiguousarray(series[:, chosen]),
-        series_orders()[chosen].astype(float),
-        grids.above.count,
-        below.count,
-        below.beyond,
-        eta,
-        turn_rad,
-        np.array([k for _, k, _ in solved]),
-        np.array([n if transmits else 1.0 for _, _, n in solved]),
-        float(structure.q_per_nm[1] - structure.q_per_nm[0]),
-        structure.s,
-    )
+    results, surfaces = zip(*in_threads(work, wavelengths_nm, jobs))
+    series = column(results, "series")
+    chosen = _select_terms(series)
+    values, orders = np.ascontiguousarray(series[:, chosen]), series_orders()[chosen].astype(float)
+    k, index, step, s = lobe_axes(surfaces, structure, grids)
+    lobe = Aligned(wavelengths_nm, values, orders, *grids.counts, eta, turn_rad, k, index, step, s)
+    response = interface_response(results, wavelengths_nm, grids, eta)
     return (AlignedSpecular(response, turn_rad), lobe), max(r.excess for r in results)
 
 
-def _chosen(series: NDArray[np.float32]) -> NDArray[np.intp]:
+def _select_terms(series: NDArray[np.float32]) -> NDArray[np.intp]:
     """Return the selected terms, largest first.
 
     A term and the one with exchanged directions are selected together, for reciprocity.
@@ -530,11 +499,11 @@ def aligned_powers(layer: AlignedLayer, cosines: Array, azimuth_rad: float) -> t
     wave = np.array([azimuth_rad + np.pi])
     reflected, passed = (p[0] for p in layer.specular_above(cosines, wave, untabulated=True))
     lit = layer.illuminate(cosines, wave, untabulated=True)
-    up = _sent(layer, lit, wave[0], *hemisphere_rule(ABOVE_NODES), False)
+    up = _diffuse_power(layer, lit, wave[0], *hemisphere_rule(ABOVE_NODES), False)
     if not layer.mean.transmits_below:
         return reflected, passed, up, np.zeros_like(up)
     rule = hemisphere_rule(BELOW_NODES, layer.mean.surface.index_below)
-    return reflected, passed, up, _sent(layer, lit, wave[0], *rule, True)
+    return reflected, passed, up, _diffuse_power(layer, lit, wave[0], *rule, True)
 
 
 def aligned_values(layer: AlignedLayer, wi: Array, wo: Array, turn_rad: float) -> Array:
@@ -561,7 +530,9 @@ def aligned_values(layer: AlignedLayer, wi: Array, wo: Array, turn_rad: float) -
     return np.asarray(np.maximum(smooth, 0.0) * s / (wi[:, 2] * wo[:, 2]))
 
 
-def _sent(layer: AlignedLayer, lit: AlignedIllumination, wave: float, mu: Array, weights: Array, below: bool) -> Array:
+def _diffuse_power(
+    layer: AlignedLayer, lit: AlignedIllumination, wave: float, mu: Array, weights: Array, below: bool
+) -> Array:
     """Return the diffuse power emitted to one side per incident irradiance, `[pol, angle]`."""
     leaving = layer.leaving(mu, below)
     power = far_powers(layer, leaving, lit, AZIMUTHS)  # q, b, s, p, i

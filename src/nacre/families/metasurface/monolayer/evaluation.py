@@ -8,8 +8,9 @@ the neighbour table.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from nacre.families.metasurface.monolayer.diffuse import DiffuseTerm, diffuse_te
 from nacre.families.metasurface.monolayer.monolayer import Illumination, Monolayer
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, amplitude, hemisphere_rule
+from nacre.families.metasurface.tmatrix.substrate import Substrate
 
 HARMONICS = 8  # harmonics in the tables; higher ones are below 0.3 % of the largest value
 LOW_OPAQUE = 48  # angles above a thin opaque structure
@@ -42,6 +44,12 @@ class Grids:
 
     above: PolarGrid
     below: PolarGrid | None
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Angle counts above, below within and beyond the critical angle."""
+        below = self.below or PolarGrid(0)
+        return self.above.count, below.count, below.beyond
 
 
 def choose_grids(eta: float | None, polydisperse: bool, thick: bool, low: bool = False) -> Grids:
@@ -128,26 +136,13 @@ class WavelengthResult:
 
 def solve_wavelength(layer: Monolayer, grids: Grids, eta: float) -> WavelengthResult:
     """Solve one wavelength on all angles: specular tables, and diffuse tables scaled to energy <= 1."""
-    cosines = np.linspace(0.0, 1.0, SPECULAR_NODES)
-    safe = np.maximum(cosines, GRAZING_COS)
-    reflected, passed = (0.5 * p.sum(axis=0) for p in layer.specular_above(safe))
-    inside, total = np.zeros_like(reflected), np.zeros(0)
     index = layer.surface.index_below
-    if grids.below is not None:
-        conjugate = np.sqrt(1 - (1 - safe**2) / index**2)
-        inside = 0.5 * layer.specular_below(conjugate).sum(axis=0)
-        if eta > 1.0:
-            # cos_inside/cos_critical = cos(pi x/2), without the two singular ends
-            x = np.clip(np.linspace(0.0, 1.0, TOTAL_NODES), 1e-3, 1 - 1e-3)
-            beyond = np.cos(np.pi / 2 * x) * np.sqrt(1 - 1 / index**2)
-            total = 0.5 * layer.specular_below(beyond).sum(axis=0)
+    specular = specular_tables(layer.specular_above, layer.specular_below, grids, eta, index)
     sides = [(layer.illuminate(np.cos(grids.above.nodes)), grids.above.weights)]
     if grids.below is not None:
         sides.append((layer.illuminate(np.cos(grids.below.nodes), True), grids.below.weights))
     term = diffuse_term(layer, sides, HARMONICS)
-    reflected, passed, inside, total = (np.clip(t, 0.0, 1.0) for t in (reflected, passed, inside, total))
-    delta = specular_at_nodes(grids, eta, reflected, passed, inside, total)
-    scale, excess = _energy_scale(term, sides, delta, index)
+    scale, excess = _energy_scale(term, sides, specular_at_nodes(grids, eta, *specular), index)
     n_above = grids.above.size
     dispersion = index / eta if grids.below is not None else 1.0
     all_cos = np.concatenate([lit.cosines for lit, _ in sides])
@@ -159,15 +154,36 @@ def solve_wavelength(layer: Monolayer, grids: Grids, eta: float) -> WavelengthRe
             tables.append((empty, empty, empty))
             continue
         full = fit_linear(0.5 * source.sum(axis=(2, 3)) * factor[..., None], grids)
-        across = full[n_above:, :n_above] * dispersion
-        tables.append(
-            (
-                pack_triangle(full[:n_above, :n_above]),
-                pack_triangle(full[n_above:, n_above:] * dispersion**2),
-                np.ascontiguousarray(across.reshape(-1, HARMONICS), dtype=np.float32),
-            )
-        )
-    return WavelengthResult(reflected, passed, inside, total, *tables[0], tables[1], excess)
+        across = np.ascontiguousarray((full[n_above:, :n_above] * dispersion).reshape(-1, HARMONICS), dtype=np.float32)
+        below = pack_triangle(full[n_above:, n_above:] * dispersion**2)
+        tables.append((pack_triangle(full[:n_above, :n_above]), below, across))
+    return WavelengthResult(*specular, *tables[0], tables[1], excess)
+
+
+def specular_tables(
+    above: Callable[[Array], tuple[Array, Array]],
+    below: Callable[[Array], Array],
+    grids: Grids,
+    eta: float,
+    index: float,
+) -> tuple[Array, Array, Array, Array]:
+    """Return unpolarised R, T, R from inside and R beyond the critical angle, `[..., node]`.
+
+    Args:
+        above, below: functions of cosines that return R and T, or R, `[..., pol, angle]`.
+        index: relative index of the substrate.
+    """
+    safe = np.maximum(np.linspace(0.0, 1.0, SPECULAR_NODES), GRAZING_COS)
+    reflected, passed = (0.5 * p.sum(axis=-2) for p in above(safe))
+    inside, total = np.zeros_like(reflected), np.zeros((*reflected.shape[:-1], 0))
+    if grids.below is not None:
+        inside = 0.5 * below(np.sqrt(1 - (1 - safe**2) / index**2)).sum(axis=-2)
+        if eta > 1.0:
+            # cos_inside/cos_critical = cos(pi x/2), without the two singular ends
+            x = np.clip(np.linspace(0.0, 1.0, TOTAL_NODES), 1e-3, 1 - 1e-3)
+            total = 0.5 * below(np.cos(np.pi / 2 * x) * np.sqrt(1 - 1 / index**2)).sum(axis=-2)
+    r, t, inside, total = (np.clip(t, 0.0, 1.0) for t in (reflected, passed, inside, total))
+    return r, t, inside, total
 
 
 def specular_at_nodes(grids: Grids, eta: float, reflected: Array, passed: Array, inside: Array, total: Array) -> Array:
@@ -227,50 +243,43 @@ def tabulate(
 ) -> tuple[tuple[Lobe, ...], float]:
     """Solve all wavelengths in parallel; return the two lobes and the largest raw energy excess over 1."""
 
-    def work(wavelength: float) -> tuple[WavelengthResult, float, float]:
+    def work(wavelength: float) -> tuple[WavelengthResult, Substrate]:
         layer = monolayer(float(wavelength))
-        return solve_wavelength(layer, grids, eta), layer.surface.wavenumber, layer.surface.index_below
+        return solve_wavelength(layer, grids, eta), layer.surface
 
-    solved = in_threads(work, wavelengths_nm, jobs)
-    results = [r for r, _, _ in solved]
-
-    def column(name: str) -> NDArray:
-        return np.stack([getattr(r, name) for r in results], axis=-1)
+    results, surfaces = zip(*in_threads(work, wavelengths_nm, jobs))
 
     def free(i: int) -> NDArray:
         parts = np.stack([r.free[i] for r in results], axis=-1)
         return parts if parts.shape[0] else np.zeros((0, HARMONICS, len(results)), np.float32)
 
-    transmits = grids.below is not None
-    response = InterfaceResponse(
-        wavelengths_nm,
-        np.linspace(0.0, 1.0, SPECULAR_NODES),
-        column("reflectance"),
-        column("transmittance"),
-        column("reflectance_inside"),
-        column("total"),
-        eta,
-        transmits,
-    )
-    below = grids.below or PolarGrid(0)
+    above, below, across = (column(results, name) for name in ("above", "below", "across"))
+    k, index, step, s = lobe_axes(surfaces, structure, grids)
     harmonic = Harmonic(
-        wavelengths_nm,
-        column("above"),
-        column("below"),
-        column("across"),
-        free(0),
-        free(1),
-        free(2),
-        grids.above.count,
-        below.count,
-        below.beyond,
-        eta,
-        np.array([k for _, k, _ in solved]),
-        np.array([n if transmits else 1.0 for _, _, n in solved]),
-        float(structure.q_per_nm[1] - structure.q_per_nm[0]),
-        structure.s,
+        wavelengths_nm, above, below, across, free(0), free(1), free(2), *grids.counts, eta, k, index, step, s
     )
-    return (Specular(response), harmonic), max(r.excess for r in results)
+    specular = Specular(interface_response(results, wavelengths_nm, grids, eta))
+    return (specular, harmonic), max(r.excess for r in results)
+
+
+def column(results: Sequence[Any], name: str) -> NDArray:
+    """Stack one table of all wavelengths along the last axis."""
+    return np.stack([getattr(r, name) for r in results], axis=-1)
+
+
+def interface_response(results: Sequence[Any], wavelengths_nm: Array, grids: Grids, eta: float) -> InterfaceResponse:
+    """Return the specular tables from all wavelengths."""
+    names = ("reflectance", "transmittance", "reflectance_inside", "total")
+    r, t, inside, total = (column(results, name) for name in names)
+    cosines = np.linspace(0.0, 1.0, SPECULAR_NODES)
+    return InterfaceResponse(wavelengths_nm, cosines, r, t, inside, total, eta, grids.below is not None)
+
+
+def lobe_axes(surfaces: Sequence[Substrate], structure: Structure, grids: Grids) -> tuple[Array, Array, float, Array]:
+    """Return ambient wavenumbers, indices below, and the step and values of S for a diffuse lobe."""
+    wavenumbers = np.array([s.wavenumber for s in surfaces])
+    indices = np.array([s.index_below if grids.below is not None else 1.0 for s in surfaces])
+    return wavenumbers, indices, float(structure.q_per_nm[1] - structure.q_per_nm[0]), structure.s
 
 
 ABOVE_NODES, BELOW_NODES = 24, 20  # nodes over the cosine, for totals to 1e-4
@@ -286,14 +295,14 @@ def direct_powers(layer: Monolayer, cosines: Array) -> tuple[Array, Array, Array
     lit = layer.illuminate(cosines, untabulated=True)
     reflected, passed = layer.specular_above(cosines, lit)
     mu, weights = hemisphere_rule(ABOVE_NODES)
-    up = _sent(layer, lit, mu, weights, False)
+    up = _diffuse_power(layer, lit, mu, weights, False)
     if not layer.transmits_below:
         return reflected, passed, up, np.zeros_like(up)
     mu, weights = hemisphere_rule(BELOW_NODES, layer.surface.index_below)
-    return reflected, passed, up, _sent(layer, lit, mu, weights, True)
+    return reflected, passed, up, _diffuse_power(layer, lit, mu, weights, True)
 
 
-def _sent(layer: Monolayer, lit: Illumination, mu: Array, weights: Array, below: bool) -> Array:
+def _diffuse_power(layer: Monolayer, lit: Illumination, mu: Array, weights: Array, below: bool) -> Array:
     """Return the diffuse power emitted to one side per incident irradiance, `[pol, angle]`.
 
     rho / cos_i times the integral |F|^2 S / n over the directions, for each incident polarisation.

@@ -54,8 +54,8 @@ def axial(blocks: ComplexArray) -> tuple[ComplexArray, float]:
     if np.any(total == 0):
         raise TMatrixFileError("holds a T-matrix of zeros")
     # averaged over incidence, the scattered power is the squared norm
-    kept = np.linalg.norm(own.reshape(len(own), -1), axis=1) / total
-    turn_loss = float(np.max(np.maximum(1.0 - kept**2, 0.0)))
+    selected = np.linalg.norm(own.reshape(len(own), -1), axis=1) / total
+    turn_loss = float(np.max(np.maximum(1.0 - selected**2, 0.0)))
     if turn_loss > TURN_TOLERANCE:
         raise TMatrixFileError(
             f"is of a particle that is not axisymmetric about z: {100 * turn_loss:.2g} % of what it scatters depends "
@@ -119,7 +119,7 @@ def _check_passive(matrix: ComplexArray) -> None:
 MAX_BYTES = 512 << 20  # matrix size: 100 wavelengths with l = 12
 HIGHEST_ORDER = 60
 SPEED_OF_LIGHT = 299792458.0
-PATIENCE_S = 60.0
+PROBE_TIMEOUT_S = 60.0
 PROBE = """
 import sys, h5py
 def see(name, thing):
@@ -134,30 +134,10 @@ except Exception:
     pass
 """
 PREFIXES = {
-    "y": 1e-24,
-    "z": 1e-21,
-    "a": 1e-18,
-    "f": 1e-15,
-    "p": 1e-12,
-    "n": 1e-9,
-    "u": 1e-6,
-    "µ": 1e-6,
-    "μ": 1e-6,
-    "m": 1e-3,
-    "c": 1e-2,
-    "d": 1e-1,
-    "": 1.0,
-    "da": 1e1,
-    "h": 1e2,
-    "k": 1e3,
-    "M": 1e6,
-    "G": 1e9,
-    "T": 1e12,
-    "P": 1e15,
-    "E": 1e18,
-    "Z": 1e21,
-    "Y": 1e24,
-}
+    "y": 1e-24, "z": 1e-21, "a": 1e-18, "f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3,
+    "c": 1e-2, "d": 1e-1, "": 1.0, "da": 1e1, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12, "P": 1e15, "E": 1e18,
+    "Z": 1e21, "Y": 1e24,
+}  # fmt: skip
 UNITS = {  # format units, for messages; 1/ forms are read too
     "length": "m with an SI prefix, as nm",
     "inverse length": "m^{-1} with an SI prefix, as nm^{-1} or cm^{-1}",
@@ -196,7 +176,7 @@ def read_tmatrices(path: str | Path, is_aligned: bool = False) -> AxialTMatrices
         plain(path)
     except OSError as error:
         raise TMatrixFileError(why_unreadable(error)) from None
-    _try_apart(os.path.abspath(path), file_digest(path))
+    _probe_in_subprocess(os.path.abspath(path), file_digest(path))
     try:
         with h5py.File(path, "r") as file:
             return _read(file, is_aligned)
@@ -209,7 +189,7 @@ def read_tmatrices(path: str | Path, is_aligned: bool = False) -> AxialTMatrices
 
 
 @lru_cache(maxsize=64)
-def _try_apart(path: str, digest: str) -> None:
+def _probe_in_subprocess(path: str, digest: str) -> None:
     """Read a file in a subprocess first: the HDF5 library hangs or crashes on some damaged files.
 
     Raises:
@@ -218,10 +198,10 @@ def _try_apart(path: str, digest: str) -> None:
     try:
         # -P: do not import from the working folder
         done = subprocess.run(
-            [sys.executable, "-P", "-c", PROBE, path, str(MAX_BYTES)], timeout=PATIENCE_S, capture_output=True
+            [sys.executable, "-P", "-c", PROBE, path, str(MAX_BYTES)], timeout=PROBE_TIMEOUT_S, capture_output=True
         )
     except subprocess.TimeoutExpired:
-        raise TMatrixFileError(f"is damaged: HDF5 is not done with it after {PATIENCE_S:g} s") from None
+        raise TMatrixFileError(f"is damaged: HDF5 is not done with it after {PROBE_TIMEOUT_S:g} s") from None
     if done.returncode < 0:  # ended by a signal; Python errors are reported by `_read`
         raise TMatrixFileError("is damaged: HDF5 crashes on it")
 
@@ -256,13 +236,11 @@ def _read(file: h5py.File, is_aligned: bool) -> AxialTMatrices:
         blocks,
         index[order],
         name or Path(file.filename).name,
-        geometry.get("radius"),
-        geometry.get("height"),
-        geometry.get("circumscribing"),
-        _material(file, len(values), order),
-        turn_loss,
-        shape,
-        whole,
+        **geometry,
+        shape=shape,
+        whole=whole,
+        material_index=_material(file, len(values), order),
+        turn_loss=turn_loss,
     )
 
 
@@ -313,11 +291,11 @@ def _unit(attributes: Any, kind: str, name: str) -> float:
     for ending in ("^{-1}", "^-1", "-1", "⁻¹"):
         if text.endswith(ending) and sign > 0:
             text, sign = text.removesuffix(ending), -1.0
-    wanted, power = {"length": ("m", 1.0), "inverse length": ("m", -1.0), "frequency": ("s", -1.0)}[kind]
+    symbol, power = {"length": ("m", 1.0), "inverse length": ("m", -1.0), "frequency": ("s", -1.0)}[kind]
     if kind == "frequency" and text.endswith("Hz") and sign > 0:
         prefix, power = text.removesuffix("Hz"), 1.0
-    elif text.endswith(wanted) and sign == power:
-        prefix = text.removesuffix(wanted)
+    elif text.endswith(symbol) and sign == power:
+        prefix = text.removesuffix(symbol)
     else:
         prefix = "?"
     if prefix not in PREFIXES:
@@ -431,11 +409,11 @@ def _places(
             f'names a polarization "{_shown(odd)}"; it should be electric and magnetic, or positive and negative'
         )
     kind = np.array([w in second for w in words], dtype=np.int64)
-    kept = np.nonzero(l <= lmax)[0]
+    selected = np.nonzero(l <= lmax)[0]
     place = ((m + lmax) * 2 + kind) * lmax + l - 1
-    if len(np.unique(place[kept])) != len(kept) or len(kept) != 2 * lmax * (lmax + 2):
+    if len(np.unique(place[selected])) != len(selected) or len(selected) != 2 * lmax * (lmax + 2):
         raise TMatrixFileError(f"does not name every mode up to l = {lmax} once")
-    return place[kept], kept
+    return place[selected], selected
 
 
 def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:
@@ -466,9 +444,9 @@ def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:
         if moved is not None and np.any(np.asarray(moved[()], dtype=float) != 0.0):
             return "", {}  # the expansion centre is not the particle centre
     if shape == "sphere" and (radius := length("radius")):
-        return shape, {"radius": radius, "height": 2 * radius, "circumscribing": radius}
+        return shape, {"radius_nm": radius, "height_nm": 2 * radius, "circumscribing_nm": radius}
     if shape == "spheroid" and (radius := length("radiusxy")) and (axis := length("radiusz")):
-        return shape, {"radius": radius, "height": 2 * axis, "circumscribing": max(radius, axis)}
+        return shape, {"radius_nm": radius, "height_nm": 2 * axis, "circumscribing_nm": max(radius, axis)}
     reach = length(REACH)
     if (shape == "cylinder" or reach) and (radius := length("radius")) and (height := length("height")):
         least, most = max(radius, height / 2), float(np.hypot(radius, height / 2))
@@ -478,7 +456,7 @@ def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:
                 f"one from {least:.5g} to {most:.5g} nm"
             )
         named = shape if shape == "cylinder" else ""
-        return named, {"radius": radius, "height": height, "circumscribing": reach or most}
+        return named, {"radius_nm": radius, "height_nm": height, "circumscribing_nm": reach or most}
     return "", {}
 
 

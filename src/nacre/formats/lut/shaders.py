@@ -1,4 +1,4 @@
-"""The MaterialX graph of a table: pictures over the angle of view on the standard's own scattering nodes."""
+"""Shaders of a colour table: OSL with the closures of the renderer, and a MaterialX graph."""
 
 from __future__ import annotations
 
@@ -7,32 +7,114 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from nacre._version import __version__
-from nacre.formats.lut.table import Closure, LightTable
+from nacre.formats.lut.table import Closure, LightTable, Picture
+
+HEAD = """// {name}: colours for {illuminant}, by nacre {version}. Linear sRGB, over the angle of view{rows}.
+// Set `folder` to the folder of the EXR images, ending in a slash.
+#include "stdosl.h"
+
+// Colour at x and p in [0, 1], both ends at texel centres; OSL counts rows from the top.
+color nacre_look_up(string picture, float x, float p, float columns, float rows)
+{{
+    return (color) texture(picture, (x * (columns - 1) + 0.5) / columns, 1 - (p * (rows - 1) + 0.5) / rows,
+                           "wrap", "clamp", "interp", "linear");
+}}
+
+shader {identifier}(
+    string folder = "",
+    point UV = point(u, v, 0),
+    vector Tangent = dPdu,
+    output closure color BSDF = 0)
+{{
+    float x = acos(clamp(fabs(dot(I, N)), 0, 1)) * M_2_PI;
+    int behind = backfacing();
+    float p = {parameter};
+    float along = dot(I, normalize(Tangent)), across = dot(I, cross(N, normalize(Tangent)));
+    float azimuth = along * along / max(along * along + across * across, 1e-12);
+"""
+
+
+def shader_text(table: LightTable, identifier: str) -> str:
+    """Return the OSL shader: one look-up and one closure for each part."""
+    parameter, rows = "0", ""
+    if table.parameter is not None:
+        parameter = 'texture(concat(folder, "map.exr"), UV[0], 1 - UV[1], "wrap", "periodic")'
+        rows = f" and over {' '.join(table.parameter.name.split())}"
+    lines = [
+        HEAD.format(
+            name=" ".join(table.name.split()),
+            illuminant=table.illuminant,
+            version=__version__,
+            rows=rows,
+            identifier=identifier,
+            parameter=parameter,
+        )  # fmt: skip
+    ]
+    lines += [_closure_lines(table, closure) for closure in table.closures]
+    return "".join(lines) + "}\n"
+
+
+def _closure_lines(table: LightTable, closure: Closure) -> str:
+    lines = ""
+    for name, side in ((closure.front, "!behind"), (closure.behind, "behind")):
+        if name is None:
+            continue
+        columns, rows = _size(table.pictures[name])
+        row = "azimuth" if table.pictures[name].rows == "azimuth" else "p"
+        found = f'nacre_look_up(concat(folder, "{name}.exr"), x, {row}, {columns}, {rows})'
+        lines += f"    if ({side}) BSDF += {found} * {_osl_closure(closure, side == 'behind')};\n"
+    return lines
+
+
+def _osl_closure(closure: Closure, behind: bool) -> str:
+    ior = 1.0 / closure.ior if behind else closure.ior
+    x, y = closure.alpha
+    if closure.kind == "diffuse":
+        return "diffuse(N)"
+    if closure.kind == "translucent":
+        return "translucent(N)"
+    if closure.kind == "straight":
+        return "transparent()"
+    if closure.kind == "refract":
+        if x == 0.0:
+            return f"refraction(N, {ior:.7g})"
+        return f'microfacet("{closure.distribution}", N, Tangent, {x:.7g}, {y:.7g}, {ior:.7g}, 1)'
+    if x == 0.0:
+        return "reflection(N)"
+    # only Cycles has Ashikhmin and Shirley's distribution
+    distribution = closure.distribution.replace("-", "_")
+    return f'microfacet("{distribution}", N, Tangent, {x:.7g}, {y:.7g}, 0, 0)'
+
+
+def _size(picture: Picture) -> tuple[int, int]:
+    bands, rows, columns = picture.values.shape[:3]
+    return columns, bands * rows
+
 
 TWO_OVER_PI = "0.6366197723675814"
 
 
 class Graph:
-    """A node graph that grows."""
+    """A MaterialX node graph."""
 
     def __init__(self, root: ET.Element, name: str) -> None:
         self.element = ET.SubElement(root, "nodegraph", name=name)
         self.count = 0
 
     def add(self, kind: str, output: str, name: str = "", **inputs: tuple[str, str]) -> str:
-        """Add a node; an input is (type, value), or (type, "@" and the name of another node); `in_` stands for `in`."""
+        """Add a node; an input is (type, value) or (type, "@" + name of a node); `in_` stands for `in`."""
         self.count += 1
         name = name or f"{kind}_{self.count}"
         node = ET.SubElement(self.element, kind, {"name": name, "type": output})
         for key, (kind_in, value) in inputs.items():
-            told = {"name": key.rstrip("_"), "type": kind_in}
-            told |= {"nodename": value[1:]} if value.startswith("@") else {"value": value}
-            ET.SubElement(node, "input", told)
+            attributes = {"name": key.rstrip("_"), "type": kind_in}
+            attributes |= {"nodename": value[1:]} if value.startswith("@") else {"value": value}
+            ET.SubElement(node, "input", attributes)
         return name
 
 
 def write_graph(path: Path, table: LightTable) -> None:
-    """Write the document; paths of pictures are beside it.
+    """Write the MaterialX graph: images over the view angle on standard scattering nodes, with relative paths.
 
     Raises:
         OSError: the file cannot be written.
@@ -61,7 +143,7 @@ def write_graph(path: Path, table: LightTable) -> None:
     for closure in table.closures:
         if closure.front is None:
             continue
-        part = _part(graph, table, closure, x, rows)
+        part = _node(graph, table, closure, x, rows)
         bsdf = graph.add("add", "BSDF", in1=("BSDF", f"@{bsdf}"), in2=("BSDF", f"@{part}")) if bsdf else part
     ET.SubElement(graph.element, "output", name="bsdf", type="BSDF", nodename=bsdf)
     surface = ET.SubElement(root, "surface", name=f"SR_{label}", type="surfaceshader")
@@ -73,7 +155,7 @@ def write_graph(path: Path, table: LightTable) -> None:
 
 
 def _azimuth(graph: Graph, cosine: str, view: str) -> str:
-    """Add the squared cosine of the azimuth of view against the tangent."""
+    """Add the squared cosine of the view azimuth from the tangent."""
     tangent = graph.add("tangent", "vector3", space=("string", "world"))
     along = graph.add("dotproduct", "float", in1=("vector3", f"@{tangent}"), in2=("vector3", f"@{view}"))
     squares = [graph.add("multiply", "float", in1=("float", f"@{v}"), in2=("float", f"@{v}")) for v in (along, cosine)]
@@ -100,7 +182,7 @@ def _texel(graph: Graph, value: str, count: int) -> str:
     return graph.add("add", "float", in1=("float", f"@{scaled}"), in2=("float", f"{0.5 / count:.9g}"))
 
 
-def _part(graph: Graph, table: LightTable, closure: Closure, x: str, rows: dict[str, str]) -> str:
+def _node(graph: Graph, table: LightTable, closure: Closure, x: str, rows: dict[str, str]) -> str:
     assert closure.front is not None
     tint = ("color3", f"@{_look_up(graph, table, closure.front, x, rows)}")
     if closure.kind == "diffuse":
