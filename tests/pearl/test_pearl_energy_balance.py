@@ -143,7 +143,7 @@ def test_every_form_of_a_platelet_reflects_r_times_one_minus_t():
     assert np.array_equal(after["transmittance"], before["transmittance"])
     lobes = {name: model.bsdf(LAM).lobes[0] for name, model in made.items()}
     assert np.array_equal(lobes["conserving"].flake_extinction, lobes["published"].flake_extinction)
-    # off the mirror direction inside, one flake tilted by some 10 degrees turns the light: the exact part of the surrogate
+    # off the mirror direction inside: one flake tilted by some 10 degrees, the exact part of the surrogate
     wi, wo = np.array([[0.0, 0.0, 1.0]]), np.array([[0.3, 0.0, np.sqrt(0.91)]])
     sure = {name: model.surrogate_radiance(wi, wo, LAM)[0][0] for name, model in made.items()}
     inner = np.sqrt(0.5 * (1 + np.sqrt(1 - 0.09 / INDEX**2)))
