@@ -178,7 +178,7 @@ def find_gamut(
     parameters = read_parameters(dict(table), material, source)
     if not parameters:
         raise RecipeError(f"{source}: nothing is free; use --parameter PATH=LOW:HIGH")
-    at = applicable_geometry([material, *_variants(material, parameters)], geometry, f"{source}: at")
+    at = applicable_geometry([material, *_variants(material, parameters)], geometry, f"{source}: geometry")
     draws = (points, seconds, seed)
     return _parameter_gamut(material, parameters, at, (illuminant, observer), draws, tolerance, samples, progress)
 
