@@ -76,7 +76,7 @@ def metals(goals: MeritFunction, angles_deg: list[float], spread: float = 0.0) -
         ("reflected",) * len(angles_deg),
         max_layers=6,
         bounds_nm=dict.fromkeys(COATINGS, HELD_NM),
-        spread_relative=spread,
+        relative_tolerance=spread,
     )
 
 

@@ -17,7 +17,7 @@ from nacre.matter.stack.thickness_gradient import scratch, spectra_and_gradients
 from nacre.optimise.merit import MeritFunction, Operand, default_wavelengths_nm
 from nacre.optimise.problem import Budget
 from nacre.optimise.thin_film.levenberg_marquardt import descend, workspace
-from nacre.optimise.thin_film.merit_kernel import compile_merit, look, share_outside
+from nacre.optimise.thin_film.merit_kernel import compile_merit, evaluate, failure_share
 from nacre.optimise.thin_film.problem import Medium, Slot, StackProblem
 from nacre.optimise.thin_film.search import Engine, GeneticOptions, Stack, StackSolution, is_alike, many, search
 
@@ -128,7 +128,7 @@ def test_the_compiled_goals_are_those_of_the_judge() -> None:
 
     def residuals(thicknesses: np.ndarray, slopes: bool) -> np.ndarray:
         spectra_and_gradients(tables, media, thicknesses, 3, 6, slopes, s.w, s.spectra, s.slopes)
-        look(looks, s.spectra, s.slopes, 3, slopes, s.r, s.jacobian, s.u)
+        evaluate(looks, s.spectra, s.slopes, 3, slopes, s.r, s.jacobian, s.u)
         return s.r.copy()
 
     ours = residuals(d, True)
@@ -347,7 +347,7 @@ def test_the_linear_yield_is_near_that_of_draws() -> None:
     low, high = np.full(3, 2.0), np.full(3, 300.0)
     descend(tables, looks, media, d, low, high, n, len(PALETTE) + 1, 1e9, -1, 2.0, s)
     sigma = 0.03 * d
-    linear = share_outside(looks, s.r, s.jacobian, n, sigma, space.draws)
+    linear = failure_share(looks, s.r, s.jacobian, n, sigma, space.draws)
     missed = []
     for z in space.draws:
         descend(tables, looks, media, d + sigma * z[:n], low, high, n, len(PALETTE) + 1, 1e9, 0, 2.0, s)

@@ -157,10 +157,10 @@ BAD = {
     "free naming a layer beside layers": (task(layers={"palette": ["TiO2"]}), "keep one"),
     "a want that an opaque base cannot answer": (
         task(target=[{**ONE, "geometry": "transmitted 0"}]),
-        "cannot be answered",
+        "is not possible",
     ),
-    "diffuse light of a mirror": (task(target=[{**ONE, "geometry": "diffuse 0"}]), "cannot be answered"),
-    "aspecular light of a mirror": (task(target=[{**ONE, "geometry": "45as15"}]), "cannot be answered"),
+    "diffuse light of a mirror": (task(target=[{**ONE, "geometry": "diffuse 0"}]), "is not possible"),
+    "aspecular light of a mirror": (task(target=[{**ONE, "geometry": "45as15"}]), "is not possible"),
     "two colours at one place": (task(target=[ONE, {**ONE, "colour": "#ff0000"}]), "no answer has both"),
     "an unknown geometry": (task(target=[{**ONE, "geometry": "speculr 0"}]), 'Did you mean "specular"'),
     "light from behind": (task(target=[{**ONE, "geometry": "specular 95"}]), "90"),

@@ -13,13 +13,11 @@ import nacre
 from nacre.bsdf.lobes.table import from_half_difference, half_difference
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.formats.gltf import read_gltf, write_gltf
 from nacre.formats.gonio_csv import read_gonio_csv, write_gonio_csv
 from nacre.formats.half_angle_tables import SHAPE, read_merl, slice_values, write_merl, write_slice
 from nacre.formats.lobes import gonio_grid, gonio_table, merl_lobe, rgb_basis
-from nacre.formats.materialx import read_materialx, write_materialx
 from nacre.formats.rgl import RglBsdf, Warp, read_tensor, rgl_fields, write_tensor
-from nacre.formats.thin_film import ThinFilm
+from nacre.formats.thin_film import ThinFilm, read_gltf, read_materialx, write_gltf, write_materialx
 from nacre.formats.zemax import read_zemax, scatter_direction, write_zemax, zemax_table
 from nacre.recipe.toml import dump_toml
 

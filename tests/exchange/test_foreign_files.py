@@ -12,9 +12,8 @@ from nacre.analysis.fit import read_measurement
 from nacre.analysis.import_export import import_material
 from nacre.cli import run
 from nacre.core.errors import NacreError
-from nacre.formats.gltf import read_gltf
-from nacre.formats.materialx import read_materialx
 from nacre.formats.rgl import read_tensor, rgl_fields
+from nacre.formats.thin_film import read_gltf, read_materialx
 
 ROUGH = {"family": "film", "substrate": "Ti", "surface": {"roughness": 0.3}}
 

@@ -10,7 +10,7 @@ from nacre.core.errors import NacreError
 from nacre.matter import Layer, Stack, powers, solve
 from nacre.matter.stack.field import field_profile
 from nacre.matter.stack.incoherent import incoherent_powers
-from nacre.matter.stack.polarisation import ellipsometry, jones_reflection, jones_transmission, mueller
+from nacre.matter.stack.solve import ellipsometry, jones_reflection, jones_transmission, mueller
 
 ENERGY = 1e-12  # the bar of the film issue
 AGAINST_TMM = 1e-11

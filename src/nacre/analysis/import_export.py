@@ -127,11 +127,11 @@ def _export_film(material: Material, target: str, path: Path) -> dict[str, Any]:
     fit = fit_thin_film(material)
     provenance = {"nacre": __version__, "recipe": material.text, "residual_delta_e_2000": fit.mean_residual}
     if target == "gltf":
-        from nacre.formats.gltf import write_gltf
+        from nacre.formats.thin_film import write_gltf
 
         write_gltf(path, fit.film, material.name, provenance)
     else:
-        from nacre.formats.materialx import write_materialx
+        from nacre.formats.thin_film import write_materialx
 
         write_materialx(path, fit.film, material.name, f"nacre {__version__}, residual dE00 {fit.mean_residual:.2f}")
     return {
@@ -205,11 +205,11 @@ def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
 
 def _import_film(source: Path, recipe: Path) -> list[str]:
     if source.suffix.lower() == ".gltf":
-        from nacre.formats.gltf import read_gltf
+        from nacre.formats.thin_film import read_gltf
 
         film = read_gltf(source)
     else:
-        from nacre.formats.materialx import read_materialx
+        from nacre.formats.thin_film import read_materialx
 
         film = read_materialx(source)
     for name, value in film.__dict__.items():

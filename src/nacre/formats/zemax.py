@@ -98,9 +98,11 @@ def _light(incidence_deg: Array) -> Array:
 
 def _total(values: Array, cos_o: Array, azimuth_deg: Array, radial_deg: Array) -> Array:
     """Integrate f cos over half the azimuths and double it."""
+    from scipy.integrate import trapezoid
+
     rho = np.radians(radial_deg)
-    rings = np.trapezoid(values * np.maximum(cos_o, 0.0) * np.sin(rho), rho, axis=-1)
-    return np.asarray(2 * np.trapezoid(rings, np.radians(azimuth_deg), axis=-1))
+    rings = trapezoid(values * np.maximum(cos_o, 0.0) * np.sin(rho), rho, axis=-1)
+    return np.asarray(2 * trapezoid(rings, np.radians(azimuth_deg), axis=-1))
 
 
 def write_zemax(path: str | Path, table: ZemaxBsdf, comment: str = "") -> None:

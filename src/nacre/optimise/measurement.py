@@ -1,4 +1,4 @@
-"""Where a look is seen, and what a material shows there: factors of which a perfect white has 1."""
+"""Measurement geometries and simulated measurements: reflectance factors, 1 for a perfect white."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from nacre.recipe.model import show_value
 
 KINDS = ("specular", "transmitted", "diffuse", "hemispherical")
 FORMS = '"specular 0", "transmitted 30", "diffuse 0", "hemispherical 0" or "45as15"'
-JUDGE_STEP_NM = 1.0
+EVALUATION_STEP_NM = 1.0
 _WORD = re.compile(r"([A-Za-z]+)\s+([-+]?[\d.]+)$")
 _ASPECULAR = re.compile(r"([\d.]+)as([-+]?[\d.]+)$")
 
@@ -35,7 +35,7 @@ class Geometry:
 
     Attributes:
         kind: "specular", "transmitted", "diffuse", "hemispherical" or "aspecular".
-        theta_deg: of the incident light.
+        theta_deg: angle of incidence.
         aspecular_deg: of the viewer, from the mirror direction towards the light.
     """
 
@@ -48,29 +48,31 @@ class Geometry:
         """Read `specular T`, `transmitted T`, `diffuse T`, `hemispherical T` or `IasA`.
 
         Raises:
-            RecipeError: it is none of them, or an angle lies behind the surface.
+            RecipeError: another form, or an angle behind the surface.
         """
         said = text.strip()
         word, aspecular = _WORD.match(said), _ASPECULAR.match(said)
         try:
             if aspecular:
-                at = cls("aspecular", float(aspecular[1]), float(aspecular[2]))
+                geometry = cls("aspecular", float(aspecular[1]), float(aspecular[2]))
             elif word and word[1] in KINDS:
-                at = cls(word[1], float(word[2]))
+                geometry = cls(word[1], float(word[2]))
             else:
                 hint = did_you_mean(word[1], KINDS) if word else ""
                 raise RecipeError(f"{where} = {show_value(text)} is not known.{hint} Write {FORMS}")
         except ValueError:
             raise RecipeError(f"{where} = {show_value(text)} holds no angle; write {FORMS}") from None
-        if not 0.0 <= at.theta_deg < 90.0:
+        if not 0.0 <= geometry.theta_deg < 90.0:
             raise RecipeError(f"{where} = {show_value(text)}: the light must come from 0 up to 90 degrees")
-        if abs(at.view_deg) >= 90.0:
-            raise RecipeError(f"{where} = {show_value(text)} is seen from {at.view_deg:g} degrees, behind the surface")
-        return at
+        if abs(geometry.view_deg) >= 90.0:
+            raise RecipeError(
+                f"{where} = {show_value(text)} has a view of {geometry.view_deg:g} degrees, behind the surface"
+            )
+        return geometry
 
     @property
     def view_deg(self) -> float:
-        """The viewer's angle from the normal, towards the light's side; 0 where there is no one viewer."""
+        """Angle of the viewer from the normal, towards the light; 0 except for aspecular geometries."""
         return self.aspecular_deg - self.theta_deg if self.kind == "aspecular" else 0.0
 
     def __str__(self) -> str:
@@ -81,13 +83,13 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What a material shows at geometries.
+    """Result of a simulated measurement.
 
     Attributes:
         wavelengths_nm: `[wavelength]`.
-        factors: `[at, wavelength]`.
-        error: standard error of the factors, in their shape; None where nothing is drawn at random.
-        missing: the geometries at which the material shows nothing by its nature, such as diffuse light of a mirror.
+        factors: `[geometry, wavelength]`.
+        error: standard error of the factors, in their shape; None without Monte Carlo.
+        missing: geometries at which the material has no signal at all, such as diffuse light of a mirror.
     """
 
     wavelengths_nm: Array
@@ -96,16 +98,18 @@ class Measurement:
     missing: frozenset[Geometry]
 
 
-def aspecular_pairs(ats: Sequence[Geometry]) -> tuple[Array, Array]:
-    """Return to the light and to the eye, `[at, 3]` each, of places of the kind `IasA`."""
-    wi = direction(np.radians([at.theta_deg for at in ats]))
-    wo = np.array([aspecular_direction(at.theta_deg, at.aspecular_deg) for at in ats]).reshape(-1, 3)
+def aspecular_pairs(geometries: Sequence[Geometry]) -> tuple[Array, Array]:
+    """Return directions to light and viewer, `[geometry, 3]` each, of aspecular geometries."""
+    wi = direction(np.radians([geometry.theta_deg for geometry in geometries]))
+    wo = np.array([aspecular_direction(geometry.theta_deg, geometry.aspecular_deg) for geometry in geometries]).reshape(
+        -1, 3
+    )
     return wi, wo
 
 
 def simulate_measurement(
     material: Material,
-    ats: Sequence[Geometry],
+    geometries: Sequence[Geometry],
     wavelengths_nm: Array | None = None,
     *,
     samples: int | None = None,
@@ -113,16 +117,16 @@ def simulate_measurement(
     memory: dict[Any, Any] | None = None,
     is_rough: bool = False,
 ) -> Measurement:
-    """Return what a material shows at geometries.
+    """Simulate a measurement of a material.
 
-    Specular and transmitted light as `nacre spectrum` has it, aspecular colours as `nacre report`.
+    Specular and transmitted factors agree with `nacre spectrum`, aspecular ones with `nacre report`.
 
     Args:
-        wavelengths_nm: ascending, or None for the material's own choice.
-        samples, seed: of random walks.
-        memory: of a search, whose candidates may share what hardly changes between them, and are looked at in the
-            wanted directions alone where the family knows a shorter way there than its Bsdf. None: the reference.
-        is_rough: with a memory, whether a ranking is enough.
+        wavelengths_nm: ascending; default: those of the material.
+        samples, seed: of Monte Carlo estimates.
+        memory: cache of a search, shared by its candidates; they are then evaluated at the required directions only,
+            if the family can. None: the reference model.
+        is_rough: with a cache, whether a ranking is sufficient.
 
     Raises:
         NacreError: the material cannot be computed.
@@ -130,9 +134,9 @@ def simulate_measurement(
     if memory is not None:
         material = replace(material, model=search_model(material.model, memory, is_rough))
     model = material.model
-    asked = [at for at in ats if at.kind != "aspecular"]
-    rows = [row for row, at in enumerate(ats) if at.kind == "aspecular"]
-    wi, wo = aspecular_pairs([ats[row] for row in rows])
+    asked = [geometry for geometry in geometries if geometry.kind != "aspecular"]
+    rows = [row for row, geometry in enumerate(geometries) if geometry.kind == "aspecular"]
+    wi, wo = aspecular_pairs([geometries[row] for row in rows])
     few = None
     if rows and memory is not None and wavelengths_nm is not None:
         few = values_at(model, wi, wo, wavelengths_nm)
@@ -142,16 +146,16 @@ def simulate_measurement(
         wavelengths_nm = bsdf.wavelengths_nm
     spectrum, bsdf = _spectrum(material, asked, wavelengths_nm, bsdf, seed) if asked else (None, bsdf)
     grid = spectrum.wavelengths_nm if spectrum is not None else np.asarray(wavelengths_nm)
-    factors = np.zeros((len(ats), len(grid)))
+    factors = np.zeros((len(geometries), len(grid)))
     error: Array | None = None
     missing = []
-    for row, at in enumerate(ats):
-        if at.kind == "aspecular":
+    for row, geometry in enumerate(geometries):
+        if geometry.kind == "aspecular":
             continue
         assert spectrum is not None
-        value = _part(spectrum, at)
+        value = _part(spectrum, geometry)
         if value is None:
-            missing.append(at)
+            missing.append(geometry)
         else:
             factors[row] = value
     if few is not None:
@@ -159,7 +163,7 @@ def simulate_measurement(
     elif rows:
         assert bsdf is not None
         if all(lobe.is_delta for lobe in bsdf.lobes):
-            missing += [ats[row] for row in rows]
+            missing += [geometries[row] for row in rows]
         values, deviation = evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed)
         factors[rows] = np.pi * values
         if deviation is not None:
@@ -169,32 +173,32 @@ def simulate_measurement(
 
 
 def _spectrum(
-    material: Material, ats: Sequence[Geometry], wavelengths_nm: Array | None, bsdf: Bsdf | None, seed: int
+    material: Material, geometries: Sequence[Geometry], wavelengths_nm: Array | None, bsdf: Bsdf | None, seed: int
 ) -> tuple[Spectrum, Bsdf | None]:
-    """Return the spectrum at the angles asked for; what is diffuse is integrated only where it is asked for."""
-    angles = np.unique([at.theta_deg for at in ats])
+    """Return the spectrum at the angles; diffuse light is integrated only if required."""
+    angles = np.unique([geometry.theta_deg for geometry in geometries])
     found = material.model.spectrum(np.radians(angles), wavelengths_nm, "both", seed)
     if found is not None:
         return found, bsdf
     bsdf = material.model.bsdf(wavelengths_nm) if bsdf is None else bsdf
-    wants_diffuse = any(at.kind in ("diffuse", "hemispherical") for at in ats)
+    wants_diffuse = any(geometry.kind in ("diffuse", "hemispherical") for geometry in geometries)
     return bsdf_spectrum(bsdf, np.radians(angles), seed=seed, diffuse=wants_diffuse), bsdf
 
 
-def _part(spectrum: Spectrum, at: Geometry) -> Array | None:
-    row = int(np.argmin(np.abs(spectrum.angles_deg - at.theta_deg)))
+def _part(spectrum: Spectrum, geometry: Geometry) -> Array | None:
+    row = int(np.argmin(np.abs(spectrum.angles_deg - geometry.theta_deg)))
     mirror, diffuse = spectrum.specular_reflectance, spectrum.diffuse_reflectance
-    if at.kind == "hemispherical":
+    if geometry.kind == "hemispherical":
         parts = [part[row] for part in (mirror, diffuse) if part is not None]
         return np.sum(parts, axis=0) if parts else None
-    part = {"specular": mirror, "transmitted": spectrum.specular_transmittance, "diffuse": diffuse}[at.kind]
+    part = {"specular": mirror, "transmitted": spectrum.specular_transmittance, "diffuse": diffuse}[geometry.kind]
     return None if part is None else np.asarray(part[row])
 
 
 def search_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
-    """Return the grid on which candidates are compared: the material's own, and the lines of the lamps.
+    """Return the wavelengths of a search: those of the material, and the lines of the lamps.
 
-    What takes long is compared on the coarse grid of reports, between whose samples goals run a spline.
+    Slow materials use the coarse grid of reports; the merit function interpolates it by splines.
     """
     grid = material.model.wavelengths_nm
     if not material.model.traits.is_quick:
@@ -204,9 +208,9 @@ def search_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
 
 
 def evaluation_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
-    """Return the grid on which answers are judged: 1 nm where that is quick, else the material's own."""
+    """Return the wavelengths of the final evaluation: steps of 1 nm for quick materials, else those of the material."""
     own = _with_lines(material.model.wavelengths_nm, lamps)
-    return np.union1d(own, default_wavelengths(step_nm=JUDGE_STEP_NM)) if material.model.traits.is_quick else own
+    return np.union1d(own, default_wavelengths(step_nm=EVALUATION_STEP_NM)) if material.model.traits.is_quick else own
 
 
 def _with_lines(grid: Array, lamps: Sequence[str]) -> Array:
@@ -216,63 +220,67 @@ def _with_lines(grid: Array, lamps: Sequence[str]) -> Array:
     return np.asarray(grid)
 
 
-def why_missing(material: Material, at: Geometry) -> str:
-    """Return why a material answers nothing at a geometry."""
+def why_missing(material: Material, geometry: Geometry) -> str:
+    """Return the reason for a missing signal."""
     noun = material.model.traits.noun
     return {
-        "specular": f"this {noun} has no mirror-like part",
-        "transmitted": f"this {noun} lets no light through straight",
-        "diffuse": f"this {noun} sends out no diffuse light",
+        "specular": f"this {noun} has no specular reflection",
+        "transmitted": f"this {noun} has no specular transmission",
+        "diffuse": f"this {noun} has no diffuse reflection",
         "hemispherical": f"this {noun} reflects nothing",
-        "aspecular": f"this {noun} sends light into the mirror direction only, none elsewhere",
-    }[at.kind]
+        "aspecular": f"this {noun} reflects into the mirror direction only",
+    }[geometry.kind]
 
 
-def check_answers(materials: Sequence[Material], ats: Sequence[Geometry], where: Sequence[str]) -> None:
-    """Refuse a geometry at which none of some materials shows anything.
+def check_answers(materials: Sequence[Material], geometries: Sequence[Geometry], where: Sequence[str]) -> None:
+    """Refuse a geometry at which all of some materials lack a signal.
 
     Args:
-        materials: the recipe, and what its free numbers may make of it.
+        materials: the recipe and variants of it.
         where: file and key of each geometry, for messages.
 
     Raises:
-        RecipeError: naming the want.
+        RecipeError: naming the target.
         NacreError: the first material cannot be computed.
     """
-    open_: set[Geometry] = set(ats)
+    open_: set[Geometry] = set(geometries)
     for number, material in enumerate(materials):
         try:
-            open_ &= missing_geometries(material, ats)
+            open_ &= missing_geometries(material, geometries)
         except UnsupportedError as error:
             if number == 0:
                 raise RecipeError(f"{where[0]}: {error}") from None
         if not open_:
             return
-    for at, place in zip(ats, where, strict=True):
-        if at in open_:
-            raise RecipeError(f'{place} = "{at}" cannot be answered: {why_missing(materials[0], at)}')
+    for geometry, place in zip(geometries, where, strict=True):
+        if geometry in open_:
+            raise RecipeError(f'{place} = "{geometry}" is not possible: {why_missing(materials[0], geometry)}')
 
 
-def missing_geometries(material: Material, ats: Sequence[Geometry]) -> frozenset[Geometry]:
-    """Return the geometries at which a material shows nothing by its nature; nothing is walked for it.
+def missing_geometries(material: Material, geometries: Sequence[Geometry]) -> frozenset[Geometry]:
+    """Return the geometries at which a material has no signal, without Monte Carlo.
 
     Raises:
         NacreError: the material cannot be computed.
     """
     probe = _probe(material)
     if material.model.traits.is_quick:
-        return simulate_measurement(material, ats, probe).missing
-    asked = [at for at in ats if at.kind != "aspecular"]
-    angles = np.radians([at.theta_deg for at in asked])
+        return simulate_measurement(material, geometries, probe).missing
+    asked = [geometry for geometry in geometries if geometry.kind != "aspecular"]
+    angles = np.radians([geometry.theta_deg for geometry in asked])
     found = material.model.spectrum(angles, probe, "both", 0) if asked else None
-    missing = [at for at in asked if found is not None and _part(found, at) is None]
+    missing = [geometry for geometry in asked if found is not None and _part(found, geometry) is None]
     if found is None:
         bsdf = material.model.bsdf(probe)
         spreads = any(not lobe.is_delta for lobe in bsdf.lobes)
-        missing += [at for at in ats if at.kind in ("aspecular", "diffuse") and not spreads]
+        missing += [geometry for geometry in geometries if geometry.kind in ("aspecular", "diffuse") and not spreads]
         if asked:
             mirror = bsdf_spectrum(bsdf, angles, diffuse=False)
-            missing += [at for at in asked if at.kind in ("specular", "transmitted") and _part(mirror, at) is None]
+            missing += [
+                geometry
+                for geometry in asked
+                if geometry.kind in ("specular", "transmitted") and _part(mirror, geometry) is None
+            ]
     return frozenset(missing)
 
 

@@ -1,4 +1,4 @@
-"""Wanted looks as numbers: how far spectra are from them, and which way is nearer.
+"""Merit function: distance of spectra from colour and spectral targets, with its Jacobian.
 
 `MeritFunction` ranks candidates for every search. It knows only spectra and colours: the
 spectra of a candidate come as rows (a direction, or a way through the sample), each on one grid of wavelengths, and

@@ -1,7 +1,4 @@
-"""The file of a design by wants: which looks, of which material, with what free, made how well, searched how long.
-
-The keys are a promise to users: add, do not rename.
-"""
+"""Schema of a target file: recipe, parameters, targets, light, tolerances, limits and budget."""
 
 from __future__ import annotations
 
@@ -18,14 +15,14 @@ from nacre.recipe.path_tables import FreeNumberSpec, SpreadSpec
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 Triple = tuple[float, float, float]
 Bounds = tuple[float, float]
-# how a want may say its colour; the last three may stand together
+# alternatives for the colour of a target; the ranges may be combined
 COLOURS = ("colour", "lab", "lch", "xyz", "xyy", "spectrum", "image")
 RANGES = ("hue_deg", "chroma", "lightness")
 PAIR = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
 
 
 class TargetEntry(RecipeModel):
-    """One look that is wanted: where it is seen, which colour or spectrum, how exactly."""
+    """One target: a geometry, a colour or spectrum, and its tolerance."""
 
     one_of: ClassVar[tuple[str, ...]] = (*COLOURS, "|".join(RANGES), "directions")
     forms: ClassVar[tuple[str, ...]] = (
@@ -39,13 +36,13 @@ class TargetEntry(RecipeModel):
 
     geometry: str | None = pydantic.Field(
         default=None,
-        description="where it is seen: specular T, transmitted T (into the substrate), diffuse T, hemispherical T "
-        "with T the angle of the light in degrees, or IasA: light from I, seen A degrees from the mirror direction "
+        description="geometry: specular T, transmitted T (into the substrate), diffuse T or hemispherical T, "
+        "with T the angle of incidence in degrees; or IasA: light from I, viewer A degrees from the mirror direction "
         "towards the light",
         examples=["specular 0", "45as15"],
     )
     colour: str | None = pydantic.Field(
-        default=None, description="an sRGB colour, #rrggbb, whose Lab is wanted", examples=["#c2185b"]
+        default=None, description="target colour in sRGB, #rrggbb", examples=["#c2185b"]
     )
     lab: Triple | None = pydantic.Field(
         default=None, description="L*, a*, b* under every lamp", examples=[[41, 66, 14]]
@@ -61,14 +58,14 @@ class TargetEntry(RecipeModel):
     )
     spectrum: str | None = pydantic.Field(
         default=None,
-        description="a CSV of wavelength and the factor wanted there: nm and 0 to 1, or um and per cent where its "
-        "heading says so; of a band that its rows leave out (a step above 3 times the usual one) nothing is wanted",
+        description="CSV of wavelengths and target factors: nm and 0 to 1, or other units as in "
+        "its heading; bands without rows (a step above 3 times the usual one) are not compared",
         examples=["filter.csv"],
     )
     image: str | None = pydantic.Field(
         default=None,
-        description="an sRGB picture: each pixel is a colour wanted at its place on the surface, over which the free "
-        "numbers, one or two, may vary; it is the only want",
+        description="sRGB picture: each pixel is the target colour of its place on the surface, over which one or two "
+        "parameters vary; it is the only target",
         examples=["photo.png"],
     )
     hue_deg: Bounds | None = pydantic.Field(
@@ -88,15 +85,15 @@ class TargetEntry(RecipeModel):
         examples=[{"kind": "anti-mirror", "range": 0.5}],
     )
     tolerance: Positive = pydantic.Field(
-        default=1.0, description="distance that is good enough: dE00; of a spectrum the rms in per cent"
+        default=1.0, description="allowed distance: dE00; for a spectrum the rms in per cent"
     )
-    weight: Positive = pydantic.Field(default=1.0, description="how much the want counts beside the others")
+    weight: Positive = pydantic.Field(default=1.0, description="weight relative to the other targets")
 
     @pydantic.field_validator("chroma", "lightness", mode="before")
     @classmethod
     def _bound(cls, value: Any) -> Any:
         if isinstance(value, int | float):
-            raise ValueError(f'{value} does not say which side; write ">={value}", "<={value}" or [low, high]')
+            raise ValueError(f'{value} needs a side; write ">={value}", "<={value}" or [low, high]')
         return value
 
     @pydantic.model_validator(mode="after")
@@ -106,22 +103,20 @@ class TargetEntry(RecipeModel):
         if len(given) + bool(ranges) != 1:
             got = " and ".join([*given, *ranges]) or "nothing"
             raise ValueError(
-                f"gives {got}; a want has exactly one of {', '.join(COLOURS)}, or some of {', '.join(RANGES)}"
+                f"gives {got}; a target has exactly one of {', '.join(COLOURS)}, or some of {', '.join(RANGES)}"
             )
         if (self.geometry is None) == (self.directions is None):
-            raise ValueError(
-                "has directions and geometry; keep one" if self.geometry else "geometry is missing: where it is seen"
-            )
+            raise ValueError("has directions and geometry; keep one" if self.geometry else "geometry is missing")
         return self
 
 
 class LightSpec(RecipeModel):
-    """The lamps under which the colours are wanted, all of them at once, and who sees them."""
+    """Lamps and observer of the target colours."""
 
     forms: ClassVar[tuple[str, ...]] = ('{illuminants = ["D65", "A"], observer = "10deg"}',)
 
     illuminants: Annotated[list[str], pydantic.Field(min_length=1, max_length=16)] = pydantic.Field(
-        default=["D65"], description="the lamps, all of them at once", examples=[["D65", "A"]]
+        default=["D65"], description="lamps; colours are targets under each of them", examples=[["D65", "A"]]
     )
     observer: str = pydantic.Field(
         json_schema_extra={"enum": ["2deg", "10deg"]}, default="10deg", description="observer of the colours"
@@ -129,7 +124,7 @@ class LightSpec(RecipeModel):
 
 
 class LimitsSpec(RecipeModel):
-    """What the answer must keep to."""
+    """Constraints of the solution."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{max_total_nm = 800, max_layers = "fewest"}',
@@ -138,20 +133,20 @@ class LimitsSpec(RecipeModel):
     )
 
     max_total_nm: Positive | None = pydantic.Field(
-        default=None, description="largest thickness of all layers together", examples=[800]
+        default=None, description="largest total thickness of the layers", examples=[800]
     )
     max_layers: Literal["fewest"] | None = pydantic.Field(
-        default=None, description="fewest: of equal looks the one with fewer layers", examples=["fewest"]
+        default=None, description="fewest: of equally good stacks the one with fewest layers", examples=["fewest"]
     )
     height_levels: Annotated[int, pydantic.Field(ge=2, le=256)] | None = pydantic.Field(
         default=None,
-        description="of a picture: how many values, evenly spaced over its bounds, the process gives each free number; "
-        "colours between them are dithered",
+        description="of a picture: number of values, evenly spaced over its bounds, that the process gives each "
+        "parameter; colours between them are dithered",
         examples=[8],
     )
     within_validity: bool = pydantic.Field(
         default=False,
-        description="of a relief: no higher than its finest features allow scalar diffraction to be trusted",
+        description="of a relief: heights stay within the validity of scalar diffraction",
         examples=[True],
     )
 
@@ -172,13 +167,13 @@ class SearchSpec(RecipeModel):
     )
     seconds: Positive = pydantic.Field(default=60.0, description="time limit of the whole command")
     solutions: Annotated[int, pydantic.Field(ge=1, le=100)] = pydantic.Field(
-        default=5, description="number of answers to choose from, at most"
+        default=5, description="largest number of solutions"
     )
     seed: Annotated[int, pydantic.Field(ge=0, le=2**32 - 1)] = pydantic.Field(default=0, description="seed")
 
 
 class LayersSpec(RecipeModel):
-    """The stack itself is sought: of which materials, how many layers, how thick, on which substrates."""
+    """Search of a whole stack: materials, number of layers, thicknesses and substrates."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{palette = ["SiO2", "TiO2"], max_layers = 6, thickness_nm = [5, 250]}',
@@ -186,7 +181,7 @@ class LayersSpec(RecipeModel):
     )
 
     palette: Annotated[list[Any], pydantic.Field(min_length=1, max_length=64)] = pydantic.Field(
-        description="optical constants that a layer may be of", examples=[["SiO2", "TiO2", "Cr"]]
+        description="optical constants that a layer may have", examples=[["SiO2", "TiO2", "Cr"]]
     )
     max_layers: Annotated[int, pydantic.Field(ge=1, le=200)] = pydantic.Field(
         default=6, description="largest number of layers"
@@ -197,12 +192,12 @@ class LayersSpec(RecipeModel):
         examples=[[5, 250], {"Cr": [3, 20], "other": [20, 250]}],
     )
     substrate: Any = pydantic.Field(
-        default=None, description="substrate, or a list of those to choose from; without it the recipe's"
+        default=None, description="substrate, or a list of alternatives; default: the substrate of the recipe"
     )
 
 
 class DesignSpec(RecipeModel):
-    """Looks that `nacre design` finds the free numbers of a material for, or a whole stack of layers."""
+    """Target file of `nacre design`: targets, and the parameters or the stack that shall meet them."""
 
     example: ClassVar[Mapping[str, Any]] = {
         "recipe": {"family": "film", "substrate": "Al", "layers": []},
@@ -215,29 +210,29 @@ class DesignSpec(RecipeModel):
     }
 
     recipe: str | dict[str, Any] = pydantic.Field(
-        description="the material to start from: file of its recipe, or the recipe itself as a table",
+        description="recipe to start from: its file, or the recipe as a table",
         examples=["start.toml", {"family": "film", "substrate": "Al", "layers": []}],
     )
     parameters: Annotated[dict[str, Any], ByPath(FreeNumberSpec, (PAIR,))] = pydantic.Field(
         default={},
-        description="what may change: path of a number or word of the recipe, with [*] for any index -> two numbers "
-        "as bounds, or a table",
+        description="path of a number or word of the recipe, with [*] for any index -> two numbers as bounds, "
+        "or a table",
         examples=[{"layers[0].thickness_nm": [3, 15]}, {"layers[1].material": {"choices": ["SiO2", "MgF2"]}}],
     )
     layers: LayersSpec | None = pydantic.Field(
-        default=None, description="in place of free layers: the stack itself is sought"
+        default=None, description="search of the whole stack, instead of parameters of layers"
     )
     target: Annotated[list[TargetEntry], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
-        description="the looks that are wanted, a list of tables"
+        description="targets, a list of tables"
     )
     light: LightSpec = pydantic.Field(default=LightSpec(), description="lamps and observer")
     tolerance: Annotated[
         dict[str, Any], ByPath(SpreadSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
     ] = pydantic.Field(
         default={},
-        description="spreads of manufacture, so that the answer is one that can be made: path, with [*] for any index "
-        "-> a standard deviation, a percentage, or a table",
+        description="manufacturing tolerances, for solutions of high yield: path, with [*] for any index -> a standard "
+        "deviation, a percentage, or a table",
         examples=[{"layers[*].thickness_nm": {"percent": 2}}, {"layers[0].thickness_nm": 5}],
     )
-    limits: LimitsSpec = pydantic.Field(default=LimitsSpec(), description="what the answer must keep to")
-    search: SearchSpec = pydantic.Field(default=SearchSpec(), description="how long, and for how many")
+    limits: LimitsSpec = pydantic.Field(default=LimitsSpec(), description="constraints of the solution")
+    search: SearchSpec = pydantic.Field(default=SearchSpec(), description="budget, number of solutions, seed")

@@ -1,4 +1,4 @@
-"""What is wanted, resolved: the colours as CIELAB or XYZ, ranges as numbers, spectra read from their files."""
+"""Targets with resolved colours, ranges and spectra."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ _BOUND = re.compile(r"\s*(>=|<=)\s*([-+]?[\d.]+)\s*$")
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """One want, ready to be compared with.
+    """One target.
 
     Attributes:
         geometry: where it is seen.
-        asked: what the file says, as JSON can hold it: {"colour": "#c2185b"}.
-        lab: `[3]`, wanted under every lamp, or None.
-        xyz: `[3]`, wanted under the first lamp, or None.
+        asked: the entry of the file as JSON data: {"colour": "#c2185b"}.
+        lab: `[3]`, target under every lamp, or None.
+        xyz: `[3]`, target under the first lamp, or None.
         ranges: "hue", "chroma", "lightness" -> (low, high), None where open.
-        spectrum: wavelengths and factors wanted, `[2, wavelength]`, or None.
+        spectrum: wavelengths and target factors, `[2, wavelength]`, or None.
         image: a picture's colours `[row, column, 3]`, encoded sRGB in [0, 1], the first row on top, or None.
-        tolerance: distance that is good enough.
-        weight: beside the others.
+        tolerance: allowed distance.
+        weight: relative to other targets.
         key: its place in the file, for messages.
     """
 
@@ -68,22 +68,22 @@ class Target:
     image: Array | None = None
 
     def with_lab(self, lab: Array) -> Target:
-        """Return the want of another colour."""
+        """Return the target with another colour."""
         asked = {"lab": [float(v) for v in lab]}
         return replace(self, asked=asked, lab=np.asarray(lab, float), xyz=None, ranges=None, spectrum=None)
 
     def target_lab(self, white: Array) -> Array | None:
-        """Return the colour wanted, against a lamp's white; None of a range or a spectrum."""
+        """Return the target colour against a lamp's white; None for a range or a spectrum."""
         if self.xyz is not None:
             return np.asarray(xyz_to_lab(self.xyz, white))
         return self.lab
 
     def goals(self, row: int, wavelengths_nm: Array) -> list[Operand]:
-        """Return the goals that a search steers by.
+        """Return the operands of the merit function.
 
         Args:
-            row: of the want's geometry among the spectra.
-            wavelengths_nm: of those spectra.
+            row: index of the geometry among the spectra.
+            wavelengths_nm: of the spectra.
         """
         often: dict[str, Any] = {"tolerance": self.tolerance, "weight": self.weight}
         if self.spectrum is not None:
@@ -100,7 +100,7 @@ class Target:
 
 
 def _in_gaps(nm: Array, wavelengths_nm: Array) -> Array:
-    """Return which wavelengths lie where a table of a spectrum leaves out a band, of which nothing is wanted then."""
+    """Return which wavelengths lie in a band without rows in the table, which is not compared."""
     steps = np.diff(nm)
     after = np.clip(np.searchsorted(nm, wavelengths_nm, side="right") - 1, 0, len(steps) - 1)
     is_between = ~np.isclose(wavelengths_nm, nm[after]) & ~np.isclose(wavelengths_nm, nm[after + 1])
@@ -108,10 +108,10 @@ def _in_gaps(nm: Array, wavelengths_nm: Array) -> Array:
 
 
 def srgb_to_lab(text: str, where: str) -> Array:
-    """Return CIELAB of `#rrggbb`, by D65 and the 2 degree observer, which sRGB is made for.
+    """Return CIELAB of `#rrggbb`, for D65 and the 2 degree observer, as sRGB is defined.
 
     Raises:
-        RecipeError: it is not written so.
+        RecipeError: it has another form.
 
     Example: "#ffffff" is (100, 0, 0).
     """
@@ -124,10 +124,10 @@ def srgb_to_lab(text: str, where: str) -> Array:
 
 
 def read_targets(specs: Sequence[TargetEntry], light: LightSpec, context: RecipeContext) -> tuple[Target, ...]:
-    """Resolve the wants of a file.
+    """Resolve the targets of a file.
 
     Raises:
-        RecipeError: naming the want and what is allowed; or two colours for one geometry that no answer can have.
+        RecipeError: naming the target and what is allowed; or two incompatible colours for one geometry.
     """
     check_light(light, context)
     wants = tuple(_want(spec, f"{context.source}: target[{i}]", context) for i, spec in enumerate(specs))
@@ -137,7 +137,7 @@ def read_targets(specs: Sequence[TargetEntry], light: LightSpec, context: Recipe
 
 
 def check_light(light: LightSpec, context: RecipeContext) -> None:
-    """Refuse lamps and observers that are not known.
+    """Refuse unknown lamps and observers.
 
     Raises:
         RecipeError: with a guess.
@@ -156,7 +156,7 @@ def check_light(light: LightSpec, context: RecipeContext) -> None:
 
 def _want(spec: TargetEntry, key: str, context: RecipeContext) -> Target:
     if spec.geometry is None:
-        raise RecipeError(f"{key}.directions: a picture is sought of a relief's heights; write heights in [parameters]")
+        raise RecipeError(f"{key}.directions: a picture over directions needs heights in [parameters]")
     at = Geometry.read(spec.geometry, f"{key}.geometry")
     asked = {name: getattr(spec, name) for name in (*COLOURS, *RANGES) if getattr(spec, name) is not None}
     asked = {name: list(value) if isinstance(value, tuple) else value for name, value in asked.items()}
@@ -177,7 +177,7 @@ def _want(spec: TargetEntry, key: str, context: RecipeContext) -> Target:
         luminance = given[1] if name == "xyz" else given[2]
         if at.kind != "aspecular" and luminance > MOST_LUMINANCE:
             said = f"{key}.{name} = {show_value(list(given))}"
-            raise RecipeError(f"{said}: white has Y = 1, which nothing exceeds {at.kind}; divide by 100")
+            raise RecipeError(f"{said}: white has Y = 1, the maximum for {at.kind}; divide by 100")
         found["xyz"] = np.array(given) if name == "xyz" else np.asarray(xyy_to_xyz(given))
     elif spec.image is not None:
         found["image"] = read_picture(context.path(spec.image), f"{key}.image = {show_value(spec.image)}")
@@ -189,10 +189,10 @@ def _want(spec: TargetEntry, key: str, context: RecipeContext) -> Target:
 
 
 def plausible(lab: Array, where: str, given: Any) -> Array:
-    """Return a CIELAB colour; one that nothing can have is refused.
+    """Return a CIELAB colour; refuse an impossible one.
 
     Raises:
-        RecipeError: it is darker than black, or far beyond what a lobe can be.
+        RecipeError: it is darker than black, or far outside the range of lobes.
     """
     if not 0.0 <= lab[0] <= MOST_LIGHTNESS or float(np.hypot(lab[1], lab[2])) > MOST_CHROMA:
         raise RecipeError(f"{where} = {show_value(list(given))} is no colour: L* runs from 0, with 100 for white")
@@ -253,7 +253,7 @@ def _spectrum(name: str, where: str, context: RecipeContext) -> Array:
 
 
 def _read_table(path: Any) -> Array:
-    """Read two columns, with a head line of words, which may name their units, or without."""
+    """Read two columns; a heading may name their units."""
     lines = [cells for _, cells in rows(decoded(plain(path).read_bytes()))]
     heading: list[str] = []
     if lines and re.match(r"[A-Za-z_λ]", lines[0][0].strip()):
@@ -262,7 +262,7 @@ def _read_table(path: Any) -> Array:
 
 
 def _check_agreement(wants: Sequence[Target], light: LightSpec) -> None:
-    """Refuse two colours for one geometry further apart than both `within`: no answer can have both."""
+    """Refuse two colours for one geometry that are further apart than their tolerances."""
     white = white_xyz(light.illuminants[0], light.observer)
     for i, want in enumerate(wants):
         for other in wants[:i]:
@@ -278,21 +278,21 @@ def _check_agreement(wants: Sequence[Target], light: LightSpec) -> None:
 
 
 def _check_picture(wants: Sequence[Target], light: LightSpec, context: RecipeContext) -> None:
-    """Refuse what cannot stand beside a picture: another want, another lamp."""
+    """Refuse another target or lamp besides a picture."""
     for want in wants:
         if want.image is None:
             continue
         if len(wants) > 1:
-            raise RecipeError(f"{want.key}.image: a picture is the only want; remove the other {len(wants) - 1}")
+            raise RecipeError(f"{want.key}.image: a picture is the only target; remove the other {len(wants) - 1}")
         if len(light.illuminants) > 1:
             lamps = show_value(light.illuminants)
-            raise RecipeError(f"{context.source}: light.illuminants = {lamps}: a picture is wanted under one lamp")
+            raise RecipeError(f"{context.source}: light.illuminants = {lamps}: a picture needs a single lamp")
 
 
 def merit_function(
     wants: Sequence[Target], rows: Sequence[Geometry], light: LightSpec, wavelengths_nm: Array
 ) -> MeritFunction:
-    """Return the goals of all wants, for spectra `[..., row, wavelength]`."""
+    """Return the merit function of all targets, for spectra `[..., row, wavelength]`."""
     goals = [goal for want in wants for goal in want.goals(rows.index(want.geometry), wavelengths_nm)]
     return MeritFunction(goals, tuple(light.illuminants), light.observer, wavelengths_nm)
 

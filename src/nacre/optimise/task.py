@@ -1,4 +1,4 @@
-"""What an answer must keep to, checked against what is parameters."""
+"""Reading and checking of target files."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _THICKNESS = re.compile(r"layers\[\d+\]\.thickness_(nm|um|mm)$")
 
 
 def total_thickness_nm(material: Material) -> float:
-    """Return the thickness of all layers of a recipe together; 0 where it has none."""
+    """Return the total thickness of the layers of a recipe; 0 without layers."""
     found = ((_THICKNESS.match(path), value) for path, value in numbers_of(material.data).items())
     return sum(value * LENGTH_UNITS_NM[match[1]] for match, value in found if match)
 
 
 def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], source: str) -> None:
-    """Refuse limits that say nothing of this recipe, or that nothing can keep to.
+    """Refuse limits that do not apply to the recipe, or that cannot be met.
 
     Raises:
         RecipeError: naming the key.
@@ -51,16 +51,14 @@ def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], so
     if spec.layers is not None:
         return
     if spec.limits.max_layers is not None:
-        raise RecipeError(f'{source}: limits.max_layers = "fewest" is of a stack that is sought; add [layers]')
+        raise RecipeError(f'{source}: limits.max_layers = "fewest" applies to stacks; add [layers]')
     most = spec.limits.max_total_nm
     if most is None:
         return
     if not base.data.get("layers"):
-        raise RecipeError(
-            f"{source}: limits.max_total_nm = {most:g}: the recipe has no layers; bound what is in [parameters]"
-        )
+        raise RecipeError(f"{source}: limits.max_total_nm = {most:g}: the recipe has no layers; bound the parameters")
     least = 0.0
-    with contextlib.suppress(NacreError):  # other numbers may make room for the lowest of all
+    with contextlib.suppress(NacreError):  # other parameters may make the lowest values possible
         least = total_thickness_nm(base.vary({number.path: number.low for number in free if not number.choices}))
     if least > most:
         raise RecipeError(
@@ -179,11 +177,11 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
         word = free_path.partition("[")[0].partition(".")[0]
         if spec.layers is not None and word == "layers":
             raise RecipeError(
-                f'{source}: parameters."{free_path}" names a layer, but [layers] seeks the stack itself; keep one'
+                f'{source}: parameters."{free_path}" names a layer, but [layers] searches the whole stack; remove one'
             )
     free = read_parameters(spec.parameters, base, source)
     if not free and spec.layers is None:
-        raise RecipeError(f"{source}: nothing is free; add a [parameters] table, or [layers] to seek a film's stack")
+        raise RecipeError(f"{source}: nothing varies; add a [parameters] table, or [layers] for the stack of a film")
     if spec.layers is not None and free:
         raise RecipeError(
             f'{source}: parameters."{free[0].path}" beside [layers]: only the stack varies; fix it in the recipe'
@@ -191,7 +189,7 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
     if spec.tolerance and spec.layers is None:
         read_tolerances(spec.tolerance, base, source)
     if spec.limits.within_validity:
-        raise RecipeError(f"{source}: limits.within_validity = true is of a relief whose heights are sought")
+        raise RecipeError(f"{source}: limits.within_validity = true applies to heights of reliefs")
     if wants[0].image is not None:
         check_picture_target(spec, base, free, source)
     else:

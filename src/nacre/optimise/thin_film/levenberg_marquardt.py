@@ -1,7 +1,9 @@
-"""Levenberg-Marquardt on the thicknesses of one stack, wholly compiled: some 10 microseconds a step.
+"""Levenberg-Marquardt on the thicknesses of one stack, compiled: about 10 microseconds per step.
 
-Steps solve (J^T W J + mu diag) step = -J^T W r on the thicknesses that are not held at a bound. With the weights
-W = u^(p - 2) of each goal's distance u the sum of u^p falls: p = 2 finds the valley, p = 8 is near the smallest worst.
+Steps solve (J^T W J + mu diag) step = -J^T W r for the thicknesses that are not at a bound. With the weights
+W = u^(p - 2) of each term's distance u the sum of u^p falls: p = 2 finds the minimum, p = 8 lowers the worst term.
+
+Hand-written because a step takes less time than a call of scipy.
 """
 
 from __future__ import annotations
@@ -14,18 +16,18 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
 from nacre.matter.stack.thickness_gradient import StackTables, scratch, spectra_and_gradients
-from nacre.optimise.thin_film.merit_kernel import CompiledMerit, look, score
+from nacre.optimise.thin_film.merit_kernel import CompiledMerit, evaluate, objective
 
 FIRST_DAMPING = 1e-2
-MOST_DAMPING = 1e7
-LONGEST_STEP_NM = 60.0  # a fifth of a fringe in the densest layers: the linear model says nothing further away
-ENOUGH = 0.02  # of `within`: nobody sees a fiftieth
-SMALLEST_STEP_NM = 1e-7
-STALLED = 3e-3  # relative gain of a step; two such in a row end a descent
+MAX_DAMPING = 1e7
+MAX_STEP_NM = 60.0  # a fifth of a fringe in the densest layers, the range of the linear model
+STOP_OBJECTIVE = 0.02  # in tolerances
+MIN_STEP_NM = 1e-7
+STALL_GAIN = 3e-3  # relative gain of a step; two smaller ones in a row end a descent
 
 
 class Workspace(NamedTuple):
-    """Arrays that descents write into; one for each thread. Made by `workspace`."""
+    """Arrays that descents write to, one set per thread; created by `workspace`."""
 
     w: Array
     spectra: Array
@@ -34,19 +36,19 @@ class Workspace(NamedTuple):
     jacobian: Array
     u: Array
     normal: Array
-    pull: Array
+    gradient: Array
     factor: Array
     step: Array
     trial: Array
-    held: Any
+    fixed: Any
     best_u: Array
 
 
-def workspace(tables: StackTables, looks: CompiledMerit, layers: int) -> Workspace:
-    """Return working memory for stacks of up to so many layers."""
+def workspace(tables: StackTables, merit: CompiledMerit, layers: int) -> Workspace:
+    """Return the arrays for stacks of up to `layers` layers."""
     n = max(layers, 1)
     rows, _, samples = tables.turns_r.shape
-    residuals, terms = int(looks.residuals[0]), len(looks.kind)
+    residuals, terms = int(merit.residuals[0]), len(merit.kind)
     return Workspace(
         scratch(n),
         np.zeros((rows, samples)),
@@ -65,24 +67,24 @@ def workspace(tables: StackTables, looks: CompiledMerit, layers: int) -> Workspa
 
 
 @compiled(error_model="numpy", fastmath={"contract", "reassoc"})
-def _normal_equations(looks: Any, layers: int, p: float, s: Any) -> None:
-    """Fill J^T W J and J^T W r from the workspace's residuals."""
+def _normal_equations(merit: Any, layers: int, p: float, s: Any) -> None:
+    """Fill J^T W J and J^T W r from the residuals of the workspace."""
     worst = 1e-12
     for t in range(s.u.shape[0]):
         worst = max(worst, s.u[t])
     for j in range(layers):
-        s.pull[j] = 0.0
+        s.gradient[j] = 0.0
         for i in range(j + 1):
             s.normal[j, i] = 0.0
     at = 0
     for t in range(s.u.shape[0]):
-        kind = looks.kind[t]
-        size = 3 if kind == 0 else (looks.wanted.shape[1] if kind == 4 else 1)
+        kind = merit.kind[t]
+        size = 3 if kind == 0 else (merit.wanted.shape[1] if kind == 4 else 1)
         weight = 1.0 if p == 2.0 else max((s.u[t] / worst) ** (p - 2.0), 1e-3)
         for k in range(at, at + size):
             for j in range(layers):
                 value = weight * s.jacobian[k, j]
-                s.pull[j] += value * s.r[k]
+                s.gradient[j] += value * s.r[k]
                 for i in range(j + 1):
                     s.normal[j, i] += value * s.jacobian[k, i]
         at += size
@@ -90,13 +92,13 @@ def _normal_equations(looks: Any, layers: int, p: float, s: Any) -> None:
 
 @compiled(error_model="numpy")
 def _solve(layers: int, damping: float, s: Any) -> bool:
-    """Solve for the step on the free thicknesses by Cholesky's decomposition; False if there is none."""
+    """Solve for the step by Cholesky decomposition; False if the matrix is singular."""
     a = s.factor
     for j in range(layers):
         for i in range(j + 1):
-            a[j, i] = 0.0 if s.held[j] or s.held[i] else s.normal[j, i]
-        a[j, j] = 1.0 if s.held[j] else s.normal[j, j] * (1.0 + damping) + 1e-10
-        s.step[j] = 0.0 if s.held[j] else -s.pull[j]
+            a[j, i] = 0.0 if s.fixed[j] or s.fixed[i] else s.normal[j, i]
+        a[j, j] = 1.0 if s.fixed[j] else s.normal[j, j] * (1.0 + damping) + 1e-10
+        s.step[j] = 0.0 if s.fixed[j] else -s.gradient[j]
     for j in range(layers):
         for k in range(j):
             a[j, j] -= a[j, k] * a[j, k]
@@ -120,7 +122,7 @@ def _solve(layers: int, damping: float, s: Any) -> bool:
 
 @compiled(error_model="numpy", nogil=True)
 def keep_total(d: Any, low: Any, layers: int, total: float) -> None:
-    """Shrink what lies above the lower bounds so that the thicknesses sum to `total` at most."""
+    """Scale the excess over the lower bounds until the thicknesses sum to `total` at most."""
     above, least = 0.0, 0.0
     for j in range(layers):
         above += d[j] - low[j]
@@ -131,27 +133,34 @@ def keep_total(d: Any, low: Any, layers: int, total: float) -> None:
             d[j] = low[j] + (d[j] - low[j]) * share
 
 
+@compiled(error_model="numpy")
+def _try_step(d: Any, low: Any, high: Any, layers: int, total: float, damping: float, s: Any) -> float:
+    """Fill `s.trial` with the next step; return its largest change in nm, -1 if there is none."""
+    for j in range(layers):
+        s.fixed[j] = (d[j] <= low[j] and s.gradient[j] > 0.0) or (d[j] >= high[j] and s.gradient[j] < 0.0)
+    if not _solve(layers, damping, s):
+        return -1.0
+    for j in range(layers):
+        step = min(max(s.step[j], -MAX_STEP_NM), MAX_STEP_NM)
+        s.trial[j] = min(max(d[j] + step, low[j]), high[j])
+    keep_total(s.trial, low, layers, total)
+    moved = 0.0
+    for j in range(layers):
+        moved = max(moved, abs(s.trial[j] - d[j]))
+    return moved
+
+
 @compiled(error_model="numpy", nogil=True)
 def descend(
-    tables: Any,
-    looks: Any,
-    media: Any,
-    d: Any,
-    low: Any,
-    high: Any,
-    layers: int,
-    substrate: int,
-    total: float,
-    iterations: int,
-    p: float,
-    s: Any,
-) -> float:
-    """Improve the thicknesses `d` `[>= layers]` in place; return the objective of what is left there.
+    tables: Any, merit: Any, media: Any, d: Any, low: Any, high: Any, layers: int, substrate: int, total: float,
+    steps: int, p: float, s: Any,
+) -> float:  # fmt: skip
+    """Improve the thicknesses `d` `[>= layers]` in place; return their objective.
 
     Args:
         low, high: bounds, `[>= layers]`, nm.
         total: bound of their sum, nm.
-        iterations: steps at most; 0 judges the stack as it is, -1 fills the workspace's slopes too.
+        steps: at most; 0 evaluates the stack as it is, -1 fills the gradients of the workspace too.
         p: see the module.
         s: `Workspace`; `s.best_u` holds the scaled distances of the result.
     """
@@ -161,41 +170,33 @@ def descend(
     for j in range(layers):
         s.trial[j] = min(max(d[j], low[j]), high[j])
     keep_total(s.trial, low, layers, total)
-    for turn in range(max(iterations, 0) + 1):
+    for turn in range(max(steps, 0) + 1):
         if turn > 0:
-            for j in range(layers):
-                s.held[j] = (d[j] <= low[j] and s.pull[j] > 0.0) or (d[j] >= high[j] and s.pull[j] < 0.0)
-            if not _solve(layers, damping, s):
+            moved = _try_step(d, low, high, layers, total, damping, s)
+            if moved < 0.0:
                 damping *= 6.0
                 continue
-            moved = 0.0
-            for j in range(layers):
-                step = min(max(s.step[j], -LONGEST_STEP_NM), LONGEST_STEP_NM)
-                s.trial[j] = min(max(d[j] + step, low[j]), high[j])
-            keep_total(s.trial, low, layers, total)
-            for j in range(layers):
-                moved = max(moved, abs(s.trial[j] - d[j]))
-            if moved < SMALLEST_STEP_NM:
+            if moved < MIN_STEP_NM:
                 break
-        spectra_and_gradients(tables, media, s.trial, layers, substrate, iterations != 0, s.w, s.spectra, s.slopes)
-        look(looks, s.spectra, s.slopes, layers, iterations != 0, s.r, s.jacobian, s.u)
+        spectra_and_gradients(tables, media, s.trial, layers, substrate, steps != 0, s.w, s.spectra, s.slopes)
+        evaluate(merit, s.spectra, s.slopes, layers, steps != 0, s.r, s.jacobian, s.u)
         found = 0.0
         for t in range(s.u.shape[0]):
             found += s.u[t] ** p
         if not found < value:
             damping *= 6.0
-            if damping > MOST_DAMPING:
+            if damping > MAX_DAMPING:
                 break
             continue
-        stalls = stalls + 1 if value - found < STALLED * p * value else 0
+        stalls = stalls + 1 if value - found < STALL_GAIN * p * value else 0
         value = found
         for j in range(layers):
             d[j] = s.trial[j]
-        for t in range(s.u.shape[0]):  # not a slice: numba would compile the words of its shape error
+        for t in range(s.u.shape[0]):  # for a slice numba would also compile the text of its shape error
             s.best_u[t] = s.u[t]
-        if stalls >= 2 or layers == 0 or turn >= iterations or score(s.best_u) < ENOUGH:
+        if stalls >= 2 or layers == 0 or turn >= steps or objective(s.best_u) < STOP_OBJECTIVE:
             break
-        _normal_equations(looks, layers, p, s)
+        _normal_equations(merit, layers, p, s)
         if turn > 0:
             damping = max(0.2 * damping, 1e-9)
-    return score(s.best_u)
+    return objective(s.best_u)

@@ -1,7 +1,7 @@
-"""Goals in compiled form: residuals of a candidate's spectra and their slopes by its thicknesses.
+"""Compiled merit function: residuals of the spectra of a stack and their derivatives by its thicknesses.
 
-`nacre.optimise.merit` is the judge; this is the same in numba for the inner loop of the film search, where a call must
-take a microsecond. A test ties the two.
+The twin of `nacre.optimise.merit` in numba, for the thin-film search: a call takes microseconds. A test
+ties the two.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from nacre.core.jit import compiled
 from nacre.optimise.merit import KINDS, MEAN_SHARE, MeritFunction, Operand
 
 COLOUR, HUE, CHROMA, LIGHTNESS, SPECTRUM = range(len(KINDS))
-NOTHING = -1.0
-STEP = 1e-5  # of Lab, for slopes of residuals by forward differences; what they lack is far below what steers
+UNSPECIFIED = -1.0
+STEP = 1e-5  # of Lab, for forward differences
 HUE_MARGIN = 4.0  # degrees per dE00, at a chroma of some 40
-SOFT = 0.08  # of `within`: the width over which a miss is smoothed
+SOFT = 0.08  # of the tolerance: width over which failures are smoothed
 RADIANS = math.pi / 180.0
 
 
@@ -33,8 +33,8 @@ class CompiledMerit(NamedTuple):
         lab: `[term, 3]`.
         low, high: `[term]`, infinite where open.
         scale, weight: `[term]`, weight / within, and the weight: a scaled distance above it is out of tolerance.
-        wanted: `[term, wavelength]`, of spectra; below 0 where nothing is wanted.
-        residuals: `[1]`, how many there are.
+        wanted: `[term, wavelength]`, of spectra; negative if unspecified.
+        residuals: `[1]`, their number.
     """
 
     weights: Array
@@ -52,11 +52,11 @@ class CompiledMerit(NamedTuple):
 
 
 def compile_merit(merit: MeritFunction, margin: float = 0.0) -> CompiledMerit:
-    """Return the goals as arrays for `look`.
+    """Return the arrays for `evaluate`.
 
     Args:
-        margin: share of `within` by which ranges are narrowed, so that what a descent calls near lies inside. A hue is
-            narrowed by as many degrees at most, and by a tenth of the range; no range is narrowed to nothing.
+        margin: of the tolerance, by which ranges are narrowed, at most by a tenth of the range: descents that stop near
+            the bound then end inside.
     """
     order = sorted(
         range(len(merit.terms)),
@@ -70,7 +70,7 @@ def compile_merit(merit: MeritFunction, margin: float = 0.0) -> CompiledMerit:
     for i, (goal, _, _) in enumerate(chosen):
         if goal.reflectance is not None:
             known = np.isfinite(goal.reflectance)
-            wanted[i] = np.where(known, goal.reflectance, NOTHING)
+            wanted[i] = np.where(known, goal.reflectance, UNSPECIFIED)
             shares[i] = np.sqrt(samples / known.sum())
     return CompiledMerit(
         np.ascontiguousarray(np.swapaxes(merit.colour_weights, 1, 2)),
@@ -104,7 +104,7 @@ def _narrowed(goal: Operand, margin: float) -> tuple[float, float]:
 
 @compiled(error_model="numpy")
 def components(l1: float, a1: float, b1: float, l2: float, a2: float, b2: float) -> tuple[float, float, float]:
-    """Three numbers whose length is the dE00 of two colours: `nacre.optimise.merit.difference_components`."""
+    """Return three numbers whose length is the dE00 of two colours, as `merit.difference_components`."""
     c1, c2 = math.sqrt(a1 * a1 + b1 * b1), math.sqrt(a2 * a2 + b2 * b2)
     mean = 0.5 * (c1 + c2)
     mean7 = mean * mean * mean * mean * mean * mean * mean
@@ -143,13 +143,10 @@ def components(l1: float, a1: float, b1: float, l2: float, a2: float, b2: float)
 
 
 @compiled(error_model="numpy")
-def _parts(looks: Any, t: int, l: float, a: float, b: float) -> tuple[float, float, float]:
-    """The components of the difference from what a term wants; of a range, from the colour that is put inside.
-
-    That is the smooth distance of `nacre.optimise.merit._smooth_violation`.
-    """
-    kind, low, high = looks.kind[t], looks.low[t], looks.high[t]
-    wl, wa, wb = looks.lab[t, 0], looks.lab[t, 1], looks.lab[t, 2]
+def _parts(merit: Any, t: int, l: float, a: float, b: float) -> tuple[float, float, float]:
+    """Return the components of the difference from the target, for a range from the colour moved inside."""
+    kind, low, high = merit.kind[t], merit.low[t], merit.high[t]
+    wl, wa, wb = merit.lab[t, 0], merit.lab[t, 1], merit.lab[t, 2]
     if kind == LIGHTNESS:
         wl, wa, wb = min(max(l, low), high), a, b
     elif kind == CHROMA:
@@ -181,7 +178,7 @@ def _dot(a: Any, b: Any, count: int) -> float:
 
 @compiled(error_model="numpy")
 def _f(ratio: float) -> tuple[float, float]:
-    """CIELAB's cube root with a straight foot, and its slope."""
+    """Return the CIELAB function f and its derivative."""
     if ratio > 216.0 / 24389.0:
         root = math.exp(math.log(ratio) / 3.0)
         return root, root / (3.0 * ratio)
@@ -189,93 +186,120 @@ def _f(ratio: float) -> tuple[float, float]:
 
 
 @compiled(error_model="numpy")
-def lab_of(looks: Any, spectrum: Any, lamp: int) -> tuple[float, float, float]:
-    """CIELAB of a spectrum under a lamp."""
+def lab_of(merit: Any, spectrum: Any, lamp: int) -> tuple[float, float, float]:
+    """Return CIELAB of a spectrum under a lamp."""
     count = spectrum.shape[0]
-    fx, _ = _f(_dot(looks.weights[lamp, 0], spectrum, count) / looks.whites[lamp, 0])
-    fy, _ = _f(_dot(looks.weights[lamp, 1], spectrum, count) / looks.whites[lamp, 1])
-    fz, _ = _f(_dot(looks.weights[lamp, 2], spectrum, count) / looks.whites[lamp, 2])
+    fx, _ = _f(_dot(merit.weights[lamp, 0], spectrum, count) / merit.whites[lamp, 0])
+    fy, _ = _f(_dot(merit.weights[lamp, 1], spectrum, count) / merit.whites[lamp, 1])
+    fz, _ = _f(_dot(merit.weights[lamp, 2], spectrum, count) / merit.whites[lamp, 2])
     return 116.0 * fy - 16.0, 500.0 * (fx - fy), 200.0 * (fy - fz)
 
 
-@compiled(error_model="numpy", nogil=True)
-def look(looks: Any, spectra: Any, slopes: Any, layers: int, wants_slopes: bool, r: Any, jacobian: Any, u: Any) -> None:
-    """Fill the residuals `r`, their slopes `jacobian[residual, layer]` and the scaled distances `u[term]`.
-
-    Distances to ranges are the smooth ones: the judge's where they are small.
-
-    Args:
-        looks: `Looks`.
-        spectra: `[row, wavelength]`.
-        slopes: `[row, layer, wavelength]`, read only if `wants_slopes`.
-    """
-    count = spectra.shape[1]
-    at = 0
-    last_row, last_lamp = -1, -1
-    l = a = b = 0.0
-    by_layer = np.empty((3, max(layers, 1)))
-    by_lab = np.empty((3, 3))
-    f, slope = np.empty(3), np.empty(3)
-    for t in range(looks.kind.shape[0]):
-        kind, row, lamp, scale = looks.kind[t], looks.row[t], looks.lamp[t], looks.scale[t]
-        if kind == SPECTRUM:
-            share = scale * 100.0 / math.sqrt(count)
-            total = 0.0
+@compiled(error_model="numpy")
+def _spectrum_term(
+    merit: Any, t: int, at: int, spectra: Any, slopes: Any, layers: int, with_gradients: bool, r: Any, jacobian: Any
+) -> float:
+    """Fill residuals and Jacobian of a spectrum from row `at` on; return its scaled distance."""
+    row, count = merit.row[t], spectra.shape[1]
+    share = merit.scale[t] * 100.0 / math.sqrt(count)
+    total = 0.0
+    for i in range(count):
+        off = share * (spectra[row, i] - merit.wanted[t, i]) if merit.wanted[t, i] >= 0.0 else 0.0
+        total += off * off
+        r[at + i] = off
+    if with_gradients:
+        for j in range(layers):
             for i in range(count):
-                off = share * (spectra[row, i] - looks.wanted[t, i]) if looks.wanted[t, i] >= 0.0 else 0.0
-                total += off * off
-                r[at + i] = off
-            if wants_slopes:
-                for j in range(layers):
-                    for i in range(count):
-                        jacobian[at + i, j] = share * slopes[row, j, i] if looks.wanted[t, i] >= 0.0 else 0.0
-            u[t] = math.sqrt(total)
-            at += count
-            continue
-        if row != last_row or lamp != last_lamp:
-            for c in range(3):
-                value = _dot(looks.weights[lamp, c], spectra[row], count)
-                f[c], slope[c] = _f(value / looks.whites[lamp, c])
-                slope[c] /= looks.whites[lamp, c]
-            l, a, b = 116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])
-            if wants_slopes:
-                for j in range(layers):
-                    x = slope[0] * _dot(looks.weights[lamp, 0], slopes[row, j], count)
-                    y = slope[1] * _dot(looks.weights[lamp, 1], slopes[row, j], count)
-                    z = slope[2] * _dot(looks.weights[lamp, 2], slopes[row, j], count)
-                    by_layer[0, j], by_layer[1, j], by_layer[2, j] = 116.0 * y, 500.0 * (x - y), 200.0 * (y - z)
-            last_row, last_lamp = row, lamp
-        # one place that calls the formula, here and below: numba inlines every call, and compiles for minutes else
-        size = 3 if kind == COLOUR else 1
-        for k in range(4 if wants_slopes else 1):
-            moved_l = l + STEP if k == 1 else l
-            moved_a = a + STEP if k == 2 else a
-            moved_b = b + STEP if k == 3 else b
-            x, y, z = _parts(looks, t, moved_l, moved_a, moved_b)
-            if kind != COLOUR:
-                x = math.sqrt(x * x + y * y + z * z)
-                y = z = 0.0
-            if k == 0:
-                u[t] = scale * math.sqrt(x * x + y * y + z * z)
-                f[0], f[1], f[2] = x, y, z
-                for c in range(size):
-                    r[at + c] = scale * f[c]
-            else:
-                by_lab[0, k - 1] = scale * (x - f[0]) / STEP
-                by_lab[1, k - 1] = scale * (y - f[1]) / STEP
-                by_lab[2, k - 1] = scale * (z - f[2]) / STEP
-        if wants_slopes:
-            for c in range(size):
-                for j in range(layers):
-                    jacobian[at + c, j] = (
-                        by_lab[c, 0] * by_layer[0, j] + by_lab[c, 1] * by_layer[1, j] + by_lab[c, 2] * by_layer[2, j]
-                    )
-        at += size
+                jacobian[at + i, j] = share * slopes[row, j, i] if merit.wanted[t, i] >= 0.0 else 0.0
+    return math.sqrt(total)
 
 
 @compiled(error_model="numpy")
-def score(u: Any) -> float:
-    """The objective from scaled distances: the worst, and a thousandth of the mean."""
+def _lab(
+    merit: Any, row: int, lamp: int, spectra: Any, slopes: Any, layers: int, with_gradients: bool, lab: Any,
+    by_layer: Any,
+) -> None:  # fmt: skip
+    """Fill CIELAB `lab[3]` of a row under a lamp and its derivatives `by_layer[3, layer]`."""
+    count = spectra.shape[1]
+    f, slope = np.empty(3), np.empty(3)
+    for c in range(3):
+        f[c], slope[c] = _f(_dot(merit.weights[lamp, c], spectra[row], count) / merit.whites[lamp, c])
+        slope[c] /= merit.whites[lamp, c]
+    lab[0], lab[1], lab[2] = 116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])
+    if with_gradients:
+        for j in range(layers):
+            x = slope[0] * _dot(merit.weights[lamp, 0], slopes[row, j], count)
+            y = slope[1] * _dot(merit.weights[lamp, 1], slopes[row, j], count)
+            z = slope[2] * _dot(merit.weights[lamp, 2], slopes[row, j], count)
+            by_layer[0, j], by_layer[1, j], by_layer[2, j] = 116.0 * y, 500.0 * (x - y), 200.0 * (y - z)
+
+
+@compiled(error_model="numpy")
+def _colour_term(
+    merit: Any, t: int, at: int, lab: Any, by_layer: Any, layers: int, with_gradients: bool, r: Any, jacobian: Any
+) -> float:
+    """Fill residuals and Jacobian of a colour or range from row `at` on; return its scaled distance."""
+    scale = merit.scale[t]
+    is_colour = merit.kind[t] == COLOUR
+    base, by_lab = np.empty(3), np.empty((3, 3))
+    distance = 0.0
+    # a single call of the formula: numba inlines every call and would compile for minutes
+    for k in range(4 if with_gradients else 1):
+        moved_l = lab[0] + STEP if k == 1 else lab[0]
+        moved_a = lab[1] + STEP if k == 2 else lab[1]
+        moved_b = lab[2] + STEP if k == 3 else lab[2]
+        x, y, z = _parts(merit, t, moved_l, moved_a, moved_b)
+        if not is_colour:
+            x = math.sqrt(x * x + y * y + z * z)
+            y = z = 0.0
+        if k == 0:
+            distance = scale * math.sqrt(x * x + y * y + z * z)
+            base[0], base[1], base[2] = x, y, z
+        else:
+            by_lab[0, k - 1] = scale * (x - base[0]) / STEP
+            by_lab[1, k - 1] = scale * (y - base[1]) / STEP
+            by_lab[2, k - 1] = scale * (z - base[2]) / STEP
+    for c in range(3 if is_colour else 1):
+        r[at + c] = scale * base[c]
+        for j in range(layers if with_gradients else 0):
+            jacobian[at + c, j] = (
+                by_lab[c, 0] * by_layer[0, j] + by_lab[c, 1] * by_layer[1, j] + by_lab[c, 2] * by_layer[2, j]
+            )
+    return distance
+
+
+@compiled(error_model="numpy", nogil=True)
+def evaluate(
+    merit: Any, spectra: Any, slopes: Any, layers: int, with_gradients: bool, r: Any, jacobian: Any, u: Any
+) -> None:
+    """Fill the residuals `r`, their Jacobian `[residual, layer]` and the scaled distances `u[term]`.
+
+    Distances to ranges are the smooth ones, which agree with the exact ones if they are small.
+
+    Args:
+        merit: `CompiledMerit`.
+        spectra: `[row, wavelength]`.
+        slopes: `[row, layer, wavelength]`, read only `with_gradients`.
+    """
+    at = 0
+    last_row, last_lamp = -1, -1
+    lab, by_layer = np.empty(3), np.empty((3, max(layers, 1)))
+    for t in range(merit.kind.shape[0]):
+        row, lamp = merit.row[t], merit.lamp[t]
+        if merit.kind[t] == SPECTRUM:
+            u[t] = _spectrum_term(merit, t, at, spectra, slopes, layers, with_gradients, r, jacobian)
+            at += spectra.shape[1]
+            continue
+        if row != last_row or lamp != last_lamp:
+            _lab(merit, row, lamp, spectra, slopes, layers, with_gradients, lab, by_layer)
+            last_row, last_lamp = row, lamp
+        u[t] = _colour_term(merit, t, at, lab, by_layer, layers, with_gradients, r, jacobian)
+        at += 3 if merit.kind[t] == COLOUR else 1
+
+
+@compiled(error_model="numpy")
+def objective(u: Any) -> float:
+    """Return the objective of scaled distances, as `MeritFunction.objective`."""
     worst, total = 0.0, 0.0
     for t in range(u.shape[0]):
         worst = max(worst, u[t])
@@ -284,8 +308,8 @@ def score(u: Any) -> float:
 
 
 @compiled(error_model="numpy", fastmath={"contract", "reassoc"})
-def share_outside(looks: Any, r: Any, jacobian: Any, layers: int, sigma: Any, draws: Any) -> float:
-    """The smooth share of made stacks that miss a want, by the slopes at the nominal one.
+def failure_share(merit: Any, r: Any, jacobian: Any, layers: int, sigma: Any, draws: Any) -> float:
+    """Return the smoothed share of manufactured stacks out of tolerance, by the linear model at the nominal stack.
 
     Args:
         sigma: `[>= layers]`, standard deviations, nm.
@@ -295,16 +319,16 @@ def share_outside(looks: Any, r: Any, jacobian: Any, layers: int, sigma: Any, dr
     for k in range(draws.shape[0]):
         worst = 0.0
         at = 0
-        for t in range(looks.kind.shape[0]):
-            kind = looks.kind[t]
-            size = 3 if kind == COLOUR else (looks.wanted.shape[1] if kind == SPECTRUM else 1)
+        for t in range(merit.kind.shape[0]):
+            kind = merit.kind[t]
+            size = 3 if kind == COLOUR else (merit.wanted.shape[1] if kind == SPECTRUM else 1)
             total = 0.0
             for c in range(at, at + size):
                 moved = r[c]
                 for j in range(layers):
                     moved += jacobian[c, j] * sigma[j] * draws[k, j]
                 total += moved * moved
-            worst = max(worst, math.sqrt(total) / max(looks.weight[t], 1e-9))
+            worst = max(worst, math.sqrt(total) / max(merit.weight[t], 1e-9))
             at += size
         missed += 1.0 / (1.0 + math.exp(-min(max((worst - 1.0) / SOFT, -50.0), 50.0)))
     return missed / draws.shape[0]

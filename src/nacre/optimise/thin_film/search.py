@@ -337,7 +337,7 @@ def default_evaluations(problem: StackProblem) -> float:
     return float(np.clip(WORK / (problem.layers**1.2 * problem.merit.rows * len(problem.coarse_samples())), 1e4, 1e7))
 
 
-WORK = 4e8  # layers^1.2 x rows x wavelengths of all stacks
+WORK = 8e8  # layers^1.2 x rows x wavelengths of all stacks
 
 
 def _explore(engine: Engine, budget: Budget, seed: int, on_progress: Any, stop: Any) -> list[Stack]:
