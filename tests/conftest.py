@@ -69,11 +69,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _why_no_render() -> str:
     if "render" not in _why:
         from nacre.core.errors import NacreError
-        from nacre.device.variant import import_mitsuba, why_no_llvm
+        from nacre.device.variant import import_mitsuba, llvm_failure
 
         try:
             import_mitsuba()
-            _why["render"] = why_no_llvm()
+            _why["render"] = llvm_failure()
         except NacreError as error:
             _why["render"] = str(error)
     return _why["render"]
@@ -82,11 +82,11 @@ def _why_no_render() -> str:
 def _why_no_gpu() -> str:
     if "gpu" not in _why:
         from nacre.core.errors import NacreError
-        from nacre.device.variant import import_mitsuba, why_no_cuda
+        from nacre.device.variant import cuda_failure, import_mitsuba
 
         try:
             import_mitsuba()
-            _why["gpu"] = why_no_cuda()
+            _why["gpu"] = cuda_failure()
         except NacreError as error:
             _why["gpu"] = str(error)
     return _why["gpu"]

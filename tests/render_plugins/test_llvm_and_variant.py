@@ -223,8 +223,8 @@ def test_without_llvm_a_tiny_picture_still_comes_with_a_warning(tmp_path: Path) 
 def test_the_report_tells_what_to_do_without_llvm(tmp_path: Path) -> None:
     """`nacre doctor` gets the reason of each library and the way out."""
     code = (
-        "import json; from nacre.device.variant import report, why_no_llvm\n"
-        "print(json.dumps([report().as_dict(), why_no_llvm()]))"
+        "import json; from dataclasses import asdict; from nacre.device.variant import report, llvm_failure\n"
+        "print(json.dumps([asdict(report()), llvm_failure()]))"
     )
     done = python(code, {**refuse_all(tmp_path), variant.ENVIRONMENT_VARIABLE: ""})
     assert done.returncode == 0, done.stderr
@@ -335,7 +335,7 @@ def test_an_llvm_that_mitsuba_chose_wrongly_is_told_with_the_way_out(monkeypatch
     good = llvm.Probe("/x/libLLVM-19.so", "19.1.0", "")
     monkeypatch.setattr(llvm, "find_llvm", lambda: (good, (good,)))
     monkeypatch.setattr(llvm, "use_llvm", lambda: None)
-    monkeypatch.setattr(variant, "_why_not", lambda name, mi: "it fails")
+    monkeypatch.setattr(variant, "_variant_failure", lambda name, mi: "it fails")
     with pytest.warns(RuntimeWarning, match=r"imported before nacre.render.*DRJIT_LIBLLVM_PATH=/x/libLLVM-19.so"):
         assert variant._available(None, sys) == "scalar_spectral"
 
@@ -352,14 +352,14 @@ def test_a_variant_that_was_set_on_a_broken_llvm_is_refused(monkeypatch: pytest.
     monkeypatch.setattr(llvm, "use_llvm", lambda: None)
     monkeypatch.setattr(llvm, "probe_library", lambda path: broken)
     monkeypatch.setattr(llvm, "find_llvm", lambda: (found, (found,)))
-    variant._why_set_fails.cache_clear()
+    variant._set_variant_failure.cache_clear()
     try:
         with pytest.raises(MachineError, match=r"imported before nacre.render.*DRJIT_LIBLLVM_PATH=/x/libLLVM-19.so"):
             variant.use_variant()
         with pytest.raises(RuntimeError, match="imported before nacre.render"):
             mi.load_dict({"type": "nacre", "recipe": "not asked for.toml"})
     finally:
-        variant._why_set_fails.cache_clear()
+        variant._set_variant_failure.cache_clear()
 
 
 @pytest.mark.render

@@ -11,7 +11,7 @@ from nacre.bsdf.glints import CELLS_U, CELLS_V, COUNT, COVERAGE, DRAWS, FLAKE_ST
 from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.lobes.platelet_layer import PlateletLayer
 from nacre.core.arrays import Array
-from nacre.device.plugin import device_array, opaque, opaque_int, read
+from nacre.device.plugin import UniformNodes, device_array, opaque, opaque_int, read
 
 WORD = 0xFFFFFFFF
 FLATTEST = 1e-4  # lower limit of |z|: the slope of an in-plane normal is infinite
@@ -124,8 +124,7 @@ class _Kind:
         self.width = opaque(numbers[WIDTH])
         self.area = opaque(2.0 * numbers[COVERAGE] * numbers[WIDTH] ** 2)
         self.radii, self.ratio = device_array(radii), device_array(ratio)
-        self.last = opaque(len(radii) - 1)
-        self.last_cell = opaque_int(len(radii) - 2)
+        self.nodes = UniformNodes(len(radii))
 
     def disc(self, n: Any, uv: Any, active: Any) -> tuple[Any, Any, Any]:
         """Return whether the n-th disc near a point contains it, and the slope of its normal (x, y)."""
@@ -143,9 +142,8 @@ class _Kind:
 
     def read(self, table: Any, share: Any, active: Any) -> Any:
         """Interpolate one of the two tables."""
-        at = share * self.last
-        low = dr.minimum(mi.UInt32(at), self.last_cell)
-        return dr.lerp(read(table, low, active), read(table, low + 1, active), at - mi.Float(low))
+        low, part = self.nodes.cell(share * self.nodes.last)
+        return dr.lerp(read(table, low, active), read(table, low + 1, active), part)
 
 
 def mix(x: Any) -> Any:

@@ -138,6 +138,27 @@ def opaque_int(value: int) -> Any:
     return dr.opaque(mi.UInt32, int(value)) if dr.is_jit_v(mi.Float) else int(value)
 
 
+class UniformNodes:
+    """The nodes of a uniformly sampled axis; their number is data, so other numbers reuse the kernel.
+
+    Attributes:
+        last: coordinate of the last node.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.last, self.max_low = opaque(count - 1), opaque_int(max(count - 2, 0))
+
+    def cell(self, coordinate: Any) -> tuple[Any, Any]:
+        """Return the node below a coordinate in [0, last], and the fraction above it."""
+        return cell_at(coordinate, self.max_low)
+
+
+def cell_at(coordinate: Any, max_low: Any) -> tuple[Any, Any]:
+    """Return the node below a coordinate, at most `max_low`, and the fraction above it."""
+    low = dr.minimum(mi.UInt32(coordinate), max_low)
+    return low, coordinate - mi.Float(low)
+
+
 def replaced(old: Any, new: Any) -> Any:
     """Assign `new` to the object `old`, which `mi.traverse` may have exposed, and return it; without `old`, `new`."""
     if old is None or not dr.is_jit_v(mi.Float):

@@ -13,7 +13,7 @@ import numpy as np
 
 from nacre.bsdf.texture import Formula, ParameterAxis, Texture, smooth_noise
 from nacre.core.errors import UnsupportedError
-from nacre.device.plugin import device_array, opaque, opaque_int, read
+from nacre.device.plugin import UniformNodes, device_array, opaque, opaque_int, read
 
 
 @dataclass(frozen=True)
@@ -174,8 +174,7 @@ class DeviceParameters:
         self.first = [opaque(float(axis.values[0])) for axis in parameters]
         spans = [float(axis.values[-1] - axis.values[0]) for axis in parameters]
         self.per_unit = [opaque((n - 1) / s if s > 0 else 0.0) for n, s in zip(self.sizes, spans, strict=True)]
-        self.last = [opaque(n - 1) for n in self.sizes]
-        self.max_low = [opaque_int(max(n - 2, 0)) for n in self.sizes]
+        self.nodes = [UniformNodes(n) for n in self.sizes]
         self.sizes_o = [opaque_int(n) for n in self.sizes]
 
     def update(self, parameters: tuple[ParameterAxis, ...]) -> None:
@@ -198,9 +197,8 @@ class DeviceParameters:
             return None
         axes = []
         for i, texture in enumerate(self.textures):
-            position = dr.clip((texture(si, active) - self.first[i]) * self.per_unit[i], 0.0, self.last[i])
-            low = dr.minimum(mi.UInt32(position), self.max_low[i])
-            fraction = position - mi.Float(low)
+            position = dr.clip((texture(si, active) - self.first[i]) * self.per_unit[i], 0.0, self.nodes[i].last)
+            low, fraction = self.nodes[i].cell(position)
             high = low + (1 if self.sizes[i] > 1 else 0)
             axes.append(((low, 1.0 - fraction), (high, fraction)))
         found = []

@@ -14,7 +14,6 @@ import sys
 import warnings
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
 
 from nacre.core.errors import MachineError, UnsupportedError, did_you_mean
 from nacre.device import llvm
@@ -22,7 +21,7 @@ from nacre.device import llvm
 ENVIRONMENT_VARIABLE = "NACRE_VARIANT"
 VARIANTS = ("llvm_ad_spectral", "cuda_ad_spectral", "scalar_spectral")
 SCALAR_WARNING = (
-    "{why}: falling back to scalar_spectral, some hundreds of times slower, good for tiny previews only; {what}"
+    "{reason}: falling back to scalar_spectral, some hundreds of times slower, good for tiny previews only; {remedy}"
 )
 
 
@@ -33,9 +32,9 @@ def use_variant(requested: str | None = None) -> ModuleType:
         requested: a variant in `VARIANTS`; default: `NACRE_VARIANT`, else the variant already set, else the best
             working one.
 
-        Raises:
-            UnsupportedError: the variant is not in `VARIANTS`.
-            MachineError: mitsuba is missing, or the requested variant does not work on this machine.
+    Raises:
+        UnsupportedError: the variant is not in `VARIANTS`.
+        MachineError: mitsuba is missing, or the requested variant does not work on this machine.
     """
     requested = requested or os.environ.get(ENVIRONMENT_VARIABLE) or None
     if requested is not None:
@@ -75,11 +74,11 @@ def _check_name(name: str) -> None:
 def _available(requested: str | None, mi: ModuleType) -> str:
     """Return the requested variant or the best working one."""
     if requested is not None:
-        if reason := _why_not(requested, mi):
+        if reason := _variant_failure(requested, mi):
             raise MachineError(f"Mitsuba variant {requested} does not work here: {reason}")
         return requested
     for name in ("cuda_ad_spectral", "llvm_ad_spectral"):
-        if not _why_not(name, mi):
+        if not _variant_failure(name, mi):
             return name
     # stacklevel: the caller of use_variant
     warnings.warn(_scalar_warning(), RuntimeWarning, stacklevel=3)
@@ -87,9 +86,9 @@ def _available(requested: str | None, mi: ModuleType) -> str:
 
 
 @functools.cache
-def _why_set_fails(name: str) -> str:
+def _set_variant_failure(name: str) -> str:
     """Return the reason why an already set variant does not work, or an empty string."""
-    return why_no_llvm() if name.startswith("llvm") else ""
+    return llvm_failure() if name.startswith("llvm") else ""
 
 
 def check_set_variant(name: str) -> None:
@@ -98,7 +97,7 @@ def check_set_variant(name: str) -> None:
     Raises:
         MachineError: it does not work on this machine.
     """
-    if reason := _why_set_fails(name):
+    if reason := _set_variant_failure(name):
         raise MachineError(f"Mitsuba variant {name} does not work here: {reason}")
 
 
@@ -106,25 +105,25 @@ def _scalar_warning() -> str:
     """Return the reason for the slowest variant, and the remedy: an LLVM, or another import order."""
     found, _ = llvm.find_llvm()
     if found is not None and llvm.use_llvm() is None:
-        what = f"import nacre.render first, or set {llvm.ENVIRONMENT_VARIABLE}={found.path}"
-        why = "mitsuba or drjit was imported before nacre.render, and the LLVM that it chose fails"
+        remedy = f"import nacre.render first, or set {llvm.ENVIRONMENT_VARIABLE}={found.path}"
+        reason = "mitsuba or drjit was imported before nacre.render, and the LLVM that it chose fails"
     else:
-        why, what = "no usable LLVM was found", "`nacre doctor` tells how to get LLVM"
-    return SCALAR_WARNING.format(why=why, what=what)
+        reason, remedy = "no usable LLVM was found", "`nacre doctor` shows how to install LLVM"
+    return SCALAR_WARNING.format(reason=reason, remedy=remedy)
 
 
-def _why_not(name: str, mi: ModuleType) -> str:
+def _variant_failure(name: str, mi: ModuleType) -> str:
     """Return the reason why a variant does not work, or an empty string."""
     if name not in mi.variants():
         return "this build of mitsuba does not contain it"
     if name.startswith("cuda"):
-        return why_no_cuda()
+        return cuda_failure()
     if name.startswith("llvm"):
-        return why_no_llvm()
+        return llvm_failure()
     return ""
 
 
-def why_no_cuda() -> str:
+def cuda_failure() -> str:
     """Test a small kernel on the GPU; return the reason of a failure, or an empty string."""
     import drjit as dr
 
@@ -139,7 +138,7 @@ def why_no_cuda() -> str:
     return "" if good else "the GPU returned wrong numbers"
 
 
-def why_no_llvm() -> str:
+def llvm_failure() -> str:
     """Return the reasons why every tested LLVM fails, or an empty string if one works."""
     if llvm.use_llvm() is not None:
         return ""
@@ -168,17 +167,6 @@ class VariantReport:
     mitsuba_version: str | None
     advice: str
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the report as plain data for `nacre doctor --json`."""
-        return {
-            "variant": self.variant,
-            "variants": self.variants,
-            "llvm": {"path": self.llvm_used, "version": self.llvm_version},
-            "llvm_tried": [{"path": p.path, "version": p.version, "reason": p.reason} for p in self.llvm_tried],
-            "mitsuba": self.mitsuba_version,
-            "advice": self.advice,
-        }
-
 
 def report() -> VariantReport:
     """Examine the machine without setting a variant: best variant, failures, advice."""
@@ -189,7 +177,7 @@ def report() -> VariantReport:
         mi = import_mitsuba()
     except MachineError as error:
         return VariantReport(None, {}, path, version, tried, None, str(error))
-    reasons = {name: _why_not(name, mi) for name in VARIANTS}
+    reasons = {name: _variant_failure(name, mi) for name in VARIANTS}
     best = next(name for name in ("cuda_ad_spectral", "llvm_ad_spectral", "scalar_spectral") if not reasons[name])
     best = os.environ.get(ENVIRONMENT_VARIABLE) or best
     advice = "" if best != "scalar_spectral" else f"Rendering will be very slow. {llvm.advice()}"

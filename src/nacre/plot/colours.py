@@ -11,20 +11,7 @@ from numpy.typing import ArrayLike
 from nacre import light
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.plot.style import (
-    COLUMN_IN,
-    FAINT,
-    INK,
-    SHEET_IN,
-    WIDE_IN,
-    cell_edges,
-    house_style,
-    new_figure,
-    panel_title,
-    remark,
-    shown_colours,
-    small_print,
-)
+from nacre.plot import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,19 +43,19 @@ def colour_map_figure(
     x, y, spectra = (np.asarray(v, dtype=float) for v in (x, y, values))
     if len(x) < 2 or len(y) < 2 or spectra.shape[:2] != (len(y), len(x)):
         raise NacreError(f"a colour map needs values[y, x, wavelength]; got {spectra.shape} for {len(y)} y, {len(x)} x")
-    colours, exposure, clipped = shown_colours(spectra, wavelengths_nm, illuminant)
-    with house_style():
-        figure = new_figure(COLUMN_IN, 2.75)
+    colours, exposure, clipped = style.shown_colours(spectra, wavelengths_nm, illuminant)
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN, 2.75)
         axes = figure.add_subplot()
-        axes.pcolormesh(cell_edges(x), cell_edges(y), colours, rasterized=True)
+        axes.pcolormesh(style.cell_edges(x), style.cell_edges(y), colours, rasterized=True)
         axes.set_xlim(x[0], x[-1])
         axes.set_ylim(y[0], y[-1])
         axes.set_xlabel(x_label)
         axes.set_ylabel(y_label)
         for side in ("top", "right"):
             axes.spines[side].set_visible(True)
-        panel_title(axes, title)
-        small_print(figure, remark(illuminant, exposure, clipped, colours[..., 0].size))
+        style.panel_title(axes, title)
+        style.small_print(figure, style.remark(illuminant, exposure, clipped, colours[..., 0].size))
     return figure
 
 
@@ -91,27 +78,27 @@ def chromaticity_figure(
     spectra = np.atleast_2d(np.asarray(values, dtype=float))
     xyz = light.spectrum_to_xyz(spectra, wavelengths_nm, illuminant)
     white = light.white_xyz(illuminant)
-    colours, exposure, clipped = shown_colours(spectra, wavelengths_nm, illuminant)
+    colours, exposure, clipped = style.shown_colours(spectra, wavelengths_nm, illuminant)
     lab = light.xyz_to_lab(xyz, white)
-    with house_style():
-        figure = new_figure(WIDE_IN, 2.75)
+    with style.house_style():
+        figure = style.new_figure(style.WIDE_IN, 2.75)
         left, right = figure.subplots(1, 2)
         draw_locus(left)
-        left.plot(*light.xyz_to_xyy(white)[:2], "+", color=INK, markersize=5, markeredgewidth=0.7)
+        left.plot(*light.xyz_to_xyy(white)[:2], "+", color=style.INK, markersize=5, markeredgewidth=0.7)
         draw_track(left, light.xyz_to_xyy(xyz)[:, :2], colours, labels)
-        panel_title(left, title or "CIE 1931 chromaticity")
+        style.panel_title(left, title or "CIE 1931 chromaticity")
         extent = 10.0 * np.ceil(max(30.0, 1.12 * float(np.abs(lab[:, 1:]).max())) / 10.0)
         draw_hue_circle(right, extent)
         draw_track(right, lab[:, 1:], colours, labels)
-        panel_title(right, "CIELAB")
-        small_print(figure, remark(illuminant, exposure, clipped, len(spectra)))
+        style.panel_title(right, "CIELAB")
+        style.small_print(figure, style.remark(illuminant, exposure, clipped, len(spectra)))
     return figure
 
 
-def draw_track(axes: Axes, points: Array, colours: Array, labels: list[str] | None, ink: str = INK) -> None:
+def draw_track(axes: Axes, points: Array, colours: Array, labels: list[str] | None, ink: str = style.INK) -> None:
     """Draw coloured points along a line, with the first and the last label."""
     axes.plot(points[:, 0], points[:, 1], color=ink, linewidth=0.6, zorder=2)
-    axes.scatter(points[:, 0], points[:, 1], s=13, c=colours, edgecolors=INK, linewidths=0.35, zorder=3)
+    axes.scatter(points[:, 0], points[:, 1], s=13, c=colours, edgecolors=style.INK, linewidths=0.35, zorder=3)
     if labels and len(labels) == len(points):
         apart = points[-1] - points[0]
         out = apart / max(float(np.linalg.norm(apart)), 1e-9) if len(points) > 1 else np.array([1.0, 1.0])
@@ -125,7 +112,7 @@ def draw_track(axes: Axes, points: Array, colours: Array, labels: list[str] | No
                 zorder=4,
                 ha="center",
                 va="center",
-                arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.4},
+                arrowprops={"arrowstyle": "-", "color": style.INK, "linewidth": 0.4},
                 bbox={"boxstyle": "round,pad=0.12", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
             )
 
@@ -137,14 +124,16 @@ def draw_locus(axes: Axes) -> None:
     locus = matching[:, :2] / matching.sum(axis=1, keepdims=True)
     closed = np.concatenate([locus, locus[:1]])
     axes.fill(closed[:, 0], closed[:, 1], color="#f4f4f4", zorder=0)
-    axes.plot(closed[:, 0], closed[:, 1], color=FAINT, linewidth=0.8, zorder=1)
-    axes.plot(SRGB_PRIMARIES[:, 0], SRGB_PRIMARIES[:, 1], color=FAINT, linewidth=0.6, linestyle=(0, (3, 2)), zorder=1)
+    axes.plot(closed[:, 0], closed[:, 1], color=style.FAINT, linewidth=0.8, zorder=1)
+    axes.plot(
+        SRGB_PRIMARIES[:, 0], SRGB_PRIMARIES[:, 1], color=style.FAINT, linewidth=0.6, linestyle=(0, (3, 2)), zorder=1
+    )
     axes.annotate("sRGB", (0.405, 0.522), fontsize=5.8, color="#7a7a7a", rotation=-38, ha="center", va="center")
     centre = np.array([1 / 3, 1 / 3])
     for label in LOCUS_LABELS_NM:
         point = locus[label - 390]
         out = (point - centre) / np.linalg.norm(point - centre)
-        axes.plot(*zip(point, point + 0.012 * out), color=FAINT, linewidth=0.6)
+        axes.plot(*zip(point, point + 0.012 * out), color=style.FAINT, linewidth=0.6)
         axes.annotate(str(label), point + 0.05 * out, fontsize=5.5, color="#7a7a7a", ha="center", va="center")
     axes.set(xlim=(-0.09, 0.8), ylim=(-0.03, 0.9), xlabel="$x$", ylabel="$y$", aspect="equal")
 
@@ -183,41 +172,41 @@ def gamut_limits_figure(
     """
     points, chroma_xy = np.atleast_2d(np.asarray(lab, float)), np.atleast_2d(np.asarray(xyy, float))
     colours = _shown(points, np.asarray(white, float))
-    with house_style():
-        figure = new_figure(SHEET_IN, 2.75)
+    with style.house_style():
+        figure = style.new_figure(style.SHEET_IN, 2.75)
         left, middle, right = figure.subplots(1, 3)
         outlines = {"optimal colours": (np.asarray(optimal, float), "-"), "sRGB": (np.asarray(srgb, float), "--")}
         extent = 10.0 * np.ceil(max(40.0, *(float(np.abs(o[:, 1:]).max()) for o, _ in outlines.values())) / 10.0)
         draw_hue_circle(left, extent)
         draw_locus(middle)
-        style = {
+        line_style = {
             "s": 9,
             "c": colours,
-            "edgecolors": INK,
+            "edgecolors": style.INK,
             "linewidths": 0.2,
             "zorder": 3,
             "rasterized": len(points) > 500,
         }
         for name, (solid, line) in outlines.items():
             hull = _outline(solid[:, 1:])
-            left.plot(hull[:, 0], hull[:, 1], line, color=FAINT, linewidth=0.8, label=name)
-            right.plot(*_lightness_outline(solid), line, color=FAINT, linewidth=0.8)
-        left.scatter(points[:, 1], points[:, 2], **style)
-        middle.scatter(chroma_xy[:, 0], chroma_xy[:, 1], **style)
-        right.scatter(np.hypot(points[:, 1], points[:, 2]), points[:, 0], **style)
+            left.plot(hull[:, 0], hull[:, 1], line, color=style.FAINT, linewidth=0.8, label=name)
+            right.plot(*_lightness_outline(solid), line, color=style.FAINT, linewidth=0.8)
+        left.scatter(points[:, 1], points[:, 2], **line_style)
+        middle.scatter(chroma_xy[:, 0], chroma_xy[:, 1], **line_style)
+        right.scatter(np.hypot(points[:, 1], points[:, 2]), points[:, 0], **line_style)
         if wanted is not None and len(np.atleast_2d(wanted)):
             marks = np.atleast_2d(np.asarray(wanted, float))
-            cross = {"marker": "x", "s": 26, "color": INK, "linewidths": 0.9, "zorder": 4}
+            cross = {"marker": "x", "s": 26, "color": style.INK, "linewidths": 0.9, "zorder": 4}
             left.scatter(marks[:, 1], marks[:, 2], label="wanted", **cross)
             right.scatter(np.hypot(marks[:, 1], marks[:, 2]), marks[:, 0], **cross)
             at = light.xyz_to_xyy(light.lab_to_xyz(marks, white))
             middle.scatter(at[:, 0], at[:, 1], **cross)
         left.legend(loc="upper left", fontsize=5.5, handlelength=1.2)
         right.set(xlim=(0, None), ylim=(0, 102), xlabel="C*", ylabel="L*")
-        panel_title(left, title or "CIELAB")
-        panel_title(middle, "Chromaticity")
-        panel_title(right, "Lightness over chroma")
-        small_print(figure, note)
+        style.panel_title(left, title or "CIELAB")
+        style.panel_title(middle, "Chromaticity")
+        style.panel_title(right, "Lightness over chroma")
+        style.small_print(figure, note)
     return figure
 
 

@@ -13,19 +13,7 @@ from nacre import light
 from nacre.bsdf import Bsdf
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.plot.style import (
-    COLUMN_IN,
-    FAINT,
-    INK,
-    LINES,
-    cell_edges,
-    house_style,
-    need,
-    new_figure,
-    panel_title,
-    remark,
-    small_print,
-)
+from nacre.plot import style
 
 Evaluate = Callable[[Array, Array], Array]
 TOP_DEG = 60.0  # white is the largest f up to this difference angle, since f diverges at grazing
@@ -91,11 +79,11 @@ def slice_figure(
     rgb = light.spectrum_to_rgb_linear(np.maximum(values, 0.0), wavelengths_nm, illuminant)
     rgb *= (wanted / np.maximum(strength, 1e-30))[..., None]
     clipped = light.clip_to_srgb(rgb)
-    with house_style():
-        figure = new_figure(COLUMN_IN, 2.75)
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN, 2.75)
         grid = figure.add_gridspec(1, 2, width_ratios=(1.0, 0.045))
         axes, key = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
-        x_edges, y_edges = cell_edges(np.sqrt(theta_h_deg)), cell_edges(theta_d_deg)
+        x_edges, y_edges = style.cell_edges(np.sqrt(theta_h_deg)), style.cell_edges(theta_d_deg)
         axes.pcolormesh(x_edges, y_edges, light.srgb_encode(clipped.rgb), rasterized=True)
         axes.set_xticks(np.sqrt(TICKS_H_DEG), [str(t) for t in TICKS_H_DEG])
         axes.set_yticks([0, 15, 30, 45, 60, 75, 90])
@@ -104,7 +92,7 @@ def slice_figure(
             xlabel=r"Half angle $\theta_h$ (degrees, square-root axis)",
             ylabel=r"Difference angle $\theta_d$ (degrees)",
         )  # fmt: skip
-        panel_title(axes, title)
+        style.panel_title(axes, title)
         ramp = light.lab_to_xyz(np.stack([np.linspace(0, 100, 256), *np.zeros((2, 256))], axis=-1))[:, 1]
         grey = light.srgb_encode(np.repeat(ramp[:, None, None], 3, axis=2))
         high = np.log10(top)
@@ -114,7 +102,7 @@ def slice_figure(
         key.set_xticks([])
         key.yaxis.tick_right()
         key.set_title("$f$ (1/sr)", fontsize=6.5, pad=3)
-        small_print(figure, remark(illuminant, 1.0, clipped.count, clipped.is_clipped.size))
+        style.small_print(figure, style.remark(illuminant, 1.0, clipped.count, clipped.is_clipped.size))
     return figure
 
 
@@ -176,8 +164,8 @@ def lobe_figure(
     rows = len(incidence)
     height = (1.95 if bsdf.transmits else 1.25) * rows + 0.25
     clipped = total = 0
-    with house_style():
-        figure = new_figure(COLUMN_IN, height)
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN, height)
         for row, angle in enumerate(incidence):
             axes = figure.add_subplot(rows, 1, row + 1)
             theta = np.radians(angle)
@@ -188,8 +176,8 @@ def lobe_figure(
             clipped, total = clipped + clipped_here, total + total_here
             _spokes(axes, theta, specular, bsdf, illuminant)
             _circle(axes, bsdf.transmits)
-            panel_title(axes, f"{angle:.3g}\u00b0 incidence" + (f", {title}" if title and row == 0 else ""))
-        small_print(figure, remark(illuminant, 1.0, clipped, total))
+            style.panel_title(axes, f"{angle:.3g}\u00b0 incidence" + (f", {title}" if title and row == 0 else ""))
+        style.small_print(figure, style.remark(illuminant, 1.0, clipped, total))
     return figure
 
 
@@ -207,7 +195,7 @@ def _polar(axes: Any, exits: Array, values: Array, nm: Array, illuminant: str) -
     wedges = [((0, 0), (x[i], y[i]), (x[i + 1], y[i + 1])) for i in range(len(exits) - 1)]
     tiles = light.srgb_encode(0.5 * (clipped.rgb[1:] + clipped.rgb[:-1]))
     axes.add_collection(PolyCollection(wedges, facecolors=tiles, edgecolors=tiles, linewidths=0.25, zorder=2))
-    axes.plot(x, y, color=INK, linewidth=0.7, zorder=3)
+    axes.plot(x, y, color=style.INK, linewidth=0.7, zorder=3)
     axes.annotate(
         f"max. $f\\,\\cos\\theta_o$ = {top:.3g} / sr",
         (0.99, 0.98),
@@ -221,7 +209,7 @@ def _polar(axes: Any, exits: Array, values: Array, nm: Array, illuminant: str) -
 
 
 def _spokes(axes: Any, theta: float, specular: Any, bsdf: Bsdf, illuminant: str) -> None:
-    axes.plot([0, -np.sin(theta)], [0, np.cos(theta)], color=INK, linewidth=0.7, linestyle=(0, (3, 2)), zorder=4)
+    axes.plot([0, -np.sin(theta)], [0, np.cos(theta)], color=style.INK, linewidth=0.7, linestyle=(0, (3, 2)), zorder=4)
     mirror = light.spectrum_to_xyz(specular.reflectance[0], bsdf.wavelengths_nm, illuminant)[1]
     if mirror > 1e-9:
         _spoke(axes, np.sin(theta), np.cos(theta), f"R = {mirror:.3g}")
@@ -234,8 +222,8 @@ def _spokes(axes: Any, theta: float, specular: Any, bsdf: Bsdf, illuminant: str)
 
 
 def _spoke(axes: Any, x: float, y: float, text: str) -> None:
-    axes.plot([0, x], [0, y], color=LINES[1], linewidth=1.0, zorder=5)
-    axes.plot([x], [y], "o", color=LINES[1], markersize=2.5, zorder=5)
+    axes.plot([0, x], [0, y], color=style.LINES[1], linewidth=1.0, zorder=5)
+    axes.plot([x], [y], "o", color=style.LINES[1], markersize=2.5, zorder=5)
     side = 1 if x >= 0 else -1
     axes.annotate(text, (x, y), xytext=(4 * side, 0), textcoords="offset points", fontsize=6,
                   ha="left" if side > 0 else "right", va="center")  # fmt: skip
@@ -252,7 +240,7 @@ def _circle(axes: Any, is_full: bool) -> None:
         lift = 0.07 if abs(degrees) == 90 else 0.0  # clear of the horizon
         place = (1.07 * np.sin(spoke), 1.07 * np.cos(spoke) + lift)
         axes.text(*place, f"{abs(degrees)}\u00b0", fontsize=5.8, color="#7a7a7a", ha="center", va="center")
-    axes.plot([-1.02, 1.02], [0, 0], color=FAINT, linewidth=0.8, zorder=1)
+    axes.plot([-1.02, 1.02], [0, 0], color=style.FAINT, linewidth=0.8, zorder=1)
     axes.set(xlim=(-1.5, 1.5), ylim=(-1.12 if is_full else -0.04, 1.16), aspect="equal")
     axes.axis("off")
 
@@ -268,21 +256,21 @@ def scattering_figure(data: Mapping[str, Any]) -> Figure:
     Raises:
         NacreError: an array is missing.
     """
-    theta, s, p = need(data, "scattering", "theta_deg", "s", "p")
+    theta, s, p = style.need(data, "scattering", "theta_deg", "s", "p")
     decades = float(data.get("decades", 3.0))
     s, p = np.atleast_2d(s), np.atleast_2d(p)
     labels = [f"{float(w):.0f} nm" for w in np.atleast_1d(data["wavelengths_nm"])] if "wavelengths_nm" in data else [""]
     top = max(float(s.max()), float(p.max()))
     if top <= 0.0:
         raise NacreError("figure scattering: the intensities are zero everywhere")
-    with house_style():
-        figure = new_figure(COLUMN_IN, 2.9)
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN, 2.9)
         axes: Any = figure.add_subplot(projection="polar")  # PolarAxes is missing in the stubs
-        for row in range(min(len(s), len(LINES))):
-            for values, side, style in ((s[row], 1.0, "-"), (p[row], -1.0, "-")):
+        for row in range(min(len(s), len(style.LINES))):
+            for values, side, line_style in ((s[row], 1.0, "-"), (p[row], -1.0, "-")):
                 radius = np.clip(decades + np.log10(np.maximum(values, 1e-300) / top), 0.0, None)
                 label = labels[row] if side > 0 and row < len(labels) else None
-                axes.plot(side * np.radians(theta), radius, style, color=LINES[row], label=label or None)
+                axes.plot(side * np.radians(theta), radius, line_style, color=style.LINES[row], label=label or None)
         axes.set_rticks(np.arange(0, decades + 0.5), [""] * len(np.arange(0, decades + 0.5)))
         axes.set_rmax(decades)
         axes.set_xticks(
@@ -293,8 +281,8 @@ def scattering_figure(data: Mapping[str, Any]) -> Figure:
         axes.text(-np.pi / 2, decades * 0.9, "p", ha="center", va="center", fontsize=8)
         if any(labels):
             figure.legend(loc="outside right upper", handlelength=1.2)
-        panel_title(axes, str(data.get("title", "")))
-        small_print(figure, f"radius: log intensity, one decade a ring, {decades:g} in all")
+        style.panel_title(axes, str(data.get("title", "")))
+        style.small_print(figure, f"radius: log intensity, one decade a ring, {decades:g} in all")
     return figure
 
 

@@ -12,20 +12,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
-from nacre.plot.style import (
-    INK,
-    LINES,
-    SHEET_IN,
-    angle_colours,
-    cell_edges,
-    house_style,
-    new_figure,
-    panel_title,
-    remark,
-    shown_colours,
-    small_print,
-    spectral_strip,
-)
+from nacre.plot import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,27 +33,29 @@ def agreement_figure(measured: Array, model: Array, angles_deg: Array, wavelengt
     positive = measured[measured > 0.0]
     floor = float(positive.min()) if positive.size else 1e-6
     is_wide = positive.size > 0 and float(measured.max()) > LOG_SPAN * floor
-    with house_style():
-        figure = new_figure(SHEET_IN, 3.4)
+    with style.house_style():
+        figure = style.new_figure(style.SHEET_IN, 3.4)
         figure.suptitle(title, fontsize=9, x=0.01, ha="left")
         left, right = figure.subplots(1, 2)
         named = np.unique(np.linspace(0, len(wavelengths_nm) - 1, min(MAX_NAMED_WAVES, len(wavelengths_nm))).round())
-        inks = [LINES[k * len(named) // len(wavelengths_nm) % len(LINES)] for k in range(len(wavelengths_nm))]
+        inks = [
+            style.LINES[k * len(named) // len(wavelengths_nm) % len(style.LINES)] for k in range(len(wavelengths_nm))
+        ]
         scale = float(np.sqrt(np.mean(measured**2))) or 1.0
         for k, nm in enumerate(wavelengths_nm):
             label = f"{nm:g} nm" if k in named else None
             left.plot(measured[:, k], model[:, k], ".", markersize=3, color=inks[k], label=label)
             right.plot(angles_deg, 100.0 * (model - measured)[:, k] / scale, ".", markersize=3, color=inks[k])
         ends = np.array([floor if is_wide else 0.0, float(max(measured.max(), model.max(), floor))])
-        left.plot(ends, ends, color=INK, linewidth=0.6)
+        left.plot(ends, ends, color=style.INK, linewidth=0.6)
         left.set(xlabel="Measured (1/sr)", ylabel="Fitted (1/sr)")
         if is_wide:
             left.set(xscale="log", yscale="log")
         left.legend(loc="best", handlelength=1.0, fontsize=6)
-        right.axhline(0.0, color=INK, linewidth=0.6)
+        right.axhline(0.0, color=style.INK, linewidth=0.6)
         right.set(xlabel="Angle of view (degrees)")
-        panel_title(left, "Values")
-        panel_title(right, "Fitted less measured, per cent of the rms")
+        style.panel_title(left, "Values")
+        style.panel_title(right, "Fitted less measured, per cent of the rms")
     return figure
 
 
@@ -128,9 +117,9 @@ class DesignSheet:
 def design_figure(sheet: DesignSheet) -> Figure:
     """Draw a design's sheet: swatches asked and reached, ribbon over the angle, spectra, layers, sensitivity."""
     rows = (min(len(sheet.swatches), MAX_SWATCHES) + 2) // 3  # spectra have no swatch
-    colours, exposure, clipped = shown_colours(sheet.ribbon, sheet.wavelengths_nm, sheet.illuminant)
-    with house_style():
-        figure = new_figure(SHEET_IN, 3.9 + 0.42 * rows)
+    colours, exposure, clipped = style.shown_colours(sheet.ribbon, sheet.wavelengths_nm, sheet.illuminant)
+    with style.house_style():
+        figure = style.new_figure(style.SHEET_IN, 3.9 + 0.42 * rows)
         figure.suptitle(sheet.title, fontsize=9, x=0.01, ha="left")
         outer = figure.add_gridspec(2, 1, height_ratios=(0.42 * rows + 0.1, 3.6))
         if rows:
@@ -141,9 +130,9 @@ def design_figure(sheet: DesignSheet) -> Figure:
         side = inner[:, 1].subgridspec(2, 1, height_ratios=(1.25, 1.0))
         _layers(figure.add_subplot(side[0]), sheet)
         _bars(figure.add_subplot(side[1]), sheet)
-        small_print(
+        style.small_print(
             figure,
-            remark(sheet.illuminant, exposure, clipped, len(colours))
+            style.remark(sheet.illuminant, exposure, clipped, len(colours))
             + f"; left {sheet.words[0]}, right {sheet.words[1]}",
         )
     return figure
@@ -156,7 +145,7 @@ def _swatches(axes: Axes, swatches: Sequence[Swatch], rows: int) -> None:
         x, y = i % 3, i // 3
         for shift, colour in ((0.0, swatch.asked), (0.2, swatch.reached)):
             axes.add_patch(Rectangle((x + shift, y + 0.1), 0.2, 0.8, facecolor=colour, edgecolor="none"))
-        axes.add_patch(Rectangle((x, y + 0.1), 0.4, 0.8, facecolor="none", edgecolor=INK, linewidth=0.4))
+        axes.add_patch(Rectangle((x, y + 0.1), 0.4, 0.8, facecolor="none", edgecolor=style.INK, linewidth=0.4))
         axes.text(x + 0.43, y + 0.34, swatch.label, va="center", fontsize=6.5)
         axes.text(x + 0.43, y + 0.68, swatch.distance, va="center", fontsize=6.5, color=QUIET)
     if len(swatches) > MAX_SWATCHES:
@@ -164,26 +153,26 @@ def _swatches(axes: Axes, swatches: Sequence[Swatch], rows: int) -> None:
 
 
 def _ribbon(axes: Axes, sheet: DesignSheet, colours: Array) -> None:
-    axes.pcolormesh(cell_edges(sheet.ribbon_deg), [0, 1], colours[None], rasterized=True)
+    axes.pcolormesh(style.cell_edges(sheet.ribbon_deg), [0, 1], colours[None], rasterized=True)
     axes.set(yticks=[], xlabel=sheet.ribbon_label, xlim=(sheet.ribbon_deg[0], sheet.ribbon_deg[-1]))
     axes.spines["left"].set_visible(False)
 
 
 def _curves(axes: Axes, sheet: DesignSheet) -> None:
     names = list(sheet.curves)[:MAX_CURVES]
-    for ink, name in zip(angle_colours(len(names)), names):
+    for ink, name in zip(style.angle_colours(len(names)), names):
         axes.plot(sheet.wavelengths_nm, sheet.curves[name], color=ink, label=name)
     for name, (nm, values) in sheet.wanted.items():
-        axes.plot(nm, values, "--", color=LINES[1], linewidth=0.9, label=f"{name}, {sheet.words[0]}")
+        axes.plot(nm, values, "--", color=style.LINES[1], linewidth=0.9, label=f"{name}, {sheet.words[0]}")
     top = max([float(np.max(c)) for c in sheet.curves.values()] + [float(np.max(v[1])) for v in sheet.wanted.values()])
     top = 1.0 if 0.5 < top <= 1.0 else max(1.1 * top, 1e-3)
     axes.set(
         xlim=(sheet.wavelengths_nm[0], sheet.wavelengths_nm[-1]), ylim=(-0.03 * top, top), xlabel="Wavelength (nm)"
     )
     axes.grid(axis="y")
-    spectral_strip(axes, float(sheet.wavelengths_nm[0]), float(sheet.wavelengths_nm[-1]))
+    style.spectral_strip(axes, float(sheet.wavelengths_nm[0]), float(sheet.wavelengths_nm[-1]))
     axes.legend(loc="best", handlelength=1.4, fontsize=6)
-    panel_title(axes, "Factor (white is 1)")
+    style.panel_title(axes, "Factor (white is 1)")
 
 
 def _layers(axes: Axes, sheet: DesignSheet) -> None:
@@ -193,7 +182,7 @@ def _layers(axes: Axes, sheet: DesignSheet) -> None:
     if not sheet.media:
         for i, line in enumerate(sheet.numbers[:14]):
             axes.text(0.0, 0.04 + 0.07 * i, line, fontsize=6, va="top")
-        panel_title(axes, "Parameters")
+        style.panel_title(axes, "Parameters")
         return
     total = float(np.sum(sheet.thicknesses_nm))
     drawn = np.maximum(np.asarray(sheet.thicknesses_nm, dtype=float) / max(total, 1e-9), MIN_LAYER_HEIGHT)
@@ -203,7 +192,9 @@ def _layers(axes: Axes, sheet: DesignSheet) -> None:
     beside = apart(0.5 * (edges[:-1] + edges[1:]), LABEL_HEIGHT)  # labels of thin layers would overlap
     for i, name in enumerate(sheet.media):
         is_layer = 0 < i < len(sheet.media) - 1
-        face = LINES[kinds.index(name) % (len(LINES) - 1)] if is_layer else ("white" if i == 0 else "#cfcfcf")
+        face = (
+            style.LINES[kinds.index(name) % (len(style.LINES) - 1)] if is_layer else ("white" if i == 0 else "#cfcfcf")
+        )
         height = float(edges[i + 1] - edges[i])
         axes.add_patch(Rectangle((0, edges[i]), 0.42, height, facecolor=face, alpha=0.55 if is_layer else 1.0,
                                  edgecolor="white", linewidth=0.6))  # fmt: skip
@@ -211,7 +202,7 @@ def _layers(axes: Axes, sheet: DesignSheet) -> None:
             known = _short(name)
             text = f"{known}, {sheet.thicknesses_nm[i - 1]:.4g} nm" if is_layer else known
             axes.text(0.46, beside[i], text, va="center", fontsize=min(6.0, 150.0 / len(sheet.media)))
-    panel_title(axes, f"Layers, {total:.0f} nm in all")
+    style.panel_title(axes, f"Layers, {total:.0f} nm in all")
 
 
 def apart(places: Array, least: float) -> Array:
@@ -232,13 +223,13 @@ def _short(name: str) -> str:
 
 def _bars(axes: Axes, sheet: DesignSheet) -> None:
     bars = list(sheet.bars)[:MAX_BARS]
-    axes.barh(range(len(bars)), [value for _, value in bars], color=LINES[0], height=0.3)
+    axes.barh(range(len(bars)), [value for _, value in bars], color=style.LINES[0], height=0.3)
     for i, (path, value) in enumerate(bars):
         # above its bar, since paths are long
         axes.text(0.0, i - 0.22, f"{path.removesuffix('.thickness_nm')}: {value:.2g}", fontsize=5.5, va="bottom")
     axes.set(ylim=(max(len(bars), 3) - 0.6, -0.7), xlim=(0, None), yticks=[])
     axes.grid(axis="x")
-    panel_title(axes, sheet.bars_title)
+    style.panel_title(axes, sheet.bars_title)
 
 
 # Image sheet: target and result, their distance, and the parameter maps.
@@ -273,8 +264,8 @@ def picture_figure(sheet: PictureSheet) -> Figure:
     """Draw the sheet."""
     rows, columns = sheet.distance.shape
     high = min(max(rows / columns, 0.4), 1.6)
-    with house_style():
-        figure = new_figure(SHEET_IN, 0.6 + high * (SHEET_IN / 2.0 + SHEET_IN / 3.2))
+    with style.house_style():
+        figure = style.new_figure(style.SHEET_IN, 0.6 + high * (style.SHEET_IN / 2.0 + style.SHEET_IN / 3.2))
         figure.suptitle(sheet.title, fontsize=8.5, x=0.01, ha="left")
         outer = figure.add_gridspec(2, 1, height_ratios=(3.2 / 2.0, 1.0))
         top = outer[0].subgridspec(1, 2)
@@ -288,7 +279,7 @@ def picture_figure(sheet: PictureSheet) -> Figure:
         for k, (name, values) in enumerate(sheet.maps):
             low, top_value = float(values.min()), float(values.max())
             _scaled(figure, figure.add_subplot(bottom[2 + k]), values, name, "viridis", low, top_value)
-        small_print(figure, sheet.note)
+        style.small_print(figure, sheet.note)
     return figure
 
 
@@ -312,7 +303,7 @@ def _bare(axes: Axes, title: str) -> None:
     axes.set(xticks=[], yticks=[])
     for side in axes.spines.values():
         side.set_visible(False)
-    panel_title(axes, title)
+    style.panel_title(axes, title)
 
 
 __all__ = ["PictureSheet", "picture_figure"]

@@ -14,21 +14,7 @@ from nacre import light
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.plot.style import (
-    COLUMN_IN,
-    INK,
-    LINES,
-    angle_colours,
-    cell_edges,
-    exposure_of,
-    house_style,
-    new_figure,
-    panel_title,
-    remark,
-    shown_colours,
-    small_print,
-    spectral_strip,
-)
+from nacre.plot import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,26 +52,26 @@ def spectrum_figure(spectrum: Spectrum, illuminant: str = "D65", title: str = ""
     chosen = np.unique(np.linspace(0, count - 1, min(count, MAX_CURVES)).round().astype(int))
     exposure = _common_exposure(parts, nm, illuminant)
     clipped = 0
-    with house_style():
-        figure = new_figure(COLUMN_IN, 0.35 + 1.65 * len(parts))
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN, 0.35 + 1.65 * len(parts))
         grid = figure.add_gridspec(len(parts), 2, width_ratios=(1.0, 0.2))
         for row, (name, values) in enumerate(parts.items()):
             axes = figure.add_subplot(grid[row, 0])
-            colours, _, count_clipped = shown_colours(values[chosen], nm, illuminant, exposure)
+            colours, _, count_clipped = style.shown_colours(values[chosen], nm, illuminant, exposure)
             clipped += count_clipped
-            inks = angle_colours(len(chosen))
+            inks = style.angle_colours(len(chosen))
             for ink, curve in zip(inks, values[chosen]):
                 axes.plot(nm, curve, color=ink)
             _frame(axes, nm, float(values[chosen].max()), last=row == len(parts) - 1)
-            panel_title(axes, PART_TITLES[name] + (f", {title}" if title and row == 0 else ""))
+            style.panel_title(axes, PART_TITLES[name] + (f", {title}" if title and row == 0 else ""))
             key = figure.add_subplot(grid[row, 1])
             _swatches(key, inks, colours, spectrum.angles_deg[chosen], step_label)
-        small_print(figure, remark(illuminant, exposure, clipped, len(chosen) * len(parts)))
+        style.small_print(figure, style.remark(illuminant, exposure, clipped, len(chosen) * len(parts)))
     return figure
 
 
 def _common_exposure(parts: dict[str, Array], nm: Array, illuminant: str) -> float:
-    return exposure_of(np.concatenate([light.spectrum_to_xyz(v, nm, illuminant) for v in parts.values()]))
+    return style.exposure_of(np.concatenate([light.spectrum_to_xyz(v, nm, illuminant) for v in parts.values()]))
 
 
 def _frame(axes: Axes, nm: Array, highest: float, last: bool) -> None:
@@ -93,7 +79,7 @@ def _frame(axes: Axes, nm: Array, highest: float, last: bool) -> None:
     top = 1.0 if highest > 0.5 else highest * 1.12
     axes.set_ylim(-0.03 * top, top * 1.01 if top > 0 else 1.0)
     axes.grid(axis="y")
-    spectral_strip(axes, nm[0], nm[-1])
+    style.spectral_strip(axes, nm[0], nm[-1])
     if last:
         axes.set_xlabel("Wavelength (nm)")
     else:
@@ -107,7 +93,7 @@ def _swatches(axes: Axes, inks: list[Any], colours: Array, angles_deg: Array, st
     axes.set_ylim(rows, -0.1)
     for i, (ink, colour, angle) in enumerate(zip(inks, colours, angles_deg)):
         axes.plot([0.0, 0.16], [i + 0.45, i + 0.45], color=ink, solid_capstyle="butt", linewidth=1.6)
-        axes.add_patch(Rectangle((0.24, i + 0.05), 0.3, 0.8, facecolor=colour, edgecolor=INK, linewidth=0.4))
+        axes.add_patch(Rectangle((0.24, i + 0.05), 0.3, 0.8, facecolor=colour, edgecolor=style.INK, linewidth=0.4))
         axes.text(0.62, i + 0.45, f"{angle:.4g}" if step_label else f"{angle:.3g}\u00b0", va="center", fontsize=6.5)
     if step_label:
         axes.text(
@@ -138,25 +124,25 @@ def ribbon_figure(
     exposure = _common_exposure(parts, nm, illuminant)
     white = light.white_xyz(illuminant)
     clipped = 0
-    edges = cell_edges(angles)
-    with house_style():
-        figure = new_figure(COLUMN_IN, 1.55 + 0.62 * len(parts))
+    edges = style.cell_edges(angles)
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN, 1.55 + 0.62 * len(parts))
         grid = figure.add_gridspec(len(parts) + 1, 1, height_ratios=[*([0.42] * len(parts)), 1.0])
         below = figure.add_subplot(grid[-1])
         for row, (name, values) in enumerate(parts.items()):
             axes = figure.add_subplot(grid[row], sharex=below)
-            colours, _, count = shown_colours(values, nm, illuminant, exposure)
+            colours, _, count = style.shown_colours(values, nm, illuminant, exposure)
             clipped += count
             axes.pcolormesh(edges, [0, 1], colours[None], rasterized=True)
             axes.set_yticks([])
             axes.tick_params(labelbottom=False)
             axes.spines[["left", "bottom"]].set_visible(False)
-            panel_title(axes, PART_TITLES[name] + (f", {title}" if title and row == 0 else ""))
+            style.panel_title(axes, PART_TITLES[name] + (f", {title}" if title and row == 0 else ""))
             lch = light.lab_to_lch(light.xyz_to_lab(light.spectrum_to_xyz(values, nm, illuminant), white))
-            style = ("-", "--", ":", "-.")[row]
+            line_style = ("-", "--", ":", "-.")[row]
             suffix = f" {name.split('_')[1][0].upper()}" if len(parts) > 1 else ""
-            below.plot(angles, lch[:, 0], style, color=LINES[6], label=f"L*{suffix}")
-            below.plot(angles, lch[:, 1], style, color=LINES[0], label=f"C*{suffix}")
+            below.plot(angles, lch[:, 0], line_style, color=style.LINES[6], label=f"L*{suffix}")
+            below.plot(angles, lch[:, 1], line_style, color=style.LINES[0], label=f"C*{suffix}")
         below.set_xlim(angles[0], angles[-1])
         below.set_ylim(bottom=0)
         below.set_xlabel(step_label)
@@ -166,7 +152,7 @@ def ribbon_figure(
             ncols=2 * len(parts), loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handlelength=1.6,
             columnspacing=1.0,
         )  # fmt: skip
-        small_print(figure, remark(illuminant, exposure, clipped, len(angles) * len(parts)))
+        style.small_print(figure, style.remark(illuminant, exposure, clipped, len(angles) * len(parts)))
     return figure
 
 
@@ -182,19 +168,19 @@ def index_figure(
         splice_nm: end of the published data, drawn as a thin line.
     """
     nm, values = np.asarray(wavelengths_nm, dtype=float), np.asarray(n_complex, dtype=complex)
-    with house_style():
-        figure = new_figure(COLUMN_IN, 2.1)
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN, 2.1)
         axes = figure.add_subplot()
-        axes.plot(nm, values.real, color=LINES[0])
-        axes.set_ylabel("$n$", color=LINES[0])
+        axes.plot(nm, values.real, color=style.LINES[0])
+        axes.set_ylabel("$n$", color=style.LINES[0])
         axes.set_xlabel("Wavelength (nm)")
         axes.set_xlim(nm[0], nm[-1])
         _room(axes, values.real)
         axes.grid(axis="y")
         if values.imag.max() > 0.0:
             other = axes.twinx()
-            other.plot(nm, values.imag, color=LINES[1], linestyle="--")
-            other.set_ylabel("$k$", color=LINES[1])
+            other.plot(nm, values.imag, color=style.LINES[1], linestyle="--")
+            other.set_ylabel("$k$", color=style.LINES[1])
             other.spines["right"].set_visible(True)
             low, high = float(values.imag.min()), float(values.imag.max())
             if low > 0.0 and high / low > 100.0:
@@ -203,10 +189,10 @@ def index_figure(
                 _room(other, values.imag)
                 other.set_ylim(bottom=0.0)
         if splice_nm is not None and nm[0] < splice_nm < nm[-1]:
-            axes.axvline(splice_nm, color=INK, linewidth=0.5, linestyle=":")
-        spectral_strip(axes, nm[0], nm[-1])
-        panel_title(axes, title)
-        small_print(figure, "\n".join(textwrap.wrap(source, 84)[:3]))
+            axes.axvline(splice_nm, color=style.INK, linewidth=0.5, linestyle=":")
+        style.spectral_strip(axes, nm[0], nm[-1])
+        style.panel_title(axes, title)
+        style.small_print(figure, "\n".join(textwrap.wrap(source, 84)[:3]))
     return figure
 
 

@@ -12,20 +12,7 @@ from matplotlib.patches import Rectangle
 from nacre import light
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.plot.style import (
-    COLUMN_IN,
-    INK,
-    LINES,
-    cell_edges,
-    exposure_of,
-    house_style,
-    need,
-    new_figure,
-    panel_title,
-    remark,
-    shown_colours,
-    small_print,
-)
+from nacre.plot import style
 
 BAND = ("#eef3f8", "#dfe8f1")  # two quiet tints that alternate through a stack
 MAX_BANDS_NAMED = 8
@@ -42,28 +29,28 @@ def field_figure(data: Mapping[str, Any]) -> Figure:
     Raises:
         NacreError: an array is missing.
     """
-    z, nm, interfaces = need(data, "field", "z_nm", "wavelengths_nm", "interfaces_nm")
+    z, nm, interfaces = style.need(data, "field", "z_nm", "wavelengths_nm", "interfaces_nm")
     nm, interfaces = np.atleast_1d(nm), np.atleast_1d(interfaces)
     waves = {"s": "s", "p": "p"} if "s" in data else {"intensity": ""}
     theta = float(np.asarray(data.get("theta_deg", 0.0)))
-    fields = {label: need(data, "field", key)[0].reshape(len(z), len(nm)) for key, label in waves.items()}
+    fields = {label: style.need(data, "field", key)[0].reshape(len(z), len(nm)) for key, label in waves.items()}
     if theta == 0.0 and len(fields) == 2:
         fields = {"": fields["s"]}  # s and p are equal at normal incidence
     title = str(data.get("title", ""))
-    with house_style():
+    with style.house_style():
         if len(nm) <= 3:
-            figure = new_figure(COLUMN_IN, 2.2)
+            figure = style.new_figure(style.COLUMN_IN, 2.2)
             axes = figure.add_subplot()
-            for (label, values), style in zip(fields.items(), ("-", "--")):
+            for (label, values), line_style in zip(fields.items(), ("-", "--")):
                 for column, wavelength in enumerate(nm):
                     name = " ".join(part for part in (f"{wavelength:.0f} nm", label) if part)
-                    axes.plot(z, values[:, column], style, color=LINES[column], label=name)
+                    axes.plot(z, values[:, column], line_style, color=style.LINES[column], label=name)
             axes.set(xlim=(z[0], z[-1]), ylim=(0, None), xlabel="Depth (nm)", ylabel="$|E|^2 / |E_0|^2$")
             _bands(axes, interfaces, data.get("names"))
             axes.legend(loc="upper right", handlelength=1.4)
-            panel_title(axes, title)
+            style.panel_title(axes, title)
         else:
-            figure = new_figure(COLUMN_IN, 0.5 + 1.9 * len(fields))
+            figure = style.new_figure(style.COLUMN_IN, 0.5 + 1.9 * len(fields))
             top = max(float(v.max()) for v in fields.values())
             for row, (label, values) in enumerate(fields.items()):
                 axes = figure.add_subplot(len(fields), 1, row + 1)
@@ -76,8 +63,8 @@ def field_figure(data: Mapping[str, Any]) -> Figure:
                 bar = figure.colorbar(picture, ax=axes, aspect=18, pad=0.02)
                 bar.outline.set_visible(False)
                 bar.set_label("$|E|^2 / |E_0|^2$")
-                panel_title(axes, ", ".join(part for part in (label and f"{label} polarised", title) if part))
-        small_print(figure, f"incidence {theta:.3g}\u00b0; light comes from the left")
+                style.panel_title(axes, ", ".join(part for part in (label and f"{label} polarised", title) if part))
+        style.small_print(figure, f"incidence {theta:.3g}\u00b0; light comes from the left")
     return figure
 
 
@@ -112,64 +99,64 @@ def structure_figure(data: Mapping[str, Any]) -> Figure:
         return _stack(data)
     if "heights_nm" in data:
         return _heights(data)
-    q, sq = need(data, "structure", "q", "sq")
+    q, sq = style.need(data, "structure", "q", "sq")
     sq = np.atleast_2d(sq)
     labels = list(np.atleast_1d(data.get("labels", [""] * len(sq))))
     has_points = "xy_um" in data
-    with house_style():
-        figure = new_figure(COLUMN_IN, 4.3 if has_points else 2.1)
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN, 4.3 if has_points else 2.1)
         axes = figure.add_subplot(2 if has_points else 1, 1, 1)
-        for row in range(min(len(sq), len(LINES))):
-            axes.plot(q, sq[row], color=LINES[row], label=str(labels[row]) or None)
+        for row in range(min(len(sq), len(style.LINES))):
+            axes.plot(q, sq[row], color=style.LINES[row], label=str(labels[row]) or None)
         axes.axhline(1.0, color="#c8c8c8", linewidth=0.6, zorder=0)
         axes.set(xlim=(q[0], q[-1]), ylim=(0, None), xlabel=str(data.get("q_label", "$q a$")), ylabel="$S(q)$")
         if any(str(label) for label in labels):
             axes.legend(handlelength=1.4)
-        panel_title(axes, str(data.get("title", "Structure factor")))
+        style.panel_title(axes, str(data.get("title", "Structure factor")))
         if has_points:
             _points(figure.add_subplot(2, 1, 2), data)
     return figure
 
 
 def _heights(data: Mapping[str, Any]) -> Figure:
-    heights, x = need(data, "structure", "heights_nm", "x_nm")
+    heights, x = style.need(data, "structure", "heights_nm", "x_nm")
     heights = heights - heights.min()
     width = float(x[-1] + x[0]) / 1e3
-    with house_style():
-        figure = new_figure(COLUMN_IN, COLUMN_IN * 0.85)
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN, style.COLUMN_IN * 0.85)
         axes = figure.add_subplot()
         picture = axes.imshow(heights.T, origin="lower", extent=(0, width, 0, width), cmap="cividis")
         axes.set(xlabel="$x$ (\u00b5m)", ylabel="$y$ (\u00b5m)")
         bar = figure.colorbar(picture, ax=axes, shrink=0.9)
         bar.set_label("Height (nm)")
-        panel_title(axes, str(data.get("title", "Relief")))
+        style.panel_title(axes, str(data.get("title", "Relief")))
     return figure
 
 
 def _points(axes: Any, data: Mapping[str, Any]) -> None:
-    (xy,) = need(data, "structure", "xy_um")
+    (xy,) = style.need(data, "structure", "xy_um")
     radius = float(np.asarray(data.get("radius_um", 0.05)))
     from matplotlib.collections import EllipseCollection
 
     size = 2 * radius * np.ones(len(xy))
     discs = EllipseCollection(size, size, 0.0 * size, units="xy", offsets=xy, offset_transform=axes.transData)
-    discs.set(facecolor=INK, linewidth=0)
+    discs.set(facecolor=style.INK, linewidth=0)
     axes.add_collection(discs)
     low, high = xy.min(axis=0), xy.max(axis=0)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x (\u00b5m)", ylabel="y (\u00b5m)")
 
 
 def _stack(data: Mapping[str, Any]) -> Figure:
-    thicknesses, n, k = need(data, "structure", "thicknesses_nm", "n", "k") if len(data["thicknesses_nm"]) else (
-        np.zeros(0), *need(data, "structure", "n", "k"))  # fmt: skip
+    thicknesses, n, k = style.need(data, "structure", "thicknesses_nm", "n", "k") if len(data["thicknesses_nm"]) else (
+        np.zeros(0), *style.need(data, "structure", "n", "k"))  # fmt: skip
     names = [str(name) for name in data["names"]]
     total = max(float(thicknesses.sum()), 1.0)
     margin = 0.22 * total
     edges = np.concatenate([[0.0], np.cumsum(thicknesses)])
     bounds = np.concatenate([[-margin], edges, [edges[-1] + margin]])
     span = float(n.max() - n.min()) or 1.0
-    with house_style():
-        figure = new_figure(COLUMN_IN, 2.6)
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN, 2.6)
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=(0.42, 1.0))
         for i, name in enumerate(names):
             tint = 0.97 - 0.42 * (n[i] - n.min()) / span
@@ -183,15 +170,17 @@ def _stack(data: Mapping[str, Any]) -> Figure:
         left.set(xlim=(0, 1), ylim=(bounds[-1], bounds[0]), xticks=[], ylabel="Depth (nm)")
         left.spines["bottom"].set_visible(False)
         depth = np.repeat(bounds, 2)[1:-1]
-        right.plot(np.repeat(n, 2), depth, color=LINES[0], label="$n$", solid_capstyle="butt")
+        right.plot(np.repeat(n, 2), depth, color=style.LINES[0], label="$n$", solid_capstyle="butt")
         if k.max() > 1e-4:
-            right.plot(np.repeat(k, 2), depth, "--", color=LINES[1], label="$k$", dash_capstyle="butt")
+            right.plot(np.repeat(k, 2), depth, "--", color=style.LINES[1], label="$k$", dash_capstyle="butt")
         right.set(xlim=(0, 1.1 * max(float(n.max()), float(k.max()))), xlabel="$n$, $k$")
         right.grid(axis="x")
         right.legend(handlelength=1.6, loc="best")
-        panel_title(left, str(data.get("title", "")))
+        style.panel_title(left, str(data.get("title", "")))
         if "wavelength_nm" in data:
-            small_print(figure, f"n, k at {float(np.asarray(data['wavelength_nm'])):.0f} nm; light comes from above")
+            style.small_print(
+                figure, f"n, k at {float(np.asarray(data['wavelength_nm'])):.0f} nm; light comes from above"
+            )
     return figure
 
 
@@ -206,31 +195,31 @@ def platelet_figure(data: Mapping[str, Any], illuminant: str = "D65") -> Figure:
     Raises:
         NacreError: an array is missing.
     """
-    angles, nm, reflected = need(data, "platelet", "angles_deg", "wavelengths_nm", "reflectance")
+    angles, nm, reflected = style.need(data, "platelet", "angles_deg", "wavelengths_nm", "reflectance")
     reflected = reflected.reshape(-1, len(angles), len(nm))
     parts = [("reflected", reflected)]
     if "transmittance" in data:
-        (through,) = need(data, "platelet", "transmittance")
+        (through,) = style.need(data, "platelet", "transmittance")
         parts.append(("transmitted", through.reshape(reflected.shape)))
     names = [str(name) for name in np.atleast_1d(data.get("names", [""] * len(reflected)))]
     rows = [(name, part, values[i]) for i, name in enumerate(names) for part, values in parts]
-    exposure = exposure_of(light.spectrum_to_xyz(reflected, nm, illuminant))
+    exposure = style.exposure_of(light.spectrum_to_xyz(reflected, nm, illuminant))
     clipped = 0
-    with house_style():
-        figure = new_figure(COLUMN_IN, 0.55 + 0.42 * len(rows))
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN, 0.55 + 0.42 * len(rows))
         all_axes = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
         for axes, (name, part, values) in zip(all_axes, rows):
-            colours, _, count = shown_colours(values, nm, illuminant, exposure if part == "reflected" else 1.0)
+            colours, _, count = style.shown_colours(values, nm, illuminant, exposure if part == "reflected" else 1.0)
             clipped += count
-            axes.pcolormesh(cell_edges(angles), [0, 1], colours[None], rasterized=True)
+            axes.pcolormesh(style.cell_edges(angles), [0, 1], colours[None], rasterized=True)
             axes.set_yticks([])
             axes.spines[["left", "bottom"]].set_visible(False)
-            panel_title(axes, ", ".join(t for t in (name, part) if t))
+            style.panel_title(axes, ", ".join(t for t in (name, part) if t))
         all_axes[-1].set_xlabel("Angle of incidence (degrees)")
         if data.get("title"):
             figure.suptitle(str(data["title"]), fontsize=8)
         brighter = f"; reflected shown {exposure:g}\u00d7 brighter" if exposure != 1.0 else ""
-        small_print(figure, remark(illuminant, 1.0, clipped, len(rows) * len(angles)) + brighter)
+        style.small_print(figure, style.remark(illuminant, 1.0, clipped, len(rows) * len(angles)) + brighter)
     return figure
 
 
@@ -247,12 +236,12 @@ def microscope_figure(data: Mapping[str, Any], illuminant: str = "D65") -> Figur
         NacreError: an array is missing or has another shape.
     """
     if "spectra" in data:
-        spectra, nm = need(data, "microscope", "spectra", "wavelengths_nm")
+        spectra, nm = style.need(data, "microscope", "spectra", "wavelengths_nm")
         rgb = light.spectrum_to_rgb_linear(spectra, nm, illuminant)
     elif "rgb" in data:
-        (rgb,) = need(data, "microscope", "rgb")
+        (rgb,) = style.need(data, "microscope", "rgb")
     else:
-        (grey,) = need(data, "microscope", "intensity")
+        (grey,) = style.need(data, "microscope", "intensity")
         rgb = np.repeat(grey[..., None], 3, axis=-1)
     if rgb.ndim != 3 or rgb.shape[-1] != 3:
         raise NacreError(f"figure microscope: the image has shape {rgb.shape}; it should be [y, x, 3]")
@@ -260,19 +249,19 @@ def microscope_figure(data: Mapping[str, Any], illuminant: str = "D65") -> Figur
     level = float(np.percentile(luminance, 99.5)) or 1.0
     exposure = float(data.get("exposure", 1.0 / level if level > 0 else 1.0))
     clipped = light.clip_to_srgb(rgb * exposure)
-    (extent,) = need(data, "microscope", "extent_um")
+    (extent,) = style.need(data, "microscope", "extent_um")
     width = float(np.atleast_1d(extent)[0])
     height = width * rgb.shape[0] / rgb.shape[1]
-    with house_style():
-        figure = new_figure(COLUMN_IN, min(COLUMN_IN * rgb.shape[0] / rgb.shape[1], 5.0) + 0.25)
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN, min(style.COLUMN_IN * rgb.shape[0] / rgb.shape[1], 5.0) + 0.25)
         axes = figure.add_subplot()
         axes.imshow(light.srgb_encode(clipped.rgb), extent=(0, width, 0, height), interpolation="nearest")
         _scale_bar(axes, width, height)
         axes.axis("off")
-        panel_title(axes, str(data.get("title", "")))
+        style.panel_title(axes, str(data.get("title", "")))
         stated = illuminant if "spectra" in data else None
-        text = remark(stated, 1.0, clipped.count, luminance.size)
-        small_print(figure, "; ".join(t for t in (text, f"exposure {exposure:.3g}") if t))
+        text = style.remark(stated, 1.0, clipped.count, luminance.size)
+        style.small_print(figure, "; ".join(t for t in (text, f"exposure {exposure:.3g}") if t))
     return figure
 
 

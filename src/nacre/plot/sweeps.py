@@ -14,20 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from nacre import light
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.plot import style
 from nacre.plot.colours import draw_hue_circle
-from nacre.plot.style import (
-    COLUMN_IN,
-    FAINT,
-    INK,
-    WIDE_IN,
-    cell_edges,
-    exposure_of,
-    house_style,
-    new_figure,
-    panel_title,
-    remark,
-    small_print,
-)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,11 +40,11 @@ def _swatches(xyz: Array, illuminant: str, observer: str) -> tuple[Array, str]:
     rgb = np.broadcast_to(np.array(MISSING), xyz.shape).copy()
     exposure, clipped_count = 1.0, 0
     if is_there.any():
-        exposure = exposure_of(xyz[is_there])
+        exposure = style.exposure_of(xyz[is_there])
         adapted = light.adapt_xyz(xyz[is_there], light.white_xyz(illuminant, observer), light.SRGB_WHITE_XYZ)
         clipped = light.clip_to_srgb(exposure * light.xyz_to_srgb_linear(np.clip(adapted, 0.0, None)))
         rgb[is_there], clipped_count = light.srgb_encode(clipped.rgb), clipped.count
-    text = remark(illuminant, exposure, clipped_count, int(is_there.sum()))
+    text = style.remark(illuminant, exposure, clipped_count, int(is_there.sum()))
     missing = int((~is_there).sum())
     return rgb, text + (f"; {missing} not computed (grey)" if missing else "")
 
@@ -87,32 +75,34 @@ def gamut_figure(
     lab = light.xyz_to_lab(values, light.white_xyz(illuminant, observer))
     rgb, text = _swatches(values, illuminant, observer)
     marks = "os^Dv<>p"
-    with house_style():
-        figure = new_figure(WIDE_IN, 2.75)
+    with style.house_style():
+        figure = style.new_figure(style.WIDE_IN, 2.75)
         left, right = figure.subplots(1, 2)
         reach = 10.0 * np.ceil(max(30.0, 1.12 * float(np.nanmax(np.abs(lab[..., 1:])))) / 10.0)
         draw_hue_circle(left, reach)
         for number, (colours, points) in enumerate(zip(rgb, lab)):
             is_there = np.isfinite(points).all(axis=-1)
-            style = {"s": 11, "c": colours[is_there], "marker": marks[number % len(marks)],
-                     "edgecolors": INK, "linewidths": 0.3, "rasterized": len(points) > 2000}  # fmt: skip
+            line_style = {"s": 11, "c": colours[is_there], "marker": marks[number % len(marks)],
+                     "edgecolors": style.INK, "linewidths": 0.3, "rasterized": len(points) > 2000}  # fmt: skip
             points = points[is_there]
             if tracks:
-                left.plot(points[:, 1], points[:, 2], color=FAINT, linewidth=0.6, zorder=0.9)
-                right.plot(np.hypot(points[:, 1], points[:, 2]), points[:, 0], color=FAINT, linewidth=0.6, zorder=0.9)
-            left.scatter(points[:, 1], points[:, 2], **style)
-            right.scatter(np.hypot(points[:, 1], points[:, 2]), points[:, 0], **style)
+                left.plot(points[:, 1], points[:, 2], color=style.FAINT, linewidth=0.6, zorder=0.9)
+                right.plot(
+                    np.hypot(points[:, 1], points[:, 2]), points[:, 0], color=style.FAINT, linewidth=0.6, zorder=0.9
+                )
+            left.scatter(points[:, 1], points[:, 2], **line_style)
+            right.scatter(np.hypot(points[:, 1], points[:, 2]), points[:, 0], **line_style)
             if number < len(labels):
-                right.scatter([], [], s=11, marker=marks[number % len(marks)], facecolors="white", edgecolors=INK,
+                right.scatter([], [], s=11, marker=marks[number % len(marks)], facecolors="white", edgecolors=style.INK,
                               linewidths=0.5, label=labels[number])  # fmt: skip
-        panel_title(left, title or "CIELAB")
-        panel_title(right, "Lightness over chroma")
+        style.panel_title(left, title or "CIELAB")
+        style.panel_title(right, "Lightness over chroma")
         top = 100.0 if float(np.nanmax(lab[..., 0])) <= 100 else None
         right.set(xlabel="C*", ylabel="L*", xlim=(0, None), ylim=(0, top))
         right.grid()
         if labels:
             right.legend(loc="best", handletextpad=0.2)
-        small_print(figure, text)
+        style.small_print(figure, text)
     return figure
 
 
@@ -142,8 +132,8 @@ def sweep_map_figure(
     rgb, text = _swatches(values, illuminant, observer)
     columns = len(values) if len(values) <= 3 else 2
     rows = -(-len(values) // columns)
-    with house_style():
-        figure = new_figure(COLUMN_IN if columns == 1 else WIDE_IN, 0.45 + 2.15 * rows)
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN if columns == 1 else style.WIDE_IN, 0.45 + 2.15 * rows)
         panels = np.ravel(figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True))
         for number, axes in enumerate(panels):
             if number >= len(values):
@@ -157,8 +147,8 @@ def sweep_map_figure(
             _name(axes, y, "y", show=number % columns == 0)
             for side in ("top", "right"):
                 axes.spines[side].set_visible(True)
-            panel_title(axes, titles[number])
-        small_print(figure, "; ".join(part for part in (note, text) if part))
+            style.panel_title(axes, titles[number])
+        style.small_print(figure, "; ".join(part for part in (note, text) if part))
     return figure
 
 
@@ -168,7 +158,7 @@ def _edges(axis: AxisValues) -> tuple[NDArray[np.intp], Array]:
     ordered = axis.values[order]
     if axis.words or len(ordered) < 2 or np.any(np.diff(ordered) <= 0):
         return order, np.arange(len(ordered) + 1, dtype=float) - 0.5
-    return order, cell_edges(ordered)
+    return order, style.cell_edges(ordered)
 
 
 def _name(axes: Axes, axis: AxisValues, which: str, show: bool) -> None:
@@ -212,15 +202,15 @@ def parallel_figure(
         heights.append((column.values[chosen] - low) / span if span > 0 else np.full(len(chosen), 0.5))
         ranges.append((low, high))
     lines = np.stack([np.tile(np.arange(len(columns)), (len(chosen), 1)), np.stack(heights, axis=1)], axis=-1)
-    with house_style():
-        figure = new_figure(max(WIDE_IN, 0.9 * len(columns)), 2.6)
+    with style.house_style():
+        figure = style.new_figure(max(style.WIDE_IN, 0.9 * len(columns)), 2.6)
         axes = figure.add_subplot(facecolor=GROUND)
         width, alpha = (1.0, 0.9) if len(chosen) < 300 else (0.6, 0.6)
         axes.add_collection(
             LineCollection(list(lines), colors=rgb[chosen], linewidths=width, alpha=alpha, rasterized=len(chosen) > 500)
         )
         for place, (column, (low, high)) in enumerate(zip(columns, ranges)):
-            axes.axvline(place, color=INK if place < len(axes_values) else FAINT, linewidth=0.7, zorder=3)
+            axes.axvline(place, color=style.INK if place < len(axes_values) else style.FAINT, linewidth=0.7, zorder=3)
             span = high - low
             ticks = [(float(i), w) for i, w in enumerate(column.words)] or [
                 (v, f"{v:.4g}") for v in sorted({low, high})
@@ -236,6 +226,6 @@ def parallel_figure(
         axes.set_yticks([])
         axes.tick_params(length=0)
         axes.spines[["left", "bottom"]].set_visible(False)
-        panel_title(axes, title)
-        small_print(figure, text)
+        style.panel_title(axes, title)
+        style.small_print(figure, text)
     return figure

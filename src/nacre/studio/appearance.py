@@ -20,38 +20,16 @@ from typing import Any
 
 import numpy as np
 
+from nacre import light
 from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import Roughness
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.families.contract import (
-    Aligned,
-    BetweenMedia,
-    Draft,
-    Ridged,
-    RoughSurface,
-    fabrications,
-    is_direct,
-    search_model,
-    surrogate_radiance,
-)
+from nacre.families import contract
 from nacre.formats.lobes import is_isotropic
 from nacre.formats.lut.table import lobe_directions, lobe_weight
-from nacre.light import (
-    SRGB_WHITE_XYZ,
-    adapt_xyz,
-    clip_to_srgb,
-    spans_colour,
-    spectrum_to_rgb_linear,
-    spectrum_to_xyz,
-    srgb_to_hex,
-    white_xyz,
-    xyz_to_lab,
-    xyz_to_srgb_linear,
-)
-from nacre.light.spaces import srgb_encode
 from nacre.material.material import Material
 from nacre.matter.drawings import DrawingRequest, HeightMap
 from nacre.matter.indices.constant import OpticalConstant
@@ -236,10 +214,14 @@ def appearances(material: Material, illuminant: str, is_superseded: Callable[[],
 
 def _drafted(material: Material) -> Material:
     """Return the material with its family's draft model, or with one that has noise-free spectra instead of walks."""
-    if isinstance(material.model, Draft):
+    if isinstance(material.model, contract.Draft):
         return replace(material, model=material.model.draft)
-    near = search_model(material.model, {})
-    if is_direct(material.model) or not is_direct(near) or near.spectrum(PROBE_RAD, PROBE_NM, "both", 0) is None:
+    near = contract.search_model(material.model, {})
+    if (
+        contract.is_direct(material.model)
+        or not contract.is_direct(near)
+        or near.spectrum(PROBE_RAD, PROBE_NM, "both", 0) is None
+    ):
         return material
     return replace(material, model=near)
 
@@ -285,7 +267,7 @@ def _solve(material: Material, illuminant: str, is_superseded: Callable[[], bool
     start = time.perf_counter()
     angles_deg, grid = quality.angles_deg, quality.wavelengths_nm
     wavelengths, parts, gloss, bsdf = _spectra(material, quality, is_superseded)
-    if not spans_colour(wavelengths):
+    if not light.spans_colour(wavelengths):
         raise NacreError(
             f"{material.context.source}: wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm make no colour"
         )
@@ -301,7 +283,7 @@ def _solve(material: Material, illuminant: str, is_superseded: Callable[[], bool
         # lobe images lack the azimuth, and detecting anisotropy takes most of a minute
         if grid is None and not material.model.traits.is_quick and not _is_aligned(material):
             _check(is_superseded)
-            lobe = lobe_image(material, bsdf, functools.partial(spectrum_to_rgb_linear, illuminant=illuminant))
+            lobe = lobe_image(material, bsdf, functools.partial(light.spectrum_to_rgb_linear, illuminant=illuminant))
         if lobe is None:
             notes.append(DIFFUSE_NOTE if gloss is None else GLOSS_NOTE)
     transmitted = None
@@ -371,7 +353,7 @@ def _rgb(values: Array, wavelengths: Array, illuminant: str, angles_deg: Array) 
     """Return spectral colours at the table angles, `[angle, 3]`."""
     if not values.any():
         return np.zeros((len(ANGLES_DEG), 3))
-    rgb = spectrum_to_rgb_linear(values, wavelengths, illuminant)
+    rgb = light.spectrum_to_rgb_linear(values, wavelengths, illuminant)
     return np.stack([np.interp(ANGLES_DEG, angles_deg, channel) for channel in rgb.T], axis=-1)
 
 
@@ -383,15 +365,18 @@ def _at_angles(total: Array, angles_deg: Array) -> Array:
 
 
 def _swatches(total: Array, wavelengths: Array) -> list[dict[str, Any]]:
-    whites = [white_xyz(lamp) for lamp in LAMPS]
-    xyz = [spectrum_to_xyz(total, wavelengths, lamp) for lamp in LAMPS]
-    linear = [xyz_to_srgb_linear(adapt_xyz(own, white, SRGB_WHITE_XYZ)) for own, white in zip(xyz, whites, strict=True)]
-    shown = srgb_encode(clip_to_srgb(np.stack(linear)).rgb)  # one call: gamut mapping dominates the cost
+    whites = [light.white_xyz(lamp) for lamp in LAMPS]
+    xyz = [light.spectrum_to_xyz(total, wavelengths, lamp) for lamp in LAMPS]
+    linear = [
+        light.xyz_to_srgb_linear(light.adapt_xyz(own, white, light.SRGB_WHITE_XYZ))
+        for own, white in zip(xyz, whites, strict=True)
+    ]
+    shown = light.srgb_encode(light.clip_to_srgb(np.stack(linear)).rgb)  # one call: gamut mapping dominates the cost
     return [
         {
             "lamp": lamp,
-            "hex": [srgb_to_hex(colour) for colour in colours],
-            "lab": np.round(xyz_to_lab(own, white), 1).tolist(),
+            "hex": [light.srgb_to_hex(colour) for colour in colours],
+            "lab": np.round(light.xyz_to_lab(own, white), 1).tolist(),
         }
         for lamp, colours, own, white in zip(LAMPS, shown, xyz, whites, strict=True)
     ]
@@ -399,14 +384,14 @@ def _swatches(total: Array, wavelengths: Array) -> list[dict[str, Any]]:
 
 def _is_aligned(material: Material) -> bool:
     """Whether the material is anisotropic because its particles are aligned."""
-    return isinstance(material.model, Aligned) and material.model.is_aligned
+    return isinstance(material.model, contract.Aligned) and material.model.is_aligned
 
 
 def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
     """Return the preview's roughness, its facet distribution, and notes on approximations."""
     notes: list[str] = []
     model = material.model
-    rough = model.surface if isinstance(model, RoughSurface) else None
+    rough = model.surface if isinstance(model, contract.RoughSurface) else None
     alpha, facets = 0.0, {"distribution": "ggx", "compensated": False}
     if isinstance(rough, Roughness):
         facets = {"distribution": rough.distribution, "compensated": rough.compensate}
@@ -415,7 +400,7 @@ def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
             alpha *= float(rough.alpha_texture(np.array([0.5, 0.5])))
         if rough.alpha_x != rough.alpha_y:
             notes.append("Brushed surfaces are drawn with the mean of their two roughnesses.")
-    if isinstance(model, Ridged) and model.ridges is not None:
+    if isinstance(model, contract.Ridged) and model.ridges is not None:
         alpha = RIDGE_ROUGHNESS
         notes.append("The fan of light of the ridges is drawn as a rough mirror; the rendered picture shows its shape.")
     if _is_aligned(material):
@@ -428,7 +413,7 @@ def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
 def _is_free(material: Material) -> bool:
     """Whether transmitted light continues straight on: both sides are the same medium."""
     model = material.model
-    if not isinstance(model, BetweenMedia):
+    if not isinstance(model, contract.BetweenMedia):
         return False
     sides = (model.ambient, model.substrate)
     if not all(isinstance(side, OpticalConstant) for side in sides):
@@ -439,7 +424,7 @@ def _is_free(material: Material) -> bool:
 
 def _profile(material: Material) -> dict[str, Any] | None:
     """Return heights along the line with the largest steps."""
-    formats = fabrications(material.model)
+    formats = contract.fabrications(material.model)
     drawing = formats[HEIGHT_MAP_FORMAT](DrawingRequest()) if HEIGHT_MAP_FORMAT in formats else None
     if not isinstance(drawing, HeightMap):
         return None
@@ -488,5 +473,5 @@ def _lobe_values(material: Material, bsdf: Bsdf | None, wi: Array, wo: Array) ->
         return None, LOBE_NM
     if not any(lobe.is_stochastic for lobe in lobes):
         return (scattering.evaluate(wi, wo) if is_isotropic(scattering) else None), bsdf.wavelengths_nm
-    found = surrogate_radiance(material.model, wi, wo, LOBE_NM)
+    found = contract.surrogate_radiance(material.model, wi, wo, LOBE_NM)
     return None if found is None else found[0] + found[1], LOBE_NM

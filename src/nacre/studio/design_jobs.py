@@ -11,18 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from nacre import light
 from nacre.analysis.tolerance import recipe_tolerances
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.light import (
-    SRGB_WHITE_XYZ,
-    adapt_xyz,
-    delta_e_2000,
-    spectrum_to_xyz,
-    white_xyz,
-    xyz_to_lab,
-    xyz_to_srgb_linear,
-)
 from nacre.material.material import Material
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.optimise.evaluation import TargetResult, evaluate, geometries_of, lab_hex, nearest_in_ranges, results_of
@@ -177,8 +169,8 @@ def gamut(request: Mapping[str, Any], emit: Emit) -> None:
         NacreError: the recipe, a bound or a target is invalid, or the material cannot be computed.
     """
     task, lamp = task_of(request), request["lamp"]
-    white = white_xyz(lamp, OBSERVER)
-    optimal = np.asarray(xyz_to_lab(optimal_limits(lamp, OBSERVER), white))
+    white = light.white_xyz(lamp, OBSERVER)
+    optimal = np.asarray(light.xyz_to_lab(optimal_limits(lamp, OBSERVER), white))
     emit({"kind": "limits", "srgb": _outline(srgb_limits(lamp, OBSERVER)), "optimal": _outline(optimal)})
     rows = geometries_of(task.targets)
     seconds = min(GAMUT_S, request["seconds"]) / len(rows)
@@ -224,7 +216,9 @@ def _colour_function(task: DesignTask, row: Any, lamp: str, white: Array) -> Cal
             seen = simulate_measurement(material, [row], grid, memory=cache)
         except NacreError:
             return None
-        return np.asarray(xyz_to_lab(spectrum_to_xyz(seen.factors[0], seen.wavelengths_nm, lamp, OBSERVER), white))
+        return np.asarray(
+            light.xyz_to_lab(light.spectrum_to_xyz(seen.factors[0], seen.wavelengths_nm, lamp, OBSERVER), white)
+        )
 
     return colour
 
@@ -232,9 +226,9 @@ def _colour_function(task: DesignTask, row: Any, lamp: str, white: Array) -> Cal
 def distance_to(target: Target, labs: Array) -> Array:
     """Return CIEDE2000 between colours `[n, 3]` and a target, for ranges the nearest colour within them."""
     if target.lab is not None:
-        return np.asarray(delta_e_2000(labs, target.lab))
+        return np.asarray(light.delta_e_2000(labs, target.lab))
     ranges = target.ranges or {}
-    return np.asarray(delta_e_2000(labs, np.array([nearest_in_ranges(lab, ranges) for lab in labs])))
+    return np.asarray(light.delta_e_2000(labs, np.array([nearest_in_ranges(lab, ranges) for lab in labs])))
 
 
 def _local_search(
@@ -342,14 +336,14 @@ def _reflected_xyz(material: Material, angles_deg: Array, grid: Array | None, la
         spectrum = bsdf_spectrum(material.bsdf(grid), theta)
     parts = spectrum.parts()
     total = sum(np.nan_to_num(parts[name]) for name in ("specular_reflectance", "diffuse_reflectance") if name in parts)
-    return np.asarray(spectrum_to_xyz(total, spectrum.wavelengths_nm, lamp))
+    return np.asarray(light.spectrum_to_xyz(total, spectrum.wavelengths_nm, lamp))
 
 
 def _scatter(nominal: Array, found: list[Array], angles: Array, lamp: str) -> dict[str, Any]:
-    white = white_xyz(lamp)
+    white = light.white_xyz(lamp)
     xyz = np.stack(found)
-    rgb = xyz_to_srgb_linear(adapt_xyz(xyz, white, SRGB_WHITE_XYZ))
-    distance = np.asarray(delta_e_2000(xyz_to_lab(nominal, white), xyz_to_lab(xyz, white)))
+    rgb = light.xyz_to_srgb_linear(light.adapt_xyz(xyz, white, light.SRGB_WHITE_XYZ))
+    distance = np.asarray(light.delta_e_2000(light.xyz_to_lab(nominal, white), light.xyz_to_lab(xyz, white)))
     return {
         "kind": "tolerance", "angles": angles.tolist(), "rgb": np.round(rgb, 5).tolist(),
         "median": np.round(np.median(distance, axis=0), 2).tolist(),

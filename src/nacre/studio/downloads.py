@@ -269,8 +269,7 @@ def _png(result: RenderResult) -> str:
     from PIL import Image
 
     from nacre.core.html import png_uri
-    from nacre.light import clip_to_srgb
-    from nacre.light.spaces import srgb_encode
+    from nacre.light import clip_to_srgb, srgb_encode
 
     pixels = (255.0 * srgb_encode(clip_to_srgb(result.rgb).rgb) + 0.5).astype("uint8")
     buffer = io.BytesIO()

@@ -23,20 +23,10 @@ from nacre.families.registry import family_names
 from nacre.formats.lut.write import template
 from nacre.material.examples import examples
 from nacre.matter.indices import library
+from nacre.studio import folder
 from nacre.studio.design_request import list_parameters, read_design
 from nacre.studio.downloads import formats_of, read_file, read_picture, read_report, unpacked
 from nacre.studio.edit import line_of
-from nacre.studio.folder import (
-    EXAMPLE,
-    MAX_TEXT,
-    STARTS,
-    OpenedFolder,
-    built,
-    read_lamp,
-    read_number,
-    read_recipe,
-    version_of,
-)
 from nacre.studio.form import family_form
 from nacre.studio.objects import OBJECTS, MeshStore, packed_object, read_upload
 from nacre.studio.session import MAX_MESSAGE, Session
@@ -81,7 +71,7 @@ class Studio:
         skies: surroundings computed by Mitsuba.
     """
 
-    opened: OpenedFolder
+    opened: folder.OpenedFolder
     meshes: MeshStore = field(default_factory=MeshStore)
     slot: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(MAX_SOLVERS))
     limits: dict[str, asyncio.Semaphore] = field(
@@ -167,7 +157,7 @@ def state(request: Request) -> Response:
         "recipes": names,
         "begin": next(filter(opened.is_readable, names), next(iter(names), "")),
         "families": sorted(families),
-        "starts": [_example(shipped[name]) for name in STARTS if name in shipped],
+        "starts": [_example(shipped[name]) for name in folder.STARTS if name in shipped],
         "examples": [_example(example) for example in shipped.values() if example.family in families],
         "objects": OBJECTS,
         "surroundings": {"rows": ROWS, "columns": 2 * ROWS, "alphas": ALPHAS, "places": floors()},
@@ -175,7 +165,12 @@ def state(request: Request) -> Response:
 
 
 def _example(example: Any) -> dict[str, str]:
-    return {"name": EXAMPLE + example.name, "title": example.name, "family": example.family, "about": example.about}
+    return {
+        "name": folder.EXAMPLE + example.name,
+        "title": example.name,
+        "family": example.family,
+        "about": example.about,
+    }
 
 
 async def surroundings(request: Request) -> Response:
@@ -196,9 +191,11 @@ def recipe(request: Request) -> Response:
     """Answer a recipe's text and version."""
     name = request.query_params.get("name", "")
     text = _studio(request).opened.read(name)
-    if len(text) > MAX_TEXT:
-        raise NacreError(f"{name}: a recipe of {len(text)} characters; at most {MAX_TEXT} are shown")
-    return JSONResponse({"name": name, "text": text, "version": "" if name.startswith(EXAMPLE) else version_of(text)})
+    if len(text) > folder.MAX_TEXT:
+        raise NacreError(f"{name}: a recipe of {len(text)} characters; at most {folder.MAX_TEXT} are shown")
+    return JSONResponse(
+        {"name": name, "text": text, "version": "" if name.startswith(folder.EXAMPLE) else folder.version_of(text)}
+    )
 
 
 def form(request: Request) -> Response:
@@ -224,8 +221,8 @@ async def save(request: Request) -> Response:
     name, text, known = (body.get(key) for key in ("name", "text", "version"))
     if not (isinstance(name, str) and isinstance(text, str) and isinstance(known, str)):
         raise NacreError("saving takes name, text and version")
-    if len(text) > MAX_TEXT:
-        raise NacreError(f"{name[:80]}: a recipe of {len(text)} characters; at most {MAX_TEXT} are saved")
+    if len(text) > folder.MAX_TEXT:
+        raise NacreError(f"{name[:80]}: a recipe of {len(text)} characters; at most {folder.MAX_TEXT} are saved")
     return JSONResponse({"name": name, "version": _studio(request).opened.save(name, text, known)})
 
 
@@ -238,14 +235,14 @@ async def report(request: Request) -> Response:
 
 async def formats(request: Request) -> Response:
     """Answer a recipe's file formats."""
-    placed = read_recipe(await _body(request), _studio(request).opened)
-    return JSONResponse(await asyncio.to_thread(lambda: formats_of(built(placed))))
+    placed = folder.read_recipe(await _body(request), _studio(request).opened)
+    return JSONResponse(await asyncio.to_thread(lambda: formats_of(folder.built(placed))))
 
 
 async def parameters(request: Request) -> Response:
     """Answer the possible design parameters."""
-    placed = read_recipe(await _body(request), _studio(request).opened)
-    return JSONResponse(await asyncio.to_thread(lambda: list_parameters(built(placed))))
+    placed = folder.read_recipe(await _body(request), _studio(request).opened)
+    return JSONResponse(await asyncio.to_thread(lambda: list_parameters(folder.built(placed))))
 
 
 async def file(request: Request) -> Response:
@@ -346,9 +343,9 @@ def _question(name: str, body: Body, studio: Studio) -> dict[str, Any]:
         return {**read_picture(body, studio.opened), **_mesh(body, studio)}
     if name == "tolerance":
         return {
-            "recipe": read_recipe(body, studio.opened), "lamp": read_lamp(body),
-            "percent": read_number(body.get("percent", 2), "tolerance in %", 0.0, MAX_PERCENT),
-            "draws": int(read_number(body.get("draws", 64), "draws", *DRAWS)),
+            "recipe": folder.read_recipe(body, studio.opened), "lamp": folder.read_lamp(body),
+            "percent": folder.read_number(body.get("percent", 2), "tolerance in %", 0.0, MAX_PERCENT),
+            "draws": int(folder.read_number(body.get("draws", 64), "draws", *DRAWS)),
         }  # fmt: skip
     return read_design(body, studio.opened)
 

@@ -27,7 +27,7 @@ from nacre.device.walk.walk import eval_walk, joint_walk, make_rng, sample_walk
 # Upper limit of the confidence factor 1 + number of flakes across the material. Measured with the power heuristic in
 # the studio scene: best at 4 (bottle 2, 2.3 flakes), 16 (bottle 1, 24) and 64 (bottle 3, 59; 16 is nearly as good);
 # higher values add noise from small light sources, which `sample` seldom hits.
-MAX_TRUST = 20.0
+MAX_CONFIDENCE = 20.0
 # weights in the proxy density: interface reflection, flake lobe, diffuse rest
 SHARES = (0.15, 0.5, 0.35)
 BASE_SHARE = 0.7  # weight of a bare base's lobes; the rest is light spread or reflected by interfaces
@@ -59,12 +59,12 @@ class LayeredPlugin(LobePlugin):
         if self.passes_straight:  # "Null" makes the lobe transparent to volumes and shadow rays
             self.components = (*self.components[:-1], self.components[-1] | int(mi.BSDFFlags.Null))
         self.proxy = Proxy(lobe)
-        self._waiting: Any = None
+        self._pending: Any = None
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Run a random walk through the strata; the weight is the remaining throughput of the four wavelengths."""
         active = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
-        drawn = self._take(si)
+        drawn = self._pop_sample(si)
         if drawn is None:
             rng = make_rng(sample1, sample2.x, sample2.y, si.p.x, si.p.y, si.p.z, si.wavelengths[0])
             drawn = sample_walk(self.strata, rng, si.wi, self.strata.locate(si, active), active)
@@ -73,7 +73,7 @@ class LayeredPlugin(LobePlugin):
         bs.wo = wo
         bs.eta = mi.Float(1.0)
         reflected = (wo.z > 0) == (si.wi.z > 0)
-        glossy = _words("GlossyReflection", "GlossyTransmission", reflected)
+        glossy = _flags("GlossyReflection", "GlossyTransmission", reflected)
         bs.sampled_type = glossy
         bs.sampled_component = dr.select(reflected, mi.UInt32(0), mi.UInt32(len(self.components) - 1))
         enabled_lanes = mi.Bool(enabled[0])
@@ -82,7 +82,7 @@ class LayeredPlugin(LobePlugin):
         alive = active & enabled_lanes & (dr.max(weight) > 0)
         bs.pdf = dr.select(alive, self._density(si, wo, active), 0.0)
         if self.has_mirror:
-            bs.sampled_type = dr.select(mirror, _words("DeltaReflection", "Null", reflected), glossy)
+            bs.sampled_type = dr.select(mirror, _flags("DeltaReflection", "Null", reflected), glossy)
             bs.pdf = dr.select(mirror & alive, 1.0, bs.pdf)
         return bs, dr.select(alive, weight, 0.0)
 
@@ -100,15 +100,15 @@ class LayeredPlugin(LobePlugin):
         rng = make_rng(si.p.x, si.p.y, si.p.z, si.wi.x, si.wi.y, si.wi.z, wo.x, wo.y, wo.z, si.wavelengths[0])
         where = self.strata.locate(si, seen)
         value, *drawn = joint_walk(self.strata, rng, si.wi, wo, where, seen, enabled_lanes)
-        self._waiting = (si, drawn)
+        self._pending = (si, drawn)
         return value, dr.select(enabled_lanes, self._density(si, wo, enabled_lanes), 0.0)
 
-    def _take(self, si: Any) -> Any:
+    def _pop_sample(self, si: Any) -> Any:
         """Return the sample of the preceding `eval_pdf` walk for this interaction, if any."""
-        waiting, self._waiting = self._waiting, None
-        if waiting is None or _identity(waiting[0]) != _identity(si):
+        pending, self._pending = self._pending, None
+        if pending is None or _key(pending[0]) != _key(si):
             return None
-        return waiting[1]
+        return pending[1]
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Estimate value * |cos wo|."""
@@ -124,14 +124,14 @@ class LayeredPlugin(LobePlugin):
 
     def _density(self, si: Any, wo: Any, active: Any) -> Any:
         """Return the proxy density times the confidence factor, mixed with the base lobes' own refracted density."""
-        density = self.proxy.trusted(si.wi, wo)
+        density = self.proxy.weighted_density(si.wi, wo)
         lobes = self.strata.lobes
         if lobes is None or not lobes.scatters:
             return density
         scale = 1.0 / self.strata.indices[self.strata.count]
         v, to = _refracted(si.wi, scale), _refracted(wo, scale)
         own = lobes.pdf(v, to, self.strata.locate(si, active), active & (si.wi.z > 0.0) & (wo.z > 0.0))
-        return dr.lerp(density, self.proxy.trust * own * dr.square(scale) * wo.z / to.z, self.proxy.base_share)
+        return dr.lerp(density, self.proxy.confidence * own * dr.square(scale) * wo.z / to.z, self.proxy.base_share)
 
     def _enabled_exit(self, wi: Any, wo: Any, enabled: tuple[bool, ...]) -> Any:
         reflected = (wo.z > 0) == (wi.z > 0)
@@ -186,7 +186,7 @@ class Proxy:
         deviation = float(np.min(np.mean(lobe.flake_axes[:, :2], axis=1))) if lobe.kinds else 1.0
         lobe_alpha = np.hypot(n * deviation, (n - 1) * alpha)
         number = float(np.sum(lobe.flake_number))
-        self.trust = opaque(min(1.0 + number, MAX_TRUST))
+        self.confidence = opaque(min(1.0 + number, MAX_CONFIDENCE))
         self.base_share = opaque(BASE_SHARE * float(np.exp(-number)))  # reduced by covering flakes
         self.alphas = [opaque(max(alpha, 0.01)), opaque(float(np.clip(lobe_alpha, 0.01, 1.0)))]
         tilt = lobe.flake_frame[0, :, 2] if lobe.kinds else np.array([0.0, 0.0, 1.0])
@@ -196,9 +196,9 @@ class Proxy:
         tilt = tilt / np.linalg.norm(tilt)
         self.tilt = mi.Vector3f(*[opaque(float(x)) for x in tilt])
 
-    def trusted(self, wi: Any, wo: Any) -> Any:
+    def weighted_density(self, wi: Any, wo: Any) -> Any:
         """Return the density times the confidence factor, for multiple importance sampling."""
-        return self.trust * self.density(wi, wo)
+        return self.confidence * self.density(wi, wo)
 
     def density(self, wi: Any, wo: Any) -> Any:
         """Return the density at `wo`, 1/sr."""
@@ -219,7 +219,7 @@ class Proxy:
         return dr.select((cos > 1e-6) & (h.z > 1e-6) & (up.z > 1e-6) & (out.z > 0), value, 0.0)
 
 
-def _identity(si: Any) -> tuple[int, ...]:
+def _key(si: Any) -> tuple[int, ...]:
     """Return a key of an interaction during recording; its variables stay allocated while it is referenced."""
     return (si.p.x.index, si.p.y.index, si.wi.x.index, si.wi.y.index, si.wavelengths[0].index)
 
@@ -229,6 +229,6 @@ def _refracted(w: Any, scale: Any) -> Any:
     return mi.Vector3f(w.x * scale, w.y * scale, dr.sqrt(dr.maximum(1.0 - (1.0 - w.z * w.z) * scale * scale, 1e-8)))
 
 
-def _words(reflection: str, transmission: str, reflected: Any) -> Any:
+def _flags(reflection: str, transmission: str, reflected: Any) -> Any:
     one, other = int(getattr(mi.BSDFFlags, reflection)), int(getattr(mi.BSDFFlags, transmission))
     return dr.select(reflected, mi.UInt32(one), mi.UInt32(other))

@@ -18,7 +18,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.device.facet_distributions import Ggx
 from nacre.device.glints import DeviceGlints, resolves_flakes
-from nacre.device.plugin import MIN_COS, LobePlugin, device_array, flag, opaque, opaque_int, read, read2
+from nacre.device.plugin import MIN_COS, LobePlugin, UniformNodes, device_array, flag, opaque, opaque_int, read, read2
 from nacre.device.tables import DeviceTable, WavelengthAxis
 
 MAX_ALPHA = 2.0  # of the facets that sample the flake lobe, which is wider near grazing incidence
@@ -58,19 +58,17 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         self.deviation2 = [opaque(s * s) for s in lobe.deviation]
         self.width2 = [opaque(s * s) for s in _widths(lobe)]
         self.per_spread, self.per_u = opaque(1.0 / lobe.spread), opaque(1.0 / np.arcsinh(2.0 / lobe.spread))
-        self.q_top, self.c_top, self.phi_top = (opaque(n - 1) for n in self.shape[:3])
-        self.q_low, self.c_low, self.phi_low = (opaque_int(n - 2) for n in self.shape[:3])
+        self.nodes = [UniformNodes(n) for n in self.shape[:3]]
         self.phi_size = opaque_int(self.shape[2])
-        self.base_top, self.base_low = opaque(len(lobe.base) - 1), opaque_int(len(lobe.base) - 2)
+        self.base_nodes, self.entry_nodes = UniformNodes(len(lobe.base)), UniformNodes(len(lobe.entry))
         self.glints = DeviceGlints.of(lobe)
         self.entry = device_array(np.stack([lobe.entry[:-1], lobe.entry[1:]], axis=-1))
-        self.entry_top, self.entry_low = opaque(len(lobe.entry) - 1), opaque_int(len(lobe.entry) - 2)
         shares = np.maximum(lobe.albedo, 0.0)
         total_power = np.maximum(shares.sum(axis=1, keepdims=True), 1e-6)
         shares[:, 2] = np.maximum(shares[:, 2], DIFFUSE_SHARE * total_power[:, 0]) / DIFFUSE_LESS
         shares = shares / shares.sum(axis=1, keepdims=True)
         self.shares = [device_array(shares[:, 0]), device_array(shares[:, 1])]
-        self.share_top, self.share_low = opaque(len(shares) - 1), opaque_int(len(shares) - 2)
+        self.share_nodes = UniformNodes(len(shares))
         self.power = opaque(float(np.mean(total_power)))
 
     # -- sampling ---------------------------------------------------------------------------------------
@@ -140,9 +138,7 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
 
     def _shares(self, wi: Any, active: Any, enabled: tuple[bool, ...]) -> tuple[Any, Any, Any]:
         """Return the probabilities of the interface's facets, the flakes' facets and the mirror (rest: a cosine)."""
-        at = dr.sqrt(dr.clip(wi.z, 0.0, 1.0)) * self.share_top
-        low = dr.minimum(mi.UInt32(at), self.share_low)
-        part = at - mi.Float(low)
+        low, part = self.share_nodes.cell(dr.sqrt(dr.clip(wi.z, 0.0, 1.0)) * self.share_nodes.last)
         surface, lobe = (dr.lerp(read(table, low, active), read(table, low + 1, active), part) for table in self.shares)
         if self.is_rough:
             return surface, lobe, mi.Float(0.0)
@@ -200,15 +196,12 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         return value & active, dr.select(active, pdf, 0.0)
 
     def _entry(self, cos: Any, active: Any) -> Any:
-        at = dr.sqrt(dr.clip(cos, 0.0, 1.0)) * self.entry_top
-        low = dr.minimum(mi.UInt32(at), self.entry_low)
-        pair = read2(self.entry, low, active)
-        return dr.lerp(pair[0], pair[1], at - mi.Float(low))
+        low, part = self.entry_nodes.cell(dr.sqrt(dr.clip(cos, 0.0, 1.0)) * self.entry_nodes.last)
+        return dr.lerp(*read2(self.entry, low, active), part)
 
     def _base(self, cos: Any, where: Any, active: Any) -> Any:
-        at = dr.clip(cos, 0.0, 1.0) * self.base_top
-        low = dr.minimum(mi.UInt32(at), self.base_low)
-        return self.base.look_up(low, at - mi.Float(low), where, None, active)[0]
+        low, part = self.base_nodes.cell(dr.clip(cos, 0.0, 1.0) * self.base_nodes.last)
+        return self.base.look_up(low, part, where, None, active)[0]
 
     def _half(self, wi: Any, wo: Any) -> tuple[Any, Any, Any, Any, Any]:
         """Return both inside cosines, the reciprocal of the half vector's normal component, and its slope (x, y)."""
@@ -265,11 +258,10 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
         sine, cosine = dr.minimum(cross * per, 1.0), dr.minimum(along * per, 1.0)
         most = dr.safe_sqrt(1.0 - 0.25 * q2 * sine * sine) - 0.5 * q * cosine
         share = dr.minimum(c / dr.maximum(most, 1e-9), 1.0)
-        u = dr.clip(dr.asinh(q * self.per_spread) * self.per_u, 0.0, 1.0) * self.q_top
-        v = dr.asin(share) * (2.0 / dr.pi) * self.c_top
-        w = dr.atan2(cross, dr.maximum(along, 1e-20)) * (2.0 / dr.pi) * self.phi_top
-        i, j, k = (dr.minimum(mi.UInt32(x), low) for x, low in ((u, self.q_low), (v, self.c_low), (w, self.phi_low)))
-        a, b = v - mi.Float(j), w - mi.Float(k)
+        q_nodes, c_nodes, phi_nodes = self.nodes
+        i, part = q_nodes.cell(dr.clip(dr.asinh(q * self.per_spread) * self.per_u, 0.0, 1.0) * q_nodes.last)
+        j, a = c_nodes.cell(dr.asin(share) * (2.0 / dr.pi) * c_nodes.last)
+        k, b = phi_nodes.cell(dr.atan2(cross, dr.maximum(along, 1e-20)) * (2.0 / dr.pi) * phi_nodes.last)
         first = j * self.phi_size + k
         nodes = [
             (first, (1.0 - a) * (1.0 - b)),
@@ -277,7 +269,7 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
             (first + self.phi_size, a * (1.0 - b)),
             (first + self.phi_size + 1, a * b),
         ]
-        return self.flakes.look_up(i, u - mi.Float(i), where, nodes, active)
+        return self.flakes.look_up(i, part, where, nodes, active)
 
     # -- the rest ---------------------------------------------------------------------------------------
 

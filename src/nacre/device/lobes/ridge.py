@@ -21,11 +21,11 @@ from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import (
     MIN_COS,
     LobePlugin,
+    UniformNodes,
     device_array,
     flag,
     glossy_sample,
     opaque,
-    opaque_int,
     read,
     replaced,
     rotated_frame,
@@ -210,15 +210,12 @@ class StepDensity:
         cdf /= cdf[-1]
         self.table = device_array(cdf)
         self.cell_count = cells  # part of the kernel: it sets the number of search steps
-        self.last = opaque_int(cells - 1)
+        self.edges = UniformNodes(cells + 1)
         self.per_unit = opaque(cells / (2.0 * reach))
         self.reach = opaque(reach)
-        self.top = opaque(cells)
 
     def _cell(self, x: Any) -> tuple[Any, Any]:
-        position = dr.clip((x + self.reach) * self.per_unit, 0.0, self.top)
-        low = dr.minimum(mi.UInt32(position), self.last)
-        return low, position - mi.Float(low)
+        return self.edges.cell(dr.clip((x + self.reach) * self.per_unit, 0.0, self.edges.last))
 
     def cdf(self, x: Any, active: Any = True) -> Any:
         """Return the cumulative probability at `x`."""
@@ -234,7 +231,7 @@ class StepDensity:
     def invert(self, share: Any, active: Any = True) -> Any:
         """Return the inverse of `cdf`."""
         low = dr.binary_search(0, self.cell_count, lambda i: read(self.table, i + 1, active) < share)
-        low = dr.minimum(mi.UInt32(low), self.last)
+        low = dr.minimum(mi.UInt32(low), self.edges.max_low)
         start, end = read(self.table, low, active), read(self.table, low + 1, active)
         fraction = dr.clip((share - start) / dr.maximum(end - start, 1e-20), 0.0, 1.0)
         return (mi.Float(low) + fraction) / self.per_unit - self.reach

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from nacre.bsdf.lobes.specular import AlignedSpecular, InterfaceLobe, Specular
-from nacre.device.plugin import MIN_COS, LobePlugin, flag, flip_z, is_radiance, larger, opaque, opaque_int, smaller
+from nacre.device.plugin import MIN_COS, LobePlugin, UniformNodes, flag, flip_z, is_radiance, larger, opaque, smaller
 from nacre.device.response import DeviceResponse, share_reflected
 
 AnyInterface = TypeVar("AnyInterface", bound=InterfaceLobe)
@@ -123,17 +123,15 @@ class Azimuths:
 
     def update(self, lobe: AlignedSpecular) -> None:
         """Replace the data by another lobe's."""
-        self.count = opaque(lobe.azimuths - 1)
-        self.max_low = opaque_int(max(lobe.azimuths - 2, 0))
+        self.nodes = UniformNodes(lobe.azimuths)
         self.rotation = opaque(lobe.rotation / (2.0 * math.pi))
 
     def corners(self, si: Any, active: Any = True) -> list[tuple[Any, Any]]:
         """Return `(node, weight)` for the two nodes around the azimuth of `si.wi`, or of the exit if from inside."""
         turns = dr.atan2(si.wi.y, si.wi.x) * (0.5 * dr.inv_pi) - self.rotation
         turns = turns + dr.select(si.wi.z < 0.0, 0.5, 0.0)
-        position = smaller((turns - dr.floor(turns)) * self.count, self.count)
-        low = dr.minimum(mi.UInt32(position), self.max_low)
-        part = position - mi.Float(low)
+        last = self.nodes.last
+        low, part = self.nodes.cell(smaller((turns - dr.floor(turns)) * last, last))
         return [(low, 1.0 - part), (low + 1, part)]
 
 

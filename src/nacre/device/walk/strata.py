@@ -17,7 +17,7 @@ from nacre.core.errors import UnsupportedError
 from nacre.device.facet_distributions import Beckmann, Facets, Ggx
 from nacre.device.glints import DeviceGlints
 from nacre.device.lobe_sum import bsdf_class, update_lobes
-from nacre.device.plugin import MIN_COS, MakePlugin, device_array, opaque, with_wi
+from nacre.device.plugin import MIN_COS, MakePlugin, cell_at, device_array, opaque, with_wi
 from nacre.device.tables import DeviceTable, Located, WavelengthAxis
 
 MAX_FLIGHTS = 8  # free paths before a boundary event; 6 to 12 have equal speed, 1 costs up to 50 % more
@@ -221,8 +221,7 @@ class Strata:
         return dr.square(root)
 
     def _read_side(self, source: Any, interface: Any, above: Any, position: Any, nodes: int, active: Any) -> Any:
-        low = dr.minimum(mi.UInt32(position), nodes - 2)
-        part = position - mi.Float(low)
+        low, part = cell_at(position, nodes - 2)
         start = (mi.UInt32(interface) * 2 + dr.select(above, mi.UInt32(0), mi.UInt32(1))) * nodes + low
         return dr.lerp(dr.gather(mi.Float, source, start, active), dr.gather(mi.Float, source, start + 1, active), part)
 
@@ -285,17 +284,16 @@ class Strata:
     def mean_extinction(self, kind: Any, local: Any, where: Located, active: Any) -> Any:
         """Return the mean light fraction removed by a flake along `local`, in its frame, as a Spectrum."""
         position = dr.sqrt(dr.clip(dr.abs(local.z), 0.0, 1.0)) * (self.elevations - 1)
-        low = dr.minimum(mi.UInt32(position), self.elevations - 2)
-        part = position - mi.Float(low)
+        low, part = cell_at(position, self.elevations - 2)
         start = kind * (self.azimuths * self.elevations) + low
         if self.azimuths == 1:
             return dr.lerp(*self.extinction.at_nodes(start, where, active), part)
         turn = dr.atan2(dr.abs(local.y), dr.maximum(dr.abs(local.x), 1e-12)) * (2 / dr.pi * (self.azimuths - 1))
-        azimuth = dr.minimum(mi.UInt32(turn), self.azimuths - 2)
+        azimuth, fraction = cell_at(turn, self.azimuths - 2)
         start += azimuth * self.elevations
         near = dr.lerp(*self.extinction.at_nodes(start, where, active), part)
         far = dr.lerp(*self.extinction.at_nodes(start + self.elevations, where, active), part)
-        return dr.lerp(near, far, turn - mi.Float(azimuth))
+        return dr.lerp(near, far, fraction)
 
     def dye_at(self, stratum: Any, where: Located, active: Any) -> list[Any]:
         """Return extinction and scattering of a stratum's dye."""
@@ -304,16 +302,14 @@ class Strata:
     def dye_phase(self, stratum: Any, cos: Any, where: Located, active: Any) -> Any:
         """Return the dye's phase function, 1/sr."""
         position = dr.clip(0.5 * (cos + 1.0), 0.0, 1.0) * (self.phase_rows - 1)
-        low = dr.minimum(mi.UInt32(position), self.phase_rows - 2)
-        start = mi.UInt32(stratum) * self.phase_rows + low
-        return self.phase.look_up(start, position - mi.Float(low), where, None, active)[0]
+        low, part = cell_at(position, self.phase_rows - 2)
+        return self.phase.look_up(mi.UInt32(stratum) * self.phase_rows + low, part, where, None, active)[0]
 
     def dye_cos(self, stratum: Any, u: Any, where: Located, active: Any) -> Any:
         """Draw the dye's scattering cosine for each of the four wavelengths from one number."""
         position = dr.clip(u, 0.0, 1.0) * (self.quantile_rows - 1)
-        low = dr.minimum(mi.UInt32(position), self.quantile_rows - 2)
-        start = mi.UInt32(stratum) * self.quantile_rows + low
-        return self.quantile.look_up(start, position - mi.Float(low), where, None, active)[0]
+        low, part = cell_at(position, self.quantile_rows - 2)
+        return self.quantile.look_up(mi.UInt32(stratum) * self.quantile_rows + low, part, where, None, active)[0]
 
     def base_mirror(self, cos: Any, where: Located, active: Any) -> Any:
         """Return the reflectance of the base's specular part at a cosine."""
