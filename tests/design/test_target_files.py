@@ -15,7 +15,6 @@ from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, lab_to_lch, lch_to_lab, white_xyz, xyz_to_lab
 from nacre.optimise.evaluation import nearest_in_ranges
 from nacre.optimise.measurement import Geometry, simulate_measurement
-from nacre.optimise.merit import hue_excess
 from nacre.optimise.spec import LightSpec, TargetEntry
 from nacre.optimise.targets import read_targets, srgb_to_lab
 from nacre.optimise.task import read_task
@@ -121,7 +120,8 @@ def test_the_nearest_colour_of_a_range_is_that_of_a_dense_search(
         chromas = np.linspace(low or 0.0, 120.0 if high is None else high, 241)
         hues = np.linspace(0.0, 360.0, 1441)
         if "hue" in ranges:
-            hues = hues[hue_excess(*ranges["hue"], hues)[0] <= 1e-9]  # type: ignore[arg-type]
+            first, last = (float(end or 0.0) for end in ranges["hue"])
+            hues = hues[(hues - first) % 360.0 <= (last - first) % 360.0 + 1e-9]
         box = np.stack(np.meshgrid([light], chromas, hues, indexing="ij"), axis=-1)
         least = float(np.min(delta_e_2000(lch_to_lab(box), lab)))
         assert float(delta_e_2000(found, lab)) <= least + 0.1
