@@ -252,7 +252,7 @@ def check_folder(out: Path, start: Material, solutions: int = 1) -> None:
         RecipeError: naming the file.
     """
     if out.exists() and not out.is_dir():
-        raise RecipeError(f"{out}: is a file; a design needs a folder, choose another with -o")
+        raise RecipeError(f"{out}: is a file; the answers need a folder, choose another with -o")
     used = {Path(start.context.source).resolve(), *start.context.dependencies}
     if start.context.text and (out / RECIPE).resolve() in used:
         raise RecipeError(f"{out}: holds the recipe that the design starts from; choose another folder with -o")
