@@ -5,7 +5,7 @@ to .5) have spheres of order 2, 30 patterns. The distance is that of the physics
 
 They are of discs in free surroundings, of 130 to 151 spheres, whose edges send out more near grazing than an endless
 layer has to give: by some 3.3 / sqrt(spheres) in C at 75 degrees, which is no error of either. So they are met in two
-ways: by the endless layer, and like for like, by as many spheres as each of them has.
+ratio_directions: by the endless layer, and like for like, by as many spheres as each of them has.
 """
 
 from __future__ import annotations
@@ -154,7 +154,16 @@ def judged_by_discs(
         sums: dict[Block, Sums] = {}
         for (q, p), x in models.items():
             level = one.model.level(view, light, q, p)
-            pairs = Pairs(view.ways, light.ways, phi, power[q, :, p], x * s, x * (structure - s), level, *bins)
+            pairs = Pairs(
+                view.ratio_directions,
+                light.ratio_directions,
+                phi,
+                power[q, :, p],
+                x * s,
+                x * (structure - s),
+                level,
+                *bins,
+            )
             block = (0, 0, min(q, p), max(q, p))
             part = block_sums(block, pairs if q <= p else pairs.exchanged(), ANGLES)
             sums[block] = sums[block] + part if block in sums else part

@@ -265,14 +265,14 @@ def test_a_killed_design_has_its_best_on_disk_and_goes_on(warm: Forker, inputs: 
     killed = 0
     for attempt in range(6):
         before = contents(folder)
-        resume = ["--resume"] if attempt % 2 and (folder / "out" / "search.npz").is_file() else []
+        resume = ["--resume"] if attempt % 2 and (folder / "out" / "search.json").is_file() else []
         killed += warm.kill([*arguments, *resume], folder, chance, seconds)
         found = visible(folder)
         assert set(before) <= set(found)
         for name, path in found.items():
             check_whole(path, before.get(name), reference / name)
     assert killed >= 3
-    warm.run([*arguments, "--resume"] if (folder / "out" / "search.npz").is_file() else arguments, folder)
+    warm.run([*arguments, "--resume"] if (folder / "out" / "search.json").is_file() else arguments, folder)
     assert names(folder) == names(reference)
 
 

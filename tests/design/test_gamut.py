@@ -1,4 +1,4 @@
-"""The gamut: its points are what their structures show, its shares are shares, and no surface is beyond MacAdam."""
+"""Gamut: points agree with their structures, shares are plausible, MacAdam limits hold."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def test_reflectances_lie_within_the_optimal_colours_and_fill_them_only_as_edges
     assert (solid.find_simplex(spectrum_to_xyz(2.0 + smooth, nm, "D65", "10deg")) >= 0).sum() == 0
 
 
-def test_a_solid_holds_itself_and_nothing_holds_it_without_points_near() -> None:
+def test_share_within_is_one_for_the_solid_itself() -> None:
     solid = srgb_colours("D65", "10deg")
     assert share_within(solid, solid, 0.01) == 1.0
     assert share_within(np.array([[50.0, 300.0, 0.0]]), solid, 2.0) == 0.0
 
 
-def test_more_freedom_reaches_more() -> None:
+def test_more_parameters_enlarge_the_gamut() -> None:
     double = {**OXIDE, "layers": [{"material": "TiO2", "thickness_nm": 50}, *OXIDE["layers"]]}
     one = nacre.gamut(nacre.material(double), ["layers[1].thickness_nm=0:400"], points=150)
     two = nacre.gamut(
@@ -95,18 +95,18 @@ def test_the_command_writes_the_chart_and_the_structures(
         ("layers[3].x=1:2", "layers[3]"),
     ],
 )
-def test_bad_options_are_told_in_one_line(option: str, word: str) -> None:
+def test_bad_options_give_one_line(option: str, word: str) -> None:
     with pytest.raises(NacreError) as caught:
         nacre.gamut(nacre.material(OXIDE), [option])
     assert word in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_choices_and_bounds_are_told_apart() -> None:
+def test_choices_and_bounds_are_distinguished() -> None:
     table = parse_parameters(["substrate=Al,Ag", "layers[0].thickness_nm=10:20"])
     assert table == {"substrate": {"choices": ["Al", "Ag"]}, "layers[0].thickness_nm": [10.0, 20.0]}
 
 
-def test_a_pearl_is_looked_at_where_its_flakes_show() -> None:
+def test_the_default_geometry_of_a_pearl_is_near_its_mirror_direction() -> None:
     """Its mirror is the face of the resin: one grey for all pigments."""
     flakes = {
         "volume_fraction": 0.02,
@@ -119,7 +119,7 @@ def test_a_pearl_is_looked_at_where_its_flakes_show() -> None:
     assert found.geometry == "45as15" and np.ptp(found.lab[:, 1:], axis=0).min() > 20.0
 
 
-def test_words_alone_are_tried_once_each(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_discrete_parameters_are_enumerated(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     found = nacre.gamut(nacre.material(OXIDE), ["substrate=Si,Al,Ag"], points=30)
     assert [s["substrate"] for s in found.structures] == ["Si", "Al", "Ag"] and found.possible == 3
     (tmp_path / "o.toml").write_text(nacre.material(OXIDE).text)
@@ -136,19 +136,19 @@ def _relief(folder: Path) -> dict[str, Any]:
             "coherence": {"sigma": 0.8}, "bounded": False, "accuracy": 0.1}  # fmt: skip
 
 
-def test_a_relief_is_looked_at_beside_its_mirror(tmp_path: Path) -> None:
+def test_the_default_geometry_of_a_relief_is_aspecular(tmp_path: Path) -> None:
     """It has no part that is a mirror's alone."""
     relief = nacre.material(_relief(tmp_path))
-    assert str(applicable_geometry([relief], None, "r: at")) == "45as15"
-    with pytest.raises(NacreError, match="no mirror-like part"):
-        applicable_geometry([relief], "specular 0", "r: at")
+    assert str(applicable_geometry([relief], None, "r: geometry")) == "45as15"
+    with pytest.raises(NacreError, match="specular 0"):
+        applicable_geometry([relief], "specular 0", "r: geometry")
 
 
-def test_what_a_recipe_has_no_mirror_for_is_looked_at_elsewhere(tmp_path: Path) -> None:
+def test_a_blend_without_specular_part_uses_another_geometry(tmp_path: Path) -> None:
     """The usual look of blends is that of films, and both reliefs of this one only scatter."""
     relief = _relief(tmp_path)
     blend = nacre.material({"family": "blend", "first": relief, "second": {**relief, "coating": "Cu"}, "mask": 0.5})
     assert (
         blend.model.traits.default_geometry == "specular 0"
-        and str(applicable_geometry([blend], None, "r: at")) == "45as15"
+        and str(applicable_geometry([blend], None, "r: geometry")) == "45as15"
     )

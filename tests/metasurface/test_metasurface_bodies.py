@@ -13,7 +13,7 @@ from nacre.families.metasurface.ensemble.multisphere import Coupling
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.monolayer import Monolayer, Particle
 from nacre.families.metasurface.monolayer.structure import hard_disk_structure
-from nacre.families.metasurface.species import place, refuse
+from nacre.families.metasurface.species import convergence_error, place
 from nacre.families.metasurface.tmatrix.axisymmetric import TabulatedBody, as_blocks, truncated
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     NODES,
@@ -91,7 +91,7 @@ def test_where_two_cuts_disagree_the_least_gap_is_named_and_works():
     below = surface(620.0, 4.0 + 0.03j)
     placed = place(body, below, 1.0)
     assert placed.is_near and placed.change > 0.02
-    line = str(refuse(body, below, 1.0, placed, 0.02, None, "particle.second"))
+    line = str(convergence_error(body, below, 1.0, placed, 0.02, None, "particle.second"))
     assert "the least particle.second.gap_nm that works" in line
     gap = float(line.rsplit(" ", 1)[1])
     assert 1.0 < gap < known.circumscribing_nm and place(body, below, gap).change <= 0.02

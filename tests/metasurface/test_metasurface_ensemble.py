@@ -59,7 +59,7 @@ def some_ratio(transmits_below, seed=0):
     return Ratio({b: np.tile(0.1 * g.normal(size=n), (3, 1)) for b, n in sizes.items()})
 
 
-def ways(count=6, below=0):
+def ratio_directions(count=6, below=0):
     kappa = np.concatenate([np.sin(np.linspace(0.05, 1.4, count)), np.linspace(0.1, 1.4, below)])
     is_below = np.arange(count + below) >= count
     return RatioDirections.of(kappa, np.where(is_below, 1.5, 1.0), is_below)
@@ -290,7 +290,7 @@ def test_an_ensemble_is_told_stored_and_solved_once(tmp_path, monkeypatch, caplo
         both = material(recipe(**dark)).bsdf(grid)
         monkeypatch.setattr(interpolation, "_solve", lambda *_: pytest.fail("solved again"))
         again = material(recipe(title="under another name", **dark)).bsdf(grid)
-    assert len(heard) == 2 and "1 wavelength (1 more are kept from before)" in heard[1]
+    assert len(heard) == 2 and "1 wavelength (1 more are cached)" in heard[1]
     assert "standard error" in caplog.text
     notes = both.provenance["ensemble"]
     assert notes["standard_error"] > 0 and np.shape(notes["standard_errors"])[0] == 2
@@ -329,7 +329,7 @@ def test_a_stopped_run_solves_no_pattern_twice_and_comes_to_the_same(tmp_path, m
         rest = _stopping(patched, 99)
         found = material(recipe(**dark)).bsdf(np.array([500.0]))
     assert sorted(first + rest) == list(range(SMALL["realisations"])) and len(first) == 3
-    assert "3 patterns of these are kept" in heard[0]
+    assert "3 patterns of these are cached" in heard[0]
     # the whole run solved in threads, which may sum in another order: the last bits; a pattern moves per cents
     assert np.abs(found.lobes[1].above - whole.lobes[1].above).max() <= 1e-6 * np.abs(whole.lobes[1].above).max()
     # what was kept for a fit goes once it is made

@@ -444,7 +444,7 @@ def test_what_is_no_such_file_gets_one_line(tmp_path, capsys):
 def test_a_file_that_hdf5_does_not_survive_gets_one_line(tmp_path, capsys, monkeypatch, probe, patience, said):
     """Met by changing bytes at random: a broken heap of strings is read for ever."""
     monkeypatch.setattr(tmatrix_file, "PROBE", probe)
-    monkeypatch.setattr(tmatrix_file, "PATIENCE_S", patience)
+    monkeypatch.setattr(tmatrix_file, "PROBE_TIMEOUT_S", patience)
     write_tmatrices(tmp_path / "b.tmat.h5", _spheres(), "sphere")
     assert said in _refusal(tmp_path, capsys, 'tmatrix = "b.tmat.h5"')
 

@@ -73,19 +73,19 @@ def _sheet(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> DesignShe
     nm = measured.wavelengths_nm
     is_coloured = spans_colour(nm)
     curves: dict[str, Array] = {}
-    wanted: dict[str, Array] = {}
+    targets: dict[str, Array] = {}
     swatches = []
     off = np.sqrt(np.mean(fit.residual**2, axis=-1))
     far = set(np.argsort(off.ravel())[::-1][:MAX_CURVES].tolist())
     for i, part in enumerate(measured.parts):
         for j, angle in enumerate(measured.angles_deg):
             label = f"{part.replace('_', ' ')}, {angle:g}\u00b0"
-            seen = measured.values[i, j]
-            made = seen + fit.residual[i, j]
+            data = measured.values[i, j]
+            fitted = data + fit.residual[i, j]
             if is_coloured:
-                swatches.append(Swatch(label, *_pair(seen, made, nm)))
+                swatches.append(Swatch(label, *_pair(data, fitted, nm)))
             if i * len(measured.angles_deg) + j in far:
-                curves[label], wanted[label] = made, np.stack([nm, seen])
+                curves[label], targets[label] = fitted, np.stack([nm, data])
     bars = [
         (n.path, 100.0 * n.half_width / (f.high - f.low))
         for n, f in zip(fit.numbers, free, strict=True)
@@ -94,16 +94,16 @@ def _sheet(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> DesignShe
     media, thicknesses = fit.material.layers()
     angles, ribbon, label = _ribbon(fit, measured)
     return DesignSheet(
-        f"{fit.material.name}: relative rms {fit.relative_rms:.3g}", swatches, nm, curves, wanted, angles, ribbon,
+        f"{fit.material.name}: relative rms {fit.relative_rms:.3g}", swatches, nm, curves, targets, angles, ribbon,
         label, media, thicknesses, [f"{n.path} = {n.value:.5g}" for n in fit.numbers],
         sorted(bars, key=lambda bar: -bar[1]), "95 % half width, per cent of the bounds", LIGHT[0], LEGEND,
     )  # fmt: skip
 
 
-def _pair(seen: Array, made: Array, nm: Array) -> tuple[str, str, str]:
+def _pair(data: Array, fitted: Array, nm: Array) -> tuple[str, str, str]:
     """Return screen colours for a measured and a fitted spectrum, and their dE00 as text."""
     white = white_xyz(*LIGHT)
-    xyz = np.stack([seen, made]) @ smooth_weights(nm, *LIGHT)
+    xyz = np.stack([data, fitted]) @ smooth_weights(nm, *LIGHT)
     lab = np.asarray(xyz_to_lab(np.clip(xyz, 0.0, None), white))
     return swatch_hex(xyz[0], white), swatch_hex(xyz[1], white), f"dE00 {float(delta_e_2000(lab[0], lab[1])):.2f}"
 

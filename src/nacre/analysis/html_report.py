@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import json
 import math
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ import numpy as np
 from nacre.analysis.report import ColourTable, Report, differences
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.errors import UnsupportedError
+from nacre.core.html import render_page
 from nacre.material.material import Material
 from nacre.measure.wavelengths import colour_spectrum
 from nacre.plot.html import data_uri
@@ -83,17 +83,6 @@ def _spectrum(material: Material, angles_deg: tuple[float, ...], illuminant: str
         return colour_spectrum(material, np.radians(angles_deg), illuminant)
     except UnsupportedError:
         return None
-
-
-STYLE = """
-body{font:15px/1.5 system-ui,sans-serif;color:#222;background:#fff;max-width:60rem;margin:2rem auto;padding:0 1rem}
-h1{font-size:1.5rem;margin-bottom:.2rem}h2{font-size:1.1rem;margin-top:2rem}
-.pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(24rem,1fr));gap:2rem}
-table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}
-td,th{padding:.25rem .5rem;text-align:right;border-bottom:1px solid #e5e5e5}th{font-weight:600;color:#555}
-td.s{width:3rem;padding:0;border:0}td.s div{height:1.7rem;border-radius:3px}
-p.n{color:#666;font-size:.85rem}img{max-width:100%}pre{background:#f6f6f6;padding:.8rem;overflow:auto;font-size:.8rem}
-"""
 
 
 def report_json(reports: list[Report]) -> dict[str, Any]:
@@ -189,51 +178,19 @@ def report_numbers(report: Report) -> list[tuple[str, str]]:
 
 def report_html(reports: list[Report], figures: dict[str, str] | None = None) -> str:
     """Return one HTML page; `figures` maps captions to data URIs."""
-    title = " and ".join(html.escape(report.name) for report in reports)
-    columns = "".join(f"<section>{_section(report)}</section>" for report in reports)
-    compare = "".join(_difference_table(report, reports[0]) for report in reports[1:])
-    pictures = "".join(
-        f'<figure><img alt="{html.escape(caption)}" src="{uri}">'
-        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
-        for caption, uri in (figures or {}).items()
+    first = reports[0]
+    return render_page(
+        "report.html",
+        title=" and ".join(report.name for report in reports),
+        first=first,
+        sections=[(report, _tables(report), report_numbers(report)) for report in reports],
+        comparisons=[
+            (report, [(name, _named_table(report, name).angles_deg, delta) for name, delta in found.items()])
+            for report in reports[1:]
+            for found in [differences(report, first)]
+        ],
+        figures=figures or {},
     )
-    recipes = "".join(
-        f"<h2>Recipe of {html.escape(r.name)}</h2><pre>{html.escape(str(r.provenance.get('recipe', '')))}</pre>"
-        for r in reports
-    )
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
-        f'<h1>{title}</h1><p class="n">{reports[0].illuminant}, {reports[0].observer} observer; '
-        f"nacre {html.escape(str(reports[0].provenance.get('nacre', '')))}</p>"
-        f'<div class="pair">{columns}</div>{compare}{pictures}{recipes}</html>\n'
-    )
-
-
-def _section(report: Report) -> str:
-    parts = [f"<h2>{html.escape(report.name)}</h2>"]
-    for table in _tables(report):
-        rows = "".join(
-            f'<tr><td class="s"><div style="background:{swatch}"></div></td><td>{angle:g}</td>'
-            + "".join(f"<td>{v:.2f}</td>" for v in (*lab, lch[1], lch[2]))
-            + "</tr>"
-            for angle, lab, lch, swatch in zip(table.angles_deg, table.lab, table.lch, table.hex, strict=True)
-        )
-        parts.append(
-            f'<p class="n">{html.escape(table.what)}; travel in a*b* {table.travel:.1f}</p><table><tr><th></th>'
-            f"<th>angle</th><th>L*</th><th>a*</th><th>b*</th><th>C*</th><th>h</th></tr>{rows}</table>"
-        )
-    numbers = "".join(f"<tr><th>{html.escape(n)}</th><td>{html.escape(v)}</td></tr>" for n, v in report_numbers(report))
-    return "".join(parts) + f"<table>{numbers}</table>"
-
-
-def _difference_table(report: Report, standard: Report) -> str:
-    rows = ""
-    for name, values in differences(report, standard).items():
-        table = _named_table(report, name)
-        heads = "".join(f"<th>{a:g}</th>" for a in table.angles_deg)
-        cells = "".join(f"<td>{v:.2f}</td>" for v in values)
-        rows += f"<table><tr><th>{name}</th>{heads}</tr><tr><th>dE00</th>{cells}</tr></table>"
-    return f"<h2>dE00 of {html.escape(report.name)} to {html.escape(standard.name)}</h2>{rows}"
 
 
 def dump_json(reports: list[Report]) -> str:

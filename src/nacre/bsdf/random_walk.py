@@ -1,9 +1,10 @@
 # ruff: noqa: NPY002  # numba compiles the legacy generator only; its state is one for each thread
-"""Compiled steps of random walks through a stratum: rough interface, flight, platelet, diffuse base, phase function.
+# mypy: disable-error-code="no-untyped-def"
+"""Compiled random-walk steps through a stratum: rough interface, flight, platelet, diffuse base, phase function.
 
 All wavelengths share one path. Its throughputs `f[wavelength]` are weighted by what happens, and rescaled to an
-unchanged sum, which decides by chance what happens to the path. Directions of flight have dz < 0 on the way down.
-The twins of these steps on the device are in `nacre.device.walk`.
+unchanged sum, which decides by chance what happens to the path. Flights have dz < 0 on the way down.
+Their twins on the device are in `nacre.device.walk`.
 """
 
 from __future__ import annotations
@@ -17,22 +18,22 @@ from nacre.core.jit import compiled
 
 MAX_EVENTS = 20_000
 ABSORBED, REFLECTED, TRANSMITTED = 0, 1, 2
-FAINT_WEIGHT = 1e-3  # a path of one wavelength survives with probability 1/2 below this weight
-# additive recurrence with the root of x^8 = x + 1: a rank-1 lattice of any length
+FAINT_WEIGHT = 1e-3  # single-wavelength paths survive with probability 1/2 below this weight
+# additive recurrence with the root from x^8 = x + 1: a rank-1 lattice with any length
 _ROOT = 1.0969815577985598
 LATTICE = np.array([_ROOT ** -(j + 1) % 1.0 for j in range(7)])
 
 
 @compiled(nogil=True)
-def lattice_point(number, shift, u):  # type: ignore[no-untyped-def]  # numba
-    """Write a point of the shifted lattice."""
+def lattice_point(number, shift, u):
+    """Write a point on the shifted lattice."""
     for j in range(u.size):
         at = (number + 0.5) * LATTICE[j] + shift[j]
         u[j] = at - math.floor(at)
 
 
 @compiled(nogil=True)
-def sample_facet(x, y, z, alpha, u1, u2):  # type: ignore[no-untyped-def]  # numba
+def sample_facet(x, y, z, alpha, u1, u2):
     """Draw a GGX facet visible from a direction (z > 0); the normal itself if the interface is smooth."""
     if alpha <= 0.0:
         return 0.0, 0.0, 1.0
@@ -48,7 +49,7 @@ def sample_facet(x, y, z, alpha, u1, u2):  # type: ignore[no-untyped-def]  # num
 
 
 @compiled(nogil=True)
-def refract(x, y, z, eta, alpha, u1, u2):  # type: ignore[no-untyped-def]  # numba
+def refract(x, y, z, eta, alpha, u1, u2):
     """Refract light from a direction (z > 0) through a facet: its flight beyond (z < 0) and the transmitted share."""
     mx, my, mz = sample_facet(x, y, z, alpha, u1, u2)
     cos = x * mx + y * my + z * mz
@@ -66,7 +67,7 @@ def refract(x, y, z, eta, alpha, u1, u2):  # type: ignore[no-untyped-def]  # num
 
 
 @compiled(nogil=True)
-def sample_inner_facet(dx, dy, dz, index, alpha):  # type: ignore[no-untyped-def]  # numba
+def sample_inner_facet(dx, dy, dz, index, alpha):
     """Draw the facet met by a flight from inside, dz > 0: m, the cosine on it, the reflected share, the cosine outside.
 
     The facet is mirrored in the interface, so that the inside lies above it.
@@ -78,8 +79,8 @@ def sample_inner_facet(dx, dy, dz, index, alpha):  # type: ignore[no-untyped-def
 
 
 @compiled(nogil=True)
-def reflect_inside(dx, dy, dz, mx, my, mz, cos, share, alpha):  # type: ignore[no-untyped-def]  # numba
-    """Reflect a flight at the facet of `sample_inner_facet`: its direction down; z = 0 if it leaves or is masked."""
+def reflect_inside(dx, dy, dz, mx, my, mz, cos, share, alpha):
+    """Reflect a flight at the facet from `sample_inner_facet`: its direction down; z = 0 if it leaves or is masked."""
     if np.random.random() >= share:
         return 0.0, 0.0, 0.0
     ex, ey, ez = 2.0 * cos * mx + dx, 2.0 * cos * my + dy, 2.0 * cos * mz - dz
@@ -89,8 +90,8 @@ def reflect_inside(dx, dy, dz, mx, my, mz, cos, share, alpha):  # type: ignore[n
 
 
 @compiled(nogil=True)
-def sample_diffuse():  # type: ignore[no-untyped-def]  # numba
-    """Draw a flight of diffuse light from the base."""
+def sample_diffuse():
+    """Draw a diffuse flight from the base."""
     z = math.sqrt(max(np.random.random(), 1e-12))
     phi = 2.0 * math.pi * np.random.random()
     side = math.sqrt(1.0 - z * z)
@@ -98,7 +99,7 @@ def sample_diffuse():  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True)
-def sample_normal(x, y, z, sigma, u1, u2):  # type: ignore[no-untyped-def]  # numba
+def sample_normal(x, y, z, sigma, u1, u2):
     """Draw a platelet normal visible from a direction."""
     hx, hy, hz = sigma * x, sigma * y, z
     length = math.sqrt(hx * hx + hy * hy + hz * hz)
@@ -112,22 +113,22 @@ def sample_normal(x, y, z, sigma, u1, u2):  # type: ignore[no-untyped-def]  # nu
 
 
 @compiled(nogil=True)
-def projected_area(z, sigma):  # type: ignore[no-untyped-def]  # numba
-    """Return the projected area of platelets along a cosine, relative to lying flat."""
+def projected_area(z, sigma):
+    """Return the projected platelet area along a cosine, relative to lying flat."""
     return math.sqrt(sigma * sigma * (1.0 - z * z) + z * z)
 
 
 @compiled(nogil=True)
-def normal_density(hx, hy, hz, sigma):  # type: ignore[no-untyped-def]  # numba
-    """SGGX density of platelet normals, per steradian on the full sphere."""
+def normal_density(hx, hy, hz, sigma):
+    """Return the SGGX normal density, per steradian on the full sphere."""
     s2 = sigma * sigma
     q = (hx * hx + hy * hy) / s2 + hz * hz
     return 1.0 / (math.pi * s2 * q * q)
 
 
 @compiled(nogil=True, fastmath=True)
-def interpolate_row(table, position, out):  # type: ignore[no-untyped-def]  # numba
-    """Interpolate the rows of a table at a position in rows."""
+def interpolate_row(table, position, out):
+    """Interpolate a table's rows at a position in rows."""
     i = min(int(position), table.shape[0] - 2)
     f = np.float32(position - i)
     for l in range(out.size):
@@ -135,15 +136,15 @@ def interpolate_row(table, position, out):  # type: ignore[no-untyped-def]  # nu
 
 
 @compiled(nogil=True, fastmath=True)
-def attenuate(f, absorb, path):  # type: ignore[no-untyped-def]  # numba
-    """Attenuate the throughputs by the resin, of optical thickness `absorb` along the normal."""
+def attenuate(f, absorb, path):
+    """Attenuate the throughputs by the resin, with optical thickness `absorb` along the normal."""
     for l in range(f.size):
         f[l] *= math.exp(-absorb[l] * path)
 
 
 @compiled(nogil=True)
-def collision_rates(x, y, z, number, sigma, areas):  # type: ignore[no-untyped-def]  # numba
-    """Write the platelets of each kind met along a direction per unit of depth times |z|; return their sum."""
+def collision_rates(x, y, z, number, sigma, areas):
+    """Write the platelets met per kind along a direction, per unit depth times |z|; return their sum."""
     total = 0.0
     for k in range(number.size):
         areas[k] = number[k] * math.sqrt(sigma[k] * sigma[k] * (x * x + y * y) + z * z)
@@ -152,8 +153,8 @@ def collision_rates(x, y, z, number, sigma, areas):  # type: ignore[no-untyped-d
 
 
 @compiled(nogil=True)
-def choose_kind(areas, total):  # type: ignore[no-untyped-def]  # numba
-    """Draw the kind of the platelet that is met."""
+def choose_kind(areas, total):
+    """Draw the next platelet's kind."""
     k = 0
     if areas.size > 1:
         left = np.random.random() * total - areas[0]
@@ -164,7 +165,7 @@ def choose_kind(areas, total):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def weight(f, share):  # type: ignore[no-untyped-def]  # numba
+def weight(f, share):
     """Multiply the throughputs by shares; return their sums before and after."""
     before, after = np.float32(0.0), np.float32(0.0)
     for l in range(f.size):
@@ -175,7 +176,7 @@ def weight(f, share):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def survives(f, before, after):  # type: ignore[no-untyped-def]  # numba
+def survives(f, before, after):
     """End the path by chance, or rescale its throughputs from the sum `after` to the sum `before`."""
     if np.random.random() * before >= after:
         return False
@@ -185,11 +186,11 @@ def survives(f, before, after):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def share_light(f, r, t):  # type: ignore[no-untyped-def]  # numba
+def share_light(f, r, t):
     """Reflect, transmit or absorb the path by chance, with reflectances `r` and transmittances `t`.
 
     Returns:
-        the event, and the sums of the throughputs that arrive, are reflected and are transmitted.
+        the event, and the summed throughputs that arrive, are reflected and transmitted.
     """
     carried, back, on = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     for l in range(f.size):
@@ -211,11 +212,11 @@ def share_light(f, r, t):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def scatter(dx, dy, dz, sigma, reflect, transmit, f, r, t):  # type: ignore[no-untyped-def]  # numba
+def scatter(dx, dy, dz, sigma, reflect, transmit, f, r, t):
     """Meet a platelet: the event and the new flight.
 
     Args:
-        reflect, transmit: `[cos, wavelength]`, float32, over nodes of sqrt(cos).
+        reflect, transmit: `[cos, wavelength]`, float32, on sqrt(cos) nodes.
         r, t: `[wavelength]`, float32, scratch.
     """
     mx, my, mz = sample_normal(-dx, -dy, -dz, sigma, np.random.random(), np.random.random())
@@ -234,7 +235,7 @@ def scatter(dx, dy, dz, sigma, reflect, transmit, f, r, t):  # type: ignore[no-u
 
 
 @compiled(nogil=True, fastmath=True)
-def fly(depth, dz, total, absorb, f):  # type: ignore[no-untyped-def]  # numba
+def fly(depth, dz, total, absorb, f):
     """Draw a free flight and attenuate the throughputs on the way; return the depth, beyond [0, 1] at an interface."""
     flight = -math.log(1.0 - np.random.random()) / max(total, 1e-12)
     reached = depth - dz * flight
@@ -244,16 +245,16 @@ def fly(depth, dz, total, absorb, f):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def sample_quantile(quantiles):  # type: ignore[no-untyped-def]  # numba
-    """Draw a number from its quantiles at uniform nodes, such as the cosine of a phase function."""
+def sample_quantile(quantiles):
+    """Draw a number from its quantiles at uniform nodes, such as a phase function's cosine."""
     at = np.random.random() * (quantiles.size - 1)
     low = min(int(at), quantiles.size - 2)
     return quantiles[low] + (at - low) * (quantiles[low + 1] - quantiles[low])
 
 
 @compiled(nogil=True, fastmath=True)
-def roulette(carried):  # type: ignore[no-untyped-def]  # numba
-    """Return the weight of a path of one wavelength: doubled or zero by chance if it is faint."""
+def roulette(carried):
+    """Return a single-wavelength path's weight: doubled or zero by chance if it is faint."""
     if carried < FAINT_WEIGHT:
         return 0.0 if np.random.random() < 0.5 else 2.0 * carried
     return carried

@@ -32,8 +32,7 @@ class PartSpec(RecipeModel):
     )
 
     recipe: str | dict[str, Any] = pydantic.Field(
-        description="recipe file of this part, or the recipe itself as a table",
-        examples=["film.toml"],
+        description="recipe file of this part, or the recipe itself as a table", examples=["film.toml"]
     )
 
     @pydantic.model_validator(mode="before")

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
-from nacre.bsdf.substrate import Strata
+from nacre.bsdf.substrate import Strata as Strata  # one of the capabilities
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError, did_you_mean
 from nacre.light import default_wavelengths
@@ -331,33 +331,3 @@ def method_overrides(model: Model) -> Mapping[str, Any]:
 def energy_defect(model: Model, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
     """Return `EnergyDefect.energy_defect` of a model that has it."""
     return model.energy_defect(theta_rad, wavelengths_nm, seed) if isinstance(model, EnergyDefect) else None
-
-
-__all__ = [
-    "Aligned",
-    "BetweenMedia",
-    "DirectEvaluation",
-    "Draft",
-    "EnergyDefect",
-    "ExcessEnergy",
-    "ExpensiveMethod",
-    "Fabricable",
-    "Figure",
-    "Model",
-    "OwnFormats",
-    "Ridged",
-    "RoughSurface",
-    "SearchFidelity",
-    "Strata",
-    "Surrogate",
-    "Traits",
-    "Writer",
-    "energy_defect",
-    "fabrications",
-    "figure_data",
-    "is_direct",
-    "method_overrides",
-    "search_model",
-    "surrogate_radiance",
-    "values_at",
-]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +26,15 @@ class Checkpointer:
         folder: of the design.
         fingerprint: of the task; a checkpoint of another one is refused.
         runs: how often the search has been started, this run included.
-        solutions: recipe changes by path, best first.
+        solutions: recipe changes by path, best first; or the candidates of another search.
+        progress: how far the search is.
     """
 
     folder: Path
     fingerprint: str
     runs: int = 1
     solutions: Sequence[Mapping[str, Any]] = ()
+    progress: Mapping[str, Any] = field(default_factory=dict)
     written_at: float = -np.inf
 
     @property
@@ -40,14 +42,15 @@ class Checkpointer:
         """Whether the interval since the last write is over."""
         return time.monotonic() - self.written_at > WRITE_INTERVAL_S
 
-    def update(self, solutions: Sequence[Mapping[str, Any]]) -> None:
-        """Write the solutions.
+    def update(self, solutions: Sequence[Mapping[str, Any]], **progress: Any) -> None:
+        """Write the solutions and the progress.
 
         Raises:
             NacreError: the folder cannot be written.
         """
-        self.written_at, self.solutions = time.monotonic(), solutions
+        self.written_at, self.solutions, self.progress = time.monotonic(), solutions, progress
         state = {"target": self.fingerprint, "runs": self.runs, "solutions": [dict(one) for one in solutions]}
+        state |= {"progress": progress} if progress else {}
         write_text(self.folder / STATE, json.dumps(state) + "\n")
 
     @classmethod
@@ -74,7 +77,7 @@ class Checkpointer:
                 f"{path}: belongs to another target, or a file that it names, or nacre itself has changed since; "
                 "take another folder, or omit --resume"
             )
-        return cls(folder, fingerprint, runs + 1, solutions)
+        return cls(folder, fingerprint, runs + 1, solutions, state.get("progress", {}))
 
 
 __all__ = ["STATE", "Checkpointer"]

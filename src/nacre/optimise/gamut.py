@@ -178,7 +178,7 @@ def find_gamut(
     parameters = read_parameters(dict(table), material, source)
     if not parameters:
         raise RecipeError(f"{source}: nothing is free; use --parameter PATH=LOW:HIGH")
-    at = applicable_geometry([material, *_variants(material, parameters)], geometry, f"{source}: at")
+    at = applicable_geometry([material, *_variants(material, parameters)], geometry, f"{source}: geometry")
     draws = (points, seconds, seed)
     return _parameter_gamut(material, parameters, at, (illuminant, observer), draws, tolerance, samples, progress)
 
@@ -205,7 +205,7 @@ def applicable_geometry(materials: Sequence[Material], geometry: str | None, whe
     raise refused[0]
 
 
-def target_gamut(target: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
+def target_gamut(task: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
     """Return the gamut at the first target colour, and the target colours there `[target, 3]` (CIELAB), for a report.
 
     None if all targets are spectra, or if no point can be computed.
@@ -213,19 +213,19 @@ def target_gamut(target: DesignTask, seconds: float) -> tuple[Gamut, Array] | No
     Args:
         seconds: time limit, unless the material is a thin film.
     """
-    colours = [want for want in target.targets if want.spectrum is None]
+    colours = [target for target in task.targets if target.spectrum is None]
     if not colours:
         return None
-    at, light = colours[0].geometry, (target.spec.light.illuminants[0], target.spec.light.observer)
-    labs = [want.target_lab(white_xyz(*light)) for want in colours if want.geometry == at]
+    at, light = colours[0].geometry, (task.spec.light.illuminants[0], task.spec.light.observer)
+    labs = [target.target_lab(white_xyz(*light)) for target in colours if target.geometry == at]
     marks = np.array([lab for lab in labs if lab is not None]).reshape(-1, 3)
-    seed = target.spec.search.seed
+    seed = task.spec.search.seed
     try:
-        search = thin_film_search(target, 0)
+        search = thin_film_search(task, 0)
         if search is not None:
             return _stack_gamut(search, at, light, seed), marks
         draws = (REPORT_POINTS, seconds, seed)
-        return _parameter_gamut(target.material, target.parameters, at, light, draws), marks
+        return _parameter_gamut(task.material, task.parameters, at, light, draws), marks
     except NacreError:
         return None
 
@@ -264,6 +264,7 @@ def _parameter_gamut(
         nominal = nominal_point(parameters, material)
         planned[:0] = [nominal] if nominal is not None else []
     generator = np.random.default_rng([seed, 4])
+    make = material.parametrise([parameter.path for parameter in parameters])
     cache: dict[Any, Any] = {}
     points: list[Array] = []
     factors: list[Array] = []
@@ -273,7 +274,7 @@ def _parameter_gamut(
         point = planned[done] if done < len(planned) else _near_extreme(points, np.array(labs), done, generator)
         done += 1
         try:
-            variant = material.vary(values_at(parameters, point))
+            variant = make(values_at(parameters, point))
             factor = simulate_measurement(variant, [at], grid, samples=samples, seed=seed, memory=cache).factors[0]
             factors.append(factor)
             labs.append(np.asarray(xyz_to_lab(factor @ weights, white)))

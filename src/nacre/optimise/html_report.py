@@ -38,12 +38,12 @@ PICTURES_SHARE, GAMUT_SHARE = 0.5, 0.7  # time limit shares at which pictures an
 MAX_LINE = 200
 
 
-def write_page(folder: Path, target: DesignTask, design: Any, seconds: float, begun: float) -> None:
+def write_page(folder: Path, task: DesignTask, design: Any, seconds: float, begun: float) -> None:
     """Write report.html and report.png.
 
     Args:
         folder: design folder.
-        target: the task.
+        task: the design task.
         design: the `Design`; its summary gets the total time.
         seconds: time limit; in a short one only the best solution has a picture, and the gamut is omitted.
         begun: `time.monotonic()` at the design start.
@@ -59,33 +59,33 @@ def write_page(folder: Path, target: DesignTask, design: Any, seconds: float, be
     for number, solution in enumerate(design.solutions, start=1):
         picture = None
         if number == 1 or time.monotonic() - page_begun < PICTURES_SHARE * seconds:
-            figure = design_figure(sheet_of(target, solution, number, design))
+            figure = design_figure(sheet_of(task, solution, number, design))
             picture = data_uri(figure, DPI)
             if number == 1:
-                save_figure(figure, folder / PICTURE, {"target": target.fingerprint})
-        solutions.append(_entry(solution, picture, folder, target))
+                save_figure(figure, folder / PICTURE, {"target": task.fingerprint})
+        solutions.append(_entry(solution, picture, folder, task))
     left = GAMUT_SHARE * seconds - (time.monotonic() - page_begun)
     # at most as long as the design took
     left = min(left, max(design.seconds, MIN_GAMUT_S))
-    gamut = _gamut(target, left, design.solutions[0].facts.get("judging_s", 0.0))
+    gamut = _gamut(task, left, design.solutions[0].facts.get("judging_s", 0.0))
     design.summary["seconds"] = round(time.monotonic() - begun, 3)
-    light, spec = target.spec.light, target.spec.model_dump(exclude_none=True)
+    light, spec = task.spec.light, task.spec.model_dump(exclude_none=True)
     page = render_page(
         "design_report.html",
-        title=target.name,
+        title=task.name,
         design=design,
         message=design.message[:1].upper() + design.message[1:],
         solutions=solutions,
         lamps=[(lamp, white_xyz(lamp, light.observer)) for lamp in light.illuminants],
         observer=light.observer,
         gamut=gamut,
-        target=target.context.text or json.dumps(spec, indent=2, default=str),
+        target=task.context.text or json.dumps(spec, indent=2, default=str),
         document=json.dumps(design.summary, indent=2, default=str),
     )
     write_text(folder / REPORT, page)
 
 
-def _entry(solution: Solution, picture: str | None, folder: Path, target: DesignTask) -> dict[str, Any]:
+def _entry(solution: Solution, picture: str | None, folder: Path, task: DesignTask) -> dict[str, Any]:
     """Return a solution's template data."""
     where = "" if solution.recipe is None else solution.recipe.parent.relative_to(folder).as_posix()
     return {
@@ -94,31 +94,31 @@ def _entry(solution: Solution, picture: str | None, folder: Path, target: Design
         "picture": picture,
         "worst": _distance(solution.worst),
         "layers": " | ".join(solution.material.layers()[0][1:-1]),
-        "rows": [(r, r.document(target.spec.light.observer), _distance(r)) for r in solution.targets],
-        "lines": [line for line in _numbers(solution, target) if len(line) < MAX_LINE],
+        "rows": [(r, r.document(task.spec.light.observer), _distance(r)) for r in solution.targets],
+        "lines": [line for line in _numbers(solution, task) if len(line) < MAX_LINE],
         "yield": solution.facts.get("yield"),
         "total_nm": solution.facts.get("total_nm"),
     }
 
 
-def _gamut(target: DesignTask, seconds: float, evaluation_s: float) -> dict[str, Any] | None:
+def _gamut(task: DesignTask, seconds: float, evaluation_s: float) -> dict[str, Any] | None:
     """Return gamut, chart and SVG at the first target colour; None if the time does not suffice.
 
     Args:
         evaluation_s: final evaluation time per solution, at all wavelengths.
     """
-    lamps = target.spec.light.illuminants
-    few, every = (len(choose(target.material, lamps)) for choose in (search_wavelengths, evaluation_wavelengths))
-    if seconds <= 0.0 or (is_direct(target.material.model) and MIN_POINTS * evaluation_s * few / every > seconds):
+    lamps = task.spec.light.illuminants
+    few, every = (len(choose(task.material, lamps)) for choose in (search_wavelengths, evaluation_wavelengths))
+    if seconds <= 0.0 or (is_direct(task.material.model) and MIN_POINTS * evaluation_s * few / every > seconds):
         return None
-    found = target_gamut(target, seconds)
+    found = target_gamut(task, seconds)
     if found is None:
         return None
     gamut, marks = found
     return {"gamut": gamut, "chart": data_uri(gamut_chart(gamut, marks), DPI), "svg": gamut_svg(gamut, marks)}
 
 
-def sheet_of(target: DesignTask, solution: Solution, number: int, design: Any) -> DesignSheet:
+def sheet_of(task: DesignTask, solution: Solution, number: int, design: Any) -> DesignSheet:
     """Return a solution's sheet.
 
     Raises:
@@ -126,11 +126,11 @@ def sheet_of(target: DesignTask, solution: Solution, number: int, design: Any) -
     """
     from nacre.plot.sheets import DesignSheet, Swatch
 
-    light, material = target.spec.light, solution.material
+    light, material = task.spec.light, solution.material
     grid = _shown_wavelengths(material, light.illuminants)
-    rows = geometries_of(target.targets)
+    rows = geometries_of(task.targets)
     angles, ribbon_rows, label = _ribbon(rows[0], material)
-    seed = target.spec.search.seed
+    seed = task.spec.search.seed
     measured = simulate_measurement(material, [*rows, *ribbon_rows], grid, seed=seed, memory={})
     swatches = []
     for r in solution.targets:
@@ -138,21 +138,21 @@ def sheet_of(target: DesignTask, solution: Solution, number: int, design: Any) -
             document = r.document(light.observer)
             name = f"{r.target.geometry}" + (f", {r.lamp}" if len(light.illuminants) > 1 else "")
             swatches.append(Swatch(name, document["asked_colour"], document["reached"]["colour"], _distance(r)))
-    bars, bars_title = _bars(solution, target)
+    bars, bars_title = _bars(solution, task)
     share = solution.yield_share
     worst = f"{_distance(solution.worst)} at {solution.worst.target.geometry}"
     made = "" if share is None else f"; yield {100 * share:.0f} %"
     return DesignSheet(
-        f"{target.name}, answer {number} of {len(design.solutions)}: {worst}{made}",
+        f"{task.name}, answer {number} of {len(design.solutions)}: {worst}{made}",
         swatches,
         measured.wavelengths_nm,
         {str(at): row for at, row in zip(rows, measured.factors)},
-        {str(one.geometry): one.spectrum for one in target.targets if one.spectrum is not None},
+        {str(one.geometry): one.spectrum for one in task.targets if one.spectrum is not None},
         angles,
         measured.factors[len(rows) :],
         label,
         *material.layers(),
-        _numbers(solution, target),
+        _numbers(solution, task),
         bars,
         bars_title,
         light.illuminants[0],
@@ -182,12 +182,12 @@ def _ribbon(first: Geometry, material: Material) -> tuple[Array, list[Geometry],
     return angles, [Geometry(first.kind, float(a)) for a in angles], f"Angle of the light, {first.kind} (degrees)"
 
 
-def _numbers(solution: Solution, target: DesignTask) -> list[str]:
+def _numbers(solution: Solution, task: DesignTask) -> list[str]:
     """Return the parameter values, one per line; lists of tables are expanded to their numbers."""
     lines = []
     for path, value in solution.changes.items():
         if isinstance(value, list | dict) and (inner := numbers_of(value, path)):
-            chosen = [each for each in inner if is_chosen(each, solution.changes, target.parameters)]
+            chosen = [each for each in inner if is_chosen(each, solution.changes, task.parameters)]
             lines += [f"{each} = {_short(inner[each])}" for each in chosen]
         else:
             lines.append(f"{path} = {_short(value)}")
@@ -198,13 +198,13 @@ def _short(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def _bars(solution: Solution, target: DesignTask) -> tuple[list[tuple[str, float]], str]:
+def _bars(solution: Solution, task: DesignTask) -> tuple[list[tuple[str, float]], str]:
     details = solution.facts.get("yield")
-    unit = "rms % " if all(one.spectrum is not None for one in target.targets) else "dE00 "
+    unit = "rms % " if all(one.spectrum is not None for one in task.targets) else "dE00 "
     if details is not None:
         return [(c["path"], c["moves"]) for c in details["costs"]], f"{unit}of one standard deviation"
     found = solution.facts.get("sensitivity", [])
-    count = len([p for p in numbers_of(solution.material.data) if is_chosen(p, solution.changes, target.parameters)])
+    count = len([p for p in numbers_of(solution.material.data) if is_chosen(p, solution.changes, task.parameters)])
     part = f"\n({len(found)} of {count} numbers, in the time)" if 0 < len(found) < count else ""
     moves = [(s["path"], s.get("de00_of_1_percent", s.get(RMS_OF_1_PERCENT))) for s in found]
     return moves, f"{unit}of a change of 1 %{part}"

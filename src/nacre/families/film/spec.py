@@ -304,8 +304,7 @@ class FilmSpec(RecipeModel):
         default=WavelengthsSpec(), description="wavelength grid, instead of the film's own choice"
     )
     extrapolate: Literal["error", "edge"] = pydantic.Field(
-        default="error",
-        description="outside the tabulated range of an optical constant: an error, or the end values",
+        default="error", description="outside the tabulated range of an optical constant: an error, or the end values"
     )
 
     @pydantic.model_validator(mode="before")

@@ -1,4 +1,5 @@
 # ruff: noqa: NPY002  # numba compiles the legacy generator only; its state is one for each thread
+# mypy: disable-error-code="no-untyped-def"
 """Photonic balls: micrometre-sized spheres of photonic glass in a binder, as in paints.
 
 A ball is far larger than the wavelength: rays enter its face (Fresnel, refraction by the relative index of glass and
@@ -87,7 +88,7 @@ def ball_light(medium: Medium, ratio: Array, radius_nm: float, walkers: int = WA
 
 
 @compiled(nogil=True, fastmath=True)
-def _add(out, cos, carried):  # type: ignore[no-untyped-def]  # numba
+def _add(out, cos, carried):
     """Add light deflected to a cosine to the two nodes of sin(theta/2) around it."""
     at = math.sqrt(0.5 * (1.0 - cos)) * (out.size - 1)
     low = min(int(at), out.size - 2)
@@ -96,7 +97,7 @@ def _add(out, cos, carried):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def _deflect(dx, dy, dz, quantile):  # type: ignore[no-untyped-def]  # numba
+def _deflect(dx, dy, dz, quantile):
     """Draw the direction after a scattering event from the quantiles of the phase function's cosine."""
     mu = sample_quantile(quantile)
     side = math.sqrt(max(1.0 - mu * mu, 0.0))
@@ -114,7 +115,7 @@ def _deflect(dx, dy, dz, quantile):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def _follow(b, c, ratio, depths, quantile):  # type: ignore[no-untyped-def]  # numba
+def _follow(b, c, ratio, depths, quantile):
     """Follow light from its entry at impact `b` until it leaves: weight, cosine, height of the exit, absorbed share."""
     scatter, absorb = depths
     share, cos_t = reflected(c, ratio)
@@ -147,7 +148,7 @@ def _follow(b, c, ratio, depths, quantile):  # type: ignore[no-untyped-def]  # n
 
 
 @compiled(nogil=True, fastmath=True)
-def _walk_ball(seed, count, ratio, depths, quantile, forward, out):  # type: ignore[no-untyped-def]  # numba
+def _walk_ball(seed, count, ratio, depths, quantile, forward, out):
     """Walk through a ball of radius 1; `out[turn]` gets light; return the sums passed, absorbed and carried on.
 
     Light comes along +z onto the shadow, stratified over its area: at impact b the normal is (b, 0, -c). The reflection

@@ -135,7 +135,6 @@ class EffectiveDispersion:
         return np.asarray(found.reshape(np.shape(wavelengths_nm)))
 
 
-MIXING_RULES = ("bruggeman", "maxwell-garnett")
 ROOT_TOL = 1e-9  # of a root against its bounds
 NEWTON_STEPS = 3
 

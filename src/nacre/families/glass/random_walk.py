@@ -1,4 +1,5 @@
 # ruff: noqa: NPY002  # numba compiles the legacy generator only; its state is one for each thread
+# mypy: disable-error-code="no-untyped-def"
 """Random walk through one slab of photonic glass, for each wavelength separately.
 
 The slab and its rough faces are isotropic in azimuth, so a direction is its cosine. Absorption reduces the weight along
@@ -129,7 +130,7 @@ def walk(
 
 
 @compiled(nogil=True, fastmath=True)
-def _enter(cos_i, index, face):  # type: ignore[no-untyped-def]  # numba
+def _enter(cos_i, index, face):
     """Return the share reflected by the upper face, the share that enters and its cosine inside, downward."""
     sin_i = math.sqrt(max(1.0 - cos_i * cos_i, 0.0))
     mx, _, mz = sample_facet(sin_i, 0.0, cos_i, face.alpha, np.random.random(), np.random.random())
@@ -154,7 +155,7 @@ def _enter(cos_i, index, face):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def _meet_face(cos_in, index, face):  # type: ignore[no-untyped-def]  # numba
+def _meet_face(cos_in, index, face):
     """Meet a face from inside: whether the light stays, its cosine afterwards, and the share that is not lost."""
     sine = math.sqrt(max(1.0 - cos_in * cos_in, 0.0))
     _, _, mz, cos, share, cos_t = sample_inner_facet(sine, 0.0, cos_in, index, face.alpha)
@@ -171,7 +172,7 @@ def _meet_face(cos_in, index, face):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def deflect(mu, quantile):  # type: ignore[no-untyped-def]  # numba
+def deflect(mu, quantile):
     """Draw the cosine after a scattering event from the quantiles of the phase function."""
     c = sample_quantile(quantile)
     turn = math.cos(2.0 * math.pi * np.random.random())
@@ -180,7 +181,7 @@ def deflect(mu, quantile):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def _follow(mu, carried, index, upper, lower, depths, quantile, base):  # type: ignore[no-untyped-def]  # numba
+def _follow(mu, carried, index, upper, lower, depths, quantile, base):
     """Follow light inside: the side where it leaves, its cosine and weight there, and the scattering events."""
     scatter, absorb = depths
     depth, events = 0.0, 0
@@ -214,7 +215,7 @@ def _follow(mu, carried, index, upper, lower, depths, quantile, base):  # type: 
 
 
 @compiled(nogil=True, fastmath=True)
-def _walk(seed, count, cos_i, index, upper, lower, depths, quantile, base, up):  # type: ignore[no-untyped-def]  # numba
+def _walk(seed, count, cos_i, index, upper, lower, depths, quantile, base, up):
     """Add light that leaves above to `up[bin]`; return surface reflection, transmission and events.
 
     `depths` are the optical thicknesses of scattering and absorption.

@@ -96,10 +96,7 @@ class AbsorberSpec(RecipeModel):
     """Black absorber in the matrix, such as carbon or melanin, which suppresses white light."""
 
     one_of: ClassVar[tuple[str, ...]] = ("k", "material")
-    forms: ClassVar[tuple[str, ...]] = (
-        "{k = 0.002}",
-        "{material = {n = 1.8, k = 0.6}, volume_fraction = 0.003}",
-    )
+    forms: ClassVar[tuple[str, ...]] = ("{k = 0.002}", "{material = {n = 1.8, k = 0.6}, volume_fraction = 0.003}")
 
     k: float | None = pydantic.Field(
         json_schema_extra={"minimum": 0},
@@ -186,9 +183,7 @@ class SurfaceSpec(RecipeModel):
         default="ggx", description="distribution of that face's facet normals"
     )
     compensate: bool = pydantic.Field(
-        default=True,
-        description="restore the light lost by multiple scattering between facets",
-        examples=[False],
+        default=True, description="restore the light lost by multiple scattering between facets", examples=[False]
     )
 
 
@@ -389,8 +384,7 @@ class GlassSpec(RecipeModel):
     family: Literal["glass"] = pydantic.Field(default="glass", description="the family's name")
     title: str = pydantic.Field(default="", description="a title for figures", examples=["Blue feather"])
     quality: Literal["reference", "fast"] = pydantic.Field(
-        default="reference",
-        description="reference: the random walk; fast: noise-free tables if they apply",
+        default="reference", description="reference: the random walk; fast: noise-free tables if they apply"
     )
     thickness_nm: Thickness | None = pydantic.Field(
         default=None,
@@ -414,8 +408,7 @@ class GlassSpec(RecipeModel):
     base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="base below the layer")
     model: ModelSpec = pydantic.Field(default=ModelSpec(), description="details of the model")
     extrapolate: Literal["error", "edge"] = pydantic.Field(
-        default="error",
-        description="outside the tabulated range of an optical constant: an error, or the end values",
+        default="error", description="outside the tabulated range of an optical constant: an error, or the end values"
     )
 
     @pydantic.model_validator(mode="before")

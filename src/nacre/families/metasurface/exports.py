@@ -81,18 +81,18 @@ def layout(material: Metasurface, request: DrawingRequest) -> Layout:
         UnsupportedError: only S(q) is known.
     """
     columns, rows = 1, 1
-    wanted = PERIOD_POINTS
+    count = PERIOD_POINTS
     density_per_um2 = material.structure.density_per_nm2 * 1e6
     if request.size_mm is not None:
         # limit the period to a small field's longer side
-        wanted = min(wanted, max(50, math.ceil(density_per_um2 * (1e3 * max(request.size_mm)) ** 2)))
-    pattern = material.pattern(wanted, request.seed)
+        count = min(count, max(50, math.ceil(density_per_um2 * (1e3 * max(request.size_mm)) ** 2)))
+    pattern = material.pattern(count, request.seed)
     box_um = pattern.box_nm * 1e-3
     if request.size_mm is not None:
         columns, rows = (max(1, math.ceil(1e3 * side / box_um - 1e-9)) for side in request.size_mm)
     nouns = " and ".join(species.noun for species in material.all_species)
     seed = request.seed if request.seed is not None else getattr(material.arrangement, "seed", None)
-    which, radii = _drawn_kinds(material, len(pattern.xy_nm), seed)
+    which, radii = _drawn_species(material, len(pattern.xy_nm), seed)
     facts: dict[str, Any] = {
         "radii_spread": any(len(species.sizes.radii_nm) > 1 for species in material.all_species),
         "arrangement": material.structure.name,
@@ -110,7 +110,7 @@ def layout(material: Metasurface, request: DrawingRequest) -> Layout:
     return Layout(pattern.xy_nm * 1e-3, radii[0], box_um, (columns, rows), facts, radii_um=radii, species=which)
 
 
-def _drawn_kinds(material: Metasurface, count: int, seed: int | None) -> tuple[NDArray[np.intp], tuple[float, ...]]:
+def _drawn_species(material: Metasurface, count: int, seed: int | None) -> tuple[NDArray[np.intp], tuple[float, ...]]:
     """Return the species number per particle, drawn by the shares, and the species radii in um."""
     which = draw_species(
         count, np.array([species.share for species in material.all_species]), np.random.default_rng((seed or 0, count))

@@ -54,13 +54,13 @@ from nacre.matter.indices.constant import OpticalConstant
 logger = logging.getLogger("nacre")
 
 AUTO, ENSEMBLE = "auto", "ensemble"
-SLOW_WAY = 'an ensemble (model.correction = "ensemble")'
+EXPENSIVE_METHOD = 'an ensemble (model.correction = "ensemble")'
 VALIDATED_COVERAGE = 0.13  # coverage above which a doubtful mean field causes a warning
 CLASSIFICATION_NM = 550.0  # wavelength for the core classification
 # thicker films need 180 angles; up to here 120 have an L2 error 0.4 % (0.3 % without film)
 THICK_FILM_NM = 1000.0
 LOW_WAVELENGTHS = 1.65  # total height over wavelength that 64 angles resolve: 600 nm at 360 nm
-TOLD_EXCESS = 0.01  # energy excess above which a warning is logged
+REPORTED_EXCESS = 0.01  # energy excess above which a warning is logged
 SAME_INDEX = 1e-3
 MAX_CACHED_GRIDS = 4  # wavelength grids with a cached ensemble
 FEW_ANGLES, LEAST_COS = 48, 0.05  # direct evaluation: angle count and smallest cosine
@@ -99,7 +99,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         memory: multipole order cache for similar candidates, or None.
         includes_near_fields: False ignores near fields from neighbours.
         body: non-spherical particles; `sizes` then holds their largest distances from the axis.
-        is_spared: whether the mean field replaces an ensemble in a search.
+        is_replaced: whether the mean field replaces an ensemble in a search.
         host: layer number that holds the particles, from 1; 0 above all layers.
         depth_nm: depth to their tops below the layer stack top; None above.
         second: second species in a mixture; the first has the remaining share.
@@ -127,7 +127,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
     ensemble: EnsembleSettings = EnsembleSettings()
     body: Body | None = None
     second: Species | None = None
-    is_spared: bool = False
+    is_replaced: bool = False
     host: int = 0
     depth_nm: float | None = None
 
@@ -249,12 +249,12 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
     @property
     def expensive_method(self) -> str:
         """The ensemble, if selected automatically."""
-        return SLOW_WAY if self.correction == AUTO and self._choice[0] == ENSEMBLE else ""
+        return EXPENSIVE_METHOD if self.correction == AUTO and self._choice[0] == ENSEMBLE else ""
 
     @property
     def replaced_method(self) -> str:
         """The ensemble, if the mean field replaces it in a search."""
-        return SLOW_WAY if self.is_spared and self._choice[0] == ENSEMBLE else ""
+        return EXPENSIVE_METHOD if self.is_replaced and self._choice[0] == ENSEMBLE else ""
 
     @property
     def method_overrides(self) -> Mapping[str, Any]:
@@ -332,7 +332,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         if wavelength_nm not in self._solved:
             surface = self.surface(wavelength_nm)
             check_ladder(self.correction, surface, self.structure, self.source)
-            particles = self._settling.particles(self.all_species, surface)
+            particles = self._convergence.particles(self.all_species, surface)
             mean_field = "qca-balanced" if self.correction in (AUTO, ENSEMBLE) else self.correction
             self._solved[wavelength_nm] = Monolayer(
                 surface,
@@ -345,7 +345,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return self._solved[wavelength_nm]
 
     @cached_property
-    def _settling(self) -> MultipoleConvergence:
+    def _convergence(self) -> MultipoleConvergence:
         first = self.layers[0][1] if self.layers else None
         return MultipoleConvergence(self.multipole_order, self.multipole_tolerance, self.memory, self.source, first)
 
@@ -359,7 +359,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         Raises:
             MultipoleConvergenceError: no order is within the tolerance; the message names remedies.
         """
-        return self._settling.sphere_order(self.all_species[0], surface)
+        return self._convergence.sphere_order(self.all_species[0], surface)
 
     def search_model(self, memory: dict[Any, Any], is_rough: bool = False) -> Metasurface:
         """Return a variant for optimisation that reuses multipole orders from similar spheres on the same media.
@@ -372,7 +372,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             self,
             memory=memory,
             includes_near_fields=not is_rough,
-            is_spared=spared or self.is_spared,
+            is_replaced=spared or self.is_replaced,
             correction="qca-balanced" if spared else self.correction,
         )
 
@@ -402,7 +402,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         self._warn()
         eta = self.eta
         thickness = sum(d for _, d in self.layers)
-        layer, judged = self.layers_at(lam)
+        layer, refinement = self.layers_at(lam)
         # the path difference between particle and image is twice the centre height
         height = thickness + max(2.0 * species.gap_nm + species.height_nm for species in self.all_species)
         # a film on a clear substrate may guide light, with sharp features over the angle
@@ -425,17 +425,17 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             notes["correction_because"] = self.chosen_correction[1]
         if self._doubt:
             notes["correction_doubt"] = self._doubt
-        if judged is not None:
-            notes["ensemble"] = judged.notes
-        notes |= non_sphere_notes(self.all_species) | self._settling.notes
-        self._settling.tell(self.body is not None)
+        if refinement is not None:
+            notes["ensemble"] = refinement.notes
+        notes |= non_sphere_notes(self.all_species) | self._convergence.notes
+        self._convergence.report(self.body is not None)
         return Bsdf(lobes, notes)
 
     def _warn(self) -> None:
         for line in rotation_warnings(self.all_species):
             warnings.warn(line, MetasurfaceWarning, stacklevel=3)
         doubt = self._doubt
-        if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_spared:  # searches report replaced ensembles
+        if doubt and self.coverage > VALIDATED_COVERAGE and not self.is_replaced:  # searches report replaced ensembles
             instead = "" if self.is_aligned else '; model.correction = "ensemble" solves the particles together'
             warnings.warn(f"{self.source}: {doubt}{instead}", MetasurfaceWarning, stacklevel=3)
 
@@ -477,11 +477,11 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
 
         columns = in_threads(powers, lam)
         if self.memory is None:
-            self._settling.tell(self.body is not None)
+            self._convergence.report(self.body is not None)
         r, t, up, down = (np.stack([c[i] for c in columns], axis=-1) for i in range(4))
         if self.correction != "none":
             up, down, excess = limit_to_incident_power(r + t, up, down)
-            if excess > TOLD_EXCESS:
+            if excess > REPORTED_EXCESS:
                 logger.warning(
                     "%s: correction %s sends out %.3g more than arrives; the diffuse part is scaled down to it",
                     self.source,

@@ -167,16 +167,16 @@ class SpeciesSpec(RecipeModel):
             if given:
                 raise ValueError(f"gives tmatrix and {given[0]}; a file of T-matrices says what the particle is")
             return self
-        wanted: tuple[str, ...] = ("material", "radius_nm")
+        required: tuple[str, ...] = ("material", "radius_nm")
         foreign: tuple[str, ...] = ("diameter_nm", "height_nm")
         if self.shape != "sphere":
-            wanted, foreign = ("material", *foreign), ("radius_nm",)
+            required, foreign = ("material", *foreign), ("radius_nm",)
         if self.shape != "cylinder":
             foreign = (*foreign, "edge_radius_nm")
         given = [name for name in foreign if name in self.model_fields_set]
         if given:
-            raise ValueError(f"gives {given[0]}, which a {self.shape} does not have; it has {', '.join(wanted)}")
-        missing = [name for name in wanted if getattr(self, name) is None]
+            raise ValueError(f"gives {given[0]}, which a {self.shape} does not have; it has {', '.join(required)}")
+        missing = [name for name in required if getattr(self, name) is None]
         if missing:
             raise ValueError(
                 f"needs {' and '.join(missing)} of a {self.shape}, or tmatrix, a file of T-matrices, in place of all"
@@ -282,19 +282,19 @@ class SpeciesSpec(RecipeModel):
                     f"is for particles in a medium of n = {index:.5g}, and {place} has {around:.5g}",
                 )
 
-    def _extent(self, context: RecipeContext, key: str, told: float | None) -> float:
+    def _extent(self, context: RecipeContext, key: str, stated: float | None) -> float:
         given: float | None = getattr(self, key)
-        if given is None and told is None:
+        if given is None and stated is None:
             raise context.fail(
                 f"{self.table}.tmatrix",
                 self.tmatrix,
                 f"does not say how large the particle is; give {self.table}.{key}",
             )
-        if given is not None and told is not None and abs(given / told - 1) > SAME_LENGTH:
+        if given is not None and stated is not None and abs(given / stated - 1) > SAME_LENGTH:
             raise context.fail(
-                f"{self.table}.{key}", given, f"is not what {self.tmatrix} says: {told:.5g} nm; leave it out"
+                f"{self.table}.{key}", given, f"is not what {self.tmatrix} says: {stated:.5g} nm; leave it out"
             )
-        found = told if told is not None else given
+        found = stated if stated is not None else given
         assert found is not None
         return found
 

@@ -29,7 +29,7 @@ from nacre.families.metasurface.monolayer.arrangement import (
 from nacre.families.metasurface.monolayer.micrograph import SUFFIXES, is_picture
 from nacre.families.metasurface.monolayer.structure import PACKING_LIMIT, Structure, hard_disk_structure
 from nacre.families.metasurface.particle_spec import ParticleSpec
-from nacre.families.metasurface.species import LOOSEST_TOLERANCE, Species, mean_square_radius
+from nacre.families.metasurface.species import MAX_TOLERANCE, Species, mean_square_radius
 from nacre.families.metasurface.tmatrix.substrate import LOSSLESS_K
 from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer
@@ -200,7 +200,7 @@ class ModelSpec(RecipeModel):
     multipole_order: Annotated[int, pydantic.Field(ge=1, le=60)] | None = pydantic.Field(
         default=None, description="highest multipole of one sphere; chosen by convergence if not given", examples=[6]
     )
-    tolerance: Annotated[float, pydantic.Field(ge=1e-5, le=LOOSEST_TOLERANCE)] | None = pydantic.Field(
+    tolerance: Annotated[float, pydantic.Field(ge=1e-5, le=MAX_TOLERANCE)] | None = pydantic.Field(
         default=None,
         description="largest change of a sphere's far field when its order is doubled; beyond, the material "
         "is refused; without it 0.001 is aimed at and up to 0.01 taken with a warning",
@@ -313,7 +313,7 @@ class MetasurfaceSpec(RecipeModel):
             )
         index = max(1.0, n_substrate.real if n_substrate.imag < 1e-4 else 1.0, n_ambient.real)
         asked = self.model.correction
-        is_spared = context.is_low_fidelity and asked == "auto"
+        is_replaced = context.is_low_fidelity and asked == "auto"
         layers = tuple((self._index(layer.material), layer.thickness_nm) for layer in self.layers)
         host = host_layer(context, self.particle.depth_nm, layers)
         if host and asked not in ("auto", "ensemble", "qca-balanced"):
@@ -322,7 +322,7 @@ class MetasurfaceSpec(RecipeModel):
         around = layers[host - 1][0] if host else ambient
         all_species = self.particle.all_species(context, around, self.extrapolate == "edge")
         if host:
-            all_species = held(context, all_species, host, layers)
+            all_species = embed_species(context, all_species, host, layers)
         self._check_aligned(context, all_species)
         structure, arrangement = self._structure(context, all_species, 4.2 * np.pi * index / 360.0)
         first = all_species[0]
@@ -335,8 +335,8 @@ class MetasurfaceSpec(RecipeModel):
             structure=structure,
             shell=first.shell,
             gap_nm=first.gap_nm,
-            correction="qca-balanced" if is_spared else asked,
-            is_spared=is_spared,
+            correction="qca-balanced" if is_replaced else asked,
+            is_replaced=is_replaced,
             ensemble=EnsembleSettings(**self.model.ensemble.model_dump()),
             multipole_order=self.model.multipole_order,
             multipole_tolerance=self.model.tolerance,
@@ -501,7 +501,9 @@ def _check_clear(context: RecipeContext, medium: OpticalConstant, number: int) -
         )
 
 
-def held(context: RecipeContext, all_species: tuple[Species, ...], host: int, layers: Layers) -> tuple[Species, ...]:
+def embed_species(
+    context: RecipeContext, all_species: tuple[Species, ...], host: int, layers: Layers
+) -> tuple[Species, ...]:
     """Return the species with their gaps above the lower layer face.
 
     Raises:

@@ -87,7 +87,7 @@ def smallest_converged_gap(
     return None
 
 
-def refuse(
+def convergence_error(
     body: Body,
     surface: Substrate,
     gap_nm: float,
@@ -141,10 +141,10 @@ def _pattern(surface: Substrate, particle: Particle) -> Array:
 
 logger = logging.getLogger("nacre")
 
-LOOSEST_TOLERANCE = 0.02  # largest accepted change when the order is doubled
+MAX_TOLERANCE = 0.02  # largest accepted change when the order is doubled
 # accepted with a warning without model.tolerance: silver on glass reaches 0.9 % at 360 nm
-UNASKED_TOLERANCE = 0.01
-UNTOLD_INDEX = 4.0
+DEFAULT_MAX_TOLERANCE = 0.01
+UNKNOWN_INDEX = 4.0
 GAPS_NM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # gaps tried for a remedy
 USUAL_GAP_NM = 2.0
 NEAR = 0.1  # logarithmic length step within which spheres share one multipole order
@@ -215,8 +215,8 @@ class Species:
         """Return the particle index; for a T-matrix without one, a high value, the class with the strictest limit."""
         if self.core is not None:
             return complex(self.core.n_complex(np.array([wavelength_nm]))[0])
-        told = None if self.body is None else self.body.index(wavelength_nm)
-        return complex(UNTOLD_INDEX) if told is None else told
+        stated = None if self.body is None else self.body.index(wavelength_nm)
+        return complex(UNKNOWN_INDEX) if stated is None else stated
 
     def t_matrix(self, lmax: int, surface: Substrate, radius_nm: float) -> ComplexArray:
         """Return the diagonal T for one sphere, `[n]`."""
@@ -236,7 +236,7 @@ class MultipoleConvergence:
         memory: order cache for similar candidates, or None.
         source: recipe name, for messages.
         first_film_nm: first layer thickness, or None.
-        unsettled: remaining change above the tolerance, by wavelength.
+        unconverged: remaining change above the tolerance, by wavelength.
         missing: by file with too few sphere multipoles: available and required order, and far-field change.
     """
 
@@ -245,7 +245,7 @@ class MultipoleConvergence:
     memory: dict[Any, Any] | None
     source: str
     first_film_nm: float | None
-    unsettled: dict[float, float] = field(default_factory=dict)
+    unconverged: dict[float, float] = field(default_factory=dict)
     missing: dict[str, tuple[int, int, float]] = field(default_factory=dict)
 
     def particles(self, all_species: tuple[Species, ...], surface: Substrate) -> tuple[Particle, ...]:
@@ -264,9 +264,9 @@ class MultipoleConvergence:
         out = []
         for number, (species, row) in enumerate(zip(all_species, bodies)):
             above = species.outer_radius_nm - species.mean_radius_nm + species.gap_nm
-            held = top if species.body is None else min(top, species.body.lmax)
+            available = top if species.body is None else min(top, species.body.lmax)
             alone = row or [
-                Particle(1.0, radius + above, species.t_matrix(held, surface, radius))
+                Particle(1.0, radius + above, species.t_matrix(available, surface, radius))
                 for radius in species.sizes.radii_nm
             ]
             out += [
@@ -275,25 +275,25 @@ class MultipoleConvergence:
             ]
         return tuple(out)
 
-    def tell(self, is_body: bool) -> None:
+    def report(self, is_body: bool) -> None:
         """Log incomplete convergence and files with missing multipoles, once for all wavelengths."""
-        if self.unsettled:
+        if self.unconverged:
             logger.warning(
                 "%s: at %s nm the far field is converged to %.2g only (%s); model.tolerance sets what is accepted",
                 self.source,
-                " and ".join(f"{w:g}" for w in sorted(self.unsettled)),
-                max(self.unsettled.values()),
+                " and ".join(f"{w:g}" for w in sorted(self.unconverged)),
+                max(self.unconverged.values()),
                 "the particle lies close to the solid"
                 if is_body
                 else "a metal sphere touches the solid; with a gap_nm of 2 it converges",
             )
-        for source, (held, wanted, change) in self.missing.items():
+        for source, (available, required, change) in self.missing.items():
             logger.warning(
                 "%s: holds multipoles up to l = %d, and this sphere takes up to %d over this stack: without them the "
                 "far field changes by up to %.2g",
                 source,
-                held,
-                wanted,
+                available,
+                required,
                 change,
             )
 
@@ -302,7 +302,7 @@ class MultipoleConvergence:
         """Notes for a Bsdf."""
         found: dict[str, Any] = {}
         if self.order is None:
-            found["multipole_tolerance"] = max([self.tolerance or ORDER_TOLERANCE, *self.unsettled.values()])
+            found["multipole_tolerance"] = max([self.tolerance or ORDER_TOLERANCE, *self.unconverged.values()])
         if self.missing:
             found["multipoles"] = [{"held": h, "taken": t, "change": c} for h, t, c in self.missing.values()]
         return found
@@ -311,16 +311,16 @@ class MultipoleConvergence:
         assert species.body is not None
         body = species.body if len(species.sizes.radii_nm) == 1 else species.body.with_radius(radius_nm)
         placed = place(body, surface, species.gap_nm, self.order)
-        tolerance = self.tolerance or LOOSEST_TOLERANCE
+        tolerance = self.tolerance or MAX_TOLERANCE
         if placed.change > tolerance and (placed.is_near or self.order is None):
-            raise refuse(body, surface, species.gap_nm, placed, tolerance, self.order, species.key)
+            raise convergence_error(body, surface, species.gap_nm, placed, tolerance, self.order, species.key)
         self._note(surface, placed.change)
         return placed.particle
 
     def _note(self, surface: Substrate, change: float) -> None:
-        if change > UNASKED_TOLERANCE:
+        if change > DEFAULT_MAX_TOLERANCE:
             at = surface.wavelength_nm
-            self.unsettled[at] = max(change, self.unsettled.get(at, 0.0))
+            self.unconverged[at] = max(change, self.unconverged.get(at, 0.0))
 
     def sphere_order(self, species: Species, surface: Substrate) -> int:
         """Return the multipole order for spheres at the `surface` wavelength.
@@ -347,24 +347,24 @@ class MultipoleConvergence:
         Raises:
             MultipoleConvergenceError, UnsupportedError: the file has too few, or no order converges.
         """
-        wanted, held = self._chosen_order(species, surface), sphere.lmax
-        tolerance = self.tolerance or LOOSEST_TOLERANCE
+        required, available = self._chosen_order(species, surface), sphere.lmax
+        tolerance = self.tolerance or MAX_TOLERANCE
         if not sphere.is_extended_by_mie:  # the order was chosen from the file's multipoles
             placed = place(sphere, surface, species.gap_nm)
-            if 2 * wanted > held and placed.change > tolerance:
-                raise refuse(sphere, surface, species.gap_nm, placed, tolerance, None, species.key)
-        elif wanted > held:
+            if 2 * required > available and placed.change > tolerance:
+                raise convergence_error(sphere, surface, species.gap_nm, placed, tolerance, None, species.key)
+        elif required > available:
             centre = species.outer_radius_nm + species.gap_nm
-            change = order_change(surface, centre, lambda l: sphere.coefficients(l, surface), held, 2 * wanted)
+            change = order_change(surface, centre, lambda l: sphere.coefficients(l, surface), available, 2 * required)
             if change > tolerance:
                 raise UnsupportedError(
-                    f"{sphere.source}: holds multipoles up to l = {held}, and at {surface.wavelength_nm:g} nm this "
-                    f"sphere takes {wanted} over this stack: the far field changes by {change:.2g}, {tolerance:g} is "
-                    "allowed; a file of higher order or a larger gap_nm is needed"
+                    f"{sphere.source}: holds multipoles up to l = {available}, and at {surface.wavelength_nm:g} nm "
+                    f"this sphere takes {required} over this stack: the far field changes by {change:.2g}, "
+                    f"{tolerance:g} is allowed; a file of higher order or a larger gap_nm is needed"
                 )
-            _, most, worst = self.missing.get(sphere.source, (held, 0, 0.0))
-            self.missing[sphere.source] = held, max(wanted, most), max(change, worst)
-        return min(wanted, held)
+            _, most, worst = self.missing.get(sphere.source, (available, 0, 0.0))
+            self.missing[sphere.source] = available, max(required, most), max(change, worst)
+        return min(required, available)
 
     def _neighbourhood(self, species: Species, surface: Substrate) -> tuple[Any, ...]:
         """Return the order's cache key: particle, media and first film thickness, to within a tenth."""
@@ -390,8 +390,8 @@ class MultipoleConvergence:
                 surface, centre, lambda lmax: species.t_matrix(lmax, surface, species.mean_radius_nm), tolerance
             )
         except MultipoleConvergenceError as refusal:
-            if self.tolerance is None and refusal.change < UNASKED_TOLERANCE:
-                self.unsettled[surface.wavelength_nm] = refusal.change
+            if self.tolerance is None and refusal.change < DEFAULT_MAX_TOLERANCE:
+                self.unconverged[surface.wavelength_nm] = refusal.change
                 return refusal.order
             accept = ""
             mend = (
@@ -401,7 +401,7 @@ class MultipoleConvergence:
             where = f"gap_nm = {species.gap_nm:g}"
             if species.depth_nm is not None:
                 where, mend = f"depth_nm = {species.depth_nm:g}", "leave some nm between it and the faces of its layer"
-            if refusal.change < LOOSEST_TOLERANCE:
+            if refusal.change < MAX_TOLERANCE:
                 accept = f", or accept model.tolerance = {rounded_up(refusal.change):g}"
             raise MultipoleConvergenceError(
                 f"{self.source}: {species.key}.{where}: at {surface.wavelength_nm:g} nm {refusal}; {mend}{accept}",

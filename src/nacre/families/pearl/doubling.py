@@ -1,13 +1,13 @@
-"""Multiple scattering in one stratum of platelets without noise: adding-doubling in a cosine series of the azimuth.
+"""Multiple scattering in one platelet stratum without noise: adding-doubling in a cosine series over azimuth.
 
-Smooth in all parameters and far more accurate than two streams; only the spread of light by a rough interface is
-neglected. The equations are those of radiative transfer in a slab of specular flakes (van de Hulst 1980, chapter 4;
-SGGX normals, Heitz et al. 2015):
+Smooth in all parameters and far more accurate than two streams; only light spread by a rough interface is
+neglected. Radiative transfer in a slab with specular flakes (van de Hulst 1980, chapter 4; SGGX normals, Heitz et al.
+2015):
 
     mu dL/dz = -mu x L + int N D(h) R(c) / 4 L dw,   h the normal that reflects one direction into the other.
 
-The terms of the cosine series do not mix. Directions are `NODES` quadrature nodes, and the requested ones with zero
-weight. A layer of 2^-DOUBLINGS of the stratum, known to second order, is doubled; the interface reflects from above;
+Cosine terms do not mix. Directions are `NODES` quadrature nodes, and the requested ones with zero weight. A layer with
+2^-DOUBLINGS stratum thickness, known to second order, is doubled; the interface reflects from above;
 light reflected by the base is diffuse.
 """
 
@@ -25,13 +25,13 @@ from nacre.core.parallel import single_threaded_blas
 from nacre.families.pearl.random_walk import Medium
 
 NODES, AZIMUTHS, TERMS = 22, 18, 12
-DOUBLINGS = 10  # layers of 1/70 flake for a depth of 14 flakes; 7 had an error of 3 %, and each costs 2 ms
+DOUBLINGS = 10  # layers with 1/70 flake at 14 flakes depth; 7 had 3 % error, and each costs 2 ms
 RELATIVE_ERROR = 0.03  # against random walks: 1 % under a smooth interface, 3 % at alpha = 0.1
-MIN_ROUGHNESS = 0.04  # GGX alpha; the reflection of a smoother interface is narrower than the nodes resolve
+MIN_ROUGHNESS = 0.04  # GGX alpha; smoother interfaces reflect into less than the node spacing
 SMALL = 1e-6
 CACHED_KINDS = 24  # 1 MB each
-MAX_SQUARES, SERIES_ERROR = 5, 1e-5  # of a Neumann series summed by squaring
-SAME_DIRECTION = 1e-6  # squared difference of two directions that are treated as equal
+MAX_SQUARES, SERIES_ERROR = 5, 1e-5  # for a Neumann series with squaring
+SAME_DIRECTION = 1e-6  # squared difference between equal directions
 
 Single = NDArray[Any]  # float32: half the memory and twice the speed; operators are [wavelength, term, out, in]
 
@@ -40,9 +40,9 @@ def multiple_scattering(medium: Medium, wi: Array, wo: Array, albedo: Array) -> 
     """Return all light except the reflection by the interface or by one platelet, `[pair, wavelength]`, 1/sr.
 
     Args:
-        medium: one stratum of platelets.
+        medium: one stratum.
         wi, wo: `[pair, 3]`, above the surface.
-        albedo: `[wavelength]`, of a diffuse base.
+        albedo: `[wavelength]`, diffuse base.
     """
     with single_threaded_blas():  # the matrices are small
         return _multiple_scattering(medium, wi, wo, albedo)
@@ -95,9 +95,9 @@ def _azimuths(wi: Single, wo: Single) -> Single:
 
 @lru_cache(maxsize=32)
 def _directions(asked: tuple[float, ...], index: float) -> tuple[Single, Single]:
-    """Return cosines and weights of solid angle: Gauss nodes in the angle, then the requested cosines with zero weight.
+    """Return cosines and solid-angle weights: Gauss nodes in the angle, then the requested cosines with zero weight.
 
-    The rule is split at the critical angle, where the reflectance of the interface jumps.
+    The rule is split at the critical angle, as the interface reflectance jumps.
     """
     nodes, weights = np.polynomial.legendre.leggauss(NODES // 2)
     critical = np.arcsin(1.0 / index)
@@ -114,7 +114,7 @@ def _area(mu: Single, sigma: float) -> Single:
 
 
 def _weakening(medium: Medium, mu: Single) -> Single:
-    """Return the extinction x `[wavelength, direction]` per unit of depth."""
+    """Return the extinction x `[wavelength, direction]` per unit depth."""
     bands = medium.reflect.shape[2]
     x = np.zeros((len(mu), bands))
     if len(medium.absorb):
@@ -125,7 +125,7 @@ def _weakening(medium: Medium, mu: Single) -> Single:
 
 
 def _row(table: Single, cos: Single) -> Single:
-    """Interpolate a table over nodes of sqrt(cos): `[..., wavelength]`."""
+    """Interpolate a table on sqrt(cos) nodes: `[..., wavelength]`."""
     at = np.sqrt(np.minimum(cos, 1.0)) * (len(table) - 1)
     low = np.minimum(at.astype(np.int64), len(table) - 2)
     part = (at - low)[..., None].astype(np.float32)
@@ -134,10 +134,10 @@ def _row(table: Single, cos: Single) -> Single:
 
 @lru_cache(maxsize=8)
 def _pairs(mu_bytes: bytes) -> tuple[Single, tuple[tuple[Single, Single], ...]]:
-    """Return all unordered pairs of directions, `[2, pair]`, and the geometry of reflection from one to the other.
+    """Return all unordered direction pairs, `[2, pair]`, and their reflection geometry.
 
-    For directions in opposite hemispheres and in the same one: the difference of their normal components, `[pair]`, and
-    the cosine of incidence at the flake, `[azimuth, pair]`.
+    For directions in opposite hemispheres and in the same one: the normal component's difference, `[pair]`, and the
+    incidence cosine at the flake, `[azimuth, pair]`.
     """
     mu = np.frombuffer(mu_bytes, dtype=np.float32).astype(float)
     rows = np.stack(np.triu_indices(len(mu)))
@@ -151,7 +151,7 @@ def _pairs(mu_bytes: bytes) -> tuple[Single, tuple[tuple[Single, Single], ...]]:
 
 @lru_cache(maxsize=1)
 def _cosines() -> Single:
-    """Return the matrix `[term, azimuth]` from samples of a smooth function of azimuth to its cosine series."""
+    """Return the matrix `[term, azimuth]` from samples over azimuth to a cosine series."""
     found = 2.0 / AZIMUTHS * np.cos(np.arange(AZIMUTHS)[:, None] * (np.arange(AZIMUTHS) + 0.5) * np.pi / AZIMUTHS)
     found[0] /= 2.0
     return found
@@ -160,7 +160,7 @@ def _cosines() -> Single:
 def _peaked(mu: Single, rows: Single, high: Single, width: float) -> Single:
     """Return the cosine terms of c^4 / (a - b cos phi)^2, a - b cos phi = |t_i - t_j|^2 / width^2 + high^2.
 
-    t are the lateral components of the directions, c the cosine at the flake. TERMS + AZIMUTHS - 1 of them,
+    t are the lateral direction components, c the cosine at the flake. TERMS + AZIMUTHS - 1 terms,
     `[term, pair]`, as int_0^2pi cos(m phi) ...; without c^4 they are
 
         2 pi rho^m (a + m s) / s^3,  s^2 = a^2 - b^2,  rho = (a - s) / b.
@@ -186,7 +186,7 @@ def _peaked(mu: Single, rows: Single, high: Single, width: float) -> Single:
 
 
 def _product(slow: Single, peaked: Single) -> Single:
-    """Return the cosine terms of a product, `[term, pair, ...]`, of a smooth function's `[azimuth term, pair, ...]`."""
+    """Return a product's cosine terms, `[term, pair, ...]`, with the smooth factor's `[azimuth term, pair, ...]`."""
     terms = np.arange(TERMS)
     shape = (slice(None), slice(None), *(None,) * (slow.ndim - 2))
     found = np.zeros((TERMS, *slow.shape[1:]), np.float32)
@@ -197,7 +197,7 @@ def _product(slow: Single, peaked: Single) -> Single:
 
 
 def _turned(medium: Medium, mu: Single) -> tuple[Single, Single]:
-    """Return scattering per unit of depth, times mu: into the opposite and into the same hemisphere."""
+    """Return scattering per unit depth, times mu: into the opposite and into the same hemisphere."""
     rows, _ = _pairs(mu.tobytes())
     totals = np.zeros((2, TERMS, rows.shape[1], medium.reflect.shape[2]), np.float32)
     for table, number, sigma in zip(medium.reflect, medium.number, medium.sigma, strict=True):
@@ -214,14 +214,14 @@ def _turned_by_one(reflect: bytes, nodes: int, sigma: float, mu_bytes: bytes) ->
     rows, halves = _pairs(mu_bytes)
     found = []
     for high, cos in halves:
-        # R D / 4, where the density D of a normal h is |e - d|^4 / (pi sigma^2 (a - b cos phi)^2)
+        # R D / 4, with the normal density D(h) = |e - d|^4 / (pi sigma^2 (a - b cos phi)^2)
         series = np.tensordot(_cosines(), _row(table, cos) * (4.0 / (np.pi * sigma**2)), axes=1)
         found.append(_product(series, _peaked(mu, rows, high, sigma)))
     return np.stack(found)
 
 
 def _both_ways(terms: Single, rows: Single, size: int) -> Single:
-    """Return the symmetric matrices of pairs `[..., pair]`."""
+    """Return symmetric matrices from pairs `[..., pair]`."""
     whole = np.empty((*terms.shape[:-1], size, size), np.float32)
     whole[..., rows[0], rows[1]] = terms
     whole[..., rows[1], rows[0]] = terms
@@ -276,7 +276,7 @@ def _echoed(once: Single, light: Single) -> Single:
 
 
 def _mirror(medium: Medium, mu: Single, weight: Single) -> Single:
-    """Return the reflection of the interface from inside as matrices of radiance, `[term or 1, out, in]`."""
+    """Return the interface reflection from inside as radiance matrices, `[term or 1, out, in]`."""
     if medium.alpha < MIN_ROUGHNESS:
         return np.diag(_inner_fresnel(mu.astype(float), medium.n)).astype(np.float32)[None]
     return _rough_mirror(mu.tobytes(), weight.tobytes(), medium.n, medium.alpha)
@@ -288,7 +288,7 @@ def _rough_mirror(mu_bytes: bytes, weight_bytes: bytes, index: float, alpha: flo
     rows, ((high, cos), _) = _pairs(mu_bytes)
     tan2 = (1.0 - mu.astype(float) ** 2) / mu.astype(float) ** 2
     masked = 2.0 / (1.0 + np.sqrt(1.0 + alpha * alpha * tan2))
-    # F D G / 4, where GGX has D = |e - d|^4 / (pi alpha^2 (a - b cos phi)^2) without the cosine of the normal
+    # F D G / 4, where GGX has D = |e - d|^4 / (pi alpha^2 (a - b cos phi)^2) without the normal's cosine
     slow = _inner_fresnel(cos, index) * 4.0 / (np.pi * alpha**2) * masked[rows[0]] * masked[rows[1]]
     terms = _product(_cosines() @ slow, _peaked(mu, rows, high, alpha))
     return np.asarray(_both_ways(terms, rows, len(mu)) / mu[:, None] * weight, dtype=np.float32)
@@ -304,12 +304,9 @@ def _inner_fresnel(cos: Single, index: float) -> Single:
 def _returned(
     reflect: Single, transmit: Single, direct: Single, twice: Single, mirror: Single, mu: Single, weight: Single
 ) -> Single:
-    """Return the share of diffuse light from the base that returns to it, `[wavelength]`."""
+    """Return the share that returns to the base from its diffuse light, `[wavelength]`."""
     even = np.full((len(mu), 1), 2.0, np.float32)
     top = direct[..., None] * even + (transmit * weight) @ even
     down = mirror @ np.linalg.solve(twice, top)
     back = (reflect * weight) @ even + direct[..., None] * down + (transmit * weight) @ down
     return np.asarray(np.einsum("i,lij->l", weight * mu, back) / np.sum(weight * mu * 2.0))
-
-
-__all__ = ["RELATIVE_ERROR", "multiple_scattering"]

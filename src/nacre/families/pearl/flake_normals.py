@@ -1,8 +1,9 @@
-"""SGGX distribution of flake normals, and the extinction of a resin with flakes.
+# mypy: disable-error-code="no-untyped-def"
+"""SGGX distribution for flake normals, and the extinction in a resin with flakes.
 
 The normals follow an SGGX ellipsoid (Heitz et al. 2015): S = Q diag(x^2, y^2, 1) Q^T, projected area
 sigma(w) = sqrt(w.S.w) and density D(m) = 1 / (pi sqrt|S| (m.S^-1.m)^2) on the full sphere. With 1 for the third
-axis, sigma(z) = 1: a flake lying flat shows its full area. `N` is the number of flakes met by a ray along the mean
+axis, sigma(z) = 1: a flake lying flat shows its full area. `N` flakes are met by a ray along the mean
 normal through the stratum, N = volume fraction x stratum thickness / flake thickness for any outline.
 """
 
@@ -17,11 +18,11 @@ from scipy.spatial.transform import Rotation
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
 
-COS_NODES = 257  # of R and T, uniform in sqrt(cos)
-TABLE_ERROR = 2e-3  # interpolation error of R midway between table nodes above which the nodes are doubled
+COS_NODES = 257  # for R and T, uniform in sqrt(cos)
+TABLE_ERROR = 2e-3  # interpolation error midway between R nodes, above which they are doubled
 MAX_COS_NODES = 1025
-ELEVATION_NODES = 257  # of the extinction, uniform in sqrt|cos|
-AZIMUTH_NODES = 9  # of the extinction of anisotropic flakes, uniform over a quarter turn
+ELEVATION_NODES = 257  # for the extinction, uniform in sqrt|cos|
+AZIMUTH_NODES = 9  # for the extinction by anisotropic flakes, uniform over a quarter turn
 QUADRATURE = 64  # points per axis over the visible normals
 
 
@@ -32,7 +33,7 @@ def rotation_matrix(angles_rad: Array) -> Array:
 
 @dataclass(frozen=True)
 class FlakeNormals:
-    """SGGX distribution of flake normals.
+    """SGGX distribution for flake normals.
 
     Attributes:
         deviation: `[2]`, semi-axes along the flake frame's x and y, in (0, 1]; both 1: isotropic.
@@ -44,21 +45,21 @@ class FlakeNormals:
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether the distribution is isotropic in the azimuth of its frame."""
+        """Whether the distribution is isotropic in azimuth."""
         return bool(self.deviation[0] == self.deviation[1])
 
     @property
     def axes(self) -> Array:
-        """Semi-axes of the ellipsoid, `[3]`."""
+        """Ellipsoid semi-axes, `[3]`."""
         return np.array([*self.deviation, 1.0])
 
     def projected_area(self, w: Array) -> Array:
-        """Projected area of the flakes along `w[..., 3]`, relative to lying flat."""
+        """Return the projected flake area along `w[..., 3]`, relative to lying flat."""
         local = w @ self.frame
         return np.asarray(np.sqrt(np.sum((local * self.axes) ** 2, axis=-1)))
 
     def density(self, m: Array) -> Array:
-        """Density of normals at `m[..., 3]`, per steradian, on the full sphere (each flake has two sides)."""
+        """Return the normal density at `m[..., 3]`, per steradian, on the full sphere (each flake has two sides)."""
         local = m @ self.frame
         root = np.prod(self.axes)
         return np.asarray(1.0 / (np.pi * root * np.sum((local / self.axes) ** 2, axis=-1) ** 2))
@@ -73,7 +74,7 @@ def orthonormal_basis(axis: Array) -> tuple[Array, Array]:
 
 
 def cos_nodes(count: int) -> Array:
-    """Nodes of the platelet tables: uniform in sqrt(cos), as sharp features concentrate at grazing."""
+    """Return the platelet tables' nodes: uniform in sqrt(cos), as sharp features concentrate at grazing."""
     return np.linspace(0.0, 1.0, count) ** 2
 
 
@@ -81,17 +82,17 @@ def visible_weights(normals: FlakeNormals, nodes: int) -> Array:
     """Average over the visible normals as weights on the platelet table's nodes.
 
     Returns:
-        `[azimuth, elevation, cos]`, non-negative, summing to 1 over the last axis: the share of the visible area at
-        each |w.m| from a direction of the flake frame, split onto the nodes for linear interpolation.
-        Directions: elevation node i has |z| = (i/last)^2, azimuth node j is j/last of a quarter turn (one
+        `[azimuth, elevation, cos]`, non-negative, summing to 1 over the last axis: the visible area share at each
+        |w.m| from a direction in the flake frame, split onto the nodes for linear interpolation.
+        Directions: elevation node i has |z| = (i/last)^2, azimuth node j is j/last quarter turn (one
         node if isotropic).
     """
     azimuths = np.array([0.0]) if normals.is_isotropic else np.linspace(0, np.pi / 2, AZIMUTH_NODES)
     z = cos_nodes(ELEVATION_NODES)
-    # squares of Gauss nodes: the cosine concentrates near 0 for flat flakes seen edge-on
+    # squared Gauss nodes: the cosine concentrates near 0 for flat flakes seen edge-on
     x, w = np.polynomial.legendre.leggauss(QUADRATURE)
     height = ((x + 1) / 2) ** 2
-    radial = w * (x + 1) / 2 * 2 * height  # dx of the map, times 2 height for the cosine distribution
+    radial = w * (x + 1) / 2 * 2 * height  # the map's dx, times 2 height for the cosine distribution
     radial = radial / radial.sum()
     flake = FlakeNormals(normals.deviation)
     result = np.zeros((len(azimuths), ELEVATION_NODES, nodes))
@@ -107,8 +108,8 @@ def visible_weights(normals: FlakeNormals, nodes: int) -> Array:
 
 
 @compiled(nogil=True)
-def _split_onto_nodes(w_dir, basis, height, weight, out):  # type: ignore[no-untyped-def]  # numba
-    """Add the weights of the visible normals of each direction to the adjacent cosine nodes, `out[dir, cos]`."""
+def _split_onto_nodes(w_dir, basis, height, weight, out):
+    """Add each direction's visible normal weights to the adjacent cosine nodes, `out[dir, cos]`."""
     turns, last = height.size, out.shape[1] - 1
     phi = 2.0 * math.pi * (np.arange(turns) + 0.5) / turns
     cosine, sine = np.cos(phi), np.sin(phi)
@@ -135,11 +136,11 @@ def mean_extinction(weights: Array, transmittance: Array) -> Array:
 
 
 def optical_number(volume_fraction: float, stratum_nm: float, flake_nm: float) -> float:
-    """Return the number N of flakes met by a ray along their mean normal through a stratum.
+    """Return N, the flakes met by a ray along their mean normal through a stratum.
 
-    A flake of face area A and thickness h fills A h; at volume fraction C there are C / (A h) of them per volume, so
+    A flake with face area A and thickness h fills A h; at volume fraction C there are C / (A h) flakes per volume, so
     the face area per length is C / h for any outline.
 
-    Example: 13.2 % of 840.44 nm flakes in 150 um: N = 23.6.
+    Example: 13.2 % with 840.44 nm flakes in 150 um: N = 23.6.
     """
     return volume_fraction * stratum_nm / flake_nm

@@ -1,4 +1,4 @@
-"""Resolved flakes of the uppermost stratum: their number, apparent size and flatness."""
+"""Resolved flakes in the uppermost stratum: number, apparent size and flatness."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 MIDDLE_UM = 0.55
-# half width of the Airy disc of a flake of diameter d in the resin, 0.51 lambda / (n d), as a standard deviation of
-# its Gaussian (over sqrt(2 ln 2)), halved: a normal turns by half the angle of the light
+# Airy disc half width for a flake with diameter d in the resin, 0.51 lambda / (n d), as a Gaussian standard deviation
+# (over sqrt(2 ln 2)), halved: a normal turns by half the light's angle
 DIFFRACTION = 0.51 / 1.1774 / 2.0
 SEED_STEP = 7919  # between the seeds of two pigments
 
@@ -27,10 +27,10 @@ class Glints:
     """Resolved flakes.
 
     Attributes:
-        surface_mm: length on the object of one unit of u and of v.
-        diameter_spread: standard deviation of the logarithm of the flakes' diameter.
-        flatness_deg: standard deviation of the normal over one flake.
-        seed: of the positions.
+        surface_mm: length on the object per unit of u and v.
+        diameter_spread: standard deviation, log diameter.
+        flatness_deg: normal's standard deviation over one flake.
+        seed: for the positions.
     """
 
     surface_mm: tuple[float, float]
@@ -40,24 +40,24 @@ class Glints:
 
 
 def interface_bend(alpha: float, index: float) -> float:
-    """Return the spread of the half vector inside, as a slope, by two passages of a rough interface near the normal."""
+    """Return the half vector's spread inside, as a slope, by two passages through a rough interface near the normal."""
     return alpha * abs(index - 1.0) / (math.sqrt(2.0) * index)
 
 
 def glint_arrays(
     glints: Glints, stratum: Stratum, index: float, number: Array, extinct: Array
 ) -> tuple[Array, Array, Array]:
-    """Return numbers, radii and ratios of `nacre.bsdf.glints` for the pigments of a stratum.
+    """Return numbers, radii and ratios of `nacre.bsdf.glints` for a stratum's pigments.
 
-    Light reflected by a flake is attenuated on its way in and out: of `number` flakes,
+    Light reflected by a flake is attenuated on its way in and out: among `number` flakes,
     number (1 - exp(-2 tau)) / (2 tau) are visible, with the extinction tau along the normal.
 
     Args:
-        glints: scale and spread of the flakes.
+        glints: scale and flake spread.
         stratum: its flakes have diameters.
-        index: of the resin over the ambient's.
+        index: resin over ambient.
         number: `[kind]`, flakes met along the normal.
-        extinct: `[kind]`, extinction of a flake along the normal.
+        extinct: `[kind]`, flake extinction along the normal.
     """
     depth = 2.0 * float(np.sum(number * extinct))
     reach = -math.expm1(-depth) / depth if depth > 1e-9 else 1.0

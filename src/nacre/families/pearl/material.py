@@ -41,11 +41,11 @@ from nacre.matter.indices.constant import OpticalConstant
 logger = logging.getLogger("nacre")
 
 INDEX_NM = 550.0  # all wavelengths are refracted with the index at this one
-STEP_NM = 5.0  # wavelength step for platelets of varying thickness, whose fringes average out
+STEP_NM = 5.0  # wavelength step for platelets with varying thickness, whose fringes average out
 EDGE_ON = 0.2  # cosine between mean platelet normal and surface normal below which a note is made
 PLATELET_DEG = np.linspace(0.0, 90.0, 91)
 TABLES, SURROGATE, ESTIMATE, DEFECT = "tables", "surrogate", "estimate", "energy defect"
-MIN_DEVIATION = 1e-3  # a smaller deviation of the normals would be a mirror; the narrowest pigment so far has 0.01
+MIN_DEVIATION = 1e-3  # smaller normal deviations would be a mirror; the narrowest pigment so far has 0.01
 
 
 @dataclass(frozen=True)
@@ -53,15 +53,15 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
     """Strata from the light inward, and the base.
 
     Attributes:
-        strata, base: layers of resin, and the base below.
-        quality: "reference", the random walk, or "fast", noise-free tables of it if they apply.
-        glints: resolved platelets of the uppermost stratum, or None.
+        strata, base: resin layers, and the base below.
+        quality: "reference", the random walk, or "fast", noise-free tables if they apply.
+        glints: resolved platelets in the uppermost stratum.
     """
 
     traits = Traits(
         noun="pearl",
         unpolarised_reason="scatters light many times and is known for unpolarised light only",
-        default_geometry="45as15",  # the specular reflection of the upper interface has no colour
+        default_geometry="45as15",  # the interface's specular reflection is colourless
     )
 
     strata: tuple[Stratum, ...]
@@ -71,7 +71,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
 
     @property
     def wavelengths_nm(self) -> Array:
-        """Default grid: 5 nm, finer for thick platelets of one thickness."""
+        """Default grid: 5 nm, finer for thick platelets with one thickness."""
         fixed = [
             flakes.platelet.optical_height_nm(INDEX_NM)
             for stratum in self.strata
@@ -98,7 +98,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
         return tuple(found)
 
     def platelet_tables(self, wavelengths_nm: Array) -> Array:
-        """R and T of all platelet types, `[kind, cos, wavelength, 2]`, over nodes uniform in sqrt(cos)."""
+        """R and T for all pigments, `[kind, cos, wavelength, 2]`, on uniform sqrt(cos) nodes."""
         kinds = [(stratum, flakes) for stratum in self.strata for flakes in stratum.flakes]
         count = COS_NODES
         responses = [_response(stratum, flakes, count, wavelengths_nm) for stratum, flakes in kinds]
@@ -139,8 +139,8 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
         """Return why a method does not apply to this pearl, or None.
 
         Args:
-            method: TABLES, of `quality = "fast"`; SURROGATE; ESTIMATE, the surrogate's random walk; or DEFECT, the walk
-                of `energy_defect`.
+            method: TABLES, for `quality = "fast"`; SURROGATE; ESTIMATE, the surrogate's random walk; or DEFECT, the
+                walk in `energy_defect`.
         """
         first = self.strata[0]
         faces = [first.surface, *([self.base.surface] if method == DEFECT else [])]
@@ -161,9 +161,9 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
         return next((reason for reason, applies in reasons.items() if applies), None)
 
     def energy_defect(self, theta_rad: Array, wavelengths_nm: Array, seed: int = 0) -> Array | None:
-        """Return the share of light lost by the "published" energy balance, `[angle, wavelength]`.
+        """Return the light share lost by the "published" energy balance, `[angle, wavelength]`, if a pigment has it.
 
-        None: no platelet has it, or the loss cannot be computed (a warning states the reason).
+        A warning states the reason if the loss cannot be computed.
         """
         published = np.array(
             [f.platelet.energy_balance == PUBLISHED for s in self.strata for f in s.flakes], dtype=bool
@@ -231,13 +231,13 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
 
     @property
     def surrogate_error(self) -> float | None:
-        """Error of `doubling` by rough interfaces and by its angular steps."""
+        """Error in `doubling` by rough interfaces and angular steps."""
         return RELATIVE_ERROR if self._is_estimated else None
 
     def estimate_radiance(
         self, wi: Array, wo: Array, wavelengths_nm: Array, walks: int, seed: int
     ) -> tuple[Array, Array] | None:
-        """Return the BRDF and its standard error by next-event estimation towards all pairs of a light at once."""
+        """Return the BRDF and its standard error by next-event estimation towards all viewers at once."""
         return self._surrogate(wavelengths_nm).estimate(wi, wo, walks, seed) if self._is_estimated else None
 
     @property
@@ -264,7 +264,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
         return replace(lobe, glint_numbers=numbers, glint_radii=radii, glint_ratio=ratio)
 
     def _dyes(self, lam: Array) -> tuple[Array | None, Array | None, Array | None]:
-        """Return the extinction of dye and resin, and the phase function of the dye, all `[stratum, ...]`."""
+        """Return the extinction by dye and resin, and the dye's phase function, all `[stratum, ...]`."""
         responses: list[DyeResponse] = []
         for stratum in self.strata:
             n = stratum.resin.n_complex(lam)
@@ -292,13 +292,13 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """R and T of each platelet type in its resin: "platelet"."""
+        """R and T for each pigment in its resin: "platelet"."""
         return {"platelet": self._platelets}
 
     def _platelets(
         self, wavelengths_nm: Array | None = None, angles_deg: Array = PLATELET_DEG
     ) -> dict[str, NDArray[Any]]:
-        """Return R and T of each platelet type.
+        """Return R and T for each pigment.
 
         Args:
             wavelengths_nm: default: the material's.
@@ -342,7 +342,7 @@ def _response(stratum: Stratum, flakes: Flakes, count: int, lam: Array) -> Plate
 
 
 def _table_error(stratum: Stratum, flakes: Flakes, count: int, lam: Array) -> float:
-    """Return the largest error of interpolation midway between nodes, weighted by the projected area."""
+    """Return the largest interpolation error midway between nodes, weighted by the projected area."""
     fine = cos_nodes(2 * count - 1)
     n = stratum.resin.n_complex(lam).real
     reflect, _ = platelet_response(flakes.platelet, n, fine, lam).unpolarised()
@@ -351,6 +351,6 @@ def _table_error(stratum: Stratum, flakes: Flakes, count: int, lam: Array) -> fl
 
 
 def _same_azimuths(tables: list[Array]) -> list[Array]:
-    """Give all tables the same number of azimuths."""
+    """Give all tables equally many azimuths."""
     most = max((len(table) for table in tables), default=1)
     return [np.repeat(table, most, axis=0) if len(table) == 1 and most > 1 else table for table in tables]

@@ -1,7 +1,7 @@
 """Interference platelets: a substrate between two coatings, averaged over the flakes' thicknesses.
 
-R, T and A are those of one flat flake in its resin, for the angle between ray and flake normal. The amplitudes of the
-coatings come from `nacre.matter.stack`; the substrate is separated, and its thickness is averaged in closed form.
+R, T and A refer to one flat flake in its resin, for the angle between ray and flake normal. The coating amplitudes come
+from `nacre.matter.stack`; the substrate is separated, and its thickness is averaged in closed form.
 """
 
 from __future__ import annotations
@@ -17,14 +17,7 @@ import numpy as np
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.parallel import parallel_for
-from nacre.families.pearl.thickness import (
-    GAUSSIAN,
-    SHORT_PHASE,
-    TABULATED,
-    Distribution,
-    Thickness,
-    average_platelet,
-)
+from nacre.families.pearl.thickness import GAUSSIAN, SHORT_PHASE, TABULATED, Distribution, Thickness, average_platelet
 from nacre.matter.stack.inputs import Amplitudes
 from nacre.matter.stack.solve import amplitudes
 
@@ -35,11 +28,11 @@ if TYPE_CHECKING:
 logger = logging.getLogger("nacre")
 
 CONSERVING, PUBLISHED = "conserving", "published"
-LADDER = tuple(8 * 2**i for i in range(7))  # panels of 16 points: 128 ... 8192 nodes
+LADDER = tuple(8 * 2**i for i in range(7))  # panels with 16 points: 128 ... 8192 nodes
 GRAZING = 1e-9  # cosine below which R = 1, T = 0 is the limit
-MAX_COATING_SETS = 4096  # combinations of coating thicknesses in an average
-SERIES_REACH = 150  # terms of the series for which the characteristic function is tabulated; grazing needs more
-SINGULAR = 2e-8  # lower bound of |kz| of the substrate, as its amplitudes are undefined at 0
+MAX_COATING_SETS = 4096  # coating thickness combinations in an average
+SERIES_REACH = 150  # series terms in the tabulated characteristic function; grazing needs more
+SINGULAR = 2e-8  # lower bound for the substrate's |kz|, with amplitudes undefined at 0
 
 
 @dataclass(frozen=True)
@@ -52,15 +45,15 @@ class Coating:
 
 @dataclass(frozen=True)
 class Platelet:
-    """The layers of a flake.
+    """A flake's layers.
 
     Attributes:
-        substrate: material of the middle layer, the only one of a free platelet.
+        substrate: middle layer's material, the only one in a free platelet.
         thickness: its thickness over the flakes.
-        upper: coatings of one side, outermost first.
-        lower: coatings of the other side, outermost first; None mirrors `upper`.
-        energy_balance: "conserving", or "published": R (1 - T) instead of R, as in eqs. 17 and 18 of Guillen et al.
-            2020 as printed; R T is lost at each flake without absorption.
+        upper: coatings on one side, outermost first.
+        lower: coatings on the other side, outermost first; default: `upper`.
+        energy_balance: "conserving", or "published": R (1 - T) instead of R, as printed in Guillen et al. 2020, eqs. 17
+            and 18; R T is lost at each flake without absorption.
     """
 
     substrate: OpticalConstant
@@ -76,7 +69,7 @@ class Platelet:
 
     @property
     def height_nm(self) -> float:
-        """Mean thickness of the whole flake with both coatings: its volume per area."""
+        """Mean flake thickness with both coatings: volume per area."""
         lower = self.upper if self.lower is None else self.lower
         return self.thickness.average_nm + sum(c.thickness.average_nm for c in (*self.upper, *lower))
 
@@ -90,7 +83,7 @@ class Platelet:
 
 @dataclass(frozen=True)
 class PlateletResponse:
-    """Power ratios of a platelet, each `[polarisation (s, p), cos, wavelength]`."""
+    """Platelet power ratios, each `[polarisation (s, p), cos, wavelength]`."""
 
     reflectance: Array
     transmittance: Array
@@ -108,17 +101,17 @@ class PlateletResponse:
 def platelet_response(
     platelet: Platelet, container_n: Array, cos_i: Array, wavelengths_nm: Array, truncation: float = 0.0
 ) -> PlateletResponse:
-    """Reflectance and transmittance of a flake in its resin, averaged over its thickness distributions.
+    """Return a flake's reflectance and transmittance in its resin, averaged over the thickness distributions.
 
     An asymmetric flake faces up with either side equally often. Only here `energy_balance` has an effect.
 
     Args:
         platelet: the layers.
-        container_n: `[wavelength]`, real index of the resin (1 for a powder in air).
+        container_n: `[wavelength]`, real resin index (1 for a powder in air).
         cos_i: `[cos]`, cosines between ray and flake normal in the resin, in [0, 1].
         wavelengths_nm: `[wavelength]`, vacuum.
-        truncation: a Gaussian that bounds cut by less than this share is taken as uncut, in a fifth of the time; the
-            error of R and T is about that share at most.
+        truncation: a Gaussian that bounds cut by less than this share is taken as uncut, in a fifth the time;
+            the error in R and T is about that share at most.
 
     Raises:
         MaterialRangeError: an index is not tabulated at a wavelength.
@@ -141,13 +134,13 @@ def platelet_response(
     assert total is not None
     if platelet.energy_balance == PUBLISHED:
         _warn_of_published_balance()
-        # the source scatters unpolarised light: its extinction is 1 - T of both polarisations together
+        # the source scatters unpolarised light: its extinction is the unpolarised 1 - T
         total.reflectance[...] *= 1.0 - total.transmittance.mean(axis=0)
     return total
 
 
 def lost_share(reflectance: Array, transmittance: Array) -> Array:
-    """Return the share of light lost at a flake by the "published" energy balance, from its R (1 - T) and its T.
+    """Return the light share lost at a flake by the "published" energy balance, from its R (1 - T) and its T.
 
     It is R T, neither reflected, transmitted nor absorbed.
     """
@@ -165,17 +158,17 @@ def _warn_of_published_balance() -> None:
 
 
 def _coating_sets(platelet: Platelet, wavelengths_nm: Array) -> list[tuple[float, Array, Array]]:
-    """Combine the thickness nodes of all coatings that vary: (weight, upper thicknesses, lower thicknesses)."""
+    """Combine the thickness nodes for all varying coatings: (weight, upper thicknesses, lower thicknesses)."""
     choices = []
     coatings = (*platelet.upper, *(platelet.lower or ()))
-    # 10 panels of 16 nodes have an error of 1e-8 up to 84 degrees; the nodes of two varying coatings multiply
+    # 10 panels with 16 nodes: error 1e-8 up to 84 degrees; the nodes for two varying coatings multiply
     panels = 10 if sum(not c.thickness.is_fixed for c in coatings) == 1 else 4
     for coating in coatings:
         thickness = coating.thickness
         if thickness.is_fixed:
             choices.append([(1.0, thickness.mean_nm)])
             continue
-        # the phase over the support, usually a fraction of a fringe, sets the panels
+        # the phase over the support, usually below a fringe, sets the panels
         low, high = thickness.support
         index = float(np.max(np.abs(coating.material.n_complex(wavelengths_nm))))
         phase = 4 * np.pi * index * (high - low) / float(wavelengths_nm[0])
@@ -225,7 +218,7 @@ def _one_face(
     kz_s = np.where(kz_s.imag < 0, -kz_s, kz_s)
     kz_s = np.where(np.abs(kz_s) < SINGULAR, SINGULAR, kz_s)
     absorbs = n_s.imag > 0
-    # the stack solver selects the outgoing wave by the sign of Im kz, which rounding must not decide
+    # the stack solver selects the outgoing wave by the sign in Im kz, which rounding must not decide
     kz_s = np.where(absorbs, kz_s + 1e-13j, kz_s)
     (r_a, t_a), (into, back) = _coating_amplitudes(upper, n_c, n_s, kz_c, kz_s, wavelengths_nm)
     r_b, t_b = into, back
@@ -242,7 +235,7 @@ def _one_face(
     def task(_: int, __: int, first: int, last: int) -> None:
         average_platelet(p, amplitudes_of, flakes, big_r, big_t, first, last)
 
-    # an absorbing point costs some hundred quadrature nodes, any other a few terms of a series
+    # an absorbing point costs some hundred quadrature nodes, any other a few series terms
     parallel_for(task, 1, p.size, p.size * (1000 if flakes.nodes.size > 1 else 50), None)
     full = (2, *kz_s.shape)
     result_r, result_t = big_r.reshape(full), big_t.reshape(full)
@@ -262,7 +255,7 @@ def _one_face(
 
 
 def _distribution(thickness: Thickness, p: ComplexArray, truncation: float) -> Distribution:
-    """Return the thickness distribution as the kernels take it, with a quadrature if a point of phase `p` needs it."""
+    """Return the thickness distribution as the kernels take it, with a quadrature if a phase in `p` needs it."""
     kind, centre = GAUSSIAN, thickness.mean_nm
     table, step = np.zeros(1, dtype=complex), 1.0
     nodes, weights, starts = np.zeros(1), np.ones(1), np.array([0, 1])
@@ -284,7 +277,7 @@ def _distribution(thickness: Thickness, p: ComplexArray, truncation: float) -> D
 def _coating_amplitudes(
     face: Face, n_c: Array, n_s: ComplexArray, kz_c: Array, kz_s: ComplexArray, wavelengths_nm: Array
 ) -> tuple[tuple[ComplexArray, ComplexArray], tuple[ComplexArray, ComplexArray]]:
-    """Return the amplitudes (r, t) of one coated side, for light from the resin and from the substrate.
+    """Return one coated side's amplitudes (r, t), for light from the resin and from the substrate.
 
     Each `[polarisation, cos, wavelength]`.
     """

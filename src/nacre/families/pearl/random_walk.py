@@ -1,15 +1,16 @@
 # ruff: noqa: NPY002  # numba compiles the legacy generator only; its state is one for each thread
-"""Random walks in one stratum of platelets over a base: one analog walk with three estimators.
+# mypy: disable-error-code="no-untyped-def"
+"""Random walks in one platelet stratum over a base: one analog walk with three estimators.
 
 `walk` follows light through the stratum. It tallies what leaves in a table (for the tables of `quality = "fast"`), and
 connects every platelet and the base with given viewers (next-event estimation, for the surrogate's correction). With d
-the flight inside, e the exit inside, t the transmitted shares of the interface and n the index,
+the flight inside, e the exit inside, t the interface transmittances and n the index,
 
-    f = 1/n^2 < t_i t_o sum over collisions of R D(h) / (4 sigma(d)) exp(-tau(e) depth) / e_z >.
+    f = 1/n^2 < t_i t_o sum over collisions R D(h) / (4 sigma(d)) exp(-tau(e) depth) / e_z >.
 
 Single scattering by a platelet is excluded from both and integrated without a walk: over lattice points instead of
 random ones, with the depth in closed form. `energy_defect` estimates the light that the "published" energy balance
-loses at platelets of any orientation, also over an open or a metallic base.
+loses at platelets with any orientation, also over an open or a metallic base.
 """
 
 from __future__ import annotations
@@ -50,25 +51,25 @@ from nacre.core.jit import compiled
 from nacre.core.parallel import in_threads
 from nacre.families.pearl.platelet import lost_share
 
-CHUNKS = 8  # of all walks; sums are taken in this order, whatever the number of threads
+CHUNKS = 8  # summed in this order, for any number of threads
 ANY_ANGLE = np.array([0.0, 0.0, 0.0])  # stratified over the polar angle, at azimuth 0
 FROM_BASE = np.array([0.0, 0.0, -1.0])  # diffuse light that starts at the base
-DEFECT_WALKS = 32_768  # a standard error of about 0.002
+DEFECT_WALKS = 32_768  # standard error 0.002
 BASES = {"none": 0, "diffuse": 1, "specular": 2}
 NO_VIEWERS = np.zeros((0, 3))
 
 
 class Medium(NamedTuple):
-    """One stratum of isotropic platelets as the compiled loops take it.
+    """One stratum with isotropic platelets, as input to the compiled loops.
 
     Attributes:
-        n: index of the resin.
-        alpha: GGX roughness of the upper interface.
+        n: resin index.
+        alpha: GGX roughness, upper interface.
         number: `[kind]`, platelets met along the normal.
-        sigma: `[kind]`, semi-axis of the SGGX distribution of their normals.
-        reflect, transmit: `[kind, cos, wavelength]`, float32, over nodes of sqrt(cos).
-        extinct: `[kind, z, wavelength]`, float32, mean of 1 - T over the visible normals, over nodes of sqrt(z).
-        absorb: `[wavelength]`, optical thickness of the resin itself; empty if it is clear.
+        sigma: `[kind]`, semi-axis of their SGGX normals.
+        reflect, transmit: `[kind, cos, wavelength]`, float32, on sqrt(cos) nodes.
+        extinct: `[kind, z, wavelength]`, float32, mean 1 - T over visible normals, on sqrt(z) nodes.
+        absorb: `[wavelength]`, resin optical thickness; empty for clear resin.
     """
 
     n: float
@@ -82,7 +83,7 @@ class Medium(NamedTuple):
 
     @classmethod
     def of(cls, lobe: Layered) -> Medium:
-        """Return the medium of a layered lobe of one stratum."""
+        """Return the medium for a layered lobe with one stratum."""
         count = len(lobe.wavelengths_nm)
         response = np.ascontiguousarray(np.moveaxis(lobe.flake_response, -1, 0), dtype=np.float32)
         extinct = np.ascontiguousarray(lobe.flake_extinction[:, 0], dtype=np.float32)
@@ -94,13 +95,13 @@ class Medium(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """Table of the light that leaves after more than a single reflection by a platelet.
+    """Table for light that leaves after more than one reflection.
 
     Attributes:
-        spread: scale of the coordinates of `nacre.bsdf.lobes.platelet_layer.place`.
-        shape: nodes of a table of hat functions, or bins of the size and azimuth of q (a check).
+        spread: coordinate scale for `nacre.bsdf.lobes.platelet_layer.place`.
+        shape: nodes for hat functions, or check bins for size and azimuth of q.
         table: `[cell, wavelength]`; empty: not tallied.
-        base: `[cos, wavelength]`, light that arrives at an absorbing base by the cosine of incidence.
+        base: `[cos, wavelength]`, light on an absorbing base by incidence cosine.
     """
 
     spread: float
@@ -110,7 +111,7 @@ class Tally(NamedTuple):
 
 
 def no_tally(bands: int) -> Tally:
-    """Return a tally that counts nothing."""
+    """Return an empty tally."""
     return Tally(1.0, np.ones(3, dtype=np.int64), np.zeros((0, bands)), np.zeros((1, bands)))
 
 
@@ -119,8 +120,8 @@ def _absorption(lobe: Layered) -> Array:
 
 
 @compiled(nogil=True)
-def _corners(x, shape, cells, weights):  # type: ignore[no-untyped-def]  # numba
-    """Write the flat indices and weights of the eight nodes around a point."""
+def _corners(x, shape, cells, weights):
+    """Write flat indices and weights for the eight nodes around a point."""
     for corner in range(8):
         cell, part = 0, 1.0
         for axis in range(3):
@@ -133,8 +134,8 @@ def _corners(x, shape, cells, weights):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True)
-def _find_cells(wx, ox, oy, spread, shape, found):  # type: ignore[no-untyped-def]  # numba
-    """Write the cells of an exit for light from azimuth 0 and their weights; return their number."""
+def _find_cells(wx, ox, oy, spread, shape, found):
+    """Write the cells and weights for an exit, with light from azimuth 0; return their number."""
     cells, weights, point = found
     if shape.size == 2:
         qx = wx + ox
@@ -148,13 +149,13 @@ def _find_cells(wx, ox, oy, spread, shape, found):  # type: ignore[no-untyped-de
 
 
 @compiled(nogil=True, fastmath=True)
-def _add(table, cell, part, f):  # type: ignore[no-untyped-def]  # numba
+def _add(table, cell, part, f):
     for l in range(f.size):
         table[cell, l] += part * f[l]
 
 
 @compiled(nogil=True)
-def _start(light, path, count, index, alpha):  # type: ignore[no-untyped-def]  # numba
+def _start(light, path, count, index, alpha):
     """Return light's lateral and normal components outside, the flight inside, the depth and the transmitted share."""
     if light[2] < 0.0:
         z = math.sqrt((path + np.random.random()) / count)
@@ -168,8 +169,8 @@ def _start(light, path, count, index, alpha):  # type: ignore[no-untyped-def]  #
 
 
 @compiled(nogil=True, fastmath=True)
-def _depths(z, medium, e, out):  # type: ignore[no-untyped-def]  # numba
-    """Write the optical thickness of the stratum along a cosine; `e` is scratch."""
+def _depths(z, medium, e, out):
+    """Write the stratum's optical thickness along a cosine; `e` is scratch."""
     for l in range(out.size):
         out[l] = medium.absorb[l] / z if medium.absorb.size else 0.0
     for k in range(medium.number.size):
@@ -180,8 +181,8 @@ def _depths(z, medium, e, out):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def _aim(viewers, carried, medium, view, e):  # type: ignore[no-untyped-def]  # numba
-    """Draw a facet for each viewer: the exit inside, its share of the light and the optical thickness towards it.
+def _aim(viewers, carried, medium, view, e):
+    """Draw a facet for each viewer: the exit inside, its light share and the optical thickness towards it.
 
     `view` holds these three, `[viewer, ...]`; `e` is scratch.
     """
@@ -198,8 +199,8 @@ def _aim(viewers, carried, medium, view, e):  # type: ignore[no-untyped-def]  # 
 
 
 @compiled(nogil=True, fastmath=True)
-def _connect_base(f, shares, tau, out):  # type: ignore[no-untyped-def]  # numba
-    """Send diffuse light of the base to the viewers."""
+def _connect_base(f, shares, tau, out):
+    """Send diffuse light from the base to the viewers."""
     for v in range(shares.size):
         scale = np.float32(shares[v] / math.pi)
         if scale > 0.0:
@@ -208,7 +209,7 @@ def _connect_base(f, shares, tau, out):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def _connect_platelet(dx, dy, dz, depth, reach, sigma, reflect, f, r, view, out):  # type: ignore[no-untyped-def]  # numba
+def _connect_platelet(dx, dy, dz, depth, reach, sigma, reflect, f, r, view, out):
     """Send light reflected by a platelet to the viewers; `reach` is its number over 4 times the area that it shows."""
     exits, shares, tau = view
     by = np.float32(depth)
@@ -228,8 +229,8 @@ def _connect_platelet(dx, dy, dz, depth, reach, sigma, reflect, f, r, view, out)
 
 
 @compiled(nogil=True, fastmath=True)
-def _tally_exit(wx, dx, dy, dz, facet, start, medium, tally, f, found):  # type: ignore[no-untyped-def]  # numba
-    """Tally the light refracted out by a facet of `sample_inner_facet`; return the number of entries, 0 or 1."""
+def _tally_exit(wx, dx, dy, dz, facet, start, medium, tally, f, found):
+    """Tally light refracted out by the facet from `sample_inner_facet`; return 1 for an entry, else 0."""
     mx, my, mz, cos, share, cos_t = facet
     a = cos * medium.n - cos_t
     ox, oy, oz = a * mx + dx * medium.n, a * my + dy * medium.n, dz * medium.n - a * mz
@@ -244,8 +245,8 @@ def _tally_exit(wx, dx, dy, dz, facet, start, medium, tally, f, found):  # type:
 
 
 @compiled(nogil=True, fastmath=True)
-def _arrive(wz, start, f, base):  # type: ignore[no-untyped-def]  # numba
-    """Tally the light that arrives at an absorbing base, by the cosine of incidence."""
+def _arrive(wz, start, f, base):
+    """Tally light on an absorbing base by incidence cosine."""
     if base.shape[0] == 1:
         _add(base, 0, 1.0, f)
         return
@@ -256,20 +257,20 @@ def _arrive(wz, start, f, base):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def walk(seed, count, light, medium, albedo, tally, viewers, out):  # type: ignore[no-untyped-def]  # numba
+def walk(seed, count, light, medium, albedo, tally, viewers, out):
     """Follow light until it leaves, is absorbed or arrives at an absorbing base.
 
     Args:
-        seed, count: of the walks.
+        seed, count: for the walks.
         light: `[3]`, unit vector to the light, ANY_ANGLE or FROM_BASE.
         medium: a `Medium`.
-        albedo: `[wavelength]` of a diffuse base; empty: light ends there.
-        tally: a `Tally`; light of a given direction comes from azimuth 0.
+        albedo: `[wavelength]`, diffuse base; empty: absorbing.
+        tally: a `Tally`; a given light direction has azimuth 0.
         viewers: `[viewer, 3]`, unit vectors, above the surface; may be empty.
         out: `[viewer, wavelength]`, gets the BRDF without the interface's own reflection and single scattering.
 
     Returns:
-        the number of entries in the tally.
+        the tally's number of entries.
     """
     np.random.seed(seed)
     index, alpha, number, sigma, reflect, transmit, _, absorb = medium
@@ -321,20 +322,20 @@ def walk(seed, count, light, medium, albedo, tally, viewers, out):  # type: igno
 
 
 @compiled(nogil=True, fastmath=True)
-def _hit(depth):  # type: ignore[no-untyped-def]  # numba
+def _hit(depth):
     """Return (1 - exp(-depth)) / depth."""
     return (1.0 - math.exp(-depth)) / depth if depth > 1e-3 else 1.0 - 0.5 * depth
 
 
 @compiled(nogil=True, fastmath=True)
-def single_scattering_at(wi, wo, points, shift, medium, out):  # type: ignore[no-untyped-def]  # numba
-    """Add the BRDF of single scattering by a platelet, `out[viewer, wavelength]`: a mean over pairs of facets.
+def single_scattering_at(wi, wo, points, shift, medium, out):
+    """Add the single-scattering BRDF, `out[viewer, wavelength]`: a mean over facet pairs.
 
     Args:
         wi: `[3]`, to the light.
         wo: `[viewer, 3]`.
-        points: of the lattice.
-        shift: `[4]`, of the lattice.
+        points: lattice points.
+        shift: `[4]`, lattice shift.
         medium: a `Medium`.
     """
     bands = out.shape[1]
@@ -367,7 +368,7 @@ def single_scattering_at(wi, wo, points, shift, medium, out):  # type: ignore[no
 
 
 @compiled(nogil=True)
-def _kind_of(areas, total, part):  # type: ignore[no-untyped-def]  # numba
+def _kind_of(areas, total, part):
     """Return the kind chosen by a number in [0, 1), and that number stretched over its own interval."""
     for k in range(areas.size):
         chance = areas[k] / total
@@ -378,11 +379,11 @@ def _kind_of(areas, total, part):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, fastmath=True)
-def tally_single_scattering(first, count, shift, light, medium, spread, shape, table):  # type: ignore[no-untyped-def]  # numba
+def tally_single_scattering(first, count, shift, light, medium, spread, shape, table):
     """Tally single scattering by a platelet over the lattice points `first` to `first + count`.
 
     Args:
-        shift: `[7]`, of the lattice.
+        shift: `[7]`, lattice shift.
         light: `[3]`, unit vector to the light at azimuth 0, or ANY_ANGLE.
         medium: a `Medium`.
         spread, shape, table: see `Tally`.
@@ -423,7 +424,7 @@ def tally_single_scattering(first, count, shift, light, medium, spread, shape, t
 
 
 @compiled(nogil=True)
-def _lobe_widths(cos, medium, out):  # type: ignore[no-untyped-def]  # numba
+def _lobe_widths(cos, medium, out):
     """Write the two GGX widths, narrow and wide, that match the platelets' lobes about the outer half vector."""
     inner = medium.n * math.sqrt(1.0 - (1.0 - cos * cos) / (medium.n * medium.n))
     bend = ((inner - cos) * medium.alpha) ** 2 / (2.0 * inner * inner)
@@ -432,8 +433,8 @@ def _lobe_widths(cos, medium, out):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True)
-def _sample_exit(wx, wz, alphas, u1, u2, choice):  # type: ignore[no-untyped-def]  # numba
-    """Draw an exit for light from azimuth 0, from two facet lobes and a cosine: direction and density (0: none)."""
+def _sample_exit(wx, wz, alphas, u1, u2, choice):
+    """Draw an exit for light from azimuth 0, from two facet lobes and a cosine: direction and density (0: invalid)."""
     if choice < 0.7:
         mx, my, mz = sample_facet(wx, 0.0, wz, alphas[0] if choice < 0.35 else alphas[1], u1, u2)
         cos = wx * mx + wz * mz
@@ -453,8 +454,8 @@ def _sample_exit(wx, wz, alphas, u1, u2, choice):  # type: ignore[no-untyped-def
 
 
 @compiled(nogil=True)
-def _add_products(worth, cells, weights, table):  # type: ignore[no-untyped-def]  # numba
-    """Add the products of all pairs of the eight hat functions around a point, by the step from one to the other."""
+def _add_products(worth, cells, weights, table):
+    """Add products between the eight hat functions around a point, by the step from one to the other."""
     for one in range(8):
         for two in range(8):
             step = 0
@@ -464,12 +465,12 @@ def _add_products(worth, cells, weights, table):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def hat_products(first, count, shift, medium, spread, entry, shape, table):  # type: ignore[no-untyped-def]  # numba
-    """Integrate K t_i t_o cos_o times pairs of hat functions over the same measure as the walks.
+def hat_products(first, count, shift, medium, spread, entry, shape, table):
+    """Integrate K t_i t_o cos_o times hat function pairs over the walks' measure.
 
     Args:
-        entry: `[cos]`, transmitted share over nodes of sqrt(cos).
-        table: `[cell, 27]`, neighbours in order of their steps (-1, 0, 1) along the three axes.
+        entry: `[cos]`, transmittance on sqrt(cos) nodes.
+        table: `[cell, 27]`, neighbours ordered by their steps (-1, 0, 1) along the three axes.
     """
     point, u, cells, weights = np.empty(3), np.empty(4), np.empty(8, np.int64), np.empty(8)
     alphas = np.empty(2)
@@ -493,12 +494,12 @@ def hat_products(first, count, shift, medium, spread, entry, shape, table):  # t
 
 
 def energy_defect(lobe: Layered, published: Array, wi: Array, walks: int = DEFECT_WALKS, seed: int = 0) -> Array:
-    """Return the share of the light from `wi[3]` lost by the "published" energy balance, `[wavelength]`.
+    """Return the light share from `wi[3]` lost by the "published" energy balance, `[wavelength]`.
 
-    1 - R - T - A, apart from the small loss between facets of a rough interface.
+    1 - R - T - A, apart from the small loss between interface facets.
 
     Args:
-        lobe: of one stratum; its tables hold R (1 - T) for kinds with the published balance.
+        lobe: with one stratum; tables hold R (1 - T) for pigments with the published balance.
         published: `[kind]`, bool: the kinds with that balance.
         wi: unit vector to the light, above the surface.
         walks: their number, shared by all wavelengths.
@@ -520,8 +521,8 @@ def energy_defect(lobe: Layered, published: Array, wi: Array, walks: int = DEFEC
 
 
 @compiled(nogil=True)
-def _oriented_rates(d, flakes, areas):  # type: ignore[no-untyped-def]  # numba
-    """Do what `collision_rates` does for platelets of any orientation."""
+def _oriented_rates(d, flakes, areas):
+    """Do the same as `collision_rates` for any platelet orientation."""
     number, axes, frame = flakes
     total = 0.0
     for k in range(number.size):
@@ -535,8 +536,8 @@ def _oriented_rates(d, flakes, areas):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True)
-def _oriented_normal(d, axes, frame, local, m):  # type: ignore[no-untyped-def]  # numba
-    """Draw a visible normal `m` of platelets of any orientation: a cosine-distributed vector mapped by S^(1/2)."""
+def _oriented_normal(d, axes, frame, local, m):
+    """Draw a visible normal `m` for any platelet orientation: a cosine-distributed vector mapped by S^(1/2)."""
     length = 0.0
     for a in range(3):
         local[a] = (frame[0, a] * d[0] + frame[1, a] * d[1] + frame[2, a] * d[2]) * axes[a]
@@ -555,7 +556,7 @@ def _oriented_normal(d, axes, frame, local, m):  # type: ignore[no-untyped-def] 
 
 
 @compiled(nogil=True)
-def _reflect_at_face(d, index, alpha, down):  # type: ignore[no-untyped-def]  # numba
+def _reflect_at_face(d, index, alpha, down):
     """Reflect a flight inside at a face above (`down` = 1) or below (-1); return whether it stays."""
     z = d[2] * down
     mx, my, mz, cos, share, _ = sample_inner_facet(d[0], d[1], z, index, alpha)
@@ -565,7 +566,7 @@ def _reflect_at_face(d, index, alpha, down):  # type: ignore[no-untyped-def]  # 
 
 
 @compiled(nogil=True)
-def _meet_base(d, kind, table, index, alpha, f, share):  # type: ignore[no-untyped-def]  # numba
+def _meet_base(d, kind, table, index, alpha, f, share):
     """Reflect a flight at the base; return whether it goes on."""
     if kind == 0:
         return _reflect_at_face(d, index, alpha, -1.0)
@@ -584,8 +585,8 @@ def _meet_base(d, kind, table, index, alpha, f, share):  # type: ignore[no-untyp
 
 
 @compiled(nogil=True)
-def _meet_oriented(d, k, flakes, tables, f, scratch, out):  # type: ignore[no-untyped-def]  # numba
-    """Meet a platelet of kind `k`; light that ends there adds its lost share to `out`; return whether it goes on."""
+def _meet_oriented(d, k, flakes, tables, f, scratch, out):
+    """Meet platelet `k`; light that ends there adds its lost share to `out`; return whether it goes on."""
     _, axes, frame = flakes
     reflect, transmit, lose, _ = tables
     r, t, local, m = scratch
@@ -599,7 +600,7 @@ def _meet_oriented(d, k, flakes, tables, f, scratch, out):  # type: ignore[no-un
             d[a] -= 2.0 * cos * m[a]
         if abs(d[2]) < 1e-9:
             d[2] = 1e-9
-    elif event != TRANSMITTED:  # an estimate at the end of a path varies less than a part of each collision
+    elif event != TRANSMITTED:  # counted at the path's end, with less variance than at each collision
         interpolate_row(lose[k], at, r)
         for l in range(out.size):
             out[l] += f[l] * r[l] * carried / (carried - back - on)
@@ -608,8 +609,8 @@ def _meet_oriented(d, k, flakes, tables, f, scratch, out):  # type: ignore[no-un
 
 
 @compiled(nogil=True)
-def _defect(seed, count, wi, faces, flakes, tables, base, out):  # type: ignore[no-untyped-def]  # numba
-    """Add the mean over `count` walks of the light lost at platelets, `out[wavelength]`."""
+def _defect(seed, count, wi, faces, flakes, tables, base, out):
+    """Add the light lost at platelets, `out[wavelength]`: a mean over `count` walks."""
     np.random.seed(seed)
     index, alpha = faces
     kind, table = base
@@ -633,19 +634,3 @@ def _defect(seed, count, wi, faces, flakes, tables, base, out):  # type: ignore[
                 lives = _meet_oriented(d, choose_kind(areas, total), flakes, tables, f, scratch, out)
             if not lives:
                 break
-
-
-__all__ = [
-    "ANY_ANGLE",
-    "CHUNKS",
-    "FROM_BASE",
-    "NO_VIEWERS",
-    "Medium",
-    "Tally",
-    "energy_defect",
-    "hat_products",
-    "no_tally",
-    "single_scattering_at",
-    "tally_single_scattering",
-    "walk",
-]

@@ -1,4 +1,4 @@
-"""Parts of a pearl: strata of resin with flakes and dye. Dye is dissolved, or small scattering spheres (Mie)."""
+"""A pearl's parts: resin strata with flakes and dye. Dye is dissolved, or small scattering spheres (Mie)."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Flakes:
 
     Attributes:
         platelet: its layers.
-        volume_fraction: of the stratum's volume.
-        normals: distribution of the normals in the surface frame.
-        diameter_um: median diameter, for glints; None: not resolved.
+        volume_fraction: in the stratum.
+        normals: normal distribution in the surface frame.
+        diameter_um: median diameter, for glints.
     """
 
     platelet: Platelet
@@ -39,7 +39,7 @@ class Flakes:
 
 @dataclass(frozen=True)
 class Stratum:
-    """A layer of resin with flakes and dye; `surface` is its upper interface."""
+    """A resin layer with flakes and dye; `surface` is its upper interface."""
 
     resin: OpticalConstant
     thickness_nm: float
@@ -48,7 +48,7 @@ class Stratum:
     dye: Dye | None = None
 
 
-PHASE_NODES = 181  # of cos in [-1, 1]
+PHASE_NODES = 181  # uniform in cos
 QUANTILE_NODES = 129
 RADIUS_PANELS = 2
 MAX_SIZE_PARAMETER = 400.0
@@ -59,9 +59,9 @@ class Dye:
     """Pigment particles or a dissolved colorant.
 
     Attributes:
-        material: index of the pigment.
-        volume_fraction: of the resin's volume.
-        radius: distribution of the particles' radius; None: dissolved, no scattering.
+        material: dye index.
+        volume_fraction: in the resin.
+        radius: particle radius distribution; default: dissolved, without scattering.
     """
 
     material: OpticalConstant
@@ -75,8 +75,8 @@ class DyeResponse:
 
     Attributes:
         extinction, scattering: `[wavelength]`, optical thickness along the normal.
-        phase: `[cos, wavelength]`, 1/sr, uniform nodes of the scattering cosine in [-1, 1], or None.
-        quantile: `[u, wavelength]`, the cosine below which a share u is scattered, or None.
+        phase: `[cos, wavelength]`, 1/sr, on uniform nodes over the scattering cosine in [-1, 1].
+        quantile: `[u, wavelength]`, scattering cosine's quantiles.
     """
 
     extinction: Array
@@ -88,13 +88,13 @@ class DyeResponse:
 def dye_response(dye: Dye, resin_n: Array, thickness_nm: float, wavelengths_nm: Array) -> DyeResponse:
     """Solve the dye.
 
-    A dissolved dye absorbs 4 pi k C t / lambda. Spheres of radius a: number per volume C / <4/3 pi a^3>, so the
+    A dissolved dye absorbs 4 pi k C t / lambda. Spheres with radius a: number per volume C / <4/3 pi a^3>, so the
     optical thickness is t C <Q pi a^2> / <4/3 pi a^3>, averaged over the radii.
 
     Args:
         dye: in the resin.
-        resin_n: `[wavelength]`, real index of the resin.
-        thickness_nm: of the stratum.
+        resin_n: `[wavelength]`, real resin index.
+        thickness_nm: stratum thickness.
         wavelengths_nm: `[wavelength]`, vacuum.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Surrogate of a pearl at a few directions: two-stream and single-scattering approximation, corrected by random walks.
+"""Pearl surrogate at a few directions: two-stream and single-scattering approximation, corrected by random walks.
 
 The surrogate is noise-free and smooth in all parameters. Reflection by the interface and by one platelet is integrated;
 multiple scattering is estimated by two streams (up and down) with one collision rate each, K = sum N s (1 - T) and
@@ -31,15 +31,15 @@ from nacre.families.pearl.platelet import platelet_response
 from nacre.families.pearl.random_walk import CHUNKS, Medium, no_tally, single_scattering_at, walk
 from nacre.families.pearl.strata import Flakes, Stratum
 
-COS_NODES = 65  # half the time of 257 nodes, with an error of at most 1e-2 of R
-FACETS = 1024  # of a rough interface
-TRUNCATION = 1e-3  # share of the thicknesses that bounds may cut off without effect
+COS_NODES = 65  # half the time for 257 nodes, with an error below 1e-2 R
+FACETS = 1024  # for a rough interface
+TRUNCATION = 1e-3  # thickness share that bounds may cut off without effect
 WALK_COS_NODES, WALK_FACETS = 257, 1 << 16
-WIDER = 3.5  # variance of the slopes after three or more platelets, over that of one
+WIDER = 3.5  # slope variance after three or more platelets, over one
 DIFFUSE_COS = 33
 MAX_PIGMENTS = 512  # in memory, about 40 kB each
-CENTRED = np.full(4, 0.5)  # shift of the lattice
-BASE_LOBES_ALBEDO = 0.3  # assumed of a base of other lobes
+CENTRED = np.full(4, 0.5)  # lattice shift
+BASE_LOBES_ALBEDO = 0.3  # assumed for other lobes below
 SingleArray = NDArray[np.float32]
 
 
@@ -48,11 +48,11 @@ class PearlSurrogate:
     """One stratum over its base, at given wavelengths.
 
     Attributes:
-        stratum: of isotropic platelets; see `Pearl.inapplicable_reason`.
-        index: of its resin.
+        stratum: with isotropic platelets; see `Pearl.inapplicable_reason`.
+        index: resin index.
         wavelengths_nm: `[wavelength]`.
-        absorb: `[wavelength]`, optical thickness of resin and dye; empty for none.
-        albedo: `[wavelength]`, of the base for diffuse light.
+        absorb: `[wavelength]`, optical thickness, resin and dye; empty for zero.
+        albedo: `[wavelength]`, base, for diffuse light.
     """
 
     stratum: Stratum
@@ -62,11 +62,11 @@ class PearlSurrogate:
     albedo: Array
 
     def radiance(self, wi: Array, wo: Array, is_fine: bool = False) -> tuple[Array, Array]:
-        """Return the exact and the approximate part of the BRDF, each `[pair, wavelength]`, 1/sr.
+        """Return the BRDF's exact and approximate part, each `[pair, wavelength]`, 1/sr.
 
         Args:
             wi, wo: `[pair, 3]`, above the surface.
-            is_fine: approximate by doubling of thin layers instead of two streams.
+            is_fine: approximate by adding-doubling instead of two streams.
         """
         medium = self.medium(COS_NODES)
         exact = self._first_order(medium, wi, wo, FACETS)
@@ -105,7 +105,7 @@ class PearlSurrogate:
         return np.asarray(surface + _by_light(wi, wo, (1, bands), of_light)[0])
 
     def medium(self, nodes: int) -> Medium:
-        """Return the arrays of the compiled loops; the tables of recent pigments are cached."""
+        """Return the arrays for the compiled loops; recent pigment tables are cached."""
         stratum = self.stratum
         tables = [_pigment(stratum, flakes, nodes, self.wavelengths_nm.tobytes()) for flakes in stratum.flakes]
         empty = np.zeros((0, 2, len(self.wavelengths_nm)), np.float32)
@@ -134,7 +134,7 @@ _tables_lock = Lock()  # searches use several threads
 
 
 def _pigment(stratum: Stratum, flakes: Flakes, nodes: int, grid: bytes) -> tuple[SingleArray, SingleArray, SingleArray]:
-    """Return R, T `[cos, wavelength]` and the mean of 1 - T `[z, wavelength]` of a pigment, float32."""
+    """Return a pigment's R, T `[cos, wavelength]` and mean 1 - T `[z, wavelength]`, float32."""
     wavelengths = np.frombuffer(grid)
     n = stratum.resin.n_complex(wavelengths).real
     deviation = float(flakes.normals.deviation[0])
@@ -184,7 +184,7 @@ def _two_streams(medium: Medium, wi: Array, wo: Array, albedo: Array) -> Array:
     cosines = (np.arange(DIFFUSE_COS) + 0.5) / DIFFUSE_COS
     back, through = (np.average(x, axis=0, weights=cosines) for x in _streams(medium, cosines, cosines))
     outside = float(np.average(1.0 - fresnel(cosines, n), weights=cosines))
-    inside = 1.0 - outside / (n * n)  # of diffuse light from below, by reciprocity
+    inside = 1.0 - outside / (n * n)  # for diffuse light from below, by reciprocity
     returned = back + through**2 * inside / (1.0 - back * inside)
     arrives = _streams(medium, inner_i, inner_i)[1] * _streams(medium, inner_o, inner_o)[1]
     return np.asarray(found + passed[:, None] * arrives * albedo / (np.pi * n * n * (1.0 - albedo * returned)))
@@ -208,7 +208,7 @@ def _rates(medium: Medium, cos: Array, facing: Array) -> tuple[Array, Array]:
 
 
 def _streams(medium: Medium, cos: Array, facing: Array) -> tuple[Array, Array]:
-    """Return R and T of the stratum, `[direction, wavelength]`, by two streams."""
+    """Return the stratum's R and T, `[direction, wavelength]`, by two streams."""
     k, s = _rates(medium, np.asarray(cos), np.asarray(facing))
     g = np.sqrt(np.maximum(k * k - s * s, 1e-12))
     decay = np.exp(-2.0 * g)  # sinh and cosh over exp(g), which would overflow for dense strata
@@ -217,6 +217,6 @@ def _streams(medium: Medium, cos: Array, facing: Array) -> tuple[Array, Array]:
 
 
 def _single_scattering(medium: Medium, cos: Array, facing: Array) -> Array:
-    """Return the reflectance of the stratum by one platelet, `[direction, wavelength]`."""
+    """Return the single-scattering reflectance, `[direction, wavelength]`."""
     k, s = _rates(medium, cos, facing)
     return np.asarray(np.where(k > 1e-9, -s * np.expm1(-2.0 * k) / np.maximum(2.0 * k, 1e-9), s))

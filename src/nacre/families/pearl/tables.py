@@ -1,12 +1,12 @@
 """Noise-free tables of a pearl (`quality = "fast"`): a layered lobe, solved by random walks, as a `PlateletLayer`.
 
-Diffuse light from the base is solved exactly: with A(cos) the share of light that arrives at the base and r the share
-of diffuse light that platelets and interface return to it, the base adds
+Diffuse light from the base is solved exactly: with A(cos) the light share at the base and r the
+diffuse share returned to it by platelets and interface, the base adds
 A(cos_i) A(cos_o) albedo / (pi n^2 (1 - albedo r)), n the index. The platelets' own light over their analytic lobe is a
-smooth function; its table is a least-squares fit to the tallies of random walks, which spreads noise over whole cells.
+smooth function; its table is a least-squares fit to random-walk tallies, which spreads noise over whole cells.
 
-The stated error comes from independent walks at three incidences, in bins that do not follow the nodes of the table;
-the product of two independent differences has no noise of its own in the mean.
+The stated error comes from independent walks at three incidences, in bins independent from the table's nodes; the
+product between two independent differences has a noise-free mean.
 """
 
 from __future__ import annotations
@@ -42,25 +42,25 @@ from nacre.families.pearl.random_walk import (
 SHAPE = (32, 20, 6)  # nodes of q, c, phi
 ENTRY_NODES = 129
 BASE_NODES = 25
-WALKS, BASE_WALKS, SINGLES, PRODUCTS = 1_000_000, 400_000, 4_000_000, 4_000_000  # of the walks and the lattices
+WALKS, BASE_WALKS, SINGLES, PRODUCTS = 1_000_000, 400_000, 4_000_000, 4_000_000  # walks and lattice points
 SHARE_NODES = 17
 FULL_EFFORT_NUMBER = 24.0  # platelets met along the normal up to which the full numbers of walks are made
-NOISE_SHARE = 0.6  # of the noise of the check, added to the stated error: two standard errors of its square
+NOISE_SHARE = 0.6  # added to the stated error from the check's noise: two standard errors of its square
 NO_ALBEDO = np.zeros(0)
 CHECK_BINS = np.array([20, 6])  # size and azimuth of q
 MIDPOINTS = np.array([12, 6])  # within a bin
 CHECK_DEG = (10.0, 40.0, 65.0)
 CHECK_WALKS, CHECK_SINGLES = 300_000, 1_000_000
-TABLE_ROUGHNESS = 0.1  # expected relative second difference of M between nodes
+TABLE_ROUGHNESS = 0.1  # expected relative second difference between nodes
 
 
 def bake(lobe: Layered, effort: float = 1.0, seed: int = 1) -> PlateletLayer:
-    """Return the noise-free form of a layered lobe, with its stated error.
+    """Return a layered lobe's noise-free form with its stated error.
 
     Args:
-        lobe: one stratum of isotropic platelets over a diffuse base; see `Pearl.inapplicable_reason`.
-        effort: multiplies all numbers of walks.
-        seed: of the walks.
+        lobe: isotropic platelets in one stratum over a diffuse base; see `Pearl.inapplicable_reason`.
+        effort: factor on all walk numbers.
+        seed: for the walks.
     """
     # light in dense strata costs more, and its table is smoother
     effort = effort * min(1.0, FULL_EFFORT_NUMBER / max(float(np.sum(lobe.flake_number)), 1e-9))
@@ -90,7 +90,7 @@ def tables(lobe: Layered, effort: float = 1.0, seed: int = 1) -> PlateletLayer:
 
 
 def _powers(table: PlateletLayer, surface: Array) -> Array:
-    """Power of the interface, the flakes and the base, averaged over wavelengths, `[cos, 3]` on nodes of sqrt(cos)."""
+    """Return interface, flake and base powers, averaged over wavelengths, `[cos, 3]` on sqrt(cos) nodes."""
     root = np.linspace(0.0, 1.0, SHARE_NODES)
     cos = np.maximum(root**2, 1e-3)
     fine = (np.arange(400) + 0.5) / 400
@@ -113,7 +113,7 @@ def _spread(medium: Medium) -> float:
 
 
 def _interface(medium: Medium) -> tuple[Array, Array]:
-    """Share of light that enters, and that is reflected, over uniform nodes of sqrt(cos)."""
+    """Return the interface transmittance and reflectance on uniform sqrt(cos) nodes."""
     cos = np.maximum(np.linspace(0.0, 1.0, ENTRY_NODES) ** 2, 1e-7)
     if medium.alpha == 0:
         bare = fresnel(cos, medium.n)
@@ -132,7 +132,7 @@ def _interface(medium: Medium) -> tuple[Array, Array]:
 
 
 def _solve(medium: Medium, entry: Array, spread: float, effort: float, seed: int) -> tuple[Array, Array, Array, Array]:
-    """Run the walks and fit: A/t `[cos, wavelength]`, r `[wavelength]`, M, and the part of M of single scattering."""
+    """Run the walks and fit: A/t `[cos, wavelength]`, r `[wavelength]`, M, and its single-scattering part."""
     bands = medium.reflect.shape[2]
     shape = np.array(SHAPE)
     cells = int(np.prod(SHAPE))
@@ -179,8 +179,8 @@ def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 
     """Compare with independent random walks.
 
     Returns:
-        `(error, noise)`, each `[wavelength]`: relative L2 difference of f cos over the exits of three incidences,
-        averaged over bins, without the noise of the walks; and that noise.
+        `(error, noise)`, each `[wavelength]`: relative L2 difference in f cos over all exits at three incidences,
+        averaged over bins, without the walks' noise; and that noise.
     """
     medium = Medium.of(lobe)
     spread, count = _spread(medium), len(lobe.wavelengths_nm)
@@ -208,7 +208,7 @@ def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 
         difference = walked - ours
         total = difference.sum(axis=0)
         squares = np.sum(difference**2, axis=0)
-        # the mean product of differences of two different chunks
+        # mean product between differences from two chunks
         error += np.sum(weight * (total**2 - squares), axis=0) / (CHUNKS * (CHUNKS - 1))
         noise += np.sum(weight * walked.var(axis=0, ddof=1), axis=0) / CHUNKS
         size += np.sum(weight * (ours + surface[:, None]) ** 2, axis=0)
@@ -217,7 +217,7 @@ def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 
 
 
 def _bins(table: PlateletLayer, theta: float, spread: float) -> tuple[Array, Array, Array]:
-    """Power of flakes and base, that of the surface, and solid angle of the check's bins, by midpoints.
+    """Return flake and base power, surface power, and solid angle for the check's bins, by midpoints.
 
     In the plane of q, a solid angle times its cosine is an area.
     """

@@ -1,8 +1,8 @@
-"""Thickness distributions of flakes, and the averages of a platelet's R and T over its substrate thickness.
+"""Flake thickness distributions, and a platelet's R and T averaged over its substrate thickness.
 
 Natural mica varies by a third of its thickness, synthetic silica by a few nm. With the substrate separated,
 r = r_A + C y/(1 - rho y) and |t|^2 = |t_A t_B|^2 |y| / |1 - rho y|^2, y = exp(i p tau) and p = 2 k0 kz_s. For a
-lossless substrate below its critical angle (p real) the geometric series turns the average over tau into sums of
+lossless substrate below its critical angle (p real) the geometric series turns the average over tau into sums over
 Y_m = <y^m>, the characteristic function of the thickness:
 
     S1 = sum rho^m Y_m,  S2 = sum rho^(m-1) Y_m,  A = (1 + 2 Re S1) / (1 - |rho|^2)
@@ -28,31 +28,31 @@ from nacre.core.errors import NacreError
 from nacre.core.jit import compiled
 
 DISTRIBUTIONS = ("gaussian", "truncated", "lognormal", "histogram")
-SPREAD = 8.3  # half-width of a Gaussian in deviations; less than 1e-16 of its weight lies beyond
+SPREAD = 8.3  # Gaussian half-width in deviations, with less than 1e-16 beyond
 MAX_TERMS = 4000
 GAUSSIAN, TABULATED = 0, 1
 RHO_FLOOR = 1e-15
 SHORT_PHASE = 0.7  # rad over the support, near the critical angle: the series converges slowly, the quadrature fast
 POINTS_PER_PANEL = 16
 SAME_WIDTH = 1e-12
-PANEL_PER_DISTANCE = 2.4  # 16 Gauss points on a panel of 2.4 pole distances have an error of 1e-11
+PANEL_PER_DISTANCE = 2.4  # error 1e-11 with 16 Gauss points on a panel
 
 
 @dataclass(frozen=True)
 class Thickness:
-    """Distribution of one layer's thickness over the flakes.
+    """One layer's thickness distribution over the flakes.
 
     Attributes:
         mean_nm: the mean, before truncation.
         deviation_nm: standard deviation; 0 is one thickness for all flakes. Ignored for a histogram.
         distribution: "gaussian" (cut at zero), "truncated" (cut at
             `low_nm` and `high_nm`), "lognormal" or "histogram".
-        low_nm, high_nm: bounds of "truncated".
-        edges_nm, fractions: bins of "histogram": ascending edges `[bin + 1]`, weights `[bin]` that sum to 1;
+        low_nm, high_nm: bounds for "truncated".
+        edges_nm, fractions: bins for "histogram": ascending edges `[bin + 1]`, weights `[bin]` that sum to 1;
             the density is constant within a bin.
 
     Raises:
-        NacreError: a number is out of range; the message names it.
+        NacreError: a number is out-of-range; the message names it.
     """
 
     mean_nm: float
@@ -107,7 +107,7 @@ class Thickness:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """Hashable values of all fields."""
+        """Hashable field values."""
         return tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in vars(self).values())
 
     @property
@@ -128,13 +128,13 @@ class Thickness:
 
     @property
     def cut_share(self) -> float:
-        """Share of its Gaussian that the bounds cut off."""
+        """Gaussian share cut off by the bounds."""
         scale = sqrt(2.0) * self.deviation_nm
         return 0.5 * (erfc((self.mean_nm - self.low_nm) / scale) + erfc((self.high_nm - self.mean_nm) / scale))
 
     @property
     def support(self) -> tuple[float, float]:
-        """The interval that holds all but 1e-16 of the flakes, in nm."""
+        """Interval with all but 1e-16 flakes, in nm."""
         if self.is_fixed:
             return self.mean_nm, self.mean_nm
         if self.distribution == "histogram":
@@ -188,9 +188,9 @@ class Thickness:
         return nodes.ravel(), (weights / weights.sum()).ravel()
 
     def characteristic(self, x_max: float) -> tuple[ComplexArray, float, float]:
-        """Tabulate <exp(i x (tau - centre))> on a uniform grid of x >= 0, for six-point interpolation.
+        """Tabulate <exp(i x (tau - centre))> on a uniform grid x >= 0, for six-point interpolation.
 
-        The centre is the middle of the support. The rest oscillates at most with half the support, and the samples per
+        The centre is the support's middle. The rest oscillates at most with half the support, and the samples per
         oscillation (more for truncated distributions) interpolate to 1e-9.
 
         Returns:
@@ -200,7 +200,7 @@ class Thickness:
         low, high = self.support
         centre, half = (low + high) / 2, (high - low) / 2
         if self.distribution == "lognormal":
-            # the far tail widens the support but carries no weight; the bulk sets the oscillation
+            # the far tail widens the support without weight; the bulk sets the oscillation
             location, scale = self._lognormal
             centre, half = self.mean_nm, float(np.exp(location + 6.5 * scale)) - self.mean_nm
         step = np.pi / half / (8 if self.is_uncut else 24)
@@ -226,7 +226,7 @@ class Thickness:
         return self._cut_gaussian_phase(x, centre)
 
     def _cut_gaussian_phase(self, x: Array, centre: float) -> ComplexArray:
-        """Fourier integral of a cut Gaussian: two error functions of complex argument (Faddeeva's w)."""
+        """Return a cut Gaussian's Fourier integral: two complex error functions (Faddeeva's w)."""
         from scipy.special import erf, wofz
 
         a = (self.low_nm - self.mean_nm) / self.deviation_nm
@@ -234,7 +234,7 @@ class Thickness:
         total = (erf(b / np.sqrt(2)) - erf(a / np.sqrt(2))) / 2
         z = x * self.deviation_nm
         value = np.exp(1j * x * (self.mean_nm - centre) - z**2 / 2)
-        # the part beyond each bound: exp(i x tau) erfc(..)/2 written with w so that nothing overflows
+        # the part beyond each bound: exp(i x tau) erfc(..)/2 written with w against overflow
         if np.isfinite(b):
             value = value - _tail(b, z, wofz) * np.exp(1j * x * (self.high_nm - centre))
         value = value - _tail(-a, -z, wofz) * np.exp(1j * x * (self.low_nm - centre))
@@ -247,7 +247,7 @@ def _gauss() -> tuple[Array, Array]:
 
 
 def _tail(bound: float, z: Array, wofz: object) -> ComplexArray:
-    """Weight of exp(i z t) beyond t = bound > 0 of a unit Gaussian, relative to the phase at the bound."""
+    """Return a unit Gaussian's weight times exp(i z t) beyond t = bound > 0, relative to the phase at the bound."""
     argument = (z + 1j * bound) / np.sqrt(2)
     return np.asarray(np.exp(-(bound**2) / 2) * wofz(argument) / 2)  # type: ignore[operator]  # scipy has no stubs
 
@@ -273,9 +273,9 @@ class Distribution(NamedTuple):
 
     Attributes:
         is_fixed: all flakes have the thickness `mean`.
-        kind: GAUSSIAN (closed form in `mean`, `deviation`) or TABULATED (`table` about `mean`, of step `step`).
+        kind: GAUSSIAN (closed form in `mean`, `deviation`) or TABULATED (`table` about `mean`, with step `step`).
         low, high: support, nm.
-        nodes, weights, starts: ladder of quadratures; number i is starts[i]:starts[i + 1], each twice as long.
+        nodes, weights, starts: quadrature ladder; number i is starts[i]:starts[i + 1], each twice as long.
     """
 
     is_fixed: bool
@@ -354,7 +354,7 @@ def _wave(p: complex, tau: float) -> complex:
 
 @compiled(error_model="numpy")
 def _point(big_c: complex, r_a: complex, transfer: float, rho: complex, y: complex) -> Any:
-    """R and T of one thickness."""
+    """Return R and T for one thickness."""
     denominator = 1.0 - rho * y
     over = 1.0 / (denominator.real * denominator.real + denominator.imag * denominator.imag)
     r = r_a + big_c * y * complex(denominator.real * over, -denominator.imag * over)
@@ -365,7 +365,7 @@ def _point(big_c: complex, r_a: complex, transfer: float, rho: complex, y: compl
 def _pole_distance(rho: complex, p: complex, low: float, high: float) -> float:
     """Return the distance from [low, high] to the nearest complex thickness with rho exp(i p tau) = 1.
 
-    A Gauss rule on a panel converges with the ratio of its width to this distance.
+    A Gauss rule converges with its panel width over this distance.
     """
     if abs(rho) < 1e-6:
         return high - low
@@ -382,7 +382,7 @@ def _pole_distance(rho: complex, p: complex, low: float, high: float) -> float:
 
 @compiled(error_model="numpy", nogil=True)
 def _by_series(p: float, amplitudes: Any, i: int, pol: int, flakes: Any) -> Any:
-    """R and T of a lossless substrate by the series over its round trips."""
+    """Return R and T for a lossless substrate by the series over round trips."""
     r_a, big_c, rho, transfer = amplitudes
     s1, s2 = _series(rho[pol, i], p, flakes.kind, flakes.mean, flakes.deviation, flakes.table, flakes.step)
     size = min(abs(rho[pol, i]), 1.0 - RHO_FLOOR)
@@ -405,7 +405,7 @@ def _by_quadrature(p: complex, amplitudes: Any, i: int, pol: int, flakes: Any, i
         level += 1
     total_r, total_t, shared_width = 0.0, 0.0, 0.0
     for panel in range(starts[level], starts[level + 1], POINTS_PER_PANEL):
-        # panels of equal width share exp(ip (tau - tau_first)), so that a node costs a product
+        # panels with equal width share exp(ip (tau - tau_first)), so that a node costs a product
         width = nodes[panel + POINTS_PER_PANEL - 1] - nodes[panel]
         if panel == starts[level] or abs(width - shared_width) > SAME_WIDTH * width:
             shared_width = width
@@ -421,10 +421,10 @@ def _by_quadrature(p: complex, amplitudes: Any, i: int, pol: int, flakes: Any, i
 
 @compiled(error_model="numpy", nogil=True)
 def average_platelet(p: Any, amplitudes: Any, flakes: Any, out_r: Any, out_t: Any, begin: int, end: int) -> None:
-    """Write <R> and <T> of the points begin..end.
+    """Write <R> and <T> for the points begin..end.
 
     Args:
-        p: complex `[point]`, 2 k0 kz of the substrate, 1/nm; shared by both polarisations.
+        p: complex `[point]`, substrate 2 k0 kz, 1/nm; shared by both polarisations.
         amplitudes: r_A, t_A t_A' r_B and r_A' r_B, complex, and |t_A t_B|^2, each `[polarisation, point]`.
         flakes: a `Distribution`.
         out_r, out_t: `[polarisation, point]`.

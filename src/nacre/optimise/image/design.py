@@ -77,7 +77,7 @@ class PictureDesign:
 
 
 def make_picture(
-    target: DesignTask,
+    task: DesignTask,
     sampler: ColourSampler,
     seconds: float = np.inf,
     is_interrupted: Callable[[], bool] = lambda: False,
@@ -91,31 +91,31 @@ def make_picture(
     Raises:
         NacreError: a material cannot be computed in that time, or at all.
     """
-    want, levels, white = target.targets[0], target.spec.limits.height_levels, sampler.white
-    assert want.image is not None
-    pixels = np.round(want.image.reshape(-1, 3) * 65535.0).astype(np.int64)
+    target, levels, white = task.targets[0], task.spec.limits.height_levels, sampler.white
+    assert target.image is not None
+    pixels = np.round(target.image.reshape(-1, 3) * 65535.0).astype(np.int64)
     # equal colours are matched once
     _, first, inverse = np.unique((pixels << np.array([32, 16, 0])).sum(axis=1), return_index=True, return_inverse=True)
-    inverse = inverse.reshape(want.image.shape[:2])
-    asked = srgb_lab(want.image.reshape(-1, 3)[first])
+    inverse = inverse.reshape(target.image.shape[:2])
+    asked = srgb_lab(target.image.reshape(-1, 3)[first])
     if levels is None:
         grid = fine_grid(sampler, seconds, is_interrupted)
-        found = match_colours(asked, np.asarray(xyz_to_lab(grid.xyz, white)), want.tolerance)
+        found = match_colours(asked, np.asarray(xyz_to_lab(grid.xyz, white)), target.tolerance)
         points, distance = found.points[inverse], found.distance[inverse]
         is_mapped, keeps_hue = found.is_mapped[inverse], found.keeps_hue[inverse]
     else:
         grid = level_grid(sampler, levels)
-        mapped, moved = map_into_solid(asked, grid.flat_xyz, white, want.tolerance)
+        mapped, moved = map_into_solid(asked, grid.flat_xyz, white, target.tolerance)
         points = dither(np.asarray(lab_to_xyz(mapped, white))[inverse], grid.flat_xyz, white)
         both = np.asarray(lab_to_xyz(asked, white))[inverse], np.asarray(grid.flat_xyz[points])
         distance = np.asarray(delta_e_2000(*(xyz_to_lab(blurred(xyz), white) for xyz in both)))
         is_mapped, keeps_hue = moved[inverse], has_same_hue(asked, mapped)[inverse]
     maps = [
         ParameterMap(p.path, values, p.low, p.high, levels)
-        for p, values in zip(target.parameters, grid.values(points), strict=True)
+        for p, values in zip(task.parameters, grid.values(points), strict=True)
     ]
     reached = screen_rgb(grid.flat_xyz[points], white)
-    return PictureDesign(want.image, reached, distance, is_mapped, keeps_hue, maps, grid, white)
+    return PictureDesign(target.image, reached, distance, is_mapped, keeps_hue, maps, grid, white)
 
 
 def srgb_lab(rgb: Array) -> Array:
@@ -130,12 +130,12 @@ def screen_rgb(xyz: Array, white: Array) -> Array:
 
 
 def design_picture(
-    target: DesignTask, folder: Path, begun: float, progress: Callable[[DesignProgress], None] | None
+    task: DesignTask, folder: Path, begun: float, progress: Callable[[DesignProgress], None] | None
 ) -> Design:
     """Design a picture.
 
     Args:
-        target: its only target is a picture.
+        task: its only target is a picture.
         folder: exists.
         begun: `time.monotonic()` at the start.
         progress: called before and after the assignment.
@@ -144,8 +144,8 @@ def design_picture(
         RecipeError: a map would overwrite the picture, or the time limit is too short.
         NacreError: the material cannot be computed, or the folder cannot be written.
     """
-    want, total = target.targets[0], target.spec.search.seconds
-    _check_overwriting(target, folder)
+    target, total = task.targets[0], task.spec.search.seconds
+    _check_overwriting(task, folder)
 
     def report(worst: float) -> None:
         if progress is not None:
@@ -153,31 +153,31 @@ def design_picture(
             progress(DesignProgress(worst, spent, max(total - spent, 0.0)))
 
     report(float("inf"))
-    sampler = _sampler(target)
+    sampler = _sampler(task)
     with interrupt_flag() as is_interrupted:
         left = GRID_SHARE * total - (time.monotonic() - begun)
-        picture = make_picture(target, sampler, left, is_interrupted)
+        picture = make_picture(task, sampler, left, is_interrupted)
         stopped = is_interrupted()
-    report(float(picture.distance.mean()) / want.tolerance)
-    facts = _figures(target, picture)
-    solution = _write(target, folder, picture, facts)
+    report(float(picture.distance.mean()) / target.tolerance)
+    facts = _figures(task, picture)
+    solution = _write(task, folder, picture, facts)
     status = "met" if facts["share_out_of_reach"] <= MAX_UNREACHABLE else "out of reach"
     status = "interrupted" if stopped else status
-    message = in_words(facts, want.tolerance, stopped)
+    message = in_words(facts, target.tolerance, stopped)
     summary: dict[str, Any] = {
         "status": status,
         "message": message,
         "seconds": round(time.monotonic() - begun, 3),
-        "solutions": [_document(solution, target)],
-        "light": target.spec.light.model_dump(),
-        "seed": target.spec.search.seed,
-        "target": target.fingerprint,
+        "solutions": [_document(solution, task)],
+        "light": task.spec.light.model_dump(),
+        "seed": task.spec.search.seed,
+        "target": task.fingerprint,
         "nacre": __version__,
     }
     design = Design(folder, status, message, summary["seconds"], [solution], summary)
     _write_summary(folder, summary)
     with contextlib.suppress(KeyboardInterrupt):
-        _write_report(folder, target, design, picture, begun)
+        _write_report(folder, task, design, picture, begun)
     _write_summary(folder, summary)
     return replace(design, seconds=summary["seconds"])
 
@@ -186,26 +186,26 @@ def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
     write_text(folder / SUMMARY, json.dumps(summary, indent=2, default=str) + "\n")
 
 
-def _sampler(target: DesignTask, is_final: bool = False) -> ColourSampler:
-    light = target.spec.light
-    seed = target.spec.search.seed + (SEED_OFFSET if is_final else 0)
+def _sampler(task: DesignTask, is_final: bool = False) -> ColourSampler:
+    light = task.spec.light
+    seed = task.spec.search.seed + (SEED_OFFSET if is_final else 0)
     pair = (light.illuminants[0], light.observer)
-    return ColourSampler(target.material, target.parameters, target.targets[0].geometry, pair, seed, is_final)
+    return ColourSampler(task.material, task.parameters, task.targets[0].geometry, pair, seed, is_final)
 
 
-def _check_overwriting(target: DesignTask, folder: Path) -> None:
-    name = target.spec.target[0].image
+def _check_overwriting(task: DesignTask, folder: Path) -> None:
+    name = task.spec.target[0].image
     assert name is not None
-    path = real(target.context.path(name))
-    stems = [ParameterMap(p.path, np.zeros((1, 1)), 0.0, 1.0, None).stem for p in target.parameters]
+    path = real(task.context.path(name))
+    stems = [ParameterMap(p.path, np.zeros((1, 1)), 0.0, 1.0, None).stem for p in task.parameters]
     if path in [(folder / other).resolve() for other in (*(f"{stem}.png" for stem in stems), REACHED, PICTURE)]:
         raise RecipeError(
             f"{folder}: contains the picture {path.name}, which would be overwritten; choose another with -o"
         )
 
 
-def _figures(target: DesignTask, picture: PictureDesign) -> dict[str, Any]:
-    distance, mapped, levels = picture.distance, picture.is_mapped, target.spec.limits.height_levels
+def _figures(task: DesignTask, picture: PictureDesign) -> dict[str, Any]:
+    distance, mapped, levels = picture.distance, picture.is_mapped, task.spec.limits.height_levels
     count = int(mapped.sum())
     return {
         "pixels": list(distance.shape),
@@ -223,17 +223,17 @@ def _figures(target: DesignTask, picture: PictureDesign) -> dict[str, Any]:
             {"path": m.path, "file": f"{m.stem}.png", "min": m.low, "max": m.high, "levels": m.levels}
             for m in picture.maps
         ],
-        "checked": _evaluate_pixels(target, picture),
+        "checked": _evaluate_pixels(task, picture),
     }
 
 
-def _evaluate_pixels(target: DesignTask, picture: PictureDesign) -> dict[str, Any]:
+def _evaluate_pixels(task: DesignTask, picture: PictureDesign) -> dict[str, Any]:
     """Compute some pixels with final evaluation accuracy and another seed; return their differences."""
-    sampler = _sampler(target, is_final=True)
+    sampler = _sampler(task, is_final=True)
     count = CHECKED_PIXELS if sampler.is_batched else CHECKED_SLOW
     values = np.stack([m.values.ravel() for m in picture.maps], axis=-1)
-    chosen = values[np.random.default_rng(target.spec.search.seed).integers(len(values), size=count)]
-    low, high = (np.array([getattr(p, end) for p in target.parameters]) for end in ("low", "high"))
+    chosen = values[np.random.default_rng(task.spec.search.seed).integers(len(values), size=count)]
+    low, high = (np.array([getattr(p, end) for p in task.parameters]) for end in ("low", "high"))
     points, inverse = np.unique((chosen - low) / (high - low), axis=0, return_inverse=True)
     xyz = sampler.xyz(points)
     assert xyz is not None
@@ -244,31 +244,31 @@ def _evaluate_pixels(target: DesignTask, picture: PictureDesign) -> dict[str, An
     return {"pixels": count, "de00_mean": float(off.mean()), "de00_largest": float(off.max())}
 
 
-def _write(target: DesignTask, folder: Path, picture: PictureDesign, facts: dict[str, Any]) -> Solution:
+def _write(task: DesignTask, folder: Path, picture: PictureDesign, facts: dict[str, Any]) -> Solution:
     """Write recipe, maps and the reproduced picture; load the recipe as a user would."""
     from PIL import Image
 
     clear_answers(folder, 0)  # earlier maps under other names
     folder.mkdir(parents=True, exist_ok=True)
-    map_files = write_maps(folder, picture.maps, {"nacre": __version__, "target": target.fingerprint})
+    map_files = write_maps(folder, picture.maps, {"nacre": __version__, "target": task.fingerprint})
     changes = {m.path: m.texture for m in picture.maps}
-    path, files = write_recipe(folder, target.material, changes, {})
+    path, files = write_recipe(folder, task.material, changes, {})
     with atomic_path(folder / REACHED) as temporary:
         Image.fromarray(np.round(255.0 * picture.reached).astype(np.uint8)).save(temporary)
-    want, lamp = target.targets[0], target.spec.light.illuminants[0]
+    target, lamp = task.targets[0], task.spec.light.illuminants[0]
     asked, reached = (srgb_lab(rgb).mean(axis=(0, 1)) for rgb in (picture.asked, picture.reached))
     facts["files"] = [*files, *map_files, REACHED]
-    return Solution(path, load(path), changes, [TargetResult(want, lamp, reached, asked, facts["de00_mean"])], facts)
+    return Solution(path, load(path), changes, [TargetResult(target, lamp, reached, asked, facts["de00_mean"])], facts)
 
 
-def _document(solution: Solution, target: DesignTask) -> dict[str, Any]:
-    want, worst = target.targets[0], solution.worst
+def _document(solution: Solution, task: DesignTask) -> dict[str, Any]:
+    target, worst = task.targets[0], solution.worst
     keys = ("de00_mean", "de00_median", "de00_99_percent", "de00_largest", "share_out_of_reach", "share_hue_kept")
     entry = {
-        "geometry": str(want.geometry),
+        "geometry": str(target.geometry),
         "lamp": worst.lamp,
-        "asked": want.asked,
-        "tolerance": want.tolerance,
+        "asked": target.asked,
+        "tolerance": target.tolerance,
         "met": worst.is_met,
     }
     entry |= {"de00": worst.distance, **{key: solution.facts[key] for key in keys}}
@@ -291,7 +291,7 @@ def in_words(facts: dict[str, Any], tolerance: float, stopped: bool = False) -> 
     )
 
 
-def _write_report(folder: Path, target: DesignTask, design: Design, picture: PictureDesign, begun: float) -> None:
+def _write_report(folder: Path, task: DesignTask, design: Design, picture: PictureDesign, begun: float) -> None:
     """Write report.html and report.png; the summary gets the total time.
 
     Raises:
@@ -300,24 +300,24 @@ def _write_report(folder: Path, target: DesignTask, design: Design, picture: Pic
     from nacre.plot import save_figure
     from nacre.plot.sheets import PictureSheet, picture_figure
 
-    light = (target.spec.light.illuminants[0], target.spec.light.observer)
-    geometry = target.targets[0].geometry
+    light = (task.spec.light.illuminants[0], task.spec.light.observer)
+    geometry = task.targets[0].geometry
     note = f"{light[0]}, {light[1]} observer, {geometry}; the first row on top, seen from the light's side"
     maps = [(m.path, m.values) for m in picture.maps]
-    title = "\n".join(textwrap.wrap(f"{target.name}: {design.message}", 118))
+    title = "\n".join(textwrap.wrap(f"{task.name}: {design.message}", 118))
     sheet = PictureSheet(title, picture.asked, picture.reached, picture.distance, picture.is_mapped, maps, note)
-    save_figure(picture_figure(sheet), folder / PICTURE, {"target": target.fingerprint})
-    spec = target.spec.model_dump(exclude_none=True)
+    save_figure(picture_figure(sheet), folder / PICTURE, {"target": task.fingerprint})
+    spec = task.spec.model_dump(exclude_none=True)
     design.summary["seconds"] = round(time.monotonic() - begun, 3)
     page = render_page(
         "image_report.html",
-        title=target.name,
+        title=task.name,
         design=design,
         note=note,
         checked=design.best.facts["checked"],
         sheet=png_uri((folder / PICTURE).read_bytes()),
         chart=data_uri(_chart(picture, light), DPI),
-        target=target.context.text or json.dumps(spec, indent=2, default=str),
+        target=task.context.text or json.dumps(spec, indent=2, default=str),
         document=json.dumps(design.summary, indent=2, default=str),
     )
     write_text(folder / REPORT, page)

@@ -80,15 +80,15 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
         given = data.get(name)
         if given and not (name in KNOWN_IN and set(given) <= KNOWN_IN[name]):
             raise RecipeError(f"{source}: {name}: is not known of a relief whose heights are sought")
-    places = [f"target[{i}].directions" for i, want in enumerate(spec.target) if want.directions]
-    pictures = [want.directions for want in spec.target if want.directions]
+    places = [f"target[{i}].directions" for i, target in enumerate(spec.target) if target.directions]
+    pictures = [target.directions for target in spec.target if target.directions]
     colours = tuple(
-        replace(read_targets([want], spec.light, context)[0], key=f"{source}: target[{i}]")
-        for i, want in enumerate(spec.target)
-        if want.directions is None
+        replace(read_targets([target], spec.light, context)[0], key=f"{source}: target[{i}]")
+        for i, target in enumerate(spec.target)
+        if target.directions is None
     )
-    for want in colours:
-        _check_colour(want)
+    for target in colours:
+        _check_colour(target)
     if colours and pictures and pictures[0].intensity_scale == "free":
         raise RecipeError(
             f'{source}: {places[0]}.intensity_scale = "free" with a colour at "{colours[0].geometry}"; '
@@ -180,13 +180,13 @@ def _noise(spec: DesignSpec, source: str) -> float:
     return value
 
 
-def _check_colour(want: Target) -> None:
-    if want.geometry.kind != "aspecular":
+def _check_colour(target: Target) -> None:
+    if target.geometry.kind != "aspecular":
         raise RecipeError(
-            f'{want.key}.geometry = "{want.geometry}" cannot be met by heights; write a pair of directions, "45as15"'
+            f'{target.key}.geometry = "{target.geometry}" cannot be met by heights; write directions such as "45as15"'
         )
-    if want.lab is None and want.xyz is None:
-        raise RecipeError(f"{want.key}: of a relief's heights a colour is sought; give colour, lab, lch, xyz or xyy")
+    if target.lab is None and target.xyz is None:
+        raise RecipeError(f"{target.key}: heights need a target colour; give colour, lab, lch, xyz or xyy")
 
 
 def _with_colours(
@@ -201,15 +201,15 @@ def _with_colours(
     offsets = np.linspace(-PATCH_SINE, PATCH_SINE, count)
     white = white_xyz(spec.light.illuminants[0], spec.light.observer)
     views = list(problem.views) if has_pictures else []
-    for want in colours:
-        wi = direction(np.radians(want.geometry.theta_deg))
-        wo = aspecular_direction(want.geometry.theta_deg, want.geometry.aspecular_deg)
+    for target in colours:
+        wi = direction(np.radians(target.geometry.theta_deg))
+        wo = aspecular_direction(target.geometry.theta_deg, target.geometry.aspecular_deg)
         geometry = CutGeometry(wi[0] + wo[0] + offsets, wi[1] + wo[1] + offsets, wi[None], weights.wavelengths_nm)
-        lab = want.target_lab(white)
+        lab = target.target_lab(white)
         assert lab is not None  # by `_check_colour`
         shown = (scale / np.pi * _linear_rgb(lab, white)) ** (1.0 / GAMMA)
-        target = np.broadcast_to(shown, (1, count, count, 3)).copy()
-        views.append(View(geometry, target, weights.rgb_weights, reflectance))
+        picture = np.broadcast_to(shown, (1, count, count, 3)).copy()
+        views.append(View(geometry, picture, weights.rgb_weights, reflectance))
     return replace(problem, views=tuple(views), intensity_scale=float(scale), brightness_floor=0.0)
 
 
@@ -268,19 +268,19 @@ def _solution(read: ReliefTarget, folder: Path, summary: Mapping[str, Any]) -> d
     """Evaluate the finished relief at the target colours' directions."""
     light, recipe = read.asked.light, folder / "recipe.toml"
     losses = {name: summary[name] for name in ("loss_fixed", "loss_free")}
-    wants = [
+    results = [
         {
             "at": "directions",
             "lamp": None,
             "asked": table.model_dump(exclude_none=True, exclude_defaults=True),
             **losses,
         }
-        for table in (want.directions for want in read.asked.target)
+        for table in (target.directions for target in read.asked.target)
         if table is not None
     ]
     if read.colours:
         relief = load(recipe)
         grid = evaluation_wavelengths(relief, light.illuminants)
         seen = simulate_measurement(relief, geometries_of(read.colours), grid, memory={})
-        wants += [r.document(light.observer) for r in results_of(seen, read.colours, light)]
-    return {"recipe": str(recipe), "targets": wants, "yield": None}
+        results += [r.document(light.observer) for r in results_of(seen, read.colours, light)]
+    return {"recipe": str(recipe), "targets": results, "yield": None}

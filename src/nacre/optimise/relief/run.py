@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
 import time
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +15,10 @@ import numpy as np
 
 from nacre._version import __version__
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError, RecipeError
+from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path, read_text, write_text
 from nacre.core.parallel import available_jobs, single_threaded_blas
+from nacre.optimise.checkpoint import Checkpointer
 from nacre.optimise.relief.merit import ConvergedMeasurement, Evaluator, Problem, exact_losses, measure_design
 from nacre.optimise.relief.report import write_preview, write_report
 from nacre.optimise.relief.search import Candidate, Progress, Search
@@ -27,8 +27,6 @@ from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.toml import dump_toml, parse_toml
 
-CHECKPOINT_INTERVAL_S = 2.0
-CHECKPOINT = "search.npz"
 # reserved from the time limit for the final measurement and the report
 FINAL_SHARE, FINAL_MAX_S = 0.15, 3.0
 MIN_SEARCH_SHARE = 0.25  # relative to the time limit
@@ -124,12 +122,16 @@ def design(
     workers = jobs or available_jobs()
     search = Search(problem, spec.search.starts, spec.search.seed, workers, spec.search.perturbed_restarts)
     output = _Output(folder, spec, problem, search, target_fingerprint(spec, problem, context))
-    if resume:
-        load_checkpoint(search, folder, output.fingerprint)
+    checkpointer = Checkpointer.open(folder, output.fingerprint, resume)
+    if checkpointer.progress:
+        _restore(search, checkpointer)
     output.write(search.best.x, "started")
+    _save(search, checkpointer)
 
     def update(report: Progress) -> None:
-        output.update(report)
+        if checkpointer.is_due:
+            output.write(report.best_x, "running")
+            _save(search, checkpointer)
         if progress is not None:
             progress(report)
 
@@ -138,7 +140,7 @@ def design(
         reserved_s = evaluation_s + min(FINAL_SHARE * limit, FINAL_MAX_S) + time.monotonic() - start_time
         limit = max(limit - reserved_s, MIN_SEARCH_SHARE * limit)
     best = search.run(limit, update)
-    save_checkpoint(search, folder, output.fingerprint)
+    _save(search, checkpointer)
     final_start = time.monotonic()
     heights_nm = best * problem.height_max_nm
     with single_threaded_blas():
@@ -159,15 +161,7 @@ class _Output:
     def __init__(self, folder: Path, spec: TargetSpec, problem: Problem, search: Search, fingerprint: str) -> None:
         self.folder, self.spec, self.problem, self.search = folder, spec, problem, search
         self.fingerprint = fingerprint
-        self.last = time.monotonic()
         self._evaluator = Evaluator(problem, problem.search_upsamplings()[0])
-
-    def update(self, report: Progress) -> None:
-        """Write the best design and a checkpoint at intervals."""
-        if time.monotonic() - self.last > CHECKPOINT_INTERVAL_S:
-            self.last = time.monotonic()
-            self.write(report.best_x, "running")
-            save_checkpoint(self.search, self.folder, self.fingerprint)
 
     def write(self, best: Array, status: str, measured: ConvergedMeasurement | None = None) -> dict[str, Any]:
         """Write height.npy, recipe.toml, preview.png and design.json atomically; return the summary.
@@ -234,45 +228,19 @@ def target_fingerprint(spec: TargetSpec, problem: Problem, context: RecipeContex
     return fingerprint(spec.model_dump(exclude={"search": {"seconds"}}), context.files, target=target)
 
 
-def save_checkpoint(search: Search, folder: Path, fingerprint: str) -> None:
-    """Write the search state."""
-    with atomic_path(folder / CHECKPOINT) as temporary, temporary.open("wb") as stream:
-        np.savez(
-            stream,
-            fingerprint=np.array(fingerprint),
-            counts=np.array([search.stage, search.evaluations]),
-            seconds=np.array(search.seconds),
-            x=np.stack([c.x for c in search.candidates]),
-            value=np.array([c.value for c in search.candidates]),
-            stage=np.array([c.stage for c in search.candidates]),
-            done=np.array([c.done for c in search.candidates]),
-        )
+def _save(search: Search, checkpointer: Checkpointer) -> None:
+    candidates = [
+        {"x": base64.b64encode(c.x.tobytes()).decode(), "value": c.value, "stage": c.stage, "done": c.done}
+        for c in search.candidates
+    ]
+    checkpointer.update(candidates, stage=search.stage, evaluations=search.evaluations, seconds=search.seconds)
 
 
-def load_checkpoint(search: Search, folder: Path, fingerprint: str) -> None:
-    """Restore a stopped search, if the folder contains one.
-
-    Raises:
-        RecipeError: the state belongs to another target.
-        NacreError: the state cannot be read.
-    """
-    path = folder / CHECKPOINT
-    if not path.exists():
-        return
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as state:
-            stored = {name: state[name] for name in state.files}
-        owner = str(stored["fingerprint"])
-        search.stage, search.evaluations = (int(c) for c in stored["counts"])
-        search.seconds = float(stored["seconds"])
-        search.candidates = [
-            Candidate(x.copy(), float(value), int(stage), int(done))
-            for x, value, stage, done in zip(stored["x"], stored["value"], stored["stage"], stored["done"])
-        ]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise NacreError(f"{path}: cannot be read to resume: {error}; delete it to start afresh") from None
-    if owner != fingerprint:
-        raise RecipeError(
-            f"{path}: belongs to another target, or a file that it names, or nacre itself has changed since; "
-            "take another folder, or leave --resume away"
-        )
+def _restore(search: Search, checkpointer: Checkpointer) -> None:
+    search.stage, search.evaluations, search.seconds = (
+        checkpointer.progress[key] for key in ("stage", "evaluations", "seconds")
+    )
+    search.candidates = [
+        Candidate(np.frombuffer(base64.b64decode(one["x"])).copy(), one["value"], one["stage"], one["done"])
+        for one in checkpointer.solutions
+    ]

@@ -70,7 +70,7 @@ class Side:
     others: tuple[Directions, ...] = ()
 
     @cached_property
-    def ways(self) -> RatioDirections:
+    def ratio_directions(self) -> RatioDirections:
         """The directions as ratio variables."""
         d = self.directions
         return RatioDirections.of(d.transverse, np.full(d.cosines.size, d.index), np.full(d.cosines.size, d.below))
@@ -166,7 +166,7 @@ class Ensemble:
         found: dict[Block, Sums] = {}
         counts = [len(light.wavevectors) for _, light in sides]
         edges = np.cumsum([0, *(2 * c for c in counts)])
-        wanted = blocks(layer.transmits_below)
+        required = blocks(layer.transmits_below)
         for view, _ in sides:
             f = self.coupling.far_field(cell.xy_nm, solved, self.waves(view, True), cell.species)
             for at, (_, light) in enumerate(sides):
@@ -174,7 +174,7 @@ class Ensemble:
                 powers = np.abs(part).astype(float) ** 2
                 powers /= len(cell.xy_nm) * view.directions.index * light.directions.index
                 for block, pairs in self._pairs(cell, view, light, powers):
-                    if block[0] < block[1] or (block[0] == block[1] and block not in wanted):
+                    if block[0] < block[1] or (block[0] == block[1] and block not in required):
                         a, b, q, p = block
                         block, pairs = (b, a, p, q), pairs.exchanged()
                     one = block_sums(block, pairs, ANGLES)
@@ -218,8 +218,8 @@ class Ensemble:
                 model, control = model + varying, control + varying * odd
             block = (int(view.directions.below), int(light.directions.below), pol, p)
             pairs = Pairs(
-                view.ways,
-                light.ways,
+                view.ratio_directions,
+                light.ratio_directions,
                 phi,
                 powers[pol, :, p] * diffuse,
                 model,
@@ -343,8 +343,8 @@ def nearest_distance(cell: Supercell) -> float:
 def same_order(layer: Monolayer, order: int, *particles: Particle) -> Monolayer:
     """Return the mean-field model with multipoles up to `order` and one particle size per species."""
     # the cutoff has little effect on few multipoles, equal in numerator and denominator
-    kept = tuple(dataclasses.replace(p, t_matrix=truncated(p.t_matrix, min(order, p.lmax))) for p in particles)
-    return Monolayer(layer.surface, kept, layer.structure, "qca-balanced", kept[0].lmax)
+    selected = tuple(dataclasses.replace(p, t_matrix=truncated(p.t_matrix, min(order, p.lmax))) for p in particles)
+    return Monolayer(layer.surface, selected, layer.structure, "qca-balanced", selected[0].lmax)
 
 
 def middle_sizes(layer: Monolayer) -> tuple[Particle, ...]:

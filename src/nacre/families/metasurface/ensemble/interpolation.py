@@ -88,7 +88,7 @@ class EnsembleInterpolation:
         }
 
 
-def chosen(wavelengths_nm: Array) -> Array:
+def node_wavelengths(wavelengths_nm: Array) -> Array:
     """Return the wavelengths solved for a grid: all, or at most `MOST_WAVELENGTHS` evenly spaced ones."""
     if len(wavelengths_nm) <= MOST_WAVELENGTHS:
         return wavelengths_nm
@@ -103,8 +103,8 @@ def expected_seconds(wavelengths: int, settings: EnsembleSettings, layer: Monola
     """
     n = 2 * settings.multipole_order * (settings.multipole_order + 2)
     share = settings.spheres * n / UNKNOWNS
-    seen = (1.0 if layer.transmits_below else ONE_SIDE) * (1.0 if layer.shares.size == 1 else OF_MIXTURES)
-    one = SOLVE_S * (0.3 * share**3 + seen * (0.4 * share**2 + 0.3 * share))  # factorisation, matrix, directions, fit
+    effort = (1.0 if layer.transmits_below else ONE_SIDE) * (1.0 if layer.shares.size == 1 else OF_MIXTURES)
+    one = SOLVE_S * (0.3 * share**3 + effort * (0.4 * share**2 + 0.3 * share))  # factorisation, matrix, directions, fit
     tables = TABLES_S
     heights = np.unique([p.centre_nm for p in layer.particles])
     if len(heights) > 1:
@@ -147,7 +147,7 @@ def interpolate_ensemble(
         f"{source}: model.ensemble.spheres = {settings.spheres} of order {settings.multipole_order}",
         "take fewer spheres, or fewer --jobs",
     )
-    solved_at = chosen(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
+    solved_at = node_wavelengths(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
     first = layer(float(solved_at[0]))
     structure = first.structure
     made = supercells(
@@ -168,16 +168,16 @@ def interpolate_ensemble(
     found = [_read(key) for key in keys]
     missing = [n for n, one in enumerate(found) if one is None]
     if missing:
-        begun = [_begun(keys[n], len(made)) for n in missing]
-        done_before = sum(len(patterns) for patterns in begun)
+        cached = [_read_patterns(keys[n], len(made)) for n in missing]
+        done_before = sum(len(patterns) for patterns in cached)
         share = 1.0 - done_before / (len(missing) * len(made))
         seconds = share * expected_seconds(len(missing), settings, ensembles[0].layer)
         parts = []
         if len(missing) < len(found):
-            parts.append(f"{len(found) - len(missing)} more are kept from before")
+            parts.append(f"{len(found) - len(missing)} more are cached")
         if done_before:
             noun = "pattern" if done_before == 1 else "patterns"
-            parts.append(f"{done_before} {noun} of these {'is' if done_before == 1 else 'are'} kept")
+            parts.append(f"{done_before} {noun} of these {'is' if done_before == 1 else 'are'} cached")
         kept = f" ({', '.join(parts)})" if parts else ""
         noun = "wavelength" if len(missing) == 1 else "wavelengths"
         announce(
@@ -185,7 +185,7 @@ def interpolate_ensemble(
             f"{noun}{kept}: about {duration(seconds)}",
             seconds,
         )
-        for n, solved in _solve([ensembles[n] for n in missing], [keys[n] for n in missing], missing, begun):
+        for n, solved in _solve([ensembles[n] for n in missing], [keys[n] for n in missing], missing, cached):
             found[n] = solved
     done = [one for one in found if one is not None]
     angles = ensembles[0].angles_rad
@@ -193,7 +193,7 @@ def interpolate_ensemble(
 
 
 def _solve(
-    ensembles: list[Ensemble], keys: list[str], names: list[int], begun: list[dict[int, dict[Block, Sums]]]
+    ensembles: list[Ensemble], keys: list[str], names: list[int], cached: list[dict[int, dict[Block, Sums]]]
 ) -> list[tuple[int, tuple[Ratio, Array]]]:
     """Solve all patterns for all wavelengths, and fit each wavelength after its last pattern.
 
@@ -201,9 +201,9 @@ def _solve(
 
     Args:
         keys, names: identify each ensemble in the disk cache and the result.
-        begun: patterns already solved for each.
+        cached: patterns already solved for each.
     """
-    solved = [dict(patterns) for patterns in begun]
+    solved = [dict(patterns) for patterns in cached]
     lock = threading.Lock()
     out: list[tuple[int, tuple[Ratio, Array]]] = []
     prepared = [threading.Lock() for _ in ensembles]
@@ -212,8 +212,8 @@ def _solve(
         ratio, errors = ensembles[n].ratio([solved[n][k] for k in range(len(solved[n]))])
         solved[n].clear()
         ensembles[n].forget()
-        _keep(keys[n], ratio, errors)
-        drop_arrays(_of_pattern(keys[n], k) for k in range(len(ensembles[n].supercells)))
+        _store(keys[n], ratio, errors)
+        drop_arrays(_pattern_key(keys[n], k) for k in range(len(ensembles[n].supercells)))
         with lock:
             out.append((names[n], (ratio, errors)))
 
@@ -228,25 +228,25 @@ def _solve(
         if is_last:
             fit(n)
         else:
-            cache_arrays(_of_pattern(keys[n], number), as_arrays(one))
+            cache_arrays(_pattern_key(keys[n], number), as_arrays(one))
 
-    items = [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.supercells)) if k not in begun[n]]
+    items = [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.supercells)) if k not in cached[n]]
     for n, one in enumerate(ensembles):
-        if len(begun[n]) == len(one.supercells):
+        if len(cached[n]) == len(one.supercells):
             fit(n)
     in_threads(work, items)
     return out
 
 
-def _of_pattern(key: str, number: int) -> str:
+def _pattern_key(key: str, number: int) -> str:
     return f"{key}-{number}"
 
 
-def _begun(key: str, patterns: int) -> dict[int, dict[Block, Sums]]:
+def _read_patterns(key: str, patterns: int) -> dict[int, dict[Block, Sums]]:
     """Return the cached patterns for one wavelength, by pattern number."""
     out = {}
     for number in range(patterns):
-        stored = cached_arrays(_of_pattern(key, number))
+        stored = cached_arrays(_pattern_key(key, number))
         with contextlib.suppress(KeyError, ValueError):  # damaged entries are solved again
             if stored:
                 out[number] = from_arrays(stored)
@@ -276,7 +276,7 @@ def _key(one: Ensemble, settings: EnsembleSettings) -> str:
     )
 
 
-def _keep(key: str, ratio: Ratio, errors: Array) -> None:
+def _store(key: str, ratio: Ratio, errors: Array) -> None:
     names = {"-".join(map(str, block)): values for block, values in ratio.coefficients.items()}
     cache_arrays(key, {**names, "errors": errors})
 

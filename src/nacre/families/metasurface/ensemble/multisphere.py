@@ -58,8 +58,8 @@ def reflected_coupling(
     if surface.is_absent:
         return np.zeros((size, size, distances.size), dtype=complex)
     far = float(max(distances.max(), 1.0)) if reach is None else reach
-    heard = far if surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm) < LOW else 10.0
-    contour = stack_contour(surface, centre_nm, order, far, min(0.3, GROWTH / far), heard)
+    steep_reach = far if surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm) < LOW else 10.0
+    contour = stack_contour(surface, centre_nm, order, far, min(0.3, GROWTH / far), steep_reach)
     moments = bessel_j(np.outer(contour[0], distances), 2 * order)
     return reflected_sums(surface, centre_nm, lift_nm, order, contour, moments)
 

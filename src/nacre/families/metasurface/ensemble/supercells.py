@@ -87,10 +87,10 @@ def supercells(
         rng = np.random.default_rng((seed, number))
         made = pattern(spheres, int(rng.integers(2**31)))
         xy, box = made.xy_nm, made.box_nm
-        wanted = float(np.sqrt(spheres / density_per_nm2))
-        if is_list and box > 1.2 * wanted:
-            xy = xy - rng.uniform(0.0, box - wanted, 2)
-            xy, box = xy[np.all((xy >= 0) & (xy < wanted), axis=1)], wanted
+        width = float(np.sqrt(spheres / density_per_nm2))
+        if is_list and box > 1.2 * width:
+            xy = xy - rng.uniform(0.0, box - width, 2)
+            xy, box = xy[np.all((xy >= 0) & (xy < width), axis=1)], width
         xy = xy % box
         close = np.asarray(cKDTree(xy, boxsize=box).query_pairs(least_nm * (1 - 1e-6), output_type="ndarray"))
         xy = np.delete(xy, close[:, 0], axis=0)
@@ -153,10 +153,10 @@ class DistantSheet:
         kappa, _ = chebyshev(int(30 + 0.7 * far * largest), 0.0, largest)
         mu = pair_orders(order)
         sums = np.zeros((*mu.shape, kappa.size), dtype=complex)
-        seen = (w * r * window(r / far))[:, None]
+        weights = (w * r * window(r / far))[:, None]
         for m in range(2 * order + 1):
             rows, columns = np.nonzero(mu == m)
-            sums[rows, columns] = (-1j) ** m * (single[rows, columns] @ (seen * jv(m, np.outer(r, kappa))))
+            sums[rows, columns] = (-1j) ** m * (single[rows, columns] @ (weights * jv(m, np.outer(r, kappa))))
         sums *= 2 * np.pi * structure.density_per_nm2 / k**2
         within = np.stack([np.moveaxis(folded(sums, order, pol), -1, 0) for pol in range(2)])
         table = NeighbourTable.build(geometry, largest=largest)
@@ -245,8 +245,8 @@ class PeriodicCoupling:
         out = self.coupling.matrix(xy, period, species).T  # rows: source and its multipole
         waves = orders(period, self.largest * self.coupling.surface.inner_wavenumber)
         couples = self.beyond(waves) / period.side_nm**2
-        heard = np.abs(couples).max(axis=(0, 1, 3, 4)) > QUIET
-        couples, waves = couples[:, :, heard], waves[heard]
+        relevant = np.abs(couples).max(axis=(0, 1, 3, 4)) > QUIET
+        couples, waves = couples[:, :, relevant], waves[relevant]
         count, size = couples.shape[0], couples.shape[-1]
         flat = np.ascontiguousarray(
             np.swapaxes(couples, 3, 4).reshape(count, count, len(waves), -1), dtype=np.complex64

@@ -101,8 +101,8 @@ class AlignedLayer:
     @cached_property
     def dressed(self) -> ComplexArray:
         """M = (T^-1 - W)^-1 for the particle above its stack, `[n, n']`."""
-        index, kept = self._kept
-        t = truncated_full(self.whole, index.order)[kept[:, None], kept]
+        index, selected = self._kept
+        t = truncated_full(self.whole, index.order)[selected[:, None], selected]
         return np.asarray(dressed_matrix(t[None], spread_blocks(self.mean.spheres[0].coupling, index)[None])[0])
 
     @cached_property
@@ -383,12 +383,12 @@ def _series(values: Array, grids: Grids) -> NDArray[np.float32]:
     for start in starts:  # no azimuth at the normal
         found[start, :, half[:, 0] != 0] = 0.0
         found[:, start, half[:, 1] != 0] = 0.0
-    found = found - _bent(found, grids, half) / 12.0
+    found = found - _curvature(found, grids, half) / 12.0
     real = np.where(np.any(half != 0, axis=1), 2.0, 1.0) * found.real
     return pack_triangle(np.concatenate([real, -2.0 * found.imag], axis=-1))
 
 
-def _bent(table: ComplexArray, grids: Grids, half: NDArray[np.int64]) -> ComplexArray:
+def _curvature(table: ComplexArray, grids: Grids, half: NDArray[np.int64]) -> ComplexArray:
     """Return the second differences of `fit_linear`; here both angles have an azimuthal order."""
     groups = grid_groups(grids)
 
@@ -432,11 +432,11 @@ def solve_aligned(layer: AlignedLayer, grids: Grids, eta: float, count: int = AZ
     dispersion = index / eta if grids.below is not None else 1.0
     factor = scale / spread * np.where(np.arange(size) < n_above, 1.0, dispersion).repeat(count)
     values = (term.power.reshape(size * count, -1) * factor[:, None] * factor).reshape(size, count, size, count)
-    r, t, inside, total = (_finer(t) for t in tables)
+    r, t, inside, total = (_refine_azimuth(t) for t in tables)
     return AlignedResult(r, t, inside, total, _series(values, grids), excess)
 
 
-def _finer(table: Array) -> Array:
+def _refine_azimuth(table: Array) -> Array:
     """Interpolate a table over the azimuth, `[azimuth, ...]`, to `SPECULAR_STEPS` nodes, the first one repeated."""
     waves = np.fft.rfft(table, axis=0)
     count = len(table)
@@ -462,7 +462,7 @@ def tabulate_aligned(
 
     results, surfaces = zip(*in_threads(work, wavelengths_nm, jobs))
     series = column(results, "series")
-    chosen = _chosen(series)
+    chosen = _select_terms(series)
     values, orders = np.ascontiguousarray(series[:, chosen]), series_orders()[chosen].astype(float)
     k, index, step, s = lobe_axes(surfaces, structure, grids)
     lobe = Aligned(wavelengths_nm, values, orders, *grids.counts, eta, turn_rad, k, index, step, s)
@@ -470,7 +470,7 @@ def tabulate_aligned(
     return (AlignedSpecular(response, turn_rad), lobe), max(r.excess for r in results)
 
 
-def _chosen(series: NDArray[np.float32]) -> NDArray[np.intp]:
+def _select_terms(series: NDArray[np.float32]) -> NDArray[np.intp]:
     """Return the selected terms, largest first.
 
     A term and the one with exchanged directions are selected together, for reciprocity.
@@ -499,11 +499,11 @@ def aligned_powers(layer: AlignedLayer, cosines: Array, azimuth_rad: float) -> t
     wave = np.array([azimuth_rad + np.pi])
     reflected, passed = (p[0] for p in layer.specular_above(cosines, wave, untabulated=True))
     lit = layer.illuminate(cosines, wave, untabulated=True)
-    up = _sent(layer, lit, wave[0], *hemisphere_rule(ABOVE_NODES), False)
+    up = _diffuse_power(layer, lit, wave[0], *hemisphere_rule(ABOVE_NODES), False)
     if not layer.mean.transmits_below:
         return reflected, passed, up, np.zeros_like(up)
     rule = hemisphere_rule(BELOW_NODES, layer.mean.surface.index_below)
-    return reflected, passed, up, _sent(layer, lit, wave[0], *rule, True)
+    return reflected, passed, up, _diffuse_power(layer, lit, wave[0], *rule, True)
 
 
 def aligned_values(layer: AlignedLayer, wi: Array, wo: Array, turn_rad: float) -> Array:
@@ -530,7 +530,9 @@ def aligned_values(layer: AlignedLayer, wi: Array, wo: Array, turn_rad: float) -
     return np.asarray(np.maximum(smooth, 0.0) * s / (wi[:, 2] * wo[:, 2]))
 
 
-def _sent(layer: AlignedLayer, lit: AlignedIllumination, wave: float, mu: Array, weights: Array, below: bool) -> Array:
+def _diffuse_power(
+    layer: AlignedLayer, lit: AlignedIllumination, wave: float, mu: Array, weights: Array, below: bool
+) -> Array:
     """Return the diffuse power emitted to one side per incident irradiance, `[pol, angle]`."""
     leaving = layer.leaving(mu, below)
     power = far_powers(layer, leaving, lit, AZIMUTHS)  # q, b, s, p, i

@@ -438,7 +438,7 @@ def diffuse_term(
     both = pair[:, None] * np.swapaxes(pair, 1, 2)[None]  # pol_s, pol_i, s, i
     spread = (both * scale).transpose(2, 3, 0, 1)[..., None]
     if layer.ratio is not None:
-        return _judged(layer.ratio, joined, powers, spread, s_harmonics, weights, is_below, kept)
+        return _with_ensemble_ratio(layer.ratio, joined, powers, spread, s_harmonics, weights, is_below, kept)
     sent = np.einsum("s,qspi,qpsi->spi", weights, kernel, both)
     return DiffuseTerm(
         powers.coherent * spread,
@@ -461,7 +461,7 @@ def limit_to_incident_power(specular: Array, up: Array, down: Array) -> tuple[Ar
     return up * share, down * share, float(np.max(sent - room, initial=0.0))
 
 
-def _judged(
+def _with_ensemble_ratio(
     ratio: Ratio,
     joined: DirectionSet,
     powers: PairPowers,

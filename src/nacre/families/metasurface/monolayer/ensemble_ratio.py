@@ -121,33 +121,35 @@ class Ratio:
         columns = products(left, right, block, phi)
         return np.asarray(np.clip(1.0 + np.tensordot(found.mean(axis=0), columns, 1), LEAST, MOST))
 
-    def applied(self, harmonics: Array, ways: RatioDirections) -> Array:
+    def applied(self, harmonics: Array, directions: RatioDirections) -> Array:
         """Return harmonics over dphi times the ratio, `[s, i, pol_s, pol_i, k]`."""
-        kept = harmonics.shape[-1]
-        samples = 2 * kept + 4
+        count = harmonics.shape[-1]
+        samples = 2 * count + 4
         phi = np.pi * np.arange(samples + 1) / samples
-        waves = np.cos(np.arange(kept)[:, None] * phi)
+        waves = np.cos(np.arange(count)[:, None] * phi)
         ends = np.ones(samples + 1)
         ends[[0, -1]] = 0.5
-        back = (waves * ends * np.where(np.arange(kept) == 0, 1.0, 2.0)[:, None] / samples).T
+        back = (waves * ends * np.where(np.arange(count) == 0, 1.0, 2.0)[:, None] / samples).T
         out = harmonics.copy()
-        sides = [np.nonzero(ways.below == side)[0] for side in (False, True)]
+        sides = [np.nonzero(directions.below == side)[0] for side in (False, True)]
         for block in self.coefficients:
             rows, columns = sides[block[0]], sides[block[1]]
             if not (rows.size and columns.size):
                 continue
-            r = self.at(_picked(ways, rows), _picked(ways, columns), block, phi)
-            ways_of_it = [(rows, columns, block[2], block[3], r)]
+            r = self.at(_picked(directions, rows), _picked(directions, columns), block, phi)
+            pairs = [(rows, columns, block[2], block[3], r)]
             if block[0] != block[1] or block[2] != block[3]:
-                ways_of_it.append((columns, rows, block[3], block[2], r.swapaxes(0, 1)))
-            for left, right, q, p, factor in ways_of_it:
+                pairs.append((columns, rows, block[3], block[2], r.swapaxes(0, 1)))
+            for left, right, q, p, factor in pairs:
                 cut = left[:, None], right, q, p
                 out[cut] = ((harmonics[cut] @ waves) * factor) @ back
         return out
 
 
-def _picked(ways: RatioDirections, rows: NDArray[np.intp]) -> RatioDirections:
-    return RatioDirections(ways.real[rows], ways.imaginary[rows], ways.transverse[rows], ways.below[rows])
+def _picked(directions: RatioDirections, rows: NDArray[np.intp]) -> RatioDirections:
+    return RatioDirections(
+        directions.real[rows], directions.imaginary[rows], directions.transverse[rows], directions.below[rows]
+    )
 
 
 PRIOR = 3.0  # prior standard deviation for the coefficients
@@ -320,7 +322,7 @@ def _errors(ratio: Ratio, patterns: list[dict[Block, Sums]], shares: dict[Block,
     above = [block for block in patterns[0] if block in BLOCKS_ABOVE]
     count = len(patterns)
     model = np.stack([np.sum([one[b].totals[1] for b in above], axis=0) for one in patterns])
-    seen = np.stack(
+    observed = np.stack(
         [np.sum([one[b].totals[0] - shares[b] * one[b].totals[2] for b in above], axis=0) for one in patterns]
     )
     base = np.maximum(model.mean(axis=0), 1e-300)
@@ -331,8 +333,8 @@ def _errors(ratio: Ratio, patterns: list[dict[Block, Sums]], shares: dict[Block,
         )
         / base
     )
-    seen = 1.0 + (seen - model) / base
+    observed = 1.0 + (observed - model) / base
     level = np.maximum(fitted.mean(axis=0), 1e-3)
-    noise = (seen - fitted).var(axis=0, ddof=1) / count
-    left_open = np.maximum((seen.mean(axis=0) - level) ** 2 - noise, 0.0)
+    noise = (observed - fitted).var(axis=0, ddof=1) / count
+    left_open = np.maximum((observed.mean(axis=0) - level) ** 2 - noise, 0.0)
     return np.asarray(np.sqrt(fitted.var(axis=0, ddof=1) / count + left_open) / level)

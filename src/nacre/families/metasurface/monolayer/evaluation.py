@@ -295,14 +295,14 @@ def direct_powers(layer: Monolayer, cosines: Array) -> tuple[Array, Array, Array
     lit = layer.illuminate(cosines, untabulated=True)
     reflected, passed = layer.specular_above(cosines, lit)
     mu, weights = hemisphere_rule(ABOVE_NODES)
-    up = _sent(layer, lit, mu, weights, False)
+    up = _diffuse_power(layer, lit, mu, weights, False)
     if not layer.transmits_below:
         return reflected, passed, up, np.zeros_like(up)
     mu, weights = hemisphere_rule(BELOW_NODES, layer.surface.index_below)
-    return reflected, passed, up, _sent(layer, lit, mu, weights, True)
+    return reflected, passed, up, _diffuse_power(layer, lit, mu, weights, True)
 
 
-def _sent(layer: Monolayer, lit: Illumination, mu: Array, weights: Array, below: bool) -> Array:
+def _diffuse_power(layer: Monolayer, lit: Illumination, mu: Array, weights: Array, below: bool) -> Array:
     """Return the diffuse power emitted to one side per incident irradiance, `[pol, angle]`.
 
     rho / cos_i times the integral |F|^2 S / n over the directions, for each incident polarisation.

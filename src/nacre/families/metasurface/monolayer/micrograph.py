@@ -125,16 +125,16 @@ def find_particles(levels: Array, width_um: float) -> Found:
         raise NacreError("shows no particle that its border does not cut")
     whole &= areas >= SPECK * np.median(areas[whole])
     drawn = whole & _of_one_level(levels, np.where(ndimage.binary_erosion(inside, iterations=2), blobs, 0), whole)
-    kept = labels[whole & ~drawn]
-    diameters = 2 * np.sqrt(areas[kept - 1] / np.pi)
+    selected = labels[whole & ~drawn]
+    diameters = 2 * np.sqrt(areas[selected - 1] / np.pi)
     if np.median(diameters) < LEAST_WIDTH:
         raise NacreError(
             f"shows particles {np.median(diameters):.2g} pixels wide; {LEAST_WIDTH:g} are needed to tell where they lie"
         )
-    at = np.array(ndimage.center_of_mass(inside, blobs, kept)).reshape(-1, 2)
+    at = np.array(ndimage.center_of_mass(inside, blobs, selected)).reshape(-1, 2)
     xy = np.column_stack([at[:, 1] + 0.5, rows - 0.5 - at[:, 0]]) * pixel_nm * 1e-3
-    told = [f"a banner of {above + below} rows"] * (above + below > 0) + ["marks drawn in"] * bool(drawn.any())
-    return Found(xy, diameters * pixel_nm, (width_um, rows * pixel_nm * 1e-3), is_bright, " and ".join(told))
+    notes = [f"a banner of {above + below} rows"] * (above + below > 0) + ["marks drawn in"] * bool(drawn.any())
+    return Found(xy, diameters * pixel_nm, (width_um, rows * pixel_nm * 1e-3), is_bright, " and ".join(notes))
 
 
 def _banner(levels: Array) -> int:

@@ -81,10 +81,10 @@ def half_index(order: int, pol: int) -> HalfIndex:
     """Return the half index excited by polarisation `pol` (0 = s, 1 = p)."""
     index = multipole_index(order)
     rows = {key: i for i, key in enumerate(zip(index.m.tolist(), index.tau.tolist(), index.l.tolist(), strict=True))}
-    kept = np.array([i for (m, tau, _), i in rows.items() if m > 0 or (m == 0 and tau == pol)], dtype=np.intp)
-    partner = np.array([rows[(-int(index.m[i]), int(index.tau[i]), int(index.l[i]))] for i in kept], dtype=np.intp)
-    sign = np.where(index.tau[kept] == pol, 1.0, -1.0)
-    return HalfIndex(kept, partner, sign, index.m[kept], index.block[kept])
+    selected = np.array([i for (m, tau, _), i in rows.items() if m > 0 or (m == 0 and tau == pol)], dtype=np.intp)
+    partner = np.array([rows[(-int(index.m[i]), int(index.tau[i]), int(index.l[i]))] for i in selected], dtype=np.intp)
+    sign = np.where(index.tau[selected] == pol, 1.0, -1.0)
+    return HalfIndex(selected, partner, sign, index.m[selected], index.block[selected])
 
 
 def folded(q: ComplexArray, order: int, pol: int) -> ComplexArray:
@@ -202,8 +202,10 @@ def _rotated_tail(reach: float, top: int, kappa: Array) -> ComplexArray:
             arg = r[:, None] * safe
             phase = np.exp(1j * (1 + sign * k) * r[:, None])
             cylinder = np.zeros((top + 1, *arg.shape), dtype=complex)
-            heard = (k >= ALONG_THE_NORMAL) & (turn * (1 + sign * k) * s[:, None] < SILENT) & (s[:, None] > NEAR_START)
-            cylinder[:2, heard] = hankel_scaled(arg[heard], sign)
+            steep_reach = (
+                (k >= ALONG_THE_NORMAL) & (turn * (1 + sign * k) * s[:, None] < SILENT) & (s[:, None] > NEAR_START)
+            )
+            cylinder[:2, steep_reach] = hankel_scaled(arg[steep_reach], sign)
             for mu in range(1, top):
                 cylinder[mu + 1] = 2 * mu / arg * cylinder[mu] - cylinder[mu - 1]
             zero = (k < ALONG_THE_NORMAL)[None, None, :]
@@ -219,7 +221,7 @@ def stack_contour(
     order: int,
     reach: float,
     depth: float = CONTOUR_DEPTH,
-    heard: float = 10.0,
+    steep_reach: float = 10.0,
     quick: bool = False,
 ) -> tuple[ComplexArray, ComplexArray]:
     """Nodes and weights in kappa/k on a contour below the guided modes, then along the real axis.
@@ -227,7 +229,7 @@ def stack_contour(
     Args:
         reach: the largest distance, times k.
         depth: contour depth, in k.
-        heard: distance, times k, up to which steep waves at its end matter.
+        steep_reach: distance, times k, up to which steep waves at its end matter.
         quick: two thirds of the nodes; error 2e-5 (largest sum) instead of 1e-6, the maximum over 60 random
             stacks.
     """
@@ -244,7 +246,9 @@ def stack_contour(
     slope = 1 - 1j * depth * np.pi / bend * np.cos(np.pi * x / bend)
     if far <= bend:
         return kappa, weight * slope
-    y, rest = panels(np.array([bend, far]), int((48 if quick else 60) + 0.5 * (far - bend) * min(reach, heard) / 3))
+    y, rest = panels(
+        np.array([bend, far]), int((48 if quick else 60) + 0.5 * (far - bend) * min(reach, steep_reach) / 3)
+    )
     return np.concatenate([kappa, y]), np.concatenate([weight * slope, rest.astype(complex)])
 
 
@@ -305,8 +309,8 @@ def _stack_sums(
     contour = stack_contour(surface, geometry.centre_nm, order, reach, quick=quick)
     top = 2 * order if np.any(kappa_i >= ALONG_THE_NORMAL) else 0  # J_mu(0) = delta_{mu 0}
     radial = bessel_j(np.outer(contour[0], r), top)  # mu, kappa, R
-    seen = jv(np.arange(top + 1)[:, None, None], r[:, None] * kappa_i)
-    moments = np.matmul(radial, measure[:, None] * seen)  # mu, kappa, angle
+    bessel = jv(np.arange(top + 1)[:, None, None], r[:, None] * kappa_i)
+    moments = np.matmul(radial, measure[:, None] * bessel)  # mu, kappa, angle
     rows = every_row | (multipole_index(order).m[:, None] >= 0)
     return reflected_sums(surface, geometry.centre_nm, geometry.lift_nm, order, contour, moments, rows)
 

@@ -36,10 +36,10 @@ def truncated(t_matrix: ComplexArray, lmax: int) -> ComplexArray:
     top = multipole_order(t_matrix)
     if lmax >= top:
         return t_matrix
-    kept = np.concatenate([np.arange(lmax), top + np.arange(lmax)])
+    selected = np.concatenate([np.arange(lmax), top + np.arange(lmax)])
     if t_matrix.ndim == 1:
-        return np.asarray(t_matrix[kept])
-    return np.asarray(t_matrix[: lmax + 1, kept[:, None], kept])
+        return np.asarray(t_matrix[selected])
+    return np.asarray(t_matrix[: lmax + 1, selected[:, None], selected])
 
 
 def as_blocks(t_matrix: ComplexArray, mmax: int | None = None) -> ComplexArray:
@@ -300,16 +300,16 @@ class TabulatedSphere(TabulatedBody):
         Raises:
             MaterialRangeError: outside the tabulated wavelengths.
         """
-        held = np.diagonal(self.t_matrix(surface.wavelength_nm)[1])
+        available = np.diagonal(self.t_matrix(surface.wavelength_nm)[1])
         out = np.zeros(2 * lmax, dtype=complex)
         if self.is_extended_by_mie and lmax > self.lmax:
-            told, known = self.known.material_index, self.known.wavelengths_nm
-            assert told is not None
-            index = complex(np.interp(surface.wavelength_nm, known, told))
+            stated, known = self.known.material_index, self.known.wavelengths_nm
+            assert stated is not None
+            index = complex(np.interp(surface.wavelength_nm, known, stated))
             out = self._mie(lmax, surface.inner_wavenumber, index / surface.inner_index)
         count = min(lmax, self.lmax)
         for tau in range(2):
-            out[tau * lmax : tau * lmax + count] = held[tau * self.lmax : tau * self.lmax + count]
+            out[tau * lmax : tau * lmax + count] = available[tau * self.lmax : tau * self.lmax + count]
         return out
 
     @cached_property

@@ -326,13 +326,13 @@ def block_t_matrix(
     outermost = surfaces[0]
     waves = _waves(outermost.targets, lmax, top)
     for (parity, m), blocks in parts.items():
-        right, left, kept = _excitations(waves, outermost, m, lmax, parity)
-        if kept.size == 0:
+        right, left, selected = _excitations(waves, outermost, m, lmax, parity)
+        if selected.size == 0:
             continue
         matrix = np.block(blocks)
         unlit = np.zeros((len(matrix) - len(right), right.shape[1]))
         currents = np.linalg.solve(matrix, np.concatenate([right, unlit]))
-        out[m, kept[:, None], kept] = 2.0 * left.T @ currents[: len(right)]
+        out[m, selected[:, None], selected] = 2.0 * left.T @ currents[: len(right)]
     return out
 
 

@@ -67,8 +67,8 @@ def azimuthal_blocks(matrix: ComplexArray, lmax: int, mmax: int) -> ComplexArray
 def truncated_index(lmax: int, mmax: int) -> tuple[MultipoleIndex, IntArray]:
     """Return the multipoles up to `lmax` with |m| <= `mmax`, and their places among all up to `lmax`."""
     every = multipole_index(lmax)
-    kept = np.nonzero(np.abs(every.m) <= mmax)[0]
-    return MultipoleIndex(lmax, every.m[kept], every.tau[kept], every.l[kept]), kept
+    selected = np.nonzero(np.abs(every.m) <= mmax)[0]
+    return MultipoleIndex(lmax, every.m[selected], every.tau[selected], every.l[selected]), selected
 
 
 def full_order(matrix: ComplexArray) -> int:
@@ -78,8 +78,8 @@ def full_order(matrix: ComplexArray) -> int:
 
 def truncated_full(matrix: ComplexArray, lmax: int) -> ComplexArray:
     """Return a full T, `[n, n']`, with multipoles up to `lmax`."""
-    kept = np.nonzero(multipole_index(full_order(matrix)).l <= lmax)[0]
-    return np.asarray(matrix[kept[:, None], kept])
+    selected = np.nonzero(multipole_index(full_order(matrix)).l <= lmax)[0]
+    return np.asarray(matrix[selected[:, None], selected])
 
 
 def spread_blocks(blocks: ComplexArray, index: MultipoleIndex) -> ComplexArray:

@@ -101,11 +101,11 @@ def reflection_operator(
     """
     if surface.is_absent:
         return np.zeros((mmax + 1, 2 * lmax, 2 * lmax), dtype=complex)
-    kept = surface.operators.get(centre_nm)
-    if nodes is None and kept is not None and len(kept) > mmax and kept.shape[1] >= 2 * lmax:
+    cached = surface.operators.get(centre_nm)
+    if nodes is None and cached is not None and len(cached) > mmax and cached.shape[1] >= 2 * lmax:
         orders = np.arange(lmax)
-        rows = np.concatenate([orders, kept.shape[1] // 2 + orders])
-        return np.asarray(kept[: mmax + 1, rows[:, None], rows])
+        rows = np.concatenate([orders, cached.shape[1] // 2 + orders])
+        return np.asarray(cached[: mmax + 1, rows[:, None], rows])
     # two mirrors give two distances
     u, weight = _path_rule(nodes or (48 if surface.inner_nm == 0.0 else 96) + 2 * lmax)
     kd = surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm)

@@ -86,7 +86,9 @@ CHECKED_ORDER = 3
 RIM_PIECES = 2  # panels on a coat rim
 CLOSER = 1.5  # refinement for the next coat mesh
 COAT_STEPS = 4.0  # grading ratio beyond the coat thickness
-SEEN = 0.5  # relative to the coat thickness; closer to the edge the outer surface need not follow the core mesh
+COAT_RESOLUTION = (
+    0.5  # relative to the coat thickness; closer to the edge the outer surface need not follow the core mesh
+)
 COARSE = partial(Mesh, degree=4, outer=10, far=8, on_itself=10)
 
 
@@ -112,9 +114,9 @@ def cylinder_panels(
         for low, high in pairwise([0.0, *_grading(length, min(radius, height / 2), levels, coat), length]):
             pieces = max(1, int(np.ceil((high - low) / longest)))
             marks += [low + (high - low) * n / pieces for n in range(1, pieces + 1)]
-        seen = [0.0, *(m for m in marks[1:-1] if m > SEEN * coat), length]
-        for rows, kept, out in ((bare, marks, 0.0), (coated, seen, coat)):
-            ends = [length - m for m in kept]  # from the axis or the equator
+        coat_marks = [0.0, *(m for m in marks[1:-1] if m > COAT_RESOLUTION * coat), length]
+        for rows, selected, out in ((bare, marks, 0.0), (coated, coat_marks, coat)):
+            ends = [length - m for m in selected]  # from the axis or the equator
             if is_top:
                 rows += [(0.0, low, height / 2 + out, high, height / 2 + out, 0.0) for high, low in pairwise(ends)][
                     ::-1
@@ -259,7 +261,7 @@ class SolvedBody(Body):
         """Return T with m up to `mmax`; see `t_matrix`."""
         key = (wavelength_nm, mmax)
         if key not in self._solved:
-            self._solved[key] = self._kept(wavelength_nm, mmax)
+            self._solved[key] = self._cached(wavelength_nm, mmax)
         return self._solved[key]
 
     def _numbers(self, wavelength_nm: float) -> tuple[float, float, complex]:
@@ -281,7 +283,7 @@ class SolvedBody(Body):
         around = float(self.ambient.n_complex(np.array([wavelength_nm]))[0].real)
         return 2 * np.pi * around / wavelength_nm, around
 
-    def _kept(self, wavelength_nm: float, mmax: int) -> ComplexArray:
+    def _cached(self, wavelength_nm: float, mmax: int) -> ComplexArray:
         radius, height, index = self._numbers(wavelength_nm)
         coat = self._coat(wavelength_nm)
         thickness, outside = (0.0, 1.0) if coat is None else coat
@@ -369,8 +371,8 @@ class SolvedBody(Body):
         outermost, core = (index, None) if coat is None else (coat[1], index)
         found = reciprocal(block_t_matrix(fine, outermost, self.lmax, mmax, core))
         again = reciprocal(block_t_matrix(coarse, outermost, CHECKED_ORDER, 1, core))
-        kept = np.concatenate([np.arange(CHECKED_ORDER), self.lmax + np.arange(CHECKED_ORDER)])
-        change = float(np.linalg.norm(again - found[:2, kept[:, None], kept]) / np.linalg.norm(again))
+        selected = np.concatenate([np.arange(CHECKED_ORDER), self.lmax + np.arange(CHECKED_ORDER)])
+        change = float(np.linalg.norm(again - found[:2, selected[:, None], selected]) / np.linalg.norm(again))
         return found, max(change, gain(found), 1e-6)
 
     def index(self, wavelength_nm: float) -> complex | None:

@@ -69,9 +69,9 @@ def hankel_scaled(z: ComplexArray, sign: int) -> ComplexArray:
     """
     out = np.empty((2, z.size), dtype=complex)
     far = np.abs(z) > ASYMPTOTIC_FROM
-    kept = np.empty((2, int(far.sum())), dtype=complex)
-    _far_hankel(z[far], sign, kept)
-    out[:, far] = kept
+    selected = np.empty((2, int(far.sum())), dtype=complex)
+    _far_hankel(z[far], sign, selected)
+    out[:, far] = selected
     kind = hankel1e if sign > 0 else hankel2e
     for nu in range(2):
         out[nu, ~far] = kind(nu, z[~far])
@@ -93,7 +93,7 @@ def _series(x, out, i):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract"})
-def _downward(state, start, top, kept):  # type: ignore[no-untyped-def]  # numba
+def _downward(state, start, top, selected):  # type: ignore[no-untyped-def]  # numba
     """Miller's downward recurrence for `LANES` points; rows of `state`: 2/x, J_n+1, J_n, even sum, odd sum.
 
     The points form vector instructions, which hide the product latency. Rows alternate real and imaginary
@@ -103,7 +103,7 @@ def _downward(state, start, top, kept):  # type: ignore[no-untyped-def]  # numba
     for n in range(start, 0, -1):
         if n <= top:
             for j in range(2 * LANES):
-                kept[n * 2 * LANES + j] = state[4 * LANES + j]
+                selected[n * 2 * LANES + j] = state[4 * LANES + j]
         even = sign if n % 2 == 0 else 0.0
         odd = sign - even
         for j in range(LANES):
@@ -122,7 +122,7 @@ def _downward(state, start, top, kept):  # type: ignore[no-untyped-def]  # numba
 
 
 @compiled(nogil=True)
-def _together(z, places, count, start, out, state, kept):  # type: ignore[no-untyped-def]  # numba
+def _together(z, places, count, start, out, state, selected):  # type: ignore[no-untyped-def]  # numba
     """Fill at most `LANES` points by the recurrence down from order `start`."""
     top = out.shape[0] - 1
     state[:] = 0.0
@@ -131,7 +131,7 @@ def _together(z, places, count, start, out, state, kept):  # type: ignore[no-unt
         double = 2.0 / (x.real * x.real + x.imag * x.imag)
         state[j], state[LANES + j] = x.real * double, -x.imag * double
         state[4 * LANES + j] = 1e-280
-    _downward(state, start, top, kept)
+    _downward(state, start, top, selected)
     for j in range(count):
         i = places[j]
         # e^{-+iz} = J_0 + 2 sum (-+i)^n J_n: this sign avoids cancellation
@@ -142,13 +142,13 @@ def _together(z, places, count, start, out, state, kept):  # type: ignore[no-unt
         scale = np.exp(turn * z[i]) / (2.0 * (even + turn * odd) + now)
         out[0, i] = now * scale
         for m in range(1, top + 1):
-            out[m, i] = complex(kept[2 * m * LANES + j], kept[(2 * m + 1) * LANES + j]) * scale
+            out[m, i] = complex(selected[2 * m * LANES + j], selected[(2 * m + 1) * LANES + j]) * scale
 
 
 @compiled(nogil=True)
 def _fill(z, out):  # type: ignore[no-untyped-def]  # numba
     top = out.shape[0] - 1
-    state, kept = np.empty(10 * LANES), np.empty(2 * LANES * (top + 1))
+    state, selected = np.empty(10 * LANES), np.empty(2 * LANES * (top + 1))
     # an array, since numba would compile the callee twice for constant and variable arguments
     places, waiting = np.empty(LANES, np.int64), np.zeros(2, np.int64)  # how many wait, and the order to begin at
     for i in range(z.size):
@@ -173,10 +173,10 @@ def _fill(z, out):  # type: ignore[no-untyped-def]  # numba
         places[waiting[0]] = i
         waiting[0] += 1
         if waiting[0] == LANES:
-            _together(z, places, waiting[0], waiting[1], out, state, kept)
+            _together(z, places, waiting[0], waiting[1], out, state, selected)
             waiting[0], waiting[1] = 0, 0
     if waiting[0] > 0:
-        _together(z, places, waiting[0], waiting[1], out, state, kept)
+        _together(z, places, waiting[0], waiting[1], out, state, selected)
 
 
 def bessel_j(z: NDArray, top: int) -> ComplexArray:

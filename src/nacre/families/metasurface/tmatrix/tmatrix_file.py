@@ -54,8 +54,8 @@ def axial(blocks: ComplexArray) -> tuple[ComplexArray, float]:
     if np.any(total == 0):
         raise TMatrixFileError("holds a T-matrix of zeros")
     # averaged over incidence, the scattered power is the squared norm
-    kept = np.linalg.norm(own.reshape(len(own), -1), axis=1) / total
-    turn_loss = float(np.max(np.maximum(1.0 - kept**2, 0.0)))
+    selected = np.linalg.norm(own.reshape(len(own), -1), axis=1) / total
+    turn_loss = float(np.max(np.maximum(1.0 - selected**2, 0.0)))
     if turn_loss > TURN_TOLERANCE:
         raise TMatrixFileError(
             f"is of a particle that is not axisymmetric about z: {100 * turn_loss:.2g} % of what it scatters depends "
@@ -119,7 +119,7 @@ def _check_passive(matrix: ComplexArray) -> None:
 MAX_BYTES = 512 << 20  # matrix size: 100 wavelengths with l = 12
 HIGHEST_ORDER = 60
 SPEED_OF_LIGHT = 299792458.0
-PATIENCE_S = 60.0
+PROBE_TIMEOUT_S = 60.0
 PROBE = """
 import sys, h5py
 def see(name, thing):
@@ -176,7 +176,7 @@ def read_tmatrices(path: str | Path, is_aligned: bool = False) -> AxialTMatrices
         plain(path)
     except OSError as error:
         raise TMatrixFileError(why_unreadable(error)) from None
-    _try_apart(os.path.abspath(path), file_digest(path))
+    _probe_in_subprocess(os.path.abspath(path), file_digest(path))
     try:
         with h5py.File(path, "r") as file:
             return _read(file, is_aligned)
@@ -189,7 +189,7 @@ def read_tmatrices(path: str | Path, is_aligned: bool = False) -> AxialTMatrices
 
 
 @lru_cache(maxsize=64)
-def _try_apart(path: str, digest: str) -> None:
+def _probe_in_subprocess(path: str, digest: str) -> None:
     """Read a file in a subprocess first: the HDF5 library hangs or crashes on some damaged files.
 
     Raises:
@@ -198,10 +198,10 @@ def _try_apart(path: str, digest: str) -> None:
     try:
         # -P: do not import from the working folder
         done = subprocess.run(
-            [sys.executable, "-P", "-c", PROBE, path, str(MAX_BYTES)], timeout=PATIENCE_S, capture_output=True
+            [sys.executable, "-P", "-c", PROBE, path, str(MAX_BYTES)], timeout=PROBE_TIMEOUT_S, capture_output=True
         )
     except subprocess.TimeoutExpired:
-        raise TMatrixFileError(f"is damaged: HDF5 is not done with it after {PATIENCE_S:g} s") from None
+        raise TMatrixFileError(f"is damaged: HDF5 is not done with it after {PROBE_TIMEOUT_S:g} s") from None
     if done.returncode < 0:  # ended by a signal; Python errors are reported by `_read`
         raise TMatrixFileError("is damaged: HDF5 crashes on it")
 
@@ -291,11 +291,11 @@ def _unit(attributes: Any, kind: str, name: str) -> float:
     for ending in ("^{-1}", "^-1", "-1", "⁻¹"):
         if text.endswith(ending) and sign > 0:
             text, sign = text.removesuffix(ending), -1.0
-    wanted, power = {"length": ("m", 1.0), "inverse length": ("m", -1.0), "frequency": ("s", -1.0)}[kind]
+    symbol, power = {"length": ("m", 1.0), "inverse length": ("m", -1.0), "frequency": ("s", -1.0)}[kind]
     if kind == "frequency" and text.endswith("Hz") and sign > 0:
         prefix, power = text.removesuffix("Hz"), 1.0
-    elif text.endswith(wanted) and sign == power:
-        prefix = text.removesuffix(wanted)
+    elif text.endswith(symbol) and sign == power:
+        prefix = text.removesuffix(symbol)
     else:
         prefix = "?"
     if prefix not in PREFIXES:
@@ -409,11 +409,11 @@ def _places(
             f'names a polarization "{_shown(odd)}"; it should be electric and magnetic, or positive and negative'
         )
     kind = np.array([w in second for w in words], dtype=np.int64)
-    kept = np.nonzero(l <= lmax)[0]
+    selected = np.nonzero(l <= lmax)[0]
     place = ((m + lmax) * 2 + kind) * lmax + l - 1
-    if len(np.unique(place[kept])) != len(kept) or len(kept) != 2 * lmax * (lmax + 2):
+    if len(np.unique(place[selected])) != len(selected) or len(selected) != 2 * lmax * (lmax + 2):
         raise TMatrixFileError(f"does not name every mode up to l = {lmax} once")
-    return place[kept], kept
+    return place[selected], selected
 
 
 def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:

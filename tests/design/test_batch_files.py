@@ -42,7 +42,7 @@ LABS = [[50.0, 20.0, -3.5], [40.0, -1.0, 2.0]]
         ("dark red 50 20 -3.5\ngrey 40 -1 2\n", ["dark red", "grey"]),
     ],
 )
-def test_lists_are_read_as_people_write_them(tmp_path: Path, text: str, names: list[str]) -> None:
+def test_common_list_formats_are_read(tmp_path: Path, text: str, names: list[str]) -> None:
     for encoding in ("utf-8", "utf-16"):
         (tmp_path / "l.csv").write_bytes(text.encode(encoding))
         rows = read_colours(tmp_path / "l.csv", 1)
@@ -50,7 +50,7 @@ def test_lists_are_read_as_people_write_them(tmp_path: Path, text: str, names: l
         np.testing.assert_array_equal([row.lab[0] for row in rows], LABS)
 
 
-def test_a_row_may_hold_a_colour_for_each_want(tmp_path: Path) -> None:
+def test_a_row_may_contain_a_colour_per_target(tmp_path: Path) -> None:
     (tmp_path / "l.csv").write_text("name,L1,a1,b1,L2,a2,b2\nflop,50,1,2,60,3,4\n")
     np.testing.assert_array_equal(read_colours(tmp_path / "l.csv", 2)[0].lab, [[50, 1, 2], [60, 3, 4]])
     (tmp_path / "l.csv").write_text("flop,50,1,2,60,3,4\nplain,50,1,2\n")
@@ -73,7 +73,7 @@ def test_a_row_may_hold_a_colour_for_each_want(tmp_path: Path) -> None:
         ("a\0b", r"l.csv: is not a CSV"),
     ],
 )
-def test_bad_rows_are_told_with_their_line(
+def test_bad_rows_are_refused_with_their_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, says: str
 ) -> None:
     (tmp_path / "l.csv").write_text(text)
@@ -84,7 +84,7 @@ def test_bad_rows_are_told_with_their_line(
     assert capsys.readouterr().err.count("\n") == 1 and not (tmp_path / "o").exists()
 
 
-def test_names_become_folders_that_differ() -> None:
+def test_names_become_unique_folders() -> None:
     names = ["RAL 3020 / matt", "", "RAL 3020, matt", "../up", "many.csv", "3", "RAL-3020-matt", "\u00e4\u00f6"]
     found = folder_names(names)
     assert found[:4] == ["RAL-3020-matt", "2", "RAL-3020-matt-2", "up"]
@@ -95,9 +95,7 @@ def _run(folder: Path, *more: str) -> int:
     return run(["design", str(folder / "t.toml"), "--many", str(folder / "l.csv"), "-o", str(folder / "o"), *more])
 
 
-def test_each_row_is_an_answer_and_second_runs_keep_what_stands(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_second_run_reuses_finished_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     film = nacre.material(TARGET["recipe"])
     wanted = nacre.gamut(film, ["layers[0].thickness_nm=60:160"], points=8, observer="10deg").lab[:3]
     lines = [f"film {i},{','.join(map(repr, map(float, lab)))}" for i, lab in enumerate(wanted)]
@@ -135,7 +133,7 @@ def test_each_row_is_an_answer_and_second_runs_keep_what_stands(
     assert "belongs to another target" in capsys.readouterr().err
 
 
-def test_answers_that_stand_are_told_as_they_were(tmp_path: Path) -> None:
+def test_reused_solutions_are_unchanged(tmp_path: Path) -> None:
     first = nacre.design.many(TARGET, LABS, tmp_path / "o")
     second = nacre.design.many(TARGET, LABS, tmp_path / "o", resume=True)
     for one, other in zip(first, second, strict=True):
@@ -143,7 +141,7 @@ def test_answers_that_stand_are_told_as_they_were(tmp_path: Path) -> None:
         assert one.recipe == other.recipe and one.is_met == other.is_met
 
 
-def test_an_interrupt_keeps_what_is_finished(tmp_path: Path) -> None:
+def test_an_interrupt_leaves_finished_rows(tmp_path: Path) -> None:
     def stop(done: int, total: int) -> None:
         if done == 2:
             raise KeyboardInterrupt
@@ -155,7 +153,7 @@ def test_an_interrupt_keeps_what_is_finished(tmp_path: Path) -> None:
     assert all((tmp_path / "o" / row["folder"] / "recipe.toml").is_file() for row in told["rows"])
 
 
-def test_a_folder_of_something_else_is_not_written_to(tmp_path: Path) -> None:
+def test_a_foreign_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "o" / "1").mkdir(parents=True)
     with pytest.raises(NacreError, match="contains a 1"):
         nacre.design.many(TARGET, LABS, tmp_path / "o")

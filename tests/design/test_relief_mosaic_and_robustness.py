@@ -1,4 +1,4 @@
-"""Mixing patches to an image, and what process errors cost."""
+"""Mosaic example, and Monte Carlo over process errors."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_an_image_that_cannot_be_mixed_is_refused(image: np.ndarray) -> None:
         mosaic(image, PALETTE, COLOURS)
 
 
-def test_errors_of_the_process_cost_more_the_larger_they_are() -> None:
+def test_losses_grow_with_process_errors() -> None:
     spectrum = published_weights(None)
     axis = np.linspace(-0.25, 0.25, 12)
     geometry = CutGeometry(axis, axis, np.array([[0.0, 0.0, 1.0]]), spectrum.wavelengths_nm)

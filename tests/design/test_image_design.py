@@ -1,4 +1,4 @@
-"""Pictures made of structure: nearest colours, hue, dither, maps that stand as drawn, what is refused."""
+"""Picture design: colour matching, hue, dithering, maps, refusals."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def some_colours(count: int, seed: int = 3) -> Array:
     return np.random.default_rng(seed).uniform((15.0, -40.0, -40.0), (95.0, 40.0, 40.0), (count, 3))
 
 
-def test_the_choice_is_the_nearest_colour_of_the_whole_sheet() -> None:
+def test_the_match_is_the_nearest_colour_of_the_grid() -> None:
     sheet, wanted = bent_sheet(), some_colours(60)
     every = sheet.reshape(-1, 3)
     brute = np.array([delta_e_2000(one, every).min() for one in wanted])
@@ -46,7 +46,7 @@ def test_the_choice_is_the_nearest_colour_of_the_whole_sheet() -> None:
     assert np.median(found.distance - brute) <= 0.01
 
 
-def test_what_is_out_of_reach_keeps_its_hue_where_that_is_worth_it() -> None:
+def test_unreachable_colours_are_clipped_at_constant_hue() -> None:
     sheet, wanted = bent_sheet(), some_colours(300)
     plain, kept = (match_colours(wanted, sheet, 1.0, keep) for keep in (False, True))
     moved = kept.points != plain.points
@@ -59,7 +59,7 @@ def test_what_is_out_of_reach_keeps_its_hue_where_that_is_worth_it() -> None:
     assert np.all(turn[np.minimum(one[:, 1], other[:, 1]) > 10.0] < 8.0)
 
 
-def test_the_same_hue_is_one_of_the_same_angle_or_of_a_grey() -> None:
+def test_greys_match_any_hue() -> None:
     red = np.array([[50.0, 20.0, 0.0]] * 3)
     assert has_same_hue(red, np.array([[70.0, 5.0, 0.0], [50.0, 0.0, 20.0], [50.0, 0.0, 0.0]])).tolist() == [1, 0, 1]
 
@@ -80,7 +80,7 @@ def test_a_dithered_field_has_the_colour_in_the_mean() -> None:
         assert delta_e_2000(xyz_to_lab(mean, WHITE), lab) < 0.5
 
 
-def test_colours_are_brought_into_the_solid_that_the_levels_span() -> None:
+def test_colours_are_mapped_into_the_hull_of_the_levels() -> None:
     from scipy.spatial import ConvexHull
 
     levels, wanted = corners(), np.concatenate([some_colours(100), [[55.0, 10.0, -5.0]]])
@@ -91,7 +91,7 @@ def test_colours_are_brought_into_the_solid_that_the_levels_span() -> None:
     assert 30 < moved.sum() < 101
 
 
-def test_two_levels_mix_along_their_line_and_say_what_lies_beside_it() -> None:
+def test_two_levels_mix_along_their_line() -> None:
     levels = np.asarray(lab_to_xyz(np.array([[20.0, 0.0, 0.0], [90.0, 0.0, 0.0]]), WHITE))
     wanted = np.array([[60.0, 0.0, 0.0], [60.0, 40.0, 0.0], [98.0, 0.0, 0.0]])
     found, moved = map_into_solid(wanted, levels, WHITE, tolerance=2.0)
@@ -130,7 +130,7 @@ def designed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_picture_becomes_maps_whose_colours_are_it(designed: Path) -> None:
+def test_the_maps_reproduce_the_picture(designed: Path) -> None:
     tmp_path = designed
     entry = json.loads((tmp_path / "out/design.json").read_text())["solutions"][0]
     assert entry["targets"][0]["asked"] == {"image": str(tmp_path / "p.png")}
@@ -234,7 +234,7 @@ def refused(target: dict[str, Any]) -> str:
     return said
 
 
-def test_what_a_picture_cannot_be_made_of_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_unsuitable_parameters_are_refused_in_one_line(tmp_path: Path) -> None:
     picture = write_picture(tmp_path / "p.png", ramp())
     good = anodised(picture)
     read_task(good)

@@ -77,7 +77,7 @@ def test_iridescent_colours_change_with_direction(tmp_path: Path) -> None:
     assert np.allclose(disk + inverted, [1, 0, 1])
 
 
-def test_an_image_lies_with_its_rows_along_x(tmp_path: Path) -> None:
+def test_image_rows_run_along_x(tmp_path: Path) -> None:
     pixels = np.zeros((512, 512, 3), dtype=np.uint8)
     pixels[:256] = [255, 0, 0]
     Image.fromarray(pixels).save(tmp_path / "half.png")
@@ -85,7 +85,7 @@ def test_an_image_lies_with_its_rows_along_x(tmp_path: Path) -> None:
     assert target[20, 20].tolist() == [1, 0, 0] and target[44, 20].max() == 0
 
 
-def test_an_array_target_is_taken_as_it_is(tmp_path: Path) -> None:
+def test_an_array_target_is_used_unchanged(tmp_path: Path) -> None:
     wanted = np.random.default_rng(1).random((16, 16, 3))
     np.save(tmp_path / "wanted.npy", wanted)
     target = built(tmp_path, 'kind = "array"\nfile = "wanted.npy"\nrange = 0.2\nresolution = 16')
@@ -130,7 +130,7 @@ def stroke(size: tuple[int, int]) -> np.ndarray:
     return drawing
 
 
-def test_a_drawing_is_read_with_all_its_greys_whatever_its_depth(tmp_path: Path) -> None:
+def test_grey_levels_do_not_depend_on_the_bit_depth(tmp_path: Path) -> None:
     ramp = np.tile(np.linspace(0, 255, 64).astype(np.uint8), (64, 1))
     Image.fromarray(ramp).save(tmp_path / "8.png")
     Image.fromarray(ramp.astype(np.uint16) * 257).save(tmp_path / "16.png")
@@ -138,7 +138,7 @@ def test_a_drawing_is_read_with_all_its_greys_whatever_its_depth(tmp_path: Path)
     np.testing.assert_allclose(deep, shallow, atol=1.0 / 255)  # 8 bits round
 
 
-def test_what_is_clear_in_a_drawing_is_dark(tmp_path: Path) -> None:
+def test_transparent_areas_are_dark(tmp_path: Path) -> None:
     drawing = stroke((64, 64))
     Image.fromarray(drawing).save(tmp_path / "opaque.png")
     white = np.full_like(drawing, 255)
@@ -152,7 +152,7 @@ def test_what_is_clear_in_a_drawing_is_dark(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [(96, 48), (48, 96)])
-def test_a_drawing_that_is_not_square_keeps_its_shape(tmp_path: Path, size: tuple[int, int]) -> None:
+def test_a_rectangular_drawing_is_padded(tmp_path: Path, size: tuple[int, int]) -> None:
     Image.fromarray(stroke(size)).save(tmp_path / "wide.png")
     shown = pictures.load_picture(tmp_path / "wide.png", "t")[..., 0] > 0.5
     rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
@@ -162,7 +162,7 @@ def test_a_drawing_that_is_not_square_keeps_its_shape(tmp_path: Path, size: tupl
     assert len(columns) / len(rows) == pytest.approx(wanted, rel=0.1)
 
 
-def test_a_photograph_of_a_drawing_is_turned_upright(tmp_path: Path) -> None:
+def test_the_camera_orientation_is_applied(tmp_path: Path) -> None:
     drawing = stroke((64, 64))
     exif = Image.Exif()
     exif[0x0112] = 6  # the camera was turned by a quarter: viewers turn the picture clockwise
@@ -242,7 +242,7 @@ def test_a_design_deeper_than_its_process_is_refused_before_it_is_searched(tmp_p
     ask("published")
 
 
-def test_an_unknown_kind_of_target_is_told_the_kinds_and_nothing_of_blends(tmp_path: Path) -> None:
+def test_an_unknown_picture_type_lists_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(RecipeError, match="formula") as found:
         built(tmp_path, 'kind = "formula"\nformula = "u"\nrange = 0.3')
     assert "blend" not in str(found.value) and "vary" not in str(found.value)

@@ -1,4 +1,4 @@
-"""Reliefs in the file of wants: pictures hand over to the search of reliefs as it is, colours join it."""
+"""Relief heights as parameters: target pictures and colours, messages, files, report."""
 
 import json
 import time
@@ -42,7 +42,7 @@ def _read(data):
     return read_relief(data, RecipeContext("wanted.toml", EXAMPLES.resolve(), ""))
 
 
-def test_a_picture_is_the_problem_that_a_target_of_the_older_form_is(tmp_path):
+def test_both_target_forms_give_the_same_problem(tmp_path):
     text = (EXAMPLES / "star.toml").read_text(encoding="utf-8").replace('spectrum = "published-8"\n', "")
     (tmp_path / "star.toml").write_text(text, encoding="utf-8")
     (tmp_path / "star.png").write_bytes((EXAMPLES / "star.png").read_bytes())
@@ -65,7 +65,7 @@ def test_a_picture_is_the_problem_that_a_target_of_the_older_form_is(tmp_path):
     assert np.array_equal(problem.views[0].geometry.wi, ours.views[0].geometry.wi)
 
 
-def test_a_colour_is_a_view_round_its_own_pair_of_directions():
+def test_a_colour_is_a_uniform_view_about_its_directions():
     problem = _read(_target({"directions": PICTURE}, {**COLOUR, "colour": "#ffffff"})).problem
     view = problem.views[1]
     wi = np.array([np.sin(np.radians(30.0)), 0.0, np.cos(np.radians(30.0))])
@@ -76,7 +76,7 @@ def test_a_colour_is_a_view_round_its_own_pair_of_directions():
     assert np.allclose(view.target, (0.02 / np.pi) ** (1 / 2.2), rtol=1e-3)
 
 
-def test_only_targets_of_heights_or_pictures_go_to_the_search_of_reliefs():
+def test_targets_with_heights_or_pictures_are_relief_tasks():
     assert is_relief_task(_target(COLOUR)) and is_relief_task({"target": [{"directions": PICTURE}]})
     assert not is_relief_task({"recipe": RELIEF, "parameters": {"blur_um": [0.1, 0.2]}, "target": [COLOUR]})
 
@@ -91,7 +91,7 @@ def test_only_targets_of_heights_or_pictures_go_to_the_search_of_reliefs():
         ({"recipe": {**RELIEF, "family": "film"}}, 'recipe.family = "film"'),
         ({"recipe": {**RELIEF, "featur_um": 1}}, "recipe.featur_um is not known"),
         ({"target": [{**COLOUR, "geometry": "specular 0"}]}, 'target[0].geometry = "specular 0" cannot be met'),
-        ({"target": [{"geometry": "30as15", "chroma": ">=30"}]}, "target[0]: of a relief's heights a colour is sought"),
+        ({"target": [{"geometry": "30as15", "chroma": ">=30"}]}, "target[0]: heights need a target colour"),
         ({"target": [{"directions": {**PICTURE, "image": "none.png"}}]}, "target[0].directions.image"),
         (
             {"target": [{"directions": {**PICTURE, "intensity_scale": "free"}}, COLOUR]},
@@ -103,7 +103,7 @@ def test_only_targets_of_heights_or_pictures_go_to_the_search_of_reliefs():
         ({"limits": {"max_total_nm": 3}}, "limits: is not known of a relief"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(changes, said):
+def test_a_bad_relief_target_gives_one_line(changes, said):
     with pytest.raises(RecipeError) as caught:
         _read({**_target({"directions": PICTURE}), **changes})
     assert said in str(caught.value) and "\n" not in str(caught.value) and "wanted.toml" in str(caught.value)
@@ -115,12 +115,12 @@ def test_a_picture_of_another_family_is_refused():
         nacre.design({"recipe": film, "parameters": {}, "target": [{"directions": PICTURE}]})
 
 
-def test_a_spread_of_heights_is_the_noise_of_the_process():
+def test_the_tolerance_of_heights_is_the_process_noise():
     assert _read(_target({"directions": PICTURE}, tolerance={"heights": "2%"})).problem.noise == pytest.approx(0.02)
 
 
 @pytest.mark.full
-def test_a_relief_of_a_wanted_colour_shows_it_and_every_file_is_there(tmp_path):
+def test_a_relief_reaches_its_target_colour_and_writes_all_files(tmp_path):
     target = {**_target(COLOUR), "search": {"seconds": 8}, "parameters": {"heights": [0, 0.8], "features": 16}}
     found = nacre.design(target, tmp_path / "out")
     told = json.loads((tmp_path / "out" / "design.json").read_text(encoding="utf-8"))
@@ -131,7 +131,7 @@ def test_a_relief_of_a_wanted_colour_shows_it_and_every_file_is_there(tmp_path):
     nacre.design(target, tmp_path / "out", resume=True)
 
 
-def test_how_far_each_colour_is_missed_is_said_beside_the_loss(capsys):
+def test_the_command_prints_the_distance_of_each_colour(capsys):
     """A colour missed by dE00 35 stood in design.json alone; the command told a loss."""
     losses = {"loss_fixed": 0.5, "loss_free": 0.1, "scale_free": 1.0, "evaluations": 3, "seconds": 1.0}
     wants = [
@@ -148,7 +148,7 @@ def test_how_far_each_colour_is_missed_is_said_beside_the_loss(capsys):
     ]
 
 
-def test_what_judging_takes_is_kept_back_from_the_search(tmp_path, monkeypatch):
+def test_the_final_evaluation_time_is_reserved(tmp_path, monkeypatch):
     """It is tried before: here it takes half a second, of which a machine as busy as this one takes no less after."""
     limits = []
 
@@ -167,7 +167,7 @@ def test_what_judging_takes_is_kept_back_from_the_search(tmp_path, monkeypatch):
     assert 0.25 * 20 <= limits[0] <= 20 - 3 - 0.5 - 0.5
 
 
-def test_the_page_of_a_relief_shows_the_colours_asked_and_reached(tmp_path):
+def test_the_report_shows_target_and_reached_colours(tmp_path):
     free, search = {"heights": [0, 0.4], "features": 8}, {"seconds": 1}
     quick = {**_target({**COLOUR, "tolerance": 0.1}), "recipe": ROUGH, "parameters": free, "search": search}
     found = nacre.design(quick, tmp_path / "out")

@@ -1,4 +1,4 @@
-"""`nacre.design.many`: what it takes, what it refuses in a line, and that it keeps to all that a target says."""
+"""Batch design: arguments, refusals, limits."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TARGET: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("none", [[], np.zeros((0, 3)), np.zeros((0, 1, 3))])
-def test_no_colours_have_no_answers(none: Any) -> None:
+def test_an_empty_list_has_no_solutions(none: Any) -> None:
     assert nacre.design.many(TARGET, none) == []
 
 
@@ -36,7 +36,7 @@ def test_bad_colours_are_named(labs: Any, says: str) -> None:
         nacre.design.many(TARGET, labs)
 
 
-def test_targets_of_which_many_cannot_be_sought_are_told() -> None:
+def test_unsuitable_batch_targets_are_refused() -> None:
     relief = {
         "recipe": {"family": "relief", "feature_um": 1},
         "parameters": {"heights": [0, 1]},
@@ -49,7 +49,7 @@ def test_targets_of_which_many_cannot_be_sought_are_told() -> None:
 
 
 @pytest.mark.full
-def test_many_keep_to_the_fewest_layers_and_tell_the_yield() -> None:
+def test_a_batch_obeys_fewest_layers_and_tolerances() -> None:
     labs = [(58, 2, 8)]  # of some 100 nm of titania on glass, a little off
     plain = nacre.design.many(TARGET, labs)[0]
     fewest = nacre.design.many({**TARGET, "limits": {"max_layers": "fewest"}}, labs)[0]

@@ -1,4 +1,4 @@
-"""The search: repeatable, resumable, always on disk; losses, levels, robustness."""
+"""Relief search: gradients, reproducibility, resume, result folder, levels, robustness."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from nacre.core.errors import NacreError, RecipeError
+from nacre.optimise.checkpoint import STATE
 from nacre.optimise.relief.merit import (
     FIXED_SHARE,
     Evaluator,
@@ -21,7 +22,7 @@ from nacre.optimise.relief.merit import (
     measure_design,
     objective,
 )
-from nacre.optimise.relief.run import CHECKPOINT, load_target, run
+from nacre.optimise.relief.run import load_target, run
 from nacre.optimise.relief.search import Search, robust_objective
 
 GRADIENT = 1e-5  # the issue's bar against finite differences
@@ -133,7 +134,7 @@ def test_a_dark_free_scale_design_is_lifted_to_the_floor_and_reported(tmp_path: 
         assert any("dark" in note for note in lifted["warnings"])
 
 
-def test_result_folder_holds_what_was_promised(tmp_path: Path) -> None:
+def test_the_result_folder_is_complete(tmp_path: Path) -> None:
     seen: list[Any] = []
     result = run(write(tmp_path), tmp_path / "out", progress=seen.append, jobs=2)
     folder = tmp_path / "out"
@@ -192,7 +193,7 @@ def test_perturbed_restarts_lower_the_objective(tmp_path: Path) -> None:
     assert values[1] < values[0]
 
 
-def test_a_stopped_search_leaves_its_best_and_goes_on(tmp_path: Path) -> None:
+def test_a_stopped_search_resumes(tmp_path: Path) -> None:
     path = write(tmp_path)
     searches: list[Search] = []
     original = Search.run
@@ -253,7 +254,7 @@ def test_a_time_limit_is_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("levels", [2, 4, 16])
-def test_levels_are_kept_and_beat_plain_rounding(tmp_path: Path, levels: int) -> None:
+def test_level_optimisation_beats_plain_rounding(tmp_path: Path, levels: int) -> None:
     free = run(write(tmp_path, starts="2"), tmp_path / "free")
     result = run(write(tmp_path, starts="2", levels=str(levels)), tmp_path / "out")
     steps = result.heights_um / 0.6 * (levels - 1)
@@ -265,7 +266,7 @@ def test_levels_are_kept_and_beat_plain_rounding(tmp_path: Path, levels: int) ->
     assert ours <= 1.001 * (weights @ [plain.fixed, plain.free])
 
 
-def test_a_robust_design_stands_noise_better(tmp_path: Path) -> None:
+def test_a_robust_design_is_less_sensitive_to_noise(tmp_path: Path) -> None:
     problem = problem_of(tmp_path)
     x = {}
     for name, noise in (("plain", "0.0"), ("robust", "0.3")):
@@ -291,7 +292,7 @@ def test_default_spectrum_gives_a_white_mirror_its_white() -> None:
 
 def test_a_truncated_checkpoint_gives_one_line(tmp_path: Path) -> None:
     run(write(tmp_path, starts="1", perturbed_restarts="0"), tmp_path / "out")
-    checkpoint = tmp_path / "out" / CHECKPOINT
+    checkpoint = tmp_path / "out" / STATE
     checkpoint.write_bytes(checkpoint.read_bytes()[:200])
     with pytest.raises(NacreError) as caught:
         run(write(tmp_path, starts="1", perturbed_restarts="0"), tmp_path / "out", resume=True)
