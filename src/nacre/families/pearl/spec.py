@@ -180,10 +180,12 @@ class PlateletSpec(RecipeModel):
     def build(self, context: RecipeContext, key: str) -> Flakes:
         """Return the flakes."""
         if self.substrate is None:
-            core, place, upper = self.coatings[0], "coatings[0]", ()
+            core, place, coatings = self.coatings[0], "coatings[0]", self.coatings[1:]
         else:
-            core, place, upper = self.substrate, "substrate", _coatings(self.coatings, context, f"{key}.coatings")
-        lower = self.lower_coatings and _coatings(self.lower_coatings, context, f"{key}.lower_coatings")
+            core, place, coatings = self.substrate, "substrate", self.coatings
+        upper = _coatings(coatings, context, f"{key}.coatings")
+        given = self.lower_coatings
+        lower = None if given is None else _coatings(given, context, f"{key}.lower_coatings")
         thickness = core.thickness(context, f"{key}.{place}")
         platelet = Platelet(core.material.build(context), thickness, upper, lower, self.energy_balance)
         if platelet.height_nm <= 0:
