@@ -146,9 +146,9 @@ def test_a_search_looks_at_the_noise_free_form() -> None:
     walked = nacre.material({**GLASS, "base": {"albedo": 0.2}}).model
     tried = walked.search_model({})
     wi, wo = pairs(5, 8)
-    likeness, values = walked.surrogate_radiance(wi, wo, LAM), tried.values_at(wi, wo, LAM)
-    assert likeness is not None and values is not None and not is_direct(walked)
-    np.testing.assert_allclose(likeness[0] + likeness[1], values, rtol=1e-12)
+    surrogate, values = walked.surrogate_radiance(wi, wo, LAM), tried.values_at(wi, wo, LAM)
+    assert surrogate is not None and values is not None and not is_direct(walked)
+    np.testing.assert_allclose(surrogate[0] + surrogate[1], values, rtol=1e-12)
     opened = nacre.material({**GLASS, "base": {"none": True}}).model
     assert opened.search_model({}) is opened
 

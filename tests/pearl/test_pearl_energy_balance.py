@@ -132,7 +132,7 @@ def test_the_published_balance_loses_what_an_independent_slab_walk_loses(theta_d
 
 
 def test_every_form_of_a_platelet_reflects_r_times_one_minus_t():
-    """The walk's tables, the likeness of searches and the figure; extinction, which is of T alone, stays."""
+    """The walk's tables, the surrogate and the figure; extinction, which is of T alone, stays."""
     made = {name: nacre.material(recipe(energy_balance=name)).model for name in ("conserving", "published")}
     tables = {name: model.platelet_tables(LAM)[0] for name, model in made.items()}
     r, t = np.moveaxis(tables["conserving"], -1, 0)
@@ -143,12 +143,12 @@ def test_every_form_of_a_platelet_reflects_r_times_one_minus_t():
     assert np.array_equal(after["transmittance"], before["transmittance"])
     lobes = {name: model.bsdf(LAM).lobes[0] for name, model in made.items()}
     assert np.array_equal(lobes["conserving"].flake_extinction, lobes["published"].flake_extinction)
-    # off the mirror direction inside, one flake tilted by some 10 degrees turns the light: the likeness knows it surely
+    # off the mirror direction inside: one flake tilted by some 10 degrees, the exact part of the surrogate
     wi, wo = np.array([[0.0, 0.0, 1.0]]), np.array([[0.3, 0.0, np.sqrt(0.91)]])
     sure = {name: model.surrogate_radiance(wi, wo, LAM)[0][0] for name, model in made.items()}
     inner = np.sqrt(0.5 * (1 + np.sqrt(1 - 0.09 / INDEX**2)))
-    kept = 1 - np.array([np.interp(inner, cos_nodes(len(t)), t[:, i]) for i in range(len(LAM))])
-    assert np.abs(sure["published"] / sure["conserving"] - kept).max() < 2e-3  # 65 nodes instead of 257
+    share = 1 - np.array([np.interp(inner, cos_nodes(len(t)), t[:, i]) for i in range(len(LAM))])
+    assert np.abs(sure["published"] / sure["conserving"] - share).max() < 2e-3  # 65 nodes instead of 257
 
 
 def test_platelets_are_counted_physically_unless_told():

@@ -286,7 +286,7 @@ def test_a_few_pairs_have_the_values_of_the_whole_table(tmp_path: Path, bounded:
     np.testing.assert_allclose(found, whole, rtol=0.0, atol=FEW_PAIRS * whole.max())
 
 
-def test_a_sketch_is_the_relief_within_its_coarser_accuracy_where_the_bound_is_idle(tmp_path: Path) -> None:
+def test_a_draft_is_the_relief_within_its_coarser_accuracy_where_the_bound_is_idle(tmp_path: Path) -> None:
     """Away from grazing light a gentle relief keeps within Fresnel by itself, so nothing but the nodes differs."""
     np.save(tmp_path / "h.npy", tile(300.0).heights_nm / 1e3)
     model = nacre.material(RECIPE, tmp_path).model
@@ -294,6 +294,6 @@ def test_a_sketch_is_the_relief_within_its_coarser_accuracy_where_the_bound_is_i
     polar, azimuth = np.random.default_rng(3).uniform(0.0, [[0.6], [2.0 * np.pi]], (2, 60))
     wi = direction(polar, azimuth)
     wo = direction(polar[::-1], azimuth)
-    own, sketched = (one.values_at(wi, wo, WAVELENGTHS) for one in (model, model.draft))
-    assert np.linalg.norm(sketched - own) < DRAFT_ERROR * np.linalg.norm(own)
+    own, drafted = (one.values_at(wi, wo, WAVELENGTHS) for one in (model, model.draft))
+    assert np.linalg.norm(drafted - own) < DRAFT_ERROR * np.linalg.norm(own)
     assert not model.draft.bounded and model.draft.tile is model.tile

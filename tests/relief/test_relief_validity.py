@@ -73,9 +73,9 @@ def test_a_steep_relief_warns_once_and_a_flat_one_does_not(tmp_path: Path, caplo
         steep.bsdf([450.0, 550.0, 650.0])
         steep.bsdf([450.0, 600.0, 650.0])
     (record,) = caplog.records
-    told = record.getMessage()
-    assert "slopes of 1.2" in told and "3.6 wavelengths" in told
-    assert f"dE00 {steep.model.validity.de00:.0f}" in told
+    message = record.getMessage()
+    assert "slopes of 1.2" in message and "3.6 wavelengths" in message
+    assert f"dE00 {steep.model.validity.de00:.0f}" in message
 
 
 def wants(**more: Any) -> dict[str, Any]:
@@ -87,27 +87,27 @@ def wants(**more: Any) -> dict[str, Any]:
     }
 
 
-def test_a_trusted_design_stays_as_flat_as_its_features_ask(tmp_path: Path) -> None:
+def test_a_valid_design_is_as_flat_as_its_features_require(tmp_path: Path) -> None:
     context = RecipeContext("t.toml", tmp_path)
     free = read_relief(wants(), context)
-    kept = read_relief(wants(limits={"within_validity": True}), context)
+    valid = read_relief(wants(limits={"within_validity": True}), context)
     assert free.problem.height_max_nm == pytest.approx(5000.0)
-    assert kept.problem.height_max_nm == pytest.approx(largest_depth_nm(1000.0))
+    assert valid.problem.height_max_nm == pytest.approx(largest_depth_nm(1000.0))
     random = np.random.default_rng(2)
-    tile = Tile(random.uniform(0.0, kept.problem.height_max_nm, (16, 16)), 1000.0, 200.0)
+    tile = Tile(random.uniform(0.0, valid.problem.height_max_nm, (16, 16)), 1000.0, 200.0)
     assert not assess(tile).is_outside
     with pytest.raises(NacreError, match="limits"):
         read_relief(wants(limits={"max_total_nm": 100}), context)
 
 
-def test_only_a_relief_can_be_trusted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_reliefs_have_a_range_of_validity(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "film.toml"
     target.write_text(
         'recipe = {family = "film", substrate = "Si", layers = [{material = "SiO2", thickness_nm = 100}]}\n'
-        'free = {"layers[0].thickness_nm" = [5, 300]}\nlimits = {trusted = true}\n'
+        'parameters = {"layers[0].thickness_nm" = [5, 300]}\nlimits = {within_validity = true}\n'
         '[[target]]\ngeometry = "specular 0"\ncolour = "#336699"\n'
     )
     assert run(["design", str(target), "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
-    assert "limits.trusted = true is of a relief" in said and said.count("\n") == 1
+    assert "limits.within_validity" in said and said.count("\n") == 1
     assert not (tmp_path / "out").exists()

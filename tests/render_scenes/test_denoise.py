@@ -93,23 +93,23 @@ def noisy_pair(truth: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]
     return 0.5 * (halves[0] + halves[1]), np.asarray(0.5 * (halves[0] - halves[1]), dtype=np.float32)
 
 
-def flat_guides() -> tuple[np.ndarray, np.ndarray]:
+def flat_aovs() -> tuple[np.ndarray, np.ndarray]:
     return np.full((*SIZE, 3), 0.5, np.float32), np.tile(np.float32([0.0, 0.0, 1.0]), (*SIZE, 1))
 
 
 def test_texture_stronger_than_the_noise_is_given_back() -> None:
-    """A pattern as fine as the pixels, without an order that the denoiser could see, and guides that know nothing."""
+    """A pattern as fine as the pixels, without an order that the denoiser could see, and uninformative AOVs."""
     from nacre.picture.denoise import denoised
 
     texture = np.random.default_rng(5).uniform(0.85, 1.15, (*SIZE, 1))
     truth = 0.3 * texture * [0.95, 1.0, 1.09]
-    noisy, doubt = noisy_pair(truth, 0.02)
+    noisy, difference = noisy_pair(truth, 0.02)
 
     def error(xyz: np.ndarray) -> float:
         return float(np.sqrt(np.mean((xyz - truth) ** 2)))
 
     raw, smooth, found = (error(xyz) for xyz in (
-        noisy, denoised(noisy, *flat_guides()), denoised(noisy, *flat_guides(), doubt)))  # fmt: skip
+        noisy, denoised(noisy, *flat_aovs()), denoised(noisy, *flat_aovs(), difference)))  # fmt: skip
     assert smooth > 1.5 * raw  # else it is no test
     assert found < 1.05 * raw  # Wiener's share of texture so strong is nearly 1
 
@@ -118,8 +118,8 @@ def test_no_grain_comes_back_where_there_is_no_texture() -> None:
     from nacre.picture.denoise import denoised
 
     truth = np.full((*SIZE, 3), 0.3) * [0.95, 1.0, 1.09]
-    noisy, doubt = noisy_pair(truth, 0.2)
-    grain = [np.std(xyz[..., 1]) for xyz in (noisy, denoised(noisy, *flat_guides(), doubt))]
+    noisy, difference = noisy_pair(truth, 0.2)
+    grain = [np.std(xyz[..., 1]) for xyz in (noisy, denoised(noisy, *flat_aovs(), difference))]
     # a tenth of the mean square error is the bar of whole pictures
     assert grain[1] < grain[0] / 10**0.5
 
@@ -134,10 +134,10 @@ def test_fireflies_do_not_come_back_as_texture(monkeypatch: pytest.MonkeyPatch) 
     for _ in range(2):
         met = generator.random((*SIZE, 1)) < 0.01
         halves.append(truth * (generator.normal(1.0, 0.1, truth.shape) + met * generator.uniform(2.0, 8.0, met.shape)))
-    noisy, doubt = 0.5 * (halves[0] + halves[1]), np.asarray(0.5 * (halves[0] - halves[1]), dtype=np.float32)
+    noisy, difference = 0.5 * (halves[0] + halves[1]), np.asarray(0.5 * (halves[0] - halves[1]), dtype=np.float32)
     # all means come back in both
     monkeypatch.setattr(denoise, "beyond_chance", lambda mean, lost: np.ones_like(mean))
-    without, found = (denoised(noisy, *flat_guides(), *each)[..., 1] for each in ((), (doubt,)))
+    without, found = (denoised(noisy, *flat_aovs(), *each)[..., 1] for each in ((), (difference,)))
     spots = [float(np.abs(each / np.median(each) - 1.0).max()) for each in (without, found)]
     assert spots[1] < 1.25 * spots[0]
 
@@ -165,11 +165,11 @@ def test_highlights_that_both_halves_hold_stay_as_bright_and_as_small() -> None:
     places = np.random.default_rng(13).integers(8, 88, (24, 2))
     for row, column in places:
         truth[row : row + 2, column] = 3.0
-    noisy, doubt = noisy_pair(truth, 0.03)
+    noisy, difference = noisy_pair(truth, 0.03)
     is_spot = truth[..., 1] > 1.0
     alone, found = (
         [float(np.mean((xyz / truth - 1.0)[where] ** 2)) for where in (is_spot, ~is_spot)]
-        for xyz in (denoised(noisy, *flat_guides()), denoised(noisy, *flat_guides(), doubt))
+        for xyz in (denoised(noisy, *flat_aovs()), denoised(noisy, *flat_aovs(), difference))
     )
     # a tenth of the mean square error is the bar of whole pictures; against the denoiser that knows no halves
     assert found[0] < alone[0] / 10
@@ -193,7 +193,7 @@ def test_what_a_highlight_lost_is_not_taken_from_the_dark_beside_it(monkeypatch:
     truth = np.where(sun, 100.0, 0.1)[..., None] * np.array([0.95, 1.0, 1.09])
     made = np.where(sun[..., None], 1.04, 1.0) * truth
 
-    def filtered(rgb: np.ndarray, guides: object = None, **options: object) -> np.ndarray:
+    def filtered(rgb: np.ndarray, aovs: object = None, **options: object) -> np.ndarray:
         return (made @ denoise.TO_RGB.T).astype(np.float32)
 
     monkeypatch.setattr(denoise, "_filtered", filtered)
@@ -239,7 +239,7 @@ def test_halves_of_the_samples_tell_the_noise_of_a_picture() -> None:
     assert by_noise.difference is not None and single.difference is None
 
 
-def test_walks_have_no_halves_to_compare() -> None:
+def test_random_walks_have_no_halves_to_compare() -> None:
     """Their noise has such tails that spots of it would come back as texture."""
     from nacre.picture import passes
 
@@ -273,7 +273,7 @@ def test_fine_lines_keep_their_contrast() -> None:
     assert contrast(short.xyz, pattern) >= 0.9
 
 
-def test_guides_are_made_in_passes_that_bound_memory_as_the_picture_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_aovs_are_rendered_in_passes_with_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     from nacre.device.variant import use_variant
     from nacre.picture import passes
 
@@ -290,7 +290,7 @@ def test_guides_are_made_in_passes_that_bound_memory_as_the_picture_is(monkeypat
     assert max(asked) <= 4 and sum(asked) == 16 + denoise.EVEN_AOV_SPP
     asked.clear()
     assert render(nacre.material(GOLD), spp=1).stats["denoised"]
-    assert sum(asked) == 1 + 4  # guides do not take longer than the picture
+    assert sum(asked) == 1 + 4  # AOVs do not take longer than the picture
 
 
 def test_the_albedo_of_an_even_colour_has_no_grain(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -307,7 +307,7 @@ def test_the_albedo_of_an_even_colour_has_no_grain(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize(("recipe", "is_alike"), [("gold", True), ("soap", True), ("pearl/bottle3", False)])
-def test_guides_take_chances_of_their_own_where_ways_have_to_be_drawn(
+def test_aovs_use_individual_numbers_if_paths_are_random(
     recipe: str, is_alike: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A share of one in twenty would be met by no sample here, by all there: patterns of random walks."""
@@ -320,7 +320,7 @@ def test_guides_take_chances_of_their_own_where_ways_have_to_be_drawn(
     assert asked[-1] is is_alike and not any(asked[:-1])
 
 
-def test_the_guide_of_a_clear_film_shows_mirror_images_and_what_lies_behind_without_grain(
+def test_the_albedo_of_a_clear_film_shows_mirror_images_and_background_without_grain(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A way drawn in each pixel, as one in four are mirrored here, left grain, and with it mirrored edges went."""
@@ -368,8 +368,8 @@ def test_a_large_picture_is_denoised_in_bands_without_seams(monkeypatch: pytest.
     assert np.abs(noisy - truth).mean() > 10 * np.abs(whole - truth).mean()
     # far below what grain is left, at the seams as anywhere
     assert np.abs(split - whole).max() < 0.25 * np.abs(whole - truth).max()
-    guide = denoise.clean_albedo(np.clip(noisy, 0, 1).astype(np.float32))
-    assert guide.shape == albedo.shape and np.isfinite(guide).all()
+    clean = denoise.clean_albedo(np.clip(noisy, 0, 1).astype(np.float32))
+    assert clean.shape == albedo.shape and np.isfinite(clean).all()
 
 
 def test_a_bound_on_the_denoisers_memory_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -438,7 +438,7 @@ def test_without_llvm_small_previews_still_render(tmp_path: Path) -> None:
         "import nacre\n"
         "r = nacre.render({'type': 'diffuse', 'reflectance': 0.5}, size=(6, 6), spp=1, output='p.png')\n"
         "assert r.stats['variant'] == 'scalar_spectral' and r.xyz.mean() > 0.01\n"
-        "assert r.raw is not None\n"  # denoised, by guides
+        "assert r.raw is not None\n"  # denoised
         "nacre.render({'type': 'diffuse'}, 'mine.xml', size=(4, 4), spp=1, output='own.png')\n"
         "nacre.render({'type': 'diffuse'}, light='studio,sun', size=(4, 4), spp=1, output='two.png')\n"
     )

@@ -72,8 +72,7 @@ class View:
         return self._at(offset, up=_point(math.cos(elevation) * vertical - math.sin(elevation) * outward))
 
     def with_lens(self, fov_deg: float, radius: float) -> View:
-        """Change field of view and distance; a ball with `radius` about the target keeps its size in the
-        picture."""
+        """Change field of view and distance; a ball with `radius` about the target keeps its size in the picture."""
         offset = self._offset
         distance = max(float(np.linalg.norm(offset)), 1.001 * radius)
         apparent = radius / math.sqrt(distance**2 - radius**2)  # tangent of the ball's half angle

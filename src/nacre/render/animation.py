@@ -51,7 +51,7 @@ _SETTINGS = {"scene", *KEYWORDS} - {
 
 @dataclass(frozen=True)
 class Motion:
-    """What moves: "light", "view", only the time ("time"), or a parameter with its first and last value.
+    """A motion: "light", "view", only the time ("time"), or a parameter with its first and last value.
 
     The time `t` in recipe formulas always runs from 0 to 1, and stops one step before 1 for closed motions.
     """

@@ -1,4 +1,4 @@
-"""A pearl at a few directions of view: the walk that serves all viewers at once, and the likeness of searches."""
+"""A pearl at a few directions of view: the walk that serves all viewers at once, and the surrogate."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WO = np.stack([aspecular_direction(45.0, a) for a in ASPECULAR_DEG])
 SIGMAS = 4.0  # of 24 to 72 comparisons, few of which are independent
 WALKS = 4096
 EXACT = 1e-9
-ONE_FLAKE_ERROR = 0.03  # of the likeness' 1,024 facets against the walk's 65,536
+ONE_FLAKE_ERROR = 0.03  # of the surrogate's 1,024 facets against the walk's 65,536
 TABLE_ERROR = 0.02  # of R between 65 nodes of sqrt(cos) against 257
 
 
@@ -100,7 +100,7 @@ def test_both_ways_of_the_light_are_alike() -> None:
         assert np.max(np.abs(one - two) / np.hypot(its, theirs)) < SIGMAS
 
 
-def test_what_the_likeness_knows_is_the_light_of_one_flake() -> None:
+def test_the_exact_part_is_single_scattering() -> None:
     """Over a black ground a film so thin that hardly two flakes are met shows nothing else."""
     thin = pearl(0.0, 0.0, {
         "volume_fraction": 1e-5, "substrate": {"material": "SiO2", "thickness_nm": 250, "deviation_nm": 20},
@@ -112,7 +112,7 @@ def test_what_the_likeness_knows_is_the_light_of_one_flake() -> None:
     assert np.all(np.abs(found - known)[near] <= TABLE_ERROR * found[near] + SIGMAS * error[near])
 
 
-def test_the_likeness_has_no_noise_and_is_smooth_in_thickness_and_amount() -> None:
+def test_the_surrogate_is_smooth_in_thickness_and_amount() -> None:
     def at(**changes: float) -> np.ndarray:
         flake = {"volume_fraction": changes.get("f", 0.02),
                  "substrate": {"material": "SiO2", "thickness_nm": changes.get("s", 250.0), "deviation_nm": 20},
@@ -125,7 +125,7 @@ def test_the_likeness_has_no_noise_and_is_smooth_in_thickness_and_amount() -> No
         np.testing.assert_allclose(half, whole, atol=5e-3 * np.max(np.abs(whole)))
 
 
-def test_what_has_no_likeness_says_so() -> None:
+def test_an_inapplicable_surrogate_is_none() -> None:
     assert nacre.load("two_strata").model.surrogate_radiance(WI, WO, NM) is None
     assert nacre.load("car_middle").model.surrogate_radiance(WI, WO, NM) is None  # rotated, anisotropic flakes
     metal = nacre.material({"family": "pearl", "strata": [{"resin": {"n": 1.5}, "thickness_um": 20}],
