@@ -295,6 +295,7 @@ class _Problem:
         weights: str,
     ) -> None:
         self._material, self._measured, self._free = material, measured, free
+        self._make = material.parametrise([number.path for number in free])
         self._samples, self._seed = samples, seed
         self.evaluations = 0
         rms = float(np.sqrt(np.mean(measured.values**2))) or 1.0
@@ -306,7 +307,7 @@ class _Problem:
         self._walked: Array | None = None  # `[seed, value]`, scaled results from independent walks at one point
 
     def build(self, point: Array) -> Material:
-        return self._material.vary(values_at(self._free, point))
+        return self._make(values_at(self._free, point))
 
     def residual(self, point: Array) -> Array:
         """Return (model - measurement) / noise scale, flat; a constant penalty if the material cannot be computed."""

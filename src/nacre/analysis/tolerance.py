@@ -112,9 +112,10 @@ def run_tolerance(
     values = {each.path: each.draw(generator, draws) for each in tolerances}
     lab = np.full((draws, *nominal.shape), np.nan)
     total = draws + 2 * len(tolerances)
+    make = material.parametrise(values)
     for i in range(draws):
         try:
-            lab[i] = measure(material.vary({path: float(v[i]) for path, v in values.items()}))
+            lab[i] = measure(make({path: float(v[i]) for path, v in values.items()}))
         except NacreError:
             pass  # remains NaN and counts as failed
         if progress:

@@ -155,7 +155,7 @@ def cache_arrays(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
         return
     with contextlib.suppress(NacreError, OSError):
         with atomic_path(folder / f"{key}{ARRAYS}") as temporary, temporary.open("wb") as file:
-            np.savez(file, **arrays)
+            np.savez(file, allow_pickle=False, **arrays)
         _evict(folder)
 
 

@@ -178,7 +178,7 @@ def find_gamut(
     parameters = read_parameters(dict(table), material, source)
     if not parameters:
         raise RecipeError(f"{source}: nothing is free; use --parameter PATH=LOW:HIGH")
-    at = applicable_geometry([material, *_variants(material, parameters)], geometry, f"{source}: at")
+    at = applicable_geometry([material, *_variants(material, parameters)], geometry, f"{source}: geometry")
     draws = (points, seconds, seed)
     return _parameter_gamut(material, parameters, at, (illuminant, observer), draws, tolerance, samples, progress)
 
@@ -264,6 +264,7 @@ def _parameter_gamut(
         nominal = nominal_point(parameters, material)
         planned[:0] = [nominal] if nominal is not None else []
     generator = np.random.default_rng([seed, 4])
+    make = material.parametrise([parameter.path for parameter in parameters])
     cache: dict[Any, Any] = {}
     points: list[Array] = []
     factors: list[Array] = []
@@ -273,7 +274,7 @@ def _parameter_gamut(
         point = planned[done] if done < len(planned) else _near_extreme(points, np.array(labs), done, generator)
         done += 1
         try:
-            variant = material.vary(values_at(parameters, point))
+            variant = make(values_at(parameters, point))
             factor = simulate_measurement(variant, [at], grid, samples=samples, seed=seed, memory=cache).factors[0]
             factors.append(factor)
             labs.append(np.asarray(xyz_to_lab(factor @ weights, white)))

@@ -143,6 +143,9 @@ class Problem:
         self.task, self.seed = task, seed
         self.material, self.parameters = task.material, task.parameters
         self.removable = removable_tables(self.parameters, self.material)
+        # removed tables change the paths, so such candidates are validated completely
+        paths = [parameter.path for parameter in self.parameters]
+        self._make = self.material.vary if self.removable else self.material.parametrise(paths)
         self.continuous = [i for i, p in enumerate(self.parameters) if not p.choices and not p.is_whole]
         self.geometries = geometries_of(task.targets)
         self.wavelengths_nm = np.asarray(search_wavelengths(self._largest(), task.spec.light.illuminants), dtype=float)
@@ -197,7 +200,7 @@ class Problem:
         Raises:
             NacreError: it is impossible, or thicker than allowed.
         """
-        made = self.material.vary(changes)
+        made = self._make(changes)
         limit = self.task.spec.limits.max_total_nm
         if limit is not None and total_thickness_nm(made) > limit:
             raise NacreError(f"its layers are thicker than {limit:g} nm")

@@ -69,9 +69,12 @@ def angle_tracks(
 
 
 def number_tracks(
-    materials: Sequence[Any], steps: Sequence[float] | Array, evaluate: Evaluate | None = None,
-    wavelengths_nm: Array | None = None, illuminant: str = "D65",
-) -> tuple[dict[str, Track], Array]:  # fmt: skip
+    materials: Sequence[Any],
+    steps: Sequence[float] | Array,
+    evaluate: Evaluate | None = None,
+    wavelengths_nm: Array | None = None,
+    illuminant: str = "D65",
+) -> tuple[dict[str, Track], Array]:
     """Return gloss and diffuse light for a sequence of materials, and their common wavelengths.
 
     Args:

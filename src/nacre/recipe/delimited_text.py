@@ -147,4 +147,4 @@ def shares_over_nm(heading: Sequence[str], table: NDArray[np.float64]) -> NDArra
         return table
     factor = NM_IN.get(names[0].rpartition("_")[2], 1.0)
     is_per_cent = "%" in names[1] or f"_{names[1]}".endswith(("_percent", "_per_cent"))
-    return table * np.array([factor, 0.01 if is_per_cent else 1.0])
+    return np.asarray(table * np.array([factor, 0.01 if is_per_cent else 1.0]))

@@ -133,11 +133,14 @@ def _document(
     documents = [one.document(task.spec.light.observer) for one in results]
     targets = [
         {
-            "geometry": each["geometry"], "target": each["asked_colour"], "reached": each["reached"]["colour"],
-            "de00": round(each["de00"], 2), "met": each["met"],
+            "geometry": each["geometry"],
+            "target": each["asked_colour"],
+            "reached": each["reached"]["colour"],
+            "de00": round(each["de00"], 2),
+            "met": each["met"],
         }
         for each in documents
-    ]  # fmt: skip
+    ]
     return {
         "changes": dict(changes),
         "targets": targets,
@@ -345,7 +348,9 @@ def _scatter(nominal: Array, found: list[Array], angles: Array, lamp: str) -> di
     rgb = light.xyz_to_srgb_linear(light.adapt_xyz(xyz, white, light.SRGB_WHITE_XYZ))
     distance = np.asarray(light.delta_e_2000(light.xyz_to_lab(nominal, white), light.xyz_to_lab(xyz, white)))
     return {
-        "kind": "tolerance", "angles": angles.tolist(), "rgb": np.round(rgb, 5).tolist(),
+        "kind": "tolerance",
+        "angles": angles.tolist(),
+        "rgb": np.round(rgb, 5).tolist(),
         "median": np.round(np.median(distance, axis=0), 2).tolist(),
         "percentile_95": np.round(np.percentile(distance, 95, axis=0), 2).tolist(),
-    }  # fmt: skip
+    }

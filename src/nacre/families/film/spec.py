@@ -219,7 +219,7 @@ class RidgesSpec(RecipeModel):
         )
 
 
-class SubstrateSpec(RecipeModel):
+class BaseSpec(RecipeModel):
     """A diffuse base below the film, or below the ridges."""
 
     forms: ClassVar[tuple[str, ...]] = ("{albedo = 0.05}",)
@@ -299,7 +299,7 @@ class FilmSpec(RecipeModel):
     )
     surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="roughness of all layers")
     ridges: RidgesSpec | None = pydantic.Field(default=None, description="ridges of lamellae, instead of roughness")
-    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="a diffuse base below the film")
+    base: BaseSpec = pydantic.Field(default=BaseSpec(), description="a diffuse base below the film")
     wavelengths: WavelengthsSpec = pydantic.Field(
         default=WavelengthsSpec(), description="wavelength grid, instead of the film's own choice"
     )

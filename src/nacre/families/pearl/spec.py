@@ -180,22 +180,14 @@ class PlateletSpec(RecipeModel):
     def build(self, context: RecipeContext, key: str) -> Flakes:
         """Return the flakes."""
         if self.substrate is None:
-            only = self.coatings[0]
-            platelet = Platelet(
-                only.material.build(context),
-                only.thickness(context, f"{key}.coatings[0]"),
-                energy_balance=self.energy_balance,
-            )
+            core, place, coatings = self.coatings[0], "coatings[0]", self.coatings[1:]
         else:
-            platelet = Platelet(
-                self.substrate.material.build(context),
-                self.substrate.thickness(context, f"{key}.substrate"),
-                _coatings(self.coatings, context, f"{key}.coatings"),
-                None
-                if self.lower_coatings is None
-                else _coatings(self.lower_coatings, context, f"{key}.lower_coatings"),
-                self.energy_balance,
-            )
+            core, place, coatings = self.substrate, "substrate", self.coatings
+        upper = _coatings(coatings, context, f"{key}.coatings")
+        given = self.lower_coatings
+        lower = None if given is None else _coatings(given, context, f"{key}.lower_coatings")
+        thickness = core.thickness(context, f"{key}.{place}")
+        platelet = Platelet(core.material.build(context), thickness, upper, lower, self.energy_balance)
         if platelet.height_nm <= 0:
             raise context.fail(key, 0.0, "is a flake without thickness; give one of its layers a thickness")
         spread = self.normal_deviation if isinstance(self.normal_deviation, tuple) else (self.normal_deviation,)

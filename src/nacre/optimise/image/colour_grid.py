@@ -82,6 +82,7 @@ class ColourSampler:
         self.weights = smooth_weights(self.grid, *light)
         self.white = white_xyz(*light)
         self._paths = [parameter.path for parameter in parameters]
+        self._make = self.material.parametrise(self._paths)
 
     @property
     def is_batched(self) -> bool:
@@ -106,7 +107,7 @@ class ColourSampler:
             for row in values:
                 if is_over():
                     return None
-                variant = self.material.vary(dict(zip(self._paths, map(float, row), strict=True)))
+                variant = self._make(dict(zip(self._paths, map(float, row), strict=True)))
                 found.append(
                     (simulate_measurement(variant, [self.at], self.grid, seed=self.seed).factors[0] @ self.weights)[
                         None
