@@ -238,7 +238,7 @@ class Material:
             >>> at({"layers[0].thickness_nm": 420}).get("layers[0].thickness_nm")
             420
         """
-        return Parametrisation(self, paths)
+        return Parametrisation(self, paths, read_recipe, material_from_data)
 
     def with_parts_loaded(self, paths: Iterable[str]) -> Material:
         """Return the material with nested recipe files replaced by tables if one paths leads into them.
