@@ -238,7 +238,7 @@ def test_the_command_ends_with_status_2(tmp_path: Path, capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("text", "word"),
     [
-        ("", "says no look"),
+        ("", "has no targets"),
         (
             'recipe = {family = "film", substrate = "Si", layers = [{material = "SiO2", thickness_nm = 50}]}\n'
             "[parameters]\n"
