@@ -1,4 +1,4 @@
-"""Reading and checking of target files."""
+"""Read and check target files."""
 
 from __future__ import annotations
 
@@ -274,14 +274,14 @@ def _check_total(spec: DesignSpec, source: str) -> None:
 
 
 def palette_name(entry: Any) -> str:
-    """Return the name of a material of the palette."""
+    """Return the name of a palette material."""
     if isinstance(entry, Mapping) and set(entry) <= {"name", "extrapolate"} and "name" in entry:
         return str(entry["name"])
     return entry if isinstance(entry, str) else show_value(entry)
 
 
 def bounds_of(layers: LayersSpec, entry: Any) -> tuple[float, float]:
-    """Return the bounds of a layer of one material of the palette."""
+    """Return the bounds of a layer of one palette material."""
     if not isinstance(layers.thickness_nm, dict):
         return layers.thickness_nm
     return layers.thickness_nm.get(palette_name(entry), layers.thickness_nm.get(OTHER, (0.0, 0.0)))
