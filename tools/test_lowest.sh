@@ -9,4 +9,4 @@ venv=.venv-lowest
 # old releases warn of the newest ones of packages below them
 "$venv/bin/python" -m pytest -q -W "ignore::DeprecationWarning" -m "not full and not render" -p no:cacheprovider \
   tests/recipe tests/fingerprint tests/study/test_study_sweep.py tests/study/test_study_fit.py \
-  tests/design/test_wants_search.py tests/stack/test_stack_robust.py --ignore tests/recipe/test_schema.py "$@"
+  tests/design/test_searches.py tests/stack/test_stack_robust.py --ignore tests/recipe/test_schema.py "$@"

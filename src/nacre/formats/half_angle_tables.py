@@ -121,9 +121,12 @@ def write_slice(path: str | Path, bsdf: Bsdf, comment: str = "") -> None:
         name = f"S0.{wavelength:.6f}nm".replace(".", ",").replace("S0,", "S0.")
         channels[name] = np.ascontiguousarray(values[..., i], np.float32)
     header: dict[str, Any] = {
-        "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "spectralLayoutVersion": "1.0",
-        "emissiveUnits": "sr^-1", "nacre": comment,
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "spectralLayoutVersion": "1.0",
+        "emissiveUnits": "sr^-1",
+        "nacre": comment,
         "slice": "columns: theta_half, rows: theta_diff, both 0 to 90 degrees at cell centres; phi_diff = 90 degrees",
-    }  # fmt: skip
+    }
     with atomic_path(path) as temporary, reraise_as_oserror():
         OpenEXR.File(header, channels).write(str(temporary))

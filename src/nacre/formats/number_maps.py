@@ -162,8 +162,11 @@ def write_number_maps(
                                                  "the first row on top"),
         }  # fmt: skip
         if curve is not None:
-            facts |= {"calibration": Path(curve.name).name, "setting": curve.words[0],
-                      "curve": np.stack([curve.settings, curve.values], axis=-1).tolist()}  # fmt: skip
+            facts |= {
+                "calibration": Path(curve.name).name,
+                "setting": curve.words[0],
+                "curve": np.stack([curve.settings, curve.values], axis=-1).tolist(),
+            }
         _write(one, to, place, settings, pitch_um, levels, facts)
         beside = place.with_name(place.name + ".json")
         write_text(beside, json.dumps(facts, indent=2) + "\n")

@@ -412,8 +412,11 @@ class RglBsdf:
         total = np.zeros((len(wi), len(self.wavelengths_nm)))
         for node in np.unique(low):
             some = low == node
-            x = _mix(self.warps[node].invert(u_m[some], v_m[some]),
-                     self.warps[node + 1].invert(u_m[some], v_m[some]), share[some])  # fmt: skip
+            x = _mix(
+                self.warps[node].invert(u_m[some], v_m[some]),
+                self.warps[node + 1].invert(u_m[some], v_m[some]),
+                share[some],
+            )
             here, there = (_fetch(self.spectra[n], *x) for n in (node, node + 1))
             total[some] = here * (1 - share[some])[:, None] + there * share[some][:, None]
         if self.has_jacobian:

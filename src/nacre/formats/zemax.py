@@ -117,9 +117,10 @@ def write_zemax(path: str | Path, table: ZemaxBsdf, comment: str = "") -> None:
         file.write(f"Source  Measured\nSymmetry  PlaneSymmetrical\nSpectralContent  {table.spectral_content}\n")
         file.write(f"ScatterType  {table.scatter_type}\nSampleRotation  1\n0\n")
         for name, angles in (
-            ("AngleOfIncidence", table.incidence_deg), ("ScatterAzimuth", table.azimuth_deg),
+            ("AngleOfIncidence", table.incidence_deg),
+            ("ScatterAzimuth", table.azimuth_deg),
             ("ScatterRadial", table.radial_deg),
-        ):  # fmt: skip
+        ):
             file.write(f"{name}  {len(angles)}\n" + "\t".join(f"{a:g}" for a in angles) + "\n")
         for channel, name in enumerate(CHANNELS[table.spectral_content]):
             file.write(f"\n{name}\nDataBegin\n")

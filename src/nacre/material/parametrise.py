@@ -59,7 +59,12 @@ class Parametrisation:
     Raises:
         RecipeError: a path does not exist in the recipe.
 
-    Example: `Parametrisation(soap, ["layers[0].thickness_nm"])({"layers[0].thickness_nm": 420})`.
+    Example:
+        >>> layers = [{"material": "SiO2", "thickness_nm": 100}]
+        >>> wafer = nacre.material({"family": "film", "substrate": "Si", "layers": layers})
+        >>> at = Parametrisation(wafer, ["layers[0].thickness_nm"])
+        >>> at({"layers[0].thickness_nm": 420}).get("layers[0].thickness_nm")
+        420
     """
 
     def __init__(self, material: Material, paths: Iterable[str]) -> None:

@@ -227,8 +227,9 @@ class _BatchFolder:
             return None
         try:
             found = json.loads(read_text(path, "summary"))
-            assert isinstance(found["rows"], list) and all(isinstance(row, dict) for row in found["rows"])
-        except (ValueError, KeyError, TypeError, AssertionError, NacreError):
+            if not (isinstance(found["rows"], list) and all(isinstance(row, dict) for row in found["rows"])):
+                raise TypeError
+        except (ValueError, KeyError, TypeError, NacreError):
             raise _foreign(self.folder, SUMMARY) from None
         return dict(found)
 

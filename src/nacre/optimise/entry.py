@@ -1,4 +1,4 @@
-"""`nacre.design(target, out)`: a relief for a target of directions, or anything else for a target of wants."""
+"""`nacre.design(target, out)`: dispatch of target files to the design of reliefs or of other materials."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nacre.optimise.solutions import NEED_BYTES
 from nacre.optimise.task import is_design_task, is_relief_task
 from nacre.recipe.toml import parse_toml
 
-DICTIONARY = "target"  # the folder's name where the target has none
+DICTIONARY = "target"  # folder name for a dictionary
 
 
 def run(
@@ -23,21 +23,21 @@ def run(
     progress: Callable[[Any], None] | None = None,
     jobs: int | None = None,
 ) -> Any:
-    """Design what a target asks for; the best so far is always on disk.
+    """Design a material for a target; the best solution so far is always on disk.
 
     Args:
         target: a TOML file with `[[target]]` (any family) or with `[target]` (a relief), the name of an example, or a
             dictionary of the former.
-        out: the folder, made if it does not exist; default: the target's name.
-        resume: go on where a stopped run of the same target ended.
-        progress: called while the search runs, from worker threads where it has some, one at a time.
-        jobs: threads of a relief's search; default: all cores.
+        out: folder, created if it does not exist; default: the name of the target.
+        resume: continue a stopped run of the same target.
+        progress: called during the search, one call at a time, possibly from worker threads.
+        jobs: threads of a relief search; default: all cores.
 
     Returns:
-        a `Design` with its solutions, or a relief's `DesignResult`; both have `folder` and `summary`.
+        a `Design`, or the `DesignResult` of a relief; both have `folder` and `summary`.
 
     Raises:
-        RecipeError: the target is not usable.
+        RecipeError: the target is invalid.
         NacreError: the folder cannot be written, or holds the search of another target.
 
     Example: `nacre.design("violet.toml", "violet").best.targets[0].distance`.
@@ -47,20 +47,22 @@ def run(
     check_room(out if out is not None else DICTIONARY if isinstance(target, Mapping) else target.stem, NEED_BYTES)
     data = target if isinstance(target, Mapping) else parse_toml(read_text(target, "target"), str(target))
     if is_design_task(data) and is_relief_task(data):
-        from nacre.optimise.relief.adapter import run_relief as run_heights
+        from nacre.optimise.relief.adapter import run_relief as run_relief_task
 
-        return run_heights(target, out, resume=resume, progress=progress, jobs=jobs)
+        return run_relief_task(target, out, resume=resume, progress=progress, jobs=jobs)
     if isinstance(target, Mapping) or is_design_task(data):
-        from nacre.optimise.run import run as run_wants
+        from nacre.optimise.run import run as run_design
 
-        return run_wants(target, out, resume=resume, progress=progress)
+        return run_design(target, out, resume=resume, progress=progress)
     if "target" not in data and "family" in data:
         raise RecipeError(
             f'{target}: is a recipe; write a target with recipe = "{Path(target).name}", [parameters] and [[target]] '
             "(nacre keys design)"
         )
     if "target" not in data:
-        raise RecipeError(f"{target}: says no look; add [[target]] tables (nacre keys design), or [target] of a relief")
+        raise RecipeError(
+            f"{target}: has no targets; add [[target]] tables (nacre keys design), or [target] of a relief"
+        )
     from nacre.optimise.relief.run import run as run_relief
 
     return run_relief(target, Path(target).stem if out is None else out, resume, progress, jobs)

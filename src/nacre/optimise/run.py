@@ -31,7 +31,7 @@ from nacre.optimise.solutions import (
     Solution,
     are_alike,
     check_folder,
-    clear_answers,
+    clear_solutions,
     folder_of,
     write_recipe,
 )
@@ -190,7 +190,7 @@ class _Writer:
 
     def write(self, summary: Mapping[str, Any]) -> None:
         """Write design.json and remove further solutions of an earlier run."""
-        clear_answers(self.folder, len(summary["solutions"]))
+        clear_solutions(self.folder, len(summary["solutions"]))
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=2, default=str) + "\n")
 
 

@@ -1,4 +1,4 @@
-"""An answer's recipes inside its recipe, written as files again."""
+"""Solutions, and the folders that hold them: a recipe with all files that it needs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
 
 
 def take_apart(data: dict[str, Any], taken: list[str]) -> dict[str, str]:
-    """Replace the recipes inside a recipe by names of files, in place; return name -> text, the innermost first.
+    """Replace nested recipes by file names, in place; return name -> text, innermost first.
 
     Args:
         data: a recipe.
@@ -43,9 +43,6 @@ def take_apart(data: dict[str, Any], taken: list[str]) -> dict[str, str]:
     return found
 
 
-__all__ = ["take_apart"]
-
-
 # Answers as folders that every command takes: a recipe, and beside it the files that it reaches.
 
 RECIPE = "recipe.toml"
@@ -56,14 +53,14 @@ WRITTEN = (RECIPE, SUMMARY, "report.html", "report.png", "search.json")  # besid
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """One answer.
+    """One solution.
 
     Attributes:
-        recipe: the file that holds it; None where nothing was written.
-        material: the material that it is.
-        changes: what is different from the recipe that the search started from, by path.
-        targets: what it reaches of every want under every lamp.
-        facts: what else is known of it, as JSON can hold it: yield, sensitivity, thickness.
+        recipe: its file; None if it was not written.
+        material: the designed material.
+        changes: recipe changes by path, from the start recipe.
+        targets: results of all targets under all lamps.
+        facts: further JSON data: yield, sensitivity, thickness.
     """
 
     recipe: Path | None
@@ -74,27 +71,27 @@ class Solution:
 
     @property
     def worst(self) -> TargetResult:
-        """The want that costs most: of the largest weight x distance / within."""
+        """The result with the largest weight x distance / tolerance."""
         return max(self.targets, key=lambda r: r.scaled)
 
     @property
     def is_met(self) -> bool:
-        """Whether every want is within what was asked for."""
+        """Whether all targets are met."""
         return all(r.is_met for r in self.targets)
 
     @property
     def yield_share(self) -> float | None:
-        """The share of what is made that keeps every want; None where no spread was given."""
+        """Yield: share of manufactured samples that meet all targets; None without tolerances."""
         found = self.facts.get("yield")
         return None if found is None else float(found["share"])
 
 
 @dataclass(frozen=True)
 class DesignProgress:
-    """What a caller is told while a design is searched.
+    """Progress of a design.
 
     Attributes:
-        worst: the largest weight x distance / within so far; below 1 every want is met.
+        worst: largest weight x distance / tolerance so far; below 1 all targets are met.
         seconds, seconds_left: spent and left.
     """
 
@@ -108,12 +105,12 @@ class Design:
     """A finished (or cleanly stopped) design.
 
     Attributes:
-        folder: where its files are; None where nothing was written.
-        status: "met", "out of reach" (time is up and a want is not within), "interrupted".
-        message: the outcome in words.
+        folder: of its files; None if they were not written.
+        status: "met", "out of reach" (the budget ended before all targets were met) or "interrupted".
+        message: the outcome as a sentence.
         seconds: wall time.
-        solutions: the answers, the best first.
-        summary: what `design.json` holds.
+        solutions: best first.
+        summary: content of `design.json`.
     """
 
     folder: Path | None
@@ -125,7 +122,7 @@ class Design:
 
     @property
     def best(self) -> Solution:
-        """The best answer."""
+        """The best solution."""
         return self.solutions[0]
 
 
@@ -136,7 +133,7 @@ def write_recipe(
     tolerance: Mapping[str, Any],
     made: Material | None = None,
 ) -> tuple[Path, list[str]]:
-    """Write an answer's recipe, with comments where the start has some, and copy beside it what it reaches.
+    """Write the recipe of a solution with the comments of the start recipe, and copy its dependencies.
 
     Args:
         folder: made if it does not exist.
@@ -182,7 +179,7 @@ def write_recipe(
 def _bring(
     data: Any, source: Path, reached: set[Path], target: Path, copied: list[str], path: str = ""
 ) -> dict[str, str]:
-    """Copy the files that strings of a recipe name; return path -> the name that the file has beside the answer."""
+    """Copy the files named in a recipe; return path -> name of the copy."""
     if isinstance(data, Mapping):
         parts = [_bring(v, source, reached, target, copied, f"{path}.{k}".lstrip(".")) for k, v in data.items()]
     elif isinstance(data, list):
@@ -224,12 +221,12 @@ def _free_name(name: str, taken: list[str]) -> str:
 
 
 def folder_of(out: Path, number: int) -> Path:
-    """Return the folder of answer 1, 2, ...: the first is the design's own."""
+    """Return the folder of solution 1, 2, ...; the first is the folder of the design."""
     return out if number == 1 else out / str(number)
 
 
-def clear_answers(out: Path, keep: int) -> None:
-    """Remove the answers that an earlier run wrote beyond the first `keep`: they are none of this one."""
+def clear_solutions(out: Path, keep: int) -> None:
+    """Remove the solutions of an earlier run beyond the first `keep`."""
     try:
         earlier = json.loads((out / SUMMARY).read_text(encoding="utf-8"))["solutions"]
     except (OSError, ValueError, KeyError, TypeError):
@@ -246,10 +243,10 @@ def clear_answers(out: Path, keep: int) -> None:
 
 
 def check_folder(out: Path, start: Material, solutions: int = 1) -> None:
-    """Refuse a folder in which a design would overwrite the recipe that it starts from, or what no design wrote.
+    """Refuse a folder in which a design would overwrite its start recipe or foreign files.
 
     Args:
-        solutions: answers that may be written.
+        solutions: number that may be written.
 
     Raises:
         RecipeError: naming the file.
@@ -274,7 +271,7 @@ def check_folder(out: Path, start: Material, solutions: int = 1) -> None:
 
 
 def _earlier(out: Path) -> set[str] | None:
-    """Return the names of the files beside the best answer of the design that a folder holds; None: it holds none."""
+    """Return the files of the best solution of a design in a folder; None if there is no design."""
     try:
         summary = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
         if not set(summary) & {"solutions", "loss_fixed"}:  # the latter of a relief
@@ -284,25 +281,20 @@ def _earlier(out: Path) -> set[str] | None:
         return None
 
 
-__all__ = ["Design", "DesignProgress", "Solution", "check_folder", "clear_answers", "folder_of", "write_recipe"]
-
-
-# When two answers are one: same materials, order and count, and no number off by more than a fifth.
-
-FAR = 0.2
+SIMILAR = 0.2  # relative difference of numbers
 
 
 def are_alike(one: Any, other: Any) -> bool:
-    """Whether two answers, as changes of a recipe, count as one.
+    """Whether two recipe changes count as one solution: equal words and counts, and numbers within 20 %.
 
-    Example: stacks of the same materials with thicknesses (100, 50) and (110, 55) do; (100, 50) and (100, 65) do not.
+    Example: stacks of thicknesses (100, 50) and (110, 55) do; (100, 50) and (100, 65) do not.
     """
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(are_alike(one[key], other[key]) for key in one)
     if isinstance(one, list) and isinstance(other, list):
         return len(one) == len(other) and all(map(are_alike, one, other))
     if _is_number(one) and _is_number(other):
-        return abs(one - other) <= FAR * max(abs(one), abs(other))
+        return abs(one - other) <= SIMILAR * max(abs(one), abs(other))
     return bool(one == other)
 
 
@@ -310,4 +302,13 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-__all__ = ["are_alike"]
+__all__ = [
+    "Design",
+    "DesignProgress",
+    "Solution",
+    "are_alike",
+    "check_folder",
+    "clear_solutions",
+    "folder_of",
+    "write_recipe",
+]

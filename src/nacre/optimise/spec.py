@@ -10,7 +10,7 @@ import pydantic
 from nacre.optimise.relief.target import TargetTable
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeModel
-from nacre.recipe.path_tables import FreeNumberSpec, SpreadSpec
+from nacre.recipe.path_tables import ParameterSpec, ToleranceSpec
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 Triple = tuple[float, float, float]
@@ -213,7 +213,7 @@ class DesignSpec(RecipeModel):
         description="recipe to start from: its file, or the recipe as a table",
         examples=["start.toml", {"family": "film", "substrate": "Al", "layers": []}],
     )
-    parameters: Annotated[dict[str, Any], ByPath(FreeNumberSpec, (PAIR,))] = pydantic.Field(
+    parameters: Annotated[dict[str, Any], ByPath(ParameterSpec, (PAIR,))] = pydantic.Field(
         default={},
         description="path of a number or word of the recipe, with [*] for any index -> two numbers as bounds, "
         "or a table",
@@ -227,7 +227,7 @@ class DesignSpec(RecipeModel):
     )
     light: LightSpec = pydantic.Field(default=LightSpec(), description="lamps and observer")
     tolerance: Annotated[
-        dict[str, Any], ByPath(SpreadSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
+        dict[str, Any], ByPath(ToleranceSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
     ] = pydantic.Field(
         default={},
         description="manufacturing tolerances, for solutions of high yield: path, with [*] for any index -> a standard "

@@ -40,11 +40,13 @@ def slice_directions(nodes: int = SLICE_NODES, phi_d_deg: float = 90.0) -> tuple
         pair.append(
             np.stack(
                 np.broadcast_arrays(
-                    x * np.cos(theta_h) + z * np.sin(theta_h), y + 0.0 * theta_h,
+                    x * np.cos(theta_h) + z * np.sin(theta_h),
+                    y + 0.0 * theta_h,
                     z * np.cos(theta_h) - x * np.sin(theta_h),
-                ), axis=-1,
+                ),
+                axis=-1,
             )
-        )  # fmt: skip
+        )
     return half_deg, difference_deg, np.stack(pair)
 
 
@@ -88,10 +90,12 @@ def slice_figure(
         axes.set_xticks(np.sqrt(TICKS_H_DEG), [str(t) for t in TICKS_H_DEG])
         axes.set_yticks([0, 15, 30, 45, 60, 75, 90])
         axes.set(
-            xlim=(0.0, np.sqrt(90.0)), ylim=(0.0, 90.0), facecolor="#000000",
+            xlim=(0.0, np.sqrt(90.0)),
+            ylim=(0.0, 90.0),
+            facecolor="#000000",
             xlabel=r"Half angle $\theta_h$ (degrees, square-root axis)",
             ylabel=r"Difference angle $\theta_d$ (degrees)",
-        )  # fmt: skip
+        )
         style.panel_title(axes, title)
         ramp = light.lab_to_xyz(np.stack([np.linspace(0, 100, 256), *np.zeros((2, 256))], axis=-1))[:, 1]
         grey = light.srgb_encode(np.repeat(ramp[:, None, None], 3, axis=2))

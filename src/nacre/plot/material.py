@@ -143,8 +143,9 @@ def _over_a_number(
         if kind == "spectrum":
             return spectrum_figure(found, illuminant, at, label)
         return ribbon_figure(found, illuminant, at, label)
-    values = np.stack([sum((v for name, v in one.parts().items() if name.endswith("reflectance")), 0.0 * nm)
-                       for one in spectra])  # fmt: skip
+    values = np.stack(
+        [sum((v for name, v in one.parts().items() if name.endswith("reflectance")), 0.0 * nm) for one in spectra]
+    )
     if kind == "chromaticity":
         labels = [f"{step:.4g}" for step in steps]
         return chromaticity_figure(values[:, 0], nm, labels, illuminant, f"{material.name}: {label}")
@@ -248,8 +249,11 @@ def save_index(constant: Any, path: str | Path, title: str = "", wavelengths_nm:
     )
     print_ = "; ".join(text for text in (constant.source, constant.splice) if text)
     figure = index_figure(nm, constant.n_complex(nm), title or heading, print_)
-    save_figure(figure, path, {"figure": "index", "material": constant.name, "source": constant.source,
-                               "splice": constant.splice})  # fmt: skip
+    save_figure(
+        figure,
+        path,
+        {"figure": "index", "material": constant.name, "source": constant.source, "splice": constant.splice},
+    )
 
 
 def plot_material(

@@ -147,8 +147,11 @@ def _points(axes: Any, data: Mapping[str, Any]) -> None:
 
 
 def _stack(data: Mapping[str, Any]) -> Figure:
-    thicknesses, n, k = style.need(data, "structure", "thicknesses_nm", "n", "k") if len(data["thicknesses_nm"]) else (
-        np.zeros(0), *style.need(data, "structure", "n", "k"))  # fmt: skip
+    thicknesses, n, k = (
+        style.need(data, "structure", "thicknesses_nm", "n", "k")
+        if len(data["thicknesses_nm"])
+        else (np.zeros(0), *style.need(data, "structure", "n", "k"))
+    )
     names = [str(name) for name in data["names"]]
     total = max(float(thicknesses.sum()), 1.0)
     margin = 0.22 * total

@@ -119,8 +119,8 @@ class _Progress:
         try:
             material = self._task.material.vary(values)
             grid = search_wavelengths(material, spec.light.illuminants)
-            seen = simulate_measurement(material, self._rows, grid, seed=spec.search.seed, memory=self._cache)
-            return results_of(seen, self._task.targets, spec.light)
+            measurement = simulate_measurement(material, self._rows, grid, seed=spec.search.seed, memory=self._cache)
+            return results_of(measurement, self._task.targets, spec.light)
         except NacreError:
             return []
         finally:
@@ -133,11 +133,14 @@ def _document(
     documents = [one.document(task.spec.light.observer) for one in results]
     targets = [
         {
-            "geometry": each["geometry"], "target": each["asked_colour"], "reached": each["reached"]["colour"],
-            "de00": round(each["de00"], 2), "met": each["met"],
+            "geometry": each["geometry"],
+            "target": each["asked_colour"],
+            "reached": each["reached"]["colour"],
+            "de00": round(each["de00"], 2),
+            "met": each["met"],
         }
         for each in documents
-    ]  # fmt: skip
+    ]
     return {
         "changes": dict(changes),
         "targets": targets,
@@ -213,11 +216,13 @@ def _colour_function(task: DesignTask, row: Any, lamp: str, white: Array) -> Cal
     def colour(place: Array) -> Array | None:
         try:
             material = task.material.vary(values_at(task.parameters, place))
-            seen = simulate_measurement(material, [row], grid, memory=cache)
+            measurement = simulate_measurement(material, [row], grid, memory=cache)
         except NacreError:
             return None
         return np.asarray(
-            light.xyz_to_lab(light.spectrum_to_xyz(seen.factors[0], seen.wavelengths_nm, lamp, OBSERVER), white)
+            light.xyz_to_lab(
+                light.spectrum_to_xyz(measurement.factors[0], measurement.wavelengths_nm, lamp, OBSERVER), white
+            )
         )
 
     return colour
@@ -345,7 +350,9 @@ def _scatter(nominal: Array, found: list[Array], angles: Array, lamp: str) -> di
     rgb = light.xyz_to_srgb_linear(light.adapt_xyz(xyz, white, light.SRGB_WHITE_XYZ))
     distance = np.asarray(light.delta_e_2000(light.xyz_to_lab(nominal, white), light.xyz_to_lab(xyz, white)))
     return {
-        "kind": "tolerance", "angles": angles.tolist(), "rgb": np.round(rgb, 5).tolist(),
+        "kind": "tolerance",
+        "angles": angles.tolist(),
+        "rgb": np.round(rgb, 5).tolist(),
         "median": np.round(np.median(distance, axis=0), 2).tolist(),
         "percentile_95": np.round(np.percentile(distance, 95, axis=0), 2).tolist(),
-    }  # fmt: skip
+    }

@@ -150,18 +150,20 @@ def state(request: Request) -> Response:
     shipped = {example.name: example for example in examples()}
     families = set(family_names())  # other examples, such as targets, are omitted
     names = opened.names()
-    return JSONResponse({
-        "version": __version__,
-        "folder": opened.folder.name,
-        "first": opened.first,
-        "recipes": names,
-        "begin": next(filter(opened.is_readable, names), next(iter(names), "")),
-        "families": sorted(families),
-        "starts": [_example(shipped[name]) for name in folder.STARTS if name in shipped],
-        "examples": [_example(example) for example in shipped.values() if example.family in families],
-        "objects": OBJECTS,
-        "surroundings": {"rows": ROWS, "columns": 2 * ROWS, "alphas": ALPHAS, "places": floors()},
-    })  # fmt: skip
+    return JSONResponse(
+        {
+            "version": __version__,
+            "folder": opened.folder.name,
+            "first": opened.first,
+            "recipes": names,
+            "begin": next(filter(opened.is_readable, names), next(iter(names), "")),
+            "families": sorted(families),
+            "starts": [_example(shipped[name]) for name in folder.STARTS if name in shipped],
+            "examples": [_example(example) for example in shipped.values() if example.family in families],
+            "objects": OBJECTS,
+            "surroundings": {"rows": ROWS, "columns": 2 * ROWS, "alphas": ALPHAS, "places": floors()},
+        }
+    )
 
 
 def _example(example: Any) -> dict[str, str]:
@@ -251,10 +253,13 @@ async def file(request: Request) -> Response:
     question = {**read_file(body, studio.opened), **_mesh(body, studio)}
     packed = await _result(request, "file", "nacre.studio.downloads:make_file", question, FILE_S)
     header, content = unpacked(packed)
-    return _binary(content, {
-        "content-disposition": f"attachment; filename*=UTF-8''{quote(header['name'])}",
-        REMARKS_HEADER: json.dumps(header["remarks"]),  # ASCII
-    })  # fmt: skip
+    return _binary(
+        content,
+        {
+            "content-disposition": f"attachment; filename*=UTF-8''{quote(header['name'])}",
+            REMARKS_HEADER: json.dumps(header["remarks"]),  # ASCII
+        },
+    )
 
 
 async def mesh(request: Request) -> Response:
@@ -343,10 +348,11 @@ def _question(name: str, body: Body, studio: Studio) -> dict[str, Any]:
         return {**read_picture(body, studio.opened), **_mesh(body, studio)}
     if name == "tolerance":
         return {
-            "recipe": folder.read_recipe(body, studio.opened), "lamp": folder.read_lamp(body),
+            "recipe": folder.read_recipe(body, studio.opened),
+            "lamp": folder.read_lamp(body),
             "percent": folder.read_number(body.get("percent", 2), "tolerance in %", 0.0, MAX_PERCENT),
             "draws": int(folder.read_number(body.get("draws", 64), "draws", *DRAWS)),
-        }  # fmt: skip
+        }
     return read_design(body, studio.opened)
 
 

@@ -136,10 +136,12 @@ class Gate:
 
     async def _welcome(self, send: Send) -> None:
         """Store the token in a cookie that scripts cannot read, and redirect to an address without it."""
-        body = b"".join((
-            b'<!doctype html><meta charset="utf-8"><title>nacre</title>',
-            b'<link rel="icon" href="data:,"><meta http-equiv="refresh" content="0;url=/">',
-        ))  # fmt: skip
+        body = b"".join(
+            (
+                b'<!doctype html><meta charset="utf-8"><title>nacre</title>',
+                b'<link rel="icon" href="data:,"><meta http-equiv="refresh" content="0;url=/">',
+            )
+        )
         cookie = f"{self._cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict"
         headers = {**HEADERS, "content-type": "text/html; charset=utf-8", "set-cookie": cookie}
         await send({"type": "http.response.start", "status": 200, "headers": _encoded(headers)})

@@ -48,7 +48,7 @@ def shader_text(table: LightTable, identifier: str) -> str:
             rows=rows,
             identifier=identifier,
             parameter=parameter,
-        )  # fmt: skip
+        )
     ]
     lines += [_closure_lines(table, closure) for closure in table.closures]
     return "".join(lines) + "}\n"

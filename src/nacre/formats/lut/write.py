@@ -248,9 +248,10 @@ def _write_exr(path: Path, picture: Picture, table: LightTable) -> None:
 
     rows = _rows(picture.values).astype(np.float32)
     header: dict[str, Any] = {
-        "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage,
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
         "nacre": json.dumps({"about": picture.about, "illuminant": table.illuminant, **table.provenance}),
-    }  # fmt: skip
+    }
     channels = {name: np.ascontiguousarray(rows[..., i]) for i, name in enumerate("RGB")}
     OpenEXR.File(header, channels).write(str(path))
 

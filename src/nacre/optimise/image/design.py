@@ -37,7 +37,7 @@ from nacre.optimise.html_report import PICTURE, REPORT
 from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, fine_grid, level_grid
 from nacre.optimise.image.files import ParameterMap, write_maps
 from nacre.optimise.image.matching import blurred, dither, has_same_hue, map_into_solid, match_colours
-from nacre.optimise.solutions import SUMMARY, Design, DesignProgress, Solution, clear_answers, write_recipe
+from nacre.optimise.solutions import SUMMARY, Design, DesignProgress, Solution, clear_solutions, write_recipe
 from nacre.optimise.task import DesignTask
 from nacre.optimise.thin_film.adapter import interrupt_flag
 from nacre.plot.html import DPI, data_uri
@@ -248,7 +248,7 @@ def _write(task: DesignTask, folder: Path, picture: PictureDesign, facts: dict[s
     """Write recipe, maps and the reproduced picture; load the recipe as a user would."""
     from PIL import Image
 
-    clear_answers(folder, 0)  # earlier maps under other names
+    clear_solutions(folder, 0)  # earlier maps under other names
     folder.mkdir(parents=True, exist_ok=True)
     map_files = write_maps(folder, picture.maps, {"nacre": __version__, "target": task.fingerprint})
     changes = {m.path: m.texture for m in picture.maps}

@@ -1,4 +1,4 @@
-"""Films whose layers are sought go to the search of stacks, which knows their derivatives."""
+"""Thin-film search of a design task: recipes as stack problems, and stacks as recipe changes."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ class ThinFilmSearch(Search):
         return name
 
     def _given_layers(self) -> tuple[tuple[Slot, ...], list[str], list[str]]:
-        """Return the recipe's layers as slots, with what is free in them."""
+        """Return the layers of the recipe as slots, with materials and substrates by name."""
         film, layers = _film(self.task.material), self.task.material.data.get("layers", [])
         free = {number.path: number for number in self.task.parameters}
         names: dict[str, None] = {}
@@ -176,25 +176,25 @@ class ThinFilmSearch(Search):
         return tuple(slots), list(names), [self._below(entry) for entry in below]
 
     def _media(self, names: Sequence[str], grid: Array) -> list[Medium]:
-        """Return the media, their indices built as the recipe builds them."""
+        """Return the media with the indices of the recipe."""
         data = [{"material": self.entries[name], "thickness_nm": 1.0} for name in names]
         film = _film(self.task.material.vary({"layers": data}))
         return [Medium(name, layer.material.n_complex(grid)) for name, layer in zip(names, film.layers, strict=True)]
 
     def _tolerances(self, slots: int | None) -> tuple[float | tuple[float, ...], float | tuple[float, ...]]:
-        """Return the spread of thicknesses, relative and in nm: one number, or one a layer.
+        """Return the thickness tolerances, relative and in nm: one number, or one per layer.
 
         Raises:
-            RecipeError: a spread of something else than the layers' thicknesses.
+            RecipeError: a tolerance of anything but layer thicknesses.
         """
         table = by_path(self.task.spec.tolerance, {"deviation", "percent"}, self.task.context.source, "tolerance")
         relative, absolute = np.zeros(max(slots or 1, 1)), np.zeros(max(slots or 1, 1))
-        # of an index last: it wins over every one
+        # an index takes precedence over [*]
         for path, entry in sorted(table.items(), key=lambda pair: -pair[0].count(EVERY)):
             match = _TOLERANCE.match(path)
             if match is None or (slots is None and match[1] != "*"):
                 raise RecipeError(
-                    f'{self.task.context.source}: tolerance."{path}" is not of the layers that are sought; '
+                    f'{self.task.context.source}: tolerance."{path}" is not a thickness of the stack; '
                     'write "layers[*].thickness_nm"'
                 )
             share, size = _deviation(entry, LENGTH_UNITS_NM[match[2]])
@@ -206,7 +206,7 @@ class ThinFilmSearch(Search):
 
 
 def _deviation(entry: Any, factor_nm: float) -> tuple[float, float]:
-    """Return a spread as (share, nm), one of them 0; a uniform one by its standard deviation."""
+    """Return a tolerance as (relative, nm), one of them 0; a uniform one by its standard deviation."""
     scale = 1.0
     if isinstance(entry, Mapping):
         scale = 1.0 / np.sqrt(3.0) if entry.get("distribution") == "uniform" else 1.0
@@ -217,10 +217,10 @@ def _deviation(entry: Any, factor_nm: float) -> tuple[float, float]:
 
 
 def thin_film_search(target: DesignTask, seed: int) -> ThinFilmSearch | None:
-    """Return the search of stacks for a target, or None where its numbers are not those of a stack.
+    """Return the thin-film search of a task, or None if it varies anything but a stack.
 
     Raises:
-        RecipeError: the stack is sought for looks that it does not decide alone.
+        RecipeError: a stack is searched for targets that also depend on other quantities.
     """
     others = [want for want in target.targets if want.geometry.kind not in ENGINE_GEOMETRIES]
     if target.spec.layers is not None:
@@ -239,7 +239,7 @@ def thin_film_search(target: DesignTask, seed: int) -> ThinFilmSearch | None:
 def thin_film_search_many(
     target: DesignTask, targets: Sequence[DesignTask], which: Sequence[int], take: Callable[[int, dict[str, Any]], None]
 ) -> bool:
-    """Find the best changes for some of many targets that differ in their colours only.
+    """Find the best changes for some of many tasks that differ only in their colours.
 
     Args:
         targets: all of them.
@@ -270,12 +270,12 @@ def thin_film_search_many(
 def _check_plain(target: DesignTask) -> None:
     if not is_plain(target.material):
         raise RecipeError(
-            f"{target.context.source}: layers: the stack of a film with ridges or a preset cannot be sought"
+            f"{target.context.source}: layers: the stack of a film with ridges or a preset cannot be searched"
         )
 
 
 def is_plain(material: Material) -> bool:
-    """Whether a material is one stack, the same over the surface, all layers of which interfere."""
+    """Whether a material is one uniform stack of interfering layers."""
     film = material.model
     return (
         isinstance(film, Film)
@@ -297,9 +297,9 @@ def _is_of_stack(number: Parameter) -> bool:
 
 
 def engine_wavelengths(wants: Sequence[Target]) -> Array:
-    """Return the grid on which stacks are compared: that of colours, or of the spectra where only those are wanted.
+    """Return the wavelengths of the search: those of colours, or of the spectra without colours.
 
-    A spectrum is judged on its own wavelengths (`judge._rms`), so they are the grid where it has enough of them.
+    The final evaluation uses the wavelengths of a target spectrum, hence the search does too if there are enough.
     """
     spectra = [want.spectrum for want in wants if want.spectrum is not None]
     if not spectra:
@@ -321,10 +321,10 @@ def engine_wavelengths(wants: Sequence[Target]) -> Array:
 def stack_factors(
     material: Material, rows: Sequence[Geometry], wavelengths_nm: Array, thicknesses_nm: Array | None = None
 ) -> Array | None:
-    """Return the factors of a stack `[..., row, wavelength]` at once, or None where the material is no plain one.
+    """Return the factors of a stack `[..., row, wavelength]`, or None for other materials.
 
     Args:
-        thicknesses_nm: `[..., layer]`, of stacks of the same materials; default: the material's own.
+        thicknesses_nm: `[..., layer]`; default: those of the material.
     """
     if not is_plain(material) or any(at.kind not in ENGINE_GEOMETRIES for at in rows):
         return None
@@ -340,10 +340,10 @@ def stack_factors(
 def drawn_factors(
     material: Material, paths: Sequence[str], values: Array, rows: Sequence[Geometry], wavelengths_nm: Array
 ) -> Array | None:
-    """Return the factors `[draw, row, wavelength]` of draws of thicknesses, or None where the paths are of others.
+    """Return the factors `[draw, row, wavelength]` of random thicknesses, or None for other parameters.
 
     Args:
-        paths: of the numbers that vary.
+        paths: of the thicknesses.
         values: `[draw, path]`.
     """
     if not is_plain(material):
@@ -359,7 +359,7 @@ def drawn_factors(
 
 @contextlib.contextmanager
 def interrupt_flag() -> Iterator[Callable[[], bool]]:
-    """Turn Ctrl-C into a flag that the search asks for, so that it ends with its best; a second one interrupts."""
+    """Turn Ctrl-C into a flag, with which the search returns its best; a second Ctrl-C interrupts."""
     seen = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield seen.is_set

@@ -1,4 +1,4 @@
-"""The question that the search of films answers: what is seen, of what it may be made, what is wanted."""
+"""Thin-film design problem: merit function, materials and bounds of a stack."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from nacre.matter.stack.thickness_gradient import StackTables, stack_tables
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.thin_film.genetic import Space
 
-YIELD_DRAWS = 64  # in the search; common to all stacks, so that they differ by what they are
+YIELD_DRAWS = 64  # of the search; common random numbers for all stacks
 YIELD_SEED = 20
-METAL_K = 0.7  # at the middle wavelength: such a layer is opaque after some 100 nm and is drawn thin
-SEEN_NM = (384.0, 731.0)  # of the coarse grid: what lies beyond moves no colour by 0.05 dE00
+METAL_K = 0.7  # at the middle wavelength; opaque after about 100 nm, hence drawn thin
+COARSE_NM = (384.0, 731.0)  # wavelengths beyond change colours by less than dE00 0.05
 COARSE_STEPS_NM = (15.0, 10.0, 5.0)
-COARSE_LIMITS_NM = (1500.0, 4000.0)  # of the optical thickness to be expected, for the first two steps
+COARSE_LIMITS_NM = (1500.0, 4000.0)  # expected optical thickness up to which the first two steps suffice
 
 
 @dataclass(frozen=True, eq=False)
 class Medium:
-    """A material: its name and its index `[wavelength]`, n + ik, on the wavelengths of the goals."""
+    """A material: name, and index n + ik `[wavelength]` on the grid of the merit function."""
 
     name: str
     n: ComplexArray
@@ -31,9 +31,9 @@ class Medium:
 
 @dataclass(frozen=True)
 class Slot:
-    """A layer of a stack whose layers are given: the names that may stand there, and bounds of its thickness in nm.
+    """A layer of a given stack: alternative materials and thickness bounds in nm.
 
-    One name and equal bounds make it a layer that is not free.
+    A single material and equal bounds fix the layer.
     """
 
     materials: tuple[str, ...]
@@ -43,25 +43,25 @@ class Slot:
 
 @dataclass(frozen=True, eq=False)
 class StackProblem:
-    """A film to be found.
+    """A stack to be designed.
 
     Attributes:
         merit: merit function; its rows are those of `angles_rad`.
         palette: materials of the layers.
-        substrates: one or more media to choose from below the layers.
+        substrates: alternatives below the layers.
         angles_rad: `[row]`, in the ambient.
         sides: `[row]`, "reflected" or "transmitted" (into the substrate), unpolarised.
-        ambient: index of the medium above, clear, a number or `[wavelength]`.
-        max_layers: how many layers there may be (open stack).
+        ambient: real index of the medium above, a number or `[wavelength]`.
+        max_layers: largest number of layers (open stack).
         bounds_nm: name -> (low, high), of the palette (open stack).
-        slots: the layers from the top, where they are given; then `most` and `bounds_nm` are not asked.
-        max_total_nm: bound of the sum of thicknesses.
+        slots: the layers of a given stack from the top, which replace `max_layers` and `bounds_nm`.
+        max_total_nm: upper bound of the total thickness.
         prefer_few_layers: whether fewer layers win at equal merit.
         relative_tolerance, absolute_tolerance_nm: standard deviations of the thicknesses, as a share and in nm:
             one number or one per slot.
 
     Raises:
-        NacreError: where these do not fit together.
+        NacreError: contradictory values.
     """
 
     merit: MeritFunction
@@ -82,12 +82,12 @@ class StackProblem:
         if not self.substrates:
             raise NacreError("a film needs at least one substrate")
         if self.merit.rows > len(self.angles_rad):
-            raise NacreError(f"a want looks at row {self.merit.rows - 1}; there are {len(self.angles_rad)} directions")
+            raise NacreError(f"a target needs row {self.merit.rows - 1}; there are {len(self.angles_rad)} directions")
         names = [m.name for m in self.palette]
         samples = len(self.merit.wavelengths_nm)
         for medium in (*self.palette, *self.substrates):
             if np.shape(medium.n) != (samples,):
-                raise NacreError(f'the index of "{medium.name}" needs {samples} values, one a wavelength')
+                raise NacreError(f'the index of "{medium.name}" needs {samples} values, one per wavelength')
         for name in names if self.slots is None else [n for s in self.slots for n in s.materials]:
             if name not in names:
                 raise NacreError(f'"{name}" is not in the palette: {", ".join(names)}')
@@ -95,7 +95,7 @@ class StackProblem:
             if not 0.0 <= low <= high:
                 raise NacreError(f'the bounds of "{name}" cross: {low:g} and {high:g} nm')
         if self.slots is None and (self.max_layers < 1 or not names):
-            raise NacreError("an open stack needs a palette and most >= 1")
+            raise NacreError("an open stack needs a palette and max_layers >= 1")
         for slot in self.slots or ():
             if not slot.materials or not 0.0 <= slot.low_nm <= slot.high_nm:
                 raise NacreError(f"a layer needs a material and bounds that do not cross: {slot}")
@@ -113,7 +113,7 @@ class StackProblem:
 
     @property
     def layers(self) -> int:
-        """How many layers there are at most."""
+        """Largest number of layers."""
         return self.max_layers if self.slots is None else len(self.slots)
 
     @property
@@ -138,7 +138,7 @@ class StackProblem:
         )
 
     def space(self) -> Space:
-        """Return what stacks may be made of, as arrays."""
+        """Return the allowed stacks as arrays."""
         count, media = self.layers, 1 + len(self.media())
         number = {m.name: i + 1 for i, m in enumerate(self.palette)}
         wide = max([1, *(len(s.materials) for s in self.slots or ())], default=1) if self.slots else len(self.palette)
@@ -167,17 +167,8 @@ class StackProblem:
             np.random.default_rng(YIELD_SEED).normal(size=(YIELD_DRAWS if self.has_tolerance else 0, count)),
         )
 
-    def sigma_nm(self, thicknesses_nm: Array) -> Array:
-        """Return the standard deviations of layers `[layer]`, nm."""
-        d = np.asarray(thicknesses_nm, dtype=float)
-        relative, absolute = (
-            np.asarray(self.relative_tolerance, dtype=float),
-            np.asarray(self.absolute_tolerance_nm, dtype=float),
-        )
-        return np.asarray(np.hypot(np.broadcast_to(relative, d.shape) * d, np.broadcast_to(absolute, d.shape)))
-
     def coarse_samples(self) -> Any:
-        """Return the numbers of the wavelengths on which the search begins: few, by the thickness to be expected."""
+        """Return indices of the coarse wavelengths, as few as the expected thickness allows."""
         grid = self.merit.wavelengths_nm
         space = self.space()
         dense = np.array([1.0, *(float(np.mean(m.n.real)) for m in self.media())])
@@ -187,7 +178,7 @@ class StackProblem:
             expected += float(np.mean([0.4 * min(space.high[j, m], 1e5) * dense[m] for m in names if m]))
         step = next((s for s, limit in zip(COARSE_STEPS_NM, COARSE_LIMITS_NM) if expected < limit), COARSE_STEPS_NM[-1])
         has_colour = any(goal.kind != "spectrum" for goal in self.merit.operands)
-        inside = (grid >= SEEN_NM[0]) & (grid <= SEEN_NM[1]) if has_colour else np.ones(len(grid), dtype=bool)
+        inside = (grid >= COARSE_NM[0]) & (grid <= COARSE_NM[1]) if has_colour else np.ones(len(grid), dtype=bool)
         numbers = np.flatnonzero(inside)
         stride = max(1, int(round(step / float(np.median(np.diff(grid))))))
         chosen = numbers[::stride]

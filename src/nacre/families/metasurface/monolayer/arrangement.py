@@ -155,19 +155,31 @@ def _scaled(xy: Array, box: float, density_per_nm2: float, packing: float) -> Pa
     return Pattern(xy * a, float(box * a))
 
 
+def _check_packing(packing: float, limit: float, name: str = "") -> None:
+    if packing > limit:
+        raise NacreError(f"packing = {packing:g} is not allowed{name}; it should be at most {limit:g}")
+
+
+def _throw_darts(
+    count: int, packing: float, seed: int, failure: str, start: float = 1.0, shrink: float = 1.0, tries: int = 4_000_000
+) -> tuple[Array, float, int]:
+    """Return points in units of the least distance, with the box and its cells; see `_add`."""
+    box, cells = _frame(count, packing)
+    xy = np.empty((count, 2))
+    placed = _add(count, box, cells, seed, start, shrink, tries, xy)
+    if placed < count:
+        raise NacreError(f"{failure} after {placed} of {count} points at packing {packing:g}")
+    return xy, box, cells
+
+
 def random_sequential(count: int, density_per_nm2: float, packing: float, seed: int = 0) -> Pattern:
     """Random sequential addition: points one after the other in the free area.
 
     Raises:
         NacreError: a packing above 0.535, where it jams.
     """
-    if packing > RSA_LIMIT:
-        raise NacreError(f"packing = {packing:g} is not allowed for rsa; it should be at most {RSA_LIMIT:g}")
-    box, cells = _frame(count, packing)
-    xy = np.empty((count, 2))
-    placed = _add(count, box, cells, seed, 1.0, 1.0, 4_000_000, xy)
-    if placed < count:
-        raise NacreError(f"random sequential addition jammed after {placed} of {count} points at packing {packing:g}")
+    _check_packing(packing, RSA_LIMIT, " for rsa")
+    xy, box, _ = _throw_darts(count, packing, seed, "random sequential addition jammed")
     return _scaled(xy, box, density_per_nm2, packing)
 
 
@@ -179,16 +191,10 @@ def poisson_disk(count: int, density_per_nm2: float, packing: float, seed: int =
     Raises:
         NacreError: the points do not fit, as above packing 0.53.
     """
-    if packing > POISSON_LIMIT:
-        raise NacreError(
-            f"packing = {packing:g} is not allowed for poisson-disk; it should be at most {POISSON_LIMIT:g}"
-        )
-    box, cells = _frame(count, packing)
-    xy = np.empty((count, 2))
-    start = max(1.0, 0.75 * np.sqrt(2 / np.sqrt(3) * np.pi / (4 * packing)))
-    placed = _add(count, box, cells, seed, start, 0.98, max(200, 2 * count), xy)
-    if placed < count:
-        raise NacreError(f"poisson-disk sampling filled up after {placed} of {count} points at packing {packing:g}")
+    _check_packing(packing, POISSON_LIMIT, " for poisson-disk")
+    start = max(1.0, 0.75 * np.sqrt(2 / np.sqrt(3) * np.pi / (4 * packing))) if packing > 0 else 1.0
+    failure, tries = "poisson-disk sampling filled up", max(200, 2 * count)
+    xy, box, _ = _throw_darts(count, packing, seed, failure, start, 0.98, tries)
     return _scaled(xy, box, density_per_nm2, packing)
 
 
@@ -198,14 +204,11 @@ def hard_disks(count: int, density_per_nm2: float, packing: float, seed: int = 0
     Raises:
         NacreError: a packing above 0.7, where disks freeze.
     """
-    if packing > 0.7:
-        raise NacreError(f"packing = {packing:g} is not allowed; it should be at most 0.7")
-    box, cells = _frame(count, packing)
+    _check_packing(packing, 0.7)
     if packing <= 0.5:
-        xy = np.empty((count, 2))
-        if _add(count, box, cells, seed, 1.0, 1.0, 4_000_000, xy) < count:
-            raise NacreError(f"no start was found for {count} disks at packing {packing:g}")
+        xy, box, cells = _throw_darts(count, packing, seed, "the random start jammed")
     else:
+        box, cells = _frame(count, packing)
         xy = _hexagonal(count, box)
     gap = max(np.sqrt(np.pi / (4 * packing)) - 0.95, 0.05)
     # sorted by cell for contiguous memory access

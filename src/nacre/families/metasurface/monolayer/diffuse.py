@@ -59,14 +59,13 @@ class DirectionSet:
     def join(cls, sides: list[tuple[Directions, Array]]) -> DirectionSet:
         """Join sides, each with its weights."""
         parts = [side for side, _ in sides]
-        return cls(
-            np.concatenate([np.full(p.cosines.size, p.index) for p in parts]),
-            np.concatenate([p.cosines for p in parts]),
-            np.concatenate([p.transverse for p in parts]),
-            np.concatenate([w for _, w in sides]),
-            np.concatenate([p.emission for p in parts], axis=-1),
-            np.concatenate([p.excitation for p in parts], axis=-1),
+        index = np.concatenate([np.full(p.cosines.size, p.index) for p in parts])
+        weights = np.concatenate([w for _, w in sides])
+        cosines, transverse = (np.concatenate([getattr(p, n) for p in parts]) for n in ("cosines", "transverse"))
+        emission, excitation = (
+            np.concatenate([getattr(p, n) for p in parts], axis=-1) for n in ("emission", "excitation")
         )
+        return cls(index, cosines, transverse, weights, emission, excitation)
 
 
 @compiled(nogil=True, fastmath=True)

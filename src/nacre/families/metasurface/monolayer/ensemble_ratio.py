@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -219,15 +220,8 @@ class Sums:
     noise: float
 
     def __add__(self, other: Sums) -> Sums:
-        return Sums(
-            self.normal + other.normal,
-            self.rest + other.rest,
-            self.controls + other.controls,
-            self.follows + other.follows,
-            self.totals + other.totals,
-            self.shapes + other.shapes,
-            0.5 * (self.noise + other.noise),
-        )
+        sums: dict[str, Any] = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)}
+        return Sums(**{**sums, "noise": 0.5 * sums["noise"]})
 
 
 def as_arrays(pattern: Mapping[Block, Sums]) -> dict[str, Array]:

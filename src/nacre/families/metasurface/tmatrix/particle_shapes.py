@@ -264,31 +264,17 @@ class SolvedBody(Body):
             self._solved[key] = self._cached(wavelength_nm, mmax)
         return self._solved[key]
 
-    def _numbers(self, wavelength_nm: float) -> tuple[float, float, complex]:
-        """Core radius and height times k, and core index over the ambient index."""
-        k, around = self._around(wavelength_nm)
-        radius, height = self.core_extents_nm
-        return k * radius, k * height, complex(self.core.n_complex(np.array([wavelength_nm]))[0]) / around
-
-    def _coat(self, wavelength_nm: float) -> tuple[float, complex] | None:
-        """Shell thickness times k, and shell index over the ambient index."""
-        if self.shell is None:
-            return None
-        k, around = self._around(wavelength_nm)
-        index = complex(self.shell.material.n_complex(np.array([wavelength_nm]))[0])
-        return k * self.shell.thickness_nm, index / around
-
-    def _around(self, wavelength_nm: float) -> tuple[float, float]:
-        """Ambient wavenumber and index."""
-        around = float(self.ambient.n_complex(np.array([wavelength_nm]))[0].real)
-        return 2 * np.pi * around / wavelength_nm, around
-
     def _cached(self, wavelength_nm: float, mmax: int) -> ComplexArray:
-        radius, height, index = self._numbers(wavelength_nm)
-        coat = self._coat(wavelength_nm)
+        def relative(medium: OpticalConstant) -> complex:
+            return complex(medium.n_complex(np.array([wavelength_nm]))[0]) / around
+
+        around = float(self.ambient.n_complex(np.array([wavelength_nm]))[0].real)
+        k = 2 * np.pi * around / wavelength_nm
+        radius, height = (k * length for length in self.core_extents_nm)
+        index, edge = relative(self.core), k * self.edge_nm
+        coat = None if self.shell is None else (k * self.shell.thickness_nm, relative(self.shell.material))
         thickness, outside = (0.0, 1.0) if coat is None else coat
         parts = (radius, height, index.real, index.imag, thickness, outside.real, outside.imag)
-        edge = self._around(wavelength_nm)[0] * self.edge_nm
         numbers = [float(v).hex() for v in (*parts, *([edge] if edge else []))]
         key = "tmatrix-" + fingerprint({"shape": self.shape, "numbers": numbers}, {}, lmax=self.lmax, mmax=mmax)
         stored = cached_arrays(key)

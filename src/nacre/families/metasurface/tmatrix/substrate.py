@@ -179,14 +179,14 @@ class Substrate:
 
     def reflection(self, w: NDArray) -> ComplexArray:
         """Return r_s, r_p, `[pol, angle]`, for light from the ambient at w = kz/k; phase at the stack top."""
-        found = solver.amplitudes(
-            self.indices[:, None],
-            self.thicknesses_nm,
-            [self.wavelength_nm],
-            kz=self.ambient_index * np.asarray(w),
-            jobs=1,
-        )
-        return np.stack([found.r_s[:, 0], found.r_p[:, 0]])
+        return self._amplitudes(self.indices, self.thicknesses_nm, self.ambient_index * np.asarray(w))[0]
+
+    def _amplitudes(
+        self, indices: ComplexArray, thicknesses_nm: Array, kz: NDArray
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """Return reflection and transmission amplitudes, `[pol, angle]`, for light from the first medium."""
+        found = solver.amplitudes(indices[:, None], thicknesses_nm, [self.wavelength_nm], kz=kz, jobs=1)
+        return np.stack([found.r_s[:, 0], found.r_p[:, 0]]), np.stack([found.t_s[:, 0], found.t_p[:, 0]])
 
     def reflection_at(self, centre_nm: float, w: NDArray, lift_nm: float = 0.0) -> StackReflection:
         """Return the round-trip amplitudes at a centre for plane waves at w = kz/k.
@@ -221,14 +221,8 @@ class Substrate:
         """
         turned = self.indices[::-1].copy()
         turned[0] = turned[0].real
-        found = solver.amplitudes(
-            turned[:, None],
-            self.thicknesses_nm[::-1],
-            [self.wavelength_nm],
-            kz=turned[0].real * np.asarray(cos_below, dtype=complex),
-            jobs=1,
-        )
-        return np.stack([found.r_s[:, 0], found.r_p[:, 0]]), np.stack([found.t_s[:, 0], found.t_p[:, 0]])
+        kz = turned[0].real * np.asarray(cos_below, dtype=complex)
+        return self._amplitudes(turned, self.thicknesses_nm[::-1], kz)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Targets that name files of the user: optical constants to choose from come along, and a changed one is noticed."""
+"""Targets that name files of the user: optical constants are copied, and changes are noticed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def chosen(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("asked", [sought, chosen])
-def test_an_answer_has_the_constants_that_it_chose_beside_it(tmp_path: Path, asked: Any) -> None:
+def test_chosen_optical_constants_are_copied(tmp_path: Path, asked: Any) -> None:
     design = nacre.design(asked(tmp_path), tmp_path / "out")
     (tmp_path / "own.csv").unlink()
     (tmp_path / "out").rename(tmp_path / "elsewhere")
@@ -47,7 +47,7 @@ def test_an_answer_has_the_constants_that_it_chose_beside_it(tmp_path: Path, ask
 
 
 @pytest.mark.parametrize("asked", [sought, chosen])
-def test_a_search_goes_not_on_when_a_constant_to_choose_from_has_changed(tmp_path: Path, asked: Any) -> None:
+def test_changed_optical_constants_prevent_resuming(tmp_path: Path, asked: Any) -> None:
     wanted = asked(tmp_path)
     before = read_task(wanted).fingerprint
     nacre.design(wanted, tmp_path / "out")
@@ -57,7 +57,7 @@ def test_a_search_goes_not_on_when_a_constant_to_choose_from_has_changed(tmp_pat
         nacre.design(wanted, tmp_path / "out", resume=True)
 
 
-def test_the_sensitivity_of_spectra_is_told_in_their_own_unit(tmp_path: Path) -> None:
+def test_the_sensitivity_of_spectra_is_in_per_cent(tmp_path: Path) -> None:
     (tmp_path / "s.csv").write_text("\n".join(f"{nm},{0.3 + 0.2 * (nm > 550)}" for nm in range(400, 701, 10)))
     film = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100.0}]}
     want = {"geometry": "specular 0", "spectrum": str(tmp_path / "s.csv"), "tolerance": 50.0}

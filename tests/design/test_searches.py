@@ -1,10 +1,12 @@
-"""Designs by wants: hidden recipes are found, answers keep their bounds and are judged anew, folders are complete."""
+"""Designs: known recipes are recovered, bounds are respected, distances are true, folders are complete."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import shutil
+import time
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,7 @@ from nacre.optimise.evaluation import evaluate, geometries_of
 from nacre.optimise.methods.least_squares import LeastSquaresSearch
 from nacre.optimise.parameters import Parameter
 from nacre.optimise.problem import Problem
-from nacre.optimise.run import DesignProgress, choose_search
+from nacre.optimise.run import DesignProgress, budget_of, choose_search
 from nacre.optimise.solutions import are_alike
 from nacre.optimise.task import read_task
 from nacre.optimise.thin_film.adapter import ThinFilmSearch, stack_factors
@@ -51,7 +53,7 @@ def asked(*angles: float, hidden: dict[str, Any], **more: Any) -> dict[str, Any]
 
 
 @pytest.mark.full
-def test_a_hidden_film_is_found_by_the_search_that_knows_nothing_of_films() -> None:
+def test_least_squares_recovers_a_known_film() -> None:
     free = {"layers[0].thickness_nm": [20, 90], "layers[1].material": {"choices": ["SiO2", "MgF2", "TiO2"]}}
     target = asked(0.0, 45.0, hidden=film(55, 110), recipe=film(30, 110), parameters=free)
     target["recipe"]["layers"][1]["material"] = "MgF2"
@@ -62,7 +64,7 @@ def test_a_hidden_film_is_found_by_the_search_that_knows_nothing_of_films() -> N
     assert changes["layers[1].material"] == "SiO2" and changes["layers[0].thickness_nm"] == pytest.approx(55, abs=0.3)
 
 
-def test_a_design_is_as_good_as_it_says_and_stays_within_its_bounds(tmp_path: Path) -> None:
+def test_reported_distances_are_true_and_bounds_are_respected(tmp_path: Path) -> None:
     target = asked(
         0.0,
         40.0,
@@ -92,7 +94,7 @@ def test_a_design_is_as_good_as_it_says_and_stays_within_its_bounds(tmp_path: Pa
 
 
 @pytest.mark.full
-def test_a_stack_is_sought_of_its_palette_and_the_report_needs_no_network(tmp_path: Path) -> None:
+def test_a_stack_search_respects_its_palette_and_the_report_is_offline(tmp_path: Path) -> None:
     target = {
         "recipe": {"family": "film", "substrate": "Al", "layers": []},
         "layers": {
@@ -127,7 +129,7 @@ def test_a_stack_is_sought_of_its_palette_and_the_report_needs_no_network(tmp_pa
     assert (tmp_path / "out" / "report.png").stat().st_size > 10_000
 
 
-def test_out_of_reach_is_an_answer_that_names_the_want_that_costs_most(
+def test_an_unreachable_target_is_reported_with_its_geometry(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "far.toml"
@@ -144,7 +146,7 @@ def test_out_of_reach_is_an_answer_that_names_the_want_that_costs_most(
 
 
 @pytest.mark.full
-def test_an_interrupt_ends_with_the_best_and_a_resumed_run_goes_on_from_it(
+def test_an_interrupted_design_resumes_from_its_best(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "slow.toml"
@@ -175,7 +177,7 @@ def test_an_interrupt_ends_with_the_best_and_a_resumed_run_goes_on_from_it(
     assert "another target" in capsys.readouterr().err
 
 
-def test_a_recipe_of_ones_own_in_the_folder_is_not_overwritten(tmp_path: Path) -> None:
+def test_a_foreign_recipe_in_the_folder_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "recipe.toml").write_text("# mine\n")
     wanted = asked(0.0, hidden=film(55, 110), recipe=film(30, 110), parameters={"layers[0].thickness_nm": [20, 90]})
     with pytest.raises(NacreError, match="no design wrote"):
@@ -183,7 +185,7 @@ def test_a_recipe_of_ones_own_in_the_folder_is_not_overwritten(tmp_path: Path) -
     assert (tmp_path / "recipe.toml").read_text() == "# mine\n"
 
 
-def test_a_folder_can_be_moved_with_the_files_that_its_recipe_names(tmp_path: Path) -> None:
+def test_a_solution_folder_is_self_contained(tmp_path: Path) -> None:
     (tmp_path / "tables").mkdir()
     (tmp_path / "tables" / "nk.csv").write_text("360, 1.5, 0\n830, 1.4, 0\n")
     (tmp_path / "start.toml").write_text(
@@ -203,7 +205,7 @@ def test_a_folder_can_be_moved_with_the_files_that_its_recipe_names(tmp_path: Pa
     assert (tmp_path / "moved" / "recipe.toml").read_text().startswith("# a coating of our own")
 
 
-def test_the_recipe_that_a_design_starts_from_is_not_overwritten(tmp_path: Path) -> None:
+def test_the_start_recipe_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "recipe.toml").write_text(
         'family = "film"\nsubstrate = "Si"\nlayers = [{material = 1.5, thickness_nm = 9}]\n'
     )
@@ -216,7 +218,7 @@ def test_the_recipe_that_a_design_starts_from_is_not_overwritten(tmp_path: Path)
         nacre.design(target, tmp_path)
 
 
-def test_whole_numbers_and_words_alone_are_tried_one_by_one() -> None:
+def test_discrete_parameters_are_enumerated() -> None:
     recipe = film(60, substrate="Al", ridges={"pitch_nm": 700, "width_nm": 300, "height_deviation_nm": 120})
     target = {
         "recipe": recipe,
@@ -230,7 +232,7 @@ def test_whole_numbers_and_words_alone_are_tried_one_by_one() -> None:
     assert isinstance(result.solutions[0][1]["ridges.count"], int)
 
 
-def test_many_colours_of_one_target_keep_their_order() -> None:
+def test_a_batch_preserves_the_order_of_colours() -> None:
     hidden = [film(40, 90), film(80, 140), film(30, 60)]
     labs = [lab_of(nacre.material(h), 0.0) for h in hidden]
     target = {
@@ -244,7 +246,7 @@ def test_many_colours_of_one_target_keep_their_order() -> None:
         assert float(delta_e_2000(lab, lab_of(solution.material, 0.0))) < 0.2 + JUDGES_AGREE
 
 
-def test_many_refuses_colours_of_another_shape() -> None:
+def test_a_batch_refuses_colours_of_another_shape() -> None:
     target = {
         "recipe": film(40),
         "parameters": {"layers[0].thickness_nm": [10, 90]},
@@ -255,7 +257,7 @@ def test_many_refuses_colours_of_another_shape() -> None:
 
 
 @pytest.mark.parametrize("has_colour", [False, True])
-def test_a_search_compares_a_spectrum_as_the_judge_does(tmp_path: Path, has_colour: bool) -> None:
+def test_the_search_and_the_final_evaluation_agree_on_spectra(tmp_path: Path, has_colour: bool) -> None:
     # an edge whose steep part is left out: what lies between 560 and 600 nm counts for neither
     nm = np.r_[430.0:561.0:4.0, 600.0:721.0:4.0]
     csv = tmp_path / "edge.csv"
@@ -283,7 +285,7 @@ def test_a_search_compares_a_spectrum_as_the_judge_does(tmp_path: Path, has_colo
 
 
 @pytest.mark.full
-def test_a_spectrum_over_a_part_of_the_wavelengths_is_met_there_beside_a_colour(tmp_path: Path) -> None:
+def test_a_partial_spectrum_and_a_colour_are_met_together(tmp_path: Path) -> None:
     """An antireflection coating for the middle of the visible that is dark as a whole: nothing is asked elsewhere."""
     (tmp_path / "ar.csv").write_text("nm,R\n" + "".join(f"{nm},0.0\n" for nm in range(480, 621, 10)))
     target = {
@@ -303,3 +305,23 @@ def test_a_spectrum_over_a_part_of_the_wavelengths_is_met_there_beside_a_colour(
     # bare glass has 4.3 %, one quarter wave of MgF2 1.3 %
     assert design.status == "met" and rms < 0.3
     assert design.best.targets[0].lamp is None and design.best.targets[0].distance == pytest.approx(rms, abs=0.02)
+
+
+def test_a_budget_of_evaluations_gives_the_same_result_at_any_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = film(60, 80, substrate="Al", surface={"roughness": 0.3})
+    target = {
+        "recipe": recipe,
+        "parameters": {"layers[*].thickness_nm": [20, 130]},
+        "target": [{"geometry": "45as15", "colour": "#ff0000", "tolerance": 0.1}],
+        "search": {"evaluations": 40},
+    }
+    task = read_task(target)
+    results = []
+    for speed in (1.0, 50.0):
+        clock = itertools.count(0.0, 1e-4 * speed)
+        with monkeypatch.context() as patch:
+            patch.setattr(time, "monotonic", lambda clock=clock: next(clock))
+            search = choose_search(task, 0)
+            results.append(search.run(budget_of(task, search)))
+    assert results[0].status == "evaluations" and results[0].evaluations >= 40
+    assert results[0].solutions == results[1].solutions

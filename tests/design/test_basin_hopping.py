@@ -1,4 +1,4 @@
-"""The way through many valleys: from one order of interference to the next, and by how many wavelengths."""
+"""Basin hopping over interference orders, and wavelength subsets."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ def _valleys(
     return BasinHopping(look, lambda place: [0, 1], np.array(low), list(lengths), others, lambda place: 0)
 
 
-def test_from_a_wrong_order_of_interference_the_right_one_is_found() -> None:
+def test_a_wrong_interference_order_leads_to_the_right_one() -> None:
     start = np.array([0.45, 0.5])  # an order too low
     for lengths, is_found in ((), False), ((0,), True):
         valleys = _valleys(lengths=lengths)
@@ -39,13 +39,13 @@ def test_from_a_wrong_order_of_interference_the_right_one_is_found() -> None:
         assert any(np.allclose(end.point, HIDDEN, atol=1e-2) for end in ends) == is_found
 
 
-def test_ends_that_look_the_same_count_once() -> None:
+def test_minima_with_equal_residuals_count_once() -> None:
     valleys = _valleys(lengths=(), unmet=0.1)
     valleys.begin([np.array([0.78, u]) for u in (0.1, 0.5, 0.9)])
     assert len(list(valleys.run())) == 1
 
 
-def test_a_good_valley_is_tried_without_each_of_its_parts() -> None:
+def test_variants_of_a_good_minimum_are_tried() -> None:
     asked = []
 
     def others(place: np.ndarray) -> list[np.ndarray]:
@@ -59,13 +59,13 @@ def test_a_good_valley_is_tried_without_each_of_its_parts() -> None:
     assert any(np.allclose(end.point, HIDDEN, atol=1e-2) for end in ends)
 
 
-def test_a_number_keeps_above_its_least() -> None:
+def test_lower_bounds_are_respected() -> None:
     valleys = _valleys(low=(0.0, 0.4), lengths=())
     valleys.begin([np.array([0.78, 0.9])])
     assert next(valleys.run()).point[1] == 0.4
 
 
-def test_few_wavelengths_serve_smooth_spectra_and_no_others() -> None:
+def test_a_wavelength_subset_is_used_for_smooth_spectra_only() -> None:
     data = {
         "recipe": {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]},
         "parameters": {"layers[0].thickness_nm": [50, 200]},
@@ -84,7 +84,7 @@ def test_few_wavelengths_serve_smooth_spectra_and_no_others() -> None:
         assert set(SUBSET_NM) <= set(found) or not is_few
 
 
-def test_a_place_where_nothing_may_move_is_an_end() -> None:
+def test_a_point_without_free_parameters_is_a_minimum() -> None:
     valleys = BasinHopping(
         lambda place: place - HIDDEN,
         lambda place: [0] if place[0] > 0.0 else [],

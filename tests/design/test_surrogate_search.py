@@ -1,4 +1,4 @@
-"""Pearls from wanted colours: hidden pigments are found, amounts of 0 drop theirs, noise is no colour."""
+"""Surrogate search of pearls: known pigments are recovered, removable tables, Monte Carlo noise."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ DYE = {"material": {"n": 1.5, "k": 0.01}, "volume_fraction": 0.01}
 THREE = paint(pigment(), pigment("Fe2O3", 60.0), pigment(nm=150.0) | {"normal_deviation": 0.2}, dye=DYE)
 
 
-def test_an_amount_of_zero_takes_the_pigment_out_of_the_recipe_and_back_again() -> None:
+def test_a_zero_amount_removes_the_table_and_is_inverted() -> None:
     free = shop(3) | {
         "base.albedo": [0, 1],
         "strata[0].dye.volume_fraction": [0, 0.1],
@@ -100,12 +100,12 @@ def test_an_amount_of_zero_takes_the_pigment_out_of_the_recipe_and_back_again() 
         assert [back[i + 1] for i in kept] == [values[i + 1] for i in kept]
 
 
-def test_an_amount_that_may_not_be_zero_is_none_that_drops() -> None:
+def test_an_amount_with_a_positive_lower_bound_is_not_removable() -> None:
     read = read_task(target(paint(pigment()), {"strata[0].platelets[0].volume_fraction": [0.001, 0.06]}, GREY))
     assert removable_tables(read.parameters, read.material) == {}
 
 
-def test_the_likeness_is_the_walk_where_that_was_walked() -> None:
+def test_the_corrected_surrogate_equals_the_estimate_at_its_point() -> None:
     read = read_task(target(paint(pigment()), shop(1), GREY))
     search = choose_search(read, 0)
     assert isinstance(search, SurrogateSearch)
@@ -114,7 +114,7 @@ def test_the_likeness_is_the_walk_where_that_was_walked() -> None:
     assert search.surrogate_objective(place) == pytest.approx(objective, rel=1e-9)
 
 
-def test_what_has_no_likeness_is_searched_as_any_recipe() -> None:
+def test_materials_without_surrogate_use_another_search() -> None:
     data = copy.deepcopy(dict(nacre.load("two_strata").data))
     read = read_task(target(data, {"strata[0].thickness_um": [20, 60]}, GREY))
     assert not isinstance(choose_search(read, 0), SurrogateSearch)
@@ -123,7 +123,7 @@ def test_what_has_no_likeness_is_searched_as_any_recipe() -> None:
     assert not isinstance(choose_search(read_task(mirror), 0), SurrogateSearch)
 
 
-def test_an_interrupt_keeps_the_best_so_far() -> None:
+def test_an_interrupt_returns_the_best_so_far() -> None:
     search = choose_search(read_task(target(paint(pigment()), shop(1), GREY)), 0)
     calls = []
 
@@ -136,7 +136,7 @@ def test_an_interrupt_keeps_the_best_so_far() -> None:
     assert calls[-1][0] == search.solutions()[0][0] and search.solutions()[0][1]
 
 
-def test_a_pigment_too_much_is_refused_in_one_line() -> None:
+def test_invalid_pigment_parameters_are_refused_in_one_line() -> None:
     for key, bounds, said in (
         ("strata[0].platelets[3].volume_fraction", [0, 0.1], "platelets[3]"),
         ("strata[0].platelets[0].volume_fraction", [0.1, 0], "cross"),
@@ -147,7 +147,7 @@ def test_a_pigment_too_much_is_refused_in_one_line() -> None:
         assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_of_equal_looks_the_fewest_pigments_come_first() -> None:
+def test_of_equally_good_solutions_the_fewest_pigments_come_first() -> None:
     read = read_task(target(THREE, shop(3), GREY))
     two = changes_of(read.material, read.parameters, [0.02, 100.0, 0.01, 70.0, 0.0, 140.0])
     one = changes_of(read.material, read.parameters, [0.02, 100.0, 0.0, 70.0, 0.0, 140.0])
@@ -159,7 +159,7 @@ def test_of_equal_looks_the_fewest_pigments_come_first() -> None:
 
 
 @pytest.mark.full
-def test_a_hidden_pigment_is_found_out_of_two_and_the_other_one_left_out(tmp_path: Path) -> None:
+def test_a_known_pigment_is_recovered_and_the_other_removed(tmp_path: Path) -> None:
     hidden = paint(pigment(nm=HIDDEN_NM, amount=HIDDEN_AMOUNT))
     wanted = labs_of(hidden)
     read = read_task(target(paint(pigment(), pigment("Fe2O3", 80.0)), shop(2), wanted, 40.0))
@@ -176,7 +176,7 @@ def test_a_hidden_pigment_is_found_out_of_two_and_the_other_one_left_out(tmp_pat
 
 @pytest.mark.render
 @pytest.mark.full
-def test_the_command_writes_a_recipe_without_the_pigment_and_goes_on_from_it(tmp_path: Path) -> None:
+def test_the_command_removes_the_pigment_and_resumes(tmp_path: Path) -> None:
     hidden = paint(pigment(nm=HIDDEN_NM, amount=HIDDEN_AMOUNT))
     file, out = tmp_path / "paint.toml", tmp_path / "out"
     asked = target(paint(pigment(), pigment("Fe2O3", 80.0)), shop(2), labs_of(hidden), 60.0)
@@ -190,7 +190,7 @@ def test_the_command_writes_a_recipe_without_the_pigment_and_goes_on_from_it(tmp
         assert len(summary["solutions"][0]["targets"]) == len(ANGLES)
 
 
-def test_what_a_pigment_s_numbers_cost_is_told_without_the_noise_of_walks() -> None:
+def test_the_sensitivity_of_a_pigment_has_no_monte_carlo_noise() -> None:
     free = shop(2) | {"base.albedo": [0.1, 0.6]}
     read = read_task(target(paint(pigment(), pigment("Fe2O3", 60.0)), free, GREY))
     # the second is left out: what is left of the first stands under its own path, beside what was never free

@@ -1,4 +1,4 @@
-"""The search of films: its kernel against `tmm` and the general solver, its goals against the judge, small searches."""
+"""Thin-film search: kernels against `tmm` and the reference, small searches."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_a_bare_substrate_reflects_as_fresnel_says() -> None:
 
 
 @pytest.mark.parametrize("thickness", [0.0, 40.0])
-def test_slopes_are_finite_differences_also_at_zero_thickness(thickness: float) -> None:
+def test_gradients_agree_with_finite_differences_also_at_zero_thickness(thickness: float) -> None:
     names = ("TiO2", "Cr", "SiO2", "Al")
     n = np.array([np.ones(len(GRID)), *(index(name).n_complex(GRID) for name in names)])
     tables = stack_tables(n, GRID, np.radians([0.0, 45.0, 45.0]), ["reflected", "reflected", "transmitted"])
@@ -110,7 +110,7 @@ def mixed_goals() -> MeritFunction:
     )
 
 
-def test_the_compiled_goals_are_those_of_the_judge() -> None:
+def test_the_compiled_merit_function_agrees_with_the_reference() -> None:
     """The residuals are the same numbers in another order, and their slopes finite differences."""
     goals = mixed_goals()
     problem = StackProblem(
@@ -142,7 +142,7 @@ def test_the_compiled_goals_are_those_of_the_judge() -> None:
         assert abs(moved - jacobian[:, j]).max() < 1e-3 * abs(jacobian).max()
 
 
-def test_narrowed_ranges_lie_inside_the_wanted_ones() -> None:
+def test_narrowed_ranges_lie_inside_the_target_ranges() -> None:
     looks = compile_merit(
         MeritFunction(
             [
@@ -175,7 +175,7 @@ def wanted_of(names: list[str], d: list[float], substrate: str, angles: list[flo
     return [Operand(row, "colour", lab=tuple(labs[row, 0]), tolerance=1.0) for row in range(len(angles))]
 
 
-def test_a_search_reaches_the_colours_of_a_hidden_stack() -> None:
+def test_a_search_recovers_the_colours_of_a_known_stack() -> None:
     """Colours at two angles of a stack that the palette can make; another stack will do."""
     angles = [0.0, 50.0]
     goals = MeritFunction(wanted_of(["MgF2", "Si", "TiO2"], [95.0, 22.0, 60.0], "Al", angles))
@@ -223,7 +223,7 @@ def test_many_designs_of_one_seed_are_the_same_on_any_number_of_threads() -> Non
     assert all((a.thicknesses_nm == b.thicknesses_nm).all() for a, b in zip(one, two))
 
 
-def test_fewer_layers_are_preferred_where_that_is_wished() -> None:
+def test_few_layers_are_preferred_on_request() -> None:
     goals = MeritFunction(wanted_of(["SiO2"], [180.0], "Si", [0.0]))
     problem = StackProblem(goals, PALETTE, (medium("Si"),), max_layers=5, bounds_nm=BOUNDS, prefer_few_layers=True)
     best = search(problem, budget=Budget(evaluations=200_000), solutions=1, seed=1, jobs=1)[0]
@@ -240,7 +240,7 @@ def test_short_stacks_leave_budget_for_longer_ones_if_few_layers_are_preferred()
     assert len(best.materials) == 2
 
 
-def test_a_search_stops_when_told_and_ends_with_the_best() -> None:
+def test_a_stopped_search_returns_the_best_so_far() -> None:
     goals = MeritFunction([Operand(0, "colour", lab=(20, 80, 60), tolerance=0.01)])
     problem = StackProblem(goals, PALETTE, (medium("Al"),), max_layers=2, bounds_nm=BOUNDS)
     seen: list[float] = []
@@ -256,7 +256,7 @@ def test_a_search_stops_when_told_and_ends_with_the_best() -> None:
     assert found and len(seen) == 3
 
 
-def test_alike_means_the_same_materials_and_thicknesses_within_a_fifth() -> None:
+def test_similar_stacks_have_the_same_materials_and_thicknesses_within_20_percent() -> None:
     one = StackSolution(("SiO2", "Cr"), np.array([100.0, 10.0]), "Al", np.zeros(1), 0.0)
     near = StackSolution(("SiO2", "Cr"), np.array([115.0, 9.0]), "Al", np.zeros(1), 0.0)
     thicker = StackSolution(("SiO2", "Cr"), np.array([130.0, 10.0]), "Al", np.zeros(1), 0.0)
@@ -274,7 +274,7 @@ def test_alike_means_the_same_materials_and_thicknesses_within_a_fifth() -> None
         ({"angles_rad": ()}, "looks at row"),
     ],
 )
-def test_a_problem_that_does_not_hold_together_is_told_in_words(changes: dict, words: str) -> None:
+def test_an_invalid_problem_is_refused(changes: dict, words: str) -> None:
     values = {"palette": PALETTE, "substrates": (medium("Al"),), "bounds_nm": BOUNDS, **changes}
     with pytest.raises(NacreError, match=words):
         StackProblem(MeritFunction([Operand(0, "colour", lab=(1, 2, 3))]), **values)
@@ -297,7 +297,7 @@ def spread_problem(within: float, spread: float) -> StackProblem:
 
 
 @pytest.mark.full
-def test_the_yield_of_a_search_for_it_is_higher_and_is_that_of_its_draws() -> None:
+def test_a_search_with_tolerances_has_a_higher_yield() -> None:
     plain = search(spread_problem(1.0, 0.0), Budget(evaluations=200_000), 5, 2, jobs=1)
     rounds: list[float] = []
     robust_problem = spread_problem(2.0, 0.05)
@@ -326,7 +326,7 @@ def test_the_yield_of_a_search_for_it_is_higher_and_is_that_of_its_draws() -> No
     assert own > np.mean([share_within(one) for one in plain]) + 0.1
 
 
-def test_a_stack_settles_where_more_of_its_samples_are_good() -> None:
+def test_settling_increases_the_yield_within_the_bounds() -> None:
     """By draws that its steps were not chosen by, and within bounds, the sum's included."""
     problem = dataclasses.replace(spread_problem(2.0, 0.03), max_total_nm=179.0)
     engine = Engine(problem, 1)
@@ -339,7 +339,7 @@ def test_a_stack_settles_where_more_of_its_samples_are_good() -> None:
     assert engine.settle(begun, 0.0).d.tolist() == d.tolist()  # no time is left
 
 
-def test_the_linear_yield_is_near_that_of_draws() -> None:
+def test_the_linear_yield_agrees_with_samples() -> None:
     problem = spread_problem(2.0, 0.03)
     tables, looks, space = problem.tables(), compile_merit(problem.merit), problem.space()
     s = workspace(tables, looks, 4)
@@ -356,7 +356,7 @@ def test_the_linear_yield_is_near_that_of_draws() -> None:
     assert linear == pytest.approx(np.mean(missed), abs=0.1)
 
 
-def test_a_stack_of_high_finesse_is_judged_on_enough_wavelengths() -> None:
+def test_the_default_grid_resolves_stacks_of_high_finesse() -> None:
     """Thick mirrors of ten layers have the narrowest fringes that the search may make: the default grid sees them."""
     fine = np.arange(380.0, 781.0)
     n = {name: index(name).n_complex(fine) for name in ("TiO2", "SiO2", "BK7")}

@@ -1,4 +1,4 @@
-"""Designs that reach into the parts of a blend."""
+"""Designs of nested recipes."""
 
 from pathlib import Path
 
@@ -45,7 +45,7 @@ def test_a_part_given_as_a_table_is_the_part_of_its_file(blend):
     assert (one.specular_reflectance == other.specular_reflectance).all()
 
 
-def test_an_answer_writes_its_parts_as_files_that_every_command_takes(blend):
+def test_nested_recipes_are_written_as_files(blend):
     target = read_task(_target(blend, **{"second.layers[0].thickness_nm": [20, 200]}))
     changes = {"second.layers[0].thickness_nm": 150.0}
     recipe, files = write_recipe(blend / "out", target.material, changes, {})
@@ -58,19 +58,19 @@ def test_an_answer_writes_its_parts_as_files_that_every_command_takes(blend):
     assert recipe == blend / "out" / "recipe.toml"
 
 
-def test_a_path_that_is_not_in_the_part_is_refused_by_its_name(blend):
+def test_an_unknown_path_in_a_nested_recipe_is_refused(blend):
     with pytest.raises(RecipeError, match=r'parameters."second.layers\[4\].thickness_nm"'):
         read_task(_target(blend, **{"second.layers[4].thickness_nm": [20, 200]}))
 
 
 @pytest.mark.full
-def test_a_design_of_a_blend_moves_the_part_that_is_free(blend):
+def test_a_design_of_a_blend_varies_its_part(blend):
     found = nacre.design(_target(blend, **{"second.layers[0].thickness_nm": [20, 200]}), blend / "out")
     assert nacre.load(found.folder).get("second.recipe") == "second.toml"
     assert nacre.load(found.folder).spectrum([0.0]).specular_reflectance.shape[0] == 1
 
 
-def test_an_answers_file_names_the_quick_way_that_it_was_judged_by(tmp_path: Path) -> None:
+def test_a_solution_names_the_method_of_its_evaluation(tmp_path: Path) -> None:
     """Loaded alone it would otherwise take an ensemble of minutes, and show other colours than its report."""
     dense = {
         "family": "metasurface",

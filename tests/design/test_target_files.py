@@ -1,4 +1,4 @@
-"""The target language of wants: what it means, and how everything wrong in it is told in one line."""
+"""Target files: meaning of all keys, and one-line errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, lab_to_lch, lch_to_lab, white_xyz, xyz_to_lab
 from nacre.optimise.evaluation import nearest_in_ranges
 from nacre.optimise.measurement import Geometry, simulate_measurement
-from nacre.optimise.merit import hue_excess
 from nacre.optimise.spec import LightSpec, TargetEntry
 from nacre.optimise.targets import read_targets, srgb_to_lab
 from nacre.optimise.task import read_task
@@ -47,7 +46,7 @@ def test_srgb_is_read_by_d65_and_the_2_degree_observer() -> None:
         np.testing.assert_allclose(srgb_to_lab(text, "here"), expected, atol=SRGB_WHITE)
 
 
-def test_forms_of_one_colour_are_one_want() -> None:
+def test_all_forms_of_a_colour_agree() -> None:
     lab = np.array([60.0, 20.0, -30.0])
     white = white_xyz("D65", "10deg")
     xyz = nacre.light.lab_to_xyz(lab, white)
@@ -62,7 +61,7 @@ def test_forms_of_one_colour_are_one_want() -> None:
         np.testing.assert_allclose(want.target_lab(white), lab, atol=1e-9)
 
 
-def test_xyz_are_wanted_under_the_first_lamp_only_and_lab_under_every_one() -> None:
+def test_xyz_applies_to_the_first_lamp_and_lab_to_all() -> None:
     from nacre.optimise.evaluation import evaluate
 
     light = {"illuminants": ["D65", "A"]}
@@ -121,7 +120,8 @@ def test_the_nearest_colour_of_a_range_is_that_of_a_dense_search(
         chromas = np.linspace(low or 0.0, 120.0 if high is None else high, 241)
         hues = np.linspace(0.0, 360.0, 1441)
         if "hue" in ranges:
-            hues = hues[hue_excess(*ranges["hue"], hues)[0] <= 1e-9]  # type: ignore[arg-type]
+            first, last = (float(end or 0.0) for end in ranges["hue"])
+            hues = hues[(hues - first) % 360.0 <= (last - first) % 360.0 + 1e-9]
         box = np.stack(np.meshgrid([light], chromas, hues, indexing="ij"), axis=-1)
         least = float(np.min(delta_e_2000(lch_to_lab(box), lab)))
         assert float(delta_e_2000(found, lab)) <= least + 0.1
@@ -141,7 +141,7 @@ BAD = {
     "text for bounds": (task(parameters={"layers[0].thickness_nm": ["a", "b"]}), "two numbers"),
     "one number": (task(parameters={"layers[0].thickness_nm": 5}), "[low, high]"),
     "an unknown choice": (task(parameters={"layers[0].material": {"choices": ["SiO3"]}}), "SiO2"),
-    "nothing free": (task(parameters=None), "nothing is free"),
+    "nothing free": (task(parameters=None), "nothing varies"),
     "a file as a palette's name": (task(parameters=None, layers={"palette": ["own.csv"]}), 'write {file = "own.csv"}'),
     "an unknown palette name": (task(parameters=None, layers={"palette": ["TiO3"]}), 'Did you mean "TiO2"'),
     "an unknown substrate": (task(parameters=None, layers={"palette": ["TiO2"], "substrate": ["Aq"]}), "substrate"),
@@ -154,7 +154,7 @@ BAD = {
         "SiO2",
     ),
     "crossing bounds of layers": (task(parameters=None, layers={"palette": ["Cr"], "thickness_nm": [20, 3]}), "cross"),
-    "free naming a layer beside layers": (task(layers={"palette": ["TiO2"]}), "keep one"),
+    "free naming a layer beside layers": (task(layers={"palette": ["TiO2"]}), "remove one"),
     "a want that an opaque base cannot answer": (
         task(target=[{**ONE, "geometry": "transmitted 0"}]),
         "is not possible",
@@ -218,7 +218,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_everything_wrong_is_told_in_one_line(name: str) -> None:
+def test_errors_are_one_line(name: str) -> None:
     data, word = BAD[name]
     with pytest.raises(NacreError) as caught:
         read_task(data)
@@ -226,7 +226,7 @@ def test_everything_wrong_is_told_in_one_line(name: str) -> None:
     assert word in message and "\n" not in message and message.startswith("target: "), message
 
 
-def test_the_command_tells_it_with_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_ends_with_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "wrong.toml"
     path.write_text('recipe = "no.toml"\n[[target]]\ngeometry = "specular 0"\ncolour = "#777777"\n')
     assert run(["design", str(path), "-o", str(tmp_path / "out")]) == 2
@@ -238,7 +238,7 @@ def test_the_command_tells_it_with_status_2(tmp_path: Path, capsys: pytest.Captu
 @pytest.mark.parametrize(
     ("text", "word"),
     [
-        ("", "says no look"),
+        ("", "has no targets"),
         (
             'recipe = {family = "film", substrate = "Si", layers = [{material = "SiO2", thickness_nm = 50}]}\n'
             "[parameters]\n"
@@ -247,7 +247,7 @@ def test_the_command_tells_it_with_status_2(tmp_path: Path, capsys: pytest.Captu
         ),
     ],
 )
-def test_what_cannot_be_searched_leaves_nothing_behind(
+def test_a_refused_target_leaves_no_files(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, word: str
 ) -> None:
     (tmp_path / "uv.csv").write_text("nm,R\n150,0.2\n190,0.3\n")
@@ -269,7 +269,7 @@ def test_what_cannot_be_searched_leaves_nothing_behind(
         ("nm,percent", 1.0, 100.0),
     ],
 )
-def test_the_heading_of_a_wanted_spectrum_tells_its_units(tmp_path, heading, nm, share) -> None:
+def test_the_heading_of_a_spectrum_gives_its_units(tmp_path, heading, nm, share) -> None:
     """0.4 under "R (%)" is 0.4 per cent, not 40; and what an instrument exports in per cent can be wanted as it is."""
     part = next(mark for mark in ";\t," if mark in heading)
     rows = [f"{400 * nm}{part}{0.004 * share}", f"{500 * nm}{part}{0.4 * share}", f"{700 * nm}{part}{0.35 * share}"]
@@ -285,20 +285,20 @@ def spectrum_of(folder: Path, text: str) -> Any:
     return read_targets([want], LightSpec(), RecipeContext("t.toml", folder))[0].spectrum
 
 
-def test_a_wanted_spectrum_may_descend_as_instruments_write_it(tmp_path: Path) -> None:
+def test_a_spectrum_may_have_descending_wavelengths(tmp_path: Path) -> None:
     found = spectrum_of(tmp_path, "nm,R\n700,0.3\n500,0.2\n400,0.1\n")
     np.testing.assert_array_equal(found, [[400, 500, 700], [0.1, 0.2, 0.3]])
     with pytest.raises(NacreError, match="ascending or descending"):
         spectrum_of(tmp_path, "nm,R\n700,0.3\n400,0.2\n500,0.1\n")
 
 
-def test_wavelengths_that_are_no_nm_are_told_with_the_file(tmp_path: Path) -> None:
+def test_implausible_wavelengths_are_refused_with_the_file(tmp_path: Path) -> None:
     with pytest.raises(NacreError, match=r'spectrum = "r.csv" holds wavelengths of 0.4 to 0.7.*"um"'):
         spectrum_of(tmp_path, "0.4,0.1\n0.55,0.2\n0.7,0.3\n")
 
 
 @pytest.mark.parametrize("colour", [{"xyz": [25, 33, 20]}, {"xyy": [0.33, 0.42, 33]}])
-def test_a_colour_counted_to_100_is_told_that_white_is_1(colour: dict[str, Any]) -> None:
+def test_a_colour_in_per_cent_is_refused(colour: dict[str, Any]) -> None:
     def read(at: str) -> Any:
         return read_targets([TargetEntry(geometry=at, **colour)], LightSpec(), RecipeContext("t.toml"))
 

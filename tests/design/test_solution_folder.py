@@ -1,4 +1,4 @@
-"""The folder of a design: what is not its own stays, what stood is not made worse, both files tell one time."""
+"""Folder of a design: foreign files stay, resumed searches do not regress, files agree."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TARGET: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", ["report.html", "report.png", "search.json", "design.json", "3/recipe.toml"])
-def test_what_no_design_wrote_is_not_overwritten(tmp_path: Path, name: str) -> None:
+def test_foreign_files_are_not_overwritten(tmp_path: Path, name: str) -> None:
     mine = tmp_path / "out" / name
     mine.parent.mkdir(parents=True)
     mine.write_text("{}")
@@ -36,7 +36,7 @@ def test_what_no_design_wrote_is_not_overwritten(tmp_path: Path, name: str) -> N
 
 
 @pytest.mark.full
-def test_another_file_of_the_name_of_one_that_comes_along_is_not_overwritten(tmp_path: Path) -> None:
+def test_a_file_with_the_name_of_a_dependency_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "own.csv").write_text("nm,n,k\n300,2,0\n900,2,0\n")
     layers = [{"material": {"file": str(tmp_path / "own.csv")}, "thickness_nm": 100.0}]
     target = {**TARGET, "recipe": {**TARGET["recipe"], "layers": layers}}
@@ -51,7 +51,7 @@ def test_another_file_of_the_name_of_one_that_comes_along_is_not_overwritten(tmp
     assert "1.9" in (tmp_path / "out" / "own.csv").read_text()
 
 
-def test_a_file_in_place_of_the_folder_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "out").write_text("mine")
     with pytest.raises(NacreError, match="out: is a file; the answers need a folder"):
         nacre.design(TARGET, tmp_path / "out")
@@ -64,7 +64,7 @@ def _must_not_search(*_: Any) -> None:
     raise AssertionError("the search began")
 
 
-def test_what_cannot_be_written_is_told_before_the_search(
+def test_an_unwritable_folder_is_refused_before_the_search(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(runs, "choose_search", _must_not_search)
@@ -100,7 +100,7 @@ class _Fixed(Search):
         raise NotImplementedError
 
 
-def test_an_interrupt_before_the_first_answer_is_no_fault_of_the_recipe(
+def test_an_interrupt_before_the_first_solution_does_not_blame_the_recipe(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(runs, "choose_search", lambda *_: _Fixed("interrupted", []))
@@ -109,20 +109,20 @@ def test_an_interrupt_before_the_first_answer_is_no_fault_of_the_recipe(
     assert "cannot be computed" not in capsys.readouterr().err
 
 
-def test_a_file_where_a_second_answer_goes_is_not_overwritten(tmp_path: Path) -> None:
+def test_a_file_at_the_second_solution_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "2").write_text("mine")
     with pytest.raises(RecipeError, match="holds a 2 that no design wrote"):
         nacre.design(TARGET, tmp_path / "out")
 
 
-def test_a_recipe_given_as_a_target_is_told_so(tmp_path: Path) -> None:
+def test_a_recipe_is_refused_as_a_target(tmp_path: Path) -> None:
     (tmp_path / "film.toml").write_text('family = "film"\nsubstrate = "Si"\nlayers = []\n')
     with pytest.raises(RecipeError, match='is a recipe; write a target with recipe = "film.toml"'):
         nacre.design(tmp_path / "film.toml", tmp_path / "out")
 
 
-def test_the_page_and_the_summary_tell_the_same_seconds(tmp_path: Path) -> None:
+def test_report_and_summary_agree_on_the_time(tmp_path: Path) -> None:
     design = nacre.design(TARGET, tmp_path / "out")
     told = json.loads((tmp_path / "out" / "design.json").read_text())["seconds"]
     assert design.seconds == told
@@ -131,7 +131,7 @@ def test_the_page_and_the_summary_tell_the_same_seconds(tmp_path: Path) -> None:
 
 @pytest.mark.full
 @pytest.mark.parametrize("limits", [{}, {"max_layers": "fewest"}])
-def test_a_resumed_search_tells_nothing_worse_than_what_stood(
+def test_a_resumed_search_does_not_regress(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limits: dict[str, str]
 ) -> None:
     """A search compares by its own route: here one that takes another answer for the best than the judge does."""
@@ -151,7 +151,7 @@ def test_a_resumed_search_tells_nothing_worse_than_what_stood(
     assert len(again.solutions) == 1
 
 
-def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_created_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(NacreError, match="file is a file; the answers need a folder"):
         nacre.design(TARGET, tmp_path / "file" / "out")

@@ -1,4 +1,4 @@
-"""The search of what takes long: metasurfaces from their mirror and diffuse colours."""
+"""Successive halving of metasurfaces from their specular and diffuse colours."""
 
 import time
 from types import SimpleNamespace
@@ -35,14 +35,14 @@ def _target(hidden, free, seconds):
     )
 
 
-def test_a_gauss_newton_step_a_linear_problem_ends_at_its_solution():
+def test_a_gauss_newton_step_solves_a_linear_problem():
     slopes, solution = np.array([[2.0, 1.0], [0.0, 1.0], [1.0, -1.0]]), np.array([0.52, 0.45])
     place = np.array([0.5, 0.5])
     run = Descent(place, slopes @ (place - solution), slopes, damping=1e-12)
     assert np.allclose(place + gauss_newton_step(run, np.ones(3), [0, 1]), solution, atol=1e-6)
 
 
-def test_a_step_that_leans_against_its_bound_stays_there():
+def test_a_step_stays_at_an_active_bound():
     slopes, solution = np.eye(2), np.array([-0.4, 0.45])
     place = np.array([0.0, 0.5])
     run = Descent(place, slopes @ (place - solution), slopes, damping=1e-12)
@@ -72,7 +72,7 @@ def test_a_search_reserves_the_time_of_the_final_evaluation(per_wavelength_s, mo
 
 
 @pytest.mark.full
-def test_a_search_that_is_over_before_it_began_still_has_an_answer():
+def test_a_search_without_time_still_has_a_solution():
     hidden = nacre.material(START)
     target = _target(hidden, {"particle.radius_nm": [58, 62]}, 60)
     search = choose_search(target, 0)
@@ -82,7 +82,7 @@ def test_a_search_that_is_over_before_it_began_still_has_an_answer():
 
 
 @pytest.mark.full
-def test_a_hidden_metasurface_is_found_from_mirror_and_diffuse_colours():
+def test_a_known_metasurface_is_recovered_from_specular_and_diffuse_colours():
     hidden = nacre.material(START).vary({"particle.radius_nm": 71.0, "layers[0].thickness_nm": 160.0})
     target = _target(hidden, {"particle.radius_nm": [50, 90], "layers[0].thickness_nm": [50, 250]}, 50)
     search = choose_search(target, 3)

@@ -1,4 +1,4 @@
-"""What an answer must keep to, whatever search found it."""
+"""Constraints of candidates."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ DISCS = {
 @pytest.mark.parametrize(
     ("recipe", "at", "kind"), [(ROUGH, "45as15", LeastSquaresSearch), (DISCS, "diffuse 0", SuccessiveHalvingSearch)]
 )
-def test_a_search_of_any_family_makes_no_candidate_above_the_total(
+def test_candidates_respect_the_total_thickness(
     recipe: dict[str, Any], at: str, kind: type[LeastSquaresSearch]
 ) -> None:
     free = {"layers[0].thickness_um": [0.1, 0.5], "layers[1].thickness_nm": [20, 90]}

@@ -1,4 +1,4 @@
-"""Designed films as a stranger judges them: by tmm and colour-science at 1 nm, in a fresh process, from the file."""
+"""Designed films evaluated by tmm and colour-science at 1 nm, in a fresh process, from the file."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def stranger(recipe: Path, angle: float, lamp: str) -> np.ndarray:
 
 @pytest.mark.full
 @pytest.mark.parametrize("lamps", [["D65"], ["D65", "A"]])
-def test_a_stranger_sees_what_the_design_says(tmp_path: Path, lamps: list[str]) -> None:
+def test_reported_distances_agree_with_tmm_and_colour_science(tmp_path: Path, lamps: list[str]) -> None:
     import colour
 
     angles = (0.0, 45.0)
