@@ -154,8 +154,8 @@ class ParticleOnStack:
         centre_nm: centre height.
         t_matrix: `[n]`, n = (tau, l): -b_l, then -a_l from `mie_coefficients`; or blocks `[m, n, n']`.
         mmax: highest azimuthal order.
-        cut: in-plane wavenumber over k that truncates the coupling with the stack, or None.
-        neighbours: additional reflection by neighbours, `[m, n, n']`, see `ladder`, or None.
+        cut: in-plane wavenumber over k that truncates the coupling with the stack (optional).
+        neighbours: additional reflection by neighbours, `[m, n, n']`, see `ladder` (optional).
     """
 
     surface: Substrate
@@ -212,7 +212,7 @@ class Directions:
         excitation: v, `[m, pol, n, angle]`.
         emission: u, `[m, pol, n, angle]`.
         reflection: bare stack amplitude for light from that side, `[pol, angle]`.
-        transmission_up: bare stack amplitude for light from the substrate; None above.
+        transmission_up: bare stack amplitude for light from the substrate; only for light from below.
     """
 
     cosines: Array
