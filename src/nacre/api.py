@@ -109,7 +109,9 @@ def report(
     Raises:
         NacreError: the material cannot be loaded or measured.
 
-    Example: `nacre.report("soap.toml").flop_index`.
+    Example:
+        >>> round(nacre.report("gold").gloss["60"] / 100) >= 1
+        True
     """
     return make_report(as_material(thing), illuminant, observer, samples, seed)
 
@@ -192,7 +194,10 @@ def gamut(
     Raises:
         NacreError: there is no parameter, or the geometry is not known.
 
-    Example: `nacre.gamut("oxide.toml", ["layers[0].thickness_nm=0:400"]).share_of_srgb`.
+    Example:
+        >>> film = {"family": "film", "substrate": "Ti", "layers": [{"material": "TiO2", "thickness_nm": 100}]}
+        >>> 0 < nacre.gamut(film, ["layers[0].thickness_nm=0:400"], points=20).share_of_srgb < 1
+        True
     """
     table = parameters if isinstance(parameters, Mapping) else parse_parameters(parameters)
     return find_gamut(

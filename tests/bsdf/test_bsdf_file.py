@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import pickle
@@ -17,6 +18,7 @@ from nacre.bsdf.compensation import compensate
 from nacre.bsdf.file import HEADER, VERSION
 from nacre.bsdf.lobes.diffuse import Diffuse, bare_base
 from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.monolayer import Harmonic
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.core.errors import NacreError
@@ -203,3 +205,17 @@ def test_what_is_not_finite_is_never_written(tmp_path: Path) -> None:
 def test_a_folder_that_does_not_exist_is_told(tmp_path: Path) -> None:
     with pytest.raises(NacreError, match="does not exist"):
         bsdf().save(tmp_path / "no" / "x.nacre")
+
+
+def test_the_harmonic_lobe_accepts_read_only_tables_beside_writable_ones() -> None:
+    waves = np.array([450.0, 550.0, 650.0])
+    above = np.random.default_rng(1).random((3, 2, 3)).astype(np.float32)
+    empty = np.zeros((0, 2, 3), np.float32)
+    ones = np.ones(3)
+    lobe = Harmonic(waves, above, empty, empty, empty, empty, empty, 2, 0, 0, 1.0, ones, ones, 0.1, np.ones(4))
+    wi, wo = np.array([0.3, 0.1, 0.9]), np.array([-0.2, 0.4, 0.8])
+    wi, wo = wi / np.linalg.norm(wi), wo / np.linalg.norm(wo)
+    expected = lobe.evaluate(wi, wo)
+    frozen = above.copy()
+    frozen.flags.writeable = False
+    assert np.array_equal(dataclasses.replace(lobe, above=frozen).evaluate(wi, wo), expected)

@@ -52,7 +52,7 @@ sigma = 1.5
 """
 SWEEP = """recipe = "smooth.toml"
 [axes]
-"layers[0].thickness_nm" = {start = 100, stop = 200, count = 120}
+"layers[0].thickness_nm" = {start = 100, stop = 200, count = 600}
 [measure]
 angles_deg = [0]
 """
@@ -224,7 +224,7 @@ def test_a_killed_sweep_keeps_its_points(workers: int, warm: Forker, inputs: Pat
     before = done_points(folder / "out.zarr")
     warm.run([*arguments[:-1], "1"], folder)
     after = done_points(folder / "out.zarr")
-    assert len(after) == 120 and {name: after[name] for name in before} == before
+    assert len(after) == 600 and {name: after[name] for name in before} == before
     assert names(folder) == names(reference)
 
 

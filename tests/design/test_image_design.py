@@ -301,7 +301,7 @@ def test_many_and_a_folder_that_holds_the_picture_are_refused(tmp_path: Path) ->
     with pytest.raises(RecipeError, match="would be overwritten"):
         nacre.design(anodised(picture), tmp_path)
     assert picture.read_bytes() == before
-    with pytest.raises(NacreError, match="many colours already"):
+    with pytest.raises(NacreError, match="not a single colour"):
         nacre.design.many(anodised(picture), [(50, 0, 0)])
 
 

@@ -141,7 +141,7 @@ BAD = {
     "text for bounds": (task(parameters={"layers[0].thickness_nm": ["a", "b"]}), "two numbers"),
     "one number": (task(parameters={"layers[0].thickness_nm": 5}), "[low, high]"),
     "an unknown choice": (task(parameters={"layers[0].material": {"choices": ["SiO3"]}}), "SiO2"),
-    "nothing free": (task(parameters=None), "nothing is free"),
+    "nothing free": (task(parameters=None), "nothing varies"),
     "a file as a palette's name": (task(parameters=None, layers={"palette": ["own.csv"]}), 'write {file = "own.csv"}'),
     "an unknown palette name": (task(parameters=None, layers={"palette": ["TiO3"]}), 'Did you mean "TiO2"'),
     "an unknown substrate": (task(parameters=None, layers={"palette": ["TiO2"], "substrate": ["Aq"]}), "substrate"),
@@ -154,7 +154,7 @@ BAD = {
         "SiO2",
     ),
     "crossing bounds of layers": (task(parameters=None, layers={"palette": ["Cr"], "thickness_nm": [20, 3]}), "cross"),
-    "free naming a layer beside layers": (task(layers={"palette": ["TiO2"]}), "keep one"),
+    "free naming a layer beside layers": (task(layers={"palette": ["TiO2"]}), "remove one"),
     "a want that an opaque base cannot answer": (
         task(target=[{**ONE, "geometry": "transmitted 0"}]),
         "is not possible",

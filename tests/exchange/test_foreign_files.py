@@ -173,7 +173,7 @@ def test_rows_without_a_measurement_are_left_out_and_holes_are_told(tmp_path: Pa
     with pytest.raises(NacreError, match="given twice"):
         read_measurement(path)
     path.write_text("wavelength_nm,specular_reflectance\n400,\n")
-    with pytest.raises(NacreError, match="something measured"):
+    with pytest.raises(NacreError, match="at least one measured value"):
         read_measurement(path)
 
 

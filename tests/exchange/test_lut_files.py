@@ -166,7 +166,7 @@ def test_a_second_run_replaces_the_first_and_strangers_files_stay(tmp_path: Path
     nacre.export(material.vary({"layers[0].thickness_nm": 140}), "lut", target)
     assert np.abs(exr(target / "mirror.exr") - before).max() > SHOWN
     (target / "notes.txt").write_text("mine")
-    with pytest.raises(NacreError, match="holds other files"):
+    with pytest.raises(NacreError, match="contains other files"):
         nacre.export(material, "lut", target)
     assert (target / "notes.txt").read_text() == "mine"
     assert [entry.name for entry in tmp_path.iterdir()] == ["t"]
@@ -201,8 +201,8 @@ def test_bad_folders_and_lamps_are_refused_before_any_work(tmp_path: Path, capsy
     recipe = str(tmp_path / "m.toml")
     cases = [
         (["-o", str(tmp_path / "none" / "t")], "does not exist"),
-        (["-o", recipe], "is no folder"),
-        (["-o", str(tmp_path)], "holds other files"),
+        (["-o", recipe], "is not a folder"),
+        (["-o", str(tmp_path)], "contains other files"),
         (["--illuminant", "D66", "-o", str(tmp_path / "t")], "D66"),
     ]
     for arguments, said in cases:

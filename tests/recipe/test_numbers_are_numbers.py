@@ -36,7 +36,7 @@ def model_of(data: dict[str, Any]) -> type[RecipeModel]:
 def spoilt(data: dict[str, Any]) -> Iterator[tuple[str, Any, dict[str, Any]]]:
     """Yield every number of a recipe as text and as a truth value, and every truth value as a number and as text."""
     for path, number in numbers_of(data).items():
-        if path.split(".")[0] in ("fit", "tolerance", "recipe", "free", "spread"):
+        if path.split(".")[0] in ("fit", "tolerance", "recipe", "parameters"):
             continue
         for wrong in (f"{number:g}", True):
             other = copy.deepcopy(data)

@@ -46,7 +46,7 @@ def test_a_stack_is_designed_for_the_spread_of_the_path_with_an_index(order: tup
         "tolerance": {path: sizes[path] for path in order},
     }
     search = thin_film_search(read_task(target), 0)
-    assert search is not None and search.problem.spread_relative == (0.1, 0.02)
+    assert search is not None and search.problem.relative_tolerance == (0.1, 0.02)
 
 
 def test_two_paths_that_are_as_strong_are_refused() -> None:

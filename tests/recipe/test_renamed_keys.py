@@ -5,7 +5,7 @@ import pytest
 import nacre
 from nacre.core.errors import RecipeError
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
-from nacre.recipe.path_tables import SpreadSpec, known_only
+from nacre.recipe.path_tables import ToleranceSpec, known_only
 from nacre.recipe.renamed_keys import RENAMED, renamed_hint
 
 
@@ -44,4 +44,4 @@ def test_a_former_key_is_no_hint_in_a_table_without_its_successor():
 def test_entries_of_path_tables_know_former_keys(monkeypatch):
     monkeypatch.setitem(RENAMED, "sigma", ("deviation",))
     with pytest.raises(RecipeError, match='"deviation"'):
-        known_only({"sigma": 3}, SpreadSpec, "t.toml: tolerance.x")
+        known_only({"sigma": 3}, ToleranceSpec, "t.toml: tolerance.x")

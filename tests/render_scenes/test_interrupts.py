@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import nacre
+from nacre.cli.common import STOPPED
 
 SOON_S = 3.0
 # a render whose material takes long in compiled code, which no signal breaks off: it tells when it has begun
@@ -47,7 +48,7 @@ def test_before_the_first_pass_a_render_leaves_at_once(tmp_path: Path) -> None:
         took = time.perf_counter() - asked
     assert process.returncode == 130
     assert took < SOON_S
-    assert told == "nacre: stopped; what was finished is kept\n"
+    assert told == f"{STOPPED}\n"
     assert list(tmp_path.iterdir()) == []
 
 

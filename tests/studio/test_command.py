@@ -21,7 +21,7 @@ def test_folders_and_files_that_cannot_be_opened_are_one_line(
 ) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
-    for what, words in ((empty, "no recipe"), (tmp_path / "none.toml", "no such file"), (__file__, "is no recipe")):
+    for what, words in ((empty, "no recipe"), (tmp_path / "none.toml", "no such file"), (__file__, "is not a recipe")):
         assert run(["studio", str(what), "--no-browser"]) == 2
         said = capsys.readouterr()
         assert words in said.err and said.err.count("\n") == 1 and not said.out

@@ -168,7 +168,7 @@ def test_a_recipe_that_cannot_be_read_is_opened_as_text_and_nothing_of_the_one_b
             expect(page.locator("#state")).to_have_text("The recipe has a mistake; film.toml is still shown")
             expect(page.locator("#history img")).to_be_hidden()
             page.get_by_role("tab", name="Form").click()
-            expect(page.locator("#form")).to_contain_text("as soon as its TOML can be read")
+            expect(page.locator("#form")).to_contain_text("appears when the TOML is valid")
             expect(page.locator("#form .row")).to_have_count(0)
             page.get_by_role("tab", name="TOML").click()
             page.locator("#text").fill('family = "film"\nlayers = []\nsubstrate = "Ti"\n')

@@ -182,14 +182,14 @@ def test_passes_become_better_and_an_edit_begins_them_anew(page: Page) -> None:
     page.get_by_role("button", name="Render").click()
     expect(page.locator("#picture")).to_be_visible()
     first = page.locator("#picture").get_attribute("src")
-    expect(page.locator("#render-state")).to_contain_text("As the recipe was when asked")
+    expect(page.locator("#render-state")).to_contain_text("Recipe at the time of the request")
     assert page.evaluate("window.spp") == sorted(page.evaluate("window.spp")) and len(page.evaluate("window.spp")) > 1
     page.locator("#seconds").select_option("90")
     page.get_by_role("button", name="Render").click()
-    expect(page.locator("#render-state")).to_contain_text("samples a pixel so far")
+    expect(page.locator("#render-state")).to_contain_text("samples per pixel so far")
     slider(page, THICKNESS).fill("90")
-    expect(page.locator("#render-state")).to_contain_text("beginning anew")
-    expect(page.locator("#render-state")).to_contain_text("samples a pixel so far")
+    expect(page.locator("#render-state")).to_contain_text("restarting")
+    expect(page.locator("#render-state")).to_contain_text("samples per pixel so far")
     assert page.locator("#picture").get_attribute("src") != first
     page.get_by_role("button", name="Cancel").click()
     expect(page.locator("#render-state")).to_have_text("Cancelled.")

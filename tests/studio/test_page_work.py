@@ -14,11 +14,11 @@ NEAR_MESH = 2.0  # of 255: eight bits, and chords of triangles instead of a ball
 THIN = '{material = "SiO2", thickness_nm = 0.01}'
 STEP = 6  # of 255, from pixel to pixel: more than any curve of a ball has
 STRUCTURES = [
-    ("bragg-mirror", "20 layers, 1461 nm in all, to scale", 21),
+    ("bragg-mirror", "20 layers, 1461 nm in total, to scale", 21),
     ("pearl/bottle3", "1 stratum, 150 µm; below a section of its flakes", 5),
-    ("metasurface/silver_on_oxide", "spheres of 180 nm, 1 layer, 400 nm in all, to scale", 3),
+    ("metasurface/silver_on_oxide", "spheres of 180 nm, 1 layer, 400 nm in total, to scale", 3),
     ("relief/star", "25.6 µm wide", 1),
-    ("glass/polystyrene_black", "a piece of a layer of 20 µm", 10),
+    ("glass/polystyrene_black", "part of a layer of 20 µm", 10),
 ]
 
 
@@ -39,7 +39,7 @@ def test_layers_are_drawn_to_scale(page: Page) -> None:
     tall = page.evaluate(heights)
     assert tall[0] / tall[1] == pytest.approx(300 / 60, rel=0.02)
     slider(page, THICKNESS).fill("120")
-    until(page, lambda: "180 nm in all" in page.locator("#structure-text").inner_text())
+    until(page, lambda: "180 nm in total" in page.locator("#structure-text").inner_text())
     tall = page.evaluate(heights)
     assert tall[0] / tall[1] == pytest.approx(2, rel=0.02)
 
@@ -169,7 +169,7 @@ def test_another_place_is_seen_around_the_object(page: Page) -> None:
     assert np.ptp(before[-20:].mean(axis=(0, 1))) < 2  # the studio's floor is grey
     page.get_by_label("Surroundings").select_option("interior")
     expect(page.locator("#view")).to_have_attribute("data-surround", "interior")
-    expect(page.locator("#surround-note")).to_contain_text("light of its own colours")
+    expect(page.locator("#surround-note")).to_contain_text("its own light")
     room = picture(page).astype(int)
     floor = room[-20:].mean(axis=(0, 1))
     assert floor[0] > floor[2] + 20  # boards of wood

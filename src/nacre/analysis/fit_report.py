@@ -91,13 +91,23 @@ def _sheet(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> DesignShe
         for n, f in zip(fit.numbers, free, strict=True)
         if np.isfinite(n.half_width)
     ]
-    media, thicknesses = fit.material.layers()
     angles, ribbon, label = _ribbon(fit, measured)
     return DesignSheet(
-        f"{fit.material.name}: relative rms {fit.relative_rms:.3g}", swatches, nm, curves, targets, angles, ribbon,
-        label, media, thicknesses, [f"{n.path} = {n.value:.5g}" for n in fit.numbers],
-        sorted(bars, key=lambda bar: -bar[1]), "95 % half width, per cent of the bounds", LIGHT[0], LEGEND,
-    )  # fmt: skip
+        f"{fit.material.name}: relative rms {fit.relative_rms:.3g}",
+        swatches,
+        nm,
+        curves,
+        targets,
+        angles,
+        ribbon,
+        label,
+        *fit.material.layers(),
+        [f"{n.path} = {n.value:.5g}" for n in fit.numbers],
+        sorted(bars, key=lambda bar: -bar[1]),
+        "95 % half width, per cent of the bounds",
+        LIGHT[0],
+        LEGEND,
+    )
 
 
 def _pair(data: Array, fitted: Array, nm: Array) -> tuple[str, str, str]:

@@ -115,9 +115,14 @@ def _document(report: Report) -> dict[str, Any]:
 
 def _table_document(table: ColourTable) -> dict[str, Any]:
     return {
-        "what": table.what, "angles_deg": table.angles_deg.tolist(), "xyz": table.xyz.tolist(),
-        "lab": table.lab.tolist(), "lch": table.lch.tolist(), "travel_ab": table.travel, "srgb": list(table.hex),
-    }  # fmt: skip
+        "what": table.what,
+        "angles_deg": table.angles_deg.tolist(),
+        "xyz": table.xyz.tolist(),
+        "lab": table.lab.tolist(),
+        "lch": table.lch.tolist(),
+        "travel_ab": table.travel,
+        "srgb": list(table.hex),
+    }
 
 
 def _clean(value: Any) -> Any:

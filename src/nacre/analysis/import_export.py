@@ -117,7 +117,7 @@ def _export_table(material: Material, folder: Path, illuminant: str, progress: C
     files = write_table(folder, table)
     return {
         "illuminant": table.illuminant, "lost": list(table.lost), "files": [path.name for path in files],
-        "errors_dE00": {what: dict(told) for what, told in table.errors.items()},
+        "errors_dE00": {what: dict(values) for what, values in table.errors.items()},
     }  # fmt: skip
 
 

@@ -660,8 +660,8 @@ def _scatter_errors(bsdf: Bsdf, scatter: Scatter, to_rgb: Callable[[Array], Arra
         glossy = 0.0 if scatter.gloss is None else view_picture(scatter.gloss).at(x, 0.0 * x) * kept[:, None]
         return held.at(x, 0.0 * x) + glossy
 
-    told = "scattered light under even light, by angle of view"
-    found = {told: compared(view_picture(scatter.spread), even, to_rgb(np.array(back)))}
+    title = "scattered light under even light, by angle of view"
+    found = {title: compared(view_picture(scatter.spread), even, to_rgb(np.array(back)))}
     if scatter.lobe is not None:
         lowest = float(np.cos(np.radians(STEEPEST_CHECKED_DEG)))
         wi, wo = lobe_pairs(CHECKED_PAIRS, 1, lowest)
@@ -676,11 +676,11 @@ def _scatter_errors(bsdf: Bsdf, scatter: Scatter, to_rgb: Callable[[Array], Arra
 def compared(picture: Picture, look_up: Callable[[Picture], Array], wanted: Array) -> dict[str, float]:
     """Return mean and largest dE00 of the colours in the EXR and in the PNG."""
     lab = _lab(wanted)
-    told: dict[str, float] = {}
+    errors: dict[str, float] = {}
     for ending, held in (("", picture), ("_png", as_png(picture))):
         difference = np.asarray(delta_e_2000(_lab(look_up(held)), lab))
-        told |= {f"mean{ending}": float(difference.mean()), f"max{ending}": float(difference.max())}
-    return told
+        errors |= {f"mean{ending}": float(difference.mean()), f"max{ending}": float(difference.max())}
+    return errors
 
 
 def _lab(rgb: Array) -> Array:

@@ -159,7 +159,9 @@ def colour_table(
 def flop_index(lightness_15: float, lightness_45: float, lightness_110: float) -> float | None:
     """Return Alman's flop index 2.69 (L15 - L110)^1.11 / L45^0.86, or None if L45 is 0.
 
-    Example: 11.8 for lightnesses 120, 60 and 30: a strong metallic.
+    Example:
+        >>> round(flop_index(120.0, 60.0, 30.0), 1)  # a strong metallic
+        11.7
     """
     if lightness_45 <= 0 or lightness_15 < lightness_110:
         return None

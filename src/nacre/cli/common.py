@@ -27,7 +27,9 @@ def numbers(text: str, option: str) -> NDArray[np.float64]:
     Raises:
         NacreError: naming the option, the text and the form.
 
-    Example: `numbers("0,10:30:10", "--angles-deg")` is [0, 10, 20, 30].
+    Example:
+        >>> numbers("0,10:30:10", "--angles-deg").tolist()
+        [0.0, 10.0, 20.0, 30.0]
     """
     values: list[float] = []
     for part in text.split(","):

@@ -46,7 +46,7 @@ def make_bsdf(
         UnsupportedError: a lobe without plugin, a non-spectral variant, or a formula in x, y, z without
             `object_frame`.
 
-    Example: `mi.load_dict({"type": "sphere", "bsdf": make_bsdf(nacre.load("soap.toml").bsdf())})`.
+    Example: `mi.load_dict({"type": "sphere", "bsdf": make_bsdf(nacre.load("soap").bsdf())})`.
     """
     if mi.variant() not in VARIANTS:
         raise UnsupportedError(f"Mitsuba variant {mi.variant()} cannot carry spectral materials; use {VARIANTS[0]}")

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
+from pydantic import Field
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
@@ -31,7 +32,7 @@ class PartSpec(RecipeModel):
         },
     )
 
-    recipe: str | dict[str, Any] = pydantic.Field(
+    recipe: str | dict[str, Any] = Field(
         description="recipe file of this part, or the recipe itself as a table", examples=["film.toml"]
     )
 
@@ -53,10 +54,10 @@ class BlendSpec(RecipeModel):
 
     varies: ClassVar[str] = "mask"
 
-    family: Literal["blend"] = pydantic.Field(description="the family's name")
-    first: PartSpec = pydantic.Field(description="material at mask 1")
-    second: PartSpec = pydantic.Field(description="material at mask 0")
-    mask: NumberOrTexture = pydantic.Field(
+    family: Literal["blend"] = Field(description="the family's name")
+    first: PartSpec = Field(description="material at mask 1")
+    second: PartSpec = Field(description="material at mask 0")
+    mask: NumberOrTexture = Field(
         description="share of the first material, from 0 to 1; usually a texture or formula",
         examples=[{"texture": "grey.png", "min": 0, "max": 1}, {"formula": "step(0.5, u)"}, 0.5],
     )

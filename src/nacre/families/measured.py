@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-import pydantic
+from pydantic import Field
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.table import TableLobe
@@ -23,9 +23,9 @@ class MeasuredSpec(RecipeModel):
 
     example: ClassVar[Mapping[str, Any]] = {"family": "measured", "file": "paint.nacre"}
 
-    family: Literal["measured"] = pydantic.Field(description="the family's name")
-    file: str = pydantic.Field(description="a .nacre file, as `nacre import` writes it", examples=["paint.nacre"])
-    scale: float = pydantic.Field(
+    family: Literal["measured"] = Field(description="the family's name")
+    file: str = Field(description="a .nacre file, as `nacre import` writes it", examples=["paint.nacre"])
+    scale: float = Field(
         json_schema_extra={"exclusiveMinimum": 0}, default=1.0, description="factor that multiplies the measured values"
     )
 

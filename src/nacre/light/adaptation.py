@@ -48,7 +48,9 @@ def adaptation_matrix(white_from: ArrayLike, white_to: ArrayLike, method: Adapta
 def adapt_xyz(xyz: ArrayLike, white_from: ArrayLike, white_to: ArrayLike, method: Adaptation = "bradford") -> Array:
     """Return XYZ `[..., 3]` adapted from one white to another; the white itself maps to the other white.
 
-    Example: `adapt_xyz(white_xyz("A"), white_xyz("A"), white_xyz("D65"))` is the white of D65.
+    Example:
+        >>> adapt_xyz(white_xyz("A"), white_xyz("A"), white_xyz("D65")).round(4).tolist()
+        [0.9505, 1.0, 1.0888]
     """
     return np.asarray(xyz, dtype=float) @ adaptation_matrix(white_from, white_to, method).T
 

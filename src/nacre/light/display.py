@@ -41,7 +41,10 @@ def spectrum_to_rgb_matrix(
     observer. `adaptation="none"` leaves the light's colour cast in. D65 with the 2 degree observer is sRGB's own white
     and is never changed.
 
-    Example: each column for "A" sums to 1; with `adaptation="none"` the sums are 1.85, 0.83, 0.23.
+    Example:
+        >>> waves = np.arange(380.0, 781.0, 5.0)
+        >>> spectrum_to_rgb_matrix(waves, "A", adaptation="none").sum(axis=0).round(2).tolist()
+        [1.85, 0.83, 0.23]
     """
     weights = xyz_weights(wavelengths_nm, illuminant, observer)
     name = illuminant if isinstance(illuminant, str) else illuminant.name
@@ -74,7 +77,9 @@ def spectrum_to_srgb(
     Colours outside the gamut are clipped at constant hue and lightness; `clip_to_srgb(spectrum_to_rgb_linear(...))`
     also reports their number.
 
-    Example: a constant 0.5 gives (0.735, 0.735, 0.735).
+    Example:
+        >>> spectrum_to_srgb(np.full(81, 0.5), np.arange(380.0, 781.0, 5.0)).round(3).tolist()
+        [0.735, 0.735, 0.735]
     """
     return srgb_encode(
         clip_to_srgb(spectrum_to_rgb_linear(values, wavelengths_nm, illuminant, observer, adaptation)).rgb
@@ -88,7 +93,9 @@ def swatch_hex(xyz: ArrayLike, white: ArrayLike) -> str:
         xyz: `[3]`, Y = 1 for the white; colours outside sRGB are clipped at constant hue.
         white: `[3]`, the light's white XYZ.
 
-    Example: any light's white is #ffffff.
+    Example:
+        >>> swatch_hex(white_xyz("A"), white_xyz("A"))
+        '#ffffff'
     """
     adapted = np.clip(adapt_xyz(np.clip(xyz, 0.0, None), white, SRGB_WHITE_XYZ), 0.0, None)
     return srgb_to_hex(srgb_encode(clip_to_srgb(xyz_to_srgb_linear(adapted)).rgb))
@@ -132,7 +139,9 @@ def clip_to_srgb(rgb_linear: ArrayLike) -> Clipped:
     Raises:
         NacreError: a value is not finite.
 
-    Example: (0, 1.1, -0.2) becomes (0.617, 0.896, 0.000), with the same L* and hue.
+    Example:
+        >>> clip_to_srgb([0.0, 1.1, -0.2]).rgb.round(3).tolist()  # the same L* and hue
+        [0.617, 0.896, 0.0]
     """
     rgb = np.array(rgb_linear, dtype=float)
     if rgb.ndim == 0 or rgb.shape[-1] != 3:

@@ -26,7 +26,9 @@ LAB_KNEE = 6 / 29
 def xyz_to_xyy(xyz: ArrayLike) -> Array:
     """Return chromaticities and luminance (x, y, Y); black takes (1/3, 1/3, 0) instead of 0/0.
 
-    Example: (0.9505, 1, 1.0888) is (0.3127, 0.3290, 1).
+    Example:
+        >>> xyz_to_xyy([0.9505, 1.0, 1.0888]).round(4).tolist()
+        [0.3127, 0.329, 1.0]
     """
     xyz = np.asarray(xyz, dtype=float)
     total = xyz.sum(axis=-1, keepdims=True)
@@ -57,7 +59,9 @@ def xyz_to_lab(xyz: ArrayLike, white: ArrayLike | None = None) -> Array:
 
     Source: CIE 15:2018, 8.2.1. Pass `white_xyz(illuminant, observer)` for the light that the XYZ refer to.
 
-    Example: a grey with reflectance 0.184 has L* = 49.98.
+    Example:
+        >>> round(float(xyz_to_lab(0.184 * np.array(SRGB_WHITE_XYZ))[0]), 2)
+        49.98
     """
     f = lab_f(np.asarray(xyz, dtype=float) / _white(white))
     return np.stack(
@@ -108,7 +112,9 @@ def srgb_linear_to_xyz(rgb_linear: ArrayLike) -> Array:
 def srgb_encode(rgb_linear: ArrayLike) -> Array:
     """Return encoded sRGB from linear values (IEC 61966-2-1); values below 0 continue the linear part.
 
-    Example: 0.5 gives 0.7354.
+    Example:
+        >>> round(float(srgb_encode(0.5)), 4)
+        0.7354
     """
     linear = np.asarray(rgb_linear, dtype=float)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
@@ -138,7 +144,9 @@ def delta_e_2000(lab: ArrayLike, other: ArrayLike) -> Array:
     mean hues across 0 degrees). A difference of 1 is just visible side by side; the formula is meant for differences
     below 5. It is discontinuous at hues exactly 180 degrees apart, by definition.
 
-    Example: (50, 2.6772, -79.7751) and (50, 0, -82.7485) differ by 2.0425.
+    Example:
+        >>> round(float(delta_e_2000((50, 2.6772, -79.7751), (50, 0, -82.7485))), 4)
+        2.0425
     """
     l1, a1, b1 = np.moveaxis(np.asarray(lab, dtype=float), -1, 0)
     l2, a2, b2 = np.moveaxis(np.asarray(other, dtype=float), -1, 0)

@@ -85,7 +85,9 @@ def illuminant(name: str | Illuminant = "D65") -> Illuminant:
     Raises:
         NacreError: unknown illuminant.
 
-    Example: `illuminant("D65").at(560.0)` is 100.
+    Example:
+        >>> float(illuminant("D65").at(560.0))
+        100.0
     """
     if isinstance(name, Illuminant):
         return name
@@ -107,7 +109,9 @@ def observer(name: str = "2deg") -> Array:
     Raises:
         NacreError: unknown observer.
 
-    Example: the y column of "2deg" is 1.0 at 555 nm.
+    Example:
+        >>> round(float(observer("2deg")[555 - 360, 1]), 3)
+        1.0
     """
     if name not in OBSERVERS:
         raise NacreError(

@@ -26,7 +26,9 @@ def colour_step_nm(optical_thickness_nm: float = 0.0, finesse: float = 1.0) -> f
     Raises:
         NacreError: a negative or non-finite thickness, or one that needs a step below 0.01 nm.
 
-    Example: 10 nm for a 300 nm soap film, 2 nm for 2 um of glass.
+    Example:
+        >>> colour_step_nm(1.33 * 300), colour_step_nm(1.5 * 2000)  # a soap film, 2 um of glass
+        (10.0, 2.0)
     """
     thickness, sharpness = float(optical_thickness_nm), float(finesse)
     if not (np.isfinite(thickness) and thickness >= 0.0 and np.isfinite(sharpness) and sharpness >= 0.0):
@@ -51,7 +53,9 @@ def default_wavelengths(optical_thickness_nm: float = 0.0, finesse: float = 1.0,
     Raises:
         NacreError: an unusable thickness, or a step outside (0, 10].
 
-    Example: `default_wavelengths()` has 48 samples, `default_wavelengths(3000)` has 236.
+    Example:
+        >>> default_wavelengths().size, default_wavelengths(3000).size
+        (48, 236)
     """
     low, high = WAVELENGTH_RANGE_NM
     step = colour_step_nm(optical_thickness_nm, finesse) if step_nm is None else float(step_nm)

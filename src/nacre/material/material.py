@@ -211,8 +211,9 @@ class Material:
         Raises:
             RecipeError: a path does not exist or a value is not allowed.
 
-        Example: `soap.vary({"layers[0].thickness_nm": 420})`; in a blend, whose parts are separate files,
-        `door.vary({"first.layers[0].thickness_nm": 420})`.
+        Example:
+            >>> nacre.load("soap").vary({"substrate": "Si"}).get("substrate")
+            'Si'
         """
         if not isinstance(changes, Mapping):
             raise RecipeError(f"{type(changes).__name__} names no changes; give a table of paths and values")
@@ -230,9 +231,14 @@ class Material:
         Raises:
             RecipeError: a path does not exist in the recipe.
 
-        Example: `soap.parametrise(["layers[0].thickness_nm"])({"layers[0].thickness_nm": 420})`.
+        Example:
+            >>> layers = [{"material": "SiO2", "thickness_nm": 100}]
+            >>> candidate = nacre.material({"family": "film", "substrate": "Si", "layers": layers})
+            >>> at = candidate.parametrise(["layers[0].thickness_nm"])
+            >>> at({"layers[0].thickness_nm": 420}).get("layers[0].thickness_nm")
+            420
         """
-        return Parametrisation(self, paths)
+        return Parametrisation(self, paths, read_recipe, material_from_data)
 
     def with_parts_loaded(self, paths: Iterable[str]) -> Material:
         """Return the material with nested recipe files replaced by tables if one paths leads into them.
@@ -358,7 +364,9 @@ def load(path: MaterialLike) -> Material:
         RecipeError: naming file, key, value and what is allowed.
         NacreError: the file cannot be read.
 
-    Example: `nacre.load("soap.toml").spectrum([0.0])`.
+    Example:
+        >>> nacre.load("soap").family
+        'film'
     """
     if isinstance(path, Material):
         return path
@@ -409,7 +417,9 @@ def material(data: Mapping[str, Any], folder: str | Path = ".") -> Material:
     Raises:
         RecipeError: naming key, value and what is allowed.
 
-    Example: `nacre.material({"family": "film", "substrate": "Si"})` is a bare silicon wafer.
+    Example:
+        >>> nacre.material({"family": "film", "substrate": "Si"}).family
+        'film'
     """
     folder = named(folder)
     return material_from_data(data, _with_loader(RecipeContext("recipe", folder.resolve()), folder, 1))

@@ -11,7 +11,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic_core import SchemaValidator, core_schema
@@ -22,10 +22,9 @@ from nacre.recipe.named_numbers import refuse_new_number
 from nacre.recipe.normalise import plain_data
 from nacre.recipe.paths import NUMBERS, find_by_path, path_keys, set_by_path
 
-if TYPE_CHECKING:
-    from nacre.material.material import Material
-
 Keys = tuple[Any, ...]  # of a place in nested tables and lists
+Reader = Callable[[Mapping[str, Any], RecipeContext], tuple[RecipeModel | None, RecipeContext]]
+Builder = Callable[[Mapping[str, Any], RecipeContext], Any]
 
 
 @dataclass(frozen=True)
@@ -53,17 +52,25 @@ class Parametrisation:
     """A function from values at fixed recipe paths to materials.
 
     Args:
-        material: the material; each path that it does not vary keeps its value.
+        material: the material, with the values of all other paths.
         paths: recipe paths such as `layers[0].thickness_nm`.
+        read: validates a recipe's dictionary and returns it with its context.
+        build: validates and builds a recipe's dictionary.
 
     Raises:
         RecipeError: a path does not exist in the recipe.
 
-    Example: `Parametrisation(soap, ["layers[0].thickness_nm"])({"layers[0].thickness_nm": 420})`.
+    Example:
+        >>> layers = [{"material": "SiO2", "thickness_nm": 100}]
+        >>> wafer = nacre.material({"family": "film", "substrate": "Si", "layers": layers})
+        >>> at = Parametrisation(wafer, ["layers[0].thickness_nm"])
+        >>> at({"layers[0].thickness_nm": 420}).get("layers[0].thickness_nm")
+        420
     """
 
-    def __init__(self, material: Material, paths: Iterable[str]) -> None:
+    def __init__(self, material: Any, paths: Iterable[str], read: Reader, build: Builder) -> None:
         self.paths = tuple(dict.fromkeys(paths))
+        self._start, self._build = material, build
         start = material.with_parts_loaded(self.paths)
         self._data = plain_data(start.data, start.context.source)
         self._context = dataclasses.replace(start.context, text="", snapshot=Snapshot())
@@ -72,9 +79,9 @@ class Parametrisation:
             set_by_path(copy.deepcopy(self._data), path, 0.0, self._context.source)
         self._top: RecipeModel | None = None
         self._places: dict[str, _Place] = {}
-        self._compile()
+        self._compile(read)
 
-    def __call__(self, values: Mapping[str, Any]) -> Material:
+    def __call__(self, values: Mapping[str, Any]) -> Any:
         """Return the material with these values; paths left out keep the recipe's values.
 
         Raises:
@@ -93,21 +100,17 @@ class Parametrisation:
                 pass  # the complete validation names the mistake's place
         return self._complete(values)
 
-    def _complete(self, values: Mapping[str, Any]) -> Material:
+    def _complete(self, values: Mapping[str, Any]) -> Any:
         """Validate and build the whole recipe, without reading files again."""
-        from nacre.material.material import material_from_data
-
         data = copy.deepcopy(self._data)
         for path, value in values.items():
             set_by_path(data, path, value, self._context.source)
-        return material_from_data(data, self._context)
+        return self._build(data, self._context)
 
-    def _compile(self) -> None:
-        from nacre.material.material import read_recipe
-
+    def _compile(self, read: Reader) -> None:
         snapshot = self._context.snapshot
         assert snapshot is not None
-        top, context = read_recipe(self._data, self._context)
+        top, context = read(self._data, self._context)
         if top is None:  # varies over the surface by nodes
             return
         snapshot.tables.update((id(table), table) for table in _tables(top))
@@ -119,9 +122,7 @@ class Parametrisation:
             if place is not None and _is_number(self._data, path, context.source):
                 self._places[path] = place
 
-    def _quick(self, values: Mapping[str, float]) -> Material:
-        from nacre.material.material import Material
-
+    def _quick(self, values: Mapping[str, float]) -> Any:
         data = dict(self._data)
         changed: dict[Keys, dict[str, Any]] = {}  # place of a table -> its new fields
         for path, value in values.items():
@@ -134,7 +135,7 @@ class Parametrisation:
                 given = scale_length(given, place.factor)
             changed.setdefault(place.owner, {})[place.field] = place.check(given)
         top = _rebuilt(self._top, changed, self._context)
-        return Material(top.build(self._context), data, self._context)
+        return type(self._start)(top.build(self._context), data, self._context)
 
 
 def _is_number(data: Any, path: str, source: str) -> bool:

@@ -56,7 +56,10 @@ def mie_coefficients(
     Returns:
         a, b: `[l, ...]` for l = 1..lmax; a are the electric, b the magnetic multipoles.
 
-    Example: x = 1, m = 1.5 gives Qsca = (2/x^2) sum (2l+1)(|a|^2+|b|^2) = 0.2151.
+    Example:
+        >>> a, b = mie_coefficients(5, [1.0], [1.5])  # size parameter 1
+        >>> round(float(mie_efficiencies(a, b, 1.0).scattering), 4)
+        0.2151
     """
     sizes = np.asarray(size_parameters)
     sizes = sizes if np.iscomplexobj(sizes) else sizes.astype(float)

@@ -1,4 +1,4 @@
-"""Checkpoints: the state of a search on disk, from which `--resume` continues."""
+"""Checkpoints: the search state on disk, from which `--resume` continues."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WRITE_INTERVAL_S = 2.0
 
 @dataclass
 class Checkpointer:
-    """Writes the state of a search, at intervals unless forced.
+    """Writes the search state, at intervals unless forced.
 
     Attributes:
         folder: of the design.
@@ -55,7 +55,7 @@ class Checkpointer:
 
     @classmethod
     def open(cls, folder: Path, fingerprint: str, resume: bool) -> Checkpointer:
-        """Return the checkpointer of a folder, with the state of an earlier run if the search resumes.
+        """Return the checkpointer of a folder, with an earlier state if the search resumes.
 
         Raises:
             RecipeError: the checkpoint belongs to another task.

@@ -28,7 +28,7 @@ def run(
     Args:
         target: a TOML file with `[[target]]` (any family) or with `[target]` (a relief), the name of an example, or a
             dictionary of the former.
-        out: folder, created if it does not exist; default: the name of the target.
+        out: folder, created if it does not exist; default: the target name.
         resume: continue a stopped run of the same target.
         progress: called during the search, one call at a time, possibly from worker threads.
         jobs: threads of a relief search; default: all cores.
@@ -38,7 +38,7 @@ def run(
 
     Raises:
         RecipeError: the target is invalid.
-        NacreError: the folder cannot be written, or holds the search of another target.
+        NacreError: the folder cannot be written, or holds another target's search.
 
     Example: `nacre.design("violet.toml", "violet").best.targets[0].distance`.
     """

@@ -36,7 +36,7 @@ SEED_OFFSET = 0x5EED  # the Monte Carlo seeds differ from those of the search
 MAX_NOISE = 0.1  # in tolerances
 MIN_ESTIMATES, MAX_ESTIMATES = 4, 256
 EQUAL_OBJECTIVE = 0.5  # below it fewer tables are better than a smaller objective
-GRID_POINTS, GRID_ROUNDS = 49, 4  # per axis and refinements, for the nearest colour of a range
+GRID_POINTS, GRID_ROUNDS = 49, 4  # per axis and refinements, for the nearest range colour
 HUE_WINDOW_DEG = 60.0
 
 
@@ -49,7 +49,7 @@ class TargetResult:
         lamp: name; None for a spectrum.
         lab: `[3]`, colour reached; None for a spectrum.
         target_lab: `[3]`, target colour, or the nearest one of a range; None for a spectrum.
-        distance: dE00, or the rms of a spectrum in per cent.
+        distance: dE00, or a spectrum rms in per cent.
         noise: Monte Carlo standard error of the distance.
     """
 
@@ -95,7 +95,7 @@ def lab_hex(lab: Array, white: Array) -> str:
 def evaluate(
     material: Material, targets: Sequence[Target], light: LightSpec, *, seed: int = 0, seconds: float = np.inf
 ) -> tuple[list[TargetResult], Measurement]:
-    """Return the results of all targets under all lamps, and the measurement at `geometries_of(targets)`.
+    """Return the results for all targets and lamps, and the measurement at `geometries_of(targets)`.
 
     A Monte Carlo estimate is repeated with other seeds until the noise of every distance is a tenth of its tolerance,
     or the time is over.
@@ -132,7 +132,7 @@ def evaluate(
 
 
 def geometries_of(targets: Sequence[Target]) -> list[Geometry]:
-    """Return the distinct geometries of the targets."""
+    """Return the distinct target geometries."""
     return list(dict.fromkeys(target.geometry for target in targets))
 
 
@@ -223,7 +223,7 @@ def objective(results: Sequence[TargetResult]) -> float:
 
 
 def rank(objective: float, tables: int) -> tuple[float, int, float]:
-    """Return the sort key of a solution: of good ones those with fewer tables come first."""
+    """Return the solution sort key: of good ones those with fewer tables come first."""
     return (0.0, tables, objective) if objective <= EQUAL_OBJECTIVE else (1.0, 0, objective)
 
 

@@ -83,7 +83,7 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Measurement:
-    """Result of a simulated measurement.
+    """Simulated measurement.
 
     Attributes:
         wavelengths_nm: `[wavelength]`.
@@ -122,7 +122,7 @@ def simulate_measurement(
     Specular and transmitted factors agree with `nacre spectrum`, aspecular ones with `nacre report`.
 
     Args:
-        wavelengths_nm: ascending; default: those of the material.
+        wavelengths_nm: ascending; default: the material defaults.
         samples, seed: of Monte Carlo estimates.
         memory: cache of a search, shared by its candidates; they are then evaluated at the required directions only,
             if the family can. None: the reference model.
@@ -196,7 +196,7 @@ def _part(spectrum: Spectrum, geometry: Geometry) -> Array | None:
 
 
 def search_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
-    """Return the wavelengths of a search: those of the material, and the lines of the lamps.
+    """Return the wavelengths of a search: the material defaults, and the lines of the lamps.
 
     Slow materials use the coarse grid of reports; the merit function interpolates it by splines.
     """
@@ -208,7 +208,7 @@ def search_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
 
 
 def evaluation_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
-    """Return the wavelengths of the final evaluation: steps of 1 nm for quick materials, else those of the material."""
+    """Return the final evaluation wavelengths: steps of 1 nm for quick materials, else the material defaults."""
     own = _with_lines(material.model.wavelengths_nm, lamps)
     return np.union1d(own, default_wavelengths(step_nm=EVALUATION_STEP_NM)) if material.model.traits.is_quick else own
 

@@ -22,7 +22,7 @@ Kind = Literal["colour", "hue", "chroma", "lightness", "spectrum"]
 
 KINDS: tuple[Kind, ...] = ("colour", "hue", "chroma", "lightness", "spectrum")
 MEAN_SHARE = 1e-3  # of the mean in the objective: it decides between equal worst distances
-GRID_POINTS, GRID_ROUNDS = 17, 5  # of the search for the nearest colour of a range
+GRID_POINTS, GRID_ROUNDS = 17, 5  # of the search for the nearest range colour
 
 
 def default_wavelengths_nm() -> Array:
@@ -62,7 +62,7 @@ class Operand:
 
 
 class MeritFunction:
-    """Merit function of the spectra of a candidate.
+    """Merit function of candidate spectra.
 
     Args:
         operands: one or more.
@@ -128,7 +128,7 @@ class MeritFunction:
         return np.zeros(3) if operand.lab is None else np.asarray(operand.lab, dtype=float)
 
     def on(self, samples: ArrayLike) -> MeritFunction:
-        """Return the merit function on some of the wavelengths, given by their indices."""
+        """Return the merit function on selected wavelengths, given by their indices."""
         chosen = np.asarray(samples)
         operands = [
             operand if operand.reflectance is None else replace(operand, reflectance=operand.reflectance[chosen])
@@ -144,7 +144,7 @@ class MeritFunction:
         )
 
     def distances(self, spectra: ArrayLike) -> Array:
-        """Return `[..., term]`: dE00, or the rms of a spectrum in per cent.
+        """Return `[..., term]`: dE00, or a spectrum rms in per cent.
 
         For a range of hue, chroma or lightness it is the dE00 to the nearest colour inside, 0 if inside.
 
@@ -290,7 +290,7 @@ def _smooth_distance_to_range(operand: Operand, lab: Array) -> Array:
 
 
 def _distance_to_range(operand: Operand, lab: Array) -> Array:
-    """Return the dE00 from colours `[..., 3]` to the nearest colour of a range."""
+    """Return the dE00 from colours `[..., 3]` to the nearest range colour."""
     lightness, chroma, hue = np.moveaxis(lab_to_lch(lab), -1, 0)
     if operand.kind == "lightness":
         clipped = np.clip(lightness, operand.low, operand.high)

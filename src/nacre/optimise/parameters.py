@@ -17,7 +17,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
 from nacre.material.material import Material
 from nacre.recipe.model import show_value
-from nacre.recipe.path_tables import FreeNumberSpec, FreeSpec, by_path, known_only
+from nacre.recipe.path_tables import BoundsSpec, ParameterSpec, by_path, known_only
 from nacre.recipe.paths import expand_table
 
 MAX_PARAMETERS = 200
@@ -92,7 +92,7 @@ def read_parameters(
 
 def _read(path: str, entry: Any, material: Material, where: str, words: bool) -> Parameter:
     if isinstance(entry, Mapping):
-        known_only(entry, FreeNumberSpec if words else FreeSpec, where)
+        known_only(entry, ParameterSpec if words else BoundsSpec, where)
         if "choices" in entry:
             return _choices(path, entry, material, where)
         low, high = entry.get("min"), entry.get("max")

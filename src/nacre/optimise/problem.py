@@ -62,7 +62,7 @@ class Budget:
     is_late: bool = False
 
     def phase(self, share: float = 1.0) -> Phase:
-        """Return a share of the budget that begins now."""
+        """Return a budget share that begins now."""
         return Phase(self, self.used + share * self.evaluations, time.monotonic() + share * self.seconds)
 
     @property
@@ -114,7 +114,7 @@ class Archive:
 
 @dataclass(frozen=True)
 class Result:
-    """Outcome of a search.
+    """Search outcome.
 
     Attributes:
         status: "met", "exhausted" (nothing is left to try), "evaluations" or "time" (the limit that ended it), or
@@ -167,14 +167,14 @@ class Problem:
         return np.array([min(t.tolerance / t.weight for t in targets if t.geometry == g) for g in self.geometries])
 
     def changes(self, point: Array) -> Changes:
-        """Return the recipe changes of a point."""
+        """Return recipe changes for a point."""
         values = [p.value(unit) for p, unit in zip(self.parameters, point, strict=True)]
         if self.removable:
             return changes_of(self.material, self.parameters, values)
         return {p.path: value for p, value in zip(self.parameters, values)}
 
     def point_of(self, changes: Mapping[str, Any]) -> Array | None:
-        """Return the point of recipe changes; None if they are incomplete or out of bounds."""
+        """Return the point for recipe changes; None if they are incomplete or out of bounds."""
         values = changes
         if self.removable:
             found = values_of(self.material, self.parameters, changes)
@@ -195,7 +195,7 @@ class Problem:
         return np.array(units, dtype=float)
 
     def candidate(self, changes: Mapping[str, Any]) -> Material:
-        """Return the material of a candidate.
+        """Return a candidate material.
 
         Raises:
             NacreError: it is impossible, or thicker than allowed.
@@ -273,7 +273,7 @@ class Search(abc.ABC):
 
     @property
     def is_finished(self) -> bool:
-        """Whether the targets are met, and by enough solutions or after half of the budget."""
+        """Whether the targets are met, and by enough solutions or after half the budget."""
         return self.is_met and (len(self.archive.solutions) >= self.solution_count or self.budget.share_used > 0.5)
 
     def solutions(self) -> list[tuple[float, Changes]]:

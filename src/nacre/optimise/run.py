@@ -82,13 +82,13 @@ def run(
 
     Args:
         target: a TOML file with `[[target]]`, a dictionary with the same keys, or the result of `read_task`.
-        out: created if it does not exist; default: the name of the target file.
+        out: created if it does not exist; default: the target name file.
         resume: continue from the solutions of a stopped run.
         progress: called after improvements and at intervals.
 
     Raises:
         RecipeError: the target file is not usable.
-        NacreError: the folder cannot be written, or holds the search of another target.
+        NacreError: the folder cannot be written, or holds another target's search.
     """
     begun = time.monotonic()
     task = target if isinstance(target, DesignTask) else read_task(target)
@@ -142,7 +142,7 @@ def choose_search(task: DesignTask, seed: int) -> Search:
 
 
 def budget_of(task: DesignTask, search: Search, spent_s: float = 0.0) -> Budget:
-    """Return the budget of a search: the task's evaluations, or the method's; the time limit minus the evaluation."""
+    """Return a search budget: the task's evaluations, or the method's; the time limit minus the evaluation."""
     spec = task.spec.search
     reserved_s = SHARES.evaluation * spec.seconds
     if task.material.model.traits.is_quick:
@@ -189,7 +189,7 @@ class _Writer:
             self.progress(DesignProgress(worst, self.spent_s, max(self.left_s, 0.0)))
 
     def write(self, summary: Mapping[str, Any]) -> None:
-        """Write design.json and remove further solutions of an earlier run."""
+        """Write design.json and remove further earlier solutions."""
         clear_solutions(self.folder, len(summary["solutions"]))
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=2, default=str) + "\n")
 
@@ -248,7 +248,7 @@ def _add(solutions: list[Solution], new: Solution, task: DesignTask) -> None:
 
 
 def _rank(solution: Solution, task: DesignTask) -> Any:
-    """Return the sort key of a solution: by yield, or by objective and number of tables."""
+    """Return the solution sort key: by yield, or by objective and number of tables."""
     if task.spec.tolerance:
         return -(solution.yield_share or 0.0), objective(solution.targets)
     tables = count_tables(task.material, task.parameters, solution.changes)

@@ -59,7 +59,7 @@ class Solution:
         recipe: its file; None if it was not written.
         material: the designed material.
         changes: recipe changes by path, from the start recipe.
-        targets: results of all targets under all lamps.
+        targets: results for all targets and lamps.
         facts: further JSON data: yield, sensitivity, thickness.
     """
 
@@ -81,14 +81,14 @@ class Solution:
 
     @property
     def yield_share(self) -> float | None:
-        """Yield: share of manufactured samples that meet all targets; None without tolerances."""
+        """Yield: manufactured sample share that meet all targets; None without tolerances."""
         found = self.facts.get("yield")
         return None if found is None else float(found["share"])
 
 
 @dataclass(frozen=True)
 class DesignProgress:
-    """Progress of a design.
+    """Design progress.
 
     Attributes:
         worst: largest weight x distance / tolerance so far; below 1 all targets are met.
@@ -133,7 +133,7 @@ def write_recipe(
     tolerance: Mapping[str, Any],
     made: Material | None = None,
 ) -> tuple[Path, list[str]]:
-    """Write the recipe of a solution with the comments of the start recipe, and copy its dependencies.
+    """Write a solution recipe with the comments of the start recipe, and copy its dependencies.
 
     Args:
         folder: made if it does not exist.
@@ -221,12 +221,12 @@ def _free_name(name: str, taken: list[str]) -> str:
 
 
 def folder_of(out: Path, number: int) -> Path:
-    """Return the folder of solution 1, 2, ...; the first is the folder of the design."""
+    """Return the folder of solution 1, 2, ...; the first is the design folder."""
     return out if number == 1 else out / str(number)
 
 
 def clear_solutions(out: Path, keep: int) -> None:
-    """Remove the solutions of an earlier run beyond the first `keep`."""
+    """Remove the earlier solutions beyond the first `keep`."""
     try:
         earlier = json.loads((out / SUMMARY).read_text(encoding="utf-8"))["solutions"]
     except (OSError, ValueError, KeyError, TypeError):

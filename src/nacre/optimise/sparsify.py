@@ -36,7 +36,7 @@ def removable_tables(parameters: Sequence[Parameter], material: Material) -> dic
 def draws(
     generator: np.random.Generator, parameters: Sequence[Parameter], removable: Mapping[int, str]
 ) -> Iterator[Array]:
-    """Yield random points of the unit cube, with some of the removable tables removed.
+    """Yield random unit cube points, with some of the removable tables removed.
 
     The contents of each table are drawn `TABLE_VARIANTS` times and combined with new amounts: families that cache the
     optics of a pigment evaluate such points faster.

@@ -10,7 +10,7 @@ import pydantic
 from nacre.optimise.relief.target import TargetTable
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeModel
-from nacre.recipe.path_tables import FreeNumberSpec, SpreadSpec
+from nacre.recipe.path_tables import ParameterSpec, ToleranceSpec
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 Triple = tuple[float, float, float]
@@ -124,7 +124,7 @@ class LightSpec(RecipeModel):
 
 
 class LimitsSpec(RecipeModel):
-    """Constraints of the solution."""
+    """Solution constraints."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{max_total_nm = 800, max_layers = "fewest"}',
@@ -173,7 +173,7 @@ class SearchSpec(RecipeModel):
 
 
 class LayersSpec(RecipeModel):
-    """Search of a whole stack: materials, number of layers, thicknesses and substrates."""
+    """Whole-stack search: materials, layer count, thicknesses and substrates."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{palette = ["SiO2", "TiO2"], max_layers = 6, thickness_nm = [5, 250]}',
@@ -184,7 +184,7 @@ class LayersSpec(RecipeModel):
         description="optical constants that a layer may have", examples=[["SiO2", "TiO2", "Cr"]]
     )
     max_layers: Annotated[int, pydantic.Field(ge=1, le=200)] = pydantic.Field(
-        default=6, description="largest number of layers"
+        default=6, description="largest layer count"
     )
     thickness_nm: Bounds | dict[str, Bounds] = pydantic.Field(
         default=(5.0, 250.0),
@@ -213,26 +213,26 @@ class DesignSpec(RecipeModel):
         description="recipe to start from: its file, or the recipe as a table",
         examples=["start.toml", {"family": "film", "substrate": "Al", "layers": []}],
     )
-    parameters: Annotated[dict[str, Any], ByPath(FreeNumberSpec, (PAIR,))] = pydantic.Field(
+    parameters: Annotated[dict[str, Any], ByPath(ParameterSpec, (PAIR,))] = pydantic.Field(
         default={},
         description="path of a number or word of the recipe, with [*] for any index -> two numbers as bounds, "
         "or a table",
         examples=[{"layers[0].thickness_nm": [3, 15]}, {"layers[1].material": {"choices": ["SiO2", "MgF2"]}}],
     )
     layers: LayersSpec | None = pydantic.Field(
-        default=None, description="search of the whole stack, instead of parameters of layers"
+        default=None, description="whole-stack search, instead of parameters of layers"
     )
     target: Annotated[list[TargetEntry], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
         description="targets, a list of tables"
     )
     light: LightSpec = pydantic.Field(default=LightSpec(), description="lamps and observer")
     tolerance: Annotated[
-        dict[str, Any], ByPath(SpreadSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
+        dict[str, Any], ByPath(ToleranceSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
     ] = pydantic.Field(
         default={},
         description="manufacturing tolerances, for solutions of high yield: path, with [*] for any index -> a standard "
         "deviation, a percentage, or a table",
         examples=[{"layers[*].thickness_nm": {"percent": 2}}, {"layers[0].thickness_nm": 5}],
     )
-    limits: LimitsSpec = pydantic.Field(default=LimitsSpec(), description="constraints of the solution")
+    limits: LimitsSpec = pydantic.Field(default=LimitsSpec(), description="solution constraints")
     search: SearchSpec = pydantic.Field(default=SearchSpec(), description="budget, number of solutions, seed")

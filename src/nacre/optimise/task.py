@@ -1,4 +1,4 @@
-"""Reading and checking of target files."""
+"""Read and check target files."""
 
 from __future__ import annotations
 
@@ -77,14 +77,14 @@ OTHER = "other"  # in bounds by material: all that are not named
 
 @dataclass(frozen=True)
 class DesignTask:
-    """A checked target.
+    """A checked target file.
 
     Attributes:
-        spec: as the file has it.
-        context: where the file stands.
-        material: the recipe that the search starts from; with [layers], without its layers.
-        targets: what is wanted.
-        parameters: what may change; empty where the stack itself is sought.
+        spec: content of the file.
+        context: location of the file.
+        material: the start recipe; without its layers if [layers] searches the stack.
+        targets: the targets.
+        parameters: empty if [layers] searches the stack.
     """
 
     spec: DesignSpec
@@ -99,20 +99,20 @@ class DesignTask:
         return Path(self.context.source).stem
 
     def within_seconds(self, seconds: float) -> DesignTask:
-        """Return the target with another time for its search."""
+        """Return the task with another time limit."""
         search = self.spec.search.model_copy(update={"seconds": seconds})
         return replace(self, spec=self.spec.model_copy(update={"search": search}))
 
     @property
     def fingerprint(self) -> str:
-        """A hash of all that decides what is searched for, but for the time allowed."""
+        """Hash of everything that defines the task, without the time limit."""
         files = {**self.context.files, **self.material.context.files, **self._choices_files}
         search = {"search": {"seconds"}}
         return fingerprint(self.spec.model_dump(exclude=search), files, material=self.material.fingerprint)
 
     @property
     def _choices_files(self) -> dict[str, str]:
-        """The digests of files that a choice names, by their names: optical constants of a palette, say."""
+        """Digests of the files named by choices, such as optical constants of a palette, by name."""
         tried: list[dict[str, Any]] = [{n.path: choice} for n in self.parameters for choice in n.choices]
         if self.spec.layers is not None:
             tried += [{"layers": [{"material": e, "thickness_nm": 1.0}]} for e in self.spec.layers.palette]
@@ -133,14 +133,14 @@ def is_design_task(data: Mapping[str, Any]) -> bool:
 
 
 def is_relief_task(data: Mapping[str, Any]) -> bool:
-    """Whether a target's dictionary asks for a relief's heights, or for a picture over directions."""
+    """Whether a target file varies the heights of a relief, or has a picture over directions."""
     free, wants = data.get("parameters"), data.get("target")
     pictures = isinstance(wants, list) and any(isinstance(want, Mapping) and "directions" in want for want in wants)
     return pictures or (isinstance(free, Mapping) and "heights" in free)
 
 
 def read_data(target: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], RecipeContext]:
-    """Return a target's tables, a copy, and where they stand.
+    """Return a copy of the tables of a target file, and its location.
 
     Raises:
         NacreError: the file cannot be read, or is no TOML.
@@ -153,10 +153,10 @@ def read_data(target: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], R
 
 
 def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
-    """Read and check a target.
+    """Read and check a target file.
 
     Args:
-        target: a TOML file, or a dictionary with the keys of one, whose paths are relative to the current folder.
+        target: a TOML file, or a dictionary with its keys and paths relative to the current folder.
 
     Raises:
         RecipeError: naming file, key, value and what is allowed.
@@ -169,7 +169,7 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
     source = context.source
     base = _recipe(spec, context).with_parts_loaded([*spec.parameters, *spec.tolerance])
     refuse_place(base.model, f"{context.source}: recipe")
-    wants = read_targets(spec.target, spec.light, context)
+    targets = read_targets(spec.target, spec.light, context)
     if spec.layers is not None:
         check_layers(spec.layers, base, source)
         _check_total(spec, source)
@@ -179,28 +179,28 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
             raise RecipeError(
                 f'{source}: parameters."{free_path}" names a layer, but [layers] searches the whole stack; remove one'
             )
-    free = read_parameters(spec.parameters, base, source)
-    if not free and spec.layers is None:
+    parameters = read_parameters(spec.parameters, base, source)
+    if not parameters and spec.layers is None:
         raise RecipeError(f"{source}: nothing varies; add a [parameters] table, or [layers] for the stack of a film")
-    if spec.layers is not None and free:
+    if spec.layers is not None and parameters:
         raise RecipeError(
-            f'{source}: parameters."{free[0].path}" beside [layers]: only the stack varies; fix it in the recipe'
+            f'{source}: parameters."{parameters[0].path}" beside [layers]: only the stack varies; fix it in the recipe'
         )
     if spec.tolerance and spec.layers is None:
         read_tolerances(spec.tolerance, base, source)
     if spec.limits.within_validity:
         raise RecipeError(f"{source}: limits.within_validity = true applies to heights of reliefs")
-    if wants[0].image is not None:
-        check_picture_target(spec, base, free, source)
+    if targets[0].image is not None:
+        check_picture_target(spec, base, parameters, source)
     else:
-        check_limits(spec, base, free, source)
-    found = DesignTask(spec, context, base, wants, free)
-    _check_wants(found)
+        check_limits(spec, base, parameters, source)
+    found = DesignTask(spec, context, base, targets, parameters)
+    _check_geometries(found)
     return found
 
 
 def _recipe(spec: DesignSpec, context: RecipeContext) -> Material:
-    """Load the recipe, without layers where those are sought."""
+    """Load the recipe, without layers if the stack is searched."""
     try:
         if isinstance(spec.recipe, str):
             loaded = load(context.path(spec.recipe))
@@ -229,14 +229,14 @@ def _check_film(data: Mapping[str, Any], source: str) -> None:
 
 
 def substrates(layers: LayersSpec) -> list[Any]:
-    """Return the substrates that a table of layers gives, or nothing."""
+    """Return the substrates of a table of layers."""
     if layers.substrate is None:
         return []
     return list(layers.substrate) if isinstance(layers.substrate, list) else [layers.substrate]
 
 
 def check_layers(layers: LayersSpec, base: Material, source: str) -> None:
-    """Refuse palettes, substrates and bounds that cannot be.
+    """Refuse invalid palettes, substrates and bounds.
 
     Raises:
         RecipeError: naming the key, with a guess.
@@ -265,7 +265,7 @@ def check_layers(layers: LayersSpec, base: Material, source: str) -> None:
 
 
 def _check_total(spec: DesignSpec, source: str) -> None:
-    """Refuse a total below the thinnest layer: only the bare substrate would be left."""
+    """Refuse a total thickness below the thinnest layer."""
     assert spec.layers is not None
     least = min(bounds_of(spec.layers, entry)[0] for entry in spec.layers.palette)
     if spec.limits.max_total_nm is not None and spec.limits.max_total_nm < least:
@@ -274,27 +274,27 @@ def _check_total(spec: DesignSpec, source: str) -> None:
 
 
 def palette_name(entry: Any) -> str:
-    """Return what a material of the palette is called: its name, or its text."""
+    """Return the name of a palette material."""
     if isinstance(entry, Mapping) and set(entry) <= {"name", "extrapolate"} and "name" in entry:
         return str(entry["name"])
     return entry if isinstance(entry, str) else show_value(entry)
 
 
 def bounds_of(layers: LayersSpec, entry: Any) -> tuple[float, float]:
-    """Return the bounds of a layer of one material of the palette."""
+    """Return the bounds of a layer of one palette material."""
     if not isinstance(layers.thickness_nm, dict):
         return layers.thickness_nm
     return layers.thickness_nm.get(palette_name(entry), layers.thickness_nm.get(OTHER, (0.0, 0.0)))
 
 
 class _Holder(RecipeModel):
-    """Holds one optical constant, to check it as recipes do."""
+    """Validates one optical constant as in recipes."""
 
     value: IndexSpec
 
 
 def check_index(value: Any, where: str, context: RecipeContext) -> IndexSpec:
-    """Return an optical constant as recipes write it.
+    """Return a validated optical constant.
 
     Raises:
         RecipeError: it is not known; with a guess.
@@ -306,8 +306,8 @@ def check_index(value: Any, where: str, context: RecipeContext) -> IndexSpec:
     return found
 
 
-def _check_wants(target: DesignTask) -> None:
-    """Refuse a want that the material cannot answer, whatever is parameters."""
+def _check_geometries(target: DesignTask) -> None:
+    """Refuse a geometry without signal for all parameter values."""
     tried = [target.material]
     if target.parameters:
         for share in (0.5, 0.99):

@@ -12,7 +12,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.material.material import Material
 from nacre.recipe.model import show_value
-from nacre.recipe.path_tables import SpreadSpec, by_path, known_only
+from nacre.recipe.path_tables import ToleranceSpec, by_path, known_only
 from nacre.recipe.paths import expand_table
 
 DISTRIBUTIONS = ("gaussian", "uniform")
@@ -64,7 +64,7 @@ def read_tolerances(table: Any, material: Material, source: str, name: str = "to
 
 
 def _read(material: Material, path: str, value: Any, where: str) -> Tolerance:
-    """Read a number (standard deviation), a percentage ("2%"), or a table as in `SpreadSpec`."""
+    """Read a number (standard deviation), a percentage ("2%"), or a table as in `ToleranceSpec`."""
     try:
         nominal = material.get(path)
     except (RecipeError, KeyError, IndexError, TypeError):
@@ -75,7 +75,7 @@ def _read(material: Material, path: str, value: Any, where: str) -> Tolerance:
         raise RecipeError(f"{where}: the recipe's value {show_value(nominal)} is not a number")
     distribution = "gaussian"
     if isinstance(value, Mapping):
-        known_only(value, SpreadSpec, where)
+        known_only(value, ToleranceSpec, where)
         distribution = value.get("distribution", "gaussian")
         if distribution not in DISTRIBUTIONS:
             known = ", ".join(DISTRIBUTIONS)

@@ -120,7 +120,7 @@ def yield_of(
 
     Args:
         seconds: time limit, after which fewer samples of an expensive material suffice.
-        measured: result of the final evaluation of the material.
+        measured: result from the final evaluation.
     """
     begun = time.monotonic()
     evaluator = Evaluator.of(material, targets, light, seed, measured)
@@ -179,7 +179,7 @@ def sensitivity(
 
     Args:
         seconds: time limit, after which no further parameter of an expensive material is tried.
-        measured: result of the final evaluation of the material.
+        measured: result from the final evaluation.
     """
     begun = time.monotonic()
     evaluator = Evaluator.of(material, targets, light, seed, measured)

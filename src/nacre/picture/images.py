@@ -311,7 +311,9 @@ def read_provenance(path: str | Path) -> dict[str, Any]:
 def spectral_channel(wavelength_nm: float) -> str:
     """Name an emissive, unpolarised channel: S0 and the wavelength with a decimal comma.
 
-    Example: `spectral_channel(550)` is "S0.550,000000nm".
+    Example:
+        >>> spectral_channel(550)
+        'S0.550,000000nm'
     """
     return f"S0.{wavelength_nm:.6f}nm".replace(".", ",").replace("S0,", "S0.")
 

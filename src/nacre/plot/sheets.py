@@ -208,7 +208,9 @@ def _layers(axes: Axes, sheet: DesignSheet) -> None:
 def apart(places: Array, least: float) -> Array:
     """Move ascending positions in [0, 1] to a distance of at least `least`, or space them evenly if they are many.
 
-    Example: `apart([0.1, 0.5, 0.51], 0.05)` is [0.1, 0.5, 0.55].
+    Example:
+        >>> np.asarray(apart([0.1, 0.5, 0.51], 0.05)).round(6).tolist()
+        [0.1, 0.5, 0.55]
     """
     steps = np.arange(len(places)) * min(least, 1.0 / max(len(places) - 1, 1))
     lowered = np.maximum.accumulate(places - steps) + steps

@@ -33,8 +33,8 @@ def parts_of(spectrum: Spectrum) -> dict[str, Array]:
     parts = spectrum.parts()
     if not parts:
         raise NacreError("the spectrum has neither reflectance nor transmittance")
-    seen = {name: values for name, values in parts.items() if np.max(values) > 1e-9}
-    return seen or dict(list(parts.items())[:1])
+    nonzero = {name: values for name, values in parts.items() if np.max(values) > 1e-9}
+    return nonzero or dict(list(parts.items())[:1])
 
 
 def spectrum_figure(spectrum: Spectrum, illuminant: str = "D65", title: str = "", step_label: str = "") -> Figure:

@@ -112,14 +112,14 @@ def _scattered(bsdf: Bsdf, half_deg: Array, difference_deg: Array, evaluate: Eva
 
 def _bright(tracks: dict[str, Track], nm: Array) -> dict[str, Track]:
     """Omit tracks with dark points, such as the diffuse track of a mirror."""
-    kept = {
+    bright = {
         name: track
         for name, track in tracks.items()
         if float(light.spectrum_to_xyz(track.values, nm)[:, 1].min()) > DARK
     }
-    if not kept:
+    if not bright:
         raise NacreError("figure tracks: no light leaves towards the gloss or the diffuse direction")
-    return kept
+    return bright
 
 
 def tracks_figure(

@@ -78,7 +78,9 @@ def headings(cells: list[str]) -> list[str]:
 
     A heading with another delimiter than the numbers is split at commas and blanks.
 
-    Example: `headings(["Wavelength (nm)", "n"])` is `["wavelength_nm", "n"]`.
+    Example:
+        >>> headings(["Wavelength (nm)", "n"])
+        ['wavelength_nm', 'n']
     """
     if len(cells) == 1:
         cells = [cell for cell in re.split(r"[,;\s]+", cells[0]) if cell]
@@ -136,7 +138,9 @@ def two_columns(context: RecipeContext, key: str, name: str, *, is_share: bool =
 def shares_over_nm(heading: Sequence[str], table: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return `[row, (nm, share)]` of a table whose heading may name um or angstrom, and per cent.
 
-    Example: under the heading `wavelength (um), R (%)` the row 0.55, 42 is 550, 0.42.
+    Example:
+        >>> shares_over_nm(["wavelength (um)", "R (%)"], np.array([[0.55, 42.0]])).round(6).tolist()
+        [[550.0, 0.42]]
     """
     names = headings(list(heading))
     if len(names) < 2 or table.ndim != 2 or table.shape[1] != 2:

@@ -3,7 +3,7 @@
 Stored results (points of a sweep, frames, solved optics, search states) carry the fingerprint of their input and are
 used only while it is the same. A change of code that changes no numbers changes no fingerprint. Raise `Model.version`
 when the numbers of one family change, and `OPTICS_VERSION` when those of the shared optics (`matter`, `bsdf`, `light`,
-`measure`) change.
+`measure`), or intermediate results that a family caches, change.
 """
 
 from __future__ import annotations

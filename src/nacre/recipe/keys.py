@@ -145,7 +145,9 @@ def as_written(value: Any) -> Any:
 def toml_value(value: Any) -> str:
     """Return a value as TOML on one line.
 
-    Example: `toml_value({"n": 1.5})` is "{n = 1.5}".
+    Example:
+        >>> toml_value({"n": 1.5})
+        '{n = 1.5}'
     """
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_bare(key)} = {toml_value(inner)}" for key, inner in value.items()) + "}"
@@ -163,7 +165,9 @@ def toml_lines(path: str, value: Any) -> list[str]:
         path: keys from the top of the file, without brackets.
         value: the value.
 
-    Example: `toml_lines("layers", [{"material": "Si"}])` is ['layers = [{material = "Si"}]'].
+    Example:
+        >>> toml_lines("layers", [{"material": "Si"}])
+        ['layers = [{material = "Si"}]']
     """
     inline = f"{path.rpartition('.')[2]} = {toml_value(value)}"
     is_list = isinstance(value, list) and all(isinstance(entry, Mapping) for entry in value)

@@ -25,7 +25,9 @@ def words(formula: str) -> list[str]:
 def with_values(formula: str, names: Mapping[str, float]) -> str:
     """Return a formula with values in place of names.
 
-    Example: `with_values("100*drain + 1e2", {"drain": 0.4})` is "100*(0.4) + 1e2".
+    Example:
+        >>> with_values("100*drain + 1e2", {"drain": 0.4})
+        '100*(0.4) + 1e2'
     """
     return _WORD.sub(lambda found: f"({names[found[0]]!r})" if found[0] in names else found[0], formula)
 

@@ -15,8 +15,8 @@ from nacre.recipe.paths import EVERY
 from nacre.recipe.renamed_keys import renamed_hint
 
 
-class FreeSpec(RecipeModel):
-    """The bounds of a number that `nacre fit` may change."""
+class BoundsSpec(RecipeModel):
+    """The bounds of a parameter of `nacre fit`."""
 
     forms: ClassVar[tuple[str, ...]] = ("{min = 100, max = 600}",)
 
@@ -24,8 +24,8 @@ class FreeSpec(RecipeModel):
     max: float = pydantic.Field(description="upper bound", examples=[600])
 
 
-class FreeNumberSpec(RecipeModel):
-    """What a number or a word of the recipe may become: bounds, or choices."""
+class ParameterSpec(RecipeModel):
+    """A design parameter: a number with bounds, or choices."""
 
     one_of: ClassVar[tuple[str, ...]] = ("min|max", "choices")
     forms: ClassVar[tuple[str, ...]] = ("{min = 3, max = 15}", '{choices = ["SiO2", "MgF2"]}')
@@ -37,8 +37,8 @@ class FreeNumberSpec(RecipeModel):
     )
 
 
-class SpreadSpec(RecipeModel):
-    """How far a number spreads in manufacture, for `nacre tolerance`."""
+class ToleranceSpec(RecipeModel):
+    """The manufacturing tolerance of a number, for `nacre tolerance`."""
 
     one_of: ClassVar[tuple[str, ...]] = ("deviation", "percent")
     forms: ClassVar[tuple[str, ...]] = ("{deviation = 5}", '{percent = 2, distribution = "uniform"}')
@@ -46,14 +46,14 @@ class SpreadSpec(RecipeModel):
     deviation: float | None = pydantic.Field(
         default=None,
         ge=0.0,
-        description="standard deviation, or half width of a uniform spread, in the number's own unit",
+        description="standard deviation, or half width of a uniform distribution, in the number's unit",
         examples=[5],
     )
     percent: float | None = pydantic.Field(
         default=None, ge=0.0, description="in place of deviation: the same in per cent of the number", examples=[2]
     )
     distribution: Literal["gaussian", "uniform"] = pydantic.Field(
-        default="gaussian", description="shape of the spread", examples=["uniform"]
+        default="gaussian", description="distribution of the number", examples=["uniform"]
     )
 
 
@@ -62,20 +62,20 @@ class StudySpec(RecipeModel):
 
     numbers: dict[str, float] = pydantic.Field(
         default={},
-        description="numbers by names of your own, which formulas then know, as they know `t`, the time of an "
-        "animation: 0 at its start and in stills, 1 at its end",
+        description="named numbers for formulas; these also know `t`, the time of an animation: 0 at its start and in "
+        "stills, 1 at its end",
         examples=[{"drain": 0.4}],
     )
-    fit: Annotated[dict[str, Any], ByPath(FreeSpec)] = pydantic.Field(
+    fit: Annotated[dict[str, Any], ByPath(BoundsSpec)] = pydantic.Field(
         default={},
-        description="numbers that `nacre fit` may change: path of the number -> its bounds",
+        description="parameters of `nacre fit`: path of the number -> its bounds",
         examples=[{"layers[0].thickness_nm": {"min": 100, "max": 600}}],
     )
     tolerance: Annotated[
-        dict[str, Any], ByPath(SpreadSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
+        dict[str, Any], ByPath(ToleranceSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
     ] = pydantic.Field(
         default={},
-        description="spreads of manufacture for `nacre tolerance`: path of the number -> a deviation, a percentage, "
+        description="manufacturing tolerances for `nacre tolerance`: path of the number -> a deviation, a percentage, "
         "or a table",
         examples=[{"layers[0].thickness_nm": {"percent": 2}}, {"layers[0].thickness_nm": 5}],
     )

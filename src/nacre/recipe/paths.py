@@ -42,7 +42,9 @@ def expand_path(data: Any, path: str, source: str) -> tuple[str, ...]:
     Raises:
         RecipeError: `[*]` follows an empty list, or a value that is no list.
 
-    Example: "layers[*].thickness_nm" of two layers is "layers[0].thickness_nm" and "layers[1].thickness_nm".
+    Example:
+        >>> expand_path({"layers": [{"thickness_nm": 1}, {"thickness_nm": 2}]}, "layers[*].thickness_nm", "film.toml")
+        ('layers[0].thickness_nm', 'layers[1].thickness_nm')
     """
     head, star, tail = path.partition(EVERY)
     if not star:
@@ -81,7 +83,9 @@ def path_keys(path: str, source: str) -> tuple[str | int, ...]:
     Raises:
         RecipeError: the text is not a path.
 
-    Example: `path_keys("layers[0].thickness_nm", "film.toml")` is ("layers", 0, "thickness_nm").
+    Example:
+        >>> path_keys("layers[0].thickness_nm", "film.toml")
+        ('layers', 0, 'thickness_nm')
     """
     keys: list[str | int] = []
     for part in path.split("."):
@@ -141,7 +145,9 @@ def set_by_path(data: MutableMapping[str, Any], path: str, value: Any, source: s
 def is_within(path: str, holder: str) -> bool:
     """Whether a path equals another one or leads into it.
 
-    Example: `layers[1].n` is within `layers[1]` and `layers`, not within `layers[1].no`.
+    Example:
+        >>> is_within("layers[1].n", "layers[1]"), is_within("layers[1].n", "layers[1].no")
+        (True, False)
     """
     return path == holder or path.startswith((f"{holder}.", f"{holder}["))
 

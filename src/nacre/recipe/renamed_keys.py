@@ -25,7 +25,9 @@ RENAMED: dict[str, tuple[str, ...]] = {
 def renamed_hint(key: str, allowed: Iterable[str]) -> str:
     """Return ' It is now called "x".' for a former key whose present name is allowed in its table, or an empty string.
 
-    Example: `renamed_hint("within", ["geometry", "tolerance"])` is ' It is now called "tolerance".'.
+    Example:
+        >>> renamed_hint("within", ["geometry", "tolerance"])
+        ' It is now called "tolerance".'
     """
     known = set(allowed)
     found = next((name for name in RENAMED.get(key, ()) if name in known), None)

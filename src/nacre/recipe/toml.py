@@ -74,7 +74,9 @@ def _hint(text: str, said: str) -> str:
 def dump_toml(data: Mapping[str, Any]) -> str:
     """Return a recipe's dictionary as TOML: scalars first, then tables, which hold inline tables.
 
-    Example: `dump_toml({"family": "film"})` is 'family = "film"' and a newline.
+    Example:
+        >>> dump_toml({"family": "film"})
+        'family = "film"\\n'
     """
     import tomlkit
 

@@ -19,7 +19,9 @@ def written_as_number(key: str, text: str) -> str | None:
         key: last word of the key, such as `thickness_nm`.
         text: the given text, such as "60 nm" or "0,06 µm".
 
-    Example: `written_as_number("thickness_nm", "0,06 µm")` is "thickness_um = 0.06".
+    Example:
+        >>> written_as_number("thickness_nm", "0,06 µm")
+        'thickness_um = 0.06'
     """
     match = _MEASURE.fullmatch(text.strip())
     if match is None:

@@ -271,13 +271,17 @@ def _fingerprint(material: Any) -> str:
     return fingerprint(str(made), {}, numbers=numbers)
 
 
+PICTURE_VERSION = 1  # raise when pictures with the same settings change
+
+
 def _frame_key(who: str, motion: Motion, value: float, settings: dict[str, Any]) -> str:
     """Return a frame's fingerprint."""
     named = [settings.get("scene"), settings.get("shape")]
     named += [lamp.name for lamp in read_lamps(settings["light"])] if settings.get("light") else []
     files = {str(name): file_digest(name) for name in named if name}
     # frames with and without denoiser differ
-    return fingerprint(who, files, motion=motion.name, value=value, settings=settings, raw=inapplicable_reason(None))
+    facts = {"value": value, "settings": settings, "raw": inapplicable_reason(None), "renderer": PICTURE_VERSION}
+    return fingerprint(who, files, motion=motion.name, **facts)
 
 
 def _finished(path: Path) -> dict[str, Any]:

@@ -119,8 +119,8 @@ class _Progress:
         try:
             material = self._task.material.vary(values)
             grid = search_wavelengths(material, spec.light.illuminants)
-            seen = simulate_measurement(material, self._rows, grid, seed=spec.search.seed, memory=self._cache)
-            return results_of(seen, self._task.targets, spec.light)
+            measurement = simulate_measurement(material, self._rows, grid, seed=spec.search.seed, memory=self._cache)
+            return results_of(measurement, self._task.targets, spec.light)
         except NacreError:
             return []
         finally:
@@ -216,11 +216,13 @@ def _colour_function(task: DesignTask, row: Any, lamp: str, white: Array) -> Cal
     def colour(place: Array) -> Array | None:
         try:
             material = task.material.vary(values_at(task.parameters, place))
-            seen = simulate_measurement(material, [row], grid, memory=cache)
+            measurement = simulate_measurement(material, [row], grid, memory=cache)
         except NacreError:
             return None
         return np.asarray(
-            light.xyz_to_lab(light.spectrum_to_xyz(seen.factors[0], seen.wavelengths_nm, lamp, OBSERVER), white)
+            light.xyz_to_lab(
+                light.spectrum_to_xyz(measurement.factors[0], measurement.wavelengths_nm, lamp, OBSERVER), white
+            )
         )
 
     return colour

@@ -133,8 +133,9 @@ def _difference(compared: Any, own: Appearance) -> dict[str, Any]:
 def json_data(data: Any) -> Any:
     """Return a recipe's data as JSON values: NaN and infinity become null, dates and times become text.
 
-    Example: `json_data({"title": "NaN glass", "thickness_nm": float("inf")})` is
-    `{"title": "NaN glass", "thickness_nm": None}`.
+    Example:
+        >>> json_data({"title": "NaN glass", "thickness_nm": float("inf")})
+        {'title': 'NaN glass', 'thickness_nm': None}
     """
     if isinstance(data, Mapping):
         return {str(key): json_data(value) for key, value in data.items()}

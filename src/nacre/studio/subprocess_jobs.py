@@ -26,7 +26,6 @@ Emit = Callable[[Mapping[str, Any]], None]
 POLL_S = 0.2
 STOP_GRACE_S = 20.0
 MAX_LINE_BYTES = 32 << 20  # one event holds a base64 picture
-MODULE = "nacre.studio.subprocess_jobs"
 
 
 @dataclass
@@ -68,8 +67,9 @@ class SubprocessJob:
 
     async def events(self) -> AsyncIterator[bytes]:
         """Yield the job's events, one JSON line each; the last is "done" or "error" unless it is cancelled."""
+        pipe = asyncio.subprocess.PIPE
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", MODULE, self.function, stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
+            sys.executable, "-m", __name__, self.function, stdin=pipe, stdout=pipe,
             stderr=asyncio.subprocess.DEVNULL, start_new_session=True, limit=MAX_LINE_BYTES,
         )  # fmt: skip
         assert process.stdin is not None and process.stdout is not None

@@ -324,9 +324,18 @@ class Harmonic(MonolayerLobe):
                     raise ValueError(f"{name + suffix} has the shape {table.shape}")
 
     def _evaluate(self, wi: Array, wo: Array, out: Array) -> None:
-        tables = (self.above, self.across, self.below)
-        free = (self.above_free, self.across_free, self.below_free)
+        tables = _of_one_type(self.above, self.across, self.below)
+        free = _of_one_type(self.above_free, self.across_free, self.below_free)
         _evaluate_harmonic(wi, wo, tables, free, self.grids, self._grid, self._spectrum, out)
+
+
+def _of_one_type(*tables: NDArray) -> tuple[NDArray, ...]:
+    """Return read-only contiguous views with one dtype: numba indexes only tuples of equal types by a variable."""
+    dtype = np.result_type(*tables)
+    views = tuple(np.ascontiguousarray(table, dtype).view() for table in tables)
+    for view in views:
+        view.flags.writeable = False
+    return views
 
 
 def pack_triangle(full: NDArray) -> SingleArray:

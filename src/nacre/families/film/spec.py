@@ -9,6 +9,7 @@ from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
+from pydantic import Field
 
 from nacre.bsdf.facet_distributions import Roughness, alpha_from_exponent, check_widths
 from nacre.bsdf.texture import Texture, parse_formula
@@ -62,16 +63,16 @@ def _width_form(value: Any) -> str:
 
 
 Thickness = Annotated[
-    Annotated[float, pydantic.Field(ge=0.0, le=MAX_THICKNESS_NM), pydantic.Tag("Number")]
+    Annotated[float, Field(ge=0.0, le=MAX_THICKNESS_NM), pydantic.Tag("Number")]
     | Annotated[TextureSpec, pydantic.Tag("Texture")],
     pydantic.Discriminator(texture_or_number),
     pydantic.BeforeValidator(_thickness),
 ]
-UnitNumber = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
-Exponent = Annotated[float, pydantic.Field(ge=0.0, le=2e6)]
+UnitNumber = Annotated[float, Field(ge=0.0, le=1.0)]
+Exponent = Annotated[float, Field(ge=0.0, le=2e6)]
 Width = Annotated[
     Annotated[UnitNumber, pydantic.Tag("Number")]
-    | Annotated[tuple[UnitNumber, ...], pydantic.Field(min_length=1, max_length=2), pydantic.Tag("Pair")]
+    | Annotated[tuple[UnitNumber, ...], Field(min_length=1, max_length=2), pydantic.Tag("Pair")]
     | Annotated[TextureSpec, pydantic.Tag("Texture")],
     pydantic.Discriminator(_width_form),
     pydantic.BeforeValidator(_unit),
@@ -87,12 +88,12 @@ class LayerSpec(RecipeModel):
         '{material = "glass", thickness_mm = 1, incoherent = true}',
     )
 
-    material: IndexSpec = pydantic.Field(description="what the layer is made of")
-    thickness_nm: Thickness = pydantic.Field(
+    material: IndexSpec = Field(description="what the layer is made of")
+    thickness_nm: Thickness = Field(
         description="geometric thickness; a texture or formula lets it vary over the surface",
         examples=[350, {"formula": "100 + 600*v"}, {"texture": "grey.png", "min": 100, "max": 700}],
     )
-    incoherent: bool = pydantic.Field(
+    incoherent: bool = Field(
         default=False,
         description="the layer is too thick for interference, such as a pane or a varnish",
         examples=[True],
@@ -107,27 +108,25 @@ class SurfaceSpec(RecipeModel):
         '{distribution = "beckmann", roughness = [0.05, 0.2], rotation_deg = 45}',
     )
 
-    distribution: Literal["ggx", "beckmann", "blinn", "ashikhmin-shirley"] = pydantic.Field(
+    distribution: Literal["ggx", "beckmann", "blinn", "ashikhmin-shirley"] = Field(
         default="ggx", description="distribution of the facet normals"
     )
-    roughness: Width = pydantic.Field(
+    roughness: Width = Field(
         default=0.0,
         description="alpha of that distribution, or [alpha_x, alpha_y] for a brushed surface; 0 is smooth",
         examples=[0.1, [0.05, 0.2], {"formula": "0.05 + 0.2*u"}],
     )
-    exponent: Exponent | Annotated[tuple[Exponent, ...], pydantic.Field(min_length=1, max_length=2)] | None = (
-        pydantic.Field(
-            default=None,
-            description="exponent e of the distribution, or [e_x, e_y], instead of roughness: e = 2/alpha^2 - 2",
-            examples=[200, [100, 800]],
-        )
+    exponent: Exponent | Annotated[tuple[Exponent, ...], Field(min_length=1, max_length=2)] | None = Field(
+        default=None,
+        description="exponent e of the distribution, or [e_x, e_y], instead of roughness: e = 2/alpha^2 - 2",
+        examples=[200, [100, 800]],
     )
-    rotation_deg: NumberOrTexture = pydantic.Field(
+    rotation_deg: NumberOrTexture = Field(
         default=0.0,
         description="direction of brushing: angle of alpha_x to the surface's x axis",
         examples=[45, {"formula": "360*u"}],
     )
-    compensate: bool = pydantic.Field(
+    compensate: bool = Field(
         default=False, description="restore the light lost by multiple scattering between facets", examples=[True]
     )
 
@@ -177,26 +176,22 @@ class RidgesSpec(RecipeModel):
 
     model_config = pydantic.ConfigDict(json_schema_extra=_preset_fills_ridges)
 
-    pitch_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)] = pydantic.Field(
+    pitch_nm: Annotated[float, Field(gt=0.0, le=1e5)] = Field(
         description="distance from ridge to ridge, across them", examples=[700]
     )
-    width_nm: Annotated[float, pydantic.Field(gt=0.0, le=1e5)] = pydantic.Field(
+    width_nm: Annotated[float, Field(gt=0.0, le=1e5)] = Field(
         description="width of one ridge, at most the pitch", examples=[300]
     )
-    height_deviation_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e4)] = pydantic.Field(
+    height_deviation_nm: Annotated[float, Field(ge=0.0, le=1e4)] = Field(
         description="standard deviation of the ridges' heights: 0 makes a grating, a quarter wave a broad fan",
         examples=[120],
     )
-    count: Annotated[int, pydantic.Field(ge=1, le=200)] = pydantic.Field(
-        default=7, description="number of coherently illuminated ridges"
-    )
-    along_deviation_deg: Annotated[float, pydantic.Field(ge=0.1, le=30.0)] = pydantic.Field(
+    count: Annotated[int, Field(ge=1, le=200)] = Field(default=7, description="number of coherently illuminated ridges")
+    along_deviation_deg: Annotated[float, Field(ge=0.1, le=30.0)] = Field(
         default=4.0, description="standard deviation of the fan of light along the ridges"
     )
-    fill: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
-        default=1.0, description="area fraction of the ridges"
-    )
-    rotation_deg: NumberOrTexture = pydantic.Field(
+    fill: Annotated[float, Field(ge=0.0, le=1.0)] = Field(default=1.0, description="area fraction of the ridges")
+    rotation_deg: NumberOrTexture = Field(
         default=0.0, description="rotation of the ridges in the surface", examples=[45, {"formula": "360*u"}]
     )
 
@@ -224,7 +219,7 @@ class BaseSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{albedo = 0.05}",)
 
-    albedo: Annotated[float, pydantic.Field(ge=0.0, le=1.0)] = pydantic.Field(
+    albedo: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
         default=0.0, description="albedo of the diffuse base", examples=[0.05]
     )
 
@@ -234,13 +229,9 @@ class WavelengthsSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{min_nm = 400, max_nm = 700, step_nm = 2}",)
 
-    min_nm: Annotated[float, pydantic.Field(ge=100.0, le=1e5)] = pydantic.Field(
-        default=360.0, description="first wavelength of the grid"
-    )
-    max_nm: Annotated[float, pydantic.Field(ge=100.0, le=1e5)] = pydantic.Field(
-        default=830.0, description="last wavelength of the grid"
-    )
-    step_nm: Annotated[float, pydantic.Field(ge=0.01, le=50.0)] | None = pydantic.Field(
+    min_nm: Annotated[float, Field(ge=100.0, le=1e5)] = Field(default=360.0, description="first wavelength of the grid")
+    max_nm: Annotated[float, Field(ge=100.0, le=1e5)] = Field(default=830.0, description="last wavelength of the grid")
+    step_nm: Annotated[float, Field(ge=0.01, le=50.0)] | None = Field(
         default=None, description="step of the grid; default: chosen by the optical thickness", examples=[2]
     )
 
@@ -283,27 +274,27 @@ class FilmSpec(RecipeModel):
 
     model_config = pydantic.ConfigDict(json_schema_extra=_preset_fills_substrate)
 
-    family: Literal["film"] = pydantic.Field(default="film", description="the family's name")
-    title: str = pydantic.Field(default="", description="a title for figures", examples=["Oxide on silicon"])
-    preset: Literal["morpho"] | None = pydantic.Field(
+    family: Literal["film"] = Field(default="film", description="the family's name")
+    title: str = Field(default="", description="a title for figures", examples=["Oxide on silicon"])
+    preset: Literal["morpho"] | None = Field(
         default=None, description="default values of a Morpho wing", examples=["morpho"]
     )
-    ambient: IndexSpec = pydantic.Field(
+    ambient: IndexSpec = Field(
         default=IndexSpec.model_validate("air"), description="medium above the film, on the side of the light"
     )
-    substrate: IndexSpec = pydantic.Field(
+    substrate: IndexSpec = Field(
         description="medium below the layers; transmits if clear; a free film if equal to the ambient"
     )
-    layers: tuple[LayerSpec, ...] = pydantic.Field(
+    layers: tuple[LayerSpec, ...] = Field(
         default=(), max_length=MAX_LAYERS, description="the layers, from the light inward"
     )
-    surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="roughness of all layers")
-    ridges: RidgesSpec | None = pydantic.Field(default=None, description="ridges of lamellae, instead of roughness")
-    base: BaseSpec = pydantic.Field(default=BaseSpec(), description="a diffuse base below the film")
-    wavelengths: WavelengthsSpec = pydantic.Field(
+    surface: SurfaceSpec = Field(default=SurfaceSpec(), description="roughness of all layers")
+    ridges: RidgesSpec | None = Field(default=None, description="ridges of lamellae, instead of roughness")
+    base: BaseSpec = Field(default=BaseSpec(), description="a diffuse base below the film")
+    wavelengths: WavelengthsSpec = Field(
         default=WavelengthsSpec(), description="wavelength grid, instead of the film's own choice"
     )
-    extrapolate: Literal["error", "edge"] = pydantic.Field(
+    extrapolate: Literal["error", "edge"] = Field(
         default="error", description="outside the tabulated range of an optical constant: an error, or the end values"
     )
 

@@ -154,7 +154,10 @@ def bruggeman(indices: ComplexArray, fractions: Array) -> ComplexArray:
     Raises:
         NacreError: no physical root, as with metals.
 
-    Example: 50 % of index 1.59 in air gives 1.28402.
+    Example:
+        >>> half = np.array([0.5, 0.5])
+        >>> round(float(bruggeman(np.array([[1.59 + 0j], [1.0]]), half)[0].real), 5)
+        1.28402
     """
     present = fractions > 0
     eps, share = indices[present] ** 2, fractions[present]
@@ -204,7 +207,9 @@ def maxwell_garnett(inclusion: ComplexArray, matrix: ComplexArray, fraction: flo
         inclusion, matrix: `[wavelength]`, n + ik.
         fraction: volume fraction of the inclusions.
 
-    Example: 50 % of index 1.59 in air gives 1.26845.
+    Example:
+        >>> round(float(maxwell_garnett(np.array([1.59 + 0j]), np.array([1.0 + 0j]), 0.5)[0].real), 5)
+        1.26845
     """
     p, m = inclusion**2, matrix**2
     e = m * (p + 2 * m + 2 * fraction * (p - m)) / (p + 2 * m - fraction * (p - m))

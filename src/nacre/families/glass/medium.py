@@ -206,7 +206,9 @@ def percus_yevick(y: Array, fraction: float) -> Array:
     Returns:
         S in the shape of y.
 
-    Example: S(7, 0.5) = 3.24003571.
+    Example:
+        >>> round(float(percus_yevick(np.array([7.0]), 0.5)[0]), 8)
+        3.24003571
     """
     if fraction == 0.0:
         return np.ones_like(y)

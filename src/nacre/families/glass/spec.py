@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
+from pydantic import Field
 
 from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, SubstrateSpec, Widths, interface_roughness, nested_strata
 from nacre.core.arrays import Array
@@ -28,8 +29,8 @@ MAX_THICKNESS_NM = 1e8
 MAX_STRATA = 8
 OF_ONE_LAYER = ("thickness_nm", "matrix", "spheres", "absorber", "balls", "surface", "model")
 
-Positive = Annotated[float, pydantic.Field(gt=0.0)]
-NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
 
 
 class ShellSpec(RecipeModel):
@@ -37,8 +38,8 @@ class ShellSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ('{material = "SiO2", thickness_nm = 20}',)
 
-    material: IndexSpec = pydantic.Field(description="what the shell is made of")
-    thickness_nm: Annotated[float, pydantic.Field(gt=0.0, le=MAX_RADIUS_NM)] = pydantic.Field(
+    material: IndexSpec = Field(description="what the shell is made of")
+    thickness_nm: Annotated[float, Field(gt=0.0, le=MAX_RADIUS_NM)] = Field(
         description="thickness of the shell outside the core", examples=[20]
     )
 
@@ -51,21 +52,21 @@ class SpheresSpec(RecipeModel):
         '{material = "air", radius_nm = 90, volume_fraction = 0.45, shell = {material = "TiO2", thickness_nm = 20}}',
     )
 
-    material: IndexSpec = pydantic.Field(description="material of a sphere's core")
-    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=MAX_RADIUS_NM)] = pydantic.Field(
+    material: IndexSpec = Field(description="material of a sphere's core")
+    radius_nm: Annotated[float, Field(gt=0.0, le=MAX_RADIUS_NM)] = Field(
         description="mean radius of the core", examples=[125]
     )
-    deviation_nm: NotNegative = pydantic.Field(
+    deviation_nm: NotNegative = Field(
         default=0.0,
         description="standard deviation of the outer radius, at most 0.2 of it; core and shell scale together",
         examples=[6],
     )
-    volume_fraction: Annotated[float, pydantic.Field(gt=0.0)] = pydantic.Field(
+    volume_fraction: Annotated[float, Field(gt=0.0)] = Field(
         json_schema_extra={"maximum": MAX_PACKING},
         description="volume fraction of whole spheres, at most 0.64, the densest random packing",
         examples=[0.55],
     )
-    shell: ShellSpec | None = pydantic.Field(default=None, description="a coat round the core")
+    shell: ShellSpec | None = Field(default=None, description="a coat round the core")
 
     @pydantic.model_validator(mode="after")
     def _check(self) -> SpheresSpec:
@@ -98,16 +99,16 @@ class AbsorberSpec(RecipeModel):
     one_of: ClassVar[tuple[str, ...]] = ("k", "material")
     forms: ClassVar[tuple[str, ...]] = ("{k = 0.002}", "{material = {n = 1.8, k = 0.6}, volume_fraction = 0.003}")
 
-    k: float | None = pydantic.Field(
+    k: float | None = Field(
         json_schema_extra={"minimum": 0},
         default=None,
         description="extinction coefficient added to the matrix",
         examples=[0.002],
     )
-    material: IndexSpec | None = pydantic.Field(
+    material: IndexSpec | None = Field(
         default=None, description="instead of k: material of the absorber, of which only k counts"
     )
-    volume_fraction: Annotated[float, pydantic.Field(gt=0.0, le=0.3)] | None = pydantic.Field(
+    volume_fraction: Annotated[float, Field(gt=0.0, le=0.3)] | None = Field(
         default=None, description="with material: its volume fraction in the matrix", examples=[0.003]
     )
 
@@ -130,14 +131,12 @@ class BallsSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{binder = {n = 1.5}, radius_um = 5, volume_fraction = 0.3}",)
 
-    binder: IndexSpec = pydantic.Field(
-        description="material between the balls, possibly absorbing", examples=[{"n": 1.5}]
-    )
-    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=MAX_BALL_NM)] = pydantic.Field(
+    binder: IndexSpec = Field(description="material between the balls, possibly absorbing", examples=[{"n": 1.5}])
+    radius_nm: Annotated[float, Field(gt=0.0, le=MAX_BALL_NM)] = Field(
         description="radius of a ball, usually written with _um; at least three sphere diameters across",
         examples=[5000],
     )
-    volume_fraction: Annotated[float, pydantic.Field(gt=0.0)] = pydantic.Field(
+    volume_fraction: Annotated[float, Field(gt=0.0)] = Field(
         json_schema_extra={"maximum": MAX_PACKING},
         description="volume fraction of the balls, at most 0.64, the densest random packing",
         examples=[0.3],
@@ -176,13 +175,13 @@ class SurfaceSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{roughness = 0.1}",)
 
-    roughness: Widths = pydantic.Field(
+    roughness: Widths = Field(
         default=0.0, description="alpha of the upper face, or [alpha_x, alpha_y]; 0 is smooth", examples=[0.1]
     )
-    distribution: Literal["ggx", "beckmann"] = pydantic.Field(
+    distribution: Literal["ggx", "beckmann"] = Field(
         default="ggx", description="distribution of that face's facet normals"
     )
-    compensate: bool = pydantic.Field(
+    compensate: bool = Field(
         default=True, description="restore the light lost by multiple scattering between facets", examples=[False]
     )
 
@@ -194,10 +193,10 @@ class StructureSpec(RecipeModel):
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"enum": ["percus-yevick"]},)
     forms: ClassVar[tuple[str, ...]] = ('"percus-yevick"', '{sq = "s.csv"}')
 
-    name: Literal["percus-yevick"] | None = pydantic.Field(
+    name: Literal["percus-yevick"] | None = Field(
         default=None, description="model of the order; alone it needs no table", examples=["percus-yevick"]
     )
-    sq: str | None = pydantic.Field(
+    sq: str | None = Field(
         default=None,
         description="instead of name: a file of two columns, q in 1/um, ascending, and S(q)",
         examples=["s.csv"],
@@ -243,11 +242,11 @@ class ModelSpec(RecipeModel):
         '{structure = {sq = "s.csv"}}',
     )
 
-    structure: StructureSpec = pydantic.Field(
+    structure: StructureSpec = Field(
         default=StructureSpec(name="percus-yevick"),
         description='order of the spheres: "percus-yevick", or a file with S(q)',
     )
-    effective_index: Literal["bruggeman", "maxwell-garnett"] = pydantic.Field(
+    effective_index: Literal["bruggeman", "maxwell-garnett"] = Field(
         default="bruggeman", description="mixing rule of the effective index"
     )
 
@@ -281,7 +280,7 @@ def _check_layer(thickness_nm: float, spheres: SpheresSpec, balls: BallsSpec | N
         )
 
 
-Thickness = Annotated[float, pydantic.Field(gt=0.0, le=MAX_THICKNESS_NM)]
+Thickness = Annotated[float, Field(gt=0.0, le=MAX_THICKNESS_NM)]
 
 
 class StratumSpec(RecipeModel):
@@ -294,19 +293,17 @@ class StratumSpec(RecipeModel):
 
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = (OF_OTHER_FAMILY,)
 
-    thickness_nm: Thickness = pydantic.Field(
+    thickness_nm: Thickness = Field(
         description="thickness of the stratum, usually written with _um; at least three spheres", examples=[5000]
     )
-    matrix: IndexSpec = pydantic.Field(
-        default=IndexSpec.model_validate("air"), description="material between the spheres"
-    )
-    spheres: SpheresSpec = pydantic.Field(description="the spheres")
-    absorber: AbsorberSpec | None = pydantic.Field(default=None, description="black in the matrix")
-    balls: BallsSpec | None = pydantic.Field(
+    matrix: IndexSpec = Field(default=IndexSpec.model_validate("air"), description="material between the spheres")
+    spheres: SpheresSpec = Field(description="the spheres")
+    absorber: AbsorberSpec | None = Field(default=None, description="black in the matrix")
+    balls: BallsSpec | None = Field(
         default=None, description="balls of glass in a binder, as in a paint, instead of a homogeneous layer"
     )
-    surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="the upper face")
-    model: ModelSpec = pydantic.Field(default=ModelSpec(), description="details of the model")
+    surface: SurfaceSpec = Field(default=SurfaceSpec(), description="the upper face")
+    model: ModelSpec = Field(default=ModelSpec(), description="details of the model")
 
     @pydantic.model_validator(mode="after")
     def _check(self) -> StratumSpec:
@@ -381,33 +378,31 @@ class GlassSpec(RecipeModel):
         "base.albedo",
     )
 
-    family: Literal["glass"] = pydantic.Field(default="glass", description="the family's name")
-    title: str = pydantic.Field(default="", description="a title for figures", examples=["Blue feather"])
-    quality: Literal["reference", "fast"] = pydantic.Field(
+    family: Literal["glass"] = Field(default="glass", description="the family's name")
+    title: str = Field(default="", description="a title for figures", examples=["Blue feather"])
+    quality: Literal["reference", "fast"] = Field(
         default="reference", description="reference: the random walk; fast: noise-free tables if they apply"
     )
-    thickness_nm: Thickness | None = pydantic.Field(
+    thickness_nm: Thickness | None = Field(
         default=None,
         description="thickness of the layer, usually written with _um; at least three spheres",
         examples=[20000],
     )
-    matrix: IndexSpec = pydantic.Field(
-        default=IndexSpec.model_validate("air"), description="material between the spheres"
-    )
-    spheres: SpheresSpec | None = pydantic.Field(default=None, description="the spheres")
-    absorber: AbsorberSpec | None = pydantic.Field(default=None, description="black in the matrix")
-    balls: BallsSpec | None = pydantic.Field(
+    matrix: IndexSpec = Field(default=IndexSpec.model_validate("air"), description="material between the spheres")
+    spheres: SpheresSpec | None = Field(default=None, description="the spheres")
+    absorber: AbsorberSpec | None = Field(default=None, description="black in the matrix")
+    balls: BallsSpec | None = Field(
         default=None, description="balls of glass in a binder, as in a paint, instead of a homogeneous layer"
     )
-    surface: SurfaceSpec = pydantic.Field(default=SurfaceSpec(), description="the upper face")
-    strata: tuple[StratumSpec, ...] = pydantic.Field(
+    surface: SurfaceSpec = Field(default=SurfaceSpec(), description="the upper face")
+    strata: tuple[StratumSpec, ...] = Field(
         default=(),
         max_length=MAX_STRATA,
         description="instead of the keys of one layer: several layers, from the light inward",
     )
-    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="base below the layer")
-    model: ModelSpec = pydantic.Field(default=ModelSpec(), description="details of the model")
-    extrapolate: Literal["error", "edge"] = pydantic.Field(
+    base: SubstrateSpec = Field(default=SubstrateSpec(), description="base below the layer")
+    model: ModelSpec = Field(default=ModelSpec(), description="details of the model")
+    extrapolate: Literal["error", "edge"] = Field(
         default="error", description="outside the tabulated range of an optical constant: an error, or the end values"
     )
 

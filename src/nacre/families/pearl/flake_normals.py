@@ -141,6 +141,8 @@ def optical_number(volume_fraction: float, stratum_nm: float, flake_nm: float) -
     A flake with face area A and thickness h fills A h; at volume fraction C there are C / (A h) flakes per volume, so
     the face area per length is C / h for any outline.
 
-    Example: 13.2 % with 840.44 nm flakes in 150 um: N = 23.6.
+    Example:
+        >>> round(optical_number(0.132, 150e3, 840.44), 1)
+        23.6
     """
     return volume_fraction * stratum_nm / flake_nm

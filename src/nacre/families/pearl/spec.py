@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import pydantic
 from numpy.typing import NDArray
+from pydantic import Field
 
 from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, SubstrateSpec, Widths, interface_roughness, nested_strata
 from nacre.core.errors import NacreError, RecipeError
@@ -27,8 +28,8 @@ MAX_KINDS = 32
 MAX_COATINGS = 20
 MAX_FRACTION = 0.3  # denser flakes are not independent of each other
 
-Positive = Annotated[float, pydantic.Field(gt=0.0)]
-NotNegative = Annotated[float, pydantic.Field(ge=0.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
 
 
 def _deviation(value: Any) -> Any:
@@ -40,9 +41,9 @@ def _deviation(value: Any) -> Any:
     return value
 
 
-DeviationNumber = Annotated[float, pydantic.Field(ge=MIN_DEVIATION, le=1.0)]
+DeviationNumber = Annotated[float, Field(ge=MIN_DEVIATION, le=1.0)]
 Deviation = Annotated[
-    DeviationNumber | Annotated[tuple[DeviationNumber, ...], pydantic.Field(min_length=1, max_length=2)],
+    DeviationNumber | Annotated[tuple[DeviationNumber, ...], Field(min_length=1, max_length=2)],
     pydantic.BeforeValidator(_deviation),
 ]
 
@@ -52,20 +53,18 @@ class ThicknessKeys(RecipeModel):
 
     one_of: ClassVar[tuple[str, ...]] = ("thickness_nm", "histogram")
 
-    thickness_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e5)] | None = pydantic.Field(
+    thickness_nm: Annotated[float, Field(ge=0.0, le=1e5)] | None = Field(
         default=None, description="geometric thickness, the mean over the flakes", examples=[120]
     )
-    deviation_nm: Annotated[float, pydantic.Field(ge=0.0, le=1e5)] = pydantic.Field(
+    deviation_nm: Annotated[float, Field(ge=0.0, le=1e5)] = Field(
         default=0.0, description="standard deviation of the thickness over the flakes", examples=[10]
     )
-    distribution: Literal["gaussian", "truncated", "lognormal"] = pydantic.Field(
+    distribution: Literal["gaussian", "truncated", "lognormal"] = Field(
         default="gaussian", description="shape of that spread"
     )
-    min_nm: NotNegative = pydantic.Field(default=0.0, description="lower bound of a truncated spread", examples=[80])
-    max_nm: Positive | None = pydantic.Field(
-        default=None, description="upper bound of a truncated spread", examples=[160]
-    )
-    histogram: str | None = pydantic.Field(
+    min_nm: NotNegative = Field(default=0.0, description="lower bound of a truncated spread", examples=[80])
+    max_nm: Positive | None = Field(default=None, description="upper bound of a truncated spread", examples=[160])
+    histogram: str | None = Field(
         default=None,
         description="instead of thickness_nm: a file of two columns: thickness in nm; fraction, per cent or count",
         examples=["thickness.csv"],
@@ -119,7 +118,7 @@ class LayerSpec(ThicknessKeys):
         '{material = "mica", histogram = "thickness.csv"}',
     )
 
-    material: IndexSpec = pydantic.Field(description="what the layer is made of")
+    material: IndexSpec = Field(description="what the layer is made of")
 
 
 class PlateletSpec(RecipeModel):
@@ -131,36 +130,36 @@ class PlateletSpec(RecipeModel):
         '{volume_fraction = 0.005, coatings = [{material = "Al", thickness_nm = 60}], normal_deviation = [0.05, 0.2]}',
     )
 
-    volume_fraction: float = pydantic.Field(
+    volume_fraction: float = Field(
         json_schema_extra={"exclusiveMinimum": 0, "maximum": MAX_FRACTION},
         description="volume fraction of these flakes in the stratum",
         examples=[0.01],
     )
-    substrate: LayerSpec | None = pydantic.Field(default=None, description="the core of the flake")
-    coatings: tuple[LayerSpec, ...] = pydantic.Field(
+    substrate: LayerSpec | None = Field(default=None, description="the core of the flake")
+    coatings: tuple[LayerSpec, ...] = Field(
         default=(),
         max_length=MAX_COATINGS,
         description="coatings from the outermost inward, on both faces of the flake",
     )
-    lower_coatings: tuple[LayerSpec, ...] | None = pydantic.Field(
+    lower_coatings: tuple[LayerSpec, ...] | None = Field(
         default=None,
         max_length=MAX_COATINGS,
         description="other coatings for the lower face, from the outermost inward",
     )
-    normal_deviation: Deviation = pydantic.Field(
+    normal_deviation: Deviation = Field(
         default=0.1,
         description="SGGX roughness of the flakes' normals, or [x, y]; 0 would be all flat",
         examples=[0.1, [0.05, 0.2]],
     )
-    rotation_deg: tuple[float, float, float] = pydantic.Field(
+    rotation_deg: tuple[float, float, float] = Field(
         default=(0.0, 0.0, 0.0),
         description="rotation of the flakes' mean normal about x, y and z",
         examples=[[0, 20, 0]],
     )
-    diameter_um: Positive | None = pydantic.Field(
+    diameter_um: Positive | None = Field(
         default=None, description="median diameter of a flake's face; glints need it", examples=[20]
     )
-    energy_balance: Literal["conserving", "published"] = pydantic.Field(
+    energy_balance: Literal["conserving", "published"] = Field(
         default="conserving",
         description="reflectance of a flake: conserving is R; published is R (1 - T), which reproduces the colours of "
         "tables fitted that way (Guillen et al. 2020) and loses light",
@@ -212,24 +211,20 @@ class DyeSpec(RecipeModel):
         '{material = "TiO2", volume_fraction = 0.001, radius_nm = 100, deviation_nm = 10}',
     )
 
-    material: IndexSpec | None = pydantic.Field(default=None, description="optical constant of the dye")
-    file: str | None = pydantic.Field(
+    material: IndexSpec | None = Field(default=None, description="optical constant of the dye")
+    file: str | None = Field(
         default=None, description="instead of material: a table of wavelength in nm, n and k", examples=["dye.csv"]
     )
-    volume_fraction: Annotated[float, pydantic.Field(gt=0.0, le=0.3)] = pydantic.Field(
+    volume_fraction: Annotated[float, Field(gt=0.0, le=0.3)] = Field(
         description="volume fraction of the dye in the stratum", examples=[0.01]
     )
-    radius_nm: Annotated[float, pydantic.Field(gt=0.0, le=2e4)] | None = pydantic.Field(
+    radius_nm: Annotated[float, Field(gt=0.0, le=2e4)] | None = Field(
         default=None,
         description="radius of the dye's particles, which then scatter; without it the dye only absorbs",
         examples=[100],
     )
-    deviation_nm: NotNegative = pydantic.Field(
-        default=0.0, description="standard deviation of the radius", examples=[10]
-    )
-    distribution: Literal["gaussian", "lognormal"] = pydantic.Field(
-        default="gaussian", description="shape of that spread"
-    )
+    deviation_nm: NotNegative = Field(default=0.0, description="standard deviation of the radius", examples=[10])
+    distribution: Literal["gaussian", "lognormal"] = Field(default="gaussian", description="shape of that spread")
 
     _index: OpticalConstant = pydantic.PrivateAttr()
 
@@ -261,29 +256,29 @@ class StratumSpec(RecipeModel):
 
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = (OF_OTHER_FAMILY,)
 
-    resin: IndexSpec = pydantic.Field(description="medium around the flakes")
-    thickness_nm: float = pydantic.Field(
+    resin: IndexSpec = Field(description="medium around the flakes")
+    thickness_nm: float = Field(
         json_schema_extra={"exclusiveMinimum": 0, "maximum": 1e8},
         description="thickness of the stratum, usually written with _um",
         examples=[50000],
     )
-    roughness: Widths = pydantic.Field(
+    roughness: Widths = Field(
         default=0.0,
         description="alpha of the upper interface, or [alpha_x, alpha_y]; 0 is smooth",
         examples=[0.1, [0.05, 0.2]],
     )
-    distribution: Literal["ggx", "beckmann"] = pydantic.Field(
+    distribution: Literal["ggx", "beckmann"] = Field(
         default="ggx", description="distribution of the interface's facet normals"
     )
-    compensate: bool = pydantic.Field(
+    compensate: bool = Field(
         default=False,
         description="restore the light lost by multiple scattering between facets of the interface",
         examples=[True],
     )
-    platelets: tuple[PlateletSpec, ...] = pydantic.Field(
+    platelets: tuple[PlateletSpec, ...] = Field(
         default=(), max_length=MAX_KINDS, description="pigments (types of flakes) in this stratum"
     )
-    dye: DyeSpec | None = pydantic.Field(default=None, description="absorbing or scattering matter in the resin")
+    dye: DyeSpec | None = Field(default=None, description="absorbing or scattering matter in the resin")
 
     @pydantic.model_validator(mode="after")
     def _check(self) -> StratumSpec:
@@ -315,18 +310,16 @@ class GlintsSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = ("{surface_mm = 20}", "{surface_mm = [20, 10], flatness_deg = 1}")
 
-    surface_mm: Positive | tuple[Positive, Positive] = pydantic.Field(
+    surface_mm: Positive | tuple[Positive, Positive] = Field(
         description="length on the object of one unit of its texture coordinates, or of [u, v]", examples=[20, [20, 10]]
     )
-    diameter_spread: Annotated[float, pydantic.Field(ge=0.0, le=0.6)] = pydantic.Field(
+    diameter_spread: Annotated[float, Field(ge=0.0, le=0.6)] = Field(
         default=0.3, description="standard deviation of the logarithm of the flakes' diameters"
     )
-    flatness_deg: Annotated[float, pydantic.Field(ge=0.05, le=20.0)] = pydantic.Field(
+    flatness_deg: Annotated[float, Field(ge=0.05, le=20.0)] = Field(
         default=0.5, description="standard deviation of the normal over one flake"
     )
-    seed: Annotated[int, pydantic.Field(ge=0, lt=1 << 24)] = pydantic.Field(
-        default=0, description="seed of the flakes' positions"
-    )
+    seed: Annotated[int, Field(ge=0, lt=1 << 24)] = Field(default=0, description="seed of the flakes' positions")
 
     def build(self, upper: Stratum, context: RecipeContext) -> Glints:
         """Return the glints of the uppermost stratum.
@@ -379,17 +372,17 @@ class PearlSpec(RecipeModel):
 
     zero_drops: ClassVar[tuple[str, ...]] = ("strata[].platelets[].volume_fraction", "strata[].dye.volume_fraction")
 
-    family: Literal["pearl"] = pydantic.Field(default="pearl", description="the family's name")
-    title: str = pydantic.Field(default="", description="a title for figures", examples=["Silver-white pigment"])
-    quality: Literal["reference", "fast"] = pydantic.Field(
+    family: Literal["pearl"] = Field(default="pearl", description="the family's name")
+    title: str = Field(default="", description="a title for figures", examples=["Silver-white pigment"])
+    quality: Literal["reference", "fast"] = Field(
         default="reference",
         description="reference: the random walk; fast: noise-free tables with a stated error if they apply",
     )
-    strata: tuple[StratumSpec, ...] = pydantic.Field(
+    strata: tuple[StratumSpec, ...] = Field(
         min_length=1, max_length=MAX_STRATA, description="layers of resin, from the light inward"
     )
-    base: SubstrateSpec = pydantic.Field(default=SubstrateSpec(), description="base below the last stratum")
-    glints: GlintsSpec | None = pydantic.Field(default=None, description="resolved flakes of the uppermost stratum")
+    base: SubstrateSpec = Field(default=SubstrateSpec(), description="base below the last stratum")
+    glints: GlintsSpec | None = Field(default=None, description="resolved flakes of the uppermost stratum")
 
     @pydantic.model_validator(mode="before")
     @classmethod

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import pydantic
+from pydantic import Field
 
 from nacre.recipe.model import RecipeModel
 
@@ -58,10 +59,10 @@ class CoherenceSpec(RecipeModel):
     one_of: ClassVar[tuple[str, ...]] = ("sigma", "source_angle_deg")
     forms: ClassVar[tuple[str, ...]] = ("{sigma = 5}", "{source_angle_deg = 0.53}")
 
-    sigma: Annotated[float, pydantic.Field(gt=0.0, le=1e4)] | None = pydantic.Field(
+    sigma: Annotated[float, Field(gt=0.0, le=1e4)] | None = Field(
         default=None, description="width of the coherence window in um, at a wavelength of 0.5 um", examples=[5]
     )
-    source_angle_deg: Annotated[float, pydantic.Field(gt=0.0, le=LARGEST_SOURCE_ANGLE_DEG)] | None = pydantic.Field(
+    source_angle_deg: Annotated[float, Field(gt=0.0, le=LARGEST_SOURCE_ANGLE_DEG)] | None = Field(
         default=None, description="instead of sigma: full angle of a uniform light source", examples=[0.53]
     )
 

@@ -24,7 +24,9 @@ def fresnel_reflectance(cos_d: Array, n: NDArray[np.complex128], n_ambient: floa
         n: complex index n + ik `[wavelength]`, k >= 0.
         n_ambient: index outside.
 
-    Example: aluminium at 550 nm (n = 0.96 + 6.69i), normal incidence: 0.92.
+    Example:
+        >>> round(float(fresnel_reflectance(np.array(1.0), np.array([0.96 + 6.69j]))[0]), 2)
+        0.92
     """
     cosine = np.asarray(cos_d, dtype=float)[..., None]
     ratio = np.asarray(n) / n_ambient

@@ -8,7 +8,7 @@ from tokenize import TokenError
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-import pydantic
+from pydantic import Field
 
 from nacre.bsdf.texture_spec import read_grey
 from nacre.core.errors import RecipeError
@@ -39,34 +39,34 @@ class ReliefSpec(RecipeModel):
         "coherence": {"sigma": 5},
     }
 
-    family: Literal["relief"] = pydantic.Field(default="relief", description="the family's name")
-    heights: str = pydantic.Field(
+    family: Literal["relief"] = Field(default="relief", description="the family's name")
+    heights: str = Field(
         description="the heights: a .npy array [x, y] in um, or a grey image (row = x)",
         examples=["heights.npy", "heights.png"],
     )
-    height_scale_um: Annotated[float, pydantic.Field(gt=0.0, le=MAX_HEIGHT_UM)] | None = pydantic.Field(
+    height_scale_um: Annotated[float, Field(gt=0.0, le=MAX_HEIGHT_UM)] | None = Field(
         default=None, description="height of white over black in an image; required for images", examples=[0.5]
     )
-    feature_um: Annotated[float, pydantic.Field(gt=0.0)] = pydantic.Field(
+    feature_um: Annotated[float, Field(gt=0.0)] = Field(
         description="side of one square feature, a pixel of the heights", examples=[2]
     )
-    blur_um: Annotated[float, pydantic.Field(gt=0.0)] = pydantic.Field(
+    blur_um: Annotated[float, Field(gt=0.0)] = Field(
         description="standard deviation of the Gaussian blur of the process", examples=[0.6]
     )
-    coating: IndexSpec = pydantic.Field(
+    coating: IndexSpec = Field(
         default_factory=lambda: IndexSpec.model_validate("Al"), description="opaque metal of the surface"
     )
-    prefactor: Literal["kirchhoff", "published"] = pydantic.Field(
+    prefactor: Literal["kirchhoff", "published"] = Field(
         default="kirchhoff",
         description="prefactor of the diffraction integral: the one that conserves energy, or the one as published",
     )
-    coherence: CoherenceSpec = pydantic.Field(
+    coherence: CoherenceSpec = Field(
         description="coherence of the light, given by the angular size of the light source"
     )
-    accuracy: Annotated[float, pydantic.Field(ge=1e-6, le=0.1)] = pydantic.Field(
+    accuracy: Annotated[float, Field(ge=1e-6, le=0.1)] = Field(
         default=3e-3, description="accuracy of the interpolation in the third component of wi + wo"
     )
-    bounded: bool = pydantic.Field(
+    bounded: bool = Field(
         default=True, description="limit strong reliefs to the coating's reflectance at grazing light"
     )
 

@@ -75,7 +75,10 @@ class OpticalConstant:
             MaterialRangeError: a wavelength lies outside the published range and `extrapolate` is "error".
             NacreError: the formula gives no index there (n^2 < 0), or k < 0.
 
-        Example: `index("SiO2").n_complex([587.6])` is 1.4585.
+        Example:
+            >>> from nacre.matter import index
+            >>> round(float(index("SiO2").n_complex([587.6])[0].real), 4)
+            1.4585
         """
         wavelengths = floats(wavelengths_nm, "wavelengths_nm")
         if wavelengths.size > MAX_CACHED_WAVELENGTHS:

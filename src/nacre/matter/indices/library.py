@@ -31,7 +31,9 @@ def index(material: str | complex | OpticalConstant | Mapping[str, Any] | IndexS
         UnknownMaterialError: unknown name or entry; names the nearest one.
         RecipeError: an invalid recipe table.
 
-    Example: `index("TiO2").n_complex([587.6])` is 2.6142.
+    Example:
+        >>> round(float(index("TiO2").n_complex([587.6])[0].real), 4)
+        2.6142
     """
     if isinstance(material, OpticalConstant):
         return material

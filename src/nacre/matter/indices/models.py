@@ -206,7 +206,10 @@ def abbe_cauchy(n_d: float, abbe: float) -> Cauchy:
 
     V = (n_d - 1) / (n_F - n_C) fixes the slope: B = (n_d - 1) / (V (1/F^2 - 1/C^2)).
 
-    Example: mica, n_d = 1.6137 and V = 54.56, has n = 1.6285 at 430 nm.
+    Example:
+        >>> mica = abbe_cauchy(1.6137, 54.56)
+        >>> round(float(mica(np.array([430.0]))[0].real), 4)
+        1.6285
     """
     d, f, c = ((1000.0 / line) ** 2 for line in (LINE_D_NM, LINE_F_NM, LINE_C_NM))
     slope = (n_d - 1.0) / (abbe * (f - c))

@@ -17,6 +17,8 @@ A 2 x 2 matrix is a tuple (m00, m01, m10, m11). A scattering matrix is (t, r, t'
 light from above, then from below; t and t' are stored less the identity.
 """
 
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
 from __future__ import annotations
 
 import numpy as np
@@ -31,7 +33,7 @@ _GAUSS = 0.28867513459481287  # half the distance of the two Gauss nodes in a st
 
 
 @compiled(nogil=True, inline="always")
-def _mul(a, b):  # type: ignore[no-untyped-def]
+def _mul(a, b):
     return (
         a[0] * b[0] + a[1] * b[2],
         a[0] * b[1] + a[1] * b[3],
@@ -41,34 +43,34 @@ def _mul(a, b):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True, inline="always")
-def _add(a, b):  # type: ignore[no-untyped-def]
+def _add(a, b):
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3])
 
 
 @compiled(nogil=True, inline="always")
-def _one_plus(a):  # type: ignore[no-untyped-def]
+def _one_plus(a):
     return (1.0 + a[0], a[1], a[2], 1.0 + a[3])
 
 
 @compiled(nogil=True, inline="always")
-def _scaled(a, factor):  # type: ignore[no-untyped-def]
+def _scaled(a, factor):
     return (a[0] * factor, a[1] * factor, a[2] * factor, a[3] * factor)
 
 
 @compiled(nogil=True, inline="always")
-def _inverse(a):  # type: ignore[no-untyped-def]
+def _inverse(a):
     over = 1.0 / (a[0] * a[3] - a[1] * a[2])
     return (a[3] * over, -a[1] * over, -a[2] * over, a[0] * over)
 
 
 @compiled(nogil=True)
-def _excess(k):  # type: ignore[no-untyped-def]
+def _excess(k):
     """Return (1 - k)^-1 - 1 = (1 - k)^-1 k."""
     return _mul(_inverse((1.0 - k[0], -k[1], -k[2], 1.0 - k[3])), k)
 
 
 @compiled(nogil=True)
-def doubled(t, r, u, s):  # type: ignore[no-untyped-def]
+def doubled(t, r, u, s):
     """Return the scattering matrix of a slice on an identical one."""
     full_t, full_u = _one_plus(t), _one_plus(u)
     y = _excess(_mul(s, r))
@@ -83,7 +85,7 @@ def doubled(t, r, u, s):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def joined(t1, r1, u1, s1, t2, r2, u2, s2):  # type: ignore[no-untyped-def]
+def joined(t1, r1, u1, s1, t2, r2, u2, s2):
     """Return the scattering matrix of the first slice above the second (Redheffer star product)."""
     full_t1, full_u1, full_t2, full_u2 = _one_plus(t1), _one_plus(u1), _one_plus(t2), _one_plus(u2)
     yt = _mul(_excess(_mul(s1, r2)), full_t1)
@@ -96,7 +98,7 @@ def joined(t1, r1, u1, s1, t2, r2, u2, s2):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def generator(eps, kx, factor, out):  # type: ignore[no-untyped-def]
+def generator(eps, kx, factor, out):
     """Write `factor` D in the basis (a, b) to `out[4, 4]`; `eps[3, 3]` is symmetric, in the frame of incidence."""
     over = 1.0 / eps[2, 2]
     d11 = -kx * eps[2, 0] * over
@@ -133,14 +135,14 @@ def generator(eps, kx, factor, out):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True, inline="always")
-def _product(a, b, out):  # type: ignore[no-untyped-def]
+def _product(a, b, out):
     for i in range(4):
         for j in range(4):
             out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j] + a[i, 3] * b[3, j]
 
 
 @compiled(nogil=True)
-def scattering(m, work):  # type: ignore[no-untyped-def]
+def scattering(m, work):
     """Return the scattering matrix of a layer with the transfer matrix exp(m), `m[4, 4]` in the basis (a, b).
 
     Args:
@@ -184,7 +186,7 @@ def scattering(m, work):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def _turned(eps, cosine, sine, out):  # type: ignore[no-untyped-def]
+def _turned(eps, cosine, sine, out):
     """Write the tensor `eps` turned about z to `out`."""
     xx, xy, xz = eps[0, 0], eps[0, 1], eps[0, 2]
     yy, yz, zz = eps[1, 1], eps[1, 2], eps[2, 2]
@@ -199,7 +201,7 @@ def _turned(eps, cosine, sine, out):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def helix_slice(eps, kx, phase, start, turn, tensor, work):  # type: ignore[no-untyped-def]
+def helix_slice(eps, kx, phase, start, turn, tensor, work):
     """Return the scattering matrix of a slice in which the tensor turns by `turn`, by a fourth-order Magnus step.
 
     Args:
@@ -226,7 +228,7 @@ def helix_slice(eps, kx, phase, start, turn, tensor, work):  # type: ignore[no-u
 
 
 @compiled(nogil=True)
-def helix(eps, kx, k0_thickness, turn, slices_per_half_turn, tensor, work):  # type: ignore[no-untyped-def]
+def helix(eps, kx, k0_thickness, turn, slices_per_half_turn, tensor, work):
     """Return the scattering matrix of a helical layer: N equal half turns by repeated squaring, then the rest.
 
     The permittivity tensor has the period of half a turn if the helix turns a tensor whose principal axis lies in the
@@ -266,7 +268,7 @@ def helix(eps, kx, k0_thickness, turn, slices_per_half_turn, tensor, work):  # t
 
 
 @compiled(nogil=True)
-def _factorised(d, d2, s, p):  # type: ignore[no-untyped-def]
+def _factorised(d, d2, s, p):
     """Refine the factor q^2 - s q + p of the characteristic polynomial of `d` by Newton's method (Bairstow).
 
     Returns (s, p) of the given and of the complementary factor, and whether the iteration converged.
@@ -303,7 +305,7 @@ def _factorised(d, d2, s, p):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def _first_factor(d):  # type: ignore[no-untyped-def]
+def _first_factor(d):
     """Return (s, p) of the downward pair of modes, by decay if a mode decays and by its flux |a|^2 - |b|^2 if not."""
     values, vectors = np.linalg.eig(d)
     rank = np.empty(4)
@@ -319,7 +321,7 @@ def _first_factor(d):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True, inline="always")
-def _is_passive(y):  # type: ignore[no-untyped-def]
+def _is_passive(y):
     """Whether the reflection of a half-space has no singular value above 1."""
     total = abs(y[0]) ** 2 + abs(y[1]) ** 2 + abs(y[2]) ** 2 + abs(y[3]) ** 2
     det = abs(y[0] * y[3] - y[1] * y[2]) ** 2
@@ -327,7 +329,7 @@ def _is_passive(y):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def _subspaces(d, d2, s, p, other_s, other_p):  # type: ignore[no-untyped-def]
+def _subspaces(d, d2, s, p, other_s, other_p):
     """Return Y and Z of the two invariant subspaces of `d`: b = Y a of the pair (s, p), a = Z b of the other."""
     n11 = (
         d2[0, 0] - other_s * d[0, 0] + other_p, d2[0, 1] - other_s * d[0, 1],
@@ -343,7 +345,7 @@ def _subspaces(d, d2, s, p, other_s, other_p):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def _exponent(m):  # type: ignore[no-untyped-def]
+def _exponent(m):
     """Return mean, half difference and traceless part of a 2 x 2 matrix, from which `_exp` is computed."""
     mean = 0.5 * (m[0] + m[3])
     half = 0.5 * (m[0] - m[3])
@@ -351,7 +353,7 @@ def _exponent(m):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def _exp(mean, difference, rest, factor):  # type: ignore[no-untyped-def]
+def _exp(mean, difference, rest, factor):
     """Return exp(factor m) of a 2 x 2 matrix m in the form of `_exponent`."""
     x, y = factor * mean, factor * difference
     if abs(y) < 0.02:
@@ -365,7 +367,7 @@ def _exp(mean, difference, rest, factor):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def solve_stacks(stack, light, bottom, outputs, first, last):  # type: ignore[no-untyped-def]
+def solve_stacks(stack, light, bottom, outputs, first, last):
     """Solve a stack at angles `first` to `last` - 1 and all wavelengths.
 
     Args:
@@ -426,20 +428,20 @@ def solve_stacks(stack, light, bottom, outputs, first, last):  # type: ignore[no
 
 
 @compiled(nogil=True, inline="always")
-def _store(state, g, down):  # type: ignore[no-untyped-def]
+def _store(state, g, down):
     for k in range(4):
         state[0, k] = g[k]
         state[1, k] = down[k]
 
 
 @compiled(nogil=True, inline="always")
-def _is_same(one, other):  # type: ignore[no-untyped-def]
+def _is_same(one, other):
     same = one[0, 0] == other[0, 0] and one[1, 1] == other[1, 1] and one[2, 2] == other[2, 2]
     return same and one[0, 1] == other[0, 1] and one[0, 2] == other[0, 2] and one[1, 2] == other[1, 2]
 
 
 @compiled(nogil=True, inline="always")
-def _over_scattering(g, t, r, u, s):  # type: ignore[no-untyped-def]
+def _over_scattering(g, t, r, u, s):
     """Return the reflection above a layer, and the map of a from its upper to its lower face, given that below it."""
     full_t = _one_plus(t)
     down = _add(full_t, _mul(_excess(_mul(s, g)), full_t))
@@ -447,7 +449,7 @@ def _over_scattering(g, t, r, u, s):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def _over_modes(g, m, phase):  # type: ignore[no-untyped-def]
+def _over_modes(g, m, phase):
     """Return the same for a layer with the modes of `_find_modes`."""
     y, z = (m[0], m[1], m[2], m[3]), (m[4], m[5], m[6], m[7])
     e_down = _exp(m[8], m[9], (m[10], m[11], m[12], m[13]), phase)
@@ -462,7 +464,7 @@ def _over_modes(g, m, phase):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def _absorption(states, absorbed):  # type: ignore[no-untyped-def]
+def _absorption(states, absorbed):
     """Write the flux lost in each layer from the reflections and maps of all layers."""
     into = (1.0 + 0j, 0j, 0j, 1.0 + 0j)
     before = _flux(into, (states[0, 0, 0], states[0, 0, 1], states[0, 0, 2], states[0, 0, 3]))
@@ -476,7 +478,7 @@ def _absorption(states, absorbed):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def _find_modes(d, d2, factor, modes, has_guess):  # type: ignore[no-untyped-def]
+def _find_modes(d, d2, factor, modes, has_guess):
     """Write the invariant subspaces and exponents of a layer to `modes`; return 1, or 2 if doubling must be used.
 
     The factor of the previous wavelength is the first guess. A result that is not passive is another branch; the
@@ -503,7 +505,7 @@ def _find_modes(d, d2, factor, modes, has_guess):  # type: ignore[no-untyped-def
 
 
 @compiled(nogil=True)
-def _flux(down, g):  # type: ignore[no-untyped-def]
+def _flux(down, g):
     """Return down^H (1 - g^H g) down, the flux matrix for incident waves a."""
     up = _mul(g, down)
     a, b = _adjoint_product(down), _adjoint_product(up)
@@ -511,6 +513,6 @@ def _flux(down, g):  # type: ignore[no-untyped-def]
 
 
 @compiled(nogil=True)
-def _adjoint_product(m):  # type: ignore[no-untyped-def]
+def _adjoint_product(m):
     c00, c01, c10, c11 = np.conj(m[0]), np.conj(m[1]), np.conj(m[2]), np.conj(m[3])
     return (c00 * m[0] + c10 * m[2], c00 * m[1] + c10 * m[3], c01 * m[0] + c11 * m[2], c01 * m[1] + c11 * m[3])

@@ -195,7 +195,10 @@ def field_profile(
     Raises:
         NacreError: as `solve`; a batch of stacks, or non-finite depths.
 
-    Example: in front of a perfect mirror |E|^2 rises to 4 a quarter wave away.
+    Example:
+        >>> profile = field_profile([[1.0], [1e6j]], [], [400.0], 0.0, [-100.0])  # a quarter wave before a mirror
+        >>> round(float(profile.s.squeeze()), 4)
+        4.0
     """
     stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, waves_only=True)
     if stack.batch:

@@ -76,7 +76,10 @@ def pull_back(
     Raises:
         NacreError: as `nacre.matter.stack.solve.solve`; an absorbing ambient; a batch.
 
-    Example: for 100 nm of 1.38 on 1.52 at 550 nm, `pull_back(n, [100], [550], 0.0, R_s=1.0).thicknesses_nm` is dR/dd.
+    Example:
+        >>> n = np.array([[1.0], [1.38], [1.52]], dtype=complex)
+        >>> pull_back(n, [100.0], [550.0], 0.0, R_s=1.0).thicknesses_nm.shape  # dR/dd
+        (1,)
     """
     stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
     return _pull_back(stack, (R_s, R_p, T_s, T_p), index)
@@ -109,7 +112,12 @@ def value_and_grad(
         NacreError: as `pull_back`, here and when called.
         MachineError: JAX is not installed.
 
-    Example: `value_and_grad(lambda powers: (powers.reflectance**2).sum(), n, lam, [0.0])(thicknesses)`.
+    Example:
+        >>> n = np.array([[1.0], [1.38], [1.52]], dtype=complex)
+        >>> loss = value_and_grad(lambda powers: (powers.reflectance**2).sum(), n, [550.0], [0.0])
+        >>> value, slope = loss([100.0])
+        >>> slope.shape
+        (1,)
     """
     if importlib.util.find_spec("jax") is None:
         raise MachineError("gradients of a loss need JAX, which is not installed: pip install 'nacre[gradient]'")

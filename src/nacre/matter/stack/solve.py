@@ -50,7 +50,10 @@ def solve(
             NacreError: an absorbing ambient, for which R and T are undefined (use `amplitudes`); k < 0, a negative
                 thickness, inconsistent shapes, an angle outside 0..pi/2.
 
-    Example: 300 nm of n = 1.33 between air at 550 nm and normal incidence reflect 0.0754.
+    Example:
+        >>> film = solve([[1.0], [1.33], [1.0]], [300.0], [550.0], [0.0])
+        >>> round(float(film.reflectance[0, 0]), 4)
+        0.0754
     """
     stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i)
     (r_s, r_p, t_s, t_p), (R_s, R_p, T_s, T_p) = run_kernel(stack, True, True, jobs)
@@ -108,7 +111,10 @@ def amplitudes(
         Other arguments, shapes and errors as in `solve`. Power is undefined here: beyond the light line a single wave
         does not carry power.
 
-    Example: glass (n = 1.5) at kz = 1 + 2i: r_s = 0.0340 + 0.0578i.
+    Example:
+        >>> waves = amplitudes([[1.0], [1.5]], [], [550.0], kz=1 + 2j)
+        >>> complex(waves.r_s.squeeze()).__format__(".4f")
+        '0.0340+0.0578j'
     """
     stack = prepare(
         n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa, kz=kz, waves_only=True
@@ -133,7 +139,9 @@ def jones_transmission(response: Response) -> ComplexArray:
 def mueller(jones: ComplexArray) -> Array:
     """Return the Mueller matrix `[..., 4, 4]` of any Jones matrix `[..., 2, 2]` over (E_p, E_s).
 
-    Example: a mirror with r_s = -1, r_p = 1 gives diag(1, 1, -1, -1).
+    Example:
+        >>> np.diag(mueller(np.diag([1.0 + 0j, -1.0]))).tolist()
+        [1.0, 1.0, -1.0, -1.0]
     """
     product = np.einsum("...ij,...kl->...ikjl", jones, jones.conj())
     coherence = product.reshape(*jones.shape[:-2], 4, 4)

@@ -61,7 +61,11 @@ class Stack:
         ambient, substrate: half-spaces; an optical constant, a number, or an array for the requested wavelengths.
         layers: from the ambient inward.
 
-    Example: `Stack(1.0, [Layer(index("SiO2"), 400)], index("Si")).solve([0.0], wavelengths_nm).reflectance`.
+    Example:
+        >>> from nacre.matter import index
+        >>> wafer = Stack(1.0, [Layer(index("SiO2"), 400.0)], index("Si"))
+        >>> wafer.solve([0.0], [500.0, 600.0]).reflectance.shape
+        (1, 2)
     """
 
     ambient: Medium

@@ -13,7 +13,7 @@ import numpy as np
 from nacre.core.arrays import Array
 
 MAX_STEP = 0.2  # of the bounds
-XTOL = 1e-6  # smallest step, and smallest relative gain of a step
+XTOL = 1e-6  # smallest step, and smallest relative step gain
 MAX_DAMPING = 1e4
 
 
@@ -52,9 +52,9 @@ def descend(
     Args:
         residuals: of a point; None if they cannot be computed.
         jacobian: of a descent at its point, `[residual, parameter]`.
-        columns: indices of the parameters.
+        columns: parameter indices.
         low: lower bounds of these parameters.
-        ftol: relative gain of a step below which the descent has converged.
+        ftol: relative step gain below which the descent has converged.
         is_enough: asked after each successful step.
     """
     if run.is_converged:

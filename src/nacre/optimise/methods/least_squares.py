@@ -21,14 +21,14 @@ from nacre.optimise.merit import MeritFunction
 from nacre.optimise.problem import PENALTY, STOP_TOL, Problem, Search
 
 SCOUTS_PER_PARAMETER = 24
-STEP = 1e-4  # finite difference, of the bounds: far above rounding, far below an interference fringe
+STEP = 1e-4  # finite difference, relative to the bounds: far above rounding, far below an interference fringe
 STOCHASTIC_STEP = 1e-2  # with Monte Carlo noise of a fixed seed, which is not smooth
 INSIDE = 1e-6  # scipy requires a start inside the bounds
 
 
 @dataclass(frozen=True, eq=False)
 class LocalMinimum:
-    """Result of a refinement: point `[parameter]`, sum of squares, Jacobian `[residual, parameter]`."""
+    """Refinement result: point `[parameter]`, sum of squares, Jacobian `[residual, parameter]`."""
 
     point: Array
     loss: float
@@ -36,7 +36,7 @@ class LocalMinimum:
 
 
 def sobol_points(parameters: int, count: int, seed: int | Sequence[int]) -> Array:
-    """Return scrambled Sobol points of the unit cube, `[point, parameter]`, the next power of two of `count`."""
+    """Return scrambled Sobol unit cube points, `[point, parameter]`, the next power of two of `count`."""
     from scipy.stats import qmc
 
     sampler = qmc.Sobol(parameters, scramble=True, rng=np.random.default_rng(seed))
@@ -115,7 +115,7 @@ def refine(
 
     Args:
         spectra: of a point, `[row, wavelength]`; None if it cannot be computed.
-        columns: indices of the parameters.
+        columns: parameter indices.
         reweightings: minimisations with new weights.
         stop_tol: objective at which to end.
         in_parallel: compute the finite differences in threads.
@@ -174,12 +174,12 @@ class LeastSquaresOptions:
 
     Attributes:
         scouts_per_parameter, min_scouts, max_scouts: size of the Sobol draw.
-        scout_share: share of the budget for it.
+        scout_share: budget share for it.
         max_nfev, reweightings: see `refine`.
-        max_noise: Monte Carlo noise of colours, in tolerances, that does not disturb the search.
+        max_noise: Monte Carlo colour noise, in tolerances, that does not disturb the search.
         max_samples: largest number of Monte Carlo samples.
         perturbations: standard deviations of restarts near the best solutions, of the bounds.
-        min_start_distance: of two starts, of the bounds.
+        min_start_distance: between starts, relative to the bounds.
     """
 
     scouts_per_parameter: int = SCOUTS_PER_PARAMETER

@@ -26,12 +26,12 @@ class BasinHoppingOptions:
         first_gain: expected reduction of the rms by the first steps.
         steps: of one turn of a descent.
         turn_gain: remaining share of the squares below which a descent has another turn.
-        ftol: relative gain of a step that ends a descent.
+        ftol: relative step gain that ends a descent.
         min_difference: of residuals of two minima, relative to the smaller.
         minima_per_hop: new minima before the next hop.
         scan_points: along a length; about a tenth of a wavelength for a coating.
         min_hop: distance of a new start from the minimum, of the bounds.
-        step: finite difference, of the bounds.
+        step: finite difference, relative to the bounds.
     """
 
     first_gain: float = 0.3
@@ -50,9 +50,9 @@ class BasinHopping:
 
     Args:
         residuals: of a point; None if they cannot be computed.
-        columns: indices of the parameters of a point that may move.
+        columns: parameter indices of a point that may move.
         low: lower bound of each parameter.
-        lengths: indices of the parameters that interfere.
+        lengths: parameter indices that interfere.
         variants: further starts from a good minimum, such as without one of its tables.
         structure: of a point; descents begin from all structures in turn.
     """

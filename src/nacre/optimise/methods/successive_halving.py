@@ -2,7 +2,7 @@
 
 A candidate costs a tenth of a second or more. Each round evaluates a Sobol draw at low fidelity, starts descents from
 the best points, and after every few steps drops the worse half of them. All of this uses few wavelengths; the
-survivors converge on the wavelengths of the final evaluation, with Jacobians on the few.
+survivors converge on the final evaluation wavelengths, with Jacobians on the few.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ class SuccessiveHalvingOptions:
     """Options of `SuccessiveHalvingSearch`.
 
     Attributes:
-        draws, draw_share: draft evaluations of a round, and their share of the budget.
+        draws, draw_share: draft evaluations of a round, and their budget share.
         second_draws, min_second_draws: of them that are evaluated again on the coarse wavelengths.
         population_size: descents at the start of a round.
         categorical_share: one of so many starts is reserved for the categorical choices in turn, whatever its merit.
-        min_start_distance: of two starts, of the bounds.
-        step: finite difference, of the bounds.
+        min_start_distance: between starts, relative to the bounds.
+        step: finite difference, relative to the bounds.
         rung_steps, final_steps: steps before each halving, and to converge.
         reweightings: descents with weights on the worst terms.
         enough: share of the stopping tolerance at which a descent ends.

@@ -43,19 +43,19 @@ class SurrogateOptions:
 
     Attributes:
         scout_share, exploration_share: of the budget of a round.
-        fine_share: of the budget for scouts and descents if the error of the surrogate is known.
+        fine_share: of the budget for scouts and descents if the surrogate error is known.
         fine_starts: scouts that start fine descents.
         starts, starts_per_structure: refinements of a round if the error is unknown.
         best_starts: of them that are corrected by estimates.
         scout_refinements, scout_walks, scout_radius: refinements of each start, walks of their estimates, and the
             trust radius of the correction, of the bounds.
-        max_nfev, corrected_nfev: steps of a refinement, without and with a known error.
-        step: finite difference, of the bounds.
+        max_nfev, corrected_nfev: refinement steps, without and with a known error.
+        step: finite difference, relative to the bounds.
         trust_radius, radius_shrink, min_radius: of the correction, of the bounds.
         min_amount: least amount of an optional table that is present, of its bounds.
         first_walks, max_walks: of an estimate.
         corrections: refinements between estimates.
-        max_noise, noise_share: acceptable noise of colours in tolerances, and relative to the objective.
+        max_noise, noise_share: acceptable colour noise in tolerances, and relative to the objective.
         good_rms, poor_objective: rms in tolerances of a minimum that is corrected at once, and objective beyond which a
             minimum must improve quickly.
         gain, max_idle: smaller improvements of the objective, and how many of them end the work on a minimum.
@@ -64,7 +64,7 @@ class SurrogateOptions:
         hopeless_ratio: objective relative to the best one at which a minimum is given up.
         small_amount, removal_cost: amounts that are tried without, of their bounds, and the objective that may cost.
         idle_rounds: rounds without improvement that end the search.
-        min_start_distance: of two starts, of the bounds.
+        min_start_distance: between starts, relative to the bounds.
         max_subset_error: colour error of the wavelength subset, in tolerances.
     """
 
@@ -106,7 +106,7 @@ class SurrogateOptions:
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Multiplicative correction of the surrogate by an estimate at one point.
+    """Multiplicative surrogate correction by an estimate at one point.
 
     Attributes:
         rest: `[row, wavelength]`, estimated factors beyond the exact part.
@@ -128,7 +128,7 @@ class SurrogateError:
     """Error model of the surrogate: combines its own error with all estimates so far.
 
     Attributes:
-        relative: standard error of the approximate part; None if unknown.
+        relative: standard error for the approximate part; None if unknown.
         exact_error: of the exact part, which uses coarser tables than the walk.
         similarity: mean log difference of two approximations whose estimates apply to each other.
         estimates: walks, approximation, rest and its error of each estimate.
@@ -386,7 +386,7 @@ class SurrogateSearch(Search):
     def _explore(self, points: Sequence[Array], phase: Phase) -> list[tuple[float, Array]]:
         """Refine the best distinct points, each with its own estimates; return (rms, point), best first.
 
-        The error of the surrogate differs from point to point, so a descent does not go far on one correction.
+        The surrogate error differs from point to point, so a descent does not go far on one correction.
         """
         options = self.options
         begun: list[Array] = []

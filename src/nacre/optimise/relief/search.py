@@ -254,9 +254,11 @@ class Search:
 
 
 def _minimise(
-    value_and_gradient: Callable[[Array], tuple[float, Array]], start: Array, options: dict[str, Any],
+    value_and_gradient: Callable[[Array], tuple[float, Array]],
+    start: Array,
+    options: dict[str, Any],
     callback: Callable[[Array], None] | None = None,
-) -> Array:  # fmt: skip
+) -> Array:
     """Minimise by L-BFGS-B in the unit cube."""
     bounds = [(0.0, 1.0)] * len(start)
     keywords: dict[str, Any] = {"jac": True, "method": "L-BFGS-B", "bounds": bounds, "callback": callback}

@@ -297,7 +297,7 @@ def _is_of_stack(number: Parameter) -> bool:
 
 
 def engine_wavelengths(wants: Sequence[Target]) -> Array:
-    """Return the wavelengths of the search: those of colours, or of the spectra without colours.
+    """Return the search wavelengths: those of colours, or of the spectra without colours.
 
     The final evaluation uses the wavelengths of a target spectrum, hence the search does too if there are enough.
     """
@@ -324,7 +324,7 @@ def stack_factors(
     """Return the factors of a stack `[..., row, wavelength]`, or None for other materials.
 
     Args:
-        thicknesses_nm: `[..., layer]`; default: those of the material.
+        thicknesses_nm: `[..., layer]`; default: the material defaults.
     """
     if not is_plain(material) or any(at.kind not in ENGINE_GEOMETRIES for at in rows):
         return None

@@ -40,7 +40,7 @@ class Space(NamedTuple):
         is_metal: `[medium]`; metals are drawn thin.
         substrates: `[k]`.
         is_open: `[1]`, whether number and order of layers vary; otherwise each slot is a layer.
-        total: `[1]`, upper bound of the total thickness, nm.
+        total: `[1]`, largest total thickness, nm.
         relative, absolute: `[slot]`, manufacturing standard deviations: relative, and in nm.
         draws: `[draw, slot]`, standard normal numbers for the yield; empty without tolerances.
     """
@@ -111,7 +111,7 @@ def _thickness(space: Any, slot: int, medium: int) -> float:
 
 @compiled(error_model="numpy")
 def draw(space: Any, media: Any, d: Any) -> tuple[int, int]:
-    """Draw a random stack into `media` and `d`; return number of layers and substrate."""
+    """Draw a random stack into `media` and `d`; return layer count and substrate."""
     slots = space.choices.shape[0]
     layers = slots
     if space.is_open[0]:
@@ -131,7 +131,7 @@ def draw(space: Any, media: Any, d: Any) -> tuple[int, int]:
 
 @compiled(error_model="numpy")
 def tidy(space: Any, media: Any, d: Any, layers: int) -> int:
-    """Merge equal neighbours of an open stack and clip to the bounds; return the number of layers."""
+    """Merge equal neighbours of an open stack and clip to the bounds; return the layer count."""
     if space.is_open[0]:
         kept = 0
         for j in range(layers):
@@ -149,7 +149,7 @@ def tidy(space: Any, media: Any, d: Any, layers: int) -> int:
 
 @compiled(error_model="numpy")
 def fill_bounds(space: Any, media: Any, layers: int, low: Any, high: Any) -> None:
-    """Fill the bounds of the layers of a stack."""
+    """Fill the layer bounds."""
     for j in range(layers):
         low[j] = space.low[j, media[j]]
         high[j] = space.high[j, media[j]]
@@ -157,7 +157,7 @@ def fill_bounds(space: Any, media: Any, layers: int, low: Any, high: Any) -> Non
 
 @compiled(error_model="numpy")
 def _mutate_order(space: Any, media: Any, d: Any, layers: int, operator: int) -> int:
-    """Insert, split, remove or swap layers of an open stack; return the number of layers, -1 if not applicable."""
+    """Insert, split, remove or swap layers of an open stack; return the layer count, -1 if not applicable."""
     slots = space.choices.shape[0]
     if operator == 1 and layers < slots:  # insert
         at = np.random.randint(layers + 1)
@@ -197,7 +197,7 @@ def _mutate_order(space: Any, media: Any, d: Any, layers: int, operator: int) ->
 
 @compiled(error_model="numpy")
 def _cross(space: Any, media: Any, d: Any, layers: int, mate_media: Any, mate_d: Any, mate_layers: int) -> int:
-    """Put the upper part of a mate on the lower part of a stack; return the number of layers."""
+    """Put the upper part of a mate on the lower part of a stack; return the layer count."""
     if space.is_open[0]:
         slots = space.choices.shape[0]
         cut = 1 + np.random.randint(layers)  # layers from below

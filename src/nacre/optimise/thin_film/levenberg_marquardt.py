@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on the thicknesses of one stack, compiled: about 10 microseconds per step.
+"""Levenberg-Marquardt on stack thicknesses, compiled: about 10 microseconds per step.
 
 Steps solve (J^T W J + mu diag) step = -J^T W r for the thicknesses that are not at a bound. With the weights
 W = u^(p - 2) of each term's distance u the sum of u^p falls: p = 2 finds the minimum, p = 8 lowers the worst term.
@@ -23,7 +23,7 @@ MAX_DAMPING = 1e7
 MAX_STEP_NM = 60.0  # a fifth of a fringe in the densest layers, the range of the linear model
 STOP_OBJECTIVE = 0.02  # in tolerances
 MIN_STEP_NM = 1e-7
-STALL_GAIN = 3e-3  # relative gain of a step; two smaller ones in a row end a descent
+STALL_GAIN = 3e-3  # relative step gain; two smaller ones in a row end a descent
 
 
 class Workspace(NamedTuple):

@@ -1,4 +1,4 @@
-"""Compiled merit function: residuals of the spectra of a stack and their derivatives by its thicknesses.
+"""Compiled merit function: residuals of stack spectra and their derivatives by its thicknesses.
 
 The twin of `nacre.optimise.merit` in numba, for the thin-film search: a call takes microseconds. A test
 ties the two.

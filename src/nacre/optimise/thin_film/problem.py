@@ -52,10 +52,10 @@ class StackProblem:
         angles_rad: `[row]`, in the ambient.
         sides: `[row]`, "reflected" or "transmitted" (into the substrate), unpolarised.
         ambient: real index of the medium above, a number or `[wavelength]`.
-        max_layers: largest number of layers (open stack).
+        max_layers: largest layer count (open stack).
         bounds_nm: name -> (low, high), of the palette (open stack).
         slots: the layers of a given stack from the top, which replace `max_layers` and `bounds_nm`.
-        max_total_nm: upper bound of the total thickness.
+        max_total_nm: largest total thickness.
         prefer_few_layers: whether fewer layers win at equal merit.
         relative_tolerance, absolute_tolerance_nm: standard deviations of the thicknesses, as a share and in nm:
             one number or one per slot.
@@ -113,7 +113,7 @@ class StackProblem:
 
     @property
     def layers(self) -> int:
-        """Largest number of layers."""
+        """Largest layer count."""
         return self.max_layers if self.slots is None else len(self.slots)
 
     @property
@@ -128,7 +128,7 @@ class StackProblem:
         return (*self.palette, *self.substrates)
 
     def tables(self, samples: Any = slice(None)) -> StackTables:
-        """Return the tables of all media on some of the wavelengths."""
+        """Return the tables of all media on selected wavelengths."""
         n = np.empty((1 + len(self.media()), len(self.merit.wavelengths_nm)), dtype=complex)
         n[0] = self.ambient
         for row, medium in zip(n[1:], self.media()):

@@ -1,7 +1,7 @@
 """Island-model genetic search of thin-film stacks on a coarse wavelength grid; the best are refined on the full grid.
 
 An island starts from random stacks and evolves until it stagnates; then another starts, and every third is populated by
-the best of all before. Materials, order and number of layers change by evolution, thicknesses by descent (`genetic`,
+the best of all before. Materials, order and layer count change by evolution, thicknesses by descent (`genetic`,
 `levenberg_marquardt`). Solutions are evaluated by the `MeritFunction` itself.
 """
 
@@ -98,7 +98,7 @@ class StackSolution:
         substrate: name.
         d: `[term]`, distances on all wavelengths (`MeritFunction.distances`).
         objective: `MeritFunction.objective` of them.
-        yield_share: share of manufactured samples that meet all targets, or None without tolerances.
+        yield_share: manufactured sample share that meet all targets, or None without tolerances.
     """
 
     materials: tuple[str, ...]
@@ -121,7 +121,7 @@ class Stack:
 
     @property
     def structure(self) -> tuple[int, ...]:
-        """Materials, order, number of layers and substrate."""
+        """Materials, order, layer count and substrate."""
         return (*(int(m) for m in self.media[: self.layers]), -self.substrate)
 
 
@@ -190,7 +190,7 @@ class Engine:
         self.fine_workspace = workspace(self.fine_tables, self.fine_compiled, n)
 
     def bounds(self, one: Stack) -> tuple[Array, Array]:
-        """Return the bounds of the layers, with room as the stack."""
+        """Return the layer bounds, with room as the stack."""
         low, high = np.zeros(self.slots + 3), np.zeros(self.slots + 3)
         at = np.arange(one.layers), one.media[: one.layers]
         low[: one.layers], high[: one.layers] = self.space.low[at], self.space.high[at]
@@ -310,7 +310,7 @@ def search(
     """Find stacks that meet the targets, best first.
 
     Ends if all operands are within a fifth of their tolerances, or with the budget. Solutions differ from each other in
-    material, order, number of layers or by 20 % in a thickness. A seed gives the same result on any number of threads.
+    material, order, layer count or by 20 % in a thickness. A seed gives the same result on any number of threads.
 
     Args:
         budget: evaluations are stacks begun; a number is a time limit in seconds.

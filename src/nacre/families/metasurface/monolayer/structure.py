@@ -94,7 +94,9 @@ def baus_colot(q_reduced: ArrayLike, packing: float) -> Array:
     Raises:
         NacreError: packing outside that range.
 
-    Example: S(0) = 0.6605, 0.2581, 0.0801 at packing 0.1, 0.3, 0.5.
+    Example:
+        >>> [round(float(baus_colot(0.0, packing)), 4) for packing in (0.1, 0.3, 0.5)]
+        [0.6605, 0.2581, 0.0801]
     """
     q = np.asarray(q_reduced, dtype=float)
     if packing < 0 or packing > PACKING_LIMIT:

@@ -257,7 +257,10 @@ def angular_functions(w: NDArray, lmax: int, mmax: int, sine: NDArray | None = N
         lmax, mmax: highest degree and azimuthal order.
         sine: sines more accurate than sqrt(1 - w^2), the default, whose real part is >= 0.
 
-    Example: tau_1^1(1) = sqrt(3)/2.
+    Example:
+        >>> tau, _ = angular_functions(np.array(1.0), 1, 1)
+        >>> round(float(tau[1, 0]), 4)  # sqrt(3)/2
+        0.866
     """
     w = np.asarray(w)
     kind = complex if np.iscomplexobj(w) else float
