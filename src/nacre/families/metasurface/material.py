@@ -101,7 +101,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         body: non-spherical particles; `sizes` then holds their largest distances from the axis.
         is_replaced: whether the mean field replaces an ensemble in a search.
         host: layer number that holds the particles, from 1; 0 above all layers.
-        depth_nm: depth to their tops below the layer stack top; only for light from below.
+        depth_nm: depth to their tops below the layer stack top, if embedded.
         second: second species in a mixture; the first has the remaining share.
     """
 

@@ -85,7 +85,7 @@ class AxialTMatrices:
         radius_nm: largest distance from the axis; unknown by default.
         height_nm: full height along the axis, centred; unknown by default.
         circumscribing_nm: largest distance from the centre; unknown by default.
-        material_index: `[wavelength]`, particle; unknown by default or for several materials.
+        material_index: `[wavelength]`, particle; None if unknown or for several materials.
         turn_loss: scattered power share that depends on the rotation about the axis and is not in the blocks.
         shape: "sphere", "spheroid" or "cylinder", "" for others.
         whole: full T over all m, `[wavelength, n, n']`, see `full_tmatrix`, for aligned particles without rotational
@@ -168,7 +168,7 @@ class Body(abc.ABC):
 
     @abc.abstractmethod
     def index(self, wavelength_nm: float) -> complex | None:
-        """Return the particle index, or unknown by default."""
+        """Return the particle index, or None if unknown."""
 
     def with_radius(self, radius_nm: float) -> Body:
         """Return the same particle with another width and the same height.

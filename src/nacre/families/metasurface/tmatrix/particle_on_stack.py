@@ -212,7 +212,7 @@ class Directions:
         excitation: v, `[m, pol, n, angle]`.
         emission: u, `[m, pol, n, angle]`.
         reflection: bare stack amplitude for light from that side, `[pol, angle]`.
-        transmission_up: bare stack amplitude for light from the substrate; only for light from below.
+        transmission_up: bare stack amplitude for light from the substrate; None above.
     """
 
     cosines: Array
