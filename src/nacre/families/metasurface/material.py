@@ -85,7 +85,7 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         substrate: below; it transmits if it is clear.
         core: particle material; None if only their T-matrix is known.
         sizes: their radii.
-        shell: a coating, or None; the outer radius is the core radius plus its thickness.
+        shell: a coating (optional); the outer radius is the core radius plus its thickness.
         gap_nm: between the particles and the stack.
         structure: density, S(q), g(r).
         correction: one of `monolayer.CORRECTIONS`, "ensemble" or "auto", see `model_selection`.
@@ -96,12 +96,12 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         interaction_order: highest multipole exchanged by neighbours.
         source: recipe name, for messages.
         arrangement: point generator, or the points; None if only S(q) is known.
-        memory: multipole order cache for similar candidates, or None.
+        memory: multipole order cache for similar candidates (optional).
         includes_near_fields: False ignores near fields from neighbours.
         body: non-spherical particles; `sizes` then holds their largest distances from the axis.
         is_replaced: whether the mean field replaces an ensemble in a search.
         host: layer number that holds the particles, from 1; 0 above all layers.
-        depth_nm: depth to their tops below the layer stack top; None above.
+        depth_nm: depth to their tops below the layer stack top, if embedded.
         second: second species in a mixture; the first has the remaining share.
     """
 

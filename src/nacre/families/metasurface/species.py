@@ -157,7 +157,7 @@ class Species:
     Attributes:
         core: its material; None if only the T-matrix is known.
         sizes: core radii for spheres; for other bodies the largest distances from the axis, with the shell.
-        shell: a coating, or None.
+        shell: a coating (optional).
         gap_nm: distance to the stack, or to the lower host layer face.
         body: a non-spherical particle with mean size; None for spheres.
         share: number fraction.
@@ -232,10 +232,10 @@ class MultipoleConvergence:
 
     Attributes:
         order: for all particles; None to choose it at each wavelength.
-        tolerance: largest far-field change when the order is doubled; None for the default, see `Metasurface`.
-        memory: order cache for similar candidates, or None.
+        tolerance: largest far-field change when the order is doubled; by default, see `Metasurface`.
+        memory: order cache for similar candidates (optional).
         source: recipe name, for messages.
-        first_film_nm: first layer thickness, or None.
+        first_film_nm: first layer thickness (optional).
         unconverged: remaining change above the tolerance, by wavelength.
         missing: by file with too few sphere multipoles: available and required order, and far-field change.
     """

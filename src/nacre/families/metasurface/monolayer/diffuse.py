@@ -285,7 +285,7 @@ NODES = (10, 6, 7)  # nodes above, below within and beyond the critical angle
 def neighbour_emission(added: ComplexArray) -> ComplexArray:
     """Return the emission added by neighbours, `[m, pol, n, angle]`, from the excitation that they add.
 
-    Emission reverses excitation: upward for downward waves, B for its adjoint, and no factor 4.
+    Emission reverses excitation: upward for downward waves, B for its adjoint, without the factor 4.
     """
     ones = np.ones((*added.shape[:3], 1), dtype=complex)
     return np.asarray(added * mirrored(adjoint(ones)) / 4.0)

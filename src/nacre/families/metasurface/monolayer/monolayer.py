@@ -112,7 +112,7 @@ class Particle:
         share: number fraction.
         centre_nm: centre height above the stack.
         t_matrix: diagonal, `[n]`, or axisymmetric blocks, `[m, n, n']`.
-        cut: in-plane wavenumber over k that truncates the coupling with the stack, or None.
+        cut: in-plane wavenumber over k that truncates the coupling with the stack (optional).
         species: species number in a mixture.
     """
 
@@ -159,7 +159,7 @@ class Monolayer:
         correction: from `CORRECTIONS`.
         interaction_order: highest multipole exchanged by neighbours.
         mmax: highest azimuthal order.
-        ratio: ensemble over this model for the diffuse light, or None.
+        ratio: ensemble over this model for the diffuse light (optional).
         includes_near_fields: False ignores near fields from neighbours for a few directions.
     """
 

@@ -82,9 +82,9 @@ class AxialTMatrices:
         blocks: `[wavelength, m, n, n']`, m from 0 to the highest order.
         ambient_index: `[wavelength]`, surrounding medium.
         name: particle description.
-        radius_nm: largest distance from the axis; None if unknown.
-        height_nm: full height along the axis, centred; None if unknown.
-        circumscribing_nm: largest distance from the centre; None if unknown.
+        radius_nm: largest distance from the axis; unknown by default.
+        height_nm: full height along the axis, centred; unknown by default.
+        circumscribing_nm: largest distance from the centre; unknown by default.
         material_index: `[wavelength]`, particle; None if unknown or for several materials.
         turn_loss: scattered power share that depends on the rotation about the axis and is not in the blocks.
         shape: "sphere", "spheroid" or "cylinder", "" for others.

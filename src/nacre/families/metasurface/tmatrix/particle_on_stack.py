@@ -154,8 +154,8 @@ class ParticleOnStack:
         centre_nm: centre height.
         t_matrix: `[n]`, n = (tau, l): -b_l, then -a_l from `mie_coefficients`; or blocks `[m, n, n']`.
         mmax: highest azimuthal order.
-        cut: in-plane wavenumber over k that truncates the coupling with the stack, or None.
-        neighbours: additional reflection by neighbours, `[m, n, n']`, see `ladder`, or None.
+        cut: in-plane wavenumber over k that truncates the coupling with the stack (optional).
+        neighbours: additional reflection by neighbours, `[m, n, n']`, see `ladder` (optional).
     """
 
     surface: Substrate

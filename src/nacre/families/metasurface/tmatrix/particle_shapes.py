@@ -179,7 +179,7 @@ class SolvedBody(Body):
         radius_nm, height_nm: with the shell.
         core: core material.
         ambient: the surrounding medium.
-        shell: a coat with uniform thickness, rounded about cylinder edges, or None.
+        shell: a coat with uniform thickness, rounded about cylinder edges (optional).
         edge_nm: cylinder core edge radius; 0 for sharp edges.
     """
 

@@ -103,7 +103,7 @@ class IncidentWaves:
 
     Attributes:
         ahead: the part along the incident direction.
-        back: the part reversed by the mirror beyond the particle; None without one.
+        back: the part reversed by the mirror beyond the particle, if present.
         reflection: bare stack amplitude.
         transmission_up: bare stack amplitude for light from the substrate; None for light from above.
     """
