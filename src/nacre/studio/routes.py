@@ -159,7 +159,7 @@ def state(request: Request) -> Response:
             "begin": next(filter(opened.is_readable, names), next(iter(names), "")),
             "families": sorted(families),
             "starts": [_example(shipped[name]) for name in folder.STARTS if name in shipped],
-            "examples": [_example(example) for example in shipped.values() if example.family in families],
+            "examples": [_example(example) for example in shipped.values() if not {example.family} - families],
             "objects": OBJECTS,
             "surroundings": {"rows": ROWS, "columns": 2 * ROWS, "alphas": ALPHAS, "places": floors()},
         }
