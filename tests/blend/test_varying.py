@@ -114,7 +114,7 @@ def test_the_ends_of_a_walk_are_the_plain_materials(
 
 
 @pytest.mark.parametrize(("recipe", "path", "ends"), CASES[::2])
-def node_colours_between_nodes_are_within_the_stated_error(
+def test_colours_between_nodes_are_within_the_stated_error(
     recipe: dict[str, Any], path: str, ends: tuple[float, float]
 ) -> None:
     # places that the choice of nodes did not look at

@@ -202,7 +202,9 @@ def _map(colours: SweepColours, chosen: list[int], labels: list[str], title: str
         long = int(np.argmax(lengths))
         values = np.moveaxis(colours.xyz, long, 0).reshape(lengths[long], len(colours.angles_deg), 3)
         over = sweeps.AxisValues("Angle of incidence (degrees)", colours.angles_deg)
-        return sweeps.sweep_map_figure(axes[long], over, np.swapaxes(values, 0, 1)[None], *light, titles=[title])
+        values = np.swapaxes(values, 0, 1)[None]
+        figure: Figure = sweeps.sweep_map_figure(axes[long], over, values, *light, titles=[title])
+        return figure
     first, second = sorted(np.argsort([-length for length in lengths], kind="stable")[:2])
     # words have more room along y
     x, y = (second, first) if axes[first].words and not axes[second].words else (first, second)
@@ -217,7 +219,8 @@ def _map(colours: SweepColours, chosen: list[int], labels: list[str], title: str
         for i in range(len(axes)) if i not in (x, y) and lengths[i] > 1
     ]  # fmt: skip
     titles = [f"{title}, {label}" if number == 0 else label for number, label in enumerate(labels)]
-    return sweeps.sweep_map_figure(axes[x], axes[y], values, *light, titles=titles, note=", ".join(fixed))
+    figure = sweeps.sweep_map_figure(axes[x], axes[y], values, *light, titles=titles, note=", ".join(fixed))
+    return figure
 
 
 def _short(path: str) -> str:

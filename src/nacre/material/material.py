@@ -13,7 +13,7 @@ import logging
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -448,7 +448,7 @@ def as_material(thing: MaterialLike) -> Material:
     found = loaded(thing)
     if not callable(getattr(found, "bsdf", None)):
         raise UnsupportedError(f"{thing!r:.60} is no material, no path or name of one and no table of a recipe")
-    return found
+    return cast(Material, found)
 
 
 def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Material:

@@ -215,8 +215,12 @@ def _after_checks(model: type[RecipeModel]) -> list[Callable[[Any, Any], Any]]:
         if decorator.info.mode == "after":
             check = getattr(decorator.func, "__func__", decorator.func)
             count = check.__code__.co_argcount
-            found.append(check if count > 1 else lambda table, info, check=check: check(table))
+            found.append(check if count > 1 else _without_info(check))
     return found
+
+
+def _without_info(check: Callable[[Any], Any]) -> Callable[[Any, Any], Any]:
+    return lambda table, info: check(table)
 
 
 _CHECKS: dict[type[RecipeModel], list[Callable[[Any, Any], Any]]] = {}
