@@ -34,8 +34,8 @@ from nacre.families.metasurface.monolayer.structure import hard_disk_structure
 from nacre.families.metasurface.tmatrix.particle_on_stack import Directions, hemisphere_rule
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.mie import mie_coefficients
+from validation._metasurface_helpers import plane_waves
 from validation._rows import finish, row
-from validation.metasurface_helpers import plane_waves
 
 REFERENCE = Path(__file__).resolve().parents[2] / "shared" / "reference" / "metasurface"
 NAMES = "BCDEF"

@@ -22,8 +22,8 @@ from nacre.families.metasurface.tmatrix.particle_shapes import SolvedBody
 from nacre.families.metasurface.tmatrix.substrate import Substrate
 from nacre.matter.indices.spec import IndexSpec
 from validation._film import canvas
+from validation._metasurface_helpers import cross_sections
 from validation._rows import finish, row
-from validation.metasurface_helpers import cross_sections
 
 REFERENCE = Path(__file__).resolve().parents[1] / ".." / "shared" / "reference" / "metasurface" / "particles_open.npz"
 FIGURE = "metasurface_particles.png"

@@ -133,7 +133,8 @@ def test_an_interrupt_returns_the_best_so_far() -> None:
             raise KeyboardInterrupt
 
     assert search.run(Budget(), stop).status == "interrupted"
-    assert calls[-1][0] == search.solutions()[0][0] and search.solutions()[0][1]
+    # a better point that no estimate has confirmed yet may precede the reported one
+    assert search.solutions()[0][0] <= calls[-1][0] and search.solutions()[0][1]
 
 
 def test_invalid_pigment_parameters_are_refused_in_one_line() -> None:

@@ -271,7 +271,7 @@ def test_similar_stacks_have_the_same_materials_and_thicknesses_within_20_percen
         ({"bounds_nm": {**BOUNDS, "Cr": (9.0, 2.0)}}, "cross"),
         ({"substrates": ()}, "substrate"),
         ({"slots": (Slot(("Cu",), 1.0, 2.0),)}, "not in the palette"),
-        ({"angles_rad": ()}, "looks at row"),
+        ({"angles_rad": ()}, "needs row"),
     ],
 )
 def test_an_invalid_problem_is_refused(changes: dict, words: str) -> None:

@@ -114,7 +114,7 @@ def test_the_preset_yields_to_what_is_given() -> None:
         ({"surface": {"roughness": [0.1, 0.2, 0.3]}}, "roughness"),
         ({"surface": {"roughness": -0.1}}, "[0, 1]"),
         ({"surface": {"distribution": "gxx"}}, "surface.distribution"),
-        ({"surface": {"roughness": 0.1, "exponent": 100}}, "twice"),
+        ({"surface": {"roughness": 0.1, "exponent": 100}}, "exclude"),
         ({"surface": {"exponent": -3}}, "exponent"),
         ({"ridges": {"pitch_nm": 300, "width_nm": 400, "height_deviation_nm": 0}}, "width_nm"),
         ({"preset": "morfo"}, "preset"),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers_metasurface import monolayer, surface, t_matrix
-from validation.metasurface_helpers import plane_waves
+from validation._metasurface_helpers import plane_waves
 
 import nacre
 from nacre.bsdf.bsdf import Bsdf

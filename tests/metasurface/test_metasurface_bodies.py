@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from helpers_metasurface import REFERENCE, reference, surface
-from validation.metasurface_helpers import cross_sections, plane_waves
+from validation._metasurface_helpers import cross_sections, plane_waves
 
 import nacre
 from nacre.families.metasurface.ensemble.ensemble import same_order

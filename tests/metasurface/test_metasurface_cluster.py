@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
-from validation.metasurface_helpers import plane_waves
+from validation._metasurface_helpers import plane_waves
 
 from nacre.families.metasurface.ensemble.multisphere import Coupling, direct_coupling, reflected_coupling
 from nacre.families.metasurface.monolayer.monolayer import Particle

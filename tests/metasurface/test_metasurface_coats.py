@@ -146,7 +146,7 @@ def test_a_coat_is_as_thick_everywhere(what):
 )  # fmt: skip
 def test_the_stated_error_covers_a_finer_mesh(shape, radius, height, coat, core):
     body, k = _body(shape, radius, height, core, 5.0, coat), 2 * np.pi / 550.0
-    found, stated = body._solve(*body._numbers(550.0), 1, body._coat(550.0))
+    found, stated = body._solve(*body.reduced(550.0)[:3], 1, body.reduced(550.0)[3])
     lengths = radius * k, height * k
     if shape == "cylinder":
         inside, outside = cylinder_panels(*lengths, 10.0, 7, 5.0 * k)

@@ -60,7 +60,7 @@ def test_the_mean_field_of_one_mirror_half_is_that_of_all_multipoles(below):
     sines = kappa / (layer.surface.index_below if below else 1.0)
     directions = layer.spheres[0].directions(np.sqrt((1 - sines) * (1 + sines)), below, sines)
     own = apply_response(dressed, directions.excitation)
-    lmax, order = dressed.shape[1] // 2, table.order
+    lmax, order = dressed.shape[1] // 2, table.geometry.order
     index, q = _whole_sums(layer, order, directions.inner, directions.inner_cosines)
     rows = index.tau * lmax + index.l - 1
     kept = np.concatenate([np.arange(order), lmax + np.arange(order)])

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
-from validation.metasurface_helpers import cross_sections
+from validation._metasurface_helpers import cross_sections
 
 import nacre
 from nacre.core.errors import NacreError

@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 from helpers_metasurface import surface, t_matrix
+from validation._metasurface_helpers import plane_waves
 from validation.metasurface_ensembles import distance, judged, light, of_discs
-from validation.metasurface_helpers import plane_waves
 from validation.metasurface_mixtures import SILICON as DARK_SILICON
 from validation.metasurface_mixtures import SILVER as MIE_SILVER
 from validation.metasurface_mixtures import mixture

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from helpers_metasurface import reference, surface, t_matrix
-from validation.metasurface_helpers import cross_sections
+from validation._metasurface_helpers import cross_sections
 
 import nacre
 from nacre.cli import run
@@ -66,7 +66,7 @@ def _reference_body(data, i):
 
 def _solved(body, wavelength_nm):
     """T with m up to 4 and its stated error, past any cache."""
-    return body._solve(*body._numbers(wavelength_nm), 4)
+    return body._solve(*body.reduced(wavelength_nm)[:3], 4)
 
 
 def _kind(data, i):
@@ -97,7 +97,7 @@ def test_over_stacks_they_scatter_as_finite_elements_say(kind):
     data = reference("particles_open.npz")
     for i in sorted(set(data[f"{kind}_particle"].tolist())):
         body, lam = _reference_body(data, i), float(data["wavelength_nm"][i])
-        radius, height, n = body._numbers(lam)
+        radius, height, n = body.reduced(lam)[:3]
         t = block_t_matrix(Mesh(_panels(body.shape, radius, height, n)), n, 10, 6)
         for row in np.nonzero(data[f"{kind}_particle"] == i)[0]:
             films = []
@@ -159,7 +159,7 @@ def test_nodes_closer_to_their_target_bring_no_rounding_errors():
 def test_the_stated_error_covers_a_finer_mesh():
     body = _body("cylinder", 60.0, 80.0, 0.13 + 3.9j)
     found, stated = _solved(body, 600.0)
-    radius, height, n = body._numbers(600.0)
+    radius, height, n = body.reduced(600.0)[:3]
     fine = block_t_matrix(Mesh(cylinder_panels(radius, height, abs(n), 9)[0], degree=8), n, 4, 1)
     kept = np.concatenate([np.arange(4), body.lmax + np.arange(4)])
     change = np.linalg.norm(fine - found[:2, kept[:, None], kept]) / np.linalg.norm(fine)

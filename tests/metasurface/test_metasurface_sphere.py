@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers_metasurface import reference, sphere, surface, t_matrix
-from validation.metasurface_helpers import cross_sections
+from validation._metasurface_helpers import cross_sections
 
 from nacre.families.metasurface.tmatrix.particle_on_stack import (
     MultipoleConvergenceError,

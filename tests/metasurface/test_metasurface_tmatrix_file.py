@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 from helpers_metasurface import REFERENCE, reference, t_matrix
-from validation.metasurface_helpers import cross_sections
+from validation._metasurface_helpers import cross_sections
 
 import nacre
 from nacre.cli import run

@@ -180,7 +180,7 @@ def test_a_stored_material_keeps_its_glints(fast: PlateletLayer, tmp_path: Path)
         ({"glints": {"surface_mm": 10, "flatness_deg": 0}}, "flatness_deg"),
         ({"glints": {"surface_mm": 10, "seed": -1}}, "seed"),
         ({"glints": {}}, "surface_mm"),
-        ({"strata": [{"resin": {"n": 1.5}, "thickness_um": 40}]}, "holds no platelets"),
+        ({"strata": [{"resin": {"n": 1.5}, "thickness_um": 40}]}, "no platelets"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(change: dict[str, object], message: str) -> None:

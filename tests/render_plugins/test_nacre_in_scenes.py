@@ -307,7 +307,7 @@ def test_a_narrow_range_of_wavelengths_is_announced(mi: Any, caplog: pytest.LogC
     bsdf = nacre.material({"family": "film", "substrate": "Si"}).bsdf(np.arange(450.0, 651.0, 10.0))
     with caplog.at_level("WARNING", logger="nacre"):
         _made(bsdf)
-    assert "known from 450 to 650 nm only" in caplog.text
+    assert "known only from 450 to 650 nm" in caplog.text
 
 
 def test_where_v_runs_down_an_image_lies_as_mitsubas_own_bitmap_does(mi: Any, tmp_path: Path) -> None:

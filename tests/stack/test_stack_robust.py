@@ -178,7 +178,7 @@ BAD = [
     ({"n": [[1.0], [1.5]], "thicknesses_nm": [], "theta_rad": 2.0}, "theta_rad"),
     ({"n": [[1.0], [1.5]], "thicknesses_nm": [], "theta_rad": -0.1}, "theta_rad"),
     ({"n": [[1.0], [1.5]], "thicknesses_nm": [], "wavelengths_nm": [-5.0]}, "wavelengths_nm"),
-    ({"n": np.ones((3, 2, 1)), "thicknesses_nm": np.zeros((2, 0))}, "do not fit"),
+    ({"n": np.ones((3, 2, 1)), "thicknesses_nm": np.zeros((2, 0))}, "differ"),
 ]
 
 

@@ -60,12 +60,7 @@ class Parametrisation:
     Raises:
         RecipeError: a path does not exist in the recipe.
 
-    Example:
-        >>> layers = [{"material": "SiO2", "thickness_nm": 100}]
-        >>> wafer = nacre.material({"family": "film", "substrate": "Si", "layers": layers})
-        >>> at = Parametrisation(wafer, ["layers[0].thickness_nm"])
-        >>> at({"layers[0].thickness_nm": 420}).get("layers[0].thickness_nm")
-        420
+    Example: see `nacre.Material.parametrise`.
     """
 
     def __init__(self, material: Any, paths: Iterable[str], read: Reader, build: Builder) -> None:

@@ -264,15 +264,23 @@ class SolvedBody(Body):
             self._solved[key] = self._cached(wavelength_nm, mmax)
         return self._solved[key]
 
-    def _cached(self, wavelength_nm: float, mmax: int) -> ComplexArray:
+    def reduced(self, wavelength_nm: float) -> tuple[float, float, complex, tuple[float, complex] | None, float]:
+        """Return core radius and height, index, (thickness, index) of the shell, and edge radius.
+
+        Lengths are multiplied by the wavenumber of the ambient, indices divided by its index.
+        """
+
         def relative(medium: OpticalConstant) -> complex:
             return complex(medium.n_complex(np.array([wavelength_nm]))[0]) / around
 
         around = float(self.ambient.n_complex(np.array([wavelength_nm]))[0].real)
         k = 2 * np.pi * around / wavelength_nm
         radius, height = (k * length for length in self.core_extents_nm)
-        index, edge = relative(self.core), k * self.edge_nm
         coat = None if self.shell is None else (k * self.shell.thickness_nm, relative(self.shell.material))
+        return radius, height, relative(self.core), coat, k * self.edge_nm
+
+    def _cached(self, wavelength_nm: float, mmax: int) -> ComplexArray:
+        radius, height, index, coat, edge = self.reduced(wavelength_nm)
         thickness, outside = (0.0, 1.0) if coat is None else coat
         parts = (radius, height, index.real, index.imag, thickness, outside.real, outside.imag)
         numbers = [float(v).hex() for v in (*parts, *([edge] if edge else []))]
