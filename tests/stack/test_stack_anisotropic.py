@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from nacre.core.errors import NacreError
-from nacre.matter.stack.anisotropic import AnisotropicLayer, mueller, principal_tensor, solve_anisotropic
-from nacre.matter.stack.solve import solve
+from nacre.matter.stack.anisotropic import AnisotropicLayer, principal_tensor, solve_anisotropic
+from nacre.matter.stack.solve import mueller, solve
 
 REFERENCE = Path(__file__).resolve().parents[3] / "shared" / "reference" / "anisotropic" / "anisotropic_open.npz"
 REFERENCE_BAR = 1e-9  # the reference agrees with pyElli to 2e-15; its own rounding is far below

@@ -16,9 +16,9 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.parallel import parallel_for
 from nacre.matter.stack.anisotropic_kernel import solve_stacks
+from nacre.matter.stack.solve import mueller
 
 FEWEST_SLICES = 32  # of half a turn of a helix
-STOKES = np.array([[1, 0, 0, 1], [1, 0, 0, -1], [0, 1, 1, 0], [0, -1j, 1j, 0]])  # of (pp*, ps*, sp*, ss*)
 
 
 @dataclass(frozen=True)
@@ -85,15 +85,6 @@ class AnisotropicResponse:
     def mueller_reflected(self) -> Array:
         """Mueller matrices of reflection, `[angle, wavelength, 4, 4]`."""
         return mueller(self.jones_reflected)
-
-
-def mueller(jones: ComplexArray) -> Array:
-    """Return the Mueller matrices of Jones matrices over (p, s).
-
-    Stokes: S0 = |p|^2 + |s|^2, S1 = |p|^2 - |s|^2, S2 = 2 Re(p s*), S3 = 2 Im(p s*).
-    """
-    coherence = np.einsum("...ij,...kl->...ikjl", jones, jones.conj()).reshape(*jones.shape[:-2], 4, 4)
-    return np.real(STOKES @ coherence @ np.linalg.inv(STOKES))
 
 
 def principal_tensor(indices: ArrayLike, euler_deg: ArrayLike = (0.0, 0.0, 0.0)) -> ComplexArray:

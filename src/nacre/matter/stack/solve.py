@@ -4,7 +4,8 @@ Jones vectors are (E_p, E_s), each in the wave's own frame, with s the same dire
 are (I, Q, U, V) with Q = I_p - I_s, U = I_45 - I_135. Layered media do not mix s and p, so the matrices follow
 from two numbers.
 
-Handedness: for exp(-i w t) fields, V = 2 Im(E_p* E_s) here. Reflection takes the mirror image of the p axis
+Handedness: V = 2 Im(E_p E_s*) for exp(-i w t) fields. V > 0 if the field at a fixed time is a right-handed screw in
+space: right circular light for a receiver. Reflection takes the mirror image of the p axis
 (r_p = -r_s at normal incidence), as ellipsometers do.
 """
 
@@ -170,7 +171,7 @@ def ellipsometry(response: Response) -> Ellipsometry:
 
 
 # rows of (E_p E_p*, E_p E_s*, E_s E_p*, E_s E_s*) -> (I, Q, U, V)
-_TO_STOKES = np.array([[1, 0, 0, 1], [1, 0, 0, -1], [0, 1, 1, 0], [0, 1j, -1j, 0]])
+_TO_STOKES = np.array([[1, 0, 0, 1], [1, 0, 0, -1], [0, 1, 1, 0], [0, -1j, 1j, 0]])
 _FROM_STOKES = np.linalg.inv(_TO_STOKES)
 
 
