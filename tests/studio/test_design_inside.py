@@ -177,7 +177,7 @@ def test_a_recipe_of_a_design_reaches_no_file_outside_the_folder(client: TestCli
 NO_ANSWERS: list[tuple[dict[str, Any], str]] = [
     ({"parameters": [{"path": "layers[7].thickness_nm", "low": 5, "high": 50}]}, "layers[7]"),
     ({"parameters": [{"path": "layers[0].thickness_nm", "low": 50, "high": 5}]}, "the bounds cross"),
-    ({"geometry": "diffuse"}, "sends out no diffuse light"),
+    ({"geometry": "diffuse"}, "no diffuse reflection"),
     ({"text": FILM.replace("TiO2", "TiO3")}, "TiO3"),
 ]
 
