@@ -169,7 +169,10 @@ def _start_worker() -> None:
 def _end(executor: Executor) -> None:
     """End an executor without waiting for what runs in it."""
     processes = list((getattr(executor, "_processes", None) or {}).values())
-    executor.shutdown(wait=False, cancel_futures=True)
+    if processes:
+        executor.shutdown(wait=False, cancel_futures=True)
+    else:  # Dask's executor cancels its futures if it does not wait, and has no such argument
+        executor.shutdown(wait=False)
     for process in processes:
         with contextlib.suppress(OSError, ValueError):
             process.kill()
