@@ -345,7 +345,7 @@ def test_the_stated_error_holds_for_nineteen_of_twenty_random_materials(monkeypa
     made = [(lobe := random_material(seed), bake(lobe, 0.35, seed=1)) for seed in range(20)]
     fine = [check(lobe, table, 0.7, seed=9000 + seed)[0] for seed, (lobe, table) in enumerate(made)]
     assert sum(error.mean() <= table.error.mean() for error, (_, table) in zip(fine, made, strict=True)) >= 19
-    monkeypatch.setattr(fast, "RINGS", np.array([6, 2]))
+    monkeypatch.setattr(fast, "CHECK_BINS", np.array([6, 2]))
     monkeypatch.setattr(fast, "MIDPOINTS", np.array([40, 18]))
     held, stated = 0, []
     for seed, (lobe, table) in enumerate(made):

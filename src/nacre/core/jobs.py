@@ -95,13 +95,18 @@ def _batches(
     pending: dict[Future[Any], list[int]] = {}
     try:
         while pending or waiting:
-            while waiting and len(pending) < BATCHES_PER_WORKER * hands:
-                # small batches at the end, so that all workers finish together
-                count = min(size, 1 + len(waiting) // (2 * hands))
-                piece = [waiting.popleft() for _ in range(count)]
-                pending[executor.submit(_run_batch, task, shared, [items[i] for i in piece])] = piece
-            done, _ = wait(pending, return_when=FIRST_COMPLETED)
             try:
+                while waiting and len(pending) < BATCHES_PER_WORKER * hands:
+                    # small batches at the end, so that all workers finish together
+                    count = min(size, 1 + len(waiting) // (2 * hands))
+                    piece = [waiting.popleft() for _ in range(count)]
+                    try:
+                        future = executor.submit(_run_batch, task, shared, [items[i] for i in piece])
+                    except BrokenExecutor:  # a worker died since the last result
+                        waiting.extendleft(reversed(piece))
+                        raise
+                    pending[future] = piece
+                done, _ = wait(pending, return_when=FIRST_COMPLETED)
                 for future in done:
                     results, seconds = future.result()
                     piece, restarts = pending.pop(future), 0
