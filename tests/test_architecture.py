@@ -22,6 +22,7 @@ FLOORS = (
     ("_version", "core"),
     ("recipe",),
     ("light",),
+    ("readers",),
     ("matter",),
     ("bsdf",),
     ("families",),

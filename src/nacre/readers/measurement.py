@@ -1,0 +1,83 @@
+"""Contents of one measured spectrum, map, material or colour list, in canonical names and units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from numpy.typing import NDArray
+
+from nacre.core.errors import NacreError
+
+Kind = Literal["ellipsometry", "constants", "spectrum", "heights", "colours", "bsdf", "tmatrix", "table"]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One data set of a file.
+
+    Attributes:
+        path: the file.
+        format: identifier of the format in `registry.FORMATS`.
+        kind: class of instrument or data.
+        data: arrays by canonical name; the name ends with the unit (`wavelength_nm`, `angle_of_incidence_deg`,
+            `psi_deg`, `height_um`); dimensionless quantities have no unit (`reflectance`, `n`, `k`, `m12`). Arrays of a
+            table have equal lengths; a height map is one array [row, column], row 0 at the top of the picture.
+        name: name of the sample, spectrum, channel or material in the file; empty if there is none.
+        metadata: other statements of the file: instrument, date, white reference, illuminant, observer, polarisation,
+            `pitch_um`.
+        assumed: one sentence for each property that the file does not state.
+        left_out: one sentence for each part of the file that was not read.
+    """
+
+    path: Path
+    format: str
+    kind: Kind
+    data: Mapping[str, NDArray[Any]]
+    name: str = ""
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    assumed: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """Properties that a user states because a file does not (options of `nacre read`, keys of recipes).
+
+    Attributes:
+        quantity: canonical name of the dependent quantity (`reflectance`, `transmittance`, `n`, `eps1`, ...).
+        unit: unit of the abscissa (`nm`, `um`, `eV`, `1/cm`) or, for heights, of the heights.
+        angle_deg: angle of incidence.
+        delta_convention: sign of Delta: `positive` or `negative` (see `docs`).
+        channel: channel of a file with several (heights, zones).
+        spectrum: name or number of one spectrum, material or block.
+        pitch_um: lateral distance of height samples, (x, y).
+        columns: canonical names of the columns of a table without headings; `-` ignores a column.
+        ignore: headings of columns to ignore.
+    """
+
+    quantity: str | None = None
+    unit: str | None = None
+    angle_deg: float | None = None
+    delta_convention: str | None = None
+    channel: str | None = None
+    spectrum: str | None = None
+    pitch_um: tuple[float, float] | None = None
+    columns: tuple[str, ...] = ()
+    ignore: tuple[str, ...] = ()
+
+
+class AmbiguousFileError(NacreError):
+    """A file can be read in several ways; the command line asks on a terminal.
+
+    Attributes:
+        option: name of the `ReadOptions` field that decides.
+        choices: allowed values; empty if any value of the type is.
+    """
+
+    def __init__(self, message: str, option: str, choices: tuple[str, ...] = ()) -> None:
+        super().__init__(message)
+        self.option = option
+        self.choices = choices
