@@ -33,7 +33,7 @@ class FileHead:
 
 @dataclass(frozen=True)
 class Format:
-    """A readable format. Its module has `sniff(FileHead) -> float` and `read(path, ReadOptions) -> list[Measurement]`."""
+    """A readable format; its module has `sniff(head) -> float` and `read(path, options) -> list[Measurement]`."""
 
     id: str
     title: str
