@@ -15,6 +15,7 @@ from nacre.core.files import atomic_path, check_writable, read_text
 from nacre.recipe.toml import parse_toml
 
 NO_RECIPES = ("gallery.toml",)
+TARGET = "target"  # stands for the family of a design target
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,11 @@ class Example:
     family: str
     about: str
     path: Path
+
+    @property
+    def is_recipe(self) -> bool:
+        """Whether it describes a material, rather than a design target."""
+        return self.family != TARGET
 
 
 def examples_folder() -> Path:
@@ -55,7 +61,7 @@ def examples() -> list[Example]:
             continue
         text = read_text(path, "example")
         name = path.relative_to(folder).with_suffix("").as_posix()
-        family = str(parse_toml(text, str(path)).get("family", "target"))
+        family = str(parse_toml(text, str(path)).get("family", TARGET))
         found.append(Example(name, family, _about(text), path))
     return sorted(found, key=lambda example: ("/" in example.name, example.name))
 
