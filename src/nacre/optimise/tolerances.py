@@ -102,7 +102,7 @@ def read_tolerances(table: Any, material: Material, source: str, name: str = "to
     """Read a `[tolerance]` table; percentages refer to the material's numbers.
 
     Args:
-        table: path -> tolerance, or list of tolerances that add; `[*]` in a path means every index without its own path.
+        table: path -> tolerance, or list of tolerances that add; `[*]` in a path means every index without own path.
         source: file name, for messages; name: table name.
 
     Raises:

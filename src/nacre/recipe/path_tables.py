@@ -44,7 +44,7 @@ class ToleranceSpec(RecipeModel):
     forms: ClassVar[tuple[str, ...]] = (
         "{deviation = 5}",
         '{percent = 2, distribution = "uniform"}',
-        '[{percent = 1}, {percent = 2, group = "material"}]',
+        '{percent = 2, group = "material"}',
     )
 
     deviation: float | None = pydantic.Field(
