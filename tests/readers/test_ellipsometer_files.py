@@ -27,7 +27,9 @@ dPolE\t400.0\t65.0\t1.5\t0.3
 uR\t400.0\t20.0\t0.35\t0.01
 pS\t400.0\t20.0\t0.35\t0.01
 """
-EASE = "\nVASEmethod[EllipsometerType=7]\nDynamic\nAngstroms\nE 4000 65 20.5 170.25 0.1 0.2 0.5\nE 4000 65 20.6 170.5 0.1 0.2 1.5\n"
+EASE = "\nVASEmethod[EllipsometerType=7]\nDynamic\nAngstroms\n" + (
+    "E 4000 65 20.5 170.25 0.1 0.2 0.5\nE 4000 65 20.6 170.5 0.1 0.2 1.5\n"
+)
 FILM_SENSE = "Film_Sense_Data\n2\t1\t-65.01\t0\t0\n465\t1\n635\t1\n0.6\t-0.7\t0.3\t0.99\t5\n0.7\t-0.6\t0.2\t1.0\t6\n"
 DYNAMIC = "Film_Sense_Dyn_Data\n2\t2\t9.9\n465\t1\n635\t1\nTime\tBlue_N\tBlue_C\tBlue_S\tRed_N\tRed_C\tRed_S\tFit\n" + (
     "0.5\t.6\t-.7\t.3\t.7\t-.6\t.2\t1\n1.5\t.61\t-.7\t.3\t.71\t-.6\t.2\t1\n"
@@ -130,7 +132,7 @@ def test_regress_pro(tmp_path: Path) -> None:
     psi, delta, a = np.radians(30.0), np.radians(110.0), np.radians(33.0)
     t, u = np.tan(psi) ** 2, np.tan(a) ** 2
     alpha, beta = (t - u) / (t + u), 2 * np.tan(psi) * np.tan(a) * np.cos(delta) / (t + u)
-    found = first(written(tmp_path, f"SE ALPHA BETA\nAOI 75\nA 33\nSE 400 {alpha!r} {beta!r}\n"))
+    found = first(written(tmp_path, f"SE ALPHA BETA\nAOI 75\nA 33\nSE 400 {float(alpha)} {float(beta)}\n"))
     assert row(found, 0, "psi_deg", "delta_deg") == pytest.approx([30.0, 110.0])
 
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
@@ -44,7 +45,8 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     """
     lines = text_lines(path)
     start = next(i for i, line in enumerate(lines) if line.startswith("#") and set(_names(line)) >= NEEDED)
-    names, units = _names(lines[start]), {}
+    names = _names(lines[start])
+    units: dict[str, str] = {}
     rows = []
     for number, line in enumerate(lines[start + 1 :], start + 2):
         if line.startswith("#"):
@@ -76,7 +78,7 @@ def _number(cell: str) -> float:
         return np.nan
 
 
-def _data_sets(table: dict[str, Array]) -> list[tuple[str, Array]]:
+def _data_sets(table: dict[str, Array]) -> list[tuple[str, NDArray[np.intp]]]:
     """Return name and row indices of each place and region of interest."""
     count = len(table["psi"])
     region = table.get("roiidx", np.zeros(count))

@@ -19,7 +19,12 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 
-CONVENTIONS = {"positive": (1, 0.0), "negative": (-1, 0.0), "positive-shifted": (1, 180.0), "negative-shifted": (-1, 180.0)}
+CONVENTIONS = {
+    "positive": (1, 0.0),
+    "negative": (-1, 0.0),
+    "positive-shifted": (1, 180.0),
+    "negative-shifted": (-1, 180.0),
+}
 HC_EV_NM = 1239.841984  # CODATA 2018
 MIN_NM, MAX_NM = 100.0, 60_000.0  # of ellipsometers: far ultraviolet to infrared
 UNITS = {
@@ -103,7 +108,7 @@ def pseudo_epsilon(psi_deg: Array, delta_deg: Array, angle_deg: Array) -> NDArra
 
 
 def delta_convention(
-    path: Path, wavelength: Array, angle: Array, psi: Array, delta: Array, options: ReadOptions
+    path: Path, wavelength: Array, angle: Array, psi: Array, delta: Array
 ) -> tuple[str, tuple[str, ...]]:
     """Return the convention of Delta in a file that names no maker, and a sentence on what was assumed and why.
 
@@ -127,8 +132,8 @@ def delta_convention(
             "bare surface, which absorbs only with this sign",
         )
     raise AmbiguousFileError(
-        f"{path}: the sign of Delta cannot be decided from the data; state --delta-convention positive (bare metals and "
-        "wafers have Delta between 0 and 180 degrees) or negative",
+        f"{path}: the sign of Delta cannot be decided from the data; state --delta-convention positive (bare metals "
+        "and wafers have Delta between 0 and 180 degrees) or negative",
         "delta_convention",
         tuple(CONVENTIONS),
     )
@@ -182,9 +187,7 @@ def ellipsometry(
         raise NacreError(f"{path}: contains no rows of data")
     if "angle_of_incidence_deg" not in data:
         if options.angle_deg is None:
-            raise AmbiguousFileError(
-                f"{path}: the angle of incidence is missing; state --angle-deg", "angle_deg"
-            )
+            raise AmbiguousFileError(f"{path}: the angle of incidence is missing; state --angle-deg", "angle_deg")
         data["angle_of_incidence_deg"] = np.full(len(wavelength), float(options.angle_deg))
         notes.append(f"the angle of incidence is {options.angle_deg:g} degrees, as given")
     angle = data["angle_of_incidence_deg"]
@@ -213,8 +216,8 @@ def _convention(path: Path, data: Mapping[str, Array], options: ReadOptions, mak
     if maker:
         return "positive", (f"Delta is positive (exp(+i w t)), the convention of {maker}",)
     ok = np.isfinite(data["psi_deg"]) & np.isfinite(data["delta_deg"])
-    keys = ("wavelength_nm", "angle_of_incidence_deg", "psi_deg", "delta_deg")
-    return delta_convention(path, *(data[key][ok] for key in keys), options)
+    wavelength, angle = data["wavelength_nm"][ok], data["angle_of_incidence_deg"][ok]
+    return delta_convention(path, wavelength, angle, data["psi_deg"][ok], data["delta_deg"][ok])
 
 
 def _complete(path: Path, data: dict[str, Array], extra: dict[str, Any]) -> None:

@@ -59,9 +59,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         columns["angle_of_incidence_deg"] = np.full(many, angles[0])
     left_out = [f"{len(lines) - 2 - 2 * many} lines after the data"] if len(lines) > 2 + 2 * many else []
     notes = ["the angle of incidence is the absolute value of the angle in the file"] if angles else []
-    return [
-        ellipsometry(path, "film-sense", columns, options, maker=MAKER, assumed=notes, left_out=left_out)
-    ]
+    return [ellipsometry(path, "film-sense", columns, options, maker=MAKER, assumed=notes, left_out=left_out)]
 
 
 def _dynamic(

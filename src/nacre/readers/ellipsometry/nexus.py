@@ -25,7 +25,8 @@ WAVELENGTHS = (
 ANGLES = ("instrument/angle_of_incidence", "data_collection/angle_of_incidence")
 ERRORS = ("sample/data_error", "data_collection/data_error")
 NAMES = (
-    "sample/sample_name", "sample/name", "sample/layer_structure", "instrument/company", "instrument/model", "start_time",
+    "sample/sample_name", "sample/name", "sample/layer_structure", "instrument/company", "instrument/model",
+    "start_time",
 )  # fmt: skip
 MUELLER = [f"m{i}{j}" for i in range(1, 5) for j in range(1, 5)]
 
@@ -90,11 +91,15 @@ def _entry(path: Path, entry: Any, name: str, options: ReadOptions) -> Measureme
     if names is None and kind in ("muellermatrix", "mueller"):
         names = MUELLER
     if names is None:
-        raise NacreError(f"{path}: data_type = {kind!r} is not known; allowed: psi/delta, tan(psi)/cos(delta), Mueller matrix")
+        raise NacreError(
+            f"{path}: data_type = {kind!r} is not known; allowed: psi/delta, tan(psi)/cos(delta), Mueller matrix"
+        )
     table = np.asarray(data[()], dtype=float)
     shape = (len(angles), len(names), len(waves))
     if table.size != np.prod(shape) or table.shape[-1] != len(waves):
-        raise NacreError(f"{path}: measured_data has the shape {table.shape}; expected {shape} (angle, quantity, wavelength)")
+        raise NacreError(
+            f"{path}: measured_data has the shape {table.shape}; expected {shape} (angle, quantity, wavelength)"
+        )
     table = table.reshape(shape)
     columns = {
         "wavelength_nm": np.tile(waves, len(angles)), "angle_of_incidence_deg": np.repeat(angles, len(waves)),
@@ -104,7 +109,11 @@ def _entry(path: Path, entry: Any, name: str, options: ReadOptions) -> Measureme
     if errors is not None and getattr(errors, "shape", ()) == data.shape:
         spread = np.asarray(errors[()], dtype=float).reshape(shape)
         columns |= {f"{key}_error": spread[:, i].ravel() for i, key in enumerate(names)}
-    metadata = {each.rpartition("/")[2]: text for each in NAMES if (text := _text(entry, each)) not in ("", "NOT_PROVIDED")}
+    metadata = {
+        each.rpartition("/")[2]: text for each in NAMES if (text := _text(entry, each)) not in ("", "NOT_PROVIDED")
+    }
     metadata["unit_in_file"] = unit
     maker = metadata.get("company", "NXellipsometry")
-    return ellipsometry(path, "nexus-ellipsometry", columns, options, maker=maker, name=name, metadata=metadata, assumed=notes)
+    return ellipsometry(
+        path, "nexus-ellipsometry", columns, options, maker=maker, name=name, metadata=metadata, assumed=notes
+    )

@@ -1,7 +1,7 @@
 """Text of in-line tools and of regress-pro: rows after `SE`.
 
-`SE PSI DELTA` with a line `AOI 75.7`: the numbers are tan Psi and cos Delta. `SE ALPHA BETA` with a line `A 33`: Fourier
-coefficients of a rotating element with the other one at that azimuth: alpha = (t^2 - a^2) / (t^2 + a^2) and
+`SE PSI DELTA` with a line `AOI 75.7`: the numbers are tan Psi and cos Delta. `SE ALPHA BETA` with a line `A 33`:
+Fourier coefficients of a rotating element with the other one at that azimuth: alpha = (t^2 - a^2) / (t^2 + a^2) and
 beta = 2 t a cos Delta / (t^2 + a^2), with t = tan Psi and a = tan A.
 """
 
@@ -62,7 +62,9 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         within(path, "beta", beta, -1.05, 1.05)
         root = np.sqrt(np.maximum(1.0 - alpha**2, 1e-300))
         columns |= {"alpha": alpha, "beta": beta}
-        columns["tan_psi"] = np.abs(np.tan(np.radians(stated["A"]))) * np.sqrt((1 + alpha) / np.maximum(1 - alpha, 1e-300))
+        columns["tan_psi"] = np.abs(np.tan(np.radians(stated["A"]))) * np.sqrt(
+            (1 + alpha) / np.maximum(1 - alpha, 1e-300)
+        )
         columns["cos_delta"] = beta / root
         notes.append(f"alpha and beta are converted with the azimuth A = {stated['A']:g} degrees")
     elif np.max(np.abs(table[:, 2])) > MAX_DEGREES:

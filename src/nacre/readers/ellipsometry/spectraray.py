@@ -62,10 +62,10 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         shown = ", ".join(f"{size} x {angle:g}" for angle, size in groups)
         raise NacreError(f"{path}: columns {shown}: allowed: 2 per angle (Psi, Delta) or 16 (Mueller matrix)")
     names = ["psi_deg", "delta_deg"] if count == 2 else [f"m{i}{j}" for i in range(1, 5) for j in range(1, 5)]
-    values = table[:, 1:].reshape(len(table), len(groups), count)
+    cube = table[:, 1:].reshape(len(table), len(groups), count)
     columns = {
         "wavelength_nm": np.tile(wavelength, len(groups)),
         "angle_of_incidence_deg": np.repeat([angle for angle, _ in groups], len(table)),
-        **{name: values[:, :, i].T.ravel() for i, name in enumerate(names)},
+        **{name: cube[:, :, i].T.ravel() for i, name in enumerate(names)},
     }
     return [ellipsometry(path, "spectraray", columns, options, maker=MAKER, metadata={"unit_in_file": unit})]

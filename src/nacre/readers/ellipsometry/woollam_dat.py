@@ -60,9 +60,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
             table = same_length(path, rows)
             columns = psi_delta_columns(path, table, unit, trig)
             results.append(
-                ellipsometry(
-                    path, "woollam-dat", columns, options, maker=MAKER, metadata=metadata, left_out=left_out
-                )
+                ellipsometry(path, "woollam-dat", columns, options, maker=MAKER, metadata=metadata, left_out=left_out)
             )
     results += _mueller(path, found, unit, options, metadata)
     for word, rows in found.items():
@@ -116,7 +114,11 @@ def psi_delta_columns(path: Path, table: Array, unit: str, trig: bool) -> dict[s
 
 
 def _mueller(
-    path: Path, found: dict[str, list[tuple[int, list[float]]]], unit: str, options: ReadOptions, metadata: dict[str, str]
+    path: Path,
+    found: dict[str, list[tuple[int, list[float]]]],
+    unit: str,
+    options: ReadOptions,
+    metadata: dict[str, str],
 ) -> list[Measurement]:
     """Return the elements of the Mueller matrix, relative to m11, as one measurement."""
     elements = {word: same_length(path, rows) for word, rows in found.items() if MUELLER.match(word)}

@@ -27,7 +27,8 @@ def sniff(head: FileHead) -> float:
     """Return the confidence that a file is such an export."""
     if _heading(head.lines) is not None:
         return WITH_HEADING
-    rows = [numbers(line) for line in head.lines[:-1] if line.strip()] or [None]
+    lines = head.lines[:-1] if head.size > len(head.data) else head.lines  # the last line may be cut
+    rows = [numbers(line) for line in lines if line.strip()] or [None]
     if any(row is None or len(row) not in (4, 6) for row in rows):
         return 0.0
     table = np.array([row[:4] for row in rows if row], dtype=float)
