@@ -77,7 +77,16 @@ class Format:
 
 
 # one line per format, sorted by kind; the format of the highest confidence reads a file
-FORMATS: tuple[Format, ...] = ()
+FORMATS: tuple[Format, ...] = (
+    Format("accurion", "Accurion EP3, EP4 text", "ellipsometry", "ellipsometry.accurion"),
+    Format("film-sense", "Film Sense text", "ellipsometry", "ellipsometry.film_sense"),
+    Format("horiba", "Horiba DeltaPsi text (.spe)", "ellipsometry", "ellipsometry.horiba"),
+    Format("nexus-ellipsometry", "NeXus NXellipsometry", "ellipsometry", "ellipsometry.nexus"),
+    Format("regress-pro", "regress-pro text (SE)", "ellipsometry", "ellipsometry.regress_pro"),
+    Format("spectraray", "Sentech SpectraRay text", "ellipsometry", "ellipsometry.spectraray"),
+    Format("woollam-dat", "Woollam WVASE, CompleteEASE data", "ellipsometry", "ellipsometry.woollam_dat"),
+    Format("woollam-text", "Woollam WVASE text export", "ellipsometry", "ellipsometry.woollam_text"),
+)
 
 
 def head_of(path: str | Path) -> FileHead:
