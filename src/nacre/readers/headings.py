@@ -46,62 +46,66 @@ SPECTRAL_QUANTITIES = ("wavelength", "energy", "wavenumber", "frequency", "angul
 
 # words are compared in lower case without accents, blanks and punctuation; Greek letters are spelt out
 WORDS: dict[str, str] = {
-    "wavelength": "wavelength wavelengths wavelenght wave waves wl wls wvl wvlen wavlen wlen lambda lambda0 lam lambdavac "
-    "vacuumwavelength wavelengthvac wavelengthinvacuum airwavelength lambdavacuum wellenlange wellenlaenge vakuumwellenlange "
-    "longueurdonde longueursdonde longitudonda longituddeonda lunghezzadonda lunghezzaonda comprimentodeonda golflengte vaglangd "
-    "bolgelaengde bølgelængde bølgelengde aallonpituus dlugoscfali długoscfali vlnovadelka hullamhossz dalgaboyu 波長 波长 "
-    "длинаволны wavelengthaxis spectralwavelength",
+    "wavelength": "wavelength wavelengths wavelenght wave waves wl wls wvl wvlen wavlen wlen lambda lambda0 lam "
+    "lambdavac vacuumwavelength wavelengthvac wavelengthinvacuum airwavelength lambdavacuum wellenlange "
+    "wellenlaenge vakuumwellenlange longueurdonde longueursdonde longitudonda longituddeonda lunghezzadonda "
+    "lunghezzaonda comprimentodeonda golflengte vaglangd bolgelaengde bølgelængde bølgelengde aallonpituus "
+    "dlugoscfali długoscfali vlnovadelka hullamhossz dalgaboyu 波長 波长 длинаволны wavelengthaxis spectralwavelength",
     "energy": "energy photonenergy energyphoton eph ephoton hv hnu hbaromega photonenergie energie photonenenergie "
     "energia energiafotone energiadelfoton energiedephoton photonenergies energies phenergy photenergy",
-    "wavenumber": "wavenumber wavenumbers wavenum wellenzahl nombredonde numerodeonda numerodonda golfgetal nutilde wn "
-    "wavenr wavenumberaxis vagtal vågtal 波数 волновоечисло ramanshift",
+    "wavenumber": "wavenumber wavenumbers wavenum wellenzahl nombredonde numerodeonda numerodonda golfgetal nutilde "
+    "wn wavenr wavenumberaxis vagtal vågtal 波数 волновоечисло ramanshift",
     "frequency": "frequency freq frequenz frequence frecuencia frequenza frequencia opticalfrequency nu",
     "angular_frequency": "angularfrequency angfreq angularfreq omega kreisfrequenz pulsation circularfrequency",
-    "n": "refractiveindex refractiveindices refindex refrindex refrind indexofrefraction brechungsindex brechzahl brechungszahl "
-    "indicederefraction indicedirifrazione indicederefraccion realindex realn ren nreal nre realrefractiveindex "
-    "realpartofn realpartn refractiveindexn nrefractiveindex refractiveindexreal indexn nindex rin refractiveindexrealpart "
-    "realpartofrefractiveindex realpartoftherefractiveindex nprime ior index_of_refraction",
-    "k": "kappa extinction extinctioncoefficient extinctioncoeff extcoeff extcoef extinctionk extinctioncoef extinctionindex "
-    "extinktionskoeffizient extinktionskoeff extinktionskoeffizientk absorptionsindex absorptionindex imn imagn nimag nim kimag kimaginary "
-    "imaginaryindex imaginaryn imaginaryrefractiveindex imaginarypartofn imagpartofn coefficientdextinction coefficientedextinction "
-    "extinctioncoefficientk kextinctioncoefficient kextinction indexk kindex refractiveindeximaginary refractiveindeximag "
+    "n": "refractiveindex refractiveindices refindex refrindex refrind indexofrefraction brechungsindex brechzahl "
+    "brechungszahl indicederefraction indicedirifrazione indicederefraccion realindex realn ren nreal nre "
+    "realrefractiveindex realpartofn realpartn refractiveindexn nrefractiveindex refractiveindexreal indexn nindex "
+    "rin refractiveindexrealpart realpartofrefractiveindex realpartoftherefractiveindex nprime ior "
+    "index_of_refraction",
+    "k": "kappa extinction extinctioncoefficient extinctioncoeff extcoeff extcoef extinctionk extinctioncoef "
+    "extinctionindex extinktionskoeffizient extinktionskoeff extinktionskoeffizientk absorptionsindex "
+    "absorptionindex imn imagn nimag nim kimag kimaginary imaginaryindex imaginaryn imaginaryrefractiveindex "
+    "imaginarypartofn imagpartofn coefficientdextinction coefficientedextinction extinctioncoefficientk "
+    "kextinctioncoefficient kextinction indexk kindex refractiveindeximaginary refractiveindeximag "
     "coeficientedeextincion coefficientediestinzione nprimeprime ndoubleprime imaginarypartofrefractiveindex "
     "imaginarypartoftherefractiveindex refractiveindeximaginarypart imindex imagindex",
-    "eps1": "eps1 epsilon1 e1 epsr epsre epsreal epsilonr epsilonreal epsilonre realeps realepsilon reeps reepsilon ree ereal "
-    "epsprime epsilonprime eprime realpermittivity permittivityreal permittivityre repermittivity dielectricreal "
-    "realpartofpermittivity realpartofepsilon realpartofeps realdielectric er1 dielectricfunctionreal realdielectricfunction "
-    "redielectricfunction realpartofthedielectricfunction dielectricconstantreal realdielectricconstant epsi1 dielectric1 "
-    "epsilonrealpart permittivityrealpart",
-    "eps2": "eps2 epsilon2 e2 epsi epsim epsimag epsilonimag epsilonim imageps imagepsilon imeps imepsilon ime eimag eim "
-    "epsdoubleprime epsilondoubleprime edoubleprime imagpermittivity permittivityimag permittivityim impermittivity "
-    "dielectricimag imaginarypermittivity imaginarypartofpermittivity imaginarypartofepsilon imagpartofeps imaginaryeps "
-    "imaginaryepsilon er2 dielectricfunctionimag imaginarydielectricfunction imdielectricfunction "
-    "imaginarypartofthedielectricfunction dielectricconstantimag imaginarydielectricconstant epsi2 dielectric2 "
-    "epsilonimaginary permittivityimaginary epsilonimaginarypart permittivityimaginarypart",
-    "alpha": "alpha absorptioncoefficient absorptioncoeff abscoeff abscoef absorptionskoeffizient attenuationcoefficient "
-    "coefficientdabsorption coeficientedeabsorcion",
+    "eps1": "eps1 epsilon1 e1 epsr epsre epsreal epsilonr epsilonreal epsilonre realeps realepsilon reeps reepsilon "
+    "ree ereal epsprime epsilonprime eprime realpermittivity permittivityreal permittivityre repermittivity "
+    "dielectricreal realpartofpermittivity realpartofepsilon realpartofeps realdielectric er1 "
+    "dielectricfunctionreal realdielectricfunction redielectricfunction realpartofthedielectricfunction "
+    "dielectricconstantreal realdielectricconstant epsi1 dielectric1 epsilonrealpart permittivityrealpart",
+    "eps2": "eps2 epsilon2 e2 epsi epsim epsimag epsilonimag epsilonim imageps imagepsilon imeps imepsilon ime "
+    "eimag eim epsdoubleprime epsilondoubleprime edoubleprime imagpermittivity permittivityimag permittivityim "
+    "impermittivity dielectricimag imaginarypermittivity imaginarypartofpermittivity imaginarypartofepsilon "
+    "imagpartofeps imaginaryeps imaginaryepsilon er2 dielectricfunctionimag imaginarydielectricfunction "
+    "imdielectricfunction imaginarypartofthedielectricfunction dielectricconstantimag imaginarydielectricconstant "
+    "epsi2 dielectric2 epsilonimaginary permittivityimaginary epsilonimaginarypart permittivityimaginarypart",
+    "alpha": "alpha absorptioncoefficient absorptioncoeff abscoeff abscoef absorptionskoeffizient "
+    "attenuationcoefficient coefficientdabsorption coeficientedeabsorcion",
     "reflectance": "reflectance reflectivity reflection refl reflectanz reflektanz reflexion reflexionsgrad "
     "reflektivitat reflektion reflektans reflectancia reflectividad riflettanza riflessione riflettivita remission "
-    "remissionsgrad remissionsfactor reflectancefactor reflectfactor reflectionfactor rfl reflectie 反射率 коэффициентотражения "
-    "spectralreflectance measuredreflectance facteurdereflexion refle absolutereflectance",
-    "transmittance": "transmittance transmission transmissivity trans transm transmissionsgrad transmittanz transmisson "
-    "transmittancia transmitancia trasmittanza trasmissione transmissionfactor transmissie transmissivitat transmisivity "
-    "透過率 透射率 пропускание spectraltransmittance measuredtransmittance",
+    "remissionsgrad remissionsfactor reflectancefactor reflectfactor reflectionfactor rfl reflectie 反射率 "
+    "коэффициентотражения spectralreflectance measuredreflectance facteurdereflexion refle absolutereflectance",
+    "transmittance": "transmittance transmission transmissivity trans transm transmissionsgrad transmittanz "
+    "transmisson transmittancia transmitancia trasmittanza trasmissione transmissionfactor transmissie "
+    "transmissivitat transmisivity 透過率 透射率 пропускание spectraltransmittance measuredtransmittance",
     "absorptance": "absorptance absorptionsgrad absorptanz absorbtance absorption",
-    "absorbance": "absorbance absorbanz absorbancia opticaldensity od abs absorbans assorbanza extinktion absorption",
-    "counts": "counts intensity intensitat signal scope rawcounts rawintensity detector intensite intensidad rawsignal "
-    "photoncounts intens int",
+    "absorbance": "absorbance absorbanz absorbancia opticaldensity od abs absorbans assorbanza extinktion "
+    "absorption",
+    "counts": "counts intensity intensitat signal scope rawcounts rawintensity detector intensite intensidad "
+    "rawsignal photoncounts intens int",
     "sample_counts": "sample samplecounts samplesignal probe",
     "dark_counts": "dark darkcounts darksignal darkcurrent dunkel darkreference",
     "reference_counts": "reference referencecounts ref white whitereference whitecounts referenz",
     "irradiance": "irradiance spectralirradiance radiance power spectralpower spd bestrahlungsstarke",
-    "angle_of_incidence": "aoi angle angles theta theta0 angleofincidence incidence incidenceangle incidentangle anglein "
-    "einfallswinkel winkel angledincidence angulo angulodeincidencia angolodiincidenza angolo inc incangle inczenith "
-    "thetai thetain thetainc angleincidence incidentangles phi0 aoincidence tilt",
-    "polarisation": "pol polarisation polarization polaris polariz polarizzazione polarizacion polstate polarisationstate "
-    "polarizationstate",
-    "polariser": "polariser polarizer polarisator polarizerangle polariserangle polangle polariserazimuth polarizerazimuth "
-    "polarizadorangle polarisationangle polarizationangle polarisatorwinkel polarisationswinkel poldeg",
+    "angle_of_incidence": "aoi angle angles theta theta0 angleofincidence incidence incidenceangle incidentangle "
+    "anglein einfallswinkel winkel angledincidence angulo angulodeincidencia angolodiincidenza angolo inc incangle "
+    "inczenith thetai thetain thetainc angleincidence incidentangles phi0 aoincidence tilt",
+    "polarisation": "pol polarisation polarization polaris polariz polarizzazione polarizacion polstate "
+    "polarisationstate polarizationstate",
+    "polariser": "polariser polarizer polarisator polarizerangle polariserangle polangle polariserazimuth "
+    "polarizerazimuth polarizadorangle polarisationangle polarizationangle polarisatorwinkel polarisationswinkel "
+    "poldeg",
     "psi": "psi ellipsometricpsi",
     "delta": "delta del ellipsometricdelta",
     "tan_psi": "tanpsi tanofpsi tgpsi",
@@ -115,24 +119,25 @@ WORDS: dict[str, str] = {
     "theta_o": "thetao thetaout thetar thetas thetaview thetascatter",
     "phi_o": "phio phiout phir phis phiview phiscatter",
     "value": "value values wert bsdf brdf btdf",
-    "name": "name names sample samples samplename sampleid standard id colour color label bezeichnung probe nom nombre nome "
-    "farbe patch patchname colourname colorname material specimen title swatch code muster",
-    "row_number": "no nr number index idx row point particle id num count zeile lfdnr lfd step seq sequence line rank "
-    "particleid pointid punkt numero n° nº item i # label pixel pixelnumber",
+    "name": "name names sample samples samplename sampleid standard id colour color label bezeichnung probe nom "
+    "nombre nome farbe patch patchname colourname colorname material specimen title swatch code muster",
+    "row_number": "no nr number index idx row point particle id num count zeile lfdnr lfd step seq sequence line "
+    "rank particleid pointid punkt numero n° nº item i # label pixel pixelnumber",
     "x": "x xm xc xpos xposition posx positionx xcoord xcoordinate coordx xcentre xcenter centrex centerx xcentroid "
     "centroidx xkoordinate xloc xmean xo",
     "y": "y ym yc ypos yposition posy positiony ycoord ycoordinate coordy ycentre ycenter centrey centery ycentroid "
     "centroidy ykoordinate yloc ymean yo",
     "z": "z zpos zposition posz positionz height zcoord",
     "radius": "radius radii rad particleradius",
-    "diameter": "diameter dia diam durchmesser diametre diametro size particlediameter equivalentdiameter feretdiameter "
-    "ecd particlesize",
-    "thickness": "thickness dicke schichtdicke epaisseur espesor spessore filmthickness flakethickness plateletthickness",
+    "diameter": "diameter dia diam durchmesser diametre diametro size particlediameter equivalentdiameter "
+    "feretdiameter ecd particlesize",
+    "thickness": "thickness dicke schichtdicke epaisseur espesor spessore filmthickness flakethickness "
+    "plateletthickness",
     "depth": "depth tiefe profondeur profundidad depths etchdepth resistdepth",
     "grey": "grey gray greyvalue grayvalue greylevel graylevel graustufe grauwert level dose",
     "voltage": "voltage volts volt spannung bias u",
-    "share": "share shares fraction weight probability frequency volumefraction numberfraction anteil haufigkeit haeufigkeit "
-    "relativefrequency weights fractions pdf occurrence number count counts",
+    "share": "share shares fraction weight probability frequency volumefraction numberfraction anteil haufigkeit "
+    "haeufigkeit relativefrequency weights fractions pdf occurrence number count counts",
     "q": "q scatteringvector wavevector momentumtransfer qvector qvalue",
     "structure_factor": "sq structurefactor sofq strukturfaktor",
     "albedo": "albedo albedos whitenessratio",
@@ -203,15 +208,15 @@ SYMBOLS: dict[str, tuple[str, ...]] = {
     "sigma": ("wavenumber",),
     "phi": ("angle_of_incidence",),
 }
-_NEEDS_UNIT = {"wavenumber": ("sigma", "nu"), "angle_of_incidence": ("phi",), "temperature": ("T",), "frequency": ("nu", "f", "F"),
-               "irradiance": ("E",), "angular_frequency": ("w",)}  # fmt: skip
-_GREEK = {"α": "alpha", "β": "beta", "γ": "gamma", "Γ": "gamma", "δ": "delta", "Δ": "delta", "∆": "delta", "ε": "epsilon",
-          "η": "eta", "θ": "theta", "Θ": "theta", "κ": "kappa", "λ": "lambda", "Λ": "lambda", "μ": "mu", "ν": "nu", "ρ": "rho",
-          "σ": "sigma", "τ": "tau", "φ": "phi", "Φ": "phi", "ψ": "psi", "Ψ": "psi", "ω": "omega", "Ω": "omega",
-          "ħ": "hbar", "Ø": "diameter", "ø": "diameter", "⌀": "diameter"}  # fmt: skip
+_GREEK = dict(
+    pair.split("=")
+    for pair in "α=alpha β=beta γ=gamma Γ=gamma δ=delta Δ=delta ∆=delta ε=epsilon η=eta θ=theta Θ=theta κ=kappa "
+    "λ=lambda Λ=lambda μ=mu ν=nu ρ=rho σ=sigma τ=tau φ=phi Φ=phi ψ=psi Ψ=psi ω=omega Ω=omega ħ=hbar "
+    "Ø=diameter ø=diameter ⌀=diameter".split()
+)
 ERROR_WORDS = frozenset(
-    "sigma err error errors std stdev stddev sd se unc uncertainty uncertainties standarddeviation standarderror fehler "
-    "unsicherheit standardabweichung messunsicherheit sigmas deviation incertitude erreur dev sem stderr".split()
+    "sigma err error errors std stdev stddev sd se unc uncertainty uncertainties standarddeviation standarderror "
+    "fehler unsicherheit standardabweichung messunsicherheit sigmas deviation incertitude erreur dev sem stderr".split()
 )
 _OF_ALL_WORDS: dict[str, tuple[str, ...]] = {}
 for _name, _words in WORDS.items():
@@ -222,30 +227,53 @@ ILLUMINANT_WORDS = {
     "f2": "FL2", "fl2": "FL2", "f7": "FL7", "fl7": "FL7", "f11": "FL11", "fl11": "FL11", "tl84": "FL11", "cwf": "FL2",
     "cwf2": "FL2", "ill.a": "A", "illa": "A", "f12": "FL12", "fl12": "FL12", "fl1": "FL1", "f1": "FL1",
 }  # fmt: skip
-_MODES = {"specular": "specular", "spec": "specular", "diffuse": "diffuse", "diff": "diffuse", "total": "total", "tot": "total",
-          "hemispherical": "total", "sci": "total", "sce": "diffuse", "spin": "total", "spex": "diffuse", "direct": "specular",
-          "regular": "specular", "gerichtet": "specular", "diffus": "diffuse", "directional": "specular", "hemi": "total",
-          "rsin": "total", "rsex": "diffuse", "speculaire": "specular", "gesamt": "total"}  # fmt: skip
-_POLARISATIONS = {"s": "s", "p": "p", "te": "s", "tm": "p", "spol": "s", "ppol": "p", "spolarised": "s", "ppolarised": "p",
-                  "spolarized": "s", "ppolarized": "p", "unpolarised": "unpolarised", "unpolarized": "unpolarised",
-                  "unpol": "unpolarised", "depolarised": "unpolarised", "senkrecht": "s", "parallel": "p", "perpendicular": "s",
-                  "perp": "s", "par": "p", "tepol": "s", "tmpol": "p", "⊥": "s", "∥": "p", "‖": "p",
-                  "unpolarisiert": "unpolarised"}  # fmt: skip
-_IN_CELLS = {**_POLARISATIONS, "sp": "unpolarised", "mean": "unpolarised", "u": "unpolarised", "both": "unpolarised",
-             "none": "unpolarised", "natural": "unpolarised", "random": "unpolarised", "avg": "unpolarised",
-             "0.5*(s+p)": "unpolarised", "(s+p)/2": "unpolarised", "s+p": "unpolarised"}  # fmt: skip
+
+
+def _by_word(words: dict[str, str]) -> dict[str, str]:
+    return {word: name for name, spelt in words.items() for word in spelt.split()}
+
+
+_MODES = _by_word(
+    {
+        "specular": "specular spec direct regular gerichtet directional speculaire",
+        "diffuse": "diffuse diff sce spex diffus rsex",
+        "total": "total tot hemispherical hemi sci spin rsin gesamt",
+    }
+)
+_POLARISATIONS = _by_word(
+    {
+        "s": "s te spol spolarised spolarized senkrecht perpendicular perp tepol ⊥",
+        "p": "p tm ppol ppolarised ppolarized parallel par tmpol ∥ ‖",
+        "unpolarised": "unpolarised unpolarized unpol depolarised unpolarisiert",
+    }
+)
+_IN_CELLS = {
+    **_POLARISATIONS,
+    **_by_word({"unpolarised": "sp mean u both none natural random avg 0.5*(s+p) (s+p)/2 s+p"}),
+}
 _WITH_POLARISATION = re.compile(r"(R|T)[ _]?(s|p|TE|TM|S|P)")
 _ANGLE = re.compile(r"@?\s*([-+]?\d+(?:[.,]\d+)?)\s*(?:°|º|deg|degrees?|grad)")
 _BRACKET = re.compile(r"[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
 _SUFFIX_UNIT = re.compile(
     r"(.*?\S)(?:\s*[/,]\s*|[\s_-]+(?:in[\s_]+)?)"
-    r"(nm|um|μm|mum|microns?|micrometers?|micrometres?|mikrometer|nanometers?|nanometres?|nanometer|angstroms?|Å|mm|cm|eV|ev|meV|THz|GHz|Hz|"
+    r"(nm|um|μm|mum|microns?|micromet(?:er|re)s?|mikrometer|nanomet(?:er|re)s?|angstroms?|Å|mm|cm|eV|ev|meV|THz|GHz|Hz|"
     r"cm-1|cm\^-1|1/cm|per_cm|per_um|per_nm|per cm|per um|per nm|1/um|1/μm|1/nm|μm-1|nm-1|um-1|rad/s|rad/fs|"
     r"%|percent|per_cent|per cent|pct|deg|degrees?|°|rad|px|pixels?)\.?",
     re.IGNORECASE,
 )  # fmt: skip
-_BARE_UNITS = {"nm": "wavelength", "um": "wavelength", "angstrom": "wavelength", "eV": "energy", "meV": "energy",
-               "1/cm": "wavenumber", "THz": "frequency", "rad/s": "angular_frequency", "rad/fs": "angular_frequency"}  # fmt: skip
+_BARE_UNITS = _by_word(
+    {
+        "wavelength": "nm um angstrom",
+        "energy": "eV meV",
+        "wavenumber": "1/cm",
+        "frequency": "THz",
+        "angular_frequency": "rad/s rad/fs",
+    }
+)
+_FILLERS = frozenset(
+    "pol polarised polarized of the cie measured light value in at coefficient spectrum data spectral standard "
+    "deviation von de der hunter lab mean average avg".split()
+)
 
 
 @dataclass(frozen=True)
@@ -261,6 +289,7 @@ class Meaning:
         mode: "specular", "diffuse", "total", or "".
         illuminant, observer: of a colour; the observer is "2" or "10".
         number: index of a repeated quantity, as in L1, a1, b1.
+        is_negated: whether the column holds the quantity with the other sign, as "-k".
     """
 
     quantity: str
@@ -272,6 +301,7 @@ class Meaning:
     illuminant: str = ""
     observer: str = ""
     number: int | None = None
+    is_negated: bool = False
 
 
 def polarisation_word(text: str) -> str | None:
@@ -294,11 +324,13 @@ def meanings(heading: str, unit: str = "") -> tuple[Meaning, ...]:
         >>> meanings("R_s (60°)")[0].polarisation, meanings("R_s (60°)")[0].angle_deg
         ('s', 60.0)
     """
-    text = normal(heading).strip(' ;,:').removeprefix("#").strip() or normal(heading)
+    text = normal(heading).strip(" ;,:").removeprefix("#").strip() or normal(heading)
     text = re.sub(r"(?<=[\w'])(''|\u2033|\")(?=\W|$)", " double prime", text)
-    text = re.sub(r"(?<=\w)('|\u2032)(?=\W|$)", " prime", text).strip('"\' ')
+    text = re.sub(r"(?<=\w)('|\u2032)(?=\W|$)", " prime", text).strip("\"' ")
     if not text:
         return ()
+    if re.match(r"-\s?[^\W\d_]", text):
+        return tuple(replace(meaning, is_negated=True) for meaning in meanings(text[1:].strip(), unit))
     bare = parse_unit(text)
     if bare in _BARE_UNITS and len(text) > 1:
         return (Meaning(_BARE_UNITS[bare], bare),) if unit in ("", bare) else ()
@@ -311,9 +343,9 @@ def meanings(heading: str, unit: str = "") -> tuple[Meaning, ...]:
 
 def _is_function(text: str) -> bool:
     """Whether brackets enclose an argument, as in Re(eps), Im(n), S(q), u(R)."""
-    return bool(re.match(r"\s*((?i:re|im|real|imag|err|std|sigma|σ|tan|cos|abs|sd|log)\s?|[suS])[(\[{]", text)) and not re.search(
-        r"[(\[{]\s*(%|1|-)\s*[)\]}]", text
-    )
+    return bool(
+        re.match(r"\s*((?i:re|im|real|imag|err|std|sigma|σ|tan|cos|abs|sd|log)\s?|[suS])[(\[{]", text)
+    ) and not re.search(r"[(\[{]\s*(%|1|-)\s*[)\]}]", text)
 
 
 def _of_bracketed(text: str, unit: str) -> tuple[Meaning, ...]:
@@ -329,7 +361,7 @@ def _of_bracketed(text: str, unit: str) -> tuple[Meaning, ...]:
         symbol, comma, rest = content.partition(",")
         if symbol.strip()[:1] == "%" and len(symbol.strip()) > 1 and base.unit in ("", "%"):
             base, symbol = replace(base, unit="%"), symbol.strip()[1:]
-        names = _lookup(symbol.strip()) if parse_unit(symbol) is None else ()
+        names = _lookup(symbol.strip()) if parse_unit(symbol) is None or symbol.strip() == "k" else ()
         names = () if symbol.strip().lower() in ("s", "p", "a", "b", "c", "e") else names
         if names:
             confirmed, content = set(names), rest
@@ -384,7 +416,20 @@ def _qualifier(part: str, base: Meaning) -> Meaning | None:
         return moved
     if word in ("2", "10", "1931", "1964", "cie1931", "cie1964", "cie31", "cie64") and base.illuminant:
         return replace(base, observer="10" if "64" in word or word == "10" else "2")
-    if word in ("pol", "polarised", "polarized", "at", "light", "aoi", "cie", "observer", "vacuum", "vac", "mean", "average"):
+    if word in (
+        "pol",
+        "polarised",
+        "polarized",
+        "at",
+        "light",
+        "aoi",
+        "cie",
+        "observer",
+        "vacuum",
+        "vac",
+        "mean",
+        "average",
+    ):
         return base
     return None
 
@@ -408,7 +453,9 @@ def _of_core(core: str, base: Meaning) -> tuple[Meaning, ...]:
         return found
     match = _SUFFIX_UNIT.fullmatch(core)
     if match:
-        unit = parse_unit(match[2].replace("per_cent", "percent").replace("per cent", "percent").replace("per_", "1/").replace("per ", "1/"))
+        unit = parse_unit(re.sub("per[_ ]", "1/", re.sub("per[_ ]cent", "percent", match[2].lower()))) or parse_unit(
+            match[2]
+        )
         if unit and base.unit in ("", unit):
             return _of_words(match[1].strip(" /_,-"), replace(base, unit=unit))
     return ()
@@ -423,7 +470,7 @@ def _of_words(core: str, base: Meaning) -> tuple[Meaning, ...]:
         return (replace(base, quantity=quantity, polarisation=_POLARISATIONS[match[2].lower()]),)
     numbered = re.fullmatch(r"([Llab])[*_ ]?\s?(\d)", core)
     if numbered:
-        return (replace(base, quantity=numbered[1].upper() if numbered[1] in "Ll" else numbered[1], number=int(numbered[2])),)
+        return (replace(base, quantity=numbered[1].replace("l", "L"), number=int(numbered[2])),)
     match = re.fullmatch(r"[dΔδ]\s?([RTnk])|[dΔδ](Psi|Delta|psi|delta|Ψ|Δ)|u\s?([RTnk])", core)
     if match:
         inner = _of_words(match[1] or match[2] or match[3], base)
@@ -463,6 +510,8 @@ def _peeled(core: str, base: Meaning) -> tuple[Meaning, ...]:
         return (replace(base, is_error=True),)
     if len(tokens) < 2:
         return ()
+    if len(tokens) == 2 and (both := set(_lookup(tokens[0])) & set(_lookup(tokens[1]))):  # "Wavelength λ"
+        return tuple(replace(base, quantity=name) for name in sorted(both))
     for place in (len(tokens) - 1, 0, *range(1, len(tokens) - 1)):
         word = _spelt(tokens[place]).strip().lower()
         told: Meaning | None = None
@@ -472,12 +521,15 @@ def _peeled(core: str, base: Meaning) -> tuple[Meaning, ...]:
             told = replace(base, polarisation=_POLARISATIONS[word])
         elif word in _MODES:
             told = replace(base, mode=_MODES[word])
-        elif word in ("pol", "polarised", "polarized", "of", "the", "cie", "measured", "light", "value", "in", "at", "coefficient",
-                      "spectrum", "data", "spectral", "standard", "deviation", "von", "de", "der", "hunter", "lab", "mean", "average", "avg"):  # fmt: skip
+        elif word in _FILLERS:
             told = base
         elif word in ILLUMINANT_WORDS and len(word) > 1:
             told = replace(base, illuminant=ILLUMINANT_WORDS[word])
-        elif word in ("2", "10") and any(_spelt(t).lower() in ILLUMINANT_WORDS for t in tokens) or (word in ("2", "10") and base.illuminant):
+        elif (
+            word in ("2", "10")
+            and any(_spelt(t).lower() in ILLUMINANT_WORDS for t in tokens)
+            or (word in ("2", "10") and base.illuminant)
+        ):
             told = replace(base, observer=word)
         if told is None:
             continue
@@ -528,5 +580,32 @@ def _of_other_dimension(meaning: Meaning) -> Meaning | None:
     if kind == "number":
         return meaning
     if kind == "counts":
-        return meaning if name.endswith("counts") else replace(meaning, quantity="counts")
+        return (
+            meaning if name.endswith("counts") else replace(meaning, quantity="counts") if name == "intensity" else None
+        )
     return None
+
+
+_WORD = re.compile(r"[^\W\d_]+\d?(?:[_'-]?[^\W\d_]+)*|%", re.UNICODE)
+_TELLING = frozenset(
+    "energy wavenumber frequency angular_frequency eps1 eps2 alpha psi delta tan_psi cos_delta transmittance "
+    "reflectance absorbance absorptance counts irradiance k".split()
+)
+_UNIT_TELLS = {"energy": "energy", "wavenumber": "wavenumber", "frequency": "frequency"}
+
+
+def mentions(text: str) -> set[str]:
+    """Return the quantities that a line of free text names by a word of at least two letters, or by a unit.
+
+    Example:
+        >>> sorted(mentions("dielectric function e1, e2 over energy (eV)"))
+        ['energy', 'eps1', 'eps2']
+    """
+    found: set[str] = set()
+    for word in _WORD.findall(normal(text)):
+        unit = parse_unit(word) if len(word) > 1 else None
+        if unit is not None and UNITS[unit][0] in _UNIT_TELLS:
+            found.add(UNITS[unit][0])
+        elif len(word) > 1 or word in "ελΨΔψ":
+            found.update(name for name in _lookup(word) if name in _TELLING)
+    return found

@@ -97,7 +97,7 @@ def load_text(path: Path, limit: int = MAX_BYTES) -> str:
         check_memory(MEMORY_FACTOR * float(size), f"{path}: read as a table, it")
         return decode(path.read_bytes())
     except UnicodeDecodeError:
-        raise NacreError(f"{path}: is not text") from None
+        raise NacreError(f"{path}: is not a text file") from None
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
 
@@ -189,7 +189,9 @@ class TextTable:
         for i, row in enumerate(self.rows):
             value = number(row[column], self.decimal, self.grouping)
             if value is None or math.isinf(value):
-                raise NacreError(f'{self.path}: line {self.lines[i]}: "{row[column].strip()[:40]}" is not a finite number')
+                raise NacreError(
+                    f'{self.path}: line {self.lines[i]}: "{row[column].strip()[:40]}" is not a finite number'
+                )
             values[i] = value
         return values
 
@@ -344,7 +346,9 @@ def _is_value(cell: str) -> bool:
         pass
     if cell[:1].isalpha() and cell.lower() not in MISSING:
         return False
-    return bool(number(cell) is not None or _HEX.fullmatch(cell) or _WITH_UNIT.fullmatch(cell) or _GROUPED.fullmatch(cell))
+    return bool(
+        number(cell) is not None or _HEX.fullmatch(cell) or _WITH_UNIT.fullmatch(cell) or _GROUPED.fullmatch(cell)
+    )
 
 
 def _is_number(cell: str) -> bool:
@@ -537,7 +541,10 @@ def _marks(path: Path, rows: list[list[str]], lines: list[int], delimiter: str |
         NacreError: points and commas contradict each other, or a comma delimits cells and fractions.
     """
     with_comma = [
-        cell for row in rows for cell in row if "," in cell and (_PLAIN_NUMBER.fullmatch(cell) or _GROUPED.fullmatch(cell))
+        cell
+        for row in rows
+        for cell in row
+        if "," in cell and (_PLAIN_NUMBER.fullmatch(cell) or _GROUPED.fullmatch(cell))
     ]
     if not with_comma:
         if delimiter == ",":
@@ -550,9 +557,7 @@ def _marks(path: Path, rows: list[list[str]], lines: list[int], delimiter: str |
             raise NacreError(f'{path}: "{both[0]}" and other numbers use points and commas in two ways')
         decimal = decimals.pop()
         return decimal, "," if decimal == "." else "."
-    with_point = any(
-        "." in cell and "," not in cell and _PLAIN_NUMBER.fullmatch(cell) for row in rows for cell in row
-    )
+    with_point = any("." in cell and "," not in cell and _PLAIN_NUMBER.fullmatch(cell) for row in rows for cell in row)
     are_groups = all(_BARE_GROUPS.fullmatch(cell) for cell in with_comma)
     if with_point and not are_groups:
         raise NacreError(f'{path}: fractions are written with commas ("{with_comma[0]}") and with points; use one mark')
@@ -587,8 +592,15 @@ def _find_headings(
         text = line.text.strip()
         if line.is_remark:
             text = text.lstrip("#%!;*/'").strip()
-        unit_cells = next((c for c in _splits(text, delimiter, width) if len(c) >= min(width, 2) and _is_unit_row(c)), None)
-        if unit_cells is not None and not units and len(unit_cells) <= width + 1 and not _names_columns(unit_cells, above, line):
+        unit_cells = next(
+            (c for c in _splits(text, delimiter, width) if len(c) >= min(width, 2) and _is_unit_row(c)), None
+        )
+        if (
+            unit_cells is not None
+            and not units
+            and len(unit_cells) <= width + 1
+            and not _names_columns(unit_cells, above, line)
+        ):
             units, used = [unit_of(cell) for cell in unit_cells], {line.number}
             continue
         cells = _heading_cells(text, delimiter, width, knows, units, is_remark=line.is_remark)
@@ -613,7 +625,13 @@ def _is_mark(text: str) -> bool:
 
 
 def _heading_cells(
-    text: str, delimiter: str | None, width: int, knows: Callable[[str, str], bool], units: list[str], *, is_remark: bool
+    text: str,
+    delimiter: str | None,
+    width: int,
+    knows: Callable[[str, str], bool],
+    units: list[str],
+    *,
+    is_remark: bool,
 ) -> list[str] | None:
     """Return the cells of a line of headings, or None if the line is a title or a remark."""
     best: list[str] | None = None
