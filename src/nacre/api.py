@@ -131,7 +131,7 @@ def ellipsometry(
         >>> wafer = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 2}]}
         >>> found = nacre.ellipsometry(wafer, [70.0], [632.8])
         >>> round(float(found.psi_deg[0, 0])), round(float(found.delta_deg[0, 0]))
-        (10, 174)
+        (11, 174)
     """
     return compute_ellipsometry(as_material(thing), angles_deg, wavelengths_nm, azimuth_deg)
 

@@ -2,8 +2,8 @@
 
 Convention (Nebraska): rho = r_p / r_s = tan(Psi) exp(i Delta) for fields exp(+i w t), with r_p = -r_s at normal
 incidence; Delta of a bare metal or wafer lies between 0 and 180 degrees. N = cos 2Psi, C = sin 2Psi cos Delta,
-S = sin 2Psi sin Delta; for an isotropic sample N = -m12, C = m33, S = m34 of the Mueller matrix relative to m11. A sample
-or instrument that depolarises has N^2 + C^2 + S^2 < 1; Psi and Delta are then those of the polarised part.
+S = sin 2Psi sin Delta; for an isotropic sample N = -m12, C = m33, S = m34 of the Mueller matrix relative to m11. A
+sample or instrument that depolarises has N^2 + C^2 + S^2 < 1; Psi and Delta are then those of the polarised part.
 """
 
 from __future__ import annotations
@@ -122,7 +122,8 @@ def instrument_of(material: Material) -> InstrumentSpec:
     table = material.data.get("instrument")
     if not table:
         return InstrumentSpec()
-    return validate(InstrumentSpec, table, material.context)
+    found: InstrumentSpec = validate(InstrumentSpec, table, material.context)
+    return found
 
 
 def compute_ellipsometry(
@@ -197,7 +198,8 @@ def _mueller(stack: Stack, theta: Array, waves: Array, azimuth: float, scales: A
         return _isotropic(power_p, power_s, np.tensordot(weights, r_p * r_s.conj(), 1))
     total = np.zeros((len(theta), len(waves), 4, 4))
     for scale, weight in zip(scales, weights):
-        total += weight * stack_with_scale(stack, float(scale)).polarised(theta, waves, azimuth).mueller_reflected
+        scaled: Any = stack_with_scale(stack, float(scale))
+        total += weight * scaled.polarised(theta, waves, azimuth).mueller_reflected
     return total
 
 

@@ -110,7 +110,8 @@ class StudySpec(RecipeModel):
         examples=[{"layers[2].thickness_nm": "layers[0].thickness_nm"}, {"layers[1].thickness_nm": "2*numbers.d + 5"}],
     )
     instrument: InstrumentSpec = pydantic.Field(
-        default=InstrumentSpec(), description="averages and offset of the ellipsometer, for fits and `nacre ellipsometry`"
+        default=InstrumentSpec(),
+        description="averages and offset of the ellipsometer, for fits and `nacre ellipsometry`",
     )
     tolerance: Annotated[
         dict[str, Any],
