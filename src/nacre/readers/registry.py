@@ -77,7 +77,31 @@ class Format:
 
 
 # one line per format, sorted by kind; the format of the highest confidence reads a file
-FORMATS: tuple[Format, ...] = ()
+FORMATS: tuple[Format, ...] = (
+    Format("ocean_text", "Ocean Optics text (OOIBase32, SpectraSuite, OceanView, Jaz)", "spectrum", "spectra.ocean"),
+    Format("ocean_procspec", "Ocean Optics ProcSpec", "spectrum", "spectra.ocean_procspec"),
+    Format("jcamp", "JCAMP-DX", "spectrum", "spectra.jcamp"),
+    Format("avantes_text", "Avantes AvaSoft text", "spectrum", "spectra.avantes_text"),
+    Format("avantes_binary", "Avantes AvaSoft binary (RFL8, TRM, ROH, ABS)", "spectrum", "spectra.avantes_binary"),
+    Format("craic_text", "CRAIC MicroSpec text", "spectrum", "spectra.craic"),
+    Format("perkinelmer_text", "PerkinElmer UV WinLab ASCII and CSV", "spectrum", "spectra.perkinelmer_text"),
+    Format("perkinelmer_sp", "PerkinElmer .sp", "spectrum", "spectra.perkinelmer_sp"),
+    Format("jasco_text", "JASCO Spectra Manager text", "spectrum", "spectra.jasco_text"),
+    Format("jasco_jws", "JASCO .jws", "spectrum", "spectra.jasco_jws"),
+    Format("asd_text", "ASD ViewSpec text", "spectrum", "spectra.asd"),
+    Format("licor_prn", "LI-COR LI-1800 .PRN", "spectrum", "spectra.licor"),
+    Format("aster", "ASTER and ECOSTRESS spectral library", "spectrum", "spectra.aster"),
+    Format("woollam_intensity", "Woollam intensities (uR, uT, pR, sR)", "spectrum", "spectra.woollam_intensity"),
+    Format("bruker_dpt", "Bruker data point table .dpt", "spectrum", "spectra.bruker_dpt"),
+    Format("opus", "Bruker OPUS", "spectrum", "spectra.opus"),
+    Format("grams_spc", "Galactic GRAMS .spc", "spectrum", "spectra.grams_spc"),
+    Format(
+        "spectrum_table",
+        "table of spectra (Cary, Shimadzu, Agilent, CID, Filmetrics, CSV)",
+        "spectrum",
+        "spectra.tables",
+    ),
+)
 
 
 def head_of(path: str | Path) -> FileHead:
