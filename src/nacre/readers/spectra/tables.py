@@ -18,15 +18,15 @@ from nacre.readers.spectra.common import Block, Notes
 HEADED, WIDE, PLAIN = 0.5, 0.4, 0.3
 MIN_NM, MAX_NM = 150.0, 30000.0
 _WAVELENGTH = re.compile(
-    r"^(wave ?length|wavelengths|wave|wl|wvl|lambda|λ|longueur d'onde|wellenl[äa]nge|longitud de onda|波長|wave ?number|"
-    r"wavenumbers)\b|^\[?nm\b",
+    r"^(wave ?length|wavelengths|wave|wl|wvl|lambda|λ|longueur d'onde|wellenl[äa]nge|longitud de onda|波長|"
+    r"wave ?numbers?)\b|^\[?nm\b",
     re.IGNORECASE,
 )
 _PIXEL = re.compile(r"^(pixel|index|point|no\.?|#|id)$", re.IGNORECASE)
 _NUMBER_HEADING = re.compile(r"^\D{0,12}?(\d{3,4}(?:\.\d+)?)\s*(?:nm)?$", re.IGNORECASE)
 _OTHER = re.compile(
-    r"psi|delta|\bn\b|\bk\b|eps|\be1\b|\be2\b|refractive|index of|theta|phi|bsdf|brdf|^[xyz]$|^l\*?$|height|^m\d\d$|aoi|"
-    r"angle|polari",
+    r"psi|delta|\bn\b|\bk\b|eps|\be1\b|\be2\b|refractive|index of|theta|phi|bsdf|brdf|^[xyz]$|^l\*?$|height|"
+    r"^m\d\d$|aoi|angle|polari",
     re.IGNORECASE,
 )
 
