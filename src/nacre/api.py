@@ -6,7 +6,7 @@ pictures, `nacre.plot` figures, `nacre.design` structures.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -112,6 +112,7 @@ def report(
     observer: str = "10deg",
     samples: int | None = None,
     seed: int = 0,
+    geometries: Sequence[str] = (),
 ) -> Report:
     """Measure a material in the standard geometries: Lab at 15 to 110 degrees, flop, gloss, haze, totals.
 
@@ -120,6 +121,7 @@ def report(
             table.
         illuminant, observer: of the colours.
         samples, seed: of random walks.
+        geometries: further aspecular geometries, "45as25az90" or "NAME=45as25az90".
 
     Raises:
         NacreError: the material cannot be loaded or measured.
@@ -128,7 +130,7 @@ def report(
         >>> round(nacre.report("gold").gloss["60"] / 100) >= 1
         True
     """
-    return make_report(as_material(thing), illuminant, observer, samples, seed)
+    return make_report(as_material(thing), illuminant, observer, samples, seed, geometries)
 
 
 def tolerance(

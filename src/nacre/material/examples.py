@@ -15,7 +15,6 @@ from nacre.core.files import atomic_path, check_writable, read_text
 from nacre.recipe.toml import parse_toml
 
 NO_RECIPES = ("gallery.toml",)
-TARGET = "target"  # stands for the family of a design target
 
 
 @dataclass(frozen=True)
@@ -26,11 +25,7 @@ class Example:
     family: str
     about: str
     path: Path
-
-    @property
-    def is_recipe(self) -> bool:
-        """Whether it describes a material, rather than a design target."""
-        return self.family != TARGET
+    is_recipe: bool  # of a material, not a design target
 
 
 def examples_folder() -> Path:
@@ -61,8 +56,8 @@ def examples() -> list[Example]:
             continue
         text = read_text(path, "example")
         name = path.relative_to(folder).with_suffix("").as_posix()
-        family = str(parse_toml(text, str(path)).get("family", TARGET))
-        found.append(Example(name, family, _about(text), path))
+        family = parse_toml(text, str(path)).get("family")
+        found.append(Example(name, str(family or "target"), _about(text), path, is_recipe=family is not None))
     return sorted(found, key=lambda example: ("/" in example.name, example.name))
 
 

@@ -62,7 +62,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         name = names[column].strip() if column < len(names) else ""
         spectra.append(
             common.spectrum(
-                path, "asd_text", block.table[:, 0], values, label, options, name=name, metadata=metadata, notes=notes
+                path, "asd-text", block.table[:, 0], values, label, options, name=name, metadata=metadata, notes=notes
             )
         )
     return common.choose(path, spectra, options)

@@ -77,18 +77,18 @@ def _measurement(
         values = common.ratio(sample, dark, reference)
         counts = {"sample_counts": sample, "dark_counts": dark, "reference_counts": reference}
         return common.spectrum(
-            path, "avantes_binary", nm, values, Label(quantity, 1.0), options, name=name, metadata=metadata, more=counts
+            path, "avantes-binary", nm, values, Label(quantity, 1.0), options, name=name, metadata=metadata, more=counts
         )
     if quantity == "absorbance" and has_reference:
         with np.errstate(divide="ignore", invalid="ignore"):
             values = -np.log10(common.ratio(sample, dark, reference))
         return common.spectrum(
-            path, "avantes_binary", nm, values, Label("absorbance", 1.0), options, name=name, metadata=metadata
+            path, "avantes-binary", nm, values, Label("absorbance", 1.0), options, name=name, metadata=metadata
         )
     if quantity == "irradiance":
         raise NacreError(f"{path}: is an irradiance, whose calibration is not in the file; export text")
     return common.spectrum(
-        path, "avantes_binary", nm, sample, Label("counts", 1.0), options, name=name, metadata=metadata
+        path, "avantes-binary", nm, sample, Label("counts", 1.0), options, name=name, metadata=metadata
     )
 
 
@@ -129,7 +129,7 @@ def _version_6_7(path: Path, data: bytes, options: ReadOptions) -> Measurement:
     notes = Notes()
     if columns == 1:
         return common.spectrum(
-            path, "avantes_binary", nm, table[:, 0], Label("counts", 1.0), options, metadata=metadata, notes=notes
+            path, "avantes-binary", nm, table[:, 0], Label("counts", 1.0), options, metadata=metadata, notes=notes
         )
     sample, reference, dark = table.T
     notes.assumed.append(
@@ -143,7 +143,7 @@ def _version_6_7(path: Path, data: bytes, options: ReadOptions) -> Measurement:
             values = -np.log10(values)
     counts = {"sample_counts": sample, "dark_counts": dark, "reference_counts": reference}
     return common.spectrum(
-        path, "avantes_binary", nm, values, label, options, metadata=metadata, notes=notes, more=counts
+        path, "avantes-binary", nm, values, label, options, metadata=metadata, notes=notes, more=counts
     )
 
 

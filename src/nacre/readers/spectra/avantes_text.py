@@ -55,7 +55,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     more = {f"{role}_counts": column for role, column in counts.items()} if label.quantity != "counts" else None
     return [
         common.spectrum(
-            path, "avantes_text", table[:, 0], values, label, options, metadata=metadata, notes=notes, more=more
+            path, "avantes-text", table[:, 0], values, label, options, metadata=metadata, notes=notes, more=more
         )
     ]
 

@@ -40,4 +40,4 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         choices = ("reflectance", "transmittance", "absorbance", "counts")
         raise AmbiguousFileError(f"{path}: no quantity in a .dpt, values up to {size:.4g}", "quantity", choices)
     notes = Notes(assumed=[common.CUT] if text.cut else [])
-    return [common.spectrum(path, "bruker_dpt", table[:, 0], table[:, 1], label, options, unit=unit, notes=notes)]
+    return [common.spectrum(path, "bruker-dpt", table[:, 0], table[:, 1], label, options, unit=unit, notes=notes)]

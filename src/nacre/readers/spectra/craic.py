@@ -39,6 +39,6 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     metadata = {"settings": settings}
     return [
         common.spectrum(
-            path, "craic_text", nm, values, label, options, name=head[0] if head else "", metadata=metadata, notes=notes
+            path, "craic-text", nm, values, label, options, name=head[0] if head else "", metadata=metadata, notes=notes
         )
     ]

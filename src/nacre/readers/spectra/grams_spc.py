@@ -82,7 +82,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         spectra.append(
             common.spectrum(
                 path,
-                "grams_spc",
+                "grams-spc",
                 x,
                 y,
                 label,

@@ -76,4 +76,4 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
             f"{path}: no quantity in the file; per cent by size", "quantity", ("reflectance (%)", "transmittance (%)")
         )
     notes.left_out += [f"channel {number}" for number in range(2, channels + 1)]
-    return [common.spectrum(path, "jasco_jws", x, table[0], label, options, unit=unit, notes=notes)]
+    return [common.spectrum(path, "jasco-jws", x, table[0], label, options, unit=unit, notes=notes)]

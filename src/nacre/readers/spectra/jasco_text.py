@@ -52,7 +52,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
             label = common.by_size(path, nm, table[:, column], notes, f'YUNITS = "{units}" is not known')
         spectra.append(
             common.spectrum(
-                path, "jasco_text", table[:, 0], table[:, column], label, options, unit=unit,
+                path, "jasco-text", table[:, 0], table[:, column], label, options, unit=unit,
                 name=records.get("TITLE", ""), metadata=metadata, notes=notes,
             )
         )  # fmt: skip

@@ -49,7 +49,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         notes.assumed.append(f'{named.quantity} as a factor, from the remark "{metadata["rem"]}"')
     return [
         common.spectrum(
-            path, "licor_prn", table[:, 0], table[:, 1], label, options, name=metadata.get("file", ""),
+            path, "licor-prn", table[:, 0], table[:, 1], label, options, name=metadata.get("file", ""),
             metadata=metadata, notes=notes,
         )
     ]  # fmt: skip

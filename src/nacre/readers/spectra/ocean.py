@@ -87,7 +87,7 @@ def _measurement(
             notes.assumed.append("the processed column differs from (sample - dark) / (reference - dark); it was read")
     more = {f"{part}_counts": columns[part] for part in parts if part in columns and label.quantity != "counts"}
     return common.spectrum(
-        path, "ocean_text", nm, values, label, options, metadata=metadata, notes=notes,
+        path, "ocean-text", nm, values, label, options, metadata=metadata, notes=notes,
         more=more if "processed" in columns else None,
     )  # fmt: skip
 

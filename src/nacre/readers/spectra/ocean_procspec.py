@@ -64,7 +64,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         )
     keys = ("spectrometerSerialNumber", "userName", "integrationTime", "scansToAverage", "boxcarWidth")
     metadata = {key: found[1] for key in keys if (found := re.search(rf"<{key}>([^<]*)</{key}>", xml))}
-    return [common.spectrum(path, "ocean_procspec", nm, values, label, options, metadata=metadata, notes=notes)]
+    return [common.spectrum(path, "ocean-procspec", nm, values, label, options, metadata=metadata, notes=notes)]
 
 
 def _inside(xml: str, tag: str) -> str:

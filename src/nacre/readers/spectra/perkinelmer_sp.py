@@ -53,7 +53,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     name = _text(members.get(_NAME, b"\0\0"))
     return [
         common.spectrum(
-            path, "perkinelmer_sp", x, values, label, options, unit=unit, name=name, metadata=metadata, notes=notes
+            path, "perkinelmer-sp", x, values, label, options, unit=unit, name=name, metadata=metadata, notes=notes
         )
     ]
 

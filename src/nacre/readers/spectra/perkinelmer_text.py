@@ -48,7 +48,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     return [
         common.spectrum(
             path,
-            "perkinelmer_text",
+            "perkinelmer-text",
             table[:, 0],
             table[:, 1],
             label,

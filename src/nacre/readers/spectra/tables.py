@@ -156,7 +156,7 @@ def _plain(path: Path, table: Array, options: ReadOptions, notes: Notes) -> Meas
     if columns[1] is not None:
         notes.assumed.append("the third column is the standard error, because it is small beside the second")
     return common.spectrum(
-        path, "spectrum_table", table[:, 0], columns[0], label, options, unit=unit, notes=notes, error=columns[1]
+        path, "spectrum-table", table[:, 0], columns[0], label, options, unit=unit, notes=notes, error=columns[1]
     )
 
 
@@ -243,7 +243,7 @@ def _one(
         what = f'the heading "{y_name}" is no quantity' if y_name else "no heading"
         label = common.by_size(path, common.nanometres(x, unit), y, notes, what)
     return common.spectrum(
-        path, "spectrum_table", x, y, label, options, unit=unit, name=title, metadata=metadata, notes=notes, error=error
+        path, "spectrum-table", x, y, label, options, unit=unit, name=title, metadata=metadata, notes=notes, error=error
     )
 
 
@@ -291,7 +291,7 @@ def _read_across(
         unit = common.assumed_unit(path, grid, notes, options)
         found.append(
             common.spectrum(
-                path, "spectrum_table", grid, y, label, options, unit=unit, name=title, metadata=others, notes=notes
+                path, "spectrum-table", grid, y, label, options, unit=unit, name=title, metadata=others, notes=notes
             )
         )
     return found

@@ -56,7 +56,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         own = Notes(list(notes.assumed))
         found.append(
             common.spectrum(
-                path, "woollam_intensity", table[:, 0], table[:, 2], Label(QUANTITIES[quantity], 1.0), options,
+                path, "woollam-intensity", table[:, 0], table[:, 2], Label(QUANTITIES[quantity], 1.0), options,
                 unit=unit, name=f"{polarisation}{quantity} {angle:g} deg", metadata=metadata, notes=own, error=error,
                 more={"angle_of_incidence_deg": table[:, 1]},
             )
