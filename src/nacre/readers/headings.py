@@ -609,3 +609,19 @@ def mentions(text: str) -> set[str]:
         elif len(word) > 1 or word in "ελΨΔψ":
             found.update(name for name in _lookup(word) if name in _TELLING)
     return found
+
+
+def stated_unit(heading: str) -> str:
+    """Return the canonical unit that a heading of any quantity states; "" if there is none.
+
+    Example:
+        >>> stated_unit("oxide_nm"), stated_unit("Oxide (um)"), stated_unit("volts")
+        ('nm', 'um', '')
+    """
+    text = normal(heading)
+    for content in _BRACKET.findall(text):
+        unit = parse_unit(content)
+        if unit:
+            return unit
+    match = _SUFFIX_UNIT.fullmatch(text)
+    return (parse_unit(match[2]) if match else None) or ""

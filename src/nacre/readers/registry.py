@@ -178,6 +178,9 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
             from nacre.readers.unknown import unknown_file
 
             raise NacreError(unknown_file(head_of(path)))
+        if options.expects is not None and found[0][0] < CERTAIN:  # a likely format of another kind is no answer
+            of_kind = [pair for pair in found if pair[1].kind in (options.expects, "table")]
+            found = of_kind if of_kind and of_kind[0][0] >= 0.5 * found[0][0] else found
         best = [entry for confidence, entry in found if confidence >= found[0][0] - 1e-9]
         if len(best) > 1:
             titles = ", ".join(f"{entry.title} ({entry.id})" for entry in best)

@@ -201,8 +201,9 @@ def spectrum_columns(table: TextTable, options: ReadOptions) -> Columns:
         AmbiguousFileError: no headings and no quantity.
     """
     headerless = {}
-    if options.quantity is not None:
-        headerless = {2: ("spectral", options.quantity)}
+    quantity = options.quantity or options.assumed_quantity
+    if quantity is not None:
+        headerless = {2: ("spectral", quantity)}
     elif not table.headings and not options.columns:
         raise AmbiguousFileError(
             f"{table.path}: line {table.lines[0]}: no heading says what the {table.width} columns are; write one, such "
