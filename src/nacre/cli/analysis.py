@@ -194,6 +194,8 @@ def tolerance(
                f"  (95 %: {100 * low:.1f} to {100 * high:.1f} %)")  # fmt: skip
     if document["failed_draws"]:
         click.echo(f"  {document['failed_draws']} draws could not be computed and count as outside")
+    for path, share in document["share_clipped_at_0"].items():
+        click.echo(f"  {path}: {100 * share:.2g} % of the draws were below 0 and became 0")
     click.echo("  sensitivities (dE00 of one standard deviation, share of variance):")
     for path, change, share in result.sensitivities:
         click.echo(f"    {path:44s} {change:8.3f}  {100 * share:5.1f} %")
