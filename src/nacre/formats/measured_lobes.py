@@ -166,7 +166,7 @@ class _Grid:
             return None
         with np.errstate(invalid="ignore"):
             grid = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-        made = cls(*axes, grid, is_signed)
+        made = cls(axes[0], axes[1], axes[2], grid, is_signed)
         return made._folded() if is_signed else made
 
     def _folded(self) -> _Grid:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.directions import from_half_difference
@@ -62,7 +63,7 @@ def read_raw(path: str | Path) -> Array:
     return np.where(invalid[..., None], np.nan, table)
 
 
-def is_up() -> Array:
+def is_up() -> NDArray[np.bool_]:
     """Whether both directions of a bin lie above the surface, `[half, diff, phi]`."""
     wi, wo = from_half_difference(*bin_angles())
     return np.asarray((wi[..., 2] > 0) & (wo[..., 2] > 0))

@@ -201,8 +201,8 @@ def _anisotropic(path: Path, lines: list[str]) -> list[Measurement]:
     grids: dict[str, list[tuple[float, Array]]] = {}
     for scatter, has in zip(("brdf", "btdf"), sides, strict=True):
         if has:
-            turns = axis(words, int(next(words)))
-            grids[scatter] = [(float(turn), axis(words, int(next(words)))) for turn in turns]
+            rotations = axis(words, int(next(words)))
+            grids[scatter] = [(float(turn), axis(words, int(next(words)))) for turn in rotations]
     spectra = {}
     for scatter in grids:
         at = numbers(words, 2)

@@ -75,7 +75,7 @@ def _block(path: Path, entries: dict[str, str], data: bytes, place: int) -> tupl
     values, place = _values(entries["DATA"].lower(), data, place, count)
     # parameter 0 varies fastest: [param3, param2, param1, param0, channel]
     values = values.reshape(*(len(a) for a in axes[::-1]), channels)
-    grids = np.meshgrid(*axes[::-1], indexing="ij")[::-1]
+    grids = list(np.meshgrid(*axes[::-1], indexing="ij"))[::-1]
     values = values.reshape(-1, channels)
     metadata = {"scatter": "btdf" if kind in ("btdf", "specular_transmittance") else "brdf", "colour_model": model,
                 "data_type": kind, "reduction": entries.get("REDUCTION_TYPE", ""),
