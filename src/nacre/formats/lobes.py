@@ -110,7 +110,8 @@ def zemax_lobe(table: ZemaxBsdf) -> TableLobe:
     is_grey = values.shape[3] == 1
     return TableLobe(
         wavelengths, values if is_grey else np.asarray(xyz_to_srgb_linear(values)),
-        np.ones((1, len(wavelengths))) if is_grey else rgb_basis(wavelengths), "specular", nodes[0], nodes[1], nodes[2], is_signed,
+        np.ones((1, len(wavelengths))) if is_grey else rgb_basis(wavelengths), "specular",
+        nodes[0], nodes[1], nodes[2], is_signed,
     )  # fmt: skip
 
 
