@@ -78,6 +78,17 @@ class Format:
 
 # one line per format, sorted by kind; the format of the highest confidence reads a file
 FORMATS: tuple[Format, ...] = (
+    Format("astm_e1392", "ASTM E1392 BSDF", "bsdf", "bsdf.astm"),
+    Format("alta", "ALTA BRDF", "bsdf", "bsdf.alta"),
+    Format("brdf_json", "universal BRDF (JSON)", "bsdf", "bsdf.brdf_json"),
+    Format("gonio", "goniometer table", "bsdf", "bsdf.gonio_table"),
+    Format("merl", "MERL BRDF", "bsdf", "bsdf.merl"),
+    Format("rgl", "RGL tensor BSDF", "bsdf", "bsdf.rgl"),
+    Format("speos", "Speos scattering or BSDF", "bsdf", "bsdf.speos"),
+    Format("ssdd", "SSDD", "bsdf", "bsdf.ssdd"),
+    Format("tracepro", "TracePro surface property", "bsdf", "bsdf.tracepro"),
+    Format("utia", "UTIA BRDF", "bsdf", "bsdf.utia"),
+    Format("zemax", "Zemax tabular BSDF", "bsdf", "bsdf.zemax"),
     Format("ocean-text", "Ocean Optics text (OOIBase32, SpectraSuite, OceanView, Jaz)", "spectrum", "spectra.ocean"),
     Format("ocean-procspec", "Ocean Optics ProcSpec", "spectrum", "spectra.ocean_procspec"),
     Format("jcamp", "JCAMP-DX", "spectrum", "spectra.jcamp"),
