@@ -14,15 +14,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from nacre.bsdf.bsdf import Spectrum
+from nacre.analysis.measured import Measured, read_measurement
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
-from nacre.families.contract import DirectEvaluation, Model, is_direct, search_model
-from nacre.formats.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
+from nacre.families.contract import is_direct
 from nacre.material.material import Material
 from nacre.optimise.methods.least_squares import (
     SCOUTS_PER_PARAMETER,
@@ -36,77 +34,17 @@ from nacre.optimise.methods.least_squares import (
 from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
 from nacre.recipe.path_tables import by_path, with_options
 
-PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
-MAX_POWER, MIN_POWER = 1.1, -0.05  # allows for instrument errors near white and black
 MAX_PARAMETERS = 12
 UNDETERMINED_SHARE = 0.5  # smallest relative 95 % half width for an undetermined number
 MIN_START_DISTANCE = 0.02  # between starts, relative to the bounds
 RELATIVE_FLOOR = 0.01
 PENALTY_RESIDUAL = 10.0  # if a material cannot be computed
 STALLED_RATIO, STALLED_RMS = 0.999, 0.02  # least squares that improved less, at a larger rms, is followed by CMA-ES
-WEIGHTS = ("equal", "relative")
+WEIGHTS = ("equal", "relative", "errors")
+LEAST_ERROR = 0.1  # of the median standard error: smaller ones do not weigh more
 CORRECTIONS = 3  # largest space-mapping step count
 CORRECTION_SEEDS = 4  # independent walks per correction
 CORRECTION_TOL = 1e-3  # a smaller relative move ends the corrections
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Measurement.
-
-    Attributes:
-        kind: "spectrum" (parts over angle and wavelength) or "gonio" (BSDF values at direction pairs).
-        wavelengths_nm: `[wavelength]`.
-        values: "spectrum": `[part, angle, wavelength]`; "gonio": `[pair, wavelength]`.
-        parts, angles_deg: spectrum only; gonio: direction pairs.
-    """
-
-    kind: str
-    wavelengths_nm: Array
-    values: Array
-    parts: tuple[str, ...] = ()
-    angles_deg: Array | None = None
-    gonio: GonioData | None = None
-
-    def model(self, material: Material, samples: int | None, seed: int) -> Array:
-        """Return a material's simulated measurement, shaped as `values`.
-
-        Raises:
-            NacreError: the material cannot be computed.
-        """
-        if self.kind == "spectrum":
-            assert self.angles_deg is not None
-            return self._stacked(material.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, seed=seed))
-        assert self.gonio is not None
-        from nacre.measure.evaluate import evaluate_with_error
-
-        few = material.values_at(self.gonio.wi, self.gonio.wo, self.wavelengths_nm)
-        if few is not None:
-            return few[0]
-        bsdf = material.bsdf(self.wavelengths_nm)
-        return evaluate_with_error(bsdf, self.gonio.wi, self.gonio.wo, samples=samples, seed=seed)[0]
-
-    def surrogate(self, model: Model) -> Array | None:
-        """Return the measurement simulated by a random walk's noise-free surrogate; None without one.
-
-        Raises:
-            NacreError: the material cannot be computed.
-        """
-        near = search_model(model, {})
-        if is_direct(model) or not is_direct(near):
-            return None
-        if self.kind == "spectrum":
-            assert self.angles_deg is not None
-            found = near.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, "both")
-            return None if found is None else self._stacked(found)
-        assert self.gonio is not None
-        assert isinstance(near, DirectEvaluation)
-        return near.values_at(self.gonio.wi, self.gonio.wo, self.wavelengths_nm)
-
-    def _stacked(self, spectrum: Spectrum) -> Array:
-        found = spectrum.parts()
-        zero = np.zeros(self.values.shape[1:])
-        return np.stack([found.get(part, zero) for part in self.parts])
 
 
 @dataclass(frozen=True)
@@ -139,65 +77,6 @@ class Fit:
     relative_rms: float
     starts: tuple[float, ...]
     evaluations: int
-
-
-def read_measurement(path: str | Path) -> Measured:
-    """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, or a gonio CSV.
-
-    Spectrum columns may be in per cent and wavelengths in um, as their headings say. Rows without a measured value
-    are ignored.
-
-    Raises:
-        NacreError: with the file and the problem.
-    """
-    if Path(path).suffix.lower() == ".toml":
-        raise NacreError(f"{path}: is a recipe; give the measurement, a CSV, first, and then the recipe")
-    names, table = read_table(path, has_gaps=True)
-    if "theta_i" in names or "value" in names:
-        gonio = read_gonio_csv(path)
-        return Measured("gonio", gonio.wavelengths_nm, gonio.values, gonio=gonio)
-    columns = dict(zip(names, table.T))
-    measured = {part: columns[part] for part in PARTS if part in columns}
-    measured |= {part: columns[f"{part}_percent"] / 100.0 for part in PARTS if f"{part}_percent" in columns}
-    wavelengths = columns.get("wavelength_nm", 1e3 * columns["wavelength_um"] if "wavelength_um" in columns else None)
-    if wavelengths is None or not measured:
-        raise NacreError(
-            f"{path}: is neither a gonio CSV ({', '.join(COLUMNS)}) nor a spectrum CSV (wavelength_nm, angle_deg, and "
-            f"one of {', '.join(PARTS)}, or with _percent behind it); its columns are {', '.join(names)[:80]}"
-        )
-    angle_column = columns.get("angle_deg", np.zeros(len(table)))
-    has_value = ~np.isnan([*measured.values()]).all(axis=0)
-    wavelengths, angle_column = wavelengths[has_value], angle_column[has_value]
-    if not has_value.any() or not np.isfinite(wavelengths).all() or not np.isfinite(angle_column).all():
-        raise NacreError(f"{path}: needs a wavelength, an angle and at least one measured value per row")
-    waves, angles = np.unique(wavelengths), np.unique(angle_column)
-    if len(wavelengths) != len(set(zip(wavelengths, angle_column))):
-        raise NacreError(f"{path}: a wavelength is given twice at an angle; keep one row of each")
-    values = np.full((len(measured), len(angles), len(waves)), np.nan)
-    place = (np.searchsorted(angles, angle_column), np.searchsorted(waves, wavelengths))
-    for i, part in enumerate(measured):
-        values[i][place] = measured[part][has_value]
-    _check_spectrum(path, tuple(measured), angles, waves, values)
-    return Measured("spectrum", waves, values, tuple(measured), angles)
-
-
-def _check_spectrum(path: str | Path, parts: tuple[str, ...], angles: Array, waves: Array, values: Array) -> None:
-    if np.isnan(values).any():
-        i, angle, wave = (int(index) for index in np.argwhere(np.isnan(values))[0])
-        raise NacreError(
-            f"{path}: every angle must be given at every wavelength; {parts[i]} is missing at "
-            f"{angles[angle]:g} degrees and {waves[wave]:g} nm"
-        )
-    for part, each in zip(parts, values):
-        if each.max() > MAX_POWER:
-            raise NacreError(
-                f"{path}: {part} = {each.max():g} is above 1; it is a share of the incident light; if it is in per "
-                f"cent, name the column {part}_percent"
-            )
-        if each.min() < MIN_POWER:
-            raise NacreError(f"{path}: {part} = {each.min():g} is below 0")
-    if angles.min() < 0 or angles.max() > 90:
-        raise NacreError(f"{path}: angle_deg must lie in [0, 90]")
 
 
 def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
@@ -235,7 +114,7 @@ def run_fit(
     *,
     starts: int = 4,
     scouts: int = SCOUTS_PER_PARAMETER,
-    weights: str = "equal",
+    weights: str | None = None,
     samples: int | None = None,
     seed: int = 0,
     progress: Callable[[str, float], None] | None = None,
@@ -248,13 +127,17 @@ def run_fit(
         free: from `fit_parameters`.
         starts: refined starts in addition to the recipe's own values; 0: these are near the right minimum.
         scouts: trial materials per parameter, from which the starts are selected.
-        weights: "equal" if the noise is the same for all values, or "relative" if it is proportional to them (counts,
-            BSDF values over decades); the intervals are valid for that noise.
+        weights: "errors" (of the measurement), "equal" if the noise is the same for all values, or "relative" if it is
+            proportional to them (counts, BSDF values over decades); the intervals are valid for that noise. Default:
+            "errors" if the measurement has standard errors, else "equal".
         progress: called with (stage, best relative rms).
 
     Raises:
         NacreError: no start can be computed.
     """
+    weights = weights or ("equal" if measured.errors is None else "errors")
+    if weights == "errors" and measured.errors is None:
+        raise NacreError('weights = "errors" needs standard errors; the measurement has none')
     if weights not in WEIGHTS:
         raise NacreError(f'weights = "{weights}" is not known; choose one of {", ".join(WEIGHTS)}')
     material = material.at_low_fidelity().with_parts_loaded(parameter.path for parameter in free)
@@ -277,7 +160,7 @@ def run_fit(
     numbers = problem.confidence(best_minimum)
     fitted = problem.build(best_minimum.point)
     residual = measured.model(fitted, samples, seed) - measured.values
-    rms = float(np.sqrt(np.mean(residual**2)))
+    rms = float(np.sqrt(np.nanmean(residual**2)))
     losses = tuple(problem.relative(each.loss) for each in minima)
     return Fit(numbers, fitted, residual, rms, losses[0], losses, problem.evaluations)
 
@@ -298,10 +181,16 @@ class _Problem:
         self._make = material.parametrise([number.path for number in free])
         self._samples, self._seed = samples, seed
         self.evaluations = 0
-        rms = float(np.sqrt(np.mean(measured.values**2))) or 1.0
+        self._is_measured = np.isfinite(measured.values)
+        rms = float(np.sqrt(np.nanmean(measured.values**2))) or 1.0
         # the floor limits the weight near zero
-        shares = np.maximum(np.abs(measured.values), RELATIVE_FLOOR * rms)
-        self._scale = shares if weights == "relative" else np.full(measured.values.shape, rms)
+        if weights == "relative":
+            self._scale = np.maximum(np.abs(measured.values), RELATIVE_FLOOR * rms)
+        elif weights == "errors" and measured.errors is not None:
+            errors = np.maximum(measured.errors, LEAST_ERROR * float(np.median(measured.errors)))
+            self._scale = rms * errors * float(np.sqrt(np.mean(errors**-2.0)))  # its inverse squares average to rms^-2
+        else:
+            self._scale = np.full(measured.values.shape, rms)
         self._correction: Array | float = 0.0  # random walk minus surrogate
         self.is_corrected = False
         self._walked: Array | None = None  # `[seed, value]`, scaled results from independent walks at one point
@@ -320,8 +209,8 @@ class _Problem:
             else:
                 values = surrogate + self._correction
         except NacreError:
-            return np.full(self._measured.values.size, PENALTY_RESIDUAL)
-        return np.asarray(((values - self._measured.values) / self._scale).ravel())
+            return np.full(int(self._is_measured.sum()), PENALTY_RESIDUAL)
+        return np.asarray(((values - self._measured.values) / self._scale)[self._is_measured])
 
     def _loss(self, point: Array) -> float:
         return float(np.sum(self.residual(point) ** 2))
@@ -347,13 +236,13 @@ class _Problem:
     def _walk(self, material: Material) -> list[Array]:
         seeds = range(self._seed, self._seed + CORRECTION_SEEDS)
         walked = [self._measured.model(material, self._samples, seed) for seed in seeds]
-        self._walked = np.stack([(values / self._scale).ravel() for values in walked])
+        self._walked = np.stack([(values / self._scale)[self._is_measured] for values in walked])
         self.evaluations += len(walked)
         return walked
 
     def relative(self, loss: float) -> float:
         """Return the relative rms for a squared sum."""
-        return float(np.sqrt(loss / self._measured.values.size))
+        return float(np.sqrt(loss / self._is_measured.sum()))
 
     def select_starts(self, starts: int, scouts: int) -> list[Array]:
         """Return the recipe's own point and the best, well separated Sobol points."""
@@ -446,3 +335,6 @@ class _Problem:
 
 def _has_random_walk(material: Material, wavelengths_nm: Array) -> bool:
     return any(lobe.is_stochastic for lobe in material.bsdf(wavelengths_nm).lobes)
+
+
+__all__ = ["Fit", "FittedNumber", "Measured", "fit_parameters", "read_measurement", "run_fit"]

@@ -77,9 +77,9 @@ def _sheet(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> DesignShe
     swatches = []
     off = np.sqrt(np.mean(fit.residual**2, axis=-1))
     far = set(np.argsort(off.ravel())[::-1][:MAX_CURVES].tolist())
-    for i, part in enumerate(measured.parts):
+    for i, part in enumerate(measured.labels):
         for j, angle in enumerate(measured.angles_deg):
-            label = f"{part.replace('_', ' ')}, {angle:g}\u00b0"
+            label = f"{part}, {angle:g}\u00b0"
             data = measured.values[i, j]
             fitted = data + fit.residual[i, j]
             if is_coloured:
@@ -121,11 +121,12 @@ def _pair(data: Array, fitted: Array, nm: Array) -> tuple[str, str, str]:
 def _ribbon(fit: Fit, measured: Measured) -> tuple[Array, Array, str]:
     """Return angles and spectra for the first measured part; slow materials only at the measured angles."""
     part, nm = measured.parts[0], measured.wavelengths_nm
-    label = f"Angle of the light, fitted {part.replace('_', ' ')} (degrees)"
+    label = f"Angle of the light, fitted {measured.labels[0]} (degrees)"
+    polarisation = measured.polarisations[0] if measured.polarisations else "both"
     assert measured.angles_deg is not None
     if fit.material.model.traits.is_quick:
         try:
-            found = fit.material.spectrum(np.radians(RIBBON_DEG), nm).parts().get(part)
+            found = fit.material.spectrum(np.radians(RIBBON_DEG), nm, polarisation).parts().get(part)
         except NacreError:  # an angle outside the family's range
             found = None
         if found is not None:

@@ -214,12 +214,18 @@ def tolerance(
 )
 @click.option(
     "--weights",
-    type=click.Choice(["equal", "relative"]),
-    default="equal",
-    show_default=True,
-    help="Whether the noise is equal for all values or proportional to them.",
+    type=click.Choice(["equal", "relative", "errors"]),
+    default=None,
+    help="Noise: equal for all values, proportional to them, or the standard errors of the file (default if it has "
+    "them, else equal).",
 )
 @click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
+@click.option("--unit", metavar="UNIT", help="Unit of the wavelengths or energies, if the file names none.")
+@click.option("--quantity", metavar="NAME", help="Quantity of two columns without headings, such as reflectance.")
+@click.option("--angle-deg", type=float, metavar="DEG", help="Angle of incidence, if the file names none.")
+@click.option("--columns", metavar="NAME,...", help="Names of the columns of a table; - ignores one.")
+@click.option("--ignore", metavar="HEADING,...", help="Headings of columns to ignore.")
+@click.option("--spectrum", metavar="NAME", help="Name or number of one spectrum of several.")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--residual", default=None, metavar="FILE.npz", help="Store the residual map.")
@@ -228,12 +234,14 @@ def tolerance(
 @common.cache_option
 @common.jobs_option
 def fit(
-    measurement: str, recipe: str, parameters: tuple[str, ...], starts: int, weights: str, samples: int | None,
-    seed: int, as_json: bool, residual: str | None, page: str | None, output: str | None,
+    measurement: str, recipe: str, parameters: tuple[str, ...], starts: int, weights: str | None, samples: int | None,
+    unit: str | None, quantity: str | None, angle_deg: float | None, columns: str | None, ignore: str | None,
+    spectrum: str | None, seed: int, as_json: bool, residual: str | None, page: str | None, output: str | None,
 ) -> None:  # fmt: skip
-    """Fit parameters of RECIPE to MEASUREMENT (spectrum or gonio CSV)."""
+    """Fit parameters of RECIPE to MEASUREMENT (a spectrum in any format of nacre read, or a gonio CSV)."""
     from nacre.analysis.fit import fit_parameters, read_measurement, run_fit
     from nacre.core.files import atomic_path, check_writable, short_name, write_text
+    from nacre.readers.measurement import ReadOptions
     from nacre.recipe.toml import edit_toml
 
     path = Path(output) if output else Path(f"{short_name(recipe)}-fitted.toml")
@@ -243,7 +251,13 @@ def fit(
             if target.suffix != suffix:
                 raise NacreError(f"{target}: the suffix must be {suffix}")
             check_writable(target)
-    measured = read_measurement(measurement)
+    options = ReadOptions(
+        unit=unit, quantity=quantity, angle_deg=angle_deg, spectrum=spectrum, columns=common.words(columns),
+        ignore=common.words(ignore),
+    )  # fmt: skip
+    measured = read_measurement(measurement, options)
+    for remark in measured.remarks:
+        common.note(f"{measurement}: {remark}")
     material = common.load_material(recipe)
     numbers = fit_parameters(material, parameters)
     result = run_fit(

@@ -16,7 +16,7 @@ from nacre.core.arrays import Array, floats
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import named, plain, why_unreadable
 from nacre.optimise.targets import plausible
-from nacre.recipe.delimited_text import decoded
+from nacre.readers.text_table import decode as decoded
 from nacre.recipe.model import show_value
 
 MAX_ROWS, MAX_BYTES = 100_000, 64 << 20

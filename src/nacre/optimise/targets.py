@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError, RecipeError, did_you_mean
+from nacre.core.errors import RecipeError, did_you_mean
 from nacre.light import (
     ILLUMINANTS,
     OBSERVERS,

@@ -257,6 +257,8 @@ def interpret(
             continue
         unit = table.units[i]
         told = (Meaning("spectral", unit),) if name == "spectral" else meanings(name, unit)
+        if not told and options.assumed_quantity is not None and parse_unit(name) == "%":
+            told = (Meaning(options.assumed_quantity, "%"),)
         if told == (Meaning("", told[0].unit, is_error=True),) if told else False:
             told = (replace(before, is_error=True, unit=told[0].unit or before.unit),) if before is not None else ()
         if not told:
@@ -436,7 +438,7 @@ def sorted_by_wavelength(path: Path, nm: Floats, values: Mapping[str, Floats]) -
         if differs.size:
             i = int(differs[0])
             raise NacreError(
-                f"{path}: {nm[i]:.6g} nm stands twice, with {name} = {column[i]:g} and {column[i + 1]:g}; "
+                f"{path}: {nm[i]:.6g} nm is given twice, with {name} = {column[i]:g} and {column[i + 1]:g}; "
                 "delete one row"
             )
     keep = np.ones(len(nm), dtype=bool)

@@ -48,8 +48,8 @@ def curve(path: Path, axes: Sequence[Axis], options: ReadOptions | None = None) 
     A table without headings has exactly these columns, in their order and units.
 
     Raises:
-        NacreError: unreadable, several blocks, a column that is missing or unknown, a unit of another dimension, or cells
-            without a number.
+        NacreError: unreadable, several blocks, a column that is missing or unknown, a unit of another dimension, or
+            cells without a number.
     """
     options = options or ReadOptions()
     tables = load_tables(path).tables
@@ -103,7 +103,12 @@ def spectrum(
         NacreError: no such spectrum, or several; names what the file holds.
     """
     options = replace(options or ReadOptions(), expects="spectrum", assumed_quantity=quantities[0])
-    found = open_file(path, options)
+    try:
+        found = open_file(path, options)
+    except AmbiguousFileError as error:
+        if error.option != "quantity":
+            raise
+        found = open_file(path, replace(options, quantity=quantities[0]))
     usable = [(each, quantity) for each in found for quantity in quantities if quantity in each.data]
     usable = [(each, quantity) for each, quantity in usable if each.kind == "spectrum"]
     if not usable:

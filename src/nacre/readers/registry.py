@@ -137,7 +137,7 @@ def head_of(path: str | Path) -> FileHead:
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
     if not head.data.strip():
-        raise NacreError(f"{path}: is empty")
+        raise NacreError(f"{path}: is empty, it holds no data")
     if head.size > MAX_BYTES:
         raise NacreError(f"{path}: is larger than {MAX_BYTES >> 30} GiB")
     return head
@@ -197,6 +197,10 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
             titles = ", ".join(f"{entry.title} ({entry.id})" for entry in best)
             raise AmbiguousFileError(f"{path}: may be {titles}", "format", tuple(entry.id for entry in best))
         entry = best[0]
+        if options.expects is not None and entry.id == "spectrum-table":
+            table = format_named("table")
+            has_usual_headings = import_module(f"nacre.readers.{table.module}").has_usual_headings
+            entry = table if has_usual_headings(head_of(path)) else entry
     try:
         measurements = entry.read(path, options)
     except NacreError:
