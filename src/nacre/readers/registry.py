@@ -101,6 +101,14 @@ FORMATS: tuple[Format, ...] = (
         "spectrum",
         "spectra.tables",
     ),
+    Format("cgats", "CGATS.17, ISO 28178, Argyll, ProfileMaker", "colours", "colours.cgats"),
+    Format("cxf", "CxF/X-3", "colours", "colours.cxf"),
+    Format("ase", "Adobe swatches .ase and .aco", "colours", "colours.swatches"),
+    Format(
+        "palette", "palettes of sRGB (GIMP .gpl, LibreOffice .soc, JASC, hexadecimal)", "colours", "colours.palettes"
+    ),
+    Format("icc-text", "iccDEV apply data", "colours", "colours.icc_text"),
+    Format("lamp", "lamps (IES TM-27 .spdx, UPRtek, Sekonic)", "spectrum", "colours.lamps"),
     Format("accurion", "Accurion EP3, EP4 text", "ellipsometry", "ellipsometry.accurion"),
     Format("film-sense", "Film Sense text", "ellipsometry", "ellipsometry.film_sense"),
     Format("horiba", "Horiba DeltaPsi text (.spe)", "ellipsometry", "ellipsometry.horiba"),
