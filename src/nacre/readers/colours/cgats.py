@@ -24,6 +24,18 @@ _NAMES = ("SAMPLE_NAME", "SAMPLENAME", "SAMPLE_ID", "SAMPLEID", "SAMPLE_LOC", "S
 _COLOURS = {"LAB": ("L", "a", "b"), "XYZ": ("X", "Y", "Z")}
 _FIELDS = {"LAB": ("LAB_L", "LAB_A", "LAB_B"), "XYZ": ("XYZ_X", "XYZ_Y", "XYZ_Z")}
 EMISSION = ("CCSS", "CCMX")
+_METADATA = (
+    "DESCRIPTOR",
+    "ORIGINATOR",
+    "CREATED",
+    "INSTRUMENTATION",
+    "MEASUREMENT_SOURCE",
+    "MEASUREMENT_GEOMETRY",
+    "DEVICE_CLASS",
+    "FILTER",
+    "SAMPLE_BACKING",
+    "MANUFACTURER",
+)
 
 
 @dataclass
@@ -170,11 +182,7 @@ def _measurement(path: Path, table: Table) -> Measurement | None:
     key = next((name for name in _NAMES if name in place), None)
     names = [row[place[key]] if key else str(count) for count, row in enumerate(table.rows, start=1)]
     illuminant, observer = _light(table.keywords)
-    wanted_keys = ("DESCRIPTOR", "ORIGINATOR", "CREATED", "INSTRUMENTATION", "MEASUREMENT_SOURCE", "DEVICE_CLASS", "FILTER",
-                   "MEASUREMENT_GEOMETRY", "SAMPLE_BACKING", "MANUFACTURER")  # fmt: skip
-    metadata: dict[str, object] = {
-        word.lower(): table.keywords[word] for word in wanted_keys if table.keywords.get(word)
-    }
+    metadata: dict[str, object] = {word.lower(): table.keywords[word] for word in _METADATA if table.keywords.get(word)}
     if key is not None and "NAME" in key and "SAMPLE_ID" in table.fields:
         metadata["sample_ids"] = [row[place["SAMPLE_ID"]] for row in table.rows]
     return colours(
