@@ -52,7 +52,27 @@ class Format:
 
 
 # one line per format, sorted by kind; the format of the highest confidence reads a file
-FORMATS: tuple[Format, ...] = ()
+FORMATS: tuple[Format, ...] = (
+    Format("sdf", "ISO 25178-71 surface data (.sdf), ASCII and binary", "heights", "heights.sdf"),
+    Format("gwyddion-text", "Gwyddion ASCII matrix", "heights", "heights.gwyddion_text"),
+    Format("gwy", "Gwyddion (.gwy)", "heights", "heights.gwy"),
+    Format("sur", "Digital Surf, MountainsMap (.sur)", "heights", "heights.digital_surf"),
+    Format("al3d", "Alicona Imaging (.al3d)", "heights", "heights.alicona"),
+    Format("nanoscope", "Bruker, Veeco Nanoscope (.spm, .001)", "heights", "heights.nanoscope"),
+    Format("wsxm", "WSxM (.top, .stp)", "heights", "heights.wsxm"),
+    Format("jpk", "JPK image scan (.jpk, .jpk-qi-image)", "heights", "heights.jpk"),
+    Format("tmd", "TrueMap (.tmd)", "heights", "heights.truemap"),
+    Format("ibw", "Igor binary wave, Asylum Research (.ibw)", "heights", "heights.igor"),
+    Format("netcdf", "NetCDF, classic (.nc)", "heights", "heights.netcdf"),
+    Format("opdx", "Bruker Vision64 (.OPDx)", "heights", "heights.opdx"),
+    Format("zygo", "Zygo MetroPro (.dat)", "heights", "heights.zygo"),
+    Format("x3p", "X3P, ISO 25178-72", "heights", "heights.x3p"),
+    Format("topostats", "TopoStats (.topostats)", "heights", "heights.topostats"),
+    Format("holography", "text matrix of digital holography", "heights", "heights.holography"),
+    Format("xyz", "points x y z of a grid", "heights", "heights.xyz"),
+    Format("matrix", "matrix of heights without a head", "heights", "heights.matrix"),
+    Format("profile", "line profile (refused)", "heights", "heights.profile"),
+)
 
 
 def recognise(path: Path) -> list[tuple[float, Format]]:
