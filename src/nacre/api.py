@@ -6,7 +6,8 @@ pictures, `nacre.plot` figures, `nacre.design` structures.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +36,22 @@ from nacre.material.number_maps import number_maps
 from nacre.matter.drawings import DrawingRequest
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
 from nacre.optimise.gamut import Gamut, find_gamut, parse_parameters
+from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.registry import open_file
 
-__all__ = ["evaluate", "export", "fabricate", "fit", "gamut", "import_", "report", "spectrum", "sweep", "tolerance"]
+__all__ = [
+    "evaluate",
+    "export",
+    "fabricate",
+    "fit",
+    "gamut",
+    "import_",
+    "read",
+    "report",
+    "spectrum",
+    "sweep",
+    "tolerance",
+]
 
 
 def as_bsdf(thing: HasBsdf | Bsdf | MaterialLike) -> Bsdf:
@@ -97,6 +112,7 @@ def report(
     observer: str = "10deg",
     samples: int | None = None,
     seed: int = 0,
+    geometries: Sequence[str] = (),
 ) -> Report:
     """Measure a material in the standard geometries: Lab at 15 to 110 degrees, flop, gloss, haze, totals.
 
@@ -105,6 +121,7 @@ def report(
             table.
         illuminant, observer: of the colours.
         samples, seed: of random walks.
+        geometries: further aspecular geometries, "45as25az90" or "NAME=45as25az90".
 
     Raises:
         NacreError: the material cannot be loaded or measured.
@@ -113,7 +130,7 @@ def report(
         >>> round(nacre.report("gold").gloss["60"] / 100) >= 1
         True
     """
-    return make_report(as_material(thing), illuminant, observer, samples, seed)
+    return make_report(as_material(thing), illuminant, observer, samples, seed, geometries)
 
 
 def tolerance(
@@ -264,6 +281,26 @@ def import_(source: str | Path, recipe: str | Path) -> Material:
     check_writable(recipe)
     import_material(Path(source), Path(recipe))
     return load(recipe)
+
+
+def read(path: str | Path, **options: Any) -> Measurement | list[Measurement]:
+    """Read a file of an instrument or another program: a `Measurement`, or a list if the file contains several.
+
+    Args:
+        path: the file; the format is recognised by its content.
+        options: what the file does not state, as fields of `nacre.readers.measurement.ReadOptions`: `quantity`, `unit`,
+            `angle_deg`, `delta_convention`, `channel`, `spectrum`, `pitch_um`, `columns`, `ignore`, `format`.
+
+    Raises:
+        NacreError: unknown format, damaged contents, or an unknown option.
+        AmbiguousFileError: the file can be read in several ways; `option` names the option that decides.
+    """
+    allowed = [entry.name for entry in fields(ReadOptions)]
+    for name in options:
+        if name not in allowed:
+            raise NacreError(f"{name} is no option of read.{did_you_mean(name, allowed)} Allowed: {', '.join(allowed)}")
+    found = open_file(path, ReadOptions(**options))
+    return found[0] if len(found) == 1 else found
 
 
 def fabricate(

@@ -41,7 +41,11 @@ class ToleranceSpec(RecipeModel):
     """The manufacturing tolerance of a number, for `nacre tolerance`."""
 
     one_of: ClassVar[tuple[str, ...]] = ("deviation", "percent")
-    forms: ClassVar[tuple[str, ...]] = ("{deviation = 5}", '{percent = 2, distribution = "uniform"}')
+    forms: ClassVar[tuple[str, ...]] = (
+        "{deviation = 5}",
+        '{percent = 2, distribution = "uniform"}',
+        '{percent = 2, group = "material"}',
+    )
 
     deviation: float | None = pydantic.Field(
         default=None,
@@ -54,6 +58,12 @@ class ToleranceSpec(RecipeModel):
     )
     distribution: Literal["gaussian", "uniform"] = pydantic.Field(
         default="gaussian", description="distribution of the number", examples=["uniform"]
+    )
+    group: str = pydantic.Field(
+        default="",
+        description='numbers of one group deviate together (a run, a tooling factor); "material": all layers of one '
+        "material",
+        examples=["run", "material"],
     )
 
 
@@ -72,11 +82,14 @@ class StudySpec(RecipeModel):
         examples=[{"layers[0].thickness_nm": {"min": 100, "max": 600}}],
     )
     tolerance: Annotated[
-        dict[str, Any], ByPath(ToleranceSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
+        dict[str, Any],
+        ByPath(
+            ToleranceSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}, {"type": "array"})
+        ),
     ] = pydantic.Field(
         default={},
         description="manufacturing tolerances for `nacre tolerance`: path of the number -> a deviation, a percentage, "
-        "or a table",
+        "a table, or a list of tables whose deviations add",
         examples=[{"layers[0].thickness_nm": {"percent": 2}}, {"layers[0].thickness_nm": 5}],
     )
 

@@ -45,9 +45,9 @@ def sniff(head: FileHead) -> float:
     if any(len(v) != columns for v in values):
         return 0.0
     first = np.diff([v[0] for v in values])
-    is_abscissa = (
-        len(first) > 2 and bool(np.all(first > 0) or np.all(first < 0)) and np.ptp(first) < 0.5 * abs(first[0])
-    )
+    rises = len(first) > 2 and bool(np.all(first > 0) or np.all(first < 0))
+    rest = np.abs(np.stack(values)[:, 1:])
+    is_abscissa = rises and np.ptp(first) < 0.5 * abs(first[0]) and min(v[0] for v in values) > np.nanmax(rest)
     if is_abscissa and columns < WIDE:
         return 0.0
     return 0.5 * POSSIBLE if is_abscissa else 2.0 * POSSIBLE if columns >= WIDE else POSSIBLE

@@ -102,6 +102,8 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         columns, rows = int(image["samps/line"]), int(image["number of lines"])
         size = int(image.get("bytes/pixel", "2"))
         length = int(image["data length"])
+        if int(image["data offset"]) + length > len(data):
+            raise ValueError(f'channel "{channel}" ends after the file')
         held = 4 if version >= FOUR_BYTES_FROM and length >= 4 * columns * rows else size
         try:
             scale = _scale_um(image, merged, 8 * size)

@@ -14,7 +14,7 @@ from nacre.readers.registry import LIKELY, FileHead
 
 HEADING = re.compile(
     r"^\W*(x|lateral|distance|position|scan length|länge)[ _]*[\[(/]*(microns?|u?m|nm|mm|[µμ]m)?\W*[,;\t ]+\W*"
-    r"(y\d?|z|height|raw|total profile|höhe|profile)\b",
+    r"(y\d?|z|height|raw|total profile|höhe|profile)\b[^,;\t]*$",
     re.IGNORECASE,
 )
 LARGEST_M = 0.01  # a length in metres below 1 cm: no abscissa of a spectrum begins at 0 and ends there

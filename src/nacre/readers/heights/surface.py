@@ -18,6 +18,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.files import plain, why_unreadable
 from nacre.core.memory import check_memory
+from nacre.readers.heights.roughness import roughness
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 
 LENGTHS_UM = {
@@ -105,12 +106,11 @@ def numbers(text: str, path: Path) -> Array:
         NacreError: something else stands between the numbers.
     """
     words = re.sub(r"\b(BAD|NA|N/A|null|void)\b|(?<!\S)-{2,}(?!\S)", "nan", text)
-    if ";" in words or ("," in words and re.search(r"\d,\d+[ \t\n]", words) and not re.search(r"\d\.\d", words)):
-        # decimal commas with blanks, tabs or semicolons between the numbers
-        several = max((line.count(",") for line in words.splitlines()[:20]), default=0)
-        blanks = max((len(line.split()) for line in words.splitlines()[:20]), default=0)
-        if ";" in words or blanks > several / 2:
-            words = words.replace(",", ".")
+    sample = words[:20000].replace(";", " ").split()
+    has_decimal_commas = "," in words and not any("." in cell for cell in sample)
+    # 1,5 2,5 has as many commas as cells; 1,2,3 has more
+    if has_decimal_commas and len(sample) > 1 and all(cell.count(",") <= 1 for cell in sample):
+        words = words.replace(",", ".")
     cells = words.replace(",", " ").replace(";", " ").split()
     try:
         return np.array(cells, dtype=float)
@@ -165,7 +165,7 @@ def height_map(
     Args:
         heights_um: `[row, column]`, row 0 at the top of the picture; holes are NaN or masked.
         pitch_um: distance of the points along a row and along a column.
-        metadata: further statements of the file.
+        metadata: further statements of the file; figures of roughness, without the least-squares plane, join them.
 
     Raises:
         ValueError: the pitch or the heights are not plausible.
@@ -180,7 +180,8 @@ def height_map(
     holes = int(np.isnan(heights).sum())
     if holes == heights.size:
         raise NacreError(f"{path}: holds no height; all {holes} points are holes")
-    facts = {"pitch_um": pitch, "holes": holes, **(metadata or {})}
+    figures = {key: value for key, value in roughness(heights, pitch).as_dict().items() if key != "mean_um"}
+    facts = {"pitch_um": pitch, "holes": holes, **figures, **(metadata or {})}
     return Measurement(
         path, format, "heights", {"height_um": heights}, name, facts, tuple(assumed), tuple(left_out)
     )  # fmt: skip

@@ -14,8 +14,10 @@ from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import LIKELY, FileHead
 
 TOLERANCE = 1e-3  # of a step, for positions on a grid
-HEADING = re.compile(r"^\W*x\b[^\n]*?\by\b[^\n]*?\bz\b[^\n]*$", re.IGNORECASE)
-UNIT = re.compile(r"[\[(/]\s*([^\W\d_]{1,2}|[µμ]m)\s*[\])]?")
+HEADING = re.compile(
+    r"^\W*x(_\w\w?)?\b[^\n]*?\by(_\w\w?)?\b[^\n]*?\b(z|h|height|höhe)(_\w\w?)?\b[^\n]*$", re.IGNORECASE
+)
+UNIT = re.compile(r"(?:[\[(/]\s*|_)((?:[num]?m)|µm|μm|Å)\b")
 
 
 def _parts(text: str) -> tuple[str, list[str]]:
