@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nacre.analysis.ellipsometry import EllipsometricResponse, compute_ellipsometry
 from nacre.analysis.fit import Fit, fit_parameters, read_measurement, run_fit
 from nacre.analysis.import_export import export_material, import_material
 from nacre.analysis.report import Report, make_report
@@ -40,6 +41,7 @@ from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import open_file
 
 __all__ = [
+    "ellipsometry",
     "evaluate",
     "export",
     "fabricate",
@@ -103,6 +105,35 @@ def spectrum(
         NacreError: the recipe is wrong, or an optical constant is not known at a wavelength.
     """
     return as_material(thing).spectrum(np.radians(floats(angles_deg, "angles_deg")), wavelengths_nm, polarisation)
+
+
+def ellipsometry(
+    thing: MaterialLike,
+    angles_deg: ArrayLike = (65.0, 70.0, 75.0),
+    wavelengths_nm: ArrayLike | None = None,
+    azimuth_deg: float | None = None,
+) -> EllipsometricResponse:
+    """Return Psi, Delta, N, C, S and Mueller matrices of a material with a stack, each `[angle, wavelength]`.
+
+    The convention is rho = r_p / r_s = tan(Psi) exp(i Delta) for fields exp(+i w t), r_p = -r_s at normal incidence:
+    Delta of a bare metal or wafer lies between 0 and 180 degrees. The recipe's `[instrument]` table averages.
+
+    Args:
+        thing: a material or a path.
+        angles_deg: angles of incidence, above 0 and below 90.
+        wavelengths_nm: default: chosen by the material.
+        azimuth_deg: azimuth of the direction to the light, from u.
+
+    Raises:
+        NacreError: the material has no stack, or an optical constant is not known at a wavelength.
+
+    Example:
+        >>> wafer = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 2}]}
+        >>> found = nacre.ellipsometry(wafer, [70.0], [632.8])
+        >>> round(float(found.psi_deg[0, 0])), round(float(found.delta_deg[0, 0]))
+        (11, 174)
+    """
+    return compute_ellipsometry(as_material(thing), angles_deg, wavelengths_nm, azimuth_deg)
 
 
 def report(
@@ -268,18 +299,21 @@ def export(thing: MaterialLike, to: str, output: str | Path, **options: Any) -> 
     return export_material(as_material(thing), to, Path(output), **options)
 
 
-def import_(source: str | Path, recipe: str | Path) -> Material:
-    """Convert a file of another program (goniometer CSV, MERL, RGL, Zemax, glTF, MaterialX) to a recipe, and load it.
+def import_(source: str | Path, recipe: str | Path, *, law: str | None = None, **options: Any) -> Material:
+    """Convert a measured BSDF or a material of another program (glTF, MaterialX) to a recipe, and load it.
 
     Args:
         source: the file to read.
         recipe: the TOML file to write; tables go into a `.nacre` file beside it.
+        law: "half-angle" extrapolates a scan in the plane of incidence.
+        options: what a measurement does not state, as for `read`.
 
     Raises:
         NacreError: the file has an unknown format or is damaged.
+        UnsupportedError: the measurement is not a BRDF of an isotropic sample.
     """
     check_writable(recipe)
-    import_material(Path(source), Path(recipe))
+    import_material(Path(source), Path(recipe), options=ReadOptions(**options), law=law)
     return load(recipe)
 
 

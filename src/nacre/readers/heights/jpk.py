@@ -23,7 +23,7 @@ def sniff(head: FileHead) -> float:
 
     try:
         with tifffile.TiffFile(head.path) as file:
-            tags = file.pages[0].tags
+            tags = file.pages.first.tags
             return CERTAIN if GRID_U in tags and GRID_V in tags else 0.0
     except (tifffile.TiffFileError, OSError, ValueError, IndexError, KeyError):
         return 0.0
@@ -43,7 +43,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     maps, others = [], []
     try:
         with tifffile.TiffFile(path) as file:
-            first = file.pages[0]
+            first = file.pages.first
             size = float(_tag(first, GRID_U)) * 1e6, float(_tag(first, GRID_V)) * 1e6
             for page in file.pages[1:]:
                 name = _tag(page, CHANNEL)
