@@ -301,8 +301,8 @@ def _read_across(
             raise NacreError(f"{path}: row {number} holds a word where a value of the spectrum should stand")
     table = np.array(cells, dtype=float)
     notes = Notes(assumed=[common.CUT] if cut else [])
-    others = [{name: row[place] for place, name in enumerate(names) if place not in columns and name and place < len(row)}
-              for row in rows]  # fmt: skip
+    outside = [place for place, name in enumerate(names) if place not in columns and name]
+    others = [{names[place]: row[place] for place in outside if place < len(row)} for row in rows]
     all_words = [" ".join([*own.values(), *own]).split() for own in others]
     words = [" ".join(word for word in own if _is_ratio(word)) for own in all_words]
     labels = _labels(path, grid, list(zip(words, table, strict=True)), options, notes)
