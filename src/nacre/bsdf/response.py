@@ -60,6 +60,7 @@ class InterfaceResponse:
     parameters: tuple[ParameterAxis, ...] = ()
     total_nodes: Array | None = None
 
+    OMITTED_UNSET: ClassVar[tuple[str, ...]] = ("total_nodes",)
     AXES: ClassVar[dict[str, str]] = {
         "wavelengths_nm": "wavelength",
         "cos_outside": "cos",

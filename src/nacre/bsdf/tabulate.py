@@ -129,7 +129,7 @@ class StackTables:
         )
         most = max(LEAST_COS_NODES, min(MOST_COS_NODES, MAX_STILL_VALUES // count))
         checked = int(np.clip(MAX_CHECKED_VALUES // count, LEAST_CHECKED, CHECKED_ANGLES))
-        angles: Array = (np.arange(checked) + 0.5) * (0.5 * np.pi / checked)
+        angles: Array = np.linspace(0.0, 0.5 * np.pi, 2 * checked + 1)[1::2]
         is_clear = self.transmits and self._is_lossless(d)
         critical, beyond_critical = self._critical()
         check, further = np.concatenate([np.cos(angles), critical]), np.cos(0.5 * (angles[1:] + angles[:-1]))

@@ -48,7 +48,7 @@ MAX_NESTED_RECIPES = 8
 BYTES_PER_VALUE = 160  # per angle and wavelength: amplitudes and powers of two polarisations, and the stored parts
 MANY_ANGLES = 1000  # from here on the memory of the material's own wavelengths is checked
 POLARISATIONS = ("s", "p", "both")
-STUDY_TABLES = ("fit", "tolerance")  # parameters of fits and manufacturing tolerances; they do not change the optics
+STUDY_TABLES = ("fit", "tolerance", "ties", "instrument")  # of fits and tolerances; they do not change the optics
 
 
 @functools.lru_cache(maxsize=256)  # each message once per process

@@ -197,7 +197,7 @@ def read_options(keywords: Mapping[str, Any], allowed: Collection[str] = tuple(K
 
 def signature(function: Callable[..., Any], allowed: Collection[str] = tuple(KEYWORDS)) -> inspect.Signature:
     """Replace `**options` in a signature by the keywords, for `help` and completion."""
-    own = inspect.Signature.from_callable(function)
+    own = inspect.signature(function)
     names = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=each.default, annotation=each.type)
         for name, (_, each) in KEYWORDS.items()

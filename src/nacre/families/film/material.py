@@ -90,6 +90,17 @@ class Film(Model):
         """The stack at the middle of the surface."""
         return self.stack_at(MIDDLE)
 
+    @property
+    def specular_stack(self) -> Stack:
+        """The stack, of which roughness weakens the specular reflection of s and p alike.
+
+        Raises:
+            UnsupportedError: ridges scatter all light.
+        """
+        if self.ridges is not None:
+            raise UnsupportedError("ridges reflect no light specularly")
+        return self.stack
+
     def stack_at(self, uv: Array) -> Stack:
         """Return the stack at one uv."""
         layers = [Layer(layer.material, layer.thickness_at(uv), layer.incoherent) for layer in self.layers]
