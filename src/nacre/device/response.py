@@ -129,7 +129,7 @@ class DeviceResponse:
         where = self.axis.locate(si.wavelengths, active)
         corners = self.parameters.corners(si, active)
         row, fraction = self._row(smaller(cos, 1.0), inside)
-        lines = dr.size_v(mi.Spectrum)
+        lines = dr.size_v(mi.UnpolarizedSpectrum)
         grey = Located([mi.UInt32(0)] * lines, [mi.Float(0.0)] * lines)
         share = self.shares.look_up(row, fraction, grey, corners, active)[0][0]
 
@@ -151,7 +151,7 @@ class DeviceResponse:
         low = smaller(dr.floor(position), self.max_low)
         (reflected,) = self.table.look_up(mi.UInt32(low), position - low, where, corners, active)
         if self.bends:
-            reflected = dr.select(inside & (cos < self.critical), mi.Spectrum(1.0), reflected)
+            reflected = dr.select(inside & (cos < self.critical), mi.UnpolarizedSpectrum(1.0), reflected)
         return reflected, 1.0 - reflected
 
     def _row(self, cos: Any, inside: Any) -> tuple[Any, Any]:
