@@ -133,7 +133,7 @@ class DeviceResponse:
         where = self.axis.locate(si.wavelengths, active)
         corners = self.parameters.corners(si, active)
         row, fraction = self._row(smaller(cos, 1.0), inside, active)
-        lines = dr.size_v(mi.Spectrum)
+        lines = dr.size_v(mi.UnpolarizedSpectrum)
         grey = Located([mi.UInt32(0)] * lines, [mi.Float(0.0)] * lines)
         share = self.shares.look_up(row, fraction, grey, corners, active)[0][0]
 
@@ -154,7 +154,7 @@ class DeviceResponse:
         row, fraction = self._cosine_row(outer, active)
         (reflected,) = self.table.look_up(row, fraction, where, corners, active)
         if self.bends:
-            reflected = dr.select(inside & (cos < self.critical), mi.Spectrum(1.0), reflected)
+            reflected = dr.select(inside & (cos < self.critical), mi.UnpolarizedSpectrum(1.0), reflected)
         return reflected, 1.0 - reflected
 
     def _cosine_row(self, cos: Any, active: Any) -> tuple[Any, Any]:

@@ -177,8 +177,16 @@ def recognise(path: str | Path) -> list[tuple[float, Format]]:
         NacreError: as `head_of`.
     """
     head = head_of(path)
-    found = [(confidence, entry) for entry in FORMATS if (confidence := entry.sniff(head)) > 0]
+    found = [(confidence, entry) for entry in FORMATS if (confidence := _confidence(entry, head)) > 0]
     return sorted(found, key=lambda pair: -pair[0])
+
+
+def _confidence(entry: Format, head: FileHead) -> float:
+    """Return the confidence of a format; a head on which its recognition fails has another format."""
+    try:
+        return entry.sniff(head)
+    except (NacreError, *_DAMAGE):
+        return 0.0
 
 
 def format_named(name: str) -> Format:

@@ -18,6 +18,7 @@ from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.polarisation import InterfacePolarisation, interface_polarisation
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import (
     COLOUR_ERROR,
@@ -222,11 +223,20 @@ class Film(Model):
                 lobes.append(self._straight_through(response))
         return Bsdf(tuple(lobes), notes)
 
+    def polarisation(self, wavelengths_nm: Array | None = None) -> InterfacePolarisation | None:
+        """Tabulate the Mueller matrices of the film.
+
+        None for incoherent layers, ridges, a diffuse base, or thicknesses that vary over the surface: the renderer then
+        depolarises.
+        """
+        lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        if self.ridges is not None or self.base_albedo > 0 or self._varying:
+            return None
+        return interface_polarisation(self.tables(lam), self._middle_nm)
+
     def _response(self, tables: StackTables) -> tuple[InterfaceResponse, dict[str, Any]]:
         """Return the tables of the smooth film, with an axis for each varying thickness."""
-        d = self._middle_nm
-        varying = [i for i, layer in enumerate(self.layers) if isinstance(layer.thickness_nm, Texture)]
-        varying = [i for i in varying if self._range(i)[1] > self._range(i)[0]]
+        d, varying = self._middle_nm, self._varying
         if not varying:
             response, error = tables.with_error(d)
             return response, {"angle_table": _stated(response, error)}
@@ -251,6 +261,12 @@ class Film(Model):
             thicknesses[..., i] = values
         response, error = tables.with_parameters(thicknesses, tuple(axes))
         return response, {"varying": notes, "angle_table": _stated(response, error)}
+
+    @property
+    def _varying(self) -> list[int]:
+        """Layers whose thickness varies over the surface."""
+        textured = [i for i, layer in enumerate(self.layers) if isinstance(layer.thickness_nm, Texture)]
+        return [i for i in textured if self._range(i)[1] > self._range(i)[0]]
 
     @property
     def _middle_nm(self) -> Array:
