@@ -18,7 +18,7 @@ from nacre.readers.spectra.common import Block, Label, Notes
 
 HEADED, WIDE, PLAIN = 0.5, 0.4, 0.3
 OTHERS = ("n", "k", "eps1", "eps2", "alpha", "psi", "delta", "tan_psi", "cos_delta", "angle_of_incidence",
-          "polarisation", "polariser", "theta_i", "theta_o", "radius", "thickness", "q", "structure_factor")  # fmt: skip
+          "polarisation", "polariser", "theta_i", "theta_o", "radius", "thickness")  # fmt: skip
 MIN_NM, MAX_NM = 150.0, 30000.0
 _WAVELENGTH = re.compile(
     r"^(wave ?length|wavelengths|wave|wl|wvl|lambda|λ|longueur d'onde|wellenl[äa]nge|longitud de onda|波長|"
