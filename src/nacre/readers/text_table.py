@@ -25,6 +25,7 @@ MAX_BYTES = 1 << 30
 MEMORY_FACTOR = 12  # memory per byte of a file: text, lines, cells
 SAMPLE_LINES = 400  # from which the delimiter is determined
 CONTROL_SHARE = 0.01  # more control characters: no text
+NUL_SHARE = 0.2  # padding of fixed-length names
 UTF_16_SHARE = 0.3  # of one parity of bytes, NUL: UTF-16 without a mark
 MISSING = frozenset(
     "|nan|-nan|n/a|na|n.a.|n.a|#n/a|#na|#nv|#div/0!|#value!|#wert!|#ref!|#bezug!|#num!|#zahl!|#name?|#null!|#error!|null|none|"
@@ -57,6 +58,8 @@ def decode(data: bytes) -> str:
         text = data.decode(order, errors="replace")
     else:
         text = _decode_bytes(data)
+    if text[:20_000].count("\0") > NUL_SHARE * min(len(text), 20_000):
+        raise UnicodeDecodeError("utf-8", data[:1], 0, 1, "is not text")
     text = text.replace("\0", "")
     sample = text[:20_000]
     controls = sum(1 for c in sample if (c < " " and c not in "\t\r\n\f\v\x1a\x1b") or c == "\ufffd")
