@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -21,6 +22,7 @@ MAX_BYTES = 2 << 30
 CERTAIN = 1.0  # a magic number or an unmistakable first line
 LIKELY = 0.6  # typical keys
 POSSIBLE = 0.2  # any table of numbers
+CUT = "the file ends inside its last line, which may be cut"
 _DAMAGE = (
     ValueError, LookupError, ArithmeticError, EOFError, TypeError, struct.error, zlib.error, zipfile.BadZipFile,
     ParseError, NotImplementedError,
@@ -112,6 +114,14 @@ FORMATS: tuple[Format, ...] = (
         "spectrum",
         "spectra.tables",
     ),
+    Format("cgats", "CGATS.17, ISO 28178, Argyll, ProfileMaker", "colours", "colours.cgats"),
+    Format("cxf", "CxF/X-3", "colours", "colours.cxf"),
+    Format("ase", "Adobe swatches .ase and .aco", "colours", "colours.swatches"),
+    Format(
+        "palette", "palettes of sRGB (GIMP .gpl, LibreOffice .soc, JASC, hexadecimal)", "colours", "colours.palettes"
+    ),
+    Format("icc-text", "iccDEV apply data", "colours", "colours.icc_text"),
+    Format("lamp", "lamps (IES TM-27 .spdx, UPRtek, Sekonic)", "spectrum", "colours.lamps"),
     Format("accurion", "Accurion EP3, EP4 text", "ellipsometry", "ellipsometry.accurion"),
     Format("film-sense", "Film Sense text", "ellipsometry", "ellipsometry.film_sense"),
     Format("horiba", "Horiba DeltaPsi text (.spe)", "ellipsometry", "ellipsometry.horiba"),
@@ -121,6 +131,25 @@ FORMATS: tuple[Format, ...] = (
     Format("woollam-dat", "Woollam WVASE, CompleteEASE data", "ellipsometry", "ellipsometry.woollam_dat"),
     Format("woollam-text", "Woollam WVASE text export", "ellipsometry", "ellipsometry.woollam_text"),
     Format("table", "text table", "table", "table"),
+    Format("sdf", "ISO 25178-71 surface data (.sdf), ASCII and binary", "heights", "heights.sdf"),
+    Format("gwyddion-text", "Gwyddion ASCII matrix", "heights", "heights.gwyddion_text"),
+    Format("gwy", "Gwyddion (.gwy)", "heights", "heights.gwy"),
+    Format("sur", "Digital Surf, MountainsMap (.sur)", "heights", "heights.digital_surf"),
+    Format("al3d", "Alicona Imaging (.al3d)", "heights", "heights.alicona"),
+    Format("nanoscope", "Bruker, Veeco Nanoscope (.spm, .001)", "heights", "heights.nanoscope"),
+    Format("wsxm", "WSxM (.top, .stp)", "heights", "heights.wsxm"),
+    Format("jpk", "JPK image scan (.jpk, .jpk-qi-image)", "heights", "heights.jpk"),
+    Format("tmd", "TrueMap (.tmd)", "heights", "heights.truemap"),
+    Format("ibw", "Igor binary wave, Asylum Research (.ibw)", "heights", "heights.igor"),
+    Format("netcdf", "NetCDF, classic (.nc)", "heights", "heights.netcdf"),
+    Format("opdx", "Bruker Vision64 (.OPDx)", "heights", "heights.opdx"),
+    Format("zygo", "Zygo MetroPro (.dat)", "heights", "heights.zygo"),
+    Format("x3p", "X3P, ISO 25178-72", "heights", "heights.x3p"),
+    Format("topostats", "TopoStats (.topostats)", "heights", "heights.topostats"),
+    Format("holography", "text matrix of digital holography", "heights", "heights.holography"),
+    Format("xyz", "points x y z of a grid", "heights", "heights.xyz"),
+    Format("matrix", "matrix of heights without a head", "heights", "heights.matrix"),
+    Format("profile", "line profile (refused)", "heights", "heights.profile"),
 )
 
 
@@ -150,8 +179,16 @@ def recognise(path: str | Path) -> list[tuple[float, Format]]:
         NacreError: as `head_of`.
     """
     head = head_of(path)
-    found = [(confidence, entry) for entry in FORMATS if (confidence := entry.sniff(head)) > 0]
+    found = [(confidence, entry) for entry in FORMATS if (confidence := _confidence(entry, head)) > 0]
     return sorted(found, key=lambda pair: -pair[0])
+
+
+def _confidence(entry: Format, head: FileHead) -> float:
+    """Return the confidence of a format; a head on which its recognition fails has another format."""
+    try:
+        return entry.sniff(head)
+    except (NacreError, *_DAMAGE):
+        return 0.0
 
 
 def format_named(name: str) -> Format:
@@ -204,4 +241,19 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
         raise NacreError(f"{path}: is damaged, or no {entry.title} ({str(error)[:80]})") from error
     if not measurements:
         raise NacreError(f"{path}: {entry.title} without data")
-    return measurements
+    return [_with_cut(measurement) for measurement in measurements] if _is_cut(path) else measurements
+
+
+def _is_cut(path: Path) -> bool:
+    """Whether a text file ends inside a row of numbers, without the end of a line."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - 512))
+        last = file.read().replace(b"\0", b"")
+    line = re.split(rb"[\r\n]", last)[-1].strip()
+    return bool(line) and line[:1] in b"+-.0123456789" and all(32 <= byte < 127 or byte == 9 for byte in line)
+
+
+def _with_cut(measurement: Measurement) -> Measurement:
+    if CUT in measurement.assumed:
+        return measurement
+    return replace(measurement, assumed=(*measurement.assumed, CUT))
