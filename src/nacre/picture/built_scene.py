@@ -237,6 +237,8 @@ class UserScene:
         _check_extents(scene, path)
         self.objects = self.subjects
         self.has_media = any(shape.is_medium_transition() for shape in scene.shapes())
+        to_world = np.array(scene.sensors()[0].world_transform().matrix, dtype=float).reshape(4, 4)
+        self.up = tuple(to_world[:3, 1].tolist())  # of the picture
         size = scene.sensors()[0].film().size()
         self.size = (int(size[0]), int(size[1]))
         self._source: Any = None
