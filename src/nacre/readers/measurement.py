@@ -57,6 +57,7 @@ class ReadOptions:
         columns: canonical names of the columns of a table without headings; `-` ignores a column.
         ignore: headings of columns to ignore.
         format: identifier in `registry.FORMATS`; recognised from the content by default.
+        expects: kind that the caller needs; decides the columns of a table without headings.
     """
 
     quantity: str | None = None
@@ -69,6 +70,7 @@ class ReadOptions:
     columns: tuple[str, ...] = ()
     ignore: tuple[str, ...] = ()
     format: str | None = None
+    expects: Kind | None = None
 
 
 class AmbiguousFileError(NacreError):
