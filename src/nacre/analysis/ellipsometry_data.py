@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.analysis.ellipsometry import EllipsometricResponse, averaged_mueller, instrument_of, specular_stack
 from nacre.core.arrays import Array
@@ -68,7 +69,7 @@ class EllipsometryData:
             ncs = {key: value / np.maximum(length, 1e-12) for key, value in ncs.items()}
         return np.stack([ncs[name] for name in self.quantities])
 
-    def _grids(self) -> list[tuple[Array, Array, Array]]:
+    def _grids(self) -> list[tuple[Array, Array, NDArray[np.intp]]]:
         """Return angles, wavelengths and rows of full grids: one if most pairs are measured, else one per angle."""
         angles, waves = np.unique(self.angles_deg), self.wavelengths_nm
         if len(angles) * len(waves) <= 1.5 * len(self.angles_deg):
@@ -90,13 +91,42 @@ class EllipsometryData:
             return np.full(self.values.shape, rms)
         return np.asarray(rms * self.errors / np.sqrt(np.mean(self.errors**2)))
 
+    def curves(self, fitted: Array) -> list[tuple[str, tuple[str, str], tuple[tuple[str, Array, Array, Array], ...]]]:
+        """Return title, axis labels and curves (label, x, measured, fitted) of Psi and Delta, or of each quantity."""
+        shown = [
+            (name.upper().replace("NCS_", ""), self.values[i], fitted[i]) for i, name in enumerate(self.quantities)
+        ]
+        unit = ""
+        if self.quantities == ("ncs_n", "ncs_c", "ncs_s"):
+            unit = " (degrees)"
+            psi, delta = zip(*(_angles(ncs) for ncs in (self.values, fitted)))
+            near = delta[0] + 180.0 - np.mod(180.0 - (delta[1] - delta[0]), 360.0)
+            shown = [("Psi", psi[0], psi[1]), ("Delta", delta[0], near)]
+        is_single = len(self.wavelengths_nm) == 1
+        x = self.angles_deg if is_single else self.row_wavelengths_nm
+        groups = [(f"{self.wavelengths_nm[0]:g} nm", np.arange(len(x)))] if is_single else [
+            (f"{angle:g}\u00b0", np.flatnonzero(self.angles_deg == angle)) for angle in np.unique(self.angles_deg)
+        ]  # fmt: skip
+        axis = "Angle of incidence (degrees)" if is_single else "Wavelength (nm)"
+        return [
+            (name, (axis, f"{name}{unit}"), tuple((label, x[i], measured[i], model[i]) for label, i in groups))
+            for name, measured, model in shown
+        ]
+
     def mse(self, residual: Array, parameters: int) -> float:
         """Return sqrt(sum(residual^2) / (values - parameters)) / 0.001, the figure of ellipsometer programs."""
         freedom = max(1, residual.size - parameters)
         return float(np.sqrt(np.sum(residual**2) / freedom) / MSE_UNIT)
 
 
-def _places(waves: Array, data: EllipsometryData, rows: Array) -> Array:
+def _angles(ncs: Array) -> tuple[Array, Array]:
+    """Return Psi and Delta in degrees of N, C and S; Delta in [0, 360)."""
+    n, c, s = ncs
+    psi = np.degrees(0.5 * np.arctan2(np.hypot(c, s), n))
+    return np.asarray(psi), np.asarray(np.mod(np.degrees(np.arctan2(s, c)), 360.0))
+
+
+def _places(waves: Array, data: EllipsometryData, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     return np.searchsorted(waves, data.row_wavelengths_nm[rows])
 
 
@@ -126,28 +156,24 @@ def ellipsometry_data(
         if not np.isfinite(errors).all() or errors.min() <= 0:
             errors = None
     angles = data["angle_of_incidence_deg"][keep]
-    return EllipsometryData(
-        str(measurement.path), waves[keep], angles, names, values[:, keep], errors, is_normalised
-    )
+    return EllipsometryData(str(measurement.path), waves[keep], angles, names, values[:, keep], errors, is_normalised)
 
 
-def _at_time(measurement: Measurement, data: dict[str, Array], time: str | None) -> Array:
+def _at_time(measurement: Measurement, data: dict[str, Array], time: str | None) -> NDArray[np.bool_]:
     clock = data.get("time_s", data.get("time"))
     if clock is None or len(np.unique(clock)) < 2:
         return np.ones(len(data["wavelength_nm"]), dtype=bool)
     times = np.unique(clock)
     if time is None or not time.isdigit() or not 1 <= int(time) <= len(times):
         raise AmbiguousFileError(
-            f"{measurement.path}: holds {len(times)} times ({times[0]:g} to {times[-1]:g}); choose one with --spectrum, "
-            f"1 to {len(times)}",
+            f"{measurement.path}: holds {len(times)} times ({times[0]:g} to {times[-1]:g}); choose one with "
+            f"--spectrum, 1 to {len(times)}",
             "spectrum",
         )
     return np.asarray(clock == times[int(time) - 1])
 
 
-def _compared(
-    measurement: Measurement, data: dict[str, Array]
-) -> tuple[tuple[str, ...], Array, Array | None, bool]:
+def _compared(measurement: Measurement, data: dict[str, Array]) -> tuple[tuple[str, ...], Array, Array | None, bool]:
     """Return names, values, standard errors of the compared quantities, and whether they are normalised."""
     if "m12" in data:
         names = tuple(name for name in MUELLER if name in data)

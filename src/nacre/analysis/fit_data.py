@@ -76,7 +76,11 @@ class Joint:
     def surrogate(self, model: Model) -> Array | None:
         """Return values of a random walk's noise-free surrogate; None without one."""
         found = [part.surrogate(model) for part in self.parts]
-        return None if any(each is None for each in found) else np.concatenate([np.ravel(each) for each in found if each is not None])
+        return (
+            None
+            if any(each is None for each in found)
+            else np.concatenate([np.ravel(each) for each in found if each is not None])
+        )
 
     def noise_scale(self, weights: str) -> Array:
         """Return the relative noise of the values: each part relative to its own rms."""
