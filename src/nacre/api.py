@@ -308,18 +308,21 @@ def export(thing: MaterialLike, to: str, output: str | Path, **options: Any) -> 
     return export_material(as_material(thing), to, Path(output), **options)
 
 
-def import_(source: str | Path, recipe: str | Path) -> Material:
-    """Convert a file of another program (goniometer CSV, MERL, RGL, Zemax, glTF, MaterialX) to a recipe, and load it.
+def import_(source: str | Path, recipe: str | Path, *, law: str | None = None, **options: Any) -> Material:
+    """Convert a measured BSDF or a material of another program (glTF, MaterialX) to a recipe, and load it.
 
     Args:
         source: the file to read.
         recipe: the TOML file to write; tables go into a `.nacre` file beside it.
+        law: "half-angle" extrapolates a scan in the plane of incidence.
+        options: what a measurement does not state, as for `read`.
 
     Raises:
         NacreError: the file has an unknown format or is damaged.
+        UnsupportedError: the measurement is not a BRDF of an isotropic sample.
     """
     check_writable(recipe)
-    import_material(Path(source), Path(recipe))
+    import_material(Path(source), Path(recipe), options=ReadOptions(**options), law=law)
     return load(recipe)
 
 

@@ -1,8 +1,8 @@
 """Choice of the Mitsuba variant, and import of mitsuba.
 
 Order: the caller's or `NACRE_VARIANT`'s variant; a variant already set by the user's code; the GPU if one works;
-LLVM; and scalar_spectral with a warning, hundreds of times slower. Only unpolarised spectral variants are supported,
-because a structural colour is a spectrum.
+LLVM; and scalar_spectral with a warning, hundreds of times slower. Only spectral variants are supported, because a
+structural colour is a spectrum; the polarised ones are used only on request.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from nacre.core.errors import MachineError, UnsupportedError, did_you_mean
 from nacre.device import llvm
 
 ENVIRONMENT_VARIABLE = "NACRE_VARIANT"
-VARIANTS = ("llvm_ad_spectral", "cuda_ad_spectral", "scalar_spectral")
+UNPOLARISED = ("llvm_ad_spectral", "cuda_ad_spectral", "scalar_spectral")
+POLARISED = tuple(f"{name}_polarized" for name in UNPOLARISED)
+VARIANTS = UNPOLARISED + POLARISED
 SCALAR_WARNING = (
     "{reason}: falling back to scalar_spectral, some hundreds of times slower, good for tiny previews only; {remedy}"
 )

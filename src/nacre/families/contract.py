@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
+from nacre.bsdf.polarisation import InterfacePolarisation
 from nacre.bsdf.substrate import Strata as Strata  # one of the capabilities
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError, did_you_mean
@@ -281,6 +282,15 @@ class BetweenMedia(Protocol):
 
     ambient: Any
     substrate: Any
+
+
+@runtime_checkable
+class Polarising(Protocol):
+    """A model with Mueller matrices for polarised rendering."""
+
+    def polarisation(self, wavelengths_nm: Array | None = None) -> InterfacePolarisation | None:
+        """Tabulate the Mueller matrices of the interface; None: it is rendered as depolarising."""
+        ...
 
 
 @runtime_checkable

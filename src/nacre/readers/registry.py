@@ -78,6 +78,17 @@ class Format:
 
 # one line per format, sorted by kind; the format of the highest confidence reads a file
 FORMATS: tuple[Format, ...] = (
+    Format("astm_e1392", "ASTM E1392 BSDF", "bsdf", "bsdf.astm"),
+    Format("alta", "ALTA BRDF", "bsdf", "bsdf.alta"),
+    Format("brdf_json", "universal BRDF (JSON)", "bsdf", "bsdf.brdf_json"),
+    Format("gonio", "goniometer table", "bsdf", "bsdf.gonio_table"),
+    Format("merl", "MERL BRDF", "bsdf", "bsdf.merl"),
+    Format("rgl", "RGL tensor BSDF", "bsdf", "bsdf.rgl"),
+    Format("speos", "Speos scattering or BSDF", "bsdf", "bsdf.speos"),
+    Format("ssdd", "SSDD", "bsdf", "bsdf.ssdd"),
+    Format("tracepro", "TracePro surface property", "bsdf", "bsdf.tracepro"),
+    Format("utia", "UTIA BRDF", "bsdf", "bsdf.utia"),
+    Format("zemax", "Zemax tabular BSDF", "bsdf", "bsdf.zemax"),
     Format("ocean-text", "Ocean Optics text (OOIBase32, SpectraSuite, OceanView, Jaz)", "spectrum", "spectra.ocean"),
     Format("ocean-procspec", "Ocean Optics ProcSpec", "spectrum", "spectra.ocean_procspec"),
     Format("jcamp", "JCAMP-DX", "spectrum", "spectra.jcamp"),
@@ -101,6 +112,14 @@ FORMATS: tuple[Format, ...] = (
         "spectrum",
         "spectra.tables",
     ),
+    Format("cgats", "CGATS.17, ISO 28178, Argyll, ProfileMaker", "colours", "colours.cgats"),
+    Format("cxf", "CxF/X-3", "colours", "colours.cxf"),
+    Format("ase", "Adobe swatches .ase and .aco", "colours", "colours.swatches"),
+    Format(
+        "palette", "palettes of sRGB (GIMP .gpl, LibreOffice .soc, JASC, hexadecimal)", "colours", "colours.palettes"
+    ),
+    Format("icc-text", "iccDEV apply data", "colours", "colours.icc_text"),
+    Format("lamp", "lamps (IES TM-27 .spdx, UPRtek, Sekonic)", "spectrum", "colours.lamps"),
     Format("accurion", "Accurion EP3, EP4 text", "ellipsometry", "ellipsometry.accurion"),
     Format("film-sense", "Film Sense text", "ellipsometry", "ellipsometry.film_sense"),
     Format("horiba", "Horiba DeltaPsi text (.spe)", "ellipsometry", "ellipsometry.horiba"),
@@ -110,6 +129,25 @@ FORMATS: tuple[Format, ...] = (
     Format("woollam-dat", "Woollam WVASE, CompleteEASE data", "ellipsometry", "ellipsometry.woollam_dat"),
     Format("woollam-text", "Woollam WVASE text export", "ellipsometry", "ellipsometry.woollam_text"),
     Format("table", "text table", "table", "table"),
+    Format("sdf", "ISO 25178-71 surface data (.sdf), ASCII and binary", "heights", "heights.sdf"),
+    Format("gwyddion-text", "Gwyddion ASCII matrix", "heights", "heights.gwyddion_text"),
+    Format("gwy", "Gwyddion (.gwy)", "heights", "heights.gwy"),
+    Format("sur", "Digital Surf, MountainsMap (.sur)", "heights", "heights.digital_surf"),
+    Format("al3d", "Alicona Imaging (.al3d)", "heights", "heights.alicona"),
+    Format("nanoscope", "Bruker, Veeco Nanoscope (.spm, .001)", "heights", "heights.nanoscope"),
+    Format("wsxm", "WSxM (.top, .stp)", "heights", "heights.wsxm"),
+    Format("jpk", "JPK image scan (.jpk, .jpk-qi-image)", "heights", "heights.jpk"),
+    Format("tmd", "TrueMap (.tmd)", "heights", "heights.truemap"),
+    Format("ibw", "Igor binary wave, Asylum Research (.ibw)", "heights", "heights.igor"),
+    Format("netcdf", "NetCDF, classic (.nc)", "heights", "heights.netcdf"),
+    Format("opdx", "Bruker Vision64 (.OPDx)", "heights", "heights.opdx"),
+    Format("zygo", "Zygo MetroPro (.dat)", "heights", "heights.zygo"),
+    Format("x3p", "X3P, ISO 25178-72", "heights", "heights.x3p"),
+    Format("topostats", "TopoStats (.topostats)", "heights", "heights.topostats"),
+    Format("holography", "text matrix of digital holography", "heights", "heights.holography"),
+    Format("xyz", "points x y z of a grid", "heights", "heights.xyz"),
+    Format("matrix", "matrix of heights without a head", "heights", "heights.matrix"),
+    Format("profile", "line profile (refused)", "heights", "heights.profile"),
 )
 
 
@@ -139,8 +177,16 @@ def recognise(path: str | Path) -> list[tuple[float, Format]]:
         NacreError: as `head_of`.
     """
     head = head_of(path)
-    found = [(confidence, entry) for entry in FORMATS if (confidence := entry.sniff(head)) > 0]
+    found = [(confidence, entry) for entry in FORMATS if (confidence := _confidence(entry, head)) > 0]
     return sorted(found, key=lambda pair: -pair[0])
+
+
+def _confidence(entry: Format, head: FileHead) -> float:
+    """Return the confidence of a format; a head on which its recognition fails has another format."""
+    try:
+        return entry.sniff(head)
+    except (NacreError, *_DAMAGE):
+        return 0.0
 
 
 def format_named(name: str) -> Format:

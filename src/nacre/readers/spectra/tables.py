@@ -13,7 +13,7 @@ from nacre.core.errors import NacreError
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import FileHead
 from nacre.readers.spectra import common
-from nacre.readers.spectra.common import Block, Notes
+from nacre.readers.spectra.common import Block, Label, Notes
 
 HEADED, WIDE, PLAIN = 0.5, 0.4, 0.3
 MIN_NM, MAX_NM = 150.0, 30000.0
@@ -181,7 +181,8 @@ def _pairs(
         rows = np.isfinite(block.table[:, place])
         x, y = block.table[rows, place], block.table[rows, place + 1]
         own = Notes(list(notes.assumed), list(notes.left_out))
-        found.append(_one(path, x, y, names[place], names[place + 1], titles[place], {}, options, own))
+        label = _labels(path, x, [(names[place + 1], y)], options, own)[0]
+        found.append(_one(path, x, y, names[place], label, titles[place], {}, options, own))
     return found
 
 
@@ -210,10 +211,13 @@ def _columns(
     if not spectra:
         raise NacreError(f"{path}: has no column of a spectrum; headings: {', '.join(names)[:200]}")
     spectra = _without_counts(spectra, names, notes)
+    labels = _labels(
+        path, table[:, place], [(names[column], table[:, column]) for column, _ in spectra], options, notes
+    )
     return [
-        _one(path, table[:, place], table[:, column], names[place], names[column], names[column], metadata, options,
+        _one(path, table[:, place], table[:, column], names[place], label, names[column], metadata, options,
              Notes(list(notes.assumed), list(notes.left_out)), error)
-        for column, error in spectra
+        for (column, error), label in zip(spectra, labels, strict=True)
     ]  # fmt: skip
 
 
@@ -231,17 +235,36 @@ def _without_counts(
     return spectra
 
 
+def _labels(
+    path: Path, x: Array, columns: Sequence[tuple[str, Array]], options: ReadOptions, notes: Notes
+) -> list[Label]:
+    """Return the label of each column; sizes decide for all columns without a unit of one quantity together.
+
+    A dark sample in per cent has values below 1 beside brighter ones in the same table.
+    """
+    stated = common.option_label(path, options)
+    labels = [stated or common.label_of(heading) or Label("") for heading, _ in columns]
+    labels = [Label("") if label.quantity == "error" else label for label in labels]
+    decided: dict[str, Label] = {}
+    for quantity in dict.fromkeys(label.quantity for label in labels if label.factor is None):
+        members = [values for label, (_, values) in zip(labels, columns, strict=True) if label.quantity == quantity]
+        what = f"{quantity} without a unit" if quantity else f"no quantity in the heading {_shown(columns)}"
+        size_x, size_y = np.tile(x, len(members)), np.concatenate(members)
+        decided[quantity] = common.by_size(path, size_x, size_y, notes, what, likely=quantity or "reflectance")
+    return [decided[label.quantity] if label.factor is None else label for label in labels]
+
+
+def _shown(columns: Sequence[tuple[str, Array]]) -> str:
+    return ", ".join(f'"{heading}"' for heading, _ in columns)[:60]
+
+
 def _one(
-    path: Path, x: Array, y: Array, x_name: str, y_name: str, title: str, metadata: dict[str, str],
+    path: Path, x: Array, y: Array, x_name: str, label: Label, title: str, metadata: dict[str, str],
     options: ReadOptions, notes: Notes, error: Array | None = None,
 ) -> Measurement:  # fmt: skip
     unit = common.option_unit(path, options) or common.unit_named(x_name)
     if unit is None or (unit == "nm" and "nm" not in x_name.lower() and "nanomet" not in x_name.lower()):
         unit = common.assumed_unit(path, x, notes, options)
-    label = common.option_label(path, options) or common.label_of(y_name)
-    if label is None or label.quantity == "error":
-        what = f'the heading "{y_name}" is no quantity' if y_name else "no heading"
-        label = common.by_size(path, common.nanometres(x, unit), y, notes, what)
     return common.spectrum(
         path, "spectrum-table", x, y, label, options, unit=unit, name=title, metadata=metadata, notes=notes, error=error
     )
@@ -272,26 +295,31 @@ def _read_across(
 ) -> list[Measurement]:
     """Return one spectrum per row; cells before the wavelengths are its name and metadata."""
     names, columns, grid, rows = across
-    found = []
-    for number, row in enumerate(rows, start=1):
-        values = [common.number(row[place], comma=True) for place in columns]
+    cells = [[common.number(row[place], comma=True) for place in columns] for row in rows]
+    for number, values in enumerate(cells, start=1):
         if any(value is None for value in values):
             raise NacreError(f"{path}: row {number} holds a word where a value of the spectrum should stand")
-        notes = Notes(assumed=[common.CUT] if cut and number == len(rows) else [])
-        others = {
-            name: row[place] for place, name in enumerate(names) if place not in columns and name and place < len(row)
-        }
-        words = " ".join([*others.values(), *others])
-        label = next((label for word in words.split() if (label := common.label_of(word))), None)
-        y = np.array(values, dtype=float)
-        label = common.option_label(path, options) or label
-        if label is None or label.quantity in ("error", "counts"):
-            label = common.by_size(path, grid, y, notes, "no quantity")
-        title = next((cell for place, cell in enumerate(row) if place not in columns and cell), str(number))
-        unit = common.assumed_unit(path, grid, notes, options)
+    table = np.array(cells, dtype=float)
+    notes = Notes(assumed=[common.CUT] if cut else [])
+    outside = [place for place, name in enumerate(names) if place not in columns and name]
+    others = [{names[place]: row[place] for place in outside if place < len(row)} for row in rows]
+    all_words = [" ".join([*own.values(), *own]).split() for own in others]
+    words = [" ".join(word for word in own if _is_ratio(word)) for own in all_words]
+    labels = _labels(path, grid, list(zip(words, table, strict=True)), options, notes)
+    unit = common.assumed_unit(path, grid, notes, options)
+    found = []
+    for number, (row, values, label) in enumerate(zip(rows, table, labels, strict=True)):
+        title = next((cell for place, cell in enumerate(row) if place not in columns and cell), str(number + 1))
+        own_notes = Notes(list(notes.assumed), list(notes.left_out))
         found.append(
             common.spectrum(
-                path, "spectrum-table", grid, y, label, options, unit=unit, name=title, metadata=others, notes=notes
+                path, "spectrum-table", grid, values, label, options, unit=unit, name=title, metadata=others[number],
+                notes=own_notes,
             )
-        )
+        )  # fmt: skip
     return found
+
+
+def _is_ratio(word: str) -> bool:
+    label = common.label_of(word)
+    return label is not None and label.quantity not in ("error", "counts")
