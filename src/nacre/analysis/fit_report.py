@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -58,7 +58,7 @@ def _figure(fit: Fit, measured: Data, free: Sequence[Parameter]) -> Figure:
         from nacre.plot import fit_panels_figure
 
         return fit_panels_figure(_panels(fit, measured), f"{fit.material.name}, fitted")
-    assert isinstance(measured, Measured)
+    measured = cast(Measured, measured)
     if measured.kind == "spectrum":
         from nacre.plot import design_figure
 
@@ -85,14 +85,15 @@ def _panels(fit: Fit, measured: Joint | EllipsometryData) -> list[FitPanel]:
                 FitPanel(f"{title}: {Path(part.name).name[:24]}", *labels, curves)
                 for title, labels, curves in part.curves(fitted)
             ]
-        elif isinstance(part, Measured) and part.kind == "spectrum":
-            assert part.angles_deg is not None
-            curves = tuple(
-                (f"{name.replace('_', ' ')}, {angle:g}\u00b0", part.wavelengths_nm, part.values[i, j], fitted[i, j])
-                for i, name in enumerate(part.parts)
-                for j, angle in enumerate(part.angles_deg)
+        elif part.kind == "spectrum":
+            spectrum = cast(Measured, part)
+            assert spectrum.angles_deg is not None
+            drawn = tuple(
+                (f"{name.replace('_', ' ')}, {angle:g}\u00b0", spectrum.wavelengths_nm, part.values[i, j], fitted[i, j])
+                for i, name in enumerate(spectrum.parts)
+                for j, angle in enumerate(spectrum.angles_deg)
             )
-            panels.append(FitPanel(Path(part.name).name[:24], "Wavelength (nm)", "Share of the light", curves))
+            panels.append(FitPanel(Path(spectrum.name).name[:24], "Wavelength (nm)", "Share of the light", drawn))
     return panels
 
 
