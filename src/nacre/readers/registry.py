@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -21,6 +22,7 @@ MAX_BYTES = 2 << 30
 CERTAIN = 1.0  # a magic number or an unmistakable first line
 LIKELY = 0.6  # typical keys
 POSSIBLE = 0.2  # any table of numbers
+CUT = "the file ends inside its last line, which may be cut"
 _DAMAGE = (
     ValueError, LookupError, ArithmeticError, EOFError, TypeError, struct.error, zlib.error, zipfile.BadZipFile,
     ParseError, NotImplementedError,
@@ -239,4 +241,19 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
         raise NacreError(f"{path}: is damaged, or no {entry.title} ({str(error)[:80]})") from error
     if not measurements:
         raise NacreError(f"{path}: {entry.title} without data")
-    return measurements
+    return [_with_cut(measurement) for measurement in measurements] if _is_cut(path) else measurements
+
+
+def _is_cut(path: Path) -> bool:
+    """Whether a text file ends inside a row of numbers, without the end of a line."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - 512))
+        last = file.read().replace(b"\0", b"")
+    line = re.split(rb"[\r\n]", last)[-1].strip()
+    return bool(line) and line[:1] in b"+-.0123456789" and all(32 <= byte < 127 or byte == 9 for byte in line)
+
+
+def _with_cut(measurement: Measurement) -> Measurement:
+    if CUT in measurement.assumed:
+        return measurement
+    return replace(measurement, assumed=(*measurement.assumed, CUT))

@@ -19,8 +19,6 @@ MAX_TEXT_BYTES = 256 << 20
 MAX_METADATA = 40
 VISIBLE_NM = (400.0, 700.0)
 QUANTITIES = ("reflectance", "transmittance", "absorptance", "absorbance", "counts", "irradiance")
-CUT = "the file ends inside its last line, which may be cut"
-
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][-+]?\d+)?")
 _NAN = ("nan", "-nan", "nan(ind)", "inf", "-inf", "#n/a", "na", "n/a", "--", "1.#qnan", "-1.#ind", "1.#inf")
@@ -59,10 +57,9 @@ NM_EV = 1239.841984  # h c / e in nm eV (exact constants of the SI, 2019)
 
 @dataclass
 class Text:
-    """Text of a file in lines; `cut` tells whether the last line has no end while others have one."""
+    """Lines of a file, and the number of NUL characters that were dropped."""
 
     lines: list[str]
-    cut: bool
     nul: int = 0
 
 
@@ -115,9 +112,7 @@ def text_of(data: bytes) -> Text:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = data.decode("cp932" if b"JASCO" in data[:2000] else "cp1252", errors="replace")
-    lines = _LINE_END.split(text)
-    cut = bool(lines[-1].strip()) and len(lines) > 2
-    return Text(lines, cut, nul)
+    return Text(_LINE_END.split(text), nul)
 
 
 def number(cell: str, comma: bool = False) -> float | None:
@@ -206,6 +201,18 @@ def blocks(lines: Sequence[str], least_rows: int = 2, least_columns: int = 1) ->
         stop = place + 1
     finish()
     return found
+
+
+def complete(path: Path, block: Block) -> Array:
+    """Return a table whose last row has all cells.
+
+    Raises:
+        NacreError: the last row has fewer cells than the others: the file is cut.
+    """
+    table = block.table
+    if len(table) > 1 and np.isnan(table[-1]).sum() > np.isnan(table[-2]).sum():
+        raise NacreError(f"{path}: its last row has fewer numbers than the row above; the file is cut")
+    return table
 
 
 def key_values(lines: Sequence[str], marks: str = ":=\t") -> dict[str, str]:

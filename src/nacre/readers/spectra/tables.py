@@ -10,12 +10,15 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.readers.headings import meanings
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import FileHead
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Block, Label, Notes
 
 HEADED, WIDE, PLAIN = 0.5, 0.4, 0.3
+OTHERS = ("n", "k", "eps1", "eps2", "alpha", "psi", "delta", "tan_psi", "cos_delta", "angle_of_incidence",
+          "polarisation", "polariser", "theta_i", "theta_o", "radius", "thickness")  # fmt: skip
 MIN_NM, MAX_NM = 150.0, 30000.0
 _WAVELENGTH = re.compile(
     r"^(wave ?length|wavelengths|wave|wl|wvl|lambda|λ|longueur d'onde|wellenl[äa]nge|longitud de onda|波長|"
@@ -54,12 +57,17 @@ def _confidence(lines: Sequence[str], block: Block) -> float:
     if _across(lines) is not None:
         return WIDE
     place = _axis(names)
-    if place is None or place >= block.table.shape[1] or any(_OTHER.search(name.strip()) for name in names):
+    if place is None or place >= block.table.shape[1] or any(_is_other(name) for name in names):
         return 0.0
     labels = [common.label_of(name) for name in names[place + 1 :] if name]
     if any(label is not None for label in labels):
         return HEADED
     return WIDE if block.table.shape[1] > 1 and _is_axis(block.table[:, place]) else 0.0
+
+
+def _is_other(heading: str) -> bool:
+    """Whether a heading names a quantity of another class, such as n, eps1, Psi or an angle."""
+    return bool(_OTHER.search(heading.strip())) or any(meaning.quantity in OTHERS for meaning in meanings(heading))
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -71,25 +79,23 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     text = common.read_text(path)
     across = _across(text.lines)
     if across is not None:
-        return common.choose(path, _read_across(path, across, options, text.cut), options)
+        return common.choose(path, _read_across(path, across, options), options)
     found = [block for block in common.blocks(text.lines, least_columns=2) if len(block.table) >= 3]
     if not found:
         raise NacreError(f"{path}: has no table of a spectrum")
     block = found[0]
-    notes = Notes(assumed=[common.CUT] if text.cut and block.stop == len(text.lines) else [])
-    if text.cut and block.stop == len(text.lines) and np.isnan(block.table[-1]).sum() > np.isnan(block.table[-2]).sum():
-        raise NacreError(f"{path}: its last line has fewer cells than the others; the file is cut")
+    notes = Notes()
     if any(line.strip() for line in text.lines[block.stop :]):
         notes.left_out.append("the text below the table")
     names = _headings(text.lines, block)
     metadata = common.key_values(text.lines[: block.start], ":=")
     if not names:
-        return [_plain(path, block.table, options, notes)]
+        return [_plain(path, common.complete(path, block), options, notes)]
     pairs = [place for place, name in enumerate(names) if _WAVELENGTH.search(name)]
     if len(pairs) > 1:
         found_pairs = _pairs(path, text.lines, block, names, pairs, options, notes)
         return common.choose(path, found_pairs, options)
-    return common.choose(path, _columns(path, block.table, names, metadata, options, notes), options)
+    return common.choose(path, _columns(path, common.complete(path, block), names, metadata, options, notes), options)
 
 
 def _headings(lines: Sequence[str], block: Block) -> list[str]:
@@ -291,7 +297,7 @@ def _across(lines: Sequence[str]) -> tuple[list[str], list[int], Array, list[lis
 
 
 def _read_across(
-    path: Path, across: tuple[list[str], list[int], Array, list[list[str]]], options: ReadOptions, cut: bool
+    path: Path, across: tuple[list[str], list[int], Array, list[list[str]]], options: ReadOptions
 ) -> list[Measurement]:
     """Return one spectrum per row; cells before the wavelengths are its name and metadata."""
     names, columns, grid, rows = across
@@ -300,7 +306,7 @@ def _read_across(
         if any(value is None for value in values):
             raise NacreError(f"{path}: row {number} holds a word where a value of the spectrum should stand")
     table = np.array(cells, dtype=float)
-    notes = Notes(assumed=[common.CUT] if cut else [])
+    notes = Notes()
     outside = [place for place, name in enumerate(names) if place not in columns and name]
     others = [{names[place]: row[place] for place in outside if place < len(row)} for row in rows]
     all_words = [" ".join([*own.values(), *own]).split() for own in others]
