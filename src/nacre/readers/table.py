@@ -12,6 +12,7 @@ from nacre.core.errors import NacreError
 from nacre.readers.columns import Column, Columns, interpret, load_tables, polarisations, sorted_by_wavelength
 from nacre.readers.constants.convert import QUANTITIES as CONSTANTS
 from nacre.readers.constants.convert import constants
+from nacre.readers.ellipsometry.common import ellipsometry
 from nacre.readers.headings import SPECTRAL_QUANTITIES, meanings
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
 from nacre.readers.registry import POSSIBLE, FileHead
@@ -265,7 +266,9 @@ def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
             data[f"{quantity}_deg{error}"] = columns.degrees(column, options) if column.unit else column.values
         elif quantity in ELLIPSOMETRY:
             data[f"{quantity}{error}"] = column.factors()
-    return Measurement(columns.path, "table", "ellipsometry", data, "", {}, tuple(columns.assumed), _left_out(columns))
+    if nm is None:
+        raise NacreError(f"{columns.path}: no column of wavelengths; the columns are {columns.table.shown_headings}")
+    return ellipsometry(columns.path, "table", data, options, assumed=columns.assumed, left_out=_left_out(columns))
 
 
 def _plain(columns: Columns, kind: Kind) -> Measurement:
