@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nacre.analysis.ellipsometry import EllipsometricResponse, compute_ellipsometry
-from nacre.analysis.fit import Fit, fit_parameters, read_measurement, run_fit
+from nacre.analysis.fit import Fit, fit_parameters, read_measurements, run_fit
 from nacre.analysis.import_export import export_material, import_material
 from nacre.analysis.report import Report, make_report
 from nacre.analysis.sweep import run_sweep
 from nacre.analysis.sweep_plan import load_sweep
+from nacre.analysis.ties import read_ties
 from nacre.analysis.tolerance import ToleranceResult, recipe_tolerances, run_tolerance
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
@@ -183,17 +184,22 @@ def tolerance(
 
 
 def fit(
-    measurement: str | Path, thing: MaterialLike, parameters: Iterable[str] = (), *, starts: int = 4,
-    report: str | Path | None = None, **options: Any,
+    measurement: str | Path | Sequence[str | Path], thing: MaterialLike, parameters: Iterable[str] = (), *,
+    starts: int = 4, ties: Iterable[str] = (), range_nm: tuple[float, float] | None = None,
+    report: str | Path | None = None, angle_deg: float | None = None, delta_convention: str | None = None,
+    **options: Any,
 ) -> Fit:  # fmt: skip
-    """Fit parameters of a recipe to a measurement.
+    """Fit parameters of a recipe to measurements of one sample.
 
     Args:
-        measurement: CSV of a spectrum or of goniometer values.
+        measurement: file of an ellipsometer or spectrometer, CSV of a spectrum or of goniometer values; or several.
         thing: a material or a path.
         parameters: such as "layers[0].thickness_nm=50:400", in addition to those of the recipe's `[fit]`.
         starts: refined starting points; options: further arguments of `nacre.analysis.fit.run_fit`.
+        ties: such as "layers[2].thickness_nm=layers[0].thickness_nm", in addition to those of the recipe's `[ties]`.
+        range_nm: other wavelengths of the measurements are ignored.
         report: HTML file that compares measurement and fit.
+        angle_deg, delta_convention: properties that an ellipsometer's file does not state.
 
     Raises:
         NacreError: the measurement cannot be read, or there is no parameter.
@@ -202,9 +208,12 @@ def fit(
         if Path(report).suffix != ".html":
             raise NacreError(f"{report}: the suffix must be .html")
         check_writable(report)
-    material, measured = as_material(thing), read_measurement(measurement)
+    paths = [measurement] if isinstance(measurement, str | Path) else list(measurement)
+    stated = ReadOptions(angle_deg=angle_deg, delta_convention=delta_convention)
+    material, measured = as_material(thing), read_measurements(paths, stated, range_nm)
     numbers = fit_parameters(material, tuple(parameters))
-    found = run_fit(material, measured, numbers, starts=starts, **options)
+    tied = read_ties(material, [number.path for number in numbers], tuple(ties))
+    found = run_fit(material, measured, numbers, starts=starts, ties=tied, **options)
     if report is not None:
         from nacre.analysis.fit_report import write_fit_page
 

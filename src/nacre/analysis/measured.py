@@ -1,9 +1,9 @@
-"""Measurements for a fit: spectra over angle and polarisation, and BSDF values, from any file that nacre reads."""
+"""Spectra over angle and polarisation, and BSDF values, as data of a fit."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +15,15 @@ from nacre.families.contract import DirectEvaluation, Model, is_direct, search_m
 from nacre.formats.gonio_csv import COLUMNS, GonioData, gonio_data
 from nacre.material.material import Material
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
-from nacre.readers.registry import open_file
+from nacre.readers.table import chosen_block
 
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
 TOTALS = ("total_reflectance", "total_transmittance")
+# part in a measurement -> part of a spectrum and polarisation
+POLARISED = {f"{part}_{p}": (part, p) for part in (*PARTS, *TOTALS) for p in ("s", "p")}
 MAX_POWER, MIN_POWER = 1.1, -0.05  # allows for instrument errors near white and black
+RELATIVE_FLOOR = 0.01
+LEAST_ERROR = 0.1  # of the median standard error: smaller ones do not weigh more
 UNPOLARISED = "both"
 
 
@@ -30,9 +34,9 @@ class Measured:
     Attributes:
         kind: "spectrum" (parts over angle and wavelength) or "gonio" (BSDF values at direction pairs).
         wavelengths_nm: `[wavelength]`.
-        values: "spectrum": `[part, angle, wavelength]`; "gonio": `[pair, wavelength]`; NaN where not measured.
-        parts, angles_deg: spectrum only; gonio: direction pairs.
-        polarisations: "s", "p" or "both" of each part; empty: all "both".
+        values: "spectrum": `[part, angle, wavelength]`; "gonio": `[pair, wavelength]`.
+        parts, angles_deg: spectrum only, a part of polarised light ends with _s or _p; gonio: direction pairs.
+        name: file, for reports.
         errors: standard errors, shaped as `values`, or None.
         remarks: one sentence for each assumption and each column that is not used.
     """
@@ -43,20 +47,9 @@ class Measured:
     parts: tuple[str, ...] = ()
     angles_deg: Array | None = None
     gonio: GonioData | None = None
-    polarisations: tuple[str, ...] = ()
+    name: str = ""
     errors: Array | None = None
     remarks: tuple[str, ...] = ()
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the parts with their polarisation."""
-        return tuple(
-            part.replace("_", " ") + (f", {p} light" if p != UNPOLARISED else "")
-            for part, p in zip(self.parts, self._polarisation_of_parts())
-        )
-
-    def _polarisation_of_parts(self) -> tuple[str, ...]:
-        return self.polarisations or (UNPOLARISED,) * len(self.parts)
 
     def model(self, material: Material, samples: int | None, seed: int) -> Array:
         """Return a material's simulated measurement, shaped as `values`.
@@ -67,11 +60,9 @@ class Measured:
         if self.kind == "spectrum":
             assert self.angles_deg is not None
             theta = np.radians(self.angles_deg)
-            spectra = {
-                polarisation: material.spectrum(theta, self.wavelengths_nm, polarisation, seed=seed)
-                for polarisation in dict.fromkeys(self._polarisation_of_parts())
-            }
-            return self._stacked(spectra)
+            return self._stacked(
+                {p: material.spectrum(theta, self.wavelengths_nm, p, seed=seed) for p in self._polarisations()}
+            )
         assert self.gonio is not None
         from nacre.measure.evaluate import evaluate_with_error
 
@@ -93,7 +84,7 @@ class Measured:
         if self.kind == "spectrum":
             assert self.angles_deg is not None
             spectra: dict[str, Spectrum] = {}
-            for polarisation in dict.fromkeys(self._polarisation_of_parts()):
+            for polarisation in self._polarisations():
                 found = near.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, polarisation)
                 if found is None:
                     return None
@@ -103,15 +94,31 @@ class Measured:
         assert isinstance(near, DirectEvaluation)
         return near.values_at(self.gonio.wi, self.gonio.wo, self.wavelengths_nm)
 
-    def _stacked(self, spectra: dict[str, Spectrum]) -> Array:
+    def _polarisations(self) -> list[str]:
+        return list(dict.fromkeys(POLARISED.get(part, (part, UNPOLARISED))[1] for part in self.parts))
+
+    def _stacked(self, spectra: Mapping[str, Spectrum]) -> Array:
         zero = np.zeros(self.values.shape[1:])
         stacked = []
-        for part, polarisation in zip(self.parts, self._polarisation_of_parts()):
-            found = spectra[polarisation].parts()
-            kind = part.removeprefix("total_")
-            names = (f"specular_{kind}", f"diffuse_{kind}") if part in TOTALS else (part,)
-            stacked.append(sum((found.get(name, zero) for name in names), zero))
+        for name in self.parts:
+            part, polarisation = POLARISED.get(name, (name, UNPOLARISED))
+            found, quantity = spectra[polarisation].parts(), part.removeprefix("total_")
+            names = (f"specular_{quantity}", f"diffuse_{quantity}") if part in TOTALS else (part,)
+            stacked.append(sum((found.get(each, zero) for each in names), zero))
         return np.stack(stacked)
+
+    def noise_scale(self, weights: str) -> Array:
+        """Return the relative noise of the values: proportional to them, or their standard errors, or equal.
+
+        The inverse squares of the standard errors average to that of the rms.
+        """
+        rms = float(np.sqrt(np.mean(self.values**2))) or 1.0
+        if weights == "relative":
+            return np.maximum(np.abs(self.values), RELATIVE_FLOOR * rms)  # the floor limits the weight near zero
+        if self.errors is None:
+            return np.full(self.values.shape, rms)
+        errors = np.maximum(self.errors, LEAST_ERROR * float(np.median(self.errors)))
+        return np.asarray(rms * errors * np.sqrt(np.mean(errors**-2.0)))
 
 
 @dataclass(frozen=True)
@@ -119,33 +126,43 @@ class _Series:
     """Values of one part and polarisation, `[row]`."""
 
     part: str
-    polarisation: str
     angles_deg: Array
     wavelengths_nm: Array
     values: Array
     errors: Array | None
 
 
-def read_measurement(path: str | Path, options: ReadOptions | None = None) -> Measured:
-    """Read a measurement: a spectrum in any format of `nacre read`, or a gonio CSV.
+def gonio_measurement(path: Path, found: Measurement) -> Measured:
+    """Return BSDF values; pairs of directions with a missing value are left out.
+
+    Raises:
+        NacreError: no pair has all values.
+    """
+    data, said = gonio_data(found)
+    keep = np.isfinite(data.values).all(axis=1)
+    if not keep.any():
+        raise NacreError(f"{path}: no pair of directions has values at all wavelengths")
+    if not keep.all():
+        said = [*said, f"{int((~keep).sum())} pairs of directions with missing values are left out"]
+        data = GonioData(data.angles_deg[keep], data.wavelengths_nm, data.values[keep])
+    return Measured("gonio", data.wavelengths_nm, data.values, gonio=data, name=str(path), remarks=tuple(said))
+
+
+def spectrum_measurement(
+    path: Path, found: Sequence[Measurement], options: ReadOptions, range_nm: tuple[float, float] | None = None
+) -> Measured:
+    """Return the spectra of one sample over angle and wavelength.
 
     Columns of angle and polarisation, standard errors, per cent and all units of wavelength are used as their headings
     say. Rows without a measured value are left out.
 
     Args:
-        options: what the file does not state.
+        range_nm: rows of other wavelengths are ignored.
 
     Raises:
-        NacreError: with the file and the problem.
+        AmbiguousFileError: no heading says what the values are, or there are several spectra.
+        NacreError: no reflectance or transmittance, holes, or impossible values.
     """
-    path = Path(path)
-    if path.suffix.lower() == ".toml":
-        raise NacreError(f"{path}: is a recipe; give the measurement, a CSV, first, and then the recipe")
-    options = replace(options or ReadOptions(), expects="spectrum")
-    found = open_file(path, options)
-    if found[0].kind == "bsdf":
-        gonio, said = gonio_data(found[0])
-        return Measured("gonio", gonio.wavelengths_nm, gonio.values, gonio=gonio, remarks=tuple(said))
     if options.quantity is None and any(said.startswith("no heading") for each in found for said in each.assumed):
         raise AmbiguousFileError(
             f"{path}: no heading says what the columns are; write one, such as wavelength_nm,specular_reflectance, or "
@@ -154,8 +171,9 @@ def read_measurement(path: str | Path, options: ReadOptions | None = None) -> Me
             ("reflectance", "transmittance"),
         )
     spectra = [each for each in found if each.kind == "spectrum"]
+    spectra = _chosen(path, spectra, options)
     remarks: list[str] = []
-    series = [one for each in spectra for one in _series(path, each, options, remarks)]
+    series = [one for each in spectra for one in _series(each, options, range_nm, remarks)]
     if not series:
         held = sorted({name for each in found for name in each.data})
         raise NacreError(
@@ -167,7 +185,25 @@ def read_measurement(path: str | Path, options: ReadOptions | None = None) -> Me
     return _on_grid(path, series, tuple(dict.fromkeys(remarks)))
 
 
-def _series(path: Path, found: Measurement, options: ReadOptions, remarks: list[str]) -> list[_Series]:
+def _chosen(path: Path, spectra: list[Measurement], options: ReadOptions) -> list[Measurement]:
+    """Return one sample of several in a file."""
+    keys = [(each.metadata.get("polarisation"), each.metadata.get("angle_of_incidence_deg"), each.metadata.get("mode"),
+             frozenset(each.data)) for each in spectra]  # fmt: skip
+    if len(set(keys)) == len(keys):
+        return spectra
+    names = tuple(each.name or str(i) for i, each in enumerate(spectra, 1))
+    if options.spectrum is None:
+        raise AmbiguousFileError(
+            f"{path}: holds {len(spectra)} spectra ({', '.join(names)[:120]}); choose one with --spectrum",
+            "spectrum",
+            names,
+        )
+    return [spectra[chosen_block(path, options.spectrum, names)]]
+
+
+def _series(
+    found: Measurement, options: ReadOptions, range_nm: tuple[float, float] | None, remarks: list[str]
+) -> list[_Series]:
     nm = np.asarray(found.data["wavelength_nm"], dtype=float)
     angle = found.data.get("angle_of_incidence_deg")
     stated = found.metadata.get("angle_of_incidence_deg", options.angle_deg)
@@ -180,7 +216,7 @@ def _series(path: Path, found: Measurement, options: ReadOptions, remarks: list[
     if rows is None and not one and np.any(np.abs(angle) > 1e-9):
         remarks.append("no polarisation is stated: unpolarised light is assumed")
     polarisations = np.array(rows if rows is not None else [one or "unpolarised"] * len(nm))
-    mode = str(found.metadata.get("mode", ""))
+    mode = _mode(str(found.metadata.get("mode", "")))
     series = []
     for quantity in ("reflectance", "transmittance"):
         if quantity not in found.data:
@@ -191,10 +227,11 @@ def _series(path: Path, found: Measurement, options: ReadOptions, remarks: list[
         errors = found.data.get(f"{quantity}_error")
         for polarisation in dict.fromkeys(polarisations.tolist()):
             keep = (polarisations == polarisation) & ~np.isnan(values)
+            if range_nm is not None:
+                keep &= (nm >= range_nm[0]) & (nm <= range_nm[1])
             series.append(
                 _Series(
-                    f"{mode or 'specular'}_{quantity}",
-                    UNPOLARISED if polarisation == "unpolarised" else polarisation,
+                    f"{mode or 'specular'}_{quantity}" + ("" if polarisation == "unpolarised" else f"_{polarisation}"),
                     np.asarray(angle, dtype=float)[keep],
                     nm[keep],
                     values[keep],
@@ -206,24 +243,29 @@ def _series(path: Path, found: Measurement, options: ReadOptions, remarks: list[
     return series
 
 
+def _mode(stated: str) -> str:
+    words = stated.lower()
+    return next((mode for mode in ("diffuse", "total", "specular") if mode in words), "")
+
+
 def _on_grid(path: Path, series: Sequence[_Series], remarks: tuple[str, ...]) -> Measured:
     """Return the series on the grid of all their angles and wavelengths.
 
     Raises:
         NacreError: a value that stands twice or is missing, or numbers that are no reflectance or angle.
     """
-    keys = list(dict.fromkeys((one.part, one.polarisation) for one in series))
-    _check_modes(path, keys, remarks)
+    parts = tuple(dict.fromkeys(one.part for one in series))
+    _check_modes(path, parts, remarks)
     all_nm = np.concatenate([one.wavelengths_nm for one in series])
     all_angles = np.concatenate([one.angles_deg for one in series])
     if not all_nm.size or not np.isfinite(all_nm).all() or not np.isfinite(all_angles).all():
         raise NacreError(f"{path}: needs a wavelength, an angle and at least one measured value per row")
     waves, angles = np.unique(all_nm), np.unique(all_angles)
-    values = np.full((len(keys), len(angles), len(waves)), np.nan)
+    values = np.full((len(parts), len(angles), len(waves)), np.nan)
     errors = np.full(values.shape, np.nan) if all(one.errors is not None for one in series) else None
     count = np.zeros(values.shape, dtype=int)
     for one in series:
-        place = (keys.index((one.part, one.polarisation)), np.searchsorted(angles, one.angles_deg),
+        place = (parts.index(one.part), np.searchsorted(angles, one.angles_deg),
                  np.searchsorted(waves, one.wavelengths_nm))  # fmt: skip
         same = np.isclose(values[place], one.values, rtol=0.0, atol=0.0)
         np.add.at(count, place, np.where(same, 0, 1))
@@ -232,7 +274,6 @@ def _on_grid(path: Path, series: Sequence[_Series], remarks: tuple[str, ...]) ->
             errors[place] = one.errors
     if count.max() > 1:
         raise NacreError(f"{path}: a wavelength is given twice at an angle; keep one row of each")
-    parts, polarisations = zip(*keys)
     _check_spectrum(path, parts, angles, waves, values)
     if errors is not None and not (np.isfinite(errors).all() and (errors >= 0).all() and np.median(errors) > 0):
         errors, remarks = None, (*remarks, "standard errors that are missing, negative or 0 are not used")
@@ -240,14 +281,13 @@ def _on_grid(path: Path, series: Sequence[_Series], remarks: tuple[str, ...]) ->
         remarks = (*remarks, "standard errors of some columns only are not used")
     elif errors is not None:
         remarks = (*remarks, "standard errors are used as weights")
-    used = () if set(polarisations) == {UNPOLARISED} else polarisations
-    return Measured("spectrum", waves, values, parts, angles, polarisations=used, errors=errors, remarks=remarks)
+    return Measured("spectrum", waves, values, parts, angles, name=str(path), errors=errors, remarks=remarks)
 
 
-def _check_modes(path: Path, keys: Sequence[tuple[str, str]], remarks: tuple[str, ...]) -> None:
+def _check_modes(path: Path, parts: Sequence[str], remarks: tuple[str, ...]) -> None:
     """Refuse a column that says specular, diffuse or total beside one that does not."""
     assumed = {f"specular_{sentence.split()[0]}" for sentence in remarks if sentence.endswith("is taken as specular")}
-    stated = [part for part, _ in keys if part not in assumed]
+    stated = [part for part in parts if POLARISED.get(part, (part,))[0] not in assumed]
     if assumed and stated:
         name = sorted(assumed)[0].removeprefix("specular_")
         raise NacreError(

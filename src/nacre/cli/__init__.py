@@ -39,7 +39,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "export": ("nacre.cli.show", "Write a material in another program's format."),
     "read": ("nacre.cli.read", "Say what a file of an instrument or another program contains."),
     "import": ("nacre.cli.show", "Read a measurement or another program's material into a recipe."),
-    "fit": ("nacre.cli.analysis", "Fit parameters of a recipe to a measurement."),
+    "fit": ("nacre.cli.fit", "Fit parameters of a recipe to measurements."),
     "studio": ("nacre.cli.render", "Open a live page on a recipe, on this machine only."),
     "report": ("nacre.cli.analysis", "Report colour, gloss, haze and flop as instruments measure them."),
     "tolerance": ("nacre.cli.analysis", "Compute colour variation and yield from manufacturing tolerances."),

@@ -1,4 +1,4 @@
-"""Beginning of a file, from which a format is recognised."""
+"""The beginning of a file, from which its format is recognised."""
 
 from __future__ import annotations
 

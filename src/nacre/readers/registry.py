@@ -14,7 +14,7 @@ from xml.etree.ElementTree import ParseError
 
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import named, plain, why_unreadable
-from nacre.readers.file_head import FileHead
+from nacre.readers.file_head import FileHead as FileHead
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
 from nacre.readers.unknown import unknown_file
 
@@ -227,7 +227,8 @@ def _is_cut(path: Path) -> bool:
         file.seek(max(0, path.stat().st_size - 512))
         last = file.read().replace(b"\0", b"")
     line = re.split(rb"[\r\n]", last)[-1].strip()
-    return bool(line) and line[:1] in b"+-.0123456789" and all(32 <= byte < 127 or byte == 9 for byte in line)
+    has_digit, is_text = re.search(rb"\d", line), all(32 <= byte < 127 or byte == 9 for byte in line)
+    return bool(has_digit) and is_text and not line.endswith((b">", b"}", b"]"))
 
 
 def _with_cut(measurement: Measurement) -> Measurement:

@@ -21,6 +21,7 @@ from nacre.readers.columns import (
 )
 from nacre.readers.constants.convert import QUANTITIES as CONSTANTS
 from nacre.readers.constants.convert import constants
+from nacre.readers.ellipsometry.common import ellipsometry
 from nacre.readers.headings import SPECTRAL_QUANTITIES, meanings
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
 from nacre.readers.registry import POSSIBLE, FileHead
@@ -56,7 +57,7 @@ def sniff(head: FileHead) -> float:
         text = decode(head.data)
     except UnicodeDecodeError:
         return 0.0
-    return POSSIBLE if any(character.isdigit() for character in text) else 0.0
+    return 0.5 * POSSIBLE if any(character.isdigit() for character in text) else 0.0
 
 
 def has_usual_headings(head: FileHead) -> bool:
@@ -117,7 +118,7 @@ def kind_of(table: TextTable, options: ReadOptions) -> Kind:
         kind: sum(bool(found & set(quantities) - set(SPECTRAL_QUANTITIES)) for found in each)
         for kind, quantities in OF_KIND.items()
     }
-    if options.expects in scores and scores[options.expects] > 0:
+    if options.expects in scores and scores[options.expects] == max(scores.values()) > 0:
         return options.expects
     best = max(scores, key=lambda kind: scores[kind])
     if scores[best] == 0 and options.assumed_quantity is not None and options.expects is not None:
@@ -301,7 +302,9 @@ def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
             data[f"{quantity}_deg{error}"] = columns.degrees(column, options) if column.unit else column.values
         elif quantity in ELLIPSOMETRY:
             data[f"{quantity}{error}"] = column.factors()
-    return Measurement(columns.path, "table", "ellipsometry", data, "", {}, tuple(columns.assumed), _left_out(columns))
+    if nm is None:
+        raise NacreError(f"{columns.path}: no column of wavelengths; the columns are {columns.table.shown_headings}")
+    return ellipsometry(columns.path, "table", data, options, assumed=columns.assumed, left_out=_left_out(columns))
 
 
 def _plain(columns: Columns, kind: Kind) -> Measurement:

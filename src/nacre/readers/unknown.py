@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 from nacre.readers.file_head import FileHead
 
@@ -59,12 +59,8 @@ def appearance(head: FileHead) -> str:
     return f'text that begins with "{first}"'
 
 
-def unknown_file(head: FileHead, known: Iterable[str]) -> str:
-    """Return the one-line message for a file that no reader recognises.
-
-    Args:
-        known: titles of all formats.
-    """
+def unknown_file(head: FileHead, known: Sequence[str]) -> str:
+    """Return the one-line message for a file that no reader recognises; `known`: titles of all formats."""
     words = {head.path.suffix.lstrip(".").lower()} | {
         word.lower() for word in head.text[:400].split() if word.isalpha()
     }
