@@ -234,8 +234,8 @@ def run_fit(
         free: from `fit_parameters`.
         starts: refined starts in addition to the recipe's own values; 0: these are near the right minimum.
         scouts: trial materials per parameter, from which the starts are selected.
-        weights: "equal" if the noise is the same for all values, or as the standard errors of a file say; "relative" if it is
-            proportional to them (counts, BSDF values over decades); the intervals are valid for that noise.
+        weights: "equal" if the noise is the same for all values, or as a file's standard errors say; "relative" if it
+            is proportional to them (counts, BSDF values over decades); the intervals are valid for that noise.
         ties: tied numbers; default: those of the recipe.
         intervals: "linear", "profile", "resampling", or "auto": profile if the problem is not linear within the
             linear intervals.

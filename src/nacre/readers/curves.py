@@ -14,6 +14,7 @@ from nacre.core.errors import NacreError
 from nacre.readers.columns import Column, Columns, interpret, load_tables
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import open_file
+from nacre.readers.text_table import TextTable, number
 from nacre.readers.units import UNITS, Floats
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ class Axis:
 
 X_UM, Y_UM = Axis("x (um)", ("x",), "um"), Axis("y (um)", ("y",), "um")
 Q_PER_UM, STRUCTURE = Axis("q (1/um)", ("q",), "1/um"), Axis("S", ("structure_factor",))
-THICKNESS_NM, SHARE = Axis("thickness (nm)", ("thickness", "diameter"), "nm"), Axis("share", ("share",))
+THICKNESS_NM, SHARE = Axis("thickness (nm)", ("thickness",), "nm"), Axis("share", ("share",))
 
 
 def curve(path: Path, axes: Sequence[Axis], options: ReadOptions | None = None) -> tuple[Floats, list[str]]:
@@ -52,18 +53,35 @@ def curve(path: Path, axes: Sequence[Axis], options: ReadOptions | None = None) 
             cells without a number.
     """
     options = options or ReadOptions()
-    tables = load_tables(path).tables
+    try:
+        tables = load_tables(path).tables
+    except NacreError as error:
+        if "no rows" in str(error):
+            raise NacreError(f"{path}: must hold two numbers a line") from None
+        raise
     if len(tables) > 1:
         raise NacreError(f"{path}: holds {len(tables)} tables; keep one")
     names = tuple(axis.quantities[0] for axis in axes)
     wanted = {quantity for axis in axes for quantity in axis.quantities}
+    _check_cells(tables[0])
     columns = interpret(tables[0], wanted, options, {len(axes): names})
     found = np.stack([_converted(columns, axis) for axis in axes], axis=1)
     if not np.isfinite(found).all():
         line = columns.table.lines[int(np.flatnonzero(~np.isfinite(found).all(axis=1))[0])]
-        raise NacreError(f"{path}: line {line} has no finite number in a column that is needed")
+        raise NacreError(f"{path}: must hold finite numbers; line {line} does not")
     assumed = [] if not columns.table.headings else columns.assumed
     return found, [*assumed, *(f'"{heading}" is not used' for heading in columns.unused)]
+
+
+def _check_cells(table: TextTable) -> None:
+    """Refuse a row of two columns that holds a word or has one cell only."""
+    if table.width != 2:
+        return
+    for row, line in zip(table.rows, table.lines):
+        values = [number(cell, table.decimal, table.grouping) for cell in row]
+        if None in values or row[1] == "":
+            said = " ".join(row).strip()[:40]
+            raise NacreError(f'{table.path}: holds "{said}" in line {line} where two numbers should stand')
 
 
 def _converted(columns: Columns, axis: Axis) -> Floats:
@@ -170,7 +188,7 @@ def recipe_spectrum(context: RecipeContext, key: str, name: str, quantities: Seq
 
 def _after(path: Path, error: NacreError) -> str:
     said = str(error).removeprefix(f"{path}").lstrip(": ")
-    return said if said.startswith(("does not", "is a ", "is larger", "holds ", "cannot")) else f"is not usable: {said}"
+    return said if said.startswith(("holds ", "must ")) else f"is not usable: {said}"
 
 
 def _log(context: RecipeContext, name: str, said: Sequence[str]) -> None:
