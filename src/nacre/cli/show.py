@@ -301,6 +301,7 @@ def export(
 @click.command(name="import")
 @click.argument("file", metavar="FILE")
 @click.option("-o", "output", default=None, metavar="RECIPE.toml", help="Default: FILE with the suffix .toml.")
+@click.option("--material", default=None, metavar="NAME", help="Material of a glTF or MaterialX file with several.")
 @click.option("--quantity", default=None, help="bsdf or reflectance_factor, where the file does not state it.")
 @click.option("--unit", default=None, help="Unit of angles (deg, rad) or wavelengths (nm, um), likewise.")
 @click.option("--ignore", multiple=True, metavar="HEADING", help="A column to ignore; repeatable.")
@@ -311,8 +312,9 @@ def export(
 @common.cache_option
 @common.jobs_option
 def import_(
-    file: str, output: str | None, quantity: str | None, unit: str | None, ignore: tuple[str, ...], law: str | None
-) -> None:
+    file: str, output: str | None, material: str | None, quantity: str | None, unit: str | None,
+    ignore: tuple[str, ...], law: str | None,
+) -> None:  # fmt: skip
     """Read a measurement or a material of another program and write a recipe for it."""
     from nacre.analysis.import_export import import_material
     from nacre.core.files import check_writable
@@ -322,7 +324,7 @@ def import_(
     if path.suffix != ".toml":
         raise NacreError(f"-o {path}: the suffix must be .toml")
     check_writable(path)
-    options = ReadOptions(quantity=quantity, unit=unit, ignore=ignore)
+    options = ReadOptions(quantity=quantity, unit=unit, ignore=ignore, spectrum=material)
     for line in import_material(Path(file), path, options=options, law=law):
         common.note(line)
     common.note(str(path))
