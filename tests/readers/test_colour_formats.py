@@ -99,12 +99,12 @@ def test_cxf_with_and_without_a_prefix(tmp_path: Path, prefix: str) -> None:
     p = prefix
     space = f'xmlns{":cc" if p else ""}="http://colorexchangeformat.com/CxF3-core"'
     values = " ".join(["0.25"] * len(NM))
-    objects = "".join(
-        f'<{p}Object Name="n{k}"><{p}ColorValues><{p}ColorCIELab ColorSpecification="S"><{p}L>{row[0]}</{p}L><{p}A>{row[1]}'
-        f'</{p}A><{p}B>{row[2]}</{p}B></{p}ColorCIELab><{p}ReflectanceSpectrum ColorSpecification="S">{values}'
-        f"</{p}ReflectanceSpectrum></{p}ColorValues></{p}Object>"
-        for k, row in enumerate(LAB)
-    )
+    light = 'ColorSpecification="S"'
+    objects = ""
+    for k, row in enumerate(LAB):
+        lab = "".join(f"<{p}{name}>{value}</{p}{name}>" for name, value in zip("LAB", row, strict=True))
+        objects += f'<{p}Object Name="n{k}"><{p}ColorValues><{p}ColorCIELab {light}>{lab}</{p}ColorCIELab>'
+        objects += f"<{p}ReflectanceSpectrum {light}>{values}</{p}ReflectanceSpectrum></{p}ColorValues></{p}Object>"
     text = (
         f'<?xml version="1.0"?><{p}CxF {space}><{p}Resources><{p}ObjectCollection>{objects}</{p}ObjectCollection>'
         f'<{p}ColorSpecification Id="S"><{p}Illuminant>D65</{p}Illuminant><{p}Observer>10_Degree</{p}Observer>'
