@@ -70,6 +70,7 @@ class Block:
     stop: int
     table: Array
     ragged: int = 0  # rows with fewer cells than the most frequent count
+    is_cut: bool = False  # whether the last line has fewer delimiters than the first
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,8 @@ def blocks(lines: Sequence[str], least_rows: int = 2, least_columns: int = 1) ->
             width = max(set(counts), key=lambda count: (counts.count(count), count)) if counts else 0
             wide = [row[:width] + [float("nan")] * (width - len(row)) for row in rows]
             if width >= least_columns:
-                found.append(Block(start, stop, np.array(wide), sum(count < width for count in counts)))
+                is_cut = _delimiters(lines[stop - 1], mark) < _delimiters(lines[start], mark)
+                found.append(Block(start, stop, np.array(wide), sum(count < width for count in counts), is_cut))
         rows.clear()
 
     for place, line in enumerate(lines):
@@ -208,10 +210,13 @@ def complete(path: Path, block: Block) -> Array:
     Raises:
         NacreError: the last row has fewer cells than the others: the file is cut.
     """
-    table = block.table
-    if len(table) > 1 and np.isnan(table[-1]).sum() > np.isnan(table[-2]).sum():
-        raise NacreError(f"{path}: its last row has fewer numbers than the row above; the file is cut")
-    return table
+    if block.is_cut:
+        raise NacreError(f"{path}: its last row has fewer cells than the others; the file is cut")
+    return block.table
+
+
+def _delimiters(line: str, mark: str | None) -> int:
+    return len(line.split()) if mark is None else line.strip().count(mark)
 
 
 def key_values(lines: Sequence[str], marks: str = ":=\t") -> dict[str, str]:
