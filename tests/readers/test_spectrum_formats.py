@@ -368,9 +368,7 @@ def test_linked_counts_with_decimal_commas(tmp_path: Path) -> None:
 
 
 def test_a_pixel_number_before_the_wavelength_is_no_axis(tmp_path: Path) -> None:
-    lines = [
-        f"{k},{nm:.2f},{value:.5f},{40 * value:.1f}" for k, (nm, value) in enumerate(zip(NM, PER_CENT, strict=True))
-    ]
-    text = "ENLIGHTEN Version,3.2.6\nSerial Number,WP-1\nCCD C0,393.12\n\nWP-1,,2020-01-01,\nPixel,Wavelength,Processed,Raw\n"
-    (measurement,) = open_file(written(tmp_path, (text + table).encode()))
+    text = "ENLIGHTEN Version,3.2.6\nSerial Number,WP-1\nCCD C0,393.12\n\nWP-1,,2020-01-01,\n"
+    text += "Pixel,Wavelength,Processed,Raw\n" + rows(np.arange(31.0), NM, PER_CENT, 40 * PER_CENT, mark=",")
+    (measurement,) = open_file(written(tmp_path, text.encode()))
     check(measurement, "reflectance", 1e-6)
