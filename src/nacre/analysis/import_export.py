@@ -16,6 +16,7 @@ from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import plain, why_unreadable, write_text
 from nacre.families.contract import OwnFormats
+from nacre.formats.foreign_materials import read_gltf, read_materialx
 from nacre.formats.gonio_csv import MAX_VALUE, gonio_data, write_gonio_csv
 from nacre.formats.half_angle_tables import merl_table, read_merl_filled, write_merl
 from nacre.formats.lobes import delta_lost, gonio_grid, is_isotropic, lost_parts, merl_lobe
@@ -168,7 +169,7 @@ def import_material(
     except OSError as error:
         raise NacreError(f"{source}: {why_unreadable(error)}") from None
     if source.suffix.lower() in (".gltf", ".glb", ".mtlx") or _is_materialx(source):
-        return _import_film(source, recipe)
+        return _import_film(source, recipe, (options or ReadOptions()).spectrum)
     try:
         lobe, remarks = _import_bsdf(source, options or ReadOptions(), law)
     except UnsupportedError as error:
@@ -213,19 +214,16 @@ def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
     return []
 
 
-def _import_film(source: Path, recipe: Path) -> list[str]:
-    if source.suffix.lower() == ".gltf":
-        from nacre.formats.thin_film import read_gltf
-
-        film = read_gltf(source)
-    else:
-        from nacre.formats.thin_film import read_materialx
-
-        film = read_materialx(source)
-    for name, value in film.__dict__.items():
+def _import_film(source: Path, recipe: Path, name: str | None = None) -> list[str]:
+    film = (
+        read_materialx(source, name) if _is_materialx(source) or source.suffix == ".mtlx" else read_gltf(source, name)
+    )
+    for key, value in film.__dict__.items():
         if any(isinstance(v, float) and not np.isfinite(v) for v in np.ravel(np.asarray(value, dtype=object))):
-            raise NacreError(f"{source}: its {name} is not a finite number")
-    remarks = []
+            raise NacreError(f"{source}: its {key} is not a finite number")
+    if not 0.0 <= film.weight <= 1.0:
+        raise NacreError(f"{source}: its share of the film, {film.weight:g}, is not in 0 to 1")
+    remarks = list(film.remarks)
     base = film.base_ior
     if film.is_metal:
         f0 = min(max(float(np.dot(film.base_rgb, (0.2126, 0.7152, 0.0722))), 0.0), MAX_F0)
@@ -235,13 +233,17 @@ def _import_film(source: Path, recipe: Path) -> list[str]:
         remarks.append(f"not carried over: {', '.join(film.not_read)}")
     # slight absorption makes the base of a metal opaque without changing its reflection
     substrate = {"n": base} if film.transmits else {"n": base, "k": 1e-4}
-    data: dict[str, Any] = {
+    coated: dict[str, Any] = {
         "family": "film", "ambient": "air", "substrate": substrate,
         "layers": [{"material": {"n": film.film_ior}, "thickness_nm": film.thickness_nm}],
         "surface": {"distribution": "ggx", "roughness": film.roughness},
     }  # fmt: skip
+    bare = coated | {"layers": []}
+    data = coated if film.weight == 1.0 else bare if film.weight == 0.0 else {
+        "family": "blend", "mask": film.weight, "first": coated, "second": bare,
+    }  # fmt: skip
     try:
-        material_from_data(data, RecipeContext("film"))
+        material_from_data(coated, RecipeContext("film"))
     except NacreError as error:  # leave no recipe that the next command refuses
         raise NacreError(f"{source}: holds a film that cannot be: {str(error).removeprefix('film: ')}") from None
     write_text(recipe, dump_toml(data))

@@ -57,7 +57,7 @@ def spectrum(
         **{name: value.tolist() for name, value in parts.items()},
     }
     document["provenance"] = recipe_provenance(material)
-    text_csv = _csv(result.wavelengths_nm, angles, parts)
+    text_csv = _csv(result.wavelengths_nm, angles, parts, polarisation)
     if output:
         write_text(output, text_csv if output.endswith(".csv") else json.dumps(document) + "\n")
         common.note(output)
@@ -67,11 +67,15 @@ def spectrum(
         click.echo(text_csv, nl=False)
 
 
-def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np.ndarray]) -> str:
-    lines = ["wavelength_nm,angle_deg," + ",".join(parts)]
+def _csv(
+    wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np.ndarray], polarisation: str = "both"
+) -> str:
+    """Return the table of a spectrum; of s or p light it has a column that says so."""
+    stated = [] if polarisation == "both" else [polarisation]
+    lines = [",".join(["wavelength_nm", "angle_deg", *(["polarisation"] if stated else []), *parts])]
     for a, angle in enumerate(angles_deg):
         for w, wavelength in enumerate(wavelengths_nm):
-            row = [f"{wavelength:.6g}", f"{angle:.6g}", *(f"{value[a, w]:.9g}" for value in parts.values())]
+            row = [f"{wavelength:.6g}", f"{angle:.6g}", *stated, *(f"{value[a, w]:.9g}" for value in parts.values())]
             lines.append(",".join(row))
     return "\n".join(lines) + "\n"
 
@@ -301,6 +305,7 @@ def export(
 @click.command(name="import")
 @click.argument("file", metavar="FILE")
 @click.option("-o", "output", default=None, metavar="RECIPE.toml", help="Default: FILE with the suffix .toml.")
+@click.option("--material", default=None, metavar="NAME", help="Material of a glTF or MaterialX file with several.")
 @click.option("--quantity", default=None, help="bsdf or reflectance_factor, where the file does not state it.")
 @click.option("--unit", default=None, help="Unit of angles (deg, rad) or wavelengths (nm, um), likewise.")
 @click.option("--ignore", multiple=True, metavar="HEADING", help="A column to ignore; repeatable.")
@@ -311,8 +316,9 @@ def export(
 @common.cache_option
 @common.jobs_option
 def import_(
-    file: str, output: str | None, quantity: str | None, unit: str | None, ignore: tuple[str, ...], law: str | None
-) -> None:
+    file: str, output: str | None, material: str | None, quantity: str | None, unit: str | None,
+    ignore: tuple[str, ...], law: str | None,
+) -> None:  # fmt: skip
     """Read a measurement or a material of another program and write a recipe for it."""
     from nacre.analysis.import_export import import_material
     from nacre.core.files import check_writable
@@ -322,7 +328,7 @@ def import_(
     if path.suffix != ".toml":
         raise NacreError(f"-o {path}: the suffix must be .toml")
     check_writable(path)
-    options = ReadOptions(quantity=quantity, unit=unit, ignore=ignore)
+    options = ReadOptions(quantity=quantity, unit=unit, ignore=ignore, spectrum=material)
     for line in import_material(Path(file), path, options=options, law=law):
         common.note(line)
     common.note(str(path))

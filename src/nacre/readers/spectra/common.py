@@ -33,8 +33,7 @@ _QUANTITIES: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
         ("absorbance", r"absorban|absorb\b|log\s*\(?\s*1\s*/\s*[rt]|^abs\b|^abs$|^a$|^a\.u\.$|^od$|optical density|"
                        r"extin[ck]t|absorption|吸光度"),
         ("irradiance", r"irradiance|radiance|[uµμm]?w\s*/\s*(?:cm|m)|[uµμ]w|luminous|bestrahlung"),
-        ("counts", r"counts?\b|^scope|intensit|^adc|^dark|^dn\b|single[ -]?beam|^raw\b|^energy|"
-                   r"^sample$|^reference$|^white$"),
+        ("counts", r"counts?\b|^scope|intensit|^adc|^dark$|^dn\b|single[ -]?beam|^raw\b|^energy"),
         ("reflectance", r"reflect|r[ée]fle[ck]|rfl|^%?\s*r\s*%?$|^r\s*[\[(]?\s*%|^%\s*r\b|反射率|\bbrf\b|^refl"),
         ("transmittance", r"transmi|^%?\s*t\s*%?$|^t\s*[\[(]?\s*%|^%\s*t\b|透過率|^trans\b"),
     )
@@ -71,6 +70,7 @@ class Block:
     stop: int
     table: Array
     ragged: int = 0  # rows with fewer cells than the most frequent count
+    is_cut: bool = False  # whether the last line has fewer delimiters than the first
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,8 @@ def blocks(lines: Sequence[str], least_rows: int = 2, least_columns: int = 1) ->
             width = max(set(counts), key=lambda count: (counts.count(count), count)) if counts else 0
             wide = [row[:width] + [float("nan")] * (width - len(row)) for row in rows]
             if width >= least_columns:
-                found.append(Block(start, stop, np.array(wide), sum(count < width for count in counts)))
+                is_cut = _delimiters(lines[stop - 1], mark) < _delimiters(lines[start], mark)
+                found.append(Block(start, stop, np.array(wide), sum(count < width for count in counts), is_cut))
         rows.clear()
 
     for place, line in enumerate(lines):
@@ -209,10 +210,13 @@ def complete(path: Path, block: Block) -> Array:
     Raises:
         NacreError: the last row has fewer cells than the others: the file is cut.
     """
-    table = block.table
-    if len(table) > 1 and np.isnan(table[-1]).sum() > np.isnan(table[-2]).sum():
-        raise NacreError(f"{path}: its last row has fewer numbers than the row above; the file is cut")
-    return table
+    if block.is_cut:
+        raise NacreError(f"{path}: its last row has fewer cells than the others; the file is cut")
+    return block.table
+
+
+def _delimiters(line: str, mark: str | None) -> int:
+    return len(line.split()) if mark is None else line.strip().count(mark)
 
 
 def key_values(lines: Sequence[str], marks: str = ":=\t") -> dict[str, str]:

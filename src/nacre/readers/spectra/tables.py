@@ -232,6 +232,11 @@ def _without_counts(
 ) -> list[tuple[int, Array | None]]:
     """Leave counts out where a reflectance, transmittance or absorbance stands beside them."""
     labels = [common.label_of(names[column]) for column, _ in spectra]
+    is_processed = [bool(re.match("processed", names[column], re.IGNORECASE)) for column, _ in spectra]
+    if any(is_processed) and any(label is not None and label.quantity == "counts" for label in labels):
+        gone = [names[column] for (column, _), one in zip(spectra, is_processed, strict=True) if not one]
+        notes.left_out.append(f"the columns {', '.join(gone)[:80]}")
+        return [entry for entry, one in zip(spectra, is_processed, strict=True) if one]
     if all(label is not None for label in labels):
         kept = [entry for entry, label in zip(spectra, labels, strict=True) if label and label.quantity != "counts"]
         if kept and len(kept) < len(spectra):
@@ -268,6 +273,10 @@ def _one(
     path: Path, x: Array, y: Array, x_name: str, label: Label, title: str, metadata: dict[str, str],
     options: ReadOptions, notes: Notes, error: Array | None = None,
 ) -> Measurement:  # fmt: skip
+    has_value = np.isfinite(x) & np.isfinite(y)
+    if not has_value.all():
+        notes.left_out.append(f"{int((~has_value).sum())} rows without a value")
+        x, y, error = x[has_value], y[has_value], error if error is None else error[has_value]
     unit = common.option_unit(path, options) or common.unit_named(x_name)
     if unit is None or (unit == "nm" and "nm" not in x_name.lower() and "nanomet" not in x_name.lower()):
         unit = common.assumed_unit(path, x, notes, options)
