@@ -31,6 +31,7 @@ DRAFT_ERROR = 1e-2  # of a draft's sampling and nodes, invisible in 8 bits
 INDEX_NM = 550.0  # for the medium's index in the coherence window
 NOTED_EXCESS = 1.1  # albedo over Fresnel from which the energy bound is stated
 LEAST_RESOLVED_DEG = 60.0  # a scan that resolves less scatter says so
+FLAT_NM = 1e-3  # Sq of a plane
 FIGURE_POINTS = 1024
 
 
@@ -133,11 +134,11 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
     def warnings(self) -> tuple[str, ...]:
         """Slopes too steep, or features too small, for scalar diffraction; what was done to a scan."""
         found = self.validity
-        lines = (found.line(),) if found.is_outside else ()
+        lines: tuple[str, ...] = (found.line(),) if found.is_outside else ()
         if not isinstance(self.tile, Scan):
             return lines
         angle = self.tile.resolved_deg
-        if angle < LEAST_RESOLVED_DEG and self.tile.sq_nm > 0:
+        if angle < LEAST_RESOLVED_DEG and self.tile.sq_nm > FLAT_NM:
             pitch = f"{self.tile.pitch_nm / 1e3:.3g} um"
             lines += (f"points {pitch} apart resolve scatter up to {angle:.0f} degrees from the mirror direction",)
         return self.tile.remarks + lines
