@@ -152,7 +152,8 @@ def recognise(path: str | Path) -> list[tuple[float, Format]]:
         NacreError: as `head_of`.
     """
     head = head_of(path)
-    found = [(confidence, entry) for entry in FORMATS if (confidence := _confidence(entry, head)) > 0]
+    least = 0.0 if head.is_text else POSSIBLE  # of a binary file, only a recognised structure counts
+    found = [(confidence, entry) for entry in FORMATS if (confidence := _confidence(entry, head)) > least]
     return sorted(found, key=lambda pair: -pair[0])
 
 
