@@ -9,6 +9,7 @@ import numpy as np
 
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import StackTables
+from nacre.bsdf.texture import ParameterAxis
 from nacre.core.arrays import Array
 from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack.stack import Medium, Stack, permittivity_of
@@ -18,6 +19,7 @@ SLICE_SHARE = 0.35
 LOSSLESS_K = 1e-9
 AZIMUTHS = (1, 2, 4, 8, 16)
 AZIMUTH_ERROR = 2e-3  # of the mean reflectance, by doubling
+CHECKED_COSINES = (np.array([12.0, 30.0, 47.0]) + 0.5) / 64  # midway between nodes
 PROBE_COSINES = np.array([0.8, 0.45])
 PROBE_WAVELENGTHS = 12
 
@@ -40,7 +42,7 @@ class AnisotropicTables(StackTables):
             transmits,
         )
         self.stack = stack
-        self._is_lossless = all(_is_lossless(layer.material, lam) for layer in stack.layers)
+        self._absorbs_nothing = all(_is_lossless(layer.material, lam) for layer in stack.layers)
         self.azimuths_rad = self._azimuths() if depends_on_azimuth else np.zeros(1)
 
     def outside(self, thicknesses_nm: Array, cos_outside: Array) -> tuple[Array, Array]:
@@ -52,23 +54,24 @@ class AnisotropicTables(StackTables):
         reflected, passed = (np.stack([one[k] for one in found]).reshape(shape) for k in (0, 1))
         return reflected, passed if self.transmits else np.zeros_like(passed)
 
-    def inside(self, thicknesses_nm: Array, in_plane: Array) -> Array:
-        """Return R `[*params, angle, wavelength]` for light in the denser medium, at kx/k0 `[angle, wavelength]`.
-
-        Without losses it is 1 less the transmittance from outside at the conjugate angle.
-        """
-        if self._is_lossless:
-            rare = (self.n[-1] if self.flipped else self.n[0]).real
-            sine = np.mean(in_plane / rare, axis=-1)
-            if np.all(sine > 1.0 - 1e-9):
-                return np.ones((*thicknesses_nm.shape[:-1], *in_plane.shape))
-            cos = np.sqrt(np.maximum(1.0 - sine**2, 0.0))
-            return np.where(sine[:, None] >= 1.0 - 1e-9, 1.0, 1.0 - self.outside(thicknesses_nm, cos)[1])
+    def inside(self, thicknesses_nm: Array, in_plane: Array) -> tuple[Array, Array]:
+        """Return R and T `[*params, angle, wavelength]` for light in the denser medium, at kx/k0 `[angle, wavelength]`."""
         rows = thicknesses_nm.reshape(math.prod(thicknesses_nm.shape[:-1]), thicknesses_nm.shape[-1])
         dense = (self.n[0] if self.flipped else self.n[-1]).real
         theta = np.arcsin(np.clip(in_plane / dense, 0.0, 1.0))
-        found = [self._mean(self._lit(row, from_above=self.flipped), theta)[0] for row in rows]
-        return np.reshape(found, (*thicknesses_nm.shape[:-1], *in_plane.shape))
+        found = [self._mean(self._lit(row, from_above=self.flipped), theta) for row in rows]
+        shape = (*thicknesses_nm.shape[:-1], *in_plane.shape)
+        return np.reshape([one[0] for one in found], shape), np.reshape([one[1] for one in found], shape)
+
+    def _behind(self, d: Array, cos: Array, reflected: Array) -> Array:
+        """Return R from inside at the conjugate angles, `[*params, cos, wavelength]`; equal to R without losses."""
+        return reflected if self._absorbs_nothing else super()._behind(d, cos, reflected)
+
+    def _beyond(self, d: Array, x: Array) -> Array:
+        """Return R from inside beyond the critical angle, `[x, *params, wavelength]`; 1 without losses."""
+        if self._absorbs_nothing:
+            return np.ones((len(x), *d.shape[:-1], len(self.wavelengths_nm)))
+        return super()._beyond(d, x)
 
     def _lit(self, thicknesses_nm: Array, *, from_above: bool) -> Stack:
         layers = [
@@ -82,8 +85,8 @@ class AnisotropicTables(StackTables):
     def _mean(self, stack: Stack, theta: Array, azimuths: Array | None = None) -> tuple[Array, Array]:
         """Return the means of R and T `[angle, wavelength]`."""
         chosen = self.azimuths_rad if azimuths is None else azimuths
-        share = SLICE_SHARE
-        found = [stack.polarised(theta, self.wavelengths_nm, float(a), slice_share=share) for a in chosen]
+        waves, share = self.wavelengths_nm, SLICE_SHARE
+        found = [stack.polarised(theta, waves, float(a), slice_share=share) for a in chosen]
         reflected = np.mean([one.mueller_reflected[..., 0, 0] for one in found], axis=0)
         return reflected, np.mean([one.entering[..., 0] for one in found], axis=0)
 
@@ -102,9 +105,21 @@ class AnisotropicTables(StackTables):
         self.wavelengths_nm = waves
         return enough
 
-    def adaptive(self, thicknesses_nm: Array) -> InterfaceResponse:
-        """Tabulate on a fixed number of cosines."""
-        return self.build(np.asarray(thicknesses_nm, dtype=float), COS_NODES)
+    def with_error(self, thicknesses_nm: Array) -> tuple[InterfaceResponse, float]:
+        """Tabulate on uniform cosines, and return the largest difference of R from the solution at a few angles."""
+        d = np.asarray(thicknesses_nm, dtype=float)
+        response = self.build(d, COS_NODES)
+        exact = self.outside(d, CHECKED_COSINES)[0]
+        found = response.lookup(CHECKED_COSINES, np.full(len(CHECKED_COSINES), self.flipped))[0]
+        return response, float(np.max(np.abs(found - exact)))
+
+    def with_parameters(
+        self, thicknesses_nm: Array, parameters: tuple[ParameterAxis, ...]
+    ) -> tuple[InterfaceResponse, float]:
+        """Tabulate varying thicknesses; see `with_error`."""
+        d = np.asarray(thicknesses_nm, dtype=float)
+        middle = d[tuple(size // 2 for size in d.shape[:-1])]
+        return self.build(d, COS_NODES, parameters), self.with_error(middle)[1]
 
 
 def _is_lossless(medium: Medium, wavelengths_nm: Array) -> bool:
