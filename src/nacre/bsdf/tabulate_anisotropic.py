@@ -55,7 +55,7 @@ class AnisotropicTables(StackTables):
         return reflected, passed if self.transmits else np.zeros_like(passed)
 
     def inside(self, thicknesses_nm: Array, in_plane: Array) -> tuple[Array, Array]:
-        """Return R and T `[*params, angle, wavelength]` for light in the denser medium, at kx/k0 `[angle, wavelength]`."""
+        """Return R and T `[*params, angle, wavelength]` in the denser medium, at kx/k0 `[angle, wavelength]`."""
         rows = thicknesses_nm.reshape(math.prod(thicknesses_nm.shape[:-1]), thicknesses_nm.shape[-1])
         dense = (self.n[0] if self.flipped else self.n[-1]).real
         theta = np.arcsin(np.clip(in_plane / dense, 0.0, 1.0))
