@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nacre.analysis.diagnose import Diagnosis, Observation
+from nacre.analysis.diagnose import diagnose as run_diagnosis
 from nacre.analysis.ellipsometry import EllipsometricResponse, compute_ellipsometry
 from nacre.analysis.fit import Fit, fit_parameters, read_measurements, run_fit
 from nacre.analysis.import_export import export_material, import_material
@@ -53,6 +55,7 @@ __all__ = [
     "report",
     "spectrum",
     "sweep",
+    "diagnose",
     "tolerance",
 ]
 
@@ -191,6 +194,30 @@ def tolerance(
     """
     material = as_material(thing)
     return run_tolerance(material, recipe_tolerances(material, tuple(tolerances)), draws=draws, limit=limit, **options)
+
+
+def diagnose(
+    thing: MaterialLike,
+    observations: Iterable[Observation],
+    noise: float | Sequence[float],
+    tolerances: Iterable[str] = (),
+    **options: Any,
+) -> Diagnosis:
+    """Estimate which numbers of a recipe were off in a finished run.
+
+    Args:
+        thing: a material or a path: the recipe as intended.
+        observations: `nacre.analysis.diagnose.SpectrumObservation` and `ColourObservation`, or measurements that
+            `nacre.analysis.fit.read_measurement` read.
+        noise: standard deviation of the measured values, one number or one per observation.
+        tolerances: such as "layers[0].thickness_nm=2%", in addition to those of the recipe's `[tolerance]`.
+        options: further arguments of `nacre.analysis.diagnose.diagnose`.
+
+    Raises:
+        NacreError: nothing is measured, or a tolerance names no number of the recipe.
+    """
+    material = as_material(thing)
+    return run_diagnosis(material, recipe_tolerances(material, tuple(tolerances)), list(observations), noise, **options)
 
 
 def fit(

@@ -350,3 +350,25 @@ def test_values_above_one_are_kept(tmp_path: Path) -> None:
     text = "Wavelength (nm),Reflectance (%)\n" + rows(NM, np.full(31, 250.0), mark=",")
     (measurement,) = open_file(written(tmp_path, text.encode()))
     assert measurement.data["reflectance"][0] == pytest.approx(2.5) and measurement.assumed
+
+
+def test_the_title_above_the_heading_and_rows_without_values(tmp_path: Path) -> None:
+    text = '"film - RawData"\n"Wavelength nm.","R%"\n' + rows(NM, PER_CENT, mark=",") + "701.00, \n"
+    (measurement,) = open_file(written(tmp_path, text.encode()))
+    check(measurement, "reflectance", 1e-6)
+    assert measurement.left_out
+
+
+def test_linked_counts_with_decimal_commas(tmp_path: Path) -> None:
+    text = linked_counts().decode()
+    lines = [line if line.startswith("##") else line.replace(".", ",") for line in text.splitlines()]
+    data = "\n".join(lines).replace("##NPOINTS", "##FIRSTX= 400,0\n##NPOINTS").encode()
+    (measurement,) = open_file(written(tmp_path, data))
+    check(measurement, "reflectance", 1e-6)
+
+
+def test_a_pixel_number_before_the_wavelength_is_no_axis(tmp_path: Path) -> None:
+    text = "ENLIGHTEN Version,3.2.6\nSerial Number,WP-1\nCCD C0,393.12\n\nWP-1,,2020-01-01,\n"
+    text += "Pixel,Wavelength,Processed,Raw\n" + rows(np.arange(31.0), NM, PER_CENT, 40 * PER_CENT, mark=",")
+    (measurement,) = open_file(written(tmp_path, text.encode()))
+    check(measurement, "reflectance", 1e-6)

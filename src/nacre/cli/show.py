@@ -64,7 +64,7 @@ def spectrum(
         **{name: value.tolist() for name, value in (parts | result.matrices()).items()},
     }
     document["provenance"] = recipe_provenance(material)
-    text_csv = _csv(result.wavelengths_nm, angles, parts | _elements(result.matrices()))
+    text_csv = _csv(result.wavelengths_nm, angles, parts | _elements(result.matrices()), polarisation)
     if output:
         write_text(output, text_csv if output.endswith(".csv") else json.dumps(document) + "\n")
         common.note(output)
@@ -83,11 +83,15 @@ def _elements(matrices: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np.ndarray]) -> str:
-    lines = ["wavelength_nm,angle_deg," + ",".join(parts)]
+def _csv(
+    wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np.ndarray], polarisation: str = "both"
+) -> str:
+    """Return the table of a spectrum; of polarised light it has a column that says so."""
+    stated = [] if polarisation in ("both", "mueller") else [polarisation]
+    lines = [",".join(["wavelength_nm", "angle_deg", *(["polarisation"] if stated else []), *parts])]
     for a, angle in enumerate(angles_deg):
         for w, wavelength in enumerate(wavelengths_nm):
-            row = [f"{wavelength:.6g}", f"{angle:.6g}", *(f"{value[a, w]:.9g}" for value in parts.values())]
+            row = [f"{wavelength:.6g}", f"{angle:.6g}", *stated, *(f"{value[a, w]:.9g}" for value in parts.values())]
             lines.append(",".join(row))
     return "\n".join(lines) + "\n"
 

@@ -19,7 +19,7 @@ from nacre.core.files import named, plain, why_unreadable
 from nacre.optimise.targets import plausible
 from nacre.readers.colours.lab import named_lab
 from nacre.readers.registry import POSSIBLE, open_file, recognise
-from nacre.recipe.delimited_text import decoded
+from nacre.readers.text_table import decode as decoded
 from nacre.recipe.model import show_value
 
 logger = logging.getLogger("nacre")
