@@ -14,12 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nacre.analysis.diagnose import Diagnosis, Observation
+from nacre.analysis.diagnose import diagnose as run_diagnosis
 from nacre.analysis.ellipsometry import EllipsometricResponse, compute_ellipsometry
-from nacre.analysis.fit import Fit, fit_parameters, read_measurement, run_fit
+from nacre.analysis.fit import Fit, fit_parameters, read_measurements, run_fit
 from nacre.analysis.import_export import export_material, import_material
 from nacre.analysis.report import Report, make_report
 from nacre.analysis.sweep import run_sweep
 from nacre.analysis.sweep_plan import load_sweep
+from nacre.analysis.ties import read_ties
 from nacre.analysis.tolerance import ToleranceResult, recipe_tolerances, run_tolerance
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
@@ -52,6 +55,7 @@ __all__ = [
     "report",
     "spectrum",
     "sweep",
+    "diagnose",
     "tolerance",
 ]
 
@@ -98,13 +102,23 @@ def spectrum(
     angles_deg: ArrayLike = 0.0,
     wavelengths_nm: ArrayLike | None = None,
     polarisation: str = "both",
+    azimuth_deg: float = 0.0,
 ) -> Spectrum:
     """Return reflectance and transmittance of a material as a `Spectrum`, each part `[angle, wavelength]`.
+
+    Args:
+        thing: a recipe, a file or a material.
+        angles_deg: angles of incidence in the ambient medium.
+        wavelengths_nm: vacuum wavelengths; default: chosen by the material.
+        polarisation: "s", "p", "both" (unpolarised), "left" or "right" (circular), or "mueller": unpolarised, with
+            `mueller_reflected` and `mueller_transmitted`, `[angle, wavelength, 4, 4]`.
+        azimuth_deg: azimuth of the direction towards the light, from u; anisotropic films depend on it.
 
     Raises:
         NacreError: the recipe is wrong, or an optical constant is not known at a wavelength.
     """
-    return as_material(thing).spectrum(np.radians(floats(angles_deg, "angles_deg")), wavelengths_nm, polarisation)
+    theta = np.radians(floats(angles_deg, "angles_deg"))
+    return as_material(thing).spectrum(theta, wavelengths_nm, polarisation, azimuth_deg=azimuth_deg)
 
 
 def ellipsometry(
@@ -182,18 +196,47 @@ def tolerance(
     return run_tolerance(material, recipe_tolerances(material, tuple(tolerances)), draws=draws, limit=limit, **options)
 
 
-def fit(
-    measurement: str | Path, thing: MaterialLike, parameters: Iterable[str] = (), *, starts: int = 4,
-    report: str | Path | None = None, **options: Any,
-) -> Fit:  # fmt: skip
-    """Fit parameters of a recipe to a measurement.
+def diagnose(
+    thing: MaterialLike,
+    observations: Iterable[Observation],
+    noise: float | Sequence[float],
+    tolerances: Iterable[str] = (),
+    **options: Any,
+) -> Diagnosis:
+    """Estimate which numbers of a recipe were off in a finished run.
 
     Args:
-        measurement: CSV of a spectrum or of goniometer values.
+        thing: a material or a path: the recipe as intended.
+        observations: `nacre.analysis.diagnose.SpectrumObservation` and `ColourObservation`, or measurements that
+            `nacre.analysis.fit.read_measurement` read.
+        noise: standard deviation of the measured values, one number or one per observation.
+        tolerances: such as "layers[0].thickness_nm=2%", in addition to those of the recipe's `[tolerance]`.
+        options: further arguments of `nacre.analysis.diagnose.diagnose`.
+
+    Raises:
+        NacreError: nothing is measured, or a tolerance names no number of the recipe.
+    """
+    material = as_material(thing)
+    return run_diagnosis(material, recipe_tolerances(material, tuple(tolerances)), list(observations), noise, **options)
+
+
+def fit(
+    measurement: str | Path | Sequence[str | Path], thing: MaterialLike, parameters: Iterable[str] = (), *,
+    starts: int = 4, ties: Iterable[str] = (), range_nm: tuple[float, float] | None = None,
+    report: str | Path | None = None, angle_deg: float | None = None, delta_convention: str | None = None,
+    **options: Any,
+) -> Fit:  # fmt: skip
+    """Fit parameters of a recipe to measurements of one sample.
+
+    Args:
+        measurement: file of an ellipsometer or spectrometer, CSV of a spectrum or of goniometer values; or several.
         thing: a material or a path.
         parameters: such as "layers[0].thickness_nm=50:400", in addition to those of the recipe's `[fit]`.
         starts: refined starting points; options: further arguments of `nacre.analysis.fit.run_fit`.
+        ties: such as "layers[2].thickness_nm=layers[0].thickness_nm", in addition to those of the recipe's `[ties]`.
+        range_nm: other wavelengths of the measurements are ignored.
         report: HTML file that compares measurement and fit.
+        angle_deg, delta_convention: properties that an ellipsometer's file does not state.
 
     Raises:
         NacreError: the measurement cannot be read, or there is no parameter.
@@ -202,9 +245,12 @@ def fit(
         if Path(report).suffix != ".html":
             raise NacreError(f"{report}: the suffix must be .html")
         check_writable(report)
-    material, measured = as_material(thing), read_measurement(measurement)
+    paths = [measurement] if isinstance(measurement, str | Path) else list(measurement)
+    stated = ReadOptions(angle_deg=angle_deg, delta_convention=delta_convention)
+    material, measured = as_material(thing), read_measurements(paths, stated, range_nm)
     numbers = fit_parameters(material, tuple(parameters))
-    found = run_fit(material, measured, numbers, starts=starts, **options)
+    tied = read_ties(material, [number.path for number in numbers], tuple(ties))
+    found = run_fit(material, measured, numbers, starts=starts, ties=tied, **options)
     if report is not None:
         from nacre.analysis.fit_report import write_fit_page
 

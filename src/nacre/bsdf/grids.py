@@ -1,4 +1,4 @@
-"""Hemispherical quadrature, and linear interpolation on uniform nodes."""
+"""Hemispherical quadrature, and linear interpolation on uniform or irregular nodes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from nacre.core.arrays import Array
 from nacre.core.directions import direction as direction
 from nacre.core.interpolation import cell as cell
 from nacre.core.interpolation import interpolate as interpolate
+from nacre.core.interpolation import node_coordinate as node_coordinate
+from nacre.core.interpolation import take_at as take_at
 from nacre.core.interpolation import take_uniform as take_uniform
 
 

@@ -1,4 +1,4 @@
-"""Linear interpolation on uniform nodes."""
+"""Linear interpolation on uniform or ascending nodes."""
 
 from __future__ import annotations
 
@@ -27,6 +27,16 @@ def take_uniform(table: Array, unit: Array, axis: int) -> Array:
     share = share.reshape(shape)
     high = np.minimum(low + 1, size - 1)
     return np.asarray(np.take(table, low, axis) * (1 - share) + np.take(table, high, axis) * share)
+
+
+def node_coordinate(nodes: Array, values: ArrayLike) -> Array:
+    """Return positions in node units (0 at the first node) of values on ascending, possibly irregular nodes."""
+    return np.asarray(np.interp(np.asarray(values, dtype=float), nodes, np.arange(len(nodes), dtype=float)))
+
+
+def take_at(table: Array, nodes: Array, values: Array, axis: int) -> Array:
+    """Interpolate along one axis with ascending nodes, at values `[n]`."""
+    return take_uniform(table, node_coordinate(nodes, values) / max(len(nodes) - 1, 1), axis)
 
 
 def interpolate(table: NDArray[np.floating], coordinates: tuple[ArrayLike, ...]) -> Array:

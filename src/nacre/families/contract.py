@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
+from nacre.bsdf.polarisation import InterfacePolarisation
 from nacre.bsdf.substrate import Strata as Strata  # one of the capabilities
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError, did_you_mean
@@ -122,6 +123,26 @@ class Model(abc.ABC):
     def surface_figures(self) -> Mapping[str, float]:
         """Figures of a measured surface for reports: name with its unit -> value."""
         return {}
+
+
+class Polarised(abc.ABC):
+    """A material whose spectra are known for circular light, as Mueller matrices, and from any azimuth."""
+
+    @abc.abstractmethod
+    def polarised_spectrum(
+        self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str, azimuth_rad: float
+    ) -> Spectrum:
+        """Return reflectance and transmittance `[angle, wavelength]`.
+
+        Args:
+            theta_rad: `[angle]` in the ambient, in [0, pi/2].
+            wavelengths_nm: `[wavelength]`; default: `self.wavelengths_nm`.
+            polarisation: "s", "p", "left", "right", "both", or "mueller" for "both" with Mueller matrices.
+            azimuth_rad: azimuth of the direction towards the light, from u.
+
+        Raises:
+            UnsupportedError: the polarisation is not known for a part of the spectrum.
+        """
 
 
 class EnergyDefect(abc.ABC):
@@ -286,6 +307,15 @@ class BetweenMedia(Protocol):
 
     ambient: Any
     substrate: Any
+
+
+@runtime_checkable
+class Polarising(Protocol):
+    """A model with Mueller matrices for polarised rendering."""
+
+    def polarisation(self, wavelengths_nm: Array | None = None) -> InterfacePolarisation | None:
+        """Tabulate the Mueller matrices of the interface; None: it is rendered as depolarising."""
+        ...
 
 
 @runtime_checkable

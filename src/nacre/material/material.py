@@ -27,7 +27,16 @@ from nacre.core.disk_cache import cached
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import DESIGN_RECIPE, named, read_text, short_name
 from nacre.core.memory import check_memory
-from nacre.families.contract import ExcessEnergy, ExpensiveMethod, Model, Traits, figure_data, values_at
+from nacre.families.contract import (
+    ExcessEnergy,
+    ExpensiveMethod,
+    Model,
+    Polarised,
+    Polarising,
+    Traits,
+    figure_data,
+    values_at,
+)
 from nacre.families.registry import family_spec
 from nacre.material.examples import resolve_recipe_path
 from nacre.material.parametrise import Parametrisation
@@ -47,7 +56,7 @@ MAX_EXCESS = 1e-3  # relative to the incident light; larger sums of reflectance 
 MAX_NESTED_RECIPES = 8
 BYTES_PER_VALUE = 160  # per angle and wavelength: amplitudes and powers of two polarisations, and the stored parts
 MANY_ANGLES = 1000  # from here on the memory of the material's own wavelengths is checked
-POLARISATIONS = ("s", "p", "both")
+POLARISATIONS = ("s", "p", "both", "left", "right", "mueller")
 STUDY_TABLES = ("fit", "tolerance", "ties", "instrument")  # of fits and tolerances; they do not change the optics
 
 
@@ -106,7 +115,11 @@ class Material:
             MaterialRangeError: an optical constant is not known at a wavelength.
         """
         bsdf = self._solved(wavelength_grid(wavelengths_nm), keep)
-        return dataclasses.replace(bsdf, provenance={**bsdf.provenance, **recipe_provenance(self)})
+        polarisation = None
+        if isinstance(self.model, Polarising):
+            polarisation = functools.partial(self.model.polarisation, bsdf.wavelengths_nm)
+        provenance = {**bsdf.provenance, **recipe_provenance(self)}
+        return dataclasses.replace(bsdf, provenance=provenance, polarisation=polarisation)
 
     def _solved(self, grid: NDArray[np.float64] | None, keep: bool = True) -> Bsdf:
         for warning in self.model.warnings:
@@ -149,6 +162,7 @@ class Material:
         polarisation: str = "both",
         *,
         seed: int = 0,
+        azimuth_deg: float = 0.0,
     ) -> Spectrum:
         """Return reflectance and transmittance, specular and diffuse, each `[angle, wavelength]`.
 
@@ -158,8 +172,10 @@ class Material:
         Args:
             theta_rad: incidence angles in the ambient medium, in [0, pi/2].
             wavelengths_nm: vacuum wavelengths; default: chosen by the material.
-            polarisation: "s", "p" or "both" (unpolarised).
+            polarisation: "s", "p", "both" (unpolarised), "left" or "right" (circular), or "mueller": unpolarised, with
+                Mueller matrices.
             seed: seed of a random walk; another seed gives independent noise.
+            azimuth_deg: azimuth of the direction towards the light, from u.
 
         Raises:
             UnsupportedError: the material has no such spectrum, or a formula uses x, y or z, which exist in pictures.
@@ -175,7 +191,7 @@ class Material:
             count = len(np.atleast_1d(self.model.wavelengths_nm if grid is None else grid))
             what = f"a spectrum of {len(theta)} angles x {count} wavelengths"
             check_memory(float(BYTES_PER_VALUE) * len(theta) * count, what)
-        found = self.model.spectrum(theta, grid, polarisation, seed)
+        found = self._solved_spectrum(theta, grid, polarisation, seed, azimuth_deg)
         if found is None:
             if polarisation != "both":
                 traits = self.model.traits
@@ -183,6 +199,17 @@ class Material:
             found = bsdf_spectrum(self._solved(grid), theta, seed=seed)
         self._warn_of_excess(found)
         return found
+
+    def _solved_spectrum(
+        self, theta: Array, grid: Array | None, polarisation: str, seed: int, azimuth_deg: float
+    ) -> Spectrum | None:
+        if azimuth_deg == 0.0 and polarisation in ("s", "p", "both"):
+            return self.model.spectrum(theta, grid, polarisation, seed)
+        if isinstance(self.model, Polarised):
+            return self.model.polarised_spectrum(theta, grid, polarisation, float(np.radians(azimuth_deg)))
+        noun = self.model.traits.noun
+        what = f'polarisation = "{polarisation}"' if azimuth_deg == 0.0 else f"azimuth_deg = {azimuth_deg:g}"
+        raise UnsupportedError(f"{self.context.source}: {what} is not known for a {noun}")
 
     def _warn_of_excess(self, spectrum: Spectrum) -> None:
         """Log a warning if a model or data that permit it give more light than arrives."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from nacre.readers.units import UNITS, normal, parse_unit
 
-_DIMENSIONS = {
+DIMENSIONS = {
     "wavelength": "length",
     "energy": "energy",
     "wavenumber": "wavenumber",
@@ -123,6 +123,8 @@ WORDS: dict[str, str] = {
     "nombre nome farbe patch patchname colourname colorname material specimen title swatch code muster",
     "row_number": "no nr number index idx row point particle id num count zeile lfdnr lfd step seq sequence line "
     "rank particleid pointid punkt numero n° nº item i # label pixel pixelnumber",
+    "area": "area flache surfacearea perimeter perim circ circularity solidity roundness round aspectratio ar major "
+    "minor feret feretangle minferet median skew kurt intden rawintden",
     "x": "x xm xc xpos xposition posx positionx xcoord xcoordinate coordx xcentre xcenter centrex centerx xcentroid "
     "centroidx xkoordinate xloc xmean xo",
     "y": "y ym yc ypos yposition posy positiony ycoord ycoordinate coordy ycentre ycenter centrey centery ycentroid "
@@ -550,7 +552,7 @@ def _checked(found: tuple[Meaning, ...]) -> tuple[Meaning, ...]:
                 meaning = replace(meaning, quantity=f"hunter_{meaning.quantity}", mode="")
             if meaning.unit == "angstrom":
                 meaning = replace(meaning, unit="", illuminant="A")
-        wanted = _DIMENSIONS.get(meaning.quantity)
+        wanted = DIMENSIONS.get(meaning.quantity)
         unit = meaning.unit
         if unit and unit != "1" and wanted != UNITS[unit][0]:
             told = _of_other_dimension(meaning)
@@ -569,13 +571,13 @@ def _of_other_dimension(meaning: Meaning) -> Meaning | None:
     """Return the meaning of a symbol whose unit decides: ω in eV, x in pixels, counts, R in per cent."""
     name, unit = meaning.quantity, meaning.unit
     kind = UNITS[unit][0]
-    if name in _DIMENSIONS and kind == "pixels" and name in ("x", "y", "radius", "diameter", "z"):
+    if name in DIMENSIONS and kind == "pixels" and name in ("x", "y", "radius", "diameter", "z"):
         return meaning
     if name in ("angular_frequency", "frequency") and kind == "energy":
         return replace(meaning, quantity="energy")
     if name == "frequency" and kind == "wavenumber":
         return replace(meaning, quantity="wavenumber")
-    if name in _DIMENSIONS:
+    if name in DIMENSIONS:
         return None
     if kind == "number":
         return meaning
@@ -609,3 +611,19 @@ def mentions(text: str) -> set[str]:
         elif len(word) > 1 or word in "ελΨΔψ":
             found.update(name for name in _lookup(word) if name in _TELLING)
     return found
+
+
+def stated_unit(heading: str) -> str:
+    """Return the canonical unit that a heading of any quantity states; "" if there is none.
+
+    Example:
+        >>> stated_unit("oxide_nm"), stated_unit("Oxide (um)"), stated_unit("volts")
+        ('nm', 'um', '')
+    """
+    text = normal(heading)
+    for content in _BRACKET.findall(text):
+        unit = parse_unit(content)
+        if unit:
+            return unit
+    match = _SUFFIX_UNIT.fullmatch(text)
+    return (parse_unit(match[2]) if match else None) or ""

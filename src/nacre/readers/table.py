@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,9 +10,18 @@ from pathlib import Path
 import numpy as np
 
 from nacre.core.errors import NacreError
-from nacre.readers.columns import Column, Columns, interpret, load_tables, polarisations, sorted_by_wavelength
+from nacre.readers.columns import (
+    Column,
+    Columns,
+    interpret,
+    load_tables,
+    polarisations,
+    sorted_by_wavelength,
+    tables_of,
+)
 from nacre.readers.constants.convert import QUANTITIES as CONSTANTS
 from nacre.readers.constants.convert import constants
+from nacre.readers.ellipsometry.common import ellipsometry
 from nacre.readers.headings import SPECTRAL_QUANTITIES, meanings
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
 from nacre.readers.registry import POSSIBLE, FileHead
@@ -47,7 +57,19 @@ def sniff(head: FileHead) -> float:
         text = decode(head.data)
     except UnicodeDecodeError:
         return 0.0
-    return POSSIBLE if any(character.isdigit() for character in text) else 0.0
+    return 0.5 * POSSIBLE if any(character.isdigit() for character in text) else 0.0
+
+
+def has_usual_headings(head: FileHead) -> bool:
+    """Whether a file is one table whose headings name one wavelength; else it is a collection of spectra."""
+    try:
+        tables = tables_of(decode(head.data), head.path).tables
+    except (NacreError, UnicodeDecodeError):
+        return True  # it is refused by its reader with the reason
+    names = tables[0].headings
+    across = sum(bool(re.fullmatch(r"\D{0,12}\d{3,4}(\.\d+)?\s*(nm)?", name)) for name in names)
+    waves = sum("wavelength" in {meaning.quantity for meaning in meanings(name)} for name in names)
+    return bool(names) and across < 5 and waves <= 1
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -84,6 +106,8 @@ def kind_of(table: TextTable, options: ReadOptions) -> Kind:
         if options.expects in HEADERLESS or options.expects == "spectrum":
             assert options.expects is not None
             return options.expects
+        if _looks_like_constants(table):
+            return "constants"
         raise AmbiguousFileError(
             f"{table.path}: line {table.lines[0]}: {table.width} columns without headings; state quantity (of two "
             "columns) or columns = [...]",
@@ -96,9 +120,11 @@ def kind_of(table: TextTable, options: ReadOptions) -> Kind:
         kind: sum(bool(found & set(quantities) - set(SPECTRAL_QUANTITIES)) for found in each)
         for kind, quantities in OF_KIND.items()
     }
-    if options.expects in scores and scores[options.expects] > 0:
+    if options.expects in scores and scores[options.expects] == max(scores.values()) > 0:
         return options.expects
     best = max(scores, key=lambda kind: scores[kind])
+    if scores[best] == 0 and options.assumed_quantity is not None and options.expects is not None:
+        return options.expects
     if scores[best] == 0:
         unknown = [name for name, found in zip(names, each) if not found]
         said = f'; "{unknown[0]}" is not known' if unknown else ""
@@ -106,6 +132,19 @@ def kind_of(table: TextTable, options: ReadOptions) -> Kind:
             f"{table.path}: the columns are {table.shown_headings}{said}; name them: columns = [...]", "columns"
         )
     return best
+
+
+def _looks_like_constants(table: TextTable) -> bool:
+    """Whether three columns without headings can only be nm, n and k of a tabulated material.
+
+    Energies are below 100, and dielectric functions exceed the bounds of n and k or are negative.
+    """
+    if table.width != 3 or len(table.rows) < 3 or not all(table.is_numeric(column) for column in range(3)):
+        return False
+    nm, n, k = (table.column(column) for column in range(3))
+    steps = np.diff(nm)
+    is_axis = bool((steps > 0).all() or (steps < 0).all()) and 100 <= nm.min() and nm.max() <= 30_000
+    return is_axis and 0 < n.min() and n.max() <= 8 and k.min() >= 0 and k.max() <= 30
 
 
 def constants_of(
@@ -201,8 +240,9 @@ def spectrum_columns(table: TextTable, options: ReadOptions) -> Columns:
         AmbiguousFileError: no headings and no quantity.
     """
     headerless = {}
-    if options.quantity is not None:
-        headerless = {2: ("spectral", options.quantity)}
+    quantity = options.quantity or options.assumed_quantity
+    if quantity is not None:
+        headerless = {2: ("spectral", quantity)}
     elif not table.headings and not options.columns:
         raise AmbiguousFileError(
             f"{table.path}: line {table.lines[0]}: no heading says what the {table.width} columns are; write one, such "
@@ -219,6 +259,14 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
     nm = columns.spectral_nm(options)
     if nm is None:
         raise NacreError(f"{table.path}: no column of wavelengths or energies; the columns are {table.shown_headings}")
+    if columns.table.headings == () and not options.columns and not options.unit and "nm" not in columns.assumed[-1]:
+        first = columns.found[0].values
+        raise AmbiguousFileError(
+            f"{table.path}: holds wavelengths of {np.nanmin(first):g} to {np.nanmax(first):g} without a unit; write it "
+            'above the column, such as "um" or "eV"',
+            "unit",
+            ("nm", "um", "eV"),
+        )
     words, angle = polarisations(columns), columns.one("angle_of_incidence")
     shared: dict[str, Floats] = {}
     if angle is not None:
@@ -230,7 +278,8 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
             groups.setdefault(key, []).append(column)
     if not groups:
         raise NacreError(
-            f"{table.path}: no column of reflectance or transmittance; the columns are {table.shown_headings}"
+            f"{table.path}: no column with at least one measured value of reflectance or transmittance; the "
+            f"columns are {table.shown_headings}"
         )
     found = []
     for (polarisation, angle_deg, mode), members in groups.items():
@@ -241,6 +290,9 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
         if words is not None:
             metadata["polarisations"] = words
         elif not shared:
+            steps = np.diff(nm[np.isfinite(nm)])
+            if np.any(steps > 0.0) and np.any(steps < 0.0):
+                raise NacreError(f"{table.path}: the wavelengths are not ascending or descending; sort the rows")
             nm_sorted, rest = sorted_by_wavelength(
                 table.path, nm, {k: v for k, v in data.items() if k != "wavelength_nm"}
             )
@@ -265,7 +317,9 @@ def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
             data[f"{quantity}_deg{error}"] = columns.degrees(column, options) if column.unit else column.values
         elif quantity in ELLIPSOMETRY:
             data[f"{quantity}{error}"] = column.factors()
-    return Measurement(columns.path, "table", "ellipsometry", data, "", {}, tuple(columns.assumed), _left_out(columns))
+    if nm is None:
+        raise NacreError(f"{columns.path}: no column of wavelengths; the columns are {columns.table.shown_headings}")
+    return ellipsometry(columns.path, "table", data, options, assumed=columns.assumed, left_out=_left_out(columns))
 
 
 def _plain(columns: Columns, kind: Kind) -> Measurement:

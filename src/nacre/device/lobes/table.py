@@ -159,7 +159,7 @@ class TablePlugin(LobePlugin[TableLobe]):
                 parts.append(part)
         where = self.axis.locate(si.wavelengths, active)
         totals = [mi.Float(0.0) for _ in range(self.colours)] if not self.is_spectral else []
-        result = mi.Spectrum(0.0)
+        result = mi.UnpolarizedSpectrum(0.0)
         corners = [
             (lows[0] + a) * self.strides[0] + (lows[1] + b) * self.strides[1] + lows[2] + c
             for a in (0, 1)

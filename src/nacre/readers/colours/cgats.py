@@ -70,9 +70,8 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     for table in tables:
         measurement = _measurement(path, table)
         if measurement is None:
-            empty.append(
-                "_".join(dict.fromkeys(name.split("_")[0] for name in table.fields if "_" in name)) or "no fields"
-            )
+            spaces = dict.fromkeys(name.split("_")[0] for name in table.fields if "_" in name and name not in _NAMES)
+            empty.append(" and ".join(spaces) or "no fields")
         else:
             found.append(measurement)
     if not found:
