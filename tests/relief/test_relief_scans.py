@@ -104,7 +104,7 @@ def rough(count: int, pitch_um: float, sq_um: float, length_um: float, seed: int
 
 
 def closed_form(psi: np.ndarray, xi: np.ndarray, wavelength_um: float, sq_um: float, length_um: float) -> np.ndarray:
-    """Return <|A|^2> / lambda^2 of Gaussian statistics: Beckmann's series, each term widened by the coherence window."""
+    """Return <|A|^2> / lambda^2 of Gaussian statistics: Beckmann's series, widened by the coherence window."""
     g = (2.0 * np.pi * xi / wavelength_um * sq_um) ** 2
     own = (COHERENCE.blur / wavelength_um) ** 2
     frequency = (psi / wavelength_um) ** 2
@@ -172,7 +172,7 @@ def write_sdf(path: Path, heights_um: np.ndarray, pitch_um: tuple[float, float])
     rows, columns = heights_um.shape
     head = (
         f"aISO-1.0\nNumPoints = {columns}\nNumProfiles = {rows}\nXscale = {pitch_um[0] * 1e-6}\n"
-        f"Yscale = {pitch_um[1] * 1e-6}\nZscale = 1e-6\nZresolution = -1\nCompression = 0\nDataType = 7\nCheckType = 0\n*\n"
+        f"Yscale = {pitch_um[1] * 1e-6}\nZscale = 1e-6\nDataType = 7\nCheckType = 0\n*\n"
     )
     path.write_text(head + "\n".join(" ".join(f"{v:.6f}" for v in row) for row in heights_um) + "\n*\n")
 
