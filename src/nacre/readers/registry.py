@@ -97,6 +97,7 @@ FORMATS: tuple[Format, ...] = (
     Format("accurion", "Accurion EP3, EP4 text", "ellipsometry", "ellipsometry.accurion"),
     Format("film-sense", "Film Sense text", "ellipsometry", "ellipsometry.film_sense"),
     Format("horiba", "Horiba DeltaPsi text (.spe)", "ellipsometry", "ellipsometry.horiba"),
+    Format("nacre-ellipsometry", "CSV of nacre ellipsometry", "ellipsometry", "ellipsometry.own_csv"),
     Format("nexus-ellipsometry", "NeXus NXellipsometry", "ellipsometry", "ellipsometry.nexus"),
     Format("regress-pro", "regress-pro text (SE)", "ellipsometry", "ellipsometry.regress_pro"),
     Format("spectraray", "Sentech SpectraRay text", "ellipsometry", "ellipsometry.spectraray"),
