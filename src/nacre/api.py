@@ -102,13 +102,23 @@ def spectrum(
     angles_deg: ArrayLike = 0.0,
     wavelengths_nm: ArrayLike | None = None,
     polarisation: str = "both",
+    azimuth_deg: float = 0.0,
 ) -> Spectrum:
     """Return reflectance and transmittance of a material as a `Spectrum`, each part `[angle, wavelength]`.
+
+    Args:
+        thing: a recipe, a file or a material.
+        angles_deg: angles of incidence in the ambient medium.
+        wavelengths_nm: vacuum wavelengths; default: chosen by the material.
+        polarisation: "s", "p", "both" (unpolarised), "left" or "right" (circular), or "mueller": unpolarised, with
+            `mueller_reflected` and `mueller_transmitted`, `[angle, wavelength, 4, 4]`.
+        azimuth_deg: azimuth of the direction towards the light, from u; anisotropic films depend on it.
 
     Raises:
         NacreError: the recipe is wrong, or an optical constant is not known at a wavelength.
     """
-    return as_material(thing).spectrum(np.radians(floats(angles_deg, "angles_deg")), wavelengths_nm, polarisation)
+    theta = np.radians(floats(angles_deg, "angles_deg"))
+    return as_material(thing).spectrum(theta, wavelengths_nm, polarisation, azimuth_deg=azimuth_deg)
 
 
 def ellipsometry(
