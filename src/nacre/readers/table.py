@@ -106,6 +106,8 @@ def kind_of(table: TextTable, options: ReadOptions) -> Kind:
         if options.expects in HEADERLESS or options.expects == "spectrum":
             assert options.expects is not None
             return options.expects
+        if _looks_like_constants(table):
+            return "constants"
         raise AmbiguousFileError(
             f"{table.path}: line {table.lines[0]}: {table.width} columns without headings; state quantity (of two "
             "columns) or columns = [...]",
@@ -130,6 +132,19 @@ def kind_of(table: TextTable, options: ReadOptions) -> Kind:
             f"{table.path}: the columns are {table.shown_headings}{said}; name them: columns = [...]", "columns"
         )
     return best
+
+
+def _looks_like_constants(table: TextTable) -> bool:
+    """Whether three columns without headings can only be nm, n and k of a tabulated material.
+
+    Energies are below 100, and dielectric functions exceed the bounds of n and k or are negative.
+    """
+    if table.width != 3 or len(table.rows) < 3 or not all(table.is_numeric(column) for column in range(3)):
+        return False
+    nm, n, k = (table.column(column) for column in range(3))
+    steps = np.diff(nm)
+    is_axis = bool((steps > 0).all() or (steps < 0).all()) and 100 <= nm.min() and nm.max() <= 30_000
+    return is_axis and 0 < n.min() and n.max() <= 8 and k.min() >= 0 and k.max() <= 30
 
 
 def constants_of(

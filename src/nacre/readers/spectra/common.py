@@ -27,7 +27,7 @@ _NAN = ("nan", "-nan", "nan(ind)", "inf", "-inf", "#n/a", "na", "n/a", "--", "1.
 _QUANTITIES: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
     (name, re.compile(pattern))
     for name, pattern in (
-        ("error", r"variance|std|stdev|sigma|uncertain|error|deviation|^u\(|^sd$|^±"),
+        ("error", r"variance|std|stdev|sigma|uncertain|error|deviation|^u\(|^sd$|^±|^[dδ]\s?[rta]$"),
         ("kubelka_munk", r"kubelka|k/s|^km$"),
         ("absorptance", r"absorptance"),
         ("absorbance", r"absorban|absorb\b|log\s*\(?\s*1\s*/\s*[rt]|^abs\b|^abs$|^a$|^a\.u\.$|^od$|optical density|"
@@ -237,7 +237,10 @@ def label_of(text: str) -> Label | None:
         >>> label_of("%R"), label_of("Transmission (%)"), label_of("Abs").quantity
         (Label(quantity='reflectance', factor=0.01), Label(quantity='transmittance', factor=0.01), 'absorbance')
     """
-    low = " ".join(text.strip().strip('"').lower().replace("_", " ").split())
+    plain = text.strip().strip('"').strip()
+    if plain in ("a", "r", "t"):  # symbols are capital letters; small ones name samples
+        return None
+    low = " ".join(plain.lower().replace("_", " ").split())
     for name, pattern in _QUANTITIES:
         if pattern.search(low):
             if name in ("reflectance", "transmittance", "absorptance"):
@@ -297,8 +300,11 @@ def option_label(path: Path, options: ReadOptions) -> Label | None:
     return label
 
 
-def assumed_unit(path: Path, x: Array, notes: Notes, options: ReadOptions) -> str:
-    """Return the unit of an abscissa that names none: nm if the values are ultraviolet to near-infrared.
+def assumed_unit(path: Path, x: Array, notes: Notes, options: ReadOptions, name: str = "") -> str:
+    """Return the unit of an abscissa that states none: nm if the values are ultraviolet to near-infrared.
+
+    Args:
+        name: heading of the abscissa; a wavelength below 30 is in um.
 
     Raises:
         AmbiguousFileError: another range.
@@ -310,6 +316,9 @@ def assumed_unit(path: Path, x: Array, notes: Notes, options: ReadOptions) -> st
     if finite.size and finite.min() >= 100 and finite.max() <= 3500:
         notes.assumed.append("the abscissa is the wavelength in nm")
         return "nm"
+    if finite.size and re.match(r"(?i)wave ?l|lambda|λ|wl", name) and finite.min() >= 0.1 and finite.max() <= 30:
+        notes.assumed.append("the wavelength is in um")
+        return "um"
     reach = f"{finite.min():g} to {finite.max():g}" if finite.size else "empty"
     raise AmbiguousFileError(f"{path}: no unit of the abscissa ({reach})", "unit", UNIT_CHOICES)
 
