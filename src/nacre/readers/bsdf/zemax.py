@@ -17,11 +17,10 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.directions import angles_deg
 from nacre.core.errors import NacreError
-from nacre.readers.bsdf.samples import MEMORY_FACTOR, numbers, pairs_of, read_bytes
 from nacre.readers.bsdf.samples import measurement as as_measurement
+from nacre.readers.bsdf.samples import numbers, pairs_of, read_text
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
-from nacre.recipe.delimited_text import UTF_16_MARKS, decoded
 
 CHANNELS = {"Monochrome": ("Monochrome",), "XYZ": ("TristimulusX", "TristimulusY", "TristimulusZ")}
 SYMMETRIES = ("planesymmetrical", "asymmetrical", "asymmetrical4d")
@@ -87,9 +86,7 @@ def read_zemax(path: str | Path) -> ZemaxBsdf:
         NacreError: the file is invalid.
     """
     path = Path(path)
-    data = read_bytes(path, MEMORY_FACTOR)
-    text = decoded(data) if data.startswith(UTF_16_MARKS) else data.decode("latin-1").lstrip("\xef\xbb\xbf")
-    lines = [line.strip() for line in text.splitlines()]
+    lines = [line.strip() for line in read_text(path).splitlines()]
     words = iter([w for line in lines if line and not line.startswith("#") for w in line.split()])
     try:
         return _parse(words)
