@@ -119,6 +119,11 @@ class Model(abc.ABC):
         """Limits of validity that this material exceeds, to be shown after the recipe's name."""
         return ()
 
+    @property
+    def surface_figures(self) -> Mapping[str, float]:
+        """Figures of a measured surface for reports: name with its unit -> value."""
+        return {}
+
 
 class Polarised(abc.ABC):
     """A material whose spectra are known for circular light, as Mueller matrices, and from any azimuth."""
