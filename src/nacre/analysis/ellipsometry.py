@@ -191,7 +191,7 @@ def averaged_mueller(
 
 def _mueller(stack: Stack, theta: Array, waves: Array, azimuth: float, scales: Array, weights: Array) -> Array:
     """Return Mueller matrices averaged over scaled thicknesses, `[angle, wavelength, 4, 4]`."""
-    if getattr(stack, "is_isotropic", True):
+    if stack.is_isotropic:
         n, thicknesses = stack.indices(waves), _scaled(stack, scales)
         if stack.is_coherent:
             found = solve(n, thicknesses, waves, theta)
@@ -204,7 +204,7 @@ def _mueller(stack: Stack, theta: Array, waves: Array, azimuth: float, scales: A
         return _isotropic(*(np.tensordot(weights, each, 1) for each in (powers_p, powers_s, products)))
     total = np.zeros((len(theta), len(waves), 4, 4))
     for scale, weight in zip(scales, weights):
-        scaled: Any = stack_with_scale(stack, float(scale))
+        scaled = stack_with_scale(stack, float(scale))
         total += weight * scaled.polarised(theta, waves, azimuth).mueller_reflected
     return total
 
