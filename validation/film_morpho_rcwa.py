@@ -20,7 +20,7 @@ import numpy as np
 
 from nacre.bsdf.lobes.ridge import Ridge, ridge_interference
 from nacre.core.arrays import Array
-from nacre.light.spaces import delta_e_2000, xyz_to_lab
+from nacre.light import delta_e_2000, xyz_to_lab
 from nacre.light.tristimulus import white_xyz, xyz_weights
 from validation._film import canvas, film, srgb
 from validation._ridges_make import (

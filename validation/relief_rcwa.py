@@ -20,7 +20,7 @@ import numpy as np
 
 from nacre.families.relief.prefactor import brdf_factor, difference_cosine, fresnel_reflectance
 from nacre.families.relief.validity import COEFFICIENTS, OUTSIDE_DE00, SINUSOID, expected_de00, mean_feature_nm
-from nacre.light.spaces import delta_e_2000, xyz_to_lab
+from nacre.light import delta_e_2000, xyz_to_lab
 from nacre.light.tristimulus import white_xyz, xyz_weights
 from validation._film import canvas
 from validation._relief_cases import (

@@ -4,6 +4,7 @@ from . import plot as plot
 from . import render as render
 from . import studio as studio
 from ._version import __version__ as __version__
+from .api import ellipsometry as ellipsometry
 from .api import evaluate as evaluate
 from .api import export as export
 from .api import fabricate as fabricate
@@ -11,6 +12,7 @@ from .api import fit as fit
 from .api import gamut as gamut
 from .api import import_ as import_
 from .api import orders as orders
+from .api import read as read
 from .api import report as report
 from .api import spectrum as spectrum
 from .api import sweep as sweep
@@ -19,3 +21,4 @@ from .bsdf import Bsdf as Bsdf
 from .core.errors import NacreError as NacreError
 from .material.material import Material as Material
 from .material.material import load as load
+from .readers.measurement import Measurement as Measurement

@@ -6,18 +6,21 @@ pictures, `nacre.plot` figures, `nacre.design` structures.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.analysis.fit import Fit, fit_parameters, read_measurement, run_fit
+from nacre.analysis.ellipsometry import EllipsometricResponse, compute_ellipsometry
+from nacre.analysis.fit import Fit, fit_parameters, read_measurements, run_fit
 from nacre.analysis.import_export import export_material, import_material
 from nacre.analysis.report import Report, make_report
 from nacre.analysis.sweep import run_sweep
 from nacre.analysis.sweep_plan import load_sweep
+from nacre.analysis.ties import read_ties
 from nacre.analysis.tolerance import ToleranceResult, recipe_tolerances, run_tolerance
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
@@ -36,8 +39,27 @@ from nacre.matter.drawings import DrawingRequest
 from nacre.matter.periodic.orders import Orders
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
 from nacre.optimise.gamut import Gamut, find_gamut, parse_parameters
+from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.registry import open_file
 
+<<<<<<< HEAD
 __all__ = ["evaluate", "export", "fabricate", "fit", "gamut", "import_", "orders", "report", "spectrum", "sweep", "tolerance"]
+=======
+__all__ = [
+    "ellipsometry",
+    "evaluate",
+    "export",
+    "fabricate",
+    "fit",
+    "gamut",
+    "import_",
+    "read",
+    "report",
+    "spectrum",
+    "sweep",
+    "tolerance",
+]
+>>>>>>> main
 
 
 def as_bsdf(thing: HasBsdf | Bsdf | MaterialLike) -> Bsdf:
@@ -91,6 +113,7 @@ def spectrum(
     return as_material(thing).spectrum(np.radians(floats(angles_deg, "angles_deg")), wavelengths_nm, polarisation)
 
 
+<<<<<<< HEAD
 def orders(
     thing: MaterialLike,
     angles_deg: ArrayLike = 0.0,
@@ -127,6 +150,35 @@ def orders(
     if grid is not None and (np.any(grid <= 0.0) or not np.all(np.isfinite(grid))):
         raise NacreError("wavelengths_nm must be positive")
     return model.diffraction_orders(theta, float(np.radians(azimuth_deg)), grid)
+=======
+def ellipsometry(
+    thing: MaterialLike,
+    angles_deg: ArrayLike = (65.0, 70.0, 75.0),
+    wavelengths_nm: ArrayLike | None = None,
+    azimuth_deg: float | None = None,
+) -> EllipsometricResponse:
+    """Return Psi, Delta, N, C, S and Mueller matrices of a material with a stack, each `[angle, wavelength]`.
+
+    The convention is rho = r_p / r_s = tan(Psi) exp(i Delta) for fields exp(+i w t), r_p = -r_s at normal incidence:
+    Delta of a bare metal or wafer lies between 0 and 180 degrees. The recipe's `[instrument]` table averages.
+
+    Args:
+        thing: a material or a path.
+        angles_deg: angles of incidence, above 0 and below 90.
+        wavelengths_nm: default: chosen by the material.
+        azimuth_deg: azimuth of the direction to the light, from u.
+
+    Raises:
+        NacreError: the material has no stack, or an optical constant is not known at a wavelength.
+
+    Example:
+        >>> wafer = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 2}]}
+        >>> found = nacre.ellipsometry(wafer, [70.0], [632.8])
+        >>> round(float(found.psi_deg[0, 0])), round(float(found.delta_deg[0, 0]))
+        (11, 174)
+    """
+    return compute_ellipsometry(as_material(thing), angles_deg, wavelengths_nm, azimuth_deg)
+>>>>>>> main
 
 
 def report(
@@ -136,6 +188,7 @@ def report(
     observer: str = "10deg",
     samples: int | None = None,
     seed: int = 0,
+    geometries: Sequence[str] = (),
 ) -> Report:
     """Measure a material in the standard geometries: Lab at 15 to 110 degrees, flop, gloss, haze, totals.
 
@@ -144,6 +197,7 @@ def report(
             table.
         illuminant, observer: of the colours.
         samples, seed: of random walks.
+        geometries: further aspecular geometries, "45as25az90" or "NAME=45as25az90".
 
     Raises:
         NacreError: the material cannot be loaded or measured.
@@ -152,7 +206,7 @@ def report(
         >>> round(nacre.report("gold").gloss["60"] / 100) >= 1
         True
     """
-    return make_report(as_material(thing), illuminant, observer, samples, seed)
+    return make_report(as_material(thing), illuminant, observer, samples, seed, geometries)
 
 
 def tolerance(
@@ -174,17 +228,22 @@ def tolerance(
 
 
 def fit(
-    measurement: str | Path, thing: MaterialLike, parameters: Iterable[str] = (), *, starts: int = 4,
-    report: str | Path | None = None, **options: Any,
+    measurement: str | Path | Sequence[str | Path], thing: MaterialLike, parameters: Iterable[str] = (), *,
+    starts: int = 4, ties: Iterable[str] = (), range_nm: tuple[float, float] | None = None,
+    report: str | Path | None = None, angle_deg: float | None = None, delta_convention: str | None = None,
+    **options: Any,
 ) -> Fit:  # fmt: skip
-    """Fit parameters of a recipe to a measurement.
+    """Fit parameters of a recipe to measurements of one sample.
 
     Args:
-        measurement: CSV of a spectrum or of goniometer values.
+        measurement: file of an ellipsometer or spectrometer, CSV of a spectrum or of goniometer values; or several.
         thing: a material or a path.
         parameters: such as "layers[0].thickness_nm=50:400", in addition to those of the recipe's `[fit]`.
         starts: refined starting points; options: further arguments of `nacre.analysis.fit.run_fit`.
+        ties: such as "layers[2].thickness_nm=layers[0].thickness_nm", in addition to those of the recipe's `[ties]`.
+        range_nm: other wavelengths of the measurements are ignored.
         report: HTML file that compares measurement and fit.
+        angle_deg, delta_convention: properties that an ellipsometer's file does not state.
 
     Raises:
         NacreError: the measurement cannot be read, or there is no parameter.
@@ -193,9 +252,12 @@ def fit(
         if Path(report).suffix != ".html":
             raise NacreError(f"{report}: the suffix must be .html")
         check_writable(report)
-    material, measured = as_material(thing), read_measurement(measurement)
+    paths = [measurement] if isinstance(measurement, str | Path) else list(measurement)
+    stated = ReadOptions(angle_deg=angle_deg, delta_convention=delta_convention)
+    material, measured = as_material(thing), read_measurements(paths, stated, range_nm)
     numbers = fit_parameters(material, tuple(parameters))
-    found = run_fit(material, measured, numbers, starts=starts, **options)
+    tied = read_ties(material, [number.path for number in numbers], tuple(ties))
+    found = run_fit(material, measured, numbers, starts=starts, ties=tied, **options)
     if report is not None:
         from nacre.analysis.fit_report import write_fit_page
 
@@ -290,19 +352,42 @@ def export(thing: MaterialLike, to: str, output: str | Path, **options: Any) -> 
     return export_material(as_material(thing), to, Path(output), **options)
 
 
-def import_(source: str | Path, recipe: str | Path) -> Material:
-    """Convert a file of another program (goniometer CSV, MERL, RGL, Zemax, glTF, MaterialX) to a recipe, and load it.
+def import_(source: str | Path, recipe: str | Path, *, law: str | None = None, **options: Any) -> Material:
+    """Convert a measured BSDF or a material of another program (glTF, MaterialX) to a recipe, and load it.
 
     Args:
         source: the file to read.
         recipe: the TOML file to write; tables go into a `.nacre` file beside it.
+        law: "half-angle" extrapolates a scan in the plane of incidence.
+        options: what a measurement does not state, as for `read`.
 
     Raises:
         NacreError: the file has an unknown format or is damaged.
+        UnsupportedError: the measurement is not a BRDF of an isotropic sample.
     """
     check_writable(recipe)
-    import_material(Path(source), Path(recipe))
+    import_material(Path(source), Path(recipe), options=ReadOptions(**options), law=law)
     return load(recipe)
+
+
+def read(path: str | Path, **options: Any) -> Measurement | list[Measurement]:
+    """Read a file of an instrument or another program: a `Measurement`, or a list if the file contains several.
+
+    Args:
+        path: the file; the format is recognised by its content.
+        options: what the file does not state, as fields of `nacre.readers.measurement.ReadOptions`: `quantity`, `unit`,
+            `angle_deg`, `delta_convention`, `channel`, `spectrum`, `pitch_um`, `columns`, `ignore`, `format`.
+
+    Raises:
+        NacreError: unknown format, damaged contents, or an unknown option.
+        AmbiguousFileError: the file can be read in several ways; `option` names the option that decides.
+    """
+    allowed = [entry.name for entry in fields(ReadOptions)]
+    for name in options:
+        if name not in allowed:
+            raise NacreError(f"{name} is no option of read.{did_you_mean(name, allowed)} Allowed: {', '.join(allowed)}")
+    found = open_file(path, ReadOptions(**options))
+    return found[0] if len(found) == 1 else found
 
 
 def fabricate(

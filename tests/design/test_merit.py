@@ -8,7 +8,7 @@ import pytest
 
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, lch_to_lab, xyz_weights
-from nacre.optimise.merit import MeritFunction, Operand, default_wavelengths_nm, difference_components, smooth_weights
+from nacre.optimise.merit import MeritFunction, Operand, default_wavelengths_nm, smooth_weights
 
 ROUNDING = 1e-9
 # colour-science cuts off at 380 and 780 nm, where nacre's tables go on to 360 and 830 nm
@@ -44,14 +44,6 @@ def test_splines_need_a_fifth_of_the_samples_of_straight_lines() -> None:
     lines = fringes(coarse, 1500.0) @ xyz_weights(coarse, "D65", "10deg")
     splines = fringes(coarse, 1500.0) @ smooth_weights(coarse, "D65", "10deg")
     assert abs(splines - exact).max() < 0.2 * abs(lines - exact).max()
-
-
-def test_the_components_of_a_difference_have_the_length_of_its_dE00() -> None:
-    rng = np.random.default_rng(0)
-    lab = rng.uniform([0, -80, -80], [100, 80, 80], (2000, 3))
-    other = lab + rng.normal(0.0, 10.0, lab.shape)
-    lengths = np.linalg.norm(difference_components(lab, other), axis=-1)
-    assert abs(lengths - delta_e_2000(lab, other)).max() < ROUNDING
 
 
 def test_residuals_have_the_length_of_the_scaled_distances() -> None:

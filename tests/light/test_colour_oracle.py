@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from nacre import light
+from nacre.core.errors import NacreError
 
 BAR = 1e-6  # relative, the issue's
 # Sharma, Wu, Dalal 2005, table 1: pairs that reach every branch of the formula, and their printed dE00
@@ -125,3 +126,38 @@ def test_shipped_tables_are_colour_sciences_own():
         np.testing.assert_allclose(light.illuminant(name).power, fresh[f"illuminant {name}"], rtol=1e-12)
     for name in light.OBSERVERS:
         np.testing.assert_allclose(light.observer(name), fresh[f"observer {name}"], rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("formula", "method", "options"),
+    [
+        ("cie94", "CIE 1994", {}),
+        ("cie94-textiles", "CIE 1994", {"textiles": True}),
+        ("cmc(1:1)", "CMC", {"l": 1, "c": 1}),
+        ("cmc(2:1)", "CMC", {"l": 2, "c": 1}),
+    ],
+)
+def test_difference_formulas_agree_with_colour_science(formula: str, method: str, options: dict) -> None:
+    colour = oracle()
+    rng = np.random.default_rng(4)
+    lab = rng.uniform([0, -90, -90], [100, 90, 90], (5000, 3))
+    lab[:100] *= [1.0, 0.0, 0.0]  # greys
+    other = np.maximum(lab + rng.normal(0.0, 4.0, lab.shape), [0.0, -128.0, -128.0])
+    theirs = colour.delta_E(lab, other, method=method, **options)
+    np.testing.assert_allclose(light.colour_difference(lab, other, formula), theirs, atol=1e-4)
+
+
+def test_din99o_has_the_scales_of_the_standard() -> None:
+    """DIN 6176: white at 100; near the grey axis, chroma 0.075 / 0.0435 along 26 degrees and 0.83 of it across."""
+    white, grey = light.lab_to_din99o([[100.0, 0.0, 0.0], [50.0, 0.0, 0.0]])
+    np.testing.assert_allclose(white, [100.0, 0.0, 0.0], atol=2e-3)
+    along, across = 1e-4 * np.array([[0, np.cos(a), np.sin(a)] for a in np.radians([26.0, 116.0])])
+    for step, scale in ((along, 1.0), (across, 0.83)):
+        moved = light.lab_to_din99o([50.0, 0.0, 0.0] + step) - grey
+        np.testing.assert_allclose(np.hypot(*moved[1:]), scale * 1e-4 * 0.075 / 0.0435, rtol=1e-4)
+        assert abs(np.degrees(np.arctan2(moved[2], moved[1]) - np.arctan2(step[2], step[1]))) < 1e-6
+
+
+def test_an_unknown_difference_formula_is_refused() -> None:
+    with pytest.raises(NacreError):
+        light.colour_difference([50, 0, 0], [51, 0, 0], "ciede2001")

@@ -97,6 +97,24 @@ def matt_table() -> Lobe:
     return TableLobe(GRID, values[..., None] * np.linspace(0.5, 1.0, len(GRID)), np.eye(len(GRID)))
 
 
+def measured_table() -> Lobe:
+    """Return a reciprocal table with its own nodes and different values on both sides of the plane of incidence."""
+    a, c = np.array([0.0, 10.0, 35.0, 50.0, 80.0]) / 90.0, np.linspace(0.0, 1.0, 13)
+    values = 0.1 + 0.1 * np.exp(-((a[:, None] - a) ** 2) / 0.02)[..., None] * (
+        1 + 0.8 * (a[:, None, None] - a[:, None]) * np.sin(2 * np.pi * c)
+    )
+    return TableLobe(GRID, values[..., None], np.ones((1, len(GRID))), "direction", a, a, c, True)
+
+
+def mirror_table() -> Lobe:
+    """Return a table about the mirror direction, as of a Zemax file without symmetry; it is not reciprocal."""
+    a, b = np.array([0.0, 15.0, 40.0, 75.0]) / 90.0, np.array([0.0, 5.0, 10.0, 20.0, 35.0, 60.0, 90.0, 180.0]) / 180.0
+    c = np.linspace(0.0, 1.0, 13)
+    turn = 1 + 0.3 * np.sin(2 * np.pi * c) * np.minimum(4 * b, 1.0)[:, None]
+    values = (0.05 + 0.4 * np.exp(-(b**2) / 0.02))[:, None] * turn * (1 - 0.3 * a[:, None, None])
+    return TableLobe(GRID, values[..., None], np.ones((1, len(GRID))), "specular", a, b, c, True)
+
+
 @dataclasses.dataclass(frozen=True)
 class Case:
     """How to look at a lobe.
@@ -164,6 +182,7 @@ CASES: dict[str, Case] = {
     "table": Case(lambda: (table("direction"),), width=0.5),
     "matt table": Case(lambda: (matt_table(),), width=0.5),
     "half-angle table": Case(lambda: (table("half"),), width=0.5),
+    "measured table": Case(lambda: (measured_table(),), width=0.5),
     "rough film over a base": Case(
         lambda: (metal("ggx", 0.2), bare_base(GRID, np.full(len(GRID), 0.3))), conserves=False
     ),
@@ -202,6 +221,15 @@ def test_plugin_gives_the_values_of_the_arrays(mi: Any, name: str) -> None:
 
     light, eye, uv = pairs(name, 2000, 11)
     assert array_mismatch(bsdf_of(name), light, eye, uv, every=12) <= ARRAY_TOLERANCE
+
+
+def test_plugin_of_a_table_about_the_mirror_gives_its_values_and_samples_them(mi: Any) -> None:
+    from lobe_trials import array_mismatch, chi_square
+
+    bsdf = Bsdf((mirror_table(),))
+    light, eye, uv = pairs("measured table", 2000, 11)
+    assert array_mismatch(bsdf, light, eye, uv, every=12) <= ARRAY_TOLERANCE
+    assert chi_square(bsdf, 40.0, 100.0, resolution=100, steps=16, uv=(0.3, 0.6)).passes(CHI_SQUARE_LEVEL, 1)
 
 
 @pytest.mark.parametrize("name", CONTINUOUS)

@@ -23,7 +23,7 @@ from nacre.light import (
     white_xyz,
     xyz_to_lab,
 )
-from nacre.optimise.measurement import Geometry
+from nacre.measure.geometry import Geometry
 from nacre.optimise.targets import Target
 from nacre.recipe.toml import parse_toml
 from nacre.studio.design_jobs import distance_to

@@ -15,7 +15,7 @@ from PIL import Image
 
 import nacre
 from nacre.analysis.html_report import dump_json, report_html, report_text, travel_figure
-from nacre.analysis.report import differences, flop_index, gloss, make_report, transmission_haze
+from nacre.analysis.report import compare, flop_index, gloss, make_report, transmission_haze
 from nacre.core.errors import NacreError
 from nacre.light import spectrum_to_xyz
 from nacre.measure import instruments as geometry
@@ -117,7 +117,7 @@ def test_a_clear_pane_has_no_haze_and_flop_index_is_the_published_formula() -> N
 def test_differences_are_ciede2000_as_colour_science_gives_it() -> None:
     first = make_report(nacre.material(GOLD))
     second = make_report(nacre.material(GOLD | {"substrate": "Cu"}))
-    ours = differences(second, first)["aspecular"]
+    ours = compare(second, first).tables["aspecular"]
     theirs = colour.delta_E(first.aspecular.lab, second.aspecular.lab, method="CIE 2000")
     np.testing.assert_allclose(ours, theirs, rtol=1e-6)
 
@@ -130,11 +130,11 @@ def test_a_mirror_shows_in_the_specular_table_only() -> None:
 
 def test_the_report_says_the_same_as_text_json_and_html() -> None:
     reports = [make_report(nacre.material(GOLD)), make_report(nacre.material(GOLD | {"substrate": "Cu"}))]
-    document = json.loads(dump_json(reports))
+    document = json.loads(dump_json(reports, [compare(reports[1], reports[0])]))
     lightness = document["reports"][0]["aspecular"]["lab"][2][0]
     assert f"{lightness:7.2f}" in report_text(reports)
     assert f"{lightness:.2f}" in report_html(reports)
-    assert len(document["delta_e_2000_to_first"][0]["aspecular"]) == len(geometry.ASPECULAR_DEG)
+    assert len(document["differences_to_first"][0]["aspecular"]) == len(geometry.ASPECULAR_DEG)
 
 
 def test_the_page_is_one_file_with_its_pictures_inside(tmp_path: Path) -> None:
@@ -169,3 +169,27 @@ def test_the_report_of_an_answer_is_titled_by_the_designs_folder(tmp_path: Path)
     assert [report.name for report in reports] == ["sign", "sign-2"]
     with pytest.raises(NacreError, match=re.escape(str(tmp_path / "sign" / "2" / "recipe.toml") + ": --to gds")):
         nacre.fabricate(tmp_path / "sign" / "2", "gds", tmp_path / "x.gds")
+
+
+def test_named_and_out_of_plane_geometries_have_the_colours_of_their_directions() -> None:
+    material = nacre.material(GOLD)
+    found = make_report(material, geometries=["side=45as60az125.26438968275465", "45as15", "45as25az-90"])
+    assert found.geometries is not None and found.geometries.labels == ("side", "45as15", "45as25az-90")
+    np.testing.assert_allclose(found.geometries.lab[1], found.aspecular.lab[1], rtol=1e-12)
+    # 60 degrees from the mirror direction and 45 from the normal is across the plane of incidence
+    assert found.geometries.angles_deg[0] == pytest.approx(45.0, abs=1e-9)
+    half = np.sqrt(0.5)
+    bsdf = material.bsdf()
+    across = bsdf.evaluate(np.array([half, 0.0, half]), np.array([0.0, half, half]))
+    xyz = spectrum_to_xyz(np.pi * across, bsdf.wavelengths_nm, "D65", "10deg")
+    np.testing.assert_allclose(found.geometries.xyz[0], xyz, rtol=1e-3)
+
+
+def test_a_comparison_passes_by_geometry() -> None:
+    first, second = (make_report(nacre.material(GOLD | {"substrate": name})) for name in ("Au", "Cu"))
+    own = compare(first, first, limits={"": 0.1})
+    assert all(own.passes.values()) and len(own.passes) == len(geometry.ASPECULAR_DEG)
+    found = compare(second, first, "cmc(2:1)", {"45as15": 1e3, "": 1e-6})
+    assert found.passes["45as15"] and not found.passes["45as25"]
+    with pytest.raises(NacreError):
+        compare(second, first, limits={"45as16": 1.0})

@@ -7,17 +7,28 @@ of the parameters; CMA-ES continues from starts at which finite differences see 
 If a random walk has a noise-free surrogate (`contract.search_model` is direct), the starts are refined on the
 surrogate. At the best point the walk's difference is added as a constant and the point refined again (space
 mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
+
+Thicknesses are scanned in steps below a fringe from the best points, so that the starts include the right order of
+interference. Several measurements of one sample are weighted by their own residuals (feasible generalised least
+squares).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from nacre.analysis import intervals as ci
+from nacre.analysis.ellipsometry_data import EllipsometryData, ellipsometry_data
+from nacre.analysis.fit_data import Data, Joint, joined, name_of, parts_of
+from nacre.analysis.ties import Ties, read_ties
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
@@ -34,11 +45,14 @@ from nacre.optimise.methods.least_squares import (
     sobol_points,
 )
 from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.registry import POSSIBLE, open_file, recognise
 from nacre.recipe.path_tables import by_path, with_options
 
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
 MAX_POWER, MIN_POWER = 1.1, -0.05  # allows for instrument errors near white and black
 MAX_PARAMETERS = 12
+POLARISED = {f"{part}_{p}": (part, p) for part in PARTS[:2] for p in ("s", "p")}  # also in files
 UNDETERMINED_SHARE = 0.5  # smallest relative 95 % half width for an undetermined number
 MIN_START_DISTANCE = 0.02  # between starts, relative to the bounds
 RELATIVE_FLOOR = 0.01
@@ -48,6 +62,13 @@ WEIGHTS = ("equal", "relative")
 CORRECTIONS = 3  # largest space-mapping step count
 CORRECTION_SEEDS = 4  # independent walks per correction
 CORRECTION_TOL = 1e-3  # a smaller relative move ends the corrections
+SCAN_STEPS = 20  # steps of a thickness scan per shortest wavelength: 7 or more per fringe below an index of 3
+MOST_SCAN_STEPS = 400
+SCANNED = 3  # points from which thicknesses are scanned
+THICKNESS = re.compile(r"(thickness|height|gap)_(nm|um|mm)$")
+UNIT_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
+REWEIGHTINGS = 2  # of several measurements
+INSTRUMENT = "instrument."
 
 
 @dataclass(frozen=True)
@@ -59,6 +80,7 @@ class Measured:
         wavelengths_nm: `[wavelength]`.
         values: "spectrum": `[part, angle, wavelength]`; "gonio": `[pair, wavelength]`.
         parts, angles_deg: spectrum only; gonio: direction pairs.
+        name: file, for reports.
     """
 
     kind: str
@@ -67,6 +89,7 @@ class Measured:
     parts: tuple[str, ...] = ()
     angles_deg: Array | None = None
     gonio: GonioData | None = None
+    name: str = ""
 
     def model(self, material: Material, samples: int | None, seed: int) -> Array:
         """Return a material's simulated measurement, shaped as `values`.
@@ -76,7 +99,9 @@ class Measured:
         """
         if self.kind == "spectrum":
             assert self.angles_deg is not None
-            return self._stacked(material.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, seed=seed))
+            theta = np.radians(self.angles_deg)
+            kinds = {POLARISED.get(part, (part, "both"))[1] for part in self.parts}
+            return self._stacked({p: material.spectrum(theta, self.wavelengths_nm, p, seed=seed) for p in kinds})
         assert self.gonio is not None
         from nacre.measure.evaluate import evaluate_with_error
 
@@ -98,25 +123,59 @@ class Measured:
         if self.kind == "spectrum":
             assert self.angles_deg is not None
             found = near.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, "both")
-            return None if found is None else self._stacked(found)
+            return None if found is None else self._stacked({"both": found})
         assert self.gonio is not None
         assert isinstance(near, DirectEvaluation)
         return near.values_at(self.gonio.wi, self.gonio.wo, self.wavelengths_nm)
 
-    def _stacked(self, spectrum: Spectrum) -> Array:
-        found = spectrum.parts()
+    def _stacked(self, spectra: Mapping[str, Spectrum]) -> Array:
         zero = np.zeros(self.values.shape[1:])
-        return np.stack([found.get(part, zero) for part in self.parts])
+        found = {polarisation: spectrum.parts() for polarisation, spectrum in spectra.items()}
+        named = [POLARISED.get(part, (part, "both")) for part in self.parts]
+        return np.stack([found.get(p, {}).get(part, zero) for part, p in named])
+
+    def noise_scale(self, weights: str) -> Array:
+        """Return the relative noise of the values: equal, or proportional to them."""
+        rms = float(np.sqrt(np.mean(self.values**2))) or 1.0
+        # the floor limits the weight near zero
+        shares = np.maximum(np.abs(self.values), RELATIVE_FLOOR * rms)
+        return shares if weights == "relative" else np.full(self.values.shape, rms)
 
 
 @dataclass(frozen=True)
 class FittedNumber:
-    """Fitted value, 95 % half width, and whether the data determine it."""
+    """Fitted value with its 95 % interval, and whether the data determine it.
+
+    Attributes:
+        half_width: of the linear interval.
+        interval: by `method`: `linear`, `profile` or `resampling`.
+    """
 
     path: str
     value: float
     half_width: float
     is_determined: bool
+    interval: tuple[float, float] = (math.nan, math.nan)
+    method: str = "linear"
+
+
+@dataclass(frozen=True)
+class FittedPart:
+    """Agreement with one file.
+
+    Attributes:
+        name, kind: of the measurement.
+        rms: root mean square of the residual.
+        relative_rms: relative to the measured rms.
+        mse: mean squared error of N, C, S as ellipsometer programs state it (unit 0.001); None for other data.
+    """
+
+    name: str
+    kind: str
+    values: int
+    rms: float
+    relative_rms: float
+    mse: float | None = None
 
 
 @dataclass(frozen=True)
@@ -130,6 +189,9 @@ class Fit:
         rms: root mean square of the residual; relative_rms: relative to the measured rms.
         starts: final loss per start, best first; several equal ones indicate a global minimum.
         evaluations: computed materials.
+        tied: values of the tied numbers.
+        correlation: of the numbers, `[number, number]`; NaN where undetermined.
+        parts: agreement with each file.
     """
 
     numbers: tuple[FittedNumber, ...]
@@ -139,34 +201,142 @@ class Fit:
     relative_rms: float
     starts: tuple[float, ...]
     evaluations: int
+    tied: Mapping[str, float] = field(default_factory=dict)
+    correlation: Array = field(default_factory=lambda: np.ones((0, 0)))
+    parts: tuple[FittedPart, ...] = ()
 
 
-def read_measurement(path: str | Path) -> Measured:
-    """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, or a gonio CSV.
+def read_measurements(
+    paths: Sequence[str | Path], options: ReadOptions | None = None, range_nm: tuple[float, float] | None = None
+) -> Data:
+    """Read the measurements of one sample: files of ellipsometers, spectrometers and goniometers.
+
+    Args:
+        options: properties that the files do not state.
+        range_nm: rows of other wavelengths are ignored.
+
+    Raises:
+        NacreError: with the file and the problem.
+        AmbiguousFileError: a file can be read in several ways.
+    """
+    found = [part for path in paths for part in parts_of(read_measurement(path, options, range_nm))]
+    return joined(found)
+
+
+def read_measurement(
+    path: str | Path, options: ReadOptions | None = None, range_nm: tuple[float, float] | None = None
+) -> Data:
+    """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, a gonio CSV, or an instrument's file.
 
     Spectrum columns may be in per cent and wavelengths in um, as their headings say. Rows without a measured value
     are ignored.
 
     Raises:
         NacreError: with the file and the problem.
+        AmbiguousFileError: the file can be read in several ways.
     """
     if Path(path).suffix.lower() == ".toml":
         raise NacreError(f"{path}: is a recipe; give the measurement, a CSV, first, and then the recipe")
-    names, table = read_table(path, has_gaps=True)
+    try:
+        recognised = recognise(path)
+    except NacreError:  # an empty or missing file
+        recognised = []
+    if recognised and recognised[0][0] > POSSIBLE:
+        return _from_instrument(path, options or ReadOptions(), range_nm)
+    try:
+        return _read_own_csv(path, range_nm)
+    except UnknownColumnsError as error:
+        if not recognised:
+            raise
+        try:
+            return _from_instrument(path, options or ReadOptions(), range_nm)
+        except AmbiguousFileError:
+            raise
+        except NacreError as other:
+            raise NacreError(f"{error}; {other}") from None
+
+
+class UnknownColumnsError(NacreError):
+    """A table whose columns are not those that nacre writes."""
+
+
+def _from_instrument(path: str | Path, options: ReadOptions, range_nm: tuple[float, float] | None) -> Data:
+    """Return the data of a file in another program's format: ellipsometry, or spectra of one sample."""
+    measurements = open_file(path, options)
+    chosen = [m for m in measurements if m.kind == "ellipsometry" and "depolarisation" not in m.data]
+    if chosen:
+        if len(chosen) > 1:
+            names = tuple(m.name or str(i) for i, m in enumerate(chosen, 1))
+            if options.spectrum is None or options.spectrum not in names:
+                raise AmbiguousFileError(
+                    f"{path}: holds {len(chosen)} data sets ({', '.join(names)[:100]}); choose one with --spectrum",
+                    "spectrum",
+                    names,
+                )
+            chosen = [chosen[names.index(options.spectrum)]]
+        return ellipsometry_data(chosen[0], range_nm, options.spectrum)
+    spectra = [m for m in measurements if m.kind == "spectrum" and {"reflectance", "transmittance"} & set(m.data)]
+    if not spectra:
+        kinds = ", ".join(sorted({m.kind for m in measurements}))
+        raise NacreError(f"{path}: holds {kinds} and no reflectance, transmittance, Psi or Delta")
+    parts = [part for each in spectra for part in _spectra_of(each, options, range_nm)]
+    seen = {(part.parts, tuple(np.ravel(part.angles_deg or 0.0))) for part in parts}
+    if len(seen) < len(parts):
+        names = tuple(m.name or str(i) for i, m in enumerate(spectra, 1))
+        raise AmbiguousFileError(f"{path}: holds {len(spectra)} spectra; choose one with --spectrum", "spectrum", names)
+    return joined(parts)
+
+
+def _spectra_of(measurement: Measurement, options: ReadOptions, range_nm: tuple[float, float] | None) -> list[Measured]:
+    """Return each quantity of a spectrum at its angle."""
+    data, stated = measurement.data, measurement.metadata
+    angle = stated.get("angle_of_incidence_deg", options.angle_deg)
+    angles = np.asarray(data.get("angle_of_incidence_deg", np.full(len(data["wavelength_nm"]), angle or 0.0)), float)
+    where = "diffuse" if "diffuse" in str(stated.get("mode", "")) else "specular"
+    suffix = f"_{stated['polarisation']}" if stated.get("polarisation") in ("s", "p") and where == "specular" else ""
+    found = []
+    for quantity in ("reflectance", "transmittance"):
+        if quantity not in data:
+            continue
+        waves, values = np.asarray(data["wavelength_nm"], float), np.asarray(data[quantity], float)
+        keep = np.isfinite(values) & _in_range(waves, range_nm)
+        if not keep.any():
+            raise NacreError(f"{measurement.path}: has no values in the range of wavelengths")
+        for each in np.unique(angles[keep]):
+            rows = keep & (angles == each)
+            grid, first = np.unique(waves[rows], return_index=True)
+            part = f"{where}_{quantity}{suffix}"
+            table = values[rows][first][None, None]
+            _check_spectrum(measurement.path, (part,), np.array([each]), grid, table)
+            found.append(Measured("spectrum", grid, table, (part,), np.array([each]), name=str(measurement.path)))
+    return found
+
+
+def _in_range(waves: Array, range_nm: tuple[float, float] | None) -> NDArray[np.bool_]:
+    low, high = (-np.inf, np.inf) if range_nm is None else range_nm
+    return np.asarray((waves >= low) & (waves <= high))
+
+
+def _read_own_csv(path: str | Path, range_nm: tuple[float, float] | None) -> Measured:
+    try:
+        names, table = read_table(path, has_gaps=True)
+    except NacreError as error:
+        raise UnknownColumnsError(str(error)) from None
     if "theta_i" in names or "value" in names:
         gonio = read_gonio_csv(path)
-        return Measured("gonio", gonio.wavelengths_nm, gonio.values, gonio=gonio)
+        return Measured("gonio", gonio.wavelengths_nm, gonio.values, gonio=gonio, name=str(path))
     columns = dict(zip(names, table.T))
-    measured = {part: columns[part] for part in PARTS if part in columns}
-    measured |= {part: columns[f"{part}_percent"] / 100.0 for part in PARTS if f"{part}_percent" in columns}
+    known = (*PARTS, *POLARISED)
+    measured = {part: columns[part] for part in known if part in columns}
+    measured |= {part: columns[f"{part}_percent"] / 100.0 for part in known if f"{part}_percent" in columns}
     wavelengths = columns.get("wavelength_nm", 1e3 * columns["wavelength_um"] if "wavelength_um" in columns else None)
     if wavelengths is None or not measured:
-        raise NacreError(
+        raise UnknownColumnsError(
             f"{path}: is neither a gonio CSV ({', '.join(COLUMNS)}) nor a spectrum CSV (wavelength_nm, angle_deg, and "
             f"one of {', '.join(PARTS)}, or with _percent behind it); its columns are {', '.join(names)[:80]}"
         )
     angle_column = columns.get("angle_deg", np.zeros(len(table)))
-    has_value = ~np.isnan([*measured.values()]).all(axis=0)
+    has_value = ~np.isnan([*measured.values()]).all(axis=0) & _in_range(wavelengths, range_nm)
     wavelengths, angle_column = wavelengths[has_value], angle_column[has_value]
     if not has_value.any() or not np.isfinite(wavelengths).all() or not np.isfinite(angle_column).all():
         raise NacreError(f"{path}: needs a wavelength, an angle and at least one measured value per row")
@@ -178,7 +348,7 @@ def read_measurement(path: str | Path) -> Measured:
     for i, part in enumerate(measured):
         values[i][place] = measured[part][has_value]
     _check_spectrum(path, tuple(measured), angles, waves, values)
-    return Measured("spectrum", waves, values, tuple(measured), angles)
+    return Measured("spectrum", waves, values, tuple(measured), angles, name=str(path))
 
 
 def _check_spectrum(path: str | Path, parts: tuple[str, ...], angles: Array, waves: Array, values: Array) -> None:
@@ -230,7 +400,7 @@ def _number(text: str) -> float:
 
 def run_fit(
     material: Material,
-    measured: Measured,
+    measured: Data,
     free: tuple[Parameter, ...],
     *,
     starts: int = 4,
@@ -238,6 +408,8 @@ def run_fit(
     weights: str = "equal",
     samples: int | None = None,
     seed: int = 0,
+    ties: Ties | None = None,
+    intervals: str = "auto",
     progress: Callable[[str, float], None] | None = None,
 ) -> Fit:
     """Fit the parameters.
@@ -250,15 +422,22 @@ def run_fit(
         scouts: trial materials per parameter, from which the starts are selected.
         weights: "equal" if the noise is the same for all values, or "relative" if it is proportional to them (counts,
             BSDF values over decades); the intervals are valid for that noise.
+        ties: tied numbers; default: those of the recipe.
+        intervals: "linear", "profile", "resampling", or "auto": profile if the problem is not linear within the
+            linear intervals.
         progress: called with (stage, best relative rms).
 
     Raises:
         NacreError: no start can be computed.
     """
+    if intervals not in ci.METHODS:
+        raise NacreError(f'intervals = "{intervals}" is not known; choose one of {", ".join(ci.METHODS)}')
     if weights not in WEIGHTS:
         raise NacreError(f'weights = "{weights}" is not known; choose one of {", ".join(WEIGHTS)}')
-    material = material.at_low_fidelity().with_parts_loaded(parameter.path for parameter in free)
-    problem = _Problem(material, measured, free, samples, seed, weights)
+    tied = read_ties(material, [number.path for number in free]) if ties is None else ties
+    paths = [*(parameter.path for parameter in free), *tied.expressions]
+    material = material.at_low_fidelity().with_parts_loaded(paths)
+    problem = _Problem(material, measured, free, tied, samples, seed, weights)
     candidates = problem.select_starts(starts, scouts)
     minima: list[LocalMinimum] = []
     for number, start in enumerate(candidates):
@@ -274,12 +453,35 @@ def run_fit(
     minima[0] = best_minimum = problem.corrected(minima[0])
     if progress and problem.is_corrected:
         progress("corrected by walks", problem.relative(best_minimum.loss))
-    numbers = problem.confidence(best_minimum)
+    if isinstance(measured, Joint):
+        minima[0] = best_minimum = problem.reweighted(best_minimum)
+        if progress:
+            progress("reweighted", problem.relative(best_minimum.loss))
+    numbers = problem.with_intervals(problem.confidence(best_minimum), best_minimum, intervals)
     fitted = problem.build(best_minimum.point)
     residual = measured.model(fitted, samples, seed) - measured.values
     rms = float(np.sqrt(np.mean(residual**2)))
     losses = tuple(problem.relative(each.loss) for each in minima)
-    return Fit(numbers, fitted, residual, rms, losses[0], losses, problem.evaluations)
+    linked = {
+        path: float(value) for path, value in problem.values(best_minimum.point).items() if path in tied.expressions
+    }
+    correlations = ci.correlation(best_minimum, measured.values.size)
+    agreement = _agreement(measured, residual, len(free))
+    relative = agreement[0].relative_rms if isinstance(measured, Joint) and len(agreement) == 1 else losses[0]
+    return Fit(numbers, fitted, residual, rms, relative, losses, problem.evaluations, linked, correlations, agreement)
+
+
+def _agreement(measured: Data, residual: Array, parameters: int) -> tuple[FittedPart, ...]:
+    parts = parts_of(measured)
+    places = measured.places if isinstance(measured, Joint) else [slice(None)]
+    found = []
+    for part, place in zip(parts, places):
+        own = residual.ravel()[place]
+        rms = float(np.sqrt(np.mean(own**2)))
+        size = float(np.sqrt(np.mean(part.values**2))) or 1.0
+        mse = part.mse(own, parameters) if isinstance(part, EllipsometryData) else None
+        found.append(FittedPart(name_of(part, ""), part.kind, part.values.size, rms, rms / size, mse))
+    return tuple(found)
 
 
 class _Problem:
@@ -288,26 +490,37 @@ class _Problem:
     def __init__(
         self,
         material: Material,
-        measured: Measured,
+        measured: Data,
         free: tuple[Parameter, ...],
+        ties: Ties,
         samples: int | None,
         seed: int,
         weights: str,
     ) -> None:
         self._material, self._measured, self._free = material, measured, free
-        self._make = material.parametrise([number.path for number in free])
+        self._ties = ties
+        paths = [*(number.path for number in free), *ties.expressions]
+        self._make = material.parametrise([path for path in paths if not path.startswith(INSTRUMENT)])
         self._samples, self._seed = samples, seed
         self.evaluations = 0
-        rms = float(np.sqrt(np.mean(measured.values**2))) or 1.0
-        # the floor limits the weight near zero
-        shares = np.maximum(np.abs(measured.values), RELATIVE_FLOOR * rms)
-        self._scale = shares if weights == "relative" else np.full(measured.values.shape, rms)
+        self._scale = measured.noise_scale(weights)
         self._correction: Array | float = 0.0  # random walk minus surrogate
         self.is_corrected = False
         self._walked: Array | None = None  # `[seed, value]`, scaled results from independent walks at one point
 
+    def values(self, point: Array) -> dict[str, Any]:
+        """Return the values of the free and of the tied numbers."""
+        return self._ties.values(values_at(self._free, point))
+
     def build(self, point: Array) -> Material:
-        return self._make(values_at(self._free, point))
+        values = self.values(point)
+        own = {path: value for path, value in values.items() if not path.startswith(INSTRUMENT)}
+        material = self._make(own)
+        if len(own) < len(values):
+            table = {path.removeprefix(INSTRUMENT): v for path, v in values.items() if path.startswith(INSTRUMENT)}
+            data = {**material.data, "instrument": {**material.data.get("instrument", {}), **table}}
+            material = replace(material, data=data)
+        return material
 
     def residual(self, point: Array) -> Array:
         """Return (model - measurement) / noise scale, flat; a constant penalty if the material cannot be computed."""
@@ -325,6 +538,57 @@ class _Problem:
 
     def _loss(self, point: Array) -> float:
         return float(np.sum(self.residual(point) ** 2))
+
+    def reweighted(self, end: LocalMinimum) -> LocalMinimum:
+        """Refine with each measurement of a `Joint` weighted by its own residual."""
+        assert isinstance(self._measured, Joint)
+        for _ in range(REWEIGHTINGS):
+            residual = self.residual(end.point)
+            if np.all(residual == 0.0):
+                break
+            level = float(np.sqrt(np.mean(residual**2)))
+            for place in self._measured.places:
+                own = float(np.sqrt(np.mean(residual[place] ** 2)))
+                self._scale[place] *= max(own, 1e-3 * level) / level
+            refined = self.refine(end.point)
+            if refined is None:
+                break
+            end = refined
+        return end
+
+    def with_intervals(
+        self, numbers: tuple[FittedNumber, ...], end: LocalMinimum, method: str
+    ) -> tuple[FittedNumber, ...]:
+        """Return the numbers with their 95 % intervals by a method of `nacre.analysis.intervals`."""
+        spans = [each.high - each.low for each in self._free]
+        widths = np.array([number.half_width / span for number, span in zip(numbers, spans)])
+        linear = tuple(
+            replace(n, interval=(max(n.value - n.half_width, f.low), min(n.value + n.half_width, f.high)))
+            for n, f in zip(numbers, self._free)
+        )
+        noisy = not is_direct(self.build(end.point).model) and self._samples is not None
+        whole = any(each.is_whole for each in self._free)
+        if method == "linear" or whole or noisy or self._walked is not None or end.loss == 0.0:
+            return linear
+        if method == "auto" and (not self._is_quick() or not ci.is_nonlinear(self.residual, end, widths)):
+            return linear
+        if method == "resampling":
+            ends = ci.resampled_intervals(self.residual, end, self._seed)
+        else:
+            ends = np.array([ci.profile_interval(self.residual, end, i, self._width(w)) for i, w in enumerate(widths)])
+        name = "resampling" if method == "resampling" else "profile"
+        return tuple(
+            replace(n, interval=(f.value(low), f.value(high)), method=name,
+                    is_determined=bool(high - low < 2 * UNDETERMINED_SHARE))
+            for n, f, (low, high) in zip(linear, self._free, ends)
+        )  # fmt: skip
+
+    @staticmethod
+    def _width(width: float) -> float:
+        return float(min(max(width, 1e-6), 0.5)) if np.isfinite(width) else 0.5
+
+    def _is_quick(self) -> bool:
+        return bool(self._material.model.traits.is_quick)
 
     def corrected(self, end: LocalMinimum) -> LocalMinimum:
         """Refine a surrogate minimum with random walk differences (space mapping)."""
@@ -356,19 +620,47 @@ class _Problem:
         return float(np.sqrt(loss / self._measured.values.size))
 
     def select_starts(self, starts: int, scouts: int) -> list[Array]:
-        """Return the recipe's own point and the best, well separated Sobol points."""
+        """Return the recipe's own point and the best, well separated points of a Sobol sample and thickness scans."""
         nominal = nominal_point(self._free, self._material)
         chosen = [] if nominal is None else [nominal]
         if chosen and starts == 0:
             return chosen
         count = starts + len(chosen)
-        sample = sobol_points(len(self._free), scouts * len(self._free), self._seed)
-        for index in np.argsort([self._loss(point) for point in sample]):
+        sample = list(sobol_points(len(self._free), scouts * len(self._free), self._seed))
+        losses = [self._loss(point) for point in sample]
+        scanned = [sample[i] for i in np.argsort(losses)[:SCANNED]]
+        for point in ([nominal] if nominal is not None else []) + scanned:
+            for found in self._scanned(point):
+                sample.append(found)
+                losses.append(self._loss(found))
+        for index in np.argsort(losses):
             if len(chosen) >= count:
                 break
             if is_distinct(sample[index], chosen, MIN_START_DISTANCE):
                 chosen.append(sample[index])
         return chosen
+
+    def _scanned(self, point: Array) -> list[Array]:
+        """Return the deepest minima of scans along each thickness in turn, in steps below a fringe."""
+        columns = [i for i, each in enumerate(self._free) if THICKNESS.search(each.path) and not each.is_whole]
+        if not columns or not self._is_quick():
+            return []
+        shortest = float(np.min(self._measured.wavelengths_nm))
+        best, found = point, []
+        for i in columns:
+            match = THICKNESS.search(self._free[i].path)
+            assert match is not None
+            span = (self._free[i].high - self._free[i].low) * UNIT_NM[match[2]]
+            steps = int(np.clip(np.ceil(span * SCAN_STEPS / shortest), 8, MOST_SCAN_STEPS))
+            line = np.repeat(best[None], steps + 1, axis=0)
+            line[:, i] = np.linspace(0.0, 1.0, steps + 1)
+            losses = np.array([self._loss(each) for each in line])
+            padded = np.concatenate([[np.inf], losses, [np.inf]])
+            minima = np.flatnonzero((losses <= padded[:-2]) & (losses <= padded[2:]))
+            minima = minima[np.argsort(losses[minima])][:SCANNED]
+            found += [line[j] for j in minima]
+            best = line[minima[0]]
+        return found
 
     def refine(self, start: Array) -> LocalMinimum | None:
         """Refine one start by least squares, then by CMA-ES if finite differences see only noise."""

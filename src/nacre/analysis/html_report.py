@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nacre.analysis.report import ColourTable, Report, differences
+from nacre.analysis.report import ColourTable, Comparison, Report
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.errors import UnsupportedError
 from nacre.core.html import render_page
@@ -85,13 +86,18 @@ def _spectrum(material: Material, angles_deg: tuple[float, ...], illuminant: str
         return None
 
 
-def report_json(reports: list[Report]) -> dict[str, Any]:
-    """Return one report, or several with differences to the first, as data for JSON."""
+def report_json(reports: list[Report], comparisons: Sequence[Comparison] = ()) -> dict[str, Any]:
+    """Return one report, or several with their comparisons with the first, as data for JSON."""
     document: dict[str, Any] = {"reports": [_document(report) for report in reports]}
-    if len(reports) > 1:
-        document["delta_e_2000_to_first"] = [
-            {name: _clean(values.tolist()) for name, values in differences(report, reports[0]).items()}
-            for report in reports[1:]
+    if comparisons:
+        document["differences_to_first"] = [
+            {
+                "name": found.name,
+                "formula": found.formula,
+                **{name: _clean(values.tolist()) for name, values in found.tables.items()},
+                "passes": found.passes,
+            }
+            for found in comparisons
         ]
     return document
 
@@ -103,6 +109,7 @@ def _document(report: Report) -> dict[str, Any]:
         "observer": report.observer,
         "aspecular": _table_document(report.aspecular),
         "specular": None if report.specular is None else _table_document(report.specular),
+        "geometries": None if report.geometries is None else _table_document(report.geometries),
         "flop_index": _clean(report.flop_index),
         "gloss": _clean(report.gloss),
         "reflection_haze_percent": _clean(report.reflection_haze),
@@ -117,6 +124,7 @@ def _table_document(table: ColourTable) -> dict[str, Any]:
     return {
         "what": table.what,
         "angles_deg": table.angles_deg.tolist(),
+        "geometries": list(table.labels),
         "xyz": table.xyz.tolist(),
         "lab": table.lab.tolist(),
         "lch": table.lch.tolist(),
@@ -136,33 +144,34 @@ def _clean(value: Any) -> Any:
     return value
 
 
-def report_text(reports: list[Report]) -> str:
-    """Return reports as plain text, followed by their differences."""
+def report_text(reports: list[Report], comparisons: Sequence[Comparison] = ()) -> str:
+    """Return reports as plain text, followed by their comparisons."""
     lines: list[str] = []
     for report in reports:
         lines += [f"{report.name}   ({report.illuminant}, {report.observer} observer)", ""]
-        for table in _tables(report):
-            lines += [f"  {table.what}", "    angle      L*       a*       b*       C*       h   sRGB"]
-            for angle, lab, lch, swatch in zip(table.angles_deg, table.lab, table.lch, table.hex, strict=True):
+        for table in report.tables.values():
+            width = max(8, *map(len, table.labels))
+            lines += [f"  {table.what}", f"    {'':{width}}    L*       a*       b*       C*       h   sRGB"]
+            for label, lab, lch, swatch in zip(table.labels, table.lab, table.lch, table.hex, strict=True):
                 numbers = "  ".join(f"{v:7.2f}" for v in (*lab, lch[1]))
-                lines.append(f"    {angle:5.0f}  {numbers}  {lch[2]:6.1f}   {swatch}")
+                lines.append(f"    {label:{width}}  {numbers}  {lch[2]:6.1f}   {swatch}")
             lines += [f"    travel in a*b*: {table.travel:.1f}", ""]
         lines += [f"  {name:34s} {value}" for name, value in report_numbers(report)] + [""]
-    for report in reports[1:]:
-        lines.append(f"dE00 of {report.name} to {reports[0].name}")
-        for name, values in differences(report, reports[0]).items():
-            table = _named_table(report, name)
-            row = "  ".join(f"{a:g}: {v:.2f}" for a, v in zip(table.angles_deg, values, strict=True))
+    for found in comparisons:
+        lines.append(f"{found.formula} of {found.name} to {reports[0].name}")
+        for name, values in found.tables.items():
+            row = "  ".join(f"{label}: {v:.2f}" for label, v in zip(found.labels[name], values, strict=True))
             lines.append(f"  {name:10s} {row}")
+        lines += [f"  {line}" for line in _verdict(found)]
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _tables(report: Report) -> list[ColourTable]:
-    return [report.aspecular] + ([report.specular] if report.specular is not None else [])
-
-
-def _named_table(report: Report, name: str) -> ColourTable:
-    return report.aspecular if name == "aspecular" or report.specular is None else report.specular
+def _verdict(found: Comparison) -> list[str]:
+    """Return whether a sample passes, and the geometries at which it fails."""
+    failed = [label for label, is_within in found.passes.items() if not is_within]
+    if not found.passes:
+        return []
+    return [f"fail at {', '.join(failed)}" if failed else f"pass at all {len(found.passes)} geometries"]
 
 
 def report_numbers(report: Report) -> list[tuple[str, str]]:
@@ -181,23 +190,21 @@ def report_numbers(report: Report) -> list[tuple[str, str]]:
     return rows
 
 
-def report_html(reports: list[Report], figures: dict[str, str] | None = None) -> str:
+def report_html(
+    reports: list[Report], figures: dict[str, str] | None = None, comparisons: Sequence[Comparison] = ()
+) -> str:
     """Return one HTML page; `figures` maps captions to data URIs."""
     first = reports[0]
     return render_page(
         "report.html",
         title=" and ".join(report.name for report in reports),
         first=first,
-        sections=[(report, _tables(report), report_numbers(report)) for report in reports],
-        comparisons=[
-            (report, [(name, _named_table(report, name).angles_deg, delta) for name, delta in found.items()])
-            for report in reports[1:]
-            for found in [differences(report, first)]
-        ],
+        sections=[(report, list(report.tables.values()), report_numbers(report)) for report in reports],
+        comparisons=[(found, _verdict(found)) for found in comparisons],
         figures=figures or {},
     )
 
 
-def dump_json(reports: list[Report]) -> str:
+def dump_json(reports: list[Report], comparisons: Sequence[Comparison] = ()) -> str:
     """Return the JSON text of `report_json`."""
-    return json.dumps(report_json(reports), indent=2) + "\n"
+    return json.dumps(report_json(reports, comparisons), indent=2) + "\n"

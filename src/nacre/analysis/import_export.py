@@ -16,10 +16,15 @@ from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import plain, why_unreadable, write_text
 from nacre.families.contract import OwnFormats
-from nacre.formats.gonio_csv import MAX_VALUE, read_gonio_csv, write_gonio_csv
-from nacre.formats.half_angle_tables import merl_table, read_merl, write_merl
-from nacre.formats.lobes import delta_lost, gonio_grid, gonio_table, is_isotropic, lost_parts, merl_lobe
+from nacre.formats.foreign_materials import read_gltf, read_materialx
+from nacre.formats.gonio_csv import MAX_VALUE, gonio_data, write_gonio_csv
+from nacre.formats.half_angle_tables import merl_table, read_merl_filled, write_merl
+from nacre.formats.lobes import delta_lost, gonio_grid, is_isotropic, lost_parts, merl_lobe
+from nacre.formats.measured_lobes import LAWS, measured_table, rgb_basis, with_spectra
+from nacre.light import default_wavelengths
 from nacre.material.material import MAX_EXCESS, Material, material_from_data
+from nacre.readers.measurement import ReadOptions
+from nacre.readers.registry import recognise
 from nacre.recipe.model import RecipeContext
 from nacre.recipe.toml import dump_toml
 
@@ -28,9 +33,12 @@ MAX_F0 = 0.96  # a real index of 98; a perfect mirror would need an infinite one
 ENERGY_ANGLES_DEG = (0.0, 30.0, 60.0)
 MOST_ENERGY = 4.0  # measurements exceed 1 by tens of per cent
 ROUNDING = 1e-6  # of the largest value
-TENSOR_MAGIC = b"tensor_file\0"
 OF_VALUES = ("rgl", "merl", "zemax", "csv", "exr")  # formats that evaluate the Bsdf
-IMPORTS = ".csv (goniometer), .binary (MERL), .bsdf (RGL tensor or Zemax), .gltf, .mtlx"
+IMPORTS = (
+    "goniometer tables, MERL, RGL tensor, Zemax, ASTM E1392, Speos, SSDD, TracePro, ALTA, UTIA, BRDF JSON, glTF, "
+    "MaterialX"
+)
+RGB_REMARK = "RGB was given smooth spectra that have its colours under D65"
 
 
 def export_material(
@@ -140,30 +148,32 @@ def _export_film(material: Material, target: str, path: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def import_material(source: Path, recipe: Path) -> list[str]:
+def import_material(
+    source: Path, recipe: Path, *, options: ReadOptions | None = None, law: str | None = None
+) -> list[str]:
     """Read a file of another program and write a recipe, and for tables a `.nacre` file beside it.
+
+    Args:
+        options: properties of a measurement that the file does not state.
+        law: extrapolation of a scan in the plane of incidence; see `nacre.formats.measured_lobes.LAWS`.
 
     Returns:
         remarks.
 
     Raises:
         NacreError: the file has an unknown format or is damaged.
+        UnsupportedError: a measurement that is not a BRDF of an isotropic sample.
     """
     try:
         plain(source)
     except OSError as error:
         raise NacreError(f"{source}: {why_unreadable(error)}") from None
-    suffix = source.suffix.lower()
-    if suffix in (".gltf", ".mtlx") or _is_materialx(source):
-        return _import_film(source, recipe)
-    if suffix == ".csv":
-        lobe, remarks = gonio_table(read_gonio_csv(source), str(source))
-    elif suffix == ".binary":
-        lobe, remarks = merl_lobe(read_merl(source)), ["RGB was given smooth spectra that have its colours under D65"]
-    elif suffix == ".bsdf":
-        lobe, remarks = _import_bsdf(source)
-    else:
-        raise NacreError(f"{source}: is of no known format; nacre imports {IMPORTS}")
+    if source.suffix.lower() in (".gltf", ".glb", ".mtlx") or _is_materialx(source):
+        return _import_film(source, recipe, (options or ReadOptions()).spectrum)
+    try:
+        lobe, remarks = _import_bsdf(source, options or ReadOptions(), law)
+    except UnsupportedError as error:
+        raise error if str(source) in str(error) else UnsupportedError(f"{source}: {error}") from None
     remarks = [*remarks, *_check_energy(source, lobe)]
     stored = recipe.with_suffix(".nacre")
     Bsdf((lobe,), {"nacre": __version__, "imported": source.name}).save(stored)
@@ -187,7 +197,8 @@ def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
         NacreError: an impossible value, or a sum beyond any measurement error.
     """
     low, high = float(lobe.values.min()), float(lobe.values.max())
-    if not np.isfinite(low + high) or low < -ROUNDING * high or high > MAX_VALUE:
+    is_spectral = lobe.values.shape[3] != 3  # colour channels of a measurement may be negative
+    if not np.isfinite(low + high) or (is_spectral and low < -ROUNDING * high) or high > MAX_VALUE:
         raise NacreError(f"{source}: holds BSDF values below 0 or beyond {MAX_VALUE:g}; none has them")
     for angle in ENERGY_ANGLES_DEG:
         sums = np.sum(lobe.hemispherical(direction(np.radians(angle))), axis=0)
@@ -203,19 +214,16 @@ def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
     return []
 
 
-def _import_film(source: Path, recipe: Path) -> list[str]:
-    if source.suffix.lower() == ".gltf":
-        from nacre.formats.thin_film import read_gltf
-
-        film = read_gltf(source)
-    else:
-        from nacre.formats.thin_film import read_materialx
-
-        film = read_materialx(source)
-    for name, value in film.__dict__.items():
+def _import_film(source: Path, recipe: Path, name: str | None = None) -> list[str]:
+    film = (
+        read_materialx(source, name) if _is_materialx(source) or source.suffix == ".mtlx" else read_gltf(source, name)
+    )
+    for key, value in film.__dict__.items():
         if any(isinstance(v, float) and not np.isfinite(v) for v in np.ravel(np.asarray(value, dtype=object))):
-            raise NacreError(f"{source}: its {name} is not a finite number")
-    remarks = []
+            raise NacreError(f"{source}: its {key} is not a finite number")
+    if not 0.0 <= film.weight <= 1.0:
+        raise NacreError(f"{source}: its share of the film, {film.weight:g}, is not in 0 to 1")
+    remarks = list(film.remarks)
     base = film.base_ior
     if film.is_metal:
         f0 = min(max(float(np.dot(film.base_rgb, (0.2126, 0.7152, 0.0722))), 0.0), MAX_F0)
@@ -225,29 +233,73 @@ def _import_film(source: Path, recipe: Path) -> list[str]:
         remarks.append(f"not carried over: {', '.join(film.not_read)}")
     # slight absorption makes the base of a metal opaque without changing its reflection
     substrate = {"n": base} if film.transmits else {"n": base, "k": 1e-4}
-    data: dict[str, Any] = {
+    coated: dict[str, Any] = {
         "family": "film", "ambient": "air", "substrate": substrate,
         "layers": [{"material": {"n": film.film_ior}, "thickness_nm": film.thickness_nm}],
         "surface": {"distribution": "ggx", "roughness": film.roughness},
     }  # fmt: skip
+    bare = coated | {"layers": []}
+    data = coated if film.weight == 1.0 else bare if film.weight == 0.0 else {
+        "family": "blend", "mask": film.weight, "first": coated, "second": bare,
+    }  # fmt: skip
     try:
-        material_from_data(data, RecipeContext("film"))
+        material_from_data(coated, RecipeContext("film"))
     except NacreError as error:  # leave no recipe that the next command refuses
         raise NacreError(f"{source}: holds a film that cannot be: {str(error).removeprefix('film: ')}") from None
     write_text(recipe, dump_toml(data))
     return remarks
 
 
-def _import_bsdf(source: Path) -> tuple[TableLobe, list[str]]:
-    with open(source, "rb") as file:
-        is_tensor = file.read(len(TENSOR_MAGIC)) == TENSOR_MAGIC
-    if is_tensor:
-        from nacre.formats.rgl import RglBsdf
+def _import_bsdf(source: Path, options: ReadOptions, law: str | None) -> tuple[TableLobe, list[str]]:
+    """Read a file of a known BSDF format as a table, with remarks."""
+    found = [entry for _, entry in recognise(source) if entry.kind == "bsdf"]
+    if not found:
+        raise NacreError(f"{source}: is of no known format of a BSDF or a material; nacre imports {IMPORTS}")
+    entry = found[0]
+    if law is None and entry.id in ("merl", "rgl", "zemax"):
+        return _on_own_nodes(source, entry.id)
+    measured = entry.read(source, options)
+    table = next((m for m in measured if m.metadata.get("scatter") != "btdf"), measured[0])
+    data, remarks = gonio_data(table)
+    lobe, said = measured_table(data, str(source), law)
+    lobe, more = with_spectra(lobe, table)
+    left = [f"{m.metadata.get('scatter', 'part')} {m.name}: not imported" for m in measured if m is not table]
+    remarks = [line for line in remarks if not line.endswith("are kept")]  # `said` states what became of them
+    return lobe, [*remarks, *said, *more, *left]
 
-        rgl = RglBsdf.read(source)
-        wi, wo = directions_of("half", (90, 46, 24))
-        return TableLobe(rgl.wavelengths_nm, rgl.evaluate(wi, wo), np.eye(len(rgl.wavelengths_nm)), "half"), []
-    from nacre.formats.lobes import zemax_lobe
-    from nacre.formats.zemax import read_zemax
 
-    return zemax_lobe(read_zemax(source)), ["the table holds no spectrum beyond its channels"]
+def _on_own_nodes(source: Path, form: str) -> tuple[TableLobe, list[str]]:
+    """Return the table of a format with its own coordinates, and remarks."""
+    if form == "merl":
+        table, remarks = read_merl_filled(source)
+        return merl_lobe(table), [RGB_REMARK, *remarks]
+    if form == "zemax":
+        from nacre.formats.lobes import zemax_lobe
+        from nacre.formats.zemax import read_zemax
+
+        zemax = read_zemax(source)
+        if len(zemax.incidence_deg) < 2:
+            raise UnsupportedError(
+                f"has one incidence, {zemax.incidence_deg[0]:g} degrees, and determines no BRDF by itself; state a "
+                f"law: --law {LAWS[0]} (the BRDF depends on half and difference angle only)"
+            )
+        first = float(zemax.incidence_deg[0])
+        remarks = ["the table holds no spectrum beyond its channels"]
+        if first > 0:
+            remarks.append(f"incidences below {first:g} degrees were not measured; the nearest values are held")
+        if zemax.rotated is not None:
+            remarks.append(f"{len(zemax.rotation_deg)} sample rotations agree and were averaged")
+        return zemax_lobe(zemax), remarks
+    from nacre.formats.rgl import RglBsdf
+
+    rgl = RglBsdf.read(source)
+    if not rgl.is_isotropic:
+        raise UnsupportedError(
+            f"is anisotropic ({len(rgl.phi_i)} azimuths of the light), and a measured material is isotropic"
+        )
+    wi, wo = directions_of("half", (90, 46, 24))
+    values = rgl.evaluate(wi, wo)
+    if rgl.wavelengths_nm is None:
+        wavelengths = default_wavelengths()
+        return TableLobe(wavelengths, values, rgb_basis(wavelengths), "half"), [RGB_REMARK]
+    return TableLobe(rgl.wavelengths_nm, values, np.eye(values.shape[-1]), "half"), []

@@ -16,7 +16,7 @@ import numpy as np
 from nacre._version import __version__
 from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import exits, masking, normal_quadrature
-from nacre.bsdf.grids import direction, hemisphere_nodes, take_uniform
+from nacre.bsdf.grids import direction, hemisphere_nodes, take_at
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
@@ -84,11 +84,12 @@ def at_node(response: InterfaceResponse, node: tuple[int, ...]) -> InterfaceResp
 def facet_bands(response: InterfaceResponse) -> Array:
     """Return the bands `[band, row, column, 3]` of a facet picture; an opaque interface has one."""
     cos = np.cos(column_angles(COLUMNS))
-    bands = [take_uniform(response.reflectance, cos, -2)]
+    bands = [response.over_cosine(response.reflectance, cos)]
     if response.transmits:
-        bands += [take_uniform(getattr(response, name), cos, -2) for name in ("transmittance", "reflectance_inside")]
+        names = ("transmittance", "reflectance_inside")
+        bands += [response.over_cosine(getattr(response, name), cos) for name in names]
         beyond = np.linspace(0.0, 1.0, COLUMNS)
-        bands.append(take_uniform(response.total, beyond, -2) if response.eta > 1.0 else bands[2])
+        bands.append(take_at(response.total, response.nodes_beyond, beyond, -2) if response.eta > 1.0 else bands[2])
     return np.stack([band.reshape(-1, COLUMNS, 3) for band in bands])
 
 
@@ -565,7 +566,7 @@ def _joined(responses: list[InterfaceResponse]) -> InterfaceResponse:
     """
     first, *others = responses
     for other in others:
-        if other.reflectance.shape != first.reflectance.shape or (other.eta, first.eta) != (1.0, 1.0):
+        if not np.array_equal(other.cos_outside, first.cos_outside) or (other.eta, first.eta) != (1.0, 1.0):
             raise UnsupportedError("has several interfaces of its own, and a table holds one")
         first = dataclasses.replace(
             first, transmittance=first.transmittance + other.transmittance, reflectance=first.reflectance

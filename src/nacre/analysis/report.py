@@ -7,6 +7,7 @@ as colours over the incidence angle.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,9 +18,10 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.grids import direction
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.families.contract import energy_defect
 from nacre.light import (
-    delta_e_2000,
+    colour_difference,
     lab_to_lch,
     smooth_weights,
     spectrum_to_xyz,
@@ -30,6 +32,7 @@ from nacre.light import (
 from nacre.material.material import Material
 from nacre.measure import instruments as geometry
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
+from nacre.measure.geometry import Geometry, aspecular_pairs
 from nacre.measure.wavelengths import colour_bsdf
 
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
@@ -43,10 +46,19 @@ APERTURE_WALKS, LEAST_SAMPLES = (
 
 @dataclass(frozen=True)
 class ColourTable:
-    """Colours over angles: `angles_deg[angle]`, `xyz[angle, 3]`, `lab[angle, 3]`, and hex swatches."""
+    """Colours over angles or geometries.
+
+    Attributes:
+        what: title.
+        angles_deg: `[angle]`: incidence, aspecular angle, or for named geometries the viewer's angle from the normal.
+        labels: `[angle]` names of the geometries, such as "45as15".
+        xyz, lab: `[angle, 3]`.
+        hex: swatches.
+    """
 
     what: str
     angles_deg: Array
+    labels: tuple[str, ...]
     xyz: Array
     lab: Array
     hex: tuple[str, ...]
@@ -71,6 +83,7 @@ class Report:
         illuminant, observer: of all colours; flop index, gloss and haze use those of their standards.
         aspecular: colours at 45 degree incidence, at the standard aspecular angles.
         specular: colours of the mirror direction over incidence; None without a specular part.
+        geometries: colours at further requested geometries; None if there are none.
         flop_index: Alman's, from L* at 15, 45 and 110 degrees under D65 with the 10 degree observer; None if L* at
             45 is 0.
         gloss: gloss units at 20, 60 and 85 degrees, under illuminant C with the 2 degree observer as all haze.
@@ -86,6 +99,7 @@ class Report:
     observer: str
     aspecular: ColourTable
     specular: ColourTable | None
+    geometries: ColourTable | None
     flop_index: float | None
     gloss: dict[str, float]
     reflection_haze: float | None
@@ -94,9 +108,20 @@ class Report:
     noise: float = 0.0
     provenance: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def tables(self) -> dict[str, ColourTable]:
+        """The tables with colours, by name."""
+        named = {"aspecular": self.aspecular, "specular": self.specular, "geometries": self.geometries}
+        return {name: table for name, table in named.items() if table is not None}
+
 
 def make_report(
-    material: Material, illuminant: str = "D65", observer: str = "10deg", samples: int | None = None, seed: int = 0
+    material: Material,
+    illuminant: str = "D65",
+    observer: str = "10deg",
+    samples: int | None = None,
+    seed: int = 0,
+    geometries: Sequence[str] = (),
 ) -> Report:
     """Measure a material in the standard geometries.
 
@@ -104,17 +129,24 @@ def make_report(
         material: the material.
         illuminant, observer: of the colours; usually D65 and 10 degrees.
         samples, seed: of random walks.
+        geometries: further aspecular geometries, "45as25az90" or "NAME=45as25az90".
 
     Raises:
         NacreError: the material cannot be computed.
+        RecipeError: a geometry is not aspecular, or behind the surface.
     """
+    named = read_geometries(geometries)
     refuse_place(material.model, f"{material.context.source}: report")
     bsdf = colour_bsdf(material, illuminant)
     light = (illuminant, observer)
-    wi = direction(np.radians(45.0))
-    wo = np.stack([geometry.aspecular_direction(45.0, a) for a in geometry.ASPECULAR_DEG])
-    factor, error = evaluate_with_error(bsdf, np.broadcast_to(wi, wo.shape), wo, samples=samples, seed=seed)
-    aspecular = colour_table("aspecular, 45 degree incidence", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *light)
+    standard = [Geometry("aspecular", 45.0, angle) for angle in geometry.ASPECULAR_DEG]
+    wi, wo = aspecular_pairs([*standard, *named.values()])
+    factor, error = evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed)
+    own, factor = factor[len(standard) :], factor[: len(standard)]
+    labels = tuple(map(str, standard))
+    aspecular = colour_table(
+        "aspecular, 45 degree incidence", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *light, labels
+    )
     mirror = bsdf.specular(np.radians(SPECULAR_ANGLES_DEG)).reflectance
     spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm)
     parts = {name: _luminous(value, spectrum.wavelengths_nm, *light) for name, value in spectrum.parts().items()}
@@ -135,6 +167,11 @@ def make_report(
         specular=colour_table("mirror direction", SPECULAR_ANGLES_DEG, mirror, bsdf, *light)
         if mirror.max() > MIRROR_THRESHOLD
         else None,
+        geometries=colour_table(
+            "further geometries", [g.view_deg for g in named.values()], np.pi * own, bsdf, *light, tuple(named)
+        )
+        if named
+        else None,
         flop_index=flop_index(lightness[15.0], lightness[45.0], lightness[110.0]),
         gloss={f"{a:g}": gloss(bsdf, a, samples=samples, seed=seed) for a in geometry.GLOSS_APERTURES_DEG},
         reflection_haze=_reflection_haze(bsdf, samples=samples, seed=seed),
@@ -146,14 +183,40 @@ def make_report(
 
 
 def colour_table(
-    what: str, angles_deg: tuple[float, ...], factors: Array, bsdf: Bsdf, illuminant: str, observer: str
+    what: str,
+    angles_deg: Sequence[float],
+    factors: Array,
+    bsdf: Bsdf,
+    illuminant: str,
+    observer: str,
+    labels: tuple[str, ...] = (),
 ) -> ColourTable:
-    """Return the colours of reflectance factors `[angle, wavelength]`."""
+    """Return the colours of reflectance factors `[angle, wavelength]`; default labels: "specular ANGLE"."""
     # the random-walk spectrum is interpolated smoothly between its few wavelengths
     xyz = np.asarray(factors @ smooth_weights(bsdf.wavelengths_nm, illuminant, observer))
     lab = xyz_to_lab(xyz, white_xyz(illuminant, observer))
     swatches = tuple(swatch_hex(row, white_xyz(illuminant, observer)) for row in xyz)
-    return ColourTable(what, np.asarray(angles_deg), np.asarray(xyz), np.asarray(lab), swatches)
+    labels = labels or tuple(f"specular {angle:g}" for angle in angles_deg)
+    return ColourTable(what, np.asarray(angles_deg), labels, np.asarray(xyz), np.asarray(lab), swatches)
+
+
+def read_geometries(texts: Sequence[str]) -> dict[str, Geometry]:
+    """Return aspecular geometries by name from "45as25az90" or "NAME=45as25az90".
+
+    Raises:
+        RecipeError: another form, an angle behind the surface, or the same name twice.
+    """
+    found: dict[str, Geometry] = {}
+    for text in texts:
+        name, separator, value = text.rpartition("=")
+        one = Geometry.read(value, "geometry")
+        if one.kind != "aspecular":
+            raise RecipeError(f'geometry = "{text}" is not aspecular; write such as "45as25az90" or "door=45as25az90"')
+        name = name.strip() if separator else str(one)
+        if name in found:
+            raise RecipeError(f'geometry = "{text}": the name {name} occurs twice')
+        found[name] = one
+    return found
 
 
 def flop_index(lightness_15: float, lightness_45: float, lightness_110: float) -> float | None:
@@ -227,9 +290,53 @@ def transmission_haze(bsdf: Bsdf, samples: int | None = None, seed: int = 0) -> 
     return 100.0 * float(np.clip(1.0 - near / all_light, 0.0, 1.0)) if all_light > 0 else 0.0
 
 
-def differences(report: Report, standard: Report) -> dict[str, Array]:
-    """Return dE00 between a report's tables and a standard: name -> `[angle]`."""
-    found = {"aspecular": delta_e_2000(standard.aspecular.lab, report.aspecular.lab)}
-    if report.specular is not None and standard.specular is not None:
-        found["specular"] = delta_e_2000(standard.specular.lab, report.specular.lab)
-    return {name: np.asarray(value) for name, value in found.items()}
+@dataclass(frozen=True)
+class Comparison:
+    """Colour differences of a report from a standard.
+
+    Attributes:
+        name: name of the sample.
+        formula: key of `nacre.light.colour_differences.FORMULAS`.
+        tables: table name -> differences `[angle]`.
+        labels: table name -> names of the geometries `[angle]`.
+        limits: geometry -> largest accepted difference; geometries without a limit are not evaluated.
+    """
+
+    name: str
+    formula: str
+    tables: dict[str, Array]
+    labels: dict[str, tuple[str, ...]]
+    limits: dict[str, float]
+
+    @property
+    def passes(self) -> dict[str, bool]:
+        """Whether each geometry with a limit is within it."""
+        pairs = ((label, d) for name, row in self.tables.items() for label, d in zip(self.labels[name], row))
+        return {label: bool(d <= self.limits[label]) for label, d in pairs if label in self.limits}
+
+
+def compare(
+    report: Report, standard: Report, formula: str = "ciede2000", limits: Mapping[str, float] | None = None
+) -> Comparison:
+    """Return the colour differences of a report from a standard.
+
+    Args:
+        formula: key of `nacre.light.colour_differences.FORMULAS`; the standard is the formula's first colour.
+        limits: geometry ("45as15", "specular 45", a name) -> largest accepted difference; "" holds for all others.
+
+    Raises:
+        NacreError: the formula is unknown, or a limit's geometry is in no table.
+    """
+    both = {name: (standard.tables[name], table) for name, table in report.tables.items() if name in standard.tables}
+    tables = {name: colour_difference(first.lab, second.lab, formula) for name, (first, second) in both.items()}
+    labels = {name: second.labels for name, (_, second) in both.items()}
+    known = [label for row in labels.values() for label in row]
+    limits = dict(limits or {})
+    for name in limits:
+        if name and name not in known:
+            hint = did_you_mean(name, known)
+            raise NacreError(f'tolerance "{name}" names no geometry of the report.{hint} It has {", ".join(known)}')
+    general = limits.pop("", None)
+    if general is not None:
+        limits = dict.fromkeys(known, general) | limits
+    return Comparison(report.name, formula, tables, labels, limits)

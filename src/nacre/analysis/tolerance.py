@@ -16,7 +16,7 @@ from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material
 from nacre.measure import instruments
 from nacre.measure.wavelengths import colour_spectrum, colour_values
-from nacre.optimise.tolerances import Tolerance, read_tolerances, wilson_interval
+from nacre.optimise.tolerances import Component, Tolerance, components, draw, read_tolerances, wilson_interval
 from nacre.recipe.path_tables import by_path, with_options
 
 MAX_DRAWS = 1_000_000
@@ -36,8 +36,9 @@ class ToleranceResult:
         delta_e: `[draw, angle]`, dE00 to the nominal colour.
         limit: dE00 limit for the yield.
         yield_share: draw share within the limit at every angle; `yield_interval`: its 95 % interval.
-        sensitivities: (path, dE00 per standard deviation at the worst angle, variance share), largest first.
+        sensitivities: (path or group, dE00 per standard deviation at the worst angle, variance share), largest first.
         failed: draws that could not be computed; they count as outside the limit.
+        clipped: path -> share of draws that were cut off at 0.
     """
 
     geometry: str
@@ -50,6 +51,7 @@ class ToleranceResult:
     yield_interval: tuple[float, float]
     sensitivities: tuple[tuple[str, float, float], ...]
     failed: int
+    clipped: dict[str, float]
 
 
 def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tuple[Tolerance, ...]:
@@ -109,9 +111,11 @@ def run_tolerance(
     measure = ColourProbe(material, illuminant, observer, samples, seed)
     nominal = measure(material)
     generator = np.random.default_rng(seed)
-    values = {each.path: each.draw(generator, draws) for each in tolerances}
+    causes = components(tolerances)
+    drawn = draw(tolerances, generator, draws)
+    values = drawn.values
     lab = np.full((draws, *nominal.shape), np.nan)
-    total = draws + 2 * len(tolerances)
+    total = draws + 2 * len(causes)
     make = material.parametrise(values)
     for i in range(draws):
         try:
@@ -121,12 +125,12 @@ def run_tolerance(
         if progress:
             progress(i + 1, total)
     changes = []
-    for number, each in enumerate(tolerances, start=1):
+    for number, each in enumerate(causes, start=1):
         changes.append(_sensitivity(material, each, measure, nominal))
         if progress:
             progress(draws + 2 * number, total)
     variance = sum(change**2 for change in changes) or 1.0
-    ranked = sorted(zip(tolerances, changes, strict=True), key=lambda pair: -pair[1])
+    ranked = sorted(zip(causes, changes, strict=True), key=lambda pair: -pair[1])
     delta = np.asarray(delta_e_2000(np.broadcast_to(nominal, lab.shape), lab))
     good = int(np.sum(np.nan_to_num(delta, nan=np.inf).max(axis=1) <= limit))
     return ToleranceResult(
@@ -138,7 +142,8 @@ def run_tolerance(
         limit=limit,
         yield_share=good / draws,
         yield_interval=wilson_interval(good, draws),
-        sensitivities=tuple((each.path, change, change**2 / variance) for each, change in ranked),
+        sensitivities=tuple((each.name, change, change**2 / variance) for each, change in ranked),
+        clipped=drawn.clipped,
         failed=int(np.sum(np.isnan(delta).any(axis=1))),
     )
 
@@ -169,17 +174,15 @@ class ColourProbe:
         return np.asarray(xyz_to_lab(spectrum_to_xyz(values, grid, *self._light), white_xyz(*self._light)))
 
 
-def _sensitivity(material: Material, tolerance: Tolerance, measure: ColourProbe, nominal: Array) -> float:
+def _sensitivity(material: Material, cause: Component, measure: ColourProbe, nominal: Array) -> float:
     """Return the dE00 per standard deviation at the worst angle, from a central difference."""
-    sigma = tolerance.standard_deviation
-    step = SENSITIVITY_STEP * sigma
-    low = max(tolerance.nominal - step, 0.0) if tolerance.nominal >= 0 else tolerance.nominal - step
-    high = tolerance.nominal + step
-    if high <= low:
+    low, high = cause.values(-SENSITIVITY_STEP), cause.values(SENSITIVITY_STEP)
+    if low == high:
         return 0.0
-    below, above = (measure(material.vary({tolerance.path: value})) for value in (low, high))
-    slope = (above - below) / (high - low) * sigma
-    return float(np.max(delta_e_2000(nominal, nominal + slope)))
+    # a number that ends at 0 moves by less than the full step
+    step = min((high[t.path] - low[t.path]) / t.standard_deviation for t in cause.tolerances if t.deviation > 0)
+    below, above = (measure(material.vary(values)) for values in (low, high))
+    return float(np.max(delta_e_2000(nominal, nominal + (above - below) / step)))
 
 
 def tolerance_document(result: ToleranceResult, tolerances: tuple[Tolerance, ...]) -> dict[str, Any]:
@@ -200,6 +203,7 @@ def tolerance_document(result: ToleranceResult, tolerances: tuple[Tolerance, ...
         "yield_interval_95": list(result.yield_interval),
         "draws": len(result.lab),
         "failed_draws": result.failed,
+        "share_clipped_at_0": result.clipped,
         "sensitivities": [
             {"path": path, "delta_e_of_one_deviation": change, "share_of_variance": share}
             for path, change, share in result.sensitivities

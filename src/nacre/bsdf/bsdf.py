@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from hashlib import sha256
 from pathlib import Path
@@ -24,10 +24,13 @@ class Bsdf:
     Attributes:
         lobes: the terms of the sum, all on the same wavelengths.
         provenance: recipe text, nacre version, seed, notes; stored with every output.
+        polarisation: function that tabulates the Mueller matrices of the interface (or returns None), for polarised
+            rendering; not stored in files.
     """
 
     lobes: tuple[Lobe, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    polarisation: Callable[[], Any] | None = field(default=None, compare=False, repr=False)
 
     def __repr__(self) -> str:
         """Return a short description without the lobes' tables."""

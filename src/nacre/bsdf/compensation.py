@@ -21,7 +21,7 @@ from nacre.bsdf.facet_distributions import (
     smith_masking,
     visible_normals,
 )
-from nacre.bsdf.grids import cell, take_uniform
+from nacre.bsdf.grids import cell, node_coordinate, take_uniform
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.response import InterfaceResponse
 from nacre.core.arrays import Array
@@ -106,8 +106,8 @@ def facet_transmittance(
     """
     azimuths = [0.0] if alpha_x == alpha_y else list(np.linspace(0.0, np.pi / 2, 7))
     cosines = np.maximum(np.linspace(0.0, 1.0, nodes), SMALLEST_COSINE)
-    size = len(response.cos_outside)
-    spread = np.empty((len(azimuths), nodes, size))
+    own = response.cos_outside
+    spread = np.empty((len(azimuths), nodes, len(own)))
     for i, phi in enumerate(azimuths):
         for j, cos in enumerate(cosines):
             sin = np.sqrt(1.0 - cos * cos)
@@ -115,7 +115,7 @@ def facet_transmittance(
             m, weight = visible_normals(distribution, w, alpha_x, alpha_y, FACET_NODES)
             # Beckmann's masking fit deviates by up to 0.3 % from one
             weight = weight / max(weight.sum(), 1.0)
-            spread[i, j] = _histogram(np.clip(m @ w, 0.0, 1.0), weight, size)
+            spread[i, j] = _histogram(np.clip(m @ w, 0.0, 1.0), weight, own)
     values = np.einsum("ajk,...kl->a...jl", spread, response.transmittance)
     return np.asarray(values.min(axis=0))
 
@@ -154,7 +154,7 @@ def _albedo(
     response = lobe.response
     nodes = FACET_NODES if lobe.alpha_x == lobe.alpha_y else FACET_NODES_ANISOTROPIC
     m, measure = normal_quadrature(lobe.distribution, lobe.alpha_x, lobe.alpha_y, nodes)
-    size = len(response.cos_outside)
+    own = response.cos_outside
     rows = []
     for w in directions:
         seen = m @ w > 0
@@ -172,15 +172,16 @@ def _albedo(
         outer = response.outside_cosine(w_m) if inside else w_m
         # total reflection beyond the critical angle, independent of the table's first node
         beyond = (w_m <= response.cos_critical) if inside else np.zeros(w_m.shape, dtype=bool)
-        row = _histogram(outer, np.where(beyond, 0.0, returned), size) @ tables[2 if inside else 0]
-        row = row + _histogram(outer, np.where(beyond, 0.0, passed), size) @ tables[3 if inside else 1]
+        row = _histogram(outer, np.where(beyond, 0.0, returned), own) @ tables[2 if inside else 0]
+        row = row + _histogram(outer, np.where(beyond, 0.0, passed), own) @ tables[3 if inside else 1]
         rows.append(row + returned[beyond].sum())
     return np.array(rows)
 
 
-def _histogram(unit: Array, weight: Array, size: int) -> Array:
-    """Return the weights distributed over `size` uniform nodes on [0, 1] by linear interpolation."""
-    low, fraction = cell(np.clip(unit, 0.0, 1.0) * (size - 1), size)
+def _histogram(cos: Array, weight: Array, nodes: Array) -> Array:
+    """Return the weights at cosines distributed over nodes by linear interpolation, `[node]`."""
+    size = len(nodes)
+    low, fraction = cell(node_coordinate(nodes, cos), size)
     counts = np.bincount(low, weight * (1 - fraction), size) + np.bincount(low + 1, weight * fraction, size)
     return np.asarray(counts)
 

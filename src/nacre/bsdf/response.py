@@ -14,28 +14,30 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.grids import interpolate, take_uniform
+from nacre.bsdf.grids import interpolate, node_coordinate, take_at
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.texture import ParameterAxis
 from nacre.core.arrays import Array
 
 ROUNDING = 1e-9  # largest rounding below 0
+FINEST_LEVEL = 16  # smallest interval of irregular nodes over angle: 2^-16
 
 
 @dataclass(frozen=True)
 class InterfaceResponse:
     """Power tables of one interface; leading axes are the parameter axes, if any.
 
-    All axes have uniform nodes including both ends, with linear interpolation.
+    All axes have ascending nodes including both ends, with linear interpolation. Nodes over angle are uniform, or they
+    bound dyadic intervals [i, i + 1] / 2^level, which both the arrays and the renderer locate exactly.
 
     Attributes:
         wavelengths_nm: `[wavelength]`, ascending.
-        cos_outside: `[cos]`, ascending uniform nodes from 0 to 1.
+        cos_outside: `[cos]`, ascending nodes from 0 to 1.
         reflectance: `[*params, cos, wavelength]`, light from outside, unpolarised power.
         transmittance: same shape, power to the other side (equal from either side at conjugate angles);
             zeros for an opaque interface.
         reflectance_inside: same shape, light from inside at the conjugate angle; zeros for an opaque interface.
-        total: `[*params, x, wavelength]`, reflectance from inside beyond the critical angle, uniform nodes of
+        total: `[*params, x, wavelength]`, reflectance from inside beyond the critical angle, over
             `x = (2/pi) acos(cos_inside / cos_critical)` from 0 (critical) to 1 (grazing); empty `x` axis for eta = 1.
         eta: n_inside/n_outside >= 1, one number for the refraction of all wavelengths (dispersion would split
             rays); 1 for a free film.
@@ -43,6 +45,7 @@ class InterfaceResponse:
         flipped: False: outside is on the +z side (the ambient); True: the ambient is the denser medium and outside
             is on the -z side. Users of the tables then negate the z of all directions first.
         parameters: the texture-driven axes, in the order of the leading axes.
+        total_nodes: `[x]`, the ascending nodes of `total`; unset: uniform.
     """
 
     wavelengths_nm: Array
@@ -55,7 +58,9 @@ class InterfaceResponse:
     transmits: bool
     flipped: bool = False
     parameters: tuple[ParameterAxis, ...] = ()
+    total_nodes: Array | None = None
 
+    OMITTED_UNSET: ClassVar[tuple[str, ...]] = ("total_nodes",)
     AXES: ClassVar[dict[str, str]] = {
         "wavelengths_nm": "wavelength",
         "cos_outside": "cos",
@@ -63,6 +68,7 @@ class InterfaceResponse:
         "transmittance": "*params cos wavelength",
         "reflectance_inside": "*params cos wavelength",
         "total": "*params x wavelength",
+        "total_nodes": "x",
     }
 
     def check(self) -> None:
@@ -86,6 +92,11 @@ class InterfaceResponse:
             or self.total.shape[-1] != full[-1]
         ):
             raise ValueError("cos_outside or total has a wrong shape")
+        check_angle_nodes("cos_outside", self.cos_outside)
+        if self.total_nodes is not None:
+            if self.total_nodes.shape != self.total.shape[-2:-1]:
+                raise ValueError("total_nodes has a wrong shape")
+            check_angle_nodes("total_nodes", self.total_nodes)
         if not 1.0 <= self.eta < 100.0 or (self.eta > 1.0 and self.total.shape[-2] < 2):
             raise ValueError("eta is below 1, or total has no nodes")
 
@@ -93,6 +104,15 @@ class InterfaceResponse:
     def size(self) -> int:
         """Number of wavelengths."""
         return len(self.wavelengths_nm)
+
+    @property
+    def nodes_beyond(self) -> Array:
+        """The nodes of `total`, `[x]`."""
+        return np.linspace(0.0, 1.0, self.total.shape[-2]) if self.total_nodes is None else self.total_nodes
+
+    def over_cosine(self, table: Array, cos: Array) -> Array:
+        """Interpolate one of the tables over the outside cosine at cosines `[n]`: `[*params, n, wavelength]`."""
+        return take_at(table, self.cos_outside, cos, -2)
 
     @property
     def cos_critical(self) -> float:
@@ -121,14 +141,14 @@ class InterfaceResponse:
         """As `lookup`, at node coordinates of the leading axes, each with the shape of `cos`."""
         cos, inside = np.broadcast_arrays(np.clip(np.abs(cos), 0.0, 1.0), inside)
         outer = np.where(inside, self.outside_cosine(cos), cos)
-        at = (*coords, outer * (len(self.cos_outside) - 1))
+        at = (*coords, node_coordinate(self.cos_outside, outer))
         transmitted = interpolate(self.transmittance, at) if self.transmits else np.zeros((*cos.shape, self.size))
         reflected = interpolate(self.reflectance, at)
         if np.any(inside):
             behind = interpolate(self.reflectance_inside, at)
             if self.eta > 1.0:
                 x = 2.0 / np.pi * np.arccos(np.clip(cos / self.cos_critical, 0.0, 1.0))
-                beyond = interpolate(self.total, (*coords, x * (self.total.shape[-2] - 1)))
+                beyond = interpolate(self.total, (*coords, node_coordinate(self.nodes_beyond, x)))
                 is_total = (inside & (cos < self.cos_critical))[..., None]
                 behind = np.where(is_total, beyond, behind)
                 transmitted = np.where(is_total, 0.0, transmitted)
@@ -141,17 +161,17 @@ class InterfaceResponse:
         nodes, weights = np.polynomial.legendre.leggauss(64)
         cos, weights = 0.5 * (nodes + 1), weights * 0.5
         outside = [
-            np.einsum("c,...cl->...l", 2 * weights * cos, take_uniform(table, cos, -2))
+            np.einsum("c,...cl->...l", 2 * weights * cos, self.over_cosine(table, cos))
             for table in (self.reflectance, self.transmittance)
         ]
         # mu_in dmu_in = mu_out dmu_out / eta^2 below the critical angle
         inside = [
-            np.einsum("c,...cl->...l", 2 * weights * cos, take_uniform(table, cos, -2)) / self.eta**2
+            np.einsum("c,...cl->...l", 2 * weights * cos, self.over_cosine(table, cos)) / self.eta**2
             for table in (self.reflectance_inside, self.transmittance)
         ]
         if self.eta > 1.0:
             mu = cos * self.cos_critical
-            beyond = take_uniform(self.total, 2.0 / np.pi * np.arccos(cos), -2)
+            beyond = take_at(self.total, self.nodes_beyond, 2.0 / np.pi * np.arccos(cos), -2)
             inside[0] = inside[0] + np.einsum("c,...cl->...l", 2 * weights * mu * self.cos_critical, beyond)
         return outside[0], outside[1], inside[0], inside[1]
 
@@ -191,6 +211,40 @@ def check_wavelengths(wavelengths_nm: Array) -> None:
         raise ValueError("wavelengths_nm must be a list of positive wavelengths")
     if np.any(np.diff(wavelengths_nm) <= 0):
         raise ValueError("wavelengths_nm must ascend")
+
+
+def is_uniform(nodes: Array) -> bool:
+    """Whether nodes on [0, 1] are equidistant."""
+    return bool(np.allclose(nodes, np.linspace(0.0, 1.0, len(nodes)), rtol=0.0, atol=1e-9))
+
+
+def dyadic_levels(nodes: Array) -> NDArray[np.intp]:
+    """Return the level of each interval `[i, i + 1] / 2^level` between irregular nodes on [0, 1].
+
+    Raises:
+        ValueError: an interval is not dyadic, or smaller than 2^-`FINEST_LEVEL`.
+    """
+    width = np.diff(nodes)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        level = np.rint(-np.log2(width))
+        index = nodes[:-1] * 2.0**level
+    if not np.all((width == 2.0**-level) & (index == np.rint(index)) & (level <= FINEST_LEVEL)):
+        raise ValueError("irregular nodes over angle must bound dyadic intervals")
+    return level.astype(np.intp)
+
+
+def check_angle_nodes(name: str, nodes: Array) -> None:
+    """Check nodes over angle: from 0 to 1, uniform or dyadic.
+
+    Raises:
+        ValueError: names the invalid axis.
+    """
+    if not len(nodes):
+        return
+    if nodes[0] != 0.0 or nodes[-1] != 1.0 or np.any(np.diff(nodes) <= 0.0):
+        raise ValueError(f"{name} must ascend from 0 to 1")
+    if not is_uniform(nodes):
+        dyadic_levels(nodes)
 
 
 def check_parameters(parameters: tuple[ParameterAxis, ...]) -> tuple[int, ...]:

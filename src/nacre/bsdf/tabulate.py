@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from nacre.bsdf.grids import interpolate
-from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.angle_nodes import ALLOWED_ERROR, tabulate
+from nacre.bsdf.response import InterfaceResponse, is_uniform
 from nacre.bsdf.texture import ParameterAxis
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
@@ -20,13 +20,20 @@ from nacre.matter.stack.inputs import clear_ambient
 
 TRANSPARENT_K = 1e-4  # 1 mm of the substrate then transmits more than 10 % at 550 nm
 SAME_INDEX = 1e-3  # smaller index differences refract invisibly little
-TABLE_ERROR = 1e-4  # absolute R and T error at the worst angle and wavelength, if node counts allow
-COS_NODES = (129, 257, 513)
-COS_NODES_VARYING = 65
+MOST_COS_NODES, LEAST_COS_NODES = 2049, 129
+COS_NODES_VARYING, MOST_COS_NODES_VARYING = 65, 129
+PROBED_NODES = 3  # of each varying number, at which nodes over angle are chosen
 TOTAL_NODES = 129
+CHECKED_ANGLES, LEAST_CHECKED = 450, 90
+FEW_COSINES = np.array([1.0, 0.7, 0.4, 0.1])
+LOSSLESS = 1e-9
+MOST_CRITICAL, BESIDE = 24, np.array([-1.0, -0.3, -0.1, -0.02, 0.0, 0.02, 0.1, 0.3, 1.0]) / 512
+DISPERSED_ANGLES, CRITICAL_QUANTILES = 60, (0.0, 0.25, 0.5, 0.75, 1.0)
 COLOUR_ERROR = 0.5  # dE00 midway between parameter nodes
 PARAMETER_NODES = (9, 17, 33, 65, 129, 257, 513)
 MAX_STILL_VALUES = 2_000_000  # table size without varying parameters; reached only by films of tens of um
+MAX_CHECKED_VALUES = 500_000
+MAX_VARYING_VALUES = 6_000_000
 MAX_TABLE_VALUES = 60_000_000  # 480 MB
 BLOCK_VALUES = 2_000_000  # values solved at once
 BYTES_A_VALUE = 72  # memory per table value: R and T from outside and inside, and their clipped copies
@@ -73,93 +80,188 @@ class StackTables:
                 passed[some] = powers.transmittance
         return reflected.reshape(shape), passed.reshape(shape)
 
-    def inside(self, thicknesses_nm: Array, in_plane: Array) -> Array:
-        """Return R `[*params, angle, wavelength]` for light in the denser medium.
+    def inside(self, thicknesses_nm: Array, in_plane: Array) -> tuple[Array, Array]:
+        """Return R and T `[*params, angle, wavelength]` for light in the denser medium.
 
         Args:
             in_plane: kx/k0 `[angle, wavelength]`.
         """
         n, d = self._from_outside(thicknesses_nm)
         n, d = n[::-1], d[..., ::-1]
-        if not any(self.incoherent):
-            rows = d.reshape(math.prod(d.shape[:-1]), d.shape[-1])
-            reflected = np.empty((len(rows), *in_plane.shape))
-            for some in _blocks(len(rows), in_plane.size):
-                solved = solver.amplitudes(n, rows[some], self.wavelengths_nm, kappa=in_plane)
-                reflected[some] = 0.5 * (np.abs(solved.r_s) ** 2 + np.abs(solved.r_p) ** 2)
-            return reflected.reshape(*d.shape[:-1], *in_plane.shape)
         flags = self.incoherent if self.flipped else self.incoherent[::-1]
-        sin = np.clip(in_plane / n[0].real, 0.0, 1.0)
-        columns_of = []
-        for row in d.reshape(-1, d.shape[-1]):
-            columns = [
-                # each wavelength has its own angle inside for the common angle outside
-                incoherent_powers(n[:, [l]], row, flags, self.wavelengths_nm[[l]], np.arcsin(sin[:, l])).reflectance
-                for l in range(len(self.wavelengths_nm))
-            ]
-            columns_of.append(np.concatenate(columns, axis=-1))
-        return np.reshape(columns_of, (*d.shape[:-1], *in_plane.shape))
+        rows = d.reshape(math.prod(d.shape[:-1]), d.shape[-1])
+        in_plane = np.minimum(in_plane, n[0].real)
+        reflected, passed = np.empty((2, len(rows), *in_plane.shape))
+        for some in _blocks(len(rows), in_plane.size):
+            if any(flags):
+                powers = incoherent_powers(n, rows[some], flags, self.wavelengths_nm, kappa=in_plane)
+            else:
+                powers = solver.powers(n, rows[some], self.wavelengths_nm, kappa=in_plane)
+            reflected[some], passed[some] = powers.reflectance, powers.transmittance
+        shape = (*d.shape[:-1], *in_plane.shape)
+        return reflected.reshape(shape), passed.reshape(shape)
 
     def _from_outside(self, thicknesses_nm: Array) -> tuple[ComplexArray, Array]:
         return (self.n[::-1], thicknesses_nm[..., ::-1]) if self.flipped else (self.n, thicknesses_nm)
 
     def build(self, thicknesses_nm: Array, nodes: int, parameters: tuple[ParameterAxis, ...] = ()) -> InterfaceResponse:
-        """Tabulate both sides on `nodes` cosines.
+        """Tabulate both sides on `nodes` uniform cosines.
+
+        Args:
+            thicknesses_nm: `[*params, layer]`.
+        """
+        return self._on_nodes(thicknesses_nm, np.linspace(0.0, 1.0, nodes), parameters)
+
+    def adaptive(self, thicknesses_nm: Array) -> InterfaceResponse:
+        """Tabulate on nodes over angle that follow the optics; see `nacre.bsdf.angle_nodes`."""
+        return self.with_error(thicknesses_nm)[0]
+
+    def with_error(self, thicknesses_nm: Array) -> tuple[InterfaceResponse, float]:
+        """Tabulate as `adaptive`, and return the largest difference of R or T from the solution.
+
+        The difference is found at several hundred angles from both sides. In the denser medium it includes that of the
+        one refractive index `eta` of all wavelengths, which moves the critical angle.
+        """
+        d = np.asarray(thicknesses_nm, dtype=float)
+        count = len(self.wavelengths_nm)
+        check_memory(
+            float(BYTES_SOLVED) * LEAST_COS_NODES * count, f"a table of {LEAST_COS_NODES} angles x {count} wavelengths"
+        )
+        most = max(LEAST_COS_NODES, min(MOST_COS_NODES, MAX_STILL_VALUES // count))
+        checked = int(np.clip(MAX_CHECKED_VALUES // count, LEAST_CHECKED, CHECKED_ANGLES))
+        angles: Array = np.linspace(0.0, 0.5 * np.pi, 2 * checked + 1)[1::2]
+        is_clear = self.transmits and self._is_lossless(d)
+        critical, beyond_critical = self._critical()
+        check, further = np.concatenate([np.cos(angles), critical]), np.cos(0.5 * (angles[1:] + angles[:-1]))
+        sides = tabulate(lambda cos: self._sides(d, cos, is_clear), most, check, further)
+        total = np.ones((TOTAL_NODES if self.eta > 1.0 and self.transmits else 0, count))
+        beyond = np.linspace(0.0, 1.0, len(total)) if len(total) else None
+        error = sides.error
+        if self.eta > 1.0 and self.transmits and not is_clear:
+            x = np.concatenate([angles[::3] / (0.5 * np.pi), beyond_critical])
+            further = 0.5 * (x[1:] + x[:-1])
+            found = tabulate(lambda at: self._beyond(d, at), most, x, further, fine_error=ALLOWED_ERROR)
+            total, beyond, error = found.values, found.nodes, max(error, found.error)
+        reflected, passed, behind = np.moveaxis(sides.values, 1, 0)
+        response = self._response(sides.nodes, reflected, passed, behind, total, beyond)
+        return response, max(error, self._error_in_denser(response, d, angles[::3]))
+
+    def with_parameters(
+        self, thicknesses_nm: Array, parameters: tuple[ParameterAxis, ...]
+    ) -> tuple[InterfaceResponse, float]:
+        """Tabulate varying thicknesses on nodes over angle chosen at some of them; see `with_error`.
 
         Args:
             thicknesses_nm: `[*params, layer]`.
         """
         d = np.asarray(thicknesses_nm, dtype=float)
-        cos = np.linspace(0.0, 1.0, nodes)
-        reflectance, transmittance = self.outside(d, cos)
-        zero = np.zeros_like(reflectance)
-        total = np.zeros((*d.shape[:-1], 0, len(self.wavelengths_nm)))
-        behind = zero
-        if self.transmits:
-            rare = (self.n[-1] if self.flipped else self.n[0]).real
-            dense = (self.n[0] if self.flipped else self.n[-1]).real
-            behind = self.inside(d, np.sqrt(1.0 - cos * cos)[:, None] * rare)
-            if self.eta == 1.0:
-                behind = np.where(cos[:, None] == 0.0, reflectance[..., :1, :], behind)
-            else:
-                # in-plane wavevectors run from critical to grazing at every wavelength: stretch their squares to each
-                # wavelength's index, although all share one eta
-                share = np.square(np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, TOTAL_NODES)))[:, None]
-                square = rare**2 + np.maximum(dense**2 - rare**2, 0.0) * share
-                total = self.inside(d, np.sqrt(square))
-                total[..., -1, :] = 1.0  # grazing inside
+        count = len(self.wavelengths_nm)
+        some = [np.unique(np.linspace(0, size - 1, PROBED_NODES).astype(int)) for size in d.shape[:-1]]
+        probed = d[np.ix_(*some)].reshape(-1, d.shape[-1])
+        most = min(MOST_COS_NODES_VARYING, MAX_VARYING_VALUES // (math.prod(d.shape[:-1]) * count))
+        is_clear = self.transmits and self._is_lossless(probed)
+        angles = (np.arange(LEAST_CHECKED) + 0.5) * (0.5 * np.pi / LEAST_CHECKED)
+        levels = (COS_NODES_VARYING - 1).bit_length() - 1, (COS_NODES_VARYING - 1).bit_length()
+        check = np.cos(angles)
+        chosen = tabulate(
+            lambda cos: self._sides(probed, cos, is_clear), most, check, check[:0], levels, fine_error=ALLOWED_ERROR
+        )
+        return self._on_nodes(d, chosen.nodes, parameters), chosen.error
+
+    def _on_nodes(
+        self, thicknesses_nm: Array, cos: Array, parameters: tuple[ParameterAxis, ...] = ()
+    ) -> InterfaceResponse:
+        d = np.asarray(thicknesses_nm, dtype=float)
+        reflected, passed = self.outside(d, cos)
+        behind = self._behind(d, cos, reflected) if self.transmits else np.zeros_like(reflected)
+        total, beyond = np.zeros((*d.shape[:-1], 0, len(self.wavelengths_nm))), None
+        if self.transmits and self.eta > 1.0:
+            beyond = np.linspace(0.0, 1.0, TOTAL_NODES)
+            total = np.moveaxis(self._beyond(d, beyond), 0, -2)
+        return self._response(cos, reflected, passed, behind, total, beyond, parameters)
+
+    def _response(
+        self,
+        cos: Array,
+        reflected: Array,
+        passed: Array,
+        behind: Array,
+        total: Array,
+        beyond: Array | None,
+        parameters: tuple[ParameterAxis, ...] = (),
+    ) -> InterfaceResponse:
         return InterfaceResponse(
             wavelengths_nm=self.wavelengths_nm,
             cos_outside=cos,
-            reflectance=np.clip(reflectance, 0.0, 1.0),
-            transmittance=np.clip(transmittance, 0.0, 1.0),
+            reflectance=np.clip(reflected, 0.0, 1.0),
+            transmittance=np.clip(passed, 0.0, 1.0),
             reflectance_inside=np.clip(behind, 0.0, 1.0),
             total=np.clip(total, 0.0, 1.0),
             eta=self.eta,
             transmits=self.transmits,
             flipped=self.flipped,
             parameters=parameters,
+            total_nodes=None if beyond is None or is_uniform(beyond) else beyond,
         )
 
-    def adaptive(self, thicknesses_nm: Array) -> InterfaceResponse:
-        """Tabulate on enough cosines for an R and T error below `TABLE_ERROR`, within `COS_NODES`."""
-        count = len(self.wavelengths_nm)
-        check_memory(
-            float(BYTES_SOLVED) * COS_NODES[0] * count, f"a table of {COS_NODES[0]} angles x {count} wavelengths"
-        )
-        allowed = [nodes for nodes in COS_NODES if nodes * len(self.wavelengths_nm) <= MAX_STILL_VALUES] or COS_NODES[
-            :1
-        ]
-        for nodes in allowed[:-1]:
-            middle = (np.arange(nodes - 1) + 0.5) / (nodes - 1)
-            response = self.build(thicknesses_nm, nodes)
-            exact = self.outside(np.asarray(thicknesses_nm, dtype=float), middle)
-            tables = (response.reflectance, response.transmittance)
-            at = (middle * (nodes - 1),)
-            error = max(float(np.max(np.abs(interpolate(t, at) - e))) for t, e in zip(tables, exact, strict=True))
-            if error <= TABLE_ERROR:
-                return response
-        return self.build(thicknesses_nm, allowed[-1])
+    def _critical(self) -> tuple[Array, Array]:
+        """Return cosines outside, and coordinates beyond the critical angle, beside the layers' critical angles."""
+        rare = (self.n[-1] if self.flipped else self.n[0]).real
+        dense = (self.n[0] if self.flipped else self.n[-1]).real
+        layers = np.unique(self.n[1:-1, :: max(1, len(rare) // 2)].real, axis=0) ** 2
+        rare, dense = rare[:: max(1, len(rare) // 2)] ** 2, dense[:: max(1, len(dense) // 2)] ** 2
+        outside = np.sqrt(1.0 - np.minimum(layers / rare, 1.0)).ravel()
+        found = [outside]
+        if self.eta > 1.0:
+            share = np.clip((layers - rare) / np.maximum(dense - rare, 1e-12), 0.0, 1.0)
+            found.append(2.0 / np.pi * np.arcsin(np.sqrt(share)).ravel())
+        found = [np.unique(np.round(at[(at > 0.0) & (at < 1.0)], 5))[:MOST_CRITICAL] for at in found]
+        beside = [np.clip(at[:, None] + BESIDE, 0.0, 1.0).ravel() for at in found]
+        return beside[0], beside[-1]
+
+    def _is_lossless(self, thicknesses_nm: Array) -> bool:
+        """Whether R + T = 1 from outside at a few angles: R is then equal from both sides."""
+        reflected, passed = self.outside(thicknesses_nm, FEW_COSINES)
+        return bool(np.max(np.abs(reflected + passed - 1.0)) < LOSSLESS)
+
+    def _behind(self, d: Array, cos: Array, reflected: Array) -> Array:
+        """Return R from inside at the conjugate angles, `[*params, cos, wavelength]`."""
+        rare = (self.n[-1] if self.flipped else self.n[0]).real
+        behind, _ = self.inside(d, np.sqrt(1.0 - cos * cos)[:, None] * rare)
+        return np.where(cos[:, None] == 0.0, reflected, behind) if self.eta == 1.0 else behind
+
+    def _sides(self, d: Array, cos: Array, is_clear: bool) -> Array:
+        """Return R and T from outside, and R from inside at the conjugate angles: `[cos, *params, 3, wavelength]`."""
+        reflected, passed = self.outside(d, cos)
+        behind = reflected if is_clear else np.zeros_like(reflected)
+        if self.transmits and not is_clear:
+            behind = self._behind(d, cos, reflected)
+        return np.moveaxis(np.stack([reflected, passed, behind], axis=-2), -3, 0)
+
+    def _beyond(self, d: Array, x: Array) -> Array:
+        """Return R from inside beyond the critical angle, `[x, *params, wavelength]`.
+
+        In-plane wavevectors run from critical to grazing at every wavelength: their squares are stretched to each
+        wavelength's index, although all share one `eta`.
+        """
+        rare = (self.n[-1] if self.flipped else self.n[0]).real
+        dense = (self.n[0] if self.flipped else self.n[-1]).real
+        share = np.square(np.sin(0.5 * np.pi * x))[:, None]
+        reflected, _ = self.inside(d, np.sqrt(rare**2 + np.maximum(dense**2 - rare**2, 0.0) * share))
+        return np.moveaxis(np.where(x[:, None] == 1.0, 1.0, reflected), -2, 0)
+
+    def _error_in_denser(self, response: InterfaceResponse, d: Array, angles: Array) -> float:
+        """Return the largest difference of R or T from the solution for light in the denser medium."""
+        if not self.transmits or self.eta == 1.0:
+            return 0.0
+        dense = (self.n[0] if self.flipped else self.n[-1]).real
+        rare = (self.n[-1] if self.flipped else self.n[0]).real
+        # the largest differences lie between the critical angles of the wavelengths and that of all
+        critical = np.arcsin(np.clip([1.0 / self.eta, *np.quantile(rare / dense, CRITICAL_QUANTILES)], 0.0, 1.0))
+        theta = np.concatenate([angles, np.linspace(critical.min(), critical.max(), DISPERSED_ANGLES), critical])
+        exact = self.inside(d, np.sin(theta)[:, None] * dense)
+        found = response.lookup(np.cos(theta), np.ones(len(theta), dtype=bool))
+        return max(float(np.max(np.abs(a - np.clip(b, 0.0, 1.0)))) for a, b in zip(found, exact, strict=True))
 
 
 def _blocks(rows: int, values: int) -> Iterator[slice]:

@@ -29,7 +29,11 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("nacre.cli.render", "Make pictures and plots of every example recipe, with a contact sheet."),
     "render": ("nacre.cli.render", "Render a material on an object."),
     "spectrum": ("nacre.cli.show", "Print reflectance and transmittance over angle and wavelength."),
+<<<<<<< HEAD
     "orders": ("nacre.cli.show", "Print the diffraction orders of a grating."),
+=======
+    "ellipsometry": ("nacre.cli.ellipsometry", "Print Psi, Delta and Mueller matrices over angle and wavelength."),
+>>>>>>> main
     "evaluate": ("nacre.cli.show", "Evaluate the BSDF for given directions."),
     "plot": ("nacre.cli.show", "Draw a figure of a material."),
     "compile": ("nacre.cli.show", "Solve a recipe once and store the result as a .nacre file."),
@@ -37,8 +41,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "gamut": ("nacre.cli.design", "Show the colours that parameters can reach."),
     "fabricate": ("nacre.cli.design", "Write the files to make a design or a material."),
     "export": ("nacre.cli.show", "Write a material in another program's format."),
+    "read": ("nacre.cli.read", "Say what a file of an instrument or another program contains."),
     "import": ("nacre.cli.show", "Read a measurement or another program's material into a recipe."),
-    "fit": ("nacre.cli.analysis", "Fit parameters of a recipe to a measurement."),
+    "fit": ("nacre.cli.fit", "Fit parameters of a recipe to measurements."),
     "studio": ("nacre.cli.render", "Open a live page on a recipe, on this machine only."),
     "report": ("nacre.cli.analysis", "Report colour, gloss, haze and flop as instruments measure them."),
     "tolerance": ("nacre.cli.analysis", "Compute colour variation and yield from manufacturing tolerances."),

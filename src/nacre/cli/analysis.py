@@ -1,17 +1,16 @@
-"""Commands that analyse a material: sweep, report, tolerance, fit."""
+"""Commands that analyse a material: sweep, report, tolerance."""
 
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
 from nacre.cli import common
 from nacre.core.errors import NacreError
-from nacre.families.contract import method_overrides
 
 
 def _progress_bar(description: str) -> Any:
@@ -59,23 +58,40 @@ def sweep(sweep_file: str, output: str | None, cluster: str | None, security: st
 @click.option("--observer", type=click.Choice(["2deg", "10deg"]), default="10deg", show_default=True)
 @click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
+@click.option(
+    "--geometry", "geometries", multiple=True, metavar="[NAME=]45as25az90",
+    help="Further aspecular geometry; az turns the viewer about the mirror direction (180: towards the light).",
+)  # fmt: skip
+@click.option(
+    "--formula", default="ciede2000", show_default=True, metavar="NAME",
+    help="Colour difference to the first recipe: cie76, cie94, cie94-textiles, cmc(1:1), cmc(2:1), ciede2000, din99o.",
+)  # fmt: skip
+@click.option(
+    "--tolerance", "limits", multiple=True, metavar="[GEOMETRY=]VALUE",
+    help="Largest accepted difference, such as 1.0 or 45as15=1.5; the report then states pass or fail.",
+)  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-o", "output", default=None, metavar="FILE.txt|.json|.html", help="Write it there, not to stdout.")
 @common.set_option
 @common.cache_option
 @common.jobs_option
 def report(
-    recipes: tuple[str, ...], illuminant: str, observer: str, samples: int | None, seed: int, as_json: bool,
+    recipes: tuple[str, ...], illuminant: str, observer: str, samples: int | None, seed: int,
+    geometries: tuple[str, ...], formula: str, limits: tuple[str, ...], as_json: bool,
     output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Report colour, flop, gloss, haze and totals of one RECIPE, or of two side by side."""
     from nacre.analysis.html_report import dump_json, report_html, report_text
-    from nacre.analysis.report import make_report
+    from nacre.analysis.report import compare, make_report, read_geometries
     from nacre.core.files import check_writable, write_text
     from nacre.core.parallel import on_progress
 
     if len(recipes) > 2:
         raise NacreError(f"report takes one recipe or two, not {len(recipes)}")
+    if limits and len(recipes) < 2:
+        raise NacreError("--tolerance compares two recipes; the first is the standard")
+    read_geometries(geometries)
+    allowed = _limits(limits)
     if output:
         if Path(output).suffix not in (".txt", ".json", ".html"):
             raise NacreError(f"-o {output}: the suffix must be .txt, .json or .html")
@@ -91,19 +107,35 @@ def report(
                 bar.update(task, completed=done, total=total, visible=True)
 
             with on_progress(show):
-                reports.append(make_report(material, illuminant, observer, samples, seed))
+                reports.append(make_report(material, illuminant, observer, samples, seed, geometries))
+    comparisons = [compare(each, reports[0], formula, allowed) for each in reports[1:]]
     if output:
         if output.endswith(".html"):
             from nacre.analysis.html_report import figures
 
-            write_text(output, report_html(reports, figures(materials, reports)))
+            write_text(output, report_html(reports, figures(materials, reports), comparisons))
         else:
-            write_text(output, dump_json(reports) if output.endswith(".json") else report_text(reports))
+            dump = dump_json if output.endswith(".json") else report_text
+            write_text(output, dump(reports, comparisons))
         common.note(output)
     if as_json:
-        click.echo(dump_json(reports), nl=False)
+        click.echo(dump_json(reports, comparisons), nl=False)
     elif not output:
-        click.echo(report_text(reports), nl=False)
+        click.echo(report_text(reports, comparisons), nl=False)
+
+
+def _limits(texts: tuple[str, ...]) -> dict[str, float]:
+    """Return the largest accepted differences by geometry; "" stands for all."""
+    found = {}
+    for text in texts:
+        name, _, value = text.rpartition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            found[name] = math.nan
+        if not 0.0 < found[name] < math.inf:
+            raise NacreError(f"--tolerance {text}: should be a number above 0, or GEOMETRY=NUMBER such as 45as15=1.5")
+    return found
 
 
 @click.command()
@@ -160,85 +192,11 @@ def tolerance(
                f"  (95 %: {100 * low:.1f} to {100 * high:.1f} %)")  # fmt: skip
     if document["failed_draws"]:
         click.echo(f"  {document['failed_draws']} draws could not be computed and count as outside")
+    for path, share in document["share_clipped_at_0"].items():
+        click.echo(f"  {path}: {100 * share:.2g} % of the draws were below 0 and became 0")
     click.echo("  sensitivities (dE00 of one standard deviation, share of variance):")
     for path, change, share in result.sensitivities:
         click.echo(f"    {path:44s} {change:8.3f}  {100 * share:5.1f} %")
 
 
-@click.command()
-@click.argument("measurement", metavar="MEASUREMENT")
-@click.argument("recipe")
-@click.option("--parameter", "parameters", multiple=True, metavar="PATH=LOW:HIGH", help="Fit a number between bounds.")
-@click.option(
-    "--starts",
-    type=click.IntRange(1, 1000),
-    default=4,
-    show_default=True,
-    help="Refined starting points in addition to the recipe's values.",
-)
-@click.option(
-    "--weights",
-    type=click.Choice(["equal", "relative"]),
-    default="equal",
-    show_default=True,
-    help="Whether the noise is equal for all values or proportional to them.",
-)
-@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
-@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("--residual", default=None, metavar="FILE.npz", help="Store the residual map.")
-@click.option("--report", "page", default=None, metavar="FIT.html", help="Write a page on measurement and fit.")
-@click.option("-o", "output", default=None, metavar="FITTED.toml", help="Default: RECIPE-fitted.toml.")
-@common.cache_option
-@common.jobs_option
-def fit(
-    measurement: str, recipe: str, parameters: tuple[str, ...], starts: int, weights: str, samples: int | None,
-    seed: int, as_json: bool, residual: str | None, page: str | None, output: str | None,
-) -> None:  # fmt: skip
-    """Fit parameters of RECIPE to MEASUREMENT (spectrum or gonio CSV)."""
-    from nacre.analysis.fit import fit_parameters, read_measurement, run_fit
-    from nacre.core.files import atomic_path, check_writable, short_name, write_text
-    from nacre.recipe.toml import edit_toml
-
-    path = Path(output) if output else Path(f"{short_name(recipe)}-fitted.toml")
-    asked = ((path, ".toml"), (residual and Path(residual), ".npz"), (page and Path(page), ".html"))
-    for target, suffix in asked:
-        if target:
-            if target.suffix != suffix:
-                raise NacreError(f"{target}: the suffix must be {suffix}")
-            check_writable(target)
-    measured = read_measurement(measurement)
-    material = common.load_material(recipe)
-    numbers = fit_parameters(material, parameters)
-    result = run_fit(
-        material, measured, numbers, starts=starts, weights=weights, samples=samples, seed=seed,
-        progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"),
-    )  # fmt: skip
-    changes = {**{n.path: n.value for n in result.numbers}, **method_overrides(result.material.model)}
-    write_text(path, edit_toml(material.with_parts_loaded(changes).text, changes, recipe))
-    if residual:
-        with atomic_path(residual) as temporary, open(temporary, "wb") as file:
-            np.savez(file, residual=result.residual, wavelengths_nm=measured.wavelengths_nm)
-    if page:
-        from nacre.analysis.fit_report import write_fit_page
-
-        write_fit_page(page, result, measured, numbers)
-    document = {
-        "numbers": [
-            {"path": n.path, "value": n.value, "half_width_95": n.half_width if np.isfinite(n.half_width) else None,
-             "determined": n.is_determined} for n in result.numbers
-        ],
-        "rms": result.rms, "relative_rms": result.relative_rms, "starts": list(result.starts),
-        "evaluations": result.evaluations, "recipe": str(path),
-    }  # fmt: skip
-    if as_json:
-        click.echo(json.dumps(document))
-    else:
-        for n in result.numbers:
-            tail = f"+- {n.half_width:.3g} (95 %)" if n.is_determined else "not determined by these data"
-            click.echo(f"{n.path:44s} {n.value:12.6g}  {tail}")
-        click.echo(f"relative rms {result.relative_rms:.4g}, {result.evaluations} evaluations")
-    common.note(str(path))
-
-
-commands: dict[str, click.Command] = {"sweep": sweep, "report": report, "tolerance": tolerance, "fit": fit}
+commands: dict[str, click.Command] = {"sweep": sweep, "report": report, "tolerance": tolerance}

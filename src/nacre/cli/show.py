@@ -371,18 +371,31 @@ def export(
 @click.command(name="import")
 @click.argument("file", metavar="FILE")
 @click.option("-o", "output", default=None, metavar="RECIPE.toml", help="Default: FILE with the suffix .toml.")
+@click.option("--material", default=None, metavar="NAME", help="Material of a glTF or MaterialX file with several.")
+@click.option("--quantity", default=None, help="bsdf or reflectance_factor, where the file does not state it.")
+@click.option("--unit", default=None, help="Unit of angles (deg, rad) or wavelengths (nm, um), likewise.")
+@click.option("--ignore", multiple=True, metavar="HEADING", help="A column to ignore; repeatable.")
+@click.option(
+    "--law", default=None, metavar="half-angle",
+    help="Extrapolate a scan in the plane of incidence: the BRDF depends on half and difference angle only.",
+)  # fmt: skip
 @common.cache_option
 @common.jobs_option
-def import_(file: str, output: str | None) -> None:
+def import_(
+    file: str, output: str | None, material: str | None, quantity: str | None, unit: str | None,
+    ignore: tuple[str, ...], law: str | None,
+) -> None:  # fmt: skip
     """Read a measurement or a material of another program and write a recipe for it."""
     from nacre.analysis.import_export import import_material
     from nacre.core.files import check_writable
+    from nacre.readers.measurement import ReadOptions
 
     path = Path(output) if output else Path(f"{Path(file).stem}.toml")
     if path.suffix != ".toml":
         raise NacreError(f"-o {path}: the suffix must be .toml")
     check_writable(path)
-    for line in import_material(Path(file), path):
+    options = ReadOptions(quantity=quantity, unit=unit, ignore=ignore, spectrum=material)
+    for line in import_material(Path(file), path, options=options, law=law):
         common.note(line)
     common.note(str(path))
 

@@ -18,6 +18,7 @@ from nacre.bsdf.texture import place_formula
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.device.lobe_sum import bsdf_class, update_lobes
 from nacre.device.plugin import LobePlugin, logger
+from nacre.device.polarisation import DevicePolarisation
 from nacre.device.texture import ObjectFrame, ObjectSpace
 from nacre.device.variant import VARIANTS
 
@@ -66,8 +67,16 @@ def make_bsdf(
     frame = object_frame if formula is not None else None
     space = None if frame is None and v_up else ObjectSpace(frame, v_up)
     plugins = [make_plugin(lobe) for lobe in bsdf.lobes]
+    polarisation = None
+    if mi.is_polarized:
+        tables = bsdf.polarisation() if bsdf.polarisation is not None else None
+        if tables is None:
+            logger.info("%s: reflects and transmits unpolarised light in polarised variants", bsdf)
+        else:
+            polarisation = DevicePolarisation(tables)
     cls = bsdf_class(mi.variant())
-    return cls(mi.Properties() if properties is None else properties, plugins, two_sided and not bsdf.transmits, space)
+    properties = mi.Properties() if properties is None else properties
+    return cls(properties, plugins, two_sided and not bsdf.transmits, space, polarisation)
 
 
 def update_bsdf(target: Any, bsdf: Bsdf) -> None:

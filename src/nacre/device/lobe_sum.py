@@ -15,6 +15,7 @@ import mitsuba as mi
 from nacre.bsdf.lobe import Lobe
 from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import LobePlugin, larger, negated, smaller, with_wi
+from nacre.device.polarisation import DevicePolarisation, depolarised, scaled
 from nacre.device.texture import ObjectSpace
 
 
@@ -38,12 +39,18 @@ class LobeSum:
         words: Mitsuba's flag word for each component of all lobes.
         delta: whether each lobe is a pure delta distribution.
         object_space: converts interactions for the textures; optional.
+        polarisation: Mueller matrices of the facets in polarised variants; without it all lobes depolarise.
     """
 
     def __init__(
-        self, plugins: Sequence[LobePlugin[Any]], mirrors_back: bool, object_space: ObjectSpace | None
+        self,
+        plugins: Sequence[LobePlugin[Any]],
+        mirrors_back: bool,
+        object_space: ObjectSpace | None,
+        polarisation: DevicePolarisation | None = None,
     ) -> None:
         self.plugins = list(plugins)
+        self.polarisation = polarisation
         self.mirrors_back = mirrors_back
         self.object_space = object_space
         back = int(mi.BSDFFlags.BackSide) if mirrors_back else 0
@@ -56,23 +63,74 @@ class LobeSum:
         return word & self._delta_flags == word & self._all_flags
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any) -> Any:
-        si, turned = self._front(si)
+        front, turned = self._front(si)
         enabled = self._enabled(ctx)
         if len(self.plugins) == 1:
-            bs, weight = self.plugins[0].sample(ctx, si, sample1, sample2, active, enabled[0])
+            bs, weight = self.plugins[0].sample(ctx, front, sample1, sample2, active, enabled[0])
         else:
-            bs, weight = self._sample_sum(ctx, si, sample1, sample2, active, enabled)
+            bs, weight = self._sample_sum(ctx, front, sample1, sample2, active, enabled)
         if turned is not None:
             bs.wo = mi.Vector3f(bs.wo.x, bs.wo.y, dr.select(turned, -bs.wo.z, bs.wo.z))
-        return bs, weight
+        if not mi.is_polarized:
+            return bs, weight
+        return bs, scaled(self._sampled_matrix(ctx, si, bs, active), weight)
 
     def eval(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
-        si, wo = self._front_pair(si, wo)
+        front, turned_wo = self._front_pair(si, wo)
         total = mi.Spectrum(0.0)
         for plugin, enabled, delta in zip(self.plugins, self._enabled(ctx), self.delta, strict=True):
             if not delta:
-                total = total + plugin.eval(ctx, si, wo, active, enabled)
+                value = plugin.eval(ctx, front, turned_wo, active, enabled)
+                total = total + self._polarised(plugin, ctx, si, wo, value, active, enabled)
         return total
+
+    def _polarised(
+        self, plugin: LobePlugin[Any], ctx: Any, si: Any, wo: Any, value: Any, active: Any, enabled: tuple[bool, ...]
+    ) -> Any:
+        """Return a lobe's value; in polarised variants, as a Mueller matrix in the implicit frames."""
+        if not mi.is_polarized:
+            return value
+        matrix = self._facet_matrix(plugin, ctx, si, wo, active)
+        if matrix is None:
+            return mi.mueller.depolarizer(value)
+        rest = plugin.eval_depolarised(ctx, *self._front_pair(si, wo), active, enabled)
+        if rest is None:
+            return scaled(matrix, value)
+        return scaled(matrix, value - rest) + mi.mueller.depolarizer(rest)
+
+    def _facet_matrix(self, plugin: LobePlugin[Any], ctx: Any, si: Any, wo: Any, active: Any) -> Any:
+        """Return the normalised Mueller matrix of a lobe's facet; None if the lobe depolarises."""
+        front, turned = self._front(si)
+        mirrored = wo if turned is None else mi.Vector3f(wo.x, wo.y, dr.select(turned, -wo.z, wo.z))
+        facet = None if self.polarisation is None else plugin.facet(front, mirrored, active)
+        if facet is None or self.polarisation is None:
+            return None
+        if turned is not None:
+            n = facet.normal
+            facet = facet._replace(normal=mi.Vector3f(n.x, n.y, dr.select(turned, -n.z, n.z)))
+        return self.polarisation.matrix(ctx, self._placed(si), wo, facet, active)
+
+    def _sampled_matrix(self, ctx: Any, si: Any, bs: Any, active: Any) -> Any:
+        """Return the normalised Mueller matrix of a sample."""
+        found = mi.mueller.depolarizer(mi.UnpolarizedSpectrum(1.0))
+        if self.polarisation is None:
+            return found
+        is_delta = (bs.sampled_type & self._delta_flags) != 0
+        if not all(self.delta):
+            value = self.eval(ctx, si, bs.wo, active & negated(is_delta))
+            whole = value[0, 0]
+            share = dr.select(whole > 0.0, dr.rcp(larger(whole, 1e-30)), 0.0)
+            found = dr.select(is_delta, found, scaled(value, share))
+        first = 0
+        for plugin, delta in zip(self.plugins, self.delta, strict=True):
+            last = first + len(plugin.components)
+            if delta:
+                matrix = self._facet_matrix(plugin, ctx, si, bs.wo, active)
+                if matrix is not None:
+                    mine = (bs.sampled_component >= first) & (bs.sampled_component < last)
+                    found = dr.select(mine, matrix, found)
+            first = last
+        return found
 
     def pdf(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
         si, wo = self._front_pair(si, wo)
@@ -82,19 +140,23 @@ class LobeSum:
         return self._eval_pdf_sum(ctx, si, wo, active, enabled)[1]
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any) -> Any:
-        si, wo = self._front_pair(si, wo)
         enabled = self._enabled(ctx)
+        if mi.is_polarized:
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+        si, wo = self._front_pair(si, wo)
         if len(self.plugins) == 1:
             return self.plugins[0].eval_pdf(ctx, si, wo, active, enabled[0])
         return self._eval_pdf_sum(ctx, si, wo, active, enabled)
 
     def null_transmission(self, si: Any, active: Any) -> Any:
         total = mi.Spectrum(0.0)
-        si = self._placed(si)
+        placed = self._placed(si)
         for plugin in self.plugins:
             null = getattr(plugin, "null_transmission", None)
             if null is not None:
-                total = total + null(si, active)
+                value = null(placed, active)
+                matrix = self._facet_matrix(plugin, mi.BSDFContext(), si, -si.wi, active) if mi.is_polarized else None
+                total = total + (depolarised(value) if matrix is None else scaled(matrix, value))
         return total
 
     def _placed(self, si: Any) -> Any:
@@ -140,7 +202,7 @@ class LobeSum:
 
     def _sample_sum(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: Any) -> Any:
         shares = self._shares(si, active, enabled)
-        bs, weight = dr.zeros(mi.BSDFSample3f), mi.Spectrum(0.0)
+        bs, weight = dr.zeros(mi.BSDFSample3f), mi.UnpolarizedSpectrum(0.0)
         below, first = mi.Float(0.0), 0
         is_delta = mi.Bool(False)
         for k, (plugin, share) in enumerate(zip(self.plugins, shares, strict=True)):
@@ -170,7 +232,7 @@ class LobeSum:
         self, ctx: Any, si: Any, wo: Any, active: Any, enabled: Any, shares: list[Any] | None = None
     ) -> Any:
         shares = self._shares(si, active, enabled) if shares is None else shares
-        total, density = mi.Spectrum(0.0), mi.Float(0.0)
+        total, density = mi.UnpolarizedSpectrum(0.0), mi.Float(0.0)
         for plugin, mask, share, delta in zip(self.plugins, enabled, shares, self.delta, strict=True):
             if delta:
                 continue
@@ -192,9 +254,10 @@ def bsdf_class(variant: str) -> type:
             plugins: Sequence[LobePlugin[Any]],
             mirrors_back: bool,
             object_space: ObjectSpace | None = None,
+            polarisation: DevicePolarisation | None = None,
         ) -> None:
             super().__init__(properties)
-            self.sum = LobeSum(plugins, mirrors_back, object_space)
+            self.sum = LobeSum(plugins, mirrors_back, object_space, polarisation)
             self.plugins, self.delta, self.object_space = self.sum.plugins, self.sum.delta, object_space
             self.m_components = self.sum.words
             self.m_flags = functools.reduce(lambda a, b: a | b, self.sum.words)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import abc
 import logging
 from collections.abc import Callable
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -31,6 +31,22 @@ logger = logging.getLogger("nacre")
 
 # Directions with a smaller cosine count as edge-on and give zero; 1/cos stays finite in single precision.
 MIN_COS = 1e-6
+
+
+class Facet(NamedTuple):
+    """A smooth piece of the surface that connects two directions.
+
+    Attributes:
+        normal: local unit normal.
+        cos: cosine (>= 0) between `si.wi` and the normal.
+        inside: whether `si.wi` is on the side of the denser medium.
+        reflects: whether both directions are on one side.
+    """
+
+    normal: Any
+    cos: Any
+    inside: Any
+    reflects: Any
 
 
 class LobePlugin(abc.ABC, Generic[LobeT]):
@@ -79,6 +95,14 @@ class LobePlugin(abc.ABC, Generic[LobeT]):
     def pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return the density."""
         return self.eval_pdf(ctx, si, wo, active, enabled)[1]
+
+    def facet(self, si: Any, wo: Any, active: Any) -> Facet | None:
+        """Return the smooth piece of surface whose Mueller matrix the value has; None: the lobe depolarises."""
+        return None
+
+    def eval_depolarised(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Return the part of `eval` that is depolarised although the lobe has facets; None: nothing."""
+        return None
 
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the approximate albedo, by which lobes in a sum share the samples."""

@@ -11,9 +11,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.response import InterfaceResponse, dyadic_levels, is_uniform
 from nacre.core.errors import UnsupportedError
-from nacre.device.plugin import larger, opaque, smaller
+from nacre.device.plugin import larger, opaque, opaque_int, smaller
 from nacre.device.tables import DeviceTable, Located, WavelengthAxis
 from nacre.device.texture import DeviceParameters
 
@@ -49,6 +49,7 @@ class DeviceResponse:
         self.bends = response.eta > 1.0
         self.is_lossless = _is_lossless(response)
         self.axis = WavelengthAxis(response.wavelengths_nm)
+        self.is_uniform = _is_uniform(response)
         self.has_own_nodes = nodes is not None
         self.parameters = nodes if self.has_own_nodes else DeviceParameters(response.parameters)
         stacked = _stacked(response, self.is_lossless)
@@ -68,8 +69,10 @@ class DeviceResponse:
         self.beyond_row = opaque(2 * self.nodes)
         self.beyond_scale = opaque((beyond - 1) * 2.0 / math.pi)
         self.beyond_max_low = opaque(max(beyond - 2, 0))
+        self.inv_beyond_cells = opaque(1.0 / max(beyond - 1, 1))
         self.critical = opaque(response.cos_critical)
         self.inv_critical = opaque(1.0 / max(response.cos_critical, 1e-6))
+        self.intervals = None if self.is_uniform else DyadicIntervals(response.cos_outside, response.nodes_beyond)
 
     def update(self, response: InterfaceResponse) -> None:
         """Replace the tables by others with the same structure.
@@ -80,6 +83,8 @@ class DeviceResponse:
         structure = (bool(response.transmits), bool(response.flipped), response.eta > 1.0, _is_lossless(response))
         if structure != (self.transmits, self.flipped, self.bends, self.is_lossless):
             raise UnsupportedError("absorption, transmission or the denser side changed; build the scene again")
+        if self.is_uniform != _is_uniform(response):
+            raise UnsupportedError("the nodes over angle became irregular or uniform; build the scene again")
         if not self.has_own_nodes:
             self.parameters.update(response.parameters)
         self.table.update(_stacked(response, self.is_lossless))
@@ -106,13 +111,12 @@ class DeviceResponse:
         corners = self.parameters.corners(si, active)
         cos = smaller(cos, 1.0)
         if not self.transmits:
-            position = cos * self.top
-            low = smaller(dr.floor(position), self.max_low)
-            (reflected,) = self.table.look_up(mi.UInt32(low), position - low, where, corners, active)
+            row, fraction = self._cosine_row(cos, active)
+            (reflected,) = self.table.look_up(row, fraction, where, corners, active)
             return reflected, None
         if self.is_lossless:
             return self._look_up_lossless(cos, inside, where, corners, active)
-        row, fraction = self._row(cos, inside)
+        row, fraction = self._row(cos, inside, active)
         reflected, transmitted = self.table.look_up(row, fraction, where, corners, active)
         return reflected, transmitted
 
@@ -128,8 +132,8 @@ class DeviceResponse:
             return share, lambda reflects: dr.select(reflects, reflected, transmitted)
         where = self.axis.locate(si.wavelengths, active)
         corners = self.parameters.corners(si, active)
-        row, fraction = self._row(smaller(cos, 1.0), inside)
-        lines = dr.size_v(mi.Spectrum)
+        row, fraction = self._row(smaller(cos, 1.0), inside, active)
+        lines = dr.size_v(mi.UnpolarizedSpectrum)
         grey = Located([mi.UInt32(0)] * lines, [mi.Float(0.0)] * lines)
         share = self.shares.look_up(row, fraction, grey, corners, active)[0][0]
 
@@ -147,27 +151,83 @@ class DeviceResponse:
             outer = dr.select(inside, dr.sqrt(larger(outside2, 0.0)), cos)
         else:
             outer = cos
-        position = outer * self.top
-        low = smaller(dr.floor(position), self.max_low)
-        (reflected,) = self.table.look_up(mi.UInt32(low), position - low, where, corners, active)
+        row, fraction = self._cosine_row(outer, active)
+        (reflected,) = self.table.look_up(row, fraction, where, corners, active)
         if self.bends:
-            reflected = dr.select(inside & (cos < self.critical), mi.Spectrum(1.0), reflected)
+            reflected = dr.select(inside & (cos < self.critical), mi.UnpolarizedSpectrum(1.0), reflected)
         return reflected, 1.0 - reflected
 
-    def _row(self, cos: Any, inside: Any) -> tuple[Any, Any]:
+    def _cosine_row(self, cos: Any, active: Any) -> tuple[Any, Any]:
+        """Return the row and fraction of a cosine outside, in the first region."""
+        if self.intervals is not None:
+            return self.intervals.locate(cos, None, active)
+        position = cos * self.top
+        low = smaller(dr.floor(position), self.max_low)
+        return mi.UInt32(low), position - low
+
+    def _row(self, cos: Any, inside: Any, active: Any) -> tuple[Any, Any]:
         """Return a transmitting interface's row."""
         if not self.bends:
-            position = cos * self.top
-            low = smaller(dr.floor(position), self.max_low)
-            return mi.UInt32(low + dr.select(inside, self.inside_row, 0.0)), position - low
+            row, fraction = self._cosine_row(cos, active)
+            return row + mi.UInt32(dr.select(inside, self.inside_row, 0.0)), fraction
         sin2_outside = self.eta * self.eta * (1.0 - cos * cos)
         outer = dr.select(inside, dr.sqrt(larger(1.0 - sin2_outside, 0.0)), cos)
         is_beyond = inside & (cos < self.critical)
         beyond = dr.acos(larger(smaller(cos * self.inv_critical, 1.0), 0.0)) * self.beyond_scale
+        if self.intervals is not None:
+            unit = dr.select(is_beyond, beyond * self.inv_beyond_cells, outer)
+            row, fraction = self.intervals.locate(unit, is_beyond, active)
+            start = dr.select(is_beyond, self.beyond_row, dr.select(inside, self.inside_row, 0.0))
+            return row + mi.UInt32(start), fraction
         position = dr.select(is_beyond, beyond, outer * self.top)
         low = smaller(dr.floor(position), dr.select(is_beyond, self.beyond_max_low, self.max_low))
         start = dr.select(is_beyond, self.beyond_row, dr.select(inside, self.inside_row, 0.0))
         return mi.UInt32(low + start), position - low
+
+
+class DyadicIntervals:
+    """Locates values in [0, 1] in irregular dyadic intervals with one read.
+
+    A uniform grid as fine as the smallest interval holds each cell's interval number and level.
+
+    Args:
+        inner: `[node]`, the nodes of the cosine outside.
+        beyond: `[node]`, those beyond the critical angle, or empty.
+    """
+
+    LEVEL_BITS = 5
+
+    def __init__(self, inner: NDArray[np.float64], beyond: NDArray[np.float64]) -> None:
+        levels = [dyadic_levels(nodes) for nodes in (inner, beyond if len(beyond) else np.array([0.0, 1.0]))]
+        finest = max(int(level.max()) for level in levels)
+        words = [
+            np.repeat((np.arange(len(level)) << self.LEVEL_BITS) | level, 2 ** (finest - level)) for level in levels
+        ]
+        self.cells = opaque(2**finest)
+        self.last_cell = opaque_int(2**finest - 1)
+        self.finest = opaque_int(finest)
+        joined = np.concatenate(words).astype(np.uint32)
+        self.words = mi.UInt32(joined) if dr.is_jit_v(mi.Float) else joined
+
+    def locate(self, value: Any, is_beyond: Any, active: Any) -> tuple[Any, Any]:
+        """Return the interval and the fraction of its width.
+
+        Args:
+            is_beyond: mask of values beyond the critical angle; None: none is.
+        """
+        at = value * self.cells
+        cell = dr.minimum(mi.UInt32(at), self.last_cell)
+        index = cell if is_beyond is None else cell + dr.select(is_beyond, self.last_cell + 1, mi.UInt32(0))
+        word = dr.gather(mi.UInt32, self.words, index, active) if dr.is_jit_v(mi.Float) else int(self.words[int(index)])
+        level = word & mi.UInt32(2**self.LEVEL_BITS - 1)
+        shift = self.finest - level
+        start = (cell >> shift) << shift
+        fraction = (at - mi.Float(start)) / mi.Float(mi.UInt32(1) << shift)
+        return mi.UInt32(word >> mi.UInt32(self.LEVEL_BITS)), fraction
+
+
+def _is_uniform(response: InterfaceResponse) -> bool:
+    return is_uniform(response.cos_outside) and is_uniform(response.nodes_beyond)
 
 
 def _is_lossless(response: InterfaceResponse) -> bool:

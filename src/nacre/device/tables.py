@@ -82,7 +82,7 @@ class WavelengthAxis:
     def locate(self, wavelengths: Any, active: Any = True) -> Located:
         """Locate `si.wavelengths`; wavelengths outside (such as the 0 of test harnesses) move to the end."""
         low, fraction = [], []
-        for k in range(dr.size_v(mi.Spectrum)):
+        for k in range(dr.size_v(mi.UnpolarizedSpectrum)):
             a, b = self._locate_one(wavelengths[k], active)
             low.append(a)
             fraction.append(b)
@@ -171,7 +171,7 @@ class DeviceTable:
     def look_up(
         self, row: Any, fraction: Any, where: Located, corners: list[tuple[Any, Any]] | None = None, active: Any = True
     ) -> list[Any]:
-        """Interpolate at `row + fraction`, `row <= rows - 2`: one `mi.Spectrum` for each channel.
+        """Interpolate at `row + fraction`, `row <= rows - 2`: one `mi.UnpolarizedSpectrum` for each channel.
 
         Args:
             row: lower row.
@@ -191,10 +191,10 @@ class DeviceTable:
         return totals
 
     def at_nodes(self, row: Any, where: Located, active: Any = True) -> list[Any]:
-        """Read a row at the wavelength nodes: one `mi.Spectrum` for each channel."""
+        """Read a row at the wavelength nodes: one `mi.UnpolarizedSpectrum` for each channel."""
         assert where.nodes is not None
         assert not self.is_packed
-        results = [mi.Spectrum(0.0) for _ in range(self.channels)]
+        results = [mi.UnpolarizedSpectrum(0.0) for _ in range(self.channels)]
         start = row * self.row_stride
         for k, node in enumerate(where.nodes):
             for channel, value in enumerate(self._corner(start + node, active)):
@@ -210,11 +210,11 @@ class DeviceTable:
         channel: Any,
         active: Any = True,
     ) -> Any:
-        """Interpolate one channel, chosen per lane: one `mi.Spectrum` at the cost of a one-channel table."""
-        total = mi.Spectrum(0.0)
+        """Interpolate one channel, chosen per lane: one `mi.UnpolarizedSpectrum` at the cost of a one-channel table."""
+        total = mi.UnpolarizedSpectrum(0.0)
         for index, weight in corners or [(None, None)]:
             start = (row if index is None else index * self.rows_opaque + row) * self.row_stride
-            found = mi.Spectrum(0.0)
+            found = mi.UnpolarizedSpectrum(0.0)
             for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
                 cell = start + low
                 if self.halves is not None:
@@ -232,7 +232,7 @@ class DeviceTable:
         return total
 
     def _bilinear(self, row: Any, fraction: Any, where: Located, active: Any) -> list[Any]:
-        results = [mi.Spectrum(0.0) for _ in range(self.channels)]
+        results = [mi.UnpolarizedSpectrum(0.0) for _ in range(self.channels)]
         start = row * self.row_stride
         for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
             cell = start + low

@@ -1,17 +1,19 @@
 """Choice of the Mitsuba variant, and import of mitsuba.
 
 Order: the caller's or `NACRE_VARIANT`'s variant; a variant already set by the user's code; the GPU if one works;
-LLVM; and scalar_spectral with a warning, hundreds of times slower. Only unpolarised spectral variants are supported,
-because a structural colour is a spectrum.
+LLVM; and scalar_spectral with a warning, hundreds of times slower. Only spectral variants are supported, because a
+structural colour is a spectrum; the polarised ones are used only on request.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib.util
 import os
 import sys
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from types import ModuleType
 
@@ -19,7 +21,9 @@ from nacre.core.errors import MachineError, UnsupportedError, did_you_mean
 from nacre.device import llvm
 
 ENVIRONMENT_VARIABLE = "NACRE_VARIANT"
-VARIANTS = ("llvm_ad_spectral", "cuda_ad_spectral", "scalar_spectral")
+UNPOLARISED = ("llvm_ad_spectral", "cuda_ad_spectral", "scalar_spectral")
+POLARISED = tuple(f"{name}_polarized" for name in UNPOLARISED)
+VARIANTS = UNPOLARISED + POLARISED
 SCALAR_WARNING = (
     "{reason}: falling back to scalar_spectral, some hundreds of times slower, good for tiny previews only; {remedy}"
 )
@@ -47,6 +51,23 @@ def use_variant(requested: str | None = None) -> ModuleType:
     else:
         mi.set_variant(_available(requested, mi))
     return mi
+
+
+@contextlib.contextmanager
+def polarised_variant() -> Iterator[ModuleType]:
+    """Set the polarised twin of the variant in use, and return to it afterwards.
+
+    Raises:
+        MachineError: no variant works on this machine.
+    """
+    mi = use_variant()
+    before = str(mi.variant())
+    try:
+        if before not in POLARISED:
+            mi.set_variant(f"{before}_polarized")
+        yield mi
+    finally:
+        mi.set_variant(before)
 
 
 def import_mitsuba() -> ModuleType:

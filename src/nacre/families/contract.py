@@ -23,18 +23,22 @@ import abc
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
+from nacre.bsdf.polarisation import InterfacePolarisation
 from nacre.bsdf.substrate import Strata as Strata  # one of the capabilities
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError, did_you_mean
 from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer
 from nacre.matter.periodic.orders import Orders
+
+if TYPE_CHECKING:
+    from nacre.matter.stack.stack import Stack
 
 Figure = Callable[..., dict[str, NDArray[Any]]]
 Writer = Callable[[Path, str], list[str]]  # (path, a comment for the file) -> in words, the losses of the format
@@ -293,6 +297,29 @@ class BetweenMedia(Protocol):
 
     ambient: Any
     substrate: Any
+
+
+@runtime_checkable
+class Polarising(Protocol):
+    """A model with Mueller matrices for polarised rendering."""
+
+    def polarisation(self, wavelengths_nm: Array | None = None) -> InterfacePolarisation | None:
+        """Tabulate the Mueller matrices of the interface; None: it is rendered as depolarising."""
+        ...
+
+
+@runtime_checkable
+class SpecularStack(Protocol):
+    """A model whose specular reflection is that of a stack of layers."""
+
+    @property
+    def specular_stack(self) -> Stack:
+        """The stack.
+
+        Raises:
+            UnsupportedError: no light is reflected specularly.
+        """
+        ...
 
 
 def figure_data(model: Model, name: str, **options: Any) -> dict[str, NDArray[Any]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -82,5 +82,5 @@ class Measured(Model, ExcessEnergy):
                     )
                 basis = np.stack([np.interp(wavelengths_nm, grid, row) for row in basis])
                 grid = wavelengths_nm
-            lobes.append(TableLobe(grid, lobe.values * self.scale, basis, lobe.coordinates))
+            lobes.append(replace(lobe, wavelengths_nm=grid, values=lobe.values * self.scale, basis=basis))
         return Bsdf(tuple(lobes), self.stored.provenance)

@@ -10,9 +10,13 @@ import numpy as np
 
 from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError
+from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, plain, why_unreadable
 from nacre.core.memory import check_memory
+from nacre.light import xyz_to_srgb_linear
+from nacre.readers.bsdf.gonio_table import read
+from nacre.readers.bsdf.samples import COLOURS, DEGREES
+from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.recipe.delimited_text import decoded, headings, rows
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "wavelength", "value")
@@ -21,6 +25,8 @@ GAPS = ("", "nan", "-", "--", "n/a", "na")  # cells without a measurement
 MEMORY_FACTOR = 8  # memory per byte of a file: text, lines, cells
 MAX_VALUE = 1e12  # far above any BSDF
 ROUND_TRIP_DIGITS = 9  # preserve float32
+ANGLE_DIGITS = 6  # decimals of angles in degrees that distinguish directions
+MIN_MEASURED = 0.5  # share of pairs and wavelengths that must have a value
 
 
 @dataclass(frozen=True)
@@ -67,58 +73,65 @@ def write_gonio_csv(path: str | Path, data: GonioData, comment: str = "") -> Non
 
 
 def read_gonio_csv(path: str | Path) -> GonioData:
-    """Read a measurement; the columns may have any order, additional ones are ignored.
-
-    Every direction pair must be given at the same wavelengths.
+    """Read a measurement (see `nacre.readers.bsdf.gonio_table`); every direction pair has the same wavelengths.
 
     Raises:
-        NacreError: the file is invalid; names the line.
+        NacreError: the file is invalid; names the line or the column.
     """
-    names, table = read_table(path)
-    missing = [name for name in COLUMNS if name not in names]
-    if missing:
-        raise NacreError(f"{path}: column {missing[0]} is missing; a gonio CSV has {', '.join(COLUMNS)}")
-    columns = table[:, [names.index(name) for name in COLUMNS]]
-    if np.any(columns[:, 4] <= 0):
-        raise NacreError(f"{path}: wavelength = {columns[:, 4].min():g} should be above 0 (nm)")
-    for name, index in (("theta_i", 0), ("theta_o", 2)):
-        bad = (columns[:, index] < 0) | (columns[:, index] > 180)
-        if np.any(bad):
-            raise NacreError(f"{path}: {name} = {columns[bad][0, index]:g} should lie in [0, 180] degrees")
-    _check_plausible(path, columns)
-    waves = np.unique(columns[:, 4])
-    pairs, inverse = np.unique(columns[:, :4], axis=0, return_inverse=True)
-    values = np.full((len(pairs), len(waves)), np.nan)
-    place = (np.ravel(inverse), np.searchsorted(waves, columns[:, 4]))
-    values[place] = columns[:, 5]
-    if len(columns) != values.size or np.isnan(values).any():
-        raise NacreError(
-            f"{path}: has {len(columns)} rows for {len(pairs)} direction pairs and {len(waves)} wavelengths; "
-            "every pair must be given once at every wavelength"
+    data, _ = gonio_data(read(Path(path), ReadOptions())[0])
+    return data
+
+
+def gonio_data(measured: Measurement) -> tuple[GonioData, list[str]]:
+    """Return a measurement as values by direction pair and wavelength (NaN: missing), and remarks.
+
+    Colour channels become smooth spectra; one value without a wavelength stands for all.
+
+    Raises:
+        UnsupportedError: the measurement holds no direction pairs.
+        NacreError: repeated directions contradict each other.
+    """
+    data, remarks = measured.data, list(measured.assumed)
+    if not set(DEGREES) <= set(data):
+        why = measured.left_out[0] if measured.left_out else "it holds no pairs of directions"
+        raise UnsupportedError(f"{measured.path}: cannot become a material: {why}")
+    if measured.metadata.get("scatter") == "btdf":
+        raise UnsupportedError(
+            f"{measured.path}: is a BTDF (transmitted scatter); a measured material holds the reflected part only"
         )
-    first = np.full(len(pairs), len(columns))
-    np.minimum.at(first, np.ravel(inverse), np.arange(len(columns)))
+    angles = np.stack([data[name] for name in DEGREES], axis=-1)
+    colour = next((key for key in COLOURS.values() if key in data), None)
+    if colour is not None:
+        rgb = data[colour] if colour == COLOURS["rgb"] else np.asarray(xyz_to_srgb_linear(data[colour]))
+        return GonioData(angles, np.arange(1.0, 4.0), rgb), remarks
+    if "wavelength_nm" not in data:
+        return GonioData(angles, np.ones(1), data["bsdf"][:, None]), remarks
+    return _grouped(measured, angles, remarks)
+
+
+def _grouped(measured: Measurement, angles: Array, remarks: list[str]) -> tuple[GonioData, list[str]]:
+    """Sort rows into pairs and wavelengths; repeated rows are averaged."""
+    waves, wave_at = np.unique(measured.data["wavelength_nm"], return_inverse=True)
+    pairs, first, pair_at = np.unique(np.round(angles, ANGLE_DIGITS), axis=0, return_index=True, return_inverse=True)
+    place = (np.ravel(pair_at), np.ravel(wave_at))
+    value = measured.data["bsdf"]
+    known = np.isfinite(value)
+    total, count = np.zeros((len(pairs), len(waves))), np.zeros((len(pairs), len(waves)))
+    np.add.at(total, tuple(p[known] for p in place), value[known])
+    np.add.at(count, tuple(p[known] for p in place), 1)
+    with np.errstate(invalid="ignore"):
+        values = np.where(count > 0, total / count, np.nan)
+    repeated = int(np.sum(np.maximum(count - 1, 0)))
+    if repeated:
+        spread = np.max(np.abs(value[known] - values[place][known]) / np.maximum(np.abs(values[place][known]), 1e-12))
+        remarks.append(f"{repeated} rows repeat a direction and wavelength (within {spread:.2g}); they were averaged")
+    if np.mean(count > 0) < MIN_MEASURED and len(waves) > 1:
+        raise NacreError(
+            f"{measured.path}: has {int(np.sum(count > 0))} values for {len(pairs)} direction pairs and {len(waves)} "
+            "wavelengths; most pairs lack most wavelengths"
+        )
     order = np.argsort(first)  # order of the file
-    return GonioData(pairs[order], waves, values[order])
-
-
-def _check_plausible(path: str | Path, columns: Array) -> None:
-    """Refuse physically impossible data.
-
-    Raises:
-        NacreError: a negative or far too large BSDF, or angles in radians.
-    """
-    values, thetas, phis = columns[:, 5], columns[:, [0, 2]], columns[:, [1, 3]]
-    if values.min() < 0:
-        raise NacreError(f"{path}: value = {values.min():g} is below 0, which no BSDF is; set noise about 0 to 0")
-    if values.max() > MAX_VALUE:
-        raise NacreError(f"{path}: value = {values.max():g} is larger than any BSDF (1/sr)")
-    widest = float(thetas.max())
-    if 0.0 < widest <= np.pi / 2 * (1 + 1e-3) and np.abs(phis).max() <= 2 * np.pi * (1 + 1e-3):
-        raise NacreError(
-            f"{path}: no theta is above {widest:.4g} and no phi above {np.abs(phis).max():.4g}: these are radians; "
-            "angles are in degrees"
-        )
+    return GonioData(pairs[order], waves, values[order]), remarks
 
 
 def read_table(path: str | Path, has_gaps: bool = False) -> tuple[list[str], Array]:

@@ -15,21 +15,17 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.table import from_half_difference
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.files import atomic_path, plain, reraise_as_oserror, why_unreadable
+from nacre.core.files import atomic_path, reraise_as_oserror
 from nacre.formats.export_formats import refuse_unsuitable
 from nacre.light import spectrum_to_rgb_linear
+from nacre.readers.bsdf.merl import SCALE, SHAPE, bin_angles, bin_remarks, is_up, read_raw
 
-SHAPE = (90, 90, 180)
-SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0
 MIN_COS = 1e-4  # bins below the horizon are 0
 
 
 def bin_directions() -> tuple[Array, Array]:
     """Return wi and wo at the bin centres, each `[theta_half, theta_diff, phi_diff, 3]`."""
-    half = ((np.arange(SHAPE[0]) + 0.5) / SHAPE[0]) ** 2 * (np.pi / 2)
-    diff = (np.arange(SHAPE[1]) + 0.5) / SHAPE[1] * (np.pi / 2)
-    phi = (np.arange(SHAPE[2]) + 0.5) / SHAPE[2] * np.pi
-    return from_half_difference(*np.meshgrid(half, diff, phi, indexing="ij"))
+    return from_half_difference(*bin_angles())
 
 
 def merl_table(bsdf: Bsdf, block: int = 1 << 16) -> Array:
@@ -61,27 +57,31 @@ def write_merl(path: str | Path, table: Array) -> None:
 
 
 def read_merl(path: str | Path) -> Array:
-    """Read a MERL file as linear RGB reflectance `[90, 90, 180, 3]`; invalid (negative) bins become 0.
+    """Read a MERL file as linear RGB reflectance `[90, 90, 180, 3]`; see `read_merl_filled`."""
+    return read_merl_filled(path)[0]
+
+
+def read_merl_filled(path: str | Path) -> tuple[Array, list[str]]:
+    """Read a MERL file as linear RGB reflectance `[90, 90, 180, 3]`, and remarks.
+
+    Invalid bins above the surface take the value of the nearest valid bin; bins below it become 0. Negative channels
+    are kept: the sum of the channels' spectra is cut at 0 when the material is evaluated.
 
     Raises:
-        NacreError: not a MERL file, or damaged.
+        NacreError: not a MERL file, damaged, or without valid bins.
     """
-    path = Path(path)
-    expected = 12 + 8 * 3 * SHAPE[0] * SHAPE[1] * SHAPE[2]
-    try:
-        size = plain(path).stat().st_size
-        if size != expected:
-            raise NacreError(f"{path}: has {size} bytes; a MERL file of 90 x 90 x 180 bins has {expected}")
-        data = path.read_bytes()
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
-    shape = tuple(int(n) for n in np.frombuffer(data, "<i4", 3))
-    if shape != SHAPE:
-        raise NacreError(f"{path}: has {shape} bins; only the standard {SHAPE} is known")
-    planes = np.frombuffer(data, "<f8", offset=12).reshape(3, *SHAPE)
-    if not np.all(np.isfinite(planes)):
-        raise NacreError(f"{path}: holds values that are not finite")
-    return np.maximum(np.moveaxis(planes * SCALE[:, None, None, None], 0, -1), 0.0)
+    table = read_raw(path)
+    remarks = bin_remarks(table)
+    up, invalid = is_up(), np.isnan(table).any(axis=-1)
+    if not np.any(up & ~invalid):
+        raise NacreError(f"{path}: holds no valid bin above the surface")
+    if np.any(invalid & up):
+        from scipy.ndimage import distance_transform_edt
+
+        nearest = distance_transform_edt(invalid | ~up, return_distances=False, return_indices=True)
+        table = table[tuple(nearest)]
+        remarks[0] += "; they take the value of the nearest valid bin"
+    return np.where((up | ~invalid)[..., None], table, 0.0), remarks
 
 
 # BRDF image slice as EXR: theta_half across, theta_diff down, phi_diff = 90 degrees (Burley 2012).

@@ -7,55 +7,18 @@ here are plane-symmetrical: azimuths 0 to 180 degrees, one sample rotation.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from nacre.bsdf import Bsdf
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.files import atomic_path, plain, why_unreadable
+from nacre.core.errors import UnsupportedError
+from nacre.core.files import atomic_path
 from nacre.formats.export_formats import refuse_unsuitable
 from nacre.light import spectrum_to_xyz
-
-CHANNELS = {"Monochrome": ("Monochrome",), "XYZ": ("TristimulusX", "TristimulusY", "TristimulusZ")}
-MAX_BYTES = 1 << 28
-
-
-@dataclass(frozen=True)
-class ZemaxBsdf:
-    """A tabular BSDF.
-
-    Attributes:
-        incidence_deg: `[incidence]`; azimuth_deg: `[azimuth]`; radial_deg: `[radial]`.
-        values: `[channel, incidence, azimuth, radial]`, 1/sr.
-        tis: `[channel, incidence]`, total integrated scatter.
-        scatter_type: "BRDF" or "BTDF".
-    """
-
-    incidence_deg: Array
-    azimuth_deg: Array
-    radial_deg: Array
-    values: Array
-    tis: Array
-    scatter_type: str = "BRDF"
-
-    @property
-    def spectral_content(self) -> str:
-        """ "Monochrome" for one channel, "XYZ" for three."""
-        return "Monochrome" if len(self.values) == 1 else "XYZ"
-
-
-def scatter_direction(incidence_deg: Array, azimuth_deg: Array, radial_deg: Array) -> Array:
-    """Return unit vectors `[..., 3]` for scatter angles about the mirror direction; the light comes from +x."""
-    theta, phi, rho = np.radians(incidence_deg), np.radians(azimuth_deg), np.radians(radial_deg)
-    specular = np.stack([-np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=-1)
-    to_normal = np.stack([np.cos(theta), np.zeros_like(theta), np.sin(theta)], axis=-1)
-    across = np.stack([np.zeros_like(theta), -np.ones_like(theta), np.zeros_like(theta)], axis=-1)
-    ring = np.cos(phi)[..., None] * to_normal + np.sin(phi)[..., None] * across
-    return np.asarray(np.cos(rho)[..., None] * specular + np.sin(rho)[..., None] * ring)
+from nacre.readers.bsdf.zemax import CHANNELS, ZemaxBsdf, scatter_direction
+from nacre.readers.bsdf.zemax import read_zemax as read_zemax
 
 
 def zemax_table(bsdf: Bsdf, wavelength_nm: float | None = None, step_deg: float = 5.0) -> ZemaxBsdf:
@@ -129,60 +92,3 @@ def write_zemax(path: str | Path, table: ZemaxBsdf, comment: str = "") -> None:
                 for row in table.values[channel, i]:
                     file.write("\t".join(f"{v:.7e}" for v in row) + "\n")
             file.write("DataEnd\n")
-
-
-def read_zemax(path: str | Path) -> ZemaxBsdf:
-    """Read a tabular BSDF with one sample rotation.
-
-    Raises:
-        NacreError: the file is invalid.
-    """
-    path = Path(path)
-    try:
-        if plain(path).stat().st_size > MAX_BYTES:
-            raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-        lines = [line.strip() for line in path.read_text(encoding="latin-1").splitlines()]
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
-    words = iter([w for line in lines if line and not line.startswith("#") for w in line.split()])
-    try:
-        return _parse(words)
-    except (StopIteration, ValueError, KeyError, IndexError, MemoryError):
-        raise NacreError(f"{path}: is not a Zemax tabular BSDF, or is damaged") from None
-
-
-def _parse(words: Iterator[str]) -> ZemaxBsdf:
-    header: dict[str, str] = {}
-    axes: dict[str, Array] = {}
-    for name in ("Source", "Symmetry", "SpectralContent", "ScatterType"):
-        header[name] = _named(words, name)
-    for name in ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial"):
-        count = int(_named(words, name))
-        if not 1 <= count <= 100_000:
-            raise ValueError(name)
-        axes[name] = np.array([float(next(words)) for _ in range(count)])
-    if len(axes["SampleRotation"]) != 1:
-        raise ValueError("only one sample rotation is read")
-    incidence, azimuth, radial = (axes[n] for n in ("AngleOfIncidence", "ScatterAzimuth", "ScatterRadial"))
-    names = CHANNELS[header["SpectralContent"]]
-    values = np.zeros((len(names), len(incidence), len(azimuth), len(radial)))
-    tis = np.zeros((len(names), len(incidence)))
-    for channel in range(len(names)):
-        next(words)
-        if next(words) != "DataBegin":
-            raise ValueError("DataBegin")
-        for i in range(len(incidence)):
-            tis[channel, i] = float(_named(words, "TIS"))
-            flat = [float(next(words)) for _ in range(len(azimuth) * len(radial))]
-            values[channel, i] = np.reshape(flat, (len(azimuth), len(radial)))
-        if next(words) != "DataEnd":
-            raise ValueError("DataEnd")
-    if not np.all(np.isfinite(values)):
-        raise ValueError("not finite")
-    return ZemaxBsdf(incidence, azimuth, radial, values, tis, header["ScatterType"])
-
-
-def _named(words: Iterator[str], name: str) -> str:
-    if next(words) != name:
-        raise ValueError(name)
-    return next(words)

@@ -12,6 +12,14 @@ from nacre.light.adaptation import adapt_xyz as adapt_xyz
 from nacre.light.adaptation import adaptation_matrix as adaptation_matrix
 from nacre.light.adaptation import illuminant_shift as illuminant_shift
 from nacre.light.adaptation import metamerism as metamerism
+from nacre.light.colour_differences import colour_difference as colour_difference
+from nacre.light.colour_differences import delta_e_76 as delta_e_76
+from nacre.light.colour_differences import delta_e_94 as delta_e_94
+from nacre.light.colour_differences import delta_e_2000 as delta_e_2000
+from nacre.light.colour_differences import delta_e_2000_components as delta_e_2000_components
+from nacre.light.colour_differences import delta_e_cmc as delta_e_cmc
+from nacre.light.colour_differences import delta_e_din99o as delta_e_din99o
+from nacre.light.colour_differences import lab_to_din99o as lab_to_din99o
 from nacre.light.display import Clipped as Clipped
 from nacre.light.display import clip_to_srgb as clip_to_srgb
 from nacre.light.display import outside_srgb as outside_srgb
@@ -20,8 +28,6 @@ from nacre.light.display import spectrum_to_rgb_matrix as spectrum_to_rgb_matrix
 from nacre.light.display import spectrum_to_srgb as spectrum_to_srgb
 from nacre.light.display import swatch_hex as swatch_hex
 from nacre.light.spaces import SRGB_WHITE_XYZ as SRGB_WHITE_XYZ
-from nacre.light.spaces import delta_e_76 as delta_e_76
-from nacre.light.spaces import delta_e_2000 as delta_e_2000
 from nacre.light.spaces import lab_to_lch as lab_to_lch
 from nacre.light.spaces import lab_to_xyz as lab_to_xyz
 from nacre.light.spaces import lch_to_lab as lch_to_lab

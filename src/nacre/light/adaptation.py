@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
-from nacre.light.spaces import delta_e_76, delta_e_2000, lab_to_lch, xyz_to_lab
+from nacre.light.colour_differences import delta_e_76, delta_e_2000
+from nacre.light.spaces import lab_to_lch, xyz_to_lab
 from nacre.light.tables import Illuminant
 from nacre.light.tristimulus import spectrum_to_xyz, white_xyz
 

@@ -25,6 +25,7 @@ class Example:
     family: str
     about: str
     path: Path
+    is_recipe: bool  # of a material, not a design target
 
 
 def examples_folder() -> Path:
@@ -55,8 +56,8 @@ def examples() -> list[Example]:
             continue
         text = read_text(path, "example")
         name = path.relative_to(folder).with_suffix("").as_posix()
-        family = str(parse_toml(text, str(path)).get("family", "target"))
-        found.append(Example(name, family, _about(text), path))
+        family = parse_toml(text, str(path)).get("family")
+        found.append(Example(name, str(family or "target"), _about(text), path, is_recipe=family is not None))
     return sorted(found, key=lambda example: ("/" in example.name, example.name))
 
 

@@ -27,7 +27,7 @@ from nacre.core.disk_cache import cached
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import DESIGN_RECIPE, named, read_text, short_name
 from nacre.core.memory import check_memory
-from nacre.families.contract import ExcessEnergy, ExpensiveMethod, Model, Traits, figure_data, values_at
+from nacre.families.contract import ExcessEnergy, ExpensiveMethod, Model, Polarising, Traits, figure_data, values_at
 from nacre.families.registry import family_spec
 from nacre.material.examples import resolve_recipe_path
 from nacre.material.parametrise import Parametrisation
@@ -48,7 +48,7 @@ MAX_NESTED_RECIPES = 8
 BYTES_PER_VALUE = 160  # per angle and wavelength: amplitudes and powers of two polarisations, and the stored parts
 MANY_ANGLES = 1000  # from here on the memory of the material's own wavelengths is checked
 POLARISATIONS = ("s", "p", "both")
-STUDY_TABLES = ("fit", "tolerance")  # parameters of fits and manufacturing tolerances; they do not change the optics
+STUDY_TABLES = ("fit", "tolerance", "ties", "instrument")  # of fits and tolerances; they do not change the optics
 
 
 @functools.lru_cache(maxsize=256)  # each message once per process
@@ -106,7 +106,11 @@ class Material:
             MaterialRangeError: an optical constant is not known at a wavelength.
         """
         bsdf = self._solved(wavelength_grid(wavelengths_nm), keep)
-        return dataclasses.replace(bsdf, provenance={**bsdf.provenance, **recipe_provenance(self)})
+        polarisation = None
+        if isinstance(self.model, Polarising):
+            polarisation = functools.partial(self.model.polarisation, bsdf.wavelengths_nm)
+        provenance = {**bsdf.provenance, **recipe_provenance(self)}
+        return dataclasses.replace(bsdf, provenance=provenance, polarisation=polarisation)
 
     def _solved(self, grid: NDArray[np.float64] | None, keep: bool = True) -> Bsdf:
         for warning in self.model.warnings:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import logging
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -16,9 +17,12 @@ from nacre.core.arrays import Array, floats
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import named, plain, why_unreadable
 from nacre.optimise.targets import plausible
+from nacre.readers.colours.lab import named_lab
+from nacre.readers.registry import POSSIBLE, open_file, recognise
 from nacre.recipe.delimited_text import decoded
 from nacre.recipe.model import show_value
 
+logger = logging.getLogger("nacre")
 MAX_ROWS, MAX_BYTES = 100_000, 64 << 20
 NAMES = ("name", "names", "sample", "sample_name", "standard", "id", "colour", "color")
 _COLUMN = re.compile(r"(?:cie)?(?:lab)?([lab])(?:star)?(\d*)")
@@ -37,8 +41,11 @@ class ColourRow:
     lab: Array
 
 
-def read_colours(labs: Any, targets: int) -> list[ColourRow]:
-    """Return target colours from a CSV file, or from an array `[n, 3]` or `[n, target, 3]`.
+def read_colours(labs: Any, targets: int, light: tuple[str, str] = ("D65", "2deg")) -> list[ColourRow]:
+    """Return target colours from a file, or from an array `[n, 3]` or `[n, target, 3]`.
+
+    Colour lists of other programs (CGATS, CxF, swatches, palettes) and tables of reflectance spectra are recognised by
+    their content; their L*a*b* are computed for, or adapted to, `light`, and a warning says how.
 
     A file row contains L*, a*, b*, optionally after a name; for several targets, one colour for
     all or as many triples. A heading may name the columns (`Name;L*;a*;b*`, and `L1`, `a1` ... of several
@@ -47,13 +54,15 @@ def read_colours(labs: Any, targets: int) -> list[ColourRow]:
 
     Args:
         targets: target count.
+        light: illuminant and observer of the targets.
 
     Raises:
         RecipeError: an entry is not a colour; with its line.
         NacreError: the file cannot be read, or the array has another shape.
     """
     if isinstance(labs, str | Path):
-        return _file_rows(named(labs), targets)
+        path = named(labs)
+        return _recognised_rows(path, targets, light) or _file_rows(path, targets)
     found = floats(labs, "labs")
     if found.size == 0 and found.shape[:1] == (0,):
         return []
@@ -67,6 +76,25 @@ def read_colours(labs: Any, targets: int) -> list[ColourRow]:
             raise NacreError(f"{where} = {lab.tolist()} should hold finite numbers")
         plausible(lab, where, lab.tolist())
     return [ColourRow("", row) for row in found]
+
+
+def _recognised_rows(path: Path, targets: int, light: tuple[str, str]) -> list[ColourRow]:
+    """Return the colours of a file that is a known colour list or a table of spectra; empty for plain tables."""
+    try:
+        plain(path)
+    except OSError as error:
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
+    if path.stat().st_size == 0:
+        return []
+    found = recognise(path)
+    if not found or found[0][0] <= POSSIBLE or found[0][1].kind not in ("colours", "spectrum"):
+        return []
+    names, lab, said = named_lab(path, open_file(path), *light)
+    if said:
+        logger.warning("%s: %s", path, "; ".join(said))
+    for number, colour in enumerate(lab, start=1):
+        plausible(colour, f"{path}: colour {number}", colour.round(3).tolist())
+    return [ColourRow(name, np.repeat(colour[None], targets, axis=0)) for name, colour in zip(names, lab, strict=True)]
 
 
 def _file_rows(path: Path, targets: int) -> list[ColourRow]:

@@ -22,13 +22,8 @@ from nacre.light import (
     xyz_to_lab,
 )
 from nacre.material.material import Material
-from nacre.optimise.measurement import (
-    Geometry,
-    Measurement,
-    evaluation_wavelengths,
-    search_wavelengths,
-    simulate_measurement,
-)
+from nacre.measure.geometry import Geometry
+from nacre.optimise.measurement import Measurement, evaluation_wavelengths, search_wavelengths, simulate_measurement
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import Target
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,75 +9,17 @@ from typing import Any
 import numpy as np
 
 from nacre.bsdf.bsdf import Bsdf, Spectrum
-from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
-from nacre.core.errors import RecipeError, UnsupportedError, did_you_mean
+from nacre.core.errors import RecipeError, UnsupportedError
 from nacre.families.contract import search_model, values_at
 from nacre.light import default_wavelengths, lamp_lines_nm, spans_colour, with_lamp_lines
 from nacre.material.material import Material
 from nacre.measure.evaluate import evaluate_with_error
-from nacre.measure.instruments import aspecular_direction
+from nacre.measure.geometry import Geometry, aspecular_pairs
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.measure.wavelengths import WALK_NM
-from nacre.recipe.model import show_value
 
-KINDS = ("specular", "transmitted", "diffuse", "hemispherical")
-FORMS = '"specular 0", "transmitted 30", "diffuse 0", "hemispherical 0" or "45as15"'
 EVALUATION_STEP_NM = 1.0
-_WORD = re.compile(r"([A-Za-z]+)\s+([-+]?[\d.]+)$")
-_ASPECULAR = re.compile(r"([\d.]+)as([-+]?[\d.]+)$")
-
-
-@dataclass(frozen=True)
-class Geometry:
-    """One geometry.
-
-    Attributes:
-        kind: "specular", "transmitted", "diffuse", "hemispherical" or "aspecular".
-        theta_deg: angle of incidence.
-        aspecular_deg: of the viewer, from the mirror direction towards the light.
-    """
-
-    kind: str
-    theta_deg: float
-    aspecular_deg: float = 0.0
-
-    @classmethod
-    def read(cls, text: str, where: str) -> Geometry:
-        """Read `specular T`, `transmitted T`, `diffuse T`, `hemispherical T` or `IasA`.
-
-        Raises:
-            RecipeError: another form, or an angle behind the surface.
-        """
-        said = text.strip()
-        word, aspecular = _WORD.match(said), _ASPECULAR.match(said)
-        try:
-            if aspecular:
-                geometry = cls("aspecular", float(aspecular[1]), float(aspecular[2]))
-            elif word and word[1] in KINDS:
-                geometry = cls(word[1], float(word[2]))
-            else:
-                hint = did_you_mean(word[1], KINDS) if word else ""
-                raise RecipeError(f"{where} = {show_value(text)} is not known.{hint} Write {FORMS}")
-        except ValueError:
-            raise RecipeError(f"{where} = {show_value(text)} holds no angle; write {FORMS}") from None
-        if not 0.0 <= geometry.theta_deg < 90.0:
-            raise RecipeError(f"{where} = {show_value(text)}: the light must come from 0 up to 90 degrees")
-        if abs(geometry.view_deg) >= 90.0:
-            raise RecipeError(
-                f"{where} = {show_value(text)} has a view of {geometry.view_deg:g} degrees, behind the surface"
-            )
-        return geometry
-
-    @property
-    def view_deg(self) -> float:
-        """Angle of the viewer from the normal, towards the light; 0 except for aspecular geometries."""
-        return self.aspecular_deg - self.theta_deg if self.kind == "aspecular" else 0.0
-
-    def __str__(self) -> str:
-        if self.kind == "aspecular":
-            return f"{self.theta_deg:g}as{self.aspecular_deg:g}"
-        return f"{self.kind} {self.theta_deg:g}"
 
 
 @dataclass(frozen=True)
@@ -96,15 +37,6 @@ class Measurement:
     factors: Array
     error: Array | None
     missing: frozenset[Geometry]
-
-
-def aspecular_pairs(geometries: Sequence[Geometry]) -> tuple[Array, Array]:
-    """Return directions to light and viewer, `[geometry, 3]` each, of aspecular geometries."""
-    wi = direction(np.radians([geometry.theta_deg for geometry in geometries]))
-    wo = np.array([aspecular_direction(geometry.theta_deg, geometry.aspecular_deg) for geometry in geometries]).reshape(
-        -1, 3
-    )
-    return wi, wo
 
 
 def simulate_measurement(
@@ -290,9 +222,7 @@ def _probe(material: Material) -> Any:
 
 
 __all__ = [
-    "Geometry",
     "Measurement",
-    "aspecular_pairs",
     "check_answers",
     "evaluation_wavelengths",
     "search_wavelengths",

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.light import delta_e_2000, lab_to_lch, lch_to_lab, smooth_weights, xyz_to_lab
+from nacre.light import delta_e_2000, delta_e_2000_components, lab_to_lch, lch_to_lab, smooth_weights, xyz_to_lab
 
 Kind = Literal["colour", "hue", "chroma", "lightness", "spectrum"]
 
@@ -192,42 +192,10 @@ class MeritFunction:
                 off = _spectrum_difference(operand, seen)
                 parts.append(scale * 100.0 / np.sqrt(off.shape[-1]) * off)
             elif operand.kind == "colour":
-                parts.append(scale * difference_components(self.lab[number], lab))
+                parts.append(scale * delta_e_2000_components(self.lab[number], lab))
             else:
                 parts.append(scale * _smooth_distance_to_range(operand, lab)[..., None])
         return np.concatenate(parts, axis=-1)
-
-
-def difference_components(wanted: ArrayLike, lab: ArrayLike) -> Array:
-    """Return lightness, chroma and hue parts `[..., 3]` of a colour difference; their length is the dE00.
-
-    CIEDE2000 is x^2 + y^2 + z^2 + R y z; with y' = y + R z / 2 and z' = z sqrt(1 - R^2 / 4) it is a sum of squares.
-    Signed, and smooth except at the formula's own jumps (hues 180 degrees apart) and for two greys.
-    """
-    base, other = np.broadcast_arrays(np.asarray(wanted, dtype=float), np.asarray(lab, dtype=float))
-    c1, c2 = np.hypot(base[..., 1], base[..., 2]), np.hypot(other[..., 1], other[..., 2])
-    mean7 = (0.5 * (c1 + c2)) ** 7
-    stretch = 1.5 - 0.5 * np.sqrt(mean7 / (mean7 + 25.0**7))
-    a1, a2, b1, b2 = stretch * base[..., 1], stretch * other[..., 1], base[..., 2], other[..., 2]
-    c1, c2 = np.hypot(a1, b1), np.hypot(a2, b2)
-    h1, h2 = np.degrees(np.arctan2(b1, a1)), np.degrees(np.arctan2(b2, a2))
-    turn = (h2 - h1 + 180.0) % 360.0 - 180.0
-    turn = np.where(c1 * c2 == 0.0, 0.0, turn)
-    hue = np.where(c1 == 0.0, h2, h1 + 0.5 * turn)
-    chroma, lightness = 0.5 * (c1 + c2), 0.5 * (base[..., 0] + other[..., 0])
-    weight = (
-        1.0
-        - 0.17 * np.cos(np.radians(hue - 30.0))
-        + 0.24 * np.cos(np.radians(2.0 * hue))
-        + 0.32 * np.cos(np.radians(3.0 * hue + 6.0))
-        - 0.20 * np.cos(np.radians(4.0 * hue - 63.0))
-    )
-    x = (other[..., 0] - base[..., 0]) / (1.0 + 0.015 * (lightness - 50.0) ** 2 / np.hypot(20.0**0.5, lightness - 50.0))
-    y = (c2 - c1) / (1.0 + 0.045 * chroma)
-    z = 2.0 * np.sqrt(c1 * c2) * np.sin(np.radians(0.5 * turn)) / (1.0 + 0.015 * chroma * weight)
-    rotation = 60.0 * np.exp(-(((hue % 360.0 - 275.0) / 25.0) ** 2))
-    blue = -2.0 * np.sqrt(chroma**7 / (chroma**7 + 25.0**7)) * np.sin(np.radians(rotation))
-    return np.stack([x, y + 0.5 * blue * z, z * np.sqrt(1.0 - 0.25 * blue * blue)], axis=-1)
 
 
 def _spectrum_difference(operand: Operand, seen: Array) -> Array:
@@ -281,7 +249,7 @@ def _smooth_distance_to_range(operand: Operand, lab: Array) -> Array:
         excess, end = _hue_excess(operand, hue)
         # the difference in hue at the present chroma: otherwise greys would attract
         turned = lch_to_lab(np.stack([lightness, chroma, np.broadcast_to(end, chroma.shape)], axis=-1))
-        return np.where(excess > 0.0, np.linalg.norm(difference_components(turned, lab), axis=-1), 0.0)
+        return np.where(excess > 0.0, np.linalg.norm(delta_e_2000_components(turned, lab), axis=-1), 0.0)
     is_chroma = operand.kind == "chroma"
     value = chroma if is_chroma else lightness
     clipped = np.clip(value, operand.low, operand.high)

@@ -318,7 +318,11 @@ def tolerance_of(task: DesignTask, solution: Solution) -> dict[str, Any]:
         return {}
     tolerances = read_tolerances(task.spec.tolerance, solution.material, task.context.source)
     own = dict(solution.material.data.get("tolerance", {}))
-    return own | {t.path: {"deviation": t.deviation, "distribution": t.distribution} for t in tolerances}
+    found: dict[str, Any] = {}
+    for t in tolerances:
+        entry = {"deviation": t.deviation, "distribution": t.distribution} | ({"group": t.group} if t.group else {})
+        found[t.path] = [*found[t.path], entry] if t.path in found else [entry]
+    return own | {path: entries[0] if len(entries) == 1 else entries for path, entries in found.items()}
 
 
 def outcome(solutions: Sequence[Solution], status: str, seconds: float | None = None) -> str:

@@ -23,8 +23,8 @@ from nacre.light import (
     xyy_to_xyz,
     xyz_to_lab,
 )
+from nacre.measure.geometry import Geometry
 from nacre.optimise.image.files import read_picture
-from nacre.optimise.measurement import Geometry
 from nacre.optimise.merit import MeritFunction, Operand
 from nacre.optimise.spec import COLOURS, RANGES, LightSpec, TargetEntry
 from nacre.recipe.delimited_text import decoded, rows, shares_over_nm

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +18,9 @@ from nacre.recipe.paths import expand_table
 DISTRIBUTIONS = ("gaussian", "uniform")
 
 
+BY_MATERIAL = "material"  # group: all layers of one material deviate together
+
+
 @dataclass(frozen=True)
 class Tolerance:
     """Manufacturing tolerance for a recipe number.
@@ -27,31 +30,79 @@ class Tolerance:
         nominal: recipe value.
         deviation: standard deviation (gaussian) or half width (uniform), in the number's unit.
         distribution: "gaussian" or "uniform".
+        group: numbers of one group deviate together, by one random factor; "": independent of all others.
     """
 
     path: str
     nominal: float
     deviation: float
     distribution: str = "gaussian"
+    group: str = ""
 
     @property
     def standard_deviation(self) -> float:
         """Standard deviation, either distribution."""
         return self.deviation / np.sqrt(3) if self.distribution == "uniform" else self.deviation
 
-    def draw(self, generator: np.random.Generator, count: int) -> Array:
-        """Draw values; non-negative numbers are clipped at zero."""
-        is_uniform = self.distribution == "uniform"
+
+@dataclass(frozen=True)
+class Component:
+    """An independent cause of variation: one number, or the common factor of a group.
+
+    Attributes:
+        name: path, or name of the group.
+        tolerances: of the numbers that it changes.
+    """
+
+    name: str
+    tolerances: tuple[Tolerance, ...]
+
+    @property
+    def distribution(self) -> str:
+        """Distribution of the factor."""
+        return self.tolerances[0].distribution
+
+    def values(self, factor: float) -> dict[str, float]:
+        """Return recipe values at a factor in standard deviations; numbers that are never negative end at 0."""
+        moved = {t.path: t.nominal + factor * t.standard_deviation for t in self.tolerances}
+        return {t.path: max(moved[t.path], 0.0) if t.nominal >= 0 else moved[t.path] for t in self.tolerances}
+
+
+def components(tolerances: Sequence[Tolerance]) -> tuple[Component, ...]:
+    """Return the independent causes of variation in order of their first tolerance."""
+    found: dict[tuple[str, str], list[Tolerance]] = {}
+    for each in tolerances:
+        found.setdefault(("group", each.group) if each.group else ("path", each.path), []).append(each)
+    return tuple(Component(name, tuple(members)) for (_, name), members in found.items())
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Random values: path -> `[draw]`, and the share of draws of each path that were cut off at 0."""
+
+    values: dict[str, Array]
+    clipped: dict[str, float]
+
+
+def draw(tolerances: Sequence[Tolerance], generator: np.random.Generator, count: int) -> Draws:
+    """Draw values; the deviations of a number's tolerances add. Numbers with a nominal value >= 0 are clipped at 0."""
+    values: dict[str, Array] = {}
+    nominal = {each.path: each.nominal for each in tolerances}
+    for component in components(tolerances):
+        is_uniform = component.distribution == "uniform"
         unit = generator.uniform(-1, 1, count) if is_uniform else generator.standard_normal(count)
-        values = self.nominal + self.deviation * unit
-        return np.maximum(values, 0.0) if self.nominal >= 0 else values
+        for each in component.tolerances:
+            values[each.path] = values.get(each.path, each.nominal) + each.deviation * unit
+    negative = {path: value < 0.0 for path, value in values.items() if nominal[path] >= 0}
+    clipped = {path: float(np.mean(rows)) for path, rows in negative.items() if rows.any()}
+    return Draws({path: np.where(negative.get(path, False), 0.0, v) for path, v in values.items()}, clipped)
 
 
 def read_tolerances(table: Any, material: Material, source: str, name: str = "tolerance") -> tuple[Tolerance, ...]:
     """Read a `[tolerance]` table; percentages refer to the material's numbers.
 
     Args:
-        table: path -> tolerance; `[*]` in a path means every index without its own path.
+        table: path -> tolerance, or list of tolerances that add; `[*]` in a path means every index without own path.
         source: file name, for messages; name: table name.
 
     Raises:
@@ -60,7 +111,17 @@ def read_tolerances(table: Any, material: Material, source: str, name: str = "to
     entries = by_path(table, {"deviation", "percent"}, source, name)
     material = material.with_parts_loaded(entries)
     found = expand_table(material.data, entries, f'{source}: {name}: recipe "{material.name}"')
-    return tuple(_read(material, each, entry, f'{source}: {name}."{each}"') for each, (_, entry) in found.items())
+    read = []
+    for path, (_, entry) in found.items():
+        where = f'{source}: {name}."{path}"'
+        rows = entry if isinstance(entry, list) else [entry]
+        if not rows:
+            raise RecipeError(f"{where} is an empty list")
+        read += [_read(material, path, row, where) for row in rows]
+    for component in components(read):
+        if len({each.distribution for each in component.tolerances}) > 1:
+            raise RecipeError(f'{source}: {name}: group "{component.name}" has two distributions; use one')
+    return tuple(read)
 
 
 def _read(material: Material, path: str, value: Any, where: str) -> Tolerance:
@@ -73,13 +134,14 @@ def _read(material: Material, path: str, value: Any, where: str) -> Tolerance:
         raise RecipeError(f"{where} does not exist in the recipe")
     if isinstance(nominal, bool) or not isinstance(nominal, int | float):
         raise RecipeError(f"{where}: the recipe's value {show_value(nominal)} is not a number")
-    distribution = "gaussian"
+    distribution, group = "gaussian", ""
     if isinstance(value, Mapping):
         known_only(value, ToleranceSpec, where)
         distribution = value.get("distribution", "gaussian")
         if distribution not in DISTRIBUTIONS:
             known = ", ".join(DISTRIBUTIONS)
             raise RecipeError(f"{where}.distribution = {show_value(distribution)}; known: {known}")
+        group = _group(material, path, value.get("group", ""), where)
         value = value["deviation"] if "deviation" in value else f"{value['percent']}%"
     text = str(value).strip()
     try:
@@ -89,7 +151,20 @@ def _read(material: Material, path: str, value: Any, where: str) -> Tolerance:
     if not (np.isfinite(number) and number >= 0):
         raise RecipeError(f"{where} = {show_value(value)} should be a number >= 0 or a percentage")
     deviation = abs(nominal) * number / 100 if text.endswith("%") else number
-    return Tolerance(path, float(nominal), deviation, str(distribution))
+    return Tolerance(path, float(nominal), deviation, str(distribution), group)
+
+
+def _group(material: Material, path: str, group: Any, where: str) -> str:
+    """Return the name of a number's group; "material" stands for the material of the layer that holds the number."""
+    if not isinstance(group, str):
+        raise RecipeError(f"{where}.group = {show_value(group)} should be a name")
+    if group != BY_MATERIAL:
+        return group
+    layer = path.rpartition(".")[0]
+    try:
+        return f"material {show_value(material.get(layer + '.material'))}"
+    except (RecipeError, KeyError, IndexError, TypeError):
+        raise RecipeError(f'{where}.group = "{BY_MATERIAL}": {path} belongs to no layer with a material') from None
 
 
 def wilson_interval(good: int, count: int, z: float = 1.96) -> tuple[float, float]:

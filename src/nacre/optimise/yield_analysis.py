@@ -14,14 +14,15 @@ from nacre.core.errors import NacreError
 from nacre.families.contract import surrogate_radiance
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
+from nacre.measure.geometry import Geometry, aspecular_pairs
 from nacre.optimise.evaluation import geometries_of
-from nacre.optimise.measurement import Geometry, Measurement, aspecular_pairs, search_wavelengths, simulate_measurement
+from nacre.optimise.measurement import Measurement, search_wavelengths, simulate_measurement
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.surrogate import Correction
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import Target, merit_function
 from nacre.optimise.thin_film.adapter import drawn_factors
-from nacre.optimise.tolerances import Tolerance, wilson_interval
+from nacre.optimise.tolerances import Tolerance, draw, wilson_interval
 
 DRAWS, MIN_DRAWS = 256, 16
 RMS_OF_1_PERCENT = "rms_percent_of_1_percent"
@@ -127,8 +128,8 @@ def yield_of(
     merit = evaluator.merit
     limits = np.array([merit.operands[index].tolerance for index, _ in merit.terms])
     generator = np.random.default_rng([seed, 3])
-    paths = [tolerance.path for tolerance in tolerances]
-    values = np.stack([tolerance.draw(generator, DRAWS) for tolerance in tolerances], axis=1)
+    drawn = draw(tolerances, generator, DRAWS).values
+    paths, values = list(drawn), np.stack(list(drawn.values()), axis=1)
     together = evaluator.at_once(paths, values)
     if together is not None:
         good, done = int(np.sum(np.all(merit.distances(together) <= limits, axis=-1))), len(values)

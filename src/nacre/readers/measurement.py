@@ -56,6 +56,8 @@ class ReadOptions:
         pitch_um: lateral distance of height samples, (x, y).
         columns: canonical names of the columns of a table without headings; `-` ignores a column.
         ignore: headings of columns to ignore.
+        format: identifier in `registry.FORMATS`; recognised from the content by default.
+        expects: kind that the caller needs; decides the columns of a table without headings.
     """
 
     quantity: str | None = None
@@ -67,6 +69,8 @@ class ReadOptions:
     pitch_um: tuple[float, float] | None = None
     columns: tuple[str, ...] = ()
     ignore: tuple[str, ...] = ()
+    format: str | None = None
+    expects: Kind | None = None
 
 
 class AmbiguousFileError(NacreError):

@@ -2,33 +2,31 @@
 
 from __future__ import annotations
 
+import re
+import struct
+import zipfile
+import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
+from xml.etree.ElementTree import ParseError
 
-from nacre.core.errors import NacreError
-from nacre.readers.measurement import Kind, Measurement, ReadOptions
+from nacre.core.errors import NacreError, did_you_mean
+from nacre.core.files import named, plain, why_unreadable
+from nacre.readers.file_head import FileHead as FileHead
+from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
 
 HEAD_BYTES = 65536
+MAX_BYTES = 2 << 30
 CERTAIN = 1.0  # a magic number or an unmistakable first line
 LIKELY = 0.6  # typical keys
 POSSIBLE = 0.2  # any table of numbers
-
-
-@dataclass(frozen=True)
-class FileHead:
-    """The beginning of a file, from which a format is recognised."""
-
-    path: Path
-    data: bytes
-    size: int
-
-    @cached_property
-    def lines(self) -> list[str]:
-        """Text lines of the head; bytes that are no text become U+FFFD."""
-        return self.data.decode("utf-8-sig", errors="replace").splitlines()
+CUT = "the file ends inside its last line, which may be cut"
+_DAMAGE = (
+    ValueError, LookupError, ArithmeticError, EOFError, TypeError, struct.error, zlib.error, zipfile.BadZipFile,
+    ParseError, NotImplementedError,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -52,29 +50,182 @@ class Format:
 
 
 # one line per format, sorted by kind; the format of the highest confidence reads a file
-FORMATS: tuple[Format, ...] = ()
+FORMATS: tuple[Format, ...] = (
+    Format("astm_e1392", "ASTM E1392 BSDF", "bsdf", "bsdf.astm"),
+    Format("alta", "ALTA BRDF", "bsdf", "bsdf.alta"),
+    Format("brdf_json", "universal BRDF (JSON)", "bsdf", "bsdf.brdf_json"),
+    Format("gonio", "goniometer table", "bsdf", "bsdf.gonio_table"),
+    Format("merl", "MERL BRDF", "bsdf", "bsdf.merl"),
+    Format("rgl", "RGL tensor BSDF", "bsdf", "bsdf.rgl"),
+    Format("speos", "Speos scattering or BSDF", "bsdf", "bsdf.speos"),
+    Format("ssdd", "SSDD", "bsdf", "bsdf.ssdd"),
+    Format("tracepro", "TracePro surface property", "bsdf", "bsdf.tracepro"),
+    Format("utia", "UTIA BRDF", "bsdf", "bsdf.utia"),
+    Format("zemax", "Zemax tabular BSDF", "bsdf", "bsdf.zemax"),
+    Format("ocean-text", "Ocean Optics text (OOIBase32, SpectraSuite, OceanView, Jaz)", "spectrum", "spectra.ocean"),
+    Format("ocean-procspec", "Ocean Optics ProcSpec", "spectrum", "spectra.ocean_procspec"),
+    Format("jcamp", "JCAMP-DX", "spectrum", "spectra.jcamp"),
+    Format("avantes-text", "Avantes AvaSoft text", "spectrum", "spectra.avantes_text"),
+    Format("avantes-binary", "Avantes AvaSoft binary (RFL8, TRM, ROH, ABS)", "spectrum", "spectra.avantes_binary"),
+    Format("craic-text", "CRAIC MicroSpec text", "spectrum", "spectra.craic"),
+    Format("perkinelmer-text", "PerkinElmer UV WinLab ASCII and CSV", "spectrum", "spectra.perkinelmer_text"),
+    Format("perkinelmer-sp", "PerkinElmer .sp", "spectrum", "spectra.perkinelmer_sp"),
+    Format("jasco-text", "JASCO Spectra Manager text", "spectrum", "spectra.jasco_text"),
+    Format("jasco-jws", "JASCO .jws", "spectrum", "spectra.jasco_jws"),
+    Format("asd-text", "ASD ViewSpec text", "spectrum", "spectra.asd"),
+    Format("licor-prn", "LI-COR LI-1800 .PRN", "spectrum", "spectra.licor"),
+    Format("aster", "ASTER and ECOSTRESS spectral library", "spectrum", "spectra.aster"),
+    Format("woollam-intensity", "Woollam intensities (uR, uT, pR, sR)", "spectrum", "spectra.woollam_intensity"),
+    Format("bruker-dpt", "Bruker data point table .dpt", "spectrum", "spectra.bruker_dpt"),
+    Format("opus", "Bruker OPUS", "spectrum", "spectra.opus"),
+    Format("grams-spc", "Galactic GRAMS .spc", "spectrum", "spectra.grams_spc"),
+    Format(
+        "spectrum-table",
+        "table of spectra (Cary, Shimadzu, Agilent, CID, Filmetrics, CSV)",
+        "spectrum",
+        "spectra.tables",
+    ),
+    Format("cgats", "CGATS.17, ISO 28178, Argyll, ProfileMaker", "colours", "colours.cgats"),
+    Format("cxf", "CxF/X-3", "colours", "colours.cxf"),
+    Format("ase", "Adobe swatches .ase and .aco", "colours", "colours.swatches"),
+    Format(
+        "palette", "palettes of sRGB (GIMP .gpl, LibreOffice .soc, JASC, hexadecimal)", "colours", "colours.palettes"
+    ),
+    Format("icc-text", "iccDEV apply data", "colours", "colours.icc_text"),
+    Format("lamp", "lamps (IES TM-27 .spdx, UPRtek, Sekonic)", "spectrum", "colours.lamps"),
+    Format("accurion", "Accurion EP3, EP4 text", "ellipsometry", "ellipsometry.accurion"),
+    Format("film-sense", "Film Sense text", "ellipsometry", "ellipsometry.film_sense"),
+    Format("horiba", "Horiba DeltaPsi text (.spe)", "ellipsometry", "ellipsometry.horiba"),
+    Format("nexus-ellipsometry", "NeXus NXellipsometry", "ellipsometry", "ellipsometry.nexus"),
+    Format("regress-pro", "regress-pro text (SE)", "ellipsometry", "ellipsometry.regress_pro"),
+    Format("spectraray", "Sentech SpectraRay text", "ellipsometry", "ellipsometry.spectraray"),
+    Format("woollam-dat", "Woollam WVASE, CompleteEASE data", "ellipsometry", "ellipsometry.woollam_dat"),
+    Format("woollam-text", "Woollam WVASE text export", "ellipsometry", "ellipsometry.woollam_text"),
+    Format("table", "text table", "table", "table"),
+    Format("sdf", "ISO 25178-71 surface data (.sdf), ASCII and binary", "heights", "heights.sdf"),
+    Format("gwyddion-text", "Gwyddion ASCII matrix", "heights", "heights.gwyddion_text"),
+    Format("gwy", "Gwyddion (.gwy)", "heights", "heights.gwy"),
+    Format("sur", "Digital Surf, MountainsMap (.sur)", "heights", "heights.digital_surf"),
+    Format("al3d", "Alicona Imaging (.al3d)", "heights", "heights.alicona"),
+    Format("nanoscope", "Bruker, Veeco Nanoscope (.spm, .001)", "heights", "heights.nanoscope"),
+    Format("wsxm", "WSxM (.top, .stp)", "heights", "heights.wsxm"),
+    Format("jpk", "JPK image scan (.jpk, .jpk-qi-image)", "heights", "heights.jpk"),
+    Format("tmd", "TrueMap (.tmd)", "heights", "heights.truemap"),
+    Format("ibw", "Igor binary wave, Asylum Research (.ibw)", "heights", "heights.igor"),
+    Format("netcdf", "NetCDF, classic (.nc)", "heights", "heights.netcdf"),
+    Format("opdx", "Bruker Vision64 (.OPDx)", "heights", "heights.opdx"),
+    Format("zygo", "Zygo MetroPro (.dat)", "heights", "heights.zygo"),
+    Format("x3p", "X3P, ISO 25178-72", "heights", "heights.x3p"),
+    Format("topostats", "TopoStats (.topostats)", "heights", "heights.topostats"),
+    Format("holography", "text matrix of digital holography", "heights", "heights.holography"),
+    Format("xyz", "points x y z of a grid", "heights", "heights.xyz"),
+    Format("matrix", "matrix of heights without a head", "heights", "heights.matrix"),
+    Format("profile", "line profile (refused)", "heights", "heights.profile"),
+)
 
 
-def recognise(path: Path) -> list[tuple[float, Format]]:
-    """Return the formats that a file may have with their confidences, highest first."""
-    with path.open("rb") as file:
-        head = FileHead(path, file.read(HEAD_BYTES), path.stat().st_size)
-    found = [(confidence, entry) for entry in FORMATS if (confidence := entry.sniff(head)) > 0]
+def head_of(path: str | Path) -> FileHead:
+    """Return the beginning of a regular file.
+
+    Raises:
+        NacreError: it does not exist, cannot be read, is empty, or is a folder, a device or a pipe.
+    """
+    path = named(path)
+    try:
+        with plain(path).open("rb") as file:
+            head = FileHead(path, file.read(HEAD_BYTES), path.stat().st_size)
+    except OSError as error:
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
+    if not head.data.strip():
+        raise NacreError(f"{path}: is empty")
+    if head.size > MAX_BYTES:
+        raise NacreError(f"{path}: is larger than {MAX_BYTES >> 30} GiB")
+    return head
+
+
+def recognise(path: str | Path) -> list[tuple[float, Format]]:
+    """Return the formats that a file may have with their confidences, highest first.
+
+    Raises:
+        NacreError: as `head_of`.
+    """
+    head = head_of(path)
+    found = [(confidence, entry) for entry in FORMATS if (confidence := _confidence(entry, head)) > 0]
     return sorted(found, key=lambda pair: -pair[0])
+
+
+def _confidence(entry: Format, head: FileHead) -> float:
+    """Return the confidence of a format; a head on which its recognition fails has another format."""
+    try:
+        return entry.sniff(head)
+    except (NacreError, *_DAMAGE):
+        return 0.0
+
+
+def format_named(name: str) -> Format:
+    """Return a format by its identifier.
+
+    Raises:
+        NacreError: no format has it.
+    """
+    for entry in FORMATS:
+        if entry.id == name:
+            return entry
+    ids = [entry.id for entry in FORMATS]
+    raise NacreError(f'format = "{name}" is not known.{did_you_mean(name, ids)} Allowed: {", ".join(ids)}')
 
 
 def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Measurement]:
     """Read a file of any known format.
 
     Returns:
-        One measurement per spectrum, map, material, or colour list.
+        One measurement per spectrum, map, material, or colour list; at least one.
 
     Raises:
         NacreError: unknown format, or contents that cannot be read correctly; the message states the cause.
         AmbiguousFileError: the file can be read in several ways; `option` names the field that decides.
     """
-    path = Path(path)
-    found = recognise(path)
-    if not found:
-        raise NacreError(f"{path}: unknown format")
-    return found[0][1].read(path, options or ReadOptions())
+    path, options = named(path), options or ReadOptions()
+    if options.format is not None:
+        head_of(path)
+        entry = format_named(options.format)
+    else:
+        found = recognise(path)
+        if not found and options.expects is not None and head_of(path).is_text:
+            found = [(0.0, format_named("table"))]  # its error names what the caller needs
+        if not found:
+            from nacre.readers.unknown import unknown_file
+
+            raise NacreError(unknown_file(head_of(path), [entry.title for entry in FORMATS]))
+        best = [entry for confidence, entry in found if confidence >= found[0][0] - 1e-9]
+        if len(best) > 1:
+            titles = ", ".join(f"{entry.title} ({entry.id})" for entry in best)
+            raise AmbiguousFileError(f"{path}: may be {titles}", "format", tuple(entry.id for entry in best))
+        entry = best[0]
+    try:
+        measurements = entry.read(path, options)
+    except NacreError:
+        raise
+    except OSError as error:
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
+    except _DAMAGE as error:
+        raise NacreError(f"{path}: is damaged, or no {entry.title} ({str(error)[:80]})") from error
+    if not measurements:
+        raise NacreError(f"{path}: {entry.title} without data")
+    return [_with_cut(measurement) for measurement in measurements] if _is_cut(path) else measurements
+
+
+def _is_cut(path: Path) -> bool:
+    """Whether a text file ends inside a row of numbers, without the end of a line."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - 512))
+        last = file.read().replace(b"\0", b"")
+    line = re.split(rb"[\r\n]", last)[-1].strip()
+    has_digit, is_text = re.search(rb"\d", line), all(32 <= byte < 127 or byte == 9 for byte in line)
+    return bool(has_digit) and is_text and not line.endswith((b">", b"}", b"]"))
+
+
+def _with_cut(measurement: Measurement) -> Measurement:
+    if CUT in measurement.assumed:
+        return measurement
+    return replace(measurement, assumed=(*measurement.assumed, CUT))

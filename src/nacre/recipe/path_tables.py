@@ -41,7 +41,11 @@ class ToleranceSpec(RecipeModel):
     """The manufacturing tolerance of a number, for `nacre tolerance`."""
 
     one_of: ClassVar[tuple[str, ...]] = ("deviation", "percent")
-    forms: ClassVar[tuple[str, ...]] = ("{deviation = 5}", '{percent = 2, distribution = "uniform"}')
+    forms: ClassVar[tuple[str, ...]] = (
+        "{deviation = 5}",
+        '{percent = 2, distribution = "uniform"}',
+        '{percent = 2, group = "material"}',
+    )
 
     deviation: float | None = pydantic.Field(
         default=None,
@@ -54,6 +58,35 @@ class ToleranceSpec(RecipeModel):
     )
     distribution: Literal["gaussian", "uniform"] = pydantic.Field(
         default="gaussian", description="distribution of the number", examples=["uniform"]
+    )
+    group: str = pydantic.Field(
+        default="",
+        description='numbers of one group deviate together (a run, a tooling factor); "material": all layers of one '
+        "material",
+        examples=["run", "material"],
+    )
+
+
+class InstrumentSpec(RecipeModel):
+    """What an instrument averages over, and its offset; the numbers may be parameters of a fit."""
+
+    forms: ClassVar[tuple[str, ...]] = ("{bandwidth_nm = 4, cone_deg = 1.5}",)
+
+    bandwidth_nm: float = pydantic.Field(
+        default=0.0, ge=0.0, le=100.0, description="spectral bandwidth, full width at half maximum", examples=[4]
+    )
+    cone_deg: float = pydantic.Field(
+        default=0.0, ge=0.0, le=30.0, description="half angle of the cone of light that is averaged", examples=[1.5]
+    )
+    thickness_spread_percent: float = pydantic.Field(
+        default=0.0, ge=0.0, le=50.0,
+        description="standard deviation of the thicknesses under the spot, all layers in proportion", examples=[1]
+    )  # fmt: skip
+    angle_offset_deg: float = pydantic.Field(
+        default=0.0, ge=-10.0, le=10.0, description="true angle of incidence minus the stated one", examples=[0.05]
+    )
+    azimuth_deg: float = pydantic.Field(
+        default=0.0, description="azimuth of the direction to the light, from u", examples=[45]
     )
 
 
@@ -71,12 +104,24 @@ class StudySpec(RecipeModel):
         description="parameters of `nacre fit`: path of the number -> its bounds",
         examples=[{"layers[0].thickness_nm": {"min": 100, "max": 600}}],
     )
+    ties: dict[str, str] = pydantic.Field(
+        default={},
+        description="numbers that a fit computes from others: path -> an expression with + - * / and paths",
+        examples=[{"layers[2].thickness_nm": "layers[0].thickness_nm"}, {"layers[1].thickness_nm": "2*numbers.d + 5"}],
+    )
+    instrument: InstrumentSpec = pydantic.Field(
+        default=InstrumentSpec(),
+        description="averages and offset of the ellipsometer, for fits and `nacre ellipsometry`",
+    )
     tolerance: Annotated[
-        dict[str, Any], ByPath(ToleranceSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}))
+        dict[str, Any],
+        ByPath(
+            ToleranceSpec, ({"type": "number", "minimum": 0}, {"type": "string", "pattern": "%?$"}, {"type": "array"})
+        ),
     ] = pydantic.Field(
         default={},
         description="manufacturing tolerances for `nacre tolerance`: path of the number -> a deviation, a percentage, "
-        "or a table",
+        "a table, or a list of tables whose deviations add",
         examples=[{"layers[0].thickness_nm": {"percent": 2}}, {"layers[0].thickness_nm": 5}],
     )
 

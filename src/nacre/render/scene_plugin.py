@@ -95,6 +95,8 @@ def clear_errors() -> Iterator[None]:
 def from_properties(properties: Any) -> Any:
     """Build a scene entry's BSDF; keys: recipe, file or bsdf; two_sided (default false), v_up (default true).
 
+    A material that varies over the surface without `v_up` gives a warning, because v runs downward on some shapes.
+
     Raises:
         RecipeError: not exactly one source, an unregistered key, or a switch that is not a boolean.
         NacreError: unreadable or invalid file.
@@ -106,6 +108,13 @@ def from_properties(properties: Any) -> Any:
         check_set_variant(str(mi.variant()))
         bsdf = _source(properties)
         two_sided, v_up = _switch(properties, "two_sided", False), _switch(properties, "v_up", True)
+        if "v_up" not in properties and any(lobe.varying for lobe in bsdf.lobes):
+            name = next((str(properties[key]) for key in ("recipe", "file", "bsdf") if key in properties), "nacre")
+            mi.Log(
+                mi.LogLevel.Warn,
+                f"{name} varies over the surface, and v is taken to run upward. On shapes of type obj, ply and "
+                "sphere v runs downward: give the bsdf v_up = false there, or v_up = true to end this message",
+            )
         return make_bsdf(bsdf, two_sided=two_sided, properties=properties, v_up=v_up)
     except NacreError as error:
         _failures.append(error)

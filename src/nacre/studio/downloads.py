@@ -68,10 +68,10 @@ def report(request: Mapping[str, Any], emit: Emit) -> bytes:
         NacreError: a material cannot be computed.
     """
     from nacre.analysis.html_report import report_json, report_numbers
-    from nacre.analysis.report import make_report
+    from nacre.analysis.report import compare, make_report
 
     reports = [make_report(built(recipe), request["lamp"]) for recipe in request["recipes"]]
-    documents = report_json(reports)
+    documents = report_json(reports, [compare(each, reports[0]) for each in reports[1:]])
     found: dict[str, Any] = {
         "reports": [
             {
@@ -82,7 +82,7 @@ def report(request: Mapping[str, Any], emit: Emit) -> bytes:
         ]
     }
     if len(reports) > 1:
-        found["differences"] = documents["delta_e_2000_to_first"][0]
+        found["differences"] = documents["differences_to_first"][0]
     return json.dumps(found).encode()
 
 

@@ -148,7 +148,6 @@ def state(request: Request) -> Response:
     """Answer the recipes, examples, families, objects and surroundings."""
     opened = _studio(request).opened
     shipped = {example.name: example for example in examples()}
-    families = set(family_names())  # other examples, such as targets, are omitted
     names = opened.names()
     return JSONResponse(
         {
@@ -157,9 +156,9 @@ def state(request: Request) -> Response:
             "first": opened.first,
             "recipes": names,
             "begin": next(filter(opened.is_readable, names), next(iter(names), "")),
-            "families": sorted(families),
+            "families": sorted(family_names()),
             "starts": [_example(shipped[name]) for name in folder.STARTS if name in shipped],
-            "examples": [_example(example) for example in shipped.values() if not {example.family} - families],
+            "examples": [_example(example) for example in shipped.values() if example.is_recipe],
             "objects": OBJECTS,
             "surroundings": {"rows": ROWS, "columns": 2 * ROWS, "alphas": ALPHAS, "places": floors()},
         }

@@ -1,9 +1,12 @@
 """A tabulated isotropic BRDF: measurements, imported files, tabulated materials.
 
-Two coordinate systems, each with uniform nodes in transformed angles:
+Three coordinate systems, each with uniform nodes in transformed angles unless nodes are given:
 
 - "direction": theta_i, theta_o and the azimuth difference, for broad lobes and goniometer data;
-- "half": Rusinkiewicz' half and difference angles, with sqrt(theta_half), for sharp lobes.
+- "half": Rusinkiewicz' half and difference angles, with sqrt(theta_half), for sharp lobes;
+- "specular": theta_i, and the radial angle and azimuth about the mirror direction, as in Zemax files.
+
+The nodes of a measurement are kept, so that the table has the measured values at the measured directions.
 
 Values are per wavelength, or per channel with a spectrum for each channel (an RGB measurement).
 """
@@ -18,8 +21,9 @@ import numpy as np
 from nacre.bsdf.grids import interpolate
 from nacre.bsdf.lobe import Lobe
 from nacre.core.arrays import Array
+from nacre.core.directions import from_half_difference as from_half_difference
 
-COORDINATES = ("direction", "half")
+COORDINATES = ("direction", "half", "specular")
 HALF_PI = np.pi / 2
 
 
@@ -33,21 +37,39 @@ class TableLobe(Lobe):
             "direction": a = theta_i/(pi/2), b = theta_o/(pi/2), c = |dphi|/pi with |dphi| in [0, pi], where
             dphi = 0 is retroreflection;
             "half": a = sqrt(theta_half/(pi/2)), b = theta_diff/(pi/2), c = phi_diff/pi, periodic.
+            "specular": a as for "direction", b = radial/pi, c = azimuth/pi with azimuth 0 towards the normal.
         basis: `[channel, wavelength]`, the channels' spectra.
-        coordinates: "direction" or "half".
+        coordinates: "direction", "half" or "specular".
+        nodes_a, nodes_b, nodes_c: the nodes' coordinates, ascending, where they are not uniform; values beyond the
+            first and the last are held.
+        is_signed: whether c distinguishes the sides of the plane of incidence: c = (azimuth + pi)/(2 pi); the azimuth
+            runs from the light to the viewer, counter-clockwise from above ("direction"), or as in Zemax files.
     """
 
     wavelengths_nm: Array
     values: Array
     basis: Array
     coordinates: str = "direction"
+    nodes_a: Array | None = None
+    nodes_b: Array | None = None
+    nodes_c: Array | None = None
+    is_signed: bool = False
 
     kind: ClassVar[str] = "table"
     AXES: ClassVar[dict[str, str]] = {
         "wavelengths_nm": "wavelength",
         "values": "a b c channel",
         "basis": "channel wavelength",
+        "nodes_a": "a",
+        "nodes_b": "b",
+        "nodes_c": "c",
     }
+    OMITTED_UNSET: ClassVar[tuple[str, ...]] = ("nodes_a", "nodes_b", "nodes_c", "is_signed")
+
+    @property
+    def nodes(self) -> tuple[Array | None, Array | None, Array | None]:
+        """The nodes of the three coordinates; None: uniform."""
+        return self.nodes_a, self.nodes_b, self.nodes_c
 
     def check(self) -> None:
         """Check that the arrays are consistent.
@@ -61,26 +83,62 @@ class TableLobe(Lobe):
             raise ValueError(f"values has the shape {self.values.shape}")
         if self.basis.shape != (self.values.shape[3], len(self.wavelengths_nm)):
             raise ValueError(f"basis has the shape {self.basis.shape}")
+        if self.is_signed and self.coordinates == "half":
+            raise ValueError("half-angle coordinates have no signed azimuth")
+        for name, nodes, count in zip("abc", self.nodes, self.values.shape[:3], strict=True):
+            if nodes is not None and (nodes.shape != (count,) or np.any(np.diff(nodes) <= 0)):
+                raise ValueError(f"nodes_{name} must hold {count} ascending numbers")
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return f, `[..., wavelength]`, for unit vectors `[..., 3]`; uv is ignored."""
         up = (wi[..., 2] > 0) & (wo[..., 2] > 0)
-        a, b, c = to_direction(wi, wo) if self.coordinates == "direction" else to_half(wi, wo)
-        channels = self._fetch(a, b, c)
+        channels = self._fetch(*self.coordinates_of(wi, wo))
         return np.asarray(np.where(up[..., None], np.maximum(channels @ self.basis, 0.0), 0.0))
+
+    def coordinates_of(self, wi: Array, wo: Array) -> tuple[Array, Array, Array]:
+        """Return the table's coordinates of directions `[..., 3]`, each `[...]` in [0, 1]."""
+        if self.coordinates == "half":
+            return to_half(wi, wo)
+        a, b, azimuth = to_direction(wi, wo) if self.coordinates == "direction" else to_specular(wi, wo)
+        return a, b, (azimuth + 1.0) / 2.0 if self.is_signed else np.abs(azimuth)
 
     def _fetch(self, a: Array, b: Array, c: Array) -> Array:
         """Interpolate trilinearly at coordinates in [0, 1]: `[..., channel]`."""
-        return interpolate(self.values, tuple(x * (n - 1) for x, n in zip((a, b, c), self.values.shape[:3])))
+        places = [
+            x * (n - 1) if nodes is None else np.interp(x, nodes, np.arange(n))
+            for x, n, nodes in zip((a, b, c), self.values.shape[:3], self.nodes, strict=True)
+        ]
+        return interpolate(self.values, tuple(places))
 
 
 def to_direction(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
-    """Return the "direction" coordinates in [0, 1]."""
+    """Return the "direction" coordinates: a, b in [0, 1], and the signed azimuth difference over pi in [-1, 1]."""
     a = np.arccos(np.clip(wi[..., 2], -1, 1)) / HALF_PI
     b = np.arccos(np.clip(wo[..., 2], -1, 1)) / HALF_PI
-    cross = wi[..., 0] * wo[..., 1] - wi[..., 1] * wo[..., 0]
-    dot = wi[..., 0] * wo[..., 0] + wi[..., 1] * wo[..., 1]
-    return a, b, np.abs(np.arctan2(cross, dot)) / np.pi
+    x, y = _azimuth(wi)
+    cos_o, sin_o = _azimuth(wo)
+    return a, b, np.arctan2(x * sin_o - y * cos_o, x * cos_o + y * sin_o) / np.pi
+
+
+def _azimuth(w: Array) -> tuple[Array, Array]:
+    """Return cosine and sine of the azimuth; (1, 0) at the normal."""
+    sine = np.hypot(w[..., 0], w[..., 1])
+    flat = sine < 1e-9
+    safe = np.where(flat, 1.0, sine)
+    return np.where(flat, 1.0, w[..., 0] / safe), np.where(flat, 0.0, w[..., 1] / safe)
+
+
+def to_specular(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
+    """Return the "specular" coordinates: a, b in [0, 1], and the signed azimuth over pi in [-1, 1]."""
+    cos_i = np.clip(wi[..., 2], -1, 1)
+    sin_i = np.sqrt(1 - cos_i**2)
+    cos_p, sin_p = _azimuth(wi)
+    x = wo[..., 0] * cos_p + wo[..., 1] * sin_p
+    y = wo[..., 1] * cos_p - wo[..., 0] * sin_p
+    along = cos_i * wo[..., 2] - sin_i * x
+    to_normal = cos_i * x + sin_i * wo[..., 2]
+    radial = np.arctan2(np.hypot(to_normal, y), along)
+    return np.arccos(cos_i) / HALF_PI, radial / np.pi, np.arctan2(-y, to_normal) / np.pi
 
 
 def to_half(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
@@ -98,23 +156,11 @@ def half_difference(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
     h = h / np.maximum(np.linalg.norm(h, axis=-1, keepdims=True), 1e-12)
     cos_h = np.clip(h[..., 2], -1.0, 1.0)
     sin_h = np.sqrt(1 - cos_h**2)
-    flat = sin_h < 1e-9  # at the normal the azimuth is arbitrary: 0
-    cos_p = np.where(flat, 1.0, h[..., 0] / np.where(flat, 1.0, sin_h))
-    sin_p = np.where(flat, 0.0, h[..., 1] / np.where(flat, 1.0, sin_h))
+    cos_p, sin_p = _azimuth(h)
     x = wi[..., 0] * cos_p + wi[..., 1] * sin_p
     y = -wi[..., 0] * sin_p + wi[..., 1] * cos_p
     dx, dz = cos_h * x - sin_h * wi[..., 2], sin_h * x + cos_h * wi[..., 2]
     return np.arccos(cos_h), np.arccos(np.clip(dz, -1.0, 1.0)), np.mod(np.arctan2(y, dx), np.pi)
-
-
-def from_half_difference(theta_half: Array, theta_diff: Array, phi_diff: Array) -> tuple[Array, Array]:
-    """Return (wi, wo) from half and difference angles, with the half vector in the plane phi = 0."""
-    sin_d, cos_d = np.sin(theta_diff), np.cos(theta_diff)
-    d = np.stack([sin_d * np.cos(phi_diff), sin_d * np.sin(phi_diff), cos_d], axis=-1)
-    sin_h, cos_h = np.sin(theta_half), np.cos(theta_half)
-    wi = np.stack([cos_h * d[..., 0] + sin_h * d[..., 2], d[..., 1], -sin_h * d[..., 0] + cos_h * d[..., 2]], axis=-1)
-    h = np.stack([sin_h, np.zeros_like(sin_h), cos_h], axis=-1)
-    return wi, 2 * np.sum(wi * h, axis=-1, keepdims=True) * h - wi
 
 
 def directions_of(coordinates: str, shape: tuple[int, int, int]) -> tuple[Array, Array]:

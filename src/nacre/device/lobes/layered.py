@@ -143,7 +143,7 @@ class LayeredPlugin(LobePlugin):
         """Estimate by one walk the light that passes straight through smooth interfaces."""
         active = mi.Bool(active) & (dr.abs(si.wi.z) > MIN_COS)
         if not self.passes_straight:
-            return mi.Spectrum(0.0)
+            return mi.UnpolarizedSpectrum(0.0)
         rng = make_rng(si.p.x, si.p.y, si.p.z, si.wi.x, si.wi.y, si.wi.z, si.wavelengths[0])
         wo, weight, mirror = sample_walk(self.strata, rng, si.wi, self.strata.locate(si, active), active)
         return dr.select(active & mirror & ((wo.z > 0) != (si.wi.z > 0)), weight, 0.0)

@@ -88,7 +88,7 @@ class MaskedPlugin(LobePlugin[MaskedLobe]):
     def null_transmission(self, si: Any, active: Any) -> Any:
         """Return the inner lobe's undeviated transmission times the mask."""
         null = getattr(self._inner, "null_transmission", None)
-        return mi.Spectrum(0.0) if null is None else null(si, active) * self._share(si)
+        return mi.UnpolarizedSpectrum(0.0) if null is None else null(si, active) * self._share(si)
 
     def update(self, lobe: MaskedLobe) -> None:
         same_kind = lobe.inverted == self._inverted and (lobe.nodes is not None) == self._has_nodes

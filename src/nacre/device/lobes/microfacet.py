@@ -17,6 +17,7 @@ from nacre.device.compensation import Compensation
 from nacre.device.facet_distributions import Facets, facets_class
 from nacre.device.plugin import (
     MIN_COS,
+    Facet,
     LobePlugin,
     flag,
     is_radiance,
@@ -187,6 +188,26 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         value = amount(reflects) * dr.select(reflects, mi.Float(1.0), squeeze)
         value = value * (facets.weight(wi, wo, h, wi_h, dr.abs(wo_h)) * density)
         return value & active, dr.select(active, chance * density, 0.0)
+
+    def facet(self, si: Any, wo: Any, active: Any) -> Facet:
+        """Return the facet that connects two directions."""
+        frame = self._frame(si, active)
+        wi, sign, inside = self._from_above(frame(si.wi, True))
+        wo = frame(wo, True) * sign
+        reflects = wo.z > 0.0
+        eta = self._eta(inside) if self.refracts else mi.Float(1.0)
+        h = dr.normalize(dr.fma(wo, dr.select(reflects, mi.Float(1.0), eta), wi))
+        h = dr.mulsign(h, h.z)
+        return Facet(frame(h * sign, False), dr.abs(dr.dot(wi, h)), inside, reflects)
+
+    def eval_depolarised(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Return the light exchanged between facets."""
+        if self.compensation is None:
+            return None
+        frame = self._frame(si, active)
+        wi, sign, inside = self._from_above(frame(si.wi, True))
+        wo = frame(wo, True) * sign
+        return self.compensation.eval_pdf(is_radiance(ctx), si, wi, wo, inside, active, enabled)[1]
 
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the smooth interface's albedo at the ray's angle."""

@@ -105,7 +105,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         tables = [self.values] if self.free is None else [self.values, self.free]
         series = [[wave * unit for wave, unit in zip(harmonics, table.units, strict=True)] for table in tables]
         where = self.axis.locate(si.wavelengths, active)
-        result = mi.Spectrum(0.0)
+        result = mi.UnpolarizedSpectrum(0.0)
         for k, (node, part) in enumerate(zip(where.low, where.fraction, strict=True)):
             corners = tetrahedron([row * self.nodes + node for row in rows], upper, lower, part)
             value = interpolated(self.values, corners, series[0], active)

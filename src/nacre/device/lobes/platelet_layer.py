@@ -109,7 +109,7 @@ class PlateletLayerPlugin(LobePlugin[PlateletLayer]):
             bs.sampled_component = dr.select(is_mirror, mi.UInt32(1), mi.UInt32(0))
             delta = mi.UInt32(int(mi.BSDFFlags.DeltaReflection))
             bs.sampled_type = dr.select(is_mirror, delta, bs.sampled_type)
-            bare = mi.Spectrum(mi.fresnel(wi.z, self.index)[0])
+            bare = mi.UnpolarizedSpectrum(mi.fresnel(wi.z, self.index)[0])
             weight = dr.select(is_mirror, bare / dr.maximum(mirror, 1e-20), weight)
         return bs, weight
 

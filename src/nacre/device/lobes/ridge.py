@@ -84,7 +84,7 @@ class RidgePlugin(LobePlugin[Ridge]):
         limit = dr.sqrt(dr.maximum(1.0 - sy * sy, 0.0))
         active = active & (limit > MIN_COS)
         # across: one of the wavelengths, then order or envelope
-        lines = dr.size_v(mi.Spectrum)
+        lines = dr.size_v(mi.UnpolarizedSpectrum)
         pick = dr.minimum(dr.floor(sample1 * lines), lines - 1.0)
         rest = sample1 * lines - pick
         wavelength = si.wavelengths[0]
@@ -122,8 +122,8 @@ class RidgePlugin(LobePlugin[Ridge]):
         along = psi.y / self.spread
         gauss = dr.exp(-0.5 * along * along) / (self.spread * math.sqrt(2.0 * math.pi))
         limit = dr.sqrt(dr.maximum(1.0 - wo.y * wo.y, 0.0))
-        spread, across_pdf = mi.Spectrum(0.0), mi.Float(0.0)
-        lines = dr.size_v(mi.Spectrum)
+        spread, across_pdf = mi.UnpolarizedSpectrum(0.0), mi.Float(0.0)
+        lines = dr.size_v(mi.UnpolarizedSpectrum)
         for i in range(lines):
             wavelength = self._limited(si.wavelengths[i])
             spread[i] = self._interference(psi, wavelength)

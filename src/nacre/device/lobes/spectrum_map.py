@@ -103,7 +103,7 @@ class SpectrumMapPlugin(LobePlugin[SpectrumMap]):
         position = dr.clip(0.5 * dr.sqrt(length), 0.0, 1.0) * self.cosine_top
         below = dr.minimum(dr.floor(position), self.cosine_top - 1.0)
         guards = [self._guard_corners(w) for w in (si.wi, wo)]
-        result = mi.Spectrum(0.0)
+        result = mi.UnpolarizedSpectrum(0.0)
         for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
 
             def pair(table: Any, index: Any, low: Any = low, part: Any = part) -> Any:

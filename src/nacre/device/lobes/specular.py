@@ -10,7 +10,18 @@ import drjit as dr
 import mitsuba as mi
 
 from nacre.bsdf.lobes.specular import AlignedSpecular, InterfaceLobe, Specular
-from nacre.device.plugin import MIN_COS, LobePlugin, UniformNodes, flag, flip_z, is_radiance, larger, opaque, smaller
+from nacre.device.plugin import (
+    MIN_COS,
+    Facet,
+    LobePlugin,
+    UniformNodes,
+    flag,
+    flip_z,
+    is_radiance,
+    larger,
+    opaque,
+    smaller,
+)
 from nacre.device.response import DeviceResponse, share_reflected
 
 AnyInterface = TypeVar("AnyInterface", bound=InterfaceLobe)
@@ -77,12 +88,17 @@ class InterfacePlugin(LobePlugin[AnyInterface]):
 
     def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
         """Return zeros: the lobe is a delta distribution."""
-        return mi.Spectrum(0.0), mi.Float(0.0)
+        return mi.UnpolarizedSpectrum(0.0), mi.Float(0.0)
+
+    def facet(self, si: Any, wo: Any, active: Any) -> Facet:
+        """Return the surface itself."""
+        wi = flip_z(si.wi) if self.response.flipped else si.wi
+        return Facet(mi.Vector3f(0.0, 0.0, 1.0), dr.abs(wi.z), wi.z < 0.0, wo.z * si.wi.z > 0.0)
 
     def null_transmission(self, si: Any, active: Any) -> Any:
         """Return the undeviated transmission: T for a free film, else zero."""
         if not self.response.transmits or self.response.bends:
-            return mi.Spectrum(0.0)
+            return mi.UnpolarizedSpectrum(0.0)
         _, transmitted = self.response.look_up(dr.abs(si.wi.z), si.wi.z < 0, si, active)
         return transmitted & active
 

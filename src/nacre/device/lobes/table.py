@@ -69,6 +69,8 @@ class TablePlugin(LobePlugin[TableLobe]):
             self.values = device_array(values)
             self.basis = [DeviceTable(row[None, :, None]) for row in basis]
         a, b, c = values.shape[:3]
+        self.is_signed = lobe.is_signed
+        self.nodes = [None if nodes is None else device_array(nodes) for nodes in lobe.nodes]
         self.tops = [opaque(n - 1) for n in (a, b, c)]
         self.max_lows = [opaque(max(n - 2, 0)) for n in (a, b, c)]
         self.strides = (opaque_int(b * c), opaque_int(c))
@@ -87,6 +89,8 @@ class TablePlugin(LobePlugin[TableLobe]):
         for k, angle in enumerate(ti):
             wi = np.broadcast_to(direction(angle, 0.0), wo.shape)
             mean = lobe.evaluate(wi, wo).mean(axis=-1)
+            if lobe.is_signed:  # directions are drawn on both sides with equal probability
+                mean = (mean + lobe.evaluate(wi, wo * np.array([1.0, -1.0, 1.0])).mean(axis=-1)) / 2
             # a positive density everywhere
             densities[k] = np.maximum(mean, 1e-4 * mean.max() + 1e-9) * weight
             means[k] = math.pi**2 * float(np.mean(mean * weight))
@@ -140,16 +144,22 @@ class TablePlugin(LobePlugin[TableLobe]):
     def _look_up(self, si: Any, wo: Any, active: Any) -> Any:
         """Interpolate f at the four wavelengths."""
         # the light is the first argument, as in the arrays; the table is only as symmetric as the data
-        place = _to_direction(wo, si.wi) if self.coordinates == "direction" else _to_half(wo, si.wi)
         lows, parts = [], []
-        for coordinate, top, most in zip(place, self.tops, self.max_lows, strict=True):
-            x = dr.clip(coordinate, 0.0, 1.0) * top
-            low = dr.minimum(dr.floor(x), most)
-            lows.append(mi.UInt32(low))
-            parts.append(x - low)
+        for coordinate, top, most, nodes in zip(
+            self._place(wo, si.wi), self.tops, self.max_lows, self.nodes, strict=True
+        ):
+            if nodes is None:
+                x = dr.clip(coordinate, 0.0, 1.0) * top
+                low = dr.minimum(dr.floor(x), most)
+                lows.append(mi.UInt32(low))
+                parts.append(x - low)
+            else:
+                at, part = _between(nodes, coordinate, most, active)
+                lows.append(at)
+                parts.append(part)
         where = self.axis.locate(si.wavelengths, active)
         totals = [mi.Float(0.0) for _ in range(self.colours)] if not self.is_spectral else []
-        result = mi.Spectrum(0.0)
+        result = mi.UnpolarizedSpectrum(0.0)
         corners = [
             (lows[0] + a) * self.strides[0] + (lows[1] + b) * self.strides[1] + lows[2] + c
             for a in (0, 1)
@@ -169,6 +179,14 @@ class TablePlugin(LobePlugin[TableLobe]):
             result = result + total * basis.look_up(mi.UInt32(0), mi.Float(0.0), where, None, active)[0]
         return dr.maximum(result, 0.0)
 
+    def _place(self, light: Any, viewer: Any) -> tuple[Any, Any, Any]:
+        """Return the coordinates in [0, 1], as `TableLobe.coordinates_of`."""
+        if self.coordinates == "half":
+            return _to_half(light, viewer)
+        to_place = _to_direction if self.coordinates == "direction" else _to_specular
+        a, b, azimuth = to_place(light, viewer)
+        return a, b, azimuth * 0.5 + 0.5 if self.is_signed else dr.abs(azimuth)
+
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the wavelength-averaged albedo for this direction."""
         position = _view(si.wi) * self.view_top
@@ -183,7 +201,11 @@ class TablePlugin(LobePlugin[TableLobe]):
         Raises:
             UnsupportedError: coordinates or shape differ.
         """
-        if lobe.coordinates != self.coordinates or np.shape(lobe.values) != self.shape:
+        if (
+            lobe.coordinates != self.coordinates
+            or np.shape(lobe.values) != self.shape
+            or lobe.is_signed != self.is_signed
+        ):
             raise UnsupportedError("the table changed its coordinates or its shape; build the scene again")
         self.axis.update(lobe.wavelengths_nm)
         self._set(lobe)
@@ -202,9 +224,27 @@ def _view(wi: Any) -> Any:
 
 
 def _to_direction(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
-    """Return the "direction" coordinates in [0, 1], as `nacre.bsdf.lobes.table.to_direction`."""
-    cross, dot = wi.x * wo.y - wi.y * wo.x, wi.x * wo.x + wi.y * wo.y
-    return _view(wi), _view(wo), dr.abs(dr.atan2(cross, dot)) * dr.inv_pi
+    """Return the "direction" coordinates, as `nacre.bsdf.lobes.table.to_direction`."""
+    (x, y), (cos_o, sin_o) = unit_azimuth(wi), unit_azimuth(wo)
+    return _view(wi), _view(wo), dr.atan2(x * sin_o - y * cos_o, x * cos_o + y * sin_o) * dr.inv_pi
+
+
+def _to_specular(wi: Any, wo: Any) -> tuple[Any, Any, Any]:
+    """Return the "specular" coordinates, as `nacre.bsdf.lobes.table.to_specular`."""
+    sin_i = dr.sqrt(dr.maximum(wi.x * wi.x + wi.y * wi.y, 0.0))
+    cos_p, sin_p = unit_azimuth(wi)
+    x, y = wo.x * cos_p + wo.y * sin_p, wo.y * cos_p - wo.x * sin_p
+    along, to_normal = wi.z * wo.z - sin_i * x, wi.z * x + sin_i * wo.z
+    radial = dr.atan2(dr.sqrt(to_normal * to_normal + y * y), along)
+    return _view(wi), radial * dr.inv_pi, dr.atan2(-y, to_normal) * dr.inv_pi
+
+
+def _between(nodes: Any, coordinate: Any, most: Any, active: Any) -> tuple[Any, Any]:
+    """Return the lower node and the upper node's weight; values beyond the ends are held."""
+    above = dr.binary_search(0, dr.width(nodes), lambda i: read(nodes, mi.UInt32(i), active) <= coordinate)
+    low = mi.UInt32(dr.minimum(mi.Float(dr.maximum(mi.UInt32(above), 1) - 1), most))
+    first, last = read(nodes, low, active), read(nodes, low + 1, active)
+    return low, dr.clip((coordinate - first) / (last - first), 0.0, 1.0)
 
 
 def _to_half(wi: Any, wo: Any) -> tuple[Any, Any, Any]:

@@ -110,7 +110,7 @@ class _Lanes:
     def wavelengths(self, grid: Array, jobs: NDArray[np.int64], row: Any) -> Any:
         row = dr.gather(mi.UInt32, row, self.job)
         flat = device_array(grid[jobs])
-        return mi.Spectrum(*[dr.gather(mi.Float, flat, TOGETHER * row + k) for k in range(TOGETHER)])
+        return mi.UnpolarizedSpectrum(*[dr.gather(mi.Float, flat, TOGETHER * row + k) for k in range(TOGETHER)])
 
 
 def _site(wavelengths: Any, uv: Any) -> Any:

@@ -54,7 +54,7 @@ def delta_flight(
     carried = dr.sum(light.f)
     is_far = carried < FULL * RISEN
     ways = []
-    total = mi.Spectrum(0.0)
+    total = mi.UnpolarizedSpectrum(0.0)
     for slot in range(strata.slots):
         row = strata.flake_row(light.stratum, slot, alive)
         local = strata.into_flake(row, v)
@@ -81,7 +81,7 @@ def delta_flight(
     flake = Flake.of(strata, light.stratum, row, local, slot, alive)
     per_rate = dr.rcp(rate)
     way, choice = two_numbers(rng, alive)
-    gained = mi.Spectrum(0.0)
+    gained = mi.UnpolarizedSpectrum(0.0)
     if connection is not None:
         per_linked = carried / dr.maximum(dr.sum(shape / dr.maximum(1 - passes, 1e-7)), TINY)
         gain = flake_gain(strata, connection, where, light, depth, flake, node, way, alive)

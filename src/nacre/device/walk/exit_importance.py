@@ -127,8 +127,8 @@ def _chain(
         sig_down.append(strata.medium_extinction(s, downs[s], where, active) / cos if different else sig_up[s])
         t_up.append(dr.exp(-sig_up[s]))
         t_down.append(dr.exp(-sig_down[s]))
-    above = mi.Spectrum(dr.select(exits_above, entered, 0.0))
-    below = mi.Spectrum(dr.select(exits_above, 0.0, entered))
+    above = mi.UnpolarizedSpectrum(dr.select(exits_above, entered, 0.0))
+    below = mi.UnpolarizedSpectrum(dr.select(exits_above, 0.0, entered))
     up: list[Any] = [None] * count
     down: list[Any] = [None] * count
     if not both:
@@ -140,7 +140,7 @@ def _chain(
     # mirror reflectance and is crossed only towards the exit: the other crossing is a separate vertex.
     mirror, rising, sinking = [], [], []
     for i in range(count + 1):
-        reflect, rise, sink = mi.Spectrum(0.0), mi.Float(0.0), mi.Float(0.0)
+        reflect, rise, sink = mi.UnpolarizedSpectrum(0.0), mi.Float(0.0), mi.Float(0.0)
         if i == count and strata.base != "none":
             if strata.base_mirrors:
                 reflect = strata.base_mirror(cosines[-1], where, active)
@@ -148,7 +148,7 @@ def _chain(
             side = min(i, count - 1)
             other = strata.indices[i] if side == i else strata.indices[i + 1]
             bare = mi.fresnel(cosines[side], other / strata.indices[side + 1])[0]
-            reflect, rise, sink = mi.Spectrum(bare), 1 - bare, 1 - bare
+            reflect, rise, sink = mi.UnpolarizedSpectrum(bare), 1 - bare, 1 - bare
         elif 0 < i < count:
             rise = dr.select(exits_above, passed_a[i], 0.0)
             if strata.base == "none":
@@ -157,7 +157,7 @@ def _chain(
         rising.append(rise)
         sinking.append(sink)
     # from the bottom: down_s = rho_s up_s + kappa_s
-    rho, kappa = [mi.Spectrum(0.0)] * count, [mi.Spectrum(0.0)] * count
+    rho, kappa = [mi.UnpolarizedSpectrum(0.0)] * count, [mi.UnpolarizedSpectrum(0.0)] * count
     rho[-1], kappa[-1] = mirror[count] * t_up[-1], below
     for s in range(count - 2, -1, -1):
         lower = s + 1
@@ -190,14 +190,14 @@ class Exit:
 
     def upward(self, stratum: Any, depth: Any) -> tuple[Any, Any]:
         """Return the upward direction and its importance at `depth` in a stratum."""
-        zero = mi.Spectrum(0.0)
+        zero = mi.UnpolarizedSpectrum(0.0)
         worth = self._pick(self.given.up, stratum, zero)
         worth = worth * dr.exp(-self._pick(self.given.up_extinction, stratum, zero) * depth)
         return self._pick(self.given.up_direction, stratum, None), worth
 
     def downward(self, stratum: Any, depth: Any) -> tuple[Any, Any]:
         """Return the downward direction and its importance at `depth` in a stratum."""
-        zero = mi.Spectrum(0.0)
+        zero = mi.UnpolarizedSpectrum(0.0)
         worth = self._pick(self.given.down, stratum, zero)
         worth = worth * dr.exp(-self._pick(self.given.down_extinction, stratum, zero) * (1 - depth))
         return self._pick(self.given.down_direction, stratum, None), worth

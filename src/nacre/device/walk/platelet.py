@@ -137,7 +137,7 @@ def one_of(values: tuple[Any, ...], weights: Any, left: Any) -> tuple[Any, ...]:
     """Return each value at one of the four wavelengths, drawn by weights with `left`, uniform up to their sum."""
     left = left - weights[0]
     found = tuple(value[0] for value in values)
-    for k in range(1, dr.size_v(mi.Spectrum)):
+    for k in range(1, dr.size_v(mi.UnpolarizedSpectrum)):
         found = select(left >= 0, tuple(value[k] for value in values), found)
         left -= weights[k]
     return found

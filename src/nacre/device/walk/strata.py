@@ -268,7 +268,7 @@ class Strata:
 
     def medium_extinction(self, stratum: int, w: Any, where: Located, active: Any) -> Any:
         """Return the extinction of a stratum (Python index) along `w`, across its thickness, as a Spectrum."""
-        total = mi.Spectrum(0.0)
+        total = mi.UnpolarizedSpectrum(0.0)
         for slot, kind in enumerate(self.kinds_of[stratum]):
             row = self.flake_row(mi.UInt32(stratum), slot, active)
             local = self.into_flake(row, w)
@@ -413,7 +413,7 @@ class BaseLobes:
     def eval(self, v: Any, to: Any, where: Located, active: Any) -> Any:
         """Return value * |cos to| of the non-specular part, for light from `v` to `to`."""
         if not self.scatters:
-            return mi.Spectrum(0.0)
+            return mi.UnpolarizedSpectrum(0.0)
         value = self.bsdf.eval(self._context, with_wi(where.site, v), to, active & (to.z > MIN_COS))
         return _finite(value, active)
 
@@ -425,7 +425,7 @@ class BaseLobes:
     def mirror(self, cos: Any, where: Located, active: Any) -> Any:
         """Return the specular reflectance at a cosine."""
         si = with_wi(where.site, mi.Vector3f(dr.safe_sqrt(1.0 - cos * cos), 0.0, cos))
-        total = mi.Spectrum(0.0)
+        total = mi.UnpolarizedSpectrum(0.0)
         for plugin in self._mirrors:
             every = tuple(True for _ in plugin.components)
             total += plugin.sample(self._context, si, mi.Float(0.0), mi.Point2f(0.0), active, every)[1]
@@ -434,4 +434,6 @@ class BaseLobes:
 
 def _finite(value: Any, active: Any) -> Any:
     """Return the Spectrum, or zero if any number is not finite."""
-    return mi.Spectrum(dr.select(mi.Bool(active) & dr.all(dr.isfinite(value)), mi.Spectrum(value), 0.0))
+    return mi.UnpolarizedSpectrum(
+        dr.select(mi.Bool(active) & dr.all(dr.isfinite(value)), mi.UnpolarizedSpectrum(value), 0.0)
+    )

@@ -64,7 +64,7 @@ def sample_walk(strata: Strata, rng: Any, wi: Any, where: Located, active: Any) 
     where = where.on_nodes(rng.next_float32())
     entry = dr.select(wi.z > 0, mi.UInt32(0), mi.UInt32(strata.count))
     light, inside, active = _enter(strata, rng, wi, entry, active)
-    nothing, seen = mi.Spectrum(0.0), rough_one(strata, entry)
+    nothing, seen = mi.UnpolarizedSpectrum(0.0), rough_one(strata, entry)
     d, weight, mirror, _, turn = _follow(strata, Stepper(strata, where), rng, light, inside, seen, nothing)
     return d, _with_glint(strata, turn, weight, where, active), mirror
 
@@ -74,7 +74,7 @@ def _enter(strata: Strata, rng: Any, wi: Any, entry: Any, active: Any) -> tuple[
     active = mi.Bool(active) & (mi.Bool(strata.base == "none") | (wi.z > 0))
     w, alive = interface_event(strata, rng, wi, entry, active)
     alive &= active
-    light = first_light(strata, w, dr.select(alive, mi.Spectrum(1.0), 0.0))
+    light = first_light(strata, w, dr.select(alive, mi.UnpolarizedSpectrum(1.0), 0.0))
     inside = alive & ((w.z > 0) != (wi.z > 0))
     return light, inside, active
 
@@ -97,7 +97,7 @@ def eval_walk(strata: Strata, rng: Any, wi: Any, wo: Any, where: Located, active
     stepper, total = _connected(strata, rng, wi, wo, entry, where, active)
     w, weight = refract(strata, rng, wi, entry, active)
     inside = active & (weight > 0)
-    light = first_light(strata, w, dr.select(inside, mi.Spectrum(weight), 0.0))
+    light = first_light(strata, w, dr.select(inside, mi.UnpolarizedSpectrum(weight), 0.0))
     _, _, _, got, _ = _follow(strata, stepper, rng, light, inside, rough_one(strata, entry), total)
     return dr.select(active & dr.isfinite(got), got, 0.0)
 
@@ -130,10 +130,10 @@ def _connected(
 ) -> tuple[Stepper, Any]:
     """Return a stepper connected to `wo`, and the entry interface's direct contribution."""
     connection = Exit(strata, exit_importance(strata, rng, wo, where, active))
-    total = mi.Spectrum(0.0)
+    total = mi.UnpolarizedSpectrum(0.0)
     if strata.any_rough:
         direct = interface_value(strata, wi, wo, entry, active)
-        total += mi.Spectrum(dr.select(((wi.z > 0) == (wo.z > 0)) & active, direct, 0.0))
+        total += mi.UnpolarizedSpectrum(dr.select(((wi.z > 0) == (wo.z > 0)) & active, direct, 0.0))
     stepper = Stepper(strata, where, connection, wo)
     if stepper.inner_vertices:
         total += connect_interface(strata, connection, wi, entry, active, mi.Bool(True), wo.z > 0)
@@ -192,7 +192,7 @@ class Stepper:
         strata = self.strata
         light, lives, gained, goes_up, goes_down, seen = self._flights(light, rng, alive, seen)
         v = -light.d
-        new_d, new_f, depth = mi.Vector3f(light.d), mi.Spectrum(light.f), light.depth
+        new_d, new_f, depth = mi.Vector3f(light.d), mi.UnpolarizedSpectrum(light.f), light.depth
         at_base = goes_down & (light.stratum == self.last) if strata.base != "none" else mi.Bool(False)
         at_interface = (goes_up | goes_down) & ~at_base
         interface = dr.select(goes_up, light.stratum, light.stratum + 1)
@@ -241,7 +241,7 @@ class Stepper:
             )  # fmt: skip
 
         no = alive & mi.Bool(False)
-        got, count = mi.Spectrum(0.0), mi.UInt32(0)
+        got, count = mi.UnpolarizedSpectrum(0.0), mi.UInt32(0)
         state = (light.d, light.depth, light.f, rng, alive, alive, got, no, no, seen, count, *light.turn)
         names = (
             "d", "depth", "f", "rng", "flying", "lives", "gained", "goes_up", "goes_down", "seen", "count",
@@ -277,9 +277,9 @@ class Stepper:
         depth = light.depth - light.d.z * flight
         goes_up, goes_down = alive & (depth <= 0), alive & (depth >= 1)
         inside = alive & ~goes_up & ~goes_down
-        gained = mi.Spectrum(0.0)
+        gained = mi.UnpolarizedSpectrum(0.0)
 
-        new_d, new_f, turn = mi.Vector3f(light.d), mi.Spectrum(light.f), light.turn
+        new_d, new_f, turn = mi.Vector3f(light.d), mi.UnpolarizedSpectrum(light.f), light.turn
         lives = mi.Bool(alive)
         at_dye = inside
         if strata.slots:
@@ -321,7 +321,7 @@ class Stepper:
         m, v_m = flake.normal(rng, active)
         node, way = two_numbers(rng, active)
         reflect, transmit = strata.flake_response(flake.kind, dr.abs(v_m), node, self.where, active)
-        gained = mi.Spectrum(0.0)
+        gained = mi.UnpolarizedSpectrum(0.0)
         if self.exit is not None:
             gained = light.f * flake_gain(strata, self.exit, self.where, light, depth, flake, node, way, active)
         carried = dr.maximum(dr.sum(light.f), TINY)
@@ -344,7 +344,7 @@ class Stepper:
         carried = dr.maximum(dr.sum(light.f), TINY)
         p_pass = dr.sum(light.f * passes) / carried
         p_scatter = dr.sum(light.f * scatters) / carried
-        gained = mi.Spectrum(0.0)
+        gained = mi.UnpolarizedSpectrum(0.0)
         choice = rng.next_float32(active)
         goes_on = choice < p_pass
         lives = choice < p_pass + p_scatter
@@ -372,7 +372,7 @@ class Stepper:
     def _interface_gain(self, light: Walker, v: Any, interface: Any, active: Any, seen: Any) -> Any:
         strata = self.strata
         assert self.exit is not None
-        total = mi.Spectrum(0.0)
+        total = mi.UnpolarizedSpectrum(0.0)
         if self.inner_vertices:
             total += connect_interface(strata, self.exit, v, interface, active, ~seen, self.wo.z > 0)
         if self.late:
@@ -385,7 +385,7 @@ class Stepper:
         strata = self.strata
         if strata.lobes is not None:
             return self._base_lobes(strata.lobes, light, v, rng, active)
-        gained = mi.Spectrum(0.0)
+        gained = mi.UnpolarizedSpectrum(0.0)
         point = mi.Point2f(rng.next_float32(active), rng.next_float32(active))
         if strata.base == "diffuse":
             albedo = strata.base_at(mi.Float(0.0), self.where, active)
@@ -419,7 +419,7 @@ class Stepper:
     def _base_lobes(
         self, lobes: BaseLobes, light: Walker, v: Any, rng: Any, active: Any
     ) -> tuple[Any, Any, Any, Any, Any]:
-        gained = mi.Spectrum(0.0)
+        gained = mi.UnpolarizedSpectrum(0.0)
         if self.exit is not None and lobes.scatters:
             to, worth = self.exit.upward(light.stratum, mi.Float(1.0))
             gained = light.f * worth * lobes.eval(v, to, self.where, active)
@@ -438,7 +438,7 @@ def connect_interface(
     A crossing towards the exit belongs to the previous vertex, which was connected through this interface; it
     counts here only without such a vertex (`first`).
     """
-    total = mi.Spectrum(0.0)
+    total = mi.UnpolarizedSpectrum(0.0)
     has_above, has_below = active & (interface > 0), active & (interface < strata.count)
     above = dr.select(has_above, interface - 1, mi.UInt32(0))
     below = dr.select(has_below, interface, mi.UInt32(strata.count - 1))

@@ -18,6 +18,7 @@ from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.polarisation import InterfacePolarisation, interface_polarisation
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import (
     COLOUR_ERROR,
@@ -43,6 +44,8 @@ COLOUR_COSINES = np.array([1.0, 0.8, 0.5, 0.25])  # of the colours compared in t
 MIDDLE = np.array([0.5, 0.5])
 AMPLITUDE_CUTOFF = 1e-5  # round-trip amplitude below which deeper layers are neglected
 CUTOFF_WAVELENGTHS = 48
+ERROR_MARGIN = 2.0  # of the stated error: the check has a few hundred angles
+BASE_COSINES = 513  # at most, of the film over a diffuse base
 BYTES_PER_LAYER = 64  # and wavelength: indices, phases and copies
 
 
@@ -71,6 +74,7 @@ class Film(Model):
         range_nm, step_nm: wavelength grid; default step: colours within 0.5 dE00.
     """
 
+    version = 2
     traits = Traits(noun="film", default_parts=("specular_reflectance",), is_quick=True)
 
     ambient: OpticalConstant
@@ -86,6 +90,17 @@ class Film(Model):
     def stack(self) -> Stack:
         """The stack at the middle of the surface."""
         return self.stack_at(MIDDLE)
+
+    @property
+    def specular_stack(self) -> Stack:
+        """The stack, of which roughness weakens the specular reflection of s and p alike.
+
+        Raises:
+            UnsupportedError: ridges scatter all light.
+        """
+        if self.ridges is not None:
+            raise UnsupportedError("ridges reflect no light specularly")
+        return self.stack
 
     def stack_at(self, uv: Array) -> Stack:
         """Return the stack at one uv."""
@@ -208,13 +223,23 @@ class Film(Model):
                 lobes.append(self._straight_through(response))
         return Bsdf(tuple(lobes), notes)
 
+    def polarisation(self, wavelengths_nm: Array | None = None) -> InterfacePolarisation | None:
+        """Tabulate the Mueller matrices of the film.
+
+        None for incoherent layers, ridges, a diffuse base, or thicknesses that vary over the surface: the renderer then
+        depolarises.
+        """
+        lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        if self.ridges is not None or self.base_albedo > 0 or self._varying:
+            return None
+        return interface_polarisation(self.tables(lam), self._middle_nm)
+
     def _response(self, tables: StackTables) -> tuple[InterfaceResponse, dict[str, Any]]:
         """Return the tables of the smooth film, with an axis for each varying thickness."""
-        d = self._middle_nm
-        varying = [i for i, layer in enumerate(self.layers) if isinstance(layer.thickness_nm, Texture)]
-        varying = [i for i in varying if self._range(i)[1] > self._range(i)[0]]
+        d, varying = self._middle_nm, self._varying
         if not varying:
-            return tables.adaptive(d), {}
+            response, error = tables.with_error(d)
+            return response, {"angle_table": _stated(response, error)}
         if len(varying) > 2:
             raise UnsupportedError(f"{len(varying)} thicknesses vary over the surface; at most two can")
         axes, notes = [], {}
@@ -234,7 +259,14 @@ class Film(Model):
         thicknesses = np.broadcast_to(d, (*grid[0].shape, len(d))).copy()
         for i, values in zip(varying, grid, strict=True):
             thicknesses[..., i] = values
-        return tables.build(thicknesses, COS_NODES_VARYING, tuple(axes)), {"varying": notes}
+        response, error = tables.with_parameters(thicknesses, tuple(axes))
+        return response, {"varying": notes, "angle_table": _stated(response, error)}
+
+    @property
+    def _varying(self) -> list[int]:
+        """Layers whose thickness varies over the surface."""
+        textured = [i for i, layer in enumerate(self.layers) if isinstance(layer.thickness_nm, Texture)]
+        return [i for i in textured if self._range(i)[1] > self._range(i)[0]]
 
     @property
     def _middle_nm(self) -> Array:
@@ -284,15 +316,16 @@ class Film(Model):
                 reflectance=zero,
                 reflectance_inside=zero,
                 transmittance=passed,
+                total_nodes=None,
             )
         )
 
     def _base(self, response: InterfaceResponse) -> Diffuse:
         """Return the diffuse base below the film, with multiple reflections between both."""
-        cos = np.linspace(0.0, 1.0, response.reflectance.shape[-2])
+        cos = np.linspace(0.0, 1.0, min(len(response.cos_outside), BASE_COSINES))
         relative = 1.0 / response.eta if response.flipped else response.eta
         outer = response.outside_cosine(cos) if response.flipped else cos
-        smooth = take_uniform(response.transmittance, outer, -2)
+        smooth = response.over_cosine(response.transmittance, outer)
         if response.flipped:
             smooth = np.where((cos > response.cos_critical)[:, None], smooth, 0.0)
         entry, mean = smooth, _cosine_mean(smooth)
@@ -353,6 +386,11 @@ class Film(Model):
                 still = self.tables(lam).adaptive(np.array([layer.thickness_at() for layer in self.layers]))
                 diffuse = passed * self._returned_share(still)
         return Spectrum(lam, np.degrees(theta), reflected, transmitted, diffuse)
+
+
+def _stated(response: InterfaceResponse, error: float) -> dict[str, float]:
+    """Return the note on a table over angle: its nodes, and the largest error of R and T found, with a margin."""
+    return {"cosines": len(response.cos_outside), "largest_error": round(min(ERROR_MARGIN * error, 1.0), 6)}
 
 
 def _grid(low: float, high: float, step: float) -> Array:

@@ -17,16 +17,18 @@ from nacre.matter.indices.constant import (
     names_file,
     unknown_material,
 )
-from nacre.matter.indices.csv import read_index_csv
+from nacre.matter.indices.constants_file import read_index_file
 from nacre.matter.indices.database import find_page, read_page
 from nacre.matter.indices.models import Cauchy, Constant, Dispersion, Oscillators, Sellmeier, abbe_cauchy
 from nacre.matter.stack.inputs import CLEAR_K
+from nacre.readers.measurement import ReadOptions
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 
 FORMS = ("name", "n", "cauchy", "sellmeier", "n_d", "drude", "lorentz", "file", "rii")
 EXAMPLES = (
     '"Ag", {n = 1.5}, {n = 1.5, k = 0.1}, {cauchy = [1.5, 0.005]}, {file = "nk.csv"} or {rii = "main/Ag/Johnson"}'
 )
+FILE_KEYS = ("columns", "ignore", "unit", "spectrum")
 PAGE_SUFFIXES = (".yml", ".yaml")
 PROBE_NM = (360.0, 550.0, 830.0)
 AMBIENT_CHECK_NM = (450.0, 550.0, 650.0)
@@ -100,6 +102,7 @@ class IndexSpec(RecipeModel):
         "{drude = {plasma_ev = 9.0, damping_ev = 0.07}}",
         "{lorentz = {oscillators = [{strength = 1.0, resonance_ev = 4.2}]}}",
         '{file = "nk.csv"}',
+        '{file = "eps.txt", columns = ["energy_eV", "e1", "e2"]}',
         '{rii = "main/Ag/Johnson"}',
         '{name = "TiO2", extrapolate = "edge"}',
     )
@@ -142,14 +145,28 @@ class IndexSpec(RecipeModel):
     lorentz: LorentzSpec | None = pydantic.Field(default=None, description="bound oscillators, alone or beside drude")
     file: str | None = pydantic.Field(
         default=None,
-        description="a text table beside the recipe: wavelength in nm, n, and k if there is one; or a page of "
-        "refractiveindex.info (.yml)",
+        description="a file beside the recipe with n and k, or e1 and e2, over wavelength or energy: a text table, or "
+        "a file of WVASE, Zemax, Mitsuba, or refractiveindex.info (.yml)",
         examples=["nk.csv"],
     )
     rii: str | None = pydantic.Field(
         default=None,
         description="an entry of the refractiveindex.info database: shelf/book/page",
         examples=["main/Ag/Johnson"],
+    )
+    columns: tuple[str, ...] = pydantic.Field(
+        default=(),
+        description='beside file: what its columns are, one name each, where no heading says it; "-" leaves one out',
+        examples=[["energy_eV", "e1", "e2"]],
+    )
+    ignore: tuple[str, ...] = pydantic.Field(
+        default=(), description="beside file: headings of columns that are left out", examples=[["batch"]]
+    )
+    unit: str | None = pydantic.Field(
+        default=None, description="beside file: unit of its wavelengths or energies, if it names none", examples=["um"]
+    )
+    spectrum: str | None = pydantic.Field(
+        default=None, description="beside file: name or number of one of its materials", examples=["SIO2"]
     )
     extrapolate: Literal["error", "edge"] = pydantic.Field(
         default="error", description="outside the tabulated range: an error, or the end values"
@@ -194,6 +211,9 @@ class IndexSpec(RecipeModel):
                 raise ValueError(f".k = {self.k:g} needs n beside it")
             if self.k < 0.0:
                 raise ValueError(f".k = {self.k:g} is not allowed; nacre takes n + ik with k >= 0")
+        beside = next((key for key in FILE_KEYS if getattr(self, key) not in (None, ())), None)
+        if beside is not None and self.file is None:
+            raise ValueError(f".{beside} = {show_value(getattr(self, beside))} needs file beside it")
         if (self.n_d is None) != (self.abbe is None):
             raise ValueError("needs both n_d and abbe")
         if self.sellmeier is not None and len(self.sellmeier) % 2:
@@ -215,13 +235,23 @@ class IndexSpec(RecipeModel):
             find_page(self.rii)
             made = database_index(self.rii)
         elif self.file is not None:
-            path = context.path(self.file)
-            read = read_page if path.suffix.lower() in PAGE_SUFFIXES else read_index_csv
-            made = OpticalConstant(self.file, context.once(("index", path), lambda: read(path)), self.file)
+            made = OpticalConstant(self.file, self._table(self.file, context), self.file)
         else:
             label, model = self._formula()
             made = OpticalConstant(label, model, "given in the recipe")
         return made.with_extrapolation(self.extrapolate)
+
+    def _table(self, name: str, context: RecipeContext) -> Dispersion:
+        path = context.path(name)
+        options = ReadOptions(
+            unit=self.unit, spectrum=self.spectrum, columns=self.columns, ignore=self.ignore, expects="constants"
+        )
+
+        def read() -> Dispersion:
+            return read_page(path) if path.suffix.lower() in PAGE_SUFFIXES else read_index_file(path, options)
+
+        found: Dispersion = context.once(("index", path, options), read)
+        return found
 
     def _formula(self) -> tuple[str, Dispersion]:
         if self.n is not None:

@@ -21,6 +21,8 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.matter.stack.inputs import Powers, StackArrays, kernel_powers, normal_component, part_of, prepare
 
+EXCESS = 0.02  # of R + T above 1, beyond which intensities do not add
+
 
 @dataclass(frozen=True)
 class _Group:
@@ -65,7 +67,7 @@ def incoherent_powers(
     intensities add.
 
     Raises:
-        NacreError: as `solve`; a wrong number of flags.
+        NacreError: as `solve`; a wrong number of flags; a layer outside that condition, with R + T > 1.
     """
     stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad, cos_i=cos_i, kappa=kappa)
     groups = _groups(stack, incoherent, jobs)
@@ -73,6 +75,11 @@ def incoherent_powers(
     total_r, total_t = totals[0], groups[-1].down_t
     for group, below, reflected in zip(groups[:-1], groups[1:], totals[1:]):
         total_t = total_t * _gain(group, below, reflected) * below.passage
+    if float(np.max(total_r + total_t)) > 1.0 + EXCESS:
+        raise NacreError(
+            "an incoherent layer absorbs too much over a wavelength for intensities to add (R + T = "
+            f"{float(np.max(total_r + total_t)):.4g}): set incoherent = false for thin metals"
+        )
     shape = (*stack.batch, *stack.angle_shape, stack.shape[2])
     return Powers(*(part.reshape(shape) for part in (*total_r, *total_t)))
 

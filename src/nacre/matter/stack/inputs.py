@@ -189,7 +189,8 @@ def _normal(
         raise NacreError(f"kappa or kz must have the shape [angle] or [angle, {count}], not {list(waves.shape)}")
     if not np.all(np.isfinite(waves)):
         raise NacreError("kappa and kz must be finite")
-    if not waves_only and (np.any(waves.imag) or np.any(np.abs(waves) > n[:, 0].real.min())):
+    ambient = n[:, 0].real.min() if waves.ndim < 2 else n[:, 0].real.min(axis=0)
+    if not waves_only and (np.any(waves.imag) or np.any(np.abs(waves) > ambient)):
         raise NacreError("powers need a real kappa up to the ambient's index; evanescent waves carry no power")
     grid = waves.reshape(1, -1, 1) if waves.ndim < 2 else waves[None]
     if kz is None:

@@ -22,8 +22,8 @@ from nacre.core.parallel import single_threaded_blas
 from nacre.families.contract import Surrogate, surrogate_radiance
 from nacre.light import delta_e_2000, lamp_lines_nm, with_lamp_lines
 from nacre.measure.evaluate import DEFAULT_SAMPLES, evaluate_with_error
+from nacre.measure.geometry import Geometry, aspecular_pairs
 from nacre.optimise.evaluation import geometries_of, rank
-from nacre.optimise.measurement import Geometry, aspecular_pairs
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.least_squares import is_distinct, refine
 from nacre.optimise.methods.local_minima import BasinHopping

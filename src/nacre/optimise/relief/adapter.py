@@ -27,9 +27,9 @@ from nacre.families.relief.surface import Tile
 from nacre.families.relief.validity import largest_depth_nm
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, lab_to_xyz, white_xyz, xyz_to_srgb_linear
 from nacre.material.material import load
-from nacre.measure.instruments import aspecular_direction
+from nacre.measure.geometry import aspecular_pairs
 from nacre.optimise.evaluation import geometries_of, results_of
-from nacre.optimise.measurement import aspecular_pairs, evaluation_wavelengths, simulate_measurement
+from nacre.optimise.measurement import evaluation_wavelengths, simulate_measurement
 from nacre.optimise.relief.merit import GAMMA, Problem, View, default_weights
 from nacre.optimise.relief.run import DesignResult, design
 from nacre.optimise.relief.target import LARGEST_TILE_FEATURES, TargetSpec
@@ -203,7 +203,7 @@ def _with_colours(
     views = list(problem.views) if has_pictures else []
     for target in colours:
         wi = direction(np.radians(target.geometry.theta_deg))
-        wo = aspecular_direction(target.geometry.theta_deg, target.geometry.aspecular_deg)
+        wo = target.geometry.wo
         geometry = CutGeometry(wi[0] + wo[0] + offsets, wi[1] + wo[1] + offsets, wi[None], weights.wavelengths_nm)
         lab = target.target_lab(white)
         assert lab is not None  # by `_check_colour`

@@ -17,8 +17,8 @@ from nacre.core.errors import RecipeError
 from nacre.families.film.material import Film
 from nacre.material.material import Material
 from nacre.matter.stack.solve import powers
+from nacre.measure.geometry import Geometry
 from nacre.optimise.evaluation import geometries_of
-from nacre.optimise.measurement import Geometry
 from nacre.optimise.merit import MeritFunction, default_wavelengths_nm
 from nacre.optimise.parameters import Parameter
 from nacre.optimise.problem import BudgetExhausted, Changes, Search

@@ -104,7 +104,7 @@ def _narrowed(goal: Operand, margin: float) -> tuple[float, float]:
 
 @compiled(error_model="numpy")
 def components(l1: float, a1: float, b1: float, l2: float, a2: float, b2: float) -> tuple[float, float, float]:
-    """Return three numbers whose length is the dE00 of two colours, as `merit.difference_components`."""
+    """Return three numbers whose length is the dE00 of two colours, as `light.delta_e_2000_components`."""
     c1, c2 = math.sqrt(a1 * a1 + b1 * b1), math.sqrt(a2 * a2 + b2 * b2)
     mean = 0.5 * (c1 + c2)
     mean7 = mean * mean * mean * mean * mean * mean * mean

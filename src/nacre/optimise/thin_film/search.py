@@ -20,8 +20,9 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.parallel import available_jobs
+from nacre.light import delta_e_2000_components
 from nacre.matter.stack.thickness_gradient import scratch, spectra_and_gradients
-from nacre.optimise.merit import MeritFunction, difference_components
+from nacre.optimise.merit import MeritFunction
 from nacre.optimise.problem import STOP_TOL, Budget
 from nacre.optimise.thin_film.genetic import (
     WORST_POWER,
@@ -481,7 +482,7 @@ def many(
 def local_metric(lab: Array) -> Array:
     """Return `[..., 3, 3]` whose product with a small difference from `lab` `[..., 3]` has the length of its dE00."""
     step = 1e-3
-    columns = [difference_components(lab, lab + step * axis) / step for axis in np.eye(3)]
+    columns = [delta_e_2000_components(lab, lab + step * axis) / step for axis in np.eye(3)]
     return np.stack(columns, axis=-1)
 
 

@@ -88,6 +88,7 @@ class Scene:
         size: default picture size.
         place_view: camera for a light that is a visible place (street, room, sky); None: `view`.
         props: builds objects beside the subject, omitted in a visible place.
+        keeps_whole: whether the camera moves away until the subject is in the frame, from any direction.
     """
 
     name: str
@@ -99,6 +100,7 @@ class Scene:
     size: tuple[int, int] = (640, 640)
     place_view: View | None = None
     props: Parts = list
+    keeps_whole: bool = False
 
 
 # simple models for all surfaces except the subject; printed ones by their mean reflectance

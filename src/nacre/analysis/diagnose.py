@@ -1,0 +1,420 @@
+"""Diagnosis of a finished coating run: which number of the recipe was off, from spectra or colours.
+
+Bayesian inference with the recipe's `[tolerance]` as Gaussian prior and Gaussian measurement noise. Two models are
+compared by their evidence in Laplace's approximation (MacKay 2003, Information Theory, Inference, and Learning
+Algorithms, chapter 28): exactly one cause deviates, for each cause; and all causes deviate at once, whose maximum a
+posteriori and posterior covariance come from Gauss-Newton.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any, Protocol
+
+import numpy as np
+from scipy.optimize import least_squares, minimize_scalar
+
+from nacre.bsdf.grids import direction
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
+from nacre.material.material import Material
+from nacre.measure.geometry import Geometry
+from nacre.measure.wavelengths import colour_spectrum, colour_values
+from nacre.optimise.tolerances import Component, Tolerance, components
+
+SCAN = np.linspace(-4.0, 4.0, 17)  # of a single cause, in prior standard deviations
+STEP = 1e-3  # finite difference, in prior standard deviations
+CERTAIN = 0.95  # posterior probability at which one cause is named
+LEAST_PROBABILITY = 0.02  # of the causes that are listed
+DETERMINED = 0.5  # largest posterior width, relative to the prior, of a determined cause
+SEPARATED = 9.0  # squared distance of two predictions, in units of the noise, that tells causes apart
+MAX_STEPS = 40
+EXCESS = 4.0  # standard deviations of chi-squared above its mean at which a hypothesis is rejected
+FURTHER_DEG = (45.0, 60.0, 30.0)  # angles of suggested measurements
+
+
+class Observation(Protocol):
+    """Measured numbers, and the same numbers of a material."""
+
+    @property
+    def values(self) -> Array:
+        """Measured values."""
+
+    def model(self, material: Material, samples: int | None, seed: int) -> Array:
+        """Return a material's simulated measurement, shaped as `values`."""
+
+
+@dataclass(frozen=True)
+class SpectrumObservation:
+    """Specular reflectance or transmittance, `values[wavelength]`, at one angle and polarisation ("s", "p", "both")."""
+
+    wavelengths_nm: Array
+    values: Array
+    angle_deg: float = 0.0
+    polarisation: str = "both"
+    is_transmitted: bool = False
+
+    def model(self, material: Material, samples: int | None, seed: int) -> Array:
+        """Return the material's spectrum."""
+        theta = np.radians(self.angle_deg)
+        found = material.spectrum(theta, self.wavelengths_nm, self.polarisation, seed=seed)
+        part = found.specular_transmittance if self.is_transmitted else found.specular_reflectance
+        return np.zeros(len(self.wavelengths_nm)) if part is None else part[0]
+
+
+@dataclass(frozen=True)
+class ColourObservation:
+    """CIELAB `values[3]` at a geometry ("specular 0", "45as15")."""
+
+    geometry: str
+    values: Array
+    illuminant: str = "D65"
+    observer: str = "10deg"
+
+    def model(self, material: Material, samples: int | None, seed: int) -> Array:
+        """Return the material's CIELAB colour.
+
+        Raises:
+            NacreError: the geometry is neither specular, transmitted nor aspecular.
+        """
+        geometry, light = Geometry.read(self.geometry, "geometry"), (self.illuminant, self.observer)
+        theta = np.radians(geometry.theta_deg)
+        if geometry.kind == "aspecular":
+            wi, wo = direction(theta)[None], geometry.wo[None]
+            values, grid = colour_values(material, wi, wo, self.illuminant, samples, seed)
+            values = np.pi * values
+        elif geometry.kind in ("specular", "transmitted"):
+            found = colour_spectrum(material, np.atleast_1d(theta), self.illuminant)
+            part = found.specular_reflectance if geometry.kind == "specular" else found.specular_transmittance
+            grid, values = found.wavelengths_nm, np.zeros((1, len(found.wavelengths_nm))) if part is None else part
+        else:
+            raise NacreError(f'geometry = "{self.geometry}" is not specular, transmitted or aspecular')
+        return np.asarray(xyz_to_lab(spectrum_to_xyz(values, grid, *light), white_xyz(*light)))[0]
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """One cause of the difference from the recipe.
+
+    Attributes:
+        name: path or group.
+        probability: posterior probability that this cause alone deviates.
+        factor, factor_error: deviation as the single cause in prior standard deviations, and its posterior width.
+        changes: path -> deviation from the nominal value, as the single cause; `errors`: its standard deviation.
+        chi2: of the measurement, as the single cause.
+    """
+
+    name: str
+    probability: float
+    factor: float
+    factor_error: float
+    changes: dict[str, float]
+    errors: dict[str, float]
+    chi2: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Result of `diagnose`.
+
+    Attributes:
+        suspects: single causes, most probable first.
+        nominal_chi2: of the recipe as it is; `points`: number of measured values.
+        names: all causes; `factors`, `factor_errors`: their maximum a posteriori if all deviate, in prior standard
+            deviations, and posterior widths (1: the measurement says nothing).
+        correlation: posterior correlation of the causes `[cause, cause]`.
+        all_chi2: of the measurement at this maximum.
+        verdict: "within noise", "one cause", "ambiguous", "several causes" or "unexplained".
+        advice: a further measurement that separates the most probable causes; empty if none is needed or found.
+        material: the recipe with the most probable single cause, or with all causes.
+    """
+
+    suspects: tuple[Suspect, ...]
+    nominal_chi2: float
+    points: int
+    names: tuple[str, ...]
+    factors: Array
+    factor_errors: Array
+    correlation: Array
+    all_chi2: float
+    verdict: str
+    advice: str
+    material: Material
+
+    @property
+    def text(self) -> str:
+        """The result as sentences."""
+        likely = [s for s in self.suspects if s.probability >= LEAST_PROBABILITY]
+        best = self.suspects[0]
+        if self.verdict == "within noise":
+            return "The measurement agrees with the recipe within its noise; no cause of variation is needed."
+        if self.verdict == "one cause":
+            moved = ", ".join(
+                f"{path} {change:+.3g} +- {best.errors[path]:.2g}" for path, change in best.changes.items()
+            )
+            return f"{best.name} was off: {moved} (probability {best.probability:.3f} among single causes)."
+        advice = f" {self.advice}" if self.advice else ""
+        if self.verdict == "ambiguous":
+            names = ", ".join(f"{s.name} ({s.probability:.2f})" for s in likely)
+            return f"The cause cannot be told apart from this measurement: {names}.{advice}"
+        if self.verdict == "several causes":
+            sure = np.flatnonzero((self.factor_errors < DETERMINED) & (np.abs(self.factors) > 2 * self.factor_errors))
+            moved = ", ".join(f"{self.names[i]} {self.factors[i]:+.2f} +- {self.factor_errors[i]:.2f}" for i in sure)
+            rest = int(np.sum(self.factor_errors >= DETERMINED))
+            return (
+                "No single cause explains the measurement; several deviate, in standard deviations of their tolerance: "
+                f"{moved or 'none is determined'}. {rest} of {len(self.names)} causes are not determined.{advice}"
+            )
+        return (
+            f"No deviation within the tolerances explains the measurement: chi-squared {self.all_chi2:.0f} of "
+            f"{self.points} values. The noise is larger than stated, or the recipe's model is wrong."
+        )
+
+
+def diagnose(
+    material: Material,
+    tolerances: Sequence[Tolerance],
+    observations: Sequence[Observation],
+    noise: float | Sequence[float],
+    *,
+    seed: int = 0,
+    samples: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Diagnosis:
+    """Estimate which numbers of a recipe deviate, from measurements of a finished sample.
+
+    Args:
+        material: the recipe as intended.
+        tolerances: from `recipe_tolerances`; their standard deviations are the prior.
+        observations: measured spectra and colours.
+        noise: standard deviation of the measured values: one number, or one per observation.
+        samples, seed: of random walks.
+        progress: called with (done, total) causes.
+
+    Raises:
+        NacreError: the material cannot be computed, nothing is measured, or the noise is not positive.
+    """
+    noises = np.broadcast_to(np.asarray(noise, dtype=float), (len(observations),))
+    if not observations or not np.all(noises > 0):
+        raise NacreError("a diagnosis needs at least one observation, and noise above 0")
+    causes = components([each for each in tolerances if each.deviation > 0])
+    if not causes:
+        raise NacreError("a diagnosis needs at least one number with a tolerance above 0")
+    material = material.with_parts_loaded(each.path for each in tolerances)
+    likelihood = _Likelihood(material, causes, observations, noises, samples, seed)
+    singles = []
+    for number in range(len(causes)):
+        singles.append(_single(likelihood, number))
+        if progress:
+            progress(number + 1, len(causes))
+    evidence = np.array([log_evidence for log_evidence, _ in singles])
+    total = float(np.logaddexp.reduce(evidence))
+    suspects = tuple(
+        sorted(
+            (replace(each, probability=float(np.exp(value - total))) for value, each in singles),
+            key=lambda suspect: -suspect.probability,
+        )
+    )
+    factors, covariance, all_chi2 = _all_causes(likelihood, suspects[0])
+    errors = np.sqrt(np.diag(covariance))
+    nominal_chi2 = likelihood.chi2(np.zeros(len(causes)))
+    # equal prior probabilities of: no cause, one cause (any of them), all causes
+    models = {
+        "within noise": (-0.5 * nominal_chi2, nominal_chi2),
+        "one cause": (total - np.log(len(causes)), suspects[0].chi2),
+        "several causes": (
+            -0.5 * (all_chi2 + float(factors @ factors)) + 0.5 * float(np.linalg.slogdet(covariance)[1]),
+            all_chi2,
+        ),
+    }
+    verdict = max(models, key=lambda name: models[name][0])
+    if models[verdict][1] > likelihood.largest_chi2:
+        verdict = "unexplained"
+    elif verdict == "one cause" and suspects[0].probability < CERTAIN:
+        verdict = "ambiguous"
+    advice = ""
+    if verdict == "ambiguous":
+        advice = _advice(likelihood, suspects)
+    elif verdict == "several causes":
+        advice = _advice_for_all(likelihood, factors, covariance)
+    at = {name: suspects[0].factor * (name == suspects[0].name) for name in likelihood.names}
+    best = factors if verdict == "several causes" else np.array([at[name] for name in likelihood.names])
+    return Diagnosis(
+        suspects=suspects,
+        nominal_chi2=nominal_chi2,
+        points=likelihood.points,
+        names=likelihood.names,
+        factors=factors,
+        factor_errors=errors,
+        correlation=covariance / np.outer(errors, errors),
+        all_chi2=all_chi2,
+        verdict=verdict,
+        advice=advice,
+        material=likelihood.material(best),
+    )
+
+
+class _Likelihood:
+    """Residuals of all observations in units of the noise, as a function of the causes' factors."""
+
+    def __init__(
+        self,
+        material: Material,
+        causes: Sequence[Component],
+        observations: Sequence[Observation],
+        noises: Array,
+        samples: int | None,
+        seed: int,
+    ) -> None:
+        self.causes, self.observations, self.noises = causes, observations, noises
+        self.names = tuple(cause.name for cause in causes)
+        self.samples, self.seed = samples, seed
+        self.points = sum(np.size(each.values) for each in observations)
+        self._make = material.parametrise(t.path for cause in causes for t in cause.tolerances)
+
+    @property
+    def largest_chi2(self) -> float:
+        """Largest accepted chi-squared."""
+        return self.points + EXCESS * np.sqrt(2.0 * self.points)
+
+    def material(self, factors: Array) -> Material:
+        """Return the recipe with all causes at their factors."""
+        values: dict[str, float] = {}
+        nominal = {t.path: t.nominal for cause in self.causes for t in cause.tolerances}
+        for cause, factor in zip(self.causes, factors, strict=True):
+            for path, value in cause.values(float(factor)).items():
+                values[path] = values.get(path, nominal[path]) + value - nominal[path]
+        return self._make({path: max(v, 0.0) if nominal[path] >= 0 else v for path, v in values.items()})
+
+    def predict(self, factors: Array, observations: Sequence[Observation]) -> list[Array]:
+        """Return the simulated values of observations."""
+        made = self.material(factors)
+        return [np.ravel(each.model(made, self.samples, self.seed)) for each in observations]
+
+    def residual(self, factors: Array) -> Array:
+        """Return the normalised residuals `[value]`."""
+        found = self.predict(factors, self.observations)
+        rows = zip(found, self.observations, self.noises, strict=True)
+        return np.concatenate([(value - np.ravel(each.values)) / noise for value, each, noise in rows])
+
+    def chi2(self, factors: Array) -> float:
+        """Return chi-squared of the measurement, without the prior."""
+        return float(np.sum(self.residual(factors) ** 2))
+
+    def jacobian(self, factors: Array) -> Array:
+        """Return the derivatives of the residuals, `[value, cause]`, by central differences."""
+        steps = STEP * np.eye(len(factors))
+        rows = [self.residual(factors + step) - self.residual(factors - step) for step in steps]
+        return np.stack(rows, axis=1) / (2.0 * STEP)
+
+    def along(self, number: int, factor: float) -> Array:
+        """Return the factors with one cause at a value and the others at 0."""
+        factors = np.zeros(len(self.causes))
+        factors[number] = factor
+        return factors
+
+
+def _single(likelihood: _Likelihood, number: int) -> tuple[float, Suspect]:
+    """Return the log evidence of one cause as the only one, and its estimate; the probability is set later."""
+
+    def cost(factor: float) -> float:
+        return likelihood.chi2(likelihood.along(number, factor)) + factor**2
+
+    scanned = [cost(factor) for factor in SCAN]
+    start = SCAN[int(np.argmin(scanned))]
+    step = SCAN[1] - SCAN[0]
+    found = minimize_scalar(cost, bounds=(start - step, start + step), method="bounded", options={"xatol": 1e-6})
+    factor = float(found.x)
+    at = likelihood.along(number, factor)
+    ahead, behind = (likelihood.residual(likelihood.along(number, factor + step)) for step in (STEP, -STEP))
+    slope = (ahead - behind) / (2.0 * STEP)
+    width = float(1.0 / np.sqrt(slope @ slope + 1.0))
+    cause = likelihood.causes[number]
+    changes = {t.path: cause.values(factor)[t.path] - t.nominal for t in cause.tolerances}
+    errors = {t.path: width * t.standard_deviation for t in cause.tolerances}
+    suspect = Suspect(cause.name, 0.0, factor, width, changes, errors, likelihood.chi2(at))
+    return -0.5 * float(found.fun) + float(np.log(width)), suspect
+
+
+def _all_causes(likelihood: _Likelihood, best: Suspect) -> tuple[Array, Array, float]:
+    """Return the maximum a posteriori of all factors, their covariance, and chi-squared there."""
+    count = len(likelihood.causes)
+    starts = [np.zeros(count), likelihood.along(likelihood.names.index(best.name), best.factor)]
+    found = min(
+        (
+            least_squares(
+                lambda x: np.concatenate([likelihood.residual(x), x]),
+                start,
+                jac=lambda x: np.concatenate([likelihood.jacobian(x), np.eye(count)]),
+                max_nfev=MAX_STEPS,
+            )
+            for start in starts
+        ),
+        key=lambda result: float(result.cost),
+    )
+    slope = np.asarray(found.jac)
+    covariance = np.linalg.inv(slope.T @ slope)
+    return np.asarray(found.x), covariance, likelihood.chi2(found.x)
+
+
+def _advice(likelihood: _Likelihood, suspects: Sequence[Suspect]) -> str:
+    """Return a further measurement that separates the probable single causes, or ""."""
+    likely = [each for each in suspects if each.probability >= LEAST_PROBABILITY]
+    at = [likelihood.along(likelihood.names.index(each.name), each.factor) for each in likely]
+
+    def separates(pair: Sequence[SpectrumObservation], noise: float) -> bool:
+        seen = [np.concatenate(likelihood.predict(factors, pair)) for factors in at]
+        return min(float(np.sum((a - b) ** 2)) / noise**2 for a, b in combinations(seen, 2)) > SEPARATED
+
+    return _first_pair(likelihood, separates)
+
+
+def _advice_for_all(likelihood: _Likelihood, factors: Array, covariance: Array) -> str:
+    """Return a further measurement by which more causes become determined, or ""."""
+    open_ = int(np.sum(np.sqrt(np.diag(covariance)) >= DETERMINED))
+
+    def determines(pair: Sequence[SpectrumObservation], noise: float) -> bool:
+        steps = STEP * np.eye(len(factors))
+        rows = [
+            np.concatenate(likelihood.predict(factors + step, pair))
+            - np.concatenate(likelihood.predict(factors - step, pair))
+            for step in steps
+        ]
+        slope = np.stack(rows, axis=1) / (2.0 * STEP * noise)
+        together = np.linalg.inv(np.linalg.inv(covariance) + slope.T @ slope)
+        return int(np.sum(np.sqrt(np.diag(together)) >= DETERMINED)) < open_
+
+    return _first_pair(likelihood, determines) if open_ else ""
+
+
+def _first_pair(likelihood: _Likelihood, serves: Callable[[Sequence[SpectrumObservation], float], bool]) -> str:
+    """Return the first pair of s and p spectra that serves, as a sentence, or ""."""
+    spectra = [each for each in likelihood.observations if isinstance(each, SpectrumObservation)]
+    if not spectra:
+        return "Add a spectrum of the reflectance."
+    for angle in FURTHER_DEG:
+        pair = [replace(spectra[0], angle_deg=angle, polarisation=p, is_transmitted=False) for p in "sp"]
+        if serves(pair, float(likelihood.noises.min())):
+            return f"Add s and p at {angle:g} degrees."
+    return ""
+
+
+def diagnosis_document(result: Diagnosis) -> dict[str, Any]:
+    """Return the result as JSON data."""
+    return {
+        "verdict": result.verdict,
+        "text": result.text,
+        "advice": result.advice,
+        "values": result.points,
+        "nominal_chi2": result.nominal_chi2,
+        "single_causes": [each.__dict__ for each in result.suspects],
+        "all_causes": [
+            {"name": name, "factor": float(factor), "factor_error": float(error)}
+            for name, factor, error in zip(result.names, result.factors, result.factor_errors, strict=True)
+        ],
+        "all_causes_chi2": result.all_chi2,
+        "correlation": result.correlation.tolist(),
+    }

@@ -1,0 +1,310 @@
+"""Lobes of measured BSDFs: tables on the measured nodes, with remarks on everything that was filled or assumed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nacre.bsdf.lobes.table import TableLobe
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, UnsupportedError
+from nacre.formats.gonio_csv import MAX_VALUE, GonioData
+from nacre.light import default_wavelengths, spectrum_to_rgb_matrix
+from nacre.readers.bsdf.samples import COLOURS
+from nacre.readers.measurement import Measurement
+
+LAWS = ("half-angle",)
+MIN_PAIRS = 4
+SCATTERED_NODES = (46, 46, 37)  # theta_i, theta_o, dphi of directions that form no grid
+MIN_FILLED = 0.5  # share of a grid's nodes that must be measured
+SAME = 0.02  # relative spread of repeated or equivalent directions that counts as equal
+ANISOTROPIC = 0.1  # relative spread between azimuths of the light beyond which data are anisotropic
+NOISE = 0.01  # negative values up to this share of the maximum, and of the sum, are noise
+DIGITS = 6  # of angles in degrees
+HALF_NODES = (60, 60, 5)
+
+
+def checked(values: Array, name: str) -> tuple[Array, list[str]]:
+    """Set small negative noise to 0.
+
+    Raises:
+        NacreError: values that are too negative for noise, or too large.
+    """
+    known = values[np.isfinite(values)]
+    if known.size and known.max() > MAX_VALUE:
+        raise NacreError(f"{name}: value = {known.max():g} is larger than any BSDF (1/sr)")
+    negative = known[known < 0]
+    if not len(negative):
+        return values, []
+    positive = known[known > 0]
+    limit, total = (NOISE * float(positive.max()), NOISE * float(positive.sum())) if len(positive) else (0.0, 0.0)
+    if -negative.min() > limit or -negative.sum() > total:
+        raise NacreError(f"{name}: value = {negative.min():g} is below 0, beyond noise; no BSDF is negative")
+    return np.where(values < 0, 0.0, values), [
+        f"{len(negative)} of {known.size} values are below 0, down to {negative.min():.3g}; set to 0 as noise"
+    ]
+
+
+def measured_table(data: GonioData, name: str, law: str | None = None) -> tuple[TableLobe, list[str]]:
+    """Return the table of a reflection measurement, and remarks.
+
+    A grid of directions keeps its nodes and values and is interpolated linearly in theta_i, theta_o and the azimuth
+    difference; missing nodes are filled from their neighbours. Other sets of directions are interpolated from nearest
+    neighbours on a fixed grid.
+
+    Args:
+        law: "half-angle": the BRDF depends on half and difference angle only (a bivariate law), for scans in the plane
+            of incidence.
+
+    Raises:
+        NacreError: fewer than four pairs lie above the surface, or impossible values.
+        UnsupportedError: the pairs lie in the plane of incidence or have one incidence and no law is given, or the
+            data are anisotropic.
+    """
+    theta_i, phi_i, theta_o, phi_o = data.angles_deg.T
+    up = (theta_i < 90) & (theta_o < 90)
+    remarks = [] if np.all(up) else [f"{int(np.sum(~up))} pairs of the other side were left out"]
+    if np.sum(up) < MIN_PAIRS:
+        raise NacreError(f"{name}: holds {int(np.sum(up))} direction pairs above the surface; at least 4 are needed")
+    values, said = checked(data.values[up], name)
+    remarks += said
+    dphi = (phi_o - phi_i + 180.0) % 360.0 - 180.0
+    points = np.round(np.stack([theta_i, theta_o, dphi, phi_i], axis=-1)[up], DIGITS)
+    points[points[:, 2] == -180.0, 2] = 180.0
+    flat = (points[:, 0] == 0) | (points[:, 1] == 0)
+    is_in_plane = bool(np.all(flat | (np.abs(np.sin(np.radians(points[:, 2]))) < 1e-6)))
+    if law is not None:
+        if law not in LAWS:
+            raise NacreError(f'law = "{law}" is not known; allowed: {", ".join(LAWS)}')
+        return _by_half_angle(points, values, data.wavelengths_nm, remarks)
+    if is_in_plane or len(np.unique(points[:, 0])) < 2:
+        what = "lies in the plane of incidence" if is_in_plane else f"has one incidence, {points[0, 0]:g} degrees"
+        raise UnsupportedError(
+            f"{name}: the measurement {what} and determines no BRDF by itself; state a law: --law {LAWS[0]} "
+            "(the BRDF depends on half and difference angle only)"
+        )
+    remarks += _isotropic(points, values, name)
+    grid = _Grid.of(points, values)
+    if grid is None:
+        table, said = _scattered(points, values)
+        lobe = TableLobe(data.wavelengths_nm, table, np.eye(values.shape[1]))
+        return lobe, remarks + said + [_own_error(lobe, data, up, values)]
+    return _on_grid(grid, data.wavelengths_nm, remarks)
+
+
+def _isotropic(points: Array, values: Array, name: str) -> list[str]:
+    """Compare the azimuths of the light.
+
+    Raises:
+        UnsupportedError: values differ between azimuths: the sample is anisotropic.
+    """
+    turns = np.unique(points[:, 3] % 360.0)
+    if len(turns) < 2:
+        return []
+    mean = np.nanmean(values, axis=1)
+    # away from the normal, where the azimuth difference has no meaning
+    some = (points[:, 0] > 0) & (points[:, 1] > 0) & np.isfinite(mean)
+    _, where = np.unique(points[some, :3], axis=0, return_inverse=True)
+    where = np.ravel(where)
+    count = np.bincount(where)
+    average = np.bincount(where, mean[some]) / count
+    spread = np.abs(mean[some] - average[where]) / np.maximum(np.abs(average[where]), 1e-12)
+    spread = spread[count[where] > 1]
+    typical = float(np.quantile(spread, 0.9)) if len(spread) else 0.0
+    if typical > ANISOTROPIC:
+        raise UnsupportedError(
+            f"{name}: is anisotropic: values differ by {100 * typical:.0f} % between the azimuths {turns[0]:g} and "
+            f"{turns[-1]:g} degrees of the light; a measured material is isotropic. Keep the rows of one phi_i"
+        )
+    if typical > 1e-6:
+        return [f"{len(turns)} azimuths of the light agree within {100 * typical:.1g} %; they were averaged"]
+    return []
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Values on the nodes `[theta_i, theta_o, azimuth, channel]`; NaN: missing."""
+
+    theta_i: Array
+    theta_o: Array
+    azimuth: Array
+    values: Array
+    is_signed: bool
+
+    @classmethod
+    def of(cls, points: Array, values: Array) -> _Grid | None:
+        """Return the grid, or None if the directions form none."""
+        away = (points[:, 0] > 0) & (points[:, 1] > 0)
+        sides = np.unique(points[away, 2])
+        is_signed = bool(np.any(sides < 0) and np.any((sides > 0) & (sides < 180)))
+        folded = points[:, :3].copy()
+        if not is_signed:
+            folded[:, 2] = np.abs(folded[:, 2])
+        axes = [np.unique(folded[:, 0]), np.unique(folded[:, 1]), np.unique(folded[away, 2])]
+        if min(len(a) for a in axes) < 2:
+            return None
+        # at normal incidence the light is taken at azimuth 0; where only one azimuth was measured, it stands for all,
+        # as does each value at the normal exit direction, whose azimuth has no meaning
+        several = {out for out in axes[1] if np.sum((folded[:, 0] == 0) & (folded[:, 1] == out)) > 1}
+        at_zero = (folded[:, 0] == 0) & (folded[:, 1] > 0) & np.isin(folded[:, 2], axes[2])
+        away |= at_zero & np.isin(folded[:, 1], list(several))
+        normal = ~away
+        rows = [folded[away]] + [
+            np.stack([np.full(len(axes[2]), p[0]), np.full(len(axes[2]), p[1]), axes[2]], axis=-1)
+            for p in folded[normal]
+        ]
+        table = np.concatenate([values[away], np.repeat(values[normal], len(axes[2]), axis=0)])
+        all_rows = np.concatenate(rows)
+        place = tuple(np.searchsorted(a, all_rows[:, i]) for i, a in enumerate(axes))
+        shape = (*(len(a) for a in axes), values.shape[1])
+        known = np.isfinite(table)
+        total, count = np.zeros(shape), np.zeros(shape)
+        np.add.at(total, place, np.where(known, table, 0.0))
+        np.add.at(count, place, known)
+        if np.mean(count > 0) < MIN_FILLED:
+            return None
+        with np.errstate(invalid="ignore"):
+            grid = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        made = cls(axes[0], axes[1], axes[2], grid, is_signed)
+        return made._folded() if is_signed else made
+
+    def _folded(self) -> _Grid:
+        """Return one side only if both sides are equal."""
+        positive = self.azimuth >= 0
+        angles = self.azimuth[positive]
+        inner = (angles > 0) & (angles < 180)
+        if not np.array_equal(-self.azimuth[~positive][::-1], angles[inner]):
+            return self
+        mirrored = np.flatnonzero(positive)
+        mirrored[inner] = np.searchsorted(self.azimuth, -angles[inner])
+        left, right = self.values[:, :, positive], self.values[:, :, mirrored]
+        both = np.where(np.isnan(left), right, left)
+        if not np.allclose(both, np.where(np.isnan(right), left, right), rtol=1e-9, atol=0.0, equal_nan=True):
+            return self
+        return _Grid(self.theta_i, self.theta_o, self.azimuth[positive], both, False)
+
+
+def _on_grid(grid: _Grid, wavelengths_nm: Array, remarks: list[str]) -> tuple[TableLobe, list[str]]:
+    """Return the table on the grid's own nodes."""
+    values = grid.values
+    missing = int(np.sum(np.isnan(values).any(axis=-1)))
+    if missing:
+        remarks.append(f"{missing} of {values[..., 0].size} nodes were not measured; they were filled from neighbours")
+        values = _filled(values, grid.theta_o)
+    azimuth = grid.azimuth
+    if grid.is_signed:
+        # periodic: repeat the ends beyond +-180 degrees
+        values = np.concatenate([values[:, :, -1:], values, values[:, :, :1]], axis=2)
+        azimuth = np.concatenate([azimuth[-1:] - 360.0, azimuth, azimuth[:1] + 360.0])
+    for name, nodes in (("incidences", grid.theta_i), ("exit angles", grid.theta_o)):
+        held = [f"below {nodes[0]:g}"] if nodes[0] > 0 else []
+        held += [f"above {nodes[-1]:g}"] if nodes[-1] < 80.0 else []
+        if held:
+            remarks.append(f"{name} {' and '.join(held)} degrees were not measured; the nearest value is held")
+    c = (azimuth + 180.0) / 360.0 if grid.is_signed else azimuth / 180.0
+    return TableLobe(
+        wavelengths_nm, values, np.eye(values.shape[3]), "direction", grid.theta_i / 90.0, grid.theta_o / 90.0, c,
+        grid.is_signed,
+    ), remarks  # fmt: skip
+
+
+def _filled(values: Array, theta_o: Array) -> Array:
+    """Fill missing nodes linearly along theta_o between neighbours, else with the nearest node's value."""
+    from scipy.ndimage import distance_transform_edt
+
+    flat = np.moveaxis(values, 1, -1).reshape(-1, len(theta_o)).copy()
+    for at in np.flatnonzero(np.isnan(flat).any(axis=1)):
+        known = np.flatnonzero(np.isfinite(flat[at]))
+        if len(known) > 1:
+            inner = np.arange(known[0], known[-1] + 1)
+            flat[at, inner] = np.interp(theta_o[inner], theta_o[known], flat[at, known])
+    shape = (values.shape[0], values.shape[2], values.shape[3], values.shape[1])
+    table = np.moveaxis(flat.reshape(shape), -1, 1)
+    for channel in range(values.shape[3]):
+        holes = np.isnan(table[..., channel])
+        if np.any(holes):
+            nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)
+            table[..., channel] = table[..., channel][tuple(nearest)]
+    return table
+
+
+def _scattered(points: Array, values: Array) -> tuple[Array, list[str]]:
+    from scipy.spatial import cKDTree
+
+    known = np.isfinite(values).all(axis=1)
+    if known.sum() < MIN_PAIRS:
+        raise NacreError(f"only {int(known.sum())} directions have values at all wavelengths")
+    axes = [np.linspace(0, limit, n) for limit, n in zip((90.0, 90.0, 180.0), SCATTERED_NODES, strict=True)]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    at = np.concatenate([points[known, :2], np.abs(points[known, 2:3])], axis=-1)
+    distance, index = (np.asarray(a) for a in cKDTree(at).query(nodes, k=min(8, len(at))))
+    weight = 1.0 / (distance**2 + 1e-6)
+    weight = weight / weight.sum(axis=1, keepdims=True)
+    table = np.einsum("nk,nkw->nw", weight, values[known][index]).reshape(*SCATTERED_NODES, -1)
+    return table, ["the directions form no grid; values between them are interpolated from nearest neighbours"]
+
+
+def _own_error(lobe: TableLobe, data: GonioData, up: Array, values: Array) -> str:
+    """Return a remark on the table's deviation from the measured values."""
+    off = np.abs(lobe.evaluate(data.wi[up], data.wo[up]) - values)
+    typical, worst = float(np.nanmedian(off)), float(np.nanmax(off))
+    return f"at the measured directions the table differs by {typical:.3g} 1/sr (median), {worst:.3g} 1/sr (maximum)"
+
+
+def _by_half_angle(
+    points: Array, values: Array, wavelengths_nm: Array, remarks: list[str]
+) -> tuple[TableLobe, list[str]]:
+    """Interpolate f over half and difference angle from the measured pairs."""
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+    from nacre.bsdf.lobes.table import half_difference
+    from nacre.core.directions import direction
+
+    wi = direction(np.radians(points[:, 0]), np.zeros(len(points)))
+    wo = direction(np.radians(points[:, 1]), np.radians(points[:, 2]))
+    half, diff, _ = half_difference(wi, wo)
+    at = np.stack([np.sqrt(half / (np.pi / 2)), diff / (np.pi / 2)], axis=-1)
+    known = np.isfinite(values).all(axis=1)
+    at, values = at[known], values[known]
+    a, b = np.meshgrid(*(np.linspace(0, 1, n) for n in HALF_NODES[:2]), indexing="ij")
+    is_line = np.linalg.matrix_rank(at - at.mean(axis=0), tol=1e-6) < 2 or len(np.unique(points[:, 0])) < 2
+    if is_line:
+        order = np.argsort(at[:, 0])
+        table = np.stack([np.interp(a, at[order, 0], column[order]) for column in values.T], axis=-1)
+    else:
+        table = np.asarray(LinearNDInterpolator(at, values)(a, b))
+        nearest = np.asarray(NearestNDInterpolator(at, values)(a, b))
+        table = np.where(np.isnan(table), nearest, table)
+    lobe = TableLobe(
+        wavelengths_nm, np.repeat(table[:, :, None], HALF_NODES[2], axis=2), np.eye(values.shape[1]), "half"
+    )
+    law = "the half angle only (one incidence)" if is_line else "half and difference angle only"
+    return lobe, [*remarks, f"law: the BRDF depends on {law}; directions outside the plane of incidence follow from it"]
+
+
+def rgb_basis(wavelengths_nm: Array) -> Array:
+    """Return the three smoothest spectra with linear sRGB colours (1,0,0), (0,1,0), (0,0,1) under D65.
+
+    They minimise the summed squared first differences and are therefore flat outside the visible range (with second
+    differences the spectrum of gold reached 1.26 at 830 nm). They sum to one; the evaluation of a table clips negative
+    values.
+    """
+    matrix = np.asarray(spectrum_to_rgb_matrix(wavelengths_nm))
+    matrix = matrix if matrix.shape[0] == 3 else matrix.T
+    count = len(wavelengths_nm)
+    first = np.diff(np.eye(count), 1, axis=0)
+    stiffness = first.T @ first + 1e-9 * np.eye(count)  # regularises the constant spectrum
+    inverse = np.linalg.inv(stiffness)
+    return np.asarray((inverse @ matrix.T @ np.linalg.inv(matrix @ inverse @ matrix.T)).T)
+
+
+def with_spectra(lobe: TableLobe, measured: Measurement) -> tuple[TableLobe, list[str]]:
+    """Give colour channels smooth spectra, and a value without a wavelength a constant one."""
+    wavelengths = default_wavelengths()
+    if any(key in measured.data for key in COLOURS.values()):
+        said = ["colour channels were given smooth spectra that have their colours under D65"]
+        return replace(lobe, wavelengths_nm=wavelengths, basis=rgb_basis(wavelengths)), said
+    if "wavelength_nm" not in measured.data:
+        return replace(lobe, wavelengths_nm=wavelengths, basis=np.ones((1, len(wavelengths)))), []
+    return lobe, []

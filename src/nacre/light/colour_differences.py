@@ -1,0 +1,149 @@
+"""Colour-difference formulas of CIELAB colours: CIE76, CIE94, CMC(l:c), CIEDE2000 and DIN99o."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, did_you_mean
+from nacre.light.spaces import lab_to_lch
+
+CHROMA_LIMIT_7 = 25.0**7  # of CIEDE2000's correction for near-neutral colours
+
+
+def delta_e_76(lab: ArrayLike, other: ArrayLike) -> Array:
+    """Return the Euclidean CIELAB distance `[...]` between two broadcast `[..., 3]` arrays (CIE 15:2018, 8.2.1)."""
+    return np.linalg.norm(np.asarray(lab, dtype=float) - np.asarray(other, dtype=float), axis=-1)
+
+
+def delta_e_94(lab: ArrayLike, other: ArrayLike, is_textile: bool = False) -> Array:
+    """Return CIE94, `[...]`, of colours `[..., 3]` from a standard `lab` (CIE 116-1995).
+
+    Args:
+        lab, other: standard and sample; the formula is not symmetric.
+        is_textile: the constants for textiles (k_L = 2) instead of those for graphic arts.
+    """
+    k_lightness, k1, k2 = (2.0, 0.048, 0.014) if is_textile else (1.0, 0.045, 0.015)
+    lightness, chroma, hue2, standard = _lightness_chroma_hue(lab, other)
+    s_chroma, s_hue = 1.0 + k1 * standard[..., 1], 1.0 + k2 * standard[..., 1]
+    return np.sqrt((lightness / k_lightness) ** 2 + (chroma / s_chroma) ** 2 + hue2 / s_hue**2)
+
+
+def delta_e_cmc(lab: ArrayLike, other: ArrayLike, lightness_weight: float = 2.0, chroma_weight: float = 1.0) -> Array:
+    """Return CMC(l:c), `[...]`, of colours `[..., 3]` from a standard `lab` (ISO 105-J03); not symmetric.
+
+    Args:
+        lab, other: standard and sample.
+        lightness_weight, chroma_weight: l and c: 2 and 1 for acceptability, 1 and 1 for perceptibility.
+    """
+    lightness, chroma, hue2, standard = _lightness_chroma_hue(lab, other)
+    light, c, h = np.moveaxis(standard, -1, 0)
+    f = np.sqrt(c**4 / (c**4 + 1900.0))
+    red = 0.36 + np.abs(0.4 * np.cos(np.radians(h + 35.0)))
+    green = 0.56 + np.abs(0.2 * np.cos(np.radians(h + 168.0)))
+    t = np.where((h >= 164.0) & (h <= 345.0), green, red)
+    s_lightness = np.where(light < 16.0, 0.511, 0.040975 * light / (1.0 + 0.01765 * light))
+    s_chroma = 0.0638 * c / (1.0 + 0.0131 * c) + 0.638
+    s_hue = s_chroma * (f * t + 1.0 - f)
+    x, y = lightness / (lightness_weight * s_lightness), chroma / (chroma_weight * s_chroma)
+    return np.sqrt(x * x + y * y + hue2 / s_hue**2)
+
+
+def delta_e_2000(lab: ArrayLike, other: ArrayLike) -> Array:
+    """Return CIEDE2000, `[...]`, between CIELAB colours `[..., 3]` that broadcast; all weights k are 1.
+
+    Source: ISO/CIE 11664-6, as formulated by Sharma, Wu and Dalal 2005 (including their rules for grey hues and for
+    mean hues across 0 degrees). A difference of 1 is just visible side by side; the formula is meant for differences
+    below 5. It is discontinuous at hues exactly 180 degrees apart, by definition.
+
+    Example:
+        >>> round(float(delta_e_2000((50, 2.6772, -79.7751), (50, 0, -82.7485))), 4)
+        2.0425
+    """
+    return np.linalg.norm(delta_e_2000_components(lab, other), axis=-1)
+
+
+def delta_e_2000_components(lab: ArrayLike, other: ArrayLike) -> Array:
+    """Return lightness, chroma and hue components `[..., 3]` whose Euclidean length is the CIEDE2000.
+
+    CIEDE2000 is x^2 + y^2 + z^2 + R y z; with y' = y + R z / 2 and z' = z sqrt(1 - R^2 / 4) it is a sum of squares.
+    Signed, and smooth except at the formula's own discontinuities (hues 180 degrees apart) and for two greys.
+    """
+    base, sample = np.broadcast_arrays(np.asarray(lab, dtype=float), np.asarray(other, dtype=float))
+    (l1, a1, b1), (l2, a2, b2) = np.moveaxis(base, -1, 0), np.moveaxis(sample, -1, 0)
+    mean_chroma7 = (0.5 * (np.hypot(a1, b1) + np.hypot(a2, b2))) ** 7
+    stretch = 1.5 - 0.5 * np.sqrt(mean_chroma7 / (mean_chroma7 + CHROMA_LIMIT_7))
+    a1, a2 = a1 * stretch, a2 * stretch
+    c1, c2 = np.hypot(a1, b1), np.hypot(a2, b2)
+    h1, h2 = np.degrees(np.arctan2(b1, a1)) % 360.0, np.degrees(np.arctan2(b2, a2)) % 360.0
+    is_grey = c1 * c2 == 0.0
+    turn = h2 - h1
+    turn = np.where(turn > 180.0, turn - 360.0, np.where(turn < -180.0, turn + 360.0, turn))
+    turn = np.where(is_grey, 0.0, turn)
+    # the hue of a grey is that of the other colour
+    hue = np.where(is_grey, np.where(c1 == 0.0, h2, h1), h1 + 0.5 * turn)
+    lightness, chroma = 0.5 * (l1 + l2), 0.5 * (c1 + c2)
+    weight = (
+        1.0
+        - 0.17 * np.cos(np.radians(hue - 30.0))
+        + 0.24 * np.cos(np.radians(2.0 * hue))
+        + 0.32 * np.cos(np.radians(3.0 * hue + 6.0))
+        - 0.20 * np.cos(np.radians(4.0 * hue - 63.0))
+    )
+    x = (l2 - l1) / (1.0 + 0.015 * (lightness - 50.0) ** 2 / np.hypot(20.0**0.5, lightness - 50.0))
+    y = (c2 - c1) / (1.0 + 0.045 * chroma)
+    z = 2.0 * np.sqrt(c1 * c2) * np.sin(np.radians(0.5 * turn)) / (1.0 + 0.015 * chroma * weight)
+    rotation = 60.0 * np.exp(-(((hue % 360.0 - 275.0) / 25.0) ** 2))
+    blue = -2.0 * np.sqrt(chroma**7 / (chroma**7 + CHROMA_LIMIT_7)) * np.sin(np.radians(rotation))
+    return np.stack([x, y + 0.5 * blue * z, z * np.sqrt(1.0 - 0.25 * blue * blue)], axis=-1)
+
+
+def delta_e_din99o(lab: ArrayLike, other: ArrayLike) -> Array:
+    """Return the DIN99o difference, `[...]`, between CIELAB colours `[..., 3]` (DIN 6176:2018, k_E = k_CH = 1)."""
+    return np.linalg.norm(lab_to_din99o(lab) - lab_to_din99o(other), axis=-1)
+
+
+def lab_to_din99o(lab: ArrayLike) -> Array:
+    """Return DIN99o coordinates L, a, b `[..., 3]` of CIELAB colours under D65 (DIN 6176:2018)."""
+    light, a, b = np.moveaxis(np.asarray(lab, dtype=float), -1, 0)
+    angle = np.radians(26.0)
+    e, f = a * np.cos(angle) + b * np.sin(angle), 0.83 * (b * np.cos(angle) - a * np.sin(angle))
+    chroma = np.log1p(0.075 * np.hypot(e, f)) / 0.0435
+    hue = np.arctan2(f, e) + angle
+    return np.stack([303.67 * np.log1p(0.0039 * light), chroma * np.cos(hue), chroma * np.sin(hue)], axis=-1)
+
+
+# name of a tolerance formula -> difference of samples from a standard
+FORMULAS: dict[str, Callable[[ArrayLike, ArrayLike], Array]] = {
+    "cie76": delta_e_76,
+    "cie94": delta_e_94,
+    "cie94-textiles": lambda lab, other: delta_e_94(lab, other, is_textile=True),
+    "cmc(1:1)": lambda lab, other: delta_e_cmc(lab, other, 1.0, 1.0),
+    "cmc(2:1)": delta_e_cmc,
+    "ciede2000": delta_e_2000,
+    "din99o": delta_e_din99o,
+}
+
+
+def colour_difference(lab: ArrayLike, other: ArrayLike, formula: str = "ciede2000") -> Array:
+    """Return the difference `[...]` of colours from a standard `lab` by a named formula of `FORMULAS`.
+
+    Raises:
+        NacreError: the formula is unknown.
+    """
+    if formula not in FORMULAS:
+        hint = did_you_mean(formula, FORMULAS)
+        raise NacreError(f'formula = "{formula}" is unknown.{hint} Allowed: {", ".join(FORMULAS)}')
+    return np.asarray(FORMULAS[formula](lab, other))
+
+
+def _lightness_chroma_hue(lab: ArrayLike, other: ArrayLike) -> tuple[Array, Array, Array, Array]:
+    """Return the differences of lightness and chroma, the squared metric hue difference, and LCh of the standard."""
+    base, sample = np.broadcast_arrays(np.asarray(lab, dtype=float), np.asarray(other, dtype=float))
+    standard, off = lab_to_lch(base), sample - base
+    chroma = np.hypot(sample[..., 1], sample[..., 2]) - standard[..., 1]
+    hue2 = np.maximum(off[..., 1] ** 2 + off[..., 2] ** 2 - chroma**2, 0.0)
+    return off[..., 0], chroma, hue2, standard

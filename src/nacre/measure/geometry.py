@@ -1,0 +1,101 @@
+"""Measurement geometries by name: mirror direction, hemisphere, and the aspecular angles of multi-angle instruments."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nacre.bsdf.grids import direction
+from nacre.core.arrays import Array
+from nacre.core.errors import RecipeError, did_you_mean
+from nacre.measure.instruments import aspecular_direction
+from nacre.recipe.model import show_value
+
+KINDS = ("specular", "transmitted", "diffuse", "hemispherical")
+FORMS = '"specular 0", "transmitted 30", "diffuse 0", "hemispherical 0", "45as15" or "45as25az90"'
+IN_PLANE_DEG = 180.0  # azimuth about the mirror direction of a viewer in the plane of incidence, towards the light
+_WORD = re.compile(r"([A-Za-z]+)\s+([-+]?[\d.]+)$")
+_ASPECULAR = re.compile(r"([\d.]+)as([-+]?[\d.]+)(?:az([-+]?[\d.]+))?$")
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """One geometry.
+
+    Attributes:
+        kind: "specular", "transmitted", "diffuse", "hemispherical" or "aspecular".
+        theta_deg: angle of incidence.
+        aspecular_deg: angle of the viewer from the mirror direction, towards the light.
+        azimuth_deg: of the viewer about the mirror direction: 180 in the plane of incidence towards the light, 0 away
+            from it. In this notation of 12-angle instruments 45as60az125.3 is a viewer 45 degrees from the normal,
+            across the plane of incidence.
+    """
+
+    kind: str
+    theta_deg: float
+    aspecular_deg: float = 0.0
+    azimuth_deg: float = IN_PLANE_DEG
+
+    @classmethod
+    def read(cls, text: str, where: str) -> Geometry:
+        """Read `specular T`, `transmitted T`, `diffuse T`, `hemispherical T`, `IasA` or `IasAazZ`.
+
+        Raises:
+            RecipeError: another form, or an angle behind the surface.
+        """
+        said = text.strip()
+        word, aspecular = _WORD.match(said), _ASPECULAR.match(said)
+        try:
+            if aspecular:
+                incidence, angle, azimuth = aspecular.groups()
+                turn = IN_PLANE_DEG if azimuth is None else float(azimuth)
+                geometry = cls("aspecular", float(incidence), float(angle), turn)
+            elif word and word[1] in KINDS:
+                geometry = cls(word[1], float(word[2]))
+            else:
+                hint = did_you_mean(word[1], KINDS) if word else ""
+                raise RecipeError(f"{where} = {show_value(text)} is not known.{hint} Write {FORMS}")
+        except ValueError:
+            raise RecipeError(f"{where} = {show_value(text)} holds no angle; write {FORMS}") from None
+        if not 0.0 <= geometry.theta_deg < 90.0:
+            raise RecipeError(f"{where} = {show_value(text)}: the light must come from 0 up to 90 degrees")
+        if geometry.view_deg >= 90.0:
+            raise RecipeError(
+                f"{where} = {show_value(text)} has a view of {geometry.view_deg:g} degrees, behind the surface"
+            )
+        return geometry
+
+    @property
+    def wo(self) -> Array:
+        """Direction to the viewer `[3]` for light from +x: of the mirror direction unless aspecular."""
+        if self.azimuth_deg == IN_PLANE_DEG:
+            return aspecular_direction(self.theta_deg, self.aspecular_deg)
+        theta, angle, turn = np.radians([self.theta_deg, self.aspecular_deg, self.azimuth_deg])
+        mirror = np.array([-np.sin(theta), 0.0, np.cos(theta)])
+        away = np.array([-np.cos(theta), 0.0, -np.sin(theta)])
+        across = np.array([0.0, 1.0, 0.0])
+        return np.cos(angle) * mirror + np.sin(angle) * (np.cos(turn) * away + np.sin(turn) * across)
+
+    @property
+    def view_deg(self) -> float:
+        """Angle of the viewer from the normal; 0 except for aspecular geometries."""
+        if self.kind != "aspecular":
+            return 0.0
+        if self.azimuth_deg == IN_PLANE_DEG:
+            return abs(self.aspecular_deg - self.theta_deg)
+        return float(np.degrees(np.arccos(np.clip(self.wo[2], -1.0, 1.0))))
+
+    def __str__(self) -> str:
+        if self.kind != "aspecular":
+            return f"{self.kind} {self.theta_deg:g}"
+        turn = "" if self.azimuth_deg == IN_PLANE_DEG else f"az{self.azimuth_deg:g}"
+        return f"{self.theta_deg:g}as{self.aspecular_deg:g}{turn}"
+
+
+def aspecular_pairs(geometries: Sequence[Geometry]) -> tuple[Array, Array]:
+    """Return directions to light and viewer, `[geometry, 3]` each, of aspecular geometries."""
+    wi = direction(np.radians([geometry.theta_deg for geometry in geometries]))
+    return wi, np.array([geometry.wo for geometry in geometries]).reshape(-1, 3)

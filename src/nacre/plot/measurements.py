@@ -1,0 +1,63 @@
+"""Figures of measured data: spectra, ellipsometric angles, constants, height maps, colours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from nacre.core.errors import UnsupportedError
+from nacre.plot import style
+from nacre.readers.measurement import Measurement
+
+MAX_CURVES = 60
+
+
+def measurement_figure(measurements: Sequence[Measurement]) -> Figure:
+    """Return a figure of measurements: a height map, or the curves of all tables over wavelength.
+
+    Raises:
+        UnsupportedError: no measurement has a height map or a wavelength.
+    """
+    with style.house_style():
+        figure = style.new_figure(style.COLUMN_IN, 2.75)
+        axes = figure.add_subplot()
+        for measurement in measurements:
+            if "height_um" in measurement.data:
+                x, y = measurement.metadata.get("pitch_um", (1.0, 1.0))
+                heights = np.asarray(measurement.data["height_um"])
+                extent = (0.0, heights.shape[1] * x, heights.shape[0] * y, 0.0)
+                image = axes.imshow(heights, extent=extent, cmap="viridis")
+                figure.colorbar(image, ax=axes, label="height (um)")
+                axes.set_xlabel("x (um)")
+                axes.set_ylabel("y (um)")
+                return figure
+        curves = [curve for measurement in measurements for curve in _curves(measurement)]
+        if not curves:
+            raise UnsupportedError("--plot draws height maps and tables over wavelength")
+        for label, x, y in curves[:MAX_CURVES]:
+            axes.plot(x, y, linewidth=0.8, label=label)
+        axes.set_xlabel("wavelength (nm)")
+        if len(curves) <= 8:
+            axes.legend(fontsize=6)
+        else:
+            axes.set_ylabel(curves[0][0].split(": ")[-1])
+        return figure
+
+
+def _curves(measurement: Measurement) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    grid = measurement.data.get("wavelength_nm")
+    if grid is None:
+        return []
+    if "spectra" in measurement.data:
+        names = measurement.metadata.get("names") or [str(row) for row in range(len(measurement.data["spectra"]))]
+        return [
+            (f"{name}: reflectance", grid, row) for name, row in zip(names, measurement.data["spectra"], strict=False)
+        ]
+    own = f"{measurement.name}: " if measurement.name else ""
+    skipped = ("wavelength_nm", "angle_of_incidence_deg", "time_s")
+    return [
+        (f"{own}{name}", grid, values) for name, values in measurement.data.items()
+        if name not in skipped and not name.endswith("_error") and np.shape(values) == np.shape(grid)
+    ]  # fmt: skip

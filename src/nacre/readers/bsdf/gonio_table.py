@@ -1,0 +1,284 @@
+"""Tables of goniometers as text: one row per direction pair, or one row per pair and wavelength.
+
+Accepted forms: angles signed or with azimuths; an azimuth difference; wavelengths in a column or across; BSDF in 1/sr
+or reflectance factors (pi times the BSDF); headings after a `#`. In-plane scans without azimuths take the side of the
+mirror direction from the data.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.readers.bsdf.samples import angles_in_degrees, read_text, unsigned, wavelengths_in_nm
+from nacre.readers.bsdf.samples import measurement as as_measurement
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.registry import FileHead
+from nacre.recipe.delimited_text import rows
+
+GAPS = ("", "nan", "-", "--", "n/a", "na", "#n/a", "null", "none")
+NAMES = {
+    "theta_i": ("thetai", "thetain", "thetal", "ti", "incidentangle", "incidenceangle", "angleofincidence", "aoi",
+                "incidence", "incident", "incidentzenith", "incidencezenith", "illuminationzenith", "zenithi",
+                "illuminationangle", "polari", "incidentpolar", "incidenttheta", "sourcezenith", "solarzenith",
+                "incidentzenithangle", "illuminationzenithangle", "sza"),
+    "phi_i": ("phii", "phiin", "phil", "pi", "incidentazimuth", "incidenceazimuth", "illuminationazimuth", "azimuthi",
+              "samplerotation", "sourceazimuth", "solarazimuth", "incidentazimuthangle", "saa"),
+    "theta_o": ("thetao", "thetaout", "thetas", "thetar", "thetav", "to", "tv", "tr", "measureangle", "measuredangle",
+                "viewangle", "viewingangle", "viewzenith", "viewingzenith", "viewerzenith", "observationzenith",
+                "observationangle", "scatterangle", "scatteringangle", "scatteredzenith", "detectionangle",
+                "detectorangle", "reflectionangle", "reflectedzenith", "exitangle", "zenitho", "aspecular", "vza",
+                "viewingzenithangle", "viewzenithangle", "receiverangle"),
+    "phi_o": ("phio", "phiout", "phis", "phir", "phiv", "po", "pv", "viewazimuth", "viewingazimuth", "vaa",
+              "observationazimuth", "scatterazimuth", "scatteredazimuth", "detectorazimuth", "reflectedazimuth",
+              "azimutho", "viewingazimuthangle"),
+    "dphi": ("dphi", "deltaphi", "relativeazimuth", "relazimuth", "raa", "azimuthdifference", "relativeazimuthangle"),
+    "wavelength": ("wavelength", "lambda", "wl", "wave"),
+    "bsdf": ("value", "bsdf", "brdf", "btdf", "f", "fr", "bsdfvalue", "brdfvalue"),
+    "factor": ("brf", "reflectancefactor", "panelbrf", "factor", "rf", "radiancefactor", "hcrf", "beta"),
+    "error": ("error", "sigma", "err", "std", "stdev", "uncertainty", "ubrdf", "ubsdf"),
+}  # fmt: skip
+UNITS = {"deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "rad": "rad", "radian": "rad", "radians": "rad"}
+WAVE_UNITS = ("nm", "um", "µm", "μm")
+_BRACKET = re.compile(r"[\[(]([^\])]*)[\])]")
+_WAVE = re.compile(r"(?:[a-z_]*?[ _]?)?(\d+(?:\.\d+)?)\s*(nm|um|µm|μm)?")
+QUANTITIES = ("bsdf", "reflectance_factor")
+
+
+@dataclass
+class Heading:
+    """Meaning of the columns.
+
+    Attributes:
+        place: column by canonical name.
+        waves: columns that hold a value at a wavelength, with the wavelengths.
+        angle_unit, wave_unit: units in the headings.
+        unknown: headings that are not recognised.
+    """
+
+    place: dict[str, int] = field(default_factory=dict)
+    waves: dict[int, float] = field(default_factory=dict)
+    angle_unit: str | None = None
+    wave_unit: str | None = None
+    unknown: list[str] = field(default_factory=list)
+
+
+def sniff(head: FileHead) -> float:
+    """Recognise headings with a polar angle of both directions."""
+    for cells in _heading_rows("\n".join(head.lines[:60])):
+        known = heading(cells).place
+        if "theta_i" in known and "theta_o" in known:
+            return 0.9
+    return 0.0
+
+
+def _heading_rows(text: str) -> list[list[str]]:
+    """Return the cells of the lines before the first row of numbers, remark signs removed; nearest first."""
+    found: list[list[str]] = []
+    for line in text.splitlines():
+        plain = line.strip().lstrip("#%! ").strip()
+        if not plain:
+            continue
+        if re.match(r"[-+.]?\d", line.strip()):
+            break
+        mark = next((m for m in (";", "\t", ",") if m in plain), None)
+        found.append([cell.strip().strip('"') for cell in plain.split(mark)])
+    return found[::-1]
+
+
+def heading(cells: Sequence[str]) -> Heading:
+    """Return the meaning of a row of headings.
+
+    Raises:
+        NacreError: two columns have the same meaning.
+    """
+    known = Heading()
+    for column, cell in enumerate(cells):
+        wide = _WAVE.fullmatch(cell.strip().lower())
+        if wide and (wide[2] or float(wide[1]) >= 200.0):
+            known.waves[column] = float(wide[1])
+            known.wave_unit = wide[2] or known.wave_unit
+            continue
+        name, unit = _name_and_unit(cell)
+        meaning = next((key for key, words in NAMES.items() if name in words), None)
+        if meaning is None:
+            if name:
+                known.unknown.append(cell.strip())
+            continue
+        if meaning in known.place:
+            raise NacreError(f'columns {known.place[meaning] + 1} and {column + 1} are both "{meaning}"')
+        known.place[meaning] = column
+        if unit in UNITS and meaning != "wavelength":
+            known.angle_unit = UNITS[unit]
+        if meaning == "wavelength" and unit in WAVE_UNITS:
+            known.wave_unit = unit
+    return known
+
+
+def _name_and_unit(cell: str) -> tuple[str, str]:
+    """Return the letters of a heading without its unit, and the unit."""
+    text = cell.strip().lower()
+    bracket = _BRACKET.search(text)
+    unit = bracket[1].strip() if bracket else ""
+    text = _BRACKET.sub("", text)
+    words = [w for w in re.split(r"[\s_./-]+", text) if w]
+    while len(words) > 1 and (words[-1] in UNITS or words[-1] in WAVE_UNITS or words[-1] in ("sr", "1", "per")):
+        unit = unit or words[-1]
+        words.pop()
+    return "".join(c for c in "".join(words) if c.isalnum()), unit
+
+
+def read(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read a table; missing cells become NaN, negative values are kept.
+
+    Raises:
+        NacreError: headings that are not recognised, missing columns, or impossible numbers.
+        AmbiguousFileError: a unit or the quantity is not stated.
+    """
+    known, table = _table(path, options)
+    assumed: list[str] = []
+    if "theta_i" not in known.place or "theta_o" not in known.place:
+        raise NacreError(f"{path}: has no column for the polar angle of both directions (theta_i, theta_o)")
+    angles, notes = _angles(path, known, table, options)
+    assumed += notes
+    values, waves, notes = _values(path, known, table, options)
+    assumed += notes
+    if known.waves or waves is None:
+        return [as_measurement(path, "gonio", angles, waves, values, {"form": "wide"}, assumed=assumed)]
+    return [_long(path, known, table, angles, waves, values, assumed)]
+
+
+def _long(
+    path: Path, known: Heading, table: Array, angles: Array, waves: Array, values: Array, assumed: list[str]
+) -> Measurement:
+    """Return one row per direction pair and wavelength, in the order of the file."""
+    made = as_measurement(path, "gonio", angles, None, values, {"pairs": len(np.unique(angles, axis=0))},
+                          assumed=assumed)  # fmt: skip
+    data = dict(made.data)
+    value = data.pop("bsdf")
+    data |= {"wavelength_nm": waves, "bsdf": value}
+    if "error" in known.place:
+        data["bsdf_error"] = table[:, known.place["error"]]
+    return replace(made, data=data)
+
+
+def _table(path: Path, options: ReadOptions) -> tuple[Heading, Array]:
+    """Return the headings' meaning and the numbers `[row, column]`."""
+    text = read_text(path)
+    heads = _heading_rows(text)
+    if not heads:
+        raise NacreError(f"{path}: has no headings; a goniometer table names theta_i, theta_o, ...")
+    cells = max(heads[:10], key=lambda row: len(heading(row).place) + bool(heading(row).waves))
+    try:
+        known = heading(cells)
+    except NacreError as error:
+        raise NacreError(f"{path}: {error}") from None
+    unknown = [name for name in known.unknown if name not in options.ignore]
+    if unknown:
+        raise NacreError(
+            f"{path}: columns {', '.join(unknown)} are not recognised; name them as in "
+            f"theta_i, phi_i, theta_o, phi_o, wavelength, value, or ignore them (--ignore)"
+        )
+    table = []
+    for number, row in rows(re.sub(r"#N/A", "n/a", text)):
+        if row and not re.match(r"[-+.]?\d", row[0].strip()) and row[0].strip().lower() not in GAPS:
+            continue  # a heading
+        row += [""] * (len(cells) - len(row))
+        if len(row) != len(cells):
+            raise NacreError(f"{path}: line {number} has {len(row)} cells, the headings are {len(cells)}")
+        table.append([_number(path, number, cell) for cell in row])
+    if not table:
+        raise NacreError(f"{path}: holds no rows of numbers")
+    return known, np.array(table)
+
+
+def _number(path: Path, line: int, cell: str) -> float:
+    try:
+        number = float(cell)
+    except ValueError:
+        if cell.strip().lower() in GAPS:
+            return float("nan")
+        raise NacreError(f'{path}: line {line}: "{cell.strip()[:40]}" is not a number') from None
+    if np.isinf(number):
+        raise NacreError(f'{path}: line {line}: "{cell.strip()[:40]}" is not a finite number')
+    return number
+
+
+def _angles(path: Path, known: Heading, table: Array, options: ReadOptions) -> tuple[Array, list[str]]:
+    """Return angles `[row, 4]` in degrees without signs, and assumptions."""
+    place, zero = known.place, np.zeros(len(table))
+    columns = [table[:, place[name]] if name in place else zero for name in ("theta_i", "phi_i", "theta_o", "phi_o")]
+    if "dphi" in place:
+        columns[3] = columns[1] + table[:, place["dphi"]]
+    raw = np.stack(columns, axis=-1)
+    if not np.all(np.isfinite(raw)):
+        raise NacreError(f"{path}: an angle is missing in {int(np.sum(~np.isfinite(raw).all(axis=1)))} rows")
+    unit = known.angle_unit or (options.unit if options.unit in ("deg", "rad") else None)
+    angles, notes = angles_in_degrees(path, raw, unit)
+    assumed = list(notes)
+    for name, column in (("theta_i", 0), ("theta_o", 2)):
+        bad = np.abs(angles[:, column]) > 180
+        if np.any(bad):
+            raise NacreError(f"{path}: {name} = {angles[bad][0, column]:g} is not within 180 degrees")
+    if "dphi" in place:
+        assumed.append("a relative azimuth of 0 is taken as the side of the light")
+    elif "phi_o" not in place:
+        mirror = _mirror_sign(known, table, angles)
+        angles[:, 3] = np.where(angles[:, 2] * mirror >= 0, 180.0, 0.0)
+        angles[:, 2] = np.abs(angles[:, 2])
+        side = "positive" if mirror > 0 else "negative"
+        assumed.append(f"no azimuths: a scan in the plane of incidence; {side} angles are the mirror side")
+    theta_i, phi_i = unsigned(angles[:, 0], angles[:, 1])
+    theta_o, phi_o = unsigned(angles[:, 2], angles[:, 3])
+    return np.stack([theta_i, phi_i, theta_o, phi_o], axis=-1), assumed
+
+
+def _mirror_sign(known: Heading, table: Array, angles: Array) -> float:
+    """Return the sign of theta_o on the mirror side: the side with the larger values near |theta_o| = theta_i."""
+    columns = list(known.waves) or [known.place[name] for name in ("bsdf", "factor") if name in known.place]
+    if not columns or not np.any(angles[:, 2] < 0):
+        return 1.0
+    value = np.nanmean(table[:, columns], axis=1)
+    near = np.abs(np.abs(angles[:, 2]) - np.abs(angles[:, 0])) <= 6.0
+    away = near & (np.abs(angles[:, 0]) > 12.0)
+    sums = [float(np.nansum(value[away & (np.sign(angles[:, 2]) == sign)])) for sign in (1.0, -1.0)]
+    return 1.0 if sums[0] >= sums[1] else -1.0
+
+
+def _values(path: Path, known: Heading, table: Array, options: ReadOptions) -> tuple[Array, Array | None, list[str]]:
+    """Return the BSDF `[row, wavelength]` in 1/sr, the wavelengths (across) or those of the rows, and assumptions."""
+    assumed: list[str] = []
+    waves: Array | None = None
+    if known.waves:
+        columns, quantity = list(known.waves), options.quantity
+        if quantity not in QUANTITIES:
+            raise AmbiguousFileError(
+                f"{path}: the columns of wavelengths hold the BRDF in 1/sr or reflectance factors (pi times the BRDF); "
+                "state it: --quantity bsdf or --quantity reflectance_factor",
+                "quantity",
+                QUANTITIES,
+            )
+        values = table[:, columns]
+        waves, notes = wavelengths_in_nm(path, np.array(list(known.waves.values())), known.wave_unit)
+        order = np.argsort(waves)
+        waves, values = waves[order], values[:, order]
+    else:
+        quantity = "reflectance_factor" if "factor" in known.place else options.quantity or "bsdf"
+        column = known.place.get("bsdf", known.place.get("factor"))
+        if column is None:
+            raise NacreError(f"{path}: has no column of values (value, bsdf, brf)")
+        values, notes = table[:, [column]], ()
+        if "wavelength" in known.place:
+            unit = known.wave_unit or (options.unit if options.unit in WAVE_UNITS else None)
+            waves, notes = wavelengths_in_nm(path, table[:, known.place["wavelength"]], unit)
+    assumed += notes
+    if quantity == "reflectance_factor":
+        values = values / np.pi
+        assumed.append("reflectance factors were divided by pi")
+    return values, waves, assumed

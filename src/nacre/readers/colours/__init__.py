@@ -1,0 +1,1 @@
+"""Readers for colour lists: one module per format."""

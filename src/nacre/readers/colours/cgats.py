@@ -1,0 +1,211 @@
+"""CGATS.17 and its kin: ISO 28178, Argyll (CTI1 to CTI3, CCSS), ProfileMaker (LGOROWLENGTH)."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.readers.colours.common import colours, illuminant_in, observer_in, spectra_scale
+from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.registry import CERTAIN, FileHead
+from nacre.readers.spectra.common import number, read_text
+
+_FIRST = re.compile(r"\s*(CGATS(\.\d+)?|CTI[123]|ISO28178|LGOROWLENGTH|CCSS|CCMX|CAL|IT8(\.\d/\d)?|ECI2002|NCLR)\b")
+_TOKEN = re.compile(r'"([^"]*)"|(\S+)')
+_BAND = re.compile(
+    r"(?:SPECTRAL|SPEC|NM|R|SPECTRAL_NM|SPECTRAL_DEC|SPECTRAL_PCT|SPECTRAL_NM_DEC)_?(?:NM)?_?(\d{3,4}(?:\.\d+)?)"
+)
+_NAMES = ("SAMPLE_NAME", "SAMPLENAME", "SAMPLE_ID", "SAMPLEID", "SAMPLE_LOC", "STRING")
+_COLOURS = {"LAB": ("L", "a", "b"), "XYZ": ("X", "Y", "Z")}
+_FIELDS = {"LAB": ("LAB_L", "LAB_A", "LAB_B"), "XYZ": ("XYZ_X", "XYZ_Y", "XYZ_Z")}
+EMISSION = ("CCSS", "CCMX")
+_METADATA = (
+    "DESCRIPTOR",
+    "ORIGINATOR",
+    "CREATED",
+    "INSTRUMENTATION",
+    "MEASUREMENT_SOURCE",
+    "MEASUREMENT_GEOMETRY",
+    "DEVICE_CLASS",
+    "FILTER",
+    "SAMPLE_BACKING",
+    "MANUFACTURER",
+)
+
+
+@dataclass
+class Table:
+    """One table: its keywords, names of fields, and rows of cells."""
+
+    keywords: dict[str, str] = field(default_factory=dict)
+    fields: list[str] = field(default_factory=list)
+    rows: list[list[str]] = field(default_factory=list)
+    ended: bool = False
+
+
+def sniff(head: FileHead) -> float:
+    """Return 1 for a first line of the kin with BEGIN_DATA_FORMAT, or for BEGIN_DATA_FORMAT alone."""
+    first = next((line for line in head.lines if line.strip()), "")
+    has_format = any(line.strip().upper().startswith("BEGIN_DATA") for line in head.lines)
+    return CERTAIN if has_format or (_FIRST.match(first) and len(head.lines) < 40) else 0.0
+
+
+def read(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read L*a*b*, XYZ and spectra of the tables.
+
+    Raises:
+        NacreError: the file is cut, holds emission spectra, or no colour (device values only).
+    """
+    lines = [line.rstrip() for line in read_text(path).lines]
+    first = next(line for line in lines if line.strip()).split()[0]
+    if first in EMISSION:
+        raise NacreError(f"{path}: {first} holds spectra that a display emits, no reflectances")
+    tables = [table for table in _tables(path, lines) if table.fields]
+    found, empty = [], []
+    for table in tables:
+        measurement = _measurement(path, table)
+        if measurement is None:
+            spaces = dict.fromkeys(name.split("_")[0] for name in table.fields if "_" in name and name not in _NAMES)
+            empty.append(" and ".join(spaces) or "no fields")
+        else:
+            found.append(measurement)
+    if not found:
+        held = ", ".join(dict.fromkeys(empty)) or "no table"
+        raise NacreError(f"{path}: holds {held} only; a list of L*a*b*, XYZ or spectra is needed")
+    return found
+
+
+def _tables(path: Path, lines: list[str]) -> list[Table]:
+    """Return the tables.
+
+    Raises:
+        NacreError: a table has no END_DATA, or another number of rows than NUMBER_OF_SETS.
+    """
+    tables = [Table()]
+    place = "head"
+    for line in lines:
+        text = line.strip()
+        word = text.split()[0].upper() if text else ""
+        if word == "BEGIN_DATA_FORMAT":
+            if tables[-1].fields:
+                tables.append(Table())
+            place, text = "format", text[len(word) :].strip()
+        elif word == "END_DATA_FORMAT":
+            place = "head"
+            continue
+        elif word == "BEGIN_DATA":
+            place = "data"
+            continue
+        elif word == "END_DATA":
+            place, tables[-1].ended = "head", True
+            continue
+        if not text or text.startswith("#"):
+            continue
+        if place == "format":
+            tables[-1].fields += [name.upper() for name in text.replace('"', "").split()]
+        elif place == "data":
+            tables[-1].rows.append(_cells(line, len(tables[-1].fields)))
+        else:
+            _keyword(tables, text)
+    if place == "data":
+        raise NacreError(f"{path}: has no END_DATA; the file is cut")
+    for table in tables:
+        _check(path, table)
+    return tables
+
+
+def _check(path: Path, table: Table) -> None:
+    stated = table.keywords.get("NUMBER_OF_SETS", "")
+    if table.fields and stated.isdigit() and int(stated) != len(table.rows):
+        raise NacreError(f"{path}: NUMBER_OF_SETS = {stated}, and {len(table.rows)} rows are there")
+    stated = table.keywords.get("NUMBER_OF_FIELDS", "")
+    if table.fields and stated.isdigit() and int(stated) != len(table.fields):
+        raise NacreError(f"{path}: NUMBER_OF_FIELDS = {stated}, and {len(table.fields)} names of fields are there")
+    for row in table.rows:
+        if len(row) != len(table.fields):
+            raise NacreError(
+                f'{path}: the row "{" ".join(row)[:60]}" has {len(row)} cells for {len(table.fields)} fields'
+            )
+
+
+def _keyword(tables: list[Table], text: str) -> None:
+    """Add a keyword; repeated keywords, as of WEIGHTING_FUNCTION, are joined."""
+    if tables[-1].ended:
+        tables.append(Table())
+    words = [match[1] if match[2] is None else match[2] for match in _TOKEN.finditer(text)]
+    key = words[0].upper()
+    value = " ".join(words[1:]).split(" # ")[0].strip()
+    old = tables[-1].keywords.get(key)
+    tables[-1].keywords[key] = value if old is None or key == "KEYWORD" else f"{old}; {value}"
+
+
+def _cells(line: str, count: int) -> list[str]:
+    by_tab = [cell.strip().strip('"') for cell in line.split("\t")]
+    if len(by_tab) == count:
+        return by_tab
+    return [match[1] if match[2] is None else match[2] for match in _TOKEN.finditer(line)]
+
+
+def _measurement(path: Path, table: Table) -> Measurement | None:
+    """Return the colours of a table, or None if it holds device values only."""
+    place = {name: at for at, name in enumerate(table.fields)}
+    data: dict[str, Array] = {}
+    for space, wanted in _FIELDS.items():
+        if all(name in place for name in wanted) and table.rows:
+            columns = [[_number(path, row[place[name]]) for row in table.rows] for name in wanted]
+            data |= dict(zip(_COLOURS[space], map(np.array, columns), strict=True))
+    bands = sorted((float(match[1]), at) for at, name in enumerate(table.fields) if (match := _BAND.fullmatch(name)))
+    assumed: list[str] = []
+    left_out: list[str] = []
+    is_display = "DISPLAY" in table.keywords.get("DEVICE_CLASS", "") or "EMISS" in str(
+        table.keywords.get("MEAS_TYPE", "")
+    )
+    if bands and table.rows and not is_display:
+        spectra = np.array([[_number(path, row[at]) for _, at in bands] for row in table.rows])
+        norm = number(table.keywords.get("SPECTRAL_NORM", "")) or 0.0
+        factor = 1.0 / norm if norm > 1.0 else spectra_scale(spectra, assumed)
+        data |= {"wavelength_nm": np.array([nm for nm, _ in bands]), "spectra": spectra * factor}
+    elif bands:
+        left_out.append("spectra that a display emits")
+    if not data:
+        return None
+    used = {name for wanted in _FIELDS.values() for name in wanted if name in place}
+    others = [name for name in table.fields if name not in used | set(_NAMES) and not _BAND.fullmatch(name)]
+    if others:
+        left_out.append(f"the fields {', '.join(others)[:200]}")
+    key = next((name for name in _NAMES if name in place), None)
+    names = [row[place[key]] if key else str(count) for count, row in enumerate(table.rows, start=1)]
+    illuminant, observer = _light(table.keywords)
+    metadata: dict[str, object] = {word.lower(): table.keywords[word] for word in _METADATA if table.keywords.get(word)}
+    if key is not None and "NAME" in key and "SAMPLE_ID" in table.fields:
+        metadata["sample_ids"] = [row[place["SAMPLE_ID"]] for row in table.rows]
+    return colours(
+        path, "cgats", names, data, illuminant=illuminant, observer=observer, name=table.keywords.get("DESCRIPTOR", ""),
+        metadata=metadata, assumed=assumed, left_out=left_out,
+    )  # fmt: skip
+
+
+def _light(keywords: dict[str, str]) -> tuple[str | None, str | None]:
+    """Return illuminant and observer of the keywords, None where they are not stated."""
+    weights = keywords.get("WEIGHTING_FUNCTION", "")
+    source = keywords.get("MEASUREMENT_SOURCE", "")
+    parts = {part.split(",")[0].strip().upper(): part.split(",", 1)[1] for part in weights.split(";") if "," in part}
+    lamp = re.search(r"Illumination\s*=\s*(\S+)", source)
+    view = re.search(r"ObserverAngle\s*=\s*(\S+)", source)
+    lamps = (parts.get("ILLUMINANT"), keywords.get("ILLUMINANT"), keywords.get("ILLUMINATION_NAME"), lamp and lamp[1])
+    views = (parts.get("OBSERVER"), keywords.get("OBSERVER"), keywords.get("OBSERVER_ANGLE"), view and view[1])
+    illuminant = next((found for text in lamps if text and (found := illuminant_in(text))), None)
+    observer = next((found for text in views if text and (found := observer_in(text))), None)
+    return illuminant, observer
+
+
+def _number(path: Path, cell: str) -> float:
+    value = number(cell, comma=True)
+    if value is None or not np.isfinite(value):
+        raise NacreError(f'{path}: "{cell[:40]}" is not a number')
+    return value

@@ -1,0 +1,1 @@
+"""Readers of optical constants: one module per format."""

@@ -1,0 +1,154 @@
+"""Data files (.dat) of the programs WVASE and CompleteEASE by J. A. Woollam.
+
+A comment, `VASEmethod[...]`, optional lines such as `Original[...]` or `Dynamic`, the unit of the abscissa, then rows
+of wavelength, angle of incidence, Psi, Delta and their standard deviations, in CompleteEASE after the letter `E`. Rows
+after another word hold another quantity: `dPolE` depolarisation in per cent, `uR`, `sR`, `pR`, `uT`, `sT`, `pT` powers,
+`mmIJ` elements of the Mueller matrix. A further column is the time of a dynamic measurement.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.readers.ellipsometry.common import UNITS, ellipsometry, numbers, same_length, text_lines, to_nm, within
+from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.registry import CERTAIN, FileHead
+
+MAKER = "WVASE and CompleteEASE"
+HEAD_LINES = 12
+POWERS = {
+    "ur": ("reflectance", "both"), "sr": ("reflectance", "s"), "pr": ("reflectance", "p"),
+    "ut": ("transmittance", "both"), "st": ("transmittance", "s"), "pt": ("transmittance", "p"),
+}  # fmt: skip
+DEPOLARISATION = "dpole"
+MUELLER = re.compile(r"mm([1-4])([1-4])$")
+
+
+def sniff(head: FileHead) -> float:
+    """Return the confidence that a file is a Woollam data file."""
+    return CERTAIN if any(line.startswith("VASEmethod[") for line in head.lines[:HEAD_LINES]) else 0.0
+
+
+def read(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Return Psi and Delta, then each further quantity as a measurement of its own.
+
+    Raises:
+        NacreError: no unit or rows, or impossible values.
+    """
+    lines = text_lines(path)
+    start = next(i for i, line in enumerate(lines) if line.startswith("VASEmethod["))
+    unit, trig, first = "", False, start + 1
+    for i, line in enumerate(lines[start + 1 : start + HEAD_LINES], start + 1):
+        words = line.split()
+        if words and words[0].lower() in UNITS:
+            unit, trig, first = words[0], "TRIG" in line.upper().split(), i + 1
+            break
+    if not unit:
+        raise NacreError(f"{path}: the line with the unit (nm, Angstroms or eV) is missing")
+    found = _rows(path, lines, first)
+    metadata = {"comment": lines[0].strip() if start else "", "method": lines[start].strip(), "unit_in_file": unit}
+    left_out = [f"{len(rows)} rows of {word}" for word, rows in found.items() if not _is_known(word)]
+    results = []
+    for word, rows in found.items():
+        if word in ("", "e"):
+            table = same_length(path, rows)
+            columns = psi_delta_columns(path, table, unit, trig)
+            results.append(
+                ellipsometry(path, "woollam-dat", columns, options, maker=MAKER, metadata=metadata, left_out=left_out)
+            )
+    results += _mueller(path, found, unit, options, metadata)
+    for word, rows in found.items():
+        if word in POWERS or word == DEPOLARISATION:
+            results.append(_other(path, word, same_length(path, rows), unit, metadata))
+    if not results:
+        raise NacreError(f"{path}: contains no rows of Psi and Delta; it has {', '.join(left_out) or 'no rows'}")
+    return results
+
+
+def _rows(path: Path, lines: Sequence[str], first: int) -> dict[str, list[tuple[int, list[float]]]]:
+    """Return numbered rows by their leading word in lower case ("" for none)."""
+    found: dict[str, list[tuple[int, list[float]]]] = {}
+    for number, line in enumerate(lines[first:], first + 1):
+        if not line.strip():
+            continue
+        match = re.match(r"\s*([A-Za-z]\w*)?\s*(.*)$", line)
+        assert match is not None
+        values = numbers(match[2])
+        if values is None:
+            raise NacreError(f"{path}: line {number} is not a row of numbers: {line.strip()[:60]!r}")
+        found.setdefault((match[1] or "").lower(), []).append((number, values))
+    return found
+
+
+def _is_known(word: str) -> bool:
+    return word in ("", "e", DEPOLARISATION) or word in POWERS or bool(MUELLER.match(word))
+
+
+def psi_delta_columns(path: Path, table: Array, unit: str, trig: bool) -> dict[str, Array]:
+    """Return the named columns of rows of wavelength, angle, Psi, Delta[, deviations[, time]].
+
+    Raises:
+        NacreError: too few columns.
+    """
+    if table.shape[1] not in (4, 6, 7):
+        raise NacreError(
+            f"{path}: rows have {table.shape[1]} numbers; allowed: 4 (wavelength, angle, Psi, Delta), 6 with their "
+            "standard deviations, 7 with the time"
+        )
+    names = ("tan_psi", "cos_delta") if trig else ("psi_deg", "delta_deg")
+    columns = {
+        "wavelength_nm": to_nm(table[:, 0], unit, str(path)), "angle_of_incidence_deg": table[:, 1],
+        names[0]: table[:, 2], names[1]: table[:, 3],
+    }  # fmt: skip
+    if table.shape[1] >= 6:
+        columns |= {f"{names[0]}_error": table[:, 4], f"{names[1]}_error": table[:, 5]}
+    if table.shape[1] == 7:
+        columns["time"] = table[:, 6]
+    return columns
+
+
+def _mueller(
+    path: Path,
+    found: dict[str, list[tuple[int, list[float]]]],
+    unit: str,
+    options: ReadOptions,
+    metadata: dict[str, str],
+) -> list[Measurement]:
+    """Return the elements of the Mueller matrix, relative to m11, as one measurement."""
+    elements = {word: same_length(path, rows) for word, rows in found.items() if MUELLER.match(word)}
+    if not elements:
+        return []
+    first = next(iter(elements.values()))
+    columns = {"wavelength_nm": to_nm(first[:, 0], unit, str(path)), "angle_of_incidence_deg": first[:, 1]}
+    for word, table in elements.items():
+        if table.shape[0] != first.shape[0] or np.any(table[:, :2] != first[:, :2]):
+            raise NacreError(f"{path}: {word} is given at other wavelengths or angles than the other elements")
+        columns[f"m{word[2:]}"] = table[:, 2]
+        if table.shape[1] > 3:
+            columns[f"m{word[2:]}_error"] = table[:, 3]
+    columns.setdefault("m11", np.ones(len(first)))
+    return [ellipsometry(path, "woollam-dat", columns, options, maker=MAKER, metadata=metadata)]
+
+
+def _other(path: Path, word: str, table: Array, unit: str, metadata: dict[str, str]) -> Measurement:
+    """Return a depolarisation or a power."""
+    name, polarisation = POWERS.get(word, ("depolarisation", ""))
+    scale = 0.01 if word == DEPOLARISATION else 1.0
+    if table.shape[1] < 3:
+        raise NacreError(f"{path}: rows of {word} have {table.shape[1]} numbers; allowed: 3 or more")
+    within(path, "angle_of_incidence_deg", table[:, 1], 0.0, 90.0)
+    data = {
+        "wavelength_nm": to_nm(table[:, 0], unit, str(path)), "angle_of_incidence_deg": table[:, 1],
+        name: scale * table[:, 2],
+    }  # fmt: skip
+    if table.shape[1] > 3:
+        data[f"{name}_error"] = scale * table[:, 3]
+    said = {**metadata, "polarisation": polarisation} if polarisation else metadata
+    kind = "spectrum" if polarisation else "ellipsometry"
+    return Measurement(path, "woollam-dat", kind, data, word, said)  # type: ignore[arg-type]  # both are kinds

@@ -1,0 +1,611 @@
+"""One vocabulary for the headings of tables: quantities, units, errors, angles, polarisations, lamps and observers.
+
+`meanings` returns what a heading may state. A reader chooses by the quantities that it can use; a heading without a
+meaning is an error of the reader.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+import unicodedata
+from dataclasses import dataclass, replace
+
+from nacre.readers.units import UNITS, normal, parse_unit
+
+_DIMENSIONS = {
+    "wavelength": "length",
+    "energy": "energy",
+    "wavenumber": "wavenumber",
+    "frequency": "frequency",
+    "angular_frequency": "angular_frequency",
+    "alpha": "wavenumber",
+    "angle_of_incidence": "angle",
+    "psi": "angle",
+    "delta": "angle",
+    "theta_i": "angle",
+    "phi_i": "angle",
+    "theta_o": "angle",
+    "phi_o": "angle",
+    "polariser": "angle",
+    "hue": "angle",
+    "x": "length",
+    "y": "length",
+    "z": "length",
+    "radius": "length",
+    "diameter": "length",
+    "thickness": "length",
+    "depth": "length",
+    "q": "wavenumber",
+    "time": "time",
+    "temperature": "temperature",
+    "voltage": "voltage",
+    "irradiance": "irradiance",
+}
+SPECTRAL_QUANTITIES = ("wavelength", "energy", "wavenumber", "frequency", "angular_frequency")
+
+# words are compared in lower case without accents, blanks and punctuation; Greek letters are spelt out
+WORDS: dict[str, str] = {
+    "wavelength": "wavelength wavelengths wavelenght wave waves wl wls wvl wvlen wavlen wlen lambda lambda0 lam "
+    "lambdavac vacuumwavelength wavelengthvac wavelengthinvacuum airwavelength lambdavacuum wellenlange "
+    "wellenlaenge vakuumwellenlange longueurdonde longueursdonde longitudonda longituddeonda lunghezzadonda "
+    "lunghezzaonda comprimentodeonda golflengte vaglangd bolgelaengde bølgelængde bølgelengde aallonpituus "
+    "dlugoscfali długoscfali vlnovadelka hullamhossz dalgaboyu 波長 波长 длинаволны wavelengthaxis spectralwavelength",
+    "energy": "energy photonenergy energyphoton eph ephoton hv hnu hbaromega photonenergie energie photonenenergie "
+    "energia energiafotone energiadelfoton energiedephoton photonenergies energies phenergy photenergy",
+    "wavenumber": "wavenumber wavenumbers wavenum wellenzahl nombredonde numerodeonda numerodonda golfgetal nutilde "
+    "wn wavenr wavenumberaxis vagtal vågtal 波数 волновоечисло ramanshift",
+    "frequency": "frequency freq frequenz frequence frecuencia frequenza frequencia opticalfrequency nu",
+    "angular_frequency": "angularfrequency angfreq angularfreq omega kreisfrequenz pulsation circularfrequency",
+    "n": "refractiveindex refractiveindices refindex refrindex refrind indexofrefraction brechungsindex brechzahl "
+    "brechungszahl indicederefraction indicedirifrazione indicederefraccion realindex realn ren nreal nre "
+    "realrefractiveindex realpartofn realpartn refractiveindexn nrefractiveindex refractiveindexreal indexn nindex "
+    "rin refractiveindexrealpart realpartofrefractiveindex realpartoftherefractiveindex nprime ior "
+    "index_of_refraction",
+    "k": "kappa extinction extinctioncoefficient extinctioncoeff extcoeff extcoef extinctionk extinctioncoef "
+    "extinctionindex extinktionskoeffizient extinktionskoeff extinktionskoeffizientk absorptionsindex "
+    "absorptionindex imn imagn nimag nim kimag kimaginary imaginaryindex imaginaryn imaginaryrefractiveindex "
+    "imaginarypartofn imagpartofn coefficientdextinction coefficientedextinction extinctioncoefficientk "
+    "kextinctioncoefficient kextinction indexk kindex refractiveindeximaginary refractiveindeximag "
+    "coeficientedeextincion coefficientediestinzione nprimeprime ndoubleprime imaginarypartofrefractiveindex "
+    "imaginarypartoftherefractiveindex refractiveindeximaginarypart imindex imagindex",
+    "eps1": "eps1 epsilon1 e1 epsr epsre epsreal epsilonr epsilonreal epsilonre realeps realepsilon reeps reepsilon "
+    "ree ereal epsprime epsilonprime eprime realpermittivity permittivityreal permittivityre repermittivity "
+    "dielectricreal realpartofpermittivity realpartofepsilon realpartofeps realdielectric er1 "
+    "dielectricfunctionreal realdielectricfunction redielectricfunction realpartofthedielectricfunction "
+    "dielectricconstantreal realdielectricconstant epsi1 dielectric1 epsilonrealpart permittivityrealpart",
+    "eps2": "eps2 epsilon2 e2 epsi epsim epsimag epsilonimag epsilonim imageps imagepsilon imeps imepsilon ime "
+    "eimag eim epsdoubleprime epsilondoubleprime edoubleprime imagpermittivity permittivityimag permittivityim "
+    "impermittivity dielectricimag imaginarypermittivity imaginarypartofpermittivity imaginarypartofepsilon "
+    "imagpartofeps imaginaryeps imaginaryepsilon er2 dielectricfunctionimag imaginarydielectricfunction "
+    "imdielectricfunction imaginarypartofthedielectricfunction dielectricconstantimag imaginarydielectricconstant "
+    "epsi2 dielectric2 epsilonimaginary permittivityimaginary epsilonimaginarypart permittivityimaginarypart",
+    "alpha": "alpha absorptioncoefficient absorptioncoeff abscoeff abscoef absorptionskoeffizient "
+    "attenuationcoefficient coefficientdabsorption coeficientedeabsorcion",
+    "reflectance": "reflectance reflectivity reflection refl reflectanz reflektanz reflexion reflexionsgrad "
+    "reflektivitat reflektion reflektans reflectancia reflectividad riflettanza riflessione riflettivita remission "
+    "remissionsgrad remissionsfactor reflectancefactor reflectfactor reflectionfactor rfl reflectie 反射率 "
+    "коэффициентотражения spectralreflectance measuredreflectance facteurdereflexion refle absolutereflectance",
+    "transmittance": "transmittance transmission transmissivity trans transm transmissionsgrad transmittanz "
+    "transmisson transmittancia transmitancia trasmittanza trasmissione transmissionfactor transmissie "
+    "transmissivitat transmisivity 透過率 透射率 пропускание spectraltransmittance measuredtransmittance",
+    "absorptance": "absorptance absorptionsgrad absorptanz absorbtance absorption",
+    "absorbance": "absorbance absorbanz absorbancia opticaldensity od abs absorbans assorbanza extinktion "
+    "absorption",
+    "counts": "counts intensity intensitat signal scope rawcounts rawintensity detector intensite intensidad "
+    "rawsignal photoncounts intens int",
+    "sample_counts": "sample samplecounts samplesignal probe",
+    "dark_counts": "dark darkcounts darksignal darkcurrent dunkel darkreference",
+    "reference_counts": "reference referencecounts ref white whitereference whitecounts referenz",
+    "irradiance": "irradiance spectralirradiance radiance power spectralpower spd bestrahlungsstarke",
+    "angle_of_incidence": "aoi angle angles theta theta0 angleofincidence incidence incidenceangle incidentangle "
+    "anglein einfallswinkel winkel angledincidence angulo angulodeincidencia angolodiincidenza angolo inc incangle "
+    "inczenith thetai thetain thetainc angleincidence incidentangles phi0 aoincidence tilt",
+    "polarisation": "pol polarisation polarization polaris polariz polarizzazione polarizacion polstate "
+    "polarisationstate polarizationstate",
+    "polariser": "polariser polarizer polarisator polarizerangle polariserangle polangle polariserazimuth "
+    "polarizerazimuth polarizadorangle polarisationangle polarizationangle polarisatorwinkel polarisationswinkel "
+    "poldeg",
+    "psi": "psi ellipsometricpsi",
+    "delta": "delta del ellipsometricdelta",
+    "tan_psi": "tanpsi tanofpsi tgpsi",
+    "cos_delta": "cosdelta cosdel cosofdelta",
+    "ncs_n": "ncsn cos2psi",
+    "ncs_c": "ncsc sin2psicosdelta",
+    "ncs_s": "ncss sin2psisindelta",
+    "intensity": "intensityratio",
+    "theta_i": "thetai thetain thetainc",
+    "phi_i": "phii phiin phiinc",
+    "theta_o": "thetao thetaout thetar thetas thetaview thetascatter",
+    "phi_o": "phio phiout phir phis phiview phiscatter",
+    "value": "value values wert bsdf brdf btdf",
+    "name": "name names sample samples samplename sampleid standard id colour color label bezeichnung probe nom "
+    "nombre nome farbe patch patchname colourname colorname material specimen title swatch code muster",
+    "row_number": "no nr number index idx row point particle id num count zeile lfdnr lfd step seq sequence line "
+    "rank particleid pointid punkt numero n° nº item i # label pixel pixelnumber",
+    "x": "x xm xc xpos xposition posx positionx xcoord xcoordinate coordx xcentre xcenter centrex centerx xcentroid "
+    "centroidx xkoordinate xloc xmean xo",
+    "y": "y ym yc ypos yposition posy positiony ycoord ycoordinate coordy ycentre ycenter centrey centery ycentroid "
+    "centroidy ykoordinate yloc ymean yo",
+    "z": "z zpos zposition posz positionz height zcoord",
+    "radius": "radius radii rad particleradius",
+    "diameter": "diameter dia diam durchmesser diametre diametro size particlediameter equivalentdiameter "
+    "feretdiameter ecd particlesize",
+    "thickness": "thickness dicke schichtdicke epaisseur espesor spessore filmthickness flakethickness "
+    "plateletthickness",
+    "depth": "depth tiefe profondeur profundidad depths etchdepth resistdepth",
+    "grey": "grey gray greyvalue grayvalue greylevel graylevel graustufe grauwert level dose",
+    "voltage": "voltage volts volt spannung bias u",
+    "share": "share shares fraction weight probability frequency volumefraction numberfraction anteil haufigkeit "
+    "haeufigkeit relativefrequency weights fractions pdf occurrence number count counts",
+    "q": "q scatteringvector wavevector momentumtransfer qvector qvalue",
+    "structure_factor": "sq structurefactor sofq strukturfaktor",
+    "albedo": "albedo albedos whitenessratio",
+    "time": "time zeit elapsedtime elapsed temps",
+    "temperature": "temperature temp temperatur",
+    "L": "l lightness ciel cielabl labl lstar lstarvalue helligkeit",
+    "a": "a ciea cielaba laba astar",
+    "b": "b cieb cielabb labb bstar",
+    "C": "c chroma ciec lchc cab cstar lcc cstarab buntheit",
+    "hue": "h hue hab lchh hueangle bunttonwinkel hdeg",
+    "X": "x xyzx tristimulusx ciex",
+    "Y": "y xyzy tristimulusy luminance ciey",
+    "Z": "z xyzz tristimulusz ciez",
+    "hunter_L": "hunterl lhunter lhunterlab hunterlabl",
+    "hunter_a": "huntera ahunter hunterlaba",
+    "hunter_b": "hunterb bhunter hunterlabb",
+    "hex": "hex hexcode rgbhex html htmlcode hexcolor hexcolour srgbhex webcolor colorhex colourhex hexrgb hexvalue",
+    "sr": "r red srgbr",
+    "sg": "g green srgbg",
+    "sb": "b blue srgbb",
+}  # fmt: skip
+# one or two letters: the case counts
+SYMBOLS: dict[str, tuple[str, ...]] = {
+    "n": ("n",),
+    "N": ("n", "ncs_n", "row_number"),
+    "k": ("k",),
+    "K": ("k",),
+    "R": ("reflectance", "sr"),
+    "T": ("transmittance", "temperature"),
+    "A": ("absorptance", "absorbance"),
+    "E": ("energy", "irradiance"),
+    "e": ("energy",),
+    "f": ("frequency",),
+    "F": ("frequency",),
+    "w": ("angular_frequency",),
+    "r": ("radius",),
+    "d": ("thickness", "diameter"),
+    "D": ("diameter",),
+    "t": ("time", "thickness"),
+    "S": ("structure_factor", "ncs_s"),
+    "s": (),
+    "L": ("L",),
+    "l": ("L", "wavelength"),
+    "a": ("a",),
+    "b": ("b", "sb"),
+    "C": ("C", "ncs_c"),
+    "c": ("C",),
+    "h": ("hue",),
+    "H": ("hue",),
+    "X": ("x", "X"),
+    "Y": ("y", "Y"),
+    "Z": ("z", "Z"),
+    "x": ("x",),
+    "y": ("y",),
+    "z": ("z",),
+    "G": ("sg",),
+    "B": ("sb",),
+    "q": ("q",),
+    "Q": ("q",),
+    "U": ("voltage",),
+    "V": ("voltage",),
+    "i": ("row_number",),
+    "#": ("row_number",),
+    "p": (),
+    "P": (),
+    "µ": (),
+    "nu": ("frequency", "wavenumber"),
+    "sigma": ("wavenumber",),
+    "phi": ("angle_of_incidence",),
+}
+_GREEK = dict(
+    pair.split("=")
+    for pair in "α=alpha β=beta γ=gamma Γ=gamma δ=delta Δ=delta ∆=delta ε=epsilon η=eta θ=theta Θ=theta κ=kappa "
+    "λ=lambda Λ=lambda μ=mu ν=nu ρ=rho σ=sigma τ=tau φ=phi Φ=phi ψ=psi Ψ=psi ω=omega Ω=omega ħ=hbar "
+    "Ø=diameter ø=diameter ⌀=diameter".split()
+)
+ERROR_WORDS = frozenset(
+    "sigma err error errors std stdev stddev sd se unc uncertainty uncertainties standarddeviation standarderror "
+    "fehler unsicherheit standardabweichung messunsicherheit sigmas deviation incertitude erreur dev sem stderr".split()
+)
+_OF_ALL_WORDS: dict[str, tuple[str, ...]] = {}
+for _name, _words in WORDS.items():
+    for _word in _words.split():
+        _OF_ALL_WORDS[_word] = (*_OF_ALL_WORDS.get(_word, ()), _name)
+ILLUMINANT_WORDS = {
+    "a": "A", "b": "B", "c": "C", "d50": "D50", "d55": "D55", "d60": "D60", "d65": "D65", "d75": "D75", "e": "E",
+    "f2": "FL2", "fl2": "FL2", "f7": "FL7", "fl7": "FL7", "f11": "FL11", "fl11": "FL11", "tl84": "FL11", "cwf": "FL2",
+    "cwf2": "FL2", "ill.a": "A", "illa": "A", "f12": "FL12", "fl12": "FL12", "fl1": "FL1", "f1": "FL1",
+}  # fmt: skip
+
+
+def _by_word(words: dict[str, str]) -> dict[str, str]:
+    return {word: name for name, spelt in words.items() for word in spelt.split()}
+
+
+_MODES = _by_word(
+    {
+        "specular": "specular spec direct regular gerichtet directional speculaire",
+        "diffuse": "diffuse diff sce spex diffus rsex",
+        "total": "total tot hemispherical hemi sci spin rsin gesamt",
+    }
+)
+_POLARISATIONS = _by_word(
+    {
+        "s": "s te spol spolarised spolarized senkrecht perpendicular perp tepol ⊥",
+        "p": "p tm ppol ppolarised ppolarized parallel par tmpol ∥ ‖",
+        "unpolarised": "unpolarised unpolarized unpol depolarised unpolarisiert",
+    }
+)
+_IN_CELLS = {
+    **_POLARISATIONS,
+    **_by_word({"unpolarised": "sp mean u both none natural random avg 0.5*(s+p) (s+p)/2 s+p"}),
+}
+_WITH_POLARISATION = re.compile(r"(R|T)[ _]?(s|p|TE|TM|S|P)")
+_ANGLE = re.compile(r"@?\s*([-+]?\d+(?:[.,]\d+)?)\s*(?:°|º|deg|degrees?|grad)")
+_BRACKET = re.compile(r"[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
+_SUFFIX_UNIT = re.compile(
+    r"(.*?\S)(?:\s*[/,]\s*|[\s_-]+(?:in[\s_]+)?)"
+    r"(nm|um|μm|mum|microns?|micromet(?:er|re)s?|mikrometer|nanomet(?:er|re)s?|angstroms?|Å|mm|cm|eV|ev|meV|THz|GHz|Hz|"
+    r"cm-1|cm\^-1|1/cm|per_cm|per_um|per_nm|per cm|per um|per nm|1/um|1/μm|1/nm|μm-1|nm-1|um-1|rad/s|rad/fs|"
+    r"%|percent|per_cent|per cent|pct|deg|degrees?|°|rad|px|pixels?)\.?",
+    re.IGNORECASE,
+)  # fmt: skip
+_BARE_UNITS = _by_word(
+    {
+        "wavelength": "nm um angstrom",
+        "energy": "eV meV",
+        "wavenumber": "1/cm",
+        "frequency": "THz",
+        "angular_frequency": "rad/s rad/fs",
+    }
+)
+_FILLERS = frozenset(
+    "pol polarised polarized of the cie measured light value in at coefficient spectrum data spectral standard "
+    "deviation von de der hunter lab mean average avg".split()
+)
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What a heading states.
+
+    Attributes:
+        quantity: key of `WORDS`.
+        unit: canonical unit, "" if none is stated.
+        is_error: whether the column holds the standard error of the quantity; with `quantity` "" of the column before.
+        angle_deg: angle of incidence (of a colour: of the geometry) in the heading.
+        polarisation: "s", "p", "unpolarised", or "".
+        mode: "specular", "diffuse", "total", or "".
+        illuminant, observer: of a colour; the observer is "2" or "10".
+        number: index of a repeated quantity, as in L1, a1, b1.
+        is_negated: whether the column holds the quantity with the other sign, as "-k".
+    """
+
+    quantity: str
+    unit: str = ""
+    is_error: bool = False
+    angle_deg: float | None = None
+    polarisation: str = ""
+    mode: str = ""
+    illuminant: str = ""
+    observer: str = ""
+    number: int | None = None
+    is_negated: bool = False
+
+
+def polarisation_word(text: str) -> str | None:
+    """Return "s", "p" or "unpolarised" for a cell of a polarisation column, or None."""
+    word = re.sub(r"[\s_.-]+", "", normal(text).lower())
+    return _IN_CELLS.get(word) or _IN_CELLS.get(word.removesuffix("polarisation").removesuffix("polarization"))
+
+
+@functools.lru_cache(maxsize=4096)
+def meanings(heading: str, unit: str = "") -> tuple[Meaning, ...]:
+    """Return what a heading may state; empty if it is not in the vocabulary.
+
+    Args:
+        heading: text of the file.
+        unit: canonical unit from a row of units.
+
+    Example:
+        >>> [meaning.quantity for meaning in meanings("Wellenlänge / µm")], meanings("Wellenlänge / µm")[0].unit
+        (['wavelength'], 'um')
+        >>> meanings("R_s (60°)")[0].polarisation, meanings("R_s (60°)")[0].angle_deg
+        ('s', 60.0)
+    """
+    text = normal(heading).strip(" ;,:").removeprefix("#").strip() or normal(heading)
+    text = re.sub(r"(?<=[\w'])(''|\u2033|\")(?=\W|$)", " double prime", text)
+    text = re.sub(r"(?<=\w)('|\u2032)(?=\W|$)", " prime", text).strip("\"' ")
+    if not text:
+        return ()
+    if re.match(r"-\s?[^\W\d_]", text):
+        return tuple(replace(meaning, is_negated=True) for meaning in meanings(text[1:].strip(), unit))
+    bare = parse_unit(text)
+    if bare in _BARE_UNITS and len(text) > 1:
+        return (Meaning(_BARE_UNITS[bare], bare),) if unit in ("", bare) else ()
+    whole = _BRACKET.sub(r" \1 ", text)
+    found = _of_core(whole, Meaning("", unit)) if _is_function(text) else ()
+    if not found:
+        found = _of_bracketed(text, unit)
+    return _checked(found)
+
+
+def _is_function(text: str) -> bool:
+    """Whether brackets enclose an argument, as in Re(eps), Im(n), S(q), u(R)."""
+    return bool(
+        re.match(r"\s*((?i:re|im|real|imag|err|std|sigma|σ|tan|cos|abs|sd|log)\s?|[suS])[(\[{]", text)
+    ) and not re.search(r"[(\[{]\s*(%|1|-)\s*[)\]}]", text)
+
+
+def _of_bracketed(text: str, unit: str) -> tuple[Meaning, ...]:
+    base = Meaning("", unit)
+    core = _BRACKET.sub(" ", text).strip()
+    if not core:
+        return ()
+    confirmed: set[str] | None = None
+    for content in _BRACKET.findall(text):
+        if re.fullmatch(r"(?i)(real|imag|imaginary|re|im)\.?( part)?", content.strip()):
+            core = f"{core} {content}"
+            continue
+        symbol, comma, rest = content.partition(",")
+        if symbol.strip()[:1] == "%" and len(symbol.strip()) > 1 and base.unit in ("", "%"):
+            base, symbol = replace(base, unit="%"), symbol.strip()[1:]
+        names = _lookup(symbol.strip()) if parse_unit(symbol) is None or symbol.strip() == "k" else ()
+        names = () if symbol.strip().lower() in ("s", "p", "a", "b", "c", "e") else names
+        if names:
+            confirmed, content = set(names), rest
+        told = _qualified(content, base)
+        if told is None:
+            return ()
+        base = told
+    found = _of_core(core, base)
+    return found if confirmed is None else tuple(meaning for meaning in found if meaning.quantity in confirmed)
+
+
+def _qualified(content: str, base: Meaning) -> Meaning | None:
+    """Return the meaning with what a pair of brackets states: unit, angle, polarisation, mode, lamp, observer."""
+    content = content.strip()
+    if not content:
+        return base
+    unit = parse_unit(content)
+    is_lamp = content.upper() in ("A", "C", "E")
+    if unit is not None and not (content in ("s", "p") or (is_lamp and content != "A")):
+        return replace(base, unit=unit) if base.unit in ("", unit) or unit == "1" else None
+    for part in [p for p in re.split(r"[,;/|]|\s{2,}|\s(?![\d.]*\s?(?:°|deg))", content) if p.strip()]:
+        told = _qualifier(part.strip(), base)
+        if told is None:
+            return None
+        base = told
+    return base
+
+
+def _qualifier(part: str, base: Meaning) -> Meaning | None:
+    word = re.sub(r"[\s_.-]+", "", part.lower())
+    unit = parse_unit(part)
+    if unit is not None and word not in ("s", "p", "c", "e") and base.unit in ("", unit):
+        return replace(base, unit=unit)
+    match = _ANGLE.fullmatch(part)
+    if match:
+        value = float(match[1].replace(",", "."))
+        if base.illuminant and value in (2.0, 10.0):
+            return replace(base, observer=f"{value:g}")
+        return replace(base, angle_deg=value) if base.angle_deg is None else None
+    if word in _POLARISATIONS:
+        return replace(base, polarisation=_POLARISATIONS[word])
+    if word in _MODES:
+        return replace(base, mode=_MODES[word])
+    if word in ("hunter", "hunterlab"):
+        return replace(base, mode="hunter")
+    if word in ERROR_WORDS or part in ("±", "+/-"):
+        return replace(base, is_error=True)
+    if word in ILLUMINANT_WORDS:
+        moved = replace(base, illuminant=ILLUMINANT_WORDS[word])
+        if moved.angle_deg in (2.0, 10.0):  # "10°/D65": the observer stands first
+            moved = replace(moved, angle_deg=None, observer=f"{moved.angle_deg:g}")
+        return moved
+    if word in ("2", "10", "1931", "1964", "cie1931", "cie1964", "cie31", "cie64") and base.illuminant:
+        return replace(base, observer="10" if "64" in word or word == "10" else "2")
+    if word in (
+        "pol",
+        "polarised",
+        "polarized",
+        "at",
+        "light",
+        "aoi",
+        "cie",
+        "observer",
+        "vacuum",
+        "vac",
+        "mean",
+        "average",
+    ):
+        return base
+    return None
+
+
+def _spelt(text: str) -> str:
+    """Spell Greek letters out and drop accents."""
+    text = "".join(f" {_GREEK[c]} " if c in _GREEK and c not in "μ" else c for c in text)
+    text = text.replace("ß", "ss")
+    decomposed = unicodedata.normalize("NFD", text)
+    return unicodedata.normalize("NFC", "".join(c for c in decomposed if unicodedata.category(c) != "Mn"))
+
+
+def _of_core(core: str, base: Meaning) -> tuple[Meaning, ...]:
+    """Return the meanings of a heading without brackets."""
+    core = core.strip(" :=")
+    per_cent = re.fullmatch(r"%\s*(.+)|(.+?)\s*%", core)
+    if per_cent and base.unit in ("", "%"):
+        core, base = (per_cent[1] or per_cent[2]).strip(" /_,"), replace(base, unit="%")
+    found = _of_words(core, base)
+    if found:
+        return found
+    match = _SUFFIX_UNIT.fullmatch(core)
+    if match:
+        unit = parse_unit(re.sub("per[_ ]", "1/", re.sub("per[_ ]cent", "percent", match[2].lower()))) or parse_unit(
+            match[2]
+        )
+        if unit and base.unit in ("", unit):
+            return _of_words(match[1].strip(" /_,-"), replace(base, unit=unit))
+    return ()
+
+
+def _of_words(core: str, base: Meaning) -> tuple[Meaning, ...]:
+    if base.quantity == "" and core.strip() in ("±", "+/-", "+-"):
+        return (replace(base, is_error=True),)
+    match = _WITH_POLARISATION.fullmatch(core)
+    if match:
+        quantity = "reflectance" if match[1] == "R" else "transmittance"
+        return (replace(base, quantity=quantity, polarisation=_POLARISATIONS[match[2].lower()]),)
+    numbered = re.fullmatch(r"([Llab])[*_ ]?\s?(\d)", core)
+    if numbered:
+        return (replace(base, quantity=numbered[1].replace("l", "L"), number=int(numbered[2])),)
+    match = re.fullmatch(r"[dΔδ]\s?([RTnk])|[dΔδ](Psi|Delta|psi|delta|Ψ|Δ)|u\s?([RTnk])", core)
+    if match:
+        inner = _of_words(match[1] or match[2] or match[3], base)
+        return tuple(replace(meaning, is_error=True) for meaning in inner)
+    mueller = re.fullmatch(r"[mM][_ ]?([1-4][1-4])", core)
+    if mueller:
+        return (replace(base, quantity=f"m{mueller[1]}"),)
+    candidate = _lookup(core)
+    if candidate:
+        return tuple(replace(base, quantity=name) for name in candidate)
+    return _peeled(core, base)
+
+
+def _lookup(core: str) -> tuple[str, ...]:
+    letters = re.sub(r"[\s_.:*^{}\\$~-]+", "", core)
+    if letters in SYMBOLS:
+        return SYMBOLS[letters]
+    spelt = re.sub(r"[\s_.:*^{}\\$~,'-]+", "", _spelt(core))
+    if spelt in SYMBOLS:
+        return SYMBOLS[spelt]
+    return _OF_ALL_WORDS.get(spelt.lower(), ()) if len(spelt) > 1 else ()
+
+
+def _peeled(core: str, base: Meaning) -> tuple[Meaning, ...]:
+    """Return the meanings of a heading after removing words for errors, polarisation, mode, angle, lamp or observer."""
+    angle = _ANGLE.search(core)
+    if angle and core.strip() != angle[0].strip():
+        rest = (core[: angle.start()] + " " + core[angle.end() :]).strip(" @,_-/")
+        told = _qualifier(angle[0].strip(" @"), base)
+        found = _of_core(re.sub(r"\b(at|bei|aoi)\s*$", "", rest).strip(), told) if told and rest else ()
+        if found:
+            return found
+    tokens = [token for token in re.split(r"[\s_,/-]+", core) if token]
+    if len(tokens) < 2 and (camel := re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+|[^\W\d_]", core)) and len(camel) > 1:
+        tokens = camel if "".join(camel) == core else tokens
+    if len(tokens) == 1 and _spelt(tokens[0]).strip().lower() in ERROR_WORDS:
+        return (replace(base, is_error=True),)
+    if len(tokens) < 2:
+        return ()
+    if len(tokens) == 2 and (both := set(_lookup(tokens[0])) & set(_lookup(tokens[1]))):  # "Wavelength λ"
+        return tuple(replace(base, quantity=name) for name in sorted(both))
+    for place in (len(tokens) - 1, 0, *range(1, len(tokens) - 1)):
+        word = _spelt(tokens[place]).strip().lower()
+        told: Meaning | None = None
+        if word in ERROR_WORDS or tokens[place] in ("±",):
+            told = replace(base, is_error=True)
+        elif word in _POLARISATIONS:
+            told = replace(base, polarisation=_POLARISATIONS[word])
+        elif word in _MODES:
+            told = replace(base, mode=_MODES[word])
+        elif word in _FILLERS:
+            told = base
+        elif word in ILLUMINANT_WORDS and len(word) > 1:
+            told = replace(base, illuminant=ILLUMINANT_WORDS[word])
+        elif (
+            word in ("2", "10")
+            and any(_spelt(t).lower() in ILLUMINANT_WORDS for t in tokens)
+            or (word in ("2", "10") and base.illuminant)
+        ):
+            told = replace(base, observer=word)
+        if told is None:
+            continue
+        found = _of_core(" ".join(tokens[:place] + tokens[place + 1 :]), told)
+        if found and (told != base or word not in ("hunter", "lab")):
+            return found
+    return ()
+
+
+def _checked(found: tuple[Meaning, ...]) -> tuple[Meaning, ...]:
+    """Drop meanings whose unit has another dimension than the quantity."""
+    kept = []
+    for meaning in found:
+        if meaning.quantity == "time" and meaning.polarisation == "s":
+            meaning = replace(meaning, unit="s", polarisation="")
+        if meaning.quantity in ("L", "a", "b", "C", "hue"):
+            if meaning.mode == "hunter":
+                meaning = replace(meaning, quantity=f"hunter_{meaning.quantity}", mode="")
+            if meaning.unit == "angstrom":
+                meaning = replace(meaning, unit="", illuminant="A")
+        wanted = _DIMENSIONS.get(meaning.quantity)
+        unit = meaning.unit
+        if unit and unit != "1" and wanted != UNITS[unit][0]:
+            told = _of_other_dimension(meaning)
+            if told is not None:
+                kept.append(told)
+            continue
+        if unit == "1":
+            if wanted is not None and wanted != "number":
+                continue
+            meaning = replace(meaning, unit="")
+        kept.append(meaning)
+    return tuple(dict.fromkeys(kept))
+
+
+def _of_other_dimension(meaning: Meaning) -> Meaning | None:
+    """Return the meaning of a symbol whose unit decides: ω in eV, x in pixels, counts, R in per cent."""
+    name, unit = meaning.quantity, meaning.unit
+    kind = UNITS[unit][0]
+    if name in _DIMENSIONS and kind == "pixels" and name in ("x", "y", "radius", "diameter", "z"):
+        return meaning
+    if name in ("angular_frequency", "frequency") and kind == "energy":
+        return replace(meaning, quantity="energy")
+    if name == "frequency" and kind == "wavenumber":
+        return replace(meaning, quantity="wavenumber")
+    if name in _DIMENSIONS:
+        return None
+    if kind == "number":
+        return meaning
+    if kind == "counts":
+        return (
+            meaning if name.endswith("counts") else replace(meaning, quantity="counts") if name == "intensity" else None
+        )
+    return None
+
+
+_WORD = re.compile(r"[^\W\d_]+\d?(?:[_'-]?[^\W\d_]+)*|%", re.UNICODE)
+_TELLING = frozenset(
+    "energy wavenumber frequency angular_frequency eps1 eps2 alpha psi delta tan_psi cos_delta transmittance "
+    "reflectance absorbance absorptance counts irradiance k".split()
+)
+_UNIT_TELLS = {"energy": "energy", "wavenumber": "wavenumber", "frequency": "frequency"}
+
+
+def mentions(text: str) -> set[str]:
+    """Return the quantities that a line of free text names by a word of at least two letters, or by a unit.
+
+    Example:
+        >>> sorted(mentions("dielectric function e1, e2 over energy (eV)"))
+        ['energy', 'eps1', 'eps2']
+    """
+    found: set[str] = set()
+    for word in _WORD.findall(normal(text)):
+        unit = parse_unit(word) if len(word) > 1 else None
+        if unit is not None and UNITS[unit][0] in _UNIT_TELLS:
+            found.add(UNITS[unit][0])
+        elif len(word) > 1 or word in "ελΨΔψ":
+            found.update(name for name in _lookup(word) if name in _TELLING)
+    return found

@@ -1,0 +1,1 @@
+"""Readers for height maps of profilometers and scanning probe microscopes."""

@@ -1,0 +1,53 @@
+"""Digital Surf .sur files of MountainsMap, uncompressed."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from nacre.core.errors import NacreError
+from nacre.readers.heights.surface import array, height_map, length_um, reads
+from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.registry import CERTAIN, FileHead
+
+MAGICS = (b"DIGITAL SURF", b"DSCOMPRESSED")
+HEAD = struct.Struct("<12s4H30s30s5H8xH4iI3f" + "16s" * 9 + "3f3H")
+HEAD_BYTES, COMMENT, OFFSET = 512, 334, 474  # size of the head; places of the comment's length and the height offset
+
+
+def sniff(head: FileHead) -> float:
+    """Return 1 for the magic of the format."""
+    return CERTAIN if head.data.startswith(MAGICS) else 0.0
+
+
+@reads
+def read(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read one map; z = raw step + offset, with holes at the lowest raw value less 2."""
+    data = path.read_bytes()
+    if data.startswith(MAGICS[1]):
+        raise NacreError(f"{path}: is a compressed .sur; save it uncompressed, or export it as .sdf")
+    v = HEAD.unpack_from(data)
+    instrument = v[6].decode("latin-1").strip(" \0")
+    special, bits, low = v[10], v[12], v[13]
+    columns, rows = v[15], v[16]
+    step_x, step_y, step_z = v[18:21]
+    units = [text.decode("latin-1").strip(" \0") for text in v[24:27]]
+    inversion = v[34]
+    if bits not in (16, 32):
+        raise ValueError(f"points of {bits} bits")
+    comment, private = struct.unpack_from("<2H", data, COMMENT)
+    (offset,) = struct.unpack_from("<f", data, OFFSET)
+    raw = array(data, "<i2" if bits == 16 else "<i4", (rows, columns), HEAD_BYTES + comment + private)
+    heights = raw.astype(float)
+    if special == 1:
+        heights[raw == low - 2] = np.nan
+    factors = [length_um(unit) for unit in units]
+    if None in factors:
+        raise NacreError(f"{path}: its axes are in {', '.join(units)}; heights and positions are lengths")
+    x, y, z = (float(f or 0.0) for f in factors)
+    heights *= step_z * z * (-1.0 if inversion in (1, 2, 3) else 1.0)
+    heights = heights[:, ::-1] if inversion == 2 else heights[::-1] if inversion == 3 else heights
+    facts = {"instrument": instrument, "height_offset_um": offset * z}
+    return [height_map(path, "sur", heights, (step_x * x, step_y * y), metadata=facts)]

@@ -1,0 +1,70 @@
+"""A bare matrix of heights as text: no unit, no size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from nacre.core.errors import NacreError
+from nacre.readers.heights.surface import (
+    asked_pitch,
+    asked_unit,
+    check_shape,
+    decoded,
+    height_map,
+    numbers,
+    reads,
+)
+from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.registry import POSSIBLE, FileHead
+
+LEAST_SIDE = 4
+WIDE = 16  # columns from which a table without headings is more likely a map
+
+
+def _rows(text: str) -> list[str]:
+    return [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("#", "%", "//"))]
+
+
+def sniff(head: FileHead) -> float:
+    """Return a low confidence for rows of equally many numbers, lower if the first column rises as an abscissa."""
+    if b"\0" in head.data[:4096]:
+        return 0.0
+    rows = _rows(decoded(head.data))[:9]
+    is_cut = len(head.data) < head.size
+    rows = rows[:-1] if is_cut and len(rows) < 9 and len(rows) > 1 else rows
+    try:
+        values = [numbers(row + "\n", head.path) for row in rows]
+    except NacreError:
+        return 0.0
+    columns = len(values[0]) if values else 0
+    is_long_row = is_cut and columns > 1000
+    if columns < LEAST_SIDE or (len(values) < LEAST_SIDE and not is_long_row):
+        return 0.0
+    if any(len(v) != columns for v in values):
+        return 0.0
+    first = np.diff([v[0] for v in values])
+    rises = len(first) > 2 and bool(np.all(first > 0) or np.all(first < 0))
+    rest = np.abs(np.stack(values)[:, 1:])
+    is_abscissa = rises and np.ptp(first) < 0.5 * abs(first[0]) and min(v[0] for v in values) > np.nanmax(rest)
+    if is_abscissa and columns < WIDE:
+        return 0.0
+    return 0.5 * POSSIBLE if is_abscissa else 2.0 * POSSIBLE if columns >= WIDE else POSSIBLE
+
+
+@reads
+def read(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read the matrix with the unit and the pitch of the options.
+
+    Raises:
+        AmbiguousFileError: one of them is not given.
+    """
+    rows = _rows(decoded(path.read_bytes()))
+    columns = len(numbers(rows[0] + "\n" if rows else "", path))
+    values = numbers("\n".join(rows) + "\n", path)
+    if not columns or values.size != columns * len(rows):
+        raise NacreError(f"{path}: its rows hold different numbers of heights")
+    check_shape((len(rows), columns))
+    factor, pitch = asked_unit(path, options), asked_pitch(path, options)
+    return [height_map(path, "matrix", values.reshape(len(rows), columns) * factor, pitch)]

@@ -1,0 +1,73 @@
+"""ISO 25178-71 surface data files (.sdf), ASCII and binary; the BCR-STM files before them have the same form."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.core.errors import NacreError
+from nacre.readers.heights.surface import array, check_shape, decoded, height_map, numbers, reads
+from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.registry import CERTAIN, FileHead
+
+MAGIC = (b"aISO-1.0", b"bISO-1.0", b"aBCR-1.0", b"bBCR-1.0")
+HEAD = struct.Struct("<8s10s12s12sHHddddBBB")
+# data type -> numpy type and the value of a hole
+TYPES: dict[int, tuple[str, float | None]] = {
+    0: ("u1", None), 1: ("<u2", 2**16 - 1), 2: ("<u4", 2**32 - 1), 3: ("<f4", None), 4: ("i1", None),
+    5: ("<i2", -(2**15)), 6: ("<i4", -(2**31)), 7: ("<f8", None),
+}  # fmt: skip
+
+
+def sniff(head: FileHead) -> float:
+    """Return 1 for the magic of the format."""
+    return CERTAIN if head.data.lstrip().startswith(MAGIC) else 0.0
+
+
+@reads
+def read(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read one map; scales are in m."""
+    data = path.read_bytes().lstrip()
+    values, fields = _binary(data) if data[:1] == b"b" else _ascii(data, path)
+    scale = [float(fields[name]) for name in ("Xscale", "Yscale", "Zscale")]
+    if int(fields.get("Compression", 0)) != 0:
+        raise NacreError(f"{path}: is compressed; export it without compression")
+    if not scale[2] > 0:
+        raise NacreError(f"{path}: gives Zscale = {scale[2]:g}; it should be above 0")
+    _, hole = TYPES[int(fields["DataType"])]
+    heights = values.astype(float)
+    if hole is not None:
+        heights[values == hole] = np.nan
+    kept = {k: str(v) for k, v in fields.items() if k in ("ManufacID", "CreateDate", "ModDate")}
+    return [height_map(path, "sdf", heights * scale[2] * 1e6, (scale[0] * 1e6, scale[1] * 1e6), metadata=kept)]
+
+
+def _binary(data: bytes) -> tuple[NDArray[Any], dict[str, Any]]:
+    _, maker, made, changed, columns, rows, x, y, z, _, compression, kind, _ = HEAD.unpack_from(data)
+    texts = (v.decode("latin-1").strip(" \0") for v in (maker, made, changed))
+    fields = dict(zip(("ManufacID", "CreateDate", "ModDate"), texts))
+    more = {"Xscale": x, "Yscale": y, "Zscale": z, "Compression": compression, "DataType": kind}
+    values = array(data, TYPES[kind][0], (rows, columns), HEAD.size)
+    return values, {**fields, **more}
+
+
+def _ascii(data: bytes, path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
+    head, star, rest = decoded(data).partition("*")
+    if not star:
+        raise ValueError("the end of its head is missing")
+    fields: dict[str, Any] = {}
+    for line in head.splitlines()[1:]:
+        name, equals, value = line.partition("=")
+        if equals:
+            fields[name.strip()] = value.strip()
+    shape = int(fields["NumProfiles"]), int(fields["NumPoints"])
+    check_shape(shape)
+    body = rest.partition("*")[0]
+    values = numbers(body, path)
+    if values.size != shape[0] * shape[1]:
+        raise ValueError(f"its head states {shape[0]} x {shape[1]} heights, and {values.size} follow")
+    return values.reshape(shape), fields

@@ -1,0 +1,214 @@
+"""What all readers of height maps share: length units, checks, channels, and the measurement they return."""
+
+from __future__ import annotations
+
+import functools
+import re
+import struct
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import ParseError
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.core.files import plain, why_unreadable
+from nacre.core.memory import check_memory
+from nacre.readers.heights.roughness import roughness
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+
+LENGTHS_UM = {
+    "m": 1e6, "cm": 1e4, "mm": 1e3, "um": 1.0, "nm": 1e-3, "pm": 1e-6, "fm": 1e-9, "km": 1e9,
+    "A": 1e-4, "Å": 1e-4, "angstrom": 1e-4, "angstroms": 1e-4, "ang": 1e-4, "micron": 1.0, "microns": 1.0, "µ": 1.0,
+    "in": 25400.0, "inch": 25400.0, "nanometer": 1e-3, "nanometers": 1e-3, "micrometer": 1.0, "micrometers": 1.0,
+    "millimeter": 1e3, "millimeters": 1e3, "meter": 1e6, "meters": 1e6, "metre": 1e6, "metres": 1e6,
+}  # fmt: skip
+UNIT_CHOICES = ("nm", "um", "mm", "m")
+MAX_SIDE = 65536
+BYTES_PER_POINT = 16
+DAMAGED = (
+    struct.error, ValueError, KeyError, IndexError, TypeError, OverflowError, EOFError, AttributeError, RuntimeError,
+    zipfile.BadZipFile, ParseError, NotImplementedError,
+)  # fmt: skip
+
+Reader = Callable[[Path, ReadOptions], list[Measurement]]
+
+
+def length_um(unit: str) -> float | None:
+    """Return a length unit in um, or None if it is no length; `~m` and both micro signs mean um."""
+    text = unit.strip().strip("[]()").strip().replace("μ", "u").replace("µ", "u").replace("~", "u")
+    text = "um" if text in ("u", "�m") else text
+    return LENGTHS_UM.get(text, LENGTHS_UM.get(text.lower()))
+
+
+def quantity_um(text: str) -> float:
+    """Return a length such as `12.5 nm` or `1,5 um` in um.
+
+    Raises:
+        ValueError: not a number with a unit of length.
+    """
+    found = re.match(r"\s*([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*(\S+)", text)
+    factor = length_um(found[2]) if found else None
+    if found is None or factor is None:
+        raise ValueError(f'"{text.strip()[:30]}" is no length')
+    return float(found[1].replace(",", ".")) * factor
+
+
+def reads(function: Reader) -> Reader:
+    """Report what is wrong with a damaged file as one `NacreError`."""
+
+    @functools.wraps(function)
+    def safe(path: Path, options: ReadOptions) -> list[Measurement]:
+        try:
+            return function(plain(path), options)
+        except NacreError:
+            raise
+        except OSError as error:
+            raise NacreError(f"{path}: {why_unreadable(error)}") from None
+        except DAMAGED as error:
+            raise NacreError(f"{path}: is damaged: {' '.join(str(error).split())[:120]}") from None
+
+    return safe
+
+
+def array(data: bytes, dtype: str, shape: tuple[int, int], offset: int = 0) -> NDArray[Any]:
+    """Return `shape` numbers of a binary block.
+
+    Raises:
+        ValueError: the block is shorter, or the size is not plausible.
+    """
+    check_shape(shape)
+    need, have = shape[0] * shape[1] * np.dtype(dtype).itemsize, len(data) - offset
+    if offset < 0 or have < need:
+        raise ValueError(f"{shape[0]} x {shape[1]} heights need {need} bytes, and {max(have, 0)} follow")
+    return np.frombuffer(data, dtype, shape[0] * shape[1], offset).reshape(shape)
+
+
+def check_shape(shape: tuple[int, int]) -> None:
+    """Refuse sizes that no instrument writes.
+
+    Raises:
+        ValueError: empty, or more than 65536 a side.
+    """
+    if not (0 < shape[0] <= MAX_SIDE and 0 < shape[1] <= MAX_SIDE):
+        raise ValueError(f"a map of {shape[0]} x {shape[1]} points")
+    check_memory(BYTES_PER_POINT * float(shape[0]) * shape[1], f"a map of {shape[0]} x {shape[1]} points")
+
+
+def numbers(text: str, path: Path) -> Array:
+    """Return all numbers of a text with blanks, commas or semicolons between them; BAD, NaN and --- are holes.
+
+    Raises:
+        NacreError: something else stands between the numbers.
+    """
+    words = re.sub(r"\b(BAD|NA|N/A|null|void)\b|(?<!\S)-{2,}(?!\S)", "nan", text)
+    sample = words[:20000].replace(";", " ").split()
+    has_decimal_commas = "," in words and not any("." in cell for cell in sample)
+    # 1,5 2,5 has as many commas as cells; 1,2,3 has more
+    if has_decimal_commas and len(sample) > 1 and all(cell.count(",") <= 1 for cell in sample):
+        words = words.replace(",", ".")
+    cells = words.replace(",", " ").replace(";", " ").split()
+    try:
+        return np.array(cells, dtype=float)
+    except ValueError as error:
+        raise NacreError(f"{path}: {' '.join(str(error).split())[:80]} in the matrix of heights") from None
+
+
+def decoded(data: bytes) -> str:
+    """Return text in UTF-8 or, failing that, Latin-1."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def asked_unit(path: Path, options: ReadOptions, what: str = "heights") -> float:
+    """Return the unit of the option `unit` in um.
+
+    Raises:
+        AmbiguousFileError: no unit is given.
+        NacreError: it is no length.
+    """
+    if options.unit is None:
+        raise AmbiguousFileError(
+            f"{path}: the file states no unit of its {what}; state it: unit = nm, um, mm or m", "unit", UNIT_CHOICES
+        )
+    factor = length_um(options.unit)
+    if factor is None:
+        raise NacreError(f'{path}: unit = "{options.unit}" is no length; allowed: {", ".join(UNIT_CHOICES)}')
+    return factor
+
+
+def asked_pitch(path: Path, options: ReadOptions) -> tuple[float, float]:
+    """Return the option `pitch_um`.
+
+    Raises:
+        AmbiguousFileError: it is not given.
+    """
+    if options.pitch_um is None:
+        raise AmbiguousFileError(
+            f"{path}: the file states no distance of its points; state it in um: pitch_um", "pitch_um"
+        )
+    return options.pitch_um
+
+
+def height_map(
+    path: Path, format: str, heights_um: NDArray[Any], pitch_um: tuple[float, float], name: str = "",
+    metadata: Mapping[str, Any] | None = None, assumed: Sequence[str] = (), left_out: Sequence[str] = (),
+) -> Measurement:  # fmt: skip
+    """Return the measurement of one map.
+
+    Args:
+        heights_um: `[row, column]`, row 0 at the top of the picture; holes are NaN or masked.
+        pitch_um: distance of the points along a row and along a column.
+        metadata: further statements of the file; figures of roughness, without the least-squares plane, join them.
+
+    Raises:
+        ValueError: the pitch or the heights are not plausible.
+    """
+    pitch = float(pitch_um[0]), float(pitch_um[1])
+    check_pitch(pitch)
+    heights = np.ma.filled(np.ma.asarray(heights_um).astype(float), np.nan)
+    check_shape((heights.shape[0], heights.shape[1]))
+    if min(heights.shape) == 1:
+        raise NacreError(f"{path}: holds a profile of {heights.size} points; heights are a map")
+    heights[~np.isfinite(heights)] = np.nan
+    holes = int(np.isnan(heights).sum())
+    if holes == heights.size:
+        raise NacreError(f"{path}: holds no height; all {holes} points are holes")
+    figures = {key: value for key, value in roughness(heights, pitch).as_dict().items() if key != "mean_um"}
+    facts = {"pitch_um": pitch, "holes": holes, **figures, **(metadata or {})}
+    return Measurement(
+        path, format, "heights", {"height_um": heights}, name, facts, tuple(assumed), tuple(left_out)
+    )  # fmt: skip
+
+
+def check_pitch(pitch_um: tuple[float, float]) -> None:
+    """Refuse a distance of points that no instrument has.
+
+    Raises:
+        ValueError: not between 1 pm and 1 m.
+    """
+    if not all(1e-6 <= p <= 1e6 for p in pitch_um):
+        raise ValueError(f"its points are {pitch_um[0]:g} x {pitch_um[1]:g} um apart")
+
+
+def chosen(path: Path, maps: Sequence[Measurement], others: Sequence[str], options: ReadOptions) -> list[Measurement]:
+    """Return the maps of the option `channel`, by name or number from 1, or all of them.
+
+    Raises:
+        NacreError: no channel holds heights, or none has the name.
+    """
+    if not maps:
+        raise NacreError(f"{path}: no channel holds heights; it holds {', '.join(others) or 'nothing'}")
+    if options.channel is None:
+        return list(maps)
+    for k, one in enumerate(maps):
+        if options.channel in (one.name, str(k + 1)):
+            return [one]
+    names = ", ".join(f'"{one.name}"' for one in maps)
+    raise NacreError(f'{path}: channel = "{options.channel}" is not in the file; allowed: {names}')

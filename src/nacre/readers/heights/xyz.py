@@ -1,0 +1,102 @@
+"""Points x y z of a rectangular grid as text, in any order."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.readers.heights.surface import asked_unit, decoded, height_map, length_um, numbers, reads
+from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.registry import LIKELY, FileHead
+
+TOLERANCE = 1e-3  # of a step, for positions on a grid
+HEADING = re.compile(
+    r"^\W*x(_\w\w?)?\b[^\n]*?\by(_\w\w?)?\b[^\n]*?\b(z|h|height|höhe)(_\w\w?)?\b[^\n]*$", re.IGNORECASE
+)
+UNIT = re.compile(r"(?:[\[(/]\s*|_)((?:[num]?m)|µm|μm|Å)\b")
+
+
+def _parts(text: str) -> tuple[str, list[str]]:
+    """Return the heading, if there is one, and the rows."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    heading = ""
+    while lines and not re.match(r"\s*[-+.\d]", lines[0]):
+        heading = lines.pop(0)
+    return heading, lines
+
+
+def sniff(head: FileHead) -> float:
+    """Return a fair confidence for three columns with a heading x, y, z or with two columns on a grid."""
+    if b"\0" in head.data[:4096]:
+        return 0.0
+    heading, rows = _parts(decoded(head.data))
+    if heading and not HEADING.match(heading):
+        return 0.0
+    rows = rows[:-1] if len(head.data) < head.size else rows
+    try:
+        values = numbers("\n".join(rows[:4000]) + "\n", head.path)
+    except NacreError:
+        return 0.0
+    if len(rows) < 4 or values.size != 3 * len(rows[:4000]):
+        return 0.0
+    if heading:
+        return LIKELY
+    x, y = values.reshape(-1, 3)[:, :2].T
+    repeats = min(len(x) / len(np.unique(x)), len(y) / len(np.unique(y)))
+    # on a grid, one coordinate repeats along a row and the other from row to row
+    is_line = max(len(x) / len(np.unique(x)), len(y) / len(np.unique(y))) > 1.5 and (
+        repeats > 1.5 or len(head.data) < head.size
+    )
+    return LIKELY if is_line else 0.0
+
+
+@reads
+def read(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read points on a grid; missing ones are holes. Rows run along y, ascending.
+
+    Raises:
+        AmbiguousFileError: the file names no unit and none is given.
+        NacreError: the points are on no grid.
+    """
+    heading, rows = _parts(decoded(path.read_bytes()))
+    values = numbers("\n".join(rows) + "\n", path)
+    if values.size != 3 * len(rows) or not rows:
+        raise NacreError(f"{path}: its rows do not all hold x, y and z")
+    x, y, z = values.reshape(-1, 3).T
+    named = [length_um(unit) for unit in UNIT.findall(heading)]
+    factors = named if len(named) == 3 and None not in named else [asked_unit(path, options, "x, y and z")] * 3
+    column, columns, dx = _places(x, path)
+    row, count, dy = _places(y, path)
+    heights = np.full((count, columns), np.nan)
+    if len(np.unique(row * columns + column)) != len(z):
+        raise NacreError(f"{path}: gives a point of its grid twice")
+    heights[row, column] = z
+    if np.isnan(heights).mean() > 0.5:
+        raise NacreError(f"{path}: its points are no grid: {len(z)} of {heights.size} nodes are given")
+    units = [float(f or 0.0) for f in factors]
+    pitch = dx * units[0], dy * units[1]
+    return [height_map(path, "xyz", heights * units[2], pitch, metadata={"rows": "y ascending"})]
+
+
+def _places(values: Array, path: Path) -> tuple[np.ndarray, int, float]:
+    """Return each coordinate's place on a uniform axis, their number, and the step."""
+    known = np.unique(values)
+    if not np.all(np.isfinite(known)):
+        raise NacreError(f"{path}: gives a position that is not finite")
+    gaps = np.diff(known)
+    step = float(np.median(gaps[gaps > 0.5 * gaps.max()])) if len(gaps) else 0.0
+    if step <= 0:
+        raise NacreError(f"{path}: holds a profile of {len(values)} points; heights are a map")
+    exact = (values - known[0]) / step
+    # the step from the whole length, so that rounded positions do not add up
+    count = int(round(float(exact.max()))) + 1
+    step = float(known[-1] - known[0]) / (count - 1)
+    exact = (values - known[0]) / step
+    places = np.round(exact).astype(np.int64)
+    if np.abs(exact - places).max() > max(TOLERANCE * 50, TOLERANCE * count) or count > 65536:
+        raise NacreError(f"{path}: its points are on no rectangular grid")
+    return places, count, step

@@ -1,0 +1,1 @@
+"""Readers for files of spectrometers: one module per maker or format."""

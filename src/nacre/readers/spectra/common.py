@@ -1,0 +1,451 @@
+"""Text, numbers, quantities and units in files of spectrometers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+
+MAX_TEXT_BYTES = 256 << 20
+MAX_METADATA = 40
+VISIBLE_NM = (400.0, 700.0)
+QUANTITIES = ("reflectance", "transmittance", "absorptance", "absorbance", "counts", "irradiance")
+_LINE_END = re.compile(r"\r\n|\r|\n")
+_NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][-+]?\d+)?")
+_NAN = ("nan", "-nan", "nan(ind)", "inf", "-inf", "#n/a", "na", "n/a", "--", "1.#qnan", "-1.#ind", "1.#inf")
+
+# the first pattern that a label in lower case contains decides
+_QUANTITIES: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
+    (name, re.compile(pattern))
+    for name, pattern in (
+        ("error", r"variance|std|stdev|sigma|uncertain|error|deviation|^u\(|^sd$|^±"),
+        ("kubelka_munk", r"kubelka|k/s|^km$"),
+        ("absorptance", r"absorptance"),
+        ("absorbance", r"absorban|absorb\b|log\s*\(?\s*1\s*/\s*[rt]|^abs\b|^abs$|^a$|^a\.u\.$|^od$|optical density|"
+                       r"extin[ck]t|absorption|吸光度"),
+        ("irradiance", r"irradiance|radiance|[uµμm]?w\s*/\s*(?:cm|m)|[uµμ]w|luminous|bestrahlung"),
+        ("counts", r"counts?\b|^scope|intensit|^adc|^dark|^dn\b|single[ -]?beam|^raw\b|^energy|"
+                   r"^sample$|^reference$|^white$"),
+        ("reflectance", r"reflect|r[ée]fle[ck]|rfl|^%?\s*r\s*%?$|^r\s*[\[(]?\s*%|^%\s*r\b|反射率|\bbrf\b|^refl"),
+        ("transmittance", r"transmi|^%?\s*t\s*%?$|^t\s*[\[(]?\s*%|^%\s*t\b|透過率|^trans\b"),
+    )
+)  # fmt: skip
+_PER_CENT = re.compile(r"%|per ?cent|prozent|pour ?cent|por ?ciento")
+_FACTOR = re.compile(r"[\[(]\s*(?:1|0-1|-)\s*[\])]|factor\b|fraction")
+_UNITS: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
+    (unit, re.compile(pattern))
+    for unit, pattern in (
+        ("1/cm", r"cm\s*\^?-\s*1|cm⁻|1/cm|wave ?number|wellenzahl|nombre d'onde|kayser"),
+        ("nm", r"\bnm\b|nanomet|ナノ|^wave ?length$|^lambda$|nm\.?$"),
+        ("um", r"\b[uµμ]m\b|micromet|micron"),
+        ("angstrom", r"angstr|å"),
+        ("eV", r"\bev\b|electron.?volt"),
+    )
+)
+UNIT_CHOICES = ("nm", "um", "angstrom", "eV", "1/cm")
+NM_EV = 1239.841984  # h c / e in nm eV (exact constants of the SI, 2019)
+
+
+@dataclass
+class Text:
+    """Lines of a file, and the number of NUL characters that were dropped."""
+
+    lines: list[str]
+    nul: int = 0
+
+
+@dataclass
+class Block:
+    """Consecutive rows of numbers: the lines [start, stop), and the table [row, column]."""
+
+    start: int
+    stop: int
+    table: Array
+    ragged: int = 0  # rows with fewer cells than the most frequent count
+
+
+@dataclass(frozen=True)
+class Label:
+    """Quantity and scale that a label names: factor 0.01 for per cent, None if the label does not say."""
+
+    quantity: str
+    factor: float | None = None
+
+
+@dataclass
+class Notes:
+    """Sentences about a reading, collected while it proceeds."""
+
+    assumed: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+
+
+def read_text(path: Path) -> Text:
+    """Return the lines of a text file in UTF-8, UTF-16, Shift-JIS (JASCO) or Windows-1252; NUL characters are dropped.
+
+    Raises:
+        NacreError: larger than 256 MiB.
+    """
+    data = path.read_bytes()
+    if len(data) > MAX_TEXT_BYTES:
+        raise NacreError(f"{path}: is larger than {MAX_TEXT_BYTES >> 20} MiB")
+    return text_of(data)
+
+
+def text_of(data: bytes) -> Text:
+    """Return the lines of a text; see `read_text`."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        text, nul = data.decode("utf-16", errors="replace"), 0
+    else:
+        nul = data.count(0)
+        data = data.replace(b"\0", b"")
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = data.decode("cp932" if b"JASCO" in data[:2000] else "cp1252", errors="replace")
+    return Text(_LINE_END.split(text), nul)
+
+
+def number(cell: str, comma: bool = False) -> float | None:
+    """Return the number in a cell, NaN for a word of a missing value, or None.
+
+    Args:
+        comma: whether a comma is the decimal point.
+    """
+    cell = cell.strip()
+    try:
+        return float(cell)
+    except ValueError:
+        pass
+    if comma and "," in cell and "." not in cell:
+        cell = cell.replace(",", ".")
+    if _NUMBER.fullmatch(cell):
+        try:
+            return float(cell.replace("D", "E").replace("d", "e"))
+        except ValueError:
+            return None
+    return float("nan") if cell.lower() in _NAN else None
+
+
+def delimiter(line: str) -> str | None:
+    """Return the delimiter of a line of numbers; None means blanks."""
+    for mark in (";", "\t"):
+        if mark in line.strip():
+            return mark
+    if "," not in line:
+        return None
+    # blanks between numbers with decimal commas
+    if re.fullmatch(r"\s*[-+]?\d+(?:,\d+)?(?:[eE][-+]?\d+)?(?:\s+[-+]?\d+(?:,\d+)?(?:[eE][-+]?\d+)?)+\s*", line):
+        return None
+    return ","
+
+
+def cells(line: str, mark: str | None) -> list[str]:
+    """Return the cells of a line without quotes; empty cells at the end are dropped."""
+    if '"' in line and mark == ",":
+        found = [cell.strip().strip('"') for cell in re.findall(r'\s*("(?:[^"]|"")*"|[^,]*)\s*(?:,|$)', line)]
+    else:
+        found = [cell.strip().strip('"').strip() for cell in line.split(mark)]
+    while found and not found[-1]:
+        found.pop()
+    return found
+
+
+def numeric_row(line: str, mark: str | None) -> list[float] | None:
+    """Return the numbers of a line (empty cells are NaN), or None if a cell is no number or the line is empty."""
+    found = cells(line, mark)
+    comma = mark != "," or '"' in line
+    values = [float("nan") if not cell else number(cell, comma) for cell in found]
+    if not values or any(value is None for value in values) or not any(value == value for value in values):
+        return None
+    return [value for value in values if value is not None]
+
+
+def blocks(lines: Sequence[str], least_rows: int = 2, least_columns: int = 1) -> list[Block]:
+    """Return all tables of numbers; empty lines inside a table are skipped."""
+    found: list[Block] = []
+    rows: list[list[float]] = []
+    start = stop = 0
+    mark: str | None = None
+
+    def finish() -> None:
+        if len(rows) >= least_rows:
+            counts = [len(row) for row in rows]
+            width = max(set(counts), key=lambda count: (counts.count(count), count)) if counts else 0
+            wide = [row[:width] + [float("nan")] * (width - len(row)) for row in rows]
+            if width >= least_columns:
+                found.append(Block(start, stop, np.array(wide), sum(count < width for count in counts)))
+        rows.clear()
+
+    for place, line in enumerate(lines):
+        if not line.strip():
+            continue
+        if not rows:
+            mark = delimiter(line)
+        row = numeric_row(line, mark) if line.lstrip()[:1] in '-+.,0123456789"nN' else None
+        if row is None:
+            finish()
+            continue
+        if not rows:
+            start = place
+        rows.append(row)
+        stop = place + 1
+    finish()
+    return found
+
+
+def complete(path: Path, block: Block) -> Array:
+    """Return a table whose last row has all cells.
+
+    Raises:
+        NacreError: the last row has fewer cells than the others: the file is cut.
+    """
+    table = block.table
+    if len(table) > 1 and np.isnan(table[-1]).sum() > np.isnan(table[-2]).sum():
+        raise NacreError(f"{path}: its last row has fewer numbers than the row above; the file is cut")
+    return table
+
+
+def key_values(lines: Sequence[str], marks: str = ":=\t") -> dict[str, str]:
+    """Return `key: value` lines of a preamble, at most `MAX_METADATA`."""
+    found: dict[str, str] = {}
+    for line in lines:
+        text = line.strip().strip('"').lstrip("#; ")
+        match = re.match(rf"([^{re.escape(marks)}]{{2,60}})[{re.escape(marks)}]\s*(.+)", text)
+        if match and len(found) < MAX_METADATA and match[2].strip():
+            found.setdefault(match[1].strip(), match[2].strip()[:200])
+    return found
+
+
+def label_of(text: str) -> Label | None:
+    """Return the quantity and the scale that a label names, or None.
+
+    Example:
+        >>> label_of("%R"), label_of("Transmission (%)"), label_of("Abs").quantity
+        (Label(quantity='reflectance', factor=0.01), Label(quantity='transmittance', factor=0.01), 'absorbance')
+    """
+    low = " ".join(text.strip().strip('"').lower().replace("_", " ").split())
+    for name, pattern in _QUANTITIES:
+        if pattern.search(low):
+            if name in ("reflectance", "transmittance", "absorptance"):
+                is_per_cent = bool(_PER_CENT.search(low))
+                return Label(name, 0.01 if is_per_cent else 1.0 if _FACTOR.search(low) else None)
+            return Label(name, 1.0)
+    return None
+
+
+def unit_named(text: str) -> str | None:
+    """Return the unit of the abscissa that a label names, or None.
+
+    Example:
+        >>> unit_named("Wavelength (nm)"), unit_named("cm-1"), unit_named("MICROMETERS")
+        ('nm', '1/cm', 'um')
+    """
+    low = " ".join(text.strip().strip('"').lower().replace("_", " ").split())
+    return next((unit for unit, pattern in _UNITS if pattern.search(low)), None)
+
+
+def nanometres(values: ArrayLike, unit: str) -> Array:
+    """Return vacuum wavelengths in nm."""
+    x = np.asarray(values, dtype=float)
+    if unit in ("eV", "1/cm"):
+        with np.errstate(divide="ignore"):
+            return np.asarray((NM_EV if unit == "eV" else 1e7) / x)
+    return np.asarray(x * {"nm": 1.0, "um": 1e3, "angstrom": 0.1}[unit])
+
+
+def option_unit(path: Path, options: ReadOptions) -> str | None:
+    """Return the unit that the options state.
+
+    Raises:
+        NacreError: it is no unit of wavelength, energy or wavenumber.
+    """
+    if options.unit is None:
+        return None
+    unit = next((unit for unit in UNIT_CHOICES if unit.lower() == options.unit.lower()), unit_named(options.unit))
+    if unit is None:
+        raise NacreError(
+            f'{path}: unit = "{options.unit}" is not a unit of a spectrum; allowed: {", ".join(UNIT_CHOICES)}'
+        )
+    return unit
+
+
+def option_label(path: Path, options: ReadOptions) -> Label | None:
+    """Return the quantity that the options state, such as `reflectance` or `reflectance (%)`.
+
+    Raises:
+        NacreError: it is no quantity of a spectrum.
+    """
+    if options.quantity is None:
+        return None
+    label = label_of(options.quantity)
+    if label is None or label.quantity == "error":
+        raise NacreError(f'{path}: quantity = "{options.quantity}" is not known; allowed: {", ".join(QUANTITIES)}')
+    return label
+
+
+def assumed_unit(path: Path, x: Array, notes: Notes, options: ReadOptions) -> str:
+    """Return the unit of an abscissa that names none: nm if the values are ultraviolet to near-infrared.
+
+    Raises:
+        AmbiguousFileError: another range.
+    """
+    unit = option_unit(path, options)
+    if unit is not None:
+        return unit
+    finite = x[np.isfinite(x)]
+    if finite.size and finite.min() >= 100 and finite.max() <= 3500:
+        notes.assumed.append("the abscissa is the wavelength in nm")
+        return "nm"
+    reach = f"{finite.min():g} to {finite.max():g}" if finite.size else "empty"
+    raise AmbiguousFileError(f"{path}: no unit of the abscissa ({reach})", "unit", UNIT_CHOICES)
+
+
+def typical(nm: Array, values: Array) -> float:
+    """Return the 95th percentile of |values| in the visible range, or of all if fewer than five lie there."""
+    finite = np.isfinite(values)
+    visible = finite & (nm >= VISIBLE_NM[0]) & (nm <= VISIBLE_NM[1])
+    chosen = np.abs(values[visible if visible.sum() >= 5 else finite])
+    return float(np.percentile(chosen, 95)) if chosen.size else 0.0
+
+
+def by_size(path: Path, nm: Array, values: Array, notes: Notes, what: str, *, likely: str = "reflectance") -> Label:
+    """Return the quantity of values without a heading: a factor up to 1.1, per cent from 5 on.
+
+    Args:
+        what: why the quantity is unknown, for the sentence.
+        likely: quantity that is assumed.
+
+    Raises:
+        AmbiguousFileError: sizes between, as of absorbance, or above 1000, as of counts.
+    """
+    size = typical(nm, values)
+    if size <= 1.1 and np.nanmax(np.abs(values)) < 1.5:
+        notes.assumed.append(f"{what}: {likely} as a factor, because the values are at most {size:.3g}")
+        return Label(likely, 1.0)
+    if 5 <= size <= 1000:
+        notes.assumed.append(f"{what}: {likely} in per cent, because the values are up to {size:.4g}")
+        return Label(likely, 0.01)
+    choices = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])
+    raise AmbiguousFileError(f"{path}: {what}, and values up to {size:.4g} do not decide", "quantity", choices)
+
+
+def scale(path: Path, label: Label, nm: Array, values: Array, notes: Notes) -> float:
+    """Return the factor to dimensionless values of a label; without a unit in the label, by size.
+
+    Raises:
+        AmbiguousFileError: values between 1.1 and 5, or above 1000.
+    """
+    if label.factor is not None:
+        return label.factor
+    found = by_size(path, nm, values, notes, f"{label.quantity} without a unit", likely=label.quantity)
+    return found.factor or 1.0
+
+
+def spectrum(
+    path: Path,
+    format: str,
+    x: ArrayLike,
+    y: ArrayLike,
+    label: Label,
+    options: ReadOptions,
+    *,
+    unit: str = "nm",
+    name: str = "",
+    metadata: Mapping[str, Any] | None = None,
+    notes: Notes | None = None,
+    error: ArrayLike | None = None,
+    more: Mapping[str, ArrayLike] | None = None,
+) -> Measurement:
+    """Return a spectrum over ascending wavelengths, as a factor.
+
+    Args:
+        x, y: abscissa and values as in the file, `[point]`.
+        unit: of `x`; the options override it.
+        error: standard errors in the unit of `y`.
+        more: other columns by canonical name, in their final unit.
+
+    Raises:
+        NacreError: fewer than two points, or wavelengths that are not positive.
+        AmbiguousFileError: the scale is not stated and the values do not decide.
+    """
+    notes = notes or Notes()
+    label = option_label(path, options) or label
+    nm = nanometres(x, option_unit(path, options) or unit)
+    values = np.asarray(y, dtype=float)
+    kept = np.isfinite(nm)
+    if kept.sum() < 2:
+        raise NacreError(f"{path}: has {int(kept.sum())} points of a spectrum; at least 2 are needed")
+    if nm[kept].min() <= 0:
+        raise NacreError(f"{path}: has wavelengths down to {nm[kept].min():g} nm; they must be positive")
+    if not np.isfinite(values[kept]).any():
+        raise NacreError(f"{path}: has no finite value")
+    factor = scale(path, label, nm[kept], values[kept], notes)
+    order = np.flatnonzero(kept)[np.argsort(nm[kept], kind="stable")]
+    data = {"wavelength_nm": nm[order], label.quantity: values[order] * factor}
+    if error is not None:
+        data[f"{label.quantity}_error"] = np.asarray(error, dtype=float)[order] * factor
+    for key, column in (more or {}).items():
+        data[key] = np.asarray(column, dtype=float)[order]
+    about = dict(metadata or {})
+    if factor == 0.01:
+        about.setdefault("unit_in_file", "%")
+    largest = float(np.nanmax(data[label.quantity]))
+    in_visible = typical(data["wavelength_nm"], data[label.quantity])
+    if label.quantity in ("reflectance", "transmittance") and in_visible > 1.0:
+        notes.assumed.append(f"values above 1 (up to {largest:.4g}) are kept: the sample exceeds the reference")
+    return Measurement(path, format, "spectrum", data, name, about, tuple(notes.assumed), tuple(notes.left_out))
+
+
+def choose(path: Path, found: Sequence[Measurement], options: ReadOptions) -> list[Measurement]:
+    """Return the measurements, or the one that `options.spectrum` names or numbers (from 1).
+
+    Raises:
+        NacreError: none has the name.
+    """
+    if options.spectrum is None:
+        return list(found)
+    named_so = [measurement for measurement in found if measurement.name == options.spectrum]
+    if not named_so and options.spectrum.isdigit() and 1 <= int(options.spectrum) <= len(found):
+        named_so = [found[int(options.spectrum) - 1]]
+    if not named_so:
+        names = ", ".join(measurement.name or str(place) for place, measurement in enumerate(found, start=1))
+        raise NacreError(f'{path}: spectrum = "{options.spectrum}" is not in the file; allowed: {names[:400]}')
+    return named_so
+
+
+def ratio(sample: ArrayLike, dark: ArrayLike, reference: ArrayLike) -> Array:
+    """Return (sample - dark) / (reference - dark); NaN where reference and dark are equal."""
+    s, d, r = (np.asarray(values, dtype=float) for values in (sample, dark, reference))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(r == d, np.nan, (s - d) / (r - d))
+
+
+def check_count(path: Path, stated: float | str | None, got: int, what: str) -> None:
+    """Check that a file is complete.
+
+    Raises:
+        NacreError: another number of points than the file states.
+    """
+    if stated is None:
+        return
+    try:
+        expected = int(float(str(stated).replace(",", ".").split()[0]))
+    except (ValueError, IndexError):
+        return
+    if expected != got:
+        raise NacreError(f"{path}: {what} states {expected} points, and {got} are there; the file is cut or damaged")
+
+
+def iterate_words(text: str) -> Iterator[str]:
+    """Yield the words of a text in lower case."""
+    yield from re.findall(r"[a-zà-ÿ]+", text.lower())

@@ -1,0 +1,110 @@
+"""Ocean Optics and Ocean Insight text: OOIBase32, SpectraSuite, OceanView and Jaz, in any language of the program."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from nacre.core.errors import NacreError
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.registry import CERTAIN, FileHead
+from nacre.readers.spectra import common
+from nacre.readers.spectra.common import Label, Notes
+
+_MARK = re.compile(r">>>>>.*<<<<<")
+_PIXELS = re.compile(r"pixel", re.IGNORECASE)
+_NO = re.compile(
+    r"(dark|reference|oscur\w+|referenc\w+|dunkel\w*|referenz\w*|noir\w*|r[ée]f[ée]rence).*:\s*(no|nein|non)\b",
+    re.IGNORECASE,
+)
+JAZ = {"W": "wavelength_nm", "D": "dark", "R": "reference", "S": "sample", "P": "processed"}
+RATIO = (
+    'the processed values are the ratio to the reference and were read as reflectance; quantity = "transmittance" '
+    "states otherwise"
+)
+
+
+def sniff(head: FileHead) -> float:
+    """Return 1 if a line `>>>>>Begin ...<<<<<` in any language precedes numbers."""
+    for place, line in enumerate(head.lines):
+        if _MARK.match(line.strip()):
+            after = [text for text in head.lines[place + 1 : place + 6] if text.strip()]
+            return CERTAIN if any(common.numeric_row(text, common.delimiter(text)) for text in after) else 0.0
+    return 0.0
+
+
+def read(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read the columns after the mark: wavelength and processed values, or those of Jaz (W D R S P)."""
+    text = common.read_text(path)
+    lines = text.lines
+    marks = [place for place, line in enumerate(lines) if _MARK.match(line.strip())]
+    begin = marks[0]
+    found = common.blocks(lines[begin + 1 : marks[1] if len(marks) > 1 else None], least_columns=2)
+    if not found:
+        raise NacreError(f"{path}: has no rows of numbers after {lines[begin].strip()}")
+    table = max(found, key=lambda block: len(block.table))
+    common.complete(path, table)
+    preamble = lines[:begin]
+    metadata = common.key_values(preamble, ":")
+    notes = Notes()
+    if len(found) > 1:
+        notes.left_out.append(f"{len(found) - 1} further tables")
+    stated = next((value for key, value in metadata.items() if _PIXELS.search(key)), "")
+    if stated.isdigit() and int(stated) != len(table.table):
+        notes.assumed.append(f"the preamble states {stated} pixels; all {len(table.table)} rows were read")
+    letters = lines[begin + 1 + table.start - 1].split() if table.start > 0 else []
+    if letters and set(letters) <= set(JAZ) and len(letters) == table.table.shape[1]:
+        columns = {JAZ[letter]: table.table[:, place] for place, letter in enumerate(letters)}
+    else:
+        columns = {"wavelength_nm": table.table[:, 0], "processed": table.table[:, -1]}
+        if table.table.shape[1] > 2:
+            raise NacreError(f"{path}: has {table.table.shape[1]} columns without a heading; 2 are expected")
+    return [_measurement(path, columns, "\n".join(preamble), metadata, notes, options)]
+
+
+def _measurement(
+    path: Path,
+    columns: dict[str, np.ndarray],
+    preamble: str,
+    metadata: dict[str, str],
+    notes: Notes,
+    options: ReadOptions,
+) -> Measurement:
+    nm = columns["wavelength_nm"]
+    values = columns.get("processed", columns.get("sample"))
+    if values is None:
+        raise NacreError(f"{path}: has neither a processed spectrum nor counts of a sample")
+    label = common.option_label(path, options) or _label(path, preamble, nm, values, "processed" in columns, notes)
+    parts = ("sample", "dark", "reference")
+    if label.quantity in ("reflectance", "transmittance") and all(part in columns for part in parts):
+        expected = common.ratio(*(columns[part] for part in parts)) / (label.factor or 1.0)
+        visible = (nm > 450) & (nm < 650) & np.isfinite(expected)
+        if visible.any() and np.median(np.abs(values - expected)[visible]) > 0.05 * np.median(np.abs(values[visible])):
+            notes.assumed.append("the processed column differs from (sample - dark) / (reference - dark); it was read")
+    more = {f"{part}_counts": columns[part] for part in parts if part in columns and label.quantity != "counts"}
+    return common.spectrum(
+        path, "ocean-text", nm, values, label, options, metadata=metadata, notes=notes,
+        more=more if "processed" in columns else None,
+    )  # fmt: skip
+
+
+def _label(path: Path, preamble: str, nm: np.ndarray, values: np.ndarray, is_processed: bool, notes: Notes) -> Label:
+    """Return the quantity of the processed values from the preamble, the name of the mode or the size of the values."""
+    if "irradiance" in preamble.lower():
+        return Label("irradiance", 1.0)
+    if not is_processed or len(_NO.findall(preamble)) >= 2:
+        return Label("counts", 1.0)
+    mode = next((label for word in path.name.split(".")[1:] if (label := common.label_of(word))), None)
+    if mode is not None and mode.quantity in ("absorbance", "irradiance", "counts"):
+        return mode
+    size = common.typical(nm, values)
+    if size > 1000:
+        notes.assumed.append(f"counts, because the values are up to {size:.4g}")
+        return Label("counts", 1.0)
+    if size < 1.5:
+        choices = ("reflectance (%)", *common.QUANTITIES)
+        raise AmbiguousFileError(f"{path}: no quantity, and values up to {size:.3g}", "quantity", choices)
+    notes.assumed.append(RATIO)
+    return Label("reflectance", 0.01)

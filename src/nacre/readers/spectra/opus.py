@@ -1,0 +1,110 @@
+"""Bruker OPUS binary files: a directory of blocks, with parameters and evenly spaced values."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from nacre.core.errors import NacreError
+from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.registry import CERTAIN, FileHead
+from nacre.readers.spectra import common
+from nacre.readers.spectra.common import Label, Notes
+
+MAGIC = b"\x0a\x0a\xfe\xfe"
+BlockType = tuple[int, int, int, int, int, int]
+# widths in bits of the codes in a block type: complex part, source, parameters, data, derivative, form
+_BITS = (2, 2, 6, 7, 2, 3)
+_LABELS = {
+    4: Label("absorbance", 1.0), 5: Label("transmittance", 1.0), 6: Label("kubelka_munk", 1.0),
+    12: Label("reflectance", 1.0), 15: Label("absorbance", 1.0), 16: Label("absorbance", 1.0),
+    18: Label("transmittance", 1.0), 19: Label("absorbance", 1.0),
+}  # fmt: skip
+_DATA = {1: "single-channel spectrum", 2: "interferogram", 3: "phase", 10: "Raman spectrum", 11: "emission spectrum"}
+_UNITS = {"WN": "1/cm", "MI": "um", "WL": "um"}
+DIRECTORY, PARAMETERS, REPORTS = 13, 1, (2, 5)
+
+
+def sniff(head: FileHead) -> float:
+    """Return 1 for the magic."""
+    return CERTAIN if head.data.startswith(MAGIC) else 0.0
+
+
+def read(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read the result spectra; single-channel spectra, interferograms and derivatives are named and left out."""
+    blocks = _directory(path, path.read_bytes())
+    parameters = [(kind, _parameters(raw)) for kind, raw in blocks if kind[2] > 0]
+    sample = next((str(values["SNM"]) for _, values in parameters if values.get("SNM")), "")
+    found: list[Measurement] = []
+    notes = Notes()
+    for kind, raw in blocks:
+        if kind[2] or kind[3] in (0, DIRECTORY) or kind[5] in REPORTS:
+            continue
+        status = next(
+            (v for k, v in parameters if k[2] == PARAMETERS and k[:2] == kind[:2] and k[3:] == kind[3:]), None
+        )
+        label = _LABELS.get(kind[3])
+        unit = _UNITS.get(str((status or {}).get("DXU", "WN")))
+        if status is None or label is None or unit is None or kind[4] or kind[1] == 2:
+            notes.left_out.append(_DATA.get(kind[3], f"a block of type {kind}"))
+            continue
+        count = int(status["NPT"])
+        if len(raw) < 4 * count:
+            raise NacreError(f"{path}: an OPUS block has {len(raw) // 4} values of {count}; the file is cut or damaged")
+        used = raw[-4 * count :] if kind[5] == 4 else raw[: 4 * count]
+        values = np.frombuffer(used, "<f4").astype(float) * float(status.get("CSF", 1.0))
+        x = np.linspace(float(status["FXV"]), float(status["LXV"]), count)
+        metadata = {"date": str(status.get("DAT", "")), "time": str(status.get("TIM", ""))}
+        found.append(
+            common.spectrum(
+                path, "opus", x, values, label, options, unit=unit, name=sample, metadata=metadata,
+                notes=Notes(left_out=notes.left_out),
+            )
+        )  # fmt: skip
+    if not found:
+        raise NacreError(
+            f"{path}: an OPUS file without a result spectrum; it holds: {', '.join(notes.left_out) or 'nothing'}"
+        )
+    return common.choose(path, found, options)
+
+
+def _directory(path: Path, data: bytes) -> list[tuple[BlockType, bytes]]:
+    """Return the blocks with their types. The head holds, from byte 12: offset, capacity and number of entries."""
+    start, capacity, count = struct.unpack_from("<3i", data, 12)
+    found: list[tuple[BlockType, bytes]] = []
+    for number in range(min(count, capacity)):
+        code, size, offset = struct.unpack_from("<3I", data, start + 12 * number)
+        if offset == 0:
+            continue
+        if offset + 4 * size > len(data):
+            raise NacreError(f"{path}: an OPUS block ends behind the file; it is cut")
+        parts = []
+        for bits in _BITS:
+            parts.append(code & ((1 << bits) - 1))
+            code >>= bits
+        found.append(((parts[0], parts[1], parts[2], parts[3], parts[4], parts[5]), data[offset : offset + 4 * size]))
+    return found
+
+
+def _parameters(raw: bytes) -> dict[str, int | float | str]:
+    """Return the parameters of a block: name, type (0 integer, 1 float, else text), size in words, value."""
+    found: dict[str, int | float | str] = {}
+    at = 0
+    while at + 8 <= len(raw):
+        key = raw[at : at + 3].decode("latin-1")
+        if key == "END":
+            break
+        kind, words = struct.unpack_from("<2h", raw, at + 4)
+        value = raw[at + 8 : at + 8 + 2 * words]
+        if words <= 0 or len(value) < 2 * words:
+            break
+        if kind == 0:
+            found[key] = struct.unpack_from("<i", value)[0]
+        elif kind == 1:
+            found[key] = struct.unpack_from("<d", value)[0]
+        else:
+            found[key] = value.split(b"\0")[0].decode("latin-1").strip()
+        at += 8 + 2 * words
+    return found

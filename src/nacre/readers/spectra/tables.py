@@ -1,0 +1,331 @@
+"""Tables of spectra: pairs of columns (Cary), wavelengths down or across, without headings, with uncertainties."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.readers.headings import meanings
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.registry import FileHead
+from nacre.readers.spectra import common
+from nacre.readers.spectra.common import Block, Label, Notes
+
+HEADED, WIDE, PLAIN = 0.5, 0.4, 0.3
+OTHERS = ("n", "k", "eps1", "eps2", "alpha", "psi", "delta", "tan_psi", "cos_delta", "angle_of_incidence",
+          "polarisation", "polariser", "theta_i", "theta_o", "radius", "thickness")  # fmt: skip
+MIN_NM, MAX_NM = 150.0, 30000.0
+_WAVELENGTH = re.compile(
+    r"^(wave ?length|wavelengths|wave|wl|wvl|lambda|λ|longueur d'onde|wellenl[äa]nge|longitud de onda|波長|"
+    r"wave ?numbers?)\b|^\[?nm\b",
+    re.IGNORECASE,
+)
+_PIXEL = re.compile(r"^(pixel|index|point|no\.?|#|id)$", re.IGNORECASE)
+_NUMBER_HEADING = re.compile(r"^\D{0,12}?(\d{3,4}(?:\.\d+)?)\s*(?:nm)?$", re.IGNORECASE)
+_OTHER = re.compile(
+    r"psi|delta|\bn\b|\bk\b|eps|\be1\b|\be2\b|refractive|index of|theta|phi|bsdf|brdf|^[xyz]$|^l\*?$|height|"
+    r"^m\d\d$|aoi|angle|polari",
+    re.IGNORECASE,
+)
+
+
+def sniff(head: FileHead) -> float:
+    """Return 0.5 for headings of spectral quantities, 0.4 for many spectra, 0.3 for two or three bare columns."""
+    if not head.is_text or head.text.lstrip()[:1] in ("<", "{"):
+        return 0.0
+    lines = common.text_of(head.data).lines
+    if head.size > len(head.data):
+        lines = lines[:-1]
+    found = [block for block in common.blocks(lines, least_columns=2) if len(block.table) >= 3]
+    if not found:
+        return WIDE if _across(lines) is not None else 0.0
+    if len(found) > 1 and len(found[1].table) > 0.5 * len(found[0].table):
+        return 0.0
+    return _confidence(lines, found[0])
+
+
+def _confidence(lines: Sequence[str], block: Block) -> float:
+    names = _headings(lines, block)
+    x = block.table[:, 0]
+    if not names:
+        return PLAIN if _is_axis(x) and _plain_columns(block.table) is not None else 0.0
+    if _across(lines) is not None:
+        return WIDE
+    place = _axis(names)
+    if place is None or place >= block.table.shape[1] or any(_is_other(name) for name in names):
+        return 0.0
+    labels = [common.label_of(name) for name in names[place + 1 :] if name]
+    if any(label is not None for label in labels):
+        return HEADED
+    return WIDE if block.table.shape[1] > 1 and _is_axis(block.table[:, place]) else 0.0
+
+
+def _is_other(heading: str) -> bool:
+    """Whether a heading names a quantity of another class, such as n, eps1, Psi or an angle."""
+    return bool(_OTHER.search(heading.strip())) or any(meaning.quantity in OTHERS for meaning in meanings(heading))
+
+
+def read(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read all spectra of a table.
+
+    Raises:
+        AmbiguousFileError: unit or quantity is not stated, and range and size do not decide.
+    """
+    text = common.read_text(path)
+    across = _across(text.lines)
+    if across is not None:
+        return common.choose(path, _read_across(path, across, options), options)
+    found = [block for block in common.blocks(text.lines, least_columns=2) if len(block.table) >= 3]
+    if not found:
+        raise NacreError(f"{path}: has no table of a spectrum")
+    block = found[0]
+    notes = Notes()
+    if any(line.strip() for line in text.lines[block.stop :]):
+        notes.left_out.append("the text below the table")
+    names = _headings(text.lines, block)
+    metadata = common.key_values(text.lines[: block.start], ":=")
+    if not names:
+        return [_plain(path, common.complete(path, block), options, notes)]
+    pairs = [place for place, name in enumerate(names) if _WAVELENGTH.search(name)]
+    if len(pairs) > 1:
+        found_pairs = _pairs(path, text.lines, block, names, pairs, options, notes)
+        return common.choose(path, found_pairs, options)
+    return common.choose(path, _columns(path, common.complete(path, block), names, metadata, options, notes), options)
+
+
+def _headings(lines: Sequence[str], block: Block) -> list[str]:
+    """Return the headings: the nearest line above with as many words as columns, or that names a wavelength."""
+    width = block.table.shape[1]
+    mark = common.delimiter(lines[block.start])
+    for line in reversed([line for line in lines[max(0, block.start - 4) : block.start] if line.strip()]):
+        for delimiter in dict.fromkeys((mark, ";", "\t", ",")):
+            cells = common.cells(line, delimiter)
+            if (
+                len(cells) > 1
+                and (_axis(cells) is not None or abs(len(cells) - width) <= 1)
+                and len(cells) <= width + 1
+            ):
+                if (
+                    all(re.fullmatch(r"[\[(]?[^\w]*\w{0,6}[^\w]*[\])]?", cell) for cell in cells)
+                    and _axis(cells) is None
+                ):
+                    continue
+                return [cell.strip() for cell in cells]
+    return []
+
+
+def _axis(names: Sequence[str]) -> int | None:
+    """Return the column of the wavelengths."""
+    return next((place for place, name in enumerate(names) if _WAVELENGTH.search(name.strip())), None)
+
+
+def _is_axis(x: Array) -> bool:
+    finite = x[np.isfinite(x)]
+    if len(finite) < 3 or len(finite) < len(x):
+        return False
+    steps = np.diff(finite)
+    return bool((np.all(steps > 0) or np.all(steps < 0)) and finite.min() >= MIN_NM and finite.max() <= MAX_NM)
+
+
+def _plain_columns(table: Array) -> tuple[Array, Array | None] | None:
+    """Return values and uncertainties of a table without headings, or None if it is no spectrum.
+
+    Three columns are a spectrum with its uncertainty if the second is at most 1.05 and the third at most 0.3 of it in
+    each row: n below 1 with so small a k occurs in no tabulated material of the visible.
+    """
+    if table.shape[1] == 2:
+        return table[:, 1], None
+    if table.shape[1] == 3:
+        value, third = table[:, 1], table[:, 2]
+        if (
+            np.nanmax(value) <= 1.05
+            and np.nanmin(third) >= 0
+            and np.all(third <= 0.3 * np.abs(value) + 1e-12)
+            and third.any()
+        ):
+            return value, third
+    return None
+
+
+def _plain(path: Path, table: Array, options: ReadOptions, notes: Notes) -> Measurement:
+    columns = _plain_columns(table)
+    if columns is None:
+        raise AmbiguousFileError(f"{path}: {table.shape[1]} columns without headings", "columns")
+    unit = common.assumed_unit(path, table[:, 0], notes, options)
+    nm = common.nanometres(table[:, 0], unit)
+    label = common.option_label(path, options) or common.by_size(path, nm, columns[0], notes, "no heading")
+    if columns[1] is not None:
+        notes.assumed.append("the third column is the standard error, because it is small beside the second")
+    return common.spectrum(
+        path, "spectrum-table", table[:, 0], columns[0], label, options, unit=unit, notes=notes, error=columns[1]
+    )
+
+
+def _pairs(
+    path: Path,
+    lines: Sequence[str],
+    block: Block,
+    names: list[str],
+    pairs: list[int],
+    options: ReadOptions,
+    notes: Notes,
+) -> list[Measurement]:
+    """Return the spectra of pairs of columns, which may have unlike lengths."""
+    mark = common.delimiter(lines[block.start]) or ","
+    above = [line for line in lines[: block.start] if line.strip()]
+    titles = common.cells(above[-2], mark) if len(above) > 1 else []
+    titles = [title.strip() for title in titles] + [""] * len(names)
+    found = []
+    for place in pairs:
+        if place + 1 >= block.table.shape[1]:
+            continue
+        rows = np.isfinite(block.table[:, place])
+        x, y = block.table[rows, place], block.table[rows, place + 1]
+        own = Notes(list(notes.assumed), list(notes.left_out))
+        label = _labels(path, x, [(names[place + 1], y)], options, own)[0]
+        found.append(_one(path, x, y, names[place], label, titles[place], {}, options, own))
+    return found
+
+
+def _columns(
+    path: Path, table: Array, names: list[str], metadata: dict[str, str], options: ReadOptions, notes: Notes
+) -> list[Measurement]:
+    """Return one spectrum per column of values; a column of uncertainties belongs to the column before."""
+    place = _axis(names)
+    if place is None:
+        if not _is_axis(table[:, 0]):
+            raise NacreError(f"{path}: no heading names a wavelength")
+        place = 0
+    names = names[: table.shape[1]] + [""] * (table.shape[1] - len(names))
+    spectra: list[tuple[int, Array | None]] = []
+    for column in range(table.shape[1]):
+        if column == place or names[column] in options.ignore or not np.isfinite(table[:, column]).any():
+            continue
+        if _PIXEL.match(names[column]) or (column < place and not common.label_of(names[column])):
+            notes.left_out.append(f'the column "{names[column]}"')
+            continue
+        label = common.label_of(names[column])
+        if label is not None and label.quantity == "error" and spectra:
+            spectra[-1] = (spectra[-1][0], table[:, column])
+            continue
+        spectra.append((column, None))
+    if not spectra:
+        raise NacreError(f"{path}: has no column of a spectrum; headings: {', '.join(names)[:200]}")
+    spectra = _without_counts(spectra, names, notes)
+    labels = _labels(
+        path, table[:, place], [(names[column], table[:, column]) for column, _ in spectra], options, notes
+    )
+    return [
+        _one(path, table[:, place], table[:, column], names[place], label, names[column], metadata, options,
+             Notes(list(notes.assumed), list(notes.left_out)), error)
+        for (column, error), label in zip(spectra, labels, strict=True)
+    ]  # fmt: skip
+
+
+def _without_counts(
+    spectra: list[tuple[int, Array | None]], names: list[str], notes: Notes
+) -> list[tuple[int, Array | None]]:
+    """Leave counts out where a reflectance, transmittance or absorbance stands beside them."""
+    labels = [common.label_of(names[column]) for column, _ in spectra]
+    if all(label is not None for label in labels):
+        kept = [entry for entry, label in zip(spectra, labels, strict=True) if label and label.quantity != "counts"]
+        if kept and len(kept) < len(spectra):
+            gone = [names[column] for entry in spectra if entry not in kept for column in [entry[0]]]
+            notes.left_out.append(f"counts: {', '.join(gone)}")
+            return kept
+    return spectra
+
+
+def _labels(
+    path: Path, x: Array, columns: Sequence[tuple[str, Array]], options: ReadOptions, notes: Notes
+) -> list[Label]:
+    """Return the label of each column; sizes decide for all columns without a unit of one quantity together.
+
+    A dark sample in per cent has values below 1 beside brighter ones in the same table.
+    """
+    stated = common.option_label(path, options)
+    labels = [stated or common.label_of(heading) or Label("") for heading, _ in columns]
+    labels = [Label("") if label.quantity == "error" else label for label in labels]
+    decided: dict[str, Label] = {}
+    for quantity in dict.fromkeys(label.quantity for label in labels if label.factor is None):
+        members = [values for label, (_, values) in zip(labels, columns, strict=True) if label.quantity == quantity]
+        what = f"{quantity} without a unit" if quantity else f"no quantity in the heading {_shown(columns)}"
+        size_x, size_y = np.tile(x, len(members)), np.concatenate(members)
+        decided[quantity] = common.by_size(path, size_x, size_y, notes, what, likely=quantity or "reflectance")
+    return [decided[label.quantity] if label.factor is None else label for label in labels]
+
+
+def _shown(columns: Sequence[tuple[str, Array]]) -> str:
+    return ", ".join(f'"{heading}"' for heading, _ in columns)[:60]
+
+
+def _one(
+    path: Path, x: Array, y: Array, x_name: str, label: Label, title: str, metadata: dict[str, str],
+    options: ReadOptions, notes: Notes, error: Array | None = None,
+) -> Measurement:  # fmt: skip
+    unit = common.option_unit(path, options) or common.unit_named(x_name)
+    if unit is None or (unit == "nm" and "nm" not in x_name.lower() and "nanomet" not in x_name.lower()):
+        unit = common.assumed_unit(path, x, notes, options)
+    return common.spectrum(
+        path, "spectrum-table", x, y, label, options, unit=unit, name=title, metadata=metadata, notes=notes, error=error
+    )
+
+
+def _across(lines: Sequence[str]) -> tuple[list[str], list[int], Array, list[list[str]]] | None:
+    """Return headings, columns of wavelengths, the wavelengths and the rows of a table with wavelengths across."""
+    for start, line in enumerate(lines[:40]):
+        mark = common.delimiter(line)
+        names = common.cells(line, mark)
+        if len(names) < 8:
+            continue
+        matches = [(place, match) for place, name in enumerate(names) if (match := _NUMBER_HEADING.match(name.strip()))]
+        grid = np.array([float(match[1]) for _, match in matches])
+        if len(matches) < 8 or len(matches) < 0.6 * len(names) or not _is_axis(grid):
+            continue
+        columns = [place for place, _ in matches]
+        below = [common.cells(text, mark) for text in lines[start + 1 :] if text.strip()]
+        rows = [row for row in below if len(row) > columns[-1]]
+        has_text = any(common.number(name, comma=mark != ",") is None for name in names)
+        if rows and len(rows) == len(below) and (has_text or len(rows) < 3):
+            return names, columns, grid, rows
+    return None
+
+
+def _read_across(
+    path: Path, across: tuple[list[str], list[int], Array, list[list[str]]], options: ReadOptions
+) -> list[Measurement]:
+    """Return one spectrum per row; cells before the wavelengths are its name and metadata."""
+    names, columns, grid, rows = across
+    cells = [[common.number(row[place], comma=True) for place in columns] for row in rows]
+    for number, values in enumerate(cells, start=1):
+        if any(value is None for value in values):
+            raise NacreError(f"{path}: row {number} holds a word where a value of the spectrum should stand")
+    table = np.array(cells, dtype=float)
+    notes = Notes()
+    outside = [place for place, name in enumerate(names) if place not in columns and name]
+    others = [{names[place]: row[place] for place in outside if place < len(row)} for row in rows]
+    all_words = [" ".join([*own.values(), *own]).split() for own in others]
+    words = [" ".join(word for word in own if _is_ratio(word)) for own in all_words]
+    labels = _labels(path, grid, list(zip(words, table, strict=True)), options, notes)
+    unit = common.assumed_unit(path, grid, notes, options)
+    found = []
+    for number, (row, values, label) in enumerate(zip(rows, table, labels, strict=True)):
+        title = next((cell for place, cell in enumerate(row) if place not in columns and cell), str(number + 1))
+        own_notes = Notes(list(notes.assumed), list(notes.left_out))
+        found.append(
+            common.spectrum(
+                path, "spectrum-table", grid, values, label, options, unit=unit, name=title, metadata=others[number],
+                notes=own_notes,
+            )
+        )  # fmt: skip
+    return found
+
+
+def _is_ratio(word: str) -> bool:
+    label = common.label_of(word)
+    return label is not None and label.quantity not in ("error", "counts")

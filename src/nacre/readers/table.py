@@ -1,0 +1,312 @@
+"""Text tables of any program: constants, spectra, ellipsometry, colours, points and curves by their headings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from nacre.core.errors import NacreError
+from nacre.readers.columns import Column, Columns, interpret, load_tables, polarisations, sorted_by_wavelength
+from nacre.readers.constants.convert import QUANTITIES as CONSTANTS
+from nacre.readers.constants.convert import constants
+from nacre.readers.ellipsometry.common import ellipsometry
+from nacre.readers.headings import SPECTRAL_QUANTITIES, meanings
+from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
+from nacre.readers.registry import POSSIBLE, FileHead
+from nacre.readers.text_table import TextTable, decode
+from nacre.readers.units import UNITS, Floats
+
+SPECTRA = ("reflectance", "transmittance", "absorptance", "absorbance", "counts", "sample_counts", "dark_counts",
+           "reference_counts", "irradiance", "albedo")  # fmt: skip
+ANGLES = ("angle_of_incidence", "polarisation", "polariser")
+ELLIPSOMETRY = ("psi", "delta", "tan_psi", "cos_delta", "ncs_n", "ncs_c", "ncs_s", "intensity",
+                *(f"m{i}{j}" for i in range(1, 5) for j in range(1, 5)))  # fmt: skip
+COLOURS = ("L", "a", "b", "C", "hue", "X", "Y", "Z", "hex", "name", "hunter_L", "hunter_a", "hunter_b")
+LENGTHS = ("x", "y", "z", "radius", "diameter", "thickness", "depth")
+CURVES = (*LENGTHS, "q", "structure_factor", "share", "grey", "voltage", "name")
+OF_KIND: dict[Kind, tuple[str, ...]] = {
+    "constants": (*SPECTRAL_QUANTITIES, *CONSTANTS),
+    "spectrum": (*SPECTRAL_QUANTITIES, *SPECTRA, *ANGLES),
+    "ellipsometry": (*SPECTRAL_QUANTITIES, *ELLIPSOMETRY, *ANGLES),
+    "colours": COLOURS,
+    "table": CURVES,
+}
+HEADERLESS: dict[Kind, dict[int, tuple[str, ...]]] = {
+    "constants": {2: ("spectral", "n"), 3: ("spectral", "n", "k")},
+    "ellipsometry": {4: ("wavelength", "angle_of_incidence", "psi", "delta")},
+    "colours": {3: ("L", "a", "b"), 4: ("name", "L", "a", "b")},
+}
+CHROMATIC = ("L", "a", "b", "C", "hue", "X", "Y", "Z", "hunter_L", "hunter_a", "hunter_b")
+
+
+def sniff(head: FileHead) -> float:
+    """Return a low confidence for text that holds numbers."""
+    try:
+        text = decode(head.data)
+    except UnicodeDecodeError:
+        return 0.0
+    return POSSIBLE if any(character.isdigit() for character in text) else 0.0
+
+
+def read(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read the tables of a text file.
+
+    Raises:
+        AmbiguousFileError: no headings, or a heading, unit or kind that the file does not state.
+        NacreError: a heading that is not in the vocabulary, or numbers that contradict it.
+    """
+    file = load_tables(path)
+    kinds = [kind_of(table, options) for table in file.tables]
+    if all(kind == "constants" for kind in kinds):
+        return constants_of(path, options, file.tables)
+    found: list[Measurement] = []
+    for table, kind in zip(file.tables, kinds):
+        found += _measurements(table, kind, options)
+    if file.left_out:
+        found = [replace(each, left_out=(*each.left_out, *file.left_out)) for each in found]
+    return found
+
+
+def kind_of(table: TextTable, options: ReadOptions) -> Kind:
+    """Return the kind whose quantities most headings of a table name.
+
+    Raises:
+        AmbiguousFileError: there are no headings, or they fit no kind.
+    """
+    names = list(options.columns) or list(table.headings)
+    if not names:
+        if options.quantity is not None:
+            for kind, quantities in OF_KIND.items():
+                if options.quantity in quantities:
+                    return kind
+        if options.expects in HEADERLESS or options.expects == "spectrum":
+            assert options.expects is not None
+            return options.expects
+        raise AmbiguousFileError(
+            f"{table.path}: line {table.lines[0]}: {table.width} columns without headings; state quantity (of two "
+            "columns) or columns = [...]",
+            "columns",
+        )
+    each = [
+        {m.quantity for m in meanings(name, table.units[i] if i < table.width else "")} for i, name in enumerate(names)
+    ]
+    scores: dict[Kind, int] = {
+        kind: sum(bool(found & set(quantities) - set(SPECTRAL_QUANTITIES)) for found in each)
+        for kind, quantities in OF_KIND.items()
+    }
+    if options.expects in scores and scores[options.expects] > 0:
+        return options.expects
+    best = max(scores, key=lambda kind: scores[kind])
+    if scores[best] == 0:
+        unknown = [name for name, found in zip(names, each) if not found]
+        said = f'; "{unknown[0]}" is not known' if unknown else ""
+        raise AmbiguousFileError(
+            f"{table.path}: the columns are {table.shown_headings}{said}; name them: columns = [...]", "columns"
+        )
+    return best
+
+
+def constants_of(
+    path: Path, options: ReadOptions, tables: Sequence[TextTable], format_id: str = "table"
+) -> list[Measurement]:
+    """Return the optical constants of a file's blocks; a block of n and one of k for the same wavelengths are joined.
+
+    Raises:
+        NacreError: blocks that do not fit.
+    """
+    tables = [table for table in tables if len(table.rows) > 0]
+    if options.spectrum is not None and len(tables) > 1:
+        tables = [tables[chosen_block(path, options.spectrum, [_block_name(table) for table in tables])]]
+    each = [interpret(table, OF_KIND["constants"], options, HEADERLESS["constants"]) for table in tables]
+    if len(each) == 2:
+        joined = _joined(each[0], each[1], options)
+        if joined is not None:
+            each = [joined]
+    found = []
+    for columns in each:
+        nm = columns.spectral_nm(options)
+        if nm is None:
+            raise NacreError(
+                f"{path}: no column of wavelengths or energies; the columns are {columns.table.shown_headings}"
+            )
+        found.append(constants(columns, options, nm, format_id, _block_name(columns.table) if len(each) > 1 else ""))
+    return found
+
+
+def _block_name(table: TextTable) -> str:
+    return table.titles[-1].lstrip("#%!;*/' ").strip()[:60] if table.titles else ""
+
+
+def chosen_block(path: Path, chosen: str, names: Sequence[str]) -> int:
+    """Return the place of a block, spectrum or material by its name or its number, counted from 1.
+
+    Raises:
+        AmbiguousFileError: there is none, or the name stands twice.
+    """
+    places = [i for i, name in enumerate(names) if name.casefold() == chosen.casefold()]
+    if not places and chosen.isdigit() and 1 <= int(chosen) <= len(names):
+        return int(chosen) - 1
+    if len(places) != 1:
+        rule = "is not in the file" if not places else "stands twice; give its number"
+        shown = ", ".join(name or str(i + 1) for i, name in enumerate(names))[:200]
+        raise AmbiguousFileError(f'{path}: spectrum = "{chosen}" {rule}; allowed: {shown}', "spectrum", tuple(names))
+    return places[0]
+
+
+def _joined(first: Columns, second: Columns, options: ReadOptions) -> Columns | None:
+    """Return n of one block with k of another for the same wavelengths, as refractiveindex.info exports; else None."""
+    quantities = [
+        {c.meaning.quantity for c in each.found if not c.meaning.is_error} - {*SPECTRAL_QUANTITIES, "spectral"}
+        for each in (first, second)
+    ]
+    if {"n"} not in quantities or {"k"} not in quantities:
+        return None
+    nm, other = first.spectral_nm(options), second.spectral_nm(options)
+    if nm is None or other is None:
+        return None
+    order, other_order = np.argsort(nm), np.argsort(other)
+    if nm.shape != other.shape or not np.allclose(nm[order], other[other_order], rtol=1e-9):
+        raise NacreError(f"{first.path}: the blocks of n and of k are for different wavelengths; join them")
+    column = next(c for c in second.found if c.meaning.quantity in ("n", "k") and not c.meaning.is_error)
+    values = np.empty_like(column.values)
+    values[order] = column.values[other_order]
+    first.found.append(Column(column.heading, column.meaning, values, -1))
+    return first
+
+
+def _measurements(table: TextTable, kind: Kind, options: ReadOptions) -> list[Measurement]:
+    if kind == "constants":
+        return constants_of(table.path, options, [table])
+    if kind == "spectrum":
+        return spectra(table, options)
+    columns = interpret(table, OF_KIND[kind], options, HEADERLESS.get(kind))
+    if kind == "ellipsometry":
+        return [_ellipsometry(columns, options)]
+    return [_plain(columns, kind)]
+
+
+def _left_out(columns: Columns) -> tuple[str, ...]:
+    return (
+        *(f'"{heading}" is not used' for heading in columns.unused),
+        *(f'"{heading}" is ignored' for heading in columns.ignored),
+    )
+
+
+def spectrum_columns(table: TextTable, options: ReadOptions) -> Columns:
+    """Return the columns of a table of spectra; two columns without headings have `options.quantity`.
+
+    Raises:
+        AmbiguousFileError: no headings and no quantity.
+    """
+    headerless = {}
+    if options.quantity is not None:
+        headerless = {2: ("spectral", options.quantity)}
+    elif not table.headings and not options.columns:
+        raise AmbiguousFileError(
+            f"{table.path}: line {table.lines[0]}: no heading says what the {table.width} columns are; write one, such "
+            'as "wavelength (nm),R (%)", or state quantity = "reflectance"',
+            "quantity" if table.width == 2 else "columns",
+            ("reflectance", "transmittance", "absorbance") if table.width == 2 else (),
+        )
+    return interpret(table, OF_KIND["spectrum"], options, headerless)
+
+
+def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
+    """Return one measurement per combination of polarisation, angle and mode in the headings of a table of spectra."""
+    columns = spectrum_columns(table, options)
+    nm = columns.spectral_nm(options)
+    if nm is None:
+        raise NacreError(f"{table.path}: no column of wavelengths or energies; the columns are {table.shown_headings}")
+    words, angle = polarisations(columns), columns.one("angle_of_incidence")
+    shared: dict[str, Floats] = {}
+    if angle is not None:
+        shared["angle_of_incidence_deg"] = columns.degrees(angle, options)
+    groups: dict[tuple[str, float | None, str], list[Column]] = {}
+    for column in columns.found:
+        if column.meaning.quantity in SPECTRA:
+            key = (column.meaning.polarisation, column.meaning.angle_deg, column.meaning.mode)
+            groups.setdefault(key, []).append(column)
+    if not groups:
+        raise NacreError(
+            f"{table.path}: no column of reflectance or transmittance; the columns are {table.shown_headings}"
+        )
+    found = []
+    for (polarisation, angle_deg, mode), members in groups.items():
+        data = {"wavelength_nm": nm, **shared}
+        data |= {c.meaning.quantity + ("_error" if c.meaning.is_error else ""): c.factors() for c in members}
+        stated = {"polarisation": polarisation, "angle_of_incidence_deg": angle_deg, "mode": mode}
+        metadata: dict[str, object] = {name: value for name, value in stated.items() if value not in ("", None)}
+        if words is not None:
+            metadata["polarisations"] = words
+        elif not shared:
+            nm_sorted, rest = sorted_by_wavelength(
+                table.path, nm, {k: v for k, v in data.items() if k != "wavelength_nm"}
+            )
+            data = {"wavelength_nm": nm_sorted, **rest}
+        name = members[0].heading if len(groups) > 1 else ""
+        found.append(
+            Measurement(
+                table.path, "table", "spectrum", data, name, metadata, tuple(columns.assumed), _left_out(columns)
+            )
+        )
+    return found
+
+
+def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
+    nm = columns.spectral_nm(options)
+    data: dict[str, Floats] = {} if nm is None else {"wavelength_nm": nm}
+    for column in columns.found:
+        quantity, error = column.meaning.quantity, "_error" if column.meaning.is_error else ""
+        if quantity == "angle_of_incidence":
+            data["angle_of_incidence_deg"] = columns.degrees(column, options)
+        elif quantity in ("psi", "delta"):
+            data[f"{quantity}_deg{error}"] = columns.degrees(column, options) if column.unit else column.values
+        elif quantity in ELLIPSOMETRY:
+            data[f"{quantity}{error}"] = column.factors()
+    if nm is None:
+        raise NacreError(f"{columns.path}: no column of wavelengths; the columns are {columns.table.shown_headings}")
+    return ellipsometry(columns.path, "table", data, options, assumed=columns.assumed, left_out=_left_out(columns))
+
+
+def _plain(columns: Columns, kind: Kind) -> Measurement:
+    """Return other tables: lengths in um, wave vectors in 1/um, colours as numbers with names, lamp and observer."""
+    data: dict[str, np.ndarray] = {}
+    metadata: dict[str, object] = {}
+    for column in columns.found:
+        meaning = column.meaning
+        name = meaning.quantity + ("" if meaning.number is None else str(meaning.number))
+        name += "" if meaning.angle_deg is None else f"_{meaning.angle_deg:g}deg"
+        name += "_error" if meaning.is_error else ""
+        values = column.factors()
+        if meaning.quantity in LENGTHS and column.unit and column.unit != "px":
+            name, values = f"{name}_um", column.values * UNITS[column.unit][1] * 1e-3
+        elif meaning.quantity == "q" and column.unit:
+            name, values = f"{name}_per_um", column.values * UNITS[column.unit][1] * 1e3
+        elif column.unit not in ("", "%"):
+            name = f"{name}_{column.unit}"
+        if name in data:
+            raise NacreError(f'{columns.path}: "{column.heading}" stands twice')
+        data[name] = values
+        for key in ("illuminant", "observer"):
+            if getattr(meaning, key):
+                metadata[key] = getattr(meaning, key)
+    metadata |= {"names" if name == "name" else name: cells for name, cells in columns.texts.items()}
+    if not data and "hex" not in columns.texts:
+        raise NacreError(f"{columns.path}: no numbers; the columns are {columns.table.shown_headings}")
+    if kind == "colours" and "hex" in columns.texts:
+        data["srgb"] = np.array([_srgb(columns, cell) for cell in columns.texts["hex"]])
+    return Measurement(columns.path, "table", kind, data, "", metadata, tuple(columns.assumed), _left_out(columns))
+
+
+def _srgb(columns: Columns, cell: str) -> list[float]:
+    digits = cell.strip().lstrip("#")
+    digits = "".join(2 * c for c in digits) if len(digits) == 3 else digits
+    try:
+        if len(digits) != 6:
+            raise ValueError
+        return [int(digits[i : i + 2], 16) / 255.0 for i in (0, 2, 4)]
+    except ValueError:
+        raise NacreError(f'{columns.path}: "{cell[:20]}" is no colour such as #4a90d0') from None

@@ -1,0 +1,654 @@
+"""Tables in text files: encoding, delimiter, decimal mark, headings, units, remarks, blocks and missing cells.
+
+`read_tables` returns the cells as text and numbers, with what stands above them; `headings` gives them a meaning.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from nacre.core.errors import NacreError
+from nacre.core.files import plain, why_unreadable
+from nacre.core.memory import check_memory
+from nacre.readers.units import Floats, normal, parse_unit
+
+MAX_BYTES = 1 << 30
+MEMORY_FACTOR = 12  # memory per byte of a file: text, lines, cells
+SAMPLE_LINES = 400  # from which the delimiter is determined
+CONTROL_SHARE = 0.01  # more control characters: no text
+UTF_16_SHARE = 0.3  # of one parity of bytes, NUL: UTF-16 without a mark
+MISSING = frozenset(
+    "|nan|-nan|n/a|na|n.a.|n.a|#n/a|#na|#nv|#div/0!|#value!|#wert!|#ref!|#bezug!|#num!|#zahl!|#name?|#null!|#error!|null|none|"
+    "nil|-|--|---|.|..|...|nd|n.d.|n.d|missing|no data|nodata|ovr|overflow|inval|invalid|1.#qnan|-1.#ind|1.#ind|"
+    "-1.#qnan|nan(ind)|-nan(ind)".split("|")
+)
+REMARK_MARKS = ("#", "%", "!", "//", ";", "'", "*", "--")
+_FORTRAN = re.compile(r"([-+]?(?:\d+[.,]?\d*|[.,]\d+))[dDqQ]([-+]?\d+)")
+_PLAIN_NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?")
+_GROUPED = re.compile(r"[-+]?\d{1,3}(?:([,.'\u2019\u00a0\u202f ])\d{3})(?:\1\d{3})*(?:[.,]\d+)?(?:[eE][-+]?\d+)?")
+_BARE_GROUPS = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
+_WITH_UNIT = re.compile(r"([-+]?[\d.,]+(?:[eEdD][-+]?\d+)?)\s*(%|°|deg|nm|um|µm|μm|mm|Å|eV|px|cm-1)")
+_HEX = re.compile(r"#(?:[0-9a-fA-F]{6}|[0-9a-fA-F]{3}|[0-9a-fA-F]{8})")
+_QUOTED_OR_WORD = re.compile(r'"[^"]*"|\S+')
+
+
+def decode(data: bytes) -> str:
+    """Return the text of a file in UTF-8, UTF-16 (with or without a byte order mark), Windows-1252 or Shift-JIS.
+
+    NUL characters within text, such as behind fixed-length names of instruments, are dropped.
+
+    Raises:
+        UnicodeDecodeError: binary data.
+    """
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = data.decode("utf-16", errors="replace")
+    elif data.startswith(b"\xef\xbb\xbf"):
+        text = data[3:].decode("utf-8", errors="replace")
+    elif (order := _utf_16_order(data)) is not None:
+        text = data.decode(order, errors="replace")
+    else:
+        text = _decode_bytes(data)
+    text = text.replace("\0", "")
+    sample = text[:20_000]
+    controls = sum(1 for c in sample if (c < " " and c not in "\t\r\n\f\v\x1a\x1b") or c == "\ufffd")
+    if controls > max(CONTROL_SHARE * len(sample), 0.0 if len(sample) < 50 else 2.0):
+        raise UnicodeDecodeError("utf-8", data[:1], 0, 1, "is not text")
+    return text.replace("\x1a", "")
+
+
+def _utf_16_order(data: bytes) -> str | None:
+    sample = data[:4000]
+    if len(sample) < 4 or b"\0" not in sample:
+        return None
+    even, odd = (sample[i::2].count(0) / max(1, len(sample[i::2])) for i in (0, 1))
+    if odd > UTF_16_SHARE and even < 0.1 * odd:
+        return "utf-16-le"
+    return "utf-16-be" if even > UTF_16_SHARE and odd < 0.1 * even else None
+
+
+def _decode_bytes(data: bytes) -> str:
+    for encoding in ("utf-8", "cp1252", "shift_jis"):
+        try:
+            return data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    return data.decode("latin-1")
+
+
+def load_text(path: Path, limit: int = MAX_BYTES) -> str:
+    """Return a file's text.
+
+    Raises:
+        NacreError: missing, no regular file, too large, or no text.
+    """
+    try:
+        size = plain(path).stat().st_size
+        if size > limit:
+            raise NacreError(f"{path}: is larger than {limit / 1e6:.0f} MB")
+        check_memory(MEMORY_FACTOR * float(size), f"{path}: read as a table, it")
+        return decode(path.read_bytes())
+    except UnicodeDecodeError:
+        raise NacreError(f"{path}: is not a text file") from None
+    except OSError as error:
+        raise NacreError(f"{path}: {why_unreadable(error)}") from None
+
+
+def number(cell: str, decimal: str = ".", grouping: str = "") -> float | None:
+    """Return the number of a cell; NaN if it is missing, None if it is another text.
+
+    Args:
+        decimal: mark of the table's fractions; the other of point and comma is also read unless it groups digits.
+        grouping: mark between groups of three digits.
+
+    Example:
+        >>> [number(cell) for cell in ("1.0D-3", "1,5", "#N/A", "abc")]
+        [0.001, 1.5, nan, None]
+    """
+    if not grouping and "_" not in cell:
+        try:
+            return float(cell)
+        except ValueError:
+            pass
+    text = normal(cell)
+    if text.lower() in MISSING:
+        return math.nan
+    if grouping:
+        text = text.replace(grouping, "")
+    for mark in (" ", "'", "\u2019"):
+        if mark in text and _GROUPED.fullmatch(text):
+            text = text.replace(mark, "")
+    match = _FORTRAN.fullmatch(text)
+    if match:
+        text = f"{match[1]}e{match[2]}"
+    if not _PLAIN_NUMBER.fullmatch(text):
+        return None
+    return float(text.replace(",", "."))
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """One block of rows.
+
+    Attributes:
+        path: the file.
+        headings: one per column; empty if there is no line of headings.
+        units: of a row of units or of the cells themselves; "" where there is none.
+        rows: the cells of each row, as text.
+        lines: line number of each row.
+        titles: lines of text and remarks between the previous block and this one, headings excluded.
+        delimiter: None for blanks.
+        decimal, grouping: marks of the numbers, see `number`.
+        heading_line: line number of the headings; 0 without.
+    """
+
+    path: Path
+    headings: tuple[str, ...]
+    units: tuple[str, ...]
+    rows: list[list[str]]
+    lines: list[int]
+    titles: tuple[str, ...] = ()
+    delimiter: str | None = None
+    decimal: str = "."
+    grouping: str = ""
+    heading_line: int = 0
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return len(self.units)
+
+    def column_text(self, column: int) -> list[str]:
+        """Return the text of a column's cells."""
+        return [row[column] for row in self.rows]
+
+    def is_numeric(self, column: int) -> bool:
+        """Whether all cells are numbers or missing, and at least one is a number."""
+        found = [number(cell, self.decimal, self.grouping) for cell in self.column_text(column)]
+        return all(value is not None for value in found) and any(not math.isnan(value or 0.0) for value in found)
+
+    def is_empty(self, column: int) -> bool:
+        """Whether all cells are missing."""
+        return all(normal(row[column]).lower() in MISSING for row in self.rows)
+
+    def column(self, column: int) -> Floats:
+        """Return a column's numbers, NaN where missing.
+
+        Raises:
+            NacreError: a cell is neither a number nor missing; names its line.
+        """
+        values = np.empty(len(self.rows))
+        for i, row in enumerate(self.rows):
+            value = number(row[column], self.decimal, self.grouping)
+            if value is None or math.isinf(value):
+                raise NacreError(
+                    f'{self.path}: line {self.lines[i]}: "{row[column].strip()[:40]}" is not a finite number'
+                )
+            values[i] = value
+        return values
+
+    @cached_property
+    def shown_headings(self) -> str:
+        """The headings for a message."""
+        if not self.headings:
+            return f"{self.width} columns without headings"
+        return ", ".join(f'"{heading}"' for heading in self.headings)[:300]
+
+
+@dataclass
+class _Line:
+    number: int
+    text: str
+    cells: list[str] = field(default_factory=list)
+    is_remark: bool = False
+    is_data: bool = False
+
+
+@dataclass(frozen=True)
+class TableFile:
+    """All blocks of a text file.
+
+    Attributes:
+        tables: blocks in the order of the file.
+        trailing: lines of text after the last block.
+        left_out: one sentence for each group of numbers that is no table.
+    """
+
+    tables: list[TextTable]
+    trailing: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+
+
+def read_tables(path: Path, knows: Callable[[str, str], bool], limit: int = MAX_BYTES) -> TableFile:
+    """Read the tables of a text file.
+
+    Args:
+        path: the file.
+        knows: whether a heading with a unit of the row below ("" without) is in the vocabulary; decides whether a
+            line above the numbers is a line of headings or a title.
+        limit: largest size in bytes.
+
+    Raises:
+        NacreError: not readable, no text, or rows of different width.
+    """
+    return parse_tables(load_text(path, limit), path, knows)
+
+
+def parse_tables(text: str, path: Path, knows: Callable[[str, str], bool]) -> TableFile:
+    """Find the tables in a text; see `read_tables`."""
+    raw = [line.replace("\f", " ").replace("\v", " ") for line in re.split(r"\r\n|\r|\n", text)]
+    delimiter = find_delimiter(raw)
+    lines = _classified(raw, delimiter, knows)
+    tables, left_out = [], []
+    above: list[_Line] = []
+    rows: list[_Line] = []
+    groups: list[tuple[list[_Line], list[_Line]]] = []
+    for line in lines:
+        if line.is_data:
+            rows.append(line)
+        elif not line.is_remark or not rows:
+            if rows:
+                groups.append((above, rows))
+                above, rows = [], []
+            above.append(line)
+        # a remark between rows does not end a block
+        elif _is_heading_remark(line, delimiter, knows, len(rows[-1].cells)):
+            groups.append((above, rows))
+            above, rows = [line], []
+    trailing: list[_Line] = above if not rows else []
+    if rows:
+        groups.append((above, rows))
+    groups, carried = _without_stray_numbers(groups)
+    left_out += carried
+    for heading_lines, data in groups:
+        tables.append(_table(path, heading_lines, data, delimiter, knows))
+    return TableFile(tables, tuple(line.text.strip() for line in trailing), tuple(left_out))
+
+
+def _without_stray_numbers(
+    groups: list[tuple[list[_Line], list[_Line]]],
+) -> tuple[list[tuple[list[_Line], list[_Line]]], list[str]]:
+    """Move numbers of a preamble, such as counts of scans, to the lines above the next block."""
+    if len(groups) < 2:
+        return groups, []
+    largest = max(len(rows) for _, rows in groups)
+    kept: list[tuple[list[_Line], list[_Line]]] = []
+    carried: list[_Line] = []
+    said: list[str] = []
+    for above, rows in groups:
+        width = max(len(row.cells) for row in rows)
+        is_stray = width < 2 and len(rows) <= 3 and largest >= 2 and any(len(r[0].cells) > 1 for _, r in groups)
+        if is_stray:
+            carried += [*above, *rows]
+            said.append(f"line {rows[0].number}: {rows[0].text.strip()[:40]} is no row of a table")
+            continue
+        kept.append(([*carried, *above], rows))
+        carried = []
+    return (kept or groups), said
+
+
+def find_delimiter(lines: Sequence[str]) -> str | None:
+    """Return the delimiter of the rows of numbers: semicolon, tab, comma, or None for blanks."""
+    sample = [line for line in lines if any(c.isdigit() for c in line)]
+    if len(sample) > SAMPLE_LINES:
+        start = (len(sample) - SAMPLE_LINES) // 2
+        sample = sample[start : start + SAMPLE_LINES]
+    best, chosen = 0.0, None
+    for mark in (";", "\t", ",", None):
+        found = [(len(cells), _numeric_share(cells)) for line in sample if len(cells := split(line, mark)) > 1]
+        widths = Counter(width for width, share in found if share >= 0.5)
+        if not widths:
+            continue
+        modal = widths.most_common(1)[0][0]
+        score = sum(share for width, share in found if width == modal) + 1e-6 * len(found)
+        if score > 1.0001 * best:
+            best, chosen = score, mark
+    return chosen
+
+
+def split(line: str, delimiter: str | None) -> list[str]:
+    """Return the cells of a line; quotes protect delimiters, and empty cells at the end are dropped."""
+    if delimiter is None:
+        cells = [cell.strip('"') for cell in _QUOTED_OR_WORD.findall(line)] if '"' in line else line.split()
+    elif '"' in line:
+        try:
+            cells = next(csv.reader([line.strip(" ")], delimiter=delimiter, skipinitialspace=True), [])
+        except csv.Error:
+            cells = line.split(delimiter)
+        cells = [cell.strip() for cell in cells]
+    else:
+        cells = [cell.strip() for cell in line.split(delimiter)]
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
+
+
+def _numeric_share(cells: Sequence[str]) -> float:
+    filled = [cell for cell in cells if cell]
+    if not filled:
+        return 0.0
+    return sum(1 for cell in filled if _is_value(cell)) / len(filled)
+
+
+def _is_value(cell: str) -> bool:
+    try:
+        float(cell)
+        return True
+    except ValueError:
+        pass
+    if cell[:1].isalpha() and cell.lower() not in MISSING:
+        return False
+    return bool(
+        number(cell) is not None or _HEX.fullmatch(cell) or _WITH_UNIT.fullmatch(cell) or _GROUPED.fullmatch(cell)
+    )
+
+
+def _is_number(cell: str) -> bool:
+    value = number(cell)
+    return (value is not None and not math.isnan(value)) or bool(_WITH_UNIT.fullmatch(cell) or _HEX.fullmatch(cell))
+
+
+def _classified(raw: Sequence[str], delimiter: str | None, knows: Callable[[str, str], bool]) -> list[_Line]:
+    """Return the lines that are not blank, with their cells, as data, remarks or text."""
+    first_is_text: bool | None = None
+    found: list[_Line] = []
+    marked: list[_Line] = []
+    for index, text in enumerate(raw, start=1):
+        stripped = text.strip()
+        if not stripped:
+            continue
+        line = _Line(index, text)
+        found.append(line)
+        if stripped.startswith(REMARK_MARKS) and not _starts_with_value(stripped, delimiter):
+            line.is_remark = True
+            marked.append(line)
+            continue
+        line.cells = split(_without_trailing_remark(text, delimiter), delimiter)
+        line.is_data = _is_data(line.cells)
+        if line.is_data and first_is_text is None:
+            first_is_text = not _is_number(line.cells[0])
+    width = Counter(len(line.cells) for line in found if line.is_data).most_common(1)
+    if width and width[0][0] > 2:
+        for line in found:  # rows of several words and few numbers
+            if not line.is_data and not line.is_remark and len(line.cells) == width[0][0]:
+                line.is_data = any(_is_number(cell) for cell in line.cells)
+    for line in marked:  # "#1;52;-30;28" is a row of a table whose rows begin with names
+        cells = split(line.text, delimiter)
+        is_name = len(cells) > 1 and not cells[0][1:2].isspace() and _is_data(cells[1:])
+        if is_name and _begins_with_names(found, first_is_text, knows):
+            line.cells, line.is_remark, line.is_data = cells, False, True
+    return found
+
+
+def _starts_with_value(text: str, delimiter: str | None) -> bool:
+    """Whether a line that starts like a remark starts with a missing cell (`#N/A`), a colour or a negative number."""
+    first = split(text, delimiter)[0] if split(text, delimiter) else ""
+    return bool(first.lower() in MISSING and first not in ("-", "--", "---")) or bool(_HEX.fullmatch(first))
+
+
+def _begins_with_names(found: Sequence[_Line], first_is_text: bool | None, knows: Callable[[str, str], bool]) -> bool:
+    if first_is_text is not None:
+        return first_is_text
+    text = next((line for line in found if not line.is_remark and not line.is_data and len(line.cells) > 1), None)
+    return text is not None and all(knows(cell, "") for cell in text.cells)
+
+
+def _is_data(cells: Sequence[str]) -> bool:
+    return bool(cells) and _numeric_share(cells) >= 0.5 and any(_is_number(cell) for cell in cells)
+
+
+def _without_trailing_remark(text: str, delimiter: str | None) -> str:
+    """Remove a remark behind numbers, such as "400 1.5  # first"; `#N/A`, `#1` and `#7a3b2c` are cells."""
+    place = text.find("#")
+    if place < 1 or not text[place - 1].isspace():
+        return text
+    before, word = split(text[:place], delimiter), text[place:].split()[0]
+    if word.lower() in MISSING or _HEX.fullmatch(word) or re.fullmatch(r"#\d+", word):
+        return text
+    is_behind_numbers = len(before) > 1 and all(_is_value(cell) for cell in before if cell)
+    return text[:place] if is_behind_numbers else text
+
+
+def _is_heading_remark(
+    line: _Line, delimiter: str | None, knows: Callable[[str, str], bool], width: int
+) -> tuple[str, ...] | None:
+    """Return the headings that a remark line names, or None if it is a remark only."""
+    text = line.text.strip().lstrip("#%!;*/'").strip()
+    for cells in _splits(text, delimiter, width):
+        if len(cells) == width and sum(knows(cell, "") for cell in cells) >= min(2, width):
+            return tuple(cells)
+    return None
+
+
+def _splits(text: str, delimiter: str | None, width: int) -> Iterator[list[str]]:
+    """Yield the cells of a heading by each delimiter, that of the rows first."""
+    seen: list[list[str]] = []
+    cases: list[list[str]] = [split(text, delimiter)]
+    cases += [split(text, mark) for mark in ("\t", ";", ",") if mark != delimiter]
+    cases.append([cell for cell in re.split(r"\t+|\s{2,}", text.strip()) if cell])
+    cases.append([cell for cell in re.split(r"[\t ]+", text.strip()) if cell])
+    cases.append([cell for cell in re.split(r"[\t ,;]+", text.strip()) if cell])
+    for cells in cases:
+        for joined in (cells, _with_units_joined(cells)):
+            plain_cells = [cell.strip().strip('"').strip() for cell in joined]
+            if plain_cells not in seen:
+                seen.append(plain_cells)
+                yield plain_cells
+
+
+def _with_units_joined(cells: Sequence[str]) -> list[str]:
+    """Join a unit in brackets to its word, and the words of "Photon energy [eV]" that blanks split."""
+    whole: list[str] = []
+    for cell in cells:
+        if whole and (cell[:1] in "([/" or whole[-1].endswith("/")):
+            whole[-1] += f" {cell}"
+        else:
+            whole.append(cell)
+    return whole
+
+
+def _is_unit_row(cells: Sequence[str]) -> bool:
+    filled = [cell for cell in cells if cell]
+    if not filled:
+        return False
+    known = [parse_unit(_without_brackets(cell)) is not None or _is_unit_phrase(cell) for cell in filled]
+    return all(known)
+
+
+def _is_unit_phrase(cell: str) -> bool:
+    """Whether a cell in brackets begins with a unit: "[% transmittance]"."""
+    inner = _without_brackets(cell)
+    return inner != cell and bool(inner) and parse_unit(inner.split()[0]) is not None
+
+
+def _without_brackets(cell: str) -> str:
+    text = cell.strip().strip('"').strip()
+    return text[1:-1].strip() if len(text) > 1 and text[0] in "([{<" and text[-1] in ")]}>" else text
+
+
+def unit_of(cell: str) -> str:
+    """Return the canonical unit of a cell of a row of units; "" if there is none.
+
+    Example:
+        >>> unit_of("[nm]"), unit_of("[% transmittance]"), unit_of("")
+        ('nm', '%', '')
+    """
+    inner = _without_brackets(cell)
+    return parse_unit(inner) or (parse_unit(inner.split()[0]) if inner.split() else None) or ""
+
+
+def _table(
+    path: Path, above: list[_Line], data: list[_Line], delimiter: str | None, knows: Callable[[str, str], bool]
+) -> TextTable:
+    width = max(len(line.cells) for line in data)
+    headings, units, heading_line, used = _find_headings(above, width, delimiter, knows)
+    if headings and len(headings) < width:
+        extra = next(line for line in data if len(line.cells) > len(headings))
+        raise NacreError(
+            f"{path}: line {extra.number} has {len(extra.cells)} cells, and line {heading_line} names "
+            f"{len(headings)} columns: {', '.join(headings)[:120]}"
+        )
+    if not headings:
+        odd = next((line for line in data if len(line.cells) != width), None)
+        if odd is not None:
+            raise NacreError(
+                f"{path}: line {odd.number} has {len(odd.cells)} cells and line "
+                f"{next(line.number for line in data if len(line.cells) == width)} has {width}; no heading names them"
+            )
+    width = max(width, len(headings))
+    rows = [line.cells + [""] * (width - len(line.cells)) for line in data]
+    units = [*units, *[""] * (width - len(units))]
+    _take_units_of_cells(rows, units)
+    decimal, grouping = _marks(path, rows, [line.number for line in data], delimiter)
+    titles = tuple(line.text.strip() for line in above if line.number not in used)
+    keep = [i for i in range(width) if (headings and headings[i]) or any(row[i] for row in rows)]
+    if len(keep) < width:
+        rows = [[row[i] for i in keep] for row in rows]
+        headings, units = [headings[i] for i in keep] if headings else [], [units[i] for i in keep]
+    return TextTable(
+        path, tuple(headings), tuple(units), rows, [line.number for line in data], titles, delimiter, decimal,
+        grouping, heading_line,
+    )  # fmt: skip
+
+
+def _take_units_of_cells(rows: list[list[str]], units: list[str]) -> None:
+    """Move a unit that all filled cells of a column carry ("42 %") to the column."""
+    for column in range(len(units)):
+        filled = [row[column] for row in rows if row[column]]
+        matches = [_WITH_UNIT.fullmatch(cell) for cell in filled]
+        if not filled or not matches[0] or not all(matches):
+            continue
+        found = {parse_unit(match[2]) for match in matches if match}
+        if len(found) == 1 and not units[column]:
+            units[column] = found.pop() or ""
+            for row in rows:
+                match = _WITH_UNIT.fullmatch(row[column])
+                row[column] = match[1] if match else row[column]
+
+
+def _marks(path: Path, rows: list[list[str]], lines: list[int], delimiter: str | None) -> tuple[str, str]:
+    """Return the decimal mark and the mark between groups of digits.
+
+    Raises:
+        NacreError: points and commas contradict each other, or a comma delimits cells and fractions.
+    """
+    with_comma = [
+        cell
+        for row in rows
+        for cell in row
+        if "," in cell and (_PLAIN_NUMBER.fullmatch(cell) or _GROUPED.fullmatch(cell))
+    ]
+    if not with_comma:
+        if delimiter == ",":
+            _check_split_fractions(path, rows, lines)
+        return ".", ""
+    both = [cell for cell in with_comma if "." in cell]
+    if both:
+        decimals = {"." if cell.rindex(".") > cell.rindex(",") else "," for cell in both}
+        if len(decimals) > 1:
+            raise NacreError(f'{path}: "{both[0]}" and other numbers use points and commas in two ways')
+        decimal = decimals.pop()
+        return decimal, "," if decimal == "." else "."
+    with_point = any("." in cell and "," not in cell and _PLAIN_NUMBER.fullmatch(cell) for row in rows for cell in row)
+    are_groups = all(_BARE_GROUPS.fullmatch(cell) for cell in with_comma)
+    if with_point and not are_groups:
+        raise NacreError(f'{path}: fractions are written with commas ("{with_comma[0]}") and with points; use one mark')
+    if with_point or any(cell.count(",") > 1 for cell in with_comma):
+        return ".", ","
+    return ",", ""
+
+
+def _check_split_fractions(path: Path, rows: list[list[str]], lines: list[int]) -> None:
+    """Refuse decimal commas in a table that commas delimit: 400,0,25 is 400 and 0.25, or three numbers."""
+    if any("." in cell for row in rows[:SAMPLE_LINES] for cell in row):
+        return
+    for row, line in zip(rows, lines):
+        if any(re.fullmatch(r"0\d+", cell) for cell in row[1:]):
+            raise NacreError(
+                f"{path}: line {line}: commas delimit cells and fractions; use semicolons between cells or points in "
+                "fractions"
+            )
+
+
+def _find_headings(
+    above: list[_Line], width: int, delimiter: str | None, knows: Callable[[str, str], bool]
+) -> tuple[list[str], list[str], int, set[int]]:
+    """Return headings, units, the line of the headings, and the lines used.
+
+    The nearest line above the rows that fits is taken: a line of text, or a remark that names columns. A row of units
+    may lie between.
+    """
+    units: list[str] = []
+    used: set[int] = set()
+    for line in reversed(above[-6:]):
+        text = line.text.strip()
+        if line.is_remark:
+            text = text.lstrip("#%!;*/'").strip()
+        unit_cells = next(
+            (c for c in _splits(text, delimiter, width) if len(c) >= min(width, 2) and _is_unit_row(c)), None
+        )
+        if (
+            unit_cells is not None
+            and not units
+            and len(unit_cells) <= width + 1
+            and not _names_columns(unit_cells, above, line)
+        ):
+            units, used = [unit_of(cell) for cell in unit_cells], {line.number}
+            continue
+        cells = _heading_cells(text, delimiter, width, knows, units, is_remark=line.is_remark)
+        if cells is not None:
+            return cells, units, line.number, used | {line.number}
+        if not line.is_remark and not _is_mark(text):
+            break  # a title; headings do not stand above titles
+    return [], units, 0, used
+
+
+def _names_columns(cells: list[str], above: list[_Line], line: _Line) -> bool:
+    """Whether a row of bare units ("nm", "n", "k") is the headings themselves: nothing above it could be."""
+    if any(cell[:1] in "([" for cell in cells):
+        return False
+    place = above.index(line)
+    return not any(len(other.text.split()) >= 2 for other in above[max(0, place - 2) : place])
+
+
+def _is_mark(text: str) -> bool:
+    """Whether a line only marks the begin of data, such as ">>>>>Begin Spectral Data<<<<<"."""
+    return bool(re.match(r"[>\[<=+*_~-]{3,}|\[?(begin|data|xydata|start|spectral data)\b", text.strip().lower()))
+
+
+def _heading_cells(
+    text: str,
+    delimiter: str | None,
+    width: int,
+    knows: Callable[[str, str], bool],
+    units: list[str],
+    *,
+    is_remark: bool,
+) -> list[str] | None:
+    """Return the cells of a line of headings, or None if the line is a title or a remark."""
+    best: list[str] | None = None
+    best_score = 0.0
+    for place, cells in enumerate(_splits(text, delimiter, width)):
+        if len(cells) < 2 and width > 1:
+            continue
+        known = sum(knows(c, units[i] if i < len(units) else "") for i, c in enumerate(cells) if c)
+        fits = len(cells) == width
+        if not fits and (known < min(2, width) or known < len(cells)):
+            continue
+        if is_remark and (known < min(2, width) or not fits):
+            continue
+        score = (4.0 if fits else 0.0) + 2.0 * known / max(1, len(cells)) - 0.01 * place
+        # a line of the rows' own layout is their heading even if no word is known: it is then named in the error
+        if known == 0 and not (place == 0 and fits and width > 1):
+            continue
+        if score > best_score:
+            best, best_score = cells, score
+    return best

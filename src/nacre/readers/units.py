@@ -1,0 +1,284 @@
+"""Units in files of other programs: their spellings, conversion, and readings of numbers without a unit."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.core.errors import NacreError
+
+Floats = NDArray[np.float64]
+
+EV_NM = 6.62607015e-34 * 299792458 / 1.602176634e-19 * 1e9  # h c / e
+LIGHT_NM_S = 2.99792458e17  # speed of light, nm/s
+
+# unit -> (dimension, factor to the SI unit; of a length: to nm)
+UNITS: dict[str, tuple[str, float]] = {
+    "nm": ("length", 1.0),
+    "um": ("length", 1e3),
+    "angstrom": ("length", 0.1),
+    "mm": ("length", 1e6),
+    "cm": ("length", 1e7),
+    "m": ("length", 1e9),
+    "eV": ("energy", 1.0),
+    "meV": ("energy", 1e-3),
+    "keV": ("energy", 1e3),
+    "J": ("energy", 1.0 / 1.602176634e-19),
+    "1/cm": ("wavenumber", 1e-7),
+    "1/m": ("wavenumber", 1e-9),
+    "1/um": ("wavenumber", 1e-3),
+    "1/nm": ("wavenumber", 1.0),
+    "1/mm": ("wavenumber", 1e-6),
+    "1/angstrom": ("wavenumber", 10.0),
+    "Hz": ("frequency", 1.0),
+    "GHz": ("frequency", 1e9),
+    "THz": ("frequency", 1e12),
+    "PHz": ("frequency", 1e15),
+    "rad/s": ("angular_frequency", 1.0),
+    "rad/ps": ("angular_frequency", 1e12),
+    "rad/fs": ("angular_frequency", 1e15),
+    "deg": ("angle", 1.0),
+    "rad": ("angle", 180.0 / np.pi),
+    "mrad": ("angle", 0.18 / np.pi),
+    "1": ("number", 1.0),
+    "%": ("number", 0.01),
+    "counts": ("counts", 1.0),
+    "px": ("pixels", 1.0),
+    "s": ("time", 1.0),
+    "ms": ("time", 1e-3),
+    "us": ("time", 1e-6),
+    "min": ("time", 60.0),
+    "V": ("voltage", 1.0),
+    "mV": ("voltage", 1e-3),
+    "K": ("temperature", 1.0),
+    "degC": ("temperature", 1.0),
+    "W/m2/nm": ("irradiance", 1.0),
+    "uW/cm2/nm": ("irradiance", 0.01),
+    "W/m2": ("irradiance", 1.0),
+}
+SPECTRAL = ("length", "energy", "wavenumber", "frequency", "angular_frequency")
+# spellings after NFKC normalisation, without blanks; those that are unique in lower case may have any case
+_SPELLINGS = {
+    "nm": "nm nanometer nanometers nanometre nanometres nanomètre nanomètres nanometern nanometro nanometri nanometros",
+    "um": "um μm mum \\mum micron microns micrometer micrometers micrometre micrometres mikrometer mikron mikrometern "
+    "micromètre micromètres micrometro micrometri",
+    "angstrom": "å a angstrom angstroms ångström ångstrom angström angstroem aa ang",
+    "mm": "mm millimeter millimeters millimetre millimetres",
+    "cm": "cm centimeter centimeters centimetre zentimeter",
+    "m": "m meter meters metre metres",
+    "eV": "ev electronvolt electronvolts electron-volt elektronenvolt elektronvolt",
+    "keV": "kev",
+    "J": "j joule",
+    "1/cm": "1/cm cm-1 cm^-1 cm^{-1} /cm cm**-1 kayser cm−1 percm pcm wavenumber(cm-1) 1percm invcm",
+    "1/m": "1/m m-1 m^-1 m^{-1} m**-1 perm",
+    "1/um": "1/um um-1 um^-1 μm-1 μm^-1 1/μm 1/micron μm^{-1} um^{-1} perum μm**-1",
+    "1/nm": "1/nm nm-1 nm^-1 nm^{-1} pernm nm**-1",
+    "1/mm": "1/mm mm-1 mm^-1",
+    "1/angstrom": "1/å å-1 å^-1 1/a a^-1 a-1 1/angstrom å^{-1}",
+    "Hz": "hz hertz",
+    "GHz": "ghz",
+    "THz": "thz terahertz",
+    "PHz": "phz",
+    "rad/s": "rad/s rad*s-1 rads-1 rads^-1 radians/s rad·s-1 rad.s-1 rad/sec",
+    "rad/ps": "rad/ps radps-1",
+    "rad/fs": "rad/fs radfs-1 radfs^-1 rad·fs-1",
+    "deg": "deg degree degrees ° grad degs º grados degrés gradi gr",
+    "rad": "rad radian radians radiant",
+    "mrad": "mrad",
+    "1": "1 - -- none unitless dimensionless a.u. au arb.units arb. arb arbitrary ratio factor fraction abs.",
+    "%": "% percent per-cent percents pct prozent pourcent percentage porcentaje procent",
+    "counts": "counts count cts dn adc digitalnumbers",
+    "px": "px pixel pixels pix pixl",
+    "s": "s sec secs second seconds",
+    "us": "us μs",
+    "min": "min minute minutes",
+    "V": "v volt volts",
+    "K": "k kelvin",
+    "degC": "°c degc celsius ℃ c",
+    "W/m2/nm": "w/m2/nm w/m^2/nm wm-2nm-1 w/(m2nm) w/(m^2nm) wm^-2nm^-1",
+    "uW/cm2/nm": "uw/cm2/nm μw/cm2/nm μw/cm^2/nm uw/cm^2/nm μwcm-2nm-1 uj/cm2/nm",
+    "W/m2": "w/m2 w/m^2 wm-2",
+}
+_CASED = {"ms": "ms", "mV": "mV", "meV": "meV", "MEV": "", "Mm": "", "M": "", "S": "", "Min": "min", "PM": ""}
+_UNIT_OF = {word: unit for unit, words in _SPELLINGS.items() for word in words.split()}
+
+
+def normal(text: str) -> str:
+    """Return a text with one form of each character: compatibility forms composed, one minus, one mu, one blank.
+
+    Example:
+        >>> normal("cm\\u207b\\u00b9  \\u00b5m")
+        'cm-1 μm'
+    """
+    text = unicodedata.normalize("NFKC", text)
+    for given, taken in (("\u2212", "-"), ("\u2013", "-"), ("\u2010", "-"), ("\u2011", "-"), ("\u22c5", "·")):
+        text = text.replace(given, taken)
+    return " ".join(text.replace("\ufeff", "").replace("\u200b", "").split())
+
+
+def parse_unit(text: str) -> str | None:
+    """Return the canonical unit of a spelling, or None.
+
+    Example:
+        >>> [parse_unit(word) for word in ("µm", "cm^-1", "Microns", "Å", "%", "sample")]
+        ['um', '1/cm', 'um', 'angstrom', '%', None]
+    """
+    word = normal(text).replace(" ", "").strip("'\"")
+    if not word:
+        return None
+    if word in _CASED:
+        return _CASED[word] or None
+    return _UNIT_OF.get(word) or _UNIT_OF.get(word.lower()) or _UNIT_OF.get(word.lower().rstrip("."))
+
+
+def dimension(unit: str) -> str:
+    """Return the dimension of a canonical unit."""
+    return UNITS[unit][0]
+
+
+def to_nm(values: Floats, unit: str) -> Floats:
+    """Convert a spectral quantity to vacuum wavelengths in nm; 0 becomes inf.
+
+    Args:
+        values: lengths, photon energies, wavenumbers, frequencies or angular frequencies.
+        unit: a canonical unit of one of those dimensions.
+    """
+    kind, factor = UNITS[unit]
+    scaled = np.asarray(values, dtype=float) * factor
+    if kind == "length":
+        return scaled
+    with np.errstate(divide="ignore"):
+        if kind == "energy":
+            return EV_NM / scaled
+        if kind == "wavenumber":
+            return 1.0 / scaled
+        if kind == "frequency":
+            return LIGHT_NM_S / scaled
+        if kind == "angular_frequency":
+            return 2.0 * np.pi * LIGHT_NM_S / scaled
+    raise NacreError(f'"{unit}" is no unit of a wavelength, energy, wavenumber or frequency')
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """When numbers without a unit may be in `unit`: a test of the least and greatest number."""
+
+    unit: str
+    is_plausible: Callable[[float, float], bool]
+
+
+# Optical tables of films, glasses and metals lie between 100 nm and some 100 um. Instruments: 190-3300 nm,
+# 0.5-7 eV, infrared 350-12000 1/cm.
+_OF_DIMENSION: dict[str, tuple[_Reading, ...]] = {
+    "length": (
+        _Reading("nm", lambda low, high: low >= 100.0 and high <= 50_000.0),
+        _Reading("um", lambda low, high: low >= 0.05 and high <= 100.0 and low < 30.0),
+        _Reading("angstrom", lambda low, high: low >= 1800.0 and 6000.0 <= high <= 100_000.0),
+        _Reading("mm", lambda low, high: low >= 1e-4 and high < 0.02),
+        _Reading("m", lambda low, high: low >= 1e-7 and high < 2e-5),
+    ),
+    "energy": (
+        _Reading("eV", lambda low, high: 0.005 <= low and high <= 60.0),
+        _Reading("meV", lambda low, high: low >= 100.0 and high <= 10_000.0),
+        _Reading("J", lambda low, high: high < 1e-15),
+    ),
+    "wavenumber": (
+        _Reading("1/cm", lambda low, high: low >= 50.0 and high <= 200_000.0),
+        _Reading("1/um", lambda low, high: 0.02 <= low and high <= 20.0),
+    ),
+    "frequency": (
+        _Reading("THz", lambda low, high: 5.0 <= low and high <= 5000.0),
+        _Reading("Hz", lambda low, high: 1e12 <= low and high <= 1e17),
+    ),
+    "angular_frequency": (
+        _Reading("rad/s", lambda low, high: 1e13 <= low and high <= 1e18),
+        _Reading("rad/fs", lambda low, high: 0.1 <= low and high <= 30.0),
+    ),
+}
+# without a heading: narrower, as the quantity is unknown too
+_OF_NONE: tuple[_Reading, ...] = (
+    _Reading("nm", lambda low, high: low >= 100.0 and high <= 50_000.0),
+    _Reading("um", lambda low, high: low >= 0.05 and high <= 100.0),
+    _Reading("eV", lambda low, high: 0.01 <= low and 1.3 <= high <= 20.0),
+    _Reading("1/cm", lambda low, high: low >= 300.0 and high >= 2650.0 or low > 750.0 and high > 1300.0),
+    _Reading("angstrom", _OF_DIMENSION["length"][2].is_plausible),
+    _Reading("m", _OF_DIMENSION["length"][4].is_plausible),
+    _Reading("THz", lambda low, high: False),
+)
+
+
+def spectral_units(values: Floats, quantity: str | None = None) -> tuple[str, ...]:
+    """Return the units in which numbers without one may be.
+
+    All numbers count, not one that passes a threshold.
+
+    Args:
+        values: finite numbers.
+        quantity: "wavelength", "energy", "wavenumber", "frequency", "angular_frequency", or None if unknown.
+
+    Example:
+        >>> spectral_units(np.array([400.0, 700.0])), spectral_units(np.array([0.3, 6.0]))
+        (('nm',), ('um', 'eV'))
+    """
+    low, high = float(np.min(values)), float(np.max(values))
+    readings = _OF_NONE if quantity is None else _OF_DIMENSION["length" if quantity == "wavelength" else quantity]
+    return tuple(reading.unit for reading in readings if reading.is_plausible(low, high))
+
+
+def in_range(values: Floats, units: Iterable[str]) -> str:
+    """Return the readings of numbers for a message.
+
+    Example:
+        >>> in_range(np.array([0.3, 6.0]), ("um", "eV"))
+        '300-6000 nm (um) or 207-4133 nm (eV)'
+    """
+    low, high = float(np.min(values)), float(np.max(values))
+    said = []
+    for unit in units:
+        ends = sorted(to_nm(np.array([low, high]), unit))
+        said.append(f"{ends[0]:.4g}-{ends[1]:.4g} nm ({unit})")
+    return " or ".join(said)
+
+
+SHORTEST_NM, SOFT_X_RAY_NM = 10.0, 100.0  # optics of films begins in the extreme ultraviolet
+
+
+def likely_unit(values: Floats, unit: str) -> str | None:
+    """Return the unit that numbers are probably in if the stated unit puts them outside of optics; None: plausible.
+
+    Example:
+        >>> likely_unit(np.array([0.4, 0.75]), "nm"), likely_unit(np.array([400.0, 750.0]), "nm")
+        ('um', None)
+    """
+    nm = to_nm(values, unit)
+    low, high = float(nm.min()), float(nm.max())
+    raw_low, raw_high = float(np.min(values)), float(np.max(values))
+    if low < SHORTEST_NM and high < SOFT_X_RAY_NM:
+        other = [u for u in ("um", "nm", "eV", "m", "mm") if u != unit and _is_common(raw_low, raw_high, u)]
+        return other[0] if other else "another unit"
+    if low > 1e5 and unit != "nm" and raw_low > 0:
+        other = [u for u in ("nm", "um", "angstrom", "1/cm", "THz") if u != unit and _is_common(raw_low, raw_high, u)]
+        return other[0] if other else ("another unit" if low > 1e7 else None)
+    return None
+
+
+def _is_common(low: float, high: float, unit: str) -> bool:
+    ends = to_nm(np.array([low, high]), unit)
+    return bool(ends.min() >= 90.0 and ends.max() <= 30_000.0)
+
+
+def find_units(text: str) -> list[str]:
+    """Return the canonical units that a text names in brackets, after a slash, or as a word that is nothing else."""
+    found = [parse_unit(part) for part in re.findall(r"[(\[]([^)\]]*)[)\]]", text)]
+    words = re.findall(r"(?<!\w)(?:nm|um|µm|μm|eV|cm-1|1/cm|THz|angstroms?|micron s?|Å)(?!\w)", normal(text))
+    return [unit for unit in (*found, *(parse_unit(word) for word in words)) if unit]
+
+
+def unit_list(units: Sequence[str]) -> str:
+    """Return units for a message: 'unit = "um" or unit = "eV"'."""
+    return " or ".join(f'"{unit}"' for unit in units)

@@ -1,0 +1,127 @@
+"""Ellipsometry of films: files of known structures, identities, and averages of an instrument."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.analysis.ellipsometry import EllipsometricResponse, averaged_mueller
+from nacre.cli import run
+from nacre.core.errors import NacreError, UnsupportedError
+from nacre.matter.stack.stack import Layer, Stack
+from nacre.readers.registry import open_file
+from nacre.recipe.path_tables import InstrumentSpec
+
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "reference" / "ellipsometry"
+PSI_BAR, DELTA_BAR = 0.0005, 0.005  # degrees: half of the last digit of the files
+ROUNDED = 1e-6  # of the least significant digits written
+WATER_STEP = 5e-5  # half of the last digit of the constants of water
+WAFER = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 300.0}]}
+WAVES = np.linspace(400.0, 800.0, 9)
+
+
+def table(name: str, lam: Any) -> Any:
+    """Index of a table, its permittivity interpolated over wavelength as WVASE does."""
+    text = (SHARED / f"nk_{name}.csv").read_text(encoding="utf-8-sig").splitlines()[1:]
+    rows = np.array([[float(cell or 0) for cell in [*line.split(","), "0"][:3]] for line in text if line])
+    eps = (rows[:, 1] + 1j * rows[:, 2]) ** 2
+    return np.sqrt(np.interp(lam, 1e3 * rows[:, 0], eps.real) + 1j * np.interp(lam, 1e3 * rows[:, 0], eps.imag))
+
+
+def cauchy(a: float, b: float, lam: Any) -> Any:
+    return a + b / (lam / 1e3) ** 2 + 0j
+
+
+def mixture(first: Any, second: Any, share: float) -> Any:
+    return np.sqrt((1 - share) * first**2 + share * second**2)
+
+
+def structures(lam: Any, shift: float = 0.0) -> dict[str, tuple[Any, list[tuple[Any, float]]]]:
+    silica, water = table("silica", lam), cauchy(1.3242 + shift, 0.003064, lam)
+    polymer = cauchy(1.47, 0.00495, lam)
+    return {
+        "2nmSiO2_117nmAu": (1.0, [(table("gold", lam), 117.0), (silica, 2.0)]),
+        "2nmSiO2_65nmAl2O3": (1.0, [(table("aluminium_oxide", lam), 65.0), (silica, 2.0)]),
+        "2nmSiO2_20nmPNIPAM_50EMA": (water, [(mixture(polymer, water, 0.5), 20.0), (silica, 2.0)]),
+        "3nmSiO2_30EMA": (table("water", lam), [(mixture(silica, table("water", lam), 0.3), 3.0)]),
+    }
+
+
+@pytest.mark.parametrize("name", ["2nmSiO2_117nmAu", "2nmSiO2_65nmAl2O3", "2nmSiO2_20nmPNIPAM_50EMA", "3nmSiO2_30EMA"])
+def test_the_files_of_known_structures_are_reproduced(name: str) -> None:
+    if not SHARED.exists():
+        pytest.skip("the shared reference data are not here")
+    data = open_file(next(SHARED.glob(f"*{name}*")))[0].data
+    lam, angle = data["wavelength_nm"], data["angle_of_incidence_deg"][:1]
+    found, moved = (computed(*structures(lam, shift)[name], lam, angle) for shift in (0.0, WATER_STEP))
+    for ours, rounded, theirs, bar in (
+        (found.psi_deg, moved.psi_deg, data["psi_deg"], PSI_BAR),
+        (found.delta_deg, moved.delta_deg, data["delta_deg"], DELTA_BAR),
+    ):
+        excess = np.abs(ours[0] - theirs) - np.abs(ours[0] - rounded[0])
+        assert np.max(excess) <= bar + ROUNDED
+
+
+def computed(ambient: Any, layers: list[tuple[Any, float]], lam: Any, angle: Any) -> EllipsometricResponse:
+    stack = Stack(ambient, [Layer(n, d) for n, d in layers], table("silicon", lam))
+    return EllipsometricResponse(lam, angle, averaged_mueller(stack, angle, lam, 0.0, InstrumentSpec()))
+
+
+def test_a_bare_substrate_returns_its_permittivity() -> None:
+    gold = nacre.material({"family": "film", "substrate": "Au"})
+    found = nacre.ellipsometry(gold, [60.0, 75.0], WAVES)
+    eps = gold.model.substrate.n_complex(WAVES) ** 2
+    np.testing.assert_allclose(found.pseudo_epsilon, np.broadcast_to(eps, (2, 9)), rtol=1e-4)  # of air, not vacuum
+    assert np.all((found.delta_deg > 0) & (found.delta_deg < 180))
+
+
+def test_bandwidth_cone_and_spread_depolarise() -> None:
+    pure = nacre.ellipsometry(WAFER, [70.0], WAVES)
+    assert np.max(pure.depolarisation) < 1e-12
+    for key, value in (("bandwidth_nm", 10.0), ("cone_deg", 3.0), ("thickness_spread_percent", 3.0)):
+        mixed = nacre.ellipsometry({**WAFER, "instrument": {key: value}}, [70.0], WAVES)
+        assert np.max(mixed.depolarisation) > 1e-4
+        np.testing.assert_allclose(mixed.relative[..., 0, 0], 1.0)
+
+
+def test_the_average_over_thickness_is_that_of_many_thicknesses() -> None:
+    spread = 0.02
+    deviates = np.linspace(-5, 5, 201)
+    weights = np.exp(-0.5 * deviates**2)
+    wafer = nacre.material(WAFER)
+    total = np.zeros((1, len(WAVES), 4, 4))
+    for weight, x in zip(weights / weights.sum(), deviates, strict=True):
+        one = wafer.vary({"layers[0].thickness_nm": 300 * (1 + spread * x)})
+        total += weight * nacre.ellipsometry(one, [70.0], WAVES).mueller
+    found = nacre.ellipsometry({**WAFER, "instrument": {"thickness_spread_percent": 100 * spread}}, [70.0], WAVES)
+    np.testing.assert_allclose(found.mueller, total, atol=1e-5)  # both quadratures are cut at 5 deviations
+
+
+def test_command_writes_its_quantities(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recipe = tmp_path / "wafer.toml"
+    recipe.write_text('family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n')
+    arguments = ["ellipsometry", str(recipe), "--angles-deg", "65,70", "--wavelengths-nm", "400:800:50"]
+    assert run([*arguments, "--json", "-o", str(tmp_path / "e.csv")]) == 0
+    document = json.loads(capsys.readouterr().out)
+    found = nacre.ellipsometry(str(recipe), [65.0, 70.0], WAVES)
+    np.testing.assert_allclose(document["psi_deg"], found.psi_deg)
+    np.testing.assert_allclose(document["m34"], found.s)
+    rows = np.genfromtxt(tmp_path / "e.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(rows["delta_deg"], found.delta_deg.ravel(), rtol=1e-8)
+
+
+def test_what_has_no_specular_reflection_is_refused() -> None:
+    with pytest.raises(UnsupportedError):
+        nacre.ellipsometry({**WAFER, "ridges": {"pitch_nm": 700, "width_nm": 300, "height_deviation_nm": 120}})
+    with pytest.raises(UnsupportedError):
+        nacre.ellipsometry("pearl/mcs2")
+    for wrong in ({"bandwidth_nm": -1}, {"cone": 1}):
+        with pytest.raises(NacreError):
+            nacre.ellipsometry({**WAFER, "instrument": wrong})
+    with pytest.raises(NacreError):
+        nacre.ellipsometry(WAFER, [90.0])

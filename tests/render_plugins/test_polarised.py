@@ -1,0 +1,123 @@
+"""Mueller matrices of films in polarised variants, against Mitsuba's own polarised BSDFs and the amplitudes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+import nacre.render
+
+mi = pytest.importorskip("mitsuba")
+GRID_NM = np.arange(400.0, 701.0, 20.0)
+WAVELENGTHS_NM = [450.0, 500.0, 550.0, 600.0]
+METAL = {"n": 0.2, "k": 3.0}
+MITSUBA_METAL = {"eta": {"type": "uniform", "value": 0.2}, "k": {"type": "uniform", "value": 3.0}}
+GLASS_INSIDE = {"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.5}
+
+
+@pytest.fixture
+def polarised() -> Any:
+    before = mi.variant()
+    mi.set_variant("scalar_spectral_polarized")
+    yield mi
+    mi.set_variant(before or "scalar_spectral")
+
+
+def interaction(direction: np.ndarray) -> Any:
+    import drjit as dr
+
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.wi = mi.Vector3f(*[float(x) for x in direction])
+    si.wavelengths = WAVELENGTHS_NM
+    return si
+
+
+def directions(rng: np.random.Generator, count: int, both_sides: bool = False) -> np.ndarray:
+    theta, phi = rng.uniform(0.02, 1.45, count), rng.uniform(0.0, 2 * np.pi, count)
+    sign = rng.choice([-1.0, 1.0], count) if both_sides else 1.0
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), sign * np.cos(theta)], axis=1)
+
+
+def film(recipe: dict[str, Any]) -> Any:
+    from nacre.device.bsdf import make_bsdf
+
+    return make_bsdf(nacre.material({"family": "film"} | recipe).bsdf(GRID_NM))
+
+
+def samples(bsdf: Any, si: Any, draws: list[float], mode: Any) -> tuple[np.ndarray, np.ndarray]:
+    bs, weight = bsdf.sample(mi.BSDFContext(mode), si, draws[0], mi.Point2f(*draws[1:]))
+    return np.array(bs.wo), np.array(weight)
+
+
+@pytest.mark.parametrize(
+    ("recipe", "reference", "both_sides", "limit"),
+    [
+        ({"substrate": METAL}, {"type": "conductor"} | MITSUBA_METAL, False, 2e-5),
+        ({"substrate": {"n": 1.5}}, {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}, True, 2e-5),
+        ({"ambient": {"n": 1.5}, "substrate": "air"}, GLASS_INSIDE, True, 5e-5),
+    ],
+)
+def test_without_layers_a_film_is_mitsubas_own_interface(
+    polarised: Any, recipe: dict[str, Any], reference: dict[str, Any], both_sides: bool, limit: float
+) -> None:
+    ours, theirs = film(recipe), mi.load_dict(reference)
+    rng = np.random.default_rng(1)
+    compared = 0
+    for wi in directions(rng, 30, both_sides):
+        draws = [float(x) for x in rng.random(3)]
+        for mode in (mi.TransportMode.Radiance, mi.TransportMode.Importance):
+            (wo, weight), (their_wo, their_weight) = (samples(b, interaction(wi), draws, mode) for b in (ours, theirs))
+            if np.allclose(wo, their_wo, atol=1e-4):
+                np.testing.assert_allclose(weight, their_weight, atol=limit)
+                compared += 1
+    assert compared > 40
+
+
+def test_a_rough_metal_is_mitsubas_own_rough_conductor(polarised: Any) -> None:
+    ours = film({"substrate": METAL, "surface": {"roughness": 0.3}})
+    theirs = mi.load_dict({"type": "roughconductor", "distribution": "ggx", "alpha": 0.3} | MITSUBA_METAL)
+    rng = np.random.default_rng(2)
+    context = mi.BSDFContext()
+    for wi, wo in zip(directions(rng, 30), directions(rng, 30), strict=True):
+        pair = interaction(wi), mi.Vector3f(*[float(x) for x in wo])
+        found, expected = (np.array(b.eval(context, *pair)) for b in (ours, theirs))
+        # 1e-4: the interpolation error of the table of R
+        np.testing.assert_allclose(found, expected, atol=1e-4 * max(1.0, expected[0, 0].max()))
+
+
+def test_stokes_vectors_of_random_films_are_those_of_their_amplitudes(polarised: Any) -> None:
+    """20 stacks, 3 angles each; Mueller elements from s and p by their definition (Azzam and Bashara 1977, 2.12)."""
+    from nacre.matter.stack.solve import solve
+
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        count = int(rng.integers(1, 5))
+        index = rng.uniform(1.3, 2.5, count)
+        thickness = rng.uniform(20.0, 300.0, count)
+        layers = [{"material": {"n": float(n)}, "thickness_nm": float(d)} for n, d in zip(index, thickness)]
+        bsdf = film({"substrate": METAL, "layers": layers})
+        for angle in rng.uniform(5.0, 80.0, 3):
+            wi = np.array([np.sin(np.radians(angle)), 0.0, np.cos(np.radians(angle))])
+            _, matrix = samples(bsdf, interaction(wi), [0.5] * 3, mi.TransportMode.Radiance)
+            n = np.concatenate([[1.0], index, [0.2 + 3.0j]])[:, None]
+            # 500 nm is a node of the grid
+            found = solve(n, thickness, [500.0], np.radians(angle))
+            r_s, r_p = found.r_s.item(), found.r_p.item()
+            half_sum, half_difference = 0.5 * (abs(r_s) ** 2 + abs(r_p) ** 2), 0.5 * (abs(r_s) ** 2 - abs(r_p) ** 2)
+            cross = r_s * np.conj(r_p)
+            np.testing.assert_allclose(matrix[0, 0, 1], half_sum, atol=1e-4)
+            # in the plane y = 0 the Stokes frames are s and p up to a turn by 90 degrees, which flips two signs
+            assert abs(abs(matrix[0, 1, 1]) - abs(half_difference)) < 1e-4
+            assert abs(np.hypot(matrix[2, 2, 1], matrix[2, 3, 1]) - abs(cross)) < 1e-4
+
+
+def test_a_diffuse_lobe_depolarises(polarised: Any) -> None:
+    bsdf = film({"substrate": {"n": 1.5}, "base": {"albedo": 0.5}})
+    wi, wo = directions(np.random.default_rng(4), 2)
+    found = np.array(bsdf.eval(mi.BSDFContext(), interaction(wi), mi.Vector3f(*[float(x) for x in wo])))
+    assert found[0, 0].min() > 0.0
+    found[0, 0] = 0.0
+    np.testing.assert_array_equal(found, 0.0)

@@ -1,0 +1,104 @@
+"""Diagnosis of a coating run: the cause is found, its width is right, and an ambiguous measurement is called so."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.analysis.diagnose import ColourObservation, SpectrumObservation, diagnose
+from nacre.core.errors import NacreError
+from nacre.material.material import Material
+from nacre.optimise.tolerances import draw, read_tolerances
+
+GRID_NM = np.arange(400.0, 781.0, 5.0)
+NOISE = 0.002
+AR = {
+    "family": "film",
+    "substrate": {"n": 1.52},
+    "layers": [
+        {"material": {"n": n}, "thickness_nm": d} for n, d in ((1.38, 95.0), (2.10, 115.0), (1.38, 30.0), (2.10, 14.0))
+    ],
+}
+SYMMETRIC = {
+    "family": "film",
+    "substrate": "air",
+    "layers": [{"material": {"n": n}, "thickness_nm": d} for n, d in ((1.46, 120.0), (2.3, 260.0), (1.46, 120.0))],
+}
+
+
+def coating(recipe: dict[str, Any], percent: float, group: str = "") -> tuple[Material, tuple]:
+    material = nacre.material(recipe)
+    entry = {"percent": percent} | ({"group": group} if group else {})
+    return material, read_tolerances({"layers[*].thickness_nm": entry}, material, "test")
+
+
+def measured(sample: Material, rng: np.random.Generator, angle: float = 0.0, p: str = "both") -> SpectrumObservation:
+    empty = SpectrumObservation(GRID_NM, np.zeros(len(GRID_NM)), angle, p)
+    noisy = empty.model(sample, None, 0) + NOISE * rng.standard_normal(len(GRID_NM))
+    return SpectrumObservation(GRID_NM, noisy, angle, p)
+
+
+def test_the_layer_that_was_off_is_named_with_its_deviation() -> None:
+    material, tolerances = coating(AR, 3.0)
+    rng = np.random.default_rng(1)
+    path = "layers[1].thickness_nm"
+    result = diagnose(material, tolerances, [measured(material.vary({path: 120.0}), rng)], NOISE)
+    best = result.suspects[0]
+    assert (result.verdict, best.name) == ("one cause", path)
+    assert abs(best.changes[path] - 5.0) < 4 * best.errors[path]
+    assert result.material.get(path) == pytest.approx(120.0, abs=4 * best.errors[path])
+
+
+def test_a_good_run_needs_no_cause() -> None:
+    material, tolerances = coating(AR, 3.0)
+    result = diagnose(material, tolerances, [measured(material, np.random.default_rng(2))], NOISE)
+    assert result.verdict == "within noise"
+
+
+def test_mirrored_layers_of_a_free_film_cannot_be_told_apart() -> None:
+    # a lossless stack reflects the same power from both sides, at every angle and in both polarisations
+    material, tolerances = coating(SYMMETRIC, 3.0)
+    sample = material.vary({"layers[0].thickness_nm": 126.0})
+    rng = np.random.default_rng(3)
+    result = diagnose(material, tolerances, [measured(sample, rng), measured(sample, rng, 45.0, "s")], NOISE)
+    assert result.verdict == "ambiguous"
+    assert {s.name for s in result.suspects[:2]} == {"layers[0].thickness_nm", "layers[2].thickness_nm"}
+    assert result.suspects[0].probability == pytest.approx(0.5, abs=0.02)
+    assert result.advice == ""
+
+
+def test_a_wrong_substrate_is_no_deviation() -> None:
+    material, tolerances = coating(AR, 0.5)
+    sample = nacre.material(AR | {"substrate": {"n": 3.5}})
+    result = diagnose(material, tolerances, [measured(sample, np.random.default_rng(4))], NOISE)
+    assert result.verdict == "unexplained"
+
+
+def test_posterior_widths_from_colours_of_tied_layers_are_calibrated() -> None:
+    """Two factors (one per material) from L*a*b* at two angles: pulls of 12 runs are standard normal."""
+    material, tolerances = coating(AR, 6.0, "material")
+    rng = np.random.default_rng(6)
+    drawn = draw(tolerances, rng, 12).values
+    pulls = []
+    for run in range(12):
+        values = {path: float(column[run]) for path, column in drawn.items()}
+        sample = material.vary(values)
+        seen = []
+        for geometry in ("specular 5", "specular 45"):
+            lab = ColourObservation(geometry, np.zeros(3)).model(sample, None, 0)
+            seen.append(ColourObservation(geometry, lab + 0.1 * rng.standard_normal(3)))
+        result = diagnose(material, tolerances, seen, 0.1)
+        truth = [values[f"layers[{i}].thickness_nm"] / AR["layers"][i]["thickness_nm"] - 1.0 for i in (0, 1)]
+        pulls += list((result.factors - np.array(truth) / 0.06) / result.factor_errors)
+    # chi-squared of 24 values: 99.9 % below 51.2, 0.1 % below 8.1
+    assert 8.1 < np.sum(np.square(pulls)) < 51.2
+
+
+@pytest.mark.parametrize(("noise", "count"), [(0.0, 1), (0.01, 0)])
+def test_a_diagnosis_without_data_or_noise_is_refused(noise: float, count: int) -> None:
+    material, tolerances = coating(AR, 3.0)
+    with pytest.raises(NacreError):
+        diagnose(material, tolerances, [measured(material, np.random.default_rng(0))] * count, noise)
