@@ -42,9 +42,6 @@ from nacre.optimise.gamut import Gamut, find_gamut, parse_parameters
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import open_file
 
-<<<<<<< HEAD
-__all__ = ["evaluate", "export", "fabricate", "fit", "gamut", "import_", "orders", "report", "spectrum", "sweep", "tolerance"]
-=======
 __all__ = [
     "ellipsometry",
     "evaluate",
@@ -53,13 +50,13 @@ __all__ = [
     "fit",
     "gamut",
     "import_",
+    "orders",
     "read",
     "report",
     "spectrum",
     "sweep",
     "tolerance",
 ]
->>>>>>> main
 
 
 def as_bsdf(thing: HasBsdf | Bsdf | MaterialLike) -> Bsdf:
@@ -113,7 +110,6 @@ def spectrum(
     return as_material(thing).spectrum(np.radians(floats(angles_deg, "angles_deg")), wavelengths_nm, polarisation)
 
 
-<<<<<<< HEAD
 def orders(
     thing: MaterialLike,
     angles_deg: ArrayLike = 0.0,
@@ -150,7 +146,8 @@ def orders(
     if grid is not None and (np.any(grid <= 0.0) or not np.all(np.isfinite(grid))):
         raise NacreError("wavelengths_nm must be positive")
     return model.diffraction_orders(theta, float(np.radians(azimuth_deg)), grid)
-=======
+
+
 def ellipsometry(
     thing: MaterialLike,
     angles_deg: ArrayLike = (65.0, 70.0, 75.0),
@@ -178,7 +175,6 @@ def ellipsometry(
         (11, 174)
     """
     return compute_ellipsometry(as_material(thing), angles_deg, wavelengths_nm, azimuth_deg)
->>>>>>> main
 
 
 def report(

@@ -29,11 +29,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("nacre.cli.render", "Make pictures and plots of every example recipe, with a contact sheet."),
     "render": ("nacre.cli.render", "Render a material on an object."),
     "spectrum": ("nacre.cli.show", "Print reflectance and transmittance over angle and wavelength."),
-<<<<<<< HEAD
     "orders": ("nacre.cli.show", "Print the diffraction orders of a grating."),
-=======
     "ellipsometry": ("nacre.cli.ellipsometry", "Print Psi, Delta and Mueller matrices over angle and wavelength."),
->>>>>>> main
     "evaluate": ("nacre.cli.show", "Evaluate the BSDF for given directions."),
     "plot": ("nacre.cli.show", "Draw a figure of a material."),
     "compile": ("nacre.cli.show", "Solve a recipe once and store the result as a .nacre file."),

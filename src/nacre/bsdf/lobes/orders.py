@@ -136,5 +136,9 @@ class OrdersLobe(Lobe):
 
 def limited_width(width: float, lattice: Array, shortest_nm: float) -> float:
     """Return a width at which neighbouring orders do not overlap."""
-    vectors = [lattice[0]] if not np.any(lattice[1]) else [lattice[0], lattice[1], lattice[0] - lattice[1], lattice[0] + lattice[1]]
+    vectors = (
+        [lattice[0]]
+        if not np.any(lattice[1])
+        else [lattice[0], lattice[1], lattice[0] - lattice[1], lattice[0] + lattice[1]]
+    )
     return min(width, MAX_OVERLAP * shortest_nm * min(float(np.hypot(*v)) for v in vectors))

@@ -124,7 +124,9 @@ class Grating(Model, Diffracting):
         if self.turn is None:
             if self.turn_deg == 0.0:
                 return None
-            return Texture(self.turn_deg * degree, self.turn_deg * degree, formula=parse_formula(repr(self.turn_deg * degree)))
+            return Texture(
+                self.turn_deg * degree, self.turn_deg * degree, formula=parse_formula(repr(self.turn_deg * degree))
+            )
         made = self.turn
         if made.formula is not None:
             scaled = replace(parse_formula(f"({made.formula.text})*{degree!r}"), written=made.formula.written)
@@ -147,10 +149,14 @@ class Grating(Model, Diffracting):
             passed = np.zeros_like(passed)
         total = np.zeros((*reflected.shape[:1], 2 if eta > 1.0 else 0, len(lam)))
         if self.turn is None:
-            response = InterfaceResponse(lam, cosines, reflected, passed, np.zeros_like(reflected), total, eta, transmits)
+            response = InterfaceResponse(
+                lam, cosines, reflected, passed, np.zeros_like(reflected), total, eta, transmits
+            )
             return AlignedSpecular(response, float(np.radians(self.turn_deg)))
         reflected, passed = reflected[:-1].mean(axis=0), passed[:-1].mean(axis=0)
-        response = InterfaceResponse(lam, cosines, reflected, passed, np.zeros_like(reflected), total[0], eta, transmits)
+        response = InterfaceResponse(
+            lam, cosines, reflected, passed, np.zeros_like(reflected), total[0], eta, transmits
+        )
         return Specular(response)
 
     def spectrum(

@@ -205,10 +205,14 @@ class ShapeSpec(RecipeModel):
             raise context.fail(f"{key}.gds", self.gds, "is not a GDS file") from None
         names = {cell.name: cell for cell in library.cells}
         if self.cell is not None and self.cell not in names:
-            raise context.fail(f"{key}.cell", self.cell, f"is not in {self.gds}; allowed: {', '.join(sorted(names)[:20])}")
+            raise context.fail(
+                f"{key}.cell", self.cell, f"is not in {self.gds}; allowed: {', '.join(sorted(names)[:20])}"
+            )
         top = [names[self.cell]] if self.cell is not None else library.top_level()
         if len(top) != 1:
-            raise RecipeError(f"{context.source}: {key}.cell is missing; allowed: {', '.join(c.name for c in top[:20])}")
+            raise RecipeError(
+                f"{context.source}: {key}.cell is missing; allowed: {', '.join(c.name for c in top[:20])}"
+            )
         polygons = top[0].get_polygons(layer=self.layer, datatype=0)
         if not polygons:
             raise context.fail(f"{key}.layer", self.layer, f"holds no polygons in cell {top[0].name}")
@@ -226,7 +230,9 @@ def _bilinear(values: Array, u: Array, v: Array) -> Array:
     return np.asarray(low * (1 - g) + (values[i0, j1] * (1 - f) + values[i1, j1] * f) * g)
 
 
-def _turned(distance: Callable[[Array, Array], Array], x: float, y: float, turn: float) -> Callable[[Array, Array], Array]:
+def _turned(
+    distance: Callable[[Array, Array], Array], x: float, y: float, turn: float
+) -> Callable[[Array, Array], Array]:
     c, s = np.cos(turn), np.sin(turn)
     return lambda a, b: distance(c * (a - x) + s * (b - y), c * (b - y) - s * (a - x))
 

@@ -50,7 +50,11 @@ class GratingLayerSpec(RecipeModel):
 class LatticeSpec(RecipeModel):
     """The lattice: lines along y repeat along x, other cells along two directions."""
 
-    forms: ClassVar[tuple[str, ...]] = ("{period_nm = 300}", "{period_nm = [300, 400]}", '{kind = "hexagonal", period_nm = 400}')
+    forms: ClassVar[tuple[str, ...]] = (
+        "{period_nm = 300}",
+        "{period_nm = [300, 400]}",
+        '{kind = "hexagonal", period_nm = 400}',
+    )
 
     period_nm: Period | tuple[Period, Period] = Field(
         description="period, or both periods of a cell", examples=[300, [300, 400]]
@@ -125,7 +129,9 @@ class ProfileSpec(RecipeModel):
             if self.top is None or self.bottom is None:
                 raise ValueError("top and bottom are missing; a trapezoid needs both shares of the period")
             if self.top + self.bottom >= 1.0:
-                raise ValueError(f"top = {self.top:g} and bottom = {self.bottom:g} leave no flanks; allowed: a sum below 1")
+                raise ValueError(
+                    f"top = {self.top:g} and bottom = {self.bottom:g} leave no flanks; allowed: a sum below 1"
+                )
         return self
 
     def build(self, context: RecipeContext, period_nm: float) -> Profile:
@@ -146,9 +152,15 @@ class ProfileSpec(RecipeModel):
                 self.shape, min(apex, 1.0 - apex)
             )
             if self.depth_nm > MAX_FLAT_SLOPE * flank * period_nm:
-                key, value = ("profile.apex", apex) if self.shape in ("triangle", "blazed") else ("profile.depth_nm", self.depth_nm)
+                key, value = (
+                    ("profile.apex", apex)
+                    if self.shape in ("triangle", "blazed")
+                    else ("profile.depth_nm", self.depth_nm)
+                )
                 raise context.fail(
-                    key, value, f"makes a flank steeper than {MAX_FLAT_SLOPE:g}; allowed: flatter ones, or layers of lines"
+                    key,
+                    value,
+                    f"makes a flank steeper than {MAX_FLAT_SLOPE:g}; allowed: flatter ones, or layers of lines",
                 )
         return made
 
@@ -304,7 +316,9 @@ class GratingSpec(RecipeModel):
             cell=cell,
             profile=None if self.profile is None else self.profile.build(context, cell.period_x),
             spread=Spread(
-                float(np.radians(self.orders.spread_deg)), self.orders.period_deviation_nm, self.orders.size_deviation_nm
+                float(np.radians(self.orders.spread_deg)),
+                self.orders.period_deviation_nm,
+                self.orders.size_deviation_nm,
             ),
             turn_deg=0.0 if isinstance(turn, TextureSpec) else float(turn),
             turn=texture,

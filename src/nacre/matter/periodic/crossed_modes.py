@@ -48,7 +48,9 @@ def crossed_modes(epsilon: Permittivity, alpha: Array, beta: Array) -> Modes:
     xy = np.zeros((size, size)) if epsilon.xy is None else epsilon.xy
     mixed = np.diag(alpha * beta)
     # the two off-diagonal blocks are equal transposes for reciprocal media; both are built symmetric
-    q = np.block([[-_other(epsilon) - mixed, np.diag(alpha**2) - epsilon.yy], [epsilon.xx - np.diag(beta**2), xy + mixed]])
+    q = np.block(
+        [[-_other(epsilon) - mixed, np.diag(alpha**2) - epsilon.yy], [epsilon.xx - np.diag(beta**2), xy + mixed]]
+    )
     squared, electric = scipy.linalg.eig(p @ q, check_finite=False)
     gamma = outgoing_root(np.where(np.abs(squared) < 1e-12, 1e-12, squared))
     return dense_modes(gamma, electric, q @ electric / gamma)
@@ -60,7 +62,9 @@ def _other(epsilon: Permittivity) -> Array:
 
 
 def rectangle_permittivity(
-    bases: tuple[LineBasis, LineBasis], background: complex, rectangles: list[tuple[float, float, float, float, complex]]
+    bases: tuple[LineBasis, LineBasis],
+    background: complex,
+    rectangles: list[tuple[float, float, float, float, complex]],
 ) -> Permittivity:
     """Return the matrices for rectangles `(x_0, x_1, y_0, y_1, epsilon)` that do not overlap."""
     x, y = bases
@@ -77,7 +81,9 @@ def rectangle_permittivity(
 def _inside(basis: LineBasis, low: float, high: float) -> Array:
     period = basis.mesh.period
     middle = 0.5 * (low + high)
-    return (np.abs((basis.mesh.centers - middle + 0.5 * period) % period - 0.5 * period) < 0.5 * (high - low)).astype(float)
+    return (np.abs((basis.mesh.centers - middle + 0.5 * period) % period - 0.5 * period) < 0.5 * (high - low)).astype(
+        float
+    )
 
 
 @dataclass(frozen=True, eq=False)

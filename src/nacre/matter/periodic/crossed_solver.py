@@ -69,7 +69,9 @@ def solve_rectangles(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad:
         return rectangle_permittivity((x, y), layer.epsilon, found)
 
     modes = [
-        crossed_modes(permittivity(layer), alpha, beta) if is_patterned(layer) else uniform_modes(layer.epsilon, alpha, beta)
+        crossed_modes(permittivity(layer), alpha, beta)
+        if is_patterned(layer)
+        else uniform_modes(layer.epsilon, alpha, beta)
         for layer in stack.layers
     ]
     return _finish(stack, k0, theta_rad, phi_rad, modes, (alpha, beta), orders, real, "rectangles")

@@ -230,4 +230,3 @@ def _orthonormal(vectors: Array, mass: Array | None) -> Array:
     gram = vectors.conj().T @ (vectors if mass is None else mass @ vectors)
     lower = np.linalg.cholesky(gram)
     return np.asarray(scipy.linalg.solve_triangular(lower, vectors.conj().T, lower=True).conj().T)
-

@@ -173,7 +173,9 @@ def solve_profile(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
         )
     zero = in_at[int(np.flatnonzero(orders_in[:, 0] == 0)[0])]
     wave = np.zeros((2 * size, 2), dtype=complex)
-    wave[zero], wave[size + zero] = _axial(np.array([np.cos(phi_rad)]), np.array([np.sin(phi_rad)]), -k_z, stack.cover)[0]
+    wave[zero], wave[size + zero] = _axial(np.array([np.cos(phi_rad)]), np.array([np.sin(phi_rad)]), -k_z, stack.cover)[
+        0
+    ]
     amplitudes_up, amplitudes_down = scatter_profile(
         (state(up_field, up_flux, cover, k_y, parts), state(in_field, in_flux, cover, k_y, parts)),
         films,
@@ -189,7 +191,9 @@ def solve_profile(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
         t_x = np.where(length < 1e-12, np.cos(phi_rad), waves[:, 0] / safe)
         t_y = np.where(length < 1e-12, np.sin(phi_rad), waves[:, 1] / safe)
         fields = np.stack([amplitudes[at], amplitudes[size + at]], axis=1)
-        jones = np.linalg.solve(_axial(t_x, t_y, beta, index), fields) * np.exp(1j * np.abs(beta) * shift)[:, None, None]
+        jones = (
+            np.linalg.solve(_axial(t_x, t_y, beta, index), fields) * np.exp(1j * np.abs(beta) * shift)[:, None, None]
+        )
         # the discrete power of a mode, with which energy is conserved exactly; equal to |beta| in the limit
         ratio = np.abs(powers / incident_power)
         efficiency = np.sum(np.abs(jones) ** 2, axis=1) * ratio[:, None]
@@ -257,4 +261,3 @@ def _projected(
     last = len(mesh.edges) - 1
     total[0] += np.conj(phase) * total[last]
     return np.asarray(np.linalg.solve(mass, np.delete(total, last, axis=0)))
-

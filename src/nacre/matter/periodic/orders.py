@@ -145,4 +145,3 @@ def gathered(
         error[a, w] = solution.error
     (r, r_j, r_d), (t, t_j, t_d) = sides
     return Orders(np.array(every, dtype=int).reshape(-1, 2), angles, azimuth_rad, grid, r, t, r_j, t_j, r_d, t_d, error)
-

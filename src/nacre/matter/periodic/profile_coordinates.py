@@ -94,7 +94,9 @@ def profile_modes(parts: ProfileOperators, transverse: complex) -> ProfileModes:
     return ProfileModes(beta[up], field[:, up], flux[:, up], beta[down], field[:, down], flux[:, down])
 
 
-def aligned(beta: Array, field: Array, flux: Array, waves: Array, wave_beta: Array, mass: Array) -> tuple[Array, Array, Array]:
+def aligned(
+    beta: Array, field: Array, flux: Array, waves: Array, wave_beta: Array, mass: Array
+) -> tuple[Array, Array, Array]:
     """Combine modes of equal beta so that they become the given plane waves, of unit amplitude.
 
     Args:

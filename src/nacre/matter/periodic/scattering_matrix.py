@@ -65,7 +65,10 @@ def uniform_modes(epsilon: complex, alpha: Array, beta: Array, kept: tuple[Array
         return np.concatenate([(xx * x + xy * y)[with_y], (yx * x - xx * y)[with_x]])
 
     def solve_h(h: Array) -> Array:
-        x, y = spread(h[: len(with_y)], with_y) / -epsilon, spread(h[len(with_y) :], with_x) / -epsilon  # V^2 = -epsilon
+        x, y = (
+            spread(h[: len(with_y)], with_y) / -epsilon,
+            spread(h[len(with_y) :], with_x) / -epsilon,
+        )  # V^2 = -epsilon
         return np.concatenate([(xx * x + xy * y)[with_x], (yx * x - xx * y)[with_y]])
 
     return Modes(np.concatenate([gamma[with_x], gamma[with_y]]), _same, solve_h, _same, apply_h)
@@ -87,7 +90,9 @@ def dense_modes(gamma: Array, electric: Array, magnetic: Array) -> Modes:
     )
 
 
-def scatter(cover: Modes, layers: list[Modes], depths: list[float], substrate: Modes, incident: Array) -> tuple[Array, Array]:
+def scatter(
+    cover: Modes, layers: list[Modes], depths: list[float], substrate: Modes, incident: Array
+) -> tuple[Array, Array]:
     """Return the E amplitudes (in modes) of the waves up in the cover and down in the substrate.
 
     Args:

@@ -9,7 +9,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.matter.periodic.crossed_solver import RECTANGLE_STEPS, FOURIER_STEPS, solve_fourier, solve_rectangles
+from nacre.matter.periodic.crossed_solver import FOURIER_STEPS, RECTANGLE_STEPS, solve_fourier, solve_rectangles
 from nacre.matter.periodic.line_solver import solve_lines, solve_profile
 from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle
 

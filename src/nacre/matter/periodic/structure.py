@@ -160,7 +160,12 @@ def propagating(stack: PeriodicStack, k0: float, transverse: Array, index: float
 
 
 def order_set(
-    numbers: Array, transverse: Array, tangential: Array, index: float, is_up: bool, incident: tuple[float, float, float]
+    numbers: Array,
+    transverse: Array,
+    tangential: Array,
+    index: float,
+    is_up: bool,
+    incident: tuple[float, float, float],
 ) -> OrderSet:
     """Return orders from their tangential fields.
 
