@@ -96,17 +96,20 @@ def test_lines_of_the_same_material_are_no_grating_in_a_lossless_layer() -> None
     assert np.nanmax(found.reflected[0, 0, away], initial=0.0) == 0.0
 
 
+def layers(*shapes: dict[str, Any]) -> dict[str, Any]:
+    return {"layers": [{"thickness_nm": 100, "material": "air", "shapes": [{"material": "Si"} | s for s in shapes]}]}
+
+
 @pytest.mark.parametrize(
     "changes",
     [
-        {"layers": [{"thickness_nm": 100, "material": "air", "shapes": [{"shape": "disc", "material": "Si", "diameter_nm": 310}]}]},
-        {"layers": [{"thickness_nm": 100, "material": "air", "shapes": [{"shape": "disc", "material": "Si", "diameter_nm": 140, "center_nm": [200, 0]}]}]},
-        {"layers": [{"thickness_nm": 100, "material": "air", "shapes": [
-            {"shape": "disc", "material": "Si", "diameter_nm": 140},
-            {"shape": "rectangle", "material": "Si", "width_nm": 90, "center_nm": [60, 0]}]}]},
-        {"layers": [{"thickness_nm": 100, "material": "air", "shapes": [{"shape": "disc", "material": "Si"}]}]},
-        {"layers": [{"thickness_nm": 100, "material": "air", "shapes": [{"shape": "hexagon", "material": "Si"}]}]},
-        {"layers": [{"thickness_nm": 100, "material": "air", "shapes": [{"material": "Si", "gds": "absent.gds"}]}]},
+        layers({"shape": "disc", "diameter_nm": 310}),
+        layers({"shape": "disc", "diameter_nm": 140, "center_nm": [200, 0]}),
+        layers({"shape": "disc", "diameter_nm": 140}, {"shape": "rectangle", "width_nm": 90, "center_nm": [60, 0]}),
+        layers({"shape": "line", "width_nm": 140}, {"shape": "line", "width_nm": 90, "center_nm": [60, 0]}),
+        layers({"shape": "disc"}),
+        layers({"shape": "hexagon"}),
+        layers({"gds": "absent.gds"}),
         {"lattice": {"period_nm": 0}},
         {"lattice": {"period_nm": 1e9}},
         {"lattice": {"period_nm": 8000}},
@@ -116,7 +119,7 @@ def test_lines_of_the_same_material_are_no_grating_in_a_lossless_layer() -> None
         {"orders": {"spread_deg": 0}},
         {"layers": [], "orientation": {"turn_deg": {"formula": "90*u"}}},
     ],
-)  # fmt: skip
+)
 def test_wrong_recipes_are_refused_in_one_line(changes: dict[str, Any]) -> None:
     with pytest.raises(RecipeError) as error:
         nacre.material(DISC | changes)

@@ -31,8 +31,8 @@ class OrdersLobe(Lobe):
 
     Attributes:
         wavelengths_nm: `[wavelength]`.
-        power: `[theta, azimuth, order, wavelength]`, float32, E: uniform nodes in theta from 0 to pi/2 and in the azimuth
-            of the light from 0 to 2 pi, both ends included; linear between. The zero order is not part of it.
+        power: `[theta, azimuth, order, wavelength]`, float32, E: uniform nodes in theta from 0 to pi/2 and in the
+            azimuth of the light from 0 to 2 pi, both ends included; linear between. The zero order is not part of it.
         lattice: `[2, 2]` rows g_10 and g_01, in 1/nm (for lines g_01 is zero).
         orders: `[order, 2]`, (m, n).
         width: w.

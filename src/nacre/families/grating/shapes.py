@@ -150,7 +150,8 @@ class ShapeSpec(RecipeModel):
         if kind == "rectangle":
             polygons = [0.5 * np.array([[-w, -h], [w, -h], [w, h], [-w, h]])]
         if kind == "cross":
-            polygons = [0.5 * np.array([[-w, -h], [w, -h], [w, -w], [h, -w], [h, w], [w, w], [w, h], [-w, h], [-w, w], [-h, w], [-h, -w], [-w, -w]])]  # fmt: skip
+            a, b = [-w, w, w, h, h, w, w, -w, -w, -h, -h, -w], [-h, -h, -w, -w, w, w, h, h, w, w, -w, -w]
+            polygons = [0.5 * np.column_stack([a, b])]
         if polygons is None:
             polygons = self._gds(context, key)
         shapes: list[Shape] = []

@@ -1,8 +1,8 @@
 """Modes of a layer of lines, conical incidence included.
 
-The permittivity depends on x only, so the modes separate into those with E_x = 0 (LSE) and those with H_x = 0 (LSM). Each
-kind has a scalar eigenproblem whose eigenvalue kappa^2 = k_y^2 + gamma^2 does not depend on k_y (Li, J. Mod. Opt. 40,
-553 (1993)). In the spaces of `line_basis` the discrete problem separates in the same manner, exactly, and is
+The permittivity depends on x only, so the modes separate into those with E_x = 0 (LSE) and those with H_x = 0 (LSM).
+Each kind has a scalar eigenproblem whose eigenvalue kappa^2 = k_y^2 + gamma^2 does not depend on k_y (Li, J. Mod. Opt.
+40, 553 (1993)). In the spaces of `line_basis` the discrete problem separates in the same manner, exactly, and is
 self-adjoint without loss, so energy and reciprocity hold at any size.
 """
 
@@ -76,7 +76,8 @@ def line_modes(alpha: Array, continuous: Array, discontinuous: Array) -> LineMod
         displacement_inverse = np.linalg.inv(displacement)
     potential = -scipy.linalg.solve(continuous, alpha[:, None] * displacement, check_finite=False)
     return LineModes(
-        alpha, lse_squared, lse, lse_inverse, lsm_squared, lsm, lsm_inverse, displacement, displacement_inverse, potential
+        alpha, lse_squared, lse, lse_inverse, lsm_squared, lsm, lsm_inverse, displacement, displacement_inverse,
+        potential,
     )  # fmt: skip
 
 

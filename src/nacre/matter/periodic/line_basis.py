@@ -1,7 +1,7 @@
 """Piecewise-polynomial basis across the grooves of a line grating, on a mesh that knows the walls.
 
-E_y, E_z and H_x are continuous across a wall and take continuous polynomials; E_x and H_y take discontinuous ones of one
-degree less, which contain the derivatives of the first. Multiplication by a permittivity that is constant in each
+E_y, E_z and H_x are continuous across a wall and take continuous polynomials; E_x and H_y take discontinuous ones of
+one degree less, which contain the derivatives of the first. Multiplication by a permittivity that is constant in each
 element maps the second space to itself, so the basis needs no rule of factorisation. The mesh is graded towards the
 walls, whose edges are singular, and the degree grows away from them (hp finite elements).
 

@@ -184,7 +184,10 @@ def solve_profile(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
     )
     incident_power = _power(in_field, in_flux, np.array([zero]))[0]
 
-    def side(amplitudes: Array, at: Array, orders: Array, waves: Array, beta: Array, index: float, powers: Array, shift: float) -> OrderSet:  # fmt: skip
+    def side(
+        amplitudes: Array, at: Array, orders: Array, waves: Array, beta: Array, index: float, powers: Array,
+        shift: float,
+    ) -> OrderSet:  # fmt: skip
         """Convert E_y and H_y of the orders to s and p."""
         length = np.hypot(waves[:, 0], waves[:, 1])
         safe = np.where(length < 1e-12, 1.0, length)

@@ -70,8 +70,9 @@ def solve_orders(
     stacks = [stack_at(float(w)) for w in grid]
     cases = [(a, w) for a in range(len(angles)) for w in range(len(grid))]
     found = in_threads(
-        lambda case: cached_solution(stacks[case[1]], float(grid[case[1]]), float(angles[case[0]]), phi, tolerance), cases
-    )  # fmt: skip
+        lambda case: cached_solution(stacks[case[1]], float(grid[case[1]]), float(angles[case[0]]), phi, tolerance),
+        cases,
+    )
     return gathered(cases, found, angles, azimuth_rad, grid)
 
 

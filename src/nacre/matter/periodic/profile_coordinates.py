@@ -1,9 +1,9 @@
 """Gratings of a continuous profile by coordinate transformation, conical incidence included.
 
 With w = z - a(x) in place of z the profile is a plane and the metric does not depend on w, so E_y and H_y have modes
-F(x) exp(i beta w) in each medium (Chandezon et al., J. Opt. 11, 235 (1980); Li, Chandezon, Granet and Plumey, Appl. Opt.
-38, 304 (1999)). F is expanded in the piecewise polynomials of `line_basis`, whose elements end at the corners of the
-profile, where Fourier series converge slowly. The discrete problem is self-adjoint, so energy is conserved at any size.
+F(x) exp(i beta w) in each medium (Chandezon et al., J. Opt. 11, 235 (1980); Li, Chandezon, Granet and Plumey, Appl.
+Opt. 38, 304 (1999)). F is expanded in the piecewise polynomials of `line_basis`, whose elements end at the corners of
+the profile, where Fourier series converge slowly. The discrete problem is self-adjoint, so energy is conserved at any size.
 Films that follow the profile are further media.
 """
 
@@ -127,7 +127,7 @@ def aligned(
 
 
 def state(field: Array, flux: Array, epsilon: complex, k_y: float, parts: ProfileOperators) -> Array:
-    """Return (E_y, H_y, i E_tau, i H_tau) of modes of E_y and of H_y, tau along the profile; `[4 functions, 2 modes]`."""
+    """Return (E_y, H_y, i E_tau, i H_tau), tau along the profile, of both kinds of modes: `[4 functions, 2 modes]`."""
     transverse = epsilon - k_y**2
     along = k_y * (parts.slope @ field) / transverse
     across = flux / transverse

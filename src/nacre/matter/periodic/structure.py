@@ -14,7 +14,7 @@ CLEAR_K = 1e-6  # a substrate with a smaller k transmits orders
 
 @dataclass(frozen=True)
 class Cell:
-    """The lattice: vectors (period_x, 0) and (period_y cos angle, period_y sin angle), in nm; lines if period_y is None."""
+    """The lattice, in nm: vectors (period_x, 0) and period_y (cos angle, sin angle); lines if period_y is None."""
 
     period_x: float
     period_y: float | None = None
