@@ -9,8 +9,6 @@ import pytest
 from helpers_grating import differences, recipe, reference
 
 import nacre
-from nacre.matter.indices.constant import Constant
-from nacre.matter.stack.stack import Layer, Stack
 
 QUICK = (3, 8, 12, 18, 26, 39, 44, 53, 57, 90, 120)
 BARS = {  # the issue's, by class: clear, metal
@@ -129,20 +127,17 @@ def test_orders_are_reciprocal(profile: str | None) -> None:
 
 
 def test_unpatterned_layers_are_a_stack() -> None:
-    materials = [Constant(2.1), Constant(1.46), Constant(0.2, 3.4)]
-    depths = (80.0, 150.0, 20.0)
     layers = [
-        {"thickness_nm": d, "material": {"n": m.n, "k": m.k}} for m, d in zip(materials, depths, strict=True)
-    ]  # fmt: skip
-    made = {"family": "grating", "substrate": {"n": 1.5}, "layers": layers, "lattice": {"period_nm": 500}}
+        {"thickness_nm": d, "material": {"n": n, "k": k}} for d, n, k in ((80, 2.1, 0), (150, 1.46, 0), (20, 0.2, 3))
+    ]
+    common = {"substrate": {"n": 1.5}, "layers": layers}
     lam = np.array([450.0, 700.0])
-    found = nacre.orders(made, [0.0, 55.0], 20.0, lam)
-    stack = Stack(Constant(1.0), [Layer(m, d) for m, d in zip(materials, depths, strict=True)], Constant(1.5))
-    powers = stack.powers(np.radians([0.0, 55.0]), lam)
+    found = nacre.orders({"family": "grating", "lattice": {"period_nm": 500}} | common, [0.0, 55.0], 20.0, lam)
     zero = int(np.flatnonzero(np.all(found.numbers == 0, axis=1))[0])
-    for side, both in (("reflected", (powers.R_s, powers.R_p)), ("transmitted", (powers.T_s, powers.T_p))):
-        for k in (0, 1):
-            assert np.abs(getattr(found, side)[:, :, zero, k] - both[k]).max() <= 1e-10
+    for k, name in enumerate("sp"):
+        film = nacre.spectrum({"family": "film"} | common, [0.0, 55.0], lam, name)
+        assert np.abs(found.reflected[:, :, zero, k] - film.specular_reflectance).max() <= 1e-10
+        assert np.abs(found.transmitted[:, :, zero, k] - film.specular_transmittance).max() <= 1e-10
 
 
 def test_deep_gold_stays_finite() -> None:

@@ -3,7 +3,8 @@
 With w = z - a(x) in place of z the profile is a plane and the metric does not depend on w, so E_y and H_y have modes
 F(x) exp(i beta w) in each medium (Chandezon et al., J. Opt. 11, 235 (1980); Li, Chandezon, Granet and Plumey, Appl.
 Opt. 38, 304 (1999)). F is expanded in the piecewise polynomials of `line_basis`, whose elements end at the corners of
-the profile, where Fourier series converge slowly. The discrete problem is self-adjoint, so energy is conserved at any size.
+the profile, where Fourier series converge slowly.
+The discrete problem is self-adjoint, so energy is conserved at any size.
 Films that follow the profile are further media.
 """
 
