@@ -189,7 +189,7 @@ class OrientationSpec(RecipeModel):
 
     forms: ClassVar[tuple[str, ...]] = (
         "{turn_deg = 30}", '{turn_deg = {texture = "angles.png", min = 0, max = 180}}',
-        '{turn_deg = {formula = "57.2958*atan2(v - 0.5, u - 0.5)"}}',
+        '{turn_deg = {formula = "90*u"}}',
     )  # fmt: skip
 
     turn_deg: float | TextureSpec = Field(
