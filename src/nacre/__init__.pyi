@@ -4,6 +4,7 @@ from . import plot as plot
 from . import render as render
 from . import studio as studio
 from ._version import __version__ as __version__
+from .api import diagnose as diagnose
 from .api import ellipsometry as ellipsometry
 from .api import evaluate as evaluate
 from .api import export as export

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nacre.analysis.diagnose import Diagnosis, Observation
+from nacre.analysis.diagnose import diagnose as run_diagnosis
 from nacre.analysis.ellipsometry import EllipsometricResponse, compute_ellipsometry
 from nacre.analysis.fit import Fit, fit_parameters, read_measurements, run_fit
 from nacre.analysis.import_export import export_material, import_material
@@ -55,6 +57,7 @@ __all__ = [
     "report",
     "spectrum",
     "sweep",
+    "diagnose",
     "tolerance",
 ]
 
@@ -101,13 +104,23 @@ def spectrum(
     angles_deg: ArrayLike = 0.0,
     wavelengths_nm: ArrayLike | None = None,
     polarisation: str = "both",
+    azimuth_deg: float = 0.0,
 ) -> Spectrum:
     """Return reflectance and transmittance of a material as a `Spectrum`, each part `[angle, wavelength]`.
+
+    Args:
+        thing: a recipe, a file or a material.
+        angles_deg: angles of incidence in the ambient medium.
+        wavelengths_nm: vacuum wavelengths; default: chosen by the material.
+        polarisation: "s", "p", "both" (unpolarised), "left" or "right" (circular), or "mueller": unpolarised, with
+            `mueller_reflected` and `mueller_transmitted`, `[angle, wavelength, 4, 4]`.
+        azimuth_deg: azimuth of the direction towards the light, from u; anisotropic films depend on it.
 
     Raises:
         NacreError: the recipe is wrong, or an optical constant is not known at a wavelength.
     """
-    return as_material(thing).spectrum(np.radians(floats(angles_deg, "angles_deg")), wavelengths_nm, polarisation)
+    theta = np.radians(floats(angles_deg, "angles_deg"))
+    return as_material(thing).spectrum(theta, wavelengths_nm, polarisation, azimuth_deg=azimuth_deg)
 
 
 def orders(
@@ -221,6 +234,30 @@ def tolerance(
     """
     material = as_material(thing)
     return run_tolerance(material, recipe_tolerances(material, tuple(tolerances)), draws=draws, limit=limit, **options)
+
+
+def diagnose(
+    thing: MaterialLike,
+    observations: Iterable[Observation],
+    noise: float | Sequence[float],
+    tolerances: Iterable[str] = (),
+    **options: Any,
+) -> Diagnosis:
+    """Estimate which numbers of a recipe were off in a finished run.
+
+    Args:
+        thing: a material or a path: the recipe as intended.
+        observations: `nacre.analysis.diagnose.SpectrumObservation` and `ColourObservation`, or measurements that
+            `nacre.analysis.fit.read_measurement` read.
+        noise: standard deviation of the measured values, one number or one per observation.
+        tolerances: such as "layers[0].thickness_nm=2%", in addition to those of the recipe's `[tolerance]`.
+        options: further arguments of `nacre.analysis.diagnose.diagnose`.
+
+    Raises:
+        NacreError: nothing is measured, or a tolerance names no number of the recipe.
+    """
+    material = as_material(thing)
+    return run_diagnosis(material, recipe_tolerances(material, tuple(tolerances)), list(observations), noise, **options)
 
 
 def fit(

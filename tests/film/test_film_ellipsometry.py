@@ -113,6 +113,8 @@ def test_command_writes_its_quantities(tmp_path: Path, capsys: pytest.CaptureFix
     np.testing.assert_allclose(document["m34"], found.s)
     rows = np.genfromtxt(tmp_path / "e.csv", delimiter=",", names=True)
     np.testing.assert_allclose(rows["delta_deg"], found.delta_deg.ravel(), rtol=1e-8)
+    again = open_file(tmp_path / "e.csv")[0]
+    np.testing.assert_allclose(again.data["psi_deg"], found.psi_deg.ravel(), rtol=1e-8)
 
 
 def test_what_has_no_specular_reflection_is_refused() -> None:

@@ -208,3 +208,49 @@ def test_a_missing_angle_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixt
     assert run([*arguments, "--angle-deg", "70"]) == 0
     with pytest.raises(NacreError):
         read_measurements([])
+
+
+SILICON, SILICA = "main/Si/Aspnes", "main/SiO2/Malitson"
+VACUUM = {"n": 1.0}
+# fits of the same models by pyElli 0.23.1 to N, C and S: thicknesses in nm and mean squared error
+BY_PYELLI: dict[str, tuple[dict[str, Any], tuple[float, float], str | None, dict[str, str], list[float], float]] = {
+    "ellips.test.nxs": (
+        {"substrate": SILICON, "layers": [{"material": SILICA, "thickness_nm": 5.0}]},
+        (300.0, 800.0), None, {"layers[0].thickness_nm": "0:50"}, [2.0154], 3.0656,
+    ),
+    "TiO2_400cycles.txt": (
+        {"substrate": SILICON, "layers": [{"material": {"cauchy": [2.2, 0.02, 0.001]}, "thickness_nm": 20.0},
+                                          {"material": SILICA, "thickness_nm": 250.0}]},
+        (400.0, 800.0), None,
+        {"layers[0].thickness_nm": "5:60", "layers[1].thickness_nm": "200:350",
+         "layers[0].material.cauchy[0]": "1.8:2.6", "layers[0].material.cauchy[1]": "-0.05:0.1",
+         "layers[0].material.cauchy[2]": "-0.01:0.02"}, [23.8902, 278.5117], 3.4742,
+    ),
+    "Si3N4_on_4inBF33_W02_20240903-150451.ds.dat": (  # its fringes turn in the sense of a negative Delta
+        {"substrate": {"cauchy": [1.46, 0.004]},
+         "layers": [{"material": {"cauchy": [2.0, 0.02]}, "thickness_nm": 800.0}]},
+        (480.0, 1500.0), "negative",
+        {"layers[0].thickness_nm": "600:1200", "layers[0].material.cauchy[0]": "1.7:2.3",
+         "layers[0].material.cauchy[1]": "0:0.06"}, [780.373], 51.8575,
+    ),
+    "Wafer_MM_70.txt": (
+        {"substrate": SILICON, "layers": [{"material": SILICA, "thickness_nm": 50.0}]},
+        (300.0, 800.0), None, {"layers[0].thickness_nm": "0:300"}, [103.9456], 0.0,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BY_PYELLI)
+def test_fits_of_real_files_agree_with_those_of_pyelli(name: str) -> None:
+    if not SHARED.exists():
+        pytest.skip("the shared reference data are not here")
+    recipe, low_high, convention, bounds, thicknesses, mse = BY_PYELLI[name]
+    data = read_measurement(SHARED / name, ReadOptions(delta_convention=convention), low_high)
+    parameters = tuple(f"{path}={ends}" for path, ends in bounds.items())
+    fit = fitted({"family": "film", "ambient": VACUUM, **recipe}, data, parameters)
+    for number, expected in zip(fit.numbers, thicknesses):
+        assert number.interval[0] <= expected <= number.interval[1]
+    part = fit.parts[0]
+    assert part.mse is not None
+    if mse:  # that of a Mueller file counts more elements than N, C and S
+        assert part.mse <= mse * (1 + 1e-3)

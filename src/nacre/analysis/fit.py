@@ -23,17 +23,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nacre.analysis import intervals as ci
 from nacre.analysis.ellipsometry_data import EllipsometryData, ellipsometry_data
 from nacre.analysis.fit_data import Data, Joint, joined, name_of, parts_of
+from nacre.analysis.measured import Measured, gonio_measurement, spectrum_measurement
 from nacre.analysis.ties import Ties, read_ties
-from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
-from nacre.families.contract import DirectEvaluation, Model, is_direct, search_model
-from nacre.formats.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
+from nacre.families.contract import is_direct
 from nacre.material.material import Material
 from nacre.optimise.methods.least_squares import (
     SCOUTS_PER_PARAMETER,
@@ -46,16 +44,12 @@ from nacre.optimise.methods.least_squares import (
 )
 from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
-from nacre.readers.registry import POSSIBLE, open_file, recognise
+from nacre.readers.registry import open_file
 from nacre.recipe.path_tables import by_path, with_options
 
-PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
-MAX_POWER, MIN_POWER = 1.1, -0.05  # allows for instrument errors near white and black
 MAX_PARAMETERS = 12
-POLARISED = {f"{part}_{p}": (part, p) for part in PARTS[:2] for p in ("s", "p")}  # also in files
 UNDETERMINED_SHARE = 0.5  # smallest relative 95 % half width for an undetermined number
 MIN_START_DISTANCE = 0.02  # between starts, relative to the bounds
-RELATIVE_FLOOR = 0.01
 PENALTY_RESIDUAL = 10.0  # if a material cannot be computed
 STALLED_RATIO, STALLED_RMS = 0.999, 0.02  # least squares that improved less, at a larger rms, is followed by CMA-ES
 WEIGHTS = ("equal", "relative")
@@ -69,77 +63,6 @@ THICKNESS = re.compile(r"(thickness|height|gap)_(nm|um|mm)$")
 UNIT_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
 REWEIGHTINGS = 2  # of several measurements
 INSTRUMENT = "instrument."
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Measurement.
-
-    Attributes:
-        kind: "spectrum" (parts over angle and wavelength) or "gonio" (BSDF values at direction pairs).
-        wavelengths_nm: `[wavelength]`.
-        values: "spectrum": `[part, angle, wavelength]`; "gonio": `[pair, wavelength]`.
-        parts, angles_deg: spectrum only; gonio: direction pairs.
-        name: file, for reports.
-    """
-
-    kind: str
-    wavelengths_nm: Array
-    values: Array
-    parts: tuple[str, ...] = ()
-    angles_deg: Array | None = None
-    gonio: GonioData | None = None
-    name: str = ""
-
-    def model(self, material: Material, samples: int | None, seed: int) -> Array:
-        """Return a material's simulated measurement, shaped as `values`.
-
-        Raises:
-            NacreError: the material cannot be computed.
-        """
-        if self.kind == "spectrum":
-            assert self.angles_deg is not None
-            theta = np.radians(self.angles_deg)
-            kinds = {POLARISED.get(part, (part, "both"))[1] for part in self.parts}
-            return self._stacked({p: material.spectrum(theta, self.wavelengths_nm, p, seed=seed) for p in kinds})
-        assert self.gonio is not None
-        from nacre.measure.evaluate import evaluate_with_error
-
-        few = material.values_at(self.gonio.wi, self.gonio.wo, self.wavelengths_nm)
-        if few is not None:
-            return few[0]
-        bsdf = material.bsdf(self.wavelengths_nm)
-        return evaluate_with_error(bsdf, self.gonio.wi, self.gonio.wo, samples=samples, seed=seed)[0]
-
-    def surrogate(self, model: Model) -> Array | None:
-        """Return the measurement simulated by a random walk's noise-free surrogate; None without one.
-
-        Raises:
-            NacreError: the material cannot be computed.
-        """
-        near = search_model(model, {})
-        if is_direct(model) or not is_direct(near):
-            return None
-        if self.kind == "spectrum":
-            assert self.angles_deg is not None
-            found = near.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, "both")
-            return None if found is None else self._stacked({"both": found})
-        assert self.gonio is not None
-        assert isinstance(near, DirectEvaluation)
-        return near.values_at(self.gonio.wi, self.gonio.wo, self.wavelengths_nm)
-
-    def _stacked(self, spectra: Mapping[str, Spectrum]) -> Array:
-        zero = np.zeros(self.values.shape[1:])
-        found = {polarisation: spectrum.parts() for polarisation, spectrum in spectra.items()}
-        named = [POLARISED.get(part, (part, "both")) for part in self.parts]
-        return np.stack([found.get(p, {}).get(part, zero) for part, p in named])
-
-    def noise_scale(self, weights: str) -> Array:
-        """Return the relative noise of the values: equal, or proportional to them."""
-        rms = float(np.sqrt(np.mean(self.values**2))) or 1.0
-        # the floor limits the weight near zero
-        shares = np.maximum(np.abs(self.values), RELATIVE_FLOOR * rms)
-        return shares if weights == "relative" else np.full(self.values.shape, rms)
 
 
 @dataclass(frozen=True)
@@ -235,139 +158,30 @@ def read_measurement(
         NacreError: with the file and the problem.
         AmbiguousFileError: the file can be read in several ways.
     """
-    if Path(path).suffix.lower() == ".toml":
+    path = Path(path)
+    if path.suffix.lower() == ".toml":
         raise NacreError(f"{path}: is a recipe; give the measurement, a CSV, first, and then the recipe")
-    try:
-        recognised = recognise(path)
-    except NacreError:  # an empty or missing file
-        recognised = []
-    if recognised and recognised[0][0] > POSSIBLE:
-        return _from_instrument(path, options or ReadOptions(), range_nm)
-    try:
-        return _read_own_csv(path, range_nm)
-    except UnknownColumnsError as error:
-        if not recognised:
-            raise
-        try:
-            return _from_instrument(path, options or ReadOptions(), range_nm)
-        except AmbiguousFileError:
-            raise
-        except NacreError as other:
-            raise NacreError(f"{error}; {other}") from None
-
-
-class UnknownColumnsError(NacreError):
-    """A table whose columns are not those that nacre writes."""
-
-
-def _from_instrument(path: str | Path, options: ReadOptions, range_nm: tuple[float, float] | None) -> Data:
-    """Return the data of a file in another program's format: ellipsometry, or spectra of one sample."""
-    measurements = open_file(path, options)
-    chosen = [m for m in measurements if m.kind == "ellipsometry" and "depolarisation" not in m.data]
+    options = replace(options or ReadOptions(), expects="spectrum")
+    found = open_file(path, options)
+    if found[0].kind == "bsdf":
+        return gonio_measurement(path, found[0])
+    chosen = [m for m in found if m.kind == "ellipsometry" and "depolarisation" not in m.data]
     if chosen:
-        if len(chosen) > 1:
-            names = tuple(m.name or str(i) for i, m in enumerate(chosen, 1))
-            if options.spectrum is None or options.spectrum not in names:
-                raise AmbiguousFileError(
-                    f"{path}: holds {len(chosen)} data sets ({', '.join(names)[:100]}); choose one with --spectrum",
-                    "spectrum",
-                    names,
-                )
-            chosen = [chosen[names.index(options.spectrum)]]
-        return ellipsometry_data(chosen[0], range_nm, options.spectrum)
-    spectra = [m for m in measurements if m.kind == "spectrum" and {"reflectance", "transmittance"} & set(m.data)]
-    if not spectra:
-        kinds = ", ".join(sorted({m.kind for m in measurements}))
-        raise NacreError(f"{path}: holds {kinds} and no reflectance, transmittance, Psi or Delta")
-    parts = [part for each in spectra for part in _spectra_of(each, options, range_nm)]
-    seen = {(part.parts, tuple(np.ravel(part.angles_deg or 0.0))) for part in parts}
-    if len(seen) < len(parts):
-        names = tuple(m.name or str(i) for i, m in enumerate(spectra, 1))
-        raise AmbiguousFileError(f"{path}: holds {len(spectra)} spectra; choose one with --spectrum", "spectrum", names)
-    return joined(parts)
+        return ellipsometry_data(_one_of(path, chosen, options), range_nm, options.spectrum)
+    return spectrum_measurement(path, found, options, range_nm)
 
 
-def _spectra_of(measurement: Measurement, options: ReadOptions, range_nm: tuple[float, float] | None) -> list[Measured]:
-    """Return each quantity of a spectrum at its angle."""
-    data, stated = measurement.data, measurement.metadata
-    angle = stated.get("angle_of_incidence_deg", options.angle_deg)
-    angles = np.asarray(data.get("angle_of_incidence_deg", np.full(len(data["wavelength_nm"]), angle or 0.0)), float)
-    where = "diffuse" if "diffuse" in str(stated.get("mode", "")) else "specular"
-    suffix = f"_{stated['polarisation']}" if stated.get("polarisation") in ("s", "p") and where == "specular" else ""
-    found = []
-    for quantity in ("reflectance", "transmittance"):
-        if quantity not in data:
-            continue
-        waves, values = np.asarray(data["wavelength_nm"], float), np.asarray(data[quantity], float)
-        keep = np.isfinite(values) & _in_range(waves, range_nm)
-        if not keep.any():
-            raise NacreError(f"{measurement.path}: has no values in the range of wavelengths")
-        for each in np.unique(angles[keep]):
-            rows = keep & (angles == each)
-            grid, first = np.unique(waves[rows], return_index=True)
-            part = f"{where}_{quantity}{suffix}"
-            table = values[rows][first][None, None]
-            _check_spectrum(measurement.path, (part,), np.array([each]), grid, table)
-            found.append(Measured("spectrum", grid, table, (part,), np.array([each]), name=str(measurement.path)))
-    return found
-
-
-def _in_range(waves: Array, range_nm: tuple[float, float] | None) -> NDArray[np.bool_]:
-    low, high = (-np.inf, np.inf) if range_nm is None else range_nm
-    return np.asarray((waves >= low) & (waves <= high))
-
-
-def _read_own_csv(path: str | Path, range_nm: tuple[float, float] | None) -> Measured:
-    try:
-        names, table = read_table(path, has_gaps=True)
-    except NacreError as error:
-        raise UnknownColumnsError(str(error)) from None
-    if "theta_i" in names or "value" in names:
-        gonio = read_gonio_csv(path)
-        return Measured("gonio", gonio.wavelengths_nm, gonio.values, gonio=gonio, name=str(path))
-    columns = dict(zip(names, table.T))
-    known = (*PARTS, *POLARISED)
-    measured = {part: columns[part] for part in known if part in columns}
-    measured |= {part: columns[f"{part}_percent"] / 100.0 for part in known if f"{part}_percent" in columns}
-    wavelengths = columns.get("wavelength_nm", 1e3 * columns["wavelength_um"] if "wavelength_um" in columns else None)
-    if wavelengths is None or not measured:
-        raise UnknownColumnsError(
-            f"{path}: is neither a gonio CSV ({', '.join(COLUMNS)}) nor a spectrum CSV (wavelength_nm, angle_deg, and "
-            f"one of {', '.join(PARTS)}, or with _percent behind it); its columns are {', '.join(names)[:80]}"
+def _one_of(path: Path, found: Sequence[Measurement], options: ReadOptions) -> Measurement:
+    if len(found) == 1:
+        return found[0]
+    names = tuple(m.name or str(i) for i, m in enumerate(found, 1))
+    if options.spectrum is None or options.spectrum not in names:
+        raise AmbiguousFileError(
+            f"{path}: holds {len(found)} data sets ({', '.join(names)[:100]}); choose one with --spectrum",
+            "spectrum",
+            names,
         )
-    angle_column = columns.get("angle_deg", np.zeros(len(table)))
-    has_value = ~np.isnan([*measured.values()]).all(axis=0) & _in_range(wavelengths, range_nm)
-    wavelengths, angle_column = wavelengths[has_value], angle_column[has_value]
-    if not has_value.any() or not np.isfinite(wavelengths).all() or not np.isfinite(angle_column).all():
-        raise NacreError(f"{path}: needs a wavelength, an angle and at least one measured value per row")
-    waves, angles = np.unique(wavelengths), np.unique(angle_column)
-    if len(wavelengths) != len(set(zip(wavelengths, angle_column))):
-        raise NacreError(f"{path}: a wavelength is given twice at an angle; keep one row of each")
-    values = np.full((len(measured), len(angles), len(waves)), np.nan)
-    place = (np.searchsorted(angles, angle_column), np.searchsorted(waves, wavelengths))
-    for i, part in enumerate(measured):
-        values[i][place] = measured[part][has_value]
-    _check_spectrum(path, tuple(measured), angles, waves, values)
-    return Measured("spectrum", waves, values, tuple(measured), angles, name=str(path))
-
-
-def _check_spectrum(path: str | Path, parts: tuple[str, ...], angles: Array, waves: Array, values: Array) -> None:
-    if np.isnan(values).any():
-        i, angle, wave = (int(index) for index in np.argwhere(np.isnan(values))[0])
-        raise NacreError(
-            f"{path}: every angle must be given at every wavelength; {parts[i]} is missing at "
-            f"{angles[angle]:g} degrees and {waves[wave]:g} nm"
-        )
-    for part, each in zip(parts, values):
-        if each.max() > MAX_POWER:
-            raise NacreError(
-                f"{path}: {part} = {each.max():g} is above 1; it is a share of the incident light; if it is in per "
-                f"cent, name the column {part}_percent"
-            )
-        if each.min() < MIN_POWER:
-            raise NacreError(f"{path}: {part} = {each.min():g} is below 0")
-    if angles.min() < 0 or angles.max() > 90:
-        raise NacreError(f"{path}: angle_deg must lie in [0, 90]")
+    return found[names.index(options.spectrum)]
 
 
 def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
@@ -420,8 +234,8 @@ def run_fit(
         free: from `fit_parameters`.
         starts: refined starts in addition to the recipe's own values; 0: these are near the right minimum.
         scouts: trial materials per parameter, from which the starts are selected.
-        weights: "equal" if the noise is the same for all values, or "relative" if it is proportional to them (counts,
-            BSDF values over decades); the intervals are valid for that noise.
+        weights: "equal" if the noise is the same for all values, or as a file's standard errors say; "relative" if it
+            is proportional to them (counts, BSDF values over decades); the intervals are valid for that noise.
         ties: tied numbers; default: those of the recipe.
         intervals: "linear", "profile", "resampling", or "auto": profile if the problem is not linear within the
             linear intervals.
@@ -738,3 +552,15 @@ class _Problem:
 
 def _has_random_walk(material: Material, wavelengths_nm: Array) -> bool:
     return any(lobe.is_stochastic for lobe in material.bsdf(wavelengths_nm).lobes)
+
+
+__all__ = [
+    "Fit",
+    "FittedNumber",
+    "FittedPart",
+    "Measured",
+    "fit_parameters",
+    "read_measurement",
+    "read_measurements",
+    "run_fit",
+]

@@ -11,6 +11,7 @@ import numpy as np
 from nacre.analysis.ellipsometry_data import EllipsometryData
 from nacre.analysis.fit import Fit, FittedNumber, Measured
 from nacre.analysis.fit_data import Data, Joint, parts_of
+from nacre.analysis.measured import POLARISED
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.files import write_text
@@ -154,10 +155,11 @@ def _ribbon(fit: Fit, measured: Measured) -> tuple[Array, Array, str]:
     """Return angles and spectra for the first measured part; slow materials only at the measured angles."""
     part, nm = measured.parts[0], measured.wavelengths_nm
     label = f"Angle of the light, fitted {part.replace('_', ' ')} (degrees)"
+    name, polarisation = POLARISED.get(part, (part, "both"))
     assert measured.angles_deg is not None
     if fit.material.model.traits.is_quick:
         try:
-            found = fit.material.spectrum(np.radians(RIBBON_DEG), nm).parts().get(part)
+            found = fit.material.spectrum(np.radians(RIBBON_DEG), nm, polarisation).parts().get(name)
         except NacreError:  # an angle outside the family's range
             found = None
         if found is not None:

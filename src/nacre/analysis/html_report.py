@@ -144,6 +144,13 @@ def _clean(value: Any) -> Any:
     return value
 
 
+SURFACE_NAMES = {
+    "sq_um": "Sq (um)", "sdq": "Sdq", "correlation_length_um": "correlation length (um)", "tilt_deg": "tilt (degrees)",
+    "peak_to_valley_um": "peak to valley (um)", "points_x": "points along x", "points_y": "points along y",
+    "pitch_x_um": "pitch along x (um)", "pitch_y_um": "pitch along y (um)",
+}  # fmt: skip
+
+
 def report_text(reports: list[Report], comparisons: Sequence[Comparison] = ()) -> str:
     """Return reports as plain text, followed by their comparisons."""
     lines: list[str] = []
@@ -187,6 +194,7 @@ def report_numbers(report: Report) -> list[tuple[str, str]]:
         rows.append((f"{words.replace('_', ' ')} at {angle} degrees", f"{value:.4f}"))
     if report.noise > 0:
         rows.append(("largest standard error of pi f", f"{report.noise:.2g}"))
+    rows += [(SURFACE_NAMES.get(name, name), f"{value:.5g}") for name, value in report.surface.items()]
     return rows
 
 

@@ -44,6 +44,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "studio": ("nacre.cli.render", "Open a live page on a recipe, on this machine only."),
     "report": ("nacre.cli.analysis", "Report colour, gloss, haze and flop as instruments measure them."),
     "tolerance": ("nacre.cli.analysis", "Compute colour variation and yield from manufacturing tolerances."),
+    "diagnose": ("nacre.cli.diagnose", "Estimate what was off in a finished coating run."),
     "sweep": ("nacre.cli.analysis", "Compute a material over many values of its numbers."),
     "indices": ("nacre.cli.machine", "Search and show optical constants."),
     "examples": ("nacre.cli.machine", "List the recipes that come with nacre, or copy them."),

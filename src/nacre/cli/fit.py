@@ -46,6 +46,9 @@ HIGH_CORRELATION = 0.9
               default=None, help="Sign of Delta that a file does not state.")  # fmt: skip
 @click.option("--spectrum", default=None, metavar="NAME", help="One spectrum, place or time of a file with several.")
 @click.option("--quantity", default=None, metavar="NAME", help="Quantity of a spectrum that a file does not state.")
+@click.option("--unit", metavar="UNIT", help="Unit of the wavelengths or energies, if a file names none.")
+@click.option("--columns", metavar="NAME,...", help="Names of the columns of a table; - ignores one.")
+@click.option("--ignore", metavar="HEADING,...", help="Headings of columns to ignore.")
 @click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -63,7 +66,7 @@ def fit(
     Several measurements are of one sample; each is weighted by its own residual.
     """
     from nacre.analysis.fit import fit_parameters, read_measurements, run_fit
-    from nacre.analysis.fit_data import checked_range
+    from nacre.analysis.fit_data import checked_range, parts_of
     from nacre.analysis.ties import read_ties
     from nacre.core.files import atomic_path, check_writable, short_name, write_text
     from nacre.readers.measurement import ReadOptions
@@ -79,8 +82,13 @@ def fit(
             if target.suffix != suffix:
                 raise NacreError(f"{target}: the suffix must be {suffix}")
             check_writable(target)
-    stated = {name: options.pop(name) for name in ("angle_deg", "delta_convention", "spectrum", "quantity")}
+    names = ("angle_deg", "delta_convention", "spectrum", "quantity", "unit")
+    stated = {name: options.pop(name) for name in names}
+    stated |= {name: common.words(options.pop(name)) for name in ("columns", "ignore")}
     measured = read_measurements(measurements, ReadOptions(**stated), checked_range(range_nm))
+    for part in parts_of(measured):
+        for remark in getattr(part, "remarks", ()):
+            common.note(f"{getattr(part, 'name', '')}: {remark}")
     material = common.load_material(recipe)
     numbers = fit_parameters(material, parameters)
     result = run_fit(

@@ -27,15 +27,21 @@ SWEEP_KINDS = ("gamut", "colour-map", "parallel")
 @click.argument("recipe")
 @click.option("--angles-deg", default="0", show_default=True, help="Incidence, such as 0,30,60 or 0:80:5.")
 @click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
-@click.option("--polarisation", type=click.Choice(["s", "p", "both"]), default="both", show_default=True)
+@click.option(
+    "--polarisation", type=click.Choice(["s", "p", "left", "right", "both", "mueller"]), default="both",
+    show_default=True, help="Of the incident light; both: unpolarised; mueller: also Mueller matrices.",
+)  # fmt: skip
+@click.option(
+    "--azimuth-deg", type=float, default=0.0, show_default=True, help="Azimuth of the direction to the light, from u."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON to stdout.")
 @click.option("-o", "output", metavar="FILE.csv", help="Write CSV (or JSON, by the suffix) to a file.")
 @common.set_option
 @common.cache_option
 @common.jobs_option
 def spectrum(
-    recipe: str, angles_deg: str, wavelengths_nm: str | None, polarisation: str, as_json: bool, output: str | None,
-    changes: tuple[str, ...],
+    recipe: str, angles_deg: str, wavelengths_nm: str | None, polarisation: str, azimuth_deg: float, as_json: bool,
+    output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Print reflectance and transmittance of RECIPE over angle and wavelength."""
     from nacre.core.files import check_writable, write_text
@@ -48,16 +54,17 @@ def spectrum(
     angles = common.angles(angles_deg)
     grid = common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
-    result = material.spectrum(np.radians(angles), grid, polarisation)
+    result = material.spectrum(np.radians(angles), grid, polarisation, azimuth_deg=azimuth_deg)
     parts = result.parts()
     document: dict[str, Any] = {
         "wavelengths_nm": result.wavelengths_nm.tolist(),
         "angles_deg": angles.tolist(),
         "polarisation": polarisation,
-        **{name: value.tolist() for name, value in parts.items()},
+        "azimuth_deg": azimuth_deg,
+        **{name: value.tolist() for name, value in (parts | result.matrices()).items()},
     }
     document["provenance"] = recipe_provenance(material)
-    text_csv = _csv(result.wavelengths_nm, angles, parts)
+    text_csv = _csv(result.wavelengths_nm, angles, parts | _elements(result.matrices()), polarisation)
     if output:
         write_text(output, text_csv if output.endswith(".csv") else json.dumps(document) + "\n")
         common.note(output)
@@ -137,11 +144,24 @@ def _orders_csv(found: Any, angles_deg: np.ndarray) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np.ndarray]) -> str:
-    lines = ["wavelength_nm,angle_deg," + ",".join(parts)]
+def _elements(matrices: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the elements of Mueller matrices as columns: m11 ... m44 reflected, transmitted_m11 ... transmitted."""
+    prefix = {"mueller_reflected": "", "mueller_transmitted": "transmitted_"}
+    return {
+        f"{prefix[name]}m{i + 1}{j + 1}": value[..., i, j]
+        for name, value in matrices.items() for i in range(4) for j in range(4)
+    }  # fmt: skip
+
+
+def _csv(
+    wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np.ndarray], polarisation: str = "both"
+) -> str:
+    """Return the table of a spectrum; of polarised light it has a column that says so."""
+    stated = [] if polarisation in ("both", "mueller") else [polarisation]
+    lines = [",".join(["wavelength_nm", "angle_deg", *(["polarisation"] if stated else []), *parts])]
     for a, angle in enumerate(angles_deg):
         for w, wavelength in enumerate(wavelengths_nm):
-            row = [f"{wavelength:.6g}", f"{angle:.6g}", *(f"{value[a, w]:.9g}" for value in parts.values())]
+            row = [f"{wavelength:.6g}", f"{angle:.6g}", *stated, *(f"{value[a, w]:.9g}" for value in parts.values())]
             lines.append(",".join(row))
     return "\n".join(lines) + "\n"
 

@@ -120,6 +120,31 @@ class Model(abc.ABC):
         """Limits of validity that this material exceeds, to be shown after the recipe's name."""
         return ()
 
+    @property
+    def surface_figures(self) -> Mapping[str, float]:
+        """Figures of a measured surface for reports: name with its unit -> value."""
+        return {}
+
+
+class Polarised(abc.ABC):
+    """A material whose spectra are known for circular light, as Mueller matrices, and from any azimuth."""
+
+    @abc.abstractmethod
+    def polarised_spectrum(
+        self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str, azimuth_rad: float
+    ) -> Spectrum:
+        """Return reflectance and transmittance `[angle, wavelength]`.
+
+        Args:
+            theta_rad: `[angle]` in the ambient, in [0, pi/2].
+            wavelengths_nm: `[wavelength]`; default: `self.wavelengths_nm`.
+            polarisation: "s", "p", "left", "right", "both", or "mueller" for "both" with Mueller matrices.
+            azimuth_rad: azimuth of the direction towards the light, from u.
+
+        Raises:
+            UnsupportedError: the polarisation is not known for a part of the spectrum.
+        """
+
 
 class EnergyDefect(abc.ABC):
     """A material whose published model does not conserve energy."""

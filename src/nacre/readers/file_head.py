@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+# images, documents and archives whose first bytes may be printable
+PRINTABLE_MAGIC = (b"\x89PNG", b"GIF8", b"%PDF", b"PK\x03\x04", b"\xff\xd8\xff", b"Rar!", b"7z\xbc\xaf", b"{\\rtf")
+
 
 @dataclass(frozen=True)
 class FileHead:
@@ -32,5 +35,7 @@ class FileHead:
         if self.data[:2] in (b"\xff\xfe", b"\xfe\xff"):
             return True
         sample = self.data[:4096]
+        if sample.startswith(PRINTABLE_MAGIC):
+            return False
         controls = sum(byte < 9 or 13 < byte < 32 for byte in sample.replace(b"\0", b""))
         return sample.count(0) <= 0.1 * len(sample) and controls <= 0.02 * len(sample)

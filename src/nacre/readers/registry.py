@@ -16,6 +16,7 @@ from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import named, plain, why_unreadable
 from nacre.readers.file_head import FileHead as FileHead
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
+from nacre.readers.unknown import unknown_file
 
 HEAD_BYTES = 65536
 MAX_BYTES = 2 << 30
@@ -96,6 +97,7 @@ FORMATS: tuple[Format, ...] = (
     Format("accurion", "Accurion EP3, EP4 text", "ellipsometry", "ellipsometry.accurion"),
     Format("film-sense", "Film Sense text", "ellipsometry", "ellipsometry.film_sense"),
     Format("horiba", "Horiba DeltaPsi text (.spe)", "ellipsometry", "ellipsometry.horiba"),
+    Format("nacre-ellipsometry", "CSV of nacre ellipsometry", "ellipsometry", "ellipsometry.own_csv"),
     Format("nexus-ellipsometry", "NeXus NXellipsometry", "ellipsometry", "ellipsometry.nexus"),
     Format("regress-pro", "regress-pro text (SE)", "ellipsometry", "ellipsometry.regress_pro"),
     Format("spectraray", "Sentech SpectraRay text", "ellipsometry", "ellipsometry.spectraray"),
@@ -137,7 +139,7 @@ def head_of(path: str | Path) -> FileHead:
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
     if not head.data.strip():
-        raise NacreError(f"{path}: is empty")
+        raise NacreError(f"{path}: is empty, it holds no data")
     if head.size > MAX_BYTES:
         raise NacreError(f"{path}: is larger than {MAX_BYTES >> 30} GiB")
     return head
@@ -150,7 +152,8 @@ def recognise(path: str | Path) -> list[tuple[float, Format]]:
         NacreError: as `head_of`.
     """
     head = head_of(path)
-    found = [(confidence, entry) for entry in FORMATS if (confidence := _confidence(entry, head)) > 0]
+    least = 0.0 if head.is_text else POSSIBLE  # of a binary file, only a recognised structure counts
+    found = [(confidence, entry) for entry in FORMATS if (confidence := _confidence(entry, head)) > least]
     return sorted(found, key=lambda pair: -pair[0])
 
 
@@ -194,16 +197,21 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
         if not found and options.expects is not None and head_of(path).is_text:
             found = [(0.0, format_named("table"))]  # its error names what the caller needs
         if not found:
-            from nacre.readers.unknown import unknown_file
-
             raise NacreError(unknown_file(head_of(path), [entry.title for entry in FORMATS]))
+        if options.expects is not None and found[0][0] < CERTAIN:  # a likely format of another kind is no answer
+            of_kind = [pair for pair in found if pair[1].kind in (options.expects, "table")]
+            found = of_kind if of_kind and of_kind[0][0] >= 0.5 * found[0][0] else found
         best = [entry for confidence, entry in found if confidence >= found[0][0] - 1e-9]
         if len(best) > 1:
             titles = ", ".join(f"{entry.title} ({entry.id})" for entry in best)
             raise AmbiguousFileError(f"{path}: may be {titles}", "format", tuple(entry.id for entry in best))
         entry = best[0]
+        if options.expects is not None and entry.id == "spectrum-table":
+            table = format_named("table")
+            has_usual_headings = import_module(f"nacre.readers.{table.module}").has_usual_headings
+            entry = table if has_usual_headings(head_of(path)) else entry
     try:
-        measurements = entry.read(path, options)
+        measurements = _measurements(entry, best[0] if options.format is None else entry, path, options)
     except NacreError:
         raise
     except OSError as error:
@@ -213,6 +221,20 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
     if not measurements:
         raise NacreError(f"{path}: {entry.title} without data")
     return [_with_cut(measurement) for measurement in measurements] if _is_cut(path) else measurements
+
+
+def _measurements(entry: Format, other: Format, path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read a file in one format, or in another if that fails; the error is that of the first."""
+    try:
+        return entry.read(path, options)
+    except NacreError:
+        if other is entry:
+            raise
+        try:
+            return other.read(path, options)
+        except (NacreError, *_DAMAGE):
+            pass
+        raise
 
 
 def _is_cut(path: Path) -> bool:

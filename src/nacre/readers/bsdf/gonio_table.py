@@ -20,7 +20,7 @@ from nacre.readers.bsdf.samples import angles_in_degrees, read_text, unsigned, w
 from nacre.readers.bsdf.samples import measurement as as_measurement
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import FileHead
-from nacre.recipe.delimited_text import rows
+from nacre.readers.text_table import rows
 
 GAPS = ("", "nan", "-", "--", "n/a", "na", "#n/a", "null", "none")
 NAMES = {

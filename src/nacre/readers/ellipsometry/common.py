@@ -168,6 +168,7 @@ def ellipsometry(
     metadata: Mapping[str, Any] | None = None,
     assumed: Sequence[str] = (),
     left_out: Sequence[str] = (),
+    is_binary: bool = False,
 ) -> Measurement:
     """Check the columns of one data set and return it.
 
@@ -181,7 +182,7 @@ def ellipsometry(
         AmbiguousFileError: no angle, or an undecided sign of Delta.
     """
     data = {key: np.asarray(value, dtype=float) for key, value in columns.items()}
-    notes = [*assumed, *end_is_open(path)] if path.suffix != ".nxs" else [*assumed]
+    notes = [*assumed, *(() if is_binary else end_is_open(path))]
     wavelength = data["wavelength_nm"]
     if not len(wavelength):
         raise NacreError(f"{path}: contains no rows of data")

@@ -56,7 +56,7 @@ def _confidence(lines: Sequence[str], block: Block) -> float:
         return PLAIN if _is_axis(x) and _plain_columns(block.table) is not None else 0.0
     if _across(lines) is not None:
         return WIDE
-    place = _axis(names)
+    place = 0 if not names[0] and _is_axis(x) else _axis(names)
     if place is None or place >= block.table.shape[1] or any(_is_other(name) for name in names):
         return 0.0
     labels = [common.label_of(name) for name in names[place + 1 :] if name]
@@ -110,10 +110,9 @@ def _headings(lines: Sequence[str], block: Block) -> list[str]:
                 and (_axis(cells) is not None or abs(len(cells) - width) <= 1)
                 and len(cells) <= width + 1
             ):
-                if (
-                    all(re.fullmatch(r"[\[(]?[^\w]*\w{0,6}[^\w]*[\])]?", cell) for cell in cells)
-                    and _axis(cells) is None
-                ):
+                is_units = all(re.fullmatch(r"\s*[\[(].*[\])]\s*", cell) for cell in cells if cell.strip())
+                is_title = width == 2 and not any(common.label_of(cell) for cell in cells)
+                if _axis(cells) is None and (is_units or is_title):
                     continue
                 return [cell.strip() for cell in cells]
     return []
@@ -232,6 +231,11 @@ def _without_counts(
 ) -> list[tuple[int, Array | None]]:
     """Leave counts out where a reflectance, transmittance or absorbance stands beside them."""
     labels = [common.label_of(names[column]) for column, _ in spectra]
+    is_processed = [bool(re.match("processed", names[column], re.IGNORECASE)) for column, _ in spectra]
+    if any(is_processed) and any(label is not None and label.quantity == "counts" for label in labels):
+        gone = [names[column] for (column, _), one in zip(spectra, is_processed, strict=True) if not one]
+        notes.left_out.append(f"the columns {', '.join(gone)[:80]}")
+        return [entry for entry, one in zip(spectra, is_processed, strict=True) if one]
     if all(label is not None for label in labels):
         kept = [entry for entry, label in zip(spectra, labels, strict=True) if label and label.quantity != "counts"]
         if kept and len(kept) < len(spectra):
@@ -251,6 +255,9 @@ def _labels(
     stated = common.option_label(path, options)
     labels = [stated or common.label_of(heading) or Label("") for heading, _ in columns]
     labels = [Label("") if label.quantity == "error" else label for label in labels]
+    if any(not label.quantity for label in labels):  # one letter among names of samples is a name
+        labels = [Label("") if len(heading) == 1 else label
+                  for label, (heading, _) in zip(labels, columns, strict=True)]  # fmt: skip
     decided: dict[str, Label] = {}
     for quantity in dict.fromkeys(label.quantity for label in labels if label.factor is None):
         members = [values for label, (_, values) in zip(labels, columns, strict=True) if label.quantity == quantity]
@@ -268,9 +275,16 @@ def _one(
     path: Path, x: Array, y: Array, x_name: str, label: Label, title: str, metadata: dict[str, str],
     options: ReadOptions, notes: Notes, error: Array | None = None,
 ) -> Measurement:  # fmt: skip
+    has_value = np.isfinite(x) & np.isfinite(y)
+    if not has_value.all():
+        notes.left_out.append(f"{int((~has_value).sum())} rows without a value")
+        x, y, error = x[has_value], y[has_value], error if error is None else error[has_value]
+    steps = np.diff(x)
+    if not ((steps >= 0).all() or (steps <= 0).all()):
+        raise NacreError(f"{path}: its wavelengths neither ascend nor descend")
     unit = common.option_unit(path, options) or common.unit_named(x_name)
     if unit is None or (unit == "nm" and "nm" not in x_name.lower() and "nanomet" not in x_name.lower()):
-        unit = common.assumed_unit(path, x, notes, options)
+        unit = common.assumed_unit(path, x, notes, options, x_name)
     return common.spectrum(
         path, "spectrum-table", x, y, label, options, unit=unit, name=title, metadata=metadata, notes=notes, error=error
     )
