@@ -240,7 +240,7 @@ def _spectrum(name: str, where: str, kind: str, context: RecipeContext) -> Array
     said = f"{where} = {show_value(name)}"
     quantities = ("transmittance", "reflectance") if kind == "transmitted" else ("reflectance",)
     table = recipe_spectrum(context, where.removeprefix(f"{context.source}: "), name, quantities)
-    nm, values = table.T
+    nm, values = np.round(table[:, 0], 3), table[:, 1]  # wavelengths of THz or eV are rounded in files
     low, high = float(nm[0]), float(nm[-1])
     if len(nm) < 2 or not LEAST_NM <= low < high <= MOST_NM:
         raise RecipeError(
