@@ -17,7 +17,7 @@ from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import plain, why_unreadable, write_text
 from nacre.families.contract import OwnFormats
 from nacre.formats.foreign_materials import read_gltf, read_materialx
-from nacre.formats.gonio_csv import MAX_VALUE, gonio_data, write_gonio_csv
+from nacre.formats.gonio_csv import MAX_VALUE, GonioData, gonio_data, write_gonio_csv
 from nacre.formats.half_angle_tables import merl_table, read_merl_filled, write_merl
 from nacre.formats.lobes import delta_lost, gonio_grid, is_isotropic, lost_parts, merl_lobe
 from nacre.formats.measured_lobes import LAWS, measured_table, rgb_basis, with_spectra
@@ -33,7 +33,7 @@ MAX_F0 = 0.96  # a real index of 98; a perfect mirror would need an infinite one
 ENERGY_ANGLES_DEG = (0.0, 30.0, 60.0)
 MOST_ENERGY = 4.0  # measurements exceed 1 by tens of per cent
 ROUNDING = 1e-6  # of the largest value
-OF_VALUES = ("rgl", "merl", "zemax", "csv", "exr")  # formats that evaluate the Bsdf
+OF_VALUES = ("rgl", "merl", "zemax", "csv", "exr", "astm", "brdf-json", "speos")  # formats that evaluate the Bsdf
 IMPORTS = (
     "goniometer tables, MERL, RGL tensor, Zemax, ASTM E1392, Speos, SSDD, TracePro, ALTA, UTIA, BRDF JSON, glTF, "
     "MaterialX"
@@ -54,8 +54,9 @@ def export_material(
     """Write a material in another program's format.
 
     Args:
-        target: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr", "nacre", "tmat", or "lut" (a folder).
-        angle_step_deg: step of the direction grid of csv.
+        target: "rgl", "merl", "csv", "zemax", "astm", "brdf-json", "speos", "gltf", "materialx", "exr", "nacre",
+            "tmat", or "lut" (a folder).
+        angle_step_deg: step of the direction grid of csv, astm, brdf-json and speos.
         wavelength_nm: for a monochrome zemax file.
         illuminant: of the colours of lut.
         progress: called with a description of each step of lut.
@@ -108,12 +109,37 @@ def export_material(
     elif target == "csv":
         write_gonio_csv(path, gonio_grid(bsdf, angle_step_deg), comment)
         facts["lost"] = delta_lost(bsdf)
+    elif target in ("astm", "brdf-json", "speos"):
+        facts["lost"] = _export_measured(bsdf, target, path, angle_step_deg, material.name, comment)
     elif target == "exr":
         from nacre.formats.half_angle_tables import write_slice
 
         write_slice(path, bsdf, comment)
         facts["lost"] = ["all but one slice over (theta_half, theta_diff)"] + lost_parts(bsdf)
     return facts
+
+
+def _export_measured(bsdf: Bsdf, target: str, path: Path, step_deg: float, name: str, comment: str) -> list[str]:
+    """Write a direction grid in a format of measurements and return the lost properties."""
+    from nacre.formats.measured_files import write_astm, write_brdf_json, write_speos
+
+    lost, data = delta_lost(bsdf), gonio_grid(bsdf, step_deg)
+    if target == "speos":
+        is_first = data.angles_deg[:, 1] == data.angles_deg[0, 1]
+        if not np.all(is_first):
+            lost.append("anisotropy: azimuth 0 of the light was taken")
+        data = GonioData(data.angles_deg[is_first], data.wavelengths_nm, data.values[is_first])
+        write_speos(path, data, comment)
+        return lost
+    if bsdf.transmits:
+        lost.append("transmission and the lower side")
+        up = data.angles_deg[:, 2] < 90
+        data = GonioData(data.angles_deg[up], data.wavelengths_nm, data.values[up])
+    if target == "astm":
+        write_astm(path, data, comment)
+    else:
+        write_brdf_json(path, data, name, comment)
+    return lost
 
 
 def _export_table(material: Material, folder: Path, illuminant: str, progress: Callable[[str], None]) -> dict[str, Any]:

@@ -20,6 +20,7 @@ COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "wavelength", "value")
 MAX_VALUE = 1e12  # far above any BSDF
 ROUND_TRIP_DIGITS = 9  # preserve float32
 ANGLE_DIGITS = 6  # decimals of angles in degrees that distinguish directions
+SAME = 1e-9  # relative difference of equal values
 MIN_MEASURED = 0.5  # share of pairs and wavelengths that must have a value
 
 
@@ -118,7 +119,10 @@ def _grouped(measured: Measurement, angles: Array, remarks: list[str]) -> tuple[
     repeated = int(np.sum(np.maximum(count - 1, 0)))
     if repeated:
         spread = np.max(np.abs(value[known] - values[place][known]) / np.maximum(np.abs(values[place][known]), 1e-12))
-        remarks.append(f"{repeated} rows repeat a direction and wavelength (within {spread:.2g}); they were averaged")
+        if spread > SAME:
+            remarks.append(
+                f"{repeated} rows repeat a direction and wavelength (within {spread:.2g}); they were averaged"
+            )
     if np.mean(count > 0) < MIN_MEASURED and len(waves) > 1:
         raise NacreError(
             f"{measured.path}: has {int(np.sum(count > 0))} values for {len(pairs)} direction pairs and {len(waves)} "

@@ -130,7 +130,10 @@ class Material:
         if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
             return self.model.bsdf(grid)  # solved already, or part of another material, which is cached as a whole
         key = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
-        return cached(key, lambda: self.model.bsdf(grid), Bsdf.load, _save_unpacked if keep else _discard)
+        found = cached(key, lambda: self.model.bsdf(grid), Bsdf.load, _save_unpacked if keep else _discard)
+        for warning in found.provenance.get("warnings", ()):
+            _warn_once(self.context.source, warning)
+        return found
 
     def values_at(
         self, wi: Array, wo: Array, wavelengths_nm: Array | None = None
