@@ -104,6 +104,7 @@ FORMATS: tuple[Format, ...] = (
     Format("woollam-dat", "Woollam WVASE, CompleteEASE data", "ellipsometry", "ellipsometry.woollam_dat"),
     Format("woollam-text", "Woollam WVASE text export", "ellipsometry", "ellipsometry.woollam_text"),
     Format("table", "text table", "table", "table"),
+    Format("tmatrix", "T-matrix (.tmat.h5)", "tmatrix", "tmatrix"),
     Format("sdf", "ISO 25178-71 surface data (.sdf), ASCII and binary", "heights", "heights.sdf"),
     Format("gwyddion-text", "Gwyddion ASCII matrix", "heights", "heights.gwyddion_text"),
     Format("gwy", "Gwyddion (.gwy)", "heights", "heights.gwy"),
