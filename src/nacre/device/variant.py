@@ -24,6 +24,7 @@ ENVIRONMENT_VARIABLE = "NACRE_VARIANT"
 UNPOLARISED = ("llvm_ad_spectral", "cuda_ad_spectral", "scalar_spectral")
 POLARISED = tuple(f"{name}_polarized" for name in UNPOLARISED)
 VARIANTS = UNPOLARISED + POLARISED
+RGB = ("llvm_ad_rgb", "cuda_ad_rgb", "scalar_rgb")  # only in the user's own scenes
 SCALAR_WARNING = (
     "{reason}: falling back to scalar_spectral, some hundreds of times slower, good for tiny previews only; {remedy}"
 )

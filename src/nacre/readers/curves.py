@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nacre.core.errors import NacreError
+from nacre.light import spans_colour
 from nacre.readers.columns import Column, Columns, interpret, load_tables
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import open_file
@@ -132,7 +133,10 @@ def spectrum(
     if not usable:
         held = sorted({name for each in found for name in each.data if not name.startswith(("wavelength", "angle"))})
         raise NacreError(f"{path}: holds {', '.join(held)[:80]} ({found[0].kind}), no {quantities[0]}")
-    if len(usable) > 1:
+    visible = [pair for pair in usable if spans_colour(pair[0].data["wavelength_nm"])]
+    if len(usable) > 1 and len(visible) == 1 and options.spectrum is None:
+        each, quantity = visible[0]
+    elif len(usable) > 1:
         each, quantity = _chosen(path, usable, options)
     else:
         each, quantity = usable[0]

@@ -94,6 +94,12 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format("icc-text", "iccDEV apply data", "colours", "colours.icc_text"),
     Format("lamp", "lamps (IES TM-27 .spdx, UPRtek, Sekonic)", "spectrum", "colours.lamps"),
+    Format("woollam-mat", "Woollam material (.mat)", "constants", "constants.wvase_mat"),
+    Format("zemax-coating", "Zemax COATING.DAT", "constants", "constants.zemax_coating"),
+    Format("spd-pair", "Mitsuba, PBRT .eta.spd and .k.spd", "constants", "constants.spd_pair"),
+    Format("rii-page", "refractiveindex.info page (YAML)", "constants", "constants.rii_page"),
+    Format("nexus-dispersion", "NeXus NXdispersive_material", "constants", "constants.nexus_dispersion"),
+    Format("regress-pro-library", "regress-pro dispersion library", "constants", "constants.regress_pro"),
     Format("accurion", "Accurion EP3, EP4 text", "ellipsometry", "ellipsometry.accurion"),
     Format("film-sense", "Film Sense text", "ellipsometry", "ellipsometry.film_sense"),
     Format("horiba", "Horiba DeltaPsi text (.spe)", "ellipsometry", "ellipsometry.horiba"),
@@ -212,7 +218,7 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
             has_usual_headings = import_module(f"nacre.readers.{table.module}").has_usual_headings
             entry = table if has_usual_headings(head_of(path)) else entry
     try:
-        measurements = entry.read(path, options)
+        measurements = _measurements(entry, best[0] if options.format is None else entry, path, options)
     except NacreError:
         raise
     except OSError as error:
@@ -222,6 +228,20 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
     if not measurements:
         raise NacreError(f"{path}: {entry.title} without data")
     return [_with_cut(measurement) for measurement in measurements] if _is_cut(path) else measurements
+
+
+def _measurements(entry: Format, other: Format, path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read a file in one format, or in another if that fails; the error is that of the first."""
+    try:
+        return entry.read(path, options)
+    except NacreError:
+        if other is entry:
+            raise
+        try:
+            return other.read(path, options)
+        except (NacreError, *_DAMAGE):
+            pass
+        raise
 
 
 def _is_cut(path: Path) -> bool:

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from nacre.bsdf import Bsdf
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.device.bsdf import make_bsdf
-from nacre.device.variant import VARIANTS, check_set_variant, import_mitsuba
+from nacre.device.variant import RGB, VARIANTS, check_set_variant, import_mitsuba
 from nacre.material.material import load
 
 _installed = False
@@ -37,15 +37,11 @@ def install() -> None:
 
 
 def _refuse(properties: Any) -> NoReturn:
-    """Explain why RGB, mono and polarised variants do not support `nacre`; Mitsuba would report "not found"."""
+    """Explain why mono variants do not support `nacre`; Mitsuba would report "not found"."""
     import mitsuba as mi
 
-    variant = str(mi.variant())
-    if "spectral" in variant and "polarized" in variant:
-        why = "nacre's BSDFs are for unpolarised light"
-    else:
-        why = "nacre needs a spectral variant, for a structural colour is a spectrum"
-    raise UnsupportedError(f"{why}; this is {variant}. Use {', '.join(VARIANTS)}")
+    why = "nacre needs a spectral or an RGB variant, for a structural colour is a spectrum"
+    raise UnsupportedError(f"{why}; this is {mi.variant()}. Use {', '.join(VARIANTS)}")
 
 
 def register() -> None:
@@ -53,7 +49,7 @@ def register() -> None:
     import mitsuba as mi
 
     if mi.variant() is not None:
-        mi.register_bsdf("nacre", from_properties if mi.variant() in VARIANTS else _refuse)
+        mi.register_bsdf("nacre", from_properties if mi.variant() in VARIANTS + RGB else _refuse)
 
 
 def load_bsdf(path: str) -> Bsdf:

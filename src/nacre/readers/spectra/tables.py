@@ -279,6 +279,9 @@ def _one(
     if not has_value.all():
         notes.left_out.append(f"{int((~has_value).sum())} rows without a value")
         x, y, error = x[has_value], y[has_value], error if error is None else error[has_value]
+    steps = np.diff(x)
+    if not ((steps >= 0).all() or (steps <= 0).all()):
+        raise NacreError(f"{path}: its wavelengths neither ascend nor descend")
     unit = common.option_unit(path, options) or common.unit_named(x_name)
     if unit is None or (unit == "nm" and "nm" not in x_name.lower() and "nanomet" not in x_name.lower()):
         unit = common.assumed_unit(path, x, notes, options, x_name)
