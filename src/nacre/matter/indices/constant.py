@@ -39,7 +39,8 @@ Extrapolation = Literal["error", "edge"]
 RANGE_TOLERANCE = 1e-9  # relative: 0.360 um in a file is 360 nm up to rounding
 MIN_INDEX = 1e-6  # as in the stack solver; published indices are above 0.01
 MAX_CACHED_WAVELENGTHS = 1000  # longer arrays are not cached
-FILE_ENDS = (".csv", ".txt", ".dat", ".tsv", ".nk", ".yml", ".yaml")  # suffixes of tables, not material names
+# suffixes of tables, not material names
+FILE_ENDS = (".csv", ".txt", ".dat", ".tsv", ".nk", ".mat", ".spd", ".nxs", ".yml", ".yaml")
 MAX_INDEX = 100.0  # far above any optical material: a larger value indicates a wrong unit
 
 
