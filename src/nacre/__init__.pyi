@@ -12,6 +12,7 @@ from .api import fabricate as fabricate
 from .api import fit as fit
 from .api import gamut as gamut
 from .api import import_ as import_
+from .api import orders as orders
 from .api import read as read
 from .api import report as report
 from .api import spectrum as spectrum

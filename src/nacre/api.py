@@ -30,7 +30,7 @@ from nacre.core.arrays import Array, floats
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import DESIGN_RECIPE, check_writable, short_name
 from nacre.core.jobs import Workers
-from nacre.families.contract import Model, fabrications
+from nacre.families.contract import Diffracting, Model, fabrications
 from nacre.formats.fabrication import SUFFIXES, HeightOptions, write_drawing
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
@@ -38,6 +38,7 @@ from nacre.formats.number_maps import NumberMap, write_number_maps
 from nacre.material.material import Material, MaterialLike, as_material, load, loaded
 from nacre.material.number_maps import number_maps
 from nacre.matter.drawings import DrawingRequest
+from nacre.matter.periodic.orders import Orders
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
 from nacre.optimise.gamut import Gamut, find_gamut, parse_parameters
 from nacre.readers.measurement import Measurement, ReadOptions
@@ -51,6 +52,7 @@ __all__ = [
     "fit",
     "gamut",
     "import_",
+    "orders",
     "read",
     "report",
     "spectrum",
@@ -119,6 +121,44 @@ def spectrum(
     """
     theta = np.radians(floats(angles_deg, "angles_deg"))
     return as_material(thing).spectrum(theta, wavelengths_nm, polarisation, azimuth_deg=azimuth_deg)
+
+
+def orders(
+    thing: MaterialLike,
+    angles_deg: ArrayLike = 0.0,
+    azimuth_deg: float = 0.0,
+    wavelengths_nm: ArrayLike | None = None,
+) -> Orders:
+    """Return the diffraction orders of a grating: efficiencies, Jones matrices and directions.
+
+    Args:
+        thing: a material, or a path of a recipe, an example's name or a recipe's table.
+        angles_deg: of incidence in the ambient.
+        azimuth_deg: of the direction to the light, from x (across the lines) towards y.
+        wavelengths_nm: default: the material's own.
+
+    Raises:
+        UnsupportedError: the material is not periodic.
+        NotConvergedError: the orders do not converge to the tolerance.
+
+    Example:
+        >>> lines = {"shape": "line", "material": {"n": 1.5}, "width_nm": 500}
+        >>> layer = {"thickness_nm": 200, "material": "air", "shapes": [lines]}
+        >>> recipe = {"family": "grating", "substrate": {"n": 1.5}, "layers": [layer], "lattice": {"period_nm": 1000}}
+        >>> nacre.orders(recipe, 0, 0, [600]).numbers[:, 0].tolist()
+        [-2, -1, 0, 1, 2]
+    """
+    material = as_material(thing)
+    model = material.model
+    if not isinstance(model, Diffracting):
+        raise UnsupportedError(f"{material.context.source}: a {model.traits.noun} has no orders; allowed: a grating")
+    grid = None if wavelengths_nm is None else np.atleast_1d(floats(wavelengths_nm, "wavelengths_nm"))
+    theta = np.radians(np.atleast_1d(floats(angles_deg, "angles_deg")))
+    if np.any(theta < 0.0) or np.any(theta >= 0.5 * np.pi):
+        raise NacreError("angles_deg must lie in [0, 90)")
+    if grid is not None and (np.any(grid <= 0.0) or not np.all(np.isfinite(grid))):
+        raise NacreError("wavelengths_nm must be positive")
+    return model.diffraction_orders(theta, float(np.radians(azimuth_deg)), grid)
 
 
 def ellipsometry(

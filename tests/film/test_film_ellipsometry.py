@@ -102,6 +102,29 @@ def test_the_average_over_thickness_is_that_of_many_thicknesses() -> None:
     np.testing.assert_allclose(found.mueller, total, atol=1e-5)  # both quadratures are cut at 5 deviations
 
 
+def test_the_back_of_a_pane_depolarises() -> None:
+    # the mean over the phases of a thin pane, whose fringes are those of a coherent one
+    film = {"material": "TiO2", "thickness_nm": 80.0}
+    pane = {"material": {"n": 1.52}, "thickness_nm": 3000.0}
+    recipe = {
+        "family": "film",
+        "substrate": "air",
+        "ambient": {"n": 1.0},
+        "layers": [film, {**pane, "incoherent": True}],
+    }
+    found = nacre.ellipsometry(recipe, [60.0], WAVES)
+    phases = 64
+    coherent = nacre.material({**recipe, "layers": [film, pane]}).parametrise(["layers[1].thickness_nm"])
+    period = WAVES / (2 * np.sqrt(1.52**2 - np.sin(np.radians(60.0)) ** 2))
+    total = np.zeros((len(WAVES), 4, 4))
+    for k in range(phases):
+        for w, nm in enumerate(WAVES):
+            one = coherent({"layers[1].thickness_nm": 3000.0 + float(period[w]) * k / phases})
+            total[w] += nacre.ellipsometry(one, [60.0], [nm]).mueller[0, 0] / phases
+    np.testing.assert_allclose(found.mueller[0], total, atol=1e-9)
+    assert np.max(found.depolarisation) > 0.01
+
+
 def test_command_writes_its_quantities(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recipe = tmp_path / "wafer.toml"
     recipe.write_text('family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 300}]\n')

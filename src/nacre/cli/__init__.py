@@ -29,6 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("nacre.cli.render", "Make pictures and plots of every example recipe, with a contact sheet."),
     "render": ("nacre.cli.render", "Render a material on an object."),
     "spectrum": ("nacre.cli.show", "Print reflectance and transmittance over angle and wavelength."),
+    "orders": ("nacre.cli.show", "Print the diffraction orders of a grating."),
     "ellipsometry": ("nacre.cli.ellipsometry", "Print Psi, Delta and Mueller matrices over angle and wavelength."),
     "evaluate": ("nacre.cli.show", "Evaluate the BSDF for given directions."),
     "plot": ("nacre.cli.show", "Draw a figure of a material."),

@@ -74,6 +74,76 @@ def spectrum(
         click.echo(text_csv, nl=False)
 
 
+@click.command()
+@click.argument("recipe")
+@click.option("--angles-deg", default="0", show_default=True, help="Incidence, such as 0,30,60 or 0:80:5.")
+@click.option("--azimuth-deg", type=float, default=0.0, show_default=True, help="Of the direction to the light.")
+@click.option("--wavelengths-nm", default=None, help="Such as 400:700:20; default: chosen by the material.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON to stdout.")
+@click.option("-o", "output", metavar="FILE.csv", help="Write CSV (or JSON, by the suffix) to a file.")
+@common.set_option
+@common.cache_option
+@common.jobs_option
+def orders(
+    recipe: str, angles_deg: str, azimuth_deg: float, wavelengths_nm: str | None, as_json: bool, output: str | None,
+    changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Print the efficiencies of the diffraction orders of RECIPE, for s and p polarised light."""
+    from nacre import api
+    from nacre.core.files import check_writable, write_text
+    from nacre.material.material import recipe_provenance
+
+    if output:
+        if Path(output).suffix not in (".csv", ".json"):
+            raise NacreError(f"-o {output}: the suffix must be .csv or .json")
+        check_writable(output)
+    if not np.isfinite(azimuth_deg):
+        raise NacreError(f"--azimuth-deg = {azimuth_deg} must be finite")
+    angles = common.angles(angles_deg)
+    if angles.max() >= 90:
+        raise NacreError(f'--angles-deg = "{angles_deg}" must lie in [0, 90)')
+    material = common.load_material(recipe, changes)
+    found = api.orders(material, angles, azimuth_deg, common.wavelengths(wavelengths_nm))
+    document = {
+        "wavelengths_nm": found.wavelengths_nm.tolist(),
+        "angles_deg": angles.tolist(),
+        "azimuth_deg": azimuth_deg,
+        "orders": found.numbers.tolist(),
+        "reflected": _by_polarisation(found.reflected),
+        "transmitted": _by_polarisation(found.transmitted),
+        "estimated_error": found.error.tolist(),
+        "provenance": recipe_provenance(material),
+    }
+    text_csv = _orders_csv(found, angles)
+    if output:
+        write_text(output, text_csv if output.endswith(".csv") else json.dumps(document) + "\n")
+        common.note(output)
+    if as_json:
+        click.echo(json.dumps(document))
+    elif not output:
+        click.echo(text_csv, nl=False)
+
+
+def _by_polarisation(efficiency: np.ndarray) -> dict[str, Any]:
+    """Return `[angle][wavelength][order]` for s and p, None for orders that do not propagate."""
+    return {
+        name: [[[None if np.isnan(v) else float(v) for v in row] for row in plane] for plane in efficiency[..., k]]
+        for k, name in enumerate("sp")
+    }
+
+
+def _orders_csv(found: Any, angles_deg: np.ndarray) -> str:
+    lines = ["wavelength_nm,angle_deg,m,n,reflected_s,reflected_p,transmitted_s,transmitted_p"]
+    for a, angle in enumerate(angles_deg):
+        for w, wavelength in enumerate(found.wavelengths_nm):
+            for o, (m, n) in enumerate(found.numbers):
+                values = [*found.reflected[a, w, o], *found.transmitted[a, w, o]]
+                if not np.all(np.isnan(values)):
+                    shown = ["" if np.isnan(v) else f"{v:.9g}" for v in values]
+                    lines.append(",".join([f"{wavelength:.6g}", f"{angle:.6g}", str(m), str(n), *shown]))
+    return "\n".join(lines) + "\n"
+
+
 def _elements(matrices: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the elements of Mueller matrices as columns: m11 ... m44 reflected, transmitted_m11 ... transmitted."""
     prefix = {"mueller_reflected": "", "mueller_transmitted": "transmitted_"}
@@ -352,6 +422,7 @@ def import_(
 
 commands = {
     "spectrum": spectrum,
+    "orders": orders,
     "evaluate": evaluate,
     "plot": plot,
     "compile": compile_,

@@ -120,6 +120,7 @@ PLUGINS: dict[str, str] = {
     "spectrum-map": "nacre.device.lobes.spectrum_map:SpectrumMapPlugin",
     "layered": "nacre.device.lobes.layered:LayeredPlugin",
     "platelet-layer": "nacre.device.lobes.platelet_layer:PlateletLayerPlugin",
+    "orders": "nacre.device.lobes.orders:OrdersPlugin",
     "masked": "nacre.device.lobes.masked:MaskedPlugin",
 }
 

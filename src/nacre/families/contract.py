@@ -35,6 +35,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError, did_you_mean
 from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer
+from nacre.matter.periodic.orders import Orders
 
 if TYPE_CHECKING:
     from nacre.matter.stack.stack import Stack
@@ -258,6 +259,20 @@ class ExpensiveMethod(abc.ABC):
     @abc.abstractmethod
     def method_overrides(self) -> Mapping[str, Any]:
         """Recipe changes, by path, that select the replacement explicitly; solution files contain them."""
+
+
+class Diffracting(abc.ABC):
+    """A periodic material, whose light leaves in orders."""
+
+    @abc.abstractmethod
+    def diffraction_orders(self, theta_rad: Array, azimuth_rad: float, wavelengths_nm: Array | None) -> Orders:
+        """Return the orders of plane waves.
+
+        Args:
+            theta_rad: `[angle]` of incidence in the ambient.
+            azimuth_rad: of the direction to the light.
+            wavelengths_nm: `[wavelength]`; default: `wavelengths_nm` of the model.
+        """
 
 
 class Fabricable(abc.ABC):

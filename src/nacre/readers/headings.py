@@ -125,6 +125,8 @@ WORDS: dict[str, str] = {
     "rank particleid pointid punkt numero n° nº item i # label pixel pixelnumber",
     "area": "area flache surfacearea perimeter perim circ circularity solidity roundness round aspectratio ar major "
     "minor feret feretangle minferet median skew kurt intden rawintden",
+    "gloss": "gloss glanz gloss60 gu haze de deltae de00 de2000 decmc whiteness opacity comment remark note bemerkung "
+    "date datum zeit timestamp",
     "x": "x xm xc xpos xposition posx positionx xcoord xcoordinate coordx xcentre xcenter centrex centerx xcentroid "
     "centroidx xkoordinate xloc xmean xo",
     "y": "y ym yc ypos yposition posy positiony ycoord ycoordinate coordy ycentre ycenter centrey centery ycentroid "
@@ -226,8 +228,8 @@ for _name, _words in WORDS.items():
         _OF_ALL_WORDS[_word] = (*_OF_ALL_WORDS.get(_word, ()), _name)
 ILLUMINANT_WORDS = {
     "a": "A", "b": "B", "c": "C", "d50": "D50", "d55": "D55", "d60": "D60", "d65": "D65", "d75": "D75", "e": "E",
-    "f2": "FL2", "fl2": "FL2", "f7": "FL7", "fl7": "FL7", "f11": "FL11", "fl11": "FL11", "tl84": "FL11", "cwf": "FL2",
-    "cwf2": "FL2", "ill.a": "A", "illa": "A", "f12": "FL12", "fl12": "FL12", "fl1": "FL1", "f1": "FL1",
+    "f2": "F2", "fl2": "F2", "f7": "F7", "fl7": "F7", "f11": "F11", "fl11": "F11", "tl84": "F11", "cwf": "F2",
+    "cwf2": "F2", "ill.a": "A", "illa": "A", "f12": "F12", "fl12": "F12", "fl1": "F1", "f1": "F1",
 }  # fmt: skip
 
 

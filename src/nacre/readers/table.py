@@ -26,7 +26,7 @@ from nacre.readers.headings import SPECTRAL_QUANTITIES, meanings
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
 from nacre.readers.registry import POSSIBLE, FileHead
 from nacre.readers.text_table import TextTable, decode
-from nacre.readers.units import UNITS, Floats
+from nacre.readers.units import UNITS, Floats, parse_unit
 
 SPECTRA = ("reflectance", "transmittance", "absorptance", "absorbance", "counts", "sample_counts", "dark_counts",
            "reference_counts", "irradiance", "albedo")  # fmt: skip
@@ -158,6 +158,8 @@ def constants_of(
     tables = [table for table in tables if len(table.rows) > 0]
     if options.spectrum is not None and len(tables) > 1:
         tables = [tables[chosen_block(path, options.spectrum, [_block_name(table) for table in tables])]]
+    for table in tables:
+        _check_headerless(table, options)
     each = [interpret(table, OF_KIND["constants"], options, HEADERLESS["constants"]) for table in tables]
     if len(each) == 2:
         joined = _joined(each[0], each[1], options)
@@ -172,6 +174,20 @@ def constants_of(
             )
         found.append(constants(columns, options, nm, format_id, _block_name(columns.table) if len(each) > 1 else ""))
     return found
+
+
+def _check_headerless(table: TextTable, options: ReadOptions) -> None:
+    """Refuse three columns without headings that may be a dielectric function: in eV, or with a negative second."""
+    if table.headings or options.columns or table.width != 3:
+        return
+    is_negative = bool(np.nanmin(table.column(1)) < 0.0)
+    if is_negative or (options.unit is not None and parse_unit(options.unit) == "eV"):
+        looks = "looks like a dielectric function" if is_negative else "may be n, k or a dielectric function"
+        raise AmbiguousFileError(
+            f"{table.path}: line {table.lines[0]}: no heading, and it {looks} in eV; name them, such as columns = "
+            '["energy_eV", "e1", "e2"] or ["energy_eV", "n", "k"]',
+            "columns",
+        )
 
 
 def _block_name(table: TextTable) -> str:
@@ -348,11 +364,16 @@ def _plain(columns: Columns, kind: Kind) -> Measurement:
     if not data and "hex" not in columns.texts:
         raise NacreError(f"{columns.path}: no numbers; the columns are {columns.table.shown_headings}")
     if kind == "colours" and "hex" in columns.texts:
-        data["srgb"] = np.array([_srgb(columns, cell) for cell in columns.texts["hex"]])
+        data["srgb"] = np.array([srgb_of_hex(columns.path, cell) for cell in columns.texts["hex"]])
     return Measurement(columns.path, "table", kind, data, "", metadata, tuple(columns.assumed), _left_out(columns))
 
 
-def _srgb(columns: Columns, cell: str) -> list[float]:
+def srgb_of_hex(path: Path, cell: str) -> list[float]:
+    """Return encoded sRGB in [0, 1] of "#4a90d0".
+
+    Raises:
+        NacreError: it has another form.
+    """
     digits = cell.strip().lstrip("#")
     digits = "".join(2 * c for c in digits) if len(digits) == 3 else digits
     try:
@@ -360,4 +381,4 @@ def _srgb(columns: Columns, cell: str) -> list[float]:
             raise ValueError
         return [int(digits[i : i + 2], 16) / 255.0 for i in (0, 2, 4)]
     except ValueError:
-        raise NacreError(f'{columns.path}: "{cell[:20]}" is no colour such as #4a90d0') from None
+        raise NacreError(f'{path}: "{cell[:20]}" is no colour such as #4a90d0') from None
