@@ -81,6 +81,16 @@ blur_um = 0.05
 [fit]
 blur_um = {min = 0.3, max = 0.5}
 """,
+    "grating": """family = "grating"
+substrate = "Al"
+profile = {shape = "sinusoidal", depth_nm = 60}
+lattice = {period_nm = 500}
+wavelengths = {min_nm = 400, max_nm = 700, step_nm = 300}
+[tolerance]
+"profile.depth_nm" = 2
+[fit]
+"profile.depth_nm" = {min = 50, max = 70}
+""",
     "measured": """family = "measured"
 file = "measured.nacre"
 scale = 1.0
@@ -100,8 +110,9 @@ mask = {min = 0.0, max = 0.5}
 """,
 }
 RECIPES |= {name: dump_toml(family_spec(name, "here").example) for name in family_names() if name not in FAMILIES}
+# one that a sweep may vary
 NUMBERS = {"film": "layers[0].thickness_nm", "pearl": "strata[0].thickness_um", "metasurface": "particle.radius_nm",
-           "relief": "blur_um", "measured": "scale", "blend": "mask"}  # one that a sweep may vary  # fmt: skip
+           "relief": "blur_um", "grating": "profile.depth_nm", "measured": "scale", "blend": "mask"}  # fmt: skip
 DRAWINGS = {  # what the families promise to makers; all else is refused
     "film": {"sheet"},
     "metasurface": {"gds", "oas", "csv", "sheet"},

@@ -4,6 +4,7 @@ from . import plot as plot
 from . import render as render
 from . import studio as studio
 from ._version import __version__ as __version__
+from .api import diagnose as diagnose
 from .api import ellipsometry as ellipsometry
 from .api import evaluate as evaluate
 from .api import export as export
@@ -11,6 +12,7 @@ from .api import fabricate as fabricate
 from .api import fit as fit
 from .api import gamut as gamut
 from .api import import_ as import_
+from .api import orders as orders
 from .api import read as read
 from .api import report as report
 from .api import spectrum as spectrum

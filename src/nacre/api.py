@@ -14,12 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nacre.analysis.diagnose import Diagnosis, Observation
+from nacre.analysis.diagnose import diagnose as run_diagnosis
 from nacre.analysis.ellipsometry import EllipsometricResponse, compute_ellipsometry
-from nacre.analysis.fit import Fit, fit_parameters, read_measurement, run_fit
+from nacre.analysis.fit import Fit, fit_parameters, read_measurements, run_fit
 from nacre.analysis.import_export import export_material, import_material
 from nacre.analysis.report import Report, make_report
 from nacre.analysis.sweep import run_sweep
 from nacre.analysis.sweep_plan import load_sweep
+from nacre.analysis.ties import read_ties
 from nacre.analysis.tolerance import ToleranceResult, recipe_tolerances, run_tolerance
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
@@ -27,7 +30,7 @@ from nacre.core.arrays import Array, floats
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import DESIGN_RECIPE, check_writable, short_name
 from nacre.core.jobs import Workers
-from nacre.families.contract import Model, fabrications
+from nacre.families.contract import Diffracting, Model, fabrications
 from nacre.formats.fabrication import SUFFIXES, HeightOptions, write_drawing
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
@@ -35,6 +38,7 @@ from nacre.formats.number_maps import NumberMap, write_number_maps
 from nacre.material.material import Material, MaterialLike, as_material, load, loaded
 from nacre.material.number_maps import number_maps
 from nacre.matter.drawings import DrawingRequest
+from nacre.matter.periodic.orders import Orders
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
 from nacre.optimise.gamut import Gamut, find_gamut, parse_parameters
 from nacre.readers.measurement import Measurement, ReadOptions
@@ -48,10 +52,12 @@ __all__ = [
     "fit",
     "gamut",
     "import_",
+    "orders",
     "read",
     "report",
     "spectrum",
     "sweep",
+    "diagnose",
     "tolerance",
 ]
 
@@ -98,13 +104,61 @@ def spectrum(
     angles_deg: ArrayLike = 0.0,
     wavelengths_nm: ArrayLike | None = None,
     polarisation: str = "both",
+    azimuth_deg: float = 0.0,
 ) -> Spectrum:
     """Return reflectance and transmittance of a material as a `Spectrum`, each part `[angle, wavelength]`.
+
+    Args:
+        thing: a recipe, a file or a material.
+        angles_deg: angles of incidence in the ambient medium.
+        wavelengths_nm: vacuum wavelengths; default: chosen by the material.
+        polarisation: "s", "p", "both" (unpolarised), "left" or "right" (circular), or "mueller": unpolarised, with
+            `mueller_reflected` and `mueller_transmitted`, `[angle, wavelength, 4, 4]`.
+        azimuth_deg: azimuth of the direction towards the light, from u; anisotropic films depend on it.
 
     Raises:
         NacreError: the recipe is wrong, or an optical constant is not known at a wavelength.
     """
-    return as_material(thing).spectrum(np.radians(floats(angles_deg, "angles_deg")), wavelengths_nm, polarisation)
+    theta = np.radians(floats(angles_deg, "angles_deg"))
+    return as_material(thing).spectrum(theta, wavelengths_nm, polarisation, azimuth_deg=azimuth_deg)
+
+
+def orders(
+    thing: MaterialLike,
+    angles_deg: ArrayLike = 0.0,
+    azimuth_deg: float = 0.0,
+    wavelengths_nm: ArrayLike | None = None,
+) -> Orders:
+    """Return the diffraction orders of a grating: efficiencies, Jones matrices and directions.
+
+    Args:
+        thing: a material, or a path of a recipe, an example's name or a recipe's table.
+        angles_deg: of incidence in the ambient.
+        azimuth_deg: of the direction to the light, from x (across the lines) towards y.
+        wavelengths_nm: default: the material's own.
+
+    Raises:
+        UnsupportedError: the material is not periodic.
+        NotConvergedError: the orders do not converge to the tolerance.
+
+    Example:
+        >>> lines = {"shape": "line", "material": {"n": 1.5}, "width_nm": 500}
+        >>> layer = {"thickness_nm": 200, "material": "air", "shapes": [lines]}
+        >>> recipe = {"family": "grating", "substrate": {"n": 1.5}, "layers": [layer], "lattice": {"period_nm": 1000}}
+        >>> nacre.orders(recipe, 0, 0, [600]).numbers[:, 0].tolist()
+        [-2, -1, 0, 1, 2]
+    """
+    material = as_material(thing)
+    model = material.model
+    if not isinstance(model, Diffracting):
+        raise UnsupportedError(f"{material.context.source}: a {model.traits.noun} has no orders; allowed: a grating")
+    grid = None if wavelengths_nm is None else np.atleast_1d(floats(wavelengths_nm, "wavelengths_nm"))
+    theta = np.radians(np.atleast_1d(floats(angles_deg, "angles_deg")))
+    if np.any(theta < 0.0) or np.any(theta >= 0.5 * np.pi):
+        raise NacreError("angles_deg must lie in [0, 90)")
+    if grid is not None and (np.any(grid <= 0.0) or not np.all(np.isfinite(grid))):
+        raise NacreError("wavelengths_nm must be positive")
+    return model.diffraction_orders(theta, float(np.radians(azimuth_deg)), grid)
 
 
 def ellipsometry(
@@ -182,18 +236,47 @@ def tolerance(
     return run_tolerance(material, recipe_tolerances(material, tuple(tolerances)), draws=draws, limit=limit, **options)
 
 
-def fit(
-    measurement: str | Path, thing: MaterialLike, parameters: Iterable[str] = (), *, starts: int = 4,
-    report: str | Path | None = None, **options: Any,
-) -> Fit:  # fmt: skip
-    """Fit parameters of a recipe to a measurement.
+def diagnose(
+    thing: MaterialLike,
+    observations: Iterable[Observation],
+    noise: float | Sequence[float],
+    tolerances: Iterable[str] = (),
+    **options: Any,
+) -> Diagnosis:
+    """Estimate which numbers of a recipe were off in a finished run.
 
     Args:
-        measurement: CSV of a spectrum or of goniometer values.
+        thing: a material or a path: the recipe as intended.
+        observations: `nacre.analysis.diagnose.SpectrumObservation` and `ColourObservation`, or measurements that
+            `nacre.analysis.fit.read_measurement` read.
+        noise: standard deviation of the measured values, one number or one per observation.
+        tolerances: such as "layers[0].thickness_nm=2%", in addition to those of the recipe's `[tolerance]`.
+        options: further arguments of `nacre.analysis.diagnose.diagnose`.
+
+    Raises:
+        NacreError: nothing is measured, or a tolerance names no number of the recipe.
+    """
+    material = as_material(thing)
+    return run_diagnosis(material, recipe_tolerances(material, tuple(tolerances)), list(observations), noise, **options)
+
+
+def fit(
+    measurement: str | Path | Sequence[str | Path], thing: MaterialLike, parameters: Iterable[str] = (), *,
+    starts: int = 4, ties: Iterable[str] = (), range_nm: tuple[float, float] | None = None,
+    report: str | Path | None = None, angle_deg: float | None = None, delta_convention: str | None = None,
+    **options: Any,
+) -> Fit:  # fmt: skip
+    """Fit parameters of a recipe to measurements of one sample.
+
+    Args:
+        measurement: file of an ellipsometer or spectrometer, CSV of a spectrum or of goniometer values; or several.
         thing: a material or a path.
         parameters: such as "layers[0].thickness_nm=50:400", in addition to those of the recipe's `[fit]`.
         starts: refined starting points; options: further arguments of `nacre.analysis.fit.run_fit`.
+        ties: such as "layers[2].thickness_nm=layers[0].thickness_nm", in addition to those of the recipe's `[ties]`.
+        range_nm: other wavelengths of the measurements are ignored.
         report: HTML file that compares measurement and fit.
+        angle_deg, delta_convention: properties that an ellipsometer's file does not state.
 
     Raises:
         NacreError: the measurement cannot be read, or there is no parameter.
@@ -202,9 +285,12 @@ def fit(
         if Path(report).suffix != ".html":
             raise NacreError(f"{report}: the suffix must be .html")
         check_writable(report)
-    material, measured = as_material(thing), read_measurement(measurement)
+    paths = [measurement] if isinstance(measurement, str | Path) else list(measurement)
+    stated = ReadOptions(angle_deg=angle_deg, delta_convention=delta_convention)
+    material, measured = as_material(thing), read_measurements(paths, stated, range_nm)
     numbers = fit_parameters(material, tuple(parameters))
-    found = run_fit(material, measured, numbers, starts=starts, **options)
+    tied = read_ties(material, [number.path for number in numbers], tuple(ties))
+    found = run_fit(material, measured, numbers, starts=starts, ties=tied, **options)
     if report is not None:
         from nacre.analysis.fit_report import write_fit_page
 

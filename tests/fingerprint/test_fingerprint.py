@@ -171,6 +171,16 @@ def test_a_comment_in_the_package_changes_no_fingerprint(tmp_path: Path) -> None
         ("scene.xml", '<scene><texture><string name="filename" value="wall é.png"/></texture></scene>'),
         ("scene.xml", "<scene><!-- it's --><string name='filename' value='wall é.png'/></scene>"),
         ("scene.gltf", '{"buffers": [{"uri": "wall%20%C3%A9.png"}]}'),
+        ("scene.gltf", r'{"buffers": [{"uri": "\u0077all \u00e9.png"}]}'),
+        (
+            "scene.xml",
+            '<scene><default name="end" value="png"/><string name="filename" value="wall é.$end"/></scene>',
+        ),
+        ("scene.xml", '<scene><string name="filename" value="w&#97;ll &#xe9;.png"/></scene>'),
+        (
+            "scene.xml",
+            '<!DOCTYPE scene [<!ENTITY w "wall">]><scene><string name="filename" value="&w; é.png"/></scene>',
+        ),
     ],
 )
 def test_a_scene_is_also_the_files_that_it_names(tmp_path: Path, name: str, text: str) -> None:
@@ -180,6 +190,24 @@ def test_a_scene_is_also_the_files_that_it_names(tmp_path: Path, name: str, text
     assert before == (file_digest(scene), file_stamp(scene))
     grey(tmp_path / "wall é.png", 11)
     assert file_digest(scene) != before[0] and file_stamp(scene) != before[1]
+
+
+def test_a_scene_is_also_the_files_of_its_folders_includes_and_recipes(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    names = ("maps/wall.png", "maps/film.png")
+    for name in names:
+        grey(tmp_path / name, 10)
+    write(tmp_path / "maps" / "r.toml", 'mask = {texture = "film.png"}')
+    write(tmp_path / "part.xml", '<scene><string name="filename" value="$file"/></scene>')
+    scene = write(
+        tmp_path / "scene.xml",
+        '<scene><default name="file" value="wall.png"/><path value="maps"/><include filename="part.xml"/>'
+        '<bsdf type="nacre"><string name="recipe" value="r.toml"/></bsdf></scene>',
+    )
+    for number, name in enumerate(names):
+        before = file_digest(scene), file_stamp(scene)
+        grey(tmp_path / name, 20 + number)
+        assert file_digest(scene) != before[0] and file_stamp(scene) != before[1], name
 
 
 def test_every_output_of_a_material_carries_its_identity(tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ def write_companions(folder: Path) -> None:
         (folder / name).write_text(FILM)
     for name in ("nk.csv", "dye.csv"):
         (folder / name).write_text("360, 1.5, 0.01\n830, 1.5, 0.02\n")
+    (folder / "eps.txt").write_text("1.5 2.25 0.01\n2.5 2.3 0.02\n3.4 2.4 0.03\n")
     (folder / "albedo.csv").write_text("360, 0.2\n830, 0.4\n")
     (folder / "reflectance.csv").write_text("360, 0.2\n830, 0.4\n")
     (folder / "thickness.csv").write_text("380, 0.5\n420, 0.5\n")

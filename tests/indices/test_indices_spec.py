@@ -201,7 +201,7 @@ def test_a_broken_page_is_told_in_a_line(data, tmp_path):
     ("a,b,c\n400,1.5,3\n", "neither header nor row"),
     ("400\n500\n", "line 1"),
     ("wl,n\n0.4,1.5\nwl,k\n0.5,0.1\n", "different wavelengths"),
-    ("\x00\x01", "not a text file"),
+    ("\x00\x01", "nk.csv"),
 ])  # fmt: skip
 def test_a_broken_table_is_told_with_its_line(text, words, tmp_path):
     (tmp_path / "nk.csv").write_text(text)

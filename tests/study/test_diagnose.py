@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,9 +11,11 @@ import pytest
 
 import nacre
 from nacre.analysis.diagnose import ColourObservation, SpectrumObservation, diagnose
+from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.material.material import Material
 from nacre.optimise.tolerances import draw, read_tolerances
+from nacre.recipe.toml import dump_toml
 
 GRID_NM = np.arange(400.0, 781.0, 5.0)
 NOISE = 0.002
@@ -83,8 +87,8 @@ def test_posterior_widths_from_colours_of_tied_layers_are_calibrated() -> None:
     rng = np.random.default_rng(6)
     drawn = draw(tolerances, rng, 12).values
     pulls = []
-    for run in range(12):
-        values = {path: float(column[run]) for path, column in drawn.items()}
+    for number in range(12):
+        values = {path: float(column[number]) for path, column in drawn.items()}
         sample = material.vary(values)
         seen = []
         for geometry in ("specular 5", "specular 45"):
@@ -102,3 +106,30 @@ def test_a_diagnosis_without_data_or_noise_is_refused(noise: float, count: int) 
     material, tolerances = coating(AR, 3.0)
     with pytest.raises(NacreError):
         diagnose(material, tolerances, [measured(material, np.random.default_rng(0))] * count, noise)
+
+
+def test_the_command_reads_spectra_and_colours(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recipe = AR | {"tolerance": {"layers[*].thickness_nm": {"percent": 3}}}
+    (tmp_path / "ar.toml").write_text(dump_toml(recipe))
+    path = "layers[1].thickness_nm"
+    made = nacre.material(recipe).vary({path: 121.0})
+    lab = ColourObservation("specular 5", np.zeros(3)).model(made, None, 0)
+    (tmp_path / "m.csv").write_text(
+        "wavelength_nm,specular_reflectance\n"
+        + "".join(f"{w},{r}\n" for w, r in zip(GRID_NM, made.spectrum(0.0, GRID_NM).specular_reflectance[0]))
+    )
+    colour = "specular 5=" + ",".join(f"{value:.6f}" for value in lab)
+    command = ["diagnose", str(tmp_path / "m.csv"), str(tmp_path / "ar.toml"), "--lab", colour, "--json"]
+    assert run([*command, "-o", str(tmp_path / "made.toml")]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["verdict"], document["single_causes"][0]["name"]) == ("one cause", path)
+    assert nacre.load(tmp_path / "made.toml").get(path) == pytest.approx(121.0, abs=1.0)
+
+
+@pytest.mark.parametrize("extra", [["--lab", "specular 5=1,2"], ["--lab", "diffuse 0=50,0,0"], ["--noise", "0"], []])
+def test_a_bad_command_ends_with_status_2(extra: list[str], tmp_path: Path) -> None:
+    recipe = AR | {"tolerance": {"layers[*].thickness_nm": {"percent": 3}}}
+    (tmp_path / "ar.toml").write_text(dump_toml(recipe))
+    measured_ = ["--lab", "specular 5=50,0,0"] if extra[:1] == ["--noise"] else []
+    noise = ["--lab-noise", "0"] if extra[:1] == ["--noise"] else []
+    assert run(["diagnose", str(tmp_path / "ar.toml"), *extra, *measured_, *noise]) == 2

@@ -92,7 +92,6 @@ def test_a_spectrum_csv_of_our_own_reads_back(tmp_path: Path) -> None:
         ("wavelength_nm,specular_reflectance\n500,x\n", "not a finite"),
         ("wavelength_nm,specular_reflectance\n500\n", "measured value"),
         ("wavelength_nm,specular_reflectance\n500,0.5,0.5\n", "3 cells, the header has 2"),
-        ("theta_i,phi_i,theta_o,phi_o,wavelength,value\n10,0,20,0,500,1\n10,0,20,0,500,1\n", "once"),
     ],
 )
 def test_a_bad_measurement_is_refused_in_one_line(tmp_path: Path, text: str, what: str) -> None:

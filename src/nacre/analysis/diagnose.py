@@ -155,7 +155,7 @@ class Diagnosis:
             moved = ", ".join(
                 f"{path} {change:+.3g} +- {best.errors[path]:.2g}" for path, change in best.changes.items()
             )
-            return f"{best.name} was off: {moved} (probability {best.probability:.3f} among single causes)."
+            return f"One cause explains the measurement: {moved} (probability {best.probability:.3f})."
         advice = f" {self.advice}" if self.advice else ""
         if self.verdict == "ambiguous":
             names = ", ".join(f"{s.name} ({s.probability:.2f})" for s in likely)
@@ -392,11 +392,15 @@ def _advice_for_all(likelihood: _Likelihood, factors: Array, covariance: Array) 
 
 def _first_pair(likelihood: _Likelihood, serves: Callable[[Sequence[SpectrumObservation], float], bool]) -> str:
     """Return the first pair of s and p spectra that serves, as a sentence, or ""."""
-    spectra = [each for each in likelihood.observations if isinstance(each, SpectrumObservation)]
-    if not spectra:
+    grids = [
+        np.asarray(grid)
+        for each in likelihood.observations
+        if (grid := getattr(each, "wavelengths_nm", None)) is not None
+    ]
+    if not grids:
         return "Add a spectrum of the reflectance."
     for angle in FURTHER_DEG:
-        pair = [replace(spectra[0], angle_deg=angle, polarisation=p, is_transmitted=False) for p in "sp"]
+        pair = [SpectrumObservation(grids[0], np.zeros(0), angle, polarisation) for polarisation in "sp"]
         if serves(pair, float(likelihood.noises.min())):
             return f"Add s and p at {angle:g} degrees."
     return ""

@@ -7,22 +7,31 @@ of the parameters; CMA-ES continues from starts at which finite differences see 
 If a random walk has a noise-free surrogate (`contract.search_model` is direct), the starts are refined on the
 surrogate. At the best point the walk's difference is added as a constant and the point refined again (space
 mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
+
+Thicknesses are scanned in steps below a fringe from the best points, so that the starts include the right order of
+interference. Several measurements of one sample are weighted by their own residuals (feasible generalised least
+squares).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from nacre.bsdf.bsdf import Spectrum
+from nacre.analysis import intervals as ci
+from nacre.analysis.ellipsometry_data import EllipsometryData, ellipsometry_data
+from nacre.analysis.fit_data import Data, Joint, joined, name_of, parts_of
+from nacre.analysis.measured import Measured, gonio_measurement, spectrum_measurement
+from nacre.analysis.ties import Ties, read_ties
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
-from nacre.families.contract import DirectEvaluation, Model, is_direct, search_model
-from nacre.formats.gonio_csv import COLUMNS, GonioData, read_gonio_csv, read_table
+from nacre.families.contract import is_direct
 from nacre.material.material import Material
 from nacre.optimise.methods.least_squares import (
     SCOUTS_PER_PARAMETER,
@@ -34,89 +43,62 @@ from nacre.optimise.methods.least_squares import (
     sobol_points,
 )
 from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.registry import open_file
 from nacre.recipe.path_tables import by_path, with_options
 
-PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
-MAX_POWER, MIN_POWER = 1.1, -0.05  # allows for instrument errors near white and black
 MAX_PARAMETERS = 12
 UNDETERMINED_SHARE = 0.5  # smallest relative 95 % half width for an undetermined number
 MIN_START_DISTANCE = 0.02  # between starts, relative to the bounds
-RELATIVE_FLOOR = 0.01
 PENALTY_RESIDUAL = 10.0  # if a material cannot be computed
 STALLED_RATIO, STALLED_RMS = 0.999, 0.02  # least squares that improved less, at a larger rms, is followed by CMA-ES
 WEIGHTS = ("equal", "relative")
 CORRECTIONS = 3  # largest space-mapping step count
 CORRECTION_SEEDS = 4  # independent walks per correction
 CORRECTION_TOL = 1e-3  # a smaller relative move ends the corrections
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Measurement.
-
-    Attributes:
-        kind: "spectrum" (parts over angle and wavelength) or "gonio" (BSDF values at direction pairs).
-        wavelengths_nm: `[wavelength]`.
-        values: "spectrum": `[part, angle, wavelength]`; "gonio": `[pair, wavelength]`.
-        parts, angles_deg: spectrum only; gonio: direction pairs.
-    """
-
-    kind: str
-    wavelengths_nm: Array
-    values: Array
-    parts: tuple[str, ...] = ()
-    angles_deg: Array | None = None
-    gonio: GonioData | None = None
-
-    def model(self, material: Material, samples: int | None, seed: int) -> Array:
-        """Return a material's simulated measurement, shaped as `values`.
-
-        Raises:
-            NacreError: the material cannot be computed.
-        """
-        if self.kind == "spectrum":
-            assert self.angles_deg is not None
-            return self._stacked(material.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, seed=seed))
-        assert self.gonio is not None
-        from nacre.measure.evaluate import evaluate_with_error
-
-        few = material.values_at(self.gonio.wi, self.gonio.wo, self.wavelengths_nm)
-        if few is not None:
-            return few[0]
-        bsdf = material.bsdf(self.wavelengths_nm)
-        return evaluate_with_error(bsdf, self.gonio.wi, self.gonio.wo, samples=samples, seed=seed)[0]
-
-    def surrogate(self, model: Model) -> Array | None:
-        """Return the measurement simulated by a random walk's noise-free surrogate; None without one.
-
-        Raises:
-            NacreError: the material cannot be computed.
-        """
-        near = search_model(model, {})
-        if is_direct(model) or not is_direct(near):
-            return None
-        if self.kind == "spectrum":
-            assert self.angles_deg is not None
-            found = near.spectrum(np.radians(self.angles_deg), self.wavelengths_nm, "both")
-            return None if found is None else self._stacked(found)
-        assert self.gonio is not None
-        assert isinstance(near, DirectEvaluation)
-        return near.values_at(self.gonio.wi, self.gonio.wo, self.wavelengths_nm)
-
-    def _stacked(self, spectrum: Spectrum) -> Array:
-        found = spectrum.parts()
-        zero = np.zeros(self.values.shape[1:])
-        return np.stack([found.get(part, zero) for part in self.parts])
+SCAN_STEPS = 20  # steps of a thickness scan per shortest wavelength: 7 or more per fringe below an index of 3
+MOST_SCAN_STEPS = 400
+SCANNED = 3  # points from which thicknesses are scanned
+THICKNESS = re.compile(r"(thickness|height|gap)_(nm|um|mm)$")
+UNIT_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
+REWEIGHTINGS = 2  # of several measurements
+INSTRUMENT = "instrument."
 
 
 @dataclass(frozen=True)
 class FittedNumber:
-    """Fitted value, 95 % half width, and whether the data determine it."""
+    """Fitted value with its 95 % interval, and whether the data determine it.
+
+    Attributes:
+        half_width: of the linear interval.
+        interval: by `method`: `linear`, `profile` or `resampling`.
+    """
 
     path: str
     value: float
     half_width: float
     is_determined: bool
+    interval: tuple[float, float] = (math.nan, math.nan)
+    method: str = "linear"
+
+
+@dataclass(frozen=True)
+class FittedPart:
+    """Agreement with one file.
+
+    Attributes:
+        name, kind: of the measurement.
+        rms: root mean square of the residual.
+        relative_rms: relative to the measured rms.
+        mse: mean squared error of N, C, S as ellipsometer programs state it (unit 0.001); None for other data.
+    """
+
+    name: str
+    kind: str
+    values: int
+    rms: float
+    relative_rms: float
+    mse: float | None = None
 
 
 @dataclass(frozen=True)
@@ -130,6 +112,9 @@ class Fit:
         rms: root mean square of the residual; relative_rms: relative to the measured rms.
         starts: final loss per start, best first; several equal ones indicate a global minimum.
         evaluations: computed materials.
+        tied: values of the tied numbers.
+        correlation: of the numbers, `[number, number]`; NaN where undetermined.
+        parts: agreement with each file.
     """
 
     numbers: tuple[FittedNumber, ...]
@@ -139,65 +124,64 @@ class Fit:
     relative_rms: float
     starts: tuple[float, ...]
     evaluations: int
+    tied: Mapping[str, float] = field(default_factory=dict)
+    correlation: Array = field(default_factory=lambda: np.ones((0, 0)))
+    parts: tuple[FittedPart, ...] = ()
 
 
-def read_measurement(path: str | Path) -> Measured:
-    """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, or a gonio CSV.
+def read_measurements(
+    paths: Sequence[str | Path], options: ReadOptions | None = None, range_nm: tuple[float, float] | None = None
+) -> Data:
+    """Read the measurements of one sample: files of ellipsometers, spectrometers and goniometers.
+
+    Args:
+        options: properties that the files do not state.
+        range_nm: rows of other wavelengths are ignored.
+
+    Raises:
+        NacreError: with the file and the problem.
+        AmbiguousFileError: a file can be read in several ways.
+    """
+    found = [part for path in paths for part in parts_of(read_measurement(path, options, range_nm))]
+    return joined(found)
+
+
+def read_measurement(
+    path: str | Path, options: ReadOptions | None = None, range_nm: tuple[float, float] | None = None
+) -> Data:
+    """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, a gonio CSV, or an instrument's file.
 
     Spectrum columns may be in per cent and wavelengths in um, as their headings say. Rows without a measured value
     are ignored.
 
     Raises:
         NacreError: with the file and the problem.
+        AmbiguousFileError: the file can be read in several ways.
     """
-    if Path(path).suffix.lower() == ".toml":
+    path = Path(path)
+    if path.suffix.lower() == ".toml":
         raise NacreError(f"{path}: is a recipe; give the measurement, a CSV, first, and then the recipe")
-    names, table = read_table(path, has_gaps=True)
-    if "theta_i" in names or "value" in names:
-        gonio = read_gonio_csv(path)
-        return Measured("gonio", gonio.wavelengths_nm, gonio.values, gonio=gonio)
-    columns = dict(zip(names, table.T))
-    measured = {part: columns[part] for part in PARTS if part in columns}
-    measured |= {part: columns[f"{part}_percent"] / 100.0 for part in PARTS if f"{part}_percent" in columns}
-    wavelengths = columns.get("wavelength_nm", 1e3 * columns["wavelength_um"] if "wavelength_um" in columns else None)
-    if wavelengths is None or not measured:
-        raise NacreError(
-            f"{path}: is neither a gonio CSV ({', '.join(COLUMNS)}) nor a spectrum CSV (wavelength_nm, angle_deg, and "
-            f"one of {', '.join(PARTS)}, or with _percent behind it); its columns are {', '.join(names)[:80]}"
-        )
-    angle_column = columns.get("angle_deg", np.zeros(len(table)))
-    has_value = ~np.isnan([*measured.values()]).all(axis=0)
-    wavelengths, angle_column = wavelengths[has_value], angle_column[has_value]
-    if not has_value.any() or not np.isfinite(wavelengths).all() or not np.isfinite(angle_column).all():
-        raise NacreError(f"{path}: needs a wavelength, an angle and at least one measured value per row")
-    waves, angles = np.unique(wavelengths), np.unique(angle_column)
-    if len(wavelengths) != len(set(zip(wavelengths, angle_column))):
-        raise NacreError(f"{path}: a wavelength is given twice at an angle; keep one row of each")
-    values = np.full((len(measured), len(angles), len(waves)), np.nan)
-    place = (np.searchsorted(angles, angle_column), np.searchsorted(waves, wavelengths))
-    for i, part in enumerate(measured):
-        values[i][place] = measured[part][has_value]
-    _check_spectrum(path, tuple(measured), angles, waves, values)
-    return Measured("spectrum", waves, values, tuple(measured), angles)
+    options = replace(options or ReadOptions(), expects="spectrum")
+    found = open_file(path, options)
+    if found[0].kind == "bsdf":
+        return gonio_measurement(path, found[0])
+    chosen = [m for m in found if m.kind == "ellipsometry" and "depolarisation" not in m.data]
+    if chosen:
+        return ellipsometry_data(_one_of(path, chosen, options), range_nm, options.spectrum)
+    return spectrum_measurement(path, found, options, range_nm)
 
 
-def _check_spectrum(path: str | Path, parts: tuple[str, ...], angles: Array, waves: Array, values: Array) -> None:
-    if np.isnan(values).any():
-        i, angle, wave = (int(index) for index in np.argwhere(np.isnan(values))[0])
-        raise NacreError(
-            f"{path}: every angle must be given at every wavelength; {parts[i]} is missing at "
-            f"{angles[angle]:g} degrees and {waves[wave]:g} nm"
+def _one_of(path: Path, found: Sequence[Measurement], options: ReadOptions) -> Measurement:
+    if len(found) == 1:
+        return found[0]
+    names = tuple(m.name or str(i) for i, m in enumerate(found, 1))
+    if options.spectrum is None or options.spectrum not in names:
+        raise AmbiguousFileError(
+            f"{path}: holds {len(found)} data sets ({', '.join(names)[:100]}); choose one with --spectrum",
+            "spectrum",
+            names,
         )
-    for part, each in zip(parts, values):
-        if each.max() > MAX_POWER:
-            raise NacreError(
-                f"{path}: {part} = {each.max():g} is above 1; it is a share of the incident light; if it is in per "
-                f"cent, name the column {part}_percent"
-            )
-        if each.min() < MIN_POWER:
-            raise NacreError(f"{path}: {part} = {each.min():g} is below 0")
-    if angles.min() < 0 or angles.max() > 90:
-        raise NacreError(f"{path}: angle_deg must lie in [0, 90]")
+    return found[names.index(options.spectrum)]
 
 
 def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
@@ -230,7 +214,7 @@ def _number(text: str) -> float:
 
 def run_fit(
     material: Material,
-    measured: Measured,
+    measured: Data,
     free: tuple[Parameter, ...],
     *,
     starts: int = 4,
@@ -238,6 +222,8 @@ def run_fit(
     weights: str = "equal",
     samples: int | None = None,
     seed: int = 0,
+    ties: Ties | None = None,
+    intervals: str = "auto",
     progress: Callable[[str, float], None] | None = None,
 ) -> Fit:
     """Fit the parameters.
@@ -248,17 +234,24 @@ def run_fit(
         free: from `fit_parameters`.
         starts: refined starts in addition to the recipe's own values; 0: these are near the right minimum.
         scouts: trial materials per parameter, from which the starts are selected.
-        weights: "equal" if the noise is the same for all values, or "relative" if it is proportional to them (counts,
-            BSDF values over decades); the intervals are valid for that noise.
+        weights: "equal" if the noise is the same for all values, or as a file's standard errors say; "relative" if it
+            is proportional to them (counts, BSDF values over decades); the intervals are valid for that noise.
+        ties: tied numbers; default: those of the recipe.
+        intervals: "linear", "profile", "resampling", or "auto": profile if the problem is not linear within the
+            linear intervals.
         progress: called with (stage, best relative rms).
 
     Raises:
         NacreError: no start can be computed.
     """
+    if intervals not in ci.METHODS:
+        raise NacreError(f'intervals = "{intervals}" is not known; choose one of {", ".join(ci.METHODS)}')
     if weights not in WEIGHTS:
         raise NacreError(f'weights = "{weights}" is not known; choose one of {", ".join(WEIGHTS)}')
-    material = material.at_low_fidelity().with_parts_loaded(parameter.path for parameter in free)
-    problem = _Problem(material, measured, free, samples, seed, weights)
+    tied = read_ties(material, [number.path for number in free]) if ties is None else ties
+    paths = [*(parameter.path for parameter in free), *tied.expressions]
+    material = material.at_low_fidelity().with_parts_loaded(paths)
+    problem = _Problem(material, measured, free, tied, samples, seed, weights)
     candidates = problem.select_starts(starts, scouts)
     minima: list[LocalMinimum] = []
     for number, start in enumerate(candidates):
@@ -274,12 +267,35 @@ def run_fit(
     minima[0] = best_minimum = problem.corrected(minima[0])
     if progress and problem.is_corrected:
         progress("corrected by walks", problem.relative(best_minimum.loss))
-    numbers = problem.confidence(best_minimum)
+    if isinstance(measured, Joint):
+        minima[0] = best_minimum = problem.reweighted(best_minimum)
+        if progress:
+            progress("reweighted", problem.relative(best_minimum.loss))
+    numbers = problem.with_intervals(problem.confidence(best_minimum), best_minimum, intervals)
     fitted = problem.build(best_minimum.point)
     residual = measured.model(fitted, samples, seed) - measured.values
     rms = float(np.sqrt(np.mean(residual**2)))
     losses = tuple(problem.relative(each.loss) for each in minima)
-    return Fit(numbers, fitted, residual, rms, losses[0], losses, problem.evaluations)
+    linked = {
+        path: float(value) for path, value in problem.values(best_minimum.point).items() if path in tied.expressions
+    }
+    correlations = ci.correlation(best_minimum, measured.values.size)
+    agreement = _agreement(measured, residual, len(free))
+    relative = agreement[0].relative_rms if isinstance(measured, Joint) and len(agreement) == 1 else losses[0]
+    return Fit(numbers, fitted, residual, rms, relative, losses, problem.evaluations, linked, correlations, agreement)
+
+
+def _agreement(measured: Data, residual: Array, parameters: int) -> tuple[FittedPart, ...]:
+    parts = parts_of(measured)
+    places = measured.places if isinstance(measured, Joint) else [slice(None)]
+    found = []
+    for part, place in zip(parts, places):
+        own = residual.ravel()[place]
+        rms = float(np.sqrt(np.mean(own**2)))
+        size = float(np.sqrt(np.mean(part.values**2))) or 1.0
+        mse = part.mse(own, parameters) if isinstance(part, EllipsometryData) else None
+        found.append(FittedPart(name_of(part, ""), part.kind, part.values.size, rms, rms / size, mse))
+    return tuple(found)
 
 
 class _Problem:
@@ -288,26 +304,37 @@ class _Problem:
     def __init__(
         self,
         material: Material,
-        measured: Measured,
+        measured: Data,
         free: tuple[Parameter, ...],
+        ties: Ties,
         samples: int | None,
         seed: int,
         weights: str,
     ) -> None:
         self._material, self._measured, self._free = material, measured, free
-        self._make = material.parametrise([number.path for number in free])
+        self._ties = ties
+        paths = [*(number.path for number in free), *ties.expressions]
+        self._make = material.parametrise([path for path in paths if not path.startswith(INSTRUMENT)])
         self._samples, self._seed = samples, seed
         self.evaluations = 0
-        rms = float(np.sqrt(np.mean(measured.values**2))) or 1.0
-        # the floor limits the weight near zero
-        shares = np.maximum(np.abs(measured.values), RELATIVE_FLOOR * rms)
-        self._scale = shares if weights == "relative" else np.full(measured.values.shape, rms)
+        self._scale = measured.noise_scale(weights)
         self._correction: Array | float = 0.0  # random walk minus surrogate
         self.is_corrected = False
         self._walked: Array | None = None  # `[seed, value]`, scaled results from independent walks at one point
 
+    def values(self, point: Array) -> dict[str, Any]:
+        """Return the values of the free and of the tied numbers."""
+        return self._ties.values(values_at(self._free, point))
+
     def build(self, point: Array) -> Material:
-        return self._make(values_at(self._free, point))
+        values = self.values(point)
+        own = {path: value for path, value in values.items() if not path.startswith(INSTRUMENT)}
+        material = self._make(own)
+        if len(own) < len(values):
+            table = {path.removeprefix(INSTRUMENT): v for path, v in values.items() if path.startswith(INSTRUMENT)}
+            data = {**material.data, "instrument": {**material.data.get("instrument", {}), **table}}
+            material = replace(material, data=data)
+        return material
 
     def residual(self, point: Array) -> Array:
         """Return (model - measurement) / noise scale, flat; a constant penalty if the material cannot be computed."""
@@ -325,6 +352,57 @@ class _Problem:
 
     def _loss(self, point: Array) -> float:
         return float(np.sum(self.residual(point) ** 2))
+
+    def reweighted(self, end: LocalMinimum) -> LocalMinimum:
+        """Refine with each measurement of a `Joint` weighted by its own residual."""
+        assert isinstance(self._measured, Joint)
+        for _ in range(REWEIGHTINGS):
+            residual = self.residual(end.point)
+            if np.all(residual == 0.0):
+                break
+            level = float(np.sqrt(np.mean(residual**2)))
+            for place in self._measured.places:
+                own = float(np.sqrt(np.mean(residual[place] ** 2)))
+                self._scale[place] *= max(own, 1e-3 * level) / level
+            refined = self.refine(end.point)
+            if refined is None:
+                break
+            end = refined
+        return end
+
+    def with_intervals(
+        self, numbers: tuple[FittedNumber, ...], end: LocalMinimum, method: str
+    ) -> tuple[FittedNumber, ...]:
+        """Return the numbers with their 95 % intervals by a method of `nacre.analysis.intervals`."""
+        spans = [each.high - each.low for each in self._free]
+        widths = np.array([number.half_width / span for number, span in zip(numbers, spans)])
+        linear = tuple(
+            replace(n, interval=(max(n.value - n.half_width, f.low), min(n.value + n.half_width, f.high)))
+            for n, f in zip(numbers, self._free)
+        )
+        noisy = not is_direct(self.build(end.point).model) and self._samples is not None
+        whole = any(each.is_whole for each in self._free)
+        if method == "linear" or whole or noisy or self._walked is not None or end.loss == 0.0:
+            return linear
+        if method == "auto" and (not self._is_quick() or not ci.is_nonlinear(self.residual, end, widths)):
+            return linear
+        if method == "resampling":
+            ends = ci.resampled_intervals(self.residual, end, self._seed)
+        else:
+            ends = np.array([ci.profile_interval(self.residual, end, i, self._width(w)) for i, w in enumerate(widths)])
+        name = "resampling" if method == "resampling" else "profile"
+        return tuple(
+            replace(n, interval=(f.value(low), f.value(high)), method=name,
+                    is_determined=bool(high - low < 2 * UNDETERMINED_SHARE))
+            for n, f, (low, high) in zip(linear, self._free, ends)
+        )  # fmt: skip
+
+    @staticmethod
+    def _width(width: float) -> float:
+        return float(min(max(width, 1e-6), 0.5)) if np.isfinite(width) else 0.5
+
+    def _is_quick(self) -> bool:
+        return bool(self._material.model.traits.is_quick)
 
     def corrected(self, end: LocalMinimum) -> LocalMinimum:
         """Refine a surrogate minimum with random walk differences (space mapping)."""
@@ -356,19 +434,47 @@ class _Problem:
         return float(np.sqrt(loss / self._measured.values.size))
 
     def select_starts(self, starts: int, scouts: int) -> list[Array]:
-        """Return the recipe's own point and the best, well separated Sobol points."""
+        """Return the recipe's own point and the best, well separated points of a Sobol sample and thickness scans."""
         nominal = nominal_point(self._free, self._material)
         chosen = [] if nominal is None else [nominal]
         if chosen and starts == 0:
             return chosen
         count = starts + len(chosen)
-        sample = sobol_points(len(self._free), scouts * len(self._free), self._seed)
-        for index in np.argsort([self._loss(point) for point in sample]):
+        sample = list(sobol_points(len(self._free), scouts * len(self._free), self._seed))
+        losses = [self._loss(point) for point in sample]
+        scanned = [sample[i] for i in np.argsort(losses)[:SCANNED]]
+        for point in ([nominal] if nominal is not None else []) + scanned:
+            for found in self._scanned(point):
+                sample.append(found)
+                losses.append(self._loss(found))
+        for index in np.argsort(losses):
             if len(chosen) >= count:
                 break
             if is_distinct(sample[index], chosen, MIN_START_DISTANCE):
                 chosen.append(sample[index])
         return chosen
+
+    def _scanned(self, point: Array) -> list[Array]:
+        """Return the deepest minima of scans along each thickness in turn, in steps below a fringe."""
+        columns = [i for i, each in enumerate(self._free) if THICKNESS.search(each.path) and not each.is_whole]
+        if not columns or not self._is_quick():
+            return []
+        shortest = float(np.min(self._measured.wavelengths_nm))
+        best, found = point, []
+        for i in columns:
+            match = THICKNESS.search(self._free[i].path)
+            assert match is not None
+            span = (self._free[i].high - self._free[i].low) * UNIT_NM[match[2]]
+            steps = int(np.clip(np.ceil(span * SCAN_STEPS / shortest), 8, MOST_SCAN_STEPS))
+            line = np.repeat(best[None], steps + 1, axis=0)
+            line[:, i] = np.linspace(0.0, 1.0, steps + 1)
+            losses = np.array([self._loss(each) for each in line])
+            padded = np.concatenate([[np.inf], losses, [np.inf]])
+            minima = np.flatnonzero((losses <= padded[:-2]) & (losses <= padded[2:]))
+            minima = minima[np.argsort(losses[minima])][:SCANNED]
+            found += [line[j] for j in minima]
+            best = line[minima[0]]
+        return found
 
     def refine(self, start: Array) -> LocalMinimum | None:
         """Refine one start by least squares, then by CMA-ES if finite differences see only noise."""
@@ -446,3 +552,15 @@ class _Problem:
 
 def _has_random_walk(material: Material, wavelengths_nm: Array) -> bool:
     return any(lobe.is_stochastic for lobe in material.bsdf(wavelengths_nm).lobes)
+
+
+__all__ = [
+    "Fit",
+    "FittedNumber",
+    "FittedPart",
+    "Measured",
+    "fit_parameters",
+    "read_measurement",
+    "read_measurements",
+    "run_fit",
+]

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from nacre.analysis.ellipsometry_data import EllipsometryData
 from nacre.analysis.fit import Fit, FittedNumber, Measured
+from nacre.analysis.fit_data import Data, Joint, parts_of
+from nacre.analysis.measured import POLARISED
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.files import write_text
@@ -18,7 +21,7 @@ from nacre.optimise.parameters import Parameter
 from nacre.plot.html import DPI, data_uri
 
 if TYPE_CHECKING:
-    from nacre.plot import DesignSheet, Figure
+    from nacre.plot import DesignSheet, Figure, FitPanel
 
 LIGHT = ("D65", "10deg")
 MAX_CURVES = 5  # with many measured angles: those with the largest residuals
@@ -27,7 +30,7 @@ BOUND_TOL = 1e-3  # relative to the bounds
 LEGEND = ("measured", "fitted")
 
 
-def write_fit_page(path: str | Path, fit: Fit, measured: Measured, free: Sequence[Parameter]) -> None:
+def write_fit_page(path: str | Path, fit: Fit, measured: Data, free: Sequence[Parameter]) -> None:
     """Write the fit report as HTML: fitted numbers, and measured beside fitted spectra or BSDF values.
 
     Args:
@@ -51,7 +54,12 @@ def _is_at_bound(number: FittedNumber, bounds: Parameter) -> bool:
     return min(number.value - bounds.low, bounds.high - number.value) <= BOUND_TOL * (bounds.high - bounds.low)
 
 
-def _figure(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> Figure:
+def _figure(fit: Fit, measured: Data, free: Sequence[Parameter]) -> Figure:
+    if isinstance(measured, Joint | EllipsometryData):
+        from nacre.plot import fit_panels_figure
+
+        return fit_panels_figure(_panels(fit, measured), f"{fit.material.name}, fitted")
+    measured = cast(Measured, measured)
     if measured.kind == "spectrum":
         from nacre.plot import design_figure
 
@@ -63,6 +71,31 @@ def _figure(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> Figure:
     return agreement_figure(
         measured.values, measured.values + fit.residual, away, measured.wavelengths_nm, f"{fit.material.name}, fitted"
     )
+
+
+def _panels(fit: Fit, measured: Joint | EllipsometryData) -> list[FitPanel]:
+    """Return Psi and Delta, or the other quantities, of each measurement."""
+    from nacre.plot import FitPanel
+
+    places = measured.places if isinstance(measured, Joint) else [slice(None)]
+    panels = []
+    for part, place in zip(parts_of(measured), places):
+        fitted = part.values + fit.residual.ravel()[place].reshape(part.values.shape)
+        if isinstance(part, EllipsometryData):
+            panels += [
+                FitPanel(f"{title}: {Path(part.name).name[:24]}", *labels, curves)
+                for title, labels, curves in part.curves(fitted)
+            ]
+        elif part.kind == "spectrum":
+            spectrum = cast(Measured, part)
+            assert spectrum.angles_deg is not None
+            drawn = tuple(
+                (f"{name.replace('_', ' ')}, {angle:g}\u00b0", spectrum.wavelengths_nm, part.values[i, j], fitted[i, j])
+                for i, name in enumerate(spectrum.parts)
+                for j, angle in enumerate(spectrum.angles_deg)
+            )
+            panels.append(FitPanel(Path(spectrum.name).name[:24], "Wavelength (nm)", "Share of the light", drawn))
+    return panels
 
 
 def _sheet(fit: Fit, measured: Measured, free: Sequence[Parameter]) -> DesignSheet:
@@ -122,10 +155,11 @@ def _ribbon(fit: Fit, measured: Measured) -> tuple[Array, Array, str]:
     """Return angles and spectra for the first measured part; slow materials only at the measured angles."""
     part, nm = measured.parts[0], measured.wavelengths_nm
     label = f"Angle of the light, fitted {part.replace('_', ' ')} (degrees)"
+    name, polarisation = POLARISED.get(part, (part, "both"))
     assert measured.angles_deg is not None
     if fit.material.model.traits.is_quick:
         try:
-            found = fit.material.spectrum(np.radians(RIBBON_DEG), nm).parts().get(part)
+            found = fit.material.spectrum(np.radians(RIBBON_DEG), nm, polarisation).parts().get(name)
         except NacreError:  # an angle outside the family's range
             found = None
         if found is not None:

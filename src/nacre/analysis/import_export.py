@@ -16,7 +16,8 @@ from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import plain, why_unreadable, write_text
 from nacre.families.contract import OwnFormats
-from nacre.formats.gonio_csv import MAX_VALUE, gonio_data, write_gonio_csv
+from nacre.formats.foreign_materials import read_gltf, read_materialx
+from nacre.formats.gonio_csv import MAX_VALUE, GonioData, gonio_data, write_gonio_csv
 from nacre.formats.half_angle_tables import merl_table, read_merl_filled, write_merl
 from nacre.formats.lobes import delta_lost, gonio_grid, is_isotropic, lost_parts, merl_lobe
 from nacre.formats.measured_lobes import LAWS, measured_table, rgb_basis, with_spectra
@@ -32,7 +33,7 @@ MAX_F0 = 0.96  # a real index of 98; a perfect mirror would need an infinite one
 ENERGY_ANGLES_DEG = (0.0, 30.0, 60.0)
 MOST_ENERGY = 4.0  # measurements exceed 1 by tens of per cent
 ROUNDING = 1e-6  # of the largest value
-OF_VALUES = ("rgl", "merl", "zemax", "csv", "exr")  # formats that evaluate the Bsdf
+OF_VALUES = ("rgl", "merl", "zemax", "csv", "exr", "astm", "brdf-json", "speos")  # formats that evaluate the Bsdf
 IMPORTS = (
     "goniometer tables, MERL, RGL tensor, Zemax, ASTM E1392, Speos, SSDD, TracePro, ALTA, UTIA, BRDF JSON, glTF, "
     "MaterialX"
@@ -53,8 +54,9 @@ def export_material(
     """Write a material in another program's format.
 
     Args:
-        target: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr", "nacre", "tmat", or "lut" (a folder).
-        angle_step_deg: step of the direction grid of csv.
+        target: "rgl", "merl", "csv", "zemax", "astm", "brdf-json", "speos", "gltf", "materialx", "exr", "nacre",
+            "tmat", or "lut" (a folder).
+        angle_step_deg: step of the direction grid of csv, astm, brdf-json and speos.
         wavelength_nm: for a monochrome zemax file.
         illuminant: of the colours of lut.
         progress: called with a description of each step of lut.
@@ -107,12 +109,37 @@ def export_material(
     elif target == "csv":
         write_gonio_csv(path, gonio_grid(bsdf, angle_step_deg), comment)
         facts["lost"] = delta_lost(bsdf)
+    elif target in ("astm", "brdf-json", "speos"):
+        facts["lost"] = _export_measured(bsdf, target, path, angle_step_deg, material.name, comment)
     elif target == "exr":
         from nacre.formats.half_angle_tables import write_slice
 
         write_slice(path, bsdf, comment)
         facts["lost"] = ["all but one slice over (theta_half, theta_diff)"] + lost_parts(bsdf)
     return facts
+
+
+def _export_measured(bsdf: Bsdf, target: str, path: Path, step_deg: float, name: str, comment: str) -> list[str]:
+    """Write a direction grid in a format of measurements and return the lost properties."""
+    from nacre.formats.measured_files import write_astm, write_brdf_json, write_speos
+
+    lost, data = delta_lost(bsdf), gonio_grid(bsdf, step_deg)
+    if target == "speos":
+        is_first = data.angles_deg[:, 1] == data.angles_deg[0, 1]
+        if not np.all(is_first):
+            lost.append("anisotropy: azimuth 0 of the light was taken")
+        data = GonioData(data.angles_deg[is_first], data.wavelengths_nm, data.values[is_first])
+        write_speos(path, data, comment)
+        return lost
+    if bsdf.transmits:
+        lost.append("transmission and the lower side")
+        up = data.angles_deg[:, 2] < 90
+        data = GonioData(data.angles_deg[up], data.wavelengths_nm, data.values[up])
+    if target == "astm":
+        write_astm(path, data, comment)
+    else:
+        write_brdf_json(path, data, name, comment)
+    return lost
 
 
 def _export_table(material: Material, folder: Path, illuminant: str, progress: Callable[[str], None]) -> dict[str, Any]:
@@ -168,7 +195,7 @@ def import_material(
     except OSError as error:
         raise NacreError(f"{source}: {why_unreadable(error)}") from None
     if source.suffix.lower() in (".gltf", ".glb", ".mtlx") or _is_materialx(source):
-        return _import_film(source, recipe)
+        return _import_film(source, recipe, (options or ReadOptions()).spectrum)
     try:
         lobe, remarks = _import_bsdf(source, options or ReadOptions(), law)
     except UnsupportedError as error:
@@ -213,19 +240,16 @@ def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
     return []
 
 
-def _import_film(source: Path, recipe: Path) -> list[str]:
-    if source.suffix.lower() == ".gltf":
-        from nacre.formats.thin_film import read_gltf
-
-        film = read_gltf(source)
-    else:
-        from nacre.formats.thin_film import read_materialx
-
-        film = read_materialx(source)
-    for name, value in film.__dict__.items():
+def _import_film(source: Path, recipe: Path, name: str | None = None) -> list[str]:
+    film = (
+        read_materialx(source, name) if _is_materialx(source) or source.suffix == ".mtlx" else read_gltf(source, name)
+    )
+    for key, value in film.__dict__.items():
         if any(isinstance(v, float) and not np.isfinite(v) for v in np.ravel(np.asarray(value, dtype=object))):
-            raise NacreError(f"{source}: its {name} is not a finite number")
-    remarks = []
+            raise NacreError(f"{source}: its {key} is not a finite number")
+    if not 0.0 <= film.weight <= 1.0:
+        raise NacreError(f"{source}: its share of the film, {film.weight:g}, is not in 0 to 1")
+    remarks = list(film.remarks)
     base = film.base_ior
     if film.is_metal:
         f0 = min(max(float(np.dot(film.base_rgb, (0.2126, 0.7152, 0.0722))), 0.0), MAX_F0)
@@ -235,13 +259,17 @@ def _import_film(source: Path, recipe: Path) -> list[str]:
         remarks.append(f"not carried over: {', '.join(film.not_read)}")
     # slight absorption makes the base of a metal opaque without changing its reflection
     substrate = {"n": base} if film.transmits else {"n": base, "k": 1e-4}
-    data: dict[str, Any] = {
+    coated: dict[str, Any] = {
         "family": "film", "ambient": "air", "substrate": substrate,
         "layers": [{"material": {"n": film.film_ior}, "thickness_nm": film.thickness_nm}],
         "surface": {"distribution": "ggx", "roughness": film.roughness},
     }  # fmt: skip
+    bare = coated | {"layers": []}
+    data = coated if film.weight == 1.0 else bare if film.weight == 0.0 else {
+        "family": "blend", "mask": film.weight, "first": coated, "second": bare,
+    }  # fmt: skip
     try:
-        material_from_data(data, RecipeContext("film"))
+        material_from_data(coated, RecipeContext("film"))
     except NacreError as error:  # leave no recipe that the next command refuses
         raise NacreError(f"{source}: holds a film that cannot be: {str(error).removeprefix('film: ')}") from None
     write_text(recipe, dump_toml(data))

@@ -92,6 +92,7 @@ class Report:
             published energy balance of a recipe loses light that is not absorbed.
         transmission_haze: ASTM D1003 percentage, None for an opaque material.
         noise: largest standard error of a reflectance factor, 0 without a random walk.
+        surface: roughness of a measured surface, such as `sq_um`.
     """
 
     name: str
@@ -106,6 +107,7 @@ class Report:
     hemispherical: dict[str, float]
     transmission_haze: float | None
     noise: float = 0.0
+    surface: dict[str, float] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -178,6 +180,7 @@ def make_report(
         hemispherical=totals,
         transmission_haze=transmission_haze(bsdf, samples=samples, seed=seed) if bsdf.transmits else None,
         noise=0.0 if error is None else float(np.pi * error.max()),
+        surface=dict(material.model.surface_figures),
         provenance={"nacre": __version__, "recipe": material.text, "seed": seed, "samples": samples},
     )
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nacre.bsdf import Bsdf
+from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.formats.thin_film import ThinFilm
@@ -44,8 +46,13 @@ def fit_thin_film(material: Material) -> ThinFilmFit:
     """Fit one film to the specular colours of a material.
 
     Raises:
-        UnsupportedError: the material has no specular part.
+        UnsupportedError: the material has no specular part, or is a blend.
     """
+    bsdf = material.bsdf()
+    if any(isinstance(lobe, MaskedLobe) for lobe in bsdf.lobes):
+        raise UnsupportedError(
+            f"{material.context.source}: mask blends whole materials over the surface; export each by itself"
+        )
     spectrum = material.spectrum(np.radians(ANGLES_DEG))
     reflectance = spectrum.specular_reflectance
     if reflectance is None or reflectance.max() < 1e-6:
@@ -60,7 +67,7 @@ def fit_thin_film(material: Material) -> ThinFilmFit:
     # a transmitting material stays a dielectric, even if a metal matches its reflection better
     film, residual = candidates[1] if transmits else min(candidates, key=lambda c: float(c[1].mean()))
     film = ThinFilm(**{**film.__dict__, "roughness": _roughness(material)})
-    return ThinFilmFit(film, ANGLES_DEG, residual, _lost(material, film))
+    return ThinFilmFit(film, ANGLES_DEG, residual, _lost(material, bsdf, film))
 
 
 def film_lab(film: ThinFilm, wavelengths_nm: Array) -> Array:
@@ -137,9 +144,14 @@ def _roughness(material: Material) -> float:
     return float(np.sqrt(values[0] * values[-1]))
 
 
-def _lost(material: Material, film: ThinFilm) -> tuple[str, ...]:
+def _lost(material: Material, bsdf: Bsdf, film: ThinFilm) -> tuple[str, ...]:
     """Return descriptions of the properties that the format cannot represent."""
     lost = []
+    others = dict.fromkeys(lobe.kind for lobe in bsdf.lobes if lobe.kind not in ("specular", "microfacet"))
+    if others:
+        lost.append(f"scattered light is left out ({', '.join(others)})")
+    if film.transmits:
+        lost.append("the colour of transmitted light is left out")
     layers = material.data.get("layers", [])
     if isinstance(layers, list) and len(layers) > 1:
         lost.append(f"{len(layers)} layers became one film")

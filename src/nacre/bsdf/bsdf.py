@@ -105,6 +105,8 @@ class Spectrum:
         angles_deg: `[angle]`, incidence in the ambient medium.
         specular_reflectance, specular_transmittance: the delta part (for a rough film: its stack's values).
         diffuse_reflectance, diffuse_transmittance: directional-hemispherical, without the specular part.
+        mueller_reflected, mueller_transmitted: Mueller matrices of the specular part, `[angle, wavelength, 4, 4]`, if
+            requested: right-handed triads (p, s, k), S1 = |p|^2 - |s|^2, S3 > 0 for right circular light.
     """
 
     wavelengths_nm: NDArray[np.float64]
@@ -113,10 +115,17 @@ class Spectrum:
     specular_transmittance: NDArray[np.float64] | None = None
     diffuse_reflectance: NDArray[np.float64] | None = None
     diffuse_transmittance: NDArray[np.float64] | None = None
+    mueller_reflected: NDArray[np.float64] | None = None
+    mueller_transmitted: NDArray[np.float64] | None = None
 
     def parts(self) -> dict[str, NDArray[np.float64]]:
         """Return the applicable parts by name, in field order."""
         names = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+    def matrices(self) -> dict[str, NDArray[np.float64]]:
+        """Return the Mueller matrices by name, if there are any."""
+        names = ("mueller_reflected", "mueller_transmitted")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def __eq__(self, other: object) -> bool:

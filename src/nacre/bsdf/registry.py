@@ -29,6 +29,7 @@ LOBES: dict[str, str] = {
     "spectrum-map": "nacre.bsdf.lobes.spectrum_map:SpectrumMap",
     "layered": "nacre.bsdf.lobes.layered:Layered",
     "platelet-layer": "nacre.bsdf.lobes.platelet_layer:PlateletLayer",
+    "orders": "nacre.bsdf.lobes.orders:OrdersLobe",
     "masked": "nacre.bsdf.lobes.masked:MaskedLobe",
 }
 

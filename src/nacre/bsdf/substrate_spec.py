@@ -14,7 +14,7 @@ from nacre.bsdf.substrate import Strata, Substrate
 from nacre.core.errors import RecipeError
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
-from nacre.recipe.delimited_text import two_columns
+from nacre.readers.curves import recipe_spectrum
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
@@ -121,7 +121,7 @@ class SubstrateSpec(RecipeModel):
         if self.recipe is not None:
             return _recipe_base(self.recipe, medium, context)
         if isinstance(self.albedo, AlbedoSpec):
-            table = two_columns(context, "base.albedo.file", self.albedo.file, is_share=True)
+            table = recipe_spectrum(context, "base.albedo.file", self.albedo.file, ("albedo", "reflectance"))
             if not (np.all(np.diff(table[:, 0]) > 0) and np.all((table[:, 1] >= 0) & (table[:, 1] <= 1))):
                 rule = "must hold ascending nm and albedos in [0, 1]; head a column in per cent '%'"
                 raise context.fail("base.albedo.file", self.albedo.file, rule)

@@ -1,4 +1,4 @@
-"""Commands that analyse a material: sweep, report, tolerance, fit."""
+"""Commands that analyse a material: sweep, report, tolerance."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
 from nacre.cli import common
 from nacre.core.errors import NacreError
-from nacre.families.contract import method_overrides
 
 
 def _progress_bar(description: str) -> Any:
@@ -201,80 +199,4 @@ def tolerance(
         click.echo(f"    {path:44s} {change:8.3f}  {100 * share:5.1f} %")
 
 
-@click.command()
-@click.argument("measurement", metavar="MEASUREMENT")
-@click.argument("recipe")
-@click.option("--parameter", "parameters", multiple=True, metavar="PATH=LOW:HIGH", help="Fit a number between bounds.")
-@click.option(
-    "--starts",
-    type=click.IntRange(1, 1000),
-    default=4,
-    show_default=True,
-    help="Refined starting points in addition to the recipe's values.",
-)
-@click.option(
-    "--weights",
-    type=click.Choice(["equal", "relative"]),
-    default="equal",
-    show_default=True,
-    help="Whether the noise is equal for all values or proportional to them.",
-)
-@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
-@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("--residual", default=None, metavar="FILE.npz", help="Store the residual map.")
-@click.option("--report", "page", default=None, metavar="FIT.html", help="Write a page on measurement and fit.")
-@click.option("-o", "output", default=None, metavar="FITTED.toml", help="Default: RECIPE-fitted.toml.")
-@common.cache_option
-@common.jobs_option
-def fit(
-    measurement: str, recipe: str, parameters: tuple[str, ...], starts: int, weights: str, samples: int | None,
-    seed: int, as_json: bool, residual: str | None, page: str | None, output: str | None,
-) -> None:  # fmt: skip
-    """Fit parameters of RECIPE to MEASUREMENT (spectrum or gonio CSV)."""
-    from nacre.analysis.fit import fit_parameters, read_measurement, run_fit
-    from nacre.core.files import atomic_path, check_writable, short_name, write_text
-    from nacre.recipe.toml import edit_toml
-
-    path = Path(output) if output else Path(f"{short_name(recipe)}-fitted.toml")
-    asked = ((path, ".toml"), (residual and Path(residual), ".npz"), (page and Path(page), ".html"))
-    for target, suffix in asked:
-        if target:
-            if target.suffix != suffix:
-                raise NacreError(f"{target}: the suffix must be {suffix}")
-            check_writable(target)
-    measured = read_measurement(measurement)
-    material = common.load_material(recipe)
-    numbers = fit_parameters(material, parameters)
-    result = run_fit(
-        material, measured, numbers, starts=starts, weights=weights, samples=samples, seed=seed,
-        progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"),
-    )  # fmt: skip
-    changes = {**{n.path: n.value for n in result.numbers}, **method_overrides(result.material.model)}
-    write_text(path, edit_toml(material.with_parts_loaded(changes).text, changes, recipe))
-    if residual:
-        with atomic_path(residual) as temporary, open(temporary, "wb") as file:
-            np.savez(file, residual=result.residual, wavelengths_nm=measured.wavelengths_nm)
-    if page:
-        from nacre.analysis.fit_report import write_fit_page
-
-        write_fit_page(page, result, measured, numbers)
-    document = {
-        "numbers": [
-            {"path": n.path, "value": n.value, "half_width_95": n.half_width if np.isfinite(n.half_width) else None,
-             "determined": n.is_determined} for n in result.numbers
-        ],
-        "rms": result.rms, "relative_rms": result.relative_rms, "starts": list(result.starts),
-        "evaluations": result.evaluations, "recipe": str(path),
-    }  # fmt: skip
-    if as_json:
-        click.echo(json.dumps(document))
-    else:
-        for n in result.numbers:
-            tail = f"+- {n.half_width:.3g} (95 %)" if n.is_determined else "not determined by these data"
-            click.echo(f"{n.path:44s} {n.value:12.6g}  {tail}")
-        click.echo(f"relative rms {result.relative_rms:.4g}, {result.evaluations} evaluations")
-    common.note(str(path))
-
-
-commands: dict[str, click.Command] = {"sweep": sweep, "report": report, "tolerance": tolerance, "fit": fit}
+commands: dict[str, click.Command] = {"sweep": sweep, "report": report, "tolerance": tolerance}

@@ -221,3 +221,8 @@ def hold_closed_streams() -> None:
         sys.stdout = _Closed()
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # open until the process ends
+
+
+def words(text: str | None) -> tuple[str, ...]:
+    """Return the words of an option, delimited by commas."""
+    return tuple(word.strip() for word in text.split(",")) if text else ()

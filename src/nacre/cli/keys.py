@@ -15,6 +15,7 @@ import click
 from nacre.bsdf.texture_spec import TextureSpec
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.families.registry import family_names, family_spec
+from nacre.matter.indices.anisotropic_spec import AnisotropicSpec
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.keys import Key, find_key, keys_of, one_sentence, shared_tables, tables_below, toml_lines
 from nacre.recipe.model import RecipeModel
@@ -30,7 +31,7 @@ OTHER_FILES = {
     "gallery": "nacre.cli.gallery:GallerySpec",
 }
 # forms that are used in many tables
-SHARED: dict[str, type[RecipeModel]] = {"index": IndexSpec, "texture": TextureSpec}
+SHARED: dict[str, type[RecipeModel]] = {"index": IndexSpec, "anisotropic": AnisotropicSpec, "texture": TextureSpec}
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,8 @@ def read(
     for path in filter(None, (plot, output)):
         check_writable(path)
     options = ReadOptions(
-        format=format_id, pitch_um=_pitch(given.pop("pitch_um")), columns=_words(given.pop("columns")),
-        ignore=_words(given.pop("ignore")), **given,
+        format=format_id, pitch_um=_pitch(given.pop("pitch_um")), columns=common.words(given.pop("columns")),
+        ignore=common.words(given.pop("ignore")), **given,
     )  # fmt: skip
     found = [measurement for file in files for measurement in _opened(file, options)]
     if as_json:
@@ -81,10 +81,6 @@ def _title(measurement: Measurement) -> str:
     from nacre.readers.registry import format_named
 
     return f"{format_named(measurement.format).title} ({measurement.format})"
-
-
-def _words(text: str | None) -> tuple[str, ...]:
-    return tuple(word.strip() for word in text.split(",")) if text else ()
 
 
 def _pitch(text: str | None) -> tuple[float, float] | None:
@@ -120,7 +116,7 @@ def _asked(error: AmbiguousFileError, option: str) -> Any:
         return float(common.numbers(str(answer), option)[0])
     if error.option == "pitch_um":
         return _pitch(str(answer))
-    return _words(str(answer)) if error.option in ("columns", "ignore") else str(answer)
+    return common.words(str(answer)) if error.option in ("columns", "ignore") else str(answer)
 
 
 commands = {"read": read}

@@ -72,6 +72,17 @@ SCENES = (
 @click.option(
     "--quality", type=click.Choice(["reference", "fast"]), default=None, help="Pearls: random walk, or noise-free."
 )
+@click.option(
+    "--polariser", default=None, metavar="left|right|DEG",
+    help="Filter before the camera: circular, or linear with its axis at an angle from the horizontal.",
+)  # fmt: skip
+@click.option("--light-polarisation", default=None, metavar="left|right|DEG", help="The same for the light.")
+@click.option(
+    "--layers",
+    type=click.Choice(["stokes"]),
+    default=None,
+    help="Further layers of the EXR: the Stokes images S0 to S3.",
+)
 @click.option("--components", type=click.Choice(["sum", "specular", "diffuse"]), default="sum", show_default=True)
 @click.option("--exposure", default="auto", show_default=True, help='"auto", or stops.')
 @click.option(
@@ -115,8 +126,10 @@ def render(
         raise NacreError(f"-o {path}: --light-layers are layers of an EXR; write .exr")
     if looks["tone"] != "srgb" and path.suffix.lower() == ".exr":
         raise NacreError(f"-o {path}: --tone is for pictures in sRGB; an EXR holds the light itself, without a curve")
+    if looks["layers"] and (animate or path.suffix.lower() != ".exr"):
+        raise NacreError(f"-o {path}: --layers {looks['layers']} are layers of an EXR; write .exr")
     if animate:
-        del looks["light_layers"]
+        del looks["light_layers"], looks["layers"]
     options: dict[str, Any] = {**looks, "exposure": _exposure(exposure)}
     with leaving_at_once(STATUS_INTERRUPTED, STOPPED):
         _render(common.load_material(recipe, changes), path, animate, frames, options)
@@ -153,7 +166,7 @@ def _summary(path: Path, stats: Mapping[str, Any]) -> str:
     clipped = stats.get("clipped_pixels", 0)
     if "cannot be imported" in str(stats.get("raw_because", "")):
         line += f"; not denoised: {stats['raw_because']}"
-    return line + (f", {clipped} pixels clipped into sRGB" if clipped else "")
+    return line + (f", {clipped} pixels clipped into sRGB (brighter or purer than the screen shows)" if clipped else "")
 
 
 @click.command()

@@ -27,15 +27,21 @@ SWEEP_KINDS = ("gamut", "colour-map", "parallel")
 @click.argument("recipe")
 @click.option("--angles-deg", default="0", show_default=True, help="Incidence, such as 0,30,60 or 0:80:5.")
 @click.option("--wavelengths-nm", default=None, help="Such as 380:780:5; default: chosen by the material.")
-@click.option("--polarisation", type=click.Choice(["s", "p", "both"]), default="both", show_default=True)
+@click.option(
+    "--polarisation", type=click.Choice(["s", "p", "left", "right", "both", "mueller"]), default="both",
+    show_default=True, help="Of the incident light; both: unpolarised; mueller: also Mueller matrices.",
+)  # fmt: skip
+@click.option(
+    "--azimuth-deg", type=float, default=0.0, show_default=True, help="Azimuth of the direction to the light, from u."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON to stdout.")
 @click.option("-o", "output", metavar="FILE.csv", help="Write CSV (or JSON, by the suffix) to a file.")
 @common.set_option
 @common.cache_option
 @common.jobs_option
 def spectrum(
-    recipe: str, angles_deg: str, wavelengths_nm: str | None, polarisation: str, as_json: bool, output: str | None,
-    changes: tuple[str, ...],
+    recipe: str, angles_deg: str, wavelengths_nm: str | None, polarisation: str, azimuth_deg: float, as_json: bool,
+    output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Print reflectance and transmittance of RECIPE over angle and wavelength."""
     from nacre.core.files import check_writable, write_text
@@ -48,16 +54,17 @@ def spectrum(
     angles = common.angles(angles_deg)
     grid = common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
-    result = material.spectrum(np.radians(angles), grid, polarisation)
+    result = material.spectrum(np.radians(angles), grid, polarisation, azimuth_deg=azimuth_deg)
     parts = result.parts()
     document: dict[str, Any] = {
         "wavelengths_nm": result.wavelengths_nm.tolist(),
         "angles_deg": angles.tolist(),
         "polarisation": polarisation,
-        **{name: value.tolist() for name, value in parts.items()},
+        "azimuth_deg": azimuth_deg,
+        **{name: value.tolist() for name, value in (parts | result.matrices()).items()},
     }
     document["provenance"] = recipe_provenance(material)
-    text_csv = _csv(result.wavelengths_nm, angles, parts)
+    text_csv = _csv(result.wavelengths_nm, angles, parts | _elements(result.matrices()), polarisation)
     if output:
         write_text(output, text_csv if output.endswith(".csv") else json.dumps(document) + "\n")
         common.note(output)
@@ -67,11 +74,94 @@ def spectrum(
         click.echo(text_csv, nl=False)
 
 
-def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np.ndarray]) -> str:
-    lines = ["wavelength_nm,angle_deg," + ",".join(parts)]
+@click.command()
+@click.argument("recipe")
+@click.option("--angles-deg", default="0", show_default=True, help="Incidence, such as 0,30,60 or 0:80:5.")
+@click.option("--azimuth-deg", type=float, default=0.0, show_default=True, help="Of the direction to the light.")
+@click.option("--wavelengths-nm", default=None, help="Such as 400:700:20; default: chosen by the material.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON to stdout.")
+@click.option("-o", "output", metavar="FILE.csv", help="Write CSV (or JSON, by the suffix) to a file.")
+@common.set_option
+@common.cache_option
+@common.jobs_option
+def orders(
+    recipe: str, angles_deg: str, azimuth_deg: float, wavelengths_nm: str | None, as_json: bool, output: str | None,
+    changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Print the efficiencies of the diffraction orders of RECIPE, for s and p polarised light."""
+    from nacre import api
+    from nacre.core.files import check_writable, write_text
+    from nacre.material.material import recipe_provenance
+
+    if output:
+        if Path(output).suffix not in (".csv", ".json"):
+            raise NacreError(f"-o {output}: the suffix must be .csv or .json")
+        check_writable(output)
+    if not np.isfinite(azimuth_deg):
+        raise NacreError(f"--azimuth-deg = {azimuth_deg} must be finite")
+    angles = common.angles(angles_deg)
+    if angles.max() >= 90:
+        raise NacreError(f'--angles-deg = "{angles_deg}" must lie in [0, 90)')
+    material = common.load_material(recipe, changes)
+    found = api.orders(material, angles, azimuth_deg, common.wavelengths(wavelengths_nm))
+    document = {
+        "wavelengths_nm": found.wavelengths_nm.tolist(),
+        "angles_deg": angles.tolist(),
+        "azimuth_deg": azimuth_deg,
+        "orders": found.numbers.tolist(),
+        "reflected": _by_polarisation(found.reflected),
+        "transmitted": _by_polarisation(found.transmitted),
+        "estimated_error": found.error.tolist(),
+        "provenance": recipe_provenance(material),
+    }
+    text_csv = _orders_csv(found, angles)
+    if output:
+        write_text(output, text_csv if output.endswith(".csv") else json.dumps(document) + "\n")
+        common.note(output)
+    if as_json:
+        click.echo(json.dumps(document))
+    elif not output:
+        click.echo(text_csv, nl=False)
+
+
+def _by_polarisation(efficiency: np.ndarray) -> dict[str, Any]:
+    """Return `[angle][wavelength][order]` for s and p, None for orders that do not propagate."""
+    return {
+        name: [[[None if np.isnan(v) else float(v) for v in row] for row in plane] for plane in efficiency[..., k]]
+        for k, name in enumerate("sp")
+    }
+
+
+def _orders_csv(found: Any, angles_deg: np.ndarray) -> str:
+    lines = ["wavelength_nm,angle_deg,m,n,reflected_s,reflected_p,transmitted_s,transmitted_p"]
+    for a, angle in enumerate(angles_deg):
+        for w, wavelength in enumerate(found.wavelengths_nm):
+            for o, (m, n) in enumerate(found.numbers):
+                values = [*found.reflected[a, w, o], *found.transmitted[a, w, o]]
+                if not np.all(np.isnan(values)):
+                    shown = ["" if np.isnan(v) else f"{v:.9g}" for v in values]
+                    lines.append(",".join([f"{wavelength:.6g}", f"{angle:.6g}", str(m), str(n), *shown]))
+    return "\n".join(lines) + "\n"
+
+
+def _elements(matrices: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the elements of Mueller matrices as columns: m11 ... m44 reflected, transmitted_m11 ... transmitted."""
+    prefix = {"mueller_reflected": "", "mueller_transmitted": "transmitted_"}
+    return {
+        f"{prefix[name]}m{i + 1}{j + 1}": value[..., i, j]
+        for name, value in matrices.items() for i in range(4) for j in range(4)
+    }  # fmt: skip
+
+
+def _csv(
+    wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np.ndarray], polarisation: str = "both"
+) -> str:
+    """Return the table of a spectrum; of polarised light it has a column that says so."""
+    stated = [] if polarisation in ("both", "mueller") else [polarisation]
+    lines = [",".join(["wavelength_nm", "angle_deg", *(["polarisation"] if stated else []), *parts])]
     for a, angle in enumerate(angles_deg):
         for w, wavelength in enumerate(wavelengths_nm):
-            row = [f"{wavelength:.6g}", f"{angle:.6g}", *(f"{value[a, w]:.9g}" for value in parts.values())]
+            row = [f"{wavelength:.6g}", f"{angle:.6g}", *stated, *(f"{value[a, w]:.9g}" for value in parts.values())]
             lines.append(",".join(row))
     return "\n".join(lines) + "\n"
 
@@ -301,6 +391,7 @@ def export(
 @click.command(name="import")
 @click.argument("file", metavar="FILE")
 @click.option("-o", "output", default=None, metavar="RECIPE.toml", help="Default: FILE with the suffix .toml.")
+@click.option("--material", default=None, metavar="NAME", help="Material of a glTF or MaterialX file with several.")
 @click.option("--quantity", default=None, help="bsdf or reflectance_factor, where the file does not state it.")
 @click.option("--unit", default=None, help="Unit of angles (deg, rad) or wavelengths (nm, um), likewise.")
 @click.option("--ignore", multiple=True, metavar="HEADING", help="A column to ignore; repeatable.")
@@ -311,8 +402,9 @@ def export(
 @common.cache_option
 @common.jobs_option
 def import_(
-    file: str, output: str | None, quantity: str | None, unit: str | None, ignore: tuple[str, ...], law: str | None
-) -> None:
+    file: str, output: str | None, material: str | None, quantity: str | None, unit: str | None,
+    ignore: tuple[str, ...], law: str | None,
+) -> None:  # fmt: skip
     """Read a measurement or a material of another program and write a recipe for it."""
     from nacre.analysis.import_export import import_material
     from nacre.core.files import check_writable
@@ -322,7 +414,7 @@ def import_(
     if path.suffix != ".toml":
         raise NacreError(f"-o {path}: the suffix must be .toml")
     check_writable(path)
-    options = ReadOptions(quantity=quantity, unit=unit, ignore=ignore)
+    options = ReadOptions(quantity=quantity, unit=unit, ignore=ignore, spectrum=material)
     for line in import_material(Path(file), path, options=options, law=law):
         common.note(line)
     common.note(str(path))
@@ -330,6 +422,7 @@ def import_(
 
 commands = {
     "spectrum": spectrum,
+    "orders": orders,
     "evaluate": evaluate,
     "plot": plot,
     "compile": compile_,

@@ -6,6 +6,7 @@ its entry point. Plugins do not import this file: those that contain other lobes
 
 from __future__ import annotations
 
+import functools
 import importlib
 from typing import Any
 
@@ -14,13 +15,14 @@ import mitsuba as mi
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.registry import outside_lobe
+from nacre.bsdf.rgb import projected_to_rgb
 from nacre.bsdf.texture import place_formula
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.device.lobe_sum import bsdf_class, update_lobes
 from nacre.device.plugin import LobePlugin, logger
 from nacre.device.polarisation import DevicePolarisation
 from nacre.device.texture import ObjectFrame, ObjectSpace
-from nacre.device.variant import VARIANTS
+from nacre.device.variant import RGB, VARIANTS
 
 # The renderer samples wavelengths from 360 to 830 nm; nearly the whole luminance is in this range.
 VISIBLE_NM = (400.0, 700.0)
@@ -49,9 +51,12 @@ def make_bsdf(
 
     Example: `mi.load_dict({"type": "sphere", "bsdf": make_bsdf(nacre.load("soap").bsdf())})`.
     """
-    if mi.variant() not in VARIANTS:
+    if mi.variant() not in VARIANTS + RGB:
         raise UnsupportedError(f"Mitsuba variant {mi.variant()} cannot carry spectral materials; use {VARIANTS[0]}")
     grid = bsdf.wavelengths_nm
+    if mi.is_rgb:
+        _warn_of_rgb(mi.variant())
+        bsdf = projected_to_rgb(bsdf)
     if grid[0] > VISIBLE_NM[0] or grid[-1] < VISIBLE_NM[1]:
         logger.warning(
             "the material is known only from %g to %g nm; its end values continue, so colours are inexact",
@@ -77,6 +82,16 @@ def make_bsdf(
     cls = bsdf_class(mi.variant())
     properties = mi.Properties() if properties is None else properties
     return cls(properties, plugins, two_sided and not bsdf.transmits, space, polarisation)
+
+
+@functools.cache
+def _warn_of_rgb(variant: str) -> None:
+    """State once what an RGB variant loses."""
+    logger.warning(
+        "%s: materials are projected to linear sRGB under D65; other lamps, metamerism and saturated interreflections "
+        "are lost",
+        variant,
+    )
 
 
 def update_bsdf(target: Any, bsdf: Bsdf) -> None:
@@ -105,6 +120,7 @@ PLUGINS: dict[str, str] = {
     "spectrum-map": "nacre.device.lobes.spectrum_map:SpectrumMapPlugin",
     "layered": "nacre.device.lobes.layered:LayeredPlugin",
     "platelet-layer": "nacre.device.lobes.platelet_layer:PlateletLayerPlugin",
+    "orders": "nacre.device.lobes.orders:OrdersPlugin",
     "masked": "nacre.device.lobes.masked:MaskedPlugin",
 }
 

@@ -81,6 +81,9 @@ class WavelengthAxis:
 
     def locate(self, wavelengths: Any, active: Any = True) -> Located:
         """Locate `si.wavelengths`; wavelengths outside (such as the 0 of test harnesses) move to the end."""
+        if mi.is_rgb:  # the three nodes are the channels
+            nodes = ((0, 0.0), (1, 0.0), (1, 1.0))
+            return Located([mi.UInt32(node) for node, _ in nodes], [mi.Float(part) for _, part in nodes])
         low, fraction = [], []
         for k in range(dr.size_v(mi.UnpolarizedSpectrum)):
             a, b = self._locate_one(wavelengths[k], active)

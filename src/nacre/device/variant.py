@@ -7,11 +7,13 @@ structural colour is a spectrum; the polarised ones are used only on request.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib.util
 import os
 import sys
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from types import ModuleType
 
@@ -22,6 +24,7 @@ ENVIRONMENT_VARIABLE = "NACRE_VARIANT"
 UNPOLARISED = ("llvm_ad_spectral", "cuda_ad_spectral", "scalar_spectral")
 POLARISED = tuple(f"{name}_polarized" for name in UNPOLARISED)
 VARIANTS = UNPOLARISED + POLARISED
+RGB = ("llvm_ad_rgb", "cuda_ad_rgb", "scalar_rgb")  # only in the user's own scenes
 SCALAR_WARNING = (
     "{reason}: falling back to scalar_spectral, some hundreds of times slower, good for tiny previews only; {remedy}"
 )
@@ -49,6 +52,23 @@ def use_variant(requested: str | None = None) -> ModuleType:
     else:
         mi.set_variant(_available(requested, mi))
     return mi
+
+
+@contextlib.contextmanager
+def polarised_variant() -> Iterator[ModuleType]:
+    """Set the polarised twin of the variant in use, and return to it afterwards.
+
+    Raises:
+        MachineError: no variant works on this machine.
+    """
+    mi = use_variant()
+    before = str(mi.variant())
+    try:
+        if before not in POLARISED:
+            mi.set_variant(f"{before}_polarized")
+        yield mi
+    finally:
+        mi.set_variant(before)
 
 
 def import_mitsuba() -> ModuleType:

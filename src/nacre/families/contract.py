@@ -35,6 +35,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError, did_you_mean
 from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer
+from nacre.matter.periodic.orders import Orders
 
 if TYPE_CHECKING:
     from nacre.matter.stack.stack import Stack
@@ -118,6 +119,31 @@ class Model(abc.ABC):
     def warnings(self) -> tuple[str, ...]:
         """Limits of validity that this material exceeds, to be shown after the recipe's name."""
         return ()
+
+    @property
+    def surface_figures(self) -> Mapping[str, float]:
+        """Figures of a measured surface for reports: name with its unit -> value."""
+        return {}
+
+
+class Polarised(abc.ABC):
+    """A material whose spectra are known for circular light, as Mueller matrices, and from any azimuth."""
+
+    @abc.abstractmethod
+    def polarised_spectrum(
+        self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str, azimuth_rad: float
+    ) -> Spectrum:
+        """Return reflectance and transmittance `[angle, wavelength]`.
+
+        Args:
+            theta_rad: `[angle]` in the ambient, in [0, pi/2].
+            wavelengths_nm: `[wavelength]`; default: `self.wavelengths_nm`.
+            polarisation: "s", "p", "left", "right", "both", or "mueller" for "both" with Mueller matrices.
+            azimuth_rad: azimuth of the direction towards the light, from u.
+
+        Raises:
+            UnsupportedError: the polarisation is not known for a part of the spectrum.
+        """
 
 
 class EnergyDefect(abc.ABC):
@@ -233,6 +259,20 @@ class ExpensiveMethod(abc.ABC):
     @abc.abstractmethod
     def method_overrides(self) -> Mapping[str, Any]:
         """Recipe changes, by path, that select the replacement explicitly; solution files contain them."""
+
+
+class Diffracting(abc.ABC):
+    """A periodic material, whose light leaves in orders."""
+
+    @abc.abstractmethod
+    def diffraction_orders(self, theta_rad: Array, azimuth_rad: float, wavelengths_nm: Array | None) -> Orders:
+        """Return the orders of plane waves.
+
+        Args:
+            theta_rad: `[angle]` of incidence in the ambient.
+            azimuth_rad: of the direction to the light.
+            wavelengths_nm: `[wavelength]`; default: `wavelengths_nm` of the model.
+        """
 
 
 class Fabricable(abc.ABC):

@@ -20,6 +20,7 @@ FAMILIES: dict[str, str] = {
     "metasurface": "nacre.families.metasurface.spec:MetasurfaceSpec",
     "glass": "nacre.families.glass.spec:GlassSpec",
     "relief": "nacre.families.relief.spec:ReliefSpec",
+    "grating": "nacre.families.grating.spec:GratingSpec",
     "measured": "nacre.families.measured:MeasuredSpec",
     "blend": "nacre.families.blend:BlendSpec",
 }

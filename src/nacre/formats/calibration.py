@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,28 +11,27 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.files import plain, why_unreadable
-from nacre.recipe.delimited_text import decoded, headings, rows
+from nacre.readers.columns import load_tables
+from nacre.readers.curves import Axis, curve
+from nacre.readers.headings import stated_unit
+from nacre.readers.units import UNITS
 
-_UM_OF_UNIT = {"nm": 1e-3, "um": 1.0, "mm": 1e3}
+GREY, DEPTH_UM = Axis("grey value", ("grey",)), Axis("depth (um)", ("depth",), "um")
+logger = logging.getLogger("nacre")
 
 
 def read_curve(
-    path: Path, noun: str, columns: str, is_second: Callable[[str], bool], unit: str, example: str = ""
+    path: Path, noun: str, second_unit: str, first: Axis | None = None, second: Axis | None = None
 ) -> tuple[Array, tuple[str, str] | None]:
     """Read pairs of numbers, sorted by the first.
 
-    Cells are parted as `nacre.recipe.delimited_text` knows.
-    Headings before the numbers may name the columns in reverse order; a length
-    unit in the second heading is converted.
+    Headings before the numbers may name the columns in reverse order; a length unit in a heading is converted.
 
     Args:
-        path: the CSV.
+        path: the table.
         noun: used in messages, such as "calibration curve".
-        columns: names of the columns for messages.
-        is_second: whether a heading from `headings` belongs to the second column.
-        unit: "um" or "nm", for the second column.
-        example: added to the column names in messages about invalid lines.
+        second_unit: "um" or "nm", of the second column.
+        first, second: columns of the vocabulary; without them any two headings are taken, a length second.
 
     Returns:
         `[point, 2]`, and the two headings, if there are any.
@@ -40,34 +39,37 @@ def read_curve(
     Raises:
         NacreError: it cannot be read, a line is not a pair of numbers, or there are fewer than two pairs.
     """
-    try:
-        text = decoded(plain(path).read_bytes())
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
-    except UnicodeDecodeError:
-        raise NacreError(f"{path}: is not a {noun}: it is not text") from None
-    pairs: list[tuple[float, float]] = []
-    cells_above: list[str] = []
-    for number, cells in rows(text):
-        try:
-            first, second = (float(cell) for cell in cells)
-        except ValueError:
-            if not pairs and cells[0][:1].isalpha():
-                cells_above = cells
-                continue
-            shown = " ".join(cells)[:60]
-            raise NacreError(f"{path}: line {number}: {shown!r} is not '{columns}'{example}") from None
-        pairs.append((first, second))
-    if len(pairs) < 2:
-        raise NacreError(f"{path}: a {noun} needs at least two lines of {columns}")
-    table, words = np.array(pairs), None
-    if len(cells_above) == 2:
-        words, names = (cells_above[0], cells_above[1]), headings(cells_above)
-        if is_second(names[0]) and not is_second(names[1]):
-            table, words, names = table[:, ::-1], words[::-1], names[::-1]
-        given = names[1].rpartition("_")[2]
-        table = table * [1.0, _UM_OF_UNIT.get(given, _UM_OF_UNIT[unit]) / _UM_OF_UNIT[unit]]
+    if first is not None and second is not None:
+        table, said = curve(path, (first, second))
+        words = None
+        for sentence in said:
+            logger.warning("%s: %s", path, sentence)
+    else:
+        table, words = _any_pairs(path, second_unit)
+    if len(table) < 2:
+        raise NacreError(f"{path}: a {noun} needs at least two lines of two numbers")
     return table[np.lexsort((table[:, 1], table[:, 0]))], words
+
+
+def _any_pairs(path: Path, second_unit: str) -> tuple[Array, tuple[str, str] | None]:
+    """Return two columns of any headings; a column whose heading names a length is the second."""
+    table = load_tables(path).tables[0]
+    if table.width != 2:
+        raise NacreError(f"{path}: line {table.lines[0]} has {table.width} cells; two columns are needed")
+    pairs = np.stack([table.column(0), table.column(1)], axis=1)
+    if not np.isfinite(pairs).all():
+        line = table.lines[int(np.flatnonzero(~np.isfinite(pairs).all(axis=1))[0])]
+        raise NacreError(f"{path}: line {line} holds no two finite numbers")
+    if not table.headings:
+        return pairs, None
+    words = (table.headings[0], table.headings[1])
+    units = [table.units[i] or stated_unit(words[i]) for i in (0, 1)]
+    is_length = [unit in UNITS and UNITS[unit][0] == "length" for unit in units]
+    if is_length[0] and not is_length[1]:
+        pairs, words, units = pairs[:, ::-1], (words[1], words[0]), units[::-1]
+    if units[1] in UNITS and UNITS[units[1]][0] == "length":
+        pairs = pairs * [1.0, UNITS[units[1]][1] / UNITS[second_unit][1]]
+    return pairs, words
 
 
 def is_monotonic(table: Array) -> bool:
@@ -152,10 +154,6 @@ def find_calibration(name: str | Path, folder: Path = Path()) -> Calibration:
     return PUBLISHED_CALIBRATION if str(name) == PUBLISHED else read_calibration(folder / name)
 
 
-def _is_depth(heading: str) -> bool:
-    return heading.startswith("depth")
-
-
 def read_calibration(path: str | Path) -> Calibration:
     """Read a two-column CSV: grey value (8 or 16 bits) and depth in um.
 
@@ -165,7 +163,7 @@ def read_calibration(path: str | Path) -> Calibration:
         NacreError: not readable, fewer than two points, grey values outside the range, or non-monotonic depths.
     """
     path = Path(path)
-    table, _ = read_curve(path, "calibration curve", "grey value, depth in um", _is_depth, "um")
+    table, _ = read_curve(path, "calibration curve", "um", GREY, DEPTH_UM)
     if table[0, 0] < 0 or table[-1, 0] > LARGEST_GREY or not np.isfinite(table).all():
         raise NacreError(f"{path}: grey values must be from 0 to {LARGEST_GREY}, all numbers finite")
     if not is_monotonic(table):

@@ -11,7 +11,8 @@ from nacre.core.errors import UnsupportedError
 # suffix of the file or folder
 EXPORTS = {
     "rgl": ".bsdf", "merl": ".binary", "csv": ".csv", "zemax": ".bsdf", "gltf": ".gltf", "materialx": ".mtlx",
-    "exr": ".exr", "nacre": ".nacre", "lut": "-lut", "tmat": ".tmat.h5",
+    "exr": ".exr", "nacre": ".nacre", "lut": "-lut", "tmat": ".tmat.h5", "astm": ".astm", "brdf-json": ".json",
+    "speos": ".brdf",
 }  # fmt: skip
 FOLDER = "lut"  # this format is a folder
 FAMILY_FORMATS = ("tmat",)  # only some families write these (`OwnFormats`)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,21 +10,17 @@ import numpy as np
 from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.files import atomic_path, plain, why_unreadable
-from nacre.core.memory import check_memory
+from nacre.core.files import atomic_path
 from nacre.light import xyz_to_srgb_linear
 from nacre.readers.bsdf.gonio_table import read
 from nacre.readers.bsdf.samples import COLOURS, DEGREES
 from nacre.readers.measurement import Measurement, ReadOptions
-from nacre.recipe.delimited_text import decoded, headings, rows
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "wavelength", "value")
-MAX_BYTES = 1 << 30
-GAPS = ("", "nan", "-", "--", "n/a", "na")  # cells without a measurement
-MEMORY_FACTOR = 8  # memory per byte of a file: text, lines, cells
 MAX_VALUE = 1e12  # far above any BSDF
 ROUND_TRIP_DIGITS = 9  # preserve float32
 ANGLE_DIGITS = 6  # decimals of angles in degrees that distinguish directions
+SAME = 1e-9  # relative difference of equal values
 MIN_MEASURED = 0.5  # share of pairs and wavelengths that must have a value
 
 
@@ -124,7 +119,10 @@ def _grouped(measured: Measurement, angles: Array, remarks: list[str]) -> tuple[
     repeated = int(np.sum(np.maximum(count - 1, 0)))
     if repeated:
         spread = np.max(np.abs(value[known] - values[place][known]) / np.maximum(np.abs(values[place][known]), 1e-12))
-        remarks.append(f"{repeated} rows repeat a direction and wavelength (within {spread:.2g}); they were averaged")
+        if spread > SAME:
+            remarks.append(
+                f"{repeated} rows repeat a direction and wavelength (within {spread:.2g}); they were averaged"
+            )
     if np.mean(count > 0) < MIN_MEASURED and len(waves) > 1:
         raise NacreError(
             f"{measured.path}: has {int(np.sum(count > 0))} values for {len(pairs)} direction pairs and {len(waves)} "
@@ -132,56 +130,3 @@ def _grouped(measured: Measurement, angles: Array, remarks: list[str]) -> tuple[
         )
     order = np.argsort(first)  # order of the file
     return GonioData(pairs[order], waves, values[order]), remarks
-
-
-def read_table(path: str | Path, has_gaps: bool = False) -> tuple[list[str], Array]:
-    """Read a table of numbers with headings (see `nacre.recipe.delimited_text`); # starts a comment.
-
-    Args:
-        has_gaps: whether cells may be empty (NaN).
-
-    Returns:
-        The headings in lower case with units after an underscore, and `[row, column]`.
-
-    Raises:
-        NacreError: the file is missing, too large, lacks header or rows, or has a cell that is not a finite number.
-    """
-    path = Path(path)
-    try:
-        if plain(path).stat().st_size > MAX_BYTES:
-            raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-        check_memory(MEMORY_FACTOR * float(path.stat().st_size), f"{path}: read as a table, it")
-        lines = rows(decoded(path.read_bytes()))
-    except UnicodeDecodeError:
-        raise NacreError(f"{path}: is not text") from None
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
-    names = headings(next(lines, (0, [""]))[1])
-    table = [_numbers(path, number, cells, len(names), has_gaps) for number, cells in lines]
-    if not table:
-        raise NacreError(f"{path}: holds no data; a header line and rows of numbers are needed")
-    return names, np.array(table)
-
-
-def _numbers(path: Path, line: int, cells: list[str], width: int, has_gaps: bool) -> list[float]:
-    """Return a row's numbers."""
-    if has_gaps:
-        cells = [cell if cell.strip().lower() not in GAPS else "nan" for cell in cells]
-        cells += ["nan"] * (width - len(cells))
-    if len(cells) != width:
-        raise NacreError(f"{path}: line {line} has {len(cells)} cells, the header has {width}")
-    try:
-        numbers = [float(cell) for cell in cells]
-    except ValueError:
-        numbers = []
-    if not numbers or not all(math.isfinite(number) or (has_gaps and math.isnan(number)) for number in numbers):
-        wrong = next(cell for cell in cells if not _is_finite(cell))
-        raise NacreError(f'{path}: line {line}: "{wrong.strip()[:40]}" is not a finite number')
-    return numbers
-
-
-def _is_finite(cell: str) -> bool:
-    try:
-        return math.isfinite(float(cell))
-    except ValueError:
-        return False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,8 @@ from nacre.core.files import atomic_path
 
 Levels = NDArray[np.int64]
 MAX_LEVELS = 256
-MAX_ARRAY = 32767  # GDSII counts columns and rows in 16 bits
+MAX_ARRAY = 32767  # GDSII counts columns and rows in 16 bits with a sign
+MAX_DATABASE_UNITS = 2**31 - 1
 FORMATS = (".gds", ".oas")
 
 
@@ -40,18 +42,22 @@ def write_levels(
         raise UnsupportedError(f"{path}: levels are written as {' or '.join(FORMATS)}")
     if levels.min() < 0 or levels.max() >= MAX_LEVELS:
         raise UnsupportedError(f"levels run from {levels.min()} to {levels.max()}; allowed are 0 to {MAX_LEVELS - 1}")
-    if not (0 < columns <= MAX_ARRAY and 0 < rows <= MAX_ARRAY):
-        raise UnsupportedError(f"{columns} x {rows} tiles; a mask array holds at most {MAX_ARRAY} each way")
     # database unit 1 nm, or finer for a fractional pitch
     precision = 1e-9 if abs(pitch_um * 1e3 - round(pitch_um * 1e3)) < 1e-9 else 1e-12
+    side = levels.shape[0] * pitch_um, levels.shape[1] * pitch_um
+    extent_um = max(columns * side[0], rows * side[1])
+    if not (columns > 0 and rows > 0) or extent_um * 1e-6 / precision > MAX_DATABASE_UNITS:
+        raise UnsupportedError(
+            f"{columns} x {rows} tiles reach {extent_um:.4g} um; coordinates of 32 bits reach "
+            f"{MAX_DATABASE_UNITS * precision * 1e6:.4g} um at a database unit of {precision * 1e9:g} nm"
+        )
     library = gdstk.Library("nacre", unit=1e-6, precision=precision)
     tile = library.new_cell("tile")
     for level, x, y0, y1 in runs(levels):
         corners = ((x * pitch_um, y0 * pitch_um), ((x + 1) * pitch_um, y1 * pitch_um))
         tile.add(gdstk.rectangle(*corners, layer=level, datatype=0))
     top = library.new_cell("wafer")
-    side = levels.shape[0] * pitch_um, levels.shape[1] * pitch_um
-    top.add(gdstk.Reference(tile, columns=columns, rows=rows, spacing=side))
+    add_array(top, tile, columns, rows, side)
     if notes:
         top.add(gdstk.Label(notes[:500], (0.0, 0.0), layer=255))
     with atomic_path(path) as temporary:
@@ -59,6 +65,63 @@ def write_levels(
             library.write_gds(str(temporary))
         else:
             library.write_oas(str(temporary), compression_level=6)
+
+
+def add_array(cell: Any, of: Any, columns: int, rows: int, spacing: tuple[float, float]) -> None:
+    """Add references that repeat a cell, in arrays of at most `MAX_ARRAY` columns and rows."""
+    import gdstk
+
+    for x in range(0, columns, MAX_ARRAY):
+        for y in range(0, rows, MAX_ARRAY):
+            count = min(columns - x, MAX_ARRAY), min(rows - y, MAX_ARRAY)
+            origin = (x * spacing[0], y * spacing[1])
+            cell.add(gdstk.Reference(of, origin, columns=count[0], rows=count[1], spacing=spacing))
+
+
+def circle(radius_um: float, precision_m: float) -> Array:
+    """Return a polygon `[corner, 2]` in um with a circle's area, on the database grid.
+
+    It is symmetric about both axes and both diagonals.
+    """
+    tolerance = min(TOLERANCE_UM, radius_um / 20)
+    octants = int(np.ceil(np.pi / np.arccos(1.0 - tolerance / radius_um) / 8))
+    count = 8 * min(max(octants, 2), MAX_CORNERS // 8)
+    # corners outside, so that the polygon has the circle's area
+    outer = radius_um * np.sqrt(2 * np.pi / count / np.sin(2 * np.pi / count))
+    angle = (np.arange(count // 8) + 0.5) * 2 * np.pi / count
+    grid = precision_m * 1e6
+    octant = np.rint(outer / grid * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+    quarter = np.concatenate([octant, octant[::-1, ::-1]])
+    half = np.concatenate([quarter, quarter[::-1] * [-1.0, 1.0]])
+    return np.asarray(np.concatenate([half, half[::-1] * [1.0, -1.0]]) * grid)
+
+
+def area(corners: Array) -> float:
+    """Return the area of a polygon `[corner, 2]`."""
+    x, y = corners.T
+    return float(0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
+
+
+def database_unit(radii_um: tuple[float, ...], extent_um: float, square: bool, path: Path) -> float:
+    """Return the coarsest database unit in m at which the particles have their area within `AREA_ERROR`.
+
+    Raises:
+        NacreError: coordinates of 32 bits do not reach the field at any such unit.
+    """
+    for precision in PRECISIONS_M:
+        grid = precision * 1e6
+        if square:
+            errors = [abs((max(round(r / grid), 0) * grid / r) ** 2 - 1.0) for r in radii_um]
+        else:
+            errors = [abs(area(circle(r, precision)) / (np.pi * r * r) - 1.0) for r in radii_um]
+        if extent_um / grid > MAX_DATABASE_UNITS:
+            break
+        if max(errors) <= AREA_ERROR:
+            return precision
+    raise NacreError(
+        f"{path}: particles of {min(radii_um) * 1e3:g} nm in a field that reaches {extent_um:.4g} um: coordinates of "
+        f"32 bits hold no circle within {100 * AREA_ERROR:g} % of its area; make the field smaller"
+    )
 
 
 def runs(levels: Levels) -> list[tuple[int, int, int, int]]:
@@ -73,9 +136,11 @@ def runs(levels: Levels) -> list[tuple[int, int, int, int]]:
 
 # Point patterns for fabrication: GDSII and OASIS with referenced cells, CSV, and reading them back.
 
-PRECISION_M = 1e-9  # database unit
+PRECISIONS_M = (1e-9, 1e-10, 1e-11, 1e-12)  # database units
 MAX_COORDINATE_UM = 2.0e6  # 32-bit coordinates
-TOLERANCE_UM = 5e-4
+TOLERANCE_UM = 5e-4  # of a polygon from its circle
+AREA_ERROR = 0.01
+MAX_CORNERS = 2048  # of a polygon; GDSII holds 8191
 
 
 def write_layout(
@@ -122,25 +187,26 @@ def write_layout(
     extent = float(np.abs(xy).max()) + (max(columns, rows) - 1) * (box_um or 0.0)
     if extent > MAX_COORDINATE_UM:
         raise NacreError(f"{path}: the field reaches {extent:.4g} um; at most {MAX_COORDINATE_UM:g} um can be written")
-    library = gdstk.Library("nacre", unit=1e-6, precision=PRECISION_M)
     radii, kinds = several or ((radius_um,), None)
+    precision = database_unit(radii, extent + max(radii), square, path)
+    library = gdstk.Library("nacre", unit=1e-6, precision=precision)
     particles = []
     for number, radius in enumerate(radii, start=1):
         particle = library.new_cell("PARTICLE" if number == 1 else f"PARTICLE_{number}")
         if square:
             particle.add(gdstk.rectangle((-radius, -radius), (radius, radius)))
         else:
-            particle.add(gdstk.ellipse((0, 0), radius, tolerance=min(TOLERANCE_UM, radius / 20)))
+            particle.add(gdstk.Polygon([(x, y) for x, y in circle(radius, precision)]))
         particles.append(particle)
     period = library.new_cell("PERIOD")
     for (x, y), kind in zip(np.round(xy, 3), np.zeros(len(xy), dtype=np.intp) if kinds is None else kinds):
         period.add(gdstk.Reference(particles[kind], (x, y)))
     if columns * rows > 1 and box_um is not None:
         field = library.new_cell("FIELD")
-        field.add(gdstk.Reference(period, columns=columns, rows=rows, spacing=(box_um, box_um)))
+        add_array(field, period, columns, rows, (box_um, box_um))
     with atomic_path(path) as temporary:
         if path.suffix.lower() == ".gds":
-            library.write_gds(str(temporary))
+            library.write_gds(str(temporary), max_points=MAX_CORNERS + 1)
         else:
             library.write_oas(str(temporary))
     return len(xy) * columns * rows

@@ -93,10 +93,6 @@ class ProcessCurve:
         return np.asarray(np.interp(wanted.values, self.values[order], self.settings[order]))
 
 
-def _is_length(heading: str) -> bool:
-    return heading.rpartition("_")[2] in ("nm", "um", "mm")
-
-
 def read_process(path: str | Path) -> ProcessCurve:
     """Read a two-column CSV with settings and values; lengths in nm.
 
@@ -107,7 +103,7 @@ def read_process(path: str | Path) -> ProcessCurve:
         NacreError: it cannot be read, has fewer than two points, or is not monotonic.
     """
     path = Path(path)
-    table, words = read_curve(path, "process curve", "setting, value", _is_length, "nm", ", as volts and nm")
+    table, words = read_curve(path, "process curve", "nm")
     if not np.isfinite(table).all():
         raise NacreError(f"{path}: all numbers must be finite")
     if not is_monotonic(table):

@@ -9,49 +9,19 @@ from __future__ import annotations
 import base64
 import json
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.core.errors import NacreError
-from nacre.core.files import atomic_path, plain, why_unreadable
+from nacre.core.files import atomic_path
+from nacre.formats.foreign_materials import ThinFilm as ThinFilm
+from nacre.formats.foreign_materials import read_gltf as read_gltf
+from nacre.formats.foreign_materials import read_materialx as read_materialx
 
 FLOAT, UNSIGNED_SHORT = 5126, 5123
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
-GLTF_READ = ("KHR_materials_iridescence", "KHR_materials_ior", "KHR_materials_transmission")
-MAX_BYTES = 16 << 20
-OPENPBR_READ = (
-    "base_color", "base_metalness", "base_weight", "specular_ior", "specular_roughness", "transmission_weight",
-    "thin_film_weight", "thin_film_thickness", "thin_film_ior",
-)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class ThinFilm:
-    """A single thin film over a base.
-
-    Attributes:
-        thickness_nm: film thickness.
-        film_ior: real film index.
-        base_rgb: linear sRGB reflectance of the metal base at normal incidence, white for a dielectric one.
-        base_ior: index, for a dielectric base.
-        is_metal: whether the base is a metal.
-        roughness: GGX alpha.
-        transmits: whether the (dielectric) base transmits.
-        not_read: names of unsupported properties in the file.
-    """
-
-    thickness_nm: float
-    film_ior: float
-    base_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    base_ior: float = 1.5
-    is_metal: bool = True
-    roughness: float = 0.0
-    transmits: bool = False
-    not_read: tuple[str, ...] = ()
 
 
 def gltf_material(film: ThinFilm, name: str) -> dict[str, Any]:
@@ -114,40 +84,6 @@ def write_gltf(path: str | Path, film: ThinFilm, name: str, provenance: dict[str
         temporary.write_text(json.dumps(document, indent=1), encoding="utf-8")
 
 
-def read_gltf(path: str | Path) -> ThinFilm:
-    """Read the first material with a thin film from a .gltf file.
-
-    Raises:
-        NacreError: not glTF, or `KHR_materials_iridescence` is missing.
-    """
-    path = Path(path)
-    try:
-        document = json.loads(plain(path).read_text(encoding="utf-8"))
-        for material in document.get("materials", []):
-            extensions = material.get("extensions", {})
-            if "KHR_materials_iridescence" not in extensions:
-                continue
-            film, base = extensions["KHR_materials_iridescence"], material.get("pbrMetallicRoughness", {})
-            red, green, blue = (float(c) for c in base.get("baseColorFactor", [1, 1, 1, 1])[:3])
-            textures = [key for part in (base, film, material) for key in part if key.endswith("Texture")]
-            others = [key for key in extensions if key not in GLTF_READ]
-            return ThinFilm(
-                thickness_nm=float(film.get("iridescenceThicknessMaximum", 400.0)),
-                film_ior=float(film.get("iridescenceIor", 1.3)),
-                base_rgb=(red, green, blue),
-                base_ior=float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5)),
-                is_metal=float(base.get("metallicFactor", 1.0)) >= 0.5,
-                roughness=float(base.get("roughnessFactor", 1.0)) ** 2,
-                transmits=float(extensions.get("KHR_materials_transmission", {}).get("transmissionFactor", 0.0)) > 0,
-                not_read=tuple(textures + others),
-            )
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
-    except (ValueError, TypeError, AttributeError, RecursionError):
-        raise NacreError(f"{path}: is not a glTF (.gltf) file, or is damaged") from None
-    raise NacreError(f"{path}: no material has KHR_materials_iridescence")
-
-
 def _sphere(rings: int = 48, segments: int = 96) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
     """Return positions, equal to the normals, and triangle indices of a unit sphere."""
     theta, phi = np.meshgrid(np.linspace(0, np.pi, rings + 1), np.linspace(0, 2 * np.pi, segments + 1), indexing="ij")
@@ -189,44 +125,3 @@ def write_materialx(path: str | Path, film: ThinFilm, name: str, comment: str = 
     ET.indent(root)
     with atomic_path(path) as temporary:
         ET.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
-
-
-def read_materialx(path: str | Path) -> ThinFilm:
-    """Read the first OpenPBR surface with a thin film.
-
-    Raises:
-        NacreError: not MaterialX, or a thin film is missing.
-    """
-    path = Path(path)
-    try:
-        if plain(path).stat().st_size > MAX_BYTES:
-            raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-        text = path.read_text(encoding="utf-8")
-        if "<!DOCTYPE" in text or "<!ENTITY" in text:
-            # entities can expand to gigabytes and are not part of MaterialX
-            raise NacreError(f"{path}: holds a document type declaration, which MaterialX does not use")
-        root = ET.fromstring(text)
-        for surface in root.iter("open_pbr_surface"):
-            inputs = {i.get("name"): i.get("value", "") for i in surface.findall("input")}
-            if float(inputs.get("thin_film_weight", "0")) <= 0:
-                continue
-            red, green, blue = (float(c) for c in inputs.get("base_color", "0.8, 0.8, 0.8").split(","))
-            metal, clear = (float(inputs.get(key, "0")) for key in ("base_metalness", "transmission_weight"))
-            not_read = sorted(str(name) for name in inputs if name not in OPENPBR_READ)
-            if metal < 0.5 and clear <= 0 and float(inputs.get("base_weight", "1")) > 0:
-                not_read.insert(0, "base_color")  # scattering below a dielectric surface
-            return ThinFilm(
-                thickness_nm=1000 * float(inputs.get("thin_film_thickness", "0.5")),
-                film_ior=float(inputs.get("thin_film_ior", "1.4")),
-                base_rgb=(red, green, blue),
-                base_ior=float(inputs.get("specular_ior", "1.5")),
-                is_metal=metal >= 0.5,
-                roughness=float(inputs.get("specular_roughness", "0.3")) ** 2,
-                transmits=clear > 0,
-                not_read=tuple(not_read),
-            )
-    except OSError as error:
-        raise NacreError(f"{path}: {why_unreadable(error)}") from None
-    except (ET.ParseError, ValueError, UnicodeDecodeError):
-        raise NacreError(f"{path}: is not a MaterialX document, or is damaged") from None
-    raise NacreError(f"{path}: no open_pbr_surface has a thin film")

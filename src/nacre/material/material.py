@@ -27,11 +27,21 @@ from nacre.core.disk_cache import cached
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import DESIGN_RECIPE, named, read_text, short_name
 from nacre.core.memory import check_memory
-from nacre.families.contract import ExcessEnergy, ExpensiveMethod, Model, Polarising, Traits, figure_data, values_at
+from nacre.families.contract import (
+    ExcessEnergy,
+    ExpensiveMethod,
+    Model,
+    Polarised,
+    Polarising,
+    Traits,
+    figure_data,
+    values_at,
+)
 from nacre.families.registry import family_spec
 from nacre.material.examples import resolve_recipe_path
 from nacre.material.parametrise import Parametrisation
 from nacre.material.spatial_variation import Varying
+from nacre.matter.indices.library import lone_axes
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.recipe.fingerprint import file_digest, fingerprint
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
@@ -47,7 +57,7 @@ MAX_EXCESS = 1e-3  # relative to the incident light; larger sums of reflectance 
 MAX_NESTED_RECIPES = 8
 BYTES_PER_VALUE = 160  # per angle and wavelength: amplitudes and powers of two polarisations, and the stored parts
 MANY_ANGLES = 1000  # from here on the memory of the material's own wavelengths is checked
-POLARISATIONS = ("s", "p", "both")
+POLARISATIONS = ("s", "p", "both", "left", "right", "mueller")
 STUDY_TABLES = ("fit", "tolerance", "ties", "instrument")  # of fits and tolerances; they do not change the optics
 
 
@@ -121,7 +131,10 @@ class Material:
         if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
             return self.model.bsdf(grid)  # solved already, or part of another material, which is cached as a whole
         key = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
-        return cached(key, lambda: self.model.bsdf(grid), Bsdf.load, _save_unpacked if keep else _discard)
+        found = cached(key, lambda: self.model.bsdf(grid), Bsdf.load, _save_unpacked if keep else _discard)
+        for warning in found.provenance.get("warnings", ()):
+            _warn_once(self.context.source, warning)
+        return found
 
     def values_at(
         self, wi: Array, wo: Array, wavelengths_nm: Array | None = None
@@ -150,6 +163,7 @@ class Material:
         polarisation: str = "both",
         *,
         seed: int = 0,
+        azimuth_deg: float = 0.0,
     ) -> Spectrum:
         """Return reflectance and transmittance, specular and diffuse, each `[angle, wavelength]`.
 
@@ -159,8 +173,10 @@ class Material:
         Args:
             theta_rad: incidence angles in the ambient medium, in [0, pi/2].
             wavelengths_nm: vacuum wavelengths; default: chosen by the material.
-            polarisation: "s", "p" or "both" (unpolarised).
+            polarisation: "s", "p", "both" (unpolarised), "left" or "right" (circular), or "mueller": unpolarised, with
+                Mueller matrices.
             seed: seed of a random walk; another seed gives independent noise.
+            azimuth_deg: azimuth of the direction towards the light, from u.
 
         Raises:
             UnsupportedError: the material has no such spectrum, or a formula uses x, y or z, which exist in pictures.
@@ -176,7 +192,7 @@ class Material:
             count = len(np.atleast_1d(self.model.wavelengths_nm if grid is None else grid))
             what = f"a spectrum of {len(theta)} angles x {count} wavelengths"
             check_memory(float(BYTES_PER_VALUE) * len(theta) * count, what)
-        found = self.model.spectrum(theta, grid, polarisation, seed)
+        found = self._solved_spectrum(theta, grid, polarisation, seed, azimuth_deg)
         if found is None:
             if polarisation != "both":
                 traits = self.model.traits
@@ -184,6 +200,17 @@ class Material:
             found = bsdf_spectrum(self._solved(grid), theta, seed=seed)
         self._warn_of_excess(found)
         return found
+
+    def _solved_spectrum(
+        self, theta: Array, grid: Array | None, polarisation: str, seed: int, azimuth_deg: float
+    ) -> Spectrum | None:
+        if azimuth_deg == 0.0 and polarisation in ("s", "p", "both"):
+            return self.model.spectrum(theta, grid, polarisation, seed)
+        if isinstance(self.model, Polarised):
+            return self.model.polarised_spectrum(theta, grid, polarisation, float(np.radians(azimuth_deg)))
+        noun = self.model.traits.noun
+        what = f'polarisation = "{polarisation}"' if azimuth_deg == 0.0 else f"azimuth_deg = {azimuth_deg:g}"
+        raise UnsupportedError(f"{self.context.source}: {what} is not known for a {noun}")
 
     def _warn_of_excess(self, spectrum: Spectrum) -> None:
         """Log a warning if a model or data that permit it give more light than arrives."""
@@ -463,6 +490,8 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
     """
     data = plain_data(data, context.source)
     spec, context = read_recipe(data, context)
+    for remark in lone_axes(data):
+        _warn_once(context.source, remark)
     if spec is not None:
         return Material(spec.build(context), data, context)  # type: ignore[attr-defined]  # of every family
     numbers = varying_numbers(data, family_spec(data.get("family"), context.source).varies_by_nodes)

@@ -1,10 +1,14 @@
 from .indices.constant import OpticalConstant as OpticalConstant
+from .indices.crystal import AnisotropicConstant as AnisotropicConstant
 from .indices.library import index as index
 from .stack.inputs import Amplitudes as Amplitudes
 from .stack.inputs import Powers as Powers
 from .stack.inputs import Response as Response
+from .stack.polarised import Helix as Helix
+from .stack.polarised import PolarisedResponse as PolarisedResponse
 from .stack.solve import amplitudes as amplitudes
 from .stack.solve import powers as powers
 from .stack.solve import solve as solve
 from .stack.stack import Layer as Layer
 from .stack.stack import Stack as Stack
+from .stack.stack import jones as jones

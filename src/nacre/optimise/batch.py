@@ -97,7 +97,8 @@ def design_batch(
     """As `many`, with table rows. After an interrupt the folder contains the finished designs."""
     task = _read(target)
     light = task.spec.light
-    rows = read_colours(labs, len(task.targets), (light.illuminants[0], light.observer))
+    geometries = [str(one.geometry) for one in task.targets]
+    rows = read_colours(labs, len(task.targets), (light.illuminants[0], light.observer), geometries)
     tasks = [
         replace(task, targets=tuple(one.with_lab(lab) for one, lab in zip(task.targets, row.lab, strict=True)))
         for row in rows

@@ -16,16 +16,23 @@ import numpy as np
 from nacre.core.arrays import Array, floats
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import named, plain, why_unreadable
+from nacre.light import lch_to_lab
 from nacre.optimise.targets import plausible
 from nacre.readers.colours.lab import named_lab
+from nacre.readers.columns import knows
+from nacre.readers.headings import Meaning, meanings
+from nacre.readers.measurement import Measurement
 from nacre.readers.registry import POSSIBLE, open_file, recognise
-from nacre.recipe.delimited_text import decoded
+from nacre.readers.table import srgb_of_hex
+from nacre.readers.text_table import TextTable, decode, find_delimiter, parse_tables, split
+from nacre.readers.text_table import number as number_of
 from nacre.recipe.model import show_value
 
 logger = logging.getLogger("nacre")
 MAX_ROWS, MAX_BYTES = 100_000, 64 << 20
-NAMES = ("name", "names", "sample", "sample_name", "standard", "id", "colour", "color")
-_COLUMN = re.compile(r"(?:cie)?(?:lab)?([lab])(?:star)?(\d*)")
+DEFAULT_LIGHT = ("D65", "2deg")
+FORMS = ({"L", "a", "b"}, {"L", "C", "hue"}, {"X", "Y", "Z"}, {"hex"})
+COORDINATES = ("L", "a", "b", "C", "hue", "X", "Y", "Z", "hex", "hunter_L", "hunter_a", "hunter_b")
 
 
 @dataclass(frozen=True)
@@ -41,20 +48,25 @@ class ColourRow:
     lab: Array
 
 
-def read_colours(labs: Any, targets: int, light: tuple[str, str] = ("D65", "2deg")) -> list[ColourRow]:
+def read_colours(
+    labs: Any, targets: int, light: tuple[str, str] | None = None, geometries: Sequence[str] = ()
+) -> list[ColourRow]:
     """Return target colours from a file, or from an array `[n, 3]` or `[n, target, 3]`.
 
     Colour lists of other programs (CGATS, CxF, swatches, palettes) and tables of reflectance spectra are recognised by
     their content; their L*a*b* are computed for, or adapted to, `light`, and a warning says how.
 
     A file row contains L*, a*, b*, optionally after a name; for several targets, one colour for
-    all or as many triples. A heading may name the columns (`Name;L*;a*;b*`, and `L1`, `a1` ... of several
-    targets); other columns are then ignored. Delimiters are semicolons, tabs, commas or blanks; unless the comma is
+    all or as many triples. A heading may name the columns: L*, a*, b*, or L, C, h, or X, Y, Z (of white: Y = 100), or
+    hex, with lamp and observer (`L*(D50/2deg)`), for several targets with their angles (`L*(15 deg)`) or numbers (`L1`,
+    `a1`, ...). An unknown heading is an error. Delimiters are semicolons, tabs, commas or blanks; unless the comma is
     the delimiter, it may be the decimal point.
 
     Args:
         targets: target count.
-        light: illuminant and observer of the targets.
+        light: illuminant and observer of the targets; other ones in headings are adapted by Bradford's transform, and
+            a warning says so. Default: those of the headings.
+        geometries: of the targets, "specular 15"; colours at several angles are assigned by them.
 
     Raises:
         RecipeError: an entry is not a colour; with its line.
@@ -62,7 +74,7 @@ def read_colours(labs: Any, targets: int, light: tuple[str, str] = ("D65", "2deg
     """
     if isinstance(labs, str | Path):
         path = named(labs)
-        return _recognised_rows(path, targets, light) or _file_rows(path, targets)
+        return _recognised_rows(path, targets, light or DEFAULT_LIGHT) or _file_rows(path, targets, light, geometries)
     found = floats(labs, "labs")
     if found.size == 0 and found.shape[:1] == (0,):
         return []
@@ -97,7 +109,7 @@ def _recognised_rows(path: Path, targets: int, light: tuple[str, str]) -> list[C
     return [ColourRow(name, np.repeat(colour[None], targets, axis=0)) for name, colour in zip(names, lab, strict=True)]
 
 
-def _file_rows(path: Path, targets: int) -> list[ColourRow]:
+def _file_rows(path: Path, targets: int, light: tuple[str, str] | None, geometries: Sequence[str]) -> list[ColourRow]:
     try:
         with plain(path).open("rb") as file:
             data = file.read(MAX_BYTES + 1)
@@ -106,24 +118,161 @@ def _file_rows(path: Path, targets: int) -> list[ColourRow]:
     if len(data) > MAX_BYTES:
         raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
     try:
-        lines = list(_cells(decoded(data)))
+        text = decode(data)
+        table = _headed(path, text)
+        lines = [] if table is not None else list(_cells(text))
     except (UnicodeDecodeError, csv.Error):
         raise NacreError(f"{path}: is not a CSV of L, a, b") from None
-    columns = None
+    count = len(lines) if table is None else len(table.rows)
+    if count > MAX_ROWS:
+        raise NacreError(f"{path}: contains {count} rows; at most {MAX_ROWS} are allowed")
+    if table is not None:
+        return _rows_of_table(table, targets, light, geometries)
     if lines and not any(_number(cell) is not None for cell in lines[0][1]):
         number, heading = lines.pop(0)
-        columns = _columns(heading, targets, f"{path}: line {number}")
+        if lines or not _names_colours(heading):
+            where = f"{path}: line {number}"
+            raise RecipeError(f"{where}: heading {show_value(', '.join(heading))} does not name L, a, b")
     if not lines:
         raise NacreError(f"{path}: contains no colours; write one per line: L, a, b, or name, L, a, b")
-    if len(lines) > MAX_ROWS:
-        raise NacreError(f"{path}: contains {len(lines)} rows; at most {MAX_ROWS} are allowed")
-    return [_row(cells, columns, targets, f"{path}: line {number}") for number, cells in lines]
+    return [_row(cells, targets, f"{path}: line {number}") for number, cells in lines]
+
+
+def _names_colours(heading: Sequence[str]) -> bool:
+    return any(meaning.quantity in COORDINATES for cell in heading for meaning in meanings(cell))
+
+
+def _headed(path: Path, text: str) -> TextTable | None:
+    """Return the table of a list with headings; None without."""
+    first = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
+    if any(_number(cell) is not None for cell in split(first, find_delimiter(text.splitlines()))):
+        return None
+    tables = parse_tables(text, path, knows).tables
+    return tables[0] if tables and tables[0].headings else None
+
+
+def _rows_of_table(
+    table: TextTable, targets: int, light: tuple[str, str] | None, geometries: Sequence[str]
+) -> list[ColourRow]:
+    """Return the colours of a table with headings: L*a*b*, LCh, XYZ or hex, once or for each target."""
+    name, groups = _groups(table)
+    groups = _for_targets(table, groups, targets, geometries)
+    names = table.column_text(name) if name is not None else [""] * len(table.rows)
+    labs = []
+    for group in groups:
+        measurement = _measurement(table, group, names, light)
+        _, lab, said = named_lab(table.path, [measurement], *(light or _light_of(measurement)))
+        if said:
+            logger.warning("%s: %s", table.path, "; ".join(said))
+        for line, colour in zip(table.lines, lab, strict=True):
+            plausible(colour, f"{table.path}: line {line}", colour.round(6).tolist())
+        labs.append(lab)
+    stacked = np.stack(labs if len(labs) == targets else labs * targets, axis=1)
+    return [ColourRow(one, lab) for one, lab in zip(names, stacked, strict=True)]
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Columns of one colour: place by quantity, and what the headings say of all of them."""
+
+    places: dict[str, int]
+    meaning: Meaning
+
+
+def _groups(table: TextTable) -> tuple[int | None, list[_Group]]:
+    """Return the column of names and the columns of each colour.
+
+    Raises:
+        RecipeError: headings that are not known, stand twice, or name no colour.
+    """
+    where = f"{table.path}: line {table.heading_line}"
+    found: dict[tuple[float | None, int | None, str], dict[str, tuple[int, Meaning]]] = {}
+    name: int | None = None
+    unused, unknown = [], []
+    for place, heading in enumerate(table.headings):
+        each = meanings(heading, table.units[place])
+        colour = next((meaning for meaning in each if meaning.quantity in COORDINATES), None)
+        if colour is None:
+            if any(meaning.quantity == "name" for meaning in each) or (place == 0 and not table.is_numeric(0)):
+                name = place if name is None else name
+            else:
+                (unused if each or not heading else unknown).append(heading)
+            continue
+        group = found.setdefault((colour.angle_deg, colour.number, colour.mode), {})
+        if colour.quantity in group:
+            raise RecipeError(f"{where}: {show_value(heading)} stands twice; name the angle of each, as in L*(15 deg)")
+        group[colour.quantity] = (place, colour)
+    groups = [_Group({q: place for q, (place, _) in group.items()}, next(iter(group.values()))[1])
+              for group in found.values() if any(form <= set(group) for form in FORMS)]  # fmt: skip
+    if not groups or len(groups) < len(found):
+        shown = show_value(", ".join(table.headings))
+        more = "; Hunter Lab is not read" if any("hunter" in q for group in found.values() for q in group) else ""
+        raise RecipeError(f"{where}: heading {shown} does not name L, a, b (or L, C, h; X, Y, Z; hex){more}")
+    if unknown:
+        raise RecipeError(f"{where}: {show_value(', '.join(unknown))} is no known column; delete it or name it")
+    if unused:
+        logger.warning("%s: not used: %s", table.path, ", ".join(unused))
+    return name, groups
+
+
+def _for_targets(table: TextTable, groups: list[_Group], targets: int, geometries: Sequence[str]) -> list[_Group]:
+    """Return one colour for all targets, or one per target: by their angles, else in the order of the columns."""
+    if len(groups) not in (1, targets):
+        raise RecipeError(
+            f"{table.path}: line {table.heading_line}: holds {len(groups)} colours a row for {targets} targets: "
+            f"{show_value(', '.join(table.headings))}"
+        )
+    angles = [group.meaning.angle_deg for group in groups]
+    if len(groups) == 1 or None in angles:
+        return groups
+    wanted = [float(found[0]) if (found := re.findall(r"-?\d+(?:\.\d+)?", each)) else math.nan for each in geometries]
+    if sorted(wanted) == sorted(float(angle) for angle in angles if angle is not None):
+        return [groups[angles.index(angle)] for angle in wanted]
+    logger.warning("%s: the colours at %s degrees are taken for the targets in this order", table.path, angles)
+    return groups
+
+
+def _light_of(measurement: Measurement) -> tuple[str, str]:
+    return measurement.metadata["illuminant"], measurement.metadata["observer"]
+
+
+def _measurement(table: TextTable, group: _Group, names: list[str], light: tuple[str, str] | None) -> Measurement:
+    """Return the colours of one group; lamp and observer are the target's unless a heading states others."""
+    light = light or DEFAULT_LIGHT
+    observer = f"{group.meaning.observer}deg" if group.meaning.observer else light[1]
+    metadata = {"illuminant": group.meaning.illuminant or light[0], "observer": observer, "names": names}
+    data: dict[str, Array] = {}
+    if "hex" in group.places:
+        cells = table.column_text(group.places["hex"])
+        data["srgb"] = np.array([srgb_of_hex(table.path, cell) for cell in cells])
+        return Measurement(table.path, "table", "colours", data, "", metadata)
+    columns = {quantity: _column(table, place) for quantity, place in group.places.items()}
+    if "C" in columns and "a" not in columns:
+        lab = np.asarray(lch_to_lab(np.stack([columns["L"], columns["C"], columns["hue"]], axis=-1)))
+        columns = {"L": lab[:, 0], "a": lab[:, 1], "b": lab[:, 2]}
+    keep = "Lab" if "a" in columns else "XYZ"
+    return Measurement(table.path, "table", "colours", {letter: columns[letter] for letter in keep}, "", metadata)
+
+
+def _column(table: TextTable, place: int) -> Array:
+    found = []
+    for row, line in zip(table.rows, table.lines, strict=True):
+        value = number_of(row[place], table.decimal, table.grouping)
+        if row[place] == "":
+            filled = sum(bool(cell) for cell in row)
+            said = show_value(", ".join(cell for cell in row if cell))
+            rule = f"has {filled} cells, fewer than the heading needs for L, a, b"
+            raise RecipeError(f"{table.path}: line {line}: {said} {rule}")
+        if value is None or not math.isfinite(value):
+            raise RecipeError(f"{table.path}: line {line}: {show_value(row[place])} is not a number")
+        found.append(value)
+    return np.array(found)
 
 
 def _cells(text: str) -> Iterator[tuple[int, list[str]]]:
     """Yield line number and cells for each line that is neither empty nor a comment."""
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
-    lines = [(number, line) for number, line in lines if line and line[0] != "#"]
+    lines = [(number, line) for number, line in lines if line and (line[0] != "#" or _is_named_row(line))]
     mark = next((mark for mark in ";\t," if any(mark in line for _, line in lines)), None)
     for number, line in lines:
         cells = [cell.strip() for cell in next(csv.reader([line], delimiter=mark or " ", skipinitialspace=True))]
@@ -135,6 +284,12 @@ def _cells(text: str) -> Iterator[tuple[int, list[str]]]:
             cells.pop()
         if cells:
             yield number, cells
+
+
+def _is_named_row(line: str) -> bool:
+    """Whether a line is a colour whose name starts with #, as "#1;52;-30;28", and no remark."""
+    cells = [_with_point(cell.strip()) for cell in split(line, find_delimiter([line]))]
+    return len(cells) > 3 and line[1:2].strip() != "" and all(_number(cell) is not None for cell in cells[1:])
 
 
 def _with_name_joined(cells: list[str]) -> list[str]:
@@ -153,38 +308,14 @@ def _number(cell: str) -> float | None:
         return None
 
 
-def _columns(heading: Sequence[str], targets: int, where: str) -> tuple[int | None, list[int]]:
-    """Return the name column, if any, and the L, a, b columns, target by target."""
-    without = [re.split(r"[(\[]", cell.lower())[0] for cell in heading]  # lamp and observer
-    words = [re.sub(r"[^a-z0-9]+", "", cell) for cell in without]
-    found: dict[str, int] = {}
-    for place, word in enumerate(words):
-        match = _COLUMN.fullmatch(word)
-        if match:
-            found.setdefault(match[1] + match[2], place)
-    named_so = (place for place, cell in enumerate(heading) if cell.lower().replace(" ", "_") in NAMES)
-    name = next(named_so, None if 0 in found.values() else 0)
-    each = [f"{letter}{number}" for number in range(1, targets + 1) for letter in "lab"]
-    for keys in (list("lab"), each):
-        if all(key in found for key in keys):
-            return name, [found[key] for key in keys]
-    more = "" if targets == 1 else f", or L1, a1, b1 ... b{targets}, one triple per target"
-    raise RecipeError(f"{where}: heading {show_value(', '.join(heading))} does not name L, a, b{more}")
-
-
-def _row(cells: Sequence[str], columns: tuple[int | None, list[int]] | None, targets: int, where: str) -> ColourRow:
+def _row(cells: Sequence[str], targets: int, where: str) -> ColourRow:
+    """Return the colours of a row without headings."""
     given = show_value(", ".join(cells))
-    if columns is not None:
-        if max(columns[1]) >= len(cells):
-            raise RecipeError(f"{where}: {given} has {len(cells)} cells, fewer than the heading needs for L, a, b")
-        name = cells[columns[0]] if columns[0] is not None and columns[0] < len(cells) else ""
-        words = [cells[place] for place in columns[1]]
-    else:
-        has_name = len(cells) % 3 == 1
-        name, words = (cells[0] if has_name else ""), list(cells[has_name:])
-        if len(words) not in (3, 3 * targets):
-            form = "L, a, b, or name, L, a, b" + ("" if targets == 1 else f", or {targets} such triples")
-            raise RecipeError(f"{where}: {given} should hold {form}")
+    has_name = len(cells) % 3 == 1
+    name, words = (cells[0] if has_name else ""), list(cells[has_name:])
+    if len(words) not in (3, 3 * targets):
+        form = "L, a, b, or name, L, a, b" + ("" if targets == 1 else f", or {targets} such triples")
+        raise RecipeError(f"{where}: {given} should hold {form}")
     numbers = [_number(word) for word in words]
     for word, number in zip(words, numbers, strict=True):
         if number is None or not math.isfinite(number):

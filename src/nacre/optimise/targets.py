@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError, RecipeError, did_you_mean
-from nacre.core.files import plain
+from nacre.core.errors import RecipeError, did_you_mean
 from nacre.light import (
     ILLUMINANTS,
     OBSERVERS,
@@ -27,14 +27,17 @@ from nacre.measure.geometry import Geometry
 from nacre.optimise.image.files import read_picture
 from nacre.optimise.merit import MeritFunction, Operand
 from nacre.optimise.spec import COLOURS, RANGES, LightSpec, TargetEntry
-from nacre.recipe.delimited_text import decoded, rows, shares_over_nm
+from nacre.readers.curves import recipe_spectrum
 from nacre.recipe.model import RecipeContext, show_value
 
 GAP_STEPS = 3.0  # times a table's usual step: wider apart, two rows leave out what lies between them
-MOST_FACTOR = 1.1  # of a wanted spectrum: above it, it is in per cent
+VISIBLE_NM = (380.0, 780.0)
+NOISE_FACTOR = 0.05  # below 0: noise of a dark sample
+MOST_FACTOR = 10.0  # of a mirror beside a matt white; above it, a spectrum is in per cent
 MOST_LUMINANCE = 2.0  # of a mirror or a sum over directions, far above the 1 that it may have: it is counted to 100
 LEAST_NM, MOST_NM = 10.0, 1e5  # of a wanted spectrum: beyond, it is in another unit, or of another quantity
 MOST_LIGHTNESS, MOST_CHROMA = 500.0, 500.0  # lobes are brighter than white, but no number says so much
+logger = logging.getLogger("nacre")
 _HEX = re.compile(r"#([0-9a-fA-F]{6}|[0-9a-fA-F]{3})$")
 _BOUND = re.compile(r"\s*(>=|<=)\s*([-+]?[\d.]+)\s*$")
 
@@ -157,7 +160,12 @@ def check_light(light: LightSpec, context: RecipeContext) -> None:
 def _want(spec: TargetEntry, key: str, context: RecipeContext) -> Target:
     if spec.geometry is None:
         raise RecipeError(f"{key}.directions: a picture over directions needs heights in [parameters]")
-    at = Geometry.read(spec.geometry, f"{key}.geometry")
+    at = replace(Geometry.read(spec.geometry, f"{key}.geometry"), polarisation=spec.polarisation)
+    if at.polarisation != "both" and at.kind not in ("specular", "transmitted"):
+        raise RecipeError(
+            f'{key}.polarisation = "{at.polarisation}" has no effect on "{spec.geometry}"; only specular and '
+            "transmitted targets have a polarisation"
+        )
     asked = {name: getattr(spec, name) for name in (*COLOURS, *RANGES) if getattr(spec, name) is not None}
     asked = {name: list(value) if isinstance(value, tuple) else value for name, value in asked.items()}
     found: dict[str, Any] = {}
@@ -182,7 +190,7 @@ def _want(spec: TargetEntry, key: str, context: RecipeContext) -> Target:
     elif spec.image is not None:
         found["image"] = read_picture(context.path(spec.image), f"{key}.image = {show_value(spec.image)}")
     elif spec.spectrum is not None:
-        found["spectrum"] = _spectrum(spec.spectrum, f"{key}.spectrum", context)
+        found["spectrum"] = _spectrum(spec.spectrum, f"{key}.spectrum", at.kind, context)
     else:
         found["ranges"] = _ranges(spec, key)
     return Target(at, asked, spec.tolerance, spec.weight, key, **found)
@@ -228,37 +236,30 @@ def _ranges(spec: TargetEntry, key: str) -> dict[str, tuple[float | None, float 
     return found
 
 
-def _spectrum(name: str, where: str, context: RecipeContext) -> Array:
-    path = context.path(name)
+def _spectrum(name: str, where: str, kind: str, context: RecipeContext) -> Array:
+    """Return a target spectrum `[2, wavelength]`: nm and factors.
+
+    Args:
+        kind: of the geometry; light transmitted has a transmittance, other light a reflectance.
+    """
     said = f"{where} = {show_value(name)}"
-    try:
-        table = _read_table(path)
-    except FileNotFoundError:
-        raise RecipeError(f"{said} does not exist") from None
-    except (OSError, ValueError, NacreError) as error:
-        raise RecipeError(f"{said} cannot be read as CSV of nm, value: {' '.join(str(error).split())}") from None
-    if table.ndim == 2 and len(table) > 1 and table[0, 0] > table[-1, 0]:
-        table = table[::-1]  # as many instruments write it
-    if table.shape[1] != 2 or len(table) < 2 or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise RecipeError(f"{said} should hold two columns, ascending or descending nm and a factor from 0 to 1")
-    low, high = table[0, 0], table[-1, 0]
-    if not LEAST_NM <= low < high <= MOST_NM:
+    quantities = ("transmittance", "reflectance") if kind == "transmitted" else ("reflectance",)
+    table = recipe_spectrum(context, where.removeprefix(f"{context.source}: "), name, quantities)
+    nm, values = np.round(table[:, 0], 3), table[:, 1]  # wavelengths of THz or eV are rounded in files
+    low, high = float(nm[0]), float(nm[-1])
+    if len(nm) < 2 or not LEAST_NM <= low < high <= MOST_NM:
         raise RecipeError(
-            f"{said} holds wavelengths of {low:g} to {high:g}, which are no nm from {LEAST_NM:g} to {MOST_NM:g}; head "
+            f"{said} holds wavelengths of {low:g} to {high:g} nm, which are not from {LEAST_NM:g} to {MOST_NM:g}; head "
             'the column "um" or "angstrom" if it holds those'
         )
-    if table[:, 1].min() < 0 or table[:, 1].max() > MOST_FACTOR:
+    is_valid = (values >= -NOISE_FACTOR) & (values <= MOST_FACTOR)
+    visible = (nm >= VISIBLE_NM[0]) & (nm <= VISIBLE_NM[1])
+    if not is_valid.all() and visible.sum() > 1 and is_valid[visible].all():  # instruments are noisy at their ends
+        logger.warning("%s: values outside of 0 to 1 beyond %g-%g nm are left out", said, *VISIBLE_NM)
+        nm, values, is_valid = nm[visible], values[visible], is_valid[visible]
+    if not is_valid.all():
         raise RecipeError(f"{said} should hold factors from 0 to 1; head a column in per cent '%'")
-    return np.ascontiguousarray(table.T)
-
-
-def _read_table(path: Any) -> Array:
-    """Read two columns; a heading may name their units."""
-    lines = [cells for _, cells in rows(decoded(plain(path).read_bytes()))]
-    heading: list[str] = []
-    if lines and re.match(r"[A-Za-z_λ]", lines[0][0].strip()):
-        heading, lines = lines[0], lines[1:]
-    return shares_over_nm(heading, np.array([[float(word) for word in cells] for cells in lines], dtype=float))
+    return np.ascontiguousarray([nm, np.maximum(values, 0.0)])
 
 
 def _check_agreement(wants: Sequence[Target], light: LightSpec) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from nacre.bsdf import Bsdf
+from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import plain, why_unreadable
 from nacre.device.texture import ObjectFrame
@@ -34,6 +35,7 @@ COPIED_CAMERA_VALUES = (
     "aperture_radius",
     "focus_distance",
 )
+MAX_POINTS = 20_000  # of a subject, to find whether it is in the frame
 FARTHEST = 1e30  # larger distances squared overflow in single precision
 
 
@@ -101,6 +103,7 @@ class BuiltScene:
         content |= {f"light_{name}": emitter for name, emitter in light.emitters.items()}
         self.content = content
         self.frame = _object_frame(scene, turn_deg)
+        self.points = _thinned(np.concatenate([part.points() for part in parts])) if scene.keeps_whole else None
         self.mitsuba_scene = mi.load_dict(content)
         self._material: Any = None
         self._source: Any = None
@@ -140,7 +143,7 @@ class BuiltScene:
             NacreError: it would be below the floor.
         """
         place_view = self.scene.place_view if self.light.is_surrounding else None
-        return framing.of(place_view or self.scene.view, self.radius)
+        return framing.of(place_view or self.scene.view, self.radius, self.points, self.scene.size)
 
     def sensor(
         self,
@@ -173,6 +176,15 @@ class BuiltScene:
         )
 
 
+def _thinned(points: Array) -> Array:
+    """Return at most `MAX_POINTS` of the points `[N, 3]`, with the extremes along many directions."""
+    if len(points) <= MAX_POINTS:
+        return points
+    ends = np.random.default_rng(0).normal(size=(64, 3))
+    extremes = np.unique([np.argmax(points @ end) for end in ends])
+    return np.concatenate([points[extremes], points[:: -(-len(points) // MAX_POINTS)]])
+
+
 def _object_frame(scene: Scene, turn_deg: float) -> ObjectFrame:
     """Coordinates for formulas in x, y and z: the subject's bounding ball before its turn."""
     points = np.concatenate([part.points() for part in scene.parts() if part.material == SUBJECT])
@@ -181,8 +193,8 @@ def _object_frame(scene: Scene, turn_deg: float) -> ObjectFrame:
 
 
 def with_subject(scene: Scene, parts: Parts) -> Scene:
-    """Return a scene with another subject and without props."""
-    return replace(scene, parts=parts, props=list)
+    """Return a scene with another subject, which stays whole in the frame, and without props."""
+    return replace(scene, parts=parts, props=list, keeps_whole=True)
 
 
 class UserScene:
@@ -225,6 +237,8 @@ class UserScene:
         _check_extents(scene, path)
         self.objects = self.subjects
         self.has_media = any(shape.is_medium_transition() for shape in scene.shapes())
+        to_world = np.array(scene.sensors()[0].world_transform().matrix, dtype=float).reshape(4, 4)
+        self.up = tuple(to_world[:3, 1].tolist())  # of the picture
         size = scene.sensors()[0].film().size()
         self.size = (int(size[0]), int(size[1]))
         self._source: Any = None

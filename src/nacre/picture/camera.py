@@ -10,12 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.picture.shapes.mesh import rotation
 
 FOV_DEG = (1.0, 120.0)
 ZOOM = (0.05, 50.0)
 LOWEST_CAMERA = 0.05  # above the floor
+FRAME_SHARE = 0.94  # usable share of the frame
+FARTHEST = 16.0  # times the distance of the scene's camera
 
 Point = tuple[float, float, float]
 
@@ -80,6 +83,34 @@ class View:
         offset *= radius * math.sqrt(1.0 + apparent**-2) / float(np.linalg.norm(offset))
         return self._at(offset, fov_deg=fov_deg)
 
+    def holds(self, points: Array, size: tuple[int, int], share: float = FRAME_SHARE) -> bool:
+        """Return whether points `[N, 3]` lie in the central share of a frame with `size` (width, height)."""
+        origin = np.array(self.origin)
+        ahead = np.array(self.target) - origin
+        ahead /= np.linalg.norm(ahead)
+        right = np.cross(ahead, np.array(self.up))
+        right /= np.linalg.norm(right)
+        half_width = share * np.tan(np.radians(0.5 * self.fov_deg))
+        half_height = half_width * size[1] / size[0]
+        seen = points - origin
+        depth = seen @ ahead
+        across, along = np.abs(seen @ right), np.abs(seen @ np.cross(right, ahead))
+        return bool(
+            (depth > 0.1).all() and (across <= half_width * depth).all() and (along <= half_height * depth).all()
+        )
+
+    def backed_off(self, points: Array, size: tuple[int, int]) -> View:
+        """Move away from the target until the points lie in the frame; unchanged if they do."""
+        if self.holds(points, size):
+            return self
+        low, high = 1.0, 2.0
+        while not self._at(high * self._offset).holds(points, size) and high < FARTHEST:
+            low, high = high, 2 * high
+        for _ in range(24):
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if self._at(middle * self._offset).holds(points, size) else (middle, high)
+        return self._at(high * self._offset)
+
     def zoomed(self, zoom: float) -> View:
         """Magnify the picture from the same place."""
         half = math.tan(math.radians(0.5 * self.fov_deg)) / zoom
@@ -108,8 +139,14 @@ class Framing:
         """Camera turn, which the backdrop follows."""
         return 0.0 if self.direction_deg is None else self.direction_deg[0] % 360.0
 
-    def of(self, view: View, radius: float) -> View:
-        """Apply the changes to a camera; `radius` is the subject's, about the target.
+    def of(self, view: View, radius: float, points: Array | None = None, size: tuple[int, int] = (1, 1)) -> View:
+        """Apply the changes to a camera.
+
+        Args:
+            view: the camera.
+            radius: the subject's, about the target.
+            points: `[N, 3]`, to be in the frame of a changed direction before magnification; None: no condition.
+            size: picture size of the frame.
 
         Raises:
             NacreError: the camera would be below the floor.
@@ -118,6 +155,8 @@ class Framing:
             view = view.placed(*self.direction_deg)
         if self.fov_deg is not None:
             view = view.with_lens(self.fov_deg, radius)
+        if points is not None and self.direction_deg is not None:
+            view = view.backed_off(points, size)
         return view.zoomed(self.zoom) if self.zoom != 1.0 else view
 
 

@@ -17,8 +17,10 @@ from nacre.picture.camera import Framing, is_number, read_framing
 from nacre.picture.images import OPAQUE_SUFFIXES, STILL_SUFFIXES, Exposure, RenderResult, spoken_suffixes, toned
 from nacre.picture.lights.light_mixture import Lamp, read_lamps
 from nacre.picture.passes import Until
+from nacre.picture.polarisers import read_polariser
 
 COMPONENTS = ("sum", "specular", "diffuse")
+LAYERS = ("stokes",)
 QUALITIES = ("reference", "fast")
 MAX_SIDE = 16384
 MAX_PIXELS = 1 << 24
@@ -64,30 +66,35 @@ class Subject:
 
 @dataclass(frozen=True)
 class Camera:
-    """Camera position, field of view and picture size."""
+    """Camera position, field of view, picture size, and a polarising filter before it."""
 
     view: str | Sequence[float] | None = None
     fov: float | None = None
     zoom: float | None = None
     size: tuple[int, int] | str | None = None
     view_turn_deg: float = 0.0
+    polariser: str | float | None = None
     framing: Framing = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "framing", read_framing(self.view, self.fov, self.zoom))
+        object.__setattr__(self, "polariser", read_polariser(self.polariser, "polariser"))
 
 
 @dataclass(frozen=True)
 class Lighting:
-    """Lights, their white and their turn; `lamps` are read from `light`."""
+    """Lights, their white, turn and polarisation; `lamps` are read from `light`."""
 
     light: str | Sequence[str] | None = None
     light_layers: bool = False
     illuminant: str = "D65"
     light_turn_deg: float = 0.0
+    light_polarisation: str | float | None = None
     lamps: tuple[Lamp, ...] = field(init=False)
 
     def __post_init__(self) -> None:
+        polarisation = read_polariser(self.light_polarisation, "light_polarisation")
+        object.__setattr__(self, "light_polarisation", polarisation)
         object.__setattr__(self, "lamps", () if self.light is None else read_lamps(self.light))
 
 
@@ -133,14 +140,17 @@ class Tone:
 
 @dataclass(frozen=True)
 class Output:
-    """File, spectra and progress reports."""
+    """File, spectra, additional layers ("stokes") and progress reports."""
 
     output: str | Path | None = None
     spectral: bool | None = None
+    layers: str | None = None
     progress: bool | ProgressCallback | None = None
     on_better: Callable[[RenderResult], None] | None = None
 
     def __post_init__(self) -> None:
+        if self.layers is not None:
+            check_choice("layers", self.layers, LAYERS)
         if self.output is not None:
             path = Path(self.output)
             object.__setattr__(self, "output", path)
@@ -158,6 +168,12 @@ class RenderOptions:
     sampling: Sampling = field(default_factory=Sampling)
     tone: Tone = field(default_factory=Tone)
     output: Output = field(default_factory=Output)
+
+    @property
+    def is_polarised(self) -> bool:
+        """Whether the picture needs a polarised variant."""
+        kinds = (self.camera.polariser, self.lighting.light_polarisation, self.output.layers)
+        return any(each is not None for each in kinds)
 
     def __post_init__(self) -> None:
         if self.output.output is not None:

@@ -26,6 +26,7 @@ from nacre.picture.denoiser_aovs import AovSampling, aov_integrator, aov_samplin
 from nacre.picture.infinite_backdrop import with_infinite_backdrop
 from nacre.picture.paths import DRAWS, can_split, cut_out, make_paths, sees_objects
 from nacre.picture.plugin import mi
+from nacre.picture.polarisers import analysed
 from nacre.picture.samples import continued_sampler
 from nacre.picture.spectral import band_centres, band_film, bands_to_xyz, divided, wavelength_density
 from nacre.picture.tiling import Pass, TiledCamera
@@ -85,6 +86,7 @@ class RenderSettings:
         with_aovs: render denoiser AOVs.
         with_layers: render AOVs with more samples for display; the picture stays the same.
         is_framed: the frame differs from the scene's and may see past the backdrop's edge.
+        analyser: polarising filter before the camera, or Stokes component; see `polarisers.analyser`.
     """
 
     view: View | None
@@ -97,6 +99,7 @@ class RenderSettings:
     with_aovs: bool = False
     with_layers: bool = False
     is_framed: bool = False
+    analyser: str | float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +179,9 @@ class _Passes:
             is_boxed=settings.boxed and not settings.spectral,  # band films have a wide filter
         )
         integrator = _tracer(scene)
+        if settings.analyser is not None:
+            up = settings.view.up if settings.view is not None else scene.up
+            integrator = analysed(integrator, settings.analyser, up)
         if settings.cut:
             integrator = cut_out(integrator, scene.objects)
         elif settings.is_framed and scene.infinite_backdrop is not None:
@@ -385,7 +391,7 @@ def _tracer(scene: Any) -> Any:
     """Return our own integrator, or Mitsuba's for scalar variants and user scenes."""
     light = getattr(scene, "light", None)  # user scenes have their own lights, and perhaps media
     clear = lets_through(scene.mitsuba_scene)
-    if light is None or mi.variant().startswith("scalar"):
+    if light is None or mi.variant().startswith("scalar") or mi.is_polarized:
         return mi.load_dict(path_tracer(scene))
     shapes = [shape for shape in scene.mitsuba_scene.shapes() if shape.bsdf() is not None]
     bends = int(mi.BSDFFlags.DeltaTransmission | mi.BSDFFlags.GlossyTransmission)

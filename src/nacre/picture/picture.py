@@ -22,7 +22,7 @@ from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import check_writable, real
 from nacre.core.progress import ProgressCallback, progress_bar
-from nacre.device.variant import use_variant
+from nacre.device.variant import polarised_variant, use_variant
 from nacre.picture import interrupt
 from nacre.picture.denoise import clean_albedo, denoised, inapplicable_reason
 from nacre.picture.images import RenderResult, count_clipped, develop
@@ -41,6 +41,7 @@ from nacre.picture.options import (
 )
 from nacre.picture.passes import FIRST_HIT, Frame, RenderSettings, Until, pass_seed, path_tracer, render_passes
 from nacre.picture.plugin import mi
+from nacre.picture.polarisers import STOKES
 from nacre.picture.scenes.catalogue import scene as find_scene
 from nacre.recipe.fingerprint import file_stamp
 
@@ -95,6 +96,10 @@ def render(material: Any, scene: str = "sphere", **options: Any) -> RenderResult
         seed: sample seed; on one machine and variant pictures agree up to the threads' summation order (about
             1e-7).
         quality: "reference" (random walk) or "fast" (noise-free), for pearls.
+        polariser: filter before the camera: "left", "right" (circular), or the angle of a linear one's axis from the
+            horizontal in degrees; the picture is then rendered in a polarised variant, without denoising.
+        light_polarisation: the same for the light, whose radiance is unchanged; None: unpolarised.
+        layers: "stokes": also return the Stokes images S0 to S3, as layers in an .exr.
         components: "sum", "specular" (mirror and microfacet lobes) or "diffuse" (all others).
         denoise: remove grain; not applied to resolved glints and spectra. The raw picture is `raw` in the
             result and layer `raw` in an .exr.
@@ -129,6 +134,9 @@ def render_picture(material: Any, scene: str, options: RenderOptions) -> RenderR
     bsdf, notes = resolve_material(material, options.sampling.quality, options.sampling.components)
     if scene == "screen":
         result = _render_screen(bsdf, options, notes)
+    elif options.is_polarised:
+        with polarised_variant():
+            result = _Picture(bsdf, scene, options, notes, started).render()
     else:
         use_variant()
         result = _Picture(bsdf, scene, options, notes, started).render()
@@ -139,6 +147,10 @@ def _render_screen(bsdf: Any, options: RenderOptions, notes: Mapping[str, Any]) 
     from nacre.picture.screen import render_screen
 
     camera, lighting, tone = options.camera, options.lighting, options.tone
+    if options.is_polarised:
+        raise UnsupportedError(
+            "scene screen: shows unpolarised light; leave polariser, light polarisation and layers out"
+        )
     if camera.framing or options.subject.turn or not tone.behind.is_scene or lighting.light_layers:
         raise UnsupportedError(
             "scene screen: shows what a tile projects and has no camera; leave view, fov, zoom, turn, background "
@@ -172,7 +184,13 @@ class _Picture:
         width, height = check_size(camera.size) or check_size(default_size) or default_size
         self.scene.set_material(bsdf)
         self.raw_reason = (
-            "spectra are kept" if output.spectral else inapplicable_reason(bsdf) if sampling.denoise else "asked for"
+            "spectra are kept"
+            if output.spectral
+            else "polarised light"
+            if options.is_polarised
+            else inapplicable_reason(bsdf)
+            if sampling.denoise
+            else "asked for"
         )
         is_exr = output.output is not None and Path(output.output).suffix.lower() == ".exr"
         is_reshaped = width * default_size[1] != height * default_size[0]
@@ -184,14 +202,17 @@ class _Picture:
             bool(output.spectral),
             boxed=not self.raw_reason,
             cut=not options.tone.behind.is_scene,
-            with_aovs=not self.raw_reason or (is_exr and not output.spectral),
-            with_layers=is_exr,
+            with_aovs=not self.raw_reason or (is_exr and not output.spectral and not options.is_polarised),
+            with_layers=is_exr and not options.is_polarised,
+            analyser=("S0" if camera.polariser is None else camera.polariser) if options.is_polarised else None,
             is_framed=bool(camera.framing) or bool(camera.view_turn_deg) or is_reshaped,
         )
         self.clean_albedo: Any = None  # computed once
 
     def _user_scene(self) -> tuple[None, tuple[int, int]]:
         subject, lighting = self.options.subject, self.options.lighting
+        if lighting.light_polarisation is not None:
+            raise NacreError(f"scene {self.name}: a Mitsuba scene brings its own light; leave light_polarisation out")
         if subject != Subject() or lighting.light is not None or lighting.light_layers or self.options.camera.framing:
             raise NacreError(
                 f"scene {self.name}: a Mitsuba scene brings its own shapes, camera and light; leave shape, up, turn, "
@@ -218,6 +239,7 @@ class _Picture:
             lighting.light_turn_deg % 360.0,
             bool(getattr(self.bsdf, "transmits", False)),
             is_plain=not self.options.tone.behind.is_scene,
+            polarisation=lighting.light_polarisation,
         )
         self.scene = self.set_up.cached(self.lamps)
         self.white, self.light_note = self.scene.light.illuminant, self.scene.light.note
@@ -229,7 +251,17 @@ class _Picture:
             preview = None if on_better is None else lambda frame: on_better(self.result(frame))
             frame = render_passes(self.scene, self.settings, report, preview)
             alone = self._each_light(frame.spp, report) if self.options.lighting.light_layers else {}
+            if self.options.output.layers == "stokes":
+                frame = replace(frame, layers={**frame.layers, **self._stokes(frame.spp, report)})
         return self.result(frame, alone)
+
+    def _stokes(self, spp: int, report: ProgressCallback) -> dict[str, Any]:
+        """Return the XYZ of the Stokes components, from the same paths as the picture."""
+        found = {}
+        for name in STOKES:
+            settings = replace(self.settings, until=Until(spp), analyser=name)
+            found[name] = render_passes(self.scene, settings, report).xyz.astype(np.float32)
+        return found
 
     def _each_light(self, spp: int, report: ProgressCallback) -> dict[str, Any]:
         """Return each light's XYZ in the same scene; other seeds make their noise independent."""
@@ -272,7 +304,7 @@ class _Picture:
             tone.behind.colour,
             tone.tone,
             alone or {},
-            {name: (FIRST_HIT[name], values) for name, values in layers.items()},
+            {name: (FIRST_HIT.get(name, "XYZ"), values) for name, values in layers.items()},
         )
 
     def _stats(self, frame: Frame, is_denoised: bool) -> dict[str, Any]:
@@ -289,6 +321,8 @@ class _Picture:
             **({"noise": frame.noise} if frame.noise is not None else {}),
             "seed": self.settings.seed,
             "components": options.sampling.components,
+            **({"polariser": options.camera.polariser} if options.is_polarised else {}),
+            **({"light_polarisation": options.lighting.light_polarisation} if options.is_polarised else {}),
             "variant": mi.variant(),
             "not_finite_pixels": frame.not_finite,
             "interrupted": frame.is_interrupted,
@@ -355,6 +389,7 @@ class _SetUp:
     light_turn_deg: float
     clear: bool
     is_plain: bool
+    polarisation: str | float | None = None  # of the light
 
     def cached(self, lamps: tuple[Lamp, ...], among: tuple[Lamp, ...] | None = None) -> Any:
         """Return the built scene with its light turned, from the cache if possible.
@@ -387,6 +422,8 @@ class _SetUp:
         light = make_lights(lamps, self.illuminant, turn_deg)
         if among is not None:
             light = light.among(make_lights(among, self.illuminant, turn_deg))
+        if self.polarisation is not None:
+            light = light.polarised(self.polarisation)
         return BuiltScene(chosen, light, self.clear, self.subject.turn, self.backdrop_deg, self.is_plain)
 
 
@@ -444,4 +481,4 @@ def _component(bsdf: Bsdf, components: str) -> Bsdf:
     lobes = tuple(lobe for lobe in bsdf.lobes if (lobe.kind in MIRROR_KINDS) == is_specular)
     if not lobes:
         raise UnsupportedError(f"components = {components}: this material has no {components} part")
-    return Bsdf(lobes, bsdf.provenance)
+    return replace(bsdf, lobes=lobes)

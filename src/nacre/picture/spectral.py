@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from nacre.light import xyz_weights
 from nacre.light.tables import observer, table_wavelengths_nm
+from nacre.picture.lights.environment_plugin import unpolarised
 from nacre.picture.plugin import WrappedIntegrator, dr, make_plugin, mi
 
 FIRST_NM, LAST_NM = 360.0, 830.0
@@ -80,5 +81,6 @@ class Divided(WrappedIntegrator):
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.wavelengths = ray.wavelengths
         response = self.response.eval(si, active)
-        # rounding may put a wavelength beyond the last one
-        return dr.select(response > 0.0, light / response, 0.0), is_valid, rest
+        # rounding may put a wavelength beyond the last one; the film takes the intensity of polarised light
+        value = light[0, 0] if mi.is_polarized else light
+        return unpolarised(dr.select(response > 0.0, value / response, 0.0)), is_valid, rest

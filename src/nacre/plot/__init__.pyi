@@ -5,6 +5,8 @@ from .directions import bsdf_slice_figure as bsdf_slice_figure
 from .directions import lobe_figure as lobe_figure
 from .directions import scattering_figure as scattering_figure
 from .directions import slice_figure as slice_figure
+from .fits import FitPanel as FitPanel
+from .fits import fit_panels_figure as fit_panels_figure
 from .material import KINDS as KINDS
 from .material import data_figure as data_figure
 from .material import material_figure as material_figure

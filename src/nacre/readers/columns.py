@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from nacre.core.errors import NacreError
-from nacre.readers.headings import SPECTRAL_QUANTITIES, Meaning, meanings, mentions, polarisation_word
+from nacre.readers.headings import DIMENSIONS, SPECTRAL_QUANTITIES, Meaning, meanings, mentions, polarisation_word
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
 from nacre.readers.text_table import TableFile, TextTable, parse_tables, read_tables
 from nacre.readers.units import (
@@ -257,6 +257,8 @@ def interpret(
             continue
         unit = table.units[i]
         told = (Meaning("spectral", unit),) if name == "spectral" else meanings(name, unit)
+        if not told and options.assumed_quantity is not None and parse_unit(name) == "%":
+            told = (Meaning(options.assumed_quantity, "%"),)
         if told == (Meaning("", told[0].unit, is_error=True),) if told else False:
             told = (replace(before, is_error=True, unit=told[0].unit or before.unit),) if before is not None else ()
         if not told:
@@ -266,6 +268,7 @@ def interpret(
                 unknown.append(headings[i] or f"column {i + 1}")
             continue
         chosen = [meaning for meaning in told if meaning.quantity in wanted or meaning.quantity == "spectral"]
+        chosen = chosen or _of_bare_unit(name, wanted)
         if len(chosen) > 1:
             kinds = " or ".join(sorted({meaning.quantity for meaning in chosen}))
             raise AmbiguousFileError(
@@ -281,6 +284,15 @@ def interpret(
         raise _unknown_error(table, unknown, is_all=len(unknown) == len(names))
     _check_twice(result)
     return result
+
+
+def _of_bare_unit(name: str, wanted: Collection[str]) -> list[Meaning]:
+    """Return the only wanted quantity of the dimension of a heading that is a unit, such as "nm"."""
+    unit = parse_unit(name)
+    if unit is None:
+        return []
+    fitting = [quantity for quantity in wanted if DIMENSIONS.get(quantity) == UNITS[unit][0]]
+    return [Meaning(fitting[0], unit)] if len(fitting) == 1 else []
 
 
 def _add(result: Columns, table: TextTable, index: int, heading: str, meaning: Meaning) -> None:
@@ -345,11 +357,8 @@ def _ignored(table: TextTable, headings: list[str], options: ReadOptions) -> tup
 
 
 def _is_row_number(table: TextTable, index: int, name: str) -> bool:
-    """Whether a column without a heading counts the rows, as data frames are written."""
-    if name or index:
-        return False
-    cells = table.column_text(index)
-    return cells in ([str(i) for i in range(len(cells))], [str(i + 1) for i in range(len(cells))])
+    """Whether a first column without a heading holds whole numbers, as data frames and ImageJ count rows."""
+    return not name.strip() and index == 0 and all(cell.strip().isdigit() for cell in table.column_text(index))
 
 
 def _unknown_error(table: TextTable, unknown: list[str], is_all: bool) -> NacreError:
@@ -436,7 +445,7 @@ def sorted_by_wavelength(path: Path, nm: Floats, values: Mapping[str, Floats]) -
         if differs.size:
             i = int(differs[0])
             raise NacreError(
-                f"{path}: {nm[i]:.6g} nm stands twice, with {name} = {column[i]:g} and {column[i + 1]:g}; "
+                f"{path}: {nm[i]:.6g} nm is given twice, with {name} = {column[i]:g} and {column[i + 1]:g}; "
                 "delete one row"
             )
     keep = np.ones(len(nm), dtype=bool)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from nacre.readers.units import UNITS, normal, parse_unit
 
-_DIMENSIONS = {
+DIMENSIONS = {
     "wavelength": "length",
     "energy": "energy",
     "wavenumber": "wavenumber",
@@ -123,6 +123,10 @@ WORDS: dict[str, str] = {
     "nombre nome farbe patch patchname colourname colorname material specimen title swatch code muster",
     "row_number": "no nr number index idx row point particle id num count zeile lfdnr lfd step seq sequence line "
     "rank particleid pointid punkt numero n° nº item i # label pixel pixelnumber",
+    "area": "area flache surfacearea perimeter perim circ circularity solidity roundness round aspectratio ar major "
+    "minor feret feretangle minferet median skew kurt intden rawintden",
+    "gloss": "gloss glanz gloss60 gu haze de deltae de00 de2000 decmc whiteness opacity comment remark note bemerkung "
+    "date datum zeit timestamp",
     "x": "x xm xc xpos xposition posx positionx xcoord xcoordinate coordx xcentre xcenter centrex centerx xcentroid "
     "centroidx xkoordinate xloc xmean xo",
     "y": "y ym yc ypos yposition posy positiony ycoord ycoordinate coordy ycentre ycenter centrey centery ycentroid "
@@ -224,8 +228,8 @@ for _name, _words in WORDS.items():
         _OF_ALL_WORDS[_word] = (*_OF_ALL_WORDS.get(_word, ()), _name)
 ILLUMINANT_WORDS = {
     "a": "A", "b": "B", "c": "C", "d50": "D50", "d55": "D55", "d60": "D60", "d65": "D65", "d75": "D75", "e": "E",
-    "f2": "FL2", "fl2": "FL2", "f7": "FL7", "fl7": "FL7", "f11": "FL11", "fl11": "FL11", "tl84": "FL11", "cwf": "FL2",
-    "cwf2": "FL2", "ill.a": "A", "illa": "A", "f12": "FL12", "fl12": "FL12", "fl1": "FL1", "f1": "FL1",
+    "f2": "F2", "fl2": "F2", "f7": "F7", "fl7": "F7", "f11": "F11", "fl11": "F11", "tl84": "F11", "cwf": "F2",
+    "cwf2": "F2", "ill.a": "A", "illa": "A", "f12": "F12", "fl12": "F12", "fl1": "F1", "f1": "F1",
 }  # fmt: skip
 
 
@@ -550,7 +554,7 @@ def _checked(found: tuple[Meaning, ...]) -> tuple[Meaning, ...]:
                 meaning = replace(meaning, quantity=f"hunter_{meaning.quantity}", mode="")
             if meaning.unit == "angstrom":
                 meaning = replace(meaning, unit="", illuminant="A")
-        wanted = _DIMENSIONS.get(meaning.quantity)
+        wanted = DIMENSIONS.get(meaning.quantity)
         unit = meaning.unit
         if unit and unit != "1" and wanted != UNITS[unit][0]:
             told = _of_other_dimension(meaning)
@@ -569,13 +573,13 @@ def _of_other_dimension(meaning: Meaning) -> Meaning | None:
     """Return the meaning of a symbol whose unit decides: ω in eV, x in pixels, counts, R in per cent."""
     name, unit = meaning.quantity, meaning.unit
     kind = UNITS[unit][0]
-    if name in _DIMENSIONS and kind == "pixels" and name in ("x", "y", "radius", "diameter", "z"):
+    if name in DIMENSIONS and kind == "pixels" and name in ("x", "y", "radius", "diameter", "z"):
         return meaning
     if name in ("angular_frequency", "frequency") and kind == "energy":
         return replace(meaning, quantity="energy")
     if name == "frequency" and kind == "wavenumber":
         return replace(meaning, quantity="wavenumber")
-    if name in _DIMENSIONS:
+    if name in DIMENSIONS:
         return None
     if kind == "number":
         return meaning
@@ -609,3 +613,19 @@ def mentions(text: str) -> set[str]:
         elif len(word) > 1 or word in "ελΨΔψ":
             found.update(name for name in _lookup(word) if name in _TELLING)
     return found
+
+
+def stated_unit(heading: str) -> str:
+    """Return the canonical unit that a heading of any quantity states; "" if there is none.
+
+    Example:
+        >>> stated_unit("oxide_nm"), stated_unit("Oxide (um)"), stated_unit("volts")
+        ('nm', 'um', '')
+    """
+    text = normal(heading)
+    for content in _BRACKET.findall(text):
+        unit = parse_unit(content)
+        if unit:
+            return unit
+    match = _SUFFIX_UNIT.fullmatch(text)
+    return (parse_unit(match[2]) if match else None) or ""

@@ -58,6 +58,7 @@ class ReadOptions:
         ignore: headings of columns to ignore.
         format: identifier in `registry.FORMATS`; recognised from the content by default.
         expects: kind that the caller needs; decides the columns of a table without headings.
+        assumed_quantity: quantity of a table of two columns without headings, which the caller's key states.
     """
 
     quantity: str | None = None
@@ -71,6 +72,7 @@ class ReadOptions:
     ignore: tuple[str, ...] = ()
     format: str | None = None
     expects: Kind | None = None
+    assumed_quantity: str | None = None
 
 
 class AmbiguousFileError(NacreError):

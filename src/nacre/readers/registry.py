@@ -2,58 +2,32 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from xml.etree.ElementTree import ParseError
 
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import named, plain, why_unreadable
+from nacre.readers.file_head import FileHead as FileHead
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
+from nacre.readers.unknown import unknown_file
 
 HEAD_BYTES = 65536
 MAX_BYTES = 2 << 30
 CERTAIN = 1.0  # a magic number or an unmistakable first line
 LIKELY = 0.6  # typical keys
 POSSIBLE = 0.2  # any table of numbers
+CUT = "the file ends inside its last line, which may be cut"
 _DAMAGE = (
     ValueError, LookupError, ArithmeticError, EOFError, TypeError, struct.error, zlib.error, zipfile.BadZipFile,
     ParseError, NotImplementedError,
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class FileHead:
-    """The beginning of a file, from which a format is recognised."""
-
-    path: Path
-    data: bytes
-    size: int
-
-    @cached_property
-    def text(self) -> str:
-        """Text of the head; UTF-16 with a mark is decoded, other bytes that are no UTF-8 become U+FFFD."""
-        encoding = "utf-16" if self.data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-        return self.data.decode(encoding, errors="replace")
-
-    @cached_property
-    def lines(self) -> list[str]:
-        """Lines of the text."""
-        return self.text.splitlines()
-
-    @cached_property
-    def is_text(self) -> bool:
-        """Whether the head is text: few control characters."""
-        if self.data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-            return True
-        sample = self.data[:4096]
-        controls = sum(byte < 9 or 13 < byte < 32 for byte in sample.replace(b"\0", b""))
-        return sample.count(0) <= 0.1 * len(sample) and controls <= 0.02 * len(sample)
 
 
 @dataclass(frozen=True)
@@ -120,15 +94,23 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format("icc-text", "iccDEV apply data", "colours", "colours.icc_text"),
     Format("lamp", "lamps (IES TM-27 .spdx, UPRtek, Sekonic)", "spectrum", "colours.lamps"),
+    Format("woollam-mat", "Woollam material (.mat)", "constants", "constants.wvase_mat"),
+    Format("zemax-coating", "Zemax COATING.DAT", "constants", "constants.zemax_coating"),
+    Format("spd-pair", "Mitsuba, PBRT .eta.spd and .k.spd", "constants", "constants.spd_pair"),
+    Format("rii-page", "refractiveindex.info page (YAML)", "constants", "constants.rii_page"),
+    Format("nexus-dispersion", "NeXus NXdispersive_material", "constants", "constants.nexus_dispersion"),
+    Format("regress-pro-library", "regress-pro dispersion library", "constants", "constants.regress_pro"),
     Format("accurion", "Accurion EP3, EP4 text", "ellipsometry", "ellipsometry.accurion"),
     Format("film-sense", "Film Sense text", "ellipsometry", "ellipsometry.film_sense"),
     Format("horiba", "Horiba DeltaPsi text (.spe)", "ellipsometry", "ellipsometry.horiba"),
+    Format("nacre-ellipsometry", "CSV of nacre ellipsometry", "ellipsometry", "ellipsometry.own_csv"),
     Format("nexus-ellipsometry", "NeXus NXellipsometry", "ellipsometry", "ellipsometry.nexus"),
     Format("regress-pro", "regress-pro text (SE)", "ellipsometry", "ellipsometry.regress_pro"),
     Format("spectraray", "Sentech SpectraRay text", "ellipsometry", "ellipsometry.spectraray"),
     Format("woollam-dat", "Woollam WVASE, CompleteEASE data", "ellipsometry", "ellipsometry.woollam_dat"),
     Format("woollam-text", "Woollam WVASE text export", "ellipsometry", "ellipsometry.woollam_text"),
     Format("table", "text table", "table", "table"),
+    Format("tmatrix", "T-matrix (.tmat.h5)", "tmatrix", "tmatrix"),
     Format("sdf", "ISO 25178-71 surface data (.sdf), ASCII and binary", "heights", "heights.sdf"),
     Format("gwyddion-text", "Gwyddion ASCII matrix", "heights", "heights.gwyddion_text"),
     Format("gwy", "Gwyddion (.gwy)", "heights", "heights.gwy"),
@@ -164,7 +146,7 @@ def head_of(path: str | Path) -> FileHead:
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
     if not head.data.strip():
-        raise NacreError(f"{path}: is empty")
+        raise NacreError(f"{path}: is empty, it holds no data")
     if head.size > MAX_BYTES:
         raise NacreError(f"{path}: is larger than {MAX_BYTES >> 30} GiB")
     return head
@@ -177,7 +159,8 @@ def recognise(path: str | Path) -> list[tuple[float, Format]]:
         NacreError: as `head_of`.
     """
     head = head_of(path)
-    found = [(confidence, entry) for entry in FORMATS if (confidence := _confidence(entry, head)) > 0]
+    least = 0.0 if head.is_text else POSSIBLE  # of a binary file, only a recognised structure counts
+    found = [(confidence, entry) for entry in FORMATS if (confidence := _confidence(entry, head)) > least]
     return sorted(found, key=lambda pair: -pair[0])
 
 
@@ -221,16 +204,21 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
         if not found and options.expects is not None and head_of(path).is_text:
             found = [(0.0, format_named("table"))]  # its error names what the caller needs
         if not found:
-            from nacre.readers.unknown import unknown_file
-
-            raise NacreError(unknown_file(head_of(path)))
+            raise NacreError(unknown_file(head_of(path), [entry.title for entry in FORMATS]))
+        if options.expects is not None and found[0][0] < CERTAIN:  # a likely format of another kind is no answer
+            of_kind = [pair for pair in found if pair[1].kind in (options.expects, "table")]
+            found = of_kind if of_kind and of_kind[0][0] >= 0.5 * found[0][0] else found
         best = [entry for confidence, entry in found if confidence >= found[0][0] - 1e-9]
         if len(best) > 1:
             titles = ", ".join(f"{entry.title} ({entry.id})" for entry in best)
             raise AmbiguousFileError(f"{path}: may be {titles}", "format", tuple(entry.id for entry in best))
         entry = best[0]
+        if options.expects is not None and entry.id == "spectrum-table":
+            table = format_named("table")
+            has_usual_headings = import_module(f"nacre.readers.{table.module}").has_usual_headings
+            entry = table if has_usual_headings(head_of(path)) else entry
     try:
-        measurements = entry.read(path, options)
+        measurements = _measurements(entry, best[0] if options.format is None else entry, path, options)
     except NacreError:
         raise
     except OSError as error:
@@ -239,4 +227,34 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
         raise NacreError(f"{path}: is damaged, or no {entry.title} ({str(error)[:80]})") from error
     if not measurements:
         raise NacreError(f"{path}: {entry.title} without data")
-    return measurements
+    return [_with_cut(measurement) for measurement in measurements] if _is_cut(path) else measurements
+
+
+def _measurements(entry: Format, other: Format, path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read a file in one format, or in another if that fails; the error is that of the first."""
+    try:
+        return entry.read(path, options)
+    except NacreError:
+        if other is entry:
+            raise
+        try:
+            return other.read(path, options)
+        except (NacreError, *_DAMAGE):
+            pass
+        raise
+
+
+def _is_cut(path: Path) -> bool:
+    """Whether a text file ends inside a row of numbers, without the end of a line."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - 512))
+        last = file.read().replace(b"\0", b"")
+    line = re.split(rb"[\r\n]", last)[-1].strip()
+    has_digit, is_text = re.search(rb"\d", line), all(32 <= byte < 127 or byte == 9 for byte in line)
+    return bool(has_digit) and is_text and not line.endswith((b">", b"}", b"]"))
+
+
+def _with_cut(measurement: Measurement) -> Measurement:
+    if CUT in measurement.assumed:
+        return measurement
+    return replace(measurement, assumed=(*measurement.assumed, CUT))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,14 +10,23 @@ from pathlib import Path
 import numpy as np
 
 from nacre.core.errors import NacreError
-from nacre.readers.columns import Column, Columns, interpret, load_tables, polarisations, sorted_by_wavelength
+from nacre.readers.columns import (
+    Column,
+    Columns,
+    interpret,
+    load_tables,
+    polarisations,
+    sorted_by_wavelength,
+    tables_of,
+)
 from nacre.readers.constants.convert import QUANTITIES as CONSTANTS
 from nacre.readers.constants.convert import constants
+from nacre.readers.ellipsometry.common import ellipsometry
 from nacre.readers.headings import SPECTRAL_QUANTITIES, meanings
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
 from nacre.readers.registry import POSSIBLE, FileHead
 from nacre.readers.text_table import TextTable, decode
-from nacre.readers.units import UNITS, Floats
+from nacre.readers.units import UNITS, Floats, parse_unit
 
 SPECTRA = ("reflectance", "transmittance", "absorptance", "absorbance", "counts", "sample_counts", "dark_counts",
            "reference_counts", "irradiance", "albedo")  # fmt: skip
@@ -47,7 +57,19 @@ def sniff(head: FileHead) -> float:
         text = decode(head.data)
     except UnicodeDecodeError:
         return 0.0
-    return POSSIBLE if any(character.isdigit() for character in text) else 0.0
+    return 0.5 * POSSIBLE if any(character.isdigit() for character in text) else 0.0
+
+
+def has_usual_headings(head: FileHead) -> bool:
+    """Whether a file is one table whose headings name one wavelength; else it is a collection of spectra."""
+    try:
+        tables = tables_of(decode(head.data), head.path).tables
+    except (NacreError, UnicodeDecodeError):
+        return True  # it is refused by its reader with the reason
+    names = tables[0].headings
+    across = sum(bool(re.fullmatch(r"\D{0,12}\d{3,4}(\.\d+)?\s*(nm)?", name)) for name in names)
+    waves = sum("wavelength" in {meaning.quantity for meaning in meanings(name)} for name in names)
+    return bool(names) and across < 5 and waves <= 1
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -84,6 +106,8 @@ def kind_of(table: TextTable, options: ReadOptions) -> Kind:
         if options.expects in HEADERLESS or options.expects == "spectrum":
             assert options.expects is not None
             return options.expects
+        if _looks_like_constants(table):
+            return "constants"
         raise AmbiguousFileError(
             f"{table.path}: line {table.lines[0]}: {table.width} columns without headings; state quantity (of two "
             "columns) or columns = [...]",
@@ -96,9 +120,11 @@ def kind_of(table: TextTable, options: ReadOptions) -> Kind:
         kind: sum(bool(found & set(quantities) - set(SPECTRAL_QUANTITIES)) for found in each)
         for kind, quantities in OF_KIND.items()
     }
-    if options.expects in scores and scores[options.expects] > 0:
+    if options.expects in scores and scores[options.expects] == max(scores.values()) > 0:
         return options.expects
     best = max(scores, key=lambda kind: scores[kind])
+    if scores[best] == 0 and options.assumed_quantity is not None and options.expects is not None:
+        return options.expects
     if scores[best] == 0:
         unknown = [name for name, found in zip(names, each) if not found]
         said = f'; "{unknown[0]}" is not known' if unknown else ""
@@ -106,6 +132,19 @@ def kind_of(table: TextTable, options: ReadOptions) -> Kind:
             f"{table.path}: the columns are {table.shown_headings}{said}; name them: columns = [...]", "columns"
         )
     return best
+
+
+def _looks_like_constants(table: TextTable) -> bool:
+    """Whether three columns without headings can only be nm, n and k of a tabulated material.
+
+    Energies are below 100, and dielectric functions exceed the bounds of n and k or are negative.
+    """
+    if table.width != 3 or len(table.rows) < 3 or not all(table.is_numeric(column) for column in range(3)):
+        return False
+    nm, n, k = (table.column(column) for column in range(3))
+    steps = np.diff(nm)
+    is_axis = bool((steps > 0).all() or (steps < 0).all()) and 100 <= nm.min() and nm.max() <= 30_000
+    return is_axis and 0 < n.min() and n.max() <= 8 and k.min() >= 0 and k.max() <= 30
 
 
 def constants_of(
@@ -119,6 +158,8 @@ def constants_of(
     tables = [table for table in tables if len(table.rows) > 0]
     if options.spectrum is not None and len(tables) > 1:
         tables = [tables[chosen_block(path, options.spectrum, [_block_name(table) for table in tables])]]
+    for table in tables:
+        _check_headerless(table, options)
     each = [interpret(table, OF_KIND["constants"], options, HEADERLESS["constants"]) for table in tables]
     if len(each) == 2:
         joined = _joined(each[0], each[1], options)
@@ -133,6 +174,20 @@ def constants_of(
             )
         found.append(constants(columns, options, nm, format_id, _block_name(columns.table) if len(each) > 1 else ""))
     return found
+
+
+def _check_headerless(table: TextTable, options: ReadOptions) -> None:
+    """Refuse three columns without headings that may be a dielectric function: in eV, or with a negative second."""
+    if table.headings or options.columns or table.width != 3:
+        return
+    is_negative = bool(np.nanmin(table.column(1)) < 0.0)
+    if is_negative or (options.unit is not None and parse_unit(options.unit) == "eV"):
+        looks = "looks like a dielectric function" if is_negative else "may be n, k or a dielectric function"
+        raise AmbiguousFileError(
+            f"{table.path}: line {table.lines[0]}: no heading, and it {looks} in eV; name them, such as columns = "
+            '["energy_eV", "e1", "e2"] or ["energy_eV", "n", "k"]',
+            "columns",
+        )
 
 
 def _block_name(table: TextTable) -> str:
@@ -201,8 +256,9 @@ def spectrum_columns(table: TextTable, options: ReadOptions) -> Columns:
         AmbiguousFileError: no headings and no quantity.
     """
     headerless = {}
-    if options.quantity is not None:
-        headerless = {2: ("spectral", options.quantity)}
+    quantity = options.quantity or options.assumed_quantity
+    if quantity is not None:
+        headerless = {2: ("spectral", quantity)}
     elif not table.headings and not options.columns:
         raise AmbiguousFileError(
             f"{table.path}: line {table.lines[0]}: no heading says what the {table.width} columns are; write one, such "
@@ -219,6 +275,14 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
     nm = columns.spectral_nm(options)
     if nm is None:
         raise NacreError(f"{table.path}: no column of wavelengths or energies; the columns are {table.shown_headings}")
+    if columns.table.headings == () and not options.columns and not options.unit and "nm" not in columns.assumed[-1]:
+        first = columns.found[0].values
+        raise AmbiguousFileError(
+            f"{table.path}: holds wavelengths of {np.nanmin(first):g} to {np.nanmax(first):g} without a unit; write it "
+            'above the column, such as "um" or "eV"',
+            "unit",
+            ("nm", "um", "eV"),
+        )
     words, angle = polarisations(columns), columns.one("angle_of_incidence")
     shared: dict[str, Floats] = {}
     if angle is not None:
@@ -230,7 +294,8 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
             groups.setdefault(key, []).append(column)
     if not groups:
         raise NacreError(
-            f"{table.path}: no column of reflectance or transmittance; the columns are {table.shown_headings}"
+            f"{table.path}: no column with at least one measured value of reflectance or transmittance; the "
+            f"columns are {table.shown_headings}"
         )
     found = []
     for (polarisation, angle_deg, mode), members in groups.items():
@@ -241,6 +306,9 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
         if words is not None:
             metadata["polarisations"] = words
         elif not shared:
+            steps = np.diff(nm[np.isfinite(nm)])
+            if np.any(steps > 0.0) and np.any(steps < 0.0):
+                raise NacreError(f"{table.path}: the wavelengths are not ascending or descending; sort the rows")
             nm_sorted, rest = sorted_by_wavelength(
                 table.path, nm, {k: v for k, v in data.items() if k != "wavelength_nm"}
             )
@@ -265,7 +333,9 @@ def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
             data[f"{quantity}_deg{error}"] = columns.degrees(column, options) if column.unit else column.values
         elif quantity in ELLIPSOMETRY:
             data[f"{quantity}{error}"] = column.factors()
-    return Measurement(columns.path, "table", "ellipsometry", data, "", {}, tuple(columns.assumed), _left_out(columns))
+    if nm is None:
+        raise NacreError(f"{columns.path}: no column of wavelengths; the columns are {columns.table.shown_headings}")
+    return ellipsometry(columns.path, "table", data, options, assumed=columns.assumed, left_out=_left_out(columns))
 
 
 def _plain(columns: Columns, kind: Kind) -> Measurement:
@@ -294,11 +364,16 @@ def _plain(columns: Columns, kind: Kind) -> Measurement:
     if not data and "hex" not in columns.texts:
         raise NacreError(f"{columns.path}: no numbers; the columns are {columns.table.shown_headings}")
     if kind == "colours" and "hex" in columns.texts:
-        data["srgb"] = np.array([_srgb(columns, cell) for cell in columns.texts["hex"]])
+        data["srgb"] = np.array([srgb_of_hex(columns.path, cell) for cell in columns.texts["hex"]])
     return Measurement(columns.path, "table", kind, data, "", metadata, tuple(columns.assumed), _left_out(columns))
 
 
-def _srgb(columns: Columns, cell: str) -> list[float]:
+def srgb_of_hex(path: Path, cell: str) -> list[float]:
+    """Return encoded sRGB in [0, 1] of "#4a90d0".
+
+    Raises:
+        NacreError: it has another form.
+    """
     digits = cell.strip().lstrip("#")
     digits = "".join(2 * c for c in digits) if len(digits) == 3 else digits
     try:
@@ -306,4 +381,4 @@ def _srgb(columns: Columns, cell: str) -> list[float]:
             raise ValueError
         return [int(digits[i : i + 2], 16) / 255.0 for i in (0, 2, 4)]
     except ValueError:
-        raise NacreError(f'{columns.path}: "{cell[:20]}" is no colour such as #4a90d0') from None
+        raise NacreError(f'{path}: "{cell[:20]}" is no colour such as #4a90d0') from None

@@ -25,6 +25,7 @@ MAX_BYTES = 1 << 30
 MEMORY_FACTOR = 12  # memory per byte of a file: text, lines, cells
 SAMPLE_LINES = 400  # from which the delimiter is determined
 CONTROL_SHARE = 0.01  # more control characters: no text
+NUL_SHARE = 0.2  # padding of fixed-length names
 UTF_16_SHARE = 0.3  # of one parity of bytes, NUL: UTF-16 without a mark
 MISSING = frozenset(
     "|nan|-nan|n/a|na|n.a.|n.a|#n/a|#na|#nv|#div/0!|#value!|#wert!|#ref!|#bezug!|#num!|#zahl!|#name?|#null!|#error!|null|none|"
@@ -57,6 +58,8 @@ def decode(data: bytes) -> str:
         text = data.decode(order, errors="replace")
     else:
         text = _decode_bytes(data)
+    if text[:20_000].count("\0") > NUL_SHARE * min(len(text), 20_000):
+        raise UnicodeDecodeError("utf-8", data[:1], 0, 1, "is not text")
     text = text.replace("\0", "")
     sample = text[:20_000]
     controls = sum(1 for c in sample if (c < " " and c not in "\t\r\n\f\v\x1a\x1b") or c == "\ufffd")
@@ -185,6 +188,15 @@ class TextTable:
         Raises:
             NacreError: a cell is neither a number nor missing; names its line.
         """
+        cells = [row[column] for row in self.rows]
+        if not self.grouping and not any("_" in cell or "," in cell for cell in cells[:1]):
+            try:
+                quick = np.array(cells, dtype=float)
+            except ValueError:
+                pass
+            else:
+                if not np.isinf(quick).any() and not any("_" in cell for cell in cells):
+                    return quick
         values = np.empty(len(self.rows))
         for i, row in enumerate(self.rows):
             value = number(row[column], self.decimal, self.grouping)
@@ -312,6 +324,19 @@ def find_delimiter(lines: Sequence[str]) -> str | None:
         if score > 1.0001 * best:
             best, chosen = score, mark
     return chosen
+
+
+def rows(text: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield line number and cells of each line that is neither empty nor a remark, decimal commas as points."""
+    lines = text.splitlines()
+    delimiter = find_delimiter(lines)
+    for index, line in enumerate(lines, start=1):
+        if not line.strip() or line.strip().startswith(("#", "%", "!")):
+            continue
+        cells = split(_without_trailing_remark(line, delimiter), delimiter)
+        if delimiter != ",":
+            cells = [cell.replace(",", ".") if _PLAIN_NUMBER.fullmatch(cell) else cell for cell in cells]
+        yield index, cells
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
@@ -493,8 +518,8 @@ def _table(
     if headings and len(headings) < width:
         extra = next(line for line in data if len(line.cells) > len(headings))
         raise NacreError(
-            f"{path}: line {extra.number} has {len(extra.cells)} cells, and line {heading_line} names "
-            f"{len(headings)} columns: {', '.join(headings)[:120]}"
+            f"{path}: line {extra.number} has {len(extra.cells)} cells, the header has {len(headings)} "
+            f"(line {heading_line}: {', '.join(headings)[:100]})"
         )
     if not headings:
         odd = next((line for line in data if len(line.cells) != width), None)
@@ -523,8 +548,10 @@ def _take_units_of_cells(rows: list[list[str]], units: list[str]) -> None:
     """Move a unit that all filled cells of a column carry ("42 %") to the column."""
     for column in range(len(units)):
         filled = [row[column] for row in rows if row[column]]
+        if not filled or not _WITH_UNIT.fullmatch(filled[0]):
+            continue
         matches = [_WITH_UNIT.fullmatch(cell) for cell in filled]
-        if not filled or not matches[0] or not all(matches):
+        if not all(matches):
             continue
         found = {parse_unit(match[2]) for match in matches if match}
         if len(found) == 1 and not units[column]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Sequence
 
-from nacre.readers.registry import FORMATS, FileHead
+from nacre.readers.file_head import FileHead
 
 # first bytes -> what the file is
 _MAGIC: tuple[tuple[bytes, str], ...] = (
@@ -58,12 +59,12 @@ def appearance(head: FileHead) -> str:
     return f'text that begins with "{first}"'
 
 
-def unknown_file(head: FileHead) -> str:
-    """Return the one-line message for a file that no reader recognises."""
+def unknown_file(head: FileHead, known: Sequence[str]) -> str:
+    """Return the one-line message for a file that no reader recognises; `known`: titles of all formats."""
     words = {head.path.suffix.lstrip(".").lower()} | {
         word.lower() for word in head.text[:400].split() if word.isalpha()
     }
-    titles = {word.lower().strip("().,"): entry.title for entry in FORMATS for word in entry.title.split()}
+    titles = {word.lower().strip("().,"): title for title in known for word in title.split()}
     near = dict.fromkeys(
         titles[close] for word in sorted(words) if len(word) > 3
         for close in difflib.get_close_matches(word, titles, n=1, cutoff=0.9)

@@ -11,21 +11,17 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 
 from nacre.core.files import real
+from nacre.recipe.named_files import named_files
 
 OPTICS_VERSION = 1
 MAX_HASHED_BYTES = 4 << 30  # larger files, which no reader takes, are identified by size and time
-# text files that name other files (Mitsuba scenes, glTF); every quoted word that is a file counts
-NAMING_SUFFIXES = (".xml", ".gltf")
-MAX_NAMING_BYTES = 64 << 20
 
 
 def fingerprint(data: Any, files: Mapping[str, str], **options: Any) -> str:
@@ -57,26 +53,13 @@ def file_digest(path: str | Path, seen: frozenset[Path] = frozenset()) -> str:
             return f"{status.st_size}:{status.st_mtime_ns}"
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256")
-        if path.suffix.lower() in NAMING_SUFFIXES:
-            here = real(path)
-            for other in _named_by(path):
-                if other != here and other not in seen:
-                    digest.update(file_digest(other, seen | {here}).encode())
+        here = real(path)
+        for other in named_files(path):
+            if other not in seen:
+                digest.update(file_digest(other, seen | {here}).encode())
         return digest.hexdigest()
     except OSError:  # an invalid name or a file without read permission; the reader reports it
         return ""
-
-
-def _named_by(path: Path) -> list[Path]:
-    """Return candidate paths of the files that a scene or glTF names."""
-    if path.stat().st_size > MAX_NAMING_BYTES:
-        return []
-    here = real(path).parent
-    text = path.read_text("utf-8", "replace")
-    # match from every quote to the next, since an apostrophe in a comment opens no string
-    quoted = {name for q in "\"'" for name in re.findall(f"(?={q}([^{q}\0\n]{{1,255}}){q})", text)}
-    # names in glTF are URIs with escapes such as %20
-    return [real(here / name) for name in sorted(quoted | {unquote(name) for name in quoted if "%" in name})]
 
 
 def file_stamp(path: str | Path | None) -> tuple[tuple[str, int, int], ...]:
@@ -93,7 +76,7 @@ def file_stamp(path: str | Path | None) -> tuple[tuple[str, int, int], ...]:
                 continue
             status = file.stat()
             found[real(file)] = (str(real(file)), status.st_mtime_ns, status.st_size)
-            todo += _named_by(file) if file.suffix.lower() in NAMING_SUFFIXES else []
+            todo += named_files(file)
     return tuple(found[file] for file in sorted(found))
 
 

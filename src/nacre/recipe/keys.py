@@ -84,16 +84,25 @@ class Key:
 def keys_of(model: type[RecipeModel]) -> tuple[Key, ...]:
     """Return the keys of one table, in the order of the model."""
     model.model_rebuild()  # resolves tables that are defined further down in their module
-    return tuple(_key(name, field) for name, field in model.model_fields.items())
+    return tuple(_key(field.alias or name, field) for name, field in model.model_fields.items())
 
 
-def tables_below(model: type[RecipeModel], path: str = "") -> Iterator[tuple[str, type[RecipeModel]]]:
-    """Yield place and model of a table and its nested tables, without those that have a noun."""
+def tables_below(
+    model: type[RecipeModel], path: str = "", holders: tuple[type[RecipeModel], ...] = ()
+) -> Iterator[tuple[str, type[RecipeModel]]]:
+    """Yield place and model of a table and its nested tables, without those that have a noun.
+
+    Args:
+        model: the table.
+        path: its place.
+        holders: tables that contain it; a table that may contain itself is yielded once.
+    """
     yield path, model
-    for key in keys_of(model):
+    own = [key for key in keys_of(model) if not any(table in holders for table in key.own_tables)]
+    for key in own:
         for table in key.own_tables:
             below = f"{path}.{key.name}".lstrip(".") + ("[]" if key.is_list else "")
-            yield from tables_below(table, below)
+            yield from tables_below(table, below, (*holders, model, *key.own_tables))
 
 
 def shared_tables(model: type[RecipeModel]) -> list[type[RecipeModel]]:

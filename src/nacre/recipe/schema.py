@@ -38,7 +38,8 @@ def json_schema(
     for other in others:
         definitions |= other.pop("$defs", {})
         first["properties"] |= other["properties"]
-    root = _inlined(first, definitions, {model.__name__ for model in _with_noun(models)})
+    separate = {model.__name__ for model in _with_noun(models)} | _recursive(definitions)
+    root = _inlined(first, definitions, separate)
     texture_schema = texture.model_json_schema(schema_generator=_Generator, ref_template="#/definitions/{model}")
     for path in models[0].varies_by_nodes:
         _let_vary(root, path.split("."), {"$ref": f"#/definitions/{texture.__name__}"})
@@ -186,6 +187,14 @@ def _inlined(schema: Any, definitions: Mapping[str, Any], separate: set[str]) ->
         beside = {key: value for key, value in schema.items() if key != "$ref"}
         return {**_inlined(definitions[name], definitions, separate), **beside}
     return {key: _inlined(inner, definitions, separate) for key, inner in schema.items()}
+
+
+def _recursive(definitions: Mapping[str, Any]) -> set[str]:
+    """Return the names of definitions that contain themselves."""
+    reached = {name: _references(table) for name, table in definitions.items()}
+    for _ in reached:
+        reached = {name: names.union(*(reached[n] for n in names if n in reached)) for name, names in reached.items()}
+    return {name for name, names in reached.items() if name in names}
 
 
 def _let_vary(schema: Any, path: Sequence[str], texture: Mapping[str, Any]) -> None:

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from nacre.bsdf import Bsdf
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.device.bsdf import make_bsdf
-from nacre.device.variant import VARIANTS, check_set_variant, import_mitsuba
+from nacre.device.variant import RGB, VARIANTS, check_set_variant, import_mitsuba
 from nacre.material.material import load
 
 _installed = False
@@ -37,15 +37,11 @@ def install() -> None:
 
 
 def _refuse(properties: Any) -> NoReturn:
-    """Explain why RGB, mono and polarised variants do not support `nacre`; Mitsuba would report "not found"."""
+    """Explain why mono variants do not support `nacre`; Mitsuba would report "not found"."""
     import mitsuba as mi
 
-    variant = str(mi.variant())
-    if "spectral" in variant and "polarized" in variant:
-        why = "nacre's BSDFs are for unpolarised light"
-    else:
-        why = "nacre needs a spectral variant, for a structural colour is a spectrum"
-    raise UnsupportedError(f"{why}; this is {variant}. Use {', '.join(VARIANTS)}")
+    why = "nacre needs a spectral or an RGB variant, for a structural colour is a spectrum"
+    raise UnsupportedError(f"{why}; this is {mi.variant()}. Use {', '.join(VARIANTS)}")
 
 
 def register() -> None:
@@ -53,7 +49,7 @@ def register() -> None:
     import mitsuba as mi
 
     if mi.variant() is not None:
-        mi.register_bsdf("nacre", from_properties if mi.variant() in VARIANTS else _refuse)
+        mi.register_bsdf("nacre", from_properties if mi.variant() in VARIANTS + RGB else _refuse)
 
 
 def load_bsdf(path: str) -> Bsdf:
@@ -95,6 +91,8 @@ def clear_errors() -> Iterator[None]:
 def from_properties(properties: Any) -> Any:
     """Build a scene entry's BSDF; keys: recipe, file or bsdf; two_sided (default false), v_up (default true).
 
+    A material that varies over the surface without `v_up` gives a warning, because v runs downward on some shapes.
+
     Raises:
         RecipeError: not exactly one source, an unregistered key, or a switch that is not a boolean.
         NacreError: unreadable or invalid file.
@@ -106,6 +104,13 @@ def from_properties(properties: Any) -> Any:
         check_set_variant(str(mi.variant()))
         bsdf = _source(properties)
         two_sided, v_up = _switch(properties, "two_sided", False), _switch(properties, "v_up", True)
+        if "v_up" not in properties and any(lobe.varying for lobe in bsdf.lobes):
+            name = next((str(properties[key]) for key in ("recipe", "file", "bsdf") if key in properties), "nacre")
+            mi.Log(
+                mi.LogLevel.Warn,
+                f"{name} varies over the surface, and v is taken to run upward. On shapes of type obj, ply and "
+                "sphere v runs downward: give the bsdf v_up = false there, or v_up = true to end this message",
+            )
         return make_bsdf(bsdf, two_sided=two_sided, properties=properties, v_up=v_up)
     except NacreError as error:
         _failures.append(error)

@@ -29,33 +29,63 @@ from nacre.bsdf.tabulate import (
     is_transparent,
     reflected_lab,
 )
+from nacre.bsdf.tabulate_anisotropic import AnisotropicTables
 from nacre.bsdf.texture import ParameterAxis, Texture
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.core.memory import check_memory
-from nacre.families.contract import Model, Traits
+from nacre.families.contract import Model, Polarised, Traits
 from nacre.families.film.ridges import Ridges, remainder
 from nacre.light import default_wavelengths, delta_e_2000
 from nacre.light.wavelengths import STEPS_NM
 from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.indices.crystal import AnisotropicConstant
+from nacre.matter.stack.polarised import Helix, PolarisedResponse
 from nacre.matter.stack.stack import Layer, Stack
 
 COLOUR_COSINES = np.array([1.0, 0.8, 0.5, 0.25])  # of the colours compared in the choice of grids
 MIDDLE = np.array([0.5, 0.5])
 AMPLITUDE_CUTOFF = 1e-5  # round-trip amplitude below which deeper layers are neglected
 CUTOFF_WAVELENGTHS = 48
+SPREAD_STEP_NM = 5.0
 ERROR_MARGIN = 2.0  # of the stated error: the check has a few hundred angles
 BASE_COSINES = 513  # at most, of the film over a diffuse base
 BYTES_PER_LAYER = 64  # and wavelength: indices, phases and copies
+# Stokes vectors of unit power
+STOKES = {"p": (1.0, 1.0, 0.0, 0.0), "s": (1.0, -1.0, 0.0, 0.0), "both": (1.0, 0.0, 0.0, 0.0),
+          "mueller": (1.0, 0.0, 0.0, 0.0), "right": (1.0, 0.0, 0.0, 1.0), "left": (1.0, 0.0, 0.0, -1.0)}  # fmt: skip
+AZIMUTH_NOTE = (
+    "its reflectance depends on the azimuth of the light; pictures and the Bsdf hold the mean over the azimuth, "
+    "spectra are exact"
+)
+
+
+def real_extremes(medium: OpticalConstant | AnisotropicConstant, wavelengths_nm: Array) -> tuple[Array, Array]:
+    """Return the largest n and the least k of a medium, each `[wavelength]`."""
+    if isinstance(medium, AnisotropicConstant):
+        values = medium.indices(wavelengths_nm)
+        return values.real.max(axis=0), values.imag.min(axis=0)
+    value = medium.n_complex(wavelengths_nm)
+    return value.real, value.imag
 
 
 @dataclass(frozen=True)
 class FilmLayer:
-    """One layer; its thickness may vary over the surface."""
+    """One layer; its thickness may vary over the surface.
 
-    material: OpticalConstant
+    Attributes:
+        material: what it is made of; of a helical layer with its axes at the upper face.
+        thickness_nm: thickness.
+        incoherent: too thick for interference.
+        helix: rotation of the axes with depth, or None.
+        path: its place in the recipe.
+    """
+
+    material: OpticalConstant | AnisotropicConstant
     thickness_nm: float | Texture
     incoherent: bool = False
+    helix: Helix | None = None
+    path: str = ""
 
     def thickness_at(self, uv: Array = MIDDLE) -> float:
         """Return the thickness at one uv."""
@@ -63,7 +93,7 @@ class FilmLayer:
 
 
 @dataclass(frozen=True)
-class Film(Model):
+class Film(Model, Polarised):
     """A stack of layers on a substrate, with a smooth, rough or ridged surface.
 
     A clear substrate (k < 1e-4 at all wavelengths) transmits; a substrate equal to the ambient makes a free film,
@@ -79,7 +109,7 @@ class Film(Model):
 
     ambient: OpticalConstant
     layers: tuple[FilmLayer, ...]
-    substrate: OpticalConstant
+    substrate: OpticalConstant | AnisotropicConstant
     surface: Roughness = Roughness()
     ridges: Ridges | None = None
     base_albedo: float = 0.0
@@ -104,8 +134,30 @@ class Film(Model):
 
     def stack_at(self, uv: Array) -> Stack:
         """Return the stack at one uv."""
-        layers = [Layer(layer.material, layer.thickness_at(uv), layer.incoherent) for layer in self.layers]
+        layers = [Layer(e.material, e.thickness_at(uv), e.incoherent, e.helix) for e in self.layers]
         return Stack(self.ambient, layers, self.substrate)
+
+    @property
+    def is_anisotropic(self) -> bool:
+        """Whether a layer or the substrate is anisotropic."""
+        return not self.stack.is_isotropic
+
+    @property
+    def depends_on_azimuth(self) -> bool:
+        """Whether a medium looks different from different azimuths."""
+        media = [self.substrate, *(layer.material for layer in self.layers)]
+        return any(isinstance(medium, AnisotropicConstant) and not medium.is_axial for medium in media)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """That the Bsdf is a mean over the azimuth, where it depends on that."""
+        return (AZIMUTH_NOTE,) if self.depends_on_azimuth else ()
+
+    def transmits(self, wavelengths_nm: Array) -> bool:
+        """Whether the substrate is transparent."""
+        if isinstance(self.substrate, AnisotropicConstant):
+            return is_transparent(self.substrate.indices(wavelengths_nm))
+        return is_transparent(self.substrate.n_complex(wavelengths_nm))
 
     @cached_property
     def wavelengths_nm(self) -> Array:
@@ -115,6 +167,9 @@ class Film(Model):
             return _grid(low, high, self.step_nm)
         grid = default_wavelengths(self._optical_thickness_nm())
         step = float(grid[1] - grid[0])
+        if self.is_anisotropic:  # too costly to compare colours; a spread of the pitch smooths the spectra
+            has_spread = any(e.helix is not None and e.helix.deviation_nm > 0 for e in self.layers)
+            return _grid(low, high, max(step, SPREAD_STEP_NM) if has_spread else step)
         finer = [s for s in STEPS_NM if s < step * 0.999][:3]
         coarser = _grid(low, high, step)
         seen = self._test_spectra(coarser)
@@ -138,7 +193,7 @@ class Film(Model):
         ends = np.array([low, 0.5 * (low + high), high])
         layers = []
         materials = {id(layer.material): layer.material for layer in self.layers}
-        constants = {key: (m.n_complex(lam).imag, m.n_complex(ends).real) for key, m in materials.items()}
+        constants = {key: (real_extremes(m, lam)[1], real_extremes(m, ends)[0]) for key, m in materials.items()}
         for layer in self.layers:
             extinction, refraction = constants[id(layer.material)]
             thickest = layer.thickness_nm.high if isinstance(layer.thickness_nm, Texture) else layer.thickness_nm
@@ -148,7 +203,7 @@ class Film(Model):
             n = 0.0 if layer.incoherent else float(np.max(refraction))
             layers.append((n, thickest, thinnest, loss))
         sides = [layers]
-        if is_transparent(self.substrate.n_complex(lam)):
+        if self.transmits(lam):
             sides.append(layers[::-1])
         found = 0.0
         for side in sides:
@@ -186,6 +241,10 @@ class Film(Model):
         check_memory(
             float(BYTES_PER_LAYER) * many * count, f"layers: {many - 2} of them at {count} wavelengths: the film"
         )
+        if self.is_anisotropic:
+            return AnisotropicTables(
+                self.stack, wavelengths_nm, self.transmits(wavelengths_nm), self.depends_on_azimuth
+            )
         layers = [
             Layer(layer.material, d, layer.incoherent) for layer, d in zip(self.layers, self._middle_nm, strict=True)
         ]
@@ -226,8 +285,8 @@ class Film(Model):
     def polarisation(self, wavelengths_nm: Array | None = None) -> InterfacePolarisation | None:
         """Tabulate the Mueller matrices of the film.
 
-        None for incoherent layers, ridges, a diffuse base, or thicknesses that vary over the surface: the renderer then
-        depolarises.
+        None for incoherent isotropic layers, ridges, a diffuse base, or thicknesses that vary over the surface: the
+        renderer then depolarises.
         """
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         if self.ridges is not None or self.base_albedo > 0 or self._varying:
@@ -251,7 +310,7 @@ class Film(Model):
             values, error = choose_nodes(spectra, *self._range(i), tables.wavelengths_nm)
             texture = self.layers[i].thickness_nm
             assert isinstance(texture, Texture)
-            name = f"layers[{i}].thickness_nm"
+            name = f"{self.layers[i].path or f'layers[{i}]'}.thickness_nm"
             axes.append(ParameterAxis(name, values, texture))
             notes[name] = {"nodes": len(values), "colour_error_dE00": round(error, 4)}
         check_size([len(axis.values) for axis in axes], COS_NODES_VARYING, len(tables.wavelengths_nm))
@@ -351,6 +410,16 @@ class Film(Model):
     def spectrum(
         self, theta_rad: Array, wavelengths_nm: Array | None = None, polarisation: str = "both", seed: int = 0
     ) -> Spectrum:
+        """Return `polarised_spectrum` for light from the azimuth 0."""
+        return self.polarised_spectrum(theta_rad, wavelengths_nm, polarisation)
+
+    def polarised_spectrum(
+        self,
+        theta_rad: Array,
+        wavelengths_nm: Array | None = None,
+        polarisation: str = "both",
+        azimuth_rad: float = 0.0,
+    ) -> Spectrum:
         """Return reflectance and transmittance at angles in the ambient, at the middle of the surface.
 
         The specular parts of a rough film are those of its smooth stack, as is the diffuse part of a base, so that
@@ -359,21 +428,29 @@ class Film(Model):
         Args:
             theta_rad: `[angle]` in [0, pi/2].
             wavelengths_nm: `[wavelength]`; default: `self.wavelengths_nm`.
-            polarisation: "s", "p" or "both".
+            polarisation: "s", "p", "left", "right", "both", or "mueller" for "both" with Mueller matrices.
+            azimuth_rad: azimuth of the direction towards the light, from u; anisotropic films depend on it.
 
         Raises:
             UnsupportedError: the polarisation is not known for a part of the spectrum.
         """
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
-        if polarisation not in ("s", "p", "both"):
-            raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use s, p or both')
+        if polarisation not in STOKES:
+            raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use {", ".join(STOKES)}')
         reflected = transmitted = diffuse = None
+        matrices: PolarisedResponse | None = None
         if self.ridges is None:
-            powers = self.stack.powers(theta, lam)
-            pick = {"s": (powers.R_s, powers.T_s), "p": (powers.R_p, powers.T_p)}
-            reflected, passed = pick.get(polarisation, (powers.reflectance, powers.transmittance))
-            if is_transparent(self.substrate.n_complex(lam)) and self.base_albedo == 0:
+            if polarisation in ("s", "p", "both"):
+                powers = self.stack.powers(theta, lam, azimuth_rad=azimuth_rad)
+                pick = {"s": (powers.R_s, powers.T_s), "p": (powers.R_p, powers.T_p)}
+                reflected, passed = pick.get(polarisation, (powers.reflectance, powers.transmittance))
+            else:
+                found = self.stack.polarised(theta, lam, azimuth_rad)
+                matrices = found if polarisation == "mueller" else None
+                reflected = found.mueller_reflected[..., 0, :] @ np.array(STOKES[polarisation])
+                passed = found.entering @ np.array(STOKES[polarisation])
+            if self.base_albedo == 0 and self.transmits(lam):
                 transmitted = passed
         if self.ridges is not None or self.base_albedo > 0:
             if polarisation != "both":
@@ -385,7 +462,15 @@ class Film(Model):
             else:
                 still = self.tables(lam).adaptive(np.array([layer.thickness_at() for layer in self.layers]))
                 diffuse = passed * self._returned_share(still)
-        return Spectrum(lam, np.degrees(theta), reflected, transmitted, diffuse)
+        return Spectrum(
+            lam,
+            np.degrees(theta),
+            reflected,
+            transmitted,
+            diffuse,
+            mueller_reflected=None if matrices is None else matrices.mueller_reflected,
+            mueller_transmitted=None if matrices is None or transmitted is None else matrices.mueller_transmitted,
+        )
 
 
 def _stated(response: InterfaceResponse, error: float) -> dict[str, float]:

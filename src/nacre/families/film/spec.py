@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 import pydantic
 from pydantic import Field
 
@@ -16,16 +17,23 @@ from nacre.bsdf.texture import Texture, parse_formula
 from nacre.bsdf.texture_spec import NumberOrTexture, TextureSpec, texture_or_number
 from nacre.families.contract import Fabricable, Figure
 from nacre.families.film.figures import FIGURES
+from nacre.families.film.layer_spec import (
+    MAX_COHERENT_NM,
+    MAX_LAYERS,
+    AnyLayer,
+    LayerBuilder,
+    LayerSpec,
+    RepeatSpec,
+    with_interface_layers,
+)
 from nacre.families.film.layer_table import layer_sheet
-from nacre.families.film.material import Film, FilmLayer
+from nacre.families.film.material import Film
 from nacre.families.film.ridges import Ridges
 from nacre.matter.drawings import Drawer
+from nacre.matter.indices.anisotropic_spec import AnisotropicSpec, MediumSpec
 from nacre.matter.indices.spec import IndexSpec, ambient_in
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
-MAX_LAYERS = 1000
-MAX_THICKNESS_NM = 1e8  # ten centimetres, for incoherent panes
-MAX_COHERENT_NM = 3e4  # fringes of 30 um need a resolution of 0.1 nm
 MAX_VARYING = 2
 
 # A scale of Morpho rhetenor: nine lamellae of cuticle, n = 1.56 + 0.06i (Vukusic et al. 1999), air between, in
@@ -41,16 +49,6 @@ MORPHO: dict[str, Any] = {
 }
 
 
-def _thickness(value: Any) -> Any:
-    """Check a thickness: a number, or a texture table."""
-    if isinstance(value, bool) or not isinstance(value, int | float | Mapping | TextureSpec):
-        raise ValueError(f"= {show_value(value)} is not a thickness; write a number, "
-                         '{texture = "t.png", min = 100, max = 700} or {formula = "100 + 600*v"}')  # fmt: skip
-    if isinstance(value, int | float) and not 0.0 <= value <= MAX_THICKNESS_NM:
-        raise ValueError(f"= {value:g} is not allowed; it should be from 0 to {MAX_THICKNESS_NM:g} nm")
-    return value
-
-
 def _unit(value: Any) -> Any:
     """Check a roughness: one or two numbers in [0, 1], or a texture."""
     if not isinstance(value, Mapping | TextureSpec):
@@ -62,14 +60,9 @@ def _width_form(value: Any) -> str:
     return "Pair" if isinstance(value, list | tuple) else texture_or_number(value)
 
 
-Thickness = Annotated[
-    Annotated[float, Field(ge=0.0, le=MAX_THICKNESS_NM), pydantic.Tag("Number")]
-    | Annotated[TextureSpec, pydantic.Tag("Texture")],
-    pydantic.Discriminator(texture_or_number),
-    pydantic.BeforeValidator(_thickness),
-]
 UnitNumber = Annotated[float, Field(ge=0.0, le=1.0)]
 Exponent = Annotated[float, Field(ge=0.0, le=2e6)]
+Depth = Annotated[float, Field(ge=0.0, le=1000.0)]
 Width = Annotated[
     Annotated[UnitNumber, pydantic.Tag("Number")]
     | Annotated[tuple[UnitNumber, ...], Field(min_length=1, max_length=2), pydantic.Tag("Pair")]
@@ -77,27 +70,6 @@ Width = Annotated[
     pydantic.Discriminator(_width_form),
     pydantic.BeforeValidator(_unit),
 ]
-
-
-class LayerSpec(RecipeModel):
-    """One layer: material, thickness, and coherence."""
-
-    forms: ClassVar[tuple[str, ...]] = (
-        '{material = "SiO2", thickness_nm = 350}',
-        '{material = "SiO2", thickness_nm = {formula = "100 + 600*v"}}',
-        '{material = "glass", thickness_mm = 1, incoherent = true}',
-    )
-
-    material: IndexSpec = Field(description="what the layer is made of")
-    thickness_nm: Thickness = Field(
-        description="geometric thickness; a texture or formula lets it vary over the surface",
-        examples=[350, {"formula": "100 + 600*v"}, {"texture": "grey.png", "min": 100, "max": 700}],
-    )
-    incoherent: bool = Field(
-        default=False,
-        description="the layer is too thick for interference, such as a pane or a varnish",
-        examples=[True],
-    )
 
 
 class SurfaceSpec(RecipeModel):
@@ -128,6 +100,12 @@ class SurfaceSpec(RecipeModel):
     )
     compensate: bool = Field(
         default=False, description="restore the light lost by multiple scattering between facets", examples=[True]
+    )
+    interface_roughness_nm: Depth | tuple[Depth, ...] = Field(
+        default=0.0,
+        description="thickness of an effective medium at each interface, far finer than the wavelength: one number, or "
+        "one for each interface from the light inward; half of it comes from either layer",
+        examples=[2, [3, 0, 1]],
     )
 
     @pydantic.model_validator(mode="after")
@@ -282,10 +260,10 @@ class FilmSpec(RecipeModel):
     ambient: IndexSpec = Field(
         default=IndexSpec.model_validate("air"), description="medium above the film, on the side of the light"
     )
-    substrate: IndexSpec = Field(
+    substrate: MediumSpec = Field(
         description="medium below the layers; transmits if clear; a free film if equal to the ambient"
     )
-    layers: tuple[LayerSpec, ...] = Field(
+    layers: tuple[AnyLayer, ...] = Field(
         default=(), max_length=MAX_LAYERS, description="the layers, from the light inward"
     )
     surface: SurfaceSpec = Field(default=SurfaceSpec(), description="roughness of all layers")
@@ -314,20 +292,24 @@ class FilmSpec(RecipeModel):
 
     @pydantic.model_validator(mode="after")
     def _fits_together(self) -> FilmSpec:
-        varying = [i for i, layer in enumerate(self.layers) if isinstance(layer.thickness_nm, TextureSpec)]
+        plain = dict(_plain_layers(self.layers))
+        varying = [path for path, layer in plain.items() if isinstance(layer.thickness_nm, TextureSpec)]
         if len(varying) > MAX_VARYING:
             raise ValueError(
                 f"layers: {len(varying)} thicknesses vary over the surface; at most {MAX_VARYING} can "
                 "(roughness and rotation may vary as well)"
             )
-        for i, layer in enumerate(self.layers):
+        for path, layer in plain.items():
             thickness = layer.thickness_nm
             if not layer.incoherent and not isinstance(thickness, TextureSpec) and thickness > MAX_COHERENT_NM:
                 raise ValueError(
-                    f"layers[{i}].thickness_nm = {thickness:g} is too thick to interfere; write incoherent = true"
+                    f"{path}.thickness_nm = {thickness:g} is too thick to interfere; write incoherent = true"
                 )
         if self.ridges is not None and self.surface.roughness != 0.0:
             raise ValueError("surface.roughness has no effect with ridges; remove one of the two")
+        media = (self.substrate, *(layer.material for layer in plain.values()))
+        if self.ridges is not None and any(isinstance(medium, AnisotropicSpec) for medium in media):
+            raise ValueError("ridges hold isotropic layers only; remove the ridges, or give the mean index")
         return self
 
     def build(self, context: RecipeContext) -> FilmModel:
@@ -336,25 +318,17 @@ class FilmSpec(RecipeModel):
         Raises:
             RecipeError: an image is missing or invalid, or a thickness is out of range.
         """
-        layers = []
-        for i, layer in enumerate(self.layers):
-            thickness: float | Texture
-            if isinstance(layer.thickness_nm, TextureSpec):
-                key = f"layers[{i}].thickness_nm"
-                thickness = layer.thickness_nm.build(context, key)
-                limit = MAX_THICKNESS_NM if layer.incoherent else MAX_COHERENT_NM
-                if not 0.0 <= thickness.low <= thickness.high <= limit:
-                    raise context.fail(
-                        key, f"{thickness.low:g} ... {thickness.high:g}", f"leaves the range 0 ... {limit:g} nm; "
-                        "give min and max to clip it",
-                    )  # fmt: skip
-            else:
-                thickness = float(layer.thickness_nm)
-            layers.append(FilmLayer(self._index(layer.material, context), thickness, layer.incoherent))
+        ambient = self._edge(ambient_in(self.ambient, "ambient" in self.model_fields_set, context))
+        substrate = self._index(self.substrate, context)
+        layers = list(LayerBuilder(context, lambda spec: self._index(spec, context)).build(self.layers))
+        if len(layers) > MAX_LAYERS:
+            raise context.fail("layers", f"{len(layers)} layers", f"are too many; at most {MAX_LAYERS}")
+        if np.any(self.surface.interface_roughness_nm):
+            layers = with_interface_layers(layers, (ambient, substrate), self.surface.interface_roughness_nm, context)
         return FilmModel(
-            ambient=self._edge(ambient_in(self.ambient, "ambient" in self.model_fields_set, context)),
+            ambient=ambient,
             layers=tuple(layers),
-            substrate=self._index(self.substrate, context),
+            substrate=substrate,
             surface=self.surface.build(context),
             ridges=None if self.ridges is None else self.ridges.build(context),
             base_albedo=self.base.albedo,
@@ -362,11 +336,20 @@ class FilmSpec(RecipeModel):
             step_nm=self.wavelengths.step_nm,
         )
 
-    def _index(self, spec: IndexSpec, context: RecipeContext) -> Any:
+    def _index(self, spec: IndexSpec | AnisotropicSpec, context: RecipeContext) -> Any:
         return self._edge(spec.build(context))
 
     def _edge(self, made: Any) -> Any:
         return made.with_extrapolation("edge") if self.extrapolate == "edge" else made
+
+
+def _plain_layers(layers: tuple[Any, ...], path: str = "layers") -> Iterator[tuple[str, LayerSpec]]:
+    """Yield path and table of each layer of a material, those of groups included."""
+    for i, layer in enumerate(layers):
+        if isinstance(layer, LayerSpec):
+            yield f"{path}[{i}]", layer
+        elif isinstance(layer, RepeatSpec):
+            yield from _plain_layers(layer.layers, f"{path}[{i}].layers")
 
 
 def angle_texture(value: float | TextureSpec, context: RecipeContext, key: str) -> Texture | None:

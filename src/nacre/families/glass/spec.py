@@ -17,7 +17,7 @@ from nacre.families.glass.composite import INDEX_NM, MAX_EXTINCTION, Composite, 
 from nacre.families.glass.material import FastGlass, Glass, Layer
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
-from nacre.recipe.delimited_text import two_columns
+from nacre.readers.curves import Q_PER_UM, STRUCTURE, recipe_curve
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 MAX_PACKING = 0.64  # random packing of equal spheres
@@ -226,7 +226,7 @@ class StructureSpec(RecipeModel):
         if self.sq is None:
             return None
         key = f"{place}model.structure.sq"
-        table = two_columns(context, key, self.sq)
+        table = recipe_curve(context, key, self.sq, (Q_PER_UM, STRUCTURE))
         q, s = table[:, 0] * 1e-3, table[:, 1]
         if len(q) < 4 or np.any(np.diff(q) <= 0) or q[0] < 0 or np.any(s < 0):
             raise context.fail(key, self.sq, "must hold at least 4 rows of ascending q >= 0 in 1/um and S >= 0")

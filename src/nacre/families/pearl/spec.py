@@ -20,7 +20,7 @@ from nacre.families.pearl.strata import Dye, Flakes, Stratum
 from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
-from nacre.recipe.delimited_text import two_columns
+from nacre.readers.curves import SHARE, THICKNESS_NM, recipe_curve
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 MAX_STRATA = 8
@@ -88,7 +88,7 @@ class ThicknessKeys(RecipeModel):
         """
         try:
             if self.histogram is not None:
-                table = two_columns(context, f"{key}.histogram", self.histogram)
+                table = recipe_curve(context, f"{key}.histogram", self.histogram, (THICKNESS_NM, SHARE))
                 return Thickness.from_histogram(table[:, 0], _shares(table[:, 1]))
             high = np.inf if self.max_nm is None else self.max_nm
             assert self.thickness_nm is not None

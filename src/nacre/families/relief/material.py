@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.grids import direction
+from nacre.core.errors import UnsupportedError
 from nacre.families.contract import DirectEvaluation, Draft, ExcessEnergy, Fabricable, Figure, Model, Traits
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.diffraction_orders import choose_sampling
 from nacre.families.relief.plane_cut import Reflectance, local_response
 from nacre.families.relief.prefactor import Prefactor, coating_reflectance
-from nacre.families.relief.spectrum_map import MapReport, map_values, spectrum_map
+from nacre.families.relief.scan import Scan
+from nacre.families.relief.spectrum_map import EXCESS_ANGLES_DEG, MapReport, map_values, spectrum_map
 from nacre.families.relief.surface import Array, Tile, slopes
 from nacre.families.relief.validity import Validity, assess
 from nacre.matter.drawings import Drawer, DrawingRequest, HeightMap
@@ -27,14 +29,18 @@ from nacre.matter.indices.constant import OpticalConstant
 WAVELENGTH_COUNT = 17
 DRAFT_ERROR = 1e-2  # of a draft's sampling and nodes, invisible in 8 bits
 INDEX_NM = 550.0  # for the medium's index in the coherence window
+NOTED_EXCESS = 1.2  # albedo over Fresnel from which the energy bound is stated
+LEAST_RESOLVED_DEG = 60.0  # a scan that resolves less scatter says so
+FLAT_NM = 1e-3  # Sq of a plane
+FIGURE_POINTS = 1024
 
 
 @dataclass(frozen=True)
 class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
-    """A periodic height map with an opaque coating, in light of finite coherence.
+    """A height map with an opaque coating, in light of finite coherence.
 
     Attributes:
-        tile: heights and process.
+        tile: one period, heights and process; or a scan, which has none.
         coherence: coherence window.
         coating: optical constant of the opaque coating.
         prefactor: "kirchhoff" conserves energy, "published" compares with the source.
@@ -50,7 +56,7 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
     )
     is_direct = False
 
-    tile: Tile
+    tile: Tile | Scan
     coherence: Coherence
     coating: OpticalConstant
     prefactor: Prefactor = "kirchhoff"
@@ -73,7 +79,8 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         """
         grid = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         lobe, report = self._map(tuple(grid.tolist()))
-        return Bsdf((lobe,), {"relief": report_summary(report)})
+        limits = {"warnings": [_bound_note(report)]} if max(report.excess, default=0.0) > NOTED_EXCESS else {}
+        return Bsdf((lobe,), {"relief": report_summary(report), **limits})
 
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array:
         """Return the lobe at pairs, `[pair, wavelength]`, without the table of all directions.
@@ -125,14 +132,39 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Slopes too steep, or features too small, for scalar diffraction."""
+        """Slopes too steep, or features too small, for scalar diffraction; what was done to a scan."""
         found = self.validity
-        return (found.line(),) if found.is_outside else ()
+        lines: tuple[str, ...] = (found.line(),) if found.is_outside else ()
+        if not isinstance(self.tile, Scan):
+            return lines
+        angle = self.tile.resolved_deg
+        if angle < LEAST_RESOLVED_DEG and self.tile.sq_nm > FLAT_NM:
+            pitch = f"{self.tile.pitch_nm / 1e3:.3g} um"
+            lines += (f"points {pitch} apart resolve scatter up to {angle:.0f} degrees from the mirror direction",)
+        return self.tile.remarks + lines
 
     @functools.cached_property
     def validity(self) -> Validity:
         """The expected colour error."""
+        if isinstance(self.tile, Scan):
+            return self.tile.validity(self._index_above)
         return assess(self.tile, self._index_above)
+
+    @property
+    def surface_figures(self) -> Mapping[str, float]:
+        """Roughness of a scan: Sq and others, in um."""
+        return dict(self.tile.figures) if isinstance(self.tile, Scan) else {}
+
+    @property
+    def _period(self) -> Tile:
+        """The period.
+
+        Raises:
+            UnsupportedError: a scan has none.
+        """
+        if isinstance(self.tile, Scan):
+            raise UnsupportedError("a scan is no period; this needs heights with periodic = true")
+        return self.tile
 
     @property
     def _index_above(self) -> float:
@@ -147,18 +179,27 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         `extent_um`), for an aperture of half angle `aperture_deg` (5) around the direction `view_deg` = (theta, phi)
         (0, 0), light along `light_deg` (0, 0).
         """
+        if isinstance(self.tile, Scan):
+            return {"structure": self._structure}
         return {"structure": self._structure, "microscope": self._microscope}
 
     @property
     def fabrications(self) -> Mapping[str, Drawer]:
-        """The heights, in all formats of height maps."""
+        """The heights of a period, in all formats of height maps."""
+        if isinstance(self.tile, Scan):
+            return {}
         return dict.fromkeys(("png16", "tiff16", "stl", "gds", "oas", "csv"), self._height_map)
 
     def _height_map(self, request: DrawingRequest) -> HeightMap:
-        heights = self.tile.heights_nm
-        return HeightMap((heights - heights.min()) / 1e3, self.tile.feature_nm / 1e3)
+        heights = self._period.heights_nm
+        return HeightMap((heights - heights.min()) / 1e3, self._period.feature_nm / 1e3)
 
     def _structure(self) -> dict[str, NDArray[Any]]:
+        if isinstance(self.tile, Scan):
+            heights = self.tile.heights_nm[:FIGURE_POINTS, :FIGURE_POINTS]
+            dx, dy = np.gradient(heights, self.tile.pitch_nm)
+            x = np.arange(heights.shape[0]) * self.tile.pitch_nm
+            return {"heights_nm": heights, "x_nm": x, "slope": np.hypot(dx, dy)}
         upsampling = 8
         surface = self.tile.surface_nm(upsampling)
         dx, dy = slopes(surface, self.tile.feature_nm / upsampling)
@@ -183,17 +224,26 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         lateral = np.concatenate([centre[None, :2], centre[None, :2] + offsets])
         lateral = lateral[(lateral**2).sum(axis=-1) < 0.999]
         wo = np.concatenate([lateral, np.sqrt(1.0 - (lateral**2).sum(axis=-1, keepdims=True))], axis=-1)
-        highest = int(np.ceil(self.tile.period_nm * (np.abs(lateral + wi[:2]).max() + 0.2) / grid.min()))
-        sampling = choose_sampling(self.tile, 2.0 / float(grid.min()), highest, 1e-2)
-        brdf = local_response(self.tile, self.coherence, wi, wo, grid, sampling.samples_per_feature, self.prefactor)
+        highest = int(np.ceil(self._period.period_nm * (np.abs(lateral + wi[:2]).max() + 0.2) / grid.min()))
+        sampling = choose_sampling(self._period, 2.0 / float(grid.min()), highest, 1e-2)
+        brdf = local_response(self._period, self.coherence, wi, wo, grid, sampling.samples_per_feature, self.prefactor)
         cosine = float(np.linalg.norm(wi + centre) / 2.0)
         brdf = brdf * coating_reflectance(self.coating.n_complex(grid))(np.array(cosine))
-        step = self.tile.feature_nm / sampling.samples_per_feature
+        step = self._period.feature_nm / sampling.samples_per_feature
         x = (np.arange(brdf.shape[0]) + 0.5) * step
-        extent_um = np.array(self.tile.period_nm / 1e3)
+        extent_um = np.array(self._period.period_nm / 1e3)
         # a picture's rows run along y
         picture = np.swapaxes(brdf, 0, 1)
         return {"brdf": brdf, "wavelengths_nm": grid, "x_nm": x, "spectra": picture, "extent_um": extent_um}
+
+
+def _bound_note(report: MapReport) -> str:
+    """Return how strongly the energy bound acts."""
+    worst = int(np.argmax(report.excess))
+    return (
+        f"bounded = true scales the relief, which would reflect up to {max(report.excess):.2g} times the light at "
+        f"{EXCESS_ANGLES_DEG[worst]:g} degrees; exits at grazing angles lose light at every incidence"
+    )
 
 
 def report_summary(report: MapReport) -> dict[str, Any]:

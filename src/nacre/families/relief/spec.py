@@ -3,32 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from tokenize import TokenError
 from typing import Annotated, Any, ClassVar, Literal
 
-import numpy as np
 from pydantic import Field
 
-from nacre.bsdf.texture_spec import read_grey
 from nacre.core.errors import RecipeError
-from nacre.core.files import plain, why_unreadable
 from nacre.families.relief.coherence import CoherenceSpec
+from nacre.families.relief.height_file import MAX_HEIGHT_UM, HeightOptions, scan_of, tile_of
 from nacre.families.relief.material import Relief
-from nacre.families.relief.surface import Array, Tile
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.model import RecipeContext, RecipeModel
 
-MAX_FEATURES = 512
-MAX_HEIGHT_UM = 1000.0
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
-
 
 class ReliefSpec(RecipeModel):
-    """A periodic height map with an opaque coating.
+    """A height map with an opaque coating: a periodic tile, or the scan of an instrument.
 
-    `heights` is a .npy array `[x, y]` in um, or a grey image (row = x) with heights from 0 (black) to
-    `height_scale_um` (white).
+    `heights` is a .npy array `[x, y]` in um, a grey image (row = x) with heights from 0 (black) to `height_scale_um`
+    (white), or a file of a profilometer or scanning probe microscope (x along its rows, y upward). Files of
+    instruments are scans, not periods: the mean over coherence windows describes them.
     """
 
     example: ClassVar[Mapping[str, Any]] = {
@@ -41,18 +33,41 @@ class ReliefSpec(RecipeModel):
 
     family: Literal["relief"] = Field(default="relief", description="the family's name")
     heights: str = Field(
-        description="the heights: a .npy array [x, y] in um, or a grey image (row = x)",
-        examples=["heights.npy", "heights.png"],
+        description="the heights: a .npy array [x, y] in um, a grey image (row = x), or the scan of an instrument",
+        examples=["heights.npy", "heights.png", "scan.sdf"],
     )
     height_scale_um: Annotated[float, Field(gt=0.0, le=MAX_HEIGHT_UM)] | None = Field(
         default=None, description="height of white over black in an image; required for images", examples=[0.5]
     )
-    feature_um: Annotated[float, Field(gt=0.0)] = Field(
-        description="side of one square feature, a pixel of the heights", examples=[2]
+    feature_um: Annotated[float, Field(gt=0.0)] | None = Field(
+        default=None,
+        description="side of one square feature, a pixel of the heights; required unless the file states its pitch",
+        examples=[2],
     )
-    blur_um: Annotated[float, Field(gt=0.0)] = Field(
-        description="standard deviation of the Gaussian blur of the process", examples=[0.6]
+    blur_um: Annotated[float, Field(gt=0.0)] | None = Field(
+        default=None,
+        description="standard deviation of the Gaussian blur of the process; required unless the heights are a scan",
+        examples=[0.6],
     )
+    periodic: bool | None = Field(
+        default=None,
+        description="whether the heights are one period, with sharp features, or a scan; default: files of "
+        "instruments, heights that are not square and heights that do not close at their edges are scans",
+    )
+    level: Literal["plane", "none"] | None = Field(
+        default=None,
+        description="of a scan: remove the least-squares plane, or let the light see it; default: remove that of an "
+        "instrument's file",
+    )
+    statistics: Literal["scan", "random", "isotropic"] | None = Field(
+        default=None,
+        description="of a scan: diffraction by the scan itself, or by random heights with its power spectral density, "
+        "also averaged over azimuth; default: by its heights and autocovariance",
+    )
+    height_unit: Literal["nm", "um", "mm", "m"] | None = Field(
+        default=None, description="unit of the heights, if the file states none; a .npy array is in um by default"
+    )
+    channel: str | None = Field(default=None, description="channel of a file with several", examples=["Height"])
     coating: IndexSpec = Field(
         default_factory=lambda: IndexSpec.model_validate("Al"), description="opaque metal of the surface"
     )
@@ -76,56 +91,17 @@ class ReliefSpec(RecipeModel):
         Raises:
             RecipeError: the heights cannot be used.
         """
-        heights_um = self._heights(context)
-        tile = Tile(1e3 * heights_um, 1e3 * self.feature_um, 1e3 * self.blur_um)
+        options = HeightOptions(
+            self.heights, self.feature_um, self.blur_um, self.height_scale_um, self.periodic, self.level,
+            self.statistics, self.height_unit, self.channel,
+        )  # fmt: skip
+        heights = options.read(context)
+        if heights.is_periodic:
+            for key in ("level", "statistics"):
+                if getattr(self, key) is not None:
+                    raise RecipeError(f"{context.source}: {key} is of a scan; the heights are one period")
+        surface = tile_of(heights, options, context) if heights.is_periodic else scan_of(heights, options, context)
         return Relief(
-            tile, self.coherence.build(), self.coating.build(context), self.prefactor, self.accuracy, self.bounded,
+            surface, self.coherence.build(), self.coating.build(context), self.prefactor, self.accuracy, self.bounded,
             context.ambient,
         )  # fmt: skip
-
-    def _heights(self, context: RecipeContext) -> Array:
-        path = context.path(self.heights)
-        try:
-            plain(path)
-        except OSError as error:
-            raise context.fail("heights", self.heights, why_unreadable(error)) from None
-        is_image = path.suffix.lower() in IMAGE_SUFFIXES
-        if is_image and self.height_scale_um is None:
-            raise RecipeError(f"{context.source}: height_scale_um is missing; heights from an image need it")
-        heights = (
-            read_grey(path, f"{context.source}: heights", MAX_FEATURES) * float(self.height_scale_um or 1.0)
-            if is_image
-            else read_heights(path, self.heights, context)
-        )
-        return check_heights(heights, self.heights, context)
-
-
-def read_heights(path: Path, name: str, context: RecipeContext) -> Array:
-    """Read a .npy array, with its size checked first.
-
-    Raises:
-        RecipeError: not a numeric array, or too large.
-    """
-    try:
-        mapped = np.load(plain(path), mmap_mode="r", allow_pickle=False)
-        shape, kind = mapped.shape, mapped.dtype.kind
-        if kind not in "fiub" or max(shape, default=0) > MAX_FEATURES:
-            raise context.fail("heights", name, f"holds {mapped.dtype}{list(shape)}; at most {MAX_FEATURES} a side")
-        return np.array(mapped, dtype=float)
-    except (OSError, ValueError, EOFError, AttributeError, SyntaxError, TokenError, TypeError) as error:
-        raise context.fail("heights", name, f"is not a .npy array of numbers: {error}") from None
-
-
-def check_heights(heights: Array, name: str, context: RecipeContext) -> Array:
-    """Return usable heights.
-
-    Raises:
-        RecipeError: not square, not finite, or far too high.
-    """
-    if heights.ndim != 2 or heights.shape[0] != heights.shape[1] or heights.shape[0] < 1:
-        raise context.fail("heights", name, f"has shape {list(heights.shape)}; it should be square, n x n")
-    if not np.isfinite(heights).all():
-        raise context.fail("heights", name, "holds values that are not finite")
-    if np.ptp(heights) > MAX_HEIGHT_UM:
-        raise context.fail("heights", name, f"spans {np.ptp(heights):.3g} um; at most {MAX_HEIGHT_UM:g}")
-    return heights

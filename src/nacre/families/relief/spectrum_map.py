@@ -7,6 +7,7 @@ cumulants, so that the sum is the Gaussian, positive and with an exact integral.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.diffraction_orders import Sampling, choose_sampling, is_fft_cheaper, line_basis, line_power
 from nacre.families.relief.plane_cut import Reflectance, chebyshev_nodes, interpolation_weights, node_count, window_norm
 from nacre.families.relief.prefactor import Prefactor
+from nacre.families.relief.scan import Scan, ScanLines
 from nacre.families.relief.surface import Array, Tile
 
 # grid steps for an error of 1e-3 (measured): psi in units of the smoothing, xi in radians of the highest wall's phase;
@@ -48,6 +50,9 @@ COSINES = np.linspace(0.0, 1.0, 65)  # of the coating's tabulated reflectance
 EXCESS_ANGLES_DEG = (0.0, 30.0, 60.0, 75.0, 85.0)
 
 
+Bands = list[tuple[slice, slice, NDArray[np.float32]]]
+
+
 @dataclass(frozen=True)
 class MapReport:
     """Chosen nodes, and the scaling by the energy bound.
@@ -58,6 +63,9 @@ class MapReport:
         xi_nodes, psi_nodes: size of the table.
         psi_error: relative L2 error of the psi grid; larger than allowed if memory limits the step.
         excess: `[angle]`, largest albedo over Fresnel before scaling, at 0, 30, 60, 75 and 85 degrees.
+        statistics: of a scan, "scan", "random" or "isotropic".
+        windows: windows of a scan.
+        noise: relative standard deviation of a scan's scatter in one direction.
     """
 
     sampling: Sampling
@@ -66,10 +74,13 @@ class MapReport:
     psi_nodes: int
     psi_error: float
     excess: tuple[float, ...]
+    statistics: str = ""
+    windows: int = 0
+    noise: float = 0.0
 
 
 def spectrum_map(
-    tile: Tile,
+    tile: Tile | Scan,
     coherence: Coherence,
     wavelengths_nm: Array,
     reflectance: Reflectance,
@@ -80,7 +91,7 @@ def spectrum_map(
     """Compute the lobe of a relief.
 
     Args:
-        tile: heights and process.
+        tile: one period, heights and process; or a scan, which has none.
         coherence: coherence window.
         wavelengths_nm: ascending.
         reflectance: Fresnel reflectance `[..., wavelength]` at cosines.
@@ -99,11 +110,13 @@ def spectrum_map(
         guard, before = energy_guard(lobe, coherence.blur)
         lobe, excess = replace(lobe, guard=guard), tuple(float(a) for a in before)
     report = MapReport(plan.sampling, len(plan.kappas), len(plan.xi) - 4, len(plan.psi), plan.grid_error, excess)
+    if plan.scan is not None and isinstance(tile, Scan):
+        report = replace(report, statistics=tile.kind, windows=plan.scan.windows, noise=plan.scan.noise)
     return lobe, report
 
 
 def map_values(
-    tile: Tile,
+    tile: Tile | Scan,
     coherence: Coherence,
     wavelengths_nm: Array,
     reflectance: Reflectance,
@@ -147,7 +160,7 @@ def map_values(
 class _Plan:
     """Nodes of a table and of the spectra behind it."""
 
-    tile: Tile
+    tile: Tile | Scan
     coherence: Coherence
     sampling: Sampling
     kappas: Array
@@ -156,6 +169,12 @@ class _Plan:
     psi: Array
     step: float
     grid_error: float
+    scan: ScanLines | None = None
+
+    @property
+    def period_nm(self) -> float:
+        """Reciprocal distance of the lines."""
+        return self.scan.period_nm if self.scan is not None else self.tile.period_nm  # type: ignore[union-attr]
 
     def lobe(
         self, table: NDArray[np.float32], psi: Array, wavelengths_nm: Array, fresnel: Array, prefactor: Prefactor
@@ -179,20 +198,41 @@ class _Plan:
 
     def tables(self, wanted: list[tuple[Array, Array, Array]]) -> list[NDArray[np.float32]]:
         """Return several tables from one computation of the lines; see `table`."""
-        surface = self.tile.surface_nm(self.sampling.samples_per_feature).astype(np.float32)
-        held = min(self.highest, (surface.shape[0] - 1) // 2)
-        samples = surface.shape[0]
-        basis = None if is_fft_cheaper(samples, held) else line_basis(samples, held, np.float32)
+        held, power, node_bytes = self._lines()
         parts = [_Part(self, held, *one) for one in wanted]
 
         def fill(node: int) -> None:
-            power = line_power(surface, float(self.kappas[node]), held, basis)
+            mirror, lines = power(float(self.kappas[node]))
             for part in parts:
-                part.smooth_lines(node, power)
+                part.smooth_lines(node, lines, mirror)
 
-        fitting = FIELDS_BYTES // (FIELD_BYTES_PER_SAMPLE * samples**2)
+        fitting = int(FIELDS_BYTES // node_bytes)
         in_threads(fill, range(len(self.kappas)), max(1, min(available_jobs(), fitting)))
         return [part.finish() for part in parts]
+
+    def _lines(self) -> tuple[int, Callable[[float], tuple[float, NDArray[np.float32]]], float]:
+        """Return the highest line, the function kappa -> mirror share and powers of the rest, and its memory."""
+        if self.scan is not None:
+            return self.scan.held, self.scan.power, self.scan.bytes_per_node
+        assert isinstance(self.tile, Tile)
+        surface = self.tile.surface_nm(self.sampling.samples_per_feature).astype(np.float32)
+        samples = surface.shape[0]
+        held = min(self.highest, (samples - 1) // 2)
+        basis = None if is_fft_cheaper(samples, held) else line_basis(samples, held, np.float32)
+        return (
+            held, lambda kappa: (0.0, line_power(surface, kappa, held, basis)), FIELD_BYTES_PER_SAMPLE * samples**2,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Smoothing:
+    """Matrices that smooth lines up to `reach` at one wavelength, and the smoothed line of a mirror."""
+
+    reach: int
+    along_x: Bands
+    along_y: Bands
+    gain: np.float32
+    mirror: NDArray[np.float32] | None
 
 
 class _Part:
@@ -201,29 +241,49 @@ class _Part:
     def __init__(self, plan: _Plan, held: int, psi_x: Array, psi_y: Array, wavelengths_nm: Array) -> None:
         self._plan, self._held, self._wavelengths = plan, held, wavelengths_nm
         self._shape = (len(psi_x), len(psi_y))
-        blur, step, period = plan.coherence.blur, plan.step, plan.tile.period_nm
-        # the spline adds a variance of step^2/4; the coefficients are smoothed by the rest
-        rest = float(np.sqrt(blur**2 - SPLINE_VARIANCE * step**2))
-        self._gain = np.float32(window_norm(plan.coherence) * (blur / rest) ** 2)
-        self._matrices = []
-        for wavelength in wavelengths_nm:
-            reach = min(held, int(np.ceil(period * (2.0 + 6.0 * blur) / wavelength)))
-            lines = period * rest / float(wavelength)
-            along_x = _rest_matrix(psi_x, reach, lines, rest, step)
-            along_y = along_x if psi_y is psi_x else _rest_matrix(psi_y, reach, lines, rest, step)
-            self._matrices.append((reach, _bands(along_x), _bands(along_y)))
+        self._psi = psi_x, psi_y
+        tilt = plan.tile.tilt if isinstance(plan.tile, Scan) else (0.0, 0.0)
+        self._tilt = tilt if any(tilt) else None
+        self._matrices = [] if self._tilt else [self._smoothing(w, 0.0) for w in wavelengths_nm]
         count = len(wavelengths_nm), len(plan.kappas), *self._shape
         self._smooth = np.empty(count, dtype=np.float32)
 
-    def smooth_lines(self, node: int, power: NDArray[np.float32]) -> None:
-        """Add the lines of one kappa node."""
-        for k, (reach, along_x, along_y) in enumerate(self._matrices):
+    def _smoothing(self, wavelength: float, kappa: float) -> _Smoothing:
+        """Return the smoothing of the lines at one wavelength; a tilt moves them by its slope times kappa."""
+        plan = self._plan
+        blur, step, period = plan.coherence.blur, plan.step, plan.period_nm
+        shift = [kappa * wavelength * slope for slope in self._tilt or (0.0, 0.0)]
+        psi_x, psi_y = self._psi[0] + shift[0], self._psi[1] + shift[1]
+        is_same = self._psi[0] is self._psi[1] and shift[0] == shift[1]
+        reach = min(self._held, int(np.ceil(period * (2.0 + 6.0 * blur + max(map(abs, shift))) / wavelength)))
+        # the lines of a small scan are farther apart than the window's smoothing is wide
+        wide = blur if plan.scan is None else max(blur, wavelength / period)
+        # the spline adds a variance of step^2/4; the coefficients are smoothed by the rest
+        rest = float(np.sqrt(wide**2 - SPLINE_VARIANCE * step**2))
+        along_x = _rest_matrix(psi_x, reach, period * rest / wavelength, rest, step)
+        along_y = along_x if is_same else _rest_matrix(psi_y, reach, period * rest / wavelength, rest, step)
+        gain = np.float32(window_norm(plan.coherence) * (blur / rest) ** 2)
+        mirror = None
+        if plan.scan is not None:
+            rest = float(np.sqrt(blur**2 - SPLINE_VARIANCE * step**2))
+            peak = [_rest_matrix(psi, 0, 1.0, rest, step)[:, 0] for psi in (psi_x, psi_y)]
+            mirror = np.float32(window_norm(plan.coherence) * (blur / rest) ** 2) * peak[0][:, None] * peak[1]
+        return _Smoothing(reach, _bands(along_x), _bands(along_y), gain, mirror)
+
+    def smooth_lines(self, node: int, power: NDArray[np.float32], mirror: float = 0.0) -> None:
+        """Add the lines of one kappa node, and the share that reflects as a mirror."""
+        for k, wavelength in enumerate(self._wavelengths):
+            kappa = float(self._plan.kappas[node])
+            smoothing = self._smoothing(float(wavelength), kappa) if self._tilt else self._matrices[k]
+            reach = smoothing.reach
             inner = slice(self._held - reach, self._held + reach + 1)
             across = np.empty((self._shape[0], 2 * reach + 1), dtype=np.float32)
-            for rows, columns, block in along_x:
+            for rows, columns, block in smoothing.along_x:
                 np.matmul(block, power[inner, inner][columns], out=across[rows])
-            for rows, columns, block in along_y:
-                self._smooth[k, node][:, rows] = self._gain * (across[:, columns] @ block.T)
+            for rows, columns, block in smoothing.along_y:
+                self._smooth[k, node][:, rows] = smoothing.gain * (across[:, columns] @ block.T)
+            if smoothing.mirror is not None:
+                self._smooth[k, node] += np.float32(mirror) * smoothing.mirror
 
     def finish(self) -> NDArray[np.float32]:
         """Return the table `[psi_x, psi_y, xi, wavelength]`."""
@@ -241,7 +301,7 @@ class _Part:
         return table.reshape(*self._shape, len(xi), -1)
 
 
-def _bands(matrix: NDArray[np.float32]) -> list[tuple[slice, slice, NDArray[np.float32]]]:
+def _bands(matrix: NDArray[np.float32]) -> Bands:
     """Split a banded matrix `[direction, line]` into blocks of rows with their non-zero columns.
 
     Lines outside a direction's Gaussian are zero in single precision.
@@ -256,7 +316,7 @@ def _bands(matrix: NDArray[np.float32]) -> list[tuple[slice, slice, NDArray[np.f
     return blocks
 
 
-def _plan(tile: Tile, coherence: Coherence, wavelengths_nm: Array, error: float) -> _Plan:
+def _plan(tile: Tile | Scan, coherence: Coherence, wavelengths_nm: Array, error: float) -> _Plan:
     """Choose all nodes for an allowed error.
 
     Raises:
@@ -264,7 +324,9 @@ def _plan(tile: Tile, coherence: Coherence, wavelengths_nm: Array, error: float)
     """
     shortest = float(wavelengths_nm[0])
     blur = coherence.blur
-    height = max(tile.height_range_nm, 1e-3)
+    width_nm = coherence.width_in_wavelengths * float(wavelengths_nm[-1])
+    ranges = tile.ranges_nm(width_nm) if isinstance(tile, Scan) else (tile.height_range_nm,) * 2
+    node_range, height = (max(r, 1e-3) for r in ranges)
     coarser = (error / 1e-3) ** (1.0 / 3.0)
     phase = XI_PHASE_AT_1E_3 * coarser
     xi_nodes = max(6, int(np.ceil(2.0 * np.pi * height * 2.0 / shortest / phase)) + 1)
@@ -287,11 +349,17 @@ def _plan(tile: Tile, coherence: Coherence, wavelengths_nm: Array, error: float)
         )
     check_memory(size, f"coherence.sigma = {coherence.sigma_um:.3g}: the relief's table")
     kappa_low, kappa_high = xi[0] / shortest, xi[-1] / shortest
-    highest = int(np.ceil(tile.period_nm * (2.0 + 6.0 * blur) / shortest))
-    sampling = choose_sampling(tile, kappa_high, highest, error)
-    kappas = chebyshev_nodes(kappa_low, kappa_high, node_count(height, kappa_low, kappa_high, 10.0 * error))
+    kappas = chebyshev_nodes(kappa_low, kappa_high, node_count(node_range, kappa_low, kappa_high, 10.0 * error))
     grid_error = float(1e-3 * (step_in_blurs / PSI_STEP_AT_1E_3) ** 3)
     psi: Array = np.arange(-half, half + 1, dtype=float) * step
+    frequency = (2.0 + 6.0 * blur) / shortest
+    if isinstance(tile, Scan):
+        frequency += kappa_high * max(map(abs, tile.tilt))
+        scan = tile.lines(width_nm, kappa_high, frequency, len(kappas))
+        sampling = Sampling(scan.upsampling, 0.0, 0.0, scan.held)
+        return _Plan(tile, coherence, sampling, kappas, scan.held, xi, psi, step, grid_error, scan)
+    highest = int(np.ceil(tile.period_nm * frequency))
+    sampling = choose_sampling(tile, kappa_high, highest, error)
     return _Plan(tile, coherence, sampling, kappas, highest, xi, psi, step, grid_error)
 
 

@@ -130,15 +130,19 @@ class Oscillators:
 
     def __call__(self, wavelengths_nm: Array) -> ComplexArray:
         """Return the root with k >= 0."""
-        energy = EV_NM / np.asarray(wavelengths_nm, dtype=float)
+        eps = self.permittivity(EV_NM / np.asarray(wavelengths_nm, dtype=float))
+        # a lossless metal has eps < 0 with an imaginary part of either zero; numpy's root of -0j would be -ik
+        root = np.sqrt(eps)
+        return np.where(root.imag < 0.0, -root, root)
+
+    def permittivity(self, energy: Array) -> ComplexArray:
+        """Return eps at photon energies in eV."""
         eps = np.full(energy.shape, complex(self.eps_inf))
         if self.plasma_ev > 0.0:
             eps = eps - np.square(self.plasma_ev) / (energy**2 + 1j * energy * self.damping_ev)
         for strength, resonance, damping in self.oscillators:
             eps = eps + strength * np.square(resonance) / (np.square(resonance) - energy**2 - 1j * energy * damping)
-        # a lossless metal has eps < 0 with an imaginary part of either zero; numpy's root of -0j would be -ik
-        root = np.sqrt(eps)
-        return np.where(root.imag < 0.0, -root, root)
+        return eps
 
 
 @dataclass(frozen=True)

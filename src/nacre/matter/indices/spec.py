@@ -19,12 +19,28 @@ from nacre.matter.indices.constant import (
 )
 from nacre.matter.indices.constants_file import read_index_file
 from nacre.matter.indices.database import find_page, read_page
+from nacre.matter.indices.law_spec import (
+    BrendelBormannSpec,
+    BSplineSpec,
+    CodyLorentzSpec,
+    GaussianSpec,
+    TaucLorentzSpec,
+    UrbachSpec,
+)
+from nacre.matter.indices.laws import DrudeLorentz, SumOfTerms, Tail, Term
+from nacre.matter.indices.mixtures import FRACTION_ERROR, SPHERE, Mixture
 from nacre.matter.indices.models import Cauchy, Constant, Dispersion, Oscillators, Sellmeier, abbe_cauchy
 from nacre.matter.stack.inputs import CLEAR_K
+from nacre.readers.constants.spd_pair import other_of_pair
 from nacre.readers.measurement import ReadOptions
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 
-FORMS = ("name", "n", "cauchy", "sellmeier", "n_d", "drude", "lorentz", "file", "rii")
+LAWS = ("tauc_lorentz", "cody_lorentz", "gaussian", "brendel_bormann", "b_spline")
+SUMMED = ("drude", "lorentz", *LAWS)  # terms of one permittivity, which may stand together
+FORMS = ("name", "n", "cauchy", "sellmeier", "n_d", *SUMMED, "file", "rii", "mix")
+WITH_URBACH = ("n", "cauchy", "sellmeier", "n_d")
+OF_A_MIXTURE = ("volume_fractions", "model", "depolarisation")
+ANISOTROPIC = ("principal", "ordinary", "extraordinary")
 EXAMPLES = (
     '"Ag", {n = 1.5}, {n = 1.5, k = 0.1}, {cauchy = [1.5, 0.005]}, {file = "nk.csv"} or {rii = "main/Ag/Johnson"}'
 )
@@ -80,13 +96,16 @@ class IndexSpec(RecipeModel):
 
     A bare string is a name, a bare number an index. A table gives exactly one of these: `name`; `n` (with
     `k`); `cauchy = [c0, c1, ...]`, n = c0 + c1/l^2 + c2/l^4...; `sellmeier = [b1, c1, b2, c2, ...]`,
-    n^2 = 1 + sum b l^2/(l^2 - c); `n_d` with `abbe`; `drude` and/or `lorentz`; `file`, a text table; `rii`, a
-    refractiveindex.info entry. Wavelengths l in um. `extrapolate = "edge"` continues the end values outside the
-    published range.
+    n^2 = 1 + sum b l^2/(l^2 - c); `n_d` with `abbe`; one or more of `drude`, `lorentz`, `tauc_lorentz`,
+    `cody_lorentz`, `gaussian`, `brendel_bormann` and `b_spline`, whose permittivities add; `file`, a text table; `rii`,
+    a refractiveindex.info entry; `mix`, an effective medium. Wavelengths l in um. `extrapolate = "edge"` continues the
+    end values outside the published range.
     """
 
     noun: ClassVar[str] = "optical constant"
-    one_of: ClassVar[tuple[str, ...]] = ("name", "n", "cauchy", "sellmeier", "n_d", "drude|lorentz", "file", "rii")
+    one_of: ClassVar[tuple[str, ...]] = (
+        "name", "n", "cauchy", "sellmeier", "n_d", "|".join(SUMMED), "file", "rii", "mix",
+    )  # fmt: skip
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = (
         {"enum": list(BY_NAME)},
         {"type": "string", "description": "a named optical constant, or shelf/book/page of refractiveindex.info"},
@@ -101,7 +120,10 @@ class IndexSpec(RecipeModel):
         "{n_d = 1.575, abbe = 30}",
         "{drude = {plasma_ev = 9.0, damping_ev = 0.07}}",
         "{lorentz = {oscillators = [{strength = 1.0, resonance_ev = 4.2}]}}",
+        "{tauc_lorentz = {gap_ev = 1.6, oscillators = [{amplitude_ev = 100, resonance_ev = 4, damping_ev = 1.8}]}}",
+        "{cauchy = [1.45, 0.004], urbach = {amplitude = 0.1, energy_ev = 0.15, edge_ev = 3.4}}",
         '{file = "nk.csv"}',
+        '{mix = ["TiO2", "air"], volume_fractions = [0.8, 0.2], model = "bruggeman"}',
         '{file = "eps.txt", columns = ["energy_eV", "e1", "e2"]}',
         '{rii = "main/Ag/Johnson"}',
         '{name = "TiO2", extrapolate = "edge"}',
@@ -143,6 +165,47 @@ class IndexSpec(RecipeModel):
     abbe: Positive | None = pydantic.Field(default=None, description="Abbe number beside n_d", examples=[30])
     drude: DrudeSpec | None = pydantic.Field(default=None, description="free carriers, alone or beside lorentz")
     lorentz: LorentzSpec | None = pydantic.Field(default=None, description="bound oscillators, alone or beside drude")
+    tauc_lorentz: TaucLorentzSpec | None = pydantic.Field(default=None, description="bands above a gap, by Tauc")
+    cody_lorentz: CodyLorentzSpec | None = pydantic.Field(default=None, description="bands above a gap, by Cody")
+    gaussian: GaussianSpec | None = pydantic.Field(default=None, description="Gaussian absorption bands")
+    brendel_bormann: BrendelBormannSpec | None = pydantic.Field(
+        default=None, description="oscillators with a Gaussian spread of the resonance"
+    )
+    b_spline: BSplineSpec | None = pydantic.Field(
+        default=None, description="imaginary permittivity as a spline, the real part by Kramers-Kronig"
+    )
+    urbach: UrbachSpec | None = pydantic.Field(
+        default=None, description="an exponential absorption edge beside n, cauchy, sellmeier or n_d"
+    )
+    mix: tuple[IndexSpec, ...] | None = pydantic.Field(
+        default=None,
+        min_length=2,
+        max_length=10,
+        description="materials mixed far below the wavelength; of maxwell-garnett the first is the host",
+        examples=[["TiO2", "air"]],
+    )
+    volume_fractions: tuple[Annotated[float, pydantic.Field(ge=0.0, le=1.0)], ...] | None = pydantic.Field(
+        default=None,
+        min_length=1,
+        max_length=10,
+        description="volume fractions of the mixed materials, in sum 1; the last may be left out and fills the rest",
+        examples=[[0.8, 0.2]],
+    )
+    model: Literal["bruggeman", "maxwell-garnett", "looyenga", "lichtenecker"] | None = pydantic.Field(
+        default=None, description="effective-medium model of the mixture; default: bruggeman", examples=["bruggeman"]
+    )
+    depolarisation: (
+        Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
+        | Annotated[
+            tuple[Annotated[float, pydantic.Field(ge=0.0, le=1.0)], ...], pydantic.Field(min_length=3, max_length=3)
+        ]
+        | None
+    ) = pydantic.Field(
+        default=None,
+        description="depolarisation factors of randomly oriented ellipsoids, three in sum 1, or one factor of aligned "
+        "ellipsoids along the field; default: spheres, 1/3",
+        examples=[[0.2, 0.4, 0.4], 0.5],
+    )
     file: str | None = pydantic.Field(
         default=None,
         description="a file beside the recipe with n and k, or e1 and e2, over wavelength or energy: a text table, or "
@@ -183,6 +246,11 @@ class IndexSpec(RecipeModel):
             return {"n": data}
         if not isinstance(data, Mapping | IndexSpec):
             raise ValueError(f"= {show_value(data)} is not a material; write {EXAMPLES}")
+        if isinstance(data, Mapping) and any(key in data for key in ANISOTROPIC):
+            raise ValueError(
+                "= {" + ", ".join(f"{key} = ..." for key in data if key in ANISOTROPIC) + "} is anisotropic; "
+                "anisotropic media may be layers and the substrate of a film, and nothing else"
+            )
         return data
 
     @pydantic.model_validator(mode="after")
@@ -203,7 +271,7 @@ class IndexSpec(RecipeModel):
 
     def _check_form(self) -> None:
         given = [form for form in FORMS if getattr(self, form) is not None]
-        if not given or (len(given) > 1 and set(given) != {"drude", "lorentz"}):
+        if not given or (len(given) > 1 and not set(given) <= set(SUMMED)):
             got = " and ".join(given) if given else "nothing"
             raise ValueError(f"gives {got}; a material is exactly one of {EXAMPLES}")
         if self.k is not None:
@@ -218,12 +286,31 @@ class IndexSpec(RecipeModel):
             raise ValueError("needs both n_d and abbe")
         if self.sellmeier is not None and len(self.sellmeier) % 2:
             raise ValueError(f".sellmeier has {len(self.sellmeier)} numbers; they come in pairs b, c")
-        if (
-            self.drude is not None
-            and self.lorentz is not None
-            and 1.0 not in (self.drude.eps_inf, self.lorentz.eps_inf)
-        ):
-            raise ValueError("gives eps_inf twice, in drude and in lorentz; delete one")
+        backgrounds = [form for form in given if form in SUMMED and getattr(self, form).eps_inf != 1.0]
+        if len(backgrounds) > 1:
+            raise ValueError(f"gives eps_inf twice, in {backgrounds[0]} and in {backgrounds[1]}; delete one")
+        if self.urbach is not None and given[0] not in WITH_URBACH:
+            raise ValueError(f".urbach stands beside {', '.join(WITH_URBACH)}, not beside {given[0]}")
+        self._check_mixture()
+
+    def _check_mixture(self) -> None:
+        if self.mix is None:
+            stray = next((key for key in OF_A_MIXTURE if getattr(self, key) is not None), None)
+            if stray is not None:
+                raise ValueError(f".{stray} belongs to a mixture; add mix = [...]")
+            return
+        fractions, count = self.volume_fractions, len(self.mix)
+        if fractions is None or len(fractions) not in (count, count - 1):
+            got = "no volume_fractions" if fractions is None else f"{len(fractions)} volume_fractions"
+            raise ValueError(f"mixes {count} materials with {got}; give one of each, or leave the last one out")
+        total = sum(fractions)
+        if total > 1.0 + FRACTION_ERROR or (len(fractions) == count and total < 1.0 - FRACTION_ERROR):
+            raise ValueError(f".volume_fractions = {list(fractions)} have the sum {total:g}; it should be 1")
+        factors = self.depolarisation
+        if isinstance(factors, tuple) and abs(sum(factors) - 1.0) > FRACTION_ERROR:
+            raise ValueError(f".depolarisation = {list(factors)} has the sum {sum(factors):g}; it should be 1")
+        if factors is not None and self.model in ("looyenga", "lichtenecker"):
+            raise ValueError(f".depolarisation has no meaning for {self.model}; use bruggeman or maxwell-garnett")
 
     def _make(self, context: RecipeContext) -> OpticalConstant:
         if self.name is not None:
@@ -243,6 +330,9 @@ class IndexSpec(RecipeModel):
 
     def _table(self, name: str, context: RecipeContext) -> Dispersion:
         path = context.path(name)
+        other = other_of_pair(path)
+        if other is not None and other.is_file():
+            context.path(str(other))  # its content is part of the material
         options = ReadOptions(
             unit=self.unit, spectrum=self.spectrum, columns=self.columns, ignore=self.ignore, expects="constants"
         )
@@ -254,6 +344,17 @@ class IndexSpec(RecipeModel):
         return found
 
     def _formula(self) -> tuple[str, Dispersion]:
+        if self.mix is not None:
+            return self._mixture(self.mix)
+        if any(getattr(self, form) is not None for form in SUMMED):
+            return self._sum_of_terms()
+        label, model = self._index_formula()
+        if self.urbach is None:
+            return label, model
+        tail = Tail(model, self.urbach.amplitude, self.urbach.energy_ev, self.urbach.edge_ev)
+        return f"{label} with an Urbach tail", tail
+
+    def _index_formula(self) -> tuple[str, Dispersion]:
         if self.n is not None:
             label = f"n = {self.n:g}" + (f" + {self.k:g}i" if self.k else "")
             return label, Constant(self.n, self.k or 0.0)
@@ -262,16 +363,38 @@ class IndexSpec(RecipeModel):
         if self.sellmeier is not None:
             pairs = tuple(zip(self.sellmeier[0::2], self.sellmeier[1::2]))
             return f"sellmeier {list(self.sellmeier)}", Sellmeier(pairs)
-        if self.n_d is not None and self.abbe is not None:
-            return f"n_d = {self.n_d:g}, abbe = {self.abbe:g}", abbe_cauchy(self.n_d, self.abbe)
+        assert self.n_d is not None and self.abbe is not None
+        return f"n_d = {self.n_d:g}, abbe = {self.abbe:g}", abbe_cauchy(self.n_d, self.abbe)
+
+    def _sum_of_terms(self) -> tuple[str, Dispersion]:
         drude, lorentz = self.drude, self.lorentz
         bound = lorentz.oscillators if lorentz else ()
-        return "drude-lorentz", Oscillators(
+        classical = Oscillators(
             eps_inf=(drude.eps_inf if drude else 1.0) * (lorentz.eps_inf if lorentz else 1.0),
             plasma_ev=drude.plasma_ev if drude else 0.0,
             damping_ev=drude.damping_ev if drude else 0.0,
             oscillators=tuple((o.strength, o.resonance_ev, o.damping_ev) for o in bound),
         )
+        laws = [law for name in LAWS if (law := getattr(self, name)) is not None]
+        if not laws:
+            return "drude-lorentz", classical
+        terms: list[Term] = [term for law in laws for term in law.terms()]
+        if drude or lorentz:
+            terms.append(DrudeLorentz(classical))
+        eps_inf = classical.eps_inf
+        for law in laws:
+            eps_inf *= law.eps_inf
+        return ", ".join(name for name in SUMMED if getattr(self, name) is not None), SumOfTerms(eps_inf, tuple(terms))
+
+    def _mixture(self, mix: tuple[IndexSpec, ...]) -> tuple[str, Dispersion]:
+        fractions = self.volume_fractions or ()
+        if len(fractions) < len(mix):
+            fractions = (*fractions, max(1.0 - sum(fractions), 0.0))
+        factors = SPHERE if self.depolarisation is None else self.depolarisation
+        factors = factors if isinstance(factors, tuple) else (factors,)
+        parts = tuple(one.build() for one in mix)
+        name = " + ".join(f"{100 * f:.4g} % {part.name}" for f, part in zip(fractions, parts, strict=True))
+        return name, Mixture(parts, fractions, self.model or "bruggeman", factors)
 
     def _probe(self) -> None:
         """Evaluate the constant at visible wavelengths: this detects coefficients in the wrong unit."""

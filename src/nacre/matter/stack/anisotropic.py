@@ -105,7 +105,7 @@ def _about_z(angle: float) -> Array:
 
 
 def solve_anisotropic(
-    ambient_index: float,
+    ambient_index: ArrayLike,
     layers: list[AnisotropicLayer],
     substrate: ComplexArray,
     wavelengths_nm: ArrayLike,
@@ -113,6 +113,7 @@ def solve_anisotropic(
     azimuth_rad: float = 0.0,
     *,
     absorption: bool = False,
+    slice_share: float = 1.0,
     jobs: int | None = None,
 ) -> AnisotropicResponse:
     """Return the response of a stack of anisotropic layers at angles and wavelengths.
@@ -120,27 +121,29 @@ def solve_anisotropic(
     Scattering-matrix doubling of Berreman's equations; see `nacre.matter.stack.anisotropic_kernel`.
 
     Args:
-        ambient_index: real index of the clear ambient.
+        ambient_index: real index of the clear ambient, a number or `[wavelength]`.
         layers: from the ambient to the substrate.
         substrate: relative permittivity: a number, `[wavelength]`, `[3, 3]` or `[wavelength, 3, 3]`.
         wavelengths_nm: vacuum wavelengths, `[wavelength]`.
-        theta_rad: angles of incidence in the ambient, below 90 degrees, `[angle]`.
+        theta_rad: angles of incidence in the ambient, below 90 degrees, `[angle]` or `[angle, wavelength]`.
         azimuth_rad: angle of the plane of incidence (the direction x of propagation) from the x axis of the sample.
         absorption: compute the absorption of each layer.
+        slice_share: share of the slices of helical layers; the error grows with its inverse fourth power.
         jobs: threads.
 
     Raises:
         NacreError: the ambient is absorbing, or an angle is not in [0, 90) degrees.
     """
     waves, theta = np.atleast_1d(np.asarray(wavelengths_nm, float)), np.atleast_1d(np.asarray(theta_rad, float))
-    if np.imag(ambient_index) != 0 or not np.real(ambient_index) > 0:
+    if np.any(np.imag(ambient_index) != 0) or not np.all(np.real(ambient_index) > 0):
         raise NacreError("the ambient of an anisotropic stack must be clear")
     if np.any(theta < 0) or np.any(theta >= np.pi / 2):
         raise NacreError("angles of incidence must be in [0, 90) degrees")
-    n0 = float(np.real(ambient_index))
     turn = _about_z(-azimuth_rad)
-    count = waves.size
-    kx = np.repeat(n0 * np.sin(theta)[:, None], count, axis=1)
+    count, angles = waves.size, len(theta)
+    n0 = np.broadcast_to(np.real(ambient_index), (angles, count))
+    theta = np.broadcast_to(theta if theta.ndim == 2 else theta[:, None], (angles, count))
+    kx = np.ascontiguousarray(n0 * np.sin(theta))
     tensors = np.empty((len(layers), count, 3, 3), complex)
     for i, layer in enumerate(layers):
         tensors[i] = np.einsum("ij,...jk,lk->...il", turn, layer.tensor, turn)
@@ -148,9 +151,9 @@ def solve_anisotropic(
     turns = np.array(
         [0.0 if e.pitch_nm is None else e.handedness * 2 * np.pi * e.thickness_nm / e.pitch_nm for e in layers]
     )
-    slices = np.array([_slices(layer, waves) for layer in layers], dtype=np.int64)
+    slices = np.array([np.ceil(slice_share * _slices(layer, waves)) for layer in layers], dtype=np.int64)
     bottom, modes = _substrate_reflection(np.asarray(substrate, complex), turn, kx, count)
-    shape = (theta.size, count, 2, 2)
+    shape = (angles, count, 2, 2)
     gamma, entering = np.empty(shape, complex), np.empty(shape, complex)
     absorbed = np.empty((len(layers) if absorption else 0, *shape), complex)
     k0 = 2 * np.pi / waves
@@ -160,18 +163,18 @@ def solve_anisotropic(
     def task(_start: int, _stop: int, first: int, last: int) -> None:
         solve_stacks(stack, light, bottom, outputs, first, last)
 
-    work = int(theta.size * count * sum(20 + 40 * int(n) for n in slices))
-    parallel_for(task, 1, theta.size, 100 * work, jobs)
+    work = int(angles * count * sum(20 + 40 * int(n) for n in slices))
+    parallel_for(task, 1, angles, 100 * work, jobs)
     # the ambient: columns p and s of the incident wave, then of the reflected one, as a and b
-    cosine = np.cos(theta)[:, None, None, None]
+    cosine, index = np.cos(theta)[..., None, None], n0[..., None, None]
     zero, one = np.zeros_like(cosine), np.ones_like(cosine)
-    incident_e, incident_h = _columns(cosine, zero, zero, one), _columns(n0 * one, zero, zero, n0 * cosine)
-    reflected_e, reflected_h = _columns(-cosine, zero, zero, one), _columns(n0 * one, zero, zero, -n0 * cosine)
+    incident_e, incident_h = _columns(cosine, zero, zero, one), _columns(index, zero, zero, index * cosine)
+    reflected_e, reflected_h = _columns(-cosine, zero, zero, one), _columns(index, zero, zero, -index * cosine)
     d_in, u_in = 0.5 * (incident_e + incident_h), 0.5 * (incident_e - incident_h)
     d_out, u_out = 0.5 * (reflected_e + reflected_h), 0.5 * (reflected_e - reflected_h)
     jones = np.asarray(-np.linalg.solve(u_out - gamma @ d_out, u_in - gamma @ d_in), dtype=complex)
     top = d_in + d_out @ jones
-    scale = 1.0 / (n0 * np.cos(theta))[:, None, None, None]
+    scale = 1.0 / (index * cosine)
     down: ComplexArray = entering @ top
     up: ComplexArray = bottom @ down
     transmitted: ComplexArray = scale * (_gram(down) - _gram(up))

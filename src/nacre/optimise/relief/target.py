@@ -24,7 +24,7 @@ from nacre.formats.calibration import find_calibration
 from nacre.matter.indices.spec import IndexSpec
 from nacre.optimise.relief import pictures
 from nacre.optimise.relief.merit import GAMMA, ColourWeights, Problem, View, default_weights, published_weights
-from nacre.recipe.delimited_text import two_columns
+from nacre.readers.curves import recipe_spectrum
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
@@ -382,7 +382,7 @@ def _spectrum_colour(name: str, context: RecipeContext) -> Array:
     from nacre.light import spectrum_to_rgb_linear
 
     key = "target.colour.spectrum"
-    table = two_columns(context, key, name, is_share=True)
+    table = recipe_spectrum(context, key, name, ("reflectance",))
     if len(table) < 2 or (np.diff(table[:, 0]) <= 0).any():
         raise context.fail(key, name, "should contain two columns, ascending nm and reflectance")
     if table[:, 1].min() < 0.0 or table[:, 1].max() > MAX_REFLECTANCE:

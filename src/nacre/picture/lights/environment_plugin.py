@@ -38,6 +38,11 @@ def spectrum_texture(wavelengths_nm: Any, power: Any) -> Any:
     return mi.load_dict({"type": "regular", **limits, "values": ",".join(f"{v:.7g}" for v in values)})
 
 
+def unpolarised(radiance: Any) -> Any:
+    """Return unpolarised emission as the variant's spectrum."""
+    return mi.mueller.depolarizer(radiance) if mi.is_polarized else radiance
+
+
 class DistantEmitter(Plugin):
     """Methods for emitters at infinity that define `sample_direction`, `eval` and densities."""
 
@@ -117,7 +122,7 @@ class NacreEnvironment(DistantEmitter):
             self.radius = mi.Float(max(1e-3, float(np.asarray(sphere.radius).reshape(-1)[0]) * 1.01))
 
     def eval(self, si: Any, active: Any = True) -> Any:
-        return self._shine(self._uv(-si.wi)[0], si.wavelengths, active)
+        return unpolarised(self._shine(self._uv(-si.wi)[0], si.wavelengths, active))
 
     def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
         uv, density = self.density.sample(sample, active=active)
@@ -132,14 +137,14 @@ class NacreEnvironment(DistantEmitter):
         ds.delta, ds.emitter = mi.Bool(False), self.emitter_pointer()
         ds.d, ds.dist = d, distance
         weight = self._shine(uv, it.wavelengths, active) / dr.maximum(ds.pdf, 1e-12)
-        return ds, weight & active
+        return ds, unpolarised(weight & active)
 
     def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
         uv, sin_theta = self._uv(ds.d)
         return dr.select(active, _per_solid_angle(self.density.eval(uv, active=active), sin_theta), 0.0)
 
     def eval_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
-        return self._shine(self._uv(ds.d)[0], it.wavelengths, active)
+        return unpolarised(self._shine(self._uv(ds.d)[0], it.wavelengths, active))
 
     def to_string(self) -> str:
         return f"NacreEnvironment[{self.count} spectra, {self.columns} x {self.rows}]"
@@ -157,7 +162,7 @@ class NacreEnvironment(DistantEmitter):
         weights = self.texture.eval(mi.Point2f(uv.x, dr.clip(uv.y, half, 1.0 - half)), active)
         here = mi.SurfaceInteraction3f()
         here.wavelengths = wavelengths
-        total = mi.Spectrum(0.0)
+        total = mi.UnpolarizedSpectrum(0.0)
         for weight, spectrum in zip(weights, self.spectra, strict=True):
             total = total + weight * spectrum.eval(here, active)
         return (total * self.scale) & active

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.core.errors import NacreError, did_you_mean
+from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.light import illuminant as light_illuminant
 from nacre.picture.lights.environment_plugin import make_environment, spectrum_texture
@@ -69,6 +69,21 @@ class Light:
         """Turn our own environments about the vertical axis; other lights are built at their angle."""
         for emitter, own_deg in self.turning:
             emitter.set_state(1.0, own_deg + angle_deg)
+
+    def polarised(self, kind: str | float) -> Light:
+        """Return the light behind a polarising filter, with unchanged radiance.
+
+        Raises:
+            UnsupportedError: a lamp has a body; only environments are polarised.
+        """
+        from nacre.picture.polarisers import polarised_light
+
+        made = {}
+        for name, emitter in self.emitters.items():
+            if _is_body(emitter):
+                raise UnsupportedError("light_polarisation: this lamp has a body; choose studio, sun, sky or a place")
+            made[name] = polarised_light(mi.load_dict(emitter) if isinstance(emitter, dict) else emitter, kind)
+        return replace(self, emitters=made)
 
     def among(self, others: Light) -> Light:
         """Add other lights' bodies, switched off, and their place."""

@@ -17,12 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.errors import NacreError
+from nacre.picture.shapes.crease import CREASE_DEG, creased
 
 _GLB_HEADER = struct.Struct("<4sII")  # magic, version, length of all
 _GLB_CHUNK = struct.Struct("<I4s")  # length, kind
 _GLB_START = _GLB_HEADER.size + _GLB_CHUNK.size
 # unsupported compressions of glTF; integers that represent 1 in "normalized" numbers
 PACKINGS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+_CORNER_ZERO = re.compile(rb"(?m)^[ \t]*f[^\n]*[ \t]0(?=[/ \t\r\n]|\Z)")
+_SMOOTHING = re.compile(rb"(?m)^[ \t]*s[ \t]+(\S+)")
 INTEGER_WHITE = {5121: 255.0, 5123: 65535.0}
 
 
@@ -53,6 +56,7 @@ def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
 
     Raises:
         NacreError: unsupported compression.
+        IndexError: a face names a vertex that does not exist.
         FileNotFoundError: a required file is missing; its argument is the name.
         Exception: errors of the format's parser.
     """
@@ -72,6 +76,8 @@ def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
     if is_alone or suffix in (".gltf", ".glb", ".obj"):
         content = path.read_bytes()
         if suffix == ".obj":
+            if _CORNER_ZERO.search(content):
+                raise IndexError("OBJ counts vertices from 1")
             content = with_triangles(content)
         uv_white = _uv_white(path, content, suffix)
         file = io.BytesIO(with_materials(content, suffix))  # bytes have no folder with other files
@@ -79,12 +85,41 @@ def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
         read: Any = trimesh.load(file, file_type=suffix.removeprefix("."), resolver=resolver, process=False)
     else:
         read = trimesh.load(str(path), process=False)
-    parts = read.dump(concatenate=False) if isinstance(read, trimesh.Scene) else [read]
-    return [_triangles(part, uv_white) for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
+    crease_deg = 0.0 if suffix == ".obj" and _is_flat(path) else CREASE_DEG
+    return [
+        _triangles(part, transform, uv_white, crease_deg)
+        for part, transform in _placed(read)
+        if isinstance(part, trimesh.Trimesh) and len(part.faces)
+    ]
 
 
-def _triangles(part: Any, uv_white: float) -> Triangles:
-    vertices = np.asarray(part.vertices, dtype=np.float64)
+def _placed(read: Any) -> list[tuple[Any, NDArray[np.float64]]]:
+    """Return the geometries of a file with their transforms `[4, 4]`.
+
+    `trimesh.Scene.dump` would lose the normals of the file.
+    """
+    if not hasattr(read, "graph"):
+        return [(read, np.eye(4))]
+    found = []
+    for node in read.graph.nodes_geometry:
+        transform, name = read.graph[node]
+        found.append((read.geometry[name], np.asarray(transform, dtype=np.float64)))
+    return found
+
+
+def _is_flat(path: Path) -> bool:
+    """Return whether an OBJ file turns smoothing off and never on."""
+    groups = _SMOOTHING.findall(path.read_bytes())
+    return bool(groups) and all(group in (b"0", b"off") for group in groups)
+
+
+def _triangles(part: Any, transform: NDArray[np.float64], uv_white: float, crease_deg: float = CREASE_DEG) -> Triangles:
+    vertices = np.asarray(part.vertices, dtype=np.float64) @ transform[:3, :3].T + transform[:3, 3]
+    faces = np.asarray(part.faces, dtype=np.int64)
+    if faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):
+        raise IndexError("a face has a corner that is no vertex")
+    if np.linalg.det(transform[:3, :3]) < 0:
+        faces = faces[:, ::-1]
     uv = getattr(part.visual, "uv", None)
     if uv is not None:
         uv = np.asarray(uv, dtype=np.float64)
@@ -92,8 +127,11 @@ def _triangles(part: Any, uv_white: float) -> Triangles:
     if uv is not None and uv_white != 1.0:
         # `trimesh` subtracts v from 1 in unsigned integers, which overflow
         uv = np.stack([uv[:, 0], uv_white - (1.0 - uv[:, 1]) % (uv_white + 1.0)], axis=1) / uv_white
-    normals = np.asarray(part.vertex_normals, dtype=np.float64)
-    return Triangles(vertices, normals, uv, np.asarray(part.faces, dtype=np.int64))
+    if "vertex_normals" in part._cache.cache:  # from the file; `trimesh` computes others on demand
+        normals = np.asarray(part.vertex_normals, dtype=np.float64) @ np.linalg.inv(transform[:3, :3])
+        return Triangles(vertices, normals, uv, faces)
+    of, normals, faces = creased(vertices, faces, crease_deg)
+    return Triangles(vertices[of], normals, None if uv is None else uv[of], faces)
 
 
 def with_materials(content: bytes, suffix: str) -> bytes:

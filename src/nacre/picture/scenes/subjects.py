@@ -11,17 +11,16 @@ from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.core.memory import check_memory
 from nacre.picture.camera import View
-from nacre.picture.scenes.catalogue import SHAPES, Part, Scene
+from nacre.picture.scenes.catalogue import MESH_SUFFIXES, SHAPES, Part, Scene
 from nacre.picture.scenes.mesh_file import Triangles, read_triangles
-from nacre.picture.shapes.mesh import Mesh, merge, open_seam, outward
+from nacre.picture.shapes.mesh import Mesh, face_normals, merge, open_seam, outward
 
-MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
 MAX_MESH_BYTES = 1 << 30
 MAX_FACES = 20_000_000
 BYTES_PER_BYTE = 6  # memory relative to the size of the file
 LEAST_AREA, AREAS = 1e-12, 1 << 16  # relative to the squared extent; triangles per batch
 HEIGHT = 2.0  # height of a mesh, that of our sphere, or less to stay in the frame
-FRAME_SHARE = 0.94  # usable share of the frame
+LIFT = 0.002  # height of a flat object above the floor: the floor lies at 0
 # formats with y up, by Blender, Maya and the web; printers and scanners use z in the others
 Y_UP = (".obj", ".glb", ".gltf")
 # rotations of each axis to +z
@@ -84,6 +83,8 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
         raise
     except FileNotFoundError as error:
         raise NacreError(f'shape {path}: names "{error.args[-1]}", which is not beside it') from None
+    except IndexError:
+        raise NacreError(f"shape {path}: a face names a corner that is no vertex of the file") from None
     except Exception:  # each parser raises its own types
         raise NacreError(
             f"shape {path}: cannot be read as a mesh; it is damaged, or of another kind than its ending says "
@@ -106,7 +107,12 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
 
 def _is_sound(part: Triangles) -> bool:
     vertices = part.vertices
-    return vertices.shape[1:] == (3,) and bool(np.isfinite(vertices).all()) and part.faces.max() < len(vertices)
+    return (
+        vertices.shape[1:] == (3,)
+        and bool(np.isfinite(vertices).all())
+        and part.faces.min() >= 0
+        and part.faces.max() < len(vertices)
+    )
 
 
 def _surface(part: Triangles, turn: NDArray[np.float64], whole: NDArray[np.float64]) -> Mesh:
@@ -148,7 +154,19 @@ def stand_on_floor(surface: Mesh, scene: Scene) -> Mesh:
     width, depth, height = high - low
     largest = HEIGHT / max(height, 0.5 * width, 0.5 * depth)
     profile = _profile(centred.vertices)
-    return centred.moved(np.eye(3) * _scale(profile, scene, largest))
+    standing = centred.moved(np.eye(3) * _scale(profile, scene, largest))
+    return standing.shifted(0.0, 0.0, LIFT) if _lies(standing) else standing
+
+
+def _lies(surface: Mesh) -> bool:
+    """Return whether a face that is seen from above lies in the plane of the floor, as of a coin or a sheet."""
+    corners = surface.vertices[surface.faces]
+    is_low = corners[..., 2].max(axis=1) < LIFT
+    if not is_low.any():
+        return False
+    across = face_normals(corners[is_low])
+    is_thin = float(surface.vertices[:, 2].max()) < 2 * LIFT
+    return bool(is_thin or (across[:, 2] > 0.0).any())
 
 
 def _fitted(parts: list[Part], scene: Scene) -> list[Part]:
@@ -181,21 +199,9 @@ def _fitting_scale(profile: NDArray[np.float64], view: View, size: tuple[int, in
     phi = 2 * np.pi * np.arange(24) / 24
     radius, z = profile[:, :1], profile[:, 1:]
     points = np.stack([radius * np.cos(phi), radius * np.sin(phi), z + 0 * phi], axis=-1).reshape(-1, 3)
-    origin = np.array(view.origin)
-    ahead = np.array(view.target) - origin
-    ahead /= np.linalg.norm(ahead)
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    half_width = FRAME_SHARE * np.tan(np.radians(0.5 * view.fov_deg))
-    half_height = half_width * size[1] / size[0]
 
     def fits(scale: float) -> bool:
-        seen = scale * points - origin
-        depth = seen @ ahead
-        across, along = np.abs(seen @ right), np.abs(seen @ np.cross(right, ahead))
-        return bool(
-            (depth > 0.1).all() and (across <= half_width * depth).all() and (along <= half_height * depth).all()
-        )
+        return view.holds(scale * points, size)
 
     if fits(largest):
         return largest

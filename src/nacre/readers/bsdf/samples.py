@@ -17,7 +17,7 @@ from nacre.core.errors import NacreError
 from nacre.core.files import plain, why_unreadable
 from nacre.core.memory import check_memory
 from nacre.readers.measurement import AmbiguousFileError, Measurement
-from nacre.recipe.delimited_text import decoded
+from nacre.readers.text_table import decode
 
 MAX_BYTES = 1 << 30
 MEMORY_FACTOR = 8  # memory per byte of a text file: text, lines, cells
@@ -50,7 +50,7 @@ def read_text(path: Path) -> str:
         NacreError: the file cannot be read, is too large, or is not text.
     """
     try:
-        return decoded(read_bytes(path, MEMORY_FACTOR))
+        return decode(read_bytes(path, MEMORY_FACTOR))
     except UnicodeDecodeError:
         raise NacreError(f"{path}: is not text") from None
 

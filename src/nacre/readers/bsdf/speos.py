@@ -129,21 +129,32 @@ def _blocks(words: Iterator[str]) -> tuple[Array, Array, Array]:
     return rows[:, 0], phi, rows[:, 1:]
 
 
-def _scaled(theta: Array, phi: Array, values: Array, percent: float, incidence: float, is_bsdf: bool) -> Array:
+def _scaled(theta: Array, phi: Array, values: Array, percent: float, is_bsdf: bool) -> Array:
     """Return the BSDF whose hemispherical integral is the stated share.
 
     Values are proportional to the BSDF, or to the intensity (BSDF times cosine).
     """
+    f = values if is_bsdf else values / np.maximum(np.abs(np.cos(np.radians(theta))), 1e-6)[:, None]
+    total = hemispherical_share(theta, phi, f)
+    return np.asarray(f * (percent / 100.0 / total)) if total > 0 else f
+
+
+def hemispherical_share(theta_deg: Array, phi_deg: Array, f: Array) -> float:
+    """Integrate f cos over a hemisphere by trapezia; azimuths from 0 to 180 degrees stand for both sides.
+
+    Args:
+        f: `[theta, phi]`, 1/sr.
+    """
     from scipy.integrate import trapezoid
 
-    angle = np.radians(theta)
-    cosine = np.abs(np.cos(angle))
-    f = values if is_bsdf else values / np.maximum(cosine, 1e-6)[:, None]
+    angle = np.radians(theta_deg)
     order = np.argsort(angle)
-    power = trapezoid((f * (cosine * np.sin(angle))[:, None])[order], angle[order], axis=0)
-    total = power[0] * 2 * np.pi if len(phi) == 1 else trapezoid(power, np.radians(phi))
-    total = float(total) * (2.0 if len(phi) > 1 and abs(phi[-1] - 180.0) < 1e-6 and phi[0] == 0 else 1.0)
-    return np.asarray(f * (percent / 100.0 / total)) if total > 0 else f
+    weight = np.abs(np.cos(angle)) * np.sin(angle)
+    power = trapezoid((f * weight[:, None])[order], angle[order], axis=0)
+    if len(phi_deg) == 1:
+        return float(power[0] * 2 * np.pi)
+    is_half = abs(phi_deg[-1] - 180.0) < 1e-6 and phi_deg[0] == 0
+    return float(trapezoid(power, np.radians(phi_deg))) * (2.0 if is_half else 1.0)
 
 
 def _measurement(
@@ -173,7 +184,7 @@ def _measured(path: Path, lines: list[str]) -> list[Measurement]:
             for _ in range(waves):
                 percent = float(next(words))
                 theta, phi, table = _blocks(words)
-                scaled = _scaled(theta, phi, table, percent, float(at), is_bsdf)
+                scaled = _scaled(theta, phi, table, percent, is_bsdf)
                 columns.append(_measurement(path, "", 0.0, float(at), (theta, phi, scaled)))
             if any(not np.array_equal(c[0], columns[0][0]) for c in columns):
                 raise ValueError("angles differ between wavelengths")

@@ -115,5 +115,13 @@ def _entry(path: Path, entry: Any, name: str, options: ReadOptions) -> Measureme
     metadata["unit_in_file"] = unit
     maker = metadata.get("company", "NXellipsometry")
     return ellipsometry(
-        path, "nexus-ellipsometry", columns, options, maker=maker, name=name, metadata=metadata, assumed=notes
+        path,
+        "nexus-ellipsometry",
+        columns,
+        options,
+        maker=maker,
+        name=name,
+        metadata=metadata,
+        assumed=notes,
+        is_binary=True,
     )

@@ -50,7 +50,10 @@ def sniff(head: FileHead) -> float:
     is_abscissa = rises and np.ptp(first) < 0.5 * abs(first[0]) and min(v[0] for v in values) > np.nanmax(rest)
     if is_abscissa and columns < WIDE:
         return 0.0
-    return 0.5 * POSSIBLE if is_abscissa else 2.0 * POSSIBLE if columns >= WIDE else POSSIBLE
+    if columns >= WIDE:
+        return 0.5 * POSSIBLE if is_abscissa else 2.0 * POSSIBLE
+    # without a column that rises or falls the numbers are no table over a coordinate
+    return 0.5 * POSSIBLE if rises else 1.5 * POSSIBLE
 
 
 @reads

@@ -45,13 +45,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         match = next((match for line in prose if (match := re.search(pattern, line, re.IGNORECASE))), None)
         if match:
             metadata[key] = match[1].strip()
-    is_raw = (
-        bool(re.search(r"raw (?:dn|data|counts)|data type\s*:?\s*raw|radiance", words)) and "reflectance" not in words
-    )
+    is_raw = "white reference" not in words and bool(re.search(r"raw data|raw dn|radiance", words))
     spectra = []
     for column in range(1, block.table.shape[1]):
-        notes = Notes(assumed=[common.CUT] if text.cut else [])
-        values = block.table[:, column]
+        notes = Notes()
+        values = common.complete(path, block)[:, column]
         label = Label("counts", 1.0) if is_raw else Label("reflectance", 1.0)
         size = common.typical(block.table[:, 0], values)
         if size > 20:

@@ -28,13 +28,13 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     found = common.blocks(text.lines[last + 1 :], least_columns=2)
     if not found:
         raise NacreError(f"{path}: has no rows of two numbers")
-    table = max(found, key=lambda block: len(block.table)).table
+    table = common.complete(path, max(found, key=lambda block: len(block.table)))
     metadata = common.key_values(text.lines[:last], ":")
     stated = next(
         (value for key, value in metadata.items() if key.lower() in ("number of x values", "number of points")), None
     )
     common.check_count(path, stated, len(table), "the preamble")
-    notes = Notes(assumed=[common.CUT] if text.cut else [])
+    notes = Notes()
     unit = common.option_unit(path, options) or common.unit_named(units["X"])
     if unit is None:
         raise NacreError(f'{path}: X Units = "{units["X"]}" is no unit of a spectrum')

@@ -53,6 +53,8 @@ def _version_8(path: Path, data: bytes, options: ReadOptions) -> list[Measuremen
         if count < 2 or start + 16 * count > len(data):
             raise NacreError(f"{path}: spectrum {number + 1} has {count} pixels, more than the file holds; it is cut")
         nm, sample, dark, reference = np.frombuffer(data, "<f4", 4 * count, start).reshape(4, count).astype(float)
+        if not (np.all(np.diff(nm) > 0) and nm[0] > 100 and nm[-1] < 5000):
+            raise NacreError(f"{path}: the layout of {data[:5].decode()} in this file is not known; export text")
         metadata = {
             "instrument": _name(serial), "own_name": _name(own), "integration_time_ms": round(milliseconds, 6),
             "averages": averages, "mode": mode,
@@ -120,6 +122,8 @@ def _version_6_7(path: Path, data: bytes, options: ReadOptions) -> Measurement:
         coefficients, serial = floats[1:6], floats[6:15]
     pixels = np.arange(first, last + 1)
     nm = np.polynomial.polynomial.polyval(pixels, coefficients)
+    if not (np.all(np.diff(nm) > 0) and nm[0] > 100 and nm[-1] < 5000):
+        raise NacreError(f"{path}: its polynomial gives no wavelengths from 100 to 5000 nm; export text")
     start = _FLOATS_BEFORE_PIXELS[version] + 2 + _FLOATS_AFTER_PIXELS[version]
     table = floats[start : start + columns * len(pixels)].reshape(len(pixels), columns)
     metadata = {

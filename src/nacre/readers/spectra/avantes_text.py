@@ -33,13 +33,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     found = common.blocks(lines[place + 1 :], least_columns=2)
     if not found:
         raise NacreError(f"{path}: has no rows of numbers below {lines[place].strip()[:60]}")
-    table = found[0].table
+    table = common.complete(path, found[0])
     if len(units) > table.shape[1]:
         raise NacreError(f"{path}: its heading has {len(units)} columns and its rows have {table.shape[1]}")
     names += [""] * (len(units) - len(names))
     notes = Notes()
-    if text.cut:
-        notes.assumed.append(common.CUT)
     if found[0].ragged:
         raise NacreError(
             f"{path}: {found[0].ragged} rows have fewer cells than the heading; the file is cut or damaged"

@@ -29,7 +29,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     found = common.blocks(text.lines, least_columns=2)
     if not found:
         raise NacreError(f"{path}: has no rows of two numbers")
-    table = found[0].table
+    table = common.complete(path, found[0])
     unit = common.option_unit(path, options)
     reach = f"{table[:, 0].min():g} to {table[:, 0].max():g}"
     if unit is None:
@@ -39,5 +39,5 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         size = common.typical(common.nanometres(table[:, 0], unit), table[:, 1])
         choices = ("reflectance", "transmittance", "absorbance", "counts")
         raise AmbiguousFileError(f"{path}: no quantity in a .dpt, values up to {size:.4g}", "quantity", choices)
-    notes = Notes(assumed=[common.CUT] if text.cut else [])
+    notes = Notes()
     return [common.spectrum(path, "bruker-dpt", table[:, 0], table[:, 1], label, options, unit=unit, notes=notes)]

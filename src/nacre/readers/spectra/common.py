@@ -19,8 +19,6 @@ MAX_TEXT_BYTES = 256 << 20
 MAX_METADATA = 40
 VISIBLE_NM = (400.0, 700.0)
 QUANTITIES = ("reflectance", "transmittance", "absorptance", "absorbance", "counts", "irradiance")
-CUT = "the file ends inside its last line, which may be cut"
-
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][-+]?\d+)?")
 _NAN = ("nan", "-nan", "nan(ind)", "inf", "-inf", "#n/a", "na", "n/a", "--", "1.#qnan", "-1.#ind", "1.#inf")
@@ -29,14 +27,13 @@ _NAN = ("nan", "-nan", "nan(ind)", "inf", "-inf", "#n/a", "na", "n/a", "--", "1.
 _QUANTITIES: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
     (name, re.compile(pattern))
     for name, pattern in (
-        ("error", r"variance|std|stdev|sigma|uncertain|error|deviation|^u\(|^sd$|^±"),
+        ("error", r"variance|std|stdev|sigma|uncertain|error|deviation|^u\(|^sd$|^±|^[dδ]\s?[rta]$"),
         ("kubelka_munk", r"kubelka|k/s|^km$"),
         ("absorptance", r"absorptance"),
         ("absorbance", r"absorban|absorb\b|log\s*\(?\s*1\s*/\s*[rt]|^abs\b|^abs$|^a$|^a\.u\.$|^od$|optical density|"
                        r"extin[ck]t|absorption|吸光度"),
         ("irradiance", r"irradiance|radiance|[uµμm]?w\s*/\s*(?:cm|m)|[uµμ]w|luminous|bestrahlung"),
-        ("counts", r"counts?\b|^scope|intensit|^adc|^dark|^dn\b|single[ -]?beam|^raw\b|^energy|"
-                   r"^sample$|^reference$|^white$"),
+        ("counts", r"counts?\b|^scope|intensit|^adc|^dark$|^dn\b|single[ -]?beam|^raw\b|^energy"),
         ("reflectance", r"reflect|r[ée]fle[ck]|rfl|^%?\s*r\s*%?$|^r\s*[\[(]?\s*%|^%\s*r\b|反射率|\bbrf\b|^refl"),
         ("transmittance", r"transmi|^%?\s*t\s*%?$|^t\s*[\[(]?\s*%|^%\s*t\b|透過率|^trans\b"),
     )
@@ -59,10 +56,9 @@ NM_EV = 1239.841984  # h c / e in nm eV (exact constants of the SI, 2019)
 
 @dataclass
 class Text:
-    """Text of a file in lines; `cut` tells whether the last line has no end while others have one."""
+    """Lines of a file, and the number of NUL characters that were dropped."""
 
     lines: list[str]
-    cut: bool
     nul: int = 0
 
 
@@ -74,6 +70,7 @@ class Block:
     stop: int
     table: Array
     ragged: int = 0  # rows with fewer cells than the most frequent count
+    is_cut: bool = False  # whether the last line has fewer delimiters than the first
 
 
 @dataclass(frozen=True)
@@ -115,9 +112,7 @@ def text_of(data: bytes) -> Text:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = data.decode("cp932" if b"JASCO" in data[:2000] else "cp1252", errors="replace")
-    lines = _LINE_END.split(text)
-    cut = bool(lines[-1].strip()) and len(lines) > 2
-    return Text(lines, cut, nul)
+    return Text(_LINE_END.split(text), nul)
 
 
 def number(cell: str, comma: bool = False) -> float | None:
@@ -188,7 +183,8 @@ def blocks(lines: Sequence[str], least_rows: int = 2, least_columns: int = 1) ->
             width = max(set(counts), key=lambda count: (counts.count(count), count)) if counts else 0
             wide = [row[:width] + [float("nan")] * (width - len(row)) for row in rows]
             if width >= least_columns:
-                found.append(Block(start, stop, np.array(wide), sum(count < width for count in counts)))
+                is_cut = _delimiters(lines[stop - 1], mark) < _delimiters(lines[start], mark)
+                found.append(Block(start, stop, np.array(wide), sum(count < width for count in counts), is_cut))
         rows.clear()
 
     for place, line in enumerate(lines):
@@ -206,6 +202,21 @@ def blocks(lines: Sequence[str], least_rows: int = 2, least_columns: int = 1) ->
         stop = place + 1
     finish()
     return found
+
+
+def complete(path: Path, block: Block) -> Array:
+    """Return a table whose last row has all cells.
+
+    Raises:
+        NacreError: the last row has fewer cells than the others: the file is cut.
+    """
+    if block.is_cut:
+        raise NacreError(f"{path}: its last row has fewer cells than the others; the file is cut")
+    return block.table
+
+
+def _delimiters(line: str, mark: str | None) -> int:
+    return len(line.split()) if mark is None else line.strip().count(mark)
 
 
 def key_values(lines: Sequence[str], marks: str = ":=\t") -> dict[str, str]:
@@ -226,7 +237,10 @@ def label_of(text: str) -> Label | None:
         >>> label_of("%R"), label_of("Transmission (%)"), label_of("Abs").quantity
         (Label(quantity='reflectance', factor=0.01), Label(quantity='transmittance', factor=0.01), 'absorbance')
     """
-    low = " ".join(text.strip().strip('"').lower().replace("_", " ").split())
+    plain = text.strip().strip('"').strip()
+    if plain in ("a", "r", "t"):  # symbols are capital letters; small ones name samples
+        return None
+    low = " ".join(plain.lower().replace("_", " ").split())
     for name, pattern in _QUANTITIES:
         if pattern.search(low):
             if name in ("reflectance", "transmittance", "absorptance"):
@@ -286,8 +300,11 @@ def option_label(path: Path, options: ReadOptions) -> Label | None:
     return label
 
 
-def assumed_unit(path: Path, x: Array, notes: Notes, options: ReadOptions) -> str:
-    """Return the unit of an abscissa that names none: nm if the values are ultraviolet to near-infrared.
+def assumed_unit(path: Path, x: Array, notes: Notes, options: ReadOptions, name: str = "") -> str:
+    """Return the unit of an abscissa that states none: nm if the values are ultraviolet to near-infrared.
+
+    Args:
+        name: heading of the abscissa; a wavelength below 30 is in um.
 
     Raises:
         AmbiguousFileError: another range.
@@ -299,6 +316,9 @@ def assumed_unit(path: Path, x: Array, notes: Notes, options: ReadOptions) -> st
     if finite.size and finite.min() >= 100 and finite.max() <= 3500:
         notes.assumed.append("the abscissa is the wavelength in nm")
         return "nm"
+    if finite.size and re.match(r"(?i)wave ?l|lambda|λ|wl", name) and finite.min() >= 0.1 and finite.max() <= 30:
+        notes.assumed.append("the wavelength is in um")
+        return "um"
     reach = f"{finite.min():g} to {finite.max():g}" if finite.size else "empty"
     raise AmbiguousFileError(f"{path}: no unit of the abscissa ({reach})", "unit", UNIT_CHOICES)
 

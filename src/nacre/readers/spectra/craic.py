@@ -28,8 +28,8 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: has no rows of two numbers")
     head = [line.strip() for line in text.lines[: found[0].start] if line.strip()]
     label = next((label for line in head[1:3] if (label := common.label_of(line)) is not None), None)
-    notes = Notes(assumed=[common.CUT] if text.cut else [])
-    nm, values = found[0].table[:, 0], found[0].table[:, 1]
+    notes = Notes()
+    nm, values = common.complete(path, found[0])[:, :2].T
     if label is None:
         label = common.by_size(path, nm, values, notes, "no quantity")
     elif label.quantity in ("reflectance", "transmittance"):

@@ -30,7 +30,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     found = common.blocks(text.lines[begin + 1 :], least_columns=2)
     if not found:
         raise NacreError(f"{path}: has no rows of numbers behind XYDATA")
-    table = found[0].table
+    table = common.complete(path, found[0])
     common.check_count(path, records.get("NPOINTS"), len(table), "NPOINTS")
     unit = common.option_unit(path, options) or common.unit_named(records.get("XUNITS", ""))
     if unit is None:

@@ -183,7 +183,7 @@ def _xy(path: Path, block: Block) -> tuple[Array, Array]:
         value if (value := _number(block, key)) is not None else 1.0 for key in ("XFACTOR", "YFACTOR")
     )
     if block.form.startswith("(XY"):
-        pairs = _pairs(path, block.table)
+        pairs = _pairs(path, block.table, "," in block.records.get("FIRSTX", "") + block.records.get("MAXY", ""))
         x, y = pairs[:, 0] * x_factor, pairs[:, 1] * y_factor
     elif block.form.startswith("(X++"):
         y = np.array(_ordinates(path, block.table)) * y_factor
@@ -199,18 +199,19 @@ def _xy(path: Path, block: Block) -> tuple[Array, Array]:
     return x, y
 
 
-def _pairs(path: Path, lines: list[str]) -> Array:
-    """Return pairs: blanks, commas or semicolons between them; a comma may be the decimal point."""
+def _pairs(path: Path, lines: list[str], comma: bool) -> Array:
+    """Return pairs of numbers with commas, semicolons or blanks between them.
+
+    Args:
+        comma: whether the comma is the decimal point, as the records of the block show.
+    """
     rows: list[list[float]] = []
     for line in filter(str.strip, lines):
-        words = re.split(r"[;\s]+", line.strip().strip(";"))
-        words = [word.strip(",") if word.count(",") == 1 and word.endswith(",") else word for word in words]
-        if len(words) == 1:
-            words = words[0].split(",")
-        values = [common.number(word, comma=True) for word in words if word]
-        if len(values) % 2 or any(value is None for value in values):
+        words = re.split(r",\s+|[;\s]+" if comma else r"[,;\s]+", line.strip().strip(";,"))
+        values = [value for word in words if word and (value := common.number(word, comma)) is not None]
+        if len(values) % 2 or len(values) < len([word for word in words if word]):
             raise NacreError(f'{path}: "{line.strip()[:60]}" holds no pairs of numbers')
-        rows += [[values[at], values[at + 1]] for at in range(0, len(values), 2)]  # type: ignore[list-item]
+        rows += [values[at : at + 2] for at in range(0, len(values), 2)]
     return np.array(rows, dtype=float).reshape(-1, 2)
 
 

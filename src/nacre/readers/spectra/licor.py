@@ -29,7 +29,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     found = common.blocks(text.lines, least_columns=2)
     if not found:
         raise NacreError(f"{path}: has no rows of two numbers")
-    table = found[0].table
+    table = common.complete(path, found[0])
     metadata = {
         key.lower(): value.strip(' "') for key, value in common.key_values(text.lines[: found[0].start], ":").items()
     }

@@ -45,12 +45,10 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     if not found:
         raise NacreError(f"{path}: has no rows of numbers after {lines[begin].strip()}")
     table = max(found, key=lambda block: len(block.table))
+    common.complete(path, table)
     preamble = lines[:begin]
     metadata = common.key_values(preamble, ":")
     notes = Notes()
-    ended = len(marks) > 1 or any(line.strip().startswith(">>>>>") for line in lines[begin + 1 :])
-    if text.cut and not ended:
-        notes.assumed.append(common.CUT)
     if len(found) > 1:
         notes.left_out.append(f"{len(found) - 1} further tables")
     stated = next((value for key, value in metadata.items() if _PIXELS.search(key)), "")

@@ -33,21 +33,22 @@ def sniff(head: FileHead) -> float:
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read the result spectra; single-channel spectra, interferograms and derivatives are named and left out."""
+    """Read the result spectra, or single-channel spectra (counts) if there is none; the others are named."""
     blocks = _directory(path, path.read_bytes())
     parameters = [(kind, _parameters(raw)) for kind, raw in blocks if kind[2] > 0]
     sample = next((str(values["SNM"]) for _, values in parameters if values.get("SNM")), "")
     found: list[Measurement] = []
     notes = Notes()
+    labels = _LABELS if any(kind[3] in _LABELS and not kind[2] for kind, _ in blocks) else {1: Label("counts", 1.0)}
     for kind, raw in blocks:
         if kind[2] or kind[3] in (0, DIRECTORY) or kind[5] in REPORTS:
             continue
         status = next(
             (v for k, v in parameters if k[2] == PARAMETERS and k[:2] == kind[:2] and k[3:] == kind[3:]), None
         )
-        label = _LABELS.get(kind[3])
+        label = labels.get(kind[3])
         unit = _UNITS.get(str((status or {}).get("DXU", "WN")))
-        if status is None or label is None or unit is None or kind[4] or kind[1] == 2:
+        if status is None or label is None or unit is None or kind[4] or (kind[1] == 2 and 1 not in labels):
             notes.left_out.append(_DATA.get(kind[3], f"a block of type {kind}"))
             continue
         count = int(status["NPT"])

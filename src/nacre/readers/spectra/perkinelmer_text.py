@@ -37,7 +37,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     found = common.blocks(text.lines[begin:], least_columns=2)
     if not found:
         raise NacreError(f"{path}: has no rows of numbers")
-    table = found[0].table
+    table = common.complete(path, found[0])
     common.check_count(path, stated, len(table), "the preamble")
     unit, label = common.unit_named(x_label), common.label_of(y_label)
     if unit is None:

@@ -10,12 +10,15 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.readers.headings import meanings
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import FileHead
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Block, Label, Notes
 
 HEADED, WIDE, PLAIN = 0.5, 0.4, 0.3
+OTHERS = ("n", "k", "eps1", "eps2", "alpha", "psi", "delta", "tan_psi", "cos_delta", "angle_of_incidence",
+          "polarisation", "polariser", "theta_i", "theta_o", "radius", "thickness")  # fmt: skip
 MIN_NM, MAX_NM = 150.0, 30000.0
 _WAVELENGTH = re.compile(
     r"^(wave ?length|wavelengths|wave|wl|wvl|lambda|λ|longueur d'onde|wellenl[äa]nge|longitud de onda|波長|"
@@ -53,13 +56,18 @@ def _confidence(lines: Sequence[str], block: Block) -> float:
         return PLAIN if _is_axis(x) and _plain_columns(block.table) is not None else 0.0
     if _across(lines) is not None:
         return WIDE
-    place = _axis(names)
-    if place is None or place >= block.table.shape[1] or any(_OTHER.search(name.strip()) for name in names):
+    place = 0 if not names[0] and _is_axis(x) else _axis(names)
+    if place is None or place >= block.table.shape[1] or any(_is_other(name) for name in names):
         return 0.0
     labels = [common.label_of(name) for name in names[place + 1 :] if name]
     if any(label is not None for label in labels):
         return HEADED
     return WIDE if block.table.shape[1] > 1 and _is_axis(block.table[:, place]) else 0.0
+
+
+def _is_other(heading: str) -> bool:
+    """Whether a heading names a quantity of another class, such as n, eps1, Psi or an angle."""
+    return bool(_OTHER.search(heading.strip())) or any(meaning.quantity in OTHERS for meaning in meanings(heading))
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -71,25 +79,23 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     text = common.read_text(path)
     across = _across(text.lines)
     if across is not None:
-        return common.choose(path, _read_across(path, across, options, text.cut), options)
+        return common.choose(path, _read_across(path, across, options), options)
     found = [block for block in common.blocks(text.lines, least_columns=2) if len(block.table) >= 3]
     if not found:
         raise NacreError(f"{path}: has no table of a spectrum")
     block = found[0]
-    notes = Notes(assumed=[common.CUT] if text.cut and block.stop == len(text.lines) else [])
-    if text.cut and block.stop == len(text.lines) and np.isnan(block.table[-1]).sum() > np.isnan(block.table[-2]).sum():
-        raise NacreError(f"{path}: its last line has fewer cells than the others; the file is cut")
+    notes = Notes()
     if any(line.strip() for line in text.lines[block.stop :]):
         notes.left_out.append("the text below the table")
     names = _headings(text.lines, block)
     metadata = common.key_values(text.lines[: block.start], ":=")
     if not names:
-        return [_plain(path, block.table, options, notes)]
+        return [_plain(path, common.complete(path, block), options, notes)]
     pairs = [place for place, name in enumerate(names) if _WAVELENGTH.search(name)]
     if len(pairs) > 1:
         found_pairs = _pairs(path, text.lines, block, names, pairs, options, notes)
         return common.choose(path, found_pairs, options)
-    return common.choose(path, _columns(path, block.table, names, metadata, options, notes), options)
+    return common.choose(path, _columns(path, common.complete(path, block), names, metadata, options, notes), options)
 
 
 def _headings(lines: Sequence[str], block: Block) -> list[str]:
@@ -104,10 +110,9 @@ def _headings(lines: Sequence[str], block: Block) -> list[str]:
                 and (_axis(cells) is not None or abs(len(cells) - width) <= 1)
                 and len(cells) <= width + 1
             ):
-                if (
-                    all(re.fullmatch(r"[\[(]?[^\w]*\w{0,6}[^\w]*[\])]?", cell) for cell in cells)
-                    and _axis(cells) is None
-                ):
+                is_units = all(re.fullmatch(r"\s*[\[(].*[\])]\s*", cell) for cell in cells if cell.strip())
+                is_title = width == 2 and not any(common.label_of(cell) for cell in cells)
+                if _axis(cells) is None and (is_units or is_title):
                     continue
                 return [cell.strip() for cell in cells]
     return []
@@ -226,6 +231,11 @@ def _without_counts(
 ) -> list[tuple[int, Array | None]]:
     """Leave counts out where a reflectance, transmittance or absorbance stands beside them."""
     labels = [common.label_of(names[column]) for column, _ in spectra]
+    is_processed = [bool(re.match("processed", names[column], re.IGNORECASE)) for column, _ in spectra]
+    if any(is_processed) and any(label is not None and label.quantity == "counts" for label in labels):
+        gone = [names[column] for (column, _), one in zip(spectra, is_processed, strict=True) if not one]
+        notes.left_out.append(f"the columns {', '.join(gone)[:80]}")
+        return [entry for entry, one in zip(spectra, is_processed, strict=True) if one]
     if all(label is not None for label in labels):
         kept = [entry for entry, label in zip(spectra, labels, strict=True) if label and label.quantity != "counts"]
         if kept and len(kept) < len(spectra):
@@ -245,6 +255,9 @@ def _labels(
     stated = common.option_label(path, options)
     labels = [stated or common.label_of(heading) or Label("") for heading, _ in columns]
     labels = [Label("") if label.quantity == "error" else label for label in labels]
+    if any(not label.quantity for label in labels):  # one letter among names of samples is a name
+        labels = [Label("") if len(heading) == 1 else label
+                  for label, (heading, _) in zip(labels, columns, strict=True)]  # fmt: skip
     decided: dict[str, Label] = {}
     for quantity in dict.fromkeys(label.quantity for label in labels if label.factor is None):
         members = [values for label, (_, values) in zip(labels, columns, strict=True) if label.quantity == quantity]
@@ -262,9 +275,16 @@ def _one(
     path: Path, x: Array, y: Array, x_name: str, label: Label, title: str, metadata: dict[str, str],
     options: ReadOptions, notes: Notes, error: Array | None = None,
 ) -> Measurement:  # fmt: skip
+    has_value = np.isfinite(x) & np.isfinite(y)
+    if not has_value.all():
+        notes.left_out.append(f"{int((~has_value).sum())} rows without a value")
+        x, y, error = x[has_value], y[has_value], error if error is None else error[has_value]
+    steps = np.diff(x)
+    if not ((steps >= 0).all() or (steps <= 0).all()):
+        raise NacreError(f"{path}: its wavelengths neither ascend nor descend")
     unit = common.option_unit(path, options) or common.unit_named(x_name)
     if unit is None or (unit == "nm" and "nm" not in x_name.lower() and "nanomet" not in x_name.lower()):
-        unit = common.assumed_unit(path, x, notes, options)
+        unit = common.assumed_unit(path, x, notes, options, x_name)
     return common.spectrum(
         path, "spectrum-table", x, y, label, options, unit=unit, name=title, metadata=metadata, notes=notes, error=error
     )
@@ -291,7 +311,7 @@ def _across(lines: Sequence[str]) -> tuple[list[str], list[int], Array, list[lis
 
 
 def _read_across(
-    path: Path, across: tuple[list[str], list[int], Array, list[list[str]]], options: ReadOptions, cut: bool
+    path: Path, across: tuple[list[str], list[int], Array, list[list[str]]], options: ReadOptions
 ) -> list[Measurement]:
     """Return one spectrum per row; cells before the wavelengths are its name and metadata."""
     names, columns, grid, rows = across
@@ -300,7 +320,7 @@ def _read_across(
         if any(value is None for value in values):
             raise NacreError(f"{path}: row {number} holds a word where a value of the spectrum should stand")
     table = np.array(cells, dtype=float)
-    notes = Notes(assumed=[common.CUT] if cut else [])
+    notes = Notes()
     outside = [place for place, name in enumerate(names) if place not in columns and name]
     others = [{names[place]: row[place] for place in outside if place < len(row)} for row in rows]
     all_words = [" ".join([*own.values(), *own]).split() for own in others]

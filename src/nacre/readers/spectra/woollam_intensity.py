@@ -45,7 +45,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
             raise NacreError(f'{path}: "{line.strip()[:60]}" lacks numbers; the file is cut or damaged')
         row = [value for value in values if value is not None]
         groups.setdefault((words[0][1], words[0][0], row[1]), []).append([*row, *[float("nan")] * (4 - len(row))])
-    notes = Notes(assumed=[common.CUT] if text.cut else [])
+    notes = Notes()
     if unit is None:
         unit = common.assumed_unit(path, np.array([row[0] for rows in groups.values() for row in rows]), notes, options)
     found = []

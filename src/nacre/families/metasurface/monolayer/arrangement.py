@@ -7,7 +7,6 @@ point per cell, so each overlap test inspects 24 neighbours.
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -22,9 +21,8 @@ from nacre.core.jit import compiled
 from nacre.core.memory import check_memory
 from nacre.families.metasurface.monolayer.micrograph import find_particles, grey_levels
 from nacre.families.metasurface.monolayer.structure import RANGE_IN_DIAMETERS, Structure
-from nacre.recipe.delimited_text import decoded, headings, rows
+from nacre.readers.curves import Q_PER_UM, STRUCTURE, X_UM, Y_UM, recipe_curve
 from nacre.recipe.model import RecipeContext
-from nacre.recipe.units import LENGTH_UNITS_NM
 
 RSA_LIMIT = 0.535  # random sequential addition jams at 0.547
 POISSON_LIMIT = 0.53
@@ -450,7 +448,10 @@ def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_
         RecipeError: the file is unusable, or particles overlap.
     """
     key = "monolayer.structure.points"
-    xy_um = read_columns(context, key, name) if width_um is None else _points_in_picture(context, name, width_um)
+    if width_um is None:
+        xy_um = recipe_curve(context, key, name, (X_UM, Y_UM))
+    else:
+        xy_um = _points_in_picture(context, name, width_um)
     _check_count(context, key, name, xy_um, "" if width_um is None else " in its middle square, which is what is taken")
     low, high = xy_um.min(axis=0), xy_um.max(axis=0)
     short, long = sorted(high - low)
@@ -519,7 +520,7 @@ def sq_structure(
         RecipeError: the file is unusable.
     """
     key = "monolayer.structure.sq"
-    table = read_columns(context, key, name)
+    table = recipe_curve(context, key, name, (Q_PER_UM, STRUCTURE))
     q, s = table[:, 0] * 1e-3, table[:, 1]
     if len(q) < 4 or np.any(np.diff(q) <= 0) or q[0] < 0 or np.any(s < 0):
         raise context.fail(key, name, "must hold at least 4 rows of ascending q >= 0 in 1/um and S >= 0")
@@ -533,50 +534,3 @@ def sq_structure(
     spectrum = (values - 1) * window * grid * step / (2 * np.pi * density_per_nm2)
     h = np.array([j0(grid * x) @ spectrum for x in r])
     return Structure("sq", density_per_nm2, a, grid, values, r, np.maximum(h, -1.0))
-
-
-def read_columns(context: RecipeContext, key: str, name: str) -> Array:
-    """Read two number columns, with or without a heading.
-
-    The first two columns count; with a heading that names x and y (in nm, um or mm), those columns, converted to um.
-
-    Raises:
-        RecipeError: the file is missing, too large or not numeric.
-    """
-    path = context.path(name)
-    try:
-        if plain(path).stat().st_size > MAX_FILE_BYTES:
-            raise context.fail(key, name, f"is larger than {MAX_FILE_BYTES >> 20} MB")
-        lines = list(rows(decoded(path.read_bytes())))
-    except UnicodeDecodeError:
-        raise context.fail(key, name, "must hold two numbers a line; it is not text") from None
-    except OSError as error:
-        raise context.fail(key, name, why_unreadable(error)) from None
-    first, second, to_um = 0, 1, 1.0
-    if lines and not _is_number(lines[0][1][0]):
-        names = headings(lines.pop(0)[1])
-        for unit, factor in {"": 1e3, **LENGTH_UNITS_NM}.items():
-            x, y = (f"{axis}_{unit}".rstrip("_") for axis in "xy")
-            if x in names and y in names:
-                first, second, to_um = names.index(x), names.index(y), factor * 1e-3
-    found = []
-    for number, cells in lines:
-        try:
-            found.append((float(cells[first]), float(cells[second])))
-        except (ValueError, IndexError):
-            said = " ".join(cells)[:40]
-            raise context.fail(key, name, f'holds "{said}" in line {number} where two numbers should stand') from None
-        if not all(map(math.isfinite, found[-1])):
-            raise context.fail(key, name, f"must hold finite numbers; line {number} does not")
-    if not found:
-        raise context.fail(key, name, "must hold two numbers a line")
-    table = np.array(found)
-    return table * to_um
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -1,0 +1,146 @@
+"""Ties: recipe numbers that a fit computes from others, such as `layers[2].thickness_nm = layers[0].thickness_nm`."""
+
+from __future__ import annotations
+
+import ast
+import operator
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from nacre.core.errors import NacreError, RecipeError
+from nacre.material.material import Material
+from nacre.recipe.path_tables import by_path, with_options
+
+_OPERATORS: dict[type[ast.AST], Callable[..., float]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
+    ast.Pow: operator.pow, ast.USub: operator.neg, ast.UAdd: operator.pos,
+}  # fmt: skip
+FORM = "write it like layers[0].thickness_nm, or 2*numbers.d + 5"
+
+
+@dataclass(frozen=True)
+class Ties:
+    """Tied numbers in an order in which each depends on earlier ones only.
+
+    Attributes:
+        expressions: path -> parsed expression.
+        fixed: values of paths that are neither free nor tied.
+    """
+
+    expressions: Mapping[str, ast.expr]
+    fixed: Mapping[str, float]
+
+    def values(self, free: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the values of the free and of the tied paths.
+
+        Raises:
+            NacreError: a division by zero.
+        """
+        known = {**self.fixed, **free}
+        found = dict(free)
+        for path, expression in self.expressions.items():
+            try:
+                known[path] = found[path] = _evaluate(expression, known)
+            except (ZeroDivisionError, OverflowError):
+                raise NacreError(f"ties.{path} = {ast.unparse(expression)} is not finite") from None
+        return found
+
+
+def read_ties(material: Material, free: Iterable[str], options: tuple[str, ...] = ()) -> Ties:
+    """Return the ties of a recipe's `[ties]` table and of `PATH=EXPRESSION` options, which take precedence.
+
+    Raises:
+        RecipeError: an expression or path that does not exist, a tied path that is free too, or ties that form a ring.
+    """
+    source = material.context.source
+    table = by_path(material.data.get("ties", {}), set(), source, "ties")
+    given = []
+    for option in options:
+        path, equals, text = option.partition("=")
+        if not equals or not text.strip():
+            raise RecipeError(f'--tie "{option}" cannot be read; write PATH=EXPRESSION: {FORM}')
+        given.append((path.strip(), text.strip()))
+    parsed = {path: _parsed(path, text, source) for path, text in with_options(table, given, "--tie").items()}
+    moving = set(free)
+    for path in parsed:
+        if path in moving:
+            raise RecipeError(f"{source}: ties.{path}: the number is a parameter of the fit too; keep one of the two")
+    fixed = {}
+    for path in parsed:
+        _number(material, path, f"ties.{path}")
+    for path, expression in parsed.items():
+        for used in _paths(expression):
+            if used not in moving and used not in parsed:
+                fixed[used] = _number(material, used, f"ties.{path}")
+    return Ties(_ordered(parsed, source), fixed)
+
+
+def _number(material: Material, path: str, where: str) -> float:
+    source = material.context.source
+    try:
+        value = material.get(path)
+    except (NacreError, KeyError, IndexError, TypeError):
+        raise RecipeError(f'{source}: {where}: "{path}" is not in the recipe') from None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise RecipeError(f"{source}: {where}: {path} is not a number")
+    return float(value)
+
+
+def _parsed(path: str, text: Any, source: str) -> ast.expr:
+    where = f"{source}: ties.{path} = {text!r}"
+    if isinstance(text, int | float) and not isinstance(text, bool):
+        text = repr(text)
+    if not isinstance(text, str):
+        raise RecipeError(f"{where} should be an expression; {FORM}")
+    try:
+        expression = ast.parse(text.strip(), mode="eval").body
+        _paths(expression)
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise RecipeError(f"{where} is not an expression of paths and numbers with + - * / **; {FORM}") from None
+    return expression
+
+
+def _paths(node: ast.expr) -> set[str]:
+    """Return the paths of an expression.
+
+    Raises:
+        ValueError: something else than paths, numbers and arithmetic.
+    """
+    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+        return _paths(node.left) | _paths(node.right)
+    if isinstance(node, ast.UnaryOp) and type(node.op) in _OPERATORS:
+        return _paths(node.operand)
+    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        return set()
+    if isinstance(node, ast.Name | ast.Attribute | ast.Subscript):
+        return {ast.unparse(node)}
+    raise ValueError(type(node).__name__)
+
+
+def _evaluate(node: ast.expr, known: Mapping[str, Any]) -> float:
+    if isinstance(node, ast.BinOp):
+        return float(_OPERATORS[type(node.op)](_evaluate(node.left, known), _evaluate(node.right, known)))
+    if isinstance(node, ast.UnaryOp):
+        return float(_OPERATORS[type(node.op)](_evaluate(node.operand, known)))
+    if isinstance(node, ast.Constant):
+        return float(node.value)  # type: ignore[arg-type]  # checked when parsed
+    return float(known[ast.unparse(node)])
+
+
+def _ordered(parsed: Mapping[str, ast.expr], source: str) -> dict[str, ast.expr]:
+    """Return expressions sorted by dependence.
+
+    Raises:
+        RecipeError: the ties form a ring.
+    """
+    found: dict[str, ast.expr] = {}
+    left = dict(parsed)
+    while left:
+        ready = [path for path, expression in left.items() if not _paths(expression) & set(left)]
+        if not ready:
+            ring = " -> ".join([*left, next(iter(left))])
+            raise RecipeError(f"{source}: ties: {ring} form a ring; remove one of them")
+        for path in ready:
+            found[path] = left.pop(path)
+    return found

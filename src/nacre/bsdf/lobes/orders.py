@@ -1,0 +1,144 @@
+"""Diffraction orders of a periodic structure, each with a narrow angular width."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf.grids import interpolate
+from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.texture import Texture
+from nacre.core.arrays import Array
+
+MAX_OVERLAP = 0.12  # largest angular width over the distance of neighbouring orders
+MIN_WAVELENGTH_NM = 200.0
+
+
+@dataclass(frozen=True)
+class OrdersLobe(Lobe):
+    """Reflected orders (m, n), with a Gaussian width in direction cosines.
+
+    f = (E_mn(wi) + E_mn(wo)) / 2 G(q - lambda g_mn),  q = wi_t + wo_t,
+    G(d) = exp(-|d|^2 / (2 w^2)) / (2 pi w^2),
+
+    with the order (m, n) whose wave vector lambda g_mn lies nearest to q, and E its efficiency for unpolarised light.
+    Since cos_o d omega_o = d wo_t, each order carries E of the light; since E is equal for exchanged directions, f is
+    reciprocal. Directions are first rotated by -rotation about z.
+
+    Attributes:
+        wavelengths_nm: `[wavelength]`.
+        power: `[theta, azimuth, order, wavelength]`, float32, E: uniform nodes in theta from 0 to pi/2 and in the
+            azimuth of the light from 0 to 2 pi, both ends included; linear between. The zero order is not part of it.
+        lattice: `[2, 2]` rows g_10 and g_01, in 1/nm (for lines g_01 is zero).
+        orders: `[order, 2]`, (m, n).
+        width: w.
+        rotation: angle of the lattice about the normal, rad, from +x to +y.
+    """
+
+    kind: ClassVar[str] = "orders"
+    wavelengths_nm: Array
+    power: NDArray[np.float32]
+    lattice: Array
+    orders: NDArray[np.int64]
+    width: float
+    rotation: Texture | None = None
+
+    def check(self) -> None:
+        """Check shapes and ranges.
+
+        Raises:
+            ValueError: names the inconsistent array.
+        """
+        super().check()
+        if self.power.ndim != 4 or self.power.shape[2:] != (len(self.orders), len(self.wavelengths_nm)):
+            raise ValueError("power must be [theta, azimuth, order, wavelength]")
+        if min(self.power.shape[:2]) < 2 or np.any(self.power < 0.0):
+            raise ValueError("power needs two angles and two azimuths or more, and no value below 0")
+        if self.orders.ndim != 2 or self.orders.shape[1] != 2 or np.any(np.abs(self.orders) > 10_000):
+            raise ValueError("orders must be [order, 2]")
+        if self.lattice.shape != (2, 2) or not np.hypot(*self.lattice[0]) > 0.0:
+            raise ValueError("lattice must be two vectors, the first not zero")
+        if not self.width > 0.0:
+            raise ValueError("width must be positive")
+
+    @cached_property
+    def inverse(self) -> Array:
+        """Matrix `[2, 2]` from a wave vector (row) to fractional orders; for lines the second order is 0."""
+        if not np.any(self.lattice[1]):
+            g = self.lattice[0]
+            return np.array([[g[0], 0.0], [g[1], 0.0]]) / float(g @ g)
+        return np.asarray(np.linalg.inv(self.lattice))
+
+    @cached_property
+    def places(self) -> tuple[NDArray[np.int64], int, int]:
+        """Number of each order in a dense table `[m + first, n + second]`, -1 where there is none, and both offsets."""
+        reach = np.abs(self.orders).max(axis=0, initial=0)
+        table = np.full(2 * reach + 1, -1, dtype=np.int64)
+        table[self.orders[:, 0] + reach[0], self.orders[:, 1] + reach[1]] = np.arange(len(self.orders))
+        return table, int(reach[0]), int(reach[1])
+
+    def _rotated(self, w: Array, uv: Array | None) -> Array:
+        if self.rotation is None:
+            return w
+        at = np.full((*w.shape[:-1], 2), 0.5) if uv is None else np.broadcast_to(uv, (*w.shape[:-1], 2))
+        angle = self.rotation(np.asarray(at, dtype=float))
+        c, s = np.cos(angle), np.sin(angle)
+        return np.stack([c * w[..., 0] + s * w[..., 1], c * w[..., 1] - s * w[..., 0], w[..., 2]], axis=-1)
+
+    def efficiencies(self, w: Array) -> Array:
+        """Return E `[..., order, wavelength]` at directions in the lattice's frame."""
+        thetas, azimuths = self.power.shape[:2]
+        theta = np.arccos(np.clip(w[..., 2], 0.0, 1.0)) / (0.5 * np.pi) * (thetas - 1)
+        phi = np.mod(np.arctan2(w[..., 1], w[..., 0]) / (2.0 * np.pi), 1.0) * (azimuths - 1)
+        return interpolate(self.power, (theta, phi))
+
+    def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
+        """Return f in 1/sr, `[..., wavelength]`; zero below the surface."""
+        wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
+        wi, wo = self._rotated(wi, uv), self._rotated(wo, uv)
+        shape = wi.shape[:-1]
+        wi, wo = wi.reshape(-1, 3), wo.reshape(-1, 3)
+        q = (wi + wo)[:, None, :2] / self.wavelengths_nm[:, None]  # [pair, wavelength, 2], in 1/nm
+        fraction = q @ self.inverse
+        number = np.rint(fraction).astype(np.int64)
+        off = (q - number @ self.lattice) * self.wavelengths_nm[:, None]
+        shifted = np.sum(off**2, axis=-1) / self.width**2
+        table, first, second = self.places
+        known = (np.abs(number[..., 0]) <= first) & (np.abs(number[..., 1]) <= second)
+        place = table[np.clip(number[..., 0] + first, 0, 2 * first), np.clip(number[..., 1] + second, 0, 2 * second)]
+        known &= (place >= 0) & (shifted < 60.0) & ((wi[:, 2] > 0) & (wo[:, 2] > 0))[:, None]
+        result = np.zeros((len(wi), len(self.wavelengths_nm)))
+        lit = np.flatnonzero(known.any(axis=1))
+        if lit.size:
+            both = 0.5 * (self.efficiencies(wi[lit]) + self.efficiencies(wo[lit]))
+            at = np.clip(place[lit], 0, None)
+            value = np.take_along_axis(both, at[:, None, :], axis=1)[:, 0]
+            bell = np.exp(-0.5 * np.minimum(shifted[lit], 60.0)) / (2.0 * np.pi * self.width**2)
+            result[lit] = np.where(known[lit], value * bell, 0.0)
+        return result.reshape(*shape, -1)
+
+    def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
+        """Return the light in all orders, for light along one `wi[3]`."""
+        nothing = np.zeros(len(self.wavelengths_nm))
+        wi = np.asarray(wi, dtype=float)
+        if wi[2] <= 0:
+            return nothing, nothing
+        turned = self._rotated(wi, None if uv is None else np.asarray(uv, dtype=float))
+        exits = self.orders @ self.lattice
+        sines = exits[:, None, :] * self.wavelengths_nm[:, None] - turned[:2]
+        leaves = np.sum(sines**2, axis=-1) < 1.0
+        return np.sum(np.where(leaves, self.efficiencies(turned), 0.0), axis=0), nothing
+
+
+def limited_width(width: float, lattice: Array, shortest_nm: float) -> float:
+    """Return a width at which neighbouring orders do not overlap."""
+    vectors = (
+        [lattice[0]]
+        if not np.any(lattice[1])
+        else [lattice[0], lattice[1], lattice[0] - lattice[1], lattice[0] + lattice[1]]
+    )
+    return min(width, MAX_OVERLAP * shortest_nm * min(float(np.hypot(*v)) for v in vectors))

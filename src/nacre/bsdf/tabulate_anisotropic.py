@@ -1,0 +1,127 @@
+"""Interface tables of an anisotropic stack for unpolarised light, as means over the azimuth."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.tabulate import StackTables
+from nacre.bsdf.texture import ParameterAxis
+from nacre.core.arrays import Array
+from nacre.matter.indices.crystal import AnisotropicConstant
+from nacre.matter.stack.stack import Medium, Stack, permittivity_of
+
+COS_NODES = 65
+SLICE_SHARE = 0.35
+LOSSLESS_K = 1e-9
+AZIMUTHS = (3, 5, 9, 17)  # odd: even counts repeat the same values, as half a turn changes little
+AZIMUTH_ERROR = 2e-3  # of the mean reflectance, by the next count
+CHECKED_COSINES = (np.array([12.0, 30.0, 47.0]) + 0.5) / 64  # midway between nodes
+PROBE_COSINES = np.array([0.8, 0.45])
+PROBE_WAVELENGTHS = 12
+
+
+class AnisotropicTables(StackTables):
+    """One stack with anisotropic layers, solved from both sides, with the mean over the azimuth.
+
+    The mean of unpolarised light is reciprocal, since the powers of a path and of its reverse are equal. Light from an
+    anisotropic substrate arrives from an isotropic medium of its mean permittivity.
+    """
+
+    def __init__(self, stack: Stack, wavelengths_nm: Array, transmits: bool, depends_on_azimuth: bool) -> None:
+        lam = np.asarray(wavelengths_nm, dtype=float)
+        below = stack.substrate
+        self._below = below.isotropic() if isinstance(below, AnisotropicConstant) else below
+        super().__init__(
+            Stack(stack.ambient, [], self._below).indices(lam),
+            [layer.incoherent for layer in stack.layers],
+            lam,
+            transmits,
+        )
+        self.stack = stack
+        self._absorbs_nothing = all(_is_lossless(layer.material, lam) for layer in stack.layers)
+        self.azimuths_rad = self._azimuths() if depends_on_azimuth else np.zeros(1)
+
+    def outside(self, thicknesses_nm: Array, cos_outside: Array) -> tuple[Array, Array]:
+        """Return R and T `[*params, cos, wavelength]` for light in the rarer medium."""
+        theta = np.arccos(np.clip(cos_outside, 0.0, 1.0))
+        shape = (*thicknesses_nm.shape[:-1], len(theta), len(self.wavelengths_nm))
+        rows = thicknesses_nm.reshape(math.prod(thicknesses_nm.shape[:-1]), thicknesses_nm.shape[-1])
+        found = [self._mean(self.lit(row, from_above=not self.flipped), theta) for row in rows]
+        reflected, passed = (np.stack([one[k] for one in found]).reshape(shape) for k in (0, 1))
+        return reflected, passed if self.transmits else np.zeros_like(passed)
+
+    def inside(self, thicknesses_nm: Array, in_plane: Array) -> tuple[Array, Array]:
+        """Return R and T `[*params, angle, wavelength]` in the denser medium, at kx/k0 `[angle, wavelength]`."""
+        rows = thicknesses_nm.reshape(math.prod(thicknesses_nm.shape[:-1]), thicknesses_nm.shape[-1])
+        dense = (self.n[0] if self.flipped else self.n[-1]).real
+        theta = np.arcsin(np.clip(in_plane / dense, 0.0, 1.0))
+        found = [self._mean(self.lit(row, from_above=self.flipped), theta) for row in rows]
+        shape = (*thicknesses_nm.shape[:-1], *in_plane.shape)
+        return np.reshape([one[0] for one in found], shape), np.reshape([one[1] for one in found], shape)
+
+    def _behind(self, d: Array, cos: Array, reflected: Array) -> Array:
+        """Return R from inside at the conjugate angles, `[*params, cos, wavelength]`; equal to R without losses."""
+        return reflected if self._absorbs_nothing else super()._behind(d, cos, reflected)
+
+    def _beyond(self, d: Array, x: Array) -> Array:
+        """Return R from inside beyond the critical angle, `[x, *params, wavelength]`; 1 without losses."""
+        if self._absorbs_nothing:
+            return np.ones((len(x), *d.shape[:-1], len(self.wavelengths_nm)))
+        return super()._beyond(d, x)
+
+    def lit(self, thicknesses_nm: Array, *, from_above: bool) -> Stack:
+        """Return the stack with these thicknesses as light meets it; from below, it is turned about u."""
+        layers = [
+            dataclasses.replace(e, thickness_nm=float(d))
+            for e, d in zip(self.stack.layers, thicknesses_nm, strict=True)
+        ]
+        if from_above:
+            return Stack(self.stack.ambient, layers, self.stack.substrate)
+        return Stack(self.stack.ambient, layers, self._below).reversed()
+
+    def _mean(self, stack: Stack, theta: Array, azimuths: Array | None = None) -> tuple[Array, Array]:
+        """Return the means of R and T `[angle, wavelength]`."""
+        chosen = self.azimuths_rad if azimuths is None else azimuths
+        waves, share = self.wavelengths_nm, SLICE_SHARE
+        found = [stack.polarised(theta, waves, float(a), slice_share=share) for a in chosen]
+        reflected = np.mean([one.mueller_reflected[..., 0, 0] for one in found], axis=0)
+        return reflected, np.mean([one.entering[..., 0] for one in found], axis=0)
+
+    def _azimuths(self) -> Array:
+        """Return azimuths enough for the mean reflectance."""
+        waves = self.wavelengths_nm
+        self.wavelengths_nm = waves[:: max(len(waves) // PROBE_WAVELENGTHS, 1)]
+        theta, before = np.arccos(PROBE_COSINES), None
+        stack = self.lit(self.stack.thicknesses_nm, from_above=not self.flipped)
+        for count in AZIMUTHS:
+            azimuths = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False) + 0.25 * np.pi
+            mean = self._mean(stack, theta, azimuths)[0]
+            if before is not None and np.max(np.abs(mean - before)) < AZIMUTH_ERROR:
+                break
+            before, enough = mean, azimuths
+        self.wavelengths_nm = waves
+        return enough
+
+    def with_error(self, thicknesses_nm: Array) -> tuple[InterfaceResponse, float]:
+        """Tabulate on uniform cosines, and return the largest difference of R from the solution at a few angles."""
+        d = np.asarray(thicknesses_nm, dtype=float)
+        response = self.build(d, COS_NODES)
+        exact = self.outside(d, CHECKED_COSINES)[0]
+        found = response.lookup(CHECKED_COSINES, np.full(len(CHECKED_COSINES), self.flipped))[0]
+        return response, float(np.max(np.abs(found - exact)))
+
+    def with_parameters(
+        self, thicknesses_nm: Array, parameters: tuple[ParameterAxis, ...]
+    ) -> tuple[InterfaceResponse, float]:
+        """Tabulate varying thicknesses; see `with_error`."""
+        d = np.asarray(thicknesses_nm, dtype=float)
+        middle = d[tuple(size // 2 for size in d.shape[:-1])]
+        return self.build(d, COS_NODES, parameters), self.with_error(middle)[1]
+
+
+def _is_lossless(medium: Medium, wavelengths_nm: Array) -> bool:
+    return bool(np.max(np.abs(permittivity_of(medium, wavelengths_nm).imag)) < LOSSLESS_K)

@@ -1,0 +1,159 @@
+"""The command `fit`: parameters of a recipe from measurements."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from nacre.cli import common
+from nacre.core.errors import NacreError
+from nacre.families.contract import method_overrides
+
+if TYPE_CHECKING:
+    from nacre.analysis.fit import Fit
+
+HIGH_CORRELATION = 0.9
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, metavar="MEASUREMENT... RECIPE")
+@click.option("--parameter", "parameters", multiple=True, metavar="PATH=LOW:HIGH", help="Fit a number between bounds.")
+@click.option("--tie", "ties", multiple=True, metavar="PATH=EXPRESSION",
+              help="Compute a number from others, such as layers[2].thickness_nm=layers[0].thickness_nm.")  # fmt: skip
+@click.option(
+    "--starts",
+    type=click.IntRange(1, 1000),
+    default=4,
+    show_default=True,
+    help="Refined starting points in addition to the recipe's values.",
+)
+@click.option(
+    "--weights",
+    type=click.Choice(["equal", "relative"]),
+    default="equal",
+    show_default=True,
+    help="Whether the noise is equal for all values or proportional to them; ellipsometer files state it.",
+)
+@click.option("--intervals", type=click.Choice(["auto", "linear", "profile", "resampling"]), default="auto",
+              show_default=True, help="Method of the 95 % intervals.")  # fmt: skip
+@click.option("--range-nm", default=None, metavar="LOW:HIGH", help="Ignore other wavelengths of the measurements.")
+@click.option("--angle-deg", type=float, default=None, help="Angle of incidence that a file does not state.")
+@click.option("--delta-convention", type=click.Choice(["positive", "negative", "positive-shifted", "negative-shifted"]),
+              default=None, help="Sign of Delta that a file does not state.")  # fmt: skip
+@click.option("--spectrum", default=None, metavar="NAME", help="One spectrum, place or time of a file with several.")
+@click.option("--quantity", default=None, metavar="NAME", help="Quantity of a spectrum that a file does not state.")
+@click.option("--unit", metavar="UNIT", help="Unit of the wavelengths or energies, if a file names none.")
+@click.option("--columns", metavar="NAME,...", help="Names of the columns of a table; - ignores one.")
+@click.option("--ignore", metavar="HEADING,...", help="Headings of columns to ignore.")
+@click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("--residual", default=None, metavar="FILE.npz", help="Store the residual map.")
+@click.option("--report", "page", default=None, metavar="FIT.html", help="Write a page on measurement and fit.")
+@click.option("-o", "output", default=None, metavar="FITTED.toml", help="Default: RECIPE-fitted.toml.")
+@common.cache_option
+@common.jobs_option
+def fit(
+    files: tuple[str, ...], parameters: tuple[str, ...], ties: tuple[str, ...], as_json: bool, residual: str | None,
+    page: str | None, output: str | None, range_nm: str | None, **options: Any,
+) -> None:  # fmt: skip
+    """Fit parameters of RECIPE to each MEASUREMENT: files of ellipsometers, spectra, gonio CSV.
+
+    Several measurements are of one sample; each is weighted by its own residual.
+    """
+    from nacre.analysis.fit import fit_parameters, read_measurements, run_fit
+    from nacre.analysis.fit_data import checked_range, parts_of
+    from nacre.analysis.ties import read_ties
+    from nacre.core.files import atomic_path, check_writable, short_name, write_text
+    from nacre.readers.measurement import ReadOptions
+    from nacre.recipe.toml import edit_toml
+
+    *measurements, recipe = files
+    if not measurements:
+        raise NacreError("give the measurements and then the recipe: nacre fit MEASUREMENT... RECIPE")
+    path = Path(output) if output else Path(f"{short_name(recipe)}-fitted.toml")
+    asked = ((path, ".toml"), (residual and Path(residual), ".npz"), (page and Path(page), ".html"))
+    for target, suffix in asked:
+        if target:
+            if target.suffix != suffix:
+                raise NacreError(f"{target}: the suffix must be {suffix}")
+            check_writable(target)
+    names = ("angle_deg", "delta_convention", "spectrum", "quantity", "unit")
+    stated = {name: options.pop(name) for name in names}
+    stated |= {name: common.words(options.pop(name)) for name in ("columns", "ignore")}
+    measured = read_measurements(measurements, ReadOptions(**stated), checked_range(range_nm))
+    for part in parts_of(measured):
+        for remark in getattr(part, "remarks", ()):
+            common.note(f"{getattr(part, 'name', '')}: {remark}")
+    material = common.load_material(recipe)
+    numbers = fit_parameters(material, parameters)
+    result = run_fit(
+        material, measured, numbers, ties=read_ties(material, [number.path for number in numbers], ties),
+        progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"), **options,
+    )  # fmt: skip
+    changes = {
+        **{n.path: n.value for n in result.numbers}, **result.tied, **method_overrides(result.material.model)
+    }  # fmt: skip
+    write_text(path, edit_toml(material.with_parts_loaded(changes).text, changes, recipe))
+    if residual:
+        with atomic_path(residual) as temporary, open(temporary, "wb") as file:
+            np.savez(file, residual=result.residual, wavelengths_nm=measured.wavelengths_nm)
+    if page:
+        from nacre.analysis.fit_report import write_fit_page
+
+        write_fit_page(page, result, measured, numbers)
+    if as_json:
+        click.echo(json.dumps({**_document(result), "recipe": str(path)}))
+    else:
+        _print(result)
+    common.note(str(path))
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+def _document(result: Fit) -> dict[str, Any]:
+    return {
+        "numbers": [
+            {"path": n.path, "value": n.value, "half_width_95": _finite(n.half_width), "determined": n.is_determined,
+             "interval_95": [_finite(end) for end in n.interval], "interval_method": n.method} for n in result.numbers
+        ],
+        "tied": dict(result.tied),
+        "correlation": [[_finite(value) for value in row] for row in result.correlation],
+        "measurements": [
+            {"name": p.name, "kind": p.kind, "values": p.values, "rms": p.rms, "relative_rms": p.relative_rms,
+             "mse": p.mse}
+            for p in result.parts
+        ],
+        "rms": result.rms, "relative_rms": result.relative_rms, "starts": list(result.starts),
+        "evaluations": result.evaluations,
+    }  # fmt: skip
+
+
+def _print(result: Fit) -> None:
+    for n in result.numbers:
+        if not n.is_determined:
+            tail = "not determined by these data"
+        elif n.method == "linear":
+            tail = f"+- {n.half_width:.3g} (95 %)"
+        else:
+            tail = f"{n.interval[0]:.6g} to {n.interval[1]:.6g} (95 %, {n.method})"
+        click.echo(f"{n.path:44s} {n.value:12.6g}  {tail}")
+    for path, value in result.tied.items():
+        click.echo(f"{path:44s} {value:12.6g}  tied")
+    if len(result.numbers) > 1:
+        click.echo("correlation")
+        for n, row in zip(result.numbers, result.correlation):
+            click.echo(f"  {n.path:42s} " + " ".join(f"{value:7.3f}" for value in row))
+    for part in result.parts if len(result.parts) > 1 or any(p.mse is not None for p in result.parts) else ():
+        mse = "" if part.mse is None else f", MSE {part.mse:.4g} (N, C, S in 0.001)"
+        click.echo(f"{part.name}: {part.values} values, rms {part.rms:.4g}{mse}")
+    click.echo(f"relative rms {result.relative_rms:.4g}, {result.evaluations} evaluations")
+
+
+commands = {"fit": fit}

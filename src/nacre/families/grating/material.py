@@ -1,0 +1,189 @@
+"""The grating material: parameters, orders and Bsdf."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nacre.bsdf import Bsdf
+from nacre.bsdf.bsdf import Spectrum
+from nacre.bsdf.grids import interpolate
+from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
+from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
+from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.tabulate import is_transparent
+from nacre.bsdf.texture import Texture, parse_formula
+from nacre.core.arrays import Array
+from nacre.core.errors import UnsupportedError
+from nacre.families.contract import Diffracting, Model, Traits
+from nacre.families.grating.tables import MAX_THETA, OrderTables, order_tables
+from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.periodic.orders import Orders, solve_orders
+from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Shape
+
+MIRROR_NODES = 65
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Angular standard deviation of each order, and standard deviations of places and sizes."""
+
+    angle_rad: float
+    period_deviation_nm: float = 0.0
+    size_deviation_nm: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class GratingLayer:
+    """One layer with its shapes."""
+
+    thickness_nm: float
+    material: OpticalConstant
+    shapes: tuple[tuple[Shape, OpticalConstant], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Grating(Model, Diffracting):
+    """A periodic structure of layers, or of a profile, on a substrate.
+
+    Attributes:
+        turn_deg: angle from u to the direction across the lines; `turn`: a texture in its place.
+        tolerance: largest estimated error of an efficiency; None: by method.
+    """
+
+    traits = Traits(noun="grating", default_parts=("specular_reflectance", "diffuse_reflectance"), takes_ambient=True)
+
+    ambient: OpticalConstant
+    layers: tuple[GratingLayer, ...]
+    substrate: OpticalConstant
+    cell: Cell
+    profile: Profile | None
+    spread: Spread
+    turn_deg: float
+    turn: Texture | None
+    tolerance: float | None
+    grid_nm: tuple[float, ...]
+
+    @property
+    def wavelengths_nm(self) -> Array:
+        """Default grid."""
+        return np.array(self.grid_nm)
+
+    def stacks(self, wavelengths_nm: Array) -> list[PeriodicStack]:
+        """Return the structure at wavelengths."""
+        lam = np.asarray(wavelengths_nm, dtype=float)
+        cover, substrate = self.ambient.n_complex(lam).real, self.substrate.n_complex(lam)
+        grounds = [layer.material.n_complex(lam) ** 2 for layer in self.layers]
+        shapes = [[material.n_complex(lam) ** 2 for _, material in layer.shapes] for layer in self.layers]
+        return [
+            PeriodicStack(
+                self.cell,
+                float(cover[k]),
+                tuple(
+                    PatternLayer(
+                        layer.thickness_nm,
+                        complex(ground[k]),
+                        tuple((shape, complex(e[k])) for (shape, _), e in zip(layer.shapes, inner, strict=True)),
+                    )
+                    for layer, ground, inner in zip(self.layers, grounds, shapes, strict=True)
+                ),
+                complex(substrate[k]),
+                self.profile,
+            )
+            for k in range(len(lam))
+        ]
+
+    def diffraction_orders(self, theta_rad: Array, azimuth_rad: float, wavelengths_nm: Array | None) -> Orders:
+        """Return the orders for light from an azimuth in the frame of the surface."""
+        lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        stacks = dict(zip(lam.tolist(), self.stacks(lam), strict=True))
+        azimuth = azimuth_rad - np.radians(self.turn_deg)
+        return solve_orders(lambda w: stacks[w], theta_rad, azimuth, lam, self.tolerance)
+
+    def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
+        """Solve the orders on a grid of directions: the zero order is a mirror, the others form a lobe.
+
+        Orders transmitted beside the zero order are part of `spectrum` only. Light from behind is neither reflected nor
+        diffracted; the zero order passes it.
+        """
+        lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        table = order_tables(self.stacks(lam), lam, self.tolerance)
+        notes = {"estimated_error": float(f"{table.error:.2g}")}
+        lobes: list[Lobe] = [self._mirror(table, lam)]
+        if len(table.orders):
+            width = limited_width(self.spread.angle_rad, table.lattice, float(lam[0]))
+            lobes.append(OrdersLobe(lam, table.reflected, table.lattice, table.orders, width, self._rotation))
+        return Bsdf(tuple(lobes), notes)
+
+    @property
+    def _rotation(self) -> Texture | None:
+        """The turn in rad."""
+        degree = np.pi / 180.0
+        if self.turn is None:
+            if self.turn_deg == 0.0:
+                return None
+            return Texture(
+                self.turn_deg * degree, self.turn_deg * degree, formula=parse_formula(repr(self.turn_deg * degree))
+            )
+        made = self.turn
+        if made.formula is not None:
+            scaled = replace(parse_formula(f"({made.formula.text})*{degree!r}"), written=made.formula.written)
+            return Texture(made.low * degree, made.high * degree, formula=scaled)
+        return Texture(made.low * degree, made.high * degree, image=made.image, is_stepped=made.is_stepped)
+
+    def _mirror(self, table: OrderTables, lam: Array) -> Lobe:
+        """Return the zero order; if the turn varies over the surface, its mean over the azimuth."""
+        index, outer = self.substrate.n_complex(lam), self.ambient.n_complex(lam).real
+        transmits = is_transparent(index)
+        eta = float(np.mean(index.real) / np.mean(outer)) if transmits else 1.0
+        transmits = transmits and eta >= 1.0
+        eta = eta if transmits and abs(eta - 1.0) > 1e-6 else 1.0
+        cosines = np.linspace(0.0, 1.0, MIRROR_NODES)
+        at = np.arccos(cosines) / (0.5 * np.pi) * (table.mirror.shape[0] - 1)
+        reflected, passed = (
+            np.moveaxis(interpolate(part, (at,)), 0, 1) for part in (table.mirror, table.passed)
+        )  # [azimuth, cosine, wavelength]
+        if not transmits:
+            passed = np.zeros_like(passed)
+        total = np.zeros((*reflected.shape[:1], 2 if eta > 1.0 else 0, len(lam)))
+        if self.turn is None:
+            response = InterfaceResponse(
+                lam, cosines, reflected, passed, np.zeros_like(reflected), total, eta, transmits
+            )
+            return AlignedSpecular(response, float(np.radians(self.turn_deg)))
+        reflected, passed = reflected[:-1].mean(axis=0), passed[:-1].mean(axis=0)
+        response = InterfaceResponse(
+            lam, cosines, reflected, passed, np.zeros_like(reflected), total[0], eta, transmits
+        )
+        return Specular(response)
+
+    def spectrum(
+        self, theta_rad: Array, wavelengths_nm: Array | None = None, polarisation: str = "both", seed: int = 0
+    ) -> Spectrum:
+        """Return the zero order (specular) and all others (diffuse), for light from azimuth 0.
+
+        Raises:
+            UnsupportedError: the polarisation is not known.
+        """
+        if polarisation not in ("s", "p", "both"):
+            raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use s, p or both')
+        theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
+        found = self.diffraction_orders(np.minimum(theta, MAX_THETA), 0.0, wavelengths_nm)
+        is_zero = np.all(found.numbers == 0, axis=1)
+
+        def part(efficiency: Array, chosen: Array) -> Array:
+            both = np.nan_to_num(efficiency[:, :, chosen]).sum(axis=2)
+            return np.asarray({"s": both[..., 0], "p": both[..., 1]}.get(polarisation, both.mean(axis=-1)))
+
+        lam = found.wavelengths_nm
+        transmits = is_transparent(self.substrate.n_complex(lam))
+        return Spectrum(
+            lam,
+            np.degrees(theta),
+            part(found.reflected, is_zero),
+            part(found.transmitted, is_zero) if transmits else None,
+            part(found.reflected, ~is_zero),
+            part(found.transmitted, ~is_zero) if transmits else None,
+        )

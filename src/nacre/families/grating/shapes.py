@@ -1,0 +1,324 @@
+"""Shapes of a cell in a recipe, and their geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+import pydantic
+from pydantic import Field
+
+from nacre.bsdf.texture_spec import read_grey
+from nacre.core.arrays import Array
+from nacre.core.errors import RecipeError
+from nacre.core.files import plain, why_unreadable
+from nacre.matter.indices.spec import IndexSpec
+from nacre.matter.periodic.crossed_solver import cell_grid
+from nacre.matter.periodic.structure import Cell, Rectangle, Region, Shape
+from nacre.recipe.model import RecipeContext, RecipeModel
+
+Length = Annotated[float, Field(gt=0.0, le=1e6)]
+Place = Annotated[float, Field(ge=-1e6, le=1e6)]
+KINDS = ("line", "rectangle", "disc", "ellipse", "ring", "cross", "polygon", "image", "gds")
+SIZES = {
+    # shape -> keys of its size, all needed
+    "line": ("width_nm",),
+    "rectangle": ("width_nm",),
+    "disc": ("diameter_nm",),
+    "ellipse": ("width_nm", "length_nm"),
+    "ring": ("diameter_nm", "inner_diameter_nm"),
+    "cross": ("width_nm", "length_nm"),
+    "polygon": ("points_nm",),
+    "image": ("file",),
+    "gds": ("gds",),
+}
+MAX_PIXELS = 1024
+SAMPLES = 256  # a side, in the search for overlaps
+
+
+class ShapeSpec(RecipeModel):
+    """A shape in the cell, of one material through the whole layer; the cell's centre is (0, 0)."""
+
+    noun: ClassVar[str] = "shape"
+    forms: ClassVar[tuple[str, ...]] = (
+        '{shape = "line", material = "Ag", width_nm = 120}',
+        '{shape = "disc", material = "Si", diameter_nm = 140}',
+        '{shape = "rectangle", material = "Si", width_nm = 120, length_nm = 90}',
+    )
+
+    shape: Literal["line", "rectangle", "disc", "ellipse", "ring", "cross", "polygon", "image", "gds"] | None = Field(
+        default=None, description="kind of shape; a line lies along y", examples=["disc"]
+    )
+    material: IndexSpec = Field(description="material of the shape", examples=["Si"])
+    center_nm: tuple[Place, Place] = Field(
+        default=(0.0, 0.0), description="its centre, from the centre of the cell", examples=[[50, 0]]
+    )
+    width_nm: Length | None = Field(
+        default=None, description="size along x; of a cross the width of its arms", examples=[120]
+    )
+    length_nm: Length | None = Field(
+        default=None, description="size along y (rectangle: default the width); of a cross the length of its arms",
+        examples=[200],
+    )  # fmt: skip
+    size_nm: tuple[Length, Length] | None = Field(
+        default=None, description="sizes along x and y at once, instead of width_nm and length_nm", examples=[[120, 90]]
+    )
+    diameter_nm: Length | None = Field(default=None, description="of a disc or a ring", examples=[140])
+    inner_diameter_nm: Length | None = Field(default=None, description="of a ring", examples=[80])
+    rotation_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = Field(
+        default=0.0, description="turn about its centre, from x towards y", examples=[30]
+    )
+    points_nm: tuple[tuple[Place, Place], ...] | None = Field(
+        default=None, min_length=3, max_length=1000, description="corners of a polygon, from its centre",
+        examples=[[[-60, -50], [60, -50], [0, 70]]],
+    )  # fmt: skip
+    file: str | None = Field(
+        default=None, description="a grey image of the whole cell: the shape is where it is brighter than a half",
+        examples=["cell.png"],
+    )  # fmt: skip
+    gds: str | None = Field(default=None, description="a GDS file: the shape is its polygons", examples=["cell.gds"])
+    cell: str | None = Field(default=None, description="name of the GDS cell; default: its only top cell")
+    layer: Annotated[int, Field(ge=0, le=65535)] = Field(default=1, description="layer of the GDS file")
+
+    @pydantic.model_validator(mode="after")
+    def _has_its_sizes(self) -> ShapeSpec:
+        kind = self.kind
+        if kind is None:
+            raise ValueError(f"shape is missing; allowed: {', '.join(KINDS)}")
+        if self.size_nm is not None and (self.width_nm is not None or self.length_nm is not None):
+            raise ValueError("size_nm and width_nm, length_nm exclude each other; keep one")
+        for key in SIZES[kind]:
+            if getattr(self, key) is None and not (self.size_nm is not None and key in ("width_nm", "length_nm")):
+                raise ValueError(f'{key} is missing; a shape "{kind}" needs {", ".join(SIZES[kind])}')
+        if kind == "ring" and float(self.inner_diameter_nm or 0) >= float(self.diameter_nm or 0):
+            raise ValueError(f"inner_diameter_nm = {self.inner_diameter_nm:g} must be below {self.diameter_nm:g}")
+        if kind == "cross" and float(self.length or 0) < float(self.width or 0):
+            raise ValueError(f"length_nm = {self.length:g} is below width_nm = {self.width:g}")
+        return self
+
+    @property
+    def kind(self) -> str | None:
+        """The kind; a GDS file needs no word."""
+        return self.shape or ("gds" if self.gds is not None else None)
+
+    @property
+    def width(self) -> float | None:
+        """Size along x."""
+        return self.size_nm[0] if self.size_nm is not None else self.width_nm
+
+    @property
+    def length(self) -> float | None:
+        """Size along y."""
+        if self.size_nm is not None:
+            return self.size_nm[1]
+        return self.width_nm if self.length_nm is None and self.kind == "rectangle" else self.length_nm
+
+    def geometry(self, context: RecipeContext, key: str, cell: Cell) -> list[Shape]:
+        """Return the shape as rectangles or as a region.
+
+        Raises:
+            RecipeError: a file cannot be used.
+        """
+        x, y = self.center_nm
+        kind, turn = self.kind, np.radians(self.rotation_deg)
+        w, h = self.width or 0.0, self.length or 0.0
+        if kind == "line":
+            return [Rectangle(x - 0.5 * w, x + 0.5 * w)]
+        if kind == "rectangle" and self.rotation_deg == 0.0:
+            return [Rectangle(x - 0.5 * w, x + 0.5 * w, y - 0.5 * h, y + 0.5 * h)]
+        if kind == "cross" and self.rotation_deg == 0.0:
+            arms = [Rectangle(x - 0.5 * w, x + 0.5 * w, y - 0.5 * h, y + 0.5 * h)]
+            if h > w:
+                arms += [
+                    Rectangle(x - 0.5 * h, x - 0.5 * w, y - 0.5 * w, y + 0.5 * w),
+                    Rectangle(x + 0.5 * w, x + 0.5 * h, y - 0.5 * w, y + 0.5 * w),
+                ]
+            return arms
+        if kind == "disc":
+            radius = 0.5 * float(self.diameter_nm or 0)
+            return [Region(lambda a, b: np.hypot(a - x, b - y) - radius, ("disc", x, y, radius))]
+        if kind == "ring":
+            outer, inner = 0.5 * float(self.diameter_nm or 0), 0.5 * float(self.inner_diameter_nm or 0)
+            mean, half = 0.5 * (outer + inner), 0.5 * (outer - inner)
+            return [Region(lambda a, b: np.abs(np.hypot(a - x, b - y) - mean) - half, ("ring", x, y, outer, inner))]
+        if kind == "ellipse":
+            return [Region(_turned(_ellipse(0.5 * w, 0.5 * h), x, y, turn), ("ellipse", x, y, w, h, turn))]
+        if kind == "image":
+            return [self._image(context, key, cell)]
+        polygons = [np.array(self.points_nm)] if kind == "polygon" else None
+        if kind == "rectangle":
+            polygons = [0.5 * np.array([[-w, -h], [w, -h], [w, h], [-w, h]])]
+        if kind == "cross":
+            a, b = [-w, w, w, h, h, w, w, -w, -w, -h, -h, -w], [-h, -h, -w, -w, w, w, h, h, w, w, -w, -w]
+            polygons = [0.5 * np.column_stack([a, b])]
+        if polygons is None:
+            polygons = self._gds(context, key)
+        shapes: list[Shape] = []
+        for points in polygons:
+            corners = points @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [x, y]
+            shapes.append(Region(_polygon(corners), ("polygon", corners.tobytes().hex())))
+        return shapes
+
+    def _image(self, context: RecipeContext, key: str, cell: Cell) -> Region:
+        from scipy.ndimage import distance_transform_edt
+
+        assert self.file is not None and cell.period_y is not None
+        path = context.path(self.file)
+        try:
+            plain(path)
+        except OSError as error:
+            raise context.fail(f"{key}.file", self.file, why_unreadable(error)) from None
+        grey = read_grey(path, f"{context.source}: {key}.file", MAX_PIXELS)
+        inside = np.asarray(grey).T[:, ::-1] > 0.5  # [x, y], the first row on top
+        if inside.all() or not inside.any():
+            raise context.fail(f"{key}.file", self.file, "holds no shape: all of it is on one side of a half")
+        tiled = np.tile(inside, (3, 3))
+        n_x, n_y = inside.shape
+        step = (cell.period_x / n_x, cell.period_y / n_y)
+        signed = distance_transform_edt(~tiled, sampling=step) - distance_transform_edt(tiled, sampling=step)
+        values = signed[n_x : 2 * n_x, n_y : 2 * n_y]
+        angle, p_x, p_y = cell.angle_rad, cell.period_x, cell.period_y
+
+        def distance(a: Array, b: Array) -> Array:
+            v = b / (p_y * np.sin(angle))
+            u = (a - v * p_y * np.cos(angle)) / p_x
+            return _bilinear(values, u, v)
+
+        return Region(distance, ("image", inside.tobytes().hex(), inside.shape))
+
+    def _gds(self, context: RecipeContext, key: str) -> list[Array]:
+        """Return the polygons of a GDS cell, in nm.
+
+        Raises:
+            RecipeError: no such cell, no polygons in the layer, or units that do not fit the cell.
+        """
+        import gdstk
+
+        assert self.gds is not None
+        path = context.path(self.gds)
+        try:
+            plain(path)
+            library = gdstk.read_gds(str(path))
+        except OSError as error:
+            raise context.fail(f"{key}.gds", self.gds, why_unreadable(error)) from None
+        except Exception:
+            raise context.fail(f"{key}.gds", self.gds, "is not a GDS file") from None
+        names = {cell.name: cell for cell in library.cells}
+        if self.cell is not None and self.cell not in names:
+            raise context.fail(
+                f"{key}.cell", self.cell, f"is not in {self.gds}; allowed: {', '.join(sorted(names)[:20])}"
+            )
+        top = [names[self.cell]] if self.cell is not None else library.top_level()
+        if len(top) != 1:
+            raise RecipeError(
+                f"{context.source}: {key}.cell is missing; allowed: {', '.join(c.name for c in top[:20])}"
+            )
+        polygons = top[0].get_polygons(layer=self.layer, datatype=0)
+        if not polygons:
+            raise context.fail(f"{key}.layer", self.layer, f"holds no polygons in cell {top[0].name}")
+        return [np.asarray(p.points) * (library.unit / 1e-9) for p in polygons]
+
+
+def _bilinear(values: Array, u: Array, v: Array) -> Array:
+    """Interpolate a periodic map of the cell, in lattice coordinates about the origin."""
+    n_x, n_y = values.shape
+    a, b = (u + 0.5) * n_x - 0.5, (v + 0.5) * n_y - 0.5
+    i, j = np.floor(a).astype(int), np.floor(b).astype(int)
+    f, g = a - i, b - j
+    i0, i1, j0, j1 = i % n_x, (i + 1) % n_x, j % n_y, (j + 1) % n_y
+    low = values[i0, j0] * (1 - f) + values[i1, j0] * f
+    return np.asarray(low * (1 - g) + (values[i0, j1] * (1 - f) + values[i1, j1] * f) * g)
+
+
+def _turned(
+    distance: Callable[[Array, Array], Array], x: float, y: float, turn: float
+) -> Callable[[Array, Array], Array]:
+    c, s = np.cos(turn), np.sin(turn)
+    return lambda a, b: distance(c * (a - x) + s * (b - y), c * (b - y) - s * (a - x))
+
+
+def _ellipse(a: float, b: float) -> Callable[[Array, Array], Array]:
+    """First-order distance to an ellipse: the level function over its gradient."""
+
+    def distance(x: Array, y: Array) -> Array:
+        level = np.hypot(x / a, y / b)
+        slope = np.hypot(x / a**2, y / b**2)
+        return np.asarray(level * (level - 1.0) / np.maximum(slope, 1e-12 / max(a, b)))
+
+    return distance
+
+
+def _polygon(corners: Array) -> Callable[[Array, Array], Array]:
+    """Signed distance to a polygon (even-odd rule)."""
+    ends = np.roll(corners, -1, axis=0)
+
+    def distance(x: Array, y: Array) -> Array:
+        squared = np.full(x.shape, np.inf)
+        inside = np.zeros(x.shape, dtype=bool)
+        for (x_0, y_0), (x_1, y_1) in zip(corners, ends, strict=True):
+            e_x, e_y = x_1 - x_0, y_1 - y_0
+            t = np.clip(((x - x_0) * e_x + (y - y_0) * e_y) / max(e_x**2 + e_y**2, 1e-300), 0.0, 1.0)
+            squared = np.minimum(squared, (x - x_0 - t * e_x) ** 2 + (y - y_0 - t * e_y) ** 2)
+            crosses = (y_0 > y) != (y_1 > y)
+            at = x_0 + (y - y_0) * e_x / (e_y if e_y else 1.0)
+            inside ^= crosses & (x < at)
+        return np.where(inside, -1.0, 1.0) * np.sqrt(squared)
+
+    return distance
+
+
+def check_shapes(shapes: list[tuple[str, Shape]], cell: Cell) -> str | None:
+    """Return what is wrong with named shapes of one layer, or None: they leave the cell, or overlap."""
+    for name, shape in shapes:
+        if _leaves(shape, cell):
+            return f"{name} leaves the cell, which reaches from {_extent(cell)} about its centre"
+    for i, (name, shape) in enumerate(shapes):
+        for other, second in shapes[:i]:
+            if name != other and _overlap(shape, second, cell):
+                return f"{name} overlaps {other}"
+    return None
+
+
+def _extent(cell: Cell) -> str:
+    size = f"{-0.5 * cell.period_x:g} to {0.5 * cell.period_x:g} nm along x"
+    if cell.period_y is None:
+        return size
+    return f"{size} and {-0.5 * cell.period_y:g} to {0.5 * cell.period_y:g} nm along its second side"
+
+
+def _leaves(shape: Shape, cell: Cell) -> bool:
+    half = 0.5 * cell.period_x * (1.0 + 1e-9)
+    if isinstance(shape, Rectangle) and cell.angle_rad == 0.5 * np.pi:
+        if max(-shape.x_0, shape.x_1) > half:
+            return True
+        if cell.period_y is None or not np.isfinite(shape.y_0):
+            return False
+        return max(-shape.y_0, shape.y_1) > 0.5 * cell.period_y * (1.0 + 1e-9)
+    if isinstance(shape, Region) and shape.key[0] == "image":
+        return False
+    # more than the cell; a copy in a neighbouring cell may touch, but not be met
+    x, y = cell_grid(Cell(2.0 * cell.period_x, 2.0 * float(cell.period_y or 0), cell.angle_rad), SAMPLES)
+    inside = _is_inside(shape, x, y)
+    middle = slice(SAMPLES // 4, 3 * SAMPLES // 4)
+    if cell.is_rectangular:
+        return bool(inside.sum() > inside[middle, middle].sum())
+    edge = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]])
+    d_x, d_y = float(cell.period_y or 0) * np.cos(cell.angle_rad), float(cell.period_y or 0) * np.sin(cell.angle_rad)
+    copies = [(cell.period_x, 0.0), (d_x, d_y), (d_x - cell.period_x, d_y)]
+    return bool(edge.any() or any((inside & _is_inside(shape, x - a, y - b)).any() for a, b in copies))
+
+
+def _overlap(one: Shape, other: Shape, cell: Cell) -> bool:
+    if isinstance(one, Rectangle) and isinstance(other, Rectangle):
+        gap = 1e-9 * cell.period_x
+        along_x = min(one.x_1, other.x_1) - max(one.x_0, other.x_0) > gap
+        return along_x and min(one.y_1, other.y_1) - max(one.y_0, other.y_0) > gap
+    x, y = cell_grid(cell, SAMPLES)
+    return bool((_is_inside(one, x, y) & _is_inside(other, x, y)).any())
+
+
+def _is_inside(shape: Shape, x: Array, y: Array) -> Array:
+    if isinstance(shape, Region):
+        return np.asarray(shape.distance(x, y) < 0.0)
+    return np.asarray((x > shape.x_0) & (x < shape.x_1) & (y > shape.y_0) & (y < shape.y_1))

@@ -1,0 +1,134 @@
+"""Orders of a grating over the direction of light, for its lobes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.core.arrays import Array
+from nacre.core.parallel import in_threads
+from nacre.matter.periodic.orders import cached_solution
+from nacre.matter.periodic.solve import method_of
+from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle
+
+MAX_THETA = float(np.radians(89.5))  # light beyond is taken as here
+THETAS = {"lines": 16, "profile": 16, "rectangles": 10, "fourier": 10}  # nodes from 0 to 90 degrees
+AZIMUTHS = {"lines": 24, "profile": 24, "rectangles": 16, "fourier": 12}  # of a whole turn, a multiple of 4
+TABLE_TOLERANCE = {"lines": 2e-3, "profile": 1e-3, "rectangles": 2e-2, "fourier": 2e-2}
+
+
+@dataclass(frozen=True, eq=False)
+class OrderTables:
+    """Efficiencies for unpolarised light; nodes in theta from 0 to pi/2 and in azimuth from 0 to 2 pi.
+
+    Attributes:
+        mirror, passed: `[theta, azimuth, wavelength]`, the zero order.
+        reflected: `[theta, azimuth, order, wavelength]`, the other orders.
+        orders: `[order, 2]`.
+        lattice: `[2, 2]`, their wave vectors over 2 pi, in 1/nm.
+        error: largest estimated error.
+    """
+
+    mirror: Array
+    passed: Array
+    reflected: NDArray[np.float32]
+    orders: NDArray[np.int64]
+    lattice: Array
+    error: float
+
+
+def order_tables(stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: float | None) -> OrderTables:
+    """Solve a grid of directions, in threads; symmetric directions once."""
+    stack = stacks[0]
+    method = method_of(stack)
+    if not _is_patterned(stack):
+        thetas, azimuths = 64, 4
+    else:
+        thetas, azimuths = THETAS[method], AZIMUTHS[method]
+    angles = np.minimum(np.linspace(0.0, 0.5 * np.pi, thetas), MAX_THETA)
+    images = _images(stack)
+    bound = max(tolerance or 0.0, TABLE_TOLERANCE[method])
+    source: dict[tuple[int, int], tuple[tuple[int, int], tuple[int, int]]] = {}
+    for t in range(thetas):
+        for a in range(azimuths):
+            source[t, a] = ((t, a), (1, 1))
+            for signs in images:
+                other = (t, _mirrored(a, azimuths, signs))
+                if other in source and source[other][0] == other and other != (t, a):
+                    source[t, a] = (other, signs)
+                    break
+    own = [node for node, (first, _) in source.items() if node == first]
+    cases = [(t, a, w) for t, a in own for w in range(len(wavelengths_nm))]
+
+    def work(case: tuple[int, int, int]) -> OrderSolution:
+        t, a, w = case
+        phi = 2.0 * np.pi * a / azimuths + np.pi
+        return cached_solution(stacks[w], float(wavelengths_nm[w]), float(angles[t]), phi, bound, is_strict=False)
+
+    found = dict(zip(cases, in_threads(work, cases), strict=True))
+    numbers = {(int(m), int(n)) for s in found.values() for m, n in s.reflected.numbers}
+    signs = {(1, 1), *images}
+    every = sorted({(m * x, n * y) for m, n in numbers for x, y in signs} - {(0, 0)})
+    place = {number: k for k, number in enumerate(every)}
+    shape = (thetas, azimuths + 1, len(wavelengths_nm))
+    mirror, passed = np.zeros(shape), np.zeros(shape)
+    reflected = np.zeros((thetas, azimuths + 1, len(every), len(wavelengths_nm)), dtype=np.float32)
+    for (t, a), ((first, second), (x, y)) in source.items():
+        for w in range(len(wavelengths_nm)):
+            solution = found[first, second, w]
+            for side, target in ((solution.reflected, mirror), (solution.transmitted, passed)):
+                mean = np.maximum(side.efficiency.mean(axis=1), 0.0)
+                for (m, n), value in zip(side.numbers, mean, strict=True):
+                    if m == 0 and n == 0:
+                        target[t, a, w] = value
+                    elif target is mirror:
+                        reflected[t, a, place[int(m) * x, int(n) * y], w] = value
+    for part in (mirror, passed, reflected):
+        part[:, -1] = part[:, 0]
+    cell = stack.cell
+    lattice = cell.wave_vectors(np.array([[1, 0], [0, 1]])) / (2.0 * np.pi)
+    error = max((s.error for s in found.values()), default=0.0)
+    return OrderTables(mirror, passed, reflected, np.array(every, dtype=np.int64).reshape(-1, 2), lattice, error)
+
+
+def _is_patterned(stack: PeriodicStack) -> bool:
+    return stack.profile is not None or any(layer.shapes for layer in stack.layers)
+
+
+def _images(stack: PeriodicStack) -> list[tuple[int, int]]:
+    """Return the mirror images of the structure, as signs of x and y."""
+    shapes = [shape for layer in stack.layers for shape, _ in layer.shapes]
+    if stack.profile is not None:
+        t = np.linspace(0.01, 0.99, 64)
+        even = np.allclose(stack.profile.height(t), stack.profile.height(1.0 - t), atol=1e-9)
+        return [(-1, 1), (1, -1), (-1, -1)] if even else [(1, -1)]
+    if stack.cell.period_y is None:
+        even = all(isinstance(s, Rectangle) and abs(s.x_0 + s.x_1) < 1e-9 for s in shapes)
+        return [(-1, 1), (1, -1), (-1, -1)] if even else [(1, -1)]
+    if not stack.cell.is_rectangular:
+        return []
+    even_x = all(_is_even(s, 0) for s in shapes)
+    even_y = all(_is_even(s, 1) for s in shapes)
+    found = [(-1, 1)] if even_x else []
+    found += [(1, -1)] if even_y else []
+    return [*found, (-1, -1)] if even_x and even_y else found
+
+
+def _is_even(shape: object, axis: int) -> bool:
+    if isinstance(shape, Rectangle):
+        sides = (shape.x_0 + shape.x_1) if axis == 0 else (shape.y_0 + shape.y_1)
+        return bool(np.isnan(sides) or abs(sides) < 1e-9)
+    x, y = np.random.default_rng(0).uniform(-300.0, 300.0, (2, 200))
+    mirrored = (-x, y) if axis == 0 else (x, -y)
+    distance = shape.distance  # type: ignore[attr-defined]  # a region
+    return bool(np.allclose(distance(x, y), distance(*mirrored), atol=1e-6))
+
+
+def _mirrored(azimuth: int, count: int, signs: tuple[int, int]) -> int:
+    """Return the node of the mirrored azimuth."""
+    x, y = signs
+    if (x, y) == (-1, -1):
+        return (azimuth + count // 2) % count
+    return (count // 2 - azimuth) % count if x < 0 else (-azimuth) % count

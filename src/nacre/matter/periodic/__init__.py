@@ -1,0 +1,1 @@
+"""Rigorous solvers of structures that are periodic in one or two directions."""

@@ -1,0 +1,266 @@
+"""Orders of structures of one period: lamellar layers and continuous profiles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.matter.periodic.lamellar_modes import layer_modes, line_modes
+from nacre.matter.periodic.line_basis import LineBasis, LineMesh, assemble, line_basis, line_mesh, regions, shape_values
+from nacre.matter.periodic.profile_coordinates import aligned, operators, profile_modes, scatter_profile, state
+from nacre.matter.periodic.scattering_matrix import Modes, scatter, uniform_modes
+from nacre.matter.periodic.structure import (
+    OrderSet,
+    OrderSolution,
+    PatternLayer,
+    PeriodicStack,
+    Profile,
+    Rectangle,
+    empty_orders,
+    order_set,
+    propagating,
+)
+
+NORMAL = 1e-14  # smaller wave numbers along the lines are zero
+GRADING = 0.18
+
+
+def incident_wave(stack: PeriodicStack, theta_rad: float, phi_rad: float) -> tuple[Array, float, Array]:
+    """Return the transverse wave vector over k0 `[2]`, k_z / k0, and (E_x, E_y) `[2, in]` of unit s and p waves."""
+    sine, cosine = np.sin(theta_rad), np.cos(theta_rad)
+    c, s = np.cos(phi_rad), np.sin(phi_rad)
+    transverse = stack.cover * sine * np.array([c, s])
+    transverse[np.abs(transverse) < NORMAL] = 0.0
+    return transverse, float(stack.cover * cosine), np.array([[-s, -cosine * c], [c, -cosine * s]])
+
+
+def is_patterned(layer: PatternLayer) -> bool:
+    """Whether a layer has a shape of another permittivity."""
+    return any(epsilon != layer.epsilon for _, epsilon in layer.shapes)
+
+
+def solve_lines(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, level: int) -> OrderSolution:
+    """Return the orders of lamellar layers by the piecewise-polynomial modal method."""
+    transverse, k_z, incident = incident_wave(stack, theta_rad, phi_rad)
+    patterned = [layer for layer in stack.layers if is_patterned(layer)]
+    if not patterned:
+        return _flat(stack, k0, transverse, k_z, incident, phi_rad)
+    basis = line_basis(_mesh_of(stack, patterned, k0, level), transverse[0], 1.001 * stack.reach)
+    alpha = basis.alpha
+    beta = np.full_like(alpha, transverse[1])
+    solved: dict[PatternLayer, Modes] = {}
+    layers = []
+    for layer in stack.layers:
+        key = PatternLayer(0.0, layer.epsilon, layer.shapes)
+        if key not in solved:
+            solved[key] = (
+                layer_modes(line_modes(alpha, *basis.permittivity(_element_values(basis, layer, k0))), transverse[1])
+                if is_patterned(layer)
+                else uniform_modes(layer.epsilon, alpha, beta)
+            )
+        layers.append(solved[key])
+    size = len(alpha)
+    zero = int(np.flatnonzero(basis.numbers[: basis.resolved] == 0)[0])
+    wave = np.zeros((2 * size, 2), dtype=complex)
+    wave[zero], wave[size + zero] = incident
+    up, down = scatter(
+        uniform_modes(stack.cover**2, alpha, beta),
+        layers,
+        [layer.thickness_nm * k0 for layer in stack.layers],
+        uniform_modes(stack.substrate**2, alpha, beta),
+        wave,
+    )
+    places = {int(m): k for k, m in enumerate(basis.numbers[: basis.resolved])}
+
+    def side(amplitudes: Array, index: float, is_up: bool) -> OrderSet:
+        numbers, waves = propagating(stack, k0, transverse, index)
+        at = np.array([places[int(m)] for m in numbers[:, 0]], dtype=int)
+        fields = np.stack([amplitudes[at], amplitudes[size + at]], axis=1)
+        return order_set(numbers, waves, fields, index, is_up, (phi_rad, k_z, stack.cover))
+
+    reflected = side(up, stack.cover, True)
+    transmitted = side(down, stack.substrate.real, False) if stack.is_clear else empty_orders()
+    return OrderSolution(reflected, transmitted, np.inf, size, "lines")
+
+
+def _flat(
+    stack: PeriodicStack, k0: float, transverse: Array, k_z: float, incident: Array, phi_rad: float
+) -> OrderSolution:  # fmt: skip
+    """Return the orders of unpatterned layers: all but the zero order are dark."""
+    alpha, beta = transverse[:1], transverse[1:]
+    up, down = scatter(
+        uniform_modes(stack.cover**2, alpha, beta),
+        [uniform_modes(layer.epsilon, alpha, beta) for layer in stack.layers],
+        [layer.thickness_nm * k0 for layer in stack.layers],
+        uniform_modes(stack.substrate**2, alpha, beta),
+        incident.astype(complex),
+    )
+
+    def side(amplitudes: Array, index: float, is_up: bool) -> OrderSet:
+        numbers, waves = propagating(stack, k0, transverse, index)
+        fields = np.zeros((len(numbers), 2, 2), dtype=complex)
+        fields[np.all(numbers == 0, axis=1)] = amplitudes
+        return order_set(numbers, waves, fields, index, is_up, (phi_rad, k_z, stack.cover))
+
+    transmitted = side(down, stack.substrate.real, False) if stack.is_clear else empty_orders()
+    return OrderSolution(side(up, stack.cover, True), transmitted, 0.0, 1, "lines")
+
+
+def _mesh_of(stack: PeriodicStack, patterned: list[PatternLayer], k0: float, level: int) -> LineMesh:
+    """Return the mesh for the walls of all layers; each region takes the largest index found in it."""
+    period = stack.cell.period_x
+    lines = [shape for layer in patterned for shape, _ in layer.shapes if isinstance(shape, Rectangle)]
+    starts, middles = regions(period, np.array([x for line in lines for x in (line.x_0, line.x_1)]))
+    numbers = np.full(len(starts), stack.reach)
+    for layer in patterned:
+        numbers = np.maximum(numbers, np.sqrt(_values_at(layer, middles, period).astype(complex)).real)
+    return line_mesh(period * k0, starts * k0, numbers, level)
+
+
+def _values_at(layer: PatternLayer, x: Array, period: float) -> Array:
+    """Return the permittivity at points across the lines."""
+    values = np.full(len(x), complex(layer.epsilon))
+    for shape, epsilon in layer.shapes:
+        assert isinstance(shape, Rectangle)
+        middle, half = 0.5 * (shape.x_0 + shape.x_1), 0.5 * (shape.x_1 - shape.x_0)
+        values[np.abs((x - middle + 0.5 * period) % period - 0.5 * period) < half] = epsilon
+    return values
+
+
+def _element_values(basis: LineBasis, layer: PatternLayer, k0: float) -> Array:
+    values = _values_at(layer, basis.mesh.centers / k0, basis.mesh.period / k0)
+    return values.real if np.all(values.imag == 0.0) else values
+
+
+def solve_profile(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, level: int) -> OrderSolution:
+    """Return the orders of a continuous profile, with films that follow it, by coordinate transformation."""
+    profile = stack.profile
+    assert profile is not None
+    transverse, k_z, _ = incident_wave(stack, theta_rad, phi_rad)
+    alpha_0, k_y = float(transverse[0]), float(transverse[1])
+    period, depth = stack.cell.period_x * k0, profile.depth_nm * k0
+    mesh = _profile_mesh(stack, profile, period, k0, level)
+    phase = complex(np.exp(1j * alpha_0 * period))
+    parts = operators(mesh, lambda x: depth / period * profile.slope(x / period % 1.0), phase)
+    numbers = np.array([layer.epsilon for layer in stack.layers])
+    cover, substrate = stack.cover**2, stack.substrate**2
+    above, below = profile_modes(parts, cover - k_y**2), profile_modes(parts, substrate - k_y**2)
+    size = mesh.size
+
+    def plane_waves(index: float, sign: float) -> tuple[Array, Array, Array, Array]:
+        orders, waves = propagating(stack, k0, transverse, index)
+        beta = sign * np.sqrt(index**2 - np.sum(waves**2, axis=1))
+        return orders, waves, beta, _projected(mesh, parts.mass, profile, depth, waves[:, 0], beta, phase)
+
+    orders_up, waves_up, beta_up, shape_up = plane_waves(stack.cover, 1.0)
+    up_field, up_flux, up_at = aligned(above.up, above.up_field, above.up_flux, shape_up, beta_up, parts.mass)
+    orders_in, _, beta_in, shape_in = plane_waves(stack.cover, -1.0)
+    in_field, in_flux, in_at = aligned(above.down, above.down_field, above.down_flux, shape_in, beta_in, parts.mass)
+    out_field, out_flux = below.down_field, below.down_flux
+    if stack.is_clear:
+        orders_out, waves_out, beta_out, shape_out = plane_waves(stack.substrate.real, -1.0)
+        out_field, out_flux, out_at = aligned(below.down, out_field, out_flux, shape_out, beta_out, parts.mass)
+    films = []
+    for layer, epsilon in zip(stack.layers, numbers, strict=True):
+        modes = profile_modes(parts, epsilon - k_y**2)
+        films.append(
+            (
+                state(modes.up_field, modes.up_flux, epsilon, k_y, parts),
+                state(modes.down_field, modes.down_flux, epsilon, k_y, parts),
+                np.tile(np.exp(1j * modes.up * layer.thickness_nm * k0), 2),
+                np.tile(np.exp(-1j * modes.down * layer.thickness_nm * k0), 2),
+            )
+        )
+    zero = in_at[int(np.flatnonzero(orders_in[:, 0] == 0)[0])]
+    wave = np.zeros((2 * size, 2), dtype=complex)
+    wave[zero], wave[size + zero] = _axial(np.array([np.cos(phi_rad)]), np.array([np.sin(phi_rad)]), -k_z, stack.cover)[
+        0
+    ]
+    amplitudes_up, amplitudes_down = scatter_profile(
+        (state(up_field, up_flux, cover, k_y, parts), state(in_field, in_flux, cover, k_y, parts)),
+        films,
+        state(out_field, out_flux, substrate, k_y, parts),
+        wave,
+    )
+    incident_power = _power(in_field, in_flux, np.array([zero]))[0]
+
+    def side(
+        amplitudes: Array, at: Array, orders: Array, waves: Array, beta: Array, index: float, powers: Array,
+        shift: float,
+    ) -> OrderSet:  # fmt: skip
+        """Convert E_y and H_y of the orders to s and p."""
+        length = np.hypot(waves[:, 0], waves[:, 1])
+        safe = np.where(length < 1e-12, 1.0, length)
+        t_x = np.where(length < 1e-12, np.cos(phi_rad), waves[:, 0] / safe)
+        t_y = np.where(length < 1e-12, np.sin(phi_rad), waves[:, 1] / safe)
+        fields = np.stack([amplitudes[at], amplitudes[size + at]], axis=1)
+        jones = (
+            np.linalg.solve(_axial(t_x, t_y, beta, index), fields) * np.exp(1j * np.abs(beta) * shift)[:, None, None]
+        )
+        # the discrete power of a mode, with which energy is conserved exactly; equal to |beta| in the limit
+        ratio = np.abs(powers / incident_power)
+        efficiency = np.sum(np.abs(jones) ** 2, axis=1) * ratio[:, None]
+        return OrderSet(orders, np.column_stack([waves, beta]), jones, efficiency)
+
+    reflected = side(
+        amplitudes_up, up_at, orders_up, waves_up, beta_up, stack.cover, _power(up_field, up_flux, up_at), 0.0
+    )
+    transmitted = empty_orders()
+    if stack.is_clear:
+        transmitted = side(
+            amplitudes_down, out_at, orders_out, waves_out, beta_out, stack.substrate.real,
+            _power(out_field, out_flux, out_at), depth,
+        )  # fmt: skip
+    return OrderSolution(reflected, transmitted, np.inf, size, "profile")
+
+
+def _power(field: Array, flux: Array, at: Array) -> Array:
+    return np.einsum("ij,ij->j", field[:, at].conj(), flux[:, at]).imag
+
+
+def _axial(t_x: Array, t_y: Array, k_z: Array | float, index: float) -> Array:
+    """Return the matrices `[order, 2, 2]` from (s, p) to (E_y, H_y)."""
+    k_z = np.broadcast_to(k_z, t_x.shape)
+    rows = [[t_x, t_y * k_z / index], [-t_y * k_z, index * t_x]]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def _profile_mesh(stack: PeriodicStack, profile: Profile, period: float, k0: float, level: int) -> LineMesh:
+    """Return elements that end at the corners, graded towards each; even ones for a smooth profile."""
+    films = [np.sqrt(complex(layer.epsilon)).real for layer in stack.layers]
+    index = max([stack.reach, *films])
+    slope = profile.depth_nm / stack.cell.period_x
+    if not profile.corners:
+        count = max(3, int(np.ceil(period * index / 4.0)))
+        degree = int(np.ceil(0.5 * period * index / count)) + 5 + 2 * level + int(2.0 * slope)
+        return assemble(period, np.linspace(0.0, period, count + 1), (degree,) * count)
+    corners = np.array(profile.corners)
+    edges, degrees, layers = [corners[0]], [], 1 + level
+    steps = 0.5 * GRADING ** np.arange(layers, 0, -1)
+    inner = np.concatenate([steps, 1.0 - steps[::-1], [1.0]])
+    for a, b in zip(corners, np.append(corners[1:], corners[0] + 1.0), strict=True):
+        sizes = np.diff(np.concatenate([[0.0], inner])) * (b - a)
+        for k, size in enumerate(sizes):
+            near = min(k, len(sizes) - 1 - k)
+            turns = 0.5 * index * size * period
+            waves = turns + 1.5 * turns ** (1.0 / 3.0) + (1 + level) * min(1.0, turns)
+            degrees.append(max(2 + near + level // 2, int(np.ceil(waves))) + (3 + level if near == layers else 0))
+        edges.extend(a + inner * (b - a))
+    return assemble(period, np.array(edges) * period, tuple(degrees))
+
+
+def _projected(
+    mesh: LineMesh, mass: Array, profile: Profile, depth: float, alpha: Array, beta: Array, phase: complex
+) -> Array:  # fmt: skip
+    """Return the coefficients of plane waves on the profile, `[function, wave]`."""
+    total = np.zeros((mesh.size + 1, len(alpha)), dtype=complex)
+    for k, degree in enumerate(mesh.degrees):
+        a, h = mesh.edges[k], mesh.edges[k + 1] - mesh.edges[k]
+        x, w = np.polynomial.legendre.leggauss(degree + 20)
+        at = a + 0.5 * h * (x + 1.0)
+        height = depth * profile.height(at / mesh.period % 1.0)
+        waves = np.exp(1j * (np.outer(at, alpha) + np.outer(height, beta))) * (0.5 * h * w)[:, None]
+        total[mesh.places[k]] += shape_values(degree, x) @ waves
+    last = len(mesh.edges) - 1
+    total[0] += np.conj(phase) * total[last]
+    return np.asarray(np.linalg.solve(mass, np.delete(total, last, axis=0)))

@@ -1,0 +1,148 @@
+"""Orders of a periodic structure over angles and wavelengths, in arrays."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.core.disk_cache import cache_arrays, cached_arrays
+from nacre.core.parallel import in_threads
+from nacre.matter.periodic.solve import solve
+from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Region
+
+VERSION = 1  # raised when numbers change, which invalidates stored solutions
+MIN_STORED_S = 0.2  # solutions that take less are not stored
+
+
+@dataclass(frozen=True, eq=False)
+class Orders:
+    """Efficiencies of the orders that propagate; NaN where an order does not.
+
+    Attributes:
+        numbers: `[order, 2]`, (m, n).
+        angles_rad: `[angle]`, of incidence in the cover.
+        azimuth_rad: azimuth of the direction to the light, from x towards y.
+        wavelengths_nm: `[wavelength]`.
+        reflected, transmitted: `[angle, wavelength, order, in]` with (s, p) incident, summed over the states of the
+            order.
+        reflected_jones, transmitted_jones: `[angle, wavelength, order, out, in]`.
+        reflected_direction, transmitted_direction: `[angle, wavelength, order, 3]`, wave vectors over k0.
+        error: `[angle, wavelength]`, estimated largest error of an efficiency.
+    """
+
+    numbers: Array
+    angles_rad: Array
+    azimuth_rad: float
+    wavelengths_nm: Array
+    reflected: Array
+    transmitted: Array
+    reflected_jones: Array
+    transmitted_jones: Array
+    reflected_direction: Array
+    transmitted_direction: Array
+    error: Array
+
+
+def solve_orders(
+    stack_at: Callable[[float], PeriodicStack],
+    angles_rad: Array,
+    azimuth_rad: float,
+    wavelengths_nm: Array,
+    tolerance: float | None = None,
+) -> Orders:
+    """Solve all angles and wavelengths, in threads.
+
+    Args:
+        stack_at: the structure at a wavelength in nm.
+        azimuth_rad: of the direction to the light.
+        tolerance: largest estimated error of an efficiency; default: by method.
+
+    Raises:
+        NotConvergedError: the tolerance is out of reach.
+    """
+    angles, grid = np.atleast_1d(angles_rad).astype(float), np.atleast_1d(wavelengths_nm).astype(float)
+    phi = azimuth_rad + np.pi
+    stacks = [stack_at(float(w)) for w in grid]
+    cases = [(a, w) for a in range(len(angles)) for w in range(len(grid))]
+    found = in_threads(
+        lambda case: cached_solution(stacks[case[1]], float(grid[case[1]]), float(angles[case[0]]), phi, tolerance),
+        cases,
+    )
+    return gathered(cases, found, angles, azimuth_rad, grid)
+
+
+def cached_solution(
+    stack: PeriodicStack, wavelength_nm: float, theta_rad: float, phi_rad: float, tolerance: float | None,
+    is_strict: bool = True,
+) -> OrderSolution:  # fmt: skip
+    """Return `solve` of one case, stored on disk if it takes long."""
+    key = _key(stack, wavelength_nm, theta_rad, phi_rad, tolerance)
+    stored = cached_arrays(key) if key else None
+    if stored is not None:
+        return _unpacked(stored)
+    start = time.perf_counter()
+    solution = solve(stack, wavelength_nm, theta_rad, phi_rad, tolerance, is_strict)
+    if key and time.perf_counter() - start > MIN_STORED_S:
+        cache_arrays(key, _packed(solution))
+    return solution
+
+
+def _key(stack: PeriodicStack, *case: object) -> str:
+    if stack.profile is not None and not stack.profile.key:
+        return ""
+    layers = tuple(
+        (layer.thickness_nm, layer.epsilon, tuple((s.key if isinstance(s, Region) else s, e) for s, e in layer.shapes))
+        for layer in stack.layers
+    )
+    profile = None if stack.profile is None else (stack.profile.depth_nm, stack.profile.key)
+    text = repr((VERSION, stack.cell, stack.cover, layers, stack.substrate, profile, case))
+    return "orders-" + hashlib.sha256(text.encode()).hexdigest()
+
+
+def _packed(solution: OrderSolution) -> dict[str, Array]:
+    arrays: dict[str, Array] = {"facts": np.array([solution.error, solution.unknowns])}
+    for name, side in (("r", solution.reflected), ("t", solution.transmitted)):
+        arrays |= {
+            f"{name}_numbers": side.numbers, f"{name}_direction": side.direction, f"{name}_real": side.jones.real,
+            f"{name}_imag": side.jones.imag, f"{name}_efficiency": side.efficiency,
+        }  # fmt: skip
+    return arrays
+
+
+def _unpacked(arrays: dict[str, Array]) -> OrderSolution:
+    sides = [
+        OrderSet(
+            arrays[f"{name}_numbers"].astype(int), arrays[f"{name}_direction"],
+            arrays[f"{name}_real"] + 1j * arrays[f"{name}_imag"], arrays[f"{name}_efficiency"],
+        )
+        for name in "rt"
+    ]  # fmt: skip
+    return OrderSolution(sides[0], sides[1], float(arrays["facts"][0]), int(arrays["facts"][1]), "stored")
+
+
+def gathered(
+    cases: list[tuple[int, int]], found: list[OrderSolution], angles: Array, azimuth_rad: float, grid: Array
+) -> Orders:  # fmt: skip
+    """Return the solutions of `(angle, wavelength)` cases as arrays over the union of their orders."""
+    every = sorted({(int(m), int(n)) for s in found for side in (s.reflected, s.transmitted) for m, n in side.numbers})
+    place = {number: k for k, number in enumerate(every)}
+    shape = (len(angles), len(grid), len(every))
+    sides = []
+    for name in ("reflected", "transmitted"):
+        efficiency, jones = np.full((*shape, 2), np.nan), np.full((*shape, 2, 2), np.nan + 0j)
+        direction = np.full((*shape, 3), np.nan)
+        for (a, w), solution in zip(cases, found, strict=True):
+            side: OrderSet = getattr(solution, name)
+            at = [place[int(m), int(n)] for m, n in side.numbers]
+            efficiency[a, w, at], jones[a, w, at], direction[a, w, at] = side.efficiency, side.jones, side.direction
+        sides.append((efficiency, jones, direction))
+    error = np.zeros(shape[:2])
+    for (a, w), solution in zip(cases, found, strict=True):
+        error[a, w] = solution.error
+    (r, r_j, r_d), (t, t_j, t_d) = sides
+    return Orders(np.array(every, dtype=int).reshape(-1, 2), angles, azimuth_rad, grid, r, t, r_j, t_j, r_d, t_d, error)

@@ -1,0 +1,167 @@
+"""Gratings of a continuous profile by coordinate transformation, conical incidence included.
+
+With w = z - a(x) in place of z the profile is a plane and the metric does not depend on w, so E_y and H_y have modes
+F(x) exp(i beta w) in each medium (Chandezon et al., J. Opt. 11, 235 (1980); Li, Chandezon, Granet and Plumey, Appl.
+Opt. 38, 304 (1999)). F is expanded in the piecewise polynomials of `line_basis`, whose elements end at the corners of
+the profile, where Fourier series converge slowly.
+The discrete problem is self-adjoint, so energy is conserved at any size.
+Films that follow the profile are further media.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from nacre.core.arrays import Array
+from nacre.matter.periodic.line_basis import LineMesh, folded, shape_values
+
+SAME_BETA = 1e-5  # modes nearer than this (over k0) are combined to plane waves
+
+
+@dataclass(frozen=True, eq=False)
+class ProfileOperators:
+    """Matrices of the continuous functions, lengths in units of 1 / k0.
+
+    Attributes:
+        mass, stretched: integrals of f g and of (1 + a'^2) f g.
+        stiffness: of f' g'.
+        mixed: of a' f g', `[g, f]`.
+        slope: of f' g, `[g, f]`.
+    """
+
+    mass: Array
+    stretched: Array
+    stiffness: Array
+    mixed: Array
+    slope: Array
+
+
+def operators(mesh: LineMesh, slope_at: Callable[[Array], Array], phase: complex) -> ProfileOperators:
+    """Assemble the matrices for the profile's slope da/dx as a function of x."""
+    blocks: list[list[Array]] = [[], [], [], [], []]
+    for k, degree in enumerate(mesh.degrees):
+        a, h = mesh.edges[k], mesh.edges[k + 1] - mesh.edges[k]
+        x, w = np.polynomial.legendre.leggauss(degree + 8)
+        weight = 0.5 * h * w
+        f = shape_values(degree, x)
+        legendre = np.polynomial.legendre.legvander(x, degree - 1) * np.sqrt((2 * np.arange(degree) + 1) / h)
+        d = mesh.slopes[k].T @ legendre.T
+        slope = slope_at(a + 0.5 * h * (x + 1.0))
+        for store, left, factor, right in (
+            (blocks[0], f, 1.0, f), (blocks[1], f, 1.0 + slope**2, f), (blocks[2], d, 1.0, d),
+            (blocks[3], d, slope, f), (blocks[4], f, 1.0, d),
+        ):  # fmt: skip
+            store.append((left * (weight * factor)) @ right.T)
+    return ProfileOperators(*(folded(mesh, part, phase) for part in blocks))
+
+
+@dataclass(frozen=True, eq=False)
+class ProfileModes:
+    """Modes of one medium: `beta[mode]`, fields `[function, mode]` and fluxes `[function, mode]`, up and down."""
+
+    up: Array
+    up_field: Array
+    up_flux: Array
+    down: Array
+    down_field: Array
+    down_flux: Array
+
+
+def profile_modes(parts: ProfileOperators, transverse: complex) -> ProfileModes:
+    """Solve the quadratic eigenproblem of a medium.
+
+    Args:
+        transverse: epsilon - k_y^2, in units of k0^2.
+    """
+    size = len(parts.mass)
+    crossed = 1j * (parts.mixed - parts.mixed.conj().T)
+    factor = scipy.linalg.cho_factor(parts.stretched, check_finite=False)
+    zero, one = np.zeros((size, size)), np.eye(size)
+    lower = scipy.linalg.cho_solve(factor, np.hstack([transverse * parts.mass - parts.stiffness, crossed]))
+    beta, vectors = scipy.linalg.eig(np.block([[zero, one], [lower]]), check_finite=False)
+    field = vectors[:size]
+    flux = 1j * parts.stretched @ (field * beta) - parts.mixed.conj().T @ field
+    power = np.einsum("ij,ij->j", field.conj(), flux).imag
+    norm = np.einsum("ij,ij->j", field.conj(), parts.mass @ field).real
+    field, flux, power = field / np.sqrt(norm), flux / np.sqrt(norm), power / norm
+    is_real = np.abs(beta.imag) < 1e-7 * np.maximum(1.0, np.abs(beta))
+    score = np.where(is_real, 1e-7 * np.sign(power), beta.imag)
+    rank = np.argsort(-score, kind="stable")
+    up, down = rank[:size], rank[size:]
+    return ProfileModes(beta[up], field[:, up], flux[:, up], beta[down], field[:, down], flux[:, down])
+
+
+def aligned(
+    beta: Array, field: Array, flux: Array, waves: Array, wave_beta: Array, mass: Array
+) -> tuple[Array, Array, Array]:
+    """Combine modes of equal beta so that they become the given plane waves, of unit amplitude.
+
+    Args:
+        beta, field, flux: of the modes that go in one direction.
+        waves: `[function, wave]`, the plane waves in the transformed coordinates (their coefficients).
+        wave_beta: `[wave]`.
+
+    Returns:
+        field, flux, and the mode `[wave]` that each plane wave replaced.
+    """
+    field, flux = field.copy(), flux.copy()
+    overlap = np.abs(field.conj().T @ mass @ waves)
+    chosen: list[int] = []
+    for k in range(waves.shape[1]):
+        weight = np.where(np.abs(beta - wave_beta[k]) < 0.05, overlap[:, k], 0.0)
+        weight[chosen] = 0.0
+        chosen.append(int(np.argmax(weight)))
+    picked = np.array(chosen)
+    for first in range(len(picked)):
+        group = np.flatnonzero(np.abs(wave_beta - wave_beta[first]) < SAME_BETA)
+        if group[0] != first:
+            continue
+        modes = picked[group]
+        root = np.linalg.cholesky(mass).conj().T
+        mixing = np.linalg.lstsq(root @ field[:, modes], root @ waves[:, group], rcond=None)[0]
+        field[:, modes], flux[:, modes] = field[:, modes] @ mixing, flux[:, modes] @ mixing
+    return field, flux, picked
+
+
+def state(field: Array, flux: Array, epsilon: complex, k_y: float, parts: ProfileOperators) -> Array:
+    """Return (E_y, H_y, i E_tau, i H_tau), tau along the profile, of both kinds of modes: `[4 functions, 2 modes]`."""
+    transverse = epsilon - k_y**2
+    along = k_y * (parts.slope @ field) / transverse
+    across = flux / transverse
+    zero = np.zeros_like(field)
+    return np.block([[field, zero], [zero, field], [-along, across], [-epsilon * across, -along]])
+
+
+def scatter_profile(
+    cover: tuple[Array, Array],
+    films: list[tuple[Array, Array, Array, Array]],
+    substrate_down: Array,
+    incident: Array,
+) -> tuple[Array, Array]:
+    """Return the amplitudes up in the cover and down in the substrate.
+
+    Args:
+        cover: states of the modes up and down.
+        films: from the top down: states up and down, and the factors of the modes up over the film, from its lower
+            to its upper face, and down.
+        substrate_down: states of the modes down.
+        incident: `[mode, case]`, of the modes down in the cover.
+    """
+    below, passed = substrate_down, []
+    for up, down, decay_up, decay_down in reversed(films):
+        found = np.linalg.solve(np.hstack([up, -below]), -down)
+        size = up.shape[1]
+        passed.append((found[size:], decay_down))
+        reflected = decay_up[:, None] * found[:size] * decay_down
+        below = up @ reflected + down
+    up, down = cover
+    size = up.shape[1]
+    found = np.linalg.solve(np.hstack([up, -below]), -down @ incident)
+    amplitudes = found[size:]
+    for transmit, decay_down in reversed(passed):
+        amplitudes = transmit @ (decay_down[:, None] * amplitudes)
+    return found[:size], amplitudes

@@ -1,0 +1,117 @@
+"""Solve a periodic structure to a stated error: the choice of method, and of its size by two truncations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.matter.periodic.crossed_solver import FOURIER_STEPS, RECTANGLE_STEPS, solve_fourier, solve_rectangles
+from nacre.matter.periodic.line_solver import solve_lines, solve_profile
+from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle
+
+# error of the finer of two sizes over their difference, from the observed rates of convergence
+SAFETY = {"lines": 0.5, "profile": 0.5, "rectangles": 1.0, "fourier": 1.5}
+TOLERANCE = {"lines": 2e-4, "profile": 5e-5, "rectangles": 3e-3, "fourier": 4e-3}
+LEAST_ERROR = {"lines": 1e-5, "profile": 2e-6, "rectangles": 2e-4, "fourier": 2e-4}
+CORNER_RATE = 2.5  # the error of rectangles falls as degree^-2.5, by the fields at their corners
+
+
+class NotConvergedError(NacreError):
+    """The orders did not reach the tolerance within the largest size."""
+
+
+def method_of(stack: PeriodicStack) -> str:
+    """Return the solver that suits a structure."""
+    if stack.profile is not None:
+        return "profile"
+    shapes = [shape for layer in stack.layers for shape, _ in layer.shapes]
+    if stack.cell.period_y is None or not shapes:
+        return "lines"
+    if stack.cell.is_rectangular and all(isinstance(shape, Rectangle) for shape in shapes):
+        return "rectangles"
+    return "fourier"
+
+
+def solve(
+    stack: PeriodicStack,
+    wavelength_nm: float,
+    theta_rad: float,
+    phi_rad: float,
+    tolerance: float | None = None,
+    is_strict: bool = True,
+) -> OrderSolution:
+    """Return the orders of a unit plane wave.
+
+    Args:
+        theta_rad: angle of incidence in the cover.
+        phi_rad: azimuth of the transverse part of the incident wave vector.
+        tolerance: largest estimated error of an efficiency; default: by method.
+        is_strict: raise an error if the tolerance is not reached; otherwise return the best solution.
+
+    Raises:
+        NotConvergedError: the largest size does not reach the tolerance.
+    """
+    method = method_of(stack)
+    runs: dict[str, tuple[Callable[..., OrderSolution], tuple[int, ...]]] = {
+        "lines": (solve_lines, (0, 1, 2, 3, 4)),
+        "profile": (solve_profile, (0, 1, 2, 3, 4, 5)),
+        "rectangles": (solve_rectangles, RECTANGLE_STEPS),
+        "fourier": (solve_fourier, FOURIER_STEPS),
+    }
+    run, sizes = runs[method]
+    k0 = 2.0 * np.pi / wavelength_nm
+    bound = tolerance if tolerance is not None else TOLERANCE[method]
+    previous: OrderSolution | None = None
+    last = 0
+    for size in sizes:
+        found = run(stack, k0, theta_rad, phi_rad, size)
+        if found.unknowns <= 1:
+            return found
+        best = found
+        if previous is not None:
+            if method == "rectangles":
+                best = _extrapolated(previous, found, (last / size) ** CORNER_RATE)
+            change = difference(best if method == "rectangles" else previous, found)
+            error = max(SAFETY[method] * change, LEAST_ERROR[method])
+            best = replace(best, error=error)
+            if error <= bound:
+                return best
+        previous, last = found, size
+    if is_strict:
+        raise NotConvergedError(
+            f"orders at {wavelength_nm:g} nm: error {best.error:.1e} with {best.unknowns} unknowns, above the "
+            f"tolerance {bound:g}; allowed: a larger model.tolerance, or a structure with fewer or simpler shapes"
+        )
+    return best
+
+
+def _extrapolated(coarse: OrderSolution, fine: OrderSolution, ratio: float) -> OrderSolution:
+    """Return the limit of two sizes whose errors have a known ratio; it conserves what both conserve."""
+    weight = ratio / (1.0 - ratio)
+    sides = [
+        replace(
+            b,
+            jones=b.jones + weight * (b.jones - a.jones),
+            efficiency=b.efficiency + weight * (b.efficiency - a.efficiency),
+        )
+        for a, b in ((coarse.reflected, fine.reflected), (coarse.transmitted, fine.transmitted))
+    ]
+    return replace(fine, reflected=sides[0], transmitted=sides[1])
+
+
+def difference(one: OrderSolution, other: OrderSolution) -> float:
+    """Return the largest change of an efficiency between two solutions of one problem."""
+    changes = [
+        np.abs(a.efficiency - b.efficiency).max(initial=0.0)
+        for a, b in ((one.reflected, other.reflected), (one.transmitted, other.transmitted))
+    ]
+    return float(max(changes))
+
+
+def total(solution: OrderSolution) -> Array:
+    """Return the share of light in all orders, `[in]`."""
+    return np.asarray(solution.reflected.efficiency.sum(axis=0) + solution.transmitted.efficiency.sum(axis=0))

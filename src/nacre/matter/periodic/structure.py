@@ -1,0 +1,195 @@
+"""Periodic structures at one wavelength: cell, shapes, layers, profile, and the orders that they send out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from nacre.core.arrays import Array
+
+CLEAR_K = 1e-6  # a substrate with a smaller k transmits orders
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The lattice, in nm: vectors (period_x, 0) and period_y (cos angle, sin angle); lines if period_y is None."""
+
+    period_x: float
+    period_y: float | None = None
+    angle_rad: float = 0.5 * np.pi
+
+    @property
+    def is_rectangular(self) -> bool:
+        """Whether the vectors are at right angles."""
+        return self.period_y is not None and abs(self.angle_rad - 0.5 * np.pi) < 1e-12
+
+    def wave_vectors(self, orders: Array) -> Array:
+        """Return 2 pi (m b_1 + n b_2), `[..., 2]` in 1/nm, of orders `[..., 2]`."""
+        m, n = orders[..., 0], orders[..., 1]
+        x = m / self.period_x
+        if self.period_y is None:
+            return 2.0 * np.pi * np.stack([x, 0.0 * x], axis=-1)
+        y = (n / self.period_y - m * np.cos(self.angle_rad) / self.period_x) / np.sin(self.angle_rad)
+        return 2.0 * np.pi * np.stack([x, y], axis=-1)
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """Sides along x and y, in nm; a line reaches over all y."""
+
+    x_0: float
+    x_1: float
+    y_0: float = -np.inf
+    y_1: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Any shape, by the signed distance to its wall (negative inside) and the outward normal there.
+
+    Attributes:
+        distance: function of x, y (arrays, nm).
+        key: identifies the shape, for equality.
+    """
+
+    distance: Callable[[Array, Array], Array]
+    key: tuple[object, ...]
+
+
+Shape = Rectangle | Region
+
+
+@dataclass(frozen=True)
+class PatternLayer:
+    """One layer: thickness in nm, permittivity of the ground, and shapes with their permittivities."""
+
+    thickness_nm: float
+    epsilon: complex
+    shapes: tuple[tuple[Shape, complex], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """A surface z = a(x), from -depth to 0, as functions of x / period; films follow it.
+
+    Attributes:
+        corners: `[corner]`, fractions of the period in [0, 1), ascending, where the slope jumps.
+        height, slope: a and da/dx, both in units of the depth and of the period.
+        key: identifies the profile; an empty one is never stored.
+    """
+
+    depth_nm: float
+    corners: tuple[float, ...]
+    height: Callable[[Array], Array]
+    slope: Callable[[Array], Array]
+    key: tuple[object, ...] = ()
+
+
+@dataclass(frozen=True)
+class PeriodicStack:
+    """A periodic structure at one wavelength.
+
+    Attributes:
+        cover: real index of the medium of the light.
+        layers: from the top down.
+        substrate: complex index.
+    """
+
+    cell: Cell
+    cover: float
+    layers: tuple[PatternLayer, ...]
+    substrate: complex
+    profile: Profile | None = None
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether orders leave into the substrate."""
+        return self.substrate.imag < CLEAR_K
+
+    @property
+    def reach(self) -> float:
+        """Largest transverse wave number of orders that propagate, over k0."""
+        return max(self.cover, self.substrate.real if self.is_clear else 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class OrderSet:
+    """Orders that propagate on one side.
+
+    Attributes:
+        numbers: `[order, 2]`.
+        direction: `[order, 3]`, wave vector over k0, z up.
+        jones: `[order, out, in]`, (s, p) of unit E: amplitudes at z = 0 or at the bottom plane, x = y = 0.
+        efficiency: `[order, in]`.
+    """
+
+    numbers: Array
+    direction: Array
+    jones: Array
+    efficiency: Array
+
+
+@dataclass(frozen=True, eq=False)
+class OrderSolution:
+    """All orders for one incident wave.
+
+    Attributes:
+        error: estimated largest error of an efficiency.
+        unknowns: size of the eigenproblems.
+        method: name of the solver.
+    """
+
+    reflected: OrderSet
+    transmitted: OrderSet
+    error: float
+    unknowns: int
+    method: str
+
+
+def propagating(stack: PeriodicStack, k0: float, transverse: Array, index: float) -> tuple[Array, Array]:
+    """Return the numbers `[order, 2]` and the transverse wave vectors over k0 `[order, 2]` of orders in a medium."""
+    cell = stack.cell
+    spans = (cell.period_x, cell.period_y or 0.0)
+    top = [int(np.ceil((index + np.hypot(*transverse)) * k0 / (2.0 * np.pi) * p)) for p in spans]
+    grid = np.stack(np.meshgrid(*[np.arange(-t, t + 1) for t in top], indexing="ij"), axis=-1).reshape(-1, 2)
+    found = transverse + cell.wave_vectors(grid) / k0
+    keep = np.sum(found**2, axis=1) < index**2
+    return grid[keep], found[keep]
+
+
+def order_set(
+    numbers: Array,
+    transverse: Array,
+    tangential: Array,
+    index: float,
+    is_up: bool,
+    incident: tuple[float, float, float],
+) -> OrderSet:
+    """Return orders from their tangential fields.
+
+    Args:
+        tangential: `[order, 2, in]`, E_x and E_y.
+        incident: azimuth of the transverse part of the incident wave, its k_z / k0 (positive), and index of the cover.
+    """
+    azimuth, k_z_in, _ = incident
+    length = np.hypot(transverse[:, 0], transverse[:, 1])
+    is_normal = length < 1e-12
+    safe = np.where(is_normal, 1.0, length)
+    t_x = np.where(is_normal, np.cos(azimuth), transverse[:, 0] / safe)
+    t_y = np.where(is_normal, np.sin(azimuth), transverse[:, 1] / safe)
+    k_z = np.sqrt(np.maximum(index**2 - length**2, 0.0))
+    e_x, e_y = tangential[:, 0], tangential[:, 1]
+    s = -t_y[:, None] * e_x + t_x[:, None] * e_y
+    p = (t_x[:, None] * e_x + t_y[:, None] * e_y) * (index / np.maximum(k_z, 1e-12))[:, None]
+    if not is_up:
+        p = -p
+    jones = np.stack([s, p], axis=1)
+    direction = np.column_stack([transverse, k_z if is_up else -k_z])
+    return OrderSet(numbers, direction, jones, np.sum(np.abs(jones) ** 2, axis=1) * (k_z / k_z_in)[:, None])
+
+
+def empty_orders() -> OrderSet:
+    """Return no orders."""
+    return OrderSet(np.zeros((0, 2), dtype=int), np.zeros((0, 3)), np.zeros((0, 2, 2), dtype=complex), np.zeros((0, 2)))

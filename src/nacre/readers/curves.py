@@ -1,0 +1,200 @@
+"""Spectra and curves for recipes and targets: the columns that a key needs, from any file that can hold them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nacre.core.errors import NacreError
+from nacre.light import spans_colour
+from nacre.readers.columns import Column, Columns, interpret, load_tables
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.registry import open_file
+from nacre.readers.text_table import TextTable, number
+from nacre.readers.units import UNITS, Floats
+
+if TYPE_CHECKING:
+    from nacre.recipe.model import RecipeContext
+
+logger = logging.getLogger("nacre")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One column that a curve needs.
+
+    Attributes:
+        label: for messages, with its unit.
+        quantities: of the vocabulary, any of which is taken.
+        unit: to which it is converted, and of numbers without one; "" for pure numbers, per cent becomes a factor.
+    """
+
+    label: str
+    quantities: tuple[str, ...]
+    unit: str = ""
+
+
+X_UM, Y_UM = Axis("x (um)", ("x",), "um"), Axis("y (um)", ("y",), "um")
+Q_PER_UM, STRUCTURE = Axis("q (1/um)", ("q",), "1/um"), Axis("S", ("structure_factor",))
+THICKNESS_NM, SHARE = Axis("thickness (nm)", ("thickness",), "nm"), Axis("share", ("share",))
+
+
+def curve(path: Path, axes: Sequence[Axis], options: ReadOptions | None = None) -> tuple[Floats, list[str]]:
+    """Return `[row, axis]` and one sentence for each assumption and each column that is not used.
+
+    A table without headings has exactly these columns, in their order and units.
+
+    Raises:
+        NacreError: unreadable, several blocks, a column that is missing or unknown, a unit of another dimension, or
+            cells without a number.
+    """
+    options = options or ReadOptions()
+    try:
+        tables = load_tables(path).tables
+    except NacreError as error:
+        if "no rows" in str(error):
+            raise NacreError(f"{path}: must hold two numbers a line") from None
+        raise
+    if len(tables) > 1:
+        raise NacreError(f"{path}: holds {len(tables)} tables; keep one")
+    names = tuple(axis.quantities[0] for axis in axes)
+    wanted = {quantity for axis in axes for quantity in axis.quantities}
+    _check_cells(tables[0])
+    columns = interpret(tables[0], wanted, options, {len(axes): names})
+    found = np.stack([_converted(columns, axis) for axis in axes], axis=1)
+    if not np.isfinite(found).all():
+        line = columns.table.lines[int(np.flatnonzero(~np.isfinite(found).all(axis=1))[0])]
+        raise NacreError(f"{path}: must hold finite numbers; line {line} does not")
+    assumed = [] if not columns.table.headings else columns.assumed
+    return found, [*assumed, *(f'"{heading}" is not used' for heading in columns.unused)]
+
+
+def _check_cells(table: TextTable) -> None:
+    """Refuse a row of two columns that holds a word or has one cell only."""
+    if table.width != 2:
+        return
+    for row, line in zip(table.rows, table.lines):
+        values = [number(cell, table.decimal, table.grouping) for cell in row]
+        if None in values or row[1] == "":
+            said = " ".join(row).strip()[:40]
+            raise NacreError(f'{table.path}: holds "{said}" in line {line} where two numbers should stand')
+
+
+def _converted(columns: Columns, axis: Axis) -> Floats:
+    column = columns.one(*axis.quantities)
+    if column is None:
+        raise NacreError(f"{columns.path}: no column {axis.label}; the columns are {columns.table.shown_headings}")
+    if not axis.unit:
+        return column.factors()
+    return in_unit(columns, column, axis.unit)
+
+
+def in_unit(columns: Columns, column: Column, unit: str) -> Floats:
+    """Return a column in a unit of its dimension; numbers without a unit are in it.
+
+    Raises:
+        NacreError: the column's unit has another dimension, such as pixels.
+    """
+    if not column.unit:
+        if columns.table.headings:
+            columns.assumed.append(f'"{column.heading}" is in {unit}')
+        return column.values
+    if UNITS[column.unit][0] != UNITS[unit][0]:
+        kind = UNITS[unit][0].replace("wavenumber", "inverse length")
+        raise NacreError(f'{columns.path}: "{column.heading}": {column.unit} is no {kind}; convert it to {unit}')
+    return np.asarray(column.values * (UNITS[column.unit][1] / UNITS[unit][1]))
+
+
+def spectrum(
+    path: Path, quantities: Sequence[str], options: ReadOptions | None = None
+) -> tuple[Floats, Floats, list[str]]:
+    """Return wavelengths in nm, ascending, factors, and sentences, of the only spectrum of a quantity in a file.
+
+    Args:
+        quantities: names of the quantity in `Measurement.data`; the first is that of a table without headings.
+
+    Raises:
+        NacreError: no such spectrum, or several; names what the file holds.
+    """
+    options = replace(options or ReadOptions(), expects="spectrum", assumed_quantity=quantities[0])
+    try:
+        found = open_file(path, options)
+    except AmbiguousFileError as error:
+        if error.option != "quantity":
+            raise
+        found = open_file(path, replace(options, quantity=quantities[0]))
+    usable = [(each, quantity) for each in found for quantity in quantities if quantity in each.data]
+    usable = [(each, quantity) for each, quantity in usable if each.kind == "spectrum"]
+    if not usable:
+        held = sorted({name for each in found for name in each.data if not name.startswith(("wavelength", "angle"))})
+        raise NacreError(f"{path}: holds {', '.join(held)[:80]} ({found[0].kind}), no {quantities[0]}")
+    visible = [pair for pair in usable if spans_colour(pair[0].data["wavelength_nm"])]
+    if len(usable) > 1 and len(visible) == 1 and options.spectrum is None:
+        each, quantity = visible[0]
+    elif len(usable) > 1:
+        each, quantity = _chosen(path, usable, options)
+    else:
+        each, quantity = usable[0]
+    nm, values = np.asarray(each.data["wavelength_nm"], dtype=float), np.asarray(each.data[quantity], dtype=float)
+    if "angle_of_incidence_deg" in each.data and len(np.unique(each.data["angle_of_incidence_deg"])) > 1:
+        raise NacreError(f"{path}: holds spectra at several angles; keep one")
+    keep = np.isfinite(nm) & np.isfinite(values)
+    nm, values = nm[keep], values[keep]
+    order = np.argsort(nm, kind="stable")
+    return nm[order], values[order], [*each.assumed, *each.left_out]
+
+
+def _chosen(path: Path, usable: list[tuple[Measurement, str]], options: ReadOptions) -> tuple[Measurement, str]:
+    names = [each.name or str(i + 1) for i, (each, _) in enumerate(usable)]
+    if options.spectrum is None:
+        raise AmbiguousFileError(
+            f"{path}: holds {len(usable)} spectra ({', '.join(names)[:120]}); keep one", "spectrum", tuple(names)
+        )
+    from nacre.readers.table import chosen_block
+
+    return usable[chosen_block(path, options.spectrum, names)]
+
+
+def recipe_curve(context: RecipeContext, key: str, name: str, axes: Sequence[Axis]) -> Floats:
+    """Return `[row, axis]` of a file that a recipe names; what was assumed is logged.
+
+    Raises:
+        RecipeError: with the key and the file's name.
+    """
+    path = context.path(name)
+    try:
+        found, said = curve(path, axes)
+    except NacreError as error:
+        raise context.fail(key, name, _after(path, error)) from None
+    _log(context, name, said)
+    return found
+
+
+def recipe_spectrum(context: RecipeContext, key: str, name: str, quantities: Sequence[str]) -> Floats:
+    """Return `[row, (nm, factor)]` of a file that a recipe names, ascending; what was assumed is logged.
+
+    Raises:
+        RecipeError: with the key and the file's name.
+    """
+    path = context.path(name)
+    try:
+        nm, values, said = spectrum(path, quantities)
+    except NacreError as error:
+        raise context.fail(key, name, _after(path, error)) from None
+    _log(context, name, said)
+    return np.stack([nm, values], axis=1)
+
+
+def _after(path: Path, error: NacreError) -> str:
+    said = str(error).removeprefix(f"{path}").lstrip(": ")
+    return said if said.startswith(("holds ", "must ")) else f"is not usable: {said}"
+
+
+def _log(context: RecipeContext, name: str, said: Sequence[str]) -> None:
+    if said:
+        logger.warning("%s: %s: %s", context.source, name, "; ".join(said))

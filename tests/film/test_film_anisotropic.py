@@ -1,0 +1,231 @@
+"""Anisotropic and twisted films through recipes: an independent solver, invariants, refusals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.core.errors import NacreError
+
+REFERENCE = Path(__file__).resolve().parents[3] / "shared" / "reference" / "anisotropic" / "anisotropic_open.npz"
+REFERENCE_BAR = 1e-9  # the reference agrees with pyElli to 2e-15
+HELIX_BAR = 1e-5  # the reference is extrapolated to about 1e-6
+ROUNDING = 1e-12
+
+
+@pytest.fixture(scope="module")
+def reference() -> Any:
+    if not REFERENCE.exists():
+        pytest.skip("the shared reference data are not here")
+    return np.load(REFERENCE)
+
+
+def film(**keys: Any) -> Any:
+    return nacre.material({"family": "film", **keys})
+
+
+def constant(n: complex) -> dict[str, float]:
+    return {"n": float(np.real(n)), "k": float(np.imag(n))}
+
+
+def biaxial(n: Any, euler_deg: Any) -> dict[str, Any]:
+    """Return a medium whose axes are given with z into the stack, for light that travels along u: y is then -v."""
+    a, b, c = (float(x) for x in euler_deg)
+    return {"principal": [constant(x) for x in n], "euler_deg": [-a, b, -c]}
+
+
+def test_the_stacks_of_an_independent_solver_are_reproduced(reference: Any) -> None:
+    for i in range(len(reference["stack_layers"])):
+        layers = [
+            {
+                "material": biaxial(reference["stack_layer_n"][i, j], reference["stack_layer_euler_deg"][i, j]),
+                "thickness_nm": float(reference["stack_layer_thickness_nm"][i, j]),
+            }
+            for j in range(int(reference["stack_layers"][i]))
+        ]
+        made = film(
+            ambient={"n": float(np.real(reference["stack_n_ambient"][i]))},
+            layers=layers,
+            substrate=biaxial(reference["stack_substrate_n"][i], reference["stack_substrate_euler_deg"][i]),
+        )
+        found = nacre.spectrum(
+            made,
+            float(reference["stack_theta_deg"][i]),
+            [float(reference["stack_wavelength_nm"][i])],
+            polarisation="mueller",
+            azimuth_deg=180.0,
+        )
+        assert found.mueller_reflected is not None
+        np.testing.assert_allclose(
+            found.mueller_reflected[0, 0], reference["stack_mueller_reflected"][i], atol=REFERENCE_BAR, rtol=0
+        )
+
+
+def test_the_cholesterics_of_an_independent_solver_are_reproduced(reference: Any) -> None:
+    waves = reference["wavelengths_nm"]
+    for i in range(len(reference["cholesteric_n_o"])):
+        pitch = float(reference["cholesteric_pitch_nm"][i])
+        hand = "right" if reference["cholesteric_handedness"][i] > 0 else "left"
+        material = {
+            "ordinary": float(reference["cholesteric_n_o"][i]), "extraordinary": float(reference["cholesteric_n_e"][i]),
+            "axis_polar_deg": 90.0, "axis_azimuth_deg": -float(reference["cholesteric_azimuth_deg"][i]),
+        }  # fmt: skip
+        layer = {
+            "material": material, "thickness_nm": 0.5 * pitch * float(reference["cholesteric_half_turns"][i]),
+            "pitch_nm": pitch, "handedness": hand,
+        }  # fmt: skip
+        made = film(layers=[layer], substrate=constant(complex(reference["cholesteric_n_substrate"][i])))
+        theta = float(reference["cholesteric_theta_deg"][i])
+        seen = {
+            state: nacre.spectrum(made, theta, waves, polarisation=state, azimuth_deg=180.0)
+            for state in ("p", "s", "right", "left", "mueller")
+        }
+        for k, state in enumerate(("p", "s")):
+            np.testing.assert_allclose(
+                seen[state].specular_reflectance[0], reference["cholesteric_R"][i, :, :, k].sum(axis=-1), atol=HELIX_BAR
+            )
+        for k, state in enumerate(("right", "left")):
+            np.testing.assert_allclose(
+                seen[state].specular_reflectance[0], reference["cholesteric_R_circular"][i, :, :, k].sum(axis=-1),
+                atol=HELIX_BAR,
+            )  # fmt: skip
+        # power from S = (1, 0, 0, 1) that arrives at the analyser (1, 0, 0, 1) / 2
+        mueller = seen["mueller"].mueller_reflected[0]
+        found = 0.5 * (mueller[:, 0, 0] + mueller[:, 0, 3] + mueller[:, 3, 0] + mueller[:, 3, 3])
+        np.testing.assert_allclose(found, reference["cholesteric_R_circular"][i, :, 0, 0], atol=HELIX_BAR)
+
+
+def test_a_cholesteric_has_a_plateau_for_one_hand_only() -> None:
+    """n 1.5/1.7, pitch 650 nm, 7.5 turns between 1.55: .989 over 975-1105 nm."""
+    medium = {"ordinary": 1.5, "extraordinary": 1.7, "axis_polar_deg": 90.0}
+    waves = np.arange(1000.0, 1081.0, 5.0)
+    for hand, other in (("right", "left"), ("left", "right")):
+        layer = {"material": medium, "thickness_nm": 7.5 * 650, "pitch_nm": 650, "handedness": hand}
+        made = film(ambient=1.55, substrate=1.55, layers=[layer])
+        same = nacre.spectrum(made, 0.0, waves, polarisation=hand).specular_reflectance
+        opposite = nacre.spectrum(made, 0.0, waves, polarisation=other).specular_reflectance
+        assert same is not None and opposite is not None
+        assert same.max() == pytest.approx(np.tanh(np.pi * 0.2 / 1.6 * 7.5) ** 2, abs=0.002)
+        assert opposite.max() < 0.01
+
+
+@pytest.mark.parametrize("polarisation", ["s", "p", "both", "left", "mueller"])
+def test_isotropic_media_written_as_anisotropic_ones_change_nothing(polarisation: str) -> None:
+    plain = film(
+        substrate="Si", layers=[{"material": 1.7, "thickness_nm": 250}, {"material": "Ag", "thickness_nm": 20}]
+    )
+    medium = {"principal": [1.7, 1.7, 1.7], "euler_deg": [10, 20, 30]}
+    other = film(substrate="Si", layers=[{"material": medium, "thickness_nm": 250}, plain.data["layers"][1]])
+    waves, angles = np.linspace(400, 700, 7), [0.0, 40.0, 80.0]
+    one = nacre.spectrum(plain, angles, waves, polarisation)
+    two = nacre.spectrum(other, angles, waves, polarisation, azimuth_deg=33.0)
+    for name, value in (one.parts() | one.matrices()).items():
+        np.testing.assert_allclose((two.parts() | two.matrices())[name], value, atol=ROUNDING)
+
+
+def test_a_fast_axis_follows_the_azimuth_of_the_light() -> None:
+    """Light polarised along the axis sees the extraordinary index, from either side of it."""
+    medium = {"ordinary": 1.5, "extraordinary": 1.9, "axis_polar_deg": 90.0, "axis_azimuth_deg": 30.0}
+    made = film(substrate=1.5, layers=[{"material": medium, "thickness_nm": 120}])
+    expected = nacre.spectrum(film(substrate=1.5, layers=[{"material": 1.9, "thickness_nm": 120}]), 0.0, [550.0])
+    for azimuth in (30.0, 210.0):
+        along = nacre.spectrum(made, 0.0, [550.0], "p", azimuth_deg=azimuth)
+        np.testing.assert_allclose(along.specular_reflectance, expected.specular_reflectance, atol=ROUNDING)
+
+
+def test_an_axis_towards_the_light_shows_the_ordinary_index_to_both_polarisations() -> None:
+    """The optic axis has the polar angle and azimuth of the refracted ray's direction back to the light."""
+    polar = float(np.degrees(np.arcsin(np.sin(np.radians(50.0)) / 1.5)))
+    medium = {"ordinary": 1.5, "extraordinary": 1.9, "axis_polar_deg": polar, "axis_azimuth_deg": 70.0}
+    made = film(substrate=medium, layers=[])
+    plain = film(substrate=1.5, layers=[])
+    right = nacre.spectrum(made, 50.0, [550.0], "s", azimuth_deg=70.0).specular_reflectance
+    other = nacre.spectrum(made, 50.0, [550.0], "s", azimuth_deg=250.0).specular_reflectance
+    expected = nacre.spectrum(plain, 50.0, [550.0], "s").specular_reflectance
+    np.testing.assert_allclose(right, expected, atol=ROUNDING)
+    np.testing.assert_allclose(other, expected, atol=ROUNDING)  # s light is across the axis from both sides
+    # only along the axis p light has the ordinary index, too; Fresnel's p reflectance of an isotropic medium differs
+    p_along = nacre.spectrum(made, 50.0, [550.0], "mueller", azimuth_deg=70.0).mueller_reflected
+    p_against = nacre.spectrum(made, 50.0, [550.0], "mueller", azimuth_deg=250.0).mueller_reflected
+    assert p_along is not None and p_against is not None
+    np.testing.assert_allclose(p_along, p_against, atol=ROUNDING)  # reciprocity of a stack that does not mix s and p
+
+
+def test_a_repeated_group_equals_its_layers_written_out() -> None:
+    pair = [{"material": "TiO2", "thickness_nm": 55}, {"material": "SiO2", "thickness_nm": 90}]
+    short = film(substrate="Si", layers=[{"repeat": 3, "layers": pair}, {"material": "SiO2", "thickness_nm": 10}])
+    long = film(substrate="Si", layers=[*pair * 3, {"material": "SiO2", "thickness_nm": 10}])
+    assert nacre.spectrum(short, [0, 60], [450.0, 600.0]) == nacre.spectrum(long, [0, 60], [450.0, 600.0])
+
+
+def test_a_graded_layer_lies_within_its_stated_error_of_many_slices() -> None:
+    graded = film(substrate=2.4, layers=[{"graded": {"from": 1.45, "to": 2.4}, "thickness_nm": 300}])
+    n = 1.45 + 0.95 * (np.arange(1000) + 0.5) / 1000
+    fine = film(substrate=2.4, layers=[{"material": float(x), "thickness_nm": 0.3} for x in n])
+    waves = np.linspace(400, 700, 13)
+    one, two = (nacre.spectrum(f, [0, 60], waves).specular_reflectance for f in (graded, fine))
+    np.testing.assert_allclose(one, two, atol=2e-4)
+
+
+def test_rough_interfaces_are_mixtures_of_their_neighbours() -> None:
+    layer = {"material": 1.9, "thickness_nm": 100.0}
+    rough = film(substrate=1.5, layers=[layer], surface={"interface_roughness_nm": [4.0, 0.0]})
+    mixed = {"mix": ["air", 1.9], "volume_fractions": [0.5]}
+    written = film(substrate=1.5, layers=[{"material": mixed, "thickness_nm": 4.0}, {**layer, "thickness_nm": 98.0}])
+    one, two = (nacre.spectrum(f, [0, 60], [500.0]).specular_reflectance for f in (rough, written))
+    np.testing.assert_allclose(one, two, atol=ROUNDING)
+
+
+def test_a_spread_of_the_pitch_averages_the_powers_of_single_pitches() -> None:
+    medium = {"ordinary": 1.5, "extraordinary": 1.65, "axis_polar_deg": 90.0}
+    layer = {"material": medium, "thickness_nm": 3000.0, "pitch_nm": 350.0}
+    waves = np.linspace(480, 600, 9)
+    spread = nacre.spectrum(film(substrate=1.5, layers=[{**layer, "pitch_deviation_nm": 8.0}]), 20.0, waves, "right")
+    x, weight = np.polynomial.hermite_e.hermegauss(61)
+    single = [
+        nacre.spectrum(film(substrate=1.5, layers=[{**layer, "pitch_nm": 350 + 8 * s}]), 20.0, waves, "right")
+        for s in x
+    ]
+    mean = np.tensordot(weight / weight.sum(), [one.specular_reflectance[0] for one in single], 1)
+    np.testing.assert_allclose(spread.specular_reflectance[0], mean, atol=1e-3)  # tails beyond 3.5 standard deviations
+
+
+def test_the_bsdf_of_an_anisotropic_film_is_the_mean_over_the_azimuth() -> None:
+    medium = {"ordinary": 1.5, "extraordinary": 2.0, "axis_polar_deg": 50.0}
+    made = film(substrate=1.5, layers=[{"material": medium, "thickness_nm": 300.0}], wavelengths={"step_nm": 25.0})
+    bsdf = made.bsdf()
+    seen = bsdf.specular(np.radians(50.0))
+    angles = np.arange(16) * 22.5
+    spectra = [nacre.spectrum(made, 50.0, bsdf.wavelengths_nm, azimuth_deg=float(a)) for a in angles]
+    mean = np.mean([s.specular_reflectance[0] for s in spectra], axis=0)
+    np.testing.assert_allclose(seen.reflectance, mean, atol=4e-3)  # AZIMUTH_ERROR and the table of cosines
+    np.testing.assert_allclose(seen.reflectance + seen.transmittance, 1.0, atol=1e-9)
+    assert made.model.warnings
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"layers": [{"material": {"principal": [1.5, 1.6, {"n": 1.7, "k": -0.1}]}, "thickness_nm": 100}]},
+        {"layers": [{"material": {"principal": [1.5, 1.6]}, "thickness_nm": 100}]},
+        {"layers": [{"material": {"principal": [1.5, 1.6, 1.7], "euler_deg": [1, 2]}, "thickness_nm": 100}]},
+        {"layers": [{"material": {"ordinary": 1.5}, "thickness_nm": 100}]},
+        {"layers": [{"material": {"ordinary": 1.5, "extraordinary": 1.6}, "thickness_nm": 100, "pitch_nm": 0}]},
+        {"layers": [{"material": {"ordinary": 1.5, "extraordinary": 1.6}, "thickness_nm": 100, "handedness": "left"}]},
+        {"layers": [{"material": 1.5, "thickness_nm": 100, "pitch_nm": 300}]},
+        {"ambient": {"principal": [1.0, 1.0, 1.0]}},
+        {"layers": [{"material": 1.5, "thickness_nm": 1}], "surface": {"interface_roughness_nm": 3}},
+        {"layers": [{"material": 1.5, "thickness_nm": 9}], "surface": {"interface_roughness_nm": [3]}},
+        {"layers": [{"repeat": 2.5, "layers": [{"material": 1.5, "thickness_nm": 1}]}]},
+        {"layers": [{"repeat": 600, "layers": [{"material": 1.5, "thickness_nm": 1}] * 2}]},
+        {"layers": [{"material": {"mix": ["SiO2", "air"], "volume_fractions": [0.5, 0.6]}, "thickness_nm": 1}]},
+        {"layers": [{"material": {"mix": ["SiO2", "air"]}, "thickness_nm": 1}]},
+    ],
+)
+def test_impossible_films_are_refused(keys: dict[str, Any]) -> None:
+    with pytest.raises(NacreError):
+        film(**{"substrate": "Si", **keys})

@@ -1,0 +1,222 @@
+"""The family grating: recipes, commands, lobes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.bsdf.bsdf import Bsdf
+from nacre.bsdf.lobes.orders import OrdersLobe
+from nacre.cli import run
+from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+
+LINES = {"shape": "line", "material": {"n": 1.5}, "width_nm": 800}
+DISC: dict[str, Any] = {
+    "family": "grating", "substrate": {"n": 1.5},
+    "layers": [
+        {"thickness_nm": 130, "material": "air", "shapes": [{"shape": "disc", "material": "Si", "diameter_nm": 140}]},
+        {"thickness_nm": 50, "material": "SiO2"},
+    ],
+    "lattice": {"period_nm": 300},
+}  # fmt: skip
+
+
+def compact_disc(**changes: Any) -> dict[str, Any]:
+    layers = [{"thickness_nm": 110, "material": "air", "shapes": [LINES | {"material": "Al"}]}]
+    return {"family": "grating", "substrate": "Al", "layers": layers, "lattice": {"period_nm": 1600}} | changes
+
+
+def test_the_orders_of_a_compact_disc_lie_where_they_should() -> None:
+    bsdf = nacre.material(compact_disc()).bsdf(np.array([450.0, 550.0, 650.0]))
+    angles = np.radians(np.linspace(10.0, 30.0, 2001))
+    wo = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=-1)
+    peaks = np.degrees(angles[bsdf.evaluate(np.array([0.0, 0.0, 1.0]), wo).argmax(axis=0)])
+    assert peaks == pytest.approx([16.33, 20.11, 23.97], abs=0.02)
+
+
+def test_a_wide_shallow_lamellar_grating_meets_its_scalar_limit() -> None:
+    # quarter-wave grooves, half filled: the zero order vanishes and each first one takes 4 / pi^2 = 0.4053 of R
+    metal = {"n": 1.0, "k": 60.0}
+    layers = [{"thickness_nm": 125, "material": "air", "shapes": [LINES | {"material": metal, "width_nm": 10_000}]}]
+    made = {"family": "grating", "substrate": metal, "layers": layers, "lattice": {"period_nm": 20_000}}
+    found = nacre.orders(made, 0.0, 0.0, [500.0])
+    values = dict(zip(found.numbers[:, 0].tolist(), found.reflected[0, 0].mean(axis=-1), strict=True))
+    assert values[1] == pytest.approx(0.4053, abs=0.01) and values[-1] == pytest.approx(values[1], abs=1e-6)
+    assert values[0] < 0.005
+
+
+def test_the_command_prints_orders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "disc.toml"
+    path.write_text(
+        'family = "grating"\nsubstrate = "Al"\nprofile = {shape = "sinusoidal", depth_nm = 100}\n'
+        "lattice = {period_nm = 800}\n"
+    )
+    words = ["--angles-deg", "0,70", "--azimuth-deg", "30", "--wavelengths-nm", "500,700", "--json"]
+    assert run(["orders", str(path), *words]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["angles_deg"] == [0, 70] and found["wavelengths_nm"] == [500, 700] and found["azimuth_deg"] == 30
+    assert [0, 0] in found["orders"] and [1, 0] in found["orders"]
+    for side in ("reflected", "transmitted"):
+        for name in ("s", "p"):
+            assert np.shape(found[side][name]) == (2, 2, len(found["orders"]))
+    again = nacre.orders(path, [0, 70], 30, [500, 700])
+    values = np.array(found["reflected"]["p"], dtype=float)  # None becomes NaN
+    assert np.array_equal(np.isnan(values), np.isnan(again.reflected[..., 1]))
+    assert np.nanmax(np.abs(values - again.reflected[..., 1])) < 1e-12
+    assert all(value is None for value in found["transmitted"]["s"][0][0])
+
+
+def test_the_azimuth_is_that_of_the_light() -> None:
+    # light from +x at 40 degrees: order -1 lies further along -x than the mirror direction
+    found = nacre.orders(compact_disc(), 40.0, 0.0, [500.0])
+    x = dict(zip(found.numbers[:, 0].tolist(), found.reflected_direction[0, 0, :, 0], strict=True))
+    assert x[0] == pytest.approx(-np.sin(np.radians(40.0)))
+    assert x[-1] == pytest.approx(x[0] - 500 / 1600)
+
+
+def test_spectrum_adds_up_without_loss() -> None:
+    made = {"family": "grating", "substrate": {"n": 1.5}, "lattice": {"period_nm": 700},
+            "profile": {"shape": "triangle", "depth_nm": 200, "apex": 0.7}}  # fmt: skip
+    for polarisation in ("s", "p", "both"):
+        parts = nacre.spectrum(made, [0, 35], [450.0, 650.0], polarisation).parts()
+        assert sum(parts.values()) == pytest.approx(np.ones((2, 2)), abs=1e-8)
+
+
+def test_lines_of_the_same_material_are_no_grating_in_a_lossless_layer() -> None:
+    shapes = [{"shape": "line", "material": {"n": 1.7}, "width_nm": 200}]
+    layers = [{"thickness_nm": 100, "material": {"n": 1.7}, "shapes": shapes}]
+    made = {"family": "grating", "substrate": "Al", "layers": layers, "lattice": {"period_nm": 600}}
+    found = nacre.orders(made, 10.0, 0.0, [500.0])
+    away = np.any(found.numbers != 0, axis=1)
+    assert np.nanmax(found.reflected[0, 0, away], initial=0.0) == 0.0
+
+
+def layers(*shapes: dict[str, Any]) -> dict[str, Any]:
+    return {"layers": [{"thickness_nm": 100, "material": "air", "shapes": [{"material": "Si"} | s for s in shapes]}]}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        layers({"shape": "disc", "diameter_nm": 310}),
+        layers({"shape": "disc", "diameter_nm": 140, "center_nm": [200, 0]}),
+        layers({"shape": "disc", "diameter_nm": 140}, {"shape": "rectangle", "width_nm": 90, "center_nm": [60, 0]}),
+        layers({"shape": "line", "width_nm": 140}, {"shape": "line", "width_nm": 90, "center_nm": [60, 0]}),
+        layers({"shape": "disc"}),
+        layers({"shape": "hexagon"}),
+        layers({"gds": "absent.gds"}),
+        {"lattice": {"period_nm": 0}},
+        {"lattice": {"period_nm": 1e9}},
+        {"lattice": {"period_nm": 8000}},
+        {"lattice": {"period_nm": 300, "kind": "line"}},
+        {"lattice": {"period_nm": [300, 400], "kind": "hexagonal"}},
+        {"profile": {"shape": "sinusoidal", "depth_nm": 100}},
+        {"orders": {"spread_deg": 0}},
+        {"layers": [], "orientation": {"turn_deg": {"formula": "90*u"}}},
+    ],
+)
+def test_wrong_recipes_are_refused_in_one_line(changes: dict[str, Any]) -> None:
+    with pytest.raises(RecipeError) as error:
+        nacre.material(DISC | changes)
+    assert "\n" not in str(error.value)
+
+
+def test_orders_that_do_not_converge_are_refused() -> None:
+    made = compact_disc(model={"tolerance": 1e-7})
+    with pytest.raises(NacreError):
+        nacre.orders(made, 0, 0, [450.0])
+
+
+def test_other_families_have_no_orders() -> None:
+    with pytest.raises(UnsupportedError):
+        nacre.orders({"family": "film", "substrate": "Si"}, 0, 0, [500.0])
+
+
+def test_gds_cells_are_checked(tmp_path: Path) -> None:
+    import gdstk
+
+    library = gdstk.Library(unit=1e-6, precision=1e-9)
+    cell = library.new_cell("PIXEL")
+    cell.add(gdstk.rectangle((-0.07, -0.07), (0.07, 0.07), layer=1))
+    library.write_gds(tmp_path / "cell.gds")
+    shape: dict[str, Any] = {"material": {"n": 2.0}, "gds": "cell.gds"}
+
+    def made(shape: dict[str, Any]) -> Any:
+        layers = [{"thickness_nm": 100, "material": "air", "shapes": [shape]}]
+        return nacre.material(DISC | {"layers": layers, "model": {"tolerance": 0.05}}, tmp_path)
+
+    square = nacre.orders(made({"shape": "rectangle", "material": {"n": 2.0}, "width_nm": 140}), 0, 0, [500.0])
+    assert nacre.orders(made(shape), 0, 0, [500.0]).reflected == pytest.approx(square.reflected, abs=4e-3)
+    for wrong in (shape | {"cell": "NONE"}, shape | {"layer": 7}):
+        with pytest.raises(RecipeError):
+            made(wrong)
+
+
+def orders_lobe() -> Bsdf:
+    g = np.random.default_rng(1)
+    power = g.uniform(0.05, 0.25, (6, 9, 6, 5)).astype(np.float32)
+    power[:, -1] = power[:, 0]
+    numbers = np.array([[-2, 0], [-1, 0], [1, 0], [2, 0], [0, 1], [0, -1]])
+    lattice = np.array([[1 / 1600.0, 0.0], [0.0, 1 / 1200.0]])
+    return Bsdf((OrdersLobe(np.array([400.0, 450.0, 520.0, 600.0, 700.0]), power, lattice, numbers, 0.02),))
+
+
+def pairs(seed: int) -> tuple[Any, Any]:
+    from lobe_trials import directions
+
+    lobe = orders_lobe().lobes[0]
+    assert isinstance(lobe, OrdersLobe)
+    g = np.random.default_rng(seed)
+    eye = directions(2000, seed, False)
+    t = (
+        -eye[:, :2]
+        + (lobe.orders[g.integers(0, 6, 2000)] @ lobe.lattice) * g.choice(lobe.wavelengths_nm, 2000)[:, None]
+    )
+    t = t + g.normal(0.0, 0.02, t.shape)
+    z = np.sqrt(np.maximum(1.0 - np.sum(t**2, axis=1), 0.03))
+    light = np.column_stack([t, z])
+    return light / np.linalg.norm(light, axis=1, keepdims=True), eye
+
+
+@pytest.mark.render
+def test_the_plugin_gives_the_values_of_the_arrays(mi: Any) -> None:
+    from lobe_trials import array_mismatch, reciprocity_mismatch
+
+    assert array_mismatch(orders_lobe(), *pairs(3)) <= 1e-4
+    assert reciprocity_mismatch(orders_lobe(), *pairs(4), 1.0) <= 1e-4
+
+
+@pytest.mark.render
+@pytest.mark.parametrize("view", [(1.0, 0.0), (30.0, 40.0), (65.0, 200.0)])
+def test_draws_follow_the_density(mi: Any, view: tuple[float, float]) -> None:
+    from lobe_trials import chi_square, direction, draw, weight_mismatch
+
+    assert weight_mismatch(draw(orders_lobe(), direction(*view), 20_000, seed=3)) <= 2e-3
+    outcome = chi_square(orders_lobe(), *view, resolution=200, steps=24)
+    assert outcome.passes(0.01, 3), outcome.messages
+
+
+def test_the_lobe_conserves_the_efficiencies() -> None:
+    lobe = orders_lobe().lobes[0]
+    assert isinstance(lobe, OrdersLobe)
+    wi = np.array([0.2, 0.1, np.sqrt(1 - 0.05)])
+    grid = np.linspace(-1, 1, 801)
+    x, y = np.meshgrid(grid, grid)
+    inside = x**2 + y**2 < 1
+    wo = np.stack([x[inside], y[inside], np.sqrt(1 - x[inside] ** 2 - y[inside] ** 2)], axis=-1)
+    total = lobe.evaluate(np.broadcast_to(wi, wo.shape), wo).sum(axis=0) * (grid[1] - grid[0]) ** 2
+    # E at the exit differs from E at the entrance in this made-up table, so the mean of both is integrated
+    expected = lobe.hemispherical(wi)[0]
+    assert total == pytest.approx(expected, rel=0.25)
+
+
+def test_a_material_is_stored_and_loaded(tmp_path: Path) -> None:
+    orders_lobe().save(tmp_path / "orders.nacre")
+    again = Bsdf.load(tmp_path / "orders.nacre")
+    light, eye = pairs(5)
+    assert np.array_equal(again.evaluate(light, eye), orders_lobe().evaluate(light, eye))
