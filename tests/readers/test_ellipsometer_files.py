@@ -62,6 +62,15 @@ def row(measurement: Measurement, index: int, *names: str) -> list[float]:
 BASIC = ("wavelength_nm", "angle_of_incidence_deg", "psi_deg", "delta_deg")
 
 
+def test_decimal_commas_are_read(tmp_path: Path) -> None:
+    points, commas = (first(written(tmp_path, text)) for text in (WOOLLAM, WOOLLAM.replace(".", ",")))
+    np.testing.assert_array_equal(points.data["psi_deg"], commas.data["psi_deg"])
+    assert (
+        first(written(tmp_path, "SE PSI DELTA\nAOI 75,5\nSE 400,5\t0,5\t-0,5\n")).data["angle_of_incidence_deg"][0]
+        == 75.5
+    )
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "latin-1"])
 def test_woollam_data(tmp_path: Path, encoding: str) -> None:
     found = open_file(written(tmp_path, WOOLLAM, encoding=encoding))
@@ -98,9 +107,9 @@ def test_spectraray_pairs_stand_angle_by_angle(tmp_path: Path) -> None:
 
 
 def test_spectraray_sixteen_columns_are_a_mueller_matrix(tmp_path: Path) -> None:
-    values = " ".join(f"{i / 16:.4f}" for i in range(16))
+    values = " ".join(f"{1 - i / 32:.5f}" for i in range(16))
     found = first(written(tmp_path, f"; WAVELENGTH {'70 ' * 16}\n400 {values}\n"))
-    assert row(found, 0, "m12", "m43") == [0.0625, 14 / 16]
+    assert row(found, 0, "m12", "m43") == [1 - 1 / 32, 1 - 14 / 32]
     with pytest.raises(NacreError):
         open_file(written(tmp_path, "; WAVELENGTH 70 70 70\n400 1 2 3\n"))
 
@@ -155,6 +164,7 @@ def test_nexus(tmp_path: Path, draft: str) -> None:
 @pytest.mark.parametrize(
     "text",
     [
+        f"; WAVELENGTH {'70 ' * 16}\n400 0.5 1.0 {'0.1 ' * 14}\n",  # m12 above m11
         WOOLLAM.replace("nm\n", "eV\n"),  # 3 nm
         WOOLLAM.replace("20.5", "120.5"),  # Psi above 90
         WOOLLAM.replace("500.0\t65.0\t19.5\t-3.5\t0.1\t0.2", "500.0\t65.0\t19"),  # truncated

@@ -456,3 +456,35 @@ def test_a_frame_keeps_its_exposure_when_threads_sum_it_in_another_order() -> No
 
     xyz = np.random.default_rng(4).uniform(0.1, 0.9, (64, 64, 3))
     assert auto_stops(xyz) == auto_stops(xyz * (1.0 + 1e-7)) == auto_stops(xyz * (1.0 - 1e-7))
+
+
+CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+PLY = (
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.obj", CORNERS + "f 1 2 9\n"), ("b.obj", CORNERS + "f 1 2 -9\n"), ("c.obj", CORNERS + "f 1 2 3\nf 0 1 2\n"),
+        ("d.obj", CORNERS + "f 1 2 4000000000\n"), ("e.ply", PLY + "3 0 1 5\n"), ("f.ply", PLY + "3 0 1 -1\n"),
+        ("g.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n"),
+    ],
+)  # fmt: skip
+def test_a_face_with_an_impossible_corner_is_refused(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(NacreError, match=name):
+        read_mesh(tmp_path / name)
+
+
+def test_edges_stay_sharp_above_the_crease_only_without_normals(tmp_path: Path) -> None:
+    # two quads folded by 30 and by 60 degrees along the y axis
+    for fold, count in ((30.0, 3), (60.0, 2)):
+        x, z = np.cos(np.radians(fold)), np.sin(np.radians(fold))
+        lines = [f"v {a} {b} {c}" for b in (0, 1) for a, c in ((-1.0, 0.0), (0.0, 0.0), (x, z))]
+        (tmp_path / "fold.obj").write_text("\n".join([*lines, "f 1 2 5 4", "f 2 3 6 5"]) + "\n")
+        assert len(np.unique(np.round(read_mesh(tmp_path / "fold.obj", "z").normals, 6), axis=0)) == count
+        (tmp_path / "fold.obj").write_text("\n".join([*lines, "s off", "f 1 2 5 4", "f 2 3 6 5"]) + "\n")
+        assert len(np.unique(np.round(read_mesh(tmp_path / "fold.obj", "z").normals, 6), axis=0)) == 2

@@ -254,3 +254,38 @@ def test_fits_of_real_files_agree_with_those_of_pyelli(name: str) -> None:
     assert part.mse is not None
     if mse:  # that of a Mueller file counts more elements than N, C and S
         assert part.mse <= mse * (1 + 1e-3)
+
+
+def test_the_axes_of_a_biaxial_film_are_found_from_its_mueller_matrices() -> None:
+    film = {"principal": [{"n": 1.51}, {"n": 1.55}, {"n": 1.66}], "euler_deg": [30.0, 60.0, 0.0]}
+    recipe = {
+        "family": "film", "substrate": "Si", "layers": [{"material": film, "thickness_nm": 300.0}],
+        "instrument": {"azimuth_deg": 45.0},
+    }  # fmt: skip
+    waves = WAVES[::4]
+    found = nacre.ellipsometry(recipe, ANGLES, waves)
+    names = tuple(f"m{i}{j}" for i in range(1, 5) for j in range(1, 5))[1:]
+    exact = np.stack([found.relative[..., int(m[1]) - 1, int(m[2]) - 1].ravel() for m in names])
+    noisy = exact + NOISE * np.random.default_rng(0).standard_normal(exact.shape)
+    rows = np.tile(waves, len(ANGLES)), np.repeat(ANGLES, len(waves))
+    data = EllipsometryData("synthetic", *rows, names, noisy, None, False)
+    fit = fitted(recipe, data, ("layers[0].material.euler_deg[1]=40:80", "layers[0].thickness_nm=250:350"), starts=1)
+    assert fit.numbers[0].value == pytest.approx(60.0, abs=0.3)
+    assert fit.numbers[1].value == pytest.approx(300.0, abs=0.3)
+
+
+def test_one_time_of_a_dynamic_measurement_is_fitted(tmp_path: Path) -> None:
+    rows = []
+    for time, thickness in ((0.5, 20.0), (1.5, 30.0)):
+        found = nacre.ellipsometry(with_values(WAFER, {"layers[0].thickness_nm": thickness}), [70.0], WAVES)
+        rows += [
+            f"E {w:.3f} 70 {p:.5f} {d:.5f} 0.05 0.2 {time}"
+            for w, p, d in zip(WAVES, found.psi_deg[0], found.delta_deg[0], strict=True)
+        ]
+    path = tmp_path / "growth.dat"
+    path.write_text("growth\nVASEmethod[EllipsometerType=7]\nDynamic\nnm\n" + "\n".join(rows) + "\n")
+    with pytest.raises(AmbiguousFileError) as failure:
+        read_measurement(path)
+    assert failure.value.option == "spectrum"
+    fit = fitted(WAFER, read_measurement(path, ReadOptions(spectrum="2")), FREE[:1], starts=1)
+    assert fit.numbers[0].value == pytest.approx(30.0, abs=0.01)

@@ -19,6 +19,7 @@ from nacre.core.arrays import Array, ComplexArray, floats, wavelength_grid
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.contract import SpecularStack
 from nacre.material.material import Material
+from nacre.matter.stack.incoherent import incoherent_coherence, incoherent_powers
 from nacre.matter.stack.solve import solve
 from nacre.matter.stack.stack import Stack
 from nacre.recipe.model import validate
@@ -190,15 +191,20 @@ def averaged_mueller(
 
 def _mueller(stack: Stack, theta: Array, waves: Array, azimuth: float, scales: Array, weights: Array) -> Array:
     """Return Mueller matrices averaged over scaled thicknesses, `[angle, wavelength, 4, 4]`."""
-    if stack.is_coherent and getattr(stack, "is_isotropic", True):
-        thicknesses = scales[:, None] * stack.thicknesses_nm
-        found = solve(stack.indices(waves), thicknesses, waves, theta)
-        r_p, r_s = found.r_p, found.r_s  # [scale, angle, wavelength]
-        power_p, power_s = (np.tensordot(weights, np.abs(r) ** 2, 1) for r in (r_p, r_s))
-        return _isotropic(power_p, power_s, np.tensordot(weights, r_p * r_s.conj(), 1))
+    if stack.is_isotropic:
+        n, thicknesses = stack.indices(waves), _scaled(stack, scales)
+        if stack.is_coherent:
+            found = solve(n, thicknesses, waves, theta)
+            powers_p, powers_s, products = np.abs(found.r_p) ** 2, np.abs(found.r_s) ** 2, found.r_p * found.r_s.conj()
+        else:
+            flags = [layer.incoherent for layer in stack.layers]
+            powers = incoherent_powers(n, thicknesses, flags, waves, theta)
+            powers_p, powers_s = powers.R_p, powers.R_s
+            products = incoherent_coherence(n, thicknesses, flags, waves, theta)
+        return _isotropic(*(np.tensordot(weights, each, 1) for each in (powers_p, powers_s, products)))
     total = np.zeros((len(theta), len(waves), 4, 4))
     for scale, weight in zip(scales, weights):
-        scaled: Any = stack_with_scale(stack, float(scale))
+        scaled = stack_with_scale(stack, float(scale))
         total += weight * scaled.polarised(theta, waves, azimuth).mueller_reflected
     return total
 
@@ -211,6 +217,12 @@ def _isotropic(power_p: Array, power_s: Array, product: ComplexArray) -> Array:
     matrix[..., 2, 2] = matrix[..., 3, 3] = product.real
     matrix[..., 2, 3], matrix[..., 3, 2] = -product.imag, product.imag
     return matrix
+
+
+def _scaled(stack: Stack, scales: Array) -> Array:
+    """Return the thicknesses `[scale, layer]`; those of incoherent layers stay."""
+    fixed = np.array([layer.incoherent for layer in stack.layers], dtype=bool)
+    return np.where(fixed, 1.0, scales[:, None]) * stack.thicknesses_nm
 
 
 def stack_with_scale(stack: Stack, scale: float) -> Stack:

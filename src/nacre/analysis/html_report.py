@@ -144,6 +144,7 @@ def _clean(value: Any) -> Any:
     return value
 
 
+WHITE_L, PER_CENT = 100.0, 100.0
 SURFACE_NAMES = {
     "sq_um": "Sq (um)", "sdq": "Sdq", "correlation_length_um": "correlation length (um)", "tilt_deg": "tilt (degrees)",
     "peak_to_valley_um": "peak to valley (um)", "points_x": "points along x", "points_y": "points along y",
@@ -162,6 +163,8 @@ def report_text(reports: list[Report], comparisons: Sequence[Comparison] = ()) -
             for label, lab, lch, swatch in zip(table.labels, table.lab, table.lch, table.hex, strict=True):
                 numbers = "  ".join(f"{v:7.2f}" for v in (*lab, lch[1]))
                 lines.append(f"    {label:{width}}  {numbers}  {lch[2]:6.1f}   {swatch}")
+            if np.any(table.lab[:, 0] > WHITE_L):
+                lines.append("    L* above 100: brighter than a perfect white diffuser at that angle")
             lines += [f"    travel in a*b*: {table.travel:.1f}", ""]
         lines += [f"  {name:34s} {value}" for name, value in report_numbers(report)] + [""]
     for found in comparisons:
@@ -186,7 +189,9 @@ def report_numbers(report: Report) -> list[tuple[str, str]]:
     rows = [("flop index (Alman)", "-" if report.flop_index is None else f"{report.flop_index:.2f}")]
     rows += [(f"gloss {angle} degrees (GU)", f"{value:.1f}") for angle, value in report.gloss.items()]
     if report.reflection_haze is not None:
-        rows.append(("reflection haze 30 degrees (%)", f"{report.reflection_haze:.2f}"))
+        is_wide = report.reflection_haze > PER_CENT
+        meaning = " (more light 2 degrees off the mirror direction than in it)" if is_wide else ""
+        rows.append(("reflection haze 30 degrees (%)", f"{report.reflection_haze:.2f}{meaning}"))
     if report.transmission_haze is not None:
         rows.append(("transmission haze (%)", f"{report.transmission_haze:.2f}"))
     for name, value in report.hemispherical.items():

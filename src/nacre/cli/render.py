@@ -166,7 +166,7 @@ def _summary(path: Path, stats: Mapping[str, Any]) -> str:
     clipped = stats.get("clipped_pixels", 0)
     if "cannot be imported" in str(stats.get("raw_because", "")):
         line += f"; not denoised: {stats['raw_because']}"
-    return line + (f", {clipped} pixels clipped into sRGB" if clipped else "")
+    return line + (f", {clipped} pixels clipped into sRGB (brighter or purer than the screen shows)" if clipped else "")
 
 
 @click.command()

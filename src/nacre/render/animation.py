@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -169,7 +170,7 @@ def animate(
         who = _fingerprint(material)
         material, _ = resolve_material(material, settings.get("quality"), settings.get("components", "sum"))
         settings = {**settings, "quality": None, "components": "sum"}
-    kept = 0
+    kept, begun = 0, time.monotonic()
     with _folder_of_frames(folder), progress_bar("animating", progress) as report:
         for index, name in enumerate(names):
             value = motion.at(index, frames)
@@ -194,7 +195,8 @@ def animate(
                 if interrupt.came_late() and index + 1 < frames:
                     return Animation(None, names[: index + 1], kept, True)
             exposure = stops if index == 0 else exposure
-            report(index + 1, frames, 0.0)
+            made = index + 1 - kept  # kept frames take no time
+            report(index + 1, frames, (time.monotonic() - begun) / max(made, 1) * (frames - index - 1))
     join(names, path)
     return Animation(path, names, kept, False)
 

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
-from nacre.matter.stack.inputs import Powers, StackArrays, kernel_powers, normal_component, part_of, prepare
+from nacre.matter.stack.inputs import Powers, StackArrays, kernel_powers, normal_component, part_of, prepare, run_kernel
 
 EXCESS = 0.02  # of R + T above 1, beyond which intensities do not add
 
@@ -82,6 +82,42 @@ def incoherent_powers(
         )
     shape = (*stack.batch, *stack.angle_shape, stack.shape[2])
     return Powers(*(part.reshape(shape) for part in (*total_r, *total_t)))
+
+
+def incoherent_coherence(
+    n: ArrayLike,
+    thicknesses_nm: ArrayLike,
+    incoherent: Sequence[bool],
+    wavelengths_nm: ArrayLike,
+    theta_rad: ArrayLike,
+    *,
+    jobs: int | None = None,
+) -> ComplexArray:
+    """Return the mean of r_p r_s* over the phases of the incoherent layers, `[..., angle, wavelength]`.
+
+    The reflections that differ in the passages through an incoherent layer add without interference, but each keeps the
+    phase between p and s; with the mean X of the stack below a group and the products of its amplitudes (r from above,
+    r' from below, t t' through it),
+
+        X_total = r_p r_s* + (t t')_p (t t')_s* P^2 X / (1 - r'_p r'_s* P^2 X).
+
+    Arguments and errors as in `incoherent_powers`.
+    """
+    stack = prepare(n, thicknesses_nm, wavelengths_nm, theta_rad=theta_rad)
+    groups = _groups(stack, incoherent, jobs)
+    total: ComplexArray | None = None
+    passage: Array = np.ones(1)
+    for group in reversed(groups):
+        r_s, r_p, t_s, t_p = run_kernel(group.down, True, False, jobs)[0]
+        found = r_p * r_s.conj()
+        if total is not None:
+            assert group.up is not None
+            up_s, up_p, back_s, back_p = run_kernel(group.up, True, False, jobs)[0]
+            below = passage**2 * total
+            found = found + t_p * back_p * (t_s * back_s).conj() * below / (1.0 - up_p * up_s.conj() * below)
+        total, passage = found, group.passage
+    assert total is not None
+    return np.asarray(total.reshape(*stack.batch, *stack.angle_shape, stack.shape[2]))
 
 
 def incoherent_absorption(

@@ -33,6 +33,8 @@ PLATE = (40.0, 26.0)  # width and depth of black acrylic
 BUBBLES = ((1.0, (-0.1, 0.0, 0.03)), (0.3, (1.02, -0.9, 0.05)), (0.17, (0.98, 1.6, 1.9)), (0.12, (-1.25, 2.4, 0.3)))
 Backdrop = Literal["sweep", "bowl", "desk", "acrylic", "specimen", "none"]
 
+MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
+
 
 @dataclass(frozen=True)
 class Part:
@@ -299,6 +301,8 @@ def scene(name: str) -> Scene:
         NacreError: unknown name.
     """
     if name not in SCENES:
+        if name.lower().endswith(MESH_SUFFIXES):
+            raise NacreError(f'scene "{name}" is a mesh, not a scene; give it as shape (--shape {name})')
         raise NacreError(
             f'scene "{name}" is not known.{did_you_mean(name, SCENE_NAMES)} '
             f"Choose from {', '.join(SCENE_NAMES)} or a Mitsuba .xml file"

@@ -24,6 +24,7 @@ _GLB_CHUNK = struct.Struct("<I4s")  # length, kind
 _GLB_START = _GLB_HEADER.size + _GLB_CHUNK.size
 # unsupported compressions of glTF; integers that represent 1 in "normalized" numbers
 PACKINGS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+_CORNER_ZERO = re.compile(rb"(?m)^[ \t]*f[^\n]*[ \t]0(?=[/ \t\r\n]|\Z)")
 _SMOOTHING = re.compile(rb"(?m)^[ \t]*s[ \t]+(\S+)")
 INTEGER_WHITE = {5121: 255.0, 5123: 65535.0}
 
@@ -55,6 +56,7 @@ def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
 
     Raises:
         NacreError: unsupported compression.
+        IndexError: a face names a vertex that does not exist.
         FileNotFoundError: a required file is missing; its argument is the name.
         Exception: errors of the format's parser.
     """
@@ -74,6 +76,8 @@ def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
     if is_alone or suffix in (".gltf", ".glb", ".obj"):
         content = path.read_bytes()
         if suffix == ".obj":
+            if _CORNER_ZERO.search(content):
+                raise IndexError("OBJ counts vertices from 1")
             content = with_triangles(content)
         uv_white = _uv_white(path, content, suffix)
         file = io.BytesIO(with_materials(content, suffix))  # bytes have no folder with other files

@@ -11,11 +11,10 @@ from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.core.memory import check_memory
 from nacre.picture.camera import View
-from nacre.picture.scenes.catalogue import SHAPES, Part, Scene
+from nacre.picture.scenes.catalogue import MESH_SUFFIXES, SHAPES, Part, Scene
 from nacre.picture.scenes.mesh_file import Triangles, read_triangles
 from nacre.picture.shapes.mesh import Mesh, face_normals, merge, open_seam, outward
 
-MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off")
 MAX_MESH_BYTES = 1 << 30
 MAX_FACES = 20_000_000
 BYTES_PER_BYTE = 6  # memory relative to the size of the file
@@ -84,6 +83,8 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
         raise
     except FileNotFoundError as error:
         raise NacreError(f'shape {path}: names "{error.args[-1]}", which is not beside it') from None
+    except IndexError:
+        raise NacreError(f"shape {path}: a face names a corner that is no vertex of the file") from None
     except Exception:  # each parser raises its own types
         raise NacreError(
             f"shape {path}: cannot be read as a mesh; it is damaged, or of another kind than its ending says "

@@ -48,6 +48,7 @@ UNITS = {"deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "rad": "r
 WAVE_UNITS = ("nm", "um", "µm", "μm")
 _BRACKET = re.compile(r"[\[(]([^\])]*)[\])]")
 _WAVE = re.compile(r"(?:[a-z_]*?[ _]?)?(\d+(?:\.\d+)?)\s*(nm|um|µm|μm)?")
+_COLOUR = re.compile(r"bsdf(rgb|xyz)[012]|[rgb]|[xyz]")
 QUANTITIES = ("bsdf", "reflectance_factor")
 
 
@@ -57,12 +58,14 @@ class Heading:
 
     Attributes:
         place: column by canonical name.
+        colour: columns of the channels, by colour space ("rgb", "xyz").
         waves: columns that hold a value at a wavelength, with the wavelengths.
         angle_unit, wave_unit: units in the headings.
         unknown: headings that are not recognised.
     """
 
     place: dict[str, int] = field(default_factory=dict)
+    colour: dict[str, list[int]] = field(default_factory=dict)
     waves: dict[int, float] = field(default_factory=dict)
     angle_unit: str | None = None
     wave_unit: str | None = None
@@ -106,6 +109,11 @@ def heading(cells: Sequence[str]) -> Heading:
             known.wave_unit = wide[2] or known.wave_unit
             continue
         name, unit = _name_and_unit(cell)
+        letters = "".join(c for c in cell.lower() if c.isalnum())
+        space = _COLOUR.fullmatch(letters)
+        if space:
+            known.colour.setdefault(space[1] or ("rgb" if letters in "rgb" else "xyz"), []).append(column)
+            continue
         meaning = next((key for key, words in NAMES.items() if name in words), None)
         if meaning is None:
             if name:
@@ -147,6 +155,12 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: has no column for the polar angle of both directions (theta_i, theta_o)")
     angles, notes = _angles(path, known, table, options)
     assumed += notes
+    for space, columns in known.colour.items():
+        if len(columns) != 3:
+            raise NacreError(f"{path}: has {len(columns)} of the three channels {space.upper()}")
+        assumed += ["reflectance factors were divided by pi"] if options.quantity == QUANTITIES[1] else []
+        channels = table[:, columns] / (np.pi if options.quantity == QUANTITIES[1] else 1.0)
+        return [as_measurement(path, "gonio", angles, None, channels, colour=space, assumed=assumed)]
     values, waves, notes = _values(path, known, table, options)
     assumed += notes
     if known.waves or waves is None:
@@ -174,7 +188,9 @@ def _table(path: Path, options: ReadOptions) -> tuple[Heading, Array]:
     heads = _heading_rows(text)
     if not heads:
         raise NacreError(f"{path}: has no headings; a goniometer table names theta_i, theta_o, ...")
-    cells = max(heads[:10], key=lambda row: len(heading(row).place) + bool(heading(row).waves))
+    cells = max(
+        heads[:10], key=lambda row: len(heading(row).place) + bool(heading(row).waves) + bool(heading(row).colour)
+    )
     try:
         known = heading(cells)
     except NacreError as error:
@@ -196,6 +212,12 @@ def _table(path: Path, options: ReadOptions) -> tuple[Heading, Array]:
     if not table:
         raise NacreError(f"{path}: holds no rows of numbers")
     return known, np.array(table)
+
+
+def _meanings(cells: list[str]) -> int:
+    """Return how many columns of a row of headings are recognised; wavelengths and channels count once."""
+    known = heading(cells)
+    return len(known.place) + bool(known.waves) + bool(known.colour)
 
 
 def _number(path: Path, line: int, cell: str) -> float:
@@ -244,10 +266,10 @@ def _mirror_sign(known: Heading, table: Array, angles: Array) -> float:
     columns = list(known.waves) or [known.place[name] for name in ("bsdf", "factor") if name in known.place]
     if not columns or not np.any(angles[:, 2] < 0):
         return 1.0
-    value = np.nanmean(table[:, columns], axis=1)
+    value = np.nan_to_num(table[:, columns]).mean(axis=1)
     near = np.abs(np.abs(angles[:, 2]) - np.abs(angles[:, 0])) <= 6.0
     away = near & (np.abs(angles[:, 0]) > 12.0)
-    sums = [float(np.nansum(value[away & (np.sign(angles[:, 2]) == sign)])) for sign in (1.0, -1.0)]
+    sums = [float(np.sum(value[away & (np.sign(angles[:, 2]) == sign)])) for sign in (1.0, -1.0)]
     return 1.0 if sums[0] >= sums[1] else -1.0
 
 

@@ -18,7 +18,7 @@ from nacre.core.arrays import Array
 from nacre.core.directions import angles_deg
 from nacre.core.errors import NacreError
 from nacre.readers.bsdf.samples import measurement as as_measurement
-from nacre.readers.bsdf.samples import numbers, pairs_of, read_bytes
+from nacre.readers.bsdf.samples import numbers, pairs_of, read_text
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
@@ -86,7 +86,7 @@ def read_zemax(path: str | Path) -> ZemaxBsdf:
         NacreError: the file is invalid.
     """
     path = Path(path)
-    lines = [line.strip() for line in read_bytes(path, 8.0).decode("latin-1").splitlines()]
+    lines = [line.strip() for line in read_text(path).splitlines()]
     words = iter([w for line in lines if line and not line.startswith("#") for w in line.split()])
     try:
         return _parse(words)

@@ -32,6 +32,7 @@ UNITS = {
     "\u00e5": "angstrom", "um": "um", "\u00b5m": "um", "\u03bcm": "um", "micron": "um", "microns": "um", "ev": "eV",
     "1/cm": "1/cm", "cm-1": "1/cm", "cm^-1": "1/cm",
 }  # fmt: skip
+MOST_MUELLER = 1.05  # |m_ij| / m11 of a passive sample is at most 1, here with noise
 SIGN_FLOOR = 0.02  # |sin 2Psi sin Delta| below which the sign of Delta has no effect within the noise
 AGREEMENT = 0.05  # of the pseudo-dielectric functions of a bare surface at several angles, relative
 
@@ -50,12 +51,18 @@ def text_lines(path: Path) -> list[str]:
 def end_is_open(path: Path) -> tuple[str, ...]:
     """Return a sentence if the last line has no line end, as in a truncated file."""
     data = path.read_bytes()
-    return () if data.rstrip(b" \t\x00\x1a")[-1:] in (b"\n", b"\r", b"") else ("the last line has no line end",)
+    is_closed = data.rstrip(b" \t\x00\x1a")[-1:] in (b"\n", b"\r", b"")
+    return () if is_closed else ("the last line has no line end; its last number may be cut",)
 
 
 def numbers(text: str) -> list[float] | None:
-    """Return the numbers of a line separated by blanks, tabs, commas or semicolons; None if a cell is no number."""
-    cells = text.replace(";", " ").replace(",", " ").split()
+    """Return the numbers of a line separated by blanks, tabs, commas or semicolons; None if a cell is no number.
+
+    A comma is a decimal comma beside another separator and without points.
+    """
+    text = text.replace(";", " ").strip()
+    is_decimal = "," in text and "." not in text and len(text.split()) > 1
+    cells = text.replace(",", "." if is_decimal else " ").split()
     try:
         return [float(cell) for cell in cells] or None
     except ValueError:
@@ -237,8 +244,13 @@ def _complete(path: Path, data: dict[str, Array], extra: dict[str, Any]) -> None
             within(path, "ncs_n", data["ncs_n"], -1.1, 1.1)
             data["psi_deg"] = np.degrees(0.5 * np.arccos(np.clip(data["ncs_n"], -1.0, 1.0)))
             data["delta_deg"] = np.degrees(np.arctan2(s, c))
-    for i, j in ((i, j) for i in range(1, 5) for j in range(1, 5) if f"m{i}{j}" in data):
-        within(path, f"m{i}{j}", data[f"m{i}{j}"], -1.5, 1.5)
+    elements = [f"m{i}{j}" for i in range(1, 5) for j in range(1, 5) if f"m{i}{j}" in data]
+    for name in elements:
+        largest = np.nanmedian(np.abs(data[name])) / np.nanmedian(data.get("m11", np.ones(1)))
+        if not largest <= MOST_MUELLER:
+            raise NacreError(
+                f"{path}: {name} is {largest:.3g} times m11; no element exceeds m11: the columns may be mixed up"
+            )
 
 
 def within(path: Path, name: str, values: Array, low: float, high: float) -> None:

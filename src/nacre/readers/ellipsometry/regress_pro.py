@@ -40,7 +40,8 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         words = line.split()
         if not words:
             continue
-        values = numbers(" ".join(words[1:]))
+        text = words[1].replace(",", ".") if len(words) == 2 else " ".join(words[1:])
+        values = numbers(text)
         if values is None:
             raise NacreError(f"{path}: line {number} is not a row of numbers: {line.strip()[:60]!r}")
         if words[0].upper() == "SE":
