@@ -33,6 +33,7 @@ class EllipsometryData:
         errors: standard errors, shaped as `values`; None if the file states none.
         is_normalised: whether the values belong to the polarised part: N^2 + C^2 + S^2 = 1.
         is_sign_stated: whether the user has stated the sign of Delta.
+        remarks: what the reader has assumed.
     """
 
     name: str
@@ -44,6 +45,7 @@ class EllipsometryData:
     is_normalised: bool = True
     kind: str = "ellipsometry"
     is_sign_stated: bool = False
+    remarks: tuple[str, ...] = ()
 
     def with_other_sign(self) -> EllipsometryData:
         """Return the data with the opposite sign of Delta."""
@@ -138,7 +140,9 @@ def _places(waves: Array, data: EllipsometryData, rows: NDArray[np.intp]) -> NDA
 
 
 def ellipsometry_data(
-    measurement: Measurement, range_nm: tuple[float, float] | None = None, time: str | None = None,
+    measurement: Measurement,
+    range_nm: tuple[float, float] | None = None,
+    time: str | None = None,
     is_sign_stated: bool = False,
 ) -> EllipsometryData:
     """Return a measurement as data of a fit.
@@ -146,6 +150,7 @@ def ellipsometry_data(
     Args:
         range_nm: rows outside are ignored.
         time: number of the time in a dynamic measurement, 1 for the first.
+        is_sign_stated: whether the user has stated the sign of Delta.
 
     Raises:
         NacreError: no rows in the range, or no Psi and Delta.
@@ -164,7 +169,10 @@ def ellipsometry_data(
         if not np.isfinite(errors).all() or errors.min() <= 0:
             errors = None
     angles = data["angle_of_incidence_deg"][keep]
-    return EllipsometryData(str(measurement.path), waves[keep], angles, names, values[:, keep], errors, is_normalised)
+    return EllipsometryData(
+        str(measurement.path), waves[keep], angles, names, values[:, keep], errors, is_normalised,
+        is_sign_stated=is_sign_stated, remarks=measurement.assumed,
+    )  # fmt: skip
 
 
 def _at_time(measurement: Measurement, data: dict[str, Array], time: str | None) -> NDArray[np.bool_]:
