@@ -62,6 +62,7 @@ FORMATS: tuple[Format, ...] = (
     Format("ssdd", "SSDD", "bsdf", "bsdf.ssdd"),
     Format("tracepro", "TracePro surface property", "bsdf", "bsdf.tracepro"),
     Format("utia", "UTIA BRDF", "bsdf", "bsdf.utia"),
+    Format("window_xml", "WINDOW and Radiance BSDF (XML)", "bsdf", "bsdf.window_xml"),
     Format("zemax", "Zemax tabular BSDF", "bsdf", "bsdf.zemax"),
     Format("ocean-text", "Ocean Optics text (OOIBase32, SpectraSuite, OceanView, Jaz)", "spectrum", "spectra.ocean"),
     Format("ocean-procspec", "Ocean Optics ProcSpec", "spectrum", "spectra.ocean_procspec"),
