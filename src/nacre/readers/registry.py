@@ -25,8 +25,8 @@ LIKELY = 0.6  # typical keys
 POSSIBLE = 0.2  # any table of numbers
 CUT = "the file ends inside its last line, which may be cut"
 _DAMAGE = (
-    ValueError, LookupError, ArithmeticError, EOFError, TypeError, struct.error, zlib.error, zipfile.BadZipFile,
-    ParseError, NotImplementedError,
+    ValueError, LookupError, ArithmeticError, RuntimeError, EOFError, TypeError, struct.error, zlib.error,
+    zipfile.BadZipFile, ParseError,
 )  # fmt: skip
 
 
