@@ -11,6 +11,7 @@ from pathlib import Path
 
 import generate_api
 import generate_commands
+import generate_formats
 import generate_keys
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -23,6 +24,7 @@ def main(docs: Path) -> None:
     write(docs / "reference" / "keys.md", generate_keys.page())
     write(docs / "reference" / "commands.md", generate_commands.page())
     write(docs / "reference" / "api.md", generate_api.page())
+    write(docs / "reference" / "file-formats.md", generate_formats.page())
     write(docs / "gallery" / "index.md", gallery(docs))
     report(docs, "validation", "REPORT.md", "Validation", "make validate")
     report(docs, "benchmarks", "RESULTS.md", "Benchmarks", "make bench")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array
@@ -21,6 +22,7 @@ PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance"
 TOTALS = ("total_reflectance", "total_transmittance")
 # part in a measurement -> part of a spectrum and polarisation
 POLARISED = {f"{part}_{p}": (part, p) for part in (*PARTS, *TOTALS) for p in ("s", "p")}
+VISIBLE_NM = (380.0, 780.0)
 MAX_POWER, MIN_POWER = 1.1, -0.05  # allows for instrument errors near white and black
 RELATIVE_FLOOR = 0.01
 LEAST_ERROR = 0.1  # of the median standard error: smaller ones do not weigh more
@@ -274,6 +276,10 @@ def _on_grid(path: Path, series: Sequence[_Series], remarks: tuple[str, ...]) ->
             errors[place] = one.errors
     if count.max() > 1:
         raise NacreError(f"{path}: a wavelength is given twice at an angle; keep one row of each")
+    kept = _without_noise(waves, values)
+    if not kept.all():
+        remarks = (*remarks, f"noise beyond {VISIBLE_NM[0]:g}-{VISIBLE_NM[1]:g} nm is left out")
+        waves, values, errors = waves[kept], values[..., kept], None if errors is None else errors[..., kept]
     _check_spectrum(path, parts, angles, waves, values)
     if errors is not None and not (np.isfinite(errors).all() and (errors >= 0).all() and np.median(errors) > 0):
         errors, remarks = None, (*remarks, "standard errors that are missing, negative or 0 are not used")
@@ -282,6 +288,18 @@ def _on_grid(path: Path, series: Sequence[_Series], remarks: tuple[str, ...]) ->
     elif errors is not None:
         remarks = (*remarks, "standard errors are used as weights")
     return Measured("spectrum", waves, values, parts, angles, name=str(path), errors=errors, remarks=remarks)
+
+
+def _without_noise(waves: Array, values: Array) -> NDArray[np.bool_]:
+    """Return the wavelengths to keep `[wavelength]`: the visible ones if impossible values occur only beyond them.
+
+    Spectrometers are noisy at the ends of their range, where the lamp is weak.
+    """
+    is_wrong = np.any((values < MIN_POWER) | (values > MAX_POWER), axis=(0, 1))
+    visible = (waves >= VISIBLE_NM[0]) & (waves <= VISIBLE_NM[1])
+    if is_wrong.any() and visible.sum() > 1 and not is_wrong[visible].any():
+        return np.asarray(visible)
+    return np.ones(len(waves), dtype=bool)
 
 
 def _check_modes(path: Path, parts: Sequence[str], remarks: tuple[str, ...]) -> None:

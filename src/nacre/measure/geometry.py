@@ -32,12 +32,14 @@ class Geometry:
         azimuth_deg: of the viewer about the mirror direction: 180 in the plane of incidence towards the light, 0 away
             from it. In this notation of 12-angle instruments 45as60az125.3 is a viewer 45 degrees from the normal,
             across the plane of incidence.
+        polarisation: of the incident light, "s", "p", "left", "right" or "both" (unpolarised).
     """
 
     kind: str
     theta_deg: float
     aspecular_deg: float = 0.0
     azimuth_deg: float = IN_PLANE_DEG
+    polarisation: str = "both"
 
     @classmethod
     def read(cls, text: str, where: str) -> Geometry:
@@ -90,7 +92,8 @@ class Geometry:
 
     def __str__(self) -> str:
         if self.kind != "aspecular":
-            return f"{self.kind} {self.theta_deg:g}"
+            state = "" if self.polarisation == "both" else f" {self.polarisation}"
+            return f"{self.kind} {self.theta_deg:g}{state}"
         turn = "" if self.azimuth_deg == IN_PLANE_DEG else f"az{self.azimuth_deg:g}"
         return f"{self.theta_deg:g}as{self.aspecular_deg:g}{turn}"
 

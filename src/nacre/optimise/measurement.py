@@ -76,16 +76,15 @@ def simulate_measurement(
     if rows and few is None:
         bsdf = model.bsdf(wavelengths_nm)
         wavelengths_nm = bsdf.wavelengths_nm
-    spectrum, bsdf = _spectrum(material, asked, wavelengths_nm, bsdf, seed) if asked else (None, bsdf)
-    grid = spectrum.wavelengths_nm if spectrum is not None else np.asarray(wavelengths_nm)
+    spectra, bsdf = _spectra(material, asked, wavelengths_nm, bsdf, seed)
+    grid = next(iter(spectra.values())).wavelengths_nm if spectra else np.asarray(wavelengths_nm)
     factors = np.zeros((len(geometries), len(grid)))
     error: Array | None = None
     missing = []
     for row, geometry in enumerate(geometries):
         if geometry.kind == "aspecular":
             continue
-        assert spectrum is not None
-        value = _part(spectrum, geometry)
+        value = _part(spectra[geometry.polarisation], geometry)
         if value is None:
             missing.append(geometry)
         else:
@@ -102,6 +101,21 @@ def simulate_measurement(
             error = np.zeros_like(factors)
             error[rows] = np.pi * deviation
     return Measurement(grid, factors, error, frozenset(missing))
+
+
+def _spectra(
+    material: Material, geometries: Sequence[Geometry], wavelengths_nm: Array | None, bsdf: Bsdf | None, seed: int
+) -> tuple[dict[str, Spectrum], Bsdf | None]:
+    """Return the spectra of each polarisation at the angles of its geometries."""
+    found: dict[str, Spectrum] = {}
+    for state in sorted({at.polarisation for at in geometries}):
+        rows = [at for at in geometries if at.polarisation == state]
+        if state == "both":
+            found[state], bsdf = _spectrum(material, rows, wavelengths_nm, bsdf, seed)
+        else:
+            angles = np.unique([at.theta_deg for at in rows])
+            found[state] = material.spectrum(np.radians(angles), wavelengths_nm, state, seed=seed)
+    return found, bsdf
 
 
 def _spectrum(

@@ -41,6 +41,11 @@ class TargetEntry(RecipeModel):
         "towards the light",
         examples=["specular 0", "45as15"],
     )
+    polarisation: Literal["s", "p", "left", "right", "both"] = pydantic.Field(
+        default="both",
+        description="of the incident light, for specular and transmitted targets; both: unpolarised",
+        examples=["left"],
+    )
     colour: str | None = pydantic.Field(
         default=None, description="target colour in sRGB, #rrggbb", examples=["#c2185b"]
     )

@@ -160,7 +160,12 @@ def check_light(light: LightSpec, context: RecipeContext) -> None:
 def _want(spec: TargetEntry, key: str, context: RecipeContext) -> Target:
     if spec.geometry is None:
         raise RecipeError(f"{key}.directions: a picture over directions needs heights in [parameters]")
-    at = Geometry.read(spec.geometry, f"{key}.geometry")
+    at = replace(Geometry.read(spec.geometry, f"{key}.geometry"), polarisation=spec.polarisation)
+    if at.polarisation != "both" and at.kind not in ("specular", "transmitted"):
+        raise RecipeError(
+            f'{key}.polarisation = "{at.polarisation}" has no effect on "{spec.geometry}"; only specular and '
+            "transmitted targets have a polarisation"
+        )
     asked = {name: getattr(spec, name) for name in (*COLOURS, *RANGES) if getattr(spec, name) is not None}
     asked = {name: list(value) if isinstance(value, tuple) else value for name, value in asked.items()}
     found: dict[str, Any] = {}

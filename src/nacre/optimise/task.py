@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,17 +24,24 @@ from nacre.optimise.tolerances import read_tolerances
 from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 from nacre.recipe.path_tables import by_path
-from nacre.recipe.paths import numbers_of
 from nacre.recipe.toml import parse_toml
 from nacre.recipe.units import LENGTH_UNITS_NM
-
-_THICKNESS = re.compile(r"layers\[\d+\]\.thickness_(nm|um|mm)$")
 
 
 def total_thickness_nm(material: Material) -> float:
     """Return the total thickness of the layers of a recipe; 0 without layers."""
-    found = ((_THICKNESS.match(path), value) for path, value in numbers_of(material.data).items())
-    return sum(value * LENGTH_UNITS_NM[match[1]] for match, value in found if match)
+    return _thickness_of(material.data.get("layers", ()))
+
+
+def _thickness_of(layers: Any) -> float:
+    total = 0.0
+    for layer in layers:
+        for key, value in layer.items():
+            word, _, unit = key.rpartition("_")
+            if word == "thickness" and isinstance(value, int | float):
+                total += value * LENGTH_UNITS_NM[unit]
+        total += layer.get("repeat", 0) * _thickness_of(layer.get("layers", ()))
+    return total
 
 
 def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], source: str) -> None:

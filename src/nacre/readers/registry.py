@@ -25,8 +25,8 @@ LIKELY = 0.6  # typical keys
 POSSIBLE = 0.2  # any table of numbers
 CUT = "the file ends inside its last line, which may be cut"
 _DAMAGE = (
-    ValueError, LookupError, ArithmeticError, EOFError, TypeError, struct.error, zlib.error, zipfile.BadZipFile,
-    ParseError, NotImplementedError,
+    ValueError, LookupError, ArithmeticError, RuntimeError, EOFError, TypeError, struct.error, zlib.error,
+    zipfile.BadZipFile, ParseError,
 )  # fmt: skip
 
 
@@ -95,6 +95,12 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format("icc-text", "iccDEV apply data", "colours", "colours.icc_text"),
     Format("lamp", "lamps (IES TM-27 .spdx, UPRtek, Sekonic)", "spectrum", "colours.lamps"),
+    Format("woollam-mat", "Woollam material (.mat)", "constants", "constants.wvase_mat"),
+    Format("zemax-coating", "Zemax COATING.DAT", "constants", "constants.zemax_coating"),
+    Format("spd-pair", "Mitsuba, PBRT .eta.spd and .k.spd", "constants", "constants.spd_pair"),
+    Format("rii-page", "refractiveindex.info page (YAML)", "constants", "constants.rii_page"),
+    Format("nexus-dispersion", "NeXus NXdispersive_material", "constants", "constants.nexus_dispersion"),
+    Format("regress-pro-library", "regress-pro dispersion library", "constants", "constants.regress_pro"),
     Format("accurion", "Accurion EP3, EP4 text", "ellipsometry", "ellipsometry.accurion"),
     Format("film-sense", "Film Sense text", "ellipsometry", "ellipsometry.film_sense"),
     Format("horiba", "Horiba DeltaPsi text (.spe)", "ellipsometry", "ellipsometry.horiba"),
@@ -105,6 +111,7 @@ FORMATS: tuple[Format, ...] = (
     Format("woollam-dat", "Woollam WVASE, CompleteEASE data", "ellipsometry", "ellipsometry.woollam_dat"),
     Format("woollam-text", "Woollam WVASE text export", "ellipsometry", "ellipsometry.woollam_text"),
     Format("table", "text table", "table", "table"),
+    Format("tmatrix", "T-matrix (.tmat.h5)", "tmatrix", "tmatrix"),
     Format("sdf", "ISO 25178-71 surface data (.sdf), ASCII and binary", "heights", "heights.sdf"),
     Format("gwyddion-text", "Gwyddion ASCII matrix", "heights", "heights.gwyddion_text"),
     Format("gwy", "Gwyddion (.gwy)", "heights", "heights.gwy"),

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nacre.bsdf.tabulate import reflected_lab
+from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Figure
 from nacre.families.film.material import COLOUR_COSINES, Film
 from nacre.light import delta_e_2000
 from nacre.light.wavelengths import REFERENCE_NM
 from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack import solve as solver
 from nacre.matter.stack.incoherent import incoherent_powers
 
@@ -77,7 +79,11 @@ def colour_map(
     d = np.broadcast_to(film.stack.thicknesses_nm, (len(runs), len(film.layers))).copy()
     d[:, layer] = runs
     tables = film.tables(lam)
-    if any(tables.incoherent):
+    if film.is_anisotropic:
+        if tables.flipped:
+            raise UnsupportedError("no colour map of an anisotropic film on a substrate rarer than its ambient")
+        reflectance, transmittance = tables.outside(d, np.cos(np.radians(angles)))
+    elif any(tables.incoherent):
         solved = [incoherent_powers(tables.n, row, tables.incoherent, lam, np.radians(angles)) for row in d]
         reflectance = np.stack([p.reflectance for p in solved])
         transmittance = np.stack([p.transmittance for p in solved])
@@ -111,7 +117,7 @@ def leading_layer(film: Film) -> int:
 def _reach_nm(film: Film, layer: int) -> float:
     """Return the largest thickness in a layer's map."""
     lam = np.linspace(*film.range_nm, 9)
-    k = float(np.min(film.layers[layer].material.n_complex(lam).imag))
+    k = float(np.min(_mean_index(film.layers[layer].material, lam).imag))
     opaque = OPAQUE_DEPTHS * REFERENCE_NM / (4.0 * np.pi * max(k, 1e-9))
     return max(min(MAP_NM, opaque), 2.0 * float(film.stack.thicknesses_nm[layer]))
 
@@ -120,7 +126,7 @@ def structure(film: Film, wavelength_nm: float = 550.0) -> dict[str, NDArray[Any
     """Return the drawn stack: `names[medium]`, `thicknesses_nm[layer]`, `n[medium]`, `k[medium]`."""
     at = np.array([float(np.clip(wavelength_nm, *film.range_nm))])
     media = _media(film)
-    index = np.array([medium.n_complex(at)[0] for medium in media])
+    index = np.array([_mean_index(medium, at)[0] for medium in media])
     return {
         "names": np.array([medium.name for medium in media]),
         "thicknesses_nm": film.stack.thicknesses_nm,
@@ -131,8 +137,15 @@ def structure(film: Film, wavelength_nm: float = 550.0) -> dict[str, NDArray[Any
     }
 
 
-def _media(film: Film) -> list[OpticalConstant]:
+def _media(film: Film) -> list[OpticalConstant | AnisotropicConstant]:
     return [film.ambient, *(layer.material for layer in film.layers), film.substrate]
+
+
+def _mean_index(medium: OpticalConstant | AnisotropicConstant, wavelengths_nm: Array) -> ComplexArray:
+    """Return n + ik, of an anisotropic medium that of its mean permittivity."""
+    if isinstance(medium, AnisotropicConstant):
+        return medium.mean_index(wavelengths_nm)
+    return medium.n_complex(wavelengths_nm)
 
 
 FIGURES: dict[str, Figure] = {"field": field, "colour-map": colour_map, "structure": structure}

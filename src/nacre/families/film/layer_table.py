@@ -8,6 +8,7 @@ import numpy as np
 
 from nacre.families.film.material import Film
 from nacre.matter.drawings import LayerSheet
+from nacre.matter.indices.crystal import AnisotropicConstant
 
 REFERENCE_NM = 550.0
 COLUMNS = (
@@ -40,7 +41,9 @@ def layer_rows(film: Film) -> list[dict[str, Any]]:
 
 def _row(position: str, material: Any) -> dict[str, Any]:
     low, high = material.range_nm
-    index = complex(material.n_complex(np.array([min(max(REFERENCE_NM, low), high)]))[0])
+    at = np.array([min(max(REFERENCE_NM, low), high)])
+    is_tensor = isinstance(material, AnisotropicConstant)  # its row holds the mean index
+    index = complex((material.mean_index(at) if is_tensor else material.n_complex(at))[0])
     return {
         "position": position, "material": material.name, COLUMNS[5]: index.real, COLUMNS[6]: index.imag,
         "source": material.source,

@@ -63,6 +63,11 @@ class AnisotropicConstant:
         """Return the root of the mean permittivity, `[wavelength]`: for grids and tables, not for optics."""
         return self.isotropic().n_complex(wavelengths_nm)
 
+    @property
+    def title(self) -> str:
+        """A description, as of an `OpticalConstant`."""
+        return "anisotropic"
+
     def isotropic(self) -> OpticalConstant:
         """Return the isotropic medium of the mean permittivity."""
         one = self.principal[0]

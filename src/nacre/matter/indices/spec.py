@@ -31,6 +31,7 @@ from nacre.matter.indices.laws import DrudeLorentz, SumOfTerms, Tail, Term
 from nacre.matter.indices.mixtures import FRACTION_ERROR, SPHERE, Mixture
 from nacre.matter.indices.models import Cauchy, Constant, Dispersion, Oscillators, Sellmeier, abbe_cauchy
 from nacre.matter.stack.inputs import CLEAR_K
+from nacre.readers.constants.spd_pair import other_of_pair
 from nacre.readers.measurement import ReadOptions
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 
@@ -329,6 +330,9 @@ class IndexSpec(RecipeModel):
 
     def _table(self, name: str, context: RecipeContext) -> Dispersion:
         path = context.path(name)
+        other = other_of_pair(path)
+        if other is not None and other.is_file():
+            context.path(str(other))  # its content is part of the material
         options = ReadOptions(
             unit=self.unit, spectrum=self.spectrum, columns=self.columns, ignore=self.ignore, expects="constants"
         )

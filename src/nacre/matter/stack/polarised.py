@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
@@ -190,7 +191,7 @@ class _Rays:
         theta = self.theta if self.theta.ndim == 2 else self.theta[:, None]
         return np.asarray(self.index * np.sin(theta))
 
-    def within(self, index: Array) -> tuple[_Rays, Array]:
+    def within(self, index: Array) -> tuple[_Rays, NDArray[np.bool_]]:
         """Return the rays in another medium, and where they are evanescent there."""
         sine = self.in_plane / index
         beyond = sine >= 1.0
@@ -275,13 +276,17 @@ def _grouped(rays: _Rays, layers: list[PolarisedLayer], substrate: ComplexArray,
     kz = np.sqrt(thick.permittivity - rays.in_plane**2)
     passage = np.exp(-4 * np.pi * np.abs(kz.imag) * thick.thickness_nm / rays.wavelengths_nm)
     passage = np.where(beyond, 0.0, passage)[..., None, None]
-    entering: Array = np.linalg.solve(
+    entering: Array = _solved(
         np.eye(4) - passage**2 * (up.mueller_reflected @ below.mueller_reflected), down.mueller_transmitted
     )
     returned: Array = passage**2 * (up.mueller_transmitted @ below.mueller_reflected @ entering)
     passed = None if below.mueller_transmitted is None else passage * (below.mueller_transmitted @ entering)
     flux = np.einsum("...i,...ij->...j", passage[..., 0] * below.entering, entering)
     return PolarisedResponse(None, None, down.mueller_reflected + returned, passed, flux)
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrix, right), dtype=float)
 
 
 def _reversed(layers: Sequence[PolarisedLayer]) -> list[PolarisedLayer]:

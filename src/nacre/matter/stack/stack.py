@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -271,10 +271,10 @@ class _Turned:
 
 def _seen_from_below(layer: Layer) -> Layer:
     medium, helix = layer.material, layer.helix
-    if not hasattr(medium, "tensor"):
+    if is_isotropic(medium):
         return layer
     angle = 0.0 if helix is None else helix.total_turn(float(layer.thickness_nm))
-    turned = _Turned(medium, angle)
+    turned = _Turned(cast(HasTensor, medium), angle)  # as is_isotropic says
     return Layer(turned, layer.thickness_nm, layer.incoherent, None if helix is None else helix.backward)
 
 

@@ -222,7 +222,7 @@ def thin_film_search(target: DesignTask, seed: int) -> ThinFilmSearch | None:
     Raises:
         RecipeError: a stack is searched for targets that also depend on other quantities.
     """
-    others = [want for want in target.targets if want.geometry.kind not in ENGINE_GEOMETRIES]
+    others = [want for want in target.targets if not _in_engine(want.geometry)]
     if target.spec.layers is not None:
         if others:
             raise RecipeError(
@@ -281,8 +281,15 @@ def is_plain(material: Material) -> bool:
         isinstance(film, Film)
         and film.ridges is None
         and "preset" not in material.data
+        and not film.is_anisotropic
         and not any(isinstance(layer.thickness_nm, Texture) or layer.incoherent for layer in film.layers)
+        # neither repeated, nor graded, nor with rough interfaces
+        and all(layer.path == f"layers[{i}]" for i, layer in enumerate(film.layers))
     )
+
+
+def _in_engine(at: Geometry) -> bool:
+    return at.kind in ENGINE_GEOMETRIES and at.polarisation == "both"
 
 
 def _film(material: Material) -> Film:
@@ -326,7 +333,7 @@ def stack_factors(
     Args:
         thicknesses_nm: `[..., layer]`; default: the material defaults.
     """
-    if not is_plain(material) or any(at.kind not in ENGINE_GEOMETRIES for at in rows):
+    if not is_plain(material) or not all(_in_engine(at) for at in rows):
         return None
     film = _film(material)
     d = np.array([layer.thickness_at() for layer in film.layers]) if thicknesses_nm is None else thicknesses_nm
