@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array
@@ -290,15 +291,15 @@ def _on_grid(path: Path, series: Sequence[_Series], remarks: tuple[str, ...]) ->
     return Measured("spectrum", waves, values, parts, angles, name=str(path), errors=errors, remarks=remarks)
 
 
-def _without_noise(waves: Array, values: Array) -> Array:
+def _without_noise(waves: Array, values: Array) -> NDArray[np.bool_]:
     """Return the wavelengths to keep `[wavelength]`: the visible ones if impossible values occur only beyond them.
 
     Spectrometers are noisy at the ends of their range, where the lamp is weak.
     """
-    is_wrong = ((values < MIN_POWER) | (values > MAX_POWER)).any(axis=(0, 1))
+    is_wrong = np.any((values < MIN_POWER) | (values > MAX_POWER), axis=(0, 1))
     visible = (waves >= VISIBLE_NM[0]) & (waves <= VISIBLE_NM[1])
     if is_wrong.any() and visible.sum() > 1 and not is_wrong[visible].any():
-        return visible
+        return np.asarray(visible)
     return np.ones(len(waves), dtype=bool)
 
 

@@ -52,6 +52,8 @@ def indices_search(text: str, limit: int) -> None:
     for entry in found[:limit]:
         reach = "" if entry.range_nm is None else f"  {_range(entry.range_nm)}"
         click.echo(f"{entry.name:32s} {entry.title}{reach}")
+    for line in library.pairs_among([entry.name for entry in found[:limit]]):
+        click.echo(line)
     if len(found) > limit:
         common.note(f"... and {len(found) - limit} more; use --limit")
     if not found:
@@ -92,6 +94,8 @@ def indices_show(name: str, output: str | None, as_json: bool) -> None:
         click.echo(f"{name}: {entry.title}\nsource: {entry.source}\nrange:  {_range((low, high))}")
         if entry.splice:
             click.echo(f"splice: {entry.splice}")
+        if remark := library.pair_remark(name):
+            click.echo(f"axes:   {remark}")
         click.echo("\n    nm         n         k")
         for wavelength, value in zip(grid, values, strict=True):
             click.echo(f"{wavelength:6.1f}  {value.real:8.4f}  {value.imag:8.4f}")

@@ -41,6 +41,7 @@ from nacre.families.registry import family_spec
 from nacre.material.examples import resolve_recipe_path
 from nacre.material.parametrise import Parametrisation
 from nacre.material.spatial_variation import Varying
+from nacre.matter.indices.library import lone_axes
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.recipe.fingerprint import file_digest, fingerprint
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
@@ -489,6 +490,8 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
     """
     data = plain_data(data, context.source)
     spec, context = read_recipe(data, context)
+    for remark in lone_axes(data):
+        _warn_once(context.source, remark)
     if spec is not None:
         return Material(spec.build(context), data, context)  # type: ignore[attr-defined]  # of every family
     numbers = varying_numbers(data, family_spec(data.get("family"), context.source).varies_by_nodes)

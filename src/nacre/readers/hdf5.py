@@ -42,8 +42,12 @@ class Hdf5Error(NacreError):
 
 
 @contextmanager
-def opened(path: str | Path) -> Iterator[h5py.File]:
+def opened(path: str | Path, script: str = PROBE, timeout_s: float = PROBE_TIMEOUT_S) -> Iterator[h5py.File]:
     """Open a file after a subprocess has read it: the HDF5 library hangs or crashes on some damaged files.
+
+    Args:
+        script: what the subprocess runs.
+        timeout_s: its time.
 
     Raises:
         Hdf5Error: not readable, or damaged.
@@ -55,7 +59,7 @@ def opened(path: str | Path) -> Iterator[h5py.File]:
     except OSError as error:
         raise Hdf5Error(why_unreadable(error)) from None
     status = os.stat(path)
-    probe(os.path.abspath(path), (status.st_mtime_ns, status.st_size))
+    probe(os.path.abspath(path), (status.st_mtime_ns, status.st_size, status.st_ino), script, timeout_s)
     try:
         file = h5py.File(path, "r")
     except OSError:
@@ -65,7 +69,7 @@ def opened(path: str | Path) -> Iterator[h5py.File]:
 
 
 @lru_cache(maxsize=64)
-def probe(path: str, state: object) -> None:
+def probe(path: str, state: object, script: str, timeout_s: float) -> None:
     """Read all datasets in a subprocess; `state` identifies the content.
 
     Raises:
@@ -74,10 +78,10 @@ def probe(path: str, state: object) -> None:
     try:
         # -P: do not import from the working folder
         done = subprocess.run(
-            [sys.executable, "-P", "-c", PROBE, path, str(MAX_BYTES)], timeout=PROBE_TIMEOUT_S, capture_output=True
+            [sys.executable, "-P", "-c", script, path, str(MAX_BYTES)], timeout=timeout_s, capture_output=True
         )
     except subprocess.TimeoutExpired:
-        raise Hdf5Error(f"is damaged: HDF5 is not done with it after {PROBE_TIMEOUT_S:g} s") from None
+        raise Hdf5Error(f"is damaged: HDF5 is not done with it after {timeout_s:g} s") from None
     if done.returncode < 0:  # ended by a signal; Python errors are reported by the reader
         raise Hdf5Error("is damaged: HDF5 crashes on it")
 

@@ -25,8 +25,8 @@ LIKELY = 0.6  # typical keys
 POSSIBLE = 0.2  # any table of numbers
 CUT = "the file ends inside its last line, which may be cut"
 _DAMAGE = (
-    ValueError, LookupError, ArithmeticError, EOFError, TypeError, struct.error, zlib.error, zipfile.BadZipFile,
-    ParseError, NotImplementedError,
+    ValueError, LookupError, ArithmeticError, RuntimeError, EOFError, TypeError, struct.error, zlib.error,
+    zipfile.BadZipFile, ParseError,
 )  # fmt: skip
 
 
@@ -62,6 +62,7 @@ FORMATS: tuple[Format, ...] = (
     Format("ssdd", "SSDD", "bsdf", "bsdf.ssdd"),
     Format("tracepro", "TracePro surface property", "bsdf", "bsdf.tracepro"),
     Format("utia", "UTIA BRDF", "bsdf", "bsdf.utia"),
+    Format("window_xml", "WINDOW and Radiance BSDF (XML)", "bsdf", "bsdf.window_xml"),
     Format("zemax", "Zemax tabular BSDF", "bsdf", "bsdf.zemax"),
     Format("ocean-text", "Ocean Optics text (OOIBase32, SpectraSuite, OceanView, Jaz)", "spectrum", "spectra.ocean"),
     Format("ocean-procspec", "Ocean Optics ProcSpec", "spectrum", "spectra.ocean_procspec"),
@@ -110,6 +111,7 @@ FORMATS: tuple[Format, ...] = (
     Format("woollam-dat", "Woollam WVASE, CompleteEASE data", "ellipsometry", "ellipsometry.woollam_dat"),
     Format("woollam-text", "Woollam WVASE text export", "ellipsometry", "ellipsometry.woollam_text"),
     Format("table", "text table", "table", "table"),
+    Format("tmatrix", "T-matrix (.tmat.h5)", "tmatrix", "tmatrix"),
     Format("sdf", "ISO 25178-71 surface data (.sdf), ASCII and binary", "heights", "heights.sdf"),
     Format("gwyddion-text", "Gwyddion ASCII matrix", "heights", "heights.gwyddion_text"),
     Format("gwy", "Gwyddion (.gwy)", "heights", "heights.gwy"),

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import fnmatch
+import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -20,7 +23,7 @@ from nacre.families.metasurface.tmatrix.axisymmetric import (
     is_spherical,
 )
 from nacre.families.metasurface.tmatrix.particle_shapes import Shell, Sizes, SolvedBody
-from nacre.families.metasurface.tmatrix.tmatrix_file import TMatrixFileError, read_tmatrices
+from nacre.families.metasurface.tmatrix.tmatrix_file import TMatrixFileError, read_several
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
 from nacre.recipe.model import RecipeContext, RecipeModel
@@ -29,6 +32,7 @@ CORE_LIMIT_NM = 1000.0
 SMALLEST_CORE_NM = 0.1  # less than an atom; far smaller values underflow when squared
 WIDEST_RELATIVE_SIZE = 0.3
 SAME_MEDIUM = 1e-3  # relative tolerance for the T-matrix index
+MAX_FILES = 1000  # of T-matrices of one particle
 SAME_LENGTH = 1e-2  # relative tolerance for a length in both recipe and file
 ALIGNED = 'write orientation = "aligned", and turn_deg for the angle by which all are turned about the normal'
 OTHER_WORDS = dict.fromkeys(  # plausible unknown keys, and what to write instead
@@ -235,7 +239,7 @@ class SpeciesSpec(RecipeModel):
         if self.tmatrix is None:
             return None if self.shape == "sphere" else self._solid(context, around, hold_ends, shell)
         try:
-            known = read_tmatrices(context.path(self.tmatrix), self.orientation == "aligned")
+            known = read_several(self._tmatrix_paths(context), self.orientation == "aligned")
         except TMatrixFileError as error:
             raise context.fail(f"{self.table}.tmatrix", self.tmatrix, str(error)) from None
         self._check_medium(context, known, around)
@@ -248,6 +252,27 @@ class SpeciesSpec(RecipeModel):
         if shape in ("", SPHERE) and abs(2 * radius - height) <= SAME_SIZE * height and is_spherical(known):
             return TabulatedSphere(known, radius, height, radius, source, hold_ends, shape)
         return TabulatedBody(known, radius, height, reach, source, hold_ends, shape, float(np.radians(self.turn_deg)))
+
+    def _tmatrix_paths(self, context: RecipeContext) -> list[Path]:
+        """Return the files: one, those of a folder, or those of a pattern such as `w*.tmat.h5`.
+
+        Raises:
+            RecipeError: a folder or a pattern has none, or too many.
+        """
+        assert self.tmatrix is not None
+        plain = Path(self.tmatrix)
+        place = plain if plain.is_absolute() else context.folder / plain
+        is_pattern = any(c in plain.name for c in "*?[") and not place.exists()
+        if not is_pattern and not place.is_dir():
+            return [context.path(self.tmatrix)]
+        folder, pattern = (place.parent, plain.name) if is_pattern else (place, "*.h5")
+        names = fnmatch.filter(sorted(os.listdir(folder)) if folder.is_dir() else [], pattern)
+        if not 0 < len(names) <= MAX_FILES:
+            what = "a pattern for" if is_pattern else "a folder with"
+            reason = f"is {what} {len(names)} files; 1 to {MAX_FILES} are read"
+            raise context.fail(f"{self.table}.tmatrix", self.tmatrix, reason)
+        above = plain.parent if is_pattern else plain
+        return [context.path(str(above / name)) for name in names]
 
     def _solid(
         self, context: RecipeContext, around: OpticalConstant, hold_ends: bool, shell: Shell | None

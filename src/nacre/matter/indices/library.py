@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,8 +16,11 @@ from nacre.matter.indices.constant import (
     find_default,
     named_constant,
 )
-from nacre.matter.indices.database import Page, catalogue
+from nacre.matter.indices.database import Page, axes_of, catalogue
 from nacre.matter.indices.spec import IndexSpec, index_spec
+
+BY_AXIS = ("ordinary", "extraordinary", "principal")  # keys of an anisotropic medium
+_AXIS = re.compile(r"-(o|e|alpha|beta|gamma|\u03b1|\u03b2|\u03b3)$")
 
 
 def index(material: str | complex | OpticalConstant | Mapping[str, Any] | IndexSpec) -> OpticalConstant:
@@ -64,6 +67,62 @@ def search(text: str) -> list[IndexDescription]:
     ]
     pages = (p for p in catalogue().values() if all(match(_page_text(p)) for match in words))
     return found + [IndexDescription(p.key, f"{p.book_title}; {p.title}", p.key, None) for p in pages]
+
+
+def partners(name: str) -> dict[str, str]:
+    """Return the constants of one crystal by axis ("o", "e" or "alpha", "beta", "gamma"), if `name` is one of them.
+
+    Args:
+        name: a database key, or a material name that ends with its axis.
+    """
+    default = find_default(name)
+    if default is not None:
+        stem, _, axis = default.name.rpartition("-")
+        pair = {one: f"{stem}-{one}" for one in ("o", "e")}
+        return pair if axis in pair and all(find_default(other) for other in pair.values()) else {}
+    return axes_of(name) if name.count("/") >= 2 else {}
+
+
+def pair_remark(name: str) -> str:
+    """Return a line that says which crystal's axes a constant belongs to, and how to use them; empty for others.
+
+    Example:
+        >>> pair_remark("main/CaCO3/Ghosh-o")[:48]
+        '"main/CaCO3/Ghosh-o" is one of a pair: {ordinary'
+    """
+    found = partners(name)
+    if not found:
+        return ""
+    if "o" in found:
+        pair = f'{{ordinary = "{found["o"]}", extraordinary = "{found["e"]}"}}'
+        return f'"{name}" is one of a pair: {pair} is birefringent'
+    axes = ", ".join(f'"{key}"' for key in found.values())
+    return f'"{name}" is one of the axes of a crystal: {{principal = [{axes}]}} is birefringent'
+
+
+def pairs_among(names: Sequence[str]) -> list[str]:
+    """Return the pairs and triples of axes among some names as recipe tables, each once."""
+    found: dict[tuple[str, ...], None] = {}
+    for name in names:
+        axes = partners(name)
+        if axes:
+            found[tuple(axes.values())] = None
+    return [
+        f'{{ordinary = "{axes[0]}", extraordinary = "{axes[1]}"}}'
+        if len(axes) == 2
+        else "{principal = [" + ", ".join(f'"{axis}"' for axis in axes) + "]}"
+        for axes in found
+    ]
+
+
+def lone_axes(data: Any) -> list[str]:
+    """Return `pair_remark` of each constant in a recipe that stands for a crystal without its partners."""
+    if isinstance(data, str):
+        remark = pair_remark(data) if _AXIS.search(data) else ""
+        return [remark] if remark else []
+    if isinstance(data, Mapping):
+        return [line for key, value in data.items() if key not in BY_AXIS for line in lone_axes(value)]
+    return [line for value in data for line in lone_axes(value)] if isinstance(data, list | tuple) else []
 
 
 def _page_text(page: Page) -> str:

@@ -8,11 +8,8 @@ helicity waves are (N + M)/sqrt(2) (positive) and (N - M)/sqrt(2), with N electr
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from collections.abc import Callable, Mapping
-from functools import lru_cache
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,11 +18,35 @@ from numpy.typing import NDArray
 
 from nacre._version import __version__
 from nacre.core.arrays import Array, ComplexArray
-from nacre.core.errors import NacreError
-from nacre.core.files import atomic_path, plain, why_unreadable
+from nacre.core.files import atomic_path
 from nacre.families.metasurface.tmatrix.axisymmetric import AxialTMatrices, gain, mirror_signs, reciprocal
 from nacre.families.metasurface.tmatrix.full_tmatrix import condon_shortley_signs, multipole_index, reversed_full
-from nacre.recipe.fingerprint import file_digest
+from nacre.matter.mie import mie_coefficients
+from nacre.readers.hdf5 import (
+    MAX_BYTES,
+    PROBE,
+    PROBE_TIMEOUT_S,
+    Hdf5Error,
+    attribute,
+    dataset,
+    node,
+    opened,
+    refuse_links,
+)
+from nacre.readers.tmatrix import (
+    GAIN_TOLERANCE,
+    HIGHEST_ORDER,
+    TMatrixFileError,
+    check_centre,
+    embedding_index,
+    material_epsilon,
+    matrices_of,
+    modes_of,
+    shape_of,
+    shown,
+    si_unit,
+    wavelengths_of,
+)
 
 if TYPE_CHECKING:
     import h5py
@@ -33,11 +54,6 @@ if TYPE_CHECKING:
 
 AXIS_TOLERANCE = 1e-3  # relative Frobenius norm for symmetry-forbidden couplings left by a mesh
 TURN_TOLERANCE = 0.05  # scattered power share lost by the rotational average; the mean-field error is 0.1
-GAIN_TOLERANCE = 1e-2  # largest singular value excess in a scattering matrix, 1 if passive
-
-
-class TMatrixFileError(NacreError):
-    """A T-matrix file cannot be used; the message ends a sentence that begins with the file."""
 
 
 def axial(blocks: ComplexArray) -> tuple[ComplexArray, float]:
@@ -116,41 +132,8 @@ def _check_passive(matrix: ComplexArray) -> None:
         )
 
 
-MAX_BYTES = 512 << 20  # matrix size: 100 wavelengths with l = 12
-HIGHEST_ORDER = 60
-SPEED_OF_LIGHT = 299792458.0
-PROBE_TIMEOUT_S = 60.0
-PROBE = """
-import sys, h5py
-def see(name, thing):
-    list(thing.attrs.items())
-    if isinstance(thing, h5py.Dataset) and not (thing.external or thing.is_virtual) and thing.nbytes < int(sys.argv[2]):
-        thing[()]
-try:
-    with h5py.File(sys.argv[1], "r") as file:
-        see("", file)
-        file.visititems(see)
-except Exception:
-    pass
-"""
-PREFIXES = {
-    "y": 1e-24, "z": 1e-21, "a": 1e-18, "f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3,
-    "c": 1e-2, "d": 1e-1, "": 1.0, "da": 1e1, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12, "P": 1e15, "E": 1e18,
-    "Z": 1e21, "Y": 1e24,
-}  # fmt: skip
-UNITS = {  # format units, for messages; 1/ forms are read too
-    "length": "m with an SI prefix, as nm",
-    "inverse length": "m^{-1} with an SI prefix, as nm^{-1} or cm^{-1}",
-    "frequency": "Hz or s^{-1} with an SI prefix, as THz or fs^{-1}",
-}
-SPECTRAL: Mapping[str, tuple[str, Callable[[Array], Array]]] = {  # name -> unit type, and vacuum wavelength in m
-    "vacuum_wavelength": ("length", lambda x: x),
-    "vacuum_wavenumber": ("inverse length", lambda x: 1.0 / x),
-    "angular_vacuum_wavenumber": ("inverse length", lambda x: 2 * np.pi / x),
-    "frequency": ("frequency", lambda x: SPEED_OF_LIGHT / x),
-    "angular_frequency": ("frequency", lambda x: 2 * np.pi * SPEED_OF_LIGHT / x),
-}
 SHAPES = ("sphere", "spheroid", "cylinder")  # axisymmetric shapes in the format
+SMALL_SPHEROID = 0.7  # wavenumber times half axis up to which the Gans dipole tells a matrix from its conjugate
 REACH, ROUNDED = "circumscribing_radius", 1e-9  # geometry dataset; relative length rounding
 ELECTRIC, MAGNETIC = ("electric", "tm", "n"), ("magnetic", "te", "m")
 POSITIVE, NEGATIVE = ("positive", "plus"), ("negative", "minus")
@@ -170,67 +153,67 @@ def read_tmatrices(path: str | Path, is_aligned: bool = False) -> AxialTMatrices
     Raises:
         TMatrixFileError: damaged, not passive, not reciprocal, chiral, or far from axisymmetric.
     """
-    import h5py
-
     try:
-        plain(path)
-    except OSError as error:
-        raise TMatrixFileError(why_unreadable(error)) from None
-    _probe_in_subprocess(os.path.abspath(path), file_digest(path))
-    try:
-        with h5py.File(path, "r") as file:
+        with opened(path, PROBE, PROBE_TIMEOUT_S) as file:
+            refuse_links(file)
             return _read(file, is_aligned)
-    except TMatrixFileError:
-        raise
-    except OSError:
-        raise TMatrixFileError("is no HDF5 file that can be read") from None
-    except (KeyError, ValueError, TypeError, RuntimeError, IndexError, AttributeError, UnicodeError) as error:
-        raise TMatrixFileError(f"is damaged: {_shown(str(error), 120)}") from None
+    except Hdf5Error as error:
+        raise TMatrixFileError(str(error)) from None
+    except (KeyError, ValueError, TypeError, RuntimeError, IndexError, AttributeError, UnicodeError, OSError) as error:
+        raise TMatrixFileError(f"is damaged: {shown(str(error), 120)}") from None
 
 
-@lru_cache(maxsize=64)
-def _probe_in_subprocess(path: str, digest: str) -> None:
-    """Read a file in a subprocess first: the HDF5 library hangs or crashes on some damaged files.
+def read_several(paths: Sequence[Path], is_aligned: bool = False) -> AxialTMatrices:
+    """Read the T-matrices of one particle from several files, each at other wavelengths.
 
     Raises:
-        TMatrixFileError: it did.
+        TMatrixFileError: one is unusable, or they are of different particles or media; the message names the file.
     """
-    try:
-        # -P: do not import from the working folder
-        done = subprocess.run(
-            [sys.executable, "-P", "-c", PROBE, path, str(MAX_BYTES)], timeout=PROBE_TIMEOUT_S, capture_output=True
-        )
-    except subprocess.TimeoutExpired:
-        raise TMatrixFileError(f"is damaged: HDF5 is not done with it after {PROBE_TIMEOUT_S:g} s") from None
-    if done.returncode < 0:  # ended by a signal; Python errors are reported by `_read`
-        raise TMatrixFileError("is damaged: HDF5 crashes on it")
+    if len(paths) == 1:
+        return read_tmatrices(paths[0], is_aligned)
+    parts = []
+    for path in paths:
+        try:
+            parts.append(read_tmatrices(path, is_aligned))
+        except TMatrixFileError as error:
+            raise TMatrixFileError(f"holds {path.name}, which {error}") from None
+    first = parts[0]
+    for path, part in zip(paths, parts):
+        if (part.shape, part.radius_nm, part.height_nm) != (first.shape, first.radius_nm, first.height_nm):
+            raise TMatrixFileError(f"holds {path.name} and {paths[0].name}, which are of different particles")
+        if part.lmax != first.lmax:
+            raise TMatrixFileError(f"holds {path.name} and {paths[0].name}, which end at different multipole orders")
+        if (part.whole is None) != (first.whole is None):
+            raise TMatrixFileError(f"holds {path.name} and {paths[0].name}, of which one is axisymmetric")
+    wavelengths = np.concatenate([part.wavelengths_nm for part in parts])
+    order = np.argsort(wavelengths)
+    if np.any(np.diff(wavelengths[order]) <= 0):
+        raise TMatrixFileError("gives a wavelength twice, in several files")
+
+    def joined(name: str) -> Any:
+        values = [getattr(part, name) for part in parts]
+        return None if any(v is None for v in values) else np.concatenate(values)[order]
+
+    return replace(
+        first, wavelengths_nm=wavelengths[order], blocks=joined("blocks"), ambient_index=joined("ambient_index"),
+        material_index=joined("material_index"), whole=joined("whole"), turn_loss=max(p.turn_loss for p in parts),
+    )  # fmt: skip
 
 
 def _read(file: h5py.File, is_aligned: bool) -> AxialTMatrices:
-    matrix = _dataset(file, "tmatrix")
-    if matrix is None:
-        raise TMatrixFileError('holds no dataset "tmatrix"')
-    if matrix.ndim not in (2, 3) or matrix.size == 0:
-        raise TMatrixFileError(f"holds a tmatrix of shape {matrix.shape}; it should be [wavelength, mode, mode]")
-    if matrix.size * 16 > MAX_BYTES:
-        raise TMatrixFileError(f"holds a tmatrix of {matrix.size * 16 >> 20} MB; at most {MAX_BYTES >> 20} MB are read")
-    values = _complex(matrix[()])
-    values = values[None] if values.ndim == 2 else values
-    if not np.all(np.isfinite(values)):
-        raise TMatrixFileError("holds numbers that are not finite")
-    wavelengths = _wavelengths(file)
-    if len(wavelengths) != len(values):
-        raise TMatrixFileError(f"holds {len(values)} matrices for {len(wavelengths)} wavelengths")
-    index = _ambient(file, len(values))
+    values = matrices_of(file)
+    wavelengths = wavelengths_of(file, len(values))[0]
+    index = embedding_index(file, len(values))
     order = np.argsort(wavelengths)
-    if np.any(np.diff(wavelengths[order]) <= 0):
-        raise TMatrixFileError("gives a wavelength twice")
     parity = _parity_blocks(file, values[order])
+    shape, geometry = _geometry(file)
+    epsilon = material_epsilon(file, len(values))
+    if epsilon is not None:
+        epsilon = epsilon[order]
+        _check_time_sign(parity, wavelengths[order], index[order], epsilon, shape, geometry)
     whole = full_or_none(parity) if is_aligned else None
     blocks, turn_loss = axial(parity) if whole is None else (mean_blocks(parity), 0.0)
-    shape, geometry = _geometry(file)
-    name = file.attrs.get("name", "")
-    name = _shown(name.decode("utf-8", "replace") if isinstance(name, bytes) else str(name), 60)
+    name = shown(attribute(file.attrs, "name"), 60)
     return AxialTMatrices(
         wavelengths[order],
         blocks,
@@ -239,125 +222,58 @@ def _read(file: h5py.File, is_aligned: bool) -> AxialTMatrices:
         **geometry,
         shape=shape,
         whole=whole,
-        material_index=_material(file, len(values), order),
+        material_index=None if epsilon is None else np.sqrt(epsilon),
         turn_loss=turn_loss,
     )
 
 
-def _dataset(file: h5py.Group, name: str) -> Any:
-    """Return a dataset in the file itself, or None; refuse links to other files."""
-    import h5py
+def _check_time_sign(
+    parity: ComplexArray, wavelengths_nm: Array, index: Array, epsilon: ComplexArray, shape: str, geometry: Any
+) -> None:
+    """Refuse conjugated matrices, of time exp(+i w t).
 
-    where: Any = file
-    for part in name.split("/"):
-        if not isinstance(where, h5py.Group) or part not in where.keys():
-            return None
-        if isinstance(where.get(part, getlink=True), h5py.ExternalLink):
-            raise TMatrixFileError(f'leads to another file at "{name}"')
-        where = where[part]
-    if not isinstance(where, h5py.Dataset):
-        return None
-    if where.external or where.is_virtual:
-        raise TMatrixFileError(f'keeps "{name}" in another file')
-    return where
+    Conjugation keeps passivity and extinction. It shows in a material that amplifies, and in the electric dipole of a
+    sphere (Mie) or of a small spheroid (Gans, with radiation: 1/T = 1/t - 1, t = i k^3 alpha / (6 pi)).
 
-
-def _shown(text: str, most: int = 20) -> str:
-    """Return printable file text on one line."""
-    return " ".join("".join(c if c.isprintable() else " " for c in text).split())[:most]
-
-
-def _complex(values: Any) -> ComplexArray:
-    """Return complex numbers, also from two fields."""
-    found = np.asarray(values)
-    if found.dtype.names is not None and len(found.dtype.names) == 2:
-        real, imaginary = found.dtype.names
-        return np.asarray(found[real] + 1j * found[imaginary], dtype=complex)
-    return np.asarray(found, dtype=complex)
-
-
-def _unit(attributes: Any, kind: str, name: str) -> float:
-    """Return a unit in SI."""
-    given = attributes.get("unit")
-    if given is None:
-        raise TMatrixFileError(f"gives {name} without a unit")
-    given = given.decode("utf-8", "replace") if isinstance(given, bytes) else str(np.ravel(given)[0])
-    text, sign = given.strip(), 1.0
-    if name.startswith("angular") and text.startswith("rad"):  # some files write the dimensionless rad
-        text = text.removeprefix("rad").strip(" *·")
-        text = f"1{text}" if text.startswith("/") else text
-    if text.startswith("1/"):
-        text, sign = text[2:], -1.0
-    for ending in ("^{-1}", "^-1", "-1", "⁻¹"):
-        if text.endswith(ending) and sign > 0:
-            text, sign = text.removesuffix(ending), -1.0
-    symbol, power = {"length": ("m", 1.0), "inverse length": ("m", -1.0), "frequency": ("s", -1.0)}[kind]
-    if kind == "frequency" and text.endswith("Hz") and sign > 0:
-        prefix, power = text.removesuffix("Hz"), 1.0
-    elif text.endswith(symbol) and sign == power:
-        prefix = text.removesuffix(symbol)
-    else:
-        prefix = "?"
-    if prefix not in PREFIXES:
+    Raises:
+        TMatrixFileError: the matrices are nearer to the conjugate than to the expectation.
+    """
+    if np.any(epsilon.imag < -1e-6 * np.abs(epsilon)):
         raise TMatrixFileError(
-            f'gives {name} in "{_shown(given)}", which is no unit of {kind} in this format; it should be {UNITS[kind]}'
+            "states a material that amplifies, so that its time is exp(+i w t); conjugate the matrices and the "
+            "permittivity: the format has exp(-i w t)"
         )
-    return float(PREFIXES[prefix] ** power)
-
-
-def _wavelengths(file: h5py.File) -> Array:
-    named = [name for name in SPECTRAL if name in file.keys()]
-    if len(named) != 1:
-        raise TMatrixFileError(
-            f"gives {' and '.join(named) or 'no wavelength'}; it should give one of {', '.join(SPECTRAL)}"
-        )
-    dataset = _dataset(file, named[0])
-    kind, to_wavelength = SPECTRAL[named[0]]
-    values = np.atleast_1d(np.asarray(dataset[()], dtype=float)).ravel() * _unit(dataset.attrs, kind, named[0])
-    if not np.all(np.isfinite(values) & (values > 0)):
-        raise TMatrixFileError(f"gives a {named[0]} that is not above 0")
-    return np.asarray(to_wavelength(values) * 1e9)
-
-
-def _ambient(file: h5py.File, count: int) -> Array:
-    """Return the embedding index, `[wavelength]`."""
-
-    def number(name: str, default: float | None) -> ComplexArray | None:
-        found = _dataset(file, f"embedding/{name}")
-        if found is None:
-            return None if default is None else np.full(count, default, dtype=complex)
-        return np.asarray(np.broadcast_to(_complex(found[()]).ravel(), (count,)))
-
-    mu, chirality = number("relative_permeability", 1.0), number("chirality", 0.0)
-    assert mu is not None and chirality is not None  # both have a default
-    epsilon = number("relative_permittivity", None)
-    if epsilon is None:
-        index = number("refractive_index", 1.0)
+    if shape not in ("sphere", "spheroid") or not geometry:
+        return
+    lmax = parity.shape[1] // 2
+    dipole = parity[:, lmax, lmax, lmax, lmax]  # m = 0, electric, l = 1: along the axis
+    k = 2.0 * np.pi * index / wavelengths_nm
+    relative = epsilon / index**2
+    radius, half = float(geometry["radius_nm"]), 0.5 * float(geometry["height_nm"])
+    if shape == "sphere":
+        expected = -mie_coefficients(1, (k * radius)[None], np.sqrt(relative)[None])[0][0]
     else:
-        index = np.sqrt(epsilon)
-    assert index is not None
-    if np.any(np.abs(mu - 1) > 1e-9) or np.any(np.abs(chirality) > 1e-9):
-        raise TMatrixFileError("has a magnetic or chiral medium around the particle")
-    if not np.all(np.isfinite(index)) or np.any(np.abs(index.imag) > 1e-9) or np.any(index.real <= 0):
-        raise TMatrixFileError("has an absorbing medium around the particle")
-    return np.asarray(index.real, dtype=np.float64)
+        is_small = k * max(radius, half) < SMALL_SPHEROID
+        dipole, k, relative = dipole[is_small], k[is_small], relative[is_small]
+        alpha = 4.0 * np.pi / 3.0 * radius**2 * half * (relative - 1.0)
+        static = 1j * k**3 / (6.0 * np.pi) * alpha / (1.0 + _depolarisation(half / radius) * (relative - 1.0))
+        expected = static / (1.0 - static)
+    if len(dipole) and np.linalg.norm(dipole - expected.conj()) < 0.5 * np.linalg.norm(dipole - expected):
+        raise TMatrixFileError(
+            f"holds the conjugate of the T-matrix of its {shape}, of time exp(+i w t); conjugate the matrices: the "
+            "format has exp(-i w t)"
+        )
 
 
-def _modes(file: h5py.File, side: str) -> tuple[NDArray[np.int64], NDArray[np.int64], list[str]]:
-    found = []
-    for name in ("l", "m", "polarization"):
-        dataset = _dataset(file, f"modes/{name}_{side}")
-        dataset = _dataset(file, f"modes/{name}") if dataset is None else dataset
-        if dataset is None:
-            raise TMatrixFileError(f'does not name its modes: "modes/{name}" is missing')
-        if dataset.size > 10 * HIGHEST_ORDER**2:
-            raise TMatrixFileError(f"names {dataset.size} modes")
-        found.append(np.asarray(dataset[()]).ravel())
-    l, m = (np.asarray(v, dtype=float) for v in found[:2])
-    if np.any(l != np.round(l)) or np.any(m != np.round(m)) or np.any(l < 1) or np.any(np.abs(m) > l):
-        raise TMatrixFileError("names modes that are none: it should be l >= 1 and |m| <= l, whole")
-    words = [w.decode("utf-8", "replace") if isinstance(w, bytes) else str(w) for w in found[2]]
-    return l.astype(np.int64), m.astype(np.int64), [w.strip().lower() for w in words]
+def _depolarisation(ratio: float) -> float:
+    """Return the depolarisation factor along the axis of a spheroid, axis over diameter `ratio` (Bohren & Huffman)."""
+    if abs(ratio - 1.0) < 1e-3:
+        return 1.0 / 3.0
+    if ratio > 1.0:
+        e = float(np.sqrt(1.0 - ratio**-2))
+        return float((1.0 - e**2) / e**2 * (np.arctanh(e) / e - 1.0))
+    g = float(np.sqrt(ratio**-2 - 1.0))
+    return float((1.0 + g**2) / g**3 * (g - np.arctan(g)))
 
 
 def _parity_blocks(file: h5py.File, values: ComplexArray) -> ComplexArray:
@@ -366,13 +282,10 @@ def _parity_blocks(file: h5py.File, values: ComplexArray) -> ComplexArray:
     Raises:
         TMatrixFileError: modes are missing or for several centres.
     """
-    for name in ("position_index", "index"):
-        several = _dataset(file, f"modes/{name}")
-        if several is not None and np.ptp(np.asarray(several[()])) != 0:
-            raise TMatrixFileError("is about several centres; one particle has one")
+    check_centre(file)
     sides = []
     for side, size in (("scattered", values.shape[1]), ("incident", values.shape[2])):
-        l, m, words = _modes(file, side)
+        l, m, words = modes_of(file, side)
         if not len(l) == len(m) == len(words) == size:
             raise TMatrixFileError(f"names {len(l)} modes for {size} {side} ones")
         sides.append((l, m, words))
@@ -406,7 +319,7 @@ def _places(
     odd = next((w for w in words if w not in first + second), None)
     if odd is not None:
         raise TMatrixFileError(
-            f'names a polarization "{_shown(odd)}"; it should be electric and magnetic, or positive and negative'
+            f'names a polarization "{shown(odd)}"; it should be electric and magnetic, or positive and negative'
         )
     kind = np.array([w in second for w in words], dtype=np.int64)
     selected = np.nonzero(l <= lmax)[0]
@@ -421,26 +334,23 @@ def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:
 
     nacre also writes the circumscribing radius, and radius and height without a shape, for rounded or coated particles.
     """
-    import h5py
-
-    group = file.get("scatterer/geometry")
-    if not isinstance(group, h5py.Group):
+    group = node(file, "scatterer/geometry")
+    if group is None or not hasattr(group, "keys"):
         return "", {}
-    shape = group.attrs.get("shape", "")
-    shape = shape.decode("utf-8", "replace") if isinstance(shape, bytes) else str(shape)
+    shape = shape_of(file)
 
     def length(name: str) -> float | None:
-        dataset = _dataset(group, name)
-        if dataset is None:
+        stored = dataset(group, name)
+        if stored is None:
             return None
-        attributes = dataset.attrs if "unit" in dataset.attrs else group.attrs
-        value = float(np.ravel(np.asarray(dataset[()], dtype=float))[0]) * _unit(attributes, "length", name) * 1e9
+        attributes = stored.attrs if "unit" in stored.attrs else group.attrs
+        value = float(np.ravel(np.asarray(stored[()], dtype=float))[0]) * si_unit(attributes, "length", name) * 1e9
         if not 0.0 < value < 1e5:
             raise TMatrixFileError(f"gives a {name} of {value:g} nm")
         return value
 
     for name in ("position", "expansion_center"):
-        moved = _dataset(group, name)
+        moved = dataset(group, name)
         if moved is not None and np.any(np.asarray(moved[()], dtype=float) != 0.0):
             return "", {}  # the expansion centre is not the particle centre
     if shape == "sphere" and (radius := length("radius")):
@@ -458,17 +368,6 @@ def _geometry(file: h5py.File) -> tuple[str, dict[str, float]]:
         named = shape if shape == "cylinder" else ""
         return named, {"radius_nm": radius, "height_nm": height, "circumscribing_nm": reach or most}
     return "", {}
-
-
-def _material(file: h5py.File, count: int, order: NDArray[np.intp]) -> ComplexArray | None:
-    """Return the particle index, `[wavelength]`, if the file states it."""
-    epsilon, index = (_dataset(file, f"scatterer/material/{n}") for n in ("relative_permittivity", "refractive_index"))
-    if epsilon is None and index is None:
-        return None
-    values = np.sqrt(_complex(epsilon[()]).ravel()) if epsilon is not None else _complex(index[()]).ravel()
-    if len(values) not in (1, count) or not np.all(np.isfinite(values)):
-        return None
-    return np.asarray(np.broadcast_to(values, (count,))[order])
 
 
 def write_tmatrices(
