@@ -76,7 +76,14 @@ class Forker:
         assert status == 0, said
         return time.monotonic() - begun
 
-    def kill(self, arguments: list[str], folder: Path, chance: random.Random, seconds: float) -> bool:
+    def kill(
+        self,
+        arguments: list[str],
+        folder: Path,
+        chance: random.Random,
+        seconds: float,
+        by: signal.Signals = signal.SIGKILL,
+    ) -> bool:
         """Run a command and kill it at a random moment: of the time it takes, or just after a file came or went.
 
         Returns:
@@ -93,8 +100,8 @@ class Forker:
             soon, late = AFTER_A_CHANGE_S
             time.sleep(soon * (late / soon) ** chance.random())
         with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
-        return self.finish()[0] == -signal.SIGKILL
+            os.kill(pid, by)
+        return self.finish()[0] == -by
 
     def close(self) -> None:
         """End the warm process."""

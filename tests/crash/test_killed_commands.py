@@ -6,12 +6,15 @@ ends well, and leaves what it leaves in an empty folder and nothing else: no tem
 
 from __future__ import annotations
 
+import json
 import random
 import shutil
+import signal
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -74,6 +77,13 @@ intensity_scale = 0.2
 starts = 2
 perturbed_restarts = 1
 """
+MANY = """recipe = "smooth.toml"
+[parameters]
+"layers[0].thickness_nm" = {min = 50, max = 400}
+[[target]]
+geometry = "specular 0"
+colour = "#336699"
+"""
 BYSTANDER = "notes.txt"
 MOST_ATTEMPTS = 20  # a kill: what takes some milliseconds alone on a quick machine is often over before it comes
 OLD = b"what was here before\n"
@@ -110,6 +120,8 @@ CASES = {
                        "-o", "out.json"), "out.json", 5),
     "fit": Case(("fit", "measured-spectrum.csv", "film.toml", "--starts", "1", "--residual", "out.npz",
                  "-o", "out.toml"), "out.toml", 5),
+    "gamut": Case(("gamut", "smooth.toml", "--parameter", "layers[0].thickness_nm=50:400", "-o", "out.json"),
+                  "out.json", 5),
     "indices": Case(("indices", "show", "Au", "-o", "out.png"), "out.png", 4),
     "render-png": Case(("render", "film.toml", "--size", "48x48", "--spp", "4", "-o", "out.png"), "out.png", 5),
     "render-exr": Case(("render", "film.toml", "--size", "48x48", "--spp", "4", "-o", "out.exr"), "out.exr", 4),
@@ -127,6 +139,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what the commands read."""
     folder = tmp_path_factory.mktemp("inputs")
     texts = {"film": FILM, "smooth": SMOOTH, "meta": METASURFACE, "relief": RELIEF, "sweep": SWEEP, "target": TARGET}
+    texts["many"] = MANY
     for name, text in texts.items():
         (folder / f"{name}.toml").write_text(text)
     np.save(folder / "heights.npy", np.random.default_rng(1).random((24, 24)) * 0.3)
@@ -277,6 +290,54 @@ def test_a_killed_design_has_its_best_on_disk_and_goes_on(warm: Forker, inputs: 
     assert killed >= 3
     warm.run([*arguments, "--resume"] if (folder / "out" / "search.json").is_file() else arguments, folder)
     assert names(folder) == names(reference)
+
+
+@pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM])
+def test_killed_designs_of_many_colours_go_on(by: signal.Signals, warm: Forker, inputs: Path, tmp_path: Path) -> None:
+    """Whatever the moment: the next run accepts the folder, and finished colours keep their solutions."""
+    chance = random.Random(int(by))
+    colours = np.random.default_rng(1).uniform([30, -40, -40], [80, 40, 40], (150, 3))
+    arguments = ["design", "many.toml", "--many", "colours.csv", "-o", "out"]
+    reference, folder = fresh(inputs, tmp_path / "reference"), fresh(inputs, tmp_path / "killed")
+    for place in (reference, folder):
+        lines = [f"colour {i},{L:.2f},{a:.2f},{b:.2f}" for i, (L, a, b) in enumerate(colours)]
+        (place / "colours.csv").write_text("\n".join(["name,L,a,b", *lines]) + "\n")
+    seconds = warm.run(arguments, reference)
+    killed, finished = 0, dict[str, Any]()
+    for _ in range(MOST_ATTEMPTS):
+        if killed == 6:
+            break
+        is_killed = warm.kill([*arguments, "--resume"], folder, chance, seconds, by)
+        killed += is_killed
+        summary = folder / "out" / "many.json"
+        rows = json.loads(summary.read_text())["rows"] if summary.is_file() else []
+        now = {row["folder"]: row["changes"] for row in rows}
+        assert {name: now.get(name) for name in finished} == finished
+        finished = now
+        if not is_killed:  # quicker than when it was timed: anew, and sooner
+            shutil.rmtree(folder / "out")
+            seconds, finished = 0.7 * seconds, {}
+    assert killed == 6
+    warm.run([*arguments, "--resume"], folder)
+    done = json.loads((folder / "out" / "many.json").read_text())
+    assert done["status"] == "done" and done["done"] == len(colours)
+    assert names(folder) == names(reference)
+
+
+@pytest.mark.parametrize("name", ["search.json", "design.json"])
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_truncated_checkpoint_is_one_line(
+    name: str, share: float, warm: Forker, inputs: Path, tmp_path: Path
+) -> None:
+    folder = fresh(inputs, tmp_path / "cut")
+    (folder / "many.toml").write_text(MANY + "[search]\nevaluations = 200\n")
+    arguments = ["design", "many.toml", "-o", "out"]
+    warm.run(arguments, folder)
+    path = folder / "out" / name
+    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    warm.start([*arguments, "--resume"], folder)
+    status, said = warm.finish()
+    assert status == 2 and len(said.strip().splitlines()) == 1
 
 
 @pytest.mark.render

@@ -16,7 +16,7 @@ ANGLES = 2000  # the issue's
 CLEAR = ("air", "SiO2", "BK7", {"n": 1.33}, {"n": 1.5}, {"n": 1.9})
 ANY = ("air", "SiO2", "TiO2", "Ag", "Au", "Al", "Si", "BK7", "Al2O3", "Cr")
 LOOK_UP = 2e-4  # single precision, and 16-bit entries, of values up to 1
-MOST_WAVELENGTHS = 240
+MOST_WAVELENGTHS = 48
 
 
 def medium(g: np.random.Generator) -> Any:

@@ -150,3 +150,39 @@ def test_what_has_no_specular_reflection_is_refused() -> None:
             nacre.ellipsometry({**WAFER, "instrument": wrong})
     with pytest.raises(NacreError):
         nacre.ellipsometry(WAFER, [90.0])
+
+
+def file_of(name: str) -> dict[str, str]:
+    return {"file": str(SHARED / f"nk_{name}.csv")}
+
+
+LORENTZ = [
+    {"strength": a / e**2, "resonance_ev": e, "damping_ev": b} for a, b, e in ((5.0, 0.25, 2.0), (10.0, 0.5, 4.0))
+]
+TAUC_LORENTZ = [
+    {"amplitude_ev": a, "damping_ev": c, "resonance_ev": e} for a, c, e in ((51.0, 0.1, 0.98), (124.0, 0.9, 2.2))
+]
+# film, thickness of the silica below, relative agreement of Psi and Delta that the reference states for its own program
+LAWS: dict[str, tuple[dict[str, Any], float, float, float, float]] = {
+    "Lorentz_example_100nmFilm": ({"lorentz": {"eps_inf": 2.0, "oscillators": LORENTZ}}, 100.0, 2.5, 0.076, 0.03),
+    "TaucLorentz_example_350nmFilm": (
+        {"tauc_lorentz": {"gap_ev": 1.0, "eps_inf": 1.0, "oscillators": TAUC_LORENTZ}}, 350.0, 3.0, 0.018, 0.007,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_the_files_of_dispersion_laws_agree_as_far_as_their_reference_allows(name: str) -> None:
+    if not SHARED.exists():
+        pytest.skip("the shared reference data are not here")
+    law, thickness, silica, psi_bar, delta_bar = LAWS[name]
+    data = open_file(next(SHARED.glob(f"WVASE_{name}*")))[0].data
+    layers = [
+        {"material": law, "thickness_nm": thickness},
+        {"material": file_of("silica"), "thickness_nm": silica},
+    ]
+    recipe = {"family": "film", "ambient": {"n": 1.0}, "substrate": file_of("silicon"), "layers": layers}
+    angles, waves = np.unique(data["angle_of_incidence_deg"]), np.unique(data["wavelength_nm"])
+    found = nacre.ellipsometry(recipe, angles, waves)
+    np.testing.assert_allclose(found.psi_deg.ravel(), data["psi_deg"], rtol=psi_bar)
+    np.testing.assert_allclose(found.delta_deg.ravel(), data["delta_deg"], rtol=delta_bar)

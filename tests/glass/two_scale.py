@@ -34,11 +34,22 @@ def _share(cos, eta):  # type: ignore[no-untyped-def]
 
 
 @numba.njit
-def trace(seed, count, balls, side, depth, cos_i, n_binder, n_glass, scatter, absorb, quantile, forgets=False):  # type: ignore[no-untyped-def]
+def _covered(p, balls, side):  # type: ignore[no-untyped-def]
+    """Whether a point lies in a ball."""
+    for b in range(len(balls)):
+        x, y, z = balls[b, 0] - p[0], balls[b, 1] - p[1], balls[b, 2] - p[2]
+        x -= side * round(x / side)
+        y -= side * round(y / side)
+        if x * x + y * y + z * z < 1:
+            return True
+    return False
+
+
+@numba.njit
+def trace(seed, count, balls, side, depth, cos_i, n_binder, n_glass, scatter, absorb, quantile, cut=False):  # type: ignore[no-untyped-def]
     """Return the light that leaves above, the face's own reflection included, and below; lengths in radii.
 
-    With `forgets` light leaves another ball of about the same depth than the one that it has entered: it no longer
-    finds open the way that it came by.
+    With `cut` the faces may cut balls: light then enters through the binder only, and leaves a cut ball straight.
     """
     np.random.seed(seed)
     up, down = 0.0, 0.0
@@ -48,7 +59,10 @@ def trace(seed, count, balls, side, depth, cos_i, n_binder, n_glass, scatter, ab
         if np.random.random() < r:
             up += 1
             continue
-        p[0], p[1], p[2] = np.random.random() * side, np.random.random() * side, 0.0
+        while True:
+            p[0], p[1], p[2] = np.random.random() * side, np.random.random() * side, 0.0
+            if not cut or not _covered(p, balls, side):
+                break
         d[0], d[1], d[2] = math.sqrt(1 - t * t), 0.0, t
         weight, inside = 1.0, -1
         while weight > 1e-4:
@@ -93,12 +107,6 @@ def trace(seed, count, balls, side, depth, cos_i, n_binder, n_glass, scatter, ab
                 r, t = _share(cos, n_glass / n_binder)
                 if np.random.random() < r:
                     d += 2 * cos * n
-                    if forgets:
-                        for _ in range(200):
-                            other = int(np.random.random() * len(balls))
-                            if abs(balls[other, 2] - balls[hit, 2]) < 0.25:
-                                p[:] = balls[other] + n * (1 + 1e-9)
-                                break
                 else:
                     d = d * (n_binder / n_glass) + (cos * n_binder / n_glass - t) * n
                     inside = hit
@@ -108,6 +116,16 @@ def trace(seed, count, balls, side, depth, cos_i, n_binder, n_glass, scatter, ab
             along = e @ d
             reach = -along + math.sqrt(max(along * along + 1 - e @ e, 0.0))
             step = min(path, reach)
+            if cut:
+                z = balls[inside, 2] + e[2]
+                to_face = (depth - z) / d[2] if d[2] > 0 else -z / d[2]
+                if to_face < step:
+                    weight *= math.exp(-absorb * to_face)
+                    if d[2] < 0:
+                        up += weight
+                    else:
+                        down += weight
+                    break
             weight *= math.exp(-absorb * step)
             e += step * d
             if path < reach:
@@ -132,12 +150,6 @@ def trace(seed, count, balls, side, depth, cos_i, n_binder, n_glass, scatter, ab
                 e[:] = n
                 continue
             d = d * (n_glass / n_binder) + (t - cos * n_glass / n_binder) * n
-            if forgets:
-                for _ in range(200):
-                    other = int(np.random.random() * len(balls))
-                    if abs(balls[other, 2] - balls[inside, 2]) < 0.25:
-                        inside = other
-                        break
             p[:] = balls[inside] + n * (1 + 1e-9)
             inside = -1
     return up / count, down / count

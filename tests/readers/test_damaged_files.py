@@ -113,9 +113,9 @@ def agrees(original: list[Measurement], damaged: list[Measurement], is_cut: bool
             wanted = np.asarray(wanted)
             if is_cut and values.ndim and len(values) <= len(wanted):
                 # sorted spectra may lose either end
-                ends = (wanted[: len(values)], wanted[len(wanted) - len(values) :])
+                ends = [wanted[: len(values)], wanted[len(wanted) - len(values) :]]
             else:
-                ends = (wanted,)
+                ends = [wanted]
             if not any(
                 end.shape == values.shape and np.allclose(end, values, rtol=1e-9, atol=0, equal_nan=True)
                 for end in ends if end.dtype.kind in "fiubc"

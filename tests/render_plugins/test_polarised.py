@@ -12,7 +12,7 @@ import nacre.render
 
 mi = pytest.importorskip("mitsuba")
 GRID_NM = np.arange(400.0, 701.0, 20.0)
-WAVELENGTHS_NM = [450.0, 500.0, 550.0, 600.0]
+WAVELENGTHS_NM = [460.0, 500.0, 560.0, 600.0]  # nodes of the grid
 METAL = {"n": 0.2, "k": 3.0}
 MITSUBA_METAL = {"eta": {"type": "uniform", "value": 0.2}, "k": {"type": "uniform", "value": 3.0}}
 GLASS_INSIDE = {"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.5}
@@ -103,7 +103,6 @@ def test_stokes_vectors_of_random_films_are_those_of_their_amplitudes(polarised:
             wi = np.array([np.sin(np.radians(angle)), 0.0, np.cos(np.radians(angle))])
             _, matrix = samples(bsdf, interaction(wi), [0.5] * 3, mi.TransportMode.Radiance)
             n = np.concatenate([[1.0], index, [0.2 + 3.0j]])[:, None]
-            # 500 nm is a node of the grid
             found = solve(n, thickness, [500.0], np.radians(angle))
             r_s, r_p = found.r_s.item(), found.r_p.item()
             half_sum, half_difference = 0.5 * (abs(r_s) ** 2 + abs(r_p) ** 2), 0.5 * (abs(r_s) ** 2 - abs(r_p) ** 2)
@@ -121,3 +120,56 @@ def test_a_diffuse_lobe_depolarises(polarised: Any) -> None:
     assert found[0, 0].min() > 0.0
     found[0, 0] = 0.0
     np.testing.assert_array_equal(found, 0.0)
+
+
+PLATE = {
+    "material": {"ordinary": {"n": 1.5}, "extraordinary": {"n": 1.7}, "axis_polar_deg": 70, "axis_azimuth_deg": 25},
+    "thickness_nm": 250,
+}
+
+
+@pytest.mark.parametrize(("layers", "substrate"), [([PLATE], METAL), ([PLATE], {"n": 1.33})])
+def test_matrices_of_a_birefringent_plate_are_those_of_its_stack(
+    polarised: Any, layers: list, substrate: dict[str, float]
+) -> None:
+    """Elements that no choice of linear frames changes: intensity, circular part, and degrees of linear polarisation.
+
+    Linear interpolation of cos(2 phi) between 32 azimuths is wrong by up to (4 pi / 32)^2 / 8 = 0.02 of the amplitude;
+    the other 0.02 are for the 65 cosines.
+    """
+    recipe = {"family": "film", "substrate": substrate, "layers": layers}
+    material = nacre.material(recipe)
+    bsdf = film({"substrate": substrate, "layers": layers})
+    rng = np.random.default_rng(7)
+    for wi in directions(rng, 12):
+        light = np.array([-wi[0], -wi[1], wi[2]])
+        theta, azimuth = np.degrees(np.arccos(wi[2])), np.degrees(np.arctan2(light[1], light[0]))
+        _, matrix = samples(bsdf, interaction(wi), [0.0, 0.5, 0.5], mi.TransportMode.Radiance)
+        exact = nacre.spectrum(material, [theta], WAVELENGTHS_NM, "mueller", azimuth_deg=float(azimuth))
+        expected = exact.mueller_reflected[0]
+        chance = matrix[0, 0] / expected[:, 0, 0]  # of reflection, for a plate that transmits
+        chance = 1.0 if substrate is METAL else chance.mean()
+        limit = 0.04 * max(0.1, expected[:, 0, 0].max())
+        found = np.moveaxis(matrix, -1, 0) / chance
+        for row, column in ((0, 0), (0, 3), (3, 0), (3, 3)):
+            np.testing.assert_allclose(found[:, row, column], expected[:, row, column], atol=limit)
+        np.testing.assert_allclose(
+            np.hypot(found[:, 0, 1], found[:, 0, 2]), np.hypot(expected[:, 0, 1], expected[:, 0, 2]), atol=limit
+        )
+
+
+def test_a_right_handed_helix_reflects_right_circular_light(polarised: Any) -> None:
+    helix = {
+        "material": {"ordinary": {"n": 1.5}, "extraordinary": {"n": 1.7}, "axis_polar_deg": 90},
+        "thickness_nm": 3500,
+        "pitch_nm": 350,
+        "handedness": "right",
+    }
+    bsdf = film({"substrate": {"n": 1.6, "k": 0.2}, "layers": [helix]})
+    _, matrix = samples(bsdf, interaction(np.array([0.05, 0.0, 1.0])), [0.0, 0.5, 0.5], mi.TransportMode.Radiance)
+    filters = {name: getattr(mi.mueller, f"{name}_circular_polarizer")() for name in ("left", "right")}
+    # 560 nm lies in the middle of the band from 1.5 to 1.7 times the pitch
+    passed = {name: float(2.0 * np.array(row)[0] @ matrix[:, 0, 2]) for name, row in filters.items()}
+    entering = {name: float(matrix[0, :, 2] @ (2.0 * np.array(row)[0])) for name, row in filters.items()}
+    assert entering["right"] > 0.85 and entering["left"] < 0.1
+    assert passed["right"] > 10 * passed["left"]

@@ -1,11 +1,12 @@
-"""Mueller matrices of a smooth interface without polarisation conversion, tabulated for the renderer.
+"""Mueller matrices of smooth interfaces, tabulated for the renderer, in the frames (s, k x s) of each wave.
 
-In the frame (s, k x s) of each wave such an interface has the matrix
+An interface without polarisation conversion has the matrix
 
     [[a, b, 0, 0], [b, a, 0, 0], [0, 0, c, -d], [0, 0, d, c]],  a = (S + P) / 2, b = (S - P) / 2, c + i d = s p*,
 
-with the amplitudes s and p (r_p = -r_s at normal incidence) and their powers S and P. The tables hold a, b, c and d;
-the renderer uses their ratios to a.
+with the amplitudes s and p (r_p = -r_s at normal incidence) and their powers S and P. Its tables hold a, b, c and d;
+the renderer uses their ratios to a. Tables of an anisotropic interface hold the 16 elements by row over the azimuth of
+the direction to the light, relative to the azimuthal mean of the first.
 """
 
 from __future__ import annotations
@@ -15,25 +16,36 @@ from dataclasses import dataclass
 import numpy as np
 
 from nacre.bsdf.tabulate import StackTables
+from nacre.bsdf.tabulate_anisotropic import SLICE_SHARE, AnisotropicTables
 from nacre.core.arrays import Array, ComplexArray
 from nacre.matter.stack import solve as solver
 
 COS_NODES = 1025
 TOTAL_NODES = 1025
+ANISOTROPIC_COS_NODES, ANISOTROPIC_TOTAL_NODES = 65, 33
+AZIMUTHS = (8, 16, 32)
+AZIMUTH_ERROR = 0.01  # of an element midway between azimuths, relative to the largest first element
+LEAST_COS = 1e-5  # no wave runs exactly along the surface
+PROBE_COSINES = np.array([0.35, 0.6, 0.85])
+PROBE_WAVELENGTHS = 8
+# Stokes components of the frame (s, k x s) from those of (p, s)
+_FRAME = np.array([1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class InterfacePolarisation:
-    """Numbers a, b, c and d of an interface; see the module.
+    """Mueller elements of an interface; see the module.
 
     The coordinates are those of `InterfaceResponse`: `outside` is the rarer medium.
 
     Attributes:
         wavelengths_nm: `[wavelength]`.
-        reflected: `[cos, wavelength, 4]` over uniform cosines from 0 to 1 in the rarer medium, light from there.
+        reflected: `[azimuth, cos, wavelength, element]`: uniform azimuths from 0 to 2 pi with both ends (one, if there
+            is no anisotropy), uniform cosines from 0 to 1 in the rarer medium, light from there; 4 or 16 elements.
         reflected_inside: the same for light from the denser medium at the conjugate angle; None if opaque.
-        total: `[x, wavelength, 4]` beyond the critical angle; None if there is none.
-        transmitted: `[cos, wavelength, 4]` relative to an unknown common factor, equal from both sides; None if opaque.
+        total: `[azimuth, x, wavelength, element]` beyond the critical angle; None if there is none.
+        transmitted: light from outside; without anisotropy relative to an unknown common factor; None if opaque.
+        transmitted_inside: light from inside.
         eta, flipped: as in `InterfaceResponse`.
     """
 
@@ -42,17 +54,20 @@ class InterfacePolarisation:
     reflected_inside: Array | None
     total: Array | None
     transmitted: Array | None
+    transmitted_inside: Array | None
     eta: float
     flipped: bool
 
 
 def interface_polarisation(tables: StackTables, thicknesses_nm: Array) -> InterfacePolarisation | None:
-    """Tabulate a stack's Mueller matrices; None for incoherent layers, which the renderer treats as depolarising.
+    """Tabulate a stack's Mueller matrices; None for incoherent isotropic layers: the renderer then depolarises.
 
     Args:
         tables: the stack.
         thicknesses_nm: `[layer]`.
     """
+    if isinstance(tables, AnisotropicTables):
+        return _anisotropic(tables)
     if any(tables.incoherent):
         return None
     d = np.asarray(thicknesses_nm, dtype=float)
@@ -73,7 +88,80 @@ def interface_polarisation(tables: StackTables, thicknesses_nm: Array) -> Interf
             square = rare**2 + np.maximum(dense**2 - rare**2, 0.0) * share
             beyond = solver.amplitudes(back_n, back_d, lam, kappa=np.sqrt(square))
             total = _elements(beyond.r_s, beyond.r_p)
-    return InterfacePolarisation(lam, reflected, behind, total, transmitted, tables.eta, tables.flipped)
+    regions = [None if region is None else region[None] for region in (reflected, behind, total, transmitted)]
+    assert regions[0] is not None
+    return InterfacePolarisation(
+        lam, regions[0], regions[1], regions[2], regions[3], regions[3], tables.eta, tables.flipped
+    )
+
+
+def _anisotropic(tables: AnisotropicTables) -> InterfacePolarisation:
+    """Tabulate all elements over the azimuth."""
+    lam = tables.wavelengths_nm
+    outside, inside = _Side(tables, lit_from_above=not tables.flipped), _Side(tables, lit_from_above=tables.flipped)
+    azimuths = outside.azimuths()
+    cos = np.linspace(0.0, 1.0, ANISOTROPIC_COS_NODES)
+    theta = np.arccos(np.maximum(cos, LEAST_COS))
+    reflected, transmitted = outside.elements(theta, azimuths)
+    behind = total = returned = None
+    if tables.transmits:
+        rare = (tables.n[-1] if tables.flipped else tables.n[0]).real
+        dense = (tables.n[0] if tables.flipped else tables.n[-1]).real
+        conjugate = np.arcsin(np.clip(np.sin(theta)[:, None] * rare / dense, 0.0, 1.0))
+        behind, returned = inside.elements(conjugate, azimuths)
+        if tables.eta > 1.0:
+            share = np.square(np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, ANISOTROPIC_TOTAL_NODES)))[:, None]
+            square = rare**2 + np.maximum(dense**2 - rare**2, 0.0) * share
+            square = np.maximum(square, rare**2 * (1.0 + LEAST_COS**2))
+            total, _ = inside.elements(np.arcsin(np.clip(np.sqrt(square) / dense, 0.0, 1.0)), azimuths)
+    if not tables.transmits:
+        transmitted = None
+    return InterfacePolarisation(lam, reflected, behind, total, transmitted, returned, tables.eta, tables.flipped)
+
+
+class _Side:
+    """Mueller elements of an anisotropic stack for light from one side."""
+
+    def __init__(self, tables: AnisotropicTables, *, lit_from_above: bool) -> None:
+        self.waves = tables.wavelengths_nm
+        self.stack = tables.lit(tables.stack.thicknesses_nm, from_above=lit_from_above)
+        self.sign = 1.0 if lit_from_above else -1.0  # a stack lit from below is turned about u
+
+    def solve(self, theta: Array, azimuth: float, waves: Array) -> tuple[Array, Array]:
+        """Return reflected and transmitted matrices `[angle, wavelength, 16]`; zeros for an unknown transmission."""
+        found = self.stack.polarised(theta, waves, self.sign * azimuth, slice_share=SLICE_SHARE)
+        parts = []
+        for matrix in (found.mueller_reflected, found.mueller_transmitted):
+            matrix = np.zeros_like(found.mueller_reflected) if matrix is None else matrix
+            turned = _FRAME[:, None] * matrix * _FRAME
+            parts.append(turned.reshape(*turned.shape[:-2], 16))
+        return parts[0], parts[1]
+
+    def azimuths(self) -> Array:
+        """Return uniform azimuths, fine enough for linear interpolation."""
+        waves, theta = self.waves[:: max(len(self.waves) // PROBE_WAVELENGTHS, 1)], np.arccos(PROBE_COSINES)
+        nodes = np.linspace(0.0, 2.0 * np.pi, AZIMUTHS[0] + 1)
+        values = np.stack([self.solve(theta, float(a), waves)[0] for a in nodes[:-1]])
+        for _ in AZIMUTHS:
+            middle = 0.5 * (nodes[1:] + nodes[:-1])
+            exact = np.stack([self.solve(theta, float(a), waves)[0] for a in middle])
+            between = 0.5 * (values + np.roll(values, -1, axis=0))
+            if np.max(np.abs(exact - between)) < AZIMUTH_ERROR * np.max(values[..., 0]) or len(middle) >= AZIMUTHS[-1]:
+                break
+            nodes = np.linspace(0.0, 2.0 * np.pi, 2 * len(middle) + 1)
+            values = np.stack([values, exact], axis=1).reshape(-1, *values.shape[1:])
+        return nodes
+
+    def elements(self, theta: Array, azimuths: Array) -> tuple[Array, Array]:
+        """Return `[azimuth, angle, wavelength, 16]` of both parts, relative to the mean of their first elements."""
+        found = [self.solve(theta, float(a), self.waves) for a in azimuths[:-1]]
+        parts = []
+        for part in (0, 1):
+            values = np.stack([one[part] for one in found])
+            mean = values[..., :1].mean(axis=0)
+            values = np.where(mean > 0.0, values / np.where(mean > 0.0, mean, 1.0), 0.0)
+            parts.append(np.concatenate([values, values[:1]]))
+        return parts[0], parts[1]
 
 
 def _elements(s: ComplexArray, p: ComplexArray) -> Array:

@@ -17,8 +17,8 @@ from nacre.matter.stack.stack import Medium, Stack, permittivity_of
 COS_NODES = 65
 SLICE_SHARE = 0.35
 LOSSLESS_K = 1e-9
-AZIMUTHS = (1, 2, 4, 8, 16)
-AZIMUTH_ERROR = 2e-3  # of the mean reflectance, by doubling
+AZIMUTHS = (3, 5, 9, 17)  # odd: even counts repeat the same values, as half a turn changes little
+AZIMUTH_ERROR = 2e-3  # of the mean reflectance, by the next count
 CHECKED_COSINES = (np.array([12.0, 30.0, 47.0]) + 0.5) / 64  # midway between nodes
 PROBE_COSINES = np.array([0.8, 0.45])
 PROBE_WAVELENGTHS = 12
@@ -50,7 +50,7 @@ class AnisotropicTables(StackTables):
         theta = np.arccos(np.clip(cos_outside, 0.0, 1.0))
         shape = (*thicknesses_nm.shape[:-1], len(theta), len(self.wavelengths_nm))
         rows = thicknesses_nm.reshape(math.prod(thicknesses_nm.shape[:-1]), thicknesses_nm.shape[-1])
-        found = [self._mean(self._lit(row, from_above=not self.flipped), theta) for row in rows]
+        found = [self._mean(self.lit(row, from_above=not self.flipped), theta) for row in rows]
         reflected, passed = (np.stack([one[k] for one in found]).reshape(shape) for k in (0, 1))
         return reflected, passed if self.transmits else np.zeros_like(passed)
 
@@ -59,7 +59,7 @@ class AnisotropicTables(StackTables):
         rows = thicknesses_nm.reshape(math.prod(thicknesses_nm.shape[:-1]), thicknesses_nm.shape[-1])
         dense = (self.n[0] if self.flipped else self.n[-1]).real
         theta = np.arcsin(np.clip(in_plane / dense, 0.0, 1.0))
-        found = [self._mean(self._lit(row, from_above=self.flipped), theta) for row in rows]
+        found = [self._mean(self.lit(row, from_above=self.flipped), theta) for row in rows]
         shape = (*thicknesses_nm.shape[:-1], *in_plane.shape)
         return np.reshape([one[0] for one in found], shape), np.reshape([one[1] for one in found], shape)
 
@@ -73,7 +73,8 @@ class AnisotropicTables(StackTables):
             return np.ones((len(x), *d.shape[:-1], len(self.wavelengths_nm)))
         return super()._beyond(d, x)
 
-    def _lit(self, thicknesses_nm: Array, *, from_above: bool) -> Stack:
+    def lit(self, thicknesses_nm: Array, *, from_above: bool) -> Stack:
+        """Return the stack with these thicknesses as light meets it; from below, it is turned about u."""
         layers = [
             dataclasses.replace(e, thickness_nm=float(d))
             for e, d in zip(self.stack.layers, thicknesses_nm, strict=True)
@@ -95,7 +96,7 @@ class AnisotropicTables(StackTables):
         waves = self.wavelengths_nm
         self.wavelengths_nm = waves[:: max(len(waves) // PROBE_WAVELENGTHS, 1)]
         theta, before = np.arccos(PROBE_COSINES), None
-        stack = self._lit(self.stack.thicknesses_nm, from_above=not self.flipped)
+        stack = self.lit(self.stack.thicknesses_nm, from_above=not self.flipped)
         for count in AZIMUTHS:
             azimuths = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False) + 0.25 * np.pi
             mean = self._mean(stack, theta, azimuths)[0]

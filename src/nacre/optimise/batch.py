@@ -108,7 +108,7 @@ def design_batch(
         _solve(task, tasks, range(len(rows)), _collector(solutions, len(rows), progress))
         return BatchDesign([solutions[number] for number in range(len(rows))], [], None)
     folder = _BatchFolder(Path(out), task, rows, resume)
-    solutions = {number: folder.read(number, tasks[number]) for number in folder.done}
+    solutions = {number: found for number in folder.done if (found := folder.read(number, tasks[number]))}
     remaining = [number for number in range(len(rows)) if number not in solutions]
     collect = _collector(solutions, len(rows), progress)
     try:
@@ -201,7 +201,9 @@ class _BatchFolder:
         self._fingerprint = task.fingerprint
         earlier = self._earlier()
         earlier_rows = {str(row.get("folder")): row for row in earlier["rows"]} if earlier else {}
-        names = [name for name in self.names if name not in earlier_rows] + ([] if earlier else [TABLE])
+        planned = {str(name) for name in earlier.get("folders", [])} if earlier else set()
+        names = [name for name in self.names if name not in earlier_rows and name not in planned]
+        names += [] if earlier else [TABLE]
         foreign = next((name for name in names if (folder / name).exists()), None)
         if foreign is not None:
             raise _foreign(folder, foreign)
@@ -217,6 +219,7 @@ class _BatchFolder:
                 is_same = one.get("lab") == row.lab.tolist() and one.get("name") == row.name
                 if is_same and (folder / name / RECIPE).is_file():
                     self._documents[number] = one
+        self._is_planned = bool(earlier) and planned | set(earlier_rows) >= set(self.names)
         self._start, self._last = time.monotonic(), -np.inf
         self._stale = {
             name: row for name, row in earlier_rows.items() if name not in self.names and Path(name).name == name
@@ -229,9 +232,12 @@ class _BatchFolder:
             return None
         try:
             found = json.loads(read_text(path, "summary"))
-            if not (isinstance(found["rows"], list) and all(isinstance(row, dict) for row in found["rows"])):
+            rows, folders = found["rows"], found.get("folders", [])
+            if not (
+                isinstance(folders, list) and isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
+            ):
                 raise TypeError
-        except (ValueError, KeyError, TypeError, NacreError):
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, NacreError):
             raise _foreign(self.folder, SUMMARY) from None
         return dict(found)
 
@@ -251,6 +257,8 @@ class _BatchFolder:
         Raises:
             NacreError: the folder cannot be written.
         """
+        if not self._is_planned:
+            self._plan()
         start = self.task.material
         changes = with_method_overrides(start, solution.changes)
         place = self.folder / self.names[number]
@@ -263,9 +271,15 @@ class _BatchFolder:
             self.write("running")
         return written
 
-    def read(self, number: int, task: DesignTask) -> Solution:
-        """Return an earlier run's solution, with its evaluation."""
-        one = self._documents[number]
+    def read(self, number: int, task: DesignTask) -> Solution | None:
+        """Return an earlier run's solution, with its evaluation; None, and forget it, if its row is damaged."""
+        try:
+            return self._read(number, self._documents[number], task)
+        except (KeyError, TypeError, ValueError, AttributeError, NacreError):
+            del self._documents[number]
+            return None
+
+    def _read(self, number: int, one: dict[str, Any], task: DesignTask) -> Solution:
         pairs = [(target, lamp) for target in task.targets for lamp in task.spec.light.illuminants]
         results = [
             TargetResult(target, lamp, np.array(r["reached"]["lab"]), np.array(r["asked_lab"]), r["de00"], r["noise"])
@@ -282,8 +296,16 @@ class _BatchFolder:
         Raises:
             NacreError: a file cannot be written.
         """
-        if not self._documents:
-            return
+        if self._documents:
+            self._write(status)
+
+    def _plan(self) -> None:
+        """Write the names of all folders before the first one, so that a killed run can be repeated."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._write("running")
+        self._is_planned = True
+
+    def _write(self, status: str) -> None:
         self._last = time.monotonic()
         summary = {
             "status": status,
@@ -294,6 +316,7 @@ class _BatchFolder:
             "target": self._fingerprint,
             "nacre": __version__,
             "rows": self.rows,
+            "folders": [*self.names, *self._stale],
         }
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=1, default=str) + "\n")
         write_text(self.folder / TABLE, _table(self.rows))

@@ -67,17 +67,23 @@ class Checkpointer:
         try:
             state = json.loads(read_text(path, "state"))
             solutions, runs, owner = state["solutions"], int(state["runs"]), state["target"]
-            is_valid = isinstance(solutions, list) and all(isinstance(one, dict) for one in solutions)
-        except (ValueError, KeyError, TypeError):
+            progress = state.get("progress", {})
+            is_valid = isinstance(solutions, list) and all(isinstance(one, dict) for one in [*solutions, progress])
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             is_valid = False
         if not is_valid:
-            raise NacreError(f"{path}: cannot be read to resume; delete it to start afresh")
+            raise unreadable(folder)
         if owner != fingerprint:
             raise RecipeError(
                 f"{path}: belongs to another target, or a file that it names, or nacre itself has changed since; "
                 "take another folder, or omit --resume"
             )
-        return cls(folder, fingerprint, runs + 1, solutions, state.get("progress", {}))
+        return cls(folder, fingerprint, runs + 1, solutions, progress)
 
 
-__all__ = ["STATE", "Checkpointer"]
+def unreadable(folder: Path) -> NacreError:
+    """Return the error of a damaged checkpoint."""
+    return NacreError(f"{folder / STATE}: cannot be read to resume; delete it to start afresh")
+
+
+__all__ = ["STATE", "Checkpointer", "unreadable"]

@@ -31,6 +31,7 @@ from nacre.optimise.solutions import (
     Solution,
     are_alike,
     check_folder,
+    claim,
     clear_solutions,
     folder_of,
     write_recipe,
@@ -113,6 +114,7 @@ def run(
         raise KeyboardInterrupt  # before there was a solution
     if not result.solutions:
         raise RecipeError(f"{task.context.source}: the recipe cannot be computed anywhere in its bounds")
+    claim(folder)
     checkpointer.update([changes for _, changes in result.solutions])
     return _finish(task, result, previous_best, writer)
 
@@ -181,6 +183,7 @@ class _Writer:
             self.best = worst
             start = self.task.material
             final = with_method_overrides(start, changes)
+            claim(self.folder)
             path, files = write_recipe(self.folder, start, final, {}, start.vary(changes))
             solution = {"recipe": str(path), "files": files, "changes": changes, "worst": worst}
             self.write({"status": "running", "seconds": round(self.spent_s, 3), "solutions": [solution]})

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from nacre.core.errors import NacreError, RecipeError
-from nacre.core.files import read_text, write_text
+from nacre.core.files import atomic_path, read_text, write_text
 from nacre.material.material import Material
 from nacre.optimise.evaluation import TargetResult
 from nacre.recipe.fingerprint import file_digest
@@ -193,10 +193,8 @@ def _bring(
                 set_by_path(inner, place, other)
             write_text(target / name, dump_toml(inner))
         elif file != (target / name).resolve():
-            try:
-                shutil.copyfile(file, target / name)
-            except OSError as error:
-                raise NacreError(f"{target / name}: cannot be written: {error.strerror}") from None
+            with atomic_path(target / name) as temporary:
+                shutil.copyfile(file, temporary)
         return {path: name}
     else:
         return {}
@@ -270,6 +268,16 @@ def check_folder(out: Path, start: Material, solutions: int = 1) -> None:
         raise RecipeError(f"{out}: holds a {foreign[0]} that no design wrote; choose another folder with -o")
 
 
+def claim(out: Path) -> None:
+    """Mark a folder as a design's before the first file of a solution, so that a killed design can be repeated.
+
+    Raises:
+        NacreError: the folder cannot be written.
+    """
+    if _earlier(out) is None:
+        write_text(out / SUMMARY, json.dumps({"status": "started", "solutions": []}) + "\n")
+
+
 def _earlier(out: Path) -> set[str] | None:
     """Return the files of the best solution of a design in a folder; None if there is no design."""
     try:
@@ -308,6 +316,7 @@ __all__ = [
     "Solution",
     "are_alike",
     "check_folder",
+    "claim",
     "clear_solutions",
     "folder_of",
     "write_recipe",

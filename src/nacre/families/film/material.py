@@ -290,11 +290,11 @@ class Film(Model, Polarised):
     def polarisation(self, wavelengths_nm: Array | None = None) -> InterfacePolarisation | None:
         """Tabulate the Mueller matrices of the film.
 
-        None for anisotropic or incoherent layers, ridges, a diffuse base, or thicknesses that vary over the surface:
-        the renderer then depolarises.
+        None for incoherent isotropic layers, ridges, a diffuse base, or thicknesses that vary over the surface: the
+        renderer then depolarises.
         """
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
-        if self.ridges is not None or self.base_albedo > 0 or self._varying or self.is_anisotropic:
+        if self.ridges is not None or self.base_albedo > 0 or self._varying:
             return None
         return interface_polarisation(self.tables(lam), self._middle_nm)
 

@@ -6,7 +6,16 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.matter.periodic.lamellar_modes import layer_modes, line_modes
-from nacre.matter.periodic.line_basis import LineBasis, LineMesh, assemble, line_basis, line_mesh, regions, shape_values
+from nacre.matter.periodic.line_basis import (
+    LineBasis,
+    LineMesh,
+    assemble,
+    gauss,
+    gauss_values,
+    line_basis,
+    line_mesh,
+    regions,
+)
 from nacre.matter.periodic.profile_coordinates import aligned, operators, profile_modes, scatter_profile, state
 from nacre.matter.periodic.scattering_matrix import Modes, scatter, uniform_modes
 from nacre.matter.periodic.structure import (
@@ -256,11 +265,11 @@ def _projected(
     total = np.zeros((mesh.size + 1, len(alpha)), dtype=complex)
     for k, degree in enumerate(mesh.degrees):
         a, h = mesh.edges[k], mesh.edges[k + 1] - mesh.edges[k]
-        x, w = np.polynomial.legendre.leggauss(degree + 20)
+        x, w = gauss(degree + 20)
         at = a + 0.5 * h * (x + 1.0)
         height = depth * profile.height(at / mesh.period % 1.0)
         waves = np.exp(1j * (np.outer(at, alpha) + np.outer(height, beta))) * (0.5 * h * w)[:, None]
-        total[mesh.places[k]] += shape_values(degree, x) @ waves
+        total[mesh.places[k]] += gauss_values(degree, degree + 20)[0] @ waves
     last = len(mesh.edges) - 1
     total[0] += np.conj(phase) * total[last]
     return np.asarray(np.linalg.solve(mass, np.delete(total, last, axis=0)))

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.linalg
 
 from nacre.core.arrays import Array
-from nacre.matter.periodic.line_basis import LineMesh, folded, shape_values
+from nacre.matter.periodic.line_basis import LineMesh, folded, gauss, gauss_values
 
 SAME_BETA = 1e-5  # modes nearer than this (over k0) are combined to plane waves
 
@@ -45,11 +45,10 @@ def operators(mesh: LineMesh, slope_at: Callable[[Array], Array], phase: complex
     blocks: list[list[Array]] = [[], [], [], [], []]
     for k, degree in enumerate(mesh.degrees):
         a, h = mesh.edges[k], mesh.edges[k + 1] - mesh.edges[k]
-        x, w = np.polynomial.legendre.leggauss(degree + 8)
+        x, w = gauss(degree + 8)
         weight = 0.5 * h * w
-        f = shape_values(degree, x)
-        legendre = np.polynomial.legendre.legvander(x, degree - 1) * np.sqrt((2 * np.arange(degree) + 1) / h)
-        d = mesh.slopes[k].T @ legendre.T
+        f, legendre = gauss_values(degree, degree + 8)
+        d = mesh.slopes[k].T @ legendre / np.sqrt(h)
         slope = slope_at(a + 0.5 * h * (x + 1.0))
         for store, left, factor, right in (
             (blocks[0], f, 1.0, f), (blocks[1], f, 1.0 + slope**2, f), (blocks[2], d, 1.0, d),

@@ -36,6 +36,21 @@ def method_of(stack: PeriodicStack) -> str:
     return "fourier"
 
 
+RUNS: dict[str, tuple[Callable[..., OrderSolution], tuple[int, ...]]] = {
+    # method -> solver, and its sizes in the order in which they are tried
+    "lines": (solve_lines, (0, 1, 2, 3, 4)),
+    "profile": (solve_profile, (0, 1, 2, 3, 4, 5)),
+    "rectangles": (solve_rectangles, RECTANGLE_STEPS),
+    "fourier": (solve_fourier, FOURIER_STEPS),
+}
+
+
+def solve_coarse(stack: PeriodicStack, wavelength_nm: float, theta_rad: float, phi_rad: float) -> OrderSolution:
+    """Return the orders at the smallest size, without an estimate of their error, for tables over directions."""
+    run, sizes = RUNS[method_of(stack)]
+    return run(stack, 2.0 * np.pi / wavelength_nm, theta_rad, phi_rad, sizes[0])
+
+
 def solve(
     stack: PeriodicStack,
     wavelength_nm: float,
@@ -56,13 +71,7 @@ def solve(
         NotConvergedError: the largest size does not reach the tolerance.
     """
     method = method_of(stack)
-    runs: dict[str, tuple[Callable[..., OrderSolution], tuple[int, ...]]] = {
-        "lines": (solve_lines, (0, 1, 2, 3, 4)),
-        "profile": (solve_profile, (0, 1, 2, 3, 4, 5)),
-        "rectangles": (solve_rectangles, RECTANGLE_STEPS),
-        "fourier": (solve_fourier, FOURIER_STEPS),
-    }
-    run, sizes = runs[method]
+    run, sizes = RUNS[method]
     k0 = 2.0 * np.pi / wavelength_nm
     bound = tolerance if tolerance is not None else TOLERANCE[method]
     previous: OrderSolution | None = None

@@ -37,7 +37,7 @@ from nacre.optimise.html_report import PICTURE, REPORT
 from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, fine_grid, level_grid
 from nacre.optimise.image.files import ParameterMap, write_maps
 from nacre.optimise.image.matching import blurred, dither, has_same_hue, map_into_solid, match_colours
-from nacre.optimise.solutions import SUMMARY, Design, DesignProgress, Solution, clear_solutions, write_recipe
+from nacre.optimise.solutions import SUMMARY, Design, DesignProgress, Solution, claim, clear_solutions, write_recipe
 from nacre.optimise.task import DesignTask
 from nacre.optimise.thin_film.adapter import interrupt_flag
 from nacre.plot.html import DPI, data_uri
@@ -160,6 +160,7 @@ def design_picture(
         stopped = is_interrupted()
     report(float(picture.distance.mean()) / target.tolerance)
     facts = _figures(task, picture)
+    claim(folder)
     solution = _write(task, folder, picture, facts)
     status = "met" if facts["share_out_of_reach"] <= MAX_UNREACHABLE else "out of reach"
     status = "interrupted" if stopped else status

@@ -18,11 +18,12 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path, read_text, write_text
 from nacre.core.parallel import available_jobs, single_threaded_blas
-from nacre.optimise.checkpoint import Checkpointer
+from nacre.optimise.checkpoint import Checkpointer, unreadable
 from nacre.optimise.relief.merit import ConvergedMeasurement, Evaluator, Problem, exact_losses, measure_design
 from nacre.optimise.relief.report import write_preview, write_report
 from nacre.optimise.relief.search import Candidate, Progress, Search
 from nacre.optimise.relief.target import TargetSpec
+from nacre.optimise.solutions import claim
 from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.toml import dump_toml, parse_toml
@@ -125,6 +126,7 @@ def design(
     checkpointer = Checkpointer.open(folder, output.fingerprint, resume)
     if checkpointer.progress:
         _restore(search, checkpointer)
+    claim(folder)
     output.write(search.best.x, "started")
     _save(search, checkpointer)
 
@@ -237,10 +239,20 @@ def _save(search: Search, checkpointer: Checkpointer) -> None:
 
 
 def _restore(search: Search, checkpointer: Checkpointer) -> None:
-    search.stage, search.evaluations, search.seconds = (
-        checkpointer.progress[key] for key in ("stage", "evaluations", "seconds")
-    )
-    search.candidates = [
-        Candidate(np.frombuffer(base64.b64decode(one["x"])).copy(), one["value"], one["stage"], one["done"])
-        for one in checkpointer.solutions
-    ]
+    """Continue from a checkpoint.
+
+    Raises:
+        NacreError: the checkpoint is damaged.
+    """
+    try:
+        stage, evaluations, seconds = (checkpointer.progress[key] for key in ("stage", "evaluations", "seconds"))
+        candidates = [
+            Candidate(np.frombuffer(base64.b64decode(one["x"])).copy(), float(one["value"]), one["stage"], one["done"])
+            for one in checkpointer.solutions
+        ]
+        size = search.problem.features**2
+        if not candidates or any(one.x.shape != (size,) for one in candidates):
+            raise ValueError
+    except (KeyError, TypeError, ValueError):
+        raise unreadable(checkpointer.folder) from None
+    search.stage, search.evaluations, search.seconds, search.candidates = stage, evaluations, seconds, candidates
