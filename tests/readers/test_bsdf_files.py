@@ -196,6 +196,29 @@ def test_speos_scattering_models_give_shares(tmp_path: Path) -> None:
         open_file(path)
 
 
+RING = "<AngleBasisBlock><nPhis>{}</nPhis><ThetaBounds><LowerTheta>{}</LowerTheta><UpperTheta>{}</UpperTheta>"
+RINGS = "".join(RING.format(*ring) + "</ThetaBounds></AngleBasisBlock>" for ring in ((1, 0, 10), (2, 10, 90)))
+WINDOW = (
+    'genBSDF log\n<?xml version="1.0"?><WindowElement xmlns="http://windows.lbl.gov"><Optical><Layer><DataDefinition>'
+    "<IncidentDataStructure>Columns</IncidentDataStructure><AngleBasis><AngleBasisName>K</AngleBasisName>{}</AngleBasis>"
+    "</DataDefinition><WavelengthData><Wavelength>Visible</Wavelength><WavelengthDataBlock><WavelengthDataDirection>"
+    "Reflection Front</WavelengthDataDirection><ColumnAngleBasis>K</ColumnAngleBasis><RowAngleBasis>K</RowAngleBasis>"
+    "<ScatteringData>{}</ScatteringData></WavelengthDataBlock></WavelengthData></Layer></Optical></WindowElement>"
+)
+
+
+def test_a_window_matrix_has_a_column_for_each_incident_patch(tmp_path: Path) -> None:
+    path = tmp_path / "x.xml"
+    path.write_text(WINDOW.format(RINGS, "1,2,3,\n4,5,6,\n7,8,9,\n"))
+    (found,) = open_file(path)
+    assert found.data["theta_i_deg"].tolist() == [0.0, 50.0, 50.0] * 3
+    assert found.data["phi_o_deg"].tolist() == [0.0] * 6 + [180.0] * 3
+    assert found.data["bsdf"].tolist() == [float(v) for v in range(1, 10)]
+    path.write_text(WINDOW.format(RINGS, "1,2,3"))
+    with pytest.raises(NacreError):
+        open_file(path)
+
+
 def test_utia_runs_over_the_viewer_fastest(tmp_path: Path) -> None:
     values = np.zeros((3, 6, 48, 6, 48))
     values[1, 2, 3, 4, 5] = 7.0

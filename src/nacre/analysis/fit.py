@@ -63,6 +63,7 @@ THICKNESS = re.compile(r"(thickness|height|gap)_(nm|um|mm)$")
 UNIT_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
 REWEIGHTINGS = 2  # of several measurements
 INSTRUMENT = "instrument."
+POOR_RMS, BETTER = 0.03, 0.7  # relative rms of a fit that suggests a wrong sign of Delta, and the gain by the other
 
 
 @dataclass(frozen=True)
@@ -167,7 +168,8 @@ def read_measurement(
         return gonio_measurement(path, found[0])
     chosen = [m for m in found if m.kind == "ellipsometry" and "depolarisation" not in m.data]
     if chosen:
-        return ellipsometry_data(_one_of(path, chosen, options), range_nm, options.spectrum)
+        is_stated = options.delta_convention is not None
+        return ellipsometry_data(_one_of(path, chosen, options), range_nm, options.spectrum, is_stated)
     return spectrum_measurement(path, found, options, range_nm)
 
 
@@ -182,6 +184,19 @@ def _one_of(path: Path, found: Sequence[Measurement], options: ReadOptions) -> M
             names,
         )
     return found[names.index(options.spectrum)]
+
+
+def other_sign(found: Fit, measured: Data, free: tuple[Parameter, ...], ties: Ties | None = None) -> float | None:
+    """Return the relative rms of a fit with the other sign of Delta if it agrees much better; else None.
+
+    Only for one file of N, C and S whose sign of Delta the user has not stated, and a fit that does not agree.
+    """
+    if not isinstance(measured, EllipsometryData) or measured.is_sign_stated or len(measured.quantities) != 3:
+        return None
+    if not measured.quantities[0].startswith("ncs") or found.relative_rms < POOR_RMS:
+        return None
+    other = run_fit(found.material, measured.with_other_sign(), free, starts=2, ties=ties, intervals="linear")
+    return other.relative_rms if other.relative_rms < BETTER * found.relative_rms else None
 
 
 def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
