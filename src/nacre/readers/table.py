@@ -48,6 +48,7 @@ HEADERLESS: dict[Kind, dict[int, tuple[str, ...]]] = {
     "ellipsometry": {4: ("wavelength", "angle_of_incidence", "psi", "delta")},
     "colours": {3: ("L", "a", "b"), 4: ("name", "L", "a", "b")},
 }
+CLEAR_INDEX = 7.5
 CHROMATIC = ("L", "a", "b", "C", "hue", "X", "Y", "Z", "hunter_L", "hunter_a", "hunter_b")
 
 
@@ -177,10 +178,12 @@ def constants_of(
 
 
 def _check_headerless(table: TextTable, options: ReadOptions) -> None:
-    """Refuse three columns without headings that may be a dielectric function: in eV, or with a negative second."""
+    """Refuse three columns without headings that may be a dielectric function: in eV, or with impossible n."""
     if table.headings or options.columns or table.width != 3:
         return
-    is_negative = bool(np.nanmin(table.column(1)) < 0.0)
+    second, third = table.column(1), table.column(2)
+    # no clear material has so large an index
+    is_negative = bool(np.nanmin(second) < 0.0 or np.any((second > CLEAR_INDEX) & (third < 0.5 * second)))
     if is_negative or (options.unit is not None and parse_unit(options.unit) == "eV"):
         looks = "looks like a dielectric function" if is_negative else "may be n, k or a dielectric function"
         raise AmbiguousFileError(
