@@ -103,10 +103,11 @@ def line_mesh(period: float, walls: Array, wave_numbers: Array, level: int) -> L
 def _mesh(period: float, walls: tuple[float, ...], wave_numbers: tuple[float, ...], level: int) -> LineMesh:
     starts = np.array(walls)
     ends = np.append(starts[1:], starts[0] + period)
-    layers = 2 + level
+    smallest = 0.125 * GRADING ** (2 + level) * period  # narrow regions are graded less: finer elements lose digits
     edges: list[float] = [starts[0]]
     degrees: list[int] = []
     for a, b, wave_number in zip(starts, ends, wave_numbers, strict=True):
+        layers = int(np.clip(np.floor(np.log(2.0 * smallest / (b - a)) / np.log(GRADING) + 0.5), 0, 2 + level))
         steps = 0.5 * GRADING ** np.arange(layers, 0, -1)
         inner = np.concatenate([steps, 1.0 - steps[::-1], [1.0]])
         sizes = np.diff(np.concatenate([[0.0], inner])) * (b - a)
