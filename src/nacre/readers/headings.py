@@ -519,7 +519,7 @@ def _peeled(core: str, base: Meaning) -> tuple[Meaning, ...]:
         return tuple(replace(base, quantity=name) for name in sorted(both))
     for place in (len(tokens) - 1, 0, *range(1, len(tokens) - 1)):
         word = _spelt(tokens[place]).strip().lower()
-        told: Meaning | None = None
+        told = None
         if word in ERROR_WORDS or tokens[place] in ("±",):
             told = replace(base, is_error=True)
         elif word in _POLARISATIONS:
