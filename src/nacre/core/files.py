@@ -9,6 +9,7 @@ import io
 import os
 import platform
 import re
+import secrets
 import select
 import shutil
 import stat
@@ -28,8 +29,6 @@ NUL = "\0"
 DESIGN_RECIPE = "recipe.toml"  # in a folder that represents a material
 HAS_NUL = "holds a NUL character, which no file name has"
 
-_UMASK = os.umask(0o077)  # of this process; read once, at import
-os.umask(_UMASK)
 _TEMPORARY = re.compile(r"\..*\.nacre-([0-9a-f]{8})-(\d+)-(\d+)-\w{8}(\..*)?")
 
 
@@ -116,24 +115,41 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     path = Path(os.path.realpath(path)) if path.is_symlink() and not _is_special(path) else path
     folder = check_writable(path)
     is_special = _is_special(path)
-    place = None if is_special else folder
-    handle, name = tempfile.mkstemp(prefix=temporary_prefix(path), suffix=path.suffix, dir=place)
-    os.close(handle)
-    temporary = Path(name)
+    if is_special:
+        handle, name = tempfile.mkstemp(prefix=temporary_prefix(path), suffix=path.suffix)
+        os.close(handle)
+        temporary = Path(name)
+    else:
+        temporary = _created(folder, path)
     try:
         yield temporary
         if is_special:
             with temporary.open("rb") as source, open(path, "wb", opener=_open_as_it_is) as sink:
                 shutil.copyfileobj(source, sink)
             return
-        with contextlib.suppress(OSError):
-            temporary.chmod(0o666 & ~_UMASK)  # mkstemp makes files private
         temporary.replace(path)
     except OSError as error:
         raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _created(folder: Path, path: Path) -> Path:
+    """Create an empty temporary file with the permissions of a new file.
+
+    Raises:
+        NacreError: the folder cannot be written.
+    """
+    while True:
+        temporary = folder / f"{temporary_prefix(path)}{secrets.token_hex(4)}{path.suffix}"
+        try:
+            os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from None
+        return temporary
 
 
 @contextlib.contextmanager
