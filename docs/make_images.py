@@ -1,7 +1,7 @@
 """Render the pictures that README and gallery show, and store them small in docs/images.
 
-`python docs/make_images.py` makes all; names after it make some: `hero`, `glass`, `sem`, `gallery`, or names of the
-gallery. `--demo DIR` takes the gallery's and the hero's from what `make demo OUT=DIR` made, which shows the same.
+`python docs/make_images.py` makes all; names after it make some: `hero`, `glass`, `sem`, `afm`, `gallery`, or names of
+the gallery. `--demo DIR` takes the gallery's and the hero's from what `make demo OUT=DIR` made, which shows the same.
 They are committed, so that the documentation builds in minutes; make them anew when a picture has changed.
 """
 
@@ -174,18 +174,36 @@ def thumbnail_name(picture: PictureSpec) -> str:
 
 def make_sem(scratch: Path) -> Path:
     """Draw the micrograph of the tutorial by its own program, and render its own recipe beside it."""
-    page = (Path(__file__).parent / "howto" / "from-an-sem-image.md").read_text(encoding="utf-8")
-    program = page.split("```python\n")[1].split("```")[0].replace('"sem.png"', repr(str(scratch / "sem.png")))
-    exec(compile(program, "from-an-sem-image.md", "exec"), {})  # the page's own
-    recipe = scratch / "sem.toml"
+    recipe = _run_page("from-an-sem-image", "sem.png", scratch)
+    return _beside(Image.open(scratch / "sem.png").convert("RGB"), recipe, IMAGES / "sem.jpg")
+
+
+def make_afm(scratch: Path) -> Path:
+    """Draw the scan of the tutorial by its own program, and render its own recipe beside it."""
+    recipe = _run_page("from-an-afm-scan", "scan.txt", scratch)
+    heights = nacre.load(recipe).model.tile.heights_nm.T[::-1]
+    grey = (heights - heights.min()) / np.ptp(heights)
+    return _beside(Image.fromarray(np.uint8(255 * grey)).convert("RGB"), recipe, IMAGES / "afm.jpg")
+
+
+def _run_page(name: str, made: str, scratch: Path) -> Path:
+    """Run the program of a page, which writes the file `made`, in `scratch`; return the page's recipe there."""
+    page = (Path(__file__).parent / "howto" / f"{name}.md").read_text(encoding="utf-8")
+    program = page.split("```python\n")[1].split("```")[0].replace(f'"{made}"', repr(str(scratch / made)))
+    exec(compile(program, f"{name}.md", "exec"), {})  # the page's own
+    recipe = scratch / f"{Path(made).stem}.toml"
     recipe.write_text(page.split("```toml\n")[1].split("```")[0], encoding="utf-8")
+    return recipe
+
+
+def _beside(drawn: Image.Image, recipe: Path, path: Path) -> Path:
+    """Store a picture with a sphere of a recipe beside it."""
     size = PANEL[1]
-    drawn = Image.open(scratch / "sem.png").convert("RGB").resize((size, size))
     look = nacre.render(nacre.load(recipe), "sphere", size=(size, size), spp=SPP, progress=False)
     sheet = Image.new("RGB", (2 * size + GAP, size), GROUND)
-    sheet.paste(drawn, (0, 0))
+    sheet.paste(drawn.resize((size, size)), (0, 0))
     sheet.paste(Image.fromarray(np.asarray(look.srgb8)), (size + GAP, 0))
-    return _save(sheet, IMAGES / "sem.jpg")
+    return _save(sheet, path)
 
 
 def _save(image: Image.Image, path: Path) -> Path:
@@ -218,6 +236,8 @@ def main(names: list[str], demo: Path | None = None) -> None:
         make_sheet("glass", GLASS, PANEL, folder, scratch)
     if not names or "sem" in names:
         make_sem(scratch)
+    if not names or "afm" in names:
+        make_afm(scratch)
 
 
 if __name__ == "__main__":

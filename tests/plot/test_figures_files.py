@@ -37,7 +37,20 @@ def film(**changes):
 
 
 @pytest.mark.parametrize(
-    "kind", ["spectrum", "ribbon", "chromaticity", "slice", "lobe", "field", "colour-map", "structure"]
+    "kind",
+    [
+        "spectrum",
+        "ribbon",
+        "chromaticity",
+        "slice",
+        "lobe",
+        "field",
+        "colour-map",
+        "structure",
+        "ellipsometry",
+        "mueller",
+        "circular",
+    ],  # fmt: skip
 )
 def test_every_kind_of_a_film_is_drawn_and_saved(kind, tmp_path):
     path = tmp_path / "figure.png"

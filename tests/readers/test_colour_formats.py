@@ -142,7 +142,7 @@ def test_swatches_of_aco_are_read_once_with_their_names(tmp_path: Path) -> None:
         data += struct.pack(">5HI", *colour, len(name) + 1) + (name + "\0").encode("utf-16-be")
     rgb, lab = open_file(written(tmp_path, data))
     assert rgb.metadata["names"] == ["red", "grey"] and lab.metadata["names"] == ["blue"]
-    np.testing.assert_allclose(rgb.data["srgb"], [[1, 0, 0], [0.5, 0.5, 0.5]])
+    np.testing.assert_allclose(rgb.data["srgb"], [[1.0, 0.0, 0.0], [0.5, 0.5, 0.5]])
     assert [lab.data[name][0] for name in "Lab"] == [30.0, 10.0, -40.0]
 
 
@@ -160,11 +160,11 @@ def test_swatches_of_aco_are_read_once_with_their_names(tmp_path: Path) -> None:
 def test_palettes_are_srgb(tmp_path: Path, text: str) -> None:
     path = written(tmp_path, text)
     (card,) = open_file(path)
-    np.testing.assert_allclose(card.data["srgb"], [[1, 0, 0], [0, 128 / 255, 1]])
+    np.testing.assert_allclose(card.data["srgb"], [[1.0, 0.0, 0.0], [0.0, 128 / 255, 1.0]])
     assert card.metadata["names"] == ["red", "sky"]
     # sRGB is defined for D65 and 2 degrees: the colours of a list for that light are its own
     wanted = xyz_to_lab(srgb_linear_to_xyz(srgb_decode(card.data["srgb"])), srgb_linear_to_xyz(np.ones(3)))
-    np.testing.assert_allclose([row.lab[0] for row in read_colours(path, 1)], wanted, atol=0.02)
+    np.testing.assert_allclose(np.concatenate([row.lab for row in read_colours(path, 1)]), wanted, atol=0.02)
 
 
 def test_a_lamp_is_no_colour(tmp_path: Path) -> None:

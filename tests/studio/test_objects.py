@@ -258,3 +258,28 @@ def test_a_lamp_is_taken_out_of_its_place_whole() -> None:
     np.testing.assert_allclose(lamp.matt(middle), lamp.irradiance / np.pi)
     even, none = without_lamp(np.full((32, 64, 3), level))
     assert none is None and np.all(even == level)
+
+
+SCOPE = "Dark Spectrum Present: Yes\nReference Spectrum Present: Yes\n>>>>>Begin Processed Spectral Data<<<<<\n"
+
+
+def test_a_dropped_spectrum_is_answered_as_a_curve(client: TestClient) -> None:
+    rows = "".join(f"{nm}\t{20 + nm / 100}\n" for nm in range(300, 900))
+    found = client.post("/api/measurement?name=wing.txt", content=(SCOPE + rows).encode()).json()
+    (curve,) = found["curves"]
+    assert curve["nm"][0] == 380.0 and curve["nm"][-1] <= 780.0
+    assert curve["values"][0] == pytest.approx(0.238)
+    assert found["colours"] == [] and len(found["summary"]) == 1
+
+
+def test_a_dropped_colour_list_is_answered_as_colours(client: TestClient) -> None:
+    found = client.post("/api/measurement?name=x.gpl", content=b"GIMP Palette\n255 0 0 red\n0 0 255 blue\n").json()
+    assert found["colours"] == [{"name": "red", "hex": "#ff0000"}, {"name": "blue", "hex": "#0000ff"}]
+
+
+@pytest.mark.parametrize("name, content", [("a.bin", b"\0\1\2\3"), ("../../x.dpt", b"1,2\n2,3\n3,4\n"), ("e.txt", b"")])
+def test_a_dropped_file_that_cannot_be_read_is_one_line(client: TestClient, name: str, content: bytes) -> None:
+    answer = client.post("/api/measurement", params={"name": name}, content=content)
+    told = answer.json()["error"]
+    assert answer.status_code == 422 and "\n" not in told and "/tmp" not in told
+    assert name.rpartition("/")[2] in told

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.families.contract import Model
 from nacre.material.material import Material
-from nacre.readers.ellipsometry.common import standard_delta
+from nacre.readers.ellipsometry.common import CONVENTIONS, standard_delta
 from nacre.readers.measurement import AmbiguousFileError, Measurement
 
 PURE = 0.005  # largest |N^2 + C^2 + S^2 - 1| of values that an instrument has normalised
@@ -32,6 +32,8 @@ class EllipsometryData:
         values: measured, `[quantity, row]`.
         errors: standard errors, shaped as `values`; None if the file states none.
         is_normalised: whether the values belong to the polarised part: N^2 + C^2 + S^2 = 1.
+        is_sign_stated: whether the user has stated the sign of Delta.
+        remarks: what the reader has assumed.
     """
 
     name: str
@@ -42,6 +44,13 @@ class EllipsometryData:
     errors: Array | None = None
     is_normalised: bool = True
     kind: str = "ellipsometry"
+    is_sign_stated: bool = False
+    remarks: tuple[str, ...] = ()
+
+    def with_other_sign(self) -> EllipsometryData:
+        """Return the data with the opposite sign of Delta."""
+        turned = self.values * np.array([1.0, 1.0, -1.0])[:, None]
+        return replace(self, values=turned)
 
     @property
     def wavelengths_nm(self) -> Array:
@@ -131,13 +140,17 @@ def _places(waves: Array, data: EllipsometryData, rows: NDArray[np.intp]) -> NDA
 
 
 def ellipsometry_data(
-    measurement: Measurement, range_nm: tuple[float, float] | None = None, time: str | None = None
+    measurement: Measurement,
+    range_nm: tuple[float, float] | None = None,
+    time: str | None = None,
+    is_sign_stated: bool = False,
 ) -> EllipsometryData:
     """Return a measurement as data of a fit.
 
     Args:
         range_nm: rows outside are ignored.
         time: number of the time in a dynamic measurement, 1 for the first.
+        is_sign_stated: whether the user has stated the sign of Delta.
 
     Raises:
         NacreError: no rows in the range, or no Psi and Delta.
@@ -156,7 +169,10 @@ def ellipsometry_data(
         if not np.isfinite(errors).all() or errors.min() <= 0:
             errors = None
     angles = data["angle_of_incidence_deg"][keep]
-    return EllipsometryData(str(measurement.path), waves[keep], angles, names, values[:, keep], errors, is_normalised)
+    return EllipsometryData(
+        str(measurement.path), waves[keep], angles, names, values[:, keep], errors, is_normalised,
+        is_sign_stated=is_sign_stated, remarks=measurement.assumed,
+    )  # fmt: skip
 
 
 def _at_time(measurement: Measurement, data: dict[str, Array], time: str | None) -> NDArray[np.bool_]:
@@ -181,7 +197,10 @@ def _compared(measurement: Measurement, data: dict[str, Array]) -> tuple[tuple[s
         return names, np.stack([data[name] / m11 for name in names]), None, False
     if "ncs_c" in data:
         names = tuple(name for name in ("ncs_n", "ncs_c", "ncs_s") if name in data)
-        values = np.stack([data[name] for name in names])
+        sign, offset = CONVENTIONS[str(measurement.metadata.get("delta_convention", "positive"))]
+        turned = np.cos(np.radians(offset))
+        factors = {"ncs_n": 1.0, "ncs_c": turned, "ncs_s": sign * turned}
+        values = np.stack([factors[name] * data[name] for name in names])
         length = np.sum(values**2, axis=0)
         return names, values, None, len(names) == 3 and bool(np.nanmax(np.abs(length - 1.0)) <= PURE)
     if "psi_deg" not in data or "delta_deg" not in data:

@@ -116,6 +116,7 @@ def _document(report: Report) -> dict[str, Any]:
         "transmission_haze_percent": _clean(report.transmission_haze),
         "hemispherical": _clean(report.hemispherical),
         "largest_standard_error": report.noise,
+        "selective_reflection": {angle: dict(band.__dict__) for angle, band in report.selective.items()},
         "provenance": report.provenance,
     }
 
@@ -197,6 +198,12 @@ def report_numbers(report: Report) -> list[tuple[str, str]]:
     for name, value in report.hemispherical.items():
         words, _, angle = name.rpartition("_")
         rows.append((f"{words.replace('_', ' ')} at {angle} degrees", f"{value:.4f}"))
+    for angle, band in report.selective.items():
+        rows.append((
+            f"selective reflection at {angle} degrees",
+            f"{band.hand} circular, {band.low_nm:.0f} to {band.high_nm:.0f} nm: R = {band.reflectance:.3f} at "
+            f"{band.peak_nm:.0f} nm, the other hand {band.other_reflectance:.3f}, |g| = {band.dissymmetry:.2f}",
+        ))  # fmt: skip
     if report.noise > 0:
         rows.append(("largest standard error of pi f", f"{report.noise:.2g}"))
     rows += [(SURFACE_NAMES.get(name, name), f"{value:.5g}") for name, value in report.surface.items()]

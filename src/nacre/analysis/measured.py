@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array
@@ -266,10 +267,11 @@ def _on_grid(path: Path, series: Sequence[_Series], remarks: tuple[str, ...]) ->
     errors = np.full(values.shape, np.nan) if all(one.errors is not None for one in series) else None
     count = np.zeros(values.shape, dtype=int)
     for one in series:
+        one = _without_repeated_rows(one)
         place = (parts.index(one.part), np.searchsorted(angles, one.angles_deg),
                  np.searchsorted(waves, one.wavelengths_nm))  # fmt: skip
         same = np.isclose(values[place], one.values, rtol=0.0, atol=0.0)
-        np.add.at(count, place, np.where(same, 0, 1))
+        np.add.at(count[place[0]], place[1:], np.where(same, 0, 1))
         values[place] = one.values
         if errors is not None and one.errors is not None:
             errors[place] = one.errors
@@ -289,16 +291,25 @@ def _on_grid(path: Path, series: Sequence[_Series], remarks: tuple[str, ...]) ->
     return Measured("spectrum", waves, values, parts, angles, name=str(path), errors=errors, remarks=remarks)
 
 
-def _without_noise(waves: Array, values: Array) -> Array:
+def _without_noise(waves: Array, values: Array) -> NDArray[np.bool_]:
     """Return the wavelengths to keep `[wavelength]`: the visible ones if impossible values occur only beyond them.
 
     Spectrometers are noisy at the ends of their range, where the lamp is weak.
     """
-    is_wrong = ((values < MIN_POWER) | (values > MAX_POWER)).any(axis=(0, 1))
+    is_wrong = np.any((values < MIN_POWER) | (values > MAX_POWER), axis=(0, 1))
     visible = (waves >= VISIBLE_NM[0]) & (waves <= VISIBLE_NM[1])
     if is_wrong.any() and visible.sum() > 1 and not is_wrong[visible].any():
-        return visible
+        return np.asarray(visible)
     return np.ones(len(waves), dtype=bool)
+
+
+def _without_repeated_rows(one: _Series) -> _Series:
+    """Return a series without rows that stand twice, identical."""
+    rows = np.stack([one.angles_deg, one.wavelengths_nm, one.values], axis=1)
+    _, keep = np.unique(rows, axis=0, return_index=True)
+    keep = np.sort(keep)
+    errors = None if one.errors is None else one.errors[keep]
+    return _Series(one.part, one.angles_deg[keep], one.wavelengths_nm[keep], one.values[keep], errors)
 
 
 def _check_modes(path: Path, parts: Sequence[str], remarks: tuple[str, ...]) -> None:

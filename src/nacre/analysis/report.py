@@ -19,7 +19,7 @@ from nacre.bsdf.grids import direction
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
-from nacre.families.contract import energy_defect
+from nacre.families.contract import Polarised, energy_defect
 from nacre.light import (
     colour_difference,
     lab_to_lch,
@@ -33,6 +33,7 @@ from nacre.material.material import Material
 from nacre.measure import instruments as geometry
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
 from nacre.measure.geometry import Geometry, aspecular_pairs
+from nacre.measure.polarisation import SelectiveBand, circular_reflection, selective_band
 from nacre.measure.wavelengths import colour_bsdf
 
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
@@ -93,6 +94,7 @@ class Report:
         transmission_haze: ASTM D1003 percentage, None for an opaque material.
         noise: largest standard error of a reflectance factor, 0 without a random walk.
         surface: roughness of a measured surface, such as `sq_um`.
+        selective: band in which one hand of circular light is reflected, at "0" and "45" degrees, if there is one.
     """
 
     name: str
@@ -108,6 +110,7 @@ class Report:
     transmission_haze: float | None
     noise: float = 0.0
     surface: dict[str, float] = field(default_factory=dict)
+    selective: dict[str, SelectiveBand] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -181,6 +184,7 @@ def make_report(
         transmission_haze=transmission_haze(bsdf, samples=samples, seed=seed) if bsdf.transmits else None,
         noise=0.0 if error is None else float(np.pi * error.max()),
         surface=dict(material.model.surface_figures),
+        selective=_selective(material, bsdf.wavelengths_nm),
         provenance={"nacre": __version__, "recipe": material.text, "seed": seed, "samples": samples},
     )
 
@@ -232,6 +236,16 @@ def flop_index(lightness_15: float, lightness_45: float, lightness_110: float) -
     if lightness_45 <= 0 or lightness_15 < lightness_110:
         return None
     return float(FLOP_FACTOR * (lightness_15 - lightness_110) ** FLOP_POWER / lightness_45**FLOP_BASE)
+
+
+def _selective(material: Material, wavelengths_nm: Array) -> dict[str, SelectiveBand]:
+    """Return the bands of selective reflection by angle of incidence."""
+    if not isinstance(material.model, Polarised) or not material.model.mixes_polarisations:
+        return {}
+    spectrum = material.spectrum(np.radians([0.0, 45.0]), wavelengths_nm, "mueller")
+    assert spectrum.mueller_reflected is not None  # as mixes_polarisations says
+    bands = [selective_band(circular_reflection(m), wavelengths_nm) for m in spectrum.mueller_reflected]
+    return {angle: band for angle, band in zip(("0", "45"), bands, strict=True) if band is not None}
 
 
 def _luminous(values: Array, wavelengths_nm: Array, illuminant: str, observer: str) -> Array:

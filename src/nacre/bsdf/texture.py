@@ -29,7 +29,7 @@ _CONSTANTS = {"pi": math.pi, "e": math.e}
 _BINARY: dict[type, str] = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.Div: "div", ast.Pow: "pow"}
 _FUNCTIONS = {
     "sin": 1, "cos": 1, "tan": 1, "exp": 1, "log": 1, "sqrt": 1, "abs": 1, "floor": 1,
-    "min": 2, "max": 2, "step": 2, "mod": 2, "clip": 3, "mix": 3, "noise": 2,
+    "min": 2, "max": 2, "atan2": 2, "step": 2, "mod": 2, "clip": 3, "mix": 3, "noise": 2,
 }  # fmt: skip
 
 
@@ -178,7 +178,7 @@ def smooth_noise(u: Any, v: Any, sin: Callable[[Any], Any]) -> Any:
 NUMPY_OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "pow": np.power, "neg": np.negative,
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "exp": np.exp, "log": np.log, "sqrt": np.sqrt, "abs": np.abs,
-    "floor": np.floor, "min": np.minimum, "max": np.maximum, "mod": np.mod,
+    "floor": np.floor, "min": np.minimum, "max": np.maximum, "mod": np.mod, "atan2": np.arctan2,
     "step": lambda edge, x: np.where(np.asarray(x) < edge, 0.0, 1.0),
     "clip": lambda x, low, high: np.minimum(np.maximum(x, low), high),
     "mix": lambda a, b, t: a + (b - a) * t,

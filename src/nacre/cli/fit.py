@@ -65,7 +65,7 @@ def fit(
 
     Several measurements are of one sample; each is weighted by its own residual.
     """
-    from nacre.analysis.fit import fit_parameters, read_measurements, run_fit
+    from nacre.analysis.fit import fit_parameters, other_sign, read_measurements, run_fit
     from nacre.analysis.fit_data import checked_range, parts_of
     from nacre.analysis.ties import read_ties
     from nacre.core.files import atomic_path, check_writable, short_name, write_text
@@ -91,10 +91,17 @@ def fit(
             common.note(f"{getattr(part, 'name', '')}: {remark}")
     material = common.load_material(recipe)
     numbers = fit_parameters(material, parameters)
+    tied = read_ties(material, [number.path for number in numbers], ties)
     result = run_fit(
-        material, measured, numbers, ties=read_ties(material, [number.path for number in numbers], ties),
+        material, measured, numbers, ties=tied,
         progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"), **options,
     )  # fmt: skip
+    better = other_sign(result, measured, numbers, tied)
+    if better is not None:
+        common.note(
+            f"the other sign of Delta agrees better (relative rms {better:.4g}, not {result.relative_rms:.4g}): try "
+            "--delta-convention negative"
+        )
     changes = {
         **{n.path: n.value for n in result.numbers}, **result.tied, **method_overrides(result.material.model)
     }  # fmt: skip

@@ -15,7 +15,7 @@ from nacre.core.errors import NacreError
 if TYPE_CHECKING:
     from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 
-SIGNS = ("positive", "negative")
+SIGNS = ("positive", "negative", "positive-shifted", "negative-shifted")
 
 
 @click.command()
@@ -103,6 +103,8 @@ def _opened(file: str, options: ReadOptions) -> list[Measurement]:
         except AmbiguousFileError as error:
             option = f"--{error.option.replace('_', '-')}"
             if not (sys.stdin.isatty() and sys.stderr.isatty()):
+                if option in str(error):
+                    raise NacreError(str(error)) from None
                 allowed = f"; allowed: {', '.join(error.choices)}" if error.choices else ""
                 raise NacreError(f"{error}; decide with {option}{allowed}") from None
             options = replace(options, **{error.option: _asked(error, option)})

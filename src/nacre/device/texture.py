@@ -76,6 +76,7 @@ DRJIT_OPERATIONS: dict[str, Callable[..., Any]] = {
     **{name: _unary(name) for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "floor")},
     "min": lambda a, b: dr.minimum(mi.Float(a), b),
     "max": lambda a, b: dr.maximum(mi.Float(a), b),
+    "atan2": lambda a, b: dr.atan2(mi.Float(a), mi.Float(b)),
     "mod": lambda a, b: mi.Float(a) - mi.Float(b) * dr.floor(mi.Float(a) / mi.Float(b)),
     "step": lambda edge, x: dr.select(mi.Float(x) < edge, mi.Float(0.0), mi.Float(1.0)),
     "clip": lambda x, low, high: dr.minimum(dr.maximum(mi.Float(x), low), high),

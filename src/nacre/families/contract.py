@@ -129,6 +129,11 @@ class Model(abc.ABC):
 class Polarised(abc.ABC):
     """A material whose spectra are known for circular light, as Mueller matrices, and from any azimuth."""
 
+    @property
+    def mixes_polarisations(self) -> bool:
+        """Whether s light may be reflected as p light."""
+        return False
+
     @abc.abstractmethod
     def polarised_spectrum(
         self, theta_rad: Array, wavelengths_nm: Array | None, polarisation: str, azimuth_rad: float

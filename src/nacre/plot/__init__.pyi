@@ -12,6 +12,9 @@ from .material import data_figure as data_figure
 from .material import material_figure as material_figure
 from .material import save_index as save_index
 from .material import save_material as save_material
+from .polarisation import circular_figure as circular_figure
+from .polarisation import ellipsometry_figure as ellipsometry_figure
+from .polarisation import mueller_figure as mueller_figure
 from .sheets import DesignSheet as DesignSheet
 from .sheets import Swatch as Swatch
 from .sheets import agreement_figure as agreement_figure

@@ -18,6 +18,7 @@ from nacre.core.errors import NacreError, RecipeError, UnsupportedError, did_you
 from nacre.material.material import Material, MaterialLike, as_material, recipe_provenance
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.wavelengths import colour_bsdf, colour_grid, colour_spectrum
+from nacre.plot import polarisation
 from nacre.plot.colours import chromaticity_figure, colour_map_figure
 from nacre.plot.directions import SLICE_NODES, bsdf_slice_figure, lobe_figure, scattering_figure
 from nacre.plot.spectra import index_figure, parts_of, ribbon_figure, spectrum_figure
@@ -27,7 +28,7 @@ from nacre.plot.tracks import material_tracks
 
 KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
-    "field", "scattering", "structure", "platelet", "microscope",
+    "field", "scattering", "structure", "platelet", "microscope", "ellipsometry", "mueller", "circular",
 )  # fmt: skip
 SPECTRUM_ANGLES_DEG = (0.0, 30.0, 60.0)
 LOBE_ANGLES_DEG = (10.0, 30.0, 60.0)
@@ -91,6 +92,10 @@ def material_figure(
         asked = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         spectrum = colour_spectrum(material, np.radians(angles), illuminant, wavelengths_nm=asked)
         return _over_angles(kind, spectrum, illuminant, material.name)
+    if kind in polarisation.FIGURES:
+        asked = None if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        chosen = np.asarray(polarisation.ANGLES_DEG[kind]) if angles is None else angles
+        return polarisation.FIGURES[kind](material.spectrum(np.radians(chosen), asked, "mueller"), material.name)
     if kind in ("slice", "lobe"):
         bsdf = colour_bsdf(material, illuminant, None if wavelengths_nm is None else np.asarray(wavelengths_nm))
         is_walk = any(lobe.is_stochastic for lobe in bsdf.lobes)

@@ -216,7 +216,7 @@ _GREEK = dict(
     pair.split("=")
     for pair in "α=alpha β=beta γ=gamma Γ=gamma δ=delta Δ=delta ∆=delta ε=epsilon η=eta θ=theta Θ=theta κ=kappa "
     "λ=lambda Λ=lambda μ=mu ν=nu ρ=rho σ=sigma τ=tau φ=phi Φ=phi ψ=psi Ψ=psi ω=omega Ω=omega ħ=hbar "
-    "Ø=diameter ø=diameter ⌀=diameter".split()
+    "Ø=diameter ⌀=diameter".split()
 )
 ERROR_WORDS = frozenset(
     "sigma err error errors std stdev stddev sd se unc uncertainty uncertainties standarddeviation standarderror "
@@ -466,7 +466,8 @@ def _of_core(core: str, base: Meaning) -> tuple[Meaning, ...]:
 
 
 def _of_words(core: str, base: Meaning) -> tuple[Meaning, ...]:
-    if base.quantity == "" and core.strip() in ("±", "+/-", "+-"):
+    is_sigma = _spelt(core).strip().lower() == "sigma" and (not base.unit or UNITS[base.unit][0] != "wavenumber")
+    if core.strip() in ("±", "+/-", "+-") or is_sigma:
         return (replace(base, is_error=True),)
     match = _WITH_POLARISATION.fullmatch(core)
     if match:
@@ -518,7 +519,7 @@ def _peeled(core: str, base: Meaning) -> tuple[Meaning, ...]:
         return tuple(replace(base, quantity=name) for name in sorted(both))
     for place in (len(tokens) - 1, 0, *range(1, len(tokens) - 1)):
         word = _spelt(tokens[place]).strip().lower()
-        told: Meaning | None = None
+        told = None
         if word in ERROR_WORDS or tokens[place] in ("±",):
             told = replace(base, is_error=True)
         elif word in _POLARISATIONS:

@@ -25,8 +25,8 @@ LIKELY = 0.6  # typical keys
 POSSIBLE = 0.2  # any table of numbers
 CUT = "the file ends inside its last line, which may be cut"
 _DAMAGE = (
-    ValueError, LookupError, ArithmeticError, EOFError, TypeError, struct.error, zlib.error, zipfile.BadZipFile,
-    ParseError, NotImplementedError,
+    ValueError, LookupError, ArithmeticError, RuntimeError, EOFError, TypeError, struct.error, zlib.error,
+    zipfile.BadZipFile, ParseError,
 )  # fmt: skip
 
 
@@ -62,6 +62,7 @@ FORMATS: tuple[Format, ...] = (
     Format("ssdd", "SSDD", "bsdf", "bsdf.ssdd"),
     Format("tracepro", "TracePro surface property", "bsdf", "bsdf.tracepro"),
     Format("utia", "UTIA BRDF", "bsdf", "bsdf.utia"),
+    Format("window_xml", "WINDOW and Radiance BSDF (XML)", "bsdf", "bsdf.window_xml"),
     Format("zemax", "Zemax tabular BSDF", "bsdf", "bsdf.zemax"),
     Format("ocean-text", "Ocean Optics text (OOIBase32, SpectraSuite, OceanView, Jaz)", "spectrum", "spectra.ocean"),
     Format("ocean-procspec", "Ocean Optics ProcSpec", "spectrum", "spectra.ocean_procspec"),
@@ -218,7 +219,7 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
             has_usual_headings = import_module(f"nacre.readers.{table.module}").has_usual_headings
             entry = table if has_usual_headings(head_of(path)) else entry
     try:
-        measurements = _measurements(entry, best[0] if options.format is None else entry, path, options)
+        measurements = entry.read(path, options)
     except NacreError:
         raise
     except OSError as error:
@@ -228,20 +229,6 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
     if not measurements:
         raise NacreError(f"{path}: {entry.title} without data")
     return [_with_cut(measurement) for measurement in measurements] if _is_cut(path) else measurements
-
-
-def _measurements(entry: Format, other: Format, path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read a file in one format, or in another if that fails; the error is that of the first."""
-    try:
-        return entry.read(path, options)
-    except NacreError:
-        if other is entry:
-            raise
-        try:
-            return other.read(path, options)
-        except (NacreError, *_DAMAGE):
-            pass
-        raise
 
 
 def _is_cut(path: Path) -> bool:

@@ -142,9 +142,9 @@ def _csv(measurements: Sequence[Measurement]) -> str:
     return out.getvalue()
 
 
-def _columns(measurement: Measurement) -> dict[str, Sequence[Any]]:
+def _columns(measurement: Measurement) -> dict[str, Any]:
     """Return the columns of a tidy table: maps as x, y, height; spectra with a column per wavelength."""
-    columns: dict[str, Sequence[Any]] = {}
+    columns: dict[str, Any] = {}
     names = measurement.metadata.get("names")
     if measurement.kind == "colours" and names is not None:
         columns["name"] = list(names)

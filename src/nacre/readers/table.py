@@ -48,6 +48,7 @@ HEADERLESS: dict[Kind, dict[int, tuple[str, ...]]] = {
     "ellipsometry": {4: ("wavelength", "angle_of_incidence", "psi", "delta")},
     "colours": {3: ("L", "a", "b"), 4: ("name", "L", "a", "b")},
 }
+CLEAR_INDEX = 7.5
 CHROMATIC = ("L", "a", "b", "C", "hue", "X", "Y", "Z", "hunter_L", "hunter_a", "hunter_b")
 
 
@@ -177,10 +178,12 @@ def constants_of(
 
 
 def _check_headerless(table: TextTable, options: ReadOptions) -> None:
-    """Refuse three columns without headings that may be a dielectric function: in eV, or with a negative second."""
+    """Refuse three columns without headings that may be a dielectric function: in eV, or with impossible n."""
     if table.headings or options.columns or table.width != 3:
         return
-    is_negative = bool(np.nanmin(table.column(1)) < 0.0)
+    second, third = table.column(1), table.column(2)
+    # no clear material has so large an index
+    is_negative = bool(np.nanmin(second) < 0.0 or np.any((second > CLEAR_INDEX) & (third < 0.5 * second)))
     if is_negative or (options.unit is not None and parse_unit(options.unit) == "eV"):
         looks = "looks like a dielectric function" if is_negative else "may be n, k or a dielectric function"
         raise AmbiguousFileError(
@@ -323,19 +326,28 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
 
 
 def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
+    """Return the rows of a table; quantities at angles in the headings stand one angle after another."""
     nm = columns.spectral_nm(options)
-    data: dict[str, Floats] = {} if nm is None else {"wavelength_nm": nm}
-    for column in columns.found:
-        quantity, error = column.meaning.quantity, "_error" if column.meaning.is_error else ""
-        if quantity == "angle_of_incidence":
-            data["angle_of_incidence_deg"] = columns.degrees(column, options)
-        elif quantity in ("psi", "delta"):
-            data[f"{quantity}_deg{error}"] = columns.degrees(column, options) if column.unit else column.values
-        elif quantity in ELLIPSOMETRY:
-            data[f"{quantity}{error}"] = column.factors()
     if nm is None:
         raise NacreError(f"{columns.path}: no column of wavelengths; the columns are {columns.table.shown_headings}")
-    return ellipsometry(columns.path, "table", data, options, assumed=columns.assumed, left_out=_left_out(columns))
+    groups: dict[float | None, dict[str, Floats]] = {}
+    for column in columns.found:
+        quantity, error = column.meaning.quantity, "_error" if column.meaning.is_error else ""
+        data = groups.setdefault(column.meaning.angle_deg, {}) if quantity in ELLIPSOMETRY else {}
+        if quantity in ("psi", "delta"):
+            data[f"{quantity}_deg{error}"] = columns.degrees(column, options) if column.unit else column.values
+        else:
+            data[f"{quantity}{error}"] = column.factors()
+    angle = columns.one("angle_of_incidence")
+    if len({frozenset(data) for data in groups.values()}) != 1 or (angle is not None and set(groups) != {None}):
+        raise NacreError(f"{columns.path}: the columns {columns.table.shown_headings} give no whole set for each angle")
+    found = {name: np.concatenate([data[name] for data in groups.values()]) for name in next(iter(groups.values()))}
+    found["wavelength_nm"] = np.tile(nm, len(groups))
+    if angle is not None:
+        found["angle_of_incidence_deg"] = columns.degrees(angle, options)
+    elif None not in groups:
+        found["angle_of_incidence_deg"] = np.repeat(np.array(list(groups), dtype=float), len(nm))
+    return ellipsometry(columns.path, "table", found, options, assumed=columns.assumed, left_out=_left_out(columns))
 
 
 def _plain(columns: Columns, kind: Kind) -> Measurement:

@@ -19,6 +19,7 @@ import numpy as np
 from nacre.core.errors import NacreError
 from nacre.core.files import plain, why_unreadable
 from nacre.core.memory import check_memory
+from nacre.readers.file_head import utf_16_order
 from nacre.readers.units import Floats, normal, parse_unit
 
 MAX_BYTES = 1 << 30
@@ -26,7 +27,6 @@ MEMORY_FACTOR = 12  # memory per byte of a file: text, lines, cells
 SAMPLE_LINES = 400  # from which the delimiter is determined
 CONTROL_SHARE = 0.01  # more control characters: no text
 NUL_SHARE = 0.2  # padding of fixed-length names
-UTF_16_SHARE = 0.3  # of one parity of bytes, NUL: UTF-16 without a mark
 MISSING = frozenset(
     "|nan|-nan|n/a|na|n.a.|n.a|#n/a|#na|#nv|#div/0!|#value!|#wert!|#ref!|#bezug!|#num!|#zahl!|#name?|#null!|#error!|null|none|"
     "nil|-|--|---|.|..|...|nd|n.d.|n.d|missing|no data|nodata|ovr|overflow|inval|invalid|1.#qnan|-1.#ind|1.#ind|"
@@ -54,7 +54,7 @@ def decode(data: bytes) -> str:
         text = data.decode("utf-16", errors="replace")
     elif data.startswith(b"\xef\xbb\xbf"):
         text = data[3:].decode("utf-8", errors="replace")
-    elif (order := _utf_16_order(data)) is not None:
+    elif (order := utf_16_order(data)) is not None:
         text = data.decode(order, errors="replace")
     else:
         text = _decode_bytes(data)
@@ -66,16 +66,6 @@ def decode(data: bytes) -> str:
     if controls > max(CONTROL_SHARE * len(sample), 0.0 if len(sample) < 50 else 2.0):
         raise UnicodeDecodeError("utf-8", data[:1], 0, 1, "is not text")
     return text.replace("\x1a", "")
-
-
-def _utf_16_order(data: bytes) -> str | None:
-    sample = data[:4000]
-    if len(sample) < 4 or b"\0" not in sample:
-        return None
-    even, odd = (sample[i::2].count(0) / max(1, len(sample[i::2])) for i in (0, 1))
-    if odd > UTF_16_SHARE and even < 0.1 * odd:
-        return "utf-16-le"
-    return "utf-16-be" if even > UTF_16_SHARE and odd < 0.1 * even else None
 
 
 def _decode_bytes(data: bytes) -> str:
@@ -400,10 +390,12 @@ def _classified(raw: Sequence[str], delimiter: str | None, knows: Callable[[str,
         line.is_data = _is_data(line.cells)
         if line.is_data and first_is_text is None:
             first_is_text = not _is_number(line.cells[0])
+    _demote_key_values(found)
     width = Counter(len(line.cells) for line in found if line.is_data).most_common(1)
     if width and width[0][0] > 2:
+        first = next(line.number for line in found if line.is_data)
         for line in found:  # rows of several words and few numbers
-            if not line.is_data and not line.is_remark and len(line.cells) == width[0][0]:
+            if line.number > first and not line.is_data and not line.is_remark and len(line.cells) == width[0][0]:
                 line.is_data = any(_is_number(cell) for cell in line.cells)
     for line in marked:  # "#1;52;-30;28" is a row of a table whose rows begin with names
         cells = split(line.text, delimiter)
@@ -411,6 +403,16 @@ def _classified(raw: Sequence[str], delimiter: str | None, knows: Callable[[str,
         if is_name and _begins_with_names(found, first_is_text, knows):
             line.cells, line.is_remark, line.is_data = cells, False, True
     return found
+
+
+def _demote_key_values(found: Sequence[_Line]) -> None:
+    """Take lines such as "Scans: 3" above rows that begin with numbers as text."""
+    data = [line for line in found if line.is_data]
+    led = [line for line in data if _is_value(line.cells[0])]
+    if led and len(led) > 0.5 * len(data):
+        for line in data:
+            if line.number < led[0].number:
+                line.is_data = False
 
 
 def _starts_with_value(text: str, delimiter: str | None) -> bool:
@@ -674,7 +676,7 @@ def _heading_cells(
             continue
         score = (4.0 if fits else 0.0) + 2.0 * known / max(1, len(cells)) - 0.01 * place
         # a line of the rows' own layout is their heading even if no word is known: it is then named in the error
-        if known == 0 and not (place == 0 and fits and width > 1):
+        if known == 0 and not (place == 0 and fits and width > 1 and delimiter is not None and ":" not in text):
             continue
         if score > best_score:
             best, best_score = cells, score

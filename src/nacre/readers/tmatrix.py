@@ -284,6 +284,8 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
             )
     except (TMatrixFileError, Hdf5Error) as error:
         raise NacreError(f"{path}: {error}") from None
+    except RuntimeError as error:  # of the HDF5 library
+        raise NacreError(f"{path}: is damaged: {shown(str(error), 120)}") from None
     size = min(values.shape[1:])
     if values.shape[1] == values.shape[2]:
         excess = max(float(np.linalg.norm(np.eye(size) + 2.0 * t, 2)) for t in values) - 1.0

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import unicodedata
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -235,7 +234,7 @@ def in_range(values: Floats, units: Iterable[str]) -> str:
 
     Example:
         >>> in_range(np.array([0.3, 6.0]), ("um", "eV"))
-        '300-6000 nm (um) or 207-4133 nm (eV)'
+        '300-6000 nm (um) or 206.6-4133 nm (eV)'
     """
     low, high = float(np.min(values)), float(np.max(values))
     said = []
@@ -261,6 +260,10 @@ def likely_unit(values: Floats, unit: str) -> str | None:
     if low < SHORTEST_NM and high < SOFT_X_RAY_NM:
         other = [u for u in ("um", "nm", "eV", "m", "mm") if u != unit and _is_common(raw_low, raw_high, u)]
         return other[0] if other else "another unit"
+    if unit == "nm" and low >= 1800.0 and high >= 6000.0:
+        return "angstrom or 1/cm"
+    if unit == "eV" and 0.19 <= raw_low <= 0.45 and 0.65 <= raw_high < 1.65:
+        return "um"  # of the visible range; as eV, none of it is visible
     if low > 1e5 and unit != "nm" and raw_low > 0:
         other = [u for u in ("nm", "um", "angstrom", "1/cm", "THz") if u != unit and _is_common(raw_low, raw_high, u)]
         return other[0] if other else ("another unit" if low > 1e7 else None)
@@ -270,15 +273,3 @@ def likely_unit(values: Floats, unit: str) -> str | None:
 def _is_common(low: float, high: float, unit: str) -> bool:
     ends = to_nm(np.array([low, high]), unit)
     return bool(ends.min() >= 90.0 and ends.max() <= 30_000.0)
-
-
-def find_units(text: str) -> list[str]:
-    """Return the canonical units that a text names in brackets, after a slash, or as a word that is nothing else."""
-    found = [parse_unit(part) for part in re.findall(r"[(\[]([^)\]]*)[)\]]", text)]
-    words = re.findall(r"(?<!\w)(?:nm|um|µm|μm|eV|cm-1|1/cm|THz|angstroms?|micron s?|Å)(?!\w)", normal(text))
-    return [unit for unit in (*found, *(parse_unit(word) for word in words)) if unit]
-
-
-def unit_list(units: Sequence[str]) -> str:
-    """Return units for a message: 'unit = "um" or unit = "eV"'."""
-    return " or ".join(f'"{unit}"' for unit in units)

@@ -108,8 +108,8 @@ def from_properties(properties: Any) -> Any:
             name = next((str(properties[key]) for key in ("recipe", "file", "bsdf") if key in properties), "nacre")
             mi.Log(
                 mi.LogLevel.Warn,
-                f"{name} varies over the surface, and v is taken to run upward. On shapes of type obj, ply and "
-                "sphere v runs downward: give the bsdf v_up = false there, or v_up = true to end this message",
+                f"{name} varies over the surface, and v is taken to run upward. On shapes of type obj and sphere "
+                "v runs downward: give the bsdf v_up = false there, or v_up = true to end this message",
             )
         return make_bsdf(bsdf, two_sided=two_sided, properties=properties, v_up=v_up)
     except NacreError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import tempfile
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
@@ -40,6 +41,7 @@ MAX_FOUND = 40
 MAX_BODY = 2 * MAX_MESSAGE  # two recipes
 MAX_UPLOAD = 64 << 20  # bytes
 MAX_SESSION_NAME = 40
+MAX_SUFFIX = 16  # characters
 MEDIA = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".jpg": "image/jpeg"}
 REMARKS_HEADER = "x-nacre-remarks"  # remarks on an exported file, as JSON
 JOB_S, FILE_S = 300.0, 1800.0  # time limits
@@ -106,7 +108,8 @@ def routes() -> list[BaseRoute]:
         "/api/indices": indices, "/api/object": picture_object, "/favicon.ico": no_icon,
     }  # fmt: skip
     post = {
-        "/api/save": save, "/api/report": report, "/api/mesh": mesh, "/api/formats": formats, "/api/file": file,
+        "/api/save": save, "/api/report": report, "/api/mesh": mesh, "/api/measurement": measurement,
+        "/api/formats": formats, "/api/file": file,
         "/api/parameters": parameters, "/api/stop": stop, **{f"/api/{name}": _streaming(name) for name in JOBS},
     }  # fmt: skip
     return [
@@ -280,6 +283,18 @@ async def mesh(request: Request) -> Response:
     return _binary(packed)
 
 
+async def measurement(request: Request) -> Response:
+    """Answer what a dropped file of an instrument contains."""
+    name = request.query_params.get("name", "").replace("\\", "/").rpartition("/")[2][-80:]
+    suffix = Path(name).suffix if len(Path(name).suffix) <= MAX_SUFFIX else ""
+    with tempfile.TemporaryDirectory(prefix="nacre-studio-") as place:
+        uploaded = Path(place) / f"upload{suffix}"
+        await _upload(request, uploaded, name)
+        question = {"path": str(uploaded), "name": name}
+        found = await _result(request, "measurement", "nacre.studio.measured:measurement_job", question)
+    return Response(found, media_type="application/json")
+
+
 def _mesh(body: Body, studio: Studio) -> dict[str, Any]:
     return {"mesh": str(studio.meshes.path(str(body["mesh"])))} if body.get("mesh") else {}
 
@@ -318,7 +333,7 @@ async def _upload(request: Request, path: Path, name: str) -> None:
         async for chunk in request.stream():
             size += len(chunk)
             if size > MAX_UPLOAD:
-                raise NacreError(f"{name}: a mesh of more than {MAX_UPLOAD >> 20} MiB; the page takes no larger ones")
+                raise NacreError(f"{name}: is larger than {MAX_UPLOAD >> 20} MiB; the page takes no larger files")
             file.write(chunk)
 
 

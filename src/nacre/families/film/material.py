@@ -143,6 +143,11 @@ class Film(Model, Polarised):
         return not self.stack.is_isotropic
 
     @property
+    def mixes_polarisations(self) -> bool:
+        """Whether the film is anisotropic and its light specular."""
+        return self.is_anisotropic and self.base_albedo == 0
+
+    @property
     def depends_on_azimuth(self) -> bool:
         """Whether a medium looks different from different azimuths."""
         media = [self.substrate, *(layer.material for layer in self.layers)]

@@ -33,6 +33,11 @@ NOTED_EXCESS = 1.2  # albedo over Fresnel from which the energy bound is stated
 LEAST_RESOLVED_DEG = 60.0  # a scan that resolves less scatter says so
 FLAT_NM = 1e-3  # Sq of a plane
 FIGURE_POINTS = 1024
+STATISTICS = {
+    "scan": 'statistics = "scan": the scan itself diffracts, since its heights are not random',
+    "random": 'statistics = "random": random heights with the power spectral density of the scan',
+    "isotropic": 'statistics = "isotropic": random heights with the mean power spectral density of the scan',
+}
 
 
 @dataclass(frozen=True)
@@ -141,6 +146,8 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         if angle < LEAST_RESOLVED_DEG and self.tile.sq_nm > FLAT_NM:
             pitch = f"{self.tile.pitch_nm / 1e3:.3g} um"
             lines += (f"points {pitch} apart resolve scatter up to {angle:.0f} degrees from the mirror direction",)
+        if self.tile.statistics is None and self.tile.sq_nm > FLAT_NM:
+            lines += (STATISTICS[self.tile.kind],)
         return self.tile.remarks + lines
 
     @functools.cached_property

@@ -6,8 +6,25 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.matter.periodic.lamellar_modes import layer_modes, line_modes
-from nacre.matter.periodic.line_basis import LineBasis, LineMesh, assemble, line_basis, line_mesh, regions, shape_values
-from nacre.matter.periodic.profile_coordinates import aligned, operators, profile_modes, scatter_profile, state
+from nacre.matter.periodic.line_basis import (
+    LineBasis,
+    LineMesh,
+    assemble,
+    gauss,
+    gauss_values,
+    line_basis,
+    line_mesh,
+    regions,
+)
+from nacre.matter.periodic.profile_coordinates import (
+    Ports,
+    aligned,
+    operators,
+    profile_modes,
+    scatter_profile,
+    state,
+    unitary_amplitudes,
+)
 from nacre.matter.periodic.scattering_matrix import Modes, scatter, uniform_modes
 from nacre.matter.periodic.structure import (
     OrderSet,
@@ -173,15 +190,24 @@ def solve_profile(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
         )
     zero = in_at[int(np.flatnonzero(orders_in[:, 0] == 0)[0])]
     wave = np.zeros((2 * size, 2), dtype=complex)
-    wave[zero], wave[size + zero] = _axial(np.array([np.cos(phi_rad)]), np.array([np.sin(phi_rad)]), -k_z, stack.cover)[
-        0
-    ]
-    amplitudes_up, amplitudes_down = scatter_profile(
-        (state(up_field, up_flux, cover, k_y, parts), state(in_field, in_flux, cover, k_y, parts)),
-        films,
-        state(out_field, out_flux, substrate, k_y, parts),
-        wave,
-    )
+    cosine, sine = np.array([np.cos(phi_rad)]), np.array([np.sin(phi_rad)])
+    wave[zero], wave[size + zero] = _axial(cosine, sine, -k_z, stack.cover)[0]
+    cover_states = state(up_field, up_flux, cover, k_y, parts), state(in_field, in_flux, cover, k_y, parts)
+    substrate_down = state(out_field, out_flux, substrate, k_y, parts)
+    amplitudes_up, amplitudes_down = scatter_profile(cover_states, films, substrate_down, wave)
+    if stack.is_clear and not films and substrate.imag == 0.0:
+        _, _, beta_back, shape_back = plane_waves(stack.substrate.real, 1.0)
+        back_field, back_flux, back_at = aligned(
+            below.up, below.up_field, below.up_flux, shape_back, beta_back, parts.mass
+        )  # fmt: skip
+        back_states = state(back_field, back_flux, substrate, k_y, parts)
+        ports = [
+            Ports(cover_states[1], in_at, _power(in_field, in_flux, in_at), cover, k_y),
+            Ports(back_states, back_at, _power(back_field, back_flux, back_at), substrate, k_y),
+            Ports(cover_states[0], up_at, _power(up_field, up_flux, up_at), cover, k_y),
+            Ports(substrate_down, out_at, _power(out_field, out_flux, out_at), substrate, k_y),
+        ]  # fmt: skip
+        amplitudes_up, amplitudes_down = unitary_amplitudes(ports, wave, (amplitudes_up, amplitudes_down))
     incident_power = _power(in_field, in_flux, np.array([zero]))[0]
 
     def side(
@@ -256,11 +282,11 @@ def _projected(
     total = np.zeros((mesh.size + 1, len(alpha)), dtype=complex)
     for k, degree in enumerate(mesh.degrees):
         a, h = mesh.edges[k], mesh.edges[k + 1] - mesh.edges[k]
-        x, w = np.polynomial.legendre.leggauss(degree + 20)
+        x, w = gauss(degree + 20)
         at = a + 0.5 * h * (x + 1.0)
         height = depth * profile.height(at / mesh.period % 1.0)
         waves = np.exp(1j * (np.outer(at, alpha) + np.outer(height, beta))) * (0.5 * h * w)[:, None]
-        total[mesh.places[k]] += shape_values(degree, x) @ waves
+        total[mesh.places[k]] += gauss_values(degree, degree + 20)[0] @ waves
     last = len(mesh.edges) - 1
     total[0] += np.conj(phase) * total[last]
     return np.asarray(np.linalg.solve(mass, np.delete(total, last, axis=0)))

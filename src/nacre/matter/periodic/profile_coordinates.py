@@ -17,7 +17,7 @@ import numpy as np
 import scipy.linalg
 
 from nacre.core.arrays import Array
-from nacre.matter.periodic.line_basis import LineMesh, folded, shape_values
+from nacre.matter.periodic.line_basis import LineMesh, folded, gauss, gauss_values
 
 SAME_BETA = 1e-5  # modes nearer than this (over k0) are combined to plane waves
 
@@ -45,11 +45,10 @@ def operators(mesh: LineMesh, slope_at: Callable[[Array], Array], phase: complex
     blocks: list[list[Array]] = [[], [], [], [], []]
     for k, degree in enumerate(mesh.degrees):
         a, h = mesh.edges[k], mesh.edges[k + 1] - mesh.edges[k]
-        x, w = np.polynomial.legendre.leggauss(degree + 8)
+        x, w = gauss(degree + 8)
         weight = 0.5 * h * w
-        f = shape_values(degree, x)
-        legendre = np.polynomial.legendre.legvander(x, degree - 1) * np.sqrt((2 * np.arange(degree) + 1) / h)
-        d = mesh.slopes[k].T @ legendre.T
+        f, legendre = gauss_values(degree, degree + 8)
+        d = mesh.slopes[k].T @ legendre / np.sqrt(h)
         slope = slope_at(a + 0.5 * h * (x + 1.0))
         for store, left, factor, right in (
             (blocks[0], f, 1.0, f), (blocks[1], f, 1.0 + slope**2, f), (blocks[2], d, 1.0, d),
@@ -165,3 +164,60 @@ def scatter_profile(
     for transmit, decay_down in reversed(passed):
         amplitudes = transmit @ (decay_down[:, None] * amplitudes)
     return found[:size], amplitudes
+
+
+@dataclass(frozen=True, eq=False)
+class Ports:
+    """Plane waves on one side that go in one direction.
+
+    Attributes:
+        states: of all modes of that direction, `[4 functions, 2 modes]`.
+        at: `[wave]`, their modes.
+        power: `[wave]`, discrete powers of E_y = 1 or H_y = 1, up to a factor.
+        epsilon, k_y: of the medium.
+    """
+
+    states: Array
+    at: Array
+    power: Array
+    epsilon: complex
+    k_y: float
+
+    @property
+    def columns(self) -> Array:
+        """Places of the waves among the modes of E_y and of H_y."""
+        return np.concatenate([self.at, self.at + self.states.shape[1] // 2])
+
+    @property
+    def scale(self) -> Array:
+        """Root of the power of a unit amplitude."""
+        transverse = float(np.real(self.epsilon)) - self.k_y**2
+        both = np.concatenate([np.real(self.epsilon) * np.abs(self.power), np.abs(self.power)])
+        return np.asarray(np.sqrt(both / transverse))
+
+
+def unitary_amplitudes(ports: list[Ports], incident: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return the amplitudes of plane waves from the unitary matrix nearest to the scattering matrix.
+
+    Without loss the scattering matrix between the plane waves of both sides is unitary; deep profiles lose that to
+    rounding, as their evanescent modes are nearly dependent. The polar decomposition restores it.
+
+    Args:
+        ports: waves in from the cover and from the substrate, and out to the cover and to the substrate.
+        incident: `[mode, case]`, of the modes down in the cover.
+        found: amplitudes up and down, whose other entries are kept.
+    """
+    first, second, up, down = ports
+    right = np.hstack([-first.states[:, first.columns], second.states[:, second.columns]])
+    solved = np.linalg.solve(np.hstack([up.states, -down.states]), right)
+    size = up.states.shape[1]
+    out_scale = np.concatenate([up.scale, down.scale])
+    in_scale = np.concatenate([first.scale, second.scale])
+    raw = np.vstack([solved[:size][up.columns], solved[size:][down.columns]])
+    left, _, other = np.linalg.svd(out_scale[:, None] * raw / in_scale)
+    exact = (left @ other) * in_scale / out_scale[:, None]
+    waves = exact[:, : len(first.columns)] @ incident[first.columns]
+    amplitudes_up, amplitudes_down = found[0].copy(), found[1].copy()
+    amplitudes_up[up.columns] = waves[: len(up.columns)]
+    amplitudes_down[down.columns] = waves[len(up.columns) :]
+    return amplitudes_up, amplitudes_down

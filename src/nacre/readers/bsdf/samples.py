@@ -37,7 +37,7 @@ def read_bytes(path: Path, factor: float = 1.0) -> bytes:
         size = plain(path).stat().st_size
         if size > MAX_BYTES:
             raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
-        check_memory(factor * float(size), f"{path}: its content")
+        check_memory(factor * float(size), f"{path}: read into memory, it")
         return path.read_bytes()
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None

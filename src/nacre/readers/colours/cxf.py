@@ -74,7 +74,7 @@ def _measurement(
     specification, grid, kinds = key
     assert isinstance(specification, Specification)
     table = {kind: np.array([values[kind] for _, values in entries]) for _, kind in enumerate(sorted(entries[0][1]))}
-    data = {}
+    data: dict[str, np.ndarray] = {}
     for kind, names in (("lab", "Lab"), ("xyz", "XYZ")):
         if kind in table:
             data |= {name: table[kind][:, place] for place, name in enumerate(names)}
@@ -94,7 +94,8 @@ def _values(
 ) -> tuple[dict[str, list[float]], Specification, tuple[float, ...]]:
     """Return the colours of an object by kind, their specification and the wavelengths of its spectrum."""
     values: dict[str, list[float]] = {}
-    light, grid = Specification(), ()
+    light = Specification()
+    grid: tuple[float, ...] = ()
     for parent in node.iter():
         if _local(parent) not in ("ColorValues", "DeviceColorValues"):
             continue

@@ -12,6 +12,7 @@ from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptio
 from nacre.readers.units import UNITS, Floats
 
 QUANTITIES = ("n", "k", "eps1", "eps2", "alpha")
+MAX_INDEX = 100.0  # far above any optical material
 NOISE_K = 0.01  # k of a clear film scatters about 0 by less in ellipsometry and photometry
 
 
@@ -93,6 +94,10 @@ def checked(path: Path, nm: Floats, n: Floats, k: Floats, assumed: list[str]) ->
     Raises:
         NacreError: negative k beyond noise.
     """
+    if max(n.max(), k.max()) > MAX_INDEX:
+        name, values = ("n", n) if n.max() > MAX_INDEX else ("k", k)
+        what = "are these other quantities, such as eps1, eps2 or alpha?"
+        raise NacreError(f"{path}: {name} = {values.max():g} is larger than any index; {what}")
     if k.min() >= 0.0:
         return n, k
     at = int(np.argmin(k))

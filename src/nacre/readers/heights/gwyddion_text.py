@@ -6,7 +6,16 @@ import re
 from pathlib import Path
 
 from nacre.core.errors import NacreError
-from nacre.readers.heights.surface import asked_unit, decoded, height_map, length_um, numbers, quantity_um, reads
+from nacre.readers.heights.surface import (
+    asked_unit,
+    check_end,
+    decoded,
+    height_map,
+    length_um,
+    numbers,
+    quantity_um,
+    reads,
+)
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
@@ -40,7 +49,9 @@ def _is_length(text: str) -> bool:
 @reads
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; the remarks are taken by their order, since Gwyddion translates their names."""
-    lines = decoded(path.read_bytes()).splitlines()
+    text = decoded(path.read_bytes())
+    check_end(text, path)
+    lines = text.splitlines()
     remarks = _remarks(lines)
     width, height = (quantity_um(v) for _, v in remarks if _is_length(v))
     texts = [v for _, v in remarks if not _is_length(v)]

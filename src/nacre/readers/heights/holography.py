@@ -6,7 +6,16 @@ import re
 from pathlib import Path
 
 from nacre.core.errors import NacreError
-from nacre.readers.heights.surface import check_shape, decoded, height_map, length_um, numbers, quantity_um, reads
+from nacre.readers.heights.surface import (
+    check_end,
+    check_shape,
+    decoded,
+    height_map,
+    length_um,
+    numbers,
+    quantity_um,
+    reads,
+)
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
@@ -23,7 +32,9 @@ def sniff(head: FileHead) -> float:
 @reads
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; h is the number of rows, w of columns."""
-    lines = decoded(path.read_bytes()).splitlines()
+    text = decoded(path.read_bytes())
+    check_end(text, path)
+    lines = text.splitlines()
     size = SIZE.match(lines[0])
     assert size is not None
     shape = int(size[1]), int(size[2])

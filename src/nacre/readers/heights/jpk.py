@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ def sniff(head: FileHead) -> float:
         return 0.0
     import tifffile
 
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # damage ends in one line of ours
     try:
         with tifffile.TiffFile(head.path) as file:
             tags = file.pages.first.tags

@@ -10,6 +10,7 @@ from nacre.core.errors import NacreError
 from nacre.readers.heights.surface import (
     asked_pitch,
     asked_unit,
+    check_end,
     check_shape,
     decoded,
     height_map,
@@ -63,7 +64,9 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         AmbiguousFileError: one of them is not given.
     """
-    rows = _rows(decoded(path.read_bytes()))
+    text = decoded(path.read_bytes())
+    check_end(text, path)
+    rows = _rows(text)
     columns = len(numbers(rows[0] + "\n" if rows else "", path))
     values = numbers("\n".join(rows) + "\n", path)
     if not columns or values.size != columns * len(rows):

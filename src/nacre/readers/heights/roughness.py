@@ -132,6 +132,8 @@ def correlation_length_um(flat: Array, pitch_um: tuple[float, float]) -> float |
     if not np.nanmean(part**2) > 0:
         return None
     covariance = autocovariance(part)
+    if not covariance[0, 0] > 0:  # below single precision
+        return None
     half = part.shape[0] // 2, part.shape[1] // 2
     rows = np.abs(np.fft.fftfreq(covariance.shape[0], 1.0 / covariance.shape[0]))
     # columns from 0 are enough: the autocovariance is even

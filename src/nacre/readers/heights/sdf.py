@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.errors import NacreError
-from nacre.readers.heights.surface import array, check_shape, decoded, height_map, numbers, reads
+from nacre.readers.heights.surface import array, check_end, check_shape, decoded, height_map, numbers, reads
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
@@ -66,7 +66,9 @@ def _ascii(data: bytes, path: Path) -> tuple[NDArray[Any], dict[str, Any]]:
             fields[name.strip()] = value.strip()
     shape = int(fields["NumProfiles"]), int(fields["NumPoints"])
     check_shape(shape)
-    body = rest.partition("*")[0]
+    body, end, _ = rest.partition("*")
+    if not end:
+        check_end(body, path)
     values = numbers(body, path)
     if values.size != shape[0] * shape[1]:
         raise ValueError(f"its head states {shape[0]} x {shape[1]} heights, and {values.size} follow")

@@ -30,6 +30,8 @@ LENGTHS_UM = {
 UNIT_CHOICES = ("nm", "um", "mm", "m")
 MAX_SIDE = 65536
 BYTES_PER_POINT = 16
+HIGHEST_UM = 1e9
+SQUARE = 0.01  # relative difference of the pitches that is stated
 DAMAGED = (
     struct.error, ValueError, KeyError, IndexError, TypeError, OverflowError, EOFError, AttributeError, RuntimeError,
     zipfile.BadZipFile, ParseError, NotImplementedError,
@@ -119,11 +121,27 @@ def numbers(text: str, path: Path) -> Array:
 
 
 def decoded(data: bytes) -> str:
-    """Return text in UTF-8 or, failing that, Latin-1."""
+    """Return text in UTF-8, UTF-16 with a mark, or, failing that, Latin-1."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16", "replace")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")
+
+
+def check_end(text: str, path: Path) -> None:
+    """Refuse a table that ends within a number: its last number has fewer digits than all others of its row.
+
+    Raises:
+        NacreError: it does.
+    """
+    if text[-1:].isspace() or not text:
+        return
+    cells = re.split(r"[\s,;]+", text[text.rfind("\n") + 1 :].strip())
+    digits = [len(re.sub(r"\D", "", cell.partition(".")[2])) if "." in cell else 0 for cell in cells]
+    if len(cells) > 2 and digits[0] > 0 and len(set(digits[:-1])) == 1 and digits[-1] < digits[0]:
+        raise NacreError(f"{path}: ends within a number")
 
 
 def asked_unit(path: Path, options: ReadOptions, what: str = "heights") -> float:
@@ -177,10 +195,14 @@ def height_map(
     if min(heights.shape) == 1:
         raise NacreError(f"{path}: holds a profile of {heights.size} points; heights are a map")
     heights[~np.isfinite(heights)] = np.nan
+    if np.nanmax(np.abs(heights), initial=0.0) > HIGHEST_UM:
+        raise ValueError(f"heights of up to {np.nanmax(np.abs(heights)):.3g} um")
     holes = int(np.isnan(heights).sum())
     if holes == heights.size:
         raise NacreError(f"{path}: holds no height; all {holes} points are holes")
     figures = {key: value for key, value in roughness(heights, pitch).as_dict().items() if key != "mean_um"}
+    if abs(pitch[0] - pitch[1]) > SQUARE * pitch[0]:
+        assumed = (*assumed, f"the points are {pitch[0]:.4g} x {pitch[1]:.4g} um apart, as the file says: not square")
     facts = {"pitch_um": pitch, "holes": holes, **figures, **(metadata or {})}
     return Measurement(
         path, format, "heights", {"height_um": heights}, name, facts, tuple(assumed), tuple(left_out)

@@ -9,7 +9,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.readers.heights.surface import asked_unit, decoded, height_map, length_um, numbers, reads
+from nacre.readers.heights.surface import asked_unit, check_end, decoded, height_map, length_um, numbers, reads
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import LIKELY, FileHead
 
@@ -41,7 +41,10 @@ def sniff(head: FileHead) -> float:
         values = numbers("\n".join(rows[:4000]) + "\n", head.path)
     except NacreError:
         return 0.0
-    if len(rows) < 4 or values.size != 3 * len(rows[:4000]):
+    rows = rows[:4000]
+    if len(rows) > 4 and len(rows[-1].replace(",", " ").split()) < 3:  # cut; `read` refuses it
+        values, rows = values[: 3 * (len(rows) - 1)], rows[:-1]
+    if len(rows) < 4 or values.size != 3 * len(rows):
         return 0.0
     if heading:
         return LIKELY
@@ -62,7 +65,9 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         AmbiguousFileError: the file names no unit and none is given.
         NacreError: the points are on no grid.
     """
-    heading, rows = _parts(decoded(path.read_bytes()))
+    text = decoded(path.read_bytes())
+    check_end(text, path)
+    heading, rows = _parts(text)
     values = numbers("\n".join(rows) + "\n", path)
     if values.size != 3 * len(rows) or not rows:
         raise NacreError(f"{path}: its rows do not all hold x, y and z")
@@ -77,9 +82,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     heights[row, column] = z
     if np.isnan(heights).mean() > 0.5:
         raise NacreError(f"{path}: its points are no grid: {len(z)} of {heights.size} nodes are given")
+    missing = int(np.isnan(heights).sum())
+    assumed = [f"{missing} of {heights.size} points of the grid are not in the file and are holes"] if missing else []
     units = [float(f or 0.0) for f in factors]
     pitch = dx * units[0], dy * units[1]
-    return [height_map(path, "xyz", heights * units[2], pitch, metadata={"rows": "y ascending"})]
+    return [height_map(path, "xyz", heights * units[2], pitch, metadata={"rows": "y ascending"}, assumed=assumed)]
 
 
 def _places(values: Array, path: Path) -> tuple[np.ndarray, int, float]:

@@ -163,4 +163,4 @@ def _ordinates(path: Path, data: bytes, at: int, count: int, exponent: int, head
         integers = np.where(integers >= 1 << 31, integers - (1 << 32), integers)
     else:
         integers = np.frombuffer(data, f"{head.order}i{size}", count, at).astype(np.int64)
-    return integers * 2.0**exponent / 2.0 ** (8 * size), size * count
+    return np.asarray(integers * 2.0**exponent / 2.0 ** (8 * size), dtype=float), size * count

@@ -84,11 +84,12 @@ export function drawRibbon(canvas, text, look) {
   text.textContent = look.shown_deg.map((angle, i) => `${angle}°: ${look.swatches[0].hex[i]}`).join("   ");
 }
 
-export function drawSpectrum(svg, look, other) {
+// `measured`: curves of a dropped file, drawn dotted.
+export function drawSpectrum(svg, look, other, measured = []) {
   const draw = curveDrawer(svg);
   clear(svg);
   const [left, right, top, bottom] = [26, 276, 6, 128], looks = other ? [other, look] : [look];
-  const x = (nm) => left + ((nm - 380) / 400) * (right - left), peak = Math.max(...looks.map(({ total }) => Math.max(...total)));
+  const x = (nm) => left + ((nm - 380) / 400) * (right - left), peak = Math.max(...looks.map(({ total }) => Math.max(...total)), ...measured.map(({ values }) => Math.max(...values)));
   const most = peak > 1.001 ? peak : [0.05, 0.1, 0.2, 0.5, 1].find((m) => peak <= m) ?? 1;
   const y = (value) => bottom - (value / most) * (bottom - top);
   for (const share of [0, 0.5, 1]) {
@@ -103,6 +104,7 @@ export function drawSpectrum(svg, look, other) {
       draw(points, looks.length > 1 && values === other.total, DASHES[row]);
     });
   }
+  for (const { nm, values } of measured) draw(nm.map((lam, i) => [x(lam), y(Math.max(values[i], 0))]), true, "1 2");
   look.shown_deg.forEach((angle, row) => {
     add(svg, "line", { x1: left + 54 * row, x2: left + 54 * row + 18, y1: 146, y2: 146, class: "curve", "stroke-dasharray": DASHES[row] });
     add(svg, "text", { x: left + 22 + 54 * row, y: 149 }, `${angle}°`);

@@ -211,6 +211,7 @@ export function updateDesign(look) {
 export function initDesign(given) {
   page = given;
   const click = (id, act) => $(id).addEventListener("click", act);
+  document.addEventListener("measured", ({ detail }) => { if (detail.colours.length) addTarget({ angle: 0, colour: detail.colours[0].hex }); });
   click("target-add", () => { addTarget({ angle: Math.min(75, 15 * $("targets").childElementCount), colour: "#3f8f5f" }); $("targets").lastChild.querySelector("input").focus(); });
   click("gamut-go", sampleGamut);
   click("design-go", search);

@@ -53,8 +53,24 @@ async function choose(name) {
   }
 }
 
+// Read a file of an instrument: its curves join the spectra, its first colour the targets of the design.
+async function measure(given) {
+  try {
+    if (given.size > MAX_MESH) throw new Error(`${given.name}: ${given.size >> 20} MiB; the page takes files up to ${MAX_MESH >> 20} MiB`);
+    const answer = await request(`api/measurement?name=${encodeURIComponent(given.name)}`, { method: "POST", body: given });
+    const found = await answer.json();
+    if (!answer.ok) throw new Error(found.error ?? `the server answered ${answer.status}`);
+    app.measured = found.curves;
+    $("object-error").textContent = found.summary[0];
+    document.dispatchEvent(new CustomEvent("measured", { detail: found }));
+  } catch (problem) {
+    $("object-error").textContent = problem.message;
+  }
+}
+
 async function give(given) {
   if (!given) return;
+  if (!$("own-mesh").accept.split(",").some((suffix) => given.name.toLowerCase().endsWith(suffix))) return measure(given);
   file = given;
   $("object-error").textContent = `Reading ${given.name}`;
   try {

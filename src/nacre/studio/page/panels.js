@@ -37,13 +37,15 @@ export function drawPanels() {
   drawRibbon($("ribbon"), $("ribbon-text"), look);
   $("ribbons").classList.toggle("two", Boolean(kept));
   if (kept) drawRibbon($("ribbon-b"), $("ribbon-b-text"), kept);
-  drawSpectrum($("spectrum"), look, kept);
+  drawSpectrum($("spectrum"), look, kept, app.measured);
   drawScatter($("tolerance-ribbon"), $("track"), drawTrack($("track"), look, kept, scatterExtent()));
   drawSwatches($("swatches"), look, kept);
   const words = drawStructure($("structure"), look.data, look.profile);
   $("structure-text").textContent = words;
   $("structure-box").hidden = !words;
 }
+
+document.addEventListener("measured", () => panels());
 
 function showNotes(notes) {
   const text = notes.join("\n");
