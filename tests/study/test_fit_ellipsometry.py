@@ -199,7 +199,10 @@ def test_bare_metals_and_wafers_decide_the_sign_of_delta(tmp_path: Path) -> None
 
 def test_a_missing_angle_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table, recipe = tmp_path / "t.csv", tmp_path / "r.toml"
-    table.write_text("wavelength (nm),Psi (deg),Delta (deg)\n500,10,170\n600,11,172\n")
+    oxide = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 20.0}]}
+    found = nacre.ellipsometry(oxide, [70.0], WAVES)
+    rows = (f"{w},{p},{d}\n" for w, p, d in zip(WAVES, found.psi_deg[0], found.delta_deg[0], strict=True))
+    table.write_text("wavelength (nm),Psi (deg),Delta (deg)\n" + "".join(rows))
     recipe.write_text('family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 2}]\n')
     arguments = ["fit", str(table), str(recipe), "--parameter", FREE[0], "-o", str(tmp_path / "f.toml")]
     assert run(arguments) == 2

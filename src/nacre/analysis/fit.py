@@ -61,6 +61,7 @@ MOST_SCAN_STEPS = 400
 SCANNED = 3  # points from which thicknesses are scanned
 THICKNESS = re.compile(r"(thickness|height|gap)_(nm|um|mm)$")
 UNIT_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
+FAR_RMS, MOST_TURNS = 0.1, 4  # relative rms from which further samples are drawn for starts
 REWEIGHTINGS = 2  # of several measurements
 INSTRUMENT = "instrument."
 POOR_RMS, BETTER = 0.03, 0.7  # relative rms of a fit that suggests a wrong sign of Delta, and the gain by the other
@@ -166,7 +167,7 @@ def read_measurement(
     found = open_file(path, options)
     if found[0].kind == "bsdf":
         return gonio_measurement(path, found[0])
-    chosen = [m for m in found if m.kind == "ellipsometry" and "depolarisation" not in m.data]
+    chosen = [m for m in found if m.kind == "ellipsometry" and ("depolarisation" not in m.data or "psi_deg" in m.data)]
     if chosen:
         is_stated = options.delta_convention is not None
         return ellipsometry_data(_one_of(path, chosen, options), range_nm, options.spectrum, is_stated)
@@ -267,15 +268,19 @@ def run_fit(
     paths = [*(parameter.path for parameter in free), *tied.expressions]
     material = material.at_low_fidelity().with_parts_loaded(paths)
     problem = _Problem(material, measured, free, tied, samples, seed, weights)
-    candidates = problem.select_starts(starts, scouts)
     minima: list[LocalMinimum] = []
-    for number, start in enumerate(candidates):
-        found = problem.refine(start)
-        if found is not None:
-            minima.append(found)
-            if progress:
-                best = problem.relative(min(each.loss for each in minima))
-                progress(f"start {number + 1} of {len(candidates)}", best)
+    for turn in range(MOST_TURNS):
+        candidates = problem.select_starts(starts, scouts, turn)
+        for number, start in enumerate(candidates, 1):
+            found = problem.refine(start)
+            if found is not None:
+                minima.append(found)
+                if progress:
+                    best = problem.relative(min(each.loss for each in minima))
+                    progress(f"start {number} of {len(candidates)}" + (f", turn {turn + 1}" if turn else ""), best)
+        is_good = bool(minima) and problem.relative(min(each.loss for each in minima)) < FAR_RMS
+        if starts == 0 or is_good or not problem.has_orders:
+            break
     if not minima:
         raise NacreError(f"{material.context.source}: the recipe cannot be computed anywhere in its bounds")
     minima.sort(key=lambda each: each.loss)
@@ -448,20 +453,38 @@ class _Problem:
         """Return the relative rms for a squared sum."""
         return float(np.sqrt(loss / self._measured.values.size))
 
-    def select_starts(self, starts: int, scouts: int) -> list[Array]:
-        """Return the recipe's own point and the best, well separated points of a Sobol sample and thickness scans."""
-        nominal = nominal_point(self._free, self._material)
+    @property
+    def has_orders(self) -> bool:
+        """Whether thicknesses are free, so that minima differ by orders of interference."""
+        return self._is_quick() and bool(self._thicknesses())
+
+    def _thicknesses(self) -> list[int]:
+        return [i for i, each in enumerate(self._free) if THICKNESS.search(each.path) and not each.is_whole]
+
+    def select_starts(self, starts: int, scouts: int, turn: int = 0) -> list[Array]:
+        """Return the recipe's own point and the best, well separated points of a Sobol sample and thickness scans.
+
+        Args:
+            starts: number besides the recipe's own point.
+            scouts: points of the sample per parameter.
+            turn: number of the sample; later ones are larger and leave out the recipe's own point.
+        """
+        nominal = nominal_point(self._free, self._material) if turn == 0 else None
         chosen = [] if nominal is None else [nominal]
         if chosen and starts == 0:
             return chosen
         count = starts + len(chosen)
-        sample = list(sobol_points(len(self._free), scouts * len(self._free), self._seed))
+        sample = list(
+            sobol_points(
+                len(self._free), scouts * len(self._free) * 2**turn, [self._seed, turn] if turn else self._seed
+            )
+        )
         losses = [self._loss(point) for point in sample]
         scanned = [sample[i] for i in np.argsort(losses)[:SCANNED]]
         for point in ([nominal] if nominal is not None else []) + scanned:
-            for found in self._scanned(point):
+            for found, loss in self._scanned(point, sweeps=1 + (turn > 0)):
                 sample.append(found)
-                losses.append(self._loss(found))
+                losses.append(loss)
         for index in np.argsort(losses):
             if len(chosen) >= count:
                 break
@@ -469,14 +492,13 @@ class _Problem:
                 chosen.append(sample[index])
         return chosen
 
-    def _scanned(self, point: Array) -> list[Array]:
-        """Return the deepest minima of scans along each thickness in turn, in steps below a fringe."""
-        columns = [i for i, each in enumerate(self._free) if THICKNESS.search(each.path) and not each.is_whole]
-        if not columns or not self._is_quick():
+    def _scanned(self, point: Array, sweeps: int) -> list[tuple[Array, float]]:
+        """Return the deepest minima of scans along each thickness in steps below a fringe, with their losses."""
+        if not self.has_orders:
             return []
         shortest = float(np.min(self._measured.wavelengths_nm))
         best, found = point, []
-        for i in columns:
+        for i in self._thicknesses() * sweeps:
             match = THICKNESS.search(self._free[i].path)
             assert match is not None
             span = (self._free[i].high - self._free[i].low) * UNIT_NM[match[2]]
@@ -487,7 +509,7 @@ class _Problem:
             padded = np.concatenate([[np.inf], losses, [np.inf]])
             minima = np.flatnonzero((losses <= padded[:-2]) & (losses <= padded[2:]))
             minima = minima[np.argsort(losses[minima])][:SCANNED]
-            found += [line[j] for j in minima]
+            found += [(line[j], float(losses[j])) for j in minima]
             best = line[minima[0]]
         return found
 

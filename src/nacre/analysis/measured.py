@@ -271,7 +271,7 @@ def _on_grid(path: Path, series: Sequence[_Series], remarks: tuple[str, ...]) ->
         place = (parts.index(one.part), np.searchsorted(angles, one.angles_deg),
                  np.searchsorted(waves, one.wavelengths_nm))  # fmt: skip
         same = np.isclose(values[place], one.values, rtol=0.0, atol=0.0)
-        np.add.at(count, place, np.where(same, 0, 1))
+        np.add.at(count[place[0]], place[1:], np.where(same, 0, 1))
         values[place] = one.values
         if errors is not None and one.errors is not None:
             errors[place] = one.errors

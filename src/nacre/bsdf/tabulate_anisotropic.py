@@ -15,10 +15,11 @@ from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack.stack import Medium, Stack, permittivity_of
 
 COS_NODES = 65
-SLICE_SHARE = 0.35
+COS_NODES_SPREAD = 33  # a spread of the pitch averages the fringes out
+SLICE_SHARE = 0.25  # of helices; the error grows to some 3e-4
 LOSSLESS_K = 1e-9
 AZIMUTHS = (3, 5, 9, 17)  # odd: even counts repeat the same values, as half a turn changes little
-AZIMUTH_ERROR = 2e-3  # of the mean reflectance, by the next count
+AZIMUTH_ERROR = 4e-3  # of the mean reflectance, by the next count
 CHECKED_COSINES = (np.array([12.0, 30.0, 47.0]) + 0.5) / 64  # midway between nodes
 PROBE_COSINES = np.array([0.8, 0.45])
 PROBE_WAVELENGTHS = 12
@@ -73,6 +74,12 @@ class AnisotropicTables(StackTables):
             return np.ones((len(x), *d.shape[:-1], len(self.wavelengths_nm)))
         return super()._beyond(d, x)
 
+    @property
+    def cos_nodes(self) -> int:
+        """Number of tabulated cosines."""
+        has_spread = any(layer.helix is not None and layer.helix.deviation_nm > 0 for layer in self.stack.layers)
+        return COS_NODES_SPREAD if has_spread else COS_NODES
+
     def lit(self, thicknesses_nm: Array, *, from_above: bool) -> Stack:
         """Return the stack with these thicknesses as light meets it; from below, it is turned about u."""
         layers = [
@@ -96,9 +103,11 @@ class AnisotropicTables(StackTables):
         waves = self.wavelengths_nm
         self.wavelengths_nm = waves[:: max(len(waves) // PROBE_WAVELENGTHS, 1)]
         theta, before = np.arccos(PROBE_COSINES), None
+        # reflection from opposite azimuths is equal by reciprocity, and so is transmission without losses
+        period = np.pi if self._absorbs_nothing or not self.transmits else 2.0 * np.pi
         stack = self.lit(self.stack.thicknesses_nm, from_above=not self.flipped)
         for count in AZIMUTHS:
-            azimuths = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False) + 0.25 * np.pi
+            azimuths = np.linspace(0.0, period, count, endpoint=False) + 0.25 * np.pi
             mean = self._mean(stack, theta, azimuths)[0]
             if before is not None and np.max(np.abs(mean - before)) < AZIMUTH_ERROR:
                 break
@@ -109,7 +118,7 @@ class AnisotropicTables(StackTables):
     def with_error(self, thicknesses_nm: Array) -> tuple[InterfaceResponse, float]:
         """Tabulate on uniform cosines, and return the largest difference of R from the solution at a few angles."""
         d = np.asarray(thicknesses_nm, dtype=float)
-        response = self.build(d, COS_NODES)
+        response = self.build(d, self.cos_nodes)
         exact = self.outside(d, CHECKED_COSINES)[0]
         found = response.lookup(CHECKED_COSINES, np.full(len(CHECKED_COSINES), self.flipped))[0]
         return response, float(np.max(np.abs(found - exact)))
@@ -120,7 +129,7 @@ class AnisotropicTables(StackTables):
         """Tabulate varying thicknesses; see `with_error`."""
         d = np.asarray(thicknesses_nm, dtype=float)
         middle = d[tuple(size // 2 for size in d.shape[:-1])]
-        return self.build(d, COS_NODES, parameters), self.with_error(middle)[1]
+        return self.build(d, self.cos_nodes, parameters), self.with_error(middle)[1]
 
 
 def _is_lossless(medium: Medium, wavelengths_nm: Array) -> bool:

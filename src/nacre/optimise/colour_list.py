@@ -188,7 +188,8 @@ def _groups(table: TextTable) -> tuple[int | None, list[_Group]]:
     where = f"{table.path}: line {table.heading_line}"
     found: dict[tuple[float | None, int | None, str], dict[str, tuple[int, Meaning]]] = {}
     name: int | None = None
-    unused, unknown = [], []
+    unused: list[str] = []
+    unknown: list[str] = []
     for place, heading in enumerate(table.headings):
         each = meanings(heading, table.units[place])
         colour = next((meaning for meaning in each if meaning.quantity in COORDINATES), None)

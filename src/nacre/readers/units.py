@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import unicodedata
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -235,7 +234,7 @@ def in_range(values: Floats, units: Iterable[str]) -> str:
 
     Example:
         >>> in_range(np.array([0.3, 6.0]), ("um", "eV"))
-        '300-6000 nm (um) or 207-4133 nm (eV)'
+        '300-6000 nm (um) or 206.6-4133 nm (eV)'
     """
     low, high = float(np.min(values)), float(np.max(values))
     said = []
@@ -274,15 +273,3 @@ def likely_unit(values: Floats, unit: str) -> str | None:
 def _is_common(low: float, high: float, unit: str) -> bool:
     ends = to_nm(np.array([low, high]), unit)
     return bool(ends.min() >= 90.0 and ends.max() <= 30_000.0)
-
-
-def find_units(text: str) -> list[str]:
-    """Return the canonical units that a text names in brackets, after a slash, or as a word that is nothing else."""
-    found = [parse_unit(part) for part in re.findall(r"[(\[]([^)\]]*)[)\]]", text)]
-    words = re.findall(r"(?<!\w)(?:nm|um|µm|μm|eV|cm-1|1/cm|THz|angstroms?|micron s?|Å)(?!\w)", normal(text))
-    return [unit for unit in (*found, *(parse_unit(word) for word in words)) if unit]
-
-
-def unit_list(units: Sequence[str]) -> str:
-    """Return units for a message: 'unit = "um" or unit = "eV"'."""
-    return " or ".join(f'"{unit}"' for unit in units)

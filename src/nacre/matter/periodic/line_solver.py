@@ -16,7 +16,15 @@ from nacre.matter.periodic.line_basis import (
     line_mesh,
     regions,
 )
-from nacre.matter.periodic.profile_coordinates import aligned, operators, profile_modes, scatter_profile, state
+from nacre.matter.periodic.profile_coordinates import (
+    Ports,
+    aligned,
+    operators,
+    profile_modes,
+    scatter_profile,
+    state,
+    unitary_amplitudes,
+)
 from nacre.matter.periodic.scattering_matrix import Modes, scatter, uniform_modes
 from nacre.matter.periodic.structure import (
     OrderSet,
@@ -182,15 +190,24 @@ def solve_profile(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
         )
     zero = in_at[int(np.flatnonzero(orders_in[:, 0] == 0)[0])]
     wave = np.zeros((2 * size, 2), dtype=complex)
-    wave[zero], wave[size + zero] = _axial(np.array([np.cos(phi_rad)]), np.array([np.sin(phi_rad)]), -k_z, stack.cover)[
-        0
-    ]
-    amplitudes_up, amplitudes_down = scatter_profile(
-        (state(up_field, up_flux, cover, k_y, parts), state(in_field, in_flux, cover, k_y, parts)),
-        films,
-        state(out_field, out_flux, substrate, k_y, parts),
-        wave,
-    )
+    cosine, sine = np.array([np.cos(phi_rad)]), np.array([np.sin(phi_rad)])
+    wave[zero], wave[size + zero] = _axial(cosine, sine, -k_z, stack.cover)[0]
+    cover_states = state(up_field, up_flux, cover, k_y, parts), state(in_field, in_flux, cover, k_y, parts)
+    substrate_down = state(out_field, out_flux, substrate, k_y, parts)
+    amplitudes_up, amplitudes_down = scatter_profile(cover_states, films, substrate_down, wave)
+    if stack.is_clear and not films and substrate.imag == 0.0:
+        _, _, beta_back, shape_back = plane_waves(stack.substrate.real, 1.0)
+        back_field, back_flux, back_at = aligned(
+            below.up, below.up_field, below.up_flux, shape_back, beta_back, parts.mass
+        )  # fmt: skip
+        back_states = state(back_field, back_flux, substrate, k_y, parts)
+        ports = [
+            Ports(cover_states[1], in_at, _power(in_field, in_flux, in_at), cover, k_y),
+            Ports(back_states, back_at, _power(back_field, back_flux, back_at), substrate, k_y),
+            Ports(cover_states[0], up_at, _power(up_field, up_flux, up_at), cover, k_y),
+            Ports(substrate_down, out_at, _power(out_field, out_flux, out_at), substrate, k_y),
+        ]  # fmt: skip
+        amplitudes_up, amplitudes_down = unitary_amplitudes(ports, wave, (amplitudes_up, amplitudes_down))
     incident_power = _power(in_field, in_flux, np.array([zero]))[0]
 
     def side(

@@ -15,7 +15,7 @@ from nacre.core.parallel import in_threads
 from nacre.matter.periodic.solve import solve
 from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Region
 
-VERSION = 1  # raised when numbers change, which invalidates stored solutions
+VERSION = 2  # raised when numbers change, which invalidates stored solutions
 MIN_STORED_S = 0.2  # solutions that take less are not stored
 
 

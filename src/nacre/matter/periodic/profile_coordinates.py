@@ -164,3 +164,60 @@ def scatter_profile(
     for transmit, decay_down in reversed(passed):
         amplitudes = transmit @ (decay_down[:, None] * amplitudes)
     return found[:size], amplitudes
+
+
+@dataclass(frozen=True, eq=False)
+class Ports:
+    """Plane waves on one side that go in one direction.
+
+    Attributes:
+        states: of all modes of that direction, `[4 functions, 2 modes]`.
+        at: `[wave]`, their modes.
+        power: `[wave]`, discrete powers of E_y = 1 or H_y = 1, up to a factor.
+        epsilon, k_y: of the medium.
+    """
+
+    states: Array
+    at: Array
+    power: Array
+    epsilon: complex
+    k_y: float
+
+    @property
+    def columns(self) -> Array:
+        """Places of the waves among the modes of E_y and of H_y."""
+        return np.concatenate([self.at, self.at + self.states.shape[1] // 2])
+
+    @property
+    def scale(self) -> Array:
+        """Root of the power of a unit amplitude."""
+        transverse = float(np.real(self.epsilon)) - self.k_y**2
+        both = np.concatenate([np.real(self.epsilon) * np.abs(self.power), np.abs(self.power)])
+        return np.asarray(np.sqrt(both / transverse))
+
+
+def unitary_amplitudes(ports: list[Ports], incident: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return the amplitudes of plane waves from the unitary matrix nearest to the scattering matrix.
+
+    Without loss the scattering matrix between the plane waves of both sides is unitary; deep profiles lose that to
+    rounding, as their evanescent modes are nearly dependent. The polar decomposition restores it.
+
+    Args:
+        ports: waves in from the cover and from the substrate, and out to the cover and to the substrate.
+        incident: `[mode, case]`, of the modes down in the cover.
+        found: amplitudes up and down, whose other entries are kept.
+    """
+    first, second, up, down = ports
+    right = np.hstack([-first.states[:, first.columns], second.states[:, second.columns]])
+    solved = np.linalg.solve(np.hstack([up.states, -down.states]), right)
+    size = up.states.shape[1]
+    out_scale = np.concatenate([up.scale, down.scale])
+    in_scale = np.concatenate([first.scale, second.scale])
+    raw = np.vstack([solved[:size][up.columns], solved[size:][down.columns]])
+    left, _, other = np.linalg.svd(out_scale[:, None] * raw / in_scale)
+    exact = (left @ other) * in_scale / out_scale[:, None]
+    waves = exact[:, : len(first.columns)] @ incident[first.columns]
+    amplitudes_up, amplitudes_down = found[0].copy(), found[1].copy()
+    amplitudes_up[up.columns] = waves[: len(up.columns)]
+    amplitudes_down[down.columns] = waves[len(up.columns) :]
+    return amplitudes_up, amplitudes_down

@@ -17,6 +17,7 @@ from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectan
 SAFETY = {"lines": 0.5, "profile": 0.5, "rectangles": 1.0, "fourier": 1.5}
 TOLERANCE = {"lines": 2e-4, "profile": 5e-5, "rectangles": 3e-3, "fourier": 4e-3}
 LEAST_ERROR = {"lines": 1e-5, "profile": 2e-6, "rectangles": 2e-4, "fourier": 2e-4}
+FORGIVEN = 20.0  # a default tolerance may be missed by this factor; the error is stated
 CORNER_RATE = 2.5  # the error of rectangles falls as degree^-2.5, by the fields at their corners
 
 
@@ -38,7 +39,7 @@ def method_of(stack: PeriodicStack) -> str:
 
 RUNS: dict[str, tuple[Callable[..., OrderSolution], tuple[int, ...]]] = {
     # method -> solver, and its sizes in the order in which they are tried
-    "lines": (solve_lines, (0, 1, 2, 3, 4)),
+    "lines": (solve_lines, (0, 1, 2, 3)),
     "profile": (solve_profile, (0, 1, 2, 3, 4, 5)),
     "rectangles": (solve_rectangles, RECTANGLE_STEPS),
     "fourier": (solve_fourier, FOURIER_STEPS),
@@ -75,22 +76,25 @@ def solve(
     k0 = 2.0 * np.pi / wavelength_nm
     bound = tolerance if tolerance is not None else TOLERANCE[method]
     previous: OrderSolution | None = None
+    best: OrderSolution | None = None
     last = 0
     for size in sizes:
         found = run(stack, k0, theta_rad, phi_rad, size)
         if found.unknowns <= 1:
             return found
-        best = found
+        candidate = found
         if previous is not None:
             if method == "rectangles":
-                best = _extrapolated(previous, found, (last / size) ** CORNER_RATE)
-            change = difference(best if method == "rectangles" else previous, found)
-            error = max(SAFETY[method] * change, LEAST_ERROR[method])
-            best = replace(best, error=error)
-            if error <= bound:
+                candidate = _extrapolated(previous, found, (last / size) ** CORNER_RATE)
+            change = difference(candidate if method == "rectangles" else previous, found)
+            candidate = replace(candidate, error=max(SAFETY[method] * change, LEAST_ERROR[method]))
+            if best is None or candidate.error < best.error:
+                best = candidate
+            if best.error <= bound:
                 return best
         previous, last = found, size
-    if is_strict:
+    assert best is not None
+    if is_strict and best.error > (bound if tolerance is not None else FORGIVEN * bound):
         raise NotConvergedError(
             f"orders at {wavelength_nm:g} nm: error {best.error:.1e} with {best.unknowns} unknowns, above the "
             f"tolerance {bound:g}; allowed: a larger model.tolerance, or a structure with fewer or simpler shapes"

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 GRAZING = 1e-7  # the least angle between light and surface, rad
 SPREAD_REACH = 3.5  # half width of an average over a spread, in standard deviations
 MOST_PITCHES = 161
-PARTS_A_TURN = 4  # parts of constant pitch of a helix with a gradient
+PARTS_A_TURN = 2  # parts of constant pitch of a helix with a gradient
 FEWEST_PARTS = 16
-FRINGES, FRINGE_STEPS = 6, 8  # of the thickness average that stands for an incoherent anisotropic layer
+FRINGES, FRINGE_STEPS = 5, 7  # of the thickness average that stands for an incoherent anisotropic layer
 _FLIP = np.diag([1.0, -1.0, -1.0])
 
 
