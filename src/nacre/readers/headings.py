@@ -126,7 +126,7 @@ WORDS: dict[str, str] = {
     "area": "area flache surfacearea perimeter perim circ circularity solidity roundness round aspectratio ar major "
     "minor feret feretangle minferet median skew kurt intden rawintden",
     "gloss": "gloss glanz gloss60 gu haze de deltae de00 de2000 decmc whiteness opacity comment remark note bemerkung "
-    "date datum zeit timestamp",
+    "date datum zeit timestamp folder geometry lamp met layers reachedl reacheda reachedb",
     "x": "x xm xc xpos xposition posx positionx xcoord xcoordinate coordx xcentre xcenter centrex centerx xcentroid "
     "centroidx xkoordinate xloc xmean xo",
     "y": "y ym yc ypos yposition posy positiony ycoord ycoordinate coordy ycentre ycenter centrey centery ycentroid "
@@ -135,8 +135,8 @@ WORDS: dict[str, str] = {
     "radius": "radius radii rad particleradius",
     "diameter": "diameter dia diam durchmesser diametre diametro size particlediameter equivalentdiameter "
     "feretdiameter ecd particlesize",
-    "thickness": "thickness dicke schichtdicke epaisseur espesor spessore filmthickness flakethickness "
-    "plateletthickness",
+    "thickness": "thickness total totalthickness dicke schichtdicke epaisseur espesor spessore filmthickness "
+    "flakethickness plateletthickness",
     "depth": "depth tiefe profondeur profundidad depths etchdepth resistdepth",
     "grey": "grey gray greyvalue grayvalue greylevel graylevel graustufe grauwert level dose",
     "voltage": "voltage volts volt spannung bias u",
