@@ -230,7 +230,7 @@ def test_utia_runs_over_the_viewer_fastest(tmp_path: Path) -> None:
     assert angles == [30.0, 22.5, 60.0, 37.5]
 
 
-def test_an_anisotropic_zemax_file_keeps_its_rotations_and_becomes_no_material(tmp_path: Path) -> None:
+def test_an_anisotropic_zemax_file_keeps_its_rotations(tmp_path: Path) -> None:
     path = tmp_path / "x.bsdf"
     head = "Source Measured\nSymmetry ASymmetrical4D\nSpectralContent Monochrome\nScatterType BRDF\n"
     head += "SampleRotation 2\n0 90\nAngleOfIncidence 2\n0 40\nScatterAzimuth 2\n0 180\nScatterRadial 2\n0 30\n\n"
@@ -238,8 +238,10 @@ def test_an_anisotropic_zemax_file_keeps_its_rotations_and_becomes_no_material(t
     path.write_text(head + "Monochrome\nDataBegin\n" + blocks + "DataEnd\n")
     (found,) = open_file(path)
     assert found.data["bsdf"].reshape(2, 2, 2, 2)[1, 0, 0, 0] == 3.0 and set(found.data["phi_i_deg"]) == {0.0, 90.0}
-    with pytest.raises(UnsupportedError):
-        nacre.import_(path, tmp_path / "x.toml")
+    bsdf = nacre.import_(path, tmp_path / "x.toml").bsdf()
+    for phi_i, value in ((0.0, 1.0), (90.0, 3.0), (45.0, 2.0), (270.0, 3.0)):
+        wi = direction(np.radians(40.0), np.radians(phi_i))
+        assert bsdf.evaluate(wi, wi * [-1, -1, 1])[0] == pytest.approx(value)
     path.write_text((head + "Monochrome\nDataBegin\n" + blocks + "DataEnd\n").replace("BRDF", "BTDF"))
     assert open_file(path)[0].metadata["scatter"] == "btdf"
     with pytest.raises(UnsupportedError):
@@ -256,6 +258,17 @@ def test_a_zemax_table_has_its_values_at_its_nodes(tmp_path: Path) -> None:
     up = (wo[..., 2] > 1e-6) & (r > 0)
     found = bsdf.evaluate(direction(np.radians(i)), wo)[..., 0]
     np.testing.assert_allclose(found[up], table.values[0][up], rtol=1e-9, atol=1e-14)
+
+
+def test_a_brushed_metal_comes_back_with_its_values(tmp_path: Path) -> None:
+    surface = {"roughness": [0.15, 0.4]}
+    metal = nacre.material({"family": "film", "substrate": "Al", "layers": [], "surface": surface})
+    nacre.export(metal, "csv", tmp_path / "x.csv", angle_step_deg=30.0)
+    bsdf = nacre.import_(tmp_path / "x.csv", tmp_path / "x.toml").bsdf()
+    data, _ = gonio_data(open_file(tmp_path / "x.csv")[0])
+    away = (data.angles_deg[:, 0] > 0) & (data.angles_deg[:, 2] > 0)
+    assert len(np.unique(data.angles_deg[:, 1])) > 3
+    np.testing.assert_allclose(bsdf.evaluate(data.wi, data.wo)[away], data.values[away], rtol=1e-6)
 
 
 def test_narrow_angles_ask_for_their_unit(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from nacre.readers.registry import CUT, open_file
 FILES = Path(__file__).parents[2] / ".." / "shared" / "reference" / "instruments"
 KINDS = ("ellipsometry", "nk", "spectra", "colours", "heights", "bsdf", "tmatrix")
 MAX_BYTES = 250_000
+COPIES = 3000
 Damage = Callable[[bytes, random.Random], bytes]
 
 
@@ -105,6 +106,10 @@ def sentences(found: list[Measurement]) -> set[str]:
 
 def agrees(original: list[Measurement], damaged: list[Measurement], is_cut: bool) -> bool:
     """Whether each array of the damaged copy is that of the original, or its beginning where the copy is cut."""
+    names = [each.name for each in damaged]
+    if len(set(names)) == len(names):  # columns may have another order
+        damaged = sorted(damaged, key=lambda each: each.name)
+        original = sorted((each for each in original if not is_cut or each.name in names), key=lambda each: each.name)
     for one, other in zip(original, damaged, strict=False):
         if set(one.data) != set(other.data) or one.kind != other.kind:
             return False
@@ -172,5 +177,5 @@ def test_three_thousand_damaged_copies(damage: str, tmp_path: Path) -> None:
     if not files():
         pytest.skip("../shared/reference/instruments is absent")
     paths = files()
-    copies = -(-1000 // len(paths))
+    copies = -(-COPIES // (len(paths) * len(DAMAGES)))
     assert [line for path in paths for line in wrong(path, damage, copies, tmp_path)] == []

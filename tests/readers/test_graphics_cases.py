@@ -69,9 +69,12 @@ def test_sample_rotations_are_counted(case: Any, brought: Any, name: str) -> Non
     assert "2 sample rotations" in said and value(material, 30.0, 30.0, 180.0) > 0
 
 
-def test_a_brushed_sample_is_refused(case: Any, tmp_path: Path) -> None:
-    with pytest.raises(UnsupportedError, match="anisotropic"):
-        nacre.import_(case("E6-brushed") / "e_tooth.csv", tmp_path / "r.toml")
+def test_a_brushed_sample_stays_anisotropic(case: Any, brought: Any) -> None:
+    material, said = brought(case("E6-brushed") / "e_tooth.csv")
+    for phi_i, expected in ((0.0, 0.1), (90.0, 0.3), (180.0, 0.1)):
+        wi, wo = direction(np.radians(30.0), np.radians(phi_i)), direction(np.radians(45.0), np.radians(phi_i + 60.0))
+        assert np.pi * material.bsdf().evaluate(wi, wo)[0] == pytest.approx(expected, rel=1e-5)
+    assert "azimuths of the light" in said
 
 
 @pytest.mark.parametrize("name", ["e_hole.csv", "e_nan.csv", "e_neg.csv"])
@@ -198,6 +201,7 @@ def test_rounded_shares_are_named(case: Any, brought: Any, name: str, words: str
     assert words in brought(case("F5-fractions") / f"{name}.gltf")[1]
 
 
+@pytest.mark.full
 def test_a_blend_is_not_exported_as_one_film(case: Any, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(case("P-gltf-blend"))
     for to in ("gltf", "materialx"):

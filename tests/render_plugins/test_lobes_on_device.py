@@ -106,6 +106,15 @@ def measured_table() -> Lobe:
     return TableLobe(GRID, values[..., None], np.ones((1, len(GRID))), "direction", a, a, c, True)
 
 
+def brushed_table() -> Lobe:
+    """Return a table of an anisotropic sample; it is not reciprocal."""
+    a, turn = np.array([0.0, 10.0, 35.0, 50.0, 80.0]) / 90.0, np.linspace(-0.05, 1.05, 12)
+    c = np.linspace(0.0, 1.0, 13)
+    values = 0.1 + 0.1 * np.exp(-((a[:, None] - a) ** 2) / 0.02)[..., None] * (1 + 0.5 * np.sin(2 * np.pi * c))
+    values = values * (1 + 0.6 * np.cos(4 * np.pi * turn))[:, None, None, None]
+    return TableLobe(GRID, values[..., None], np.ones((1, len(GRID))), "direction", a, a, c, True, turn)
+
+
 def mirror_table() -> Lobe:
     """Return a table about the mirror direction, as of a Zemax file without symmetry; it is not reciprocal."""
     a, b = np.array([0.0, 15.0, 40.0, 75.0]) / 90.0, np.array([0.0, 5.0, 10.0, 20.0, 35.0, 60.0, 90.0, 180.0]) / 180.0
@@ -223,10 +232,13 @@ def test_plugin_gives_the_values_of_the_arrays(mi: Any, name: str) -> None:
     assert array_mismatch(bsdf_of(name), light, eye, uv, every=12) <= ARRAY_TOLERANCE
 
 
-def test_plugin_of_a_table_about_the_mirror_gives_its_values_and_samples_them(mi: Any) -> None:
+@pytest.mark.parametrize("make", [mirror_table, brushed_table])
+def test_plugin_of_a_table_that_is_not_reciprocal_gives_its_values_and_samples_them(
+    mi: Any, make: Callable[[], Lobe]
+) -> None:
     from lobe_trials import array_mismatch, chi_square
 
-    bsdf = Bsdf((mirror_table(),))
+    bsdf = Bsdf((make(),))
     light, eye, uv = pairs("measured table", 2000, 11)
     assert array_mismatch(bsdf, light, eye, uv, every=12) <= ARRAY_TOLERANCE
     assert chi_square(bsdf, 40.0, 100.0, resolution=100, steps=16, uv=(0.3, 0.6)).passes(CHI_SQUARE_LEVEL, 1)

@@ -223,7 +223,7 @@ def _check_energy(source: Path, lobe: TableLobe) -> list[str]:
         NacreError: an impossible value, or a sum beyond any measurement error.
     """
     low, high = float(lobe.values.min()), float(lobe.values.max())
-    is_spectral = lobe.values.shape[3] != 3  # colour channels of a measurement may be negative
+    is_spectral = lobe.values.shape[-1] != 3  # colour channels of a measurement may be negative
     if not np.isfinite(low + high) or (is_spectral and low < -ROUNDING * high) or high > MAX_VALUE:
         raise NacreError(f"{source}: holds BSDF values below 0 or beyond {MAX_VALUE:g}; none has them")
     for angle in ENERGY_ANGLES_DEG:
@@ -309,13 +309,15 @@ def _on_own_nodes(source: Path, form: str) -> tuple[TableLobe, list[str]]:
                 f"has one incidence, {zemax.incidence_deg[0]:g} degrees, and determines no BRDF by itself; state a "
                 f"law: --law {LAWS[0]} (the BRDF depends on half and difference angle only)"
             )
-        first = float(zemax.incidence_deg[0])
+        lobe, first = zemax_lobe(zemax), float(zemax.incidence_deg[0])
         remarks = ["the table holds no spectrum beyond its channels"]
         if first > 0:
             remarks.append(f"incidences below {first:g} degrees were not measured; the nearest values are held")
         if zemax.rotated is not None:
-            remarks.append(f"{len(zemax.rotation_deg)} sample rotations agree and were averaged")
-        return zemax_lobe(zemax), remarks
+            kept = lobe.nodes_turn is not None
+            what = "differ: the sample is anisotropic" if kept else "agree and were averaged"
+            remarks.append(f"{len(zemax.rotation_deg)} sample rotations {what}")
+        return lobe, remarks
     from nacre.formats.rgl import RglBsdf
 
     rgl = RglBsdf.read(source)

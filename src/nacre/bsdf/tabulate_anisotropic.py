@@ -15,6 +15,7 @@ from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack.stack import Medium, Stack, permittivity_of
 
 COS_NODES = 65
+COS_NODES_SPREAD = 33  # a spread of the pitch averages the fringes out
 SLICE_SHARE = 0.25  # of helices; the error grows to some 3e-4
 LOSSLESS_K = 1e-9
 AZIMUTHS = (3, 5, 9, 17)  # odd: even counts repeat the same values, as half a turn changes little
@@ -73,6 +74,12 @@ class AnisotropicTables(StackTables):
             return np.ones((len(x), *d.shape[:-1], len(self.wavelengths_nm)))
         return super()._beyond(d, x)
 
+    @property
+    def cos_nodes(self) -> int:
+        """Number of tabulated cosines."""
+        has_spread = any(layer.helix is not None and layer.helix.deviation_nm > 0 for layer in self.stack.layers)
+        return COS_NODES_SPREAD if has_spread else COS_NODES
+
     def lit(self, thicknesses_nm: Array, *, from_above: bool) -> Stack:
         """Return the stack with these thicknesses as light meets it; from below, it is turned about u."""
         layers = [
@@ -111,7 +118,7 @@ class AnisotropicTables(StackTables):
     def with_error(self, thicknesses_nm: Array) -> tuple[InterfaceResponse, float]:
         """Tabulate on uniform cosines, and return the largest difference of R from the solution at a few angles."""
         d = np.asarray(thicknesses_nm, dtype=float)
-        response = self.build(d, COS_NODES)
+        response = self.build(d, self.cos_nodes)
         exact = self.outside(d, CHECKED_COSINES)[0]
         found = response.lookup(CHECKED_COSINES, np.full(len(CHECKED_COSINES), self.flipped))[0]
         return response, float(np.max(np.abs(found - exact)))
@@ -122,7 +129,7 @@ class AnisotropicTables(StackTables):
         """Tabulate varying thicknesses; see `with_error`."""
         d = np.asarray(thicknesses_nm, dtype=float)
         middle = d[tuple(size // 2 for size in d.shape[:-1])]
-        return self.build(d, COS_NODES, parameters), self.with_error(middle)[1]
+        return self.build(d, self.cos_nodes, parameters), self.with_error(middle)[1]
 
 
 def _is_lossless(medium: Medium, wavelengths_nm: Array) -> bool:

@@ -101,7 +101,7 @@ def clear(folder: Path) -> int:
 
 def _read(path: Path, load: Callable[[Path], Value]) -> Value | None:
     """Return an entry's content and mark it as used, or None if it is absent or damaged."""
-    if not path.exists():
+    if not path.is_file():  # a pipe would block
         return None
     with contextlib.suppress(Exception):  # damage raises many types of errors; all mean that it is solved again
         found = load(path)

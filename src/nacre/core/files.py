@@ -5,13 +5,16 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import io
 import os
 import platform
 import re
+import secrets
 import select
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,13 +24,11 @@ from nacre.core.errors import NacreError, RecipeError
 
 MAX_TOML_BYTES = 4 << 20  # a recipe is a page of text
 PROBE_BYTES = 1 << 16
-PIPE_WAIT_S = 10.0
+PIPE_WAIT_S, WRITER_WAIT_S = 10.0, 0.3
 NUL = "\0"
 DESIGN_RECIPE = "recipe.toml"  # in a folder that represents a material
 HAS_NUL = "holds a NUL character, which no file name has"
 
-_UMASK = os.umask(0o077)  # of this process; read once, at import
-os.umask(_UMASK)
 _TEMPORARY = re.compile(r"\..*\.nacre-([0-9a-f]{8})-(\d+)-(\d+)-\w{8}(\..*)?")
 
 
@@ -114,24 +115,41 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     path = Path(os.path.realpath(path)) if path.is_symlink() and not _is_special(path) else path
     folder = check_writable(path)
     is_special = _is_special(path)
-    place = None if is_special else folder
-    handle, name = tempfile.mkstemp(prefix=temporary_prefix(path), suffix=path.suffix, dir=place)
-    os.close(handle)
-    temporary = Path(name)
+    if is_special:
+        handle, name = tempfile.mkstemp(prefix=temporary_prefix(path), suffix=path.suffix)
+        os.close(handle)
+        temporary = Path(name)
+    else:
+        temporary = _created(folder, path)
     try:
         yield temporary
         if is_special:
             with temporary.open("rb") as source, open(path, "wb", opener=_open_as_it_is) as sink:
                 shutil.copyfileobj(source, sink)
             return
-        with contextlib.suppress(OSError):
-            temporary.chmod(0o666 & ~_UMASK)  # mkstemp makes files private
         temporary.replace(path)
     except OSError as error:
         raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _created(folder: Path, path: Path) -> Path:
+    """Create an empty temporary file with the permissions of a new file.
+
+    Raises:
+        NacreError: the folder cannot be written.
+    """
+    while True:
+        temporary = folder / f"{temporary_prefix(path)}{secrets.token_hex(4)}{path.suffix}"
+        try:
+            os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from None
+        return temporary
 
 
 @contextlib.contextmanager
@@ -310,13 +328,35 @@ def _opened(path: str | Path) -> BinaryIO:
     if not stat.S_ISFIFO(os.stat(_nameable(path)).st_mode):
         return open(path, "rb")
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # blocks otherwise if there is no writer
-    with contextlib.ExitStack() as undo:
-        undo.callback(os.close, descriptor)
-        if not select.select([descriptor], [], [], PIPE_WAIT_S)[0]:
-            raise OSError(errno.EINVAL, "is a pipe into which nothing is written", str(path))
-        os.set_blocking(descriptor, True)
-        undo.pop_all()
-    return os.fdopen(descriptor, "rb")
+    try:
+        return io.BytesIO(_from_pipe(descriptor, str(path)))
+    finally:
+        os.close(descriptor)
+
+
+def _from_pipe(descriptor: int, path: str) -> bytes:
+    """Read a pipe up to its end or the size limit.
+
+    Raises:
+        OSError: it has no writer, or the writer writes nothing for `PIPE_WAIT_S`.
+    """
+    data, begun, has_writer = b"", time.monotonic(), False
+    while len(data) <= MAX_TOML_BYTES:
+        try:
+            piece = os.read(descriptor, PROBE_BYTES)  # no bytes: there is no writer, or no longer
+        except BlockingIOError:
+            piece, has_writer = None, True
+        if piece:
+            data, begun, has_writer = data + piece, time.monotonic(), True
+        elif piece == b"" and has_writer:
+            break
+        elif time.monotonic() - begun > (PIPE_WAIT_S if has_writer else WRITER_WAIT_S):
+            raise OSError(errno.EINVAL, "is a pipe into which nothing is written", path)
+        elif has_writer:
+            select.select([descriptor], [], [], PIPE_WAIT_S)
+        else:
+            time.sleep(0.01)
+    return data
 
 
 def read_text(path: str | Path, what: str = "file") -> str:

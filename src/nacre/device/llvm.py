@@ -24,6 +24,8 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+from nacre.core.files import plain
+
 ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"
 PROJECT_VARIABLE = "NACRE_PROJECT"  # the checkout, set by make
 PREFERRED_VERSIONS = (19, 20, 21, 22)
@@ -311,7 +313,7 @@ def _cache_file() -> Path:
 
 def _read_cache() -> dict[str, list[str]]:
     try:
-        data = json.loads(_cache_file().read_text())
+        data = json.loads(plain(_cache_file()).read_text())
     except (OSError, ValueError):
         return {}
     good = isinstance(data, dict)

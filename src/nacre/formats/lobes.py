@@ -11,7 +11,7 @@ from nacre.core.errors import UnsupportedError
 from nacre.formats.export_formats import refuse_unsuitable
 from nacre.formats.gonio_csv import GonioData
 from nacre.formats.half_angle_tables import SHAPE
-from nacre.formats.measured_lobes import ANISOTROPIC
+from nacre.formats.measured_lobes import ANISOTROPIC, periodic_turns
 from nacre.formats.measured_lobes import measured_table as gonio_table
 from nacre.formats.measured_lobes import rgb_basis as rgb_basis
 from nacre.formats.zemax import ZemaxBsdf
@@ -62,7 +62,8 @@ def gonio_grid(bsdf: Bsdf, step_deg: float) -> GonioData:
     theta_out = np.concatenate([theta, 180.0 - theta[::-1]]) if bsdf.transmits else theta
     phi_i = np.zeros(1) if is_isotropic(bsdf) else np.arange(0.0, 180.0, max(step_deg, 15.0))
     phi_o = np.arange(0.0, 360.0, step_deg)
-    grids = np.meshgrid(theta, phi_i, theta_out, phi_o, indexing="ij")
+    grids = list(np.meshgrid(theta, phi_i, theta_out, phi_o, indexing="ij"))
+    grids[3] = (grids[3] + grids[1]) % 360.0  # the same azimuth differences for each azimuth of the light
     data = GonioData(np.stack([g.ravel() for g in grids], axis=-1), bsdf.wavelengths_nm, np.zeros((0, 0)))
     return GonioData(data.angles_deg, bsdf.wavelengths_nm, bsdf.evaluate(data.wi, data.wo))
 
@@ -82,45 +83,46 @@ def zemax_lobe(table: ZemaxBsdf) -> TableLobe:
     XYZ is converted to smooth spectra, monochrome to constant ones.
 
     Raises:
-        UnsupportedError: the table has transmitted scatter, or sample rotations that differ.
+        UnsupportedError: the table has transmitted scatter.
     """
     if table.scatter_type != "BRDF":
         raise UnsupportedError(f"a Zemax {table.scatter_type} is not imported; only BRDF is")
-    values = table.values
+    values, turn = table.values[:, None], None
     if table.rotated is not None:
         spread = np.ptp(table.rotated, axis=1).max() / max(float(table.rotated.max()), 1e-30)
+        values = table.rotated
         if spread > ANISOTROPIC:
-            raise UnsupportedError(
-                f"has {len(table.rotation_deg)} sample rotations that differ by {100 * spread:.0f} % of the maximum: "
-                "the sample is anisotropic, and a measured material is isotropic"
-            )
-        values = table.rotated.mean(axis=1)
-    values = np.moveaxis(values, (0, 1, 2, 3), (3, 0, 2, 1))
+            turn, which, _ = periodic_turns(table.rotation_deg)
+            values = values[:, which]
+        else:
+            values = values.mean(axis=1, keepdims=True)
+    values = np.moveaxis(values, (0, 1, 2, 3, 4), (4, 0, 1, 3, 2))
     azimuth, is_signed = table.azimuth_deg, not table.is_plane_symmetrical
     if is_signed:
         turned = (azimuth + 180.0) % 360.0 - 180.0
         turned[turned == -180.0] = 180.0
         azimuth, first = np.unique(turned, return_index=True)
-        values = values[:, :, first]
-        values = np.concatenate([values[:, :, -1:], values, values[:, :, :1]], axis=2)
+        values = values[..., first, :]
+        values = np.concatenate([values[..., -1:, :], values, values[..., :1, :]], axis=3)
         azimuth = np.concatenate([azimuth[-1:] - 360.0, azimuth, azimuth[:1] + 360.0])
     c = (azimuth + 180.0) / 360.0 if is_signed else azimuth / 180.0
     nodes, values = _two_nodes([table.incidence_deg / 90.0, table.radial_deg / 180.0, c], values)
     wavelengths = default_wavelengths()
-    is_grey = values.shape[3] == 1
+    values = values[0] if turn is None else values
+    is_grey = values.shape[-1] == 1
     return TableLobe(
         wavelengths, values if is_grey else np.asarray(xyz_to_srgb_linear(values)),
         np.ones((1, len(wavelengths))) if is_grey else rgb_basis(wavelengths), "specular",
-        nodes[0], nodes[1], nodes[2], is_signed,
+        nodes[0], nodes[1], nodes[2], is_signed, turn,
     )  # fmt: skip
 
 
 def _two_nodes(axes: list[Array], values: Array) -> tuple[list[Array], Array]:
-    """Duplicate single nodes, as interpolation needs two."""
+    """Duplicate single nodes of `[turn, a, b, c, channel]`, as interpolation needs two."""
     grown = []
     for i, axis in enumerate(axes):
         if len(axis) == 1:
-            values = np.repeat(values, 2, axis=i)
+            values = np.repeat(values, 2, axis=i + 1)
             axis = np.array([axis[0], axis[0] + 1e-3])
         grown.append(axis)
     return grown, values

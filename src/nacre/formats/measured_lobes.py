@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.bsdf.lobes.table import TableLobe
 from nacre.core.arrays import Array
@@ -18,7 +19,7 @@ LAWS = ("half-angle",)
 MIN_PAIRS = 4
 SCATTERED_NODES = (46, 46, 37)  # theta_i, theta_o, dphi of directions that form no grid
 MIN_FILLED = 0.5  # share of a grid's nodes that must be measured
-SAME = 0.02  # relative spread of repeated or equivalent directions that counts as equal
+EQUAL = 1e-6  # relative spread of rounding
 ANISOTROPIC = 0.1  # relative spread between azimuths of the light beyond which data are anisotropic
 NOISE = 0.01  # negative values up to this share of the maximum, and of the sum, are noise
 DIGITS = 6  # of angles in degrees
@@ -59,8 +60,8 @@ def measured_table(data: GonioData, name: str, law: str | None = None) -> tuple[
 
     Raises:
         NacreError: fewer than four pairs lie above the surface, or impossible values.
-        UnsupportedError: the pairs lie in the plane of incidence or have one incidence and no law is given, or the
-            data are anisotropic.
+        UnsupportedError: the pairs lie in the plane of incidence or have one incidence and no law is given, or those
+            of an anisotropic sample form no grid.
     """
     theta_i, phi_i, theta_o, phi_o = data.angles_deg.T
     up = (theta_i < 90) & (theta_o < 90)
@@ -84,7 +85,11 @@ def measured_table(data: GonioData, name: str, law: str | None = None) -> tuple[
             f"{name}: the measurement {what} and determines no BRDF by itself; state a law: --law {LAWS[0]} "
             "(the BRDF depends on half and difference angle only)"
         )
-    remarks += _isotropic(points, values, name)
+    spread = _spread_over_turns(points, values)
+    if spread > ANISOTROPIC:
+        return _on_turns(points, values, data.wavelengths_nm, name, [*remarks, _spread_words(points, spread)])
+    if spread > EQUAL:
+        remarks.append(f"{_spread_words(points, spread)}; they were averaged")
     grid = _Grid.of(points, values)
     if grid is None:
         table, said = _scattered(points, values)
@@ -93,15 +98,10 @@ def measured_table(data: GonioData, name: str, law: str | None = None) -> tuple[
     return _on_grid(grid, data.wavelengths_nm, remarks)
 
 
-def _isotropic(points: Array, values: Array, name: str) -> list[str]:
-    """Compare the azimuths of the light.
-
-    Raises:
-        UnsupportedError: values differ between azimuths: the sample is anisotropic.
-    """
-    turns = np.unique(points[:, 3] % 360.0)
-    if len(turns) < 2:
-        return []
+def _spread_over_turns(points: Array, values: Array) -> float:
+    """Return the typical relative difference of values between azimuths of the light; 0 for one azimuth."""
+    if len(np.unique(points[:, 3] % 360.0)) < 2:
+        return 0.0
     mean = np.nanmean(values, axis=1)
     # away from the normal, where the azimuth difference has no meaning
     some = (points[:, 0] > 0) & (points[:, 1] > 0) & np.isfinite(mean)
@@ -111,15 +111,63 @@ def _isotropic(points: Array, values: Array, name: str) -> list[str]:
     average = np.bincount(where, mean[some]) / count
     spread = np.abs(mean[some] - average[where]) / np.maximum(np.abs(average[where]), 1e-12)
     spread = spread[count[where] > 1]
-    typical = float(np.quantile(spread, 0.9)) if len(spread) else 0.0
-    if typical > ANISOTROPIC:
-        raise UnsupportedError(
-            f"{name}: is anisotropic: values differ by {100 * typical:.0f} % between the azimuths {turns[0]:g} and "
-            f"{turns[-1]:g} degrees of the light; a measured material is isotropic. Keep the rows of one phi_i"
-        )
-    if typical > 1e-6:
-        return [f"{len(turns)} azimuths of the light agree within {100 * typical:.1g} %; they were averaged"]
-    return []
+    return float(np.quantile(spread, 0.9)) if len(spread) else np.inf
+
+
+def _spread_words(points: Array, spread: float) -> str:
+    turns = np.unique(points[:, 3] % 360.0)
+    said = f"{len(turns)} azimuths of the light, {turns[0]:g} to {turns[-1]:g} degrees"
+    return f"{said}, differ by {100 * spread:.2g} %" if np.isfinite(spread) else f"{said}, share no directions"
+
+
+def _on_turns(
+    points: Array, values: Array, wavelengths_nm: Array, name: str, remarks: list[str]
+) -> tuple[TableLobe, list[str]]:
+    """Return the table of an anisotropic sample: one grid an azimuth of the light.
+
+    Raises:
+        UnsupportedError: the azimuths have different grids of directions.
+    """
+    turn = points[:, 3] % 360.0
+    turns = np.unique(turn)
+    grids = [_Grid.of(points[turn == t], values[turn == t], is_folded=False) for t in turns]
+    first = grids[0]
+    for grid in grids:
+        if first is None or grid is None or grid.is_signed != first.is_signed or not all(
+            np.array_equal(a, b) for a, b in zip(grid.axes, first.axes, strict=True)
+        ):  # fmt: skip
+            raise UnsupportedError(
+                f"{name}: is anisotropic, {remarks[-1]}, and the directions differ between the azimuths of the light; "
+                "a table needs the same theta_i, theta_o and azimuth differences for each"
+            )
+    lobes = []
+    for grid in grids:
+        said: list[str] = []
+        if grid is not None:
+            lobes.append(_on_grid(grid, wavelengths_nm, said)[0])
+        remarks += [line for line in said if line not in remarks]
+    nodes, which, words = periodic_turns(turns)
+    table = np.stack([lobe.values for lobe in lobes])[which]
+    return replace(lobes[0], values=table, nodes_turn=nodes), [*remarks, *words]
+
+
+def periodic_turns(turns_deg: Array) -> tuple[Array, NDArray[np.intp], list[str]]:
+    """Return nodes of a periodic table over the azimuth of the light, and remarks on the symmetry.
+
+    Azimuths that span less than 180 degrees repeat after 180 degrees, as on a brushed surface.
+
+    Returns:
+        nodes over 2 pi, from below 0 to above 1; the measured azimuth of each; remarks.
+    """
+    period = 360.0 if turns_deg[-1] - turns_deg[0] >= 180.0 else 180.0
+    steps = np.arange(-1, int(360 / period) + 2)
+    nodes = (turns_deg[None] + period * steps[:, None]).ravel()
+    which = np.tile(np.arange(len(turns_deg)), len(steps))
+    _, first = np.unique(np.round(nodes, DIGITS), return_index=True)
+    words = [] if period == 360.0 else ["azimuths of the light repeat after 180 degrees: the rest was not measured"]
+    nodes, which = nodes[first], which[first]
+    used = (nodes >= nodes[nodes <= 0.0].max()) & (nodes <= nodes[nodes >= 360.0].min())
+    return nodes[used] / 360.0, which[used], words
 
 
 @dataclass(frozen=True)
@@ -132,9 +180,18 @@ class _Grid:
     values: Array
     is_signed: bool
 
+    @property
+    def axes(self) -> tuple[Array, Array, Array]:
+        """The nodes in degrees."""
+        return self.theta_i, self.theta_o, self.azimuth
+
     @classmethod
-    def of(cls, points: Array, values: Array) -> _Grid | None:
-        """Return the grid, or None if the directions form none."""
+    def of(cls, points: Array, values: Array, is_folded: bool = True) -> _Grid | None:
+        """Return the grid, or None if the directions form none.
+
+        Args:
+            is_folded: keep one side of the plane of incidence if both are equal.
+        """
         away = (points[:, 0] > 0) & (points[:, 1] > 0)
         sides = np.unique(points[away, 2])
         is_signed = bool(np.any(sides < 0) and np.any((sides > 0) & (sides < 180)))
@@ -167,7 +224,7 @@ class _Grid:
         with np.errstate(invalid="ignore"):
             grid = np.where(count > 0, total / np.maximum(count, 1), np.nan)
         made = cls(axes[0], axes[1], axes[2], grid, is_signed)
-        return made._folded() if is_signed else made
+        return made._folded() if is_signed and is_folded else made
 
     def _folded(self) -> _Grid:
         """Return one side only if both sides are equal."""

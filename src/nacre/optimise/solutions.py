@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from nacre.core.errors import NacreError, RecipeError
-from nacre.core.files import atomic_path, read_text, write_text
+from nacre.core.files import atomic_path, plain, read_text, write_text
 from nacre.material.material import Material
 from nacre.optimise.evaluation import TargetResult
 from nacre.recipe.fingerprint import file_digest
@@ -226,7 +226,7 @@ def folder_of(out: Path, number: int) -> Path:
 def clear_solutions(out: Path, keep: int) -> None:
     """Remove the earlier solutions beyond the first `keep`."""
     try:
-        earlier = json.loads((out / SUMMARY).read_text(encoding="utf-8"))["solutions"]
+        earlier = json.loads(plain(out / SUMMARY).read_text(encoding="utf-8"))["solutions"]
     except (OSError, ValueError, KeyError, TypeError):
         return
     for number in range(keep + 1, len(earlier) + 1):
@@ -281,7 +281,7 @@ def claim(out: Path) -> None:
 def _earlier(out: Path) -> set[str] | None:
     """Return the files of the best solution of a design in a folder; None if there is no design."""
     try:
-        summary = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
+        summary = json.loads(plain(out / SUMMARY).read_text(encoding="utf-8"))
         if not set(summary) & {"solutions", "loss_fixed"}:  # the latter of a relief
             return None
         return {str(name) for solution in summary.get("solutions", [])[:1] for name in solution.get("files", [])}

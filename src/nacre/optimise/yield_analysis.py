@@ -128,8 +128,8 @@ def yield_of(
     merit = evaluator.merit
     limits = np.array([merit.operands[index].tolerance for index, _ in merit.terms])
     generator = np.random.default_rng([seed, 3])
-    drawn = draw(tolerances, generator, DRAWS).values
-    paths, values = list(drawn), np.stack(list(drawn.values()), axis=1)
+    drawn = draw(tolerances, generator, DRAWS)
+    paths, values = list(drawn.values), np.stack(list(drawn.values.values()), axis=1)
     together = evaluator.at_once(paths, values)
     if together is not None:
         good, done = int(np.sum(np.all(merit.distances(together) <= limits, axis=-1))), len(values)
@@ -148,6 +148,7 @@ def yield_of(
         "share": good / done,
         "interval_95": list(wilson_interval(good, done)),
         "draws": done,
+        "share_clipped_at_0": drawn.clipped,
         "costs": costs,
         "costs_most": costs[0]["path"] if costs else None,
     }

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from nacre.core.errors import NacreError, RecipeError
-from nacre.core.files import atomic_path, check_writable, read_text, real
+from nacre.core.files import atomic_path, check_writable, named, plain, read_text, real
 from nacre.light import ILLUMINANTS
 from nacre.material.examples import examples, examples_folder
 from nacre.material.material import MAX_NESTED_RECIPES, Material, material_from_data
@@ -114,13 +114,13 @@ class OpenedFolder:
         raise NacreError(f"{path}: no such file or folder, and no example of that name")
 
     def names(self) -> list[str]:
-        """Return relative names for the folder's recipes: .toml files with a family."""
+        """Return relative names for the folder's recipes: .toml files with a family, without links that lead out."""
         found: list[str] = []
         for path in sorted(self.folder.rglob("*.toml")):
             inner = path.relative_to(self.folder)
             if len(inner.parts) > MAX_DEPTH + 1 or any(part.startswith(".") for part in inner.parts):
                 continue
-            if _has_family(path):
+            if real(path).is_relative_to(self.folder) and _has_family(path):
                 found.append(inner.as_posix())
             if len(found) == MAX_LISTED:
                 break
@@ -135,6 +135,7 @@ class OpenedFolder:
         fence = self.folder
         if name.startswith(EXAMPLE):
             fence, name = examples_folder().resolve(), f"{name.removeprefix(EXAMPLE)}.toml"
+        named(fence / name)
         try:
             path = (fence / name).resolve()
         except (OSError, ValueError, RuntimeError):
@@ -149,7 +150,10 @@ class OpenedFolder:
         Raises:
             NacreError: it cannot be read.
         """
-        return read_text(self.place(name)[0], "recipe")
+        path, _ = self.place(name)
+        if path.exists() and not path.is_file():
+            raise NacreError(f'"{name[:80]}" is not a file')
+        return read_text(path, "recipe")
 
     def is_readable(self, name: str) -> bool:
         """Whether a recipe is TOML; its values may still be invalid."""
@@ -199,7 +203,7 @@ def version_of(text: str) -> str:
 
 def _has_family(path: Path) -> bool:
     try:
-        if path.stat().st_size > MAX_TEXT:
+        if plain(path).stat().st_size > MAX_TEXT:
             return False
         text = path.read_text("utf-8")
     except (OSError, UnicodeDecodeError):

@@ -1,4 +1,4 @@
-"""A tabulated isotropic BRDF: measurements, imported files, tabulated materials.
+"""A tabulated BRDF: measurements, imported files, tabulated materials.
 
 Three coordinate systems, each with uniform nodes in transformed angles unless nodes are given:
 
@@ -44,6 +44,8 @@ class TableLobe(Lobe):
             first and the last are held.
         is_signed: whether c distinguishes the sides of the plane of incidence: c = (azimuth + pi)/(2 pi); the azimuth
             runs from the light to the viewer, counter-clockwise from above ("direction"), or as in Zemax files.
+        nodes_turn: azimuths of the light over 2 pi, ascending, for an anisotropic sample; then values have the shape
+            `[turn, a, b, c, channel]`.
     """
 
     wavelengths_nm: Array
@@ -54,6 +56,7 @@ class TableLobe(Lobe):
     nodes_b: Array | None = None
     nodes_c: Array | None = None
     is_signed: bool = False
+    nodes_turn: Array | None = None
 
     kind: ClassVar[str] = "table"
     AXES: ClassVar[dict[str, str]] = {
@@ -63,8 +66,9 @@ class TableLobe(Lobe):
         "nodes_a": "a",
         "nodes_b": "b",
         "nodes_c": "c",
+        "nodes_turn": "turn",
     }
-    OMITTED_UNSET: ClassVar[tuple[str, ...]] = ("nodes_a", "nodes_b", "nodes_c", "is_signed")
+    OMITTED_UNSET: ClassVar[tuple[str, ...]] = ("nodes_a", "nodes_b", "nodes_c", "is_signed", "nodes_turn")
 
     @property
     def nodes(self) -> tuple[Array | None, Array | None, Array | None]:
@@ -79,20 +83,23 @@ class TableLobe(Lobe):
         """
         if self.coordinates not in COORDINATES:
             raise ValueError(f'coordinates = "{self.coordinates}" is not one of {COORDINATES}')
-        if self.values.ndim != 4 or min(self.values.shape[:3]) < 2:
+        if self.values.ndim != (4 if self.nodes_turn is None else 5) or min(self.values.shape[-4:-1]) < 2:
             raise ValueError(f"values has the shape {self.values.shape}")
-        if self.basis.shape != (self.values.shape[3], len(self.wavelengths_nm)):
+        if self.basis.shape != (self.values.shape[-1], len(self.wavelengths_nm)):
             raise ValueError(f"basis has the shape {self.basis.shape}")
         if self.is_signed and self.coordinates == "half":
             raise ValueError("half-angle coordinates have no signed azimuth")
-        for name, nodes, count in zip("abc", self.nodes, self.values.shape[:3], strict=True):
-            if nodes is not None and (nodes.shape != (count,) or np.any(np.diff(nodes) <= 0)):
+        axes = [*zip("abc", self.nodes, self.values.shape[-4:-1], strict=True)]
+        axes += [("turn", self.nodes_turn, self.values.shape[0])]
+        for name, nodes, count in axes:
+            if nodes is not None and (nodes.shape != (count,) or count < 2 or np.any(np.diff(nodes) <= 0)):
                 raise ValueError(f"nodes_{name} must hold {count} ascending numbers")
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return f, `[..., wavelength]`, for unit vectors `[..., 3]`; uv is ignored."""
         up = (wi[..., 2] > 0) & (wo[..., 2] > 0)
-        channels = self._fetch(*self.coordinates_of(wi, wo))
+        turn = None if self.nodes_turn is None else _turn(wi)
+        channels = self._fetch(*self.coordinates_of(wi, wo), turn)
         return np.asarray(np.where(up[..., None], np.maximum(channels @ self.basis, 0.0), 0.0))
 
     def coordinates_of(self, wi: Array, wo: Array) -> tuple[Array, Array, Array]:
@@ -102,13 +109,21 @@ class TableLobe(Lobe):
         a, b, azimuth = to_direction(wi, wo) if self.coordinates == "direction" else to_specular(wi, wo)
         return a, b, (azimuth + 1.0) / 2.0 if self.is_signed else np.abs(azimuth)
 
-    def _fetch(self, a: Array, b: Array, c: Array) -> Array:
-        """Interpolate trilinearly at coordinates in [0, 1]: `[..., channel]`."""
+    def _fetch(self, a: Array, b: Array, c: Array, turn: Array | None) -> Array:
+        """Interpolate linearly at coordinates in [0, 1]: `[..., channel]`."""
         places = [
             x * (n - 1) if nodes is None else np.interp(x, nodes, np.arange(n))
-            for x, n, nodes in zip((a, b, c), self.values.shape[:3], self.nodes, strict=True)
+            for x, n, nodes in zip((a, b, c), self.values.shape[-4:-1], self.nodes, strict=True)
         ]
-        return interpolate(self.values, tuple(places))
+        if turn is not None and self.nodes_turn is not None:
+            places.insert(0, np.interp(turn, self.nodes_turn, np.arange(len(self.nodes_turn))))
+        return interpolate(self.values, tuple(np.broadcast_arrays(*places)))
+
+
+def _turn(w: Array) -> Array:
+    """Return the azimuth over 2 pi in [0, 1)."""
+    cosine, sine = _azimuth(w)
+    return np.asarray(np.arctan2(sine, cosine) / (2 * np.pi) % 1.0)
 
 
 def to_direction(wi: Array, wo: Array) -> tuple[Array, Array, Array]:

@@ -1,10 +1,11 @@
-"""Tabulated isotropic BRDFs on the device: trilinear look-up, sampled from a table of exits for each incidence.
+"""Tabulated BRDFs on the device: multilinear look-up, sampled from a table of exits for each incidence.
 
 Nearly Lambertian tables use cosine-weighted sampling instead, at half the cost and equal noise.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -33,6 +34,7 @@ COSINE_SHARE = 0.1  # of the samples: covers all directions and bounds the weigh
 BROAD = 1.05  # mean square weight below which cosine-weighted sampling is as good; 1 for a Lambertian surface
 VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 48, 96, 96
 MAX_TABLE_VALUES = 1 << 27
+TURNS = 8  # azimuths of the light over which the density of an anisotropic table is averaged
 
 
 class TablePlugin(LobePlugin[TableLobe]):
@@ -49,31 +51,32 @@ class TablePlugin(LobePlugin[TableLobe]):
     def _set(self, lobe: TableLobe) -> None:
         values, basis = np.asarray(lobe.values, dtype=float), np.asarray(lobe.basis, dtype=float)
         self.shape = values.shape
-        self.is_spectral = values.shape[3] > 4 or bool(
+        self.is_spectral = values.shape[-1] > 4 or bool(
             basis.shape[0] == basis.shape[1] and np.array_equal(basis, np.eye(len(basis)))
         )
         if self.is_spectral:
             if not np.array_equal(basis, np.eye(len(basis))):
                 values = values @ basis
-            if values.shape[3] == 1:
-                values = np.repeat(values, 2, axis=3)
+            if values.shape[-1] == 1:
+                values = np.repeat(values, 2, axis=-1)
             if 2 * values.size > MAX_TABLE_VALUES:
                 raise UnsupportedError(
                     f"a table with {values.size} values is too large for rendering; use fewer angles or channels"
                 )
-            self.channels = opaque_int(values.shape[3] - 1)
+            self.channels = opaque_int(values.shape[-1] - 1)
             # adjacent wavelengths in one load
             self.values = device_array(np.stack([values[..., :-1], values[..., 1:]], axis=-1))
         else:
-            self.colours = values.shape[3]
+            self.colours = values.shape[-1]
             self.values = device_array(values)
             self.basis = [DeviceTable(row[None, :, None]) for row in basis]
-        a, b, c = values.shape[:3]
-        self.is_signed = lobe.is_signed
-        self.nodes = [None if nodes is None else device_array(nodes) for nodes in lobe.nodes]
-        self.tops = [opaque(n - 1) for n in (a, b, c)]
-        self.max_lows = [opaque(max(n - 2, 0)) for n in (a, b, c)]
-        self.strides = (opaque_int(b * c), opaque_int(c))
+        sizes = values.shape[:-1]
+        self.is_signed, self.has_turn = lobe.is_signed, lobe.nodes_turn is not None
+        own = lobe.nodes if lobe.nodes_turn is None else (lobe.nodes_turn, *lobe.nodes)
+        self.nodes = [None if nodes is None else device_array(nodes) for nodes in own]
+        self.tops = [opaque(n - 1) for n in sizes]
+        self.max_lows = [opaque(max(n - 2, 0)) for n in sizes]
+        self.sizes = [opaque_int(n) for n in sizes]
         self._set_sampling(lobe)
 
     def _set_sampling(self, lobe: TableLobe) -> None:
@@ -82,15 +85,20 @@ class TablePlugin(LobePlugin[TableLobe]):
         ti = np.linspace(0.0, 1.0, VIEW_NODES) * (math.pi / 2 - 1e-4)
         to = np.linspace(0.0, 1.0, EXIT_NODES) * (math.pi / 2 - 1e-4)
         dphi = np.linspace(0.0, math.pi, AZIMUTH_NODES)
-        wo = direction(to[None, :], dphi[:, None])  # [azimuth, exit, 3]
         weight = np.cos(to) * np.sin(to)
         densities = np.empty((VIEW_NODES, AZIMUTH_NODES, EXIT_NODES), dtype=np.float32)
         means, squares = np.empty(VIEW_NODES), np.empty(VIEW_NODES)
+        turns = np.arange(TURNS) * (2 * math.pi / TURNS) if lobe.nodes_turn is not None else np.zeros(1)
+        # directions are drawn on both sides with equal probability
+        sides = (1.0, -1.0) if lobe.is_signed else (1.0,)
         for k, angle in enumerate(ti):
-            wi = np.broadcast_to(direction(angle, 0.0), wo.shape)
-            mean = lobe.evaluate(wi, wo).mean(axis=-1)
-            if lobe.is_signed:  # directions are drawn on both sides with equal probability
-                mean = (mean + lobe.evaluate(wi, wo * np.array([1.0, -1.0, 1.0])).mean(axis=-1)) / 2
+            parts = []
+            for turn in turns:
+                for side in sides:
+                    wo = direction(to[None, :], side * dphi[:, None] + turn)  # [azimuth, exit, 3]
+                    wi = np.broadcast_to(direction(angle, turn), wo.shape)
+                    parts.append(lobe.evaluate(wi, wo).mean(axis=-1))
+            mean = np.mean(parts, axis=0)
             # a positive density everywhere
             densities[k] = np.maximum(mean, 1e-4 * mean.max() + 1e-9) * weight
             means[k] = math.pi**2 * float(np.mean(mean * weight))
@@ -160,32 +168,37 @@ class TablePlugin(LobePlugin[TableLobe]):
         where = self.axis.locate(si.wavelengths, active)
         totals = [mi.Float(0.0) for _ in range(self.colours)] if not self.is_spectral else []
         result = mi.UnpolarizedSpectrum(0.0)
-        corners = [
-            (lows[0] + a) * self.strides[0] + (lows[1] + b) * self.strides[1] + lows[2] + c
-            for a in (0, 1)
-            for b in (0, 1)
-            for c in (0, 1)
-        ]
+        corners = []
+        for offsets in itertools.product((0, 1), repeat=len(lows)):
+            index = lows[0] + offsets[0]
+            for low, offset, size in zip(lows[1:], offsets[1:], self.sizes[1:], strict=True):
+                index = index * size + low + offset
+            corners.append(index)
         if self.is_spectral:
             starts = [corner * self.channels for corner in corners]
             for k, (low, part) in enumerate(zip(where.low, where.fraction, strict=True)):
                 pairs = (read2(self.values, start + low, active) for start in starts)
-                result[k] = _trilinear([dr.lerp(pair[0], pair[1], part) for pair in pairs], parts)
+                result[k] = _multilinear([dr.lerp(pair[0], pair[1], part) for pair in pairs], parts)
         else:
             starts = [corner * self.colours for corner in corners]
             for j in range(self.colours):
-                totals[j] = _trilinear([read(self.values, start + j, active) for start in starts], parts)
+                totals[j] = _multilinear([read(self.values, start + j, active) for start in starts], parts)
         for total, basis in zip(totals, [] if self.is_spectral else self.basis, strict=True):
             result = result + total * basis.look_up(mi.UInt32(0), mi.Float(0.0), where, None, active)[0]
         return dr.maximum(result, 0.0)
 
-    def _place(self, light: Any, viewer: Any) -> tuple[Any, Any, Any]:
-        """Return the coordinates in [0, 1], as `TableLobe.coordinates_of`."""
+    def _place(self, light: Any, viewer: Any) -> tuple[Any, ...]:
+        """Return the coordinates in [0, 1], as `TableLobe.coordinates_of`, led by the light's azimuth if it counts."""
+        turn: tuple[Any, ...] = ()
+        if self.has_turn:
+            x, y = unit_azimuth(light)
+            azimuth = dr.atan2(y, x) * (0.5 * dr.inv_pi)
+            turn = (dr.select(azimuth < 0.0, azimuth + 1.0, azimuth),)
         if self.coordinates == "half":
-            return _to_half(light, viewer)
+            return *turn, *_to_half(light, viewer)
         to_place = _to_direction if self.coordinates == "direction" else _to_specular
         a, b, azimuth = to_place(light, viewer)
-        return a, b, azimuth * 0.5 + 0.5 if self.is_signed else dr.abs(azimuth)
+        return *turn, a, b, azimuth * 0.5 + 0.5 if self.is_signed else dr.abs(azimuth)
 
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the wavelength-averaged albedo for this direction."""
@@ -211,8 +224,8 @@ class TablePlugin(LobePlugin[TableLobe]):
         self._set(lobe)
 
 
-def _trilinear(corners: list[Any], parts: list[Any]) -> Any:
-    """Interpolate between eight numbers; the last coordinate varies fastest."""
+def _multilinear(corners: list[Any], parts: list[Any]) -> Any:
+    """Interpolate between the corners of a cell; the last coordinate varies fastest."""
     for part in reversed(parts):
         corners = [dr.lerp(near, far, part) for near, far in zip(corners[::2], corners[1::2], strict=True)]
     return corners[0]

@@ -7,6 +7,7 @@ import dataclasses
 import json
 import os
 import re
+import secrets
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ import numpy as np
 from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.core.files import named, remove_leftovers, reraise_as_oserror, temporary_prefix
+from nacre.core.files import named, plain, remove_leftovers, reraise_as_oserror, temporary_prefix
 from nacre.core.html import render_page
 from nacre.formats.height_fields import RGB, write_png_stream
 from nacre.formats.lut.shaders import shader_text, write_graph
@@ -69,7 +70,7 @@ def check_folder(folder: str | Path) -> Path:
 def _is_ours(folder: Path) -> bool:
     """Whether the manifest lists all files of a folder."""
     try:
-        known = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["files"]
+        known = json.loads(plain(folder / MANIFEST).read_text(encoding="utf-8"))["files"]
     except (OSError, ValueError, KeyError, TypeError):
         return False
     return isinstance(known, list) and {entry.name for entry in folder.iterdir()} <= {*map(str, known), MANIFEST}
@@ -85,14 +86,12 @@ def new_folder(path: Path) -> Iterator[Path]:
     parent = path.resolve().parent
     remove_leftovers(parent)
     try:
-        made = Path(tempfile.mkdtemp(prefix=temporary_prefix(path), dir=parent))
+        made = parent / f"{temporary_prefix(path)}{secrets.token_hex(4)}"
+        made.mkdir()
     except OSError as error:
         raise NacreError(f"{path}: the folder {parent} cannot be written: {error.strerror}") from None
     try:
         yield made
-        mask = os.umask(0)
-        os.umask(mask)
-        made.chmod(0o777 & ~mask)
         old = Path(tempfile.mkdtemp(prefix=temporary_prefix(path), dir=parent)) if path.exists() else None
         if old is not None:
             path.rename(old / "old")

@@ -125,6 +125,10 @@ def _data_set(
         groups.setdefault(keys[i], []).append(int(i))
     if not groups:
         raise NacreError(f"{path}: contains no finite Psi and Delta")
+    most = max(len(rows) for rows in groups.values())
+    fewer = sum(len(rows) < most for rows in groups.values())
+    if zone is not None and fewer:
+        notes.append(f"{fewer} of {len(groups)} angles have fewer than {most} zones")
     psi, delta = table["psi"], table["delta"]
     means = [(np.mean(psi[i]), _mean_angle(delta[i])) for i in groups.values()]
     columns: dict[str, object] = {

@@ -44,6 +44,9 @@ def _heading(lines: list[str]) -> tuple[int, str, bool] | None:
         rest = [word.lower() for word in words[1:]]
         if "trig" in rest:
             return i, words[0], True
+        cells = [cell.strip().lower() for cell in line.split("\t")]
+        if len(cells) > 3 and cells[2:4] != ["psi", "delta"]:
+            continue  # the columns have another order
         names = [word for word in rest if not ANGLES.match(word)]
         if names[:2] == ["psi", "delta"] and ("\t" in line or len(rest) == 3):
             return i, words[0], False
