@@ -1,4 +1,4 @@
-"""Anisotropic stacks against pyElli: 10 biaxial layers x 200 wavelengths x 10 angles, and a cholesteric of 15 turns at 30 degrees.
+"""Anisotropic stacks against pyElli: 10 biaxial layers x 200 wavelengths x 10 angles, a cholesteric of 15 turns.
 
 pyElli batches over wavelengths and is called once an angle. Its `TwistedLayer` multiplies matrices of constant slices,
 whose error falls with the square of their number; the number here makes its error that of nacre's coarse answer or
