@@ -8,8 +8,9 @@ import numpy as np
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
-from nacre.bsdf.grids import interpolate
+from nacre.bsdf.grids import interpolate, take_uniform
 from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
 from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
@@ -26,6 +27,16 @@ from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, P
 MIRROR_NODES = 65
 
 
+def _diffuse(lost: Array, wavelengths_nm: Array) -> Diffuse:
+    """Return a reciprocal lobe that spreads the light lost from the orders, `[theta, wavelength]`, over all exits."""
+    cosines = np.linspace(0.0, 1.0, MIRROR_NODES)
+    entry = interpolate(lost, (np.arccos(cosines) / (0.5 * np.pi) * (len(lost) - 1),))
+    x, weight = np.polynomial.legendre.leggauss(64)
+    mu = 0.5 * (x + 1.0)
+    mean = np.einsum("q,ql->l", weight * mu, take_uniform(entry, mu, 0))
+    return Diffuse(wavelengths_nm, np.where(mean > 0.0, 1.0 / np.maximum(mean, 1e-12), 0.0), entry)
+
+
 @dataclass(frozen=True)
 class Spread:
     """Angular standard deviation of each order, and standard deviations of places and sizes."""
@@ -33,6 +44,18 @@ class Spread:
     angle_rad: float
     period_deviation_nm: float = 0.0
     size_deviation_nm: float = 0.0
+
+    def coherent_share(self, vectors: Array) -> Array:
+        """Return the share of each order that disorder leaves in it: the Debye-Waller factor exp(-(2 pi g s)^2).
+
+        Walls deviate by their place and by half the deviation of a size, s^2 = place^2 + (size / 2)^2. The zero order
+        keeps its light.
+
+        Args:
+            vectors: `[order, 2]`, g in 1/nm.
+        """
+        deviation = np.hypot(self.period_deviation_nm, 0.5 * self.size_deviation_nm)
+        return np.asarray(np.exp(-np.sum((2.0 * np.pi * deviation * vectors) ** 2, axis=1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +137,11 @@ class Grating(Model, Diffracting):
         lobes: list[Lobe] = [self._mirror(table, lam)]
         if len(table.orders):
             width = limited_width(self.spread.angle_rad, table.lattice, float(lam[0]))
-            lobes.append(OrdersLobe(lam, table.reflected, table.lattice, table.orders, width, self._rotation))
+            kept = self.spread.coherent_share(table.orders @ table.lattice)[:, None].astype(np.float32)
+            lobes.append(OrdersLobe(lam, table.reflected * kept, table.lattice, table.orders, width, self._rotation))
+            if np.any(kept < 1.0):
+                lost = np.einsum("taow,o->tw", table.reflected[:, :-1], 1.0 - kept[:, 0]) / (table.mirror.shape[1] - 1)
+                lobes.append(_diffuse(lost, lam))
         return Bsdf(tuple(lobes), notes)
 
     @property
