@@ -419,6 +419,12 @@ def read(path: str | Path, **options: Any) -> Measurement | list[Measurement]:
     for name in options:
         if name not in allowed:
             raise NacreError(f"{name} is no option of read.{did_you_mean(name, allowed)} Allowed: {', '.join(allowed)}")
+    for name in ("columns", "ignore"):
+        if isinstance(options.get(name), str):
+            options[name] = tuple(word.strip() for word in options[name].split(","))
+    pitch = options.get("pitch_um")
+    if isinstance(pitch, int | float):
+        options["pitch_um"] = (float(pitch), float(pitch))
     found = open_file(path, ReadOptions(**options))
     return found[0] if len(found) == 1 else found
 
