@@ -123,8 +123,8 @@ WORDS: dict[str, str] = {
     "nombre nome farbe patch patchname colourname colorname material specimen title swatch code muster",
     "row_number": "no nr number index idx row point particle id num count zeile lfdnr lfd step seq sequence line "
     "rank particleid pointid punkt numero n° nº item i # label pixel pixelnumber",
-    "area": "area flache surfacearea perimeter perim circ circularity solidity roundness round aspectratio ar major "
-    "minor feret feretangle minferet median skew kurt intden rawintden",
+    "area": "area mean min max mode flache surfacearea perimeter perim circ circularity solidity roundness round "
+    "aspectratio ar major minor feret feretangle minferet median skew kurt intden rawintden",
     "gloss": "gloss glanz gloss60 gu haze de deltae de00 de2000 decmc whiteness opacity comment remark note bemerkung "
     "date datum zeit timestamp folder geometry lamp met layers reachedl reacheda reachedb",
     "x": "x xm xc xpos xposition posx positionx xcoord xcoordinate coordx xcentre xcenter centrex centerx xcentroid "
@@ -583,7 +583,7 @@ def _of_other_dimension(meaning: Meaning) -> Meaning | None:
     if name in DIMENSIONS:
         return None
     if kind == "number":
-        return meaning
+        return None if name in ("n", "k", "eps1", "eps2", "L", "a", "b", "X", "Y", "Z") else meaning
     if kind == "counts":
         return (
             meaning if name.endswith("counts") else replace(meaning, quantity="counts") if name == "intensity" else None
