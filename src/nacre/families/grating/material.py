@@ -18,7 +18,8 @@ from nacre.bsdf.tabulate import is_transparent
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
-from nacre.families.contract import Diffracting, Model, Traits
+from nacre.families.contract import Diffracting, Model, Pixels, Traits
+from nacre.families.grating.outlines import outlines
 from nacre.families.grating.tables import MAX_THETA, OrderTables, order_tables
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.periodic.orders import Orders, solve_orders
@@ -68,7 +69,7 @@ class GratingLayer:
 
 
 @dataclass(frozen=True, eq=False)
-class Grating(Model, Diffracting):
+class Grating(Model, Diffracting, Pixels):
     """A periodic structure of layers, or of a profile, on a substrate.
 
     Attributes:
@@ -124,6 +125,27 @@ class Grating(Model, Diffracting):
         stacks = dict(zip(lam.tolist(), self.stacks(lam), strict=True))
         azimuth = azimuth_rad - np.radians(self.turn_deg)
         return solve_orders(lambda w: stacks[w], theta_rad, azimuth, lam, self.tolerance)
+
+    @property
+    def pitch_nm(self) -> tuple[float, float]:
+        """Periods along x and y; lines repeat along y with the same period.
+
+        Raises:
+            UnsupportedError: the cell is not a rectangle.
+        """
+        if self.cell.period_y is not None and not self.cell.is_rectangular:
+            raise UnsupportedError("pixels of an oblique cell cannot fill a field; allowed: a rectangular cell")
+        return self.cell.period_x, self.cell.period_y or self.cell.period_x
+
+    def pixel_polygons(self) -> list[tuple[int, Array]]:
+        """Return the layer (from 1, the upper one first) and the corners of each shape, about the cell's centre."""
+        x, y = self.pitch_nm
+        return [
+            (number, corners)
+            for number, layer in enumerate(self.layers, start=1)
+            for shape, _ in layer.shapes
+            for corners in outlines(shape, x, y)
+        ]
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
         """Solve the orders on a grid of directions: the zero order is a mirror, the others form a lobe.

@@ -16,9 +16,9 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from nacre.core.arrays import Array
 from nacre.matter.periodic.line_basis import Axis, LineBasis
 from nacre.matter.periodic.scattering_matrix import Modes, dense_modes, outgoing_root
+from nacre.matter.periodic.types import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.core.arrays import Array
 from nacre.matter.periodic.crossed_modes import (
     Components,
     SampledLayer,
@@ -32,6 +31,7 @@ from nacre.matter.periodic.structure import (
     order_set,
     propagating,
 )
+from nacre.matter.periodic.types import Array
 
 RECTANGLE_STEPS = (6, 8, 10, 12)  # degrees
 FOURIER_STEPS = (7, 9, 10, 11, 12, 13)  # radii of the circle of orders
@@ -267,7 +267,7 @@ def sampled(layer: PatternLayer, cell: Cell) -> SampledLayer:
     shapes = tuple(shape if isinstance(shape, Region) else box(shape) for shape, _ in layer.shapes)
     shares, normal_x, normal_y = _geometry(tuple(_Keyed(shape.key, shape) for shape in shapes), cell)
     epsilon = np.full((GRID, GRID), complex(layer.epsilon))
-    inverse = 1.0 / epsilon
+    inverse: Array = 1.0 / epsilon
     for share, (_, value) in zip(shares, layer.shapes, strict=True):
         epsilon += (value - layer.epsilon) * share
         inverse += (1.0 / value - 1.0 / layer.epsilon) * share

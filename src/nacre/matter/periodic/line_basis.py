@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg
 
-from nacre.core.arrays import Array
+from nacre.matter.periodic.types import Array
 
 GRADING = 0.18  # ratio of the sizes of neighbouring elements
 MIN_REGION = 1e-9  # of the period: walls nearer than this coincide
