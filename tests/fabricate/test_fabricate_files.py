@@ -288,3 +288,32 @@ def test_each_of_several_maps_is_told_with_its_own_grey_values(tmp_path: Path, c
     said = capfd.readouterr().err
     assert "grey values of layers[0].thickness_nm: 0 is 10, 65535 is 150 nm" in said
     assert "grey values of layers[1].thickness_nm: 0 is 10, 65535 is 300 nm" in said
+
+
+@pytest.mark.parametrize("radius_um", [0.0005, 0.002, 0.0073, 0.05, 0.1234, 1.0, 37.0, 1000.0])
+def test_circles_have_their_area_and_symmetry_at_any_size(tmp_path: Path, radius_um: float) -> None:
+    import gdstk
+
+    from nacre.formats.layouts import write_layout
+
+    path = tmp_path / "x.gds"
+    write_layout(path, np.zeros((1, 2)), radius_um)
+    corners = next(c for c in gdstk.read_gds(str(path)).cells if c.polygons).polygons[0].points
+    x, y = corners.T
+    area = 0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+    assert area == pytest.approx(np.pi * radius_um**2, rel=0.01)
+    places = {(round(a / radius_um, 6), round(b / radius_um, 6)) for a, b in corners}
+    for turn in (lambda a, b: (-a, b), lambda a, b: (a, -b), lambda a, b: (b, a)):
+        assert {tuple(v + 0.0 for v in turn(a, b)) for a, b in places} == places
+
+
+def test_klayout_counts_the_particles_of_split_arrays(tmp_path: Path) -> None:
+    database = pytest.importorskip("klayout.db")
+    from nacre.formats.layouts import write_layout
+
+    for name in ("x.gds", "x.oas"):
+        write_layout(tmp_path / name, np.zeros((1, 2)), 0.05, 0.2, periods=(40_000, 2))
+        layout = database.Layout()
+        layout.read(str(tmp_path / name))
+        arrays = [each.na * each.nb for cell in layout.each_cell() for each in cell.each_inst() if each.na]
+        assert sum(arrays) == 80_000

@@ -157,6 +157,18 @@ def test_gds_cells_are_checked(tmp_path: Path) -> None:
             made(wrong)
 
 
+def test_disorder_moves_light_from_orders_to_a_diffuse_part() -> None:
+    lam = np.array([500.0, 600.0])
+    wi = np.array([0.0, 0.0, 1.0])
+    made: dict[str, Any] = {"family": "grating", "substrate": "Al", "lattice": {"period_nm": 900}}
+    made["profile"] = {"shape": "sinusoidal", "depth_nm": 80}
+    plain = nacre.material(made).bsdf(lam)
+    rough = nacre.material(made | {"orders": {"period_deviation_nm": 60.0}}).bsdf(lam)
+    orders, diffuse = (lobe.hemispherical(wi)[0] for lobe in rough.lobes[1:])
+    whole = plain.lobes[1].hemispherical(wi)[0]
+    assert np.all(orders < 0.9 * whole) and orders + diffuse == pytest.approx(whole, rel=0.01)
+
+
 def orders_lobe() -> Bsdf:
     g = np.random.default_rng(1)
     power = g.uniform(0.05, 0.25, (6, 9, 6, 5)).astype(np.float32)

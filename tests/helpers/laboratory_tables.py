@@ -43,6 +43,7 @@ VALUES = {
 }  # fmt: skip
 UNKNOWN = ["Batch", "operator 7", "QC", "lamp setting", "Kanal B", "xyz1"]
 HARMLESS = ["Temperature (K)", "time (s)", "No", "Index"]
+ROW_OF_UNITS = {"nm": "Wavelength", "um": "λ", "eV": "Energy", "1/cm": "Wellenzahl", "THz": "Frequency"}
 MISTAKEN = {"um": ["nm"], "nm": ["um", "eV"]}  # that the numbers contradict
 GAPS = ["", "n/a", "#N/A", "NaN", "#DIV/0!", "--"]
 PREAMBLES: list[list[str]] = [
@@ -132,10 +133,14 @@ def laboratory_table(rng: np.random.Generator, kind: str | None = None) -> LabTa
     if unit in ("nm", "um", "angstrom") and rng.random() < 0.15:
         spectral_heading = _choice(rng, BARE)
         notes.append("no unit")
-    if unit in MISTAKEN and rng.random() < 0.06:
+    if unit in MISTAKEN and rng.random() < 0.06 and not any(note == "no unit" for note in notes):
         stated = _choice(rng, MISTAKEN[unit])
         spectral_heading = _choice(rng, WAVELENGTHS[stated])
         notes.append(f"stated as {stated}")
+    has_unit_row = has_heading and unit in ROW_OF_UNITS and rng.random() < 0.15
+    if has_unit_row:
+        spectral_heading = ROW_OF_UNITS[unit]
+        notes.append("row of units")
     columns = [("x", spectral_heading, in_unit(nm, unit)), *_columns(rng, kind, nm, truth)]
     if not has_heading:
         unit = _choice(rng, ["nm", "um", "eV", "1/cm"])
@@ -179,6 +184,10 @@ def _written(
         needs_quotes = delimiter.strip() == "" and delimiter != "\t" and any(" " in heading for heading in headings)
         cells = [f'"{h}"' if (quote or needs_quotes) and '"' not in h else h for h in headings]
         lines.append(("# " if rng.random() < 0.1 and delimiter != "\t" else "") + delimiter.join(cells))
+    if "row of units" in notes:
+        stated = {"x": notes[0], "angle": "deg"}
+        marks = [stated.get(name, "" if set(h) & set("([/_%") or name == "harmless" else "-") for name, h, _ in columns]
+        lines.append(delimiter.join(f"[{mark}]" for mark in marks))
     lines += [delimiter.join(row) for row in rows]
     lines += _choice(rng, [[], [], [], [""], ["", "End of data"], ["# end"]])
     text = _choice(rng, ["\n", "\r\n", "\r"]).join(lines) + _choice(rng, ["\n", ""])

@@ -201,6 +201,7 @@ def test_rounded_shares_are_named(case: Any, brought: Any, name: str, words: str
     assert words in brought(case("F5-fractions") / f"{name}.gltf")[1]
 
 
+@pytest.mark.full
 def test_a_blend_is_not_exported_as_one_film(case: Any, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(case("P-gltf-blend"))
     for to in ("gltf", "materialx"):

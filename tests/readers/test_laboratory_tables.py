@@ -264,3 +264,50 @@ def test_what_a_fit_assumes_is_stated(tmp_path: Path) -> None:
     (tmp_path / "m.csv").write_text("nm,R,temperature (K)\n400,0.1,300\n500,0.2,300\n")
     remarks = " ".join(read_measurement(tmp_path / "m.csv").remarks)
     assert "normal incidence" in remarks and "specular" in remarks and "temperature (K)" in remarks
+
+
+@pytest.mark.parametrize("polarisation", ["s", "both"])
+def test_a_tidy_table_states_what_its_measurement_states(polarisation: str, tmp_path: Path) -> None:
+    (tmp_path / "film.toml").write_text(dump_toml(FILM))
+    command = ["spectrum", str(tmp_path / "film.toml"), "--angles-deg", "60", "--polarisation", polarisation]
+    assert run([*command, "--wavelengths-nm", "400:700:50", "-o", str(tmp_path / "m.csv")]) == 0
+    assert run(["read", str(tmp_path / "m.csv"), "-o", str(tmp_path / "tidy.csv")]) == 0
+    first, again = (read_measurement(tmp_path / name) for name in ("m.csv", "tidy.csv"))
+    assert first.parts == again.parts
+    np.testing.assert_allclose(again.values, first.values, rtol=1e-8)
+
+
+def test_ellipsometry_that_nacre_writes_is_read_by_the_fit(tmp_path: Path) -> None:
+    (tmp_path / "film.toml").write_text(dump_toml(FILM))
+    command = ["ellipsometry", str(tmp_path / "film.toml"), "--angles-deg", "65,75", "--wavelengths-nm", "400:700:50"]
+    assert run([*command, "-o", str(tmp_path / "e.csv")]) == 0
+    measured = read_measurement(tmp_path / "e.csv")
+    model = measured.model(nacre.load(tmp_path / "film.toml"), None, 0)
+    np.testing.assert_allclose(model, measured.values, atol=1e-7)
+
+
+def test_points_that_nacre_writes_come_back(tmp_path: Path) -> None:
+    from nacre.formats.layouts import write_points_csv
+
+    xy = np.array([[0.5, 1.25], [2.0, 3.5], [4.0, 0.75]])
+    write_points_csv(tmp_path / "p.csv", xy, np.full(3, 0.1))
+    np.testing.assert_allclose(curve(tmp_path / "p.csv", (X_UM, Y_UM))[0], xy, atol=1e-4)
+
+
+def test_a_wrong_unit_of_constants_is_named_and_no_extrapolation_advised(tmp_path: Path) -> None:
+    (tmp_path / "nk.csv").write_text("wavelength_nm,n\n40,1.5\n105,1.5\n")
+    film = nacre.material({"family": "film", "substrate": {"file": "nk.csv"}, "layers": []}, tmp_path)
+    with pytest.raises(NacreError) as error:
+        film.spectrum([0.0], [400.0, 700.0])
+    assert "edge" not in str(error.value)
+
+
+def test_the_table_of_a_batch_of_designs_is_a_list_of_its_colours(tmp_path: Path) -> None:
+    from nacre.optimise.colour_list import read_colours
+
+    (tmp_path / "many.csv").write_text(
+        "name,folder,L,a,b,reached_L,reached_a,reached_b,de00,geometry,lamp,met,total_nm,layers\n"
+        "#1,1,52.000,-30.000,28.000,52.008,-29.994,27.991,0.0088,specular 0,D65,yes,246.09,Cr 6.81 | SiO2 83.61\n"
+    )
+    (row,) = read_colours(tmp_path / "many.csv", 1)
+    assert row.name == "#1" and row.lab.tolist() == [[52.0, -30.0, 28.0]]

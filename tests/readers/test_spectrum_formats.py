@@ -372,3 +372,33 @@ def test_a_pixel_number_before_the_wavelength_is_no_axis(tmp_path: Path) -> None
     text += "Pixel,Wavelength,Processed,Raw\n" + rows(np.arange(31.0), NM, PER_CENT, 40 * PER_CENT, mark=",")
     (measurement,) = open_file(written(tmp_path, text.encode()))
     check(measurement, "reflectance", 1e-6)
+
+
+def ole(streams: dict[str, bytes]) -> bytes:
+    """Return a compound file ([MS-CFB]) whose streams are filled to 4096 bytes, so that none is in the mini stream."""
+    sector, end, free = 512, 0xFFFFFFFE, 0xFFFFFFFF
+    bodies = {name: body.ljust(-(-max(len(body), 4096) // sector) * sector, b"\0") for name, body in streams.items()}
+    fat, at, entries = [0xFFFFFFFD, end], 2, [("Root Entry", 5, end, 0)]
+    for name, body in bodies.items():
+        count = len(body) // sector
+        fat += [*range(at + 1, at + count), end]
+        entries.append((name, 2, at, max(len(streams[name]), 4096)))
+        at += count
+    directory = b""
+    for name, kind, first, size in entries:
+        text = (name + "\0").encode("utf-16-le")
+        entry = text.ljust(64, b"\0") + struct.pack("<HBB3I", len(text), kind, 1, free, free, free)
+        directory += entry.ljust(116, b"\0") + struct.pack("<III", first, size, 0)
+    head = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(16) + struct.pack("<5H", 62, 3, 0xFFFE, 9, 6) + bytes(10)
+    head += struct.pack("<8I", 1, 1, 0, 4096, end, 0, end, 0) + struct.pack("<109I", 0, *[free] * 108)
+    fat += [free] * (sector // 4 - len(fat))
+    sectors = struct.pack(f"<{sector // 4}I", *fat) + directory.ljust(sector, b"\0")
+    return head + sectors + b"".join(bodies.values())
+
+
+def test_a_jws_of_the_second_version_is_an_ole_file(tmp_path: Path) -> None:
+    info = struct.pack("<6I3d4I4d", 3, 1, 0, 1, 1, 31, 400.0, 700.0, 10.0, 0x10000103, 3, 0, 0, 400.0, 0.0, 700.0, 1.0)
+    data = ole({"DataInfo": info, "Y-Data": FACTOR.astype("<f4").tobytes()})
+    (measurement,) = open_file(written(tmp_path, data))
+    assert measurement.format == "jasco-jws"
+    check(measurement, "absorbance", 1e-6)

@@ -86,7 +86,9 @@ def test_every_number_of_the_examples_is_refused_as_text_and_as_a_truth_value(pa
 
 
 def is_material(data: dict[str, Any], place: str) -> bool:
-    return place.rpartition(".")[2] in ("ambient", "substrate", "material", "resin", "coating")
+    return place.rpartition(".")[2] in (
+        "ambient", "substrate", "material", "resin", "coating", "ordinary", "extraordinary", "from", "to"
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("name", KINDS)

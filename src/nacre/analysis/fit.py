@@ -167,7 +167,7 @@ def read_measurement(
     found = open_file(path, options)
     if found[0].kind == "bsdf":
         return gonio_measurement(path, found[0])
-    chosen = [m for m in found if m.kind == "ellipsometry" and "depolarisation" not in m.data]
+    chosen = [m for m in found if m.kind == "ellipsometry" and ("depolarisation" not in m.data or "psi_deg" in m.data)]
     if chosen:
         is_stated = options.delta_convention is not None
         return ellipsometry_data(_one_of(path, chosen, options), range_nm, options.spectrum, is_stated)

@@ -280,6 +280,23 @@ class Diffracting(abc.ABC):
         """
 
 
+class Pixels(abc.ABC):
+    """A periodic material whose cells, with numbers of their own, are the pixels of a picture."""
+
+    @property
+    @abc.abstractmethod
+    def pitch_nm(self) -> tuple[float, float]:
+        """Periods along x and y.
+
+        Raises:
+            UnsupportedError: the cell is not a rectangle.
+        """
+
+    @abc.abstractmethod
+    def pixel_polygons(self) -> list[tuple[int, Array]]:
+        """Return the layer and the corners `[corner, 2]` in nm of each shape, about the centre of the cell."""
+
+
 class Fabricable(abc.ABC):
     """A material that can be drawn for fabrication."""
 

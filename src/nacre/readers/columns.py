@@ -269,6 +269,10 @@ def interpret(
             continue
         chosen = [meaning for meaning in told if meaning.quantity in wanted or meaning.quantity == "spectral"]
         chosen = chosen or _of_bare_unit(name, wanted)
+        if chosen and chosen[0].quantity not in TEXT_QUANTITIES and any(m.quantity == "name" for m in told):
+            chosen = chosen if table.is_numeric(i) else []  # "sample" heads names as well as counts
+        if {meaning.quantity for meaning in chosen} == {"absorptance", "absorbance"}:
+            chosen = []  # "A" beside R and T
         if len(chosen) > 1:
             kinds = " or ".join(sorted({meaning.quantity for meaning in chosen}))
             raise AmbiguousFileError(

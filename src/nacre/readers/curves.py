@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from nacre.recipe.model import RecipeContext
 
 logger = logging.getLogger("nacre")
+_AXES = ("wavelength_nm", "angle_of_incidence_deg")
 
 
 @dataclass(frozen=True)
@@ -143,10 +144,16 @@ def spectrum(
     nm, values = np.asarray(each.data["wavelength_nm"], dtype=float), np.asarray(each.data[quantity], dtype=float)
     if "angle_of_incidence_deg" in each.data and len(np.unique(each.data["angle_of_incidence_deg"])) > 1:
         raise NacreError(f"{path}: holds spectra at several angles; keep one")
+    said = [f"{name} is not used" for name in each.data if name not in (quantity, f"{quantity}_error", *_AXES)]
+    angle = each.data.get("angle_of_incidence_deg", each.metadata.get("angle_of_incidence_deg"))
+    if angle is not None:
+        said.append(f"was measured at {float(np.ravel(angle)[0]):g} degrees")
+    if each.metadata.get("polarisation") or each.metadata.get("polarisations"):
+        said.append("was measured in polarised light")
     keep = np.isfinite(nm) & np.isfinite(values)
     nm, values = nm[keep], values[keep]
     order = np.argsort(nm, kind="stable")
-    return nm[order], values[order], [*each.assumed, *each.left_out]
+    return nm[order], values[order], [*each.assumed, *each.left_out, *said]
 
 
 def _chosen(path: Path, usable: list[tuple[Measurement, str]], options: ReadOptions) -> tuple[Measurement, str]:

@@ -123,10 +123,10 @@ WORDS: dict[str, str] = {
     "nombre nome farbe patch patchname colourname colorname material specimen title swatch code muster",
     "row_number": "no nr number index idx row point particle id num count zeile lfdnr lfd step seq sequence line "
     "rank particleid pointid punkt numero n° nº item i # label pixel pixelnumber",
-    "area": "area flache surfacearea perimeter perim circ circularity solidity roundness round aspectratio ar major "
-    "minor feret feretangle minferet median skew kurt intden rawintden",
+    "area": "area mean min max mode flache surfacearea perimeter perim circ circularity solidity roundness round "
+    "aspectratio ar major minor feret feretangle minferet median skew kurt intden rawintden",
     "gloss": "gloss glanz gloss60 gu haze de deltae de00 de2000 decmc whiteness opacity comment remark note bemerkung "
-    "date datum zeit timestamp",
+    "date datum zeit timestamp folder geometry lamp met layers reachedl reacheda reachedb",
     "x": "x xm xc xpos xposition posx positionx xcoord xcoordinate coordx xcentre xcenter centrex centerx xcentroid "
     "centroidx xkoordinate xloc xmean xo",
     "y": "y ym yc ypos yposition posy positiony ycoord ycoordinate coordy ycentre ycenter centrey centery ycentroid "
@@ -135,8 +135,8 @@ WORDS: dict[str, str] = {
     "radius": "radius radii rad particleradius",
     "diameter": "diameter dia diam durchmesser diametre diametro size particlediameter equivalentdiameter "
     "feretdiameter ecd particlesize",
-    "thickness": "thickness dicke schichtdicke epaisseur espesor spessore filmthickness flakethickness "
-    "plateletthickness",
+    "thickness": "thickness total totalthickness dicke schichtdicke epaisseur espesor spessore filmthickness "
+    "flakethickness plateletthickness",
     "depth": "depth tiefe profondeur profundidad depths etchdepth resistdepth",
     "grey": "grey gray greyvalue grayvalue greylevel graylevel graustufe grauwert level dose",
     "voltage": "voltage volts volt spannung bias u",
@@ -499,6 +499,22 @@ def _lookup(core: str) -> tuple[str, ...]:
     return _OF_ALL_WORDS.get(spelt.lower(), ()) if len(spelt) > 1 else ()
 
 
+def _qualified_by(word: str, tokens: list[str], base: Meaning) -> Meaning | None:
+    """Return the meaning with what a word beside the quantity states: error, polarisation, mode, lamp, observer."""
+    if word in ERROR_WORDS or word == "±":
+        return replace(base, is_error=True)
+    if word in _POLARISATIONS:
+        return replace(base, polarisation=_POLARISATIONS[word])
+    if word in _MODES:
+        return replace(base, mode=_MODES[word])
+    if word in _FILLERS:
+        return base
+    if word in ILLUMINANT_WORDS and len(word) > 1:
+        return replace(base, illuminant=ILLUMINANT_WORDS[word])
+    has_lamp = bool(base.illuminant) or any(_spelt(token).lower() in ILLUMINANT_WORDS for token in tokens)
+    return replace(base, observer=word) if word in ("2", "10") and has_lamp else None
+
+
 def _peeled(core: str, base: Meaning) -> tuple[Meaning, ...]:
     """Return the meanings of a heading after removing words for errors, polarisation, mode, angle, lamp or observer."""
     angle = _ANGLE.search(core)
@@ -519,23 +535,7 @@ def _peeled(core: str, base: Meaning) -> tuple[Meaning, ...]:
         return tuple(replace(base, quantity=name) for name in sorted(both))
     for place in (len(tokens) - 1, 0, *range(1, len(tokens) - 1)):
         word = _spelt(tokens[place]).strip().lower()
-        told = None
-        if word in ERROR_WORDS or tokens[place] in ("±",):
-            told = replace(base, is_error=True)
-        elif word in _POLARISATIONS:
-            told = replace(base, polarisation=_POLARISATIONS[word])
-        elif word in _MODES:
-            told = replace(base, mode=_MODES[word])
-        elif word in _FILLERS:
-            told = base
-        elif word in ILLUMINANT_WORDS and len(word) > 1:
-            told = replace(base, illuminant=ILLUMINANT_WORDS[word])
-        elif (
-            word in ("2", "10")
-            and any(_spelt(t).lower() in ILLUMINANT_WORDS for t in tokens)
-            or (word in ("2", "10") and base.illuminant)
-        ):
-            told = replace(base, observer=word)
+        told = _qualified_by(word, tokens, base)
         if told is None:
             continue
         found = _of_core(" ".join(tokens[:place] + tokens[place + 1 :]), told)
@@ -583,7 +583,7 @@ def _of_other_dimension(meaning: Meaning) -> Meaning | None:
     if name in DIMENSIONS:
         return None
     if kind == "number":
-        return meaning
+        return None if name in ("n", "k", "eps1", "eps2", "L", "a", "b", "X", "Y", "Z") else meaning
     if kind == "counts":
         return (
             meaning if name.endswith("counts") else replace(meaning, quantity="counts") if name == "intensity" else None

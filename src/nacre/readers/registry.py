@@ -202,6 +202,8 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
         entry = format_named(options.format)
     else:
         found = recognise(path)
+        if found and found[0][0] <= POSSIBLE and options.expects is None and head_of(path).text.lstrip()[:1] in "<{[":
+            found = []  # XML or JSON of another program is no table
         if not found and options.expects is not None and head_of(path).is_text:
             found = [(0.0, format_named("table"))]  # its error names what the caller needs
         if not found:

@@ -131,7 +131,7 @@ def _labels(measurements: Sequence[Measurement]) -> list[str]:
 def _csv(measurements: Sequence[Measurement]) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    tables = [_columns(measurement) for measurement in measurements]
+    tables = [_stated(measurement, _columns(measurement)) for measurement in measurements]
     heading = list(dict.fromkeys(name for columns in tables for name in columns))
     several = len(measurements) > 1
     writer.writerow((["sample"] if several else []) + heading)
@@ -163,6 +163,27 @@ def _columns(measurement: Measurement) -> dict[str, Any]:
             columns |= {f"{name}_{place}": array[:, place] for place in range(array.shape[1])}
         elif array.ndim == 1:
             columns[name] = array
+    return columns
+
+
+def _stated(measurement: Measurement, columns: dict[str, Any]) -> dict[str, Any]:
+    """Return the columns of a spectrum with its angle, polarisation and mode, so that the table states them."""
+    if measurement.kind != "spectrum" or not columns:
+        return columns
+    facts, count = measurement.metadata, max(len(column) for column in columns.values())
+    mode = facts.get("mode")
+    if mode in ("specular", "diffuse", "total"):
+        columns = {
+            f"{mode}_{name}" if name.startswith(("reflectance", "transmittance")) else name: column
+            for name, column in columns.items()
+        }
+    if facts.get("angle_of_incidence_deg") is not None and "angle_of_incidence_deg" not in columns:
+        columns["angle_of_incidence_deg"] = np.full(count, float(facts["angle_of_incidence_deg"]))
+    polarisations = facts.get("polarisations") or (
+        [facts["polarisation"]] * count if facts.get("polarisation") else None
+    )
+    if polarisations is not None:
+        columns["polarisation"] = list(polarisations)
     return columns
 
 

@@ -483,7 +483,7 @@ def _with_units_joined(cells: Sequence[str]) -> list[str]:
 
 
 def _is_unit_row(cells: Sequence[str]) -> bool:
-    filled = [cell for cell in cells if cell]
+    filled = [cell for cell in cells if _without_brackets(cell)]
     if not filled:
         return False
     known = [parse_unit(_without_brackets(cell)) is not None or _is_unit_phrase(cell) for cell in filled]
@@ -645,7 +645,9 @@ def _names_columns(cells: list[str], above: list[_Line], line: _Line) -> bool:
     if any(cell[:1] in "([" for cell in cells):
         return False
     place = above.index(line)
-    return not any(len(other.text.split()) >= 2 for other in above[max(0, place - 2) : place])
+    return not any(
+        len(re.split(r"[\s;,]+", other.text.strip())) >= len(cells) for other in above[max(0, place - 2) : place]
+    )
 
 
 def _is_mark(text: str) -> bool:
@@ -674,7 +676,12 @@ def _heading_cells(
             continue
         if is_remark and (known < min(2, width) or not fits):
             continue
-        score = (4.0 if fits else 0.0) + 2.0 * known / max(1, len(cells)) - 0.01 * place
+        score = (
+            (4.0 if fits else 0.0)
+            + (1.0 if fits and place == 0 else 0.0)
+            + 2.0 * known / max(1, len(cells))
+            - 0.01 * place
+        )
         # a line of the rows' own layout is their heading even if no word is known: it is then named in the error
         if known == 0 and not (place == 0 and fits and width > 1 and delimiter is not None and ":" not in text):
             continue

@@ -8,8 +8,9 @@ import numpy as np
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
-from nacre.bsdf.grids import interpolate
+from nacre.bsdf.grids import interpolate, take_uniform
 from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
 from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
@@ -17,13 +18,24 @@ from nacre.bsdf.tabulate import is_transparent
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
-from nacre.families.contract import Diffracting, Model, Traits
+from nacre.families.contract import Diffracting, Model, Pixels, Traits
+from nacre.families.grating.outlines import outlines
 from nacre.families.grating.tables import MAX_THETA, OrderTables, order_tables
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.periodic.orders import Orders, solve_orders
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Shape
 
 MIRROR_NODES = 65
+
+
+def _diffuse(lost: Array, wavelengths_nm: Array) -> Diffuse:
+    """Return a reciprocal lobe that spreads the light lost from the orders, `[theta, wavelength]`, over all exits."""
+    cosines = np.linspace(0.0, 1.0, MIRROR_NODES)
+    entry = interpolate(lost, (np.arccos(cosines) / (0.5 * np.pi) * (len(lost) - 1),))
+    x, weight = np.polynomial.legendre.leggauss(64)
+    mu = 0.5 * (x + 1.0)
+    mean = np.einsum("q,ql->l", weight * mu, take_uniform(entry, mu, 0))
+    return Diffuse(wavelengths_nm, np.where(mean > 0.0, 1.0 / np.maximum(mean, 1e-12), 0.0), entry)
 
 
 @dataclass(frozen=True)
@@ -33,6 +45,18 @@ class Spread:
     angle_rad: float
     period_deviation_nm: float = 0.0
     size_deviation_nm: float = 0.0
+
+    def coherent_share(self, vectors: Array) -> Array:
+        """Return the share of each order that disorder leaves in it: the Debye-Waller factor exp(-(2 pi g s)^2).
+
+        Walls deviate by their place and by half the deviation of a size, s^2 = place^2 + (size / 2)^2. The zero order
+        keeps its light.
+
+        Args:
+            vectors: `[order, 2]`, g in 1/nm.
+        """
+        deviation = np.hypot(self.period_deviation_nm, 0.5 * self.size_deviation_nm)
+        return np.asarray(np.exp(-np.sum((2.0 * np.pi * deviation * vectors) ** 2, axis=1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +69,7 @@ class GratingLayer:
 
 
 @dataclass(frozen=True, eq=False)
-class Grating(Model, Diffracting):
+class Grating(Model, Diffracting, Pixels):
     """A periodic structure of layers, or of a profile, on a substrate.
 
     Attributes:
@@ -102,6 +126,27 @@ class Grating(Model, Diffracting):
         azimuth = azimuth_rad - np.radians(self.turn_deg)
         return solve_orders(lambda w: stacks[w], theta_rad, azimuth, lam, self.tolerance)
 
+    @property
+    def pitch_nm(self) -> tuple[float, float]:
+        """Periods along x and y; lines repeat along y with the same period.
+
+        Raises:
+            UnsupportedError: the cell is not a rectangle.
+        """
+        if self.cell.period_y is not None and not self.cell.is_rectangular:
+            raise UnsupportedError("pixels of an oblique cell cannot fill a field; allowed: a rectangular cell")
+        return self.cell.period_x, self.cell.period_y or self.cell.period_x
+
+    def pixel_polygons(self) -> list[tuple[int, Array]]:
+        """Return the layer (from 1, the upper one first) and the corners of each shape, about the cell's centre."""
+        x, y = self.pitch_nm
+        return [
+            (number, corners)
+            for number, layer in enumerate(self.layers, start=1)
+            for shape, _ in layer.shapes
+            for corners in outlines(shape, x, y)
+        ]
+
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
         """Solve the orders on a grid of directions: the zero order is a mirror, the others form a lobe.
 
@@ -114,7 +159,11 @@ class Grating(Model, Diffracting):
         lobes: list[Lobe] = [self._mirror(table, lam)]
         if len(table.orders):
             width = limited_width(self.spread.angle_rad, table.lattice, float(lam[0]))
-            lobes.append(OrdersLobe(lam, table.reflected, table.lattice, table.orders, width, self._rotation))
+            kept = self.spread.coherent_share(table.orders @ table.lattice)[:, None].astype(np.float32)
+            lobes.append(OrdersLobe(lam, table.reflected * kept, table.lattice, table.orders, width, self._rotation))
+            if np.any(kept < 1.0):
+                lost = np.einsum("taow,o->tw", table.reflected[:, :-1], 1.0 - kept[:, 0]) / (table.mirror.shape[1] - 1)
+                lobes.append(_diffuse(lost, lam))
         return Bsdf(tuple(lobes), notes)
 
     @property

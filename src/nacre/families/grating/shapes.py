@@ -10,12 +10,12 @@ import pydantic
 from pydantic import Field
 
 from nacre.bsdf.texture_spec import read_grey
-from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.core.files import plain, why_unreadable
 from nacre.matter.indices.spec import IndexSpec
 from nacre.matter.periodic.crossed_solver import cell_grid
 from nacre.matter.periodic.structure import Cell, Rectangle, Region, Shape
+from nacre.matter.periodic.types import Array
 from nacre.recipe.model import RecipeContext, RecipeModel
 
 Length = Annotated[float, Field(gt=0.0, le=1e6)]
@@ -128,7 +128,7 @@ class ShapeSpec(RecipeModel):
         if kind == "rectangle" and self.rotation_deg == 0.0:
             return [Rectangle(x - 0.5 * w, x + 0.5 * w, y - 0.5 * h, y + 0.5 * h)]
         if kind == "cross" and self.rotation_deg == 0.0:
-            arms = [Rectangle(x - 0.5 * w, x + 0.5 * w, y - 0.5 * h, y + 0.5 * h)]
+            arms: list[Shape] = [Rectangle(x - 0.5 * w, x + 0.5 * w, y - 0.5 * h, y + 0.5 * h)]
             if h > w:
                 arms += [
                     Rectangle(x - 0.5 * h, x - 0.5 * w, y - 0.5 * w, y + 0.5 * w),
@@ -214,7 +214,8 @@ class ShapeSpec(RecipeModel):
             raise RecipeError(
                 f"{context.source}: {key}.cell is missing; allowed: {', '.join(c.name for c in top[:20])}"
             )
-        polygons = top[0].get_polygons(layer=self.layer, datatype=0)
+        found = top[0]
+        polygons = found.get_polygons(layer=self.layer, datatype=0) if isinstance(found, gdstk.Cell) else []
         if not polygons:
             raise context.fail(f"{key}.layer", self.layer, f"holds no polygons in cell {top[0].name}")
         return [np.asarray(p.points) * (library.unit / 1e-9) for p in polygons]

@@ -75,8 +75,7 @@ def order_tables(stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: 
 
     found = dict(zip(cases, in_threads(work, cases), strict=True))
     numbers = {(int(m), int(n)) for s in found.values() for m, n in s.reflected.numbers}
-    signs = {(1, 1), *images}
-    every = sorted({(m * x, n * y) for m, n in numbers for x, y in signs} - {(0, 0)})
+    every = sorted({(m * x, n * y) for m, n in numbers for x, y in {(1, 1), *images}} - {(0, 0)})
     place = {number: k for k, number in enumerate(every)}
     shape = (thetas, azimuths + 1, len(wavelengths_nm))
     mirror, passed = np.zeros(shape), np.zeros(shape)

@@ -32,6 +32,7 @@ INDEX_NM = 550.0  # for the medium's index in the coherence window
 NOTED_EXCESS = 1.2  # albedo over Fresnel from which the energy bound is stated
 LEAST_RESOLVED_DEG = 60.0  # a scan that resolves less scatter says so
 FLAT_NM = 1e-3  # Sq of a plane
+COARSE_BLURS = 3.0  # of the coherence window, that a scan's own width may blur
 FIGURE_POINTS = 1024
 STATISTICS = {
     "scan": 'statistics = "scan": the scan itself diffracts, since its heights are not random',
@@ -60,6 +61,7 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         default_geometry="45as15",  # its specular reflection is a lobe of finite width
     )
     is_direct = False
+    version = 2  # heights that do not close at their edges are scans
 
     tile: Tile | Scan
     coherence: Coherence
@@ -146,6 +148,11 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         if angle < LEAST_RESOLVED_DEG and self.tile.sq_nm > FLAT_NM:
             pitch = f"{self.tile.pitch_nm / 1e3:.3g} um"
             lines += (f"points {pitch} apart resolve scatter up to {angle:.0f} degrees from the mirror direction",)
+        width_nm = min(self.tile.heights_nm.shape) * self.tile.pitch_nm
+        if INDEX_NM / width_nm > COARSE_BLURS * self.coherence.blur and self.tile.sq_nm > FLAT_NM:
+            near = np.degrees(np.arcsin(min(1.0, INDEX_NM / width_nm)))
+            width = f"{width_nm / 1e3:.3g} um"
+            lines += (f"a scan {width} wide counts scatter within {near:.2g} degrees of the mirror direction to it",)
         if self.tile.statistics is None and self.tile.sq_nm > FLAT_NM:
             lines += (STATISTICS[self.tile.kind],)
         return self.tile.remarks + lines

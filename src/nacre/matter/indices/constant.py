@@ -41,6 +41,13 @@ MIN_INDEX = 1e-6  # as in the stack solver; published indices are above 0.01
 MAX_CACHED_WAVELENGTHS = 1000  # longer arrays are not cached
 # suffixes of tables, not material names
 FILE_ENDS = (".csv", ".txt", ".dat", ".tsv", ".nk", ".mat", ".spd", ".nxs", ".yml", ".yaml")
+# factor by which a table's wavelengths would cover a request -> what is probably wrong
+WRONG_UNITS = {
+    1e3: "They would fit in um; write it in the heading, or state unit",
+    1e-3: "They would fit in nm; write it in the heading, or state unit",
+    0.1: "They would fit in angstrom; write it in the heading, or state unit",
+    10.0: "They would fit in nm; write it in the heading, or state unit",
+}
 MAX_INDEX = 100.0  # far above any optical material: a larger value indicates a wrong unit
 
 
@@ -117,10 +124,12 @@ class OpticalConstant:
         asked = sorted({f"{wavelengths.min():g}", f"{wavelengths.max():g}"}, key=float)
         where = self.source.removeprefix(f"{self.name}: ")
         source = f" ({where})" if where and where != self.name else ""
-        return (
-            f'"{self.name}" is known from {low:g} to {high:g} nm{source}, but {"-".join(asked)} nm was requested. '
-            'Choose another entry, fewer wavelengths, or extrapolate = "edge" to use the end values'
-        )
+        said = f'"{self.name}" is known from {low:g} to {high:g} nm{source}, but {"-".join(asked)} nm was requested. '
+        first, last = float(wavelengths.min()), float(wavelengths.max())
+        wrong = next((f for f in WRONG_UNITS if low * f <= first and last <= high * f), None)
+        if names_file(self.source) and wrong is not None:
+            return f"{said}Is the unit of its wavelengths right? {WRONG_UNITS[wrong]}"
+        return f'{said}Choose another entry, fewer wavelengths, or extrapolate = "edge" to use the end values'
 
     def _check(self, values: ComplexArray, wavelengths: Array) -> None:
         is_bad = ~(

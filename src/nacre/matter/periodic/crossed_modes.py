@@ -14,76 +14,88 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import NDArray
 
-from nacre.core.arrays import Array
-from nacre.matter.periodic.line_basis import LineBasis
+from nacre.matter.periodic.line_basis import Axis, LineBasis
 from nacre.matter.periodic.scattering_matrix import Modes, dense_modes, outgoing_root
+from nacre.matter.periodic.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """The functions in which the components of a field are expanded, of one class of symmetry.
+
+    Attributes:
+        alpha, beta: `[function]` wave numbers over k0.
+        x, y, z: numbers of the functions that E_x (and H_y), E_y (and H_x), and E_z have.
+    """
+
+    alpha: Array
+    beta: Array
+    x: NDArray[np.intp]
+    y: NDArray[np.intp]
+    z: NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
 class Permittivity:
-    """Multiplication by the permittivity: matrices for each pair of components."""
+    """Multiplication by the permittivity: matrices between the functions of two components."""
 
     xx: Array
     yy: Array
     zz: Array
-    xy: Array | None = None  # and its adjoint
+    xy: Array
+    yx: Array
 
 
-def crossed_modes(epsilon: Permittivity, alpha: Array, beta: Array) -> Modes:
-    """Solve the eigenproblem of a layer.
-
-    Args:
-        alpha, beta: `[function]` wave numbers of the basis over k0.
-    """
-    size = len(alpha)
-    inverse = np.linalg.inv(epsilon.zz)
-    one = np.eye(size)
+def crossed_modes(epsilon: Permittivity, of: Components) -> Modes:
+    """Solve the eigenproblem of a layer."""
+    size = len(of.alpha)
+    alpha, beta = of.alpha[:, None], of.beta[:, None]
+    inverse = np.zeros((size, size), dtype=complex)
+    inverse[np.ix_(of.z, of.z)] = np.linalg.inv(epsilon.zz)
+    xx, xy, yx, yy = np.ix_(of.x, of.x), np.ix_(of.x, of.y), np.ix_(of.y, of.x), np.ix_(of.y, of.y)
+    one, mixed = np.eye(size), np.diag(of.alpha * of.beta)
     p = np.block(
         [
-            [alpha[:, None] * inverse * beta, one - alpha[:, None] * inverse * alpha],
-            [beta[:, None] * inverse * beta - one, -beta[:, None] * inverse * alpha],
+            [(alpha * inverse * of.beta)[xy], (one - alpha * inverse * of.alpha)[xx]],
+            [(beta * inverse * of.beta - one)[yy], -(beta * inverse * of.alpha)[yx]],
         ]
     )
-    xy = np.zeros((size, size)) if epsilon.xy is None else epsilon.xy
-    mixed = np.diag(alpha * beta)
-    # the two off-diagonal blocks are equal transposes for reciprocal media; both are built symmetric
     q = np.block(
-        [[-_other(epsilon) - mixed, np.diag(alpha**2) - epsilon.yy], [epsilon.xx - np.diag(beta**2), xy + mixed]]
+        [
+            [-epsilon.yx - mixed[yx], np.diag(of.alpha[of.y] ** 2) - epsilon.yy],
+            [epsilon.xx - np.diag(of.beta[of.x] ** 2), epsilon.xy + mixed[xy]],
+        ]
     )
     squared, electric = scipy.linalg.eig(p @ q, check_finite=False)
     gamma = outgoing_root(np.where(np.abs(squared) < 1e-12, 1e-12, squared))
     return dense_modes(gamma, electric, q @ electric / gamma)
 
 
-def _other(epsilon: Permittivity) -> Array:
-    """The block yx."""
-    return np.zeros_like(epsilon.xx) if epsilon.xy is None else epsilon.xy
-
-
 def rectangle_permittivity(
-    bases: tuple[LineBasis, LineBasis],
+    axes: tuple[Axis, Axis],
+    of: Components,
     background: complex,
     rectangles: list[tuple[float, float, float, float, complex]],
 ) -> Permittivity:
     """Return the matrices for rectangles `(x_0, x_1, y_0, y_1, epsilon)` that do not overlap."""
-    x, y = bases
-    size = len(x.alpha) * len(y.alpha)
-    parts = [background * np.eye(size, dtype=complex) for _ in range(3)]
+    x, y = axes
+    chosen = (of.x, of.y, of.z)
+    totals = [background * np.eye(len(places), dtype=complex) for places in chosen]
     for x_0, x_1, y_0, y_1, epsilon in rectangles:
-        x_c, x_d = x.permittivity(_inside(x, x_0, x_1))
-        y_c, y_d = y.permittivity(_inside(y, y_0, y_1))
-        for total, factor in zip(parts, (np.kron(x_d, y_c), np.kron(x_c, y_d), np.kron(x_c, y_c)), strict=True):
-            total += (epsilon - background) * factor
-    return Permittivity(*parts)
+        along_x, along_y = x.permittivity(_inside(x.basis, x_0, x_1)), y.permittivity(_inside(y.basis, y_0, y_1))
+        pairs = ((along_x[1], along_y[0]), (along_x[0], along_y[1]), (along_x[0], along_y[0]))
+        for total, places, factors in zip(totals, chosen, pairs, strict=True):
+            total += (epsilon - background) * np.kron(*factors)[np.ix_(places, places)]
+    empty = np.zeros((len(of.x), len(of.y)))
+    return Permittivity(totals[0], totals[1], totals[2], empty, empty.T)
 
 
 def _inside(basis: LineBasis, low: float, high: float) -> Array:
     period = basis.mesh.period
-    middle = 0.5 * (low + high)
-    return (np.abs((basis.mesh.centers - middle + 0.5 * period) % period - 0.5 * period) < 0.5 * (high - low)).astype(
-        float
-    )
+    away = (basis.mesh.centers - 0.5 * (low + high) + 0.5 * period) % period - 0.5 * period
+    return (np.abs(away) < 0.5 * (high - low)).astype(float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,15 +113,23 @@ class SampledLayer:
     normal_y: Array
 
 
-def fourier_permittivity(layer: SampledLayer, orders: Array) -> Permittivity:
-    """Return the matrices for Fourier orders `[function, 2]`."""
+def fourier_permittivity(layer: SampledLayer, orders: Array, maps: tuple[Array, Array, Array]) -> Permittivity:
+    """Return the matrices for Fourier orders `[number, 2]`.
+
+    Args:
+        maps: `[number, function]` of E_x, E_y and E_z: the orders in each function.
+    """
     along = _toeplitz(layer.epsilon, orders)
     gap = along - np.linalg.inv(_toeplitz(layer.inverse, orders))
     parts = []
     for product in (layer.normal_x**2, layer.normal_y**2, layer.normal_x * layer.normal_y):
         weight = _toeplitz(product, orders)
         parts.append(0.5 * (gap @ weight + weight @ gap))  # the symmetric product keeps energy and reciprocity
-    return Permittivity(along - parts[0], along - parts[1], along, -parts[2])
+    x, y, z = maps
+    return Permittivity(
+        x.T @ (along - parts[0]) @ x, y.T @ (along - parts[1]) @ y, z.T @ along @ z, -x.T @ parts[2] @ y,
+        -y.T @ parts[2] @ x,
+    )  # fmt: skip
 
 
 def _toeplitz(samples: Array, orders: Array) -> Array:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nacre.core.arrays import Array
 from nacre.matter.periodic.crossed_modes import (
-    Permittivity,
+    Components,
     SampledLayer,
     crossed_modes,
     fourier_permittivity,
     rectangle_permittivity,
 )
-from nacre.matter.periodic.line_basis import LineBasis, assemble, line_basis, regions
+from nacre.matter.periodic.line_basis import Axis, LineBasis, assemble, line_basis, parity_axis, regions, whole_axis
 from nacre.matter.periodic.line_solver import incident_wave, is_patterned
 from nacre.matter.periodic.scattering_matrix import Modes, scatter, uniform_modes
 from nacre.matter.periodic.structure import (
@@ -30,10 +31,12 @@ from nacre.matter.periodic.structure import (
     order_set,
     propagating,
 )
+from nacre.matter.periodic.types import Array
 
 RECTANGLE_STEPS = (6, 8, 10, 12)  # degrees
 FOURIER_STEPS = (7, 9, 10, 11, 12, 13)  # radii of the circle of orders
 GRID = 512
+SYMMETRIC = 1e-9  # smaller transverse wave numbers keep a mirror symmetry
 
 
 def solve_rectangles(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, degree: int) -> OrderSolution:
@@ -54,27 +57,127 @@ def solve_rectangles(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad:
         least = degree if len(starts) <= 3 else max(degree - 2, 3)
         degrees = tuple(int(np.ceil(max(least, 0.5 * t + least - 2))) for t in turns)
         bases.append(line_basis(assemble(period * k0, edges, degrees), float(first), 1.001 * stack.reach))
-    x, y = bases
-    shape = (len(x.alpha), len(y.alpha))
-    alpha, beta = np.repeat(x.alpha, shape[1]), np.tile(y.alpha, shape[0])
-    orders = np.stack([np.repeat(x.numbers, shape[1]), np.tile(y.numbers, shape[0])], axis=1)
-    real = np.repeat(np.arange(shape[0]) < x.resolved, shape[1]) & np.tile(np.arange(shape[1]) < y.resolved, shape[0])
+    symmetric = tuple(
+        abs(first) < SYMMETRIC and all(_is_even(b, axis) for b in boxes) for axis, first in enumerate(transverse)
+    )
+    answers = []
+    for parities in _classes(symmetric):
+        axes = tuple(
+            whole_axis(basis) if parity is None else parity_axis(basis, parity)
+            for basis, parity in zip(bases, parities, strict=True)
+        )
+        answers.append(_rectangle_class(stack, k0, transverse, (axes[0], axes[1])))
+    return _joined(stack, k0, theta_rad, phi_rad, answers, "rectangles")
 
-    def permittivity(layer: PatternLayer) -> Permittivity:
+
+def _is_even(box: Rectangle, axis: int) -> bool:
+    low, high = (box.x_0, box.x_1) if axis == 0 else (box.y_0, box.y_1)
+    return not np.isfinite(low) or abs(low + high) <= 1e-9 * (high - low)
+
+
+def _classes(symmetric: tuple[bool, ...]) -> list[tuple[bool | None, bool | None]]:
+    """Return the parities along x and y of E_z, for light with E_x and for light with E_y; None: no symmetry.
+
+    E_x is even along both axes for light along the normal, so that E_z is odd along x and even along y.
+    """
+    x, y = symmetric
+    if not (x or y):
+        return [(None, None)]
+    return [(False if x else None, True if y else None), (True if x else None, False if y else None)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """Tangential fields of orders for light with E_x = 1 and with E_y = 1: a class of symmetry has one of the two.
+
+    Attributes:
+        up, down: (m, n) -> `[2, 2]`, (E_x, E_y) for each light.
+        unknowns: size of the eigenproblem.
+    """
+
+    up: dict[tuple[int, int], Array]
+    down: dict[tuple[int, int], Array]
+    unknowns: int
+
+
+def _rectangle_class(stack: PeriodicStack, k0: float, transverse: Array, axes: tuple[Axis, Axis]) -> _Answer:
+    x, y = axes
+    cell = stack.cell
+    shape = (len(x.alpha), len(y.alpha))
+
+    def both(along_x: Array, along_y: Array) -> NDArray[np.intp]:
+        return np.flatnonzero(np.outer(along_x, along_y).ravel())
+
+    of = Components(
+        np.repeat(x.alpha, shape[1]), np.tile(y.alpha, shape[0]), both(x.with_d, y.with_c), both(x.with_c, y.with_d),
+        both(x.with_c, y.with_c),
+    )  # fmt: skip
+    modes: list[Modes] = []
+    for layer in stack.layers:
+        if not is_patterned(layer):
+            modes.append(uniform_modes(layer.epsilon, of.alpha, of.beta, (of.x, of.y)))
+            continue
         found = [
             (s.x_0 * k0, s.x_1 * k0, _bounded(s.y_0, cell) * k0, _bounded(s.y_1, cell) * k0, epsilon)
             for s, epsilon in layer.shapes
             if isinstance(s, Rectangle)
         ]
-        return rectangle_permittivity((x, y), layer.epsilon, found)
+        modes.append(crossed_modes(rectangle_permittivity(axes, of, layer.epsilon, found), of))
+    rows_x = {int(m): k for k, m in enumerate(x.basis.numbers[: x.basis.resolved])}
+    rows_y = {int(n): k for k, n in enumerate(y.basis.numbers[: y.basis.resolved])}
 
-    modes = [
-        crossed_modes(permittivity(layer), alpha, beta)
-        if is_patterned(layer)
-        else uniform_modes(layer.epsilon, alpha, beta)
-        for layer in stack.layers
-    ]
-    return _finish(stack, k0, theta_rad, phi_rad, modes, (alpha, beta), orders, real, "rectangles")
+    def content(m: int, n: int) -> tuple[Array, Array]:
+        """Amplitude of a plane wave in each function of E_x and of E_y."""
+        i, j = rows_x[m], rows_y[n]
+        return (
+            np.kron(x.discontinuous[i], y.continuous[j])[of.x], np.kron(x.continuous[i], y.discontinuous[j])[of.y]
+        )  # fmt: skip
+
+    return _solved(stack, k0, transverse, of, modes, content)
+
+
+def _solved(
+    stack: PeriodicStack, k0: float, transverse: Array, of: Components, modes: list[Modes],
+    content: Callable[[int, int], tuple[Array, Array]],
+) -> _Answer:  # fmt: skip
+    """Join the layers for light with E_x = 1 and with E_y = 1 in order (0, 0), and read the orders."""
+    first, second = content(0, 0)
+    kept = (of.x, of.y)
+    wave = np.zeros((len(of.x) + len(of.y), 2), dtype=complex)
+    wave[: len(of.x), 0], wave[len(of.x) :, 1] = first.conj(), second.conj()
+    up, down = scatter(
+        uniform_modes(stack.cover**2, of.alpha, of.beta, kept), modes,
+        [layer.thickness_nm * k0 for layer in stack.layers],
+        uniform_modes(stack.substrate**2, of.alpha, of.beta, kept), wave,
+    )  # fmt: skip
+    sides: list[dict[tuple[int, int], Array]] = []
+    for amplitudes, index, is_used in (
+        (up, stack.cover, True), (down, stack.substrate.real, stack.is_clear)
+    ):  # fmt: skip
+        found: dict[tuple[int, int], Array] = {}
+        for m, n in propagating(stack, k0, transverse, index)[0] if is_used else ():
+            in_x, in_y = content(int(m), int(n))
+            found[int(m), int(n)] = np.stack([in_x @ amplitudes[: len(of.x)], in_y @ amplitudes[len(of.x) :]])
+        sides.append(found)
+    return _Answer(sides[0], sides[1], len(wave))
+
+
+def _joined(
+    stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, answers: list[_Answer], method: str
+) -> OrderSolution:  # fmt: skip
+    """Return the orders for s and p light from the classes of symmetry."""
+    transverse, k_z, incident = incident_wave(stack, theta_rad, phi_rad)
+
+    def side(name: str, index: float, is_up: bool) -> OrderSet:
+        numbers, vectors = propagating(stack, k0, transverse, index)
+        fields = np.zeros((len(numbers), 2, 2), dtype=complex)
+        for k, (m, n) in enumerate(numbers):
+            fields[k] = sum(getattr(answer, name)[int(m), int(n)] for answer in answers) @ incident
+        return order_set(numbers, vectors, fields, index, is_up, (phi_rad, k_z, stack.cover))
+
+    transmitted = side("down", stack.substrate.real, False) if stack.is_clear else empty_orders()
+    size = sum(answer.unknowns for answer in answers)
+    return OrderSolution(side("up", stack.cover, True), transmitted, np.inf, size, method)
 
 
 def _bounded(y: float, cell: Cell) -> float:
@@ -97,48 +200,62 @@ def solve_fourier(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
     vectors = cell.wave_vectors(orders)
     keep = np.hypot(vectors[:, 0], vectors[:, 1]) <= reach * (1.0 + 1e-9)
     orders = orders[keep]
-    alpha, beta = (transverse + vectors[keep] / k0).T
-    modes: list[Modes] = []
-    for layer in stack.layers:
-        modes.append(
-            crossed_modes(fourier_permittivity(sampled(layer, cell), orders), alpha, beta)
-            if is_patterned(layer)
-            else uniform_modes(layer.epsilon, alpha, beta)
-        )
-    real = np.ones(len(orders), dtype=bool)
-    return _finish(stack, k0, theta_rad, phi_rad, modes, (alpha, beta), orders, real, "fourier")
-
-
-def _finish(
-    stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, modes: list[Modes], waves: tuple[Array, Array],
-    orders: Array, real: Array, method: str,
-) -> OrderSolution:  # fmt: skip
-    """Join the layers and read the orders."""
-    alpha, beta = waves
-    transverse, k_z, incident = incident_wave(stack, theta_rad, phi_rad)
-    size = len(alpha)
-    places = {(int(m), int(n)): k for k, (m, n) in enumerate(orders) if real[k]}
-    wave = np.zeros((2 * size, 2), dtype=complex)
-    wave[places[0, 0]], wave[size + places[0, 0]] = incident
-    up, down = scatter(
-        uniform_modes(stack.cover**2, alpha, beta),
-        modes,
-        [layer.thickness_nm * k0 for layer in stack.layers],
-        uniform_modes(stack.substrate**2, alpha, beta),
-        wave,
+    layers = [sampled(layer, cell) if is_patterned(layer) else None for layer in stack.layers]
+    symmetric = tuple(
+        abs(first) < SYMMETRIC and cell.is_rectangular and all(_is_even_map(layer, axis) for layer in layers if layer)
+        for axis, first in enumerate(transverse)
     )
+    answers = [
+        _fourier_class(stack, k0, transverse, layers, orders, parities) for parities in _classes(symmetric)
+    ]  # fmt: skip
+    return _joined(stack, k0, theta_rad, phi_rad, answers, "fourier")
 
-    def side(amplitudes: Array, index: float, is_up: bool) -> OrderSet:
-        numbers, vectors = propagating(stack, k0, transverse, index)
-        fields = np.zeros((len(numbers), 2, 2), dtype=complex)
-        for k, (m, n) in enumerate(numbers):
-            at = places.get((int(m), int(n)))
-            if at is not None:
-                fields[k] = amplitudes[at], amplitudes[size + at]
-        return order_set(numbers, vectors, fields, index, is_up, (phi_rad, k_z, stack.cover))
 
-    transmitted = side(down, stack.substrate.real, False) if stack.is_clear else empty_orders()
-    return OrderSolution(side(up, stack.cover, True), transmitted, np.inf, 2 * size, method)
+def _is_even_map(layer: SampledLayer, axis: int) -> bool:
+    return bool(np.allclose(layer.epsilon, np.flip(layer.epsilon, axis), rtol=1e-9))
+
+
+def _fourier_class(
+    stack: PeriodicStack, k0: float, transverse: Array, layers: list[SampledLayer | None], orders: Array,
+    parities: tuple[bool | None, bool | None],
+) -> _Answer:  # fmt: skip
+    places = {(int(m), int(n)): k for k, (m, n) in enumerate(orders)}
+    own = [
+        (m, n) for m, n in places if (parities[0] is None or m >= 0) and (parities[1] is None or n >= 0)
+    ]  # fmt: skip
+    vectors = stack.cell.wave_vectors(np.array(own)) / k0 + transverse
+
+    def combined(x_even: bool | None, y_even: bool | None) -> tuple[Array, NDArray[np.intp]]:
+        """Return the functions `[order, function]` of one component, and their numbers."""
+        columns, kept = [], []
+        for k, (m, n) in enumerate(own):
+            if (x_even is False and m == 0) or (y_even is False and n == 0):
+                continue
+            column = np.zeros(len(orders))
+            for s in (1, -1) if x_even is not None and m else (1,):
+                for t in (1, -1) if y_even is not None and n else (1,):
+                    odd = (s < 0 and x_even is False) != (t < 0 and y_even is False)
+                    column[places[s * m, t * n]] = -1.0 if odd else 1.0
+            columns.append(column / np.linalg.norm(column))
+            kept.append(k)
+        return np.array(columns).T, np.array(kept, dtype=np.intp)
+
+    x, y = parities  # of E_z
+    flip_x, flip_y = (None if x is None else not x), (None if y is None else not y)
+    (map_x, kept_x), (map_y, kept_y), (map_z, kept_z) = combined(flip_x, y), combined(x, flip_y), combined(x, y)
+    of = Components(vectors[:, 0], vectors[:, 1], kept_x, kept_y, kept_z)
+    modes = [
+        uniform_modes(layer.epsilon, of.alpha, of.beta, (of.x, of.y))
+        if grid is None
+        else crossed_modes(fourier_permittivity(grid, orders, (map_x, map_y, map_z)), of)
+        for layer, grid in zip(stack.layers, layers, strict=True)
+    ]
+
+    def content(m: int, n: int) -> tuple[Array, Array]:
+        at = places.get((m, n))
+        return (np.zeros(len(kept_x)), np.zeros(len(kept_y))) if at is None else (map_x[at], map_y[at])
+
+    return _solved(stack, k0, transverse, of, modes, content)
 
 
 def sampled(layer: PatternLayer, cell: Cell) -> SampledLayer:
@@ -150,7 +267,7 @@ def sampled(layer: PatternLayer, cell: Cell) -> SampledLayer:
     shapes = tuple(shape if isinstance(shape, Region) else box(shape) for shape, _ in layer.shapes)
     shares, normal_x, normal_y = _geometry(tuple(_Keyed(shape.key, shape) for shape in shapes), cell)
     epsilon = np.full((GRID, GRID), complex(layer.epsilon))
-    inverse = 1.0 / epsilon
+    inverse: Array = 1.0 / epsilon
     for share, (_, value) in zip(shares, layer.shapes, strict=True):
         epsilon += (value - layer.epsilon) * share
         inverse += (1.0 / value - 1.0 / layer.epsilon) * share

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from nacre.core.arrays import Array
 from nacre.matter.periodic.scattering_matrix import Modes, outgoing_root
+from nacre.matter.periodic.types import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg
 
-from nacre.core.arrays import Array
+from nacre.matter.periodic.types import Array
 
 GRADING = 0.18  # ratio of the sizes of neighbouring elements
 MIN_REGION = 1e-9  # of the period: walls nearer than this coincide
@@ -250,3 +250,85 @@ def _orthonormal(vectors: Array, mass: Array | None) -> Array:
     gram = vectors.conj().T @ (vectors if mass is None else mass @ vectors)
     lower = np.linalg.cholesky(gram)
     return np.asarray(scipy.linalg.solve_triangular(lower, vectors.conj().T, lower=True).conj().T)
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """Functions along one axis: those of a basis, or its part that is even or odd about 0.
+
+    Attributes:
+        alpha: `[function]`.
+        continuous, discontinuous: `[function of the basis, function]`; a function may exist in one space only.
+        with_c, with_d: which functions exist in each.
+    """
+
+    basis: LineBasis
+    alpha: Array
+    continuous: Array
+    discontinuous: Array
+    with_c: Array
+    with_d: Array
+
+    def permittivity(self, values: Array) -> tuple[Array, Array]:
+        """Return multiplication by `values[element]` in both spaces."""
+        c, d = self.basis.permittivity(values)
+        return self.continuous.conj().T @ c @ self.continuous, self.discontinuous.conj().T @ d @ self.discontinuous
+
+
+def whole_axis(basis: LineBasis) -> Axis:
+    """Return all functions of a basis."""
+    one, every = np.eye(len(basis.alpha)), np.ones(len(basis.alpha), dtype=bool)
+    return Axis(basis, basis.alpha, one, one, every, every)
+
+
+def parity_axis(basis: LineBasis, is_even: bool) -> Axis:
+    """Return the functions whose continuous ones are even, or odd, about 0; mesh and Bloch phase allow it.
+
+    The singular vectors of the derivative between the two spaces pair cos(alpha x) with sin(alpha x).
+    """
+    reflected_c, reflected_d = _reflections(basis)
+    sign = 1.0 if is_even else -1.0
+    t_c, t_d = _eigenspace(reflected_c, sign), _eigenspace(reflected_d, -sign)
+    left, alpha, right = np.linalg.svd(t_d.conj().T @ (basis.alpha[:, None] * t_c))
+    count = max(t_c.shape[1], t_d.shape[1])
+    c, d = np.zeros((len(basis.alpha), count), dtype=complex), np.zeros((len(basis.alpha), count), dtype=complex)
+    c[:, : t_c.shape[1]], d[:, : t_d.shape[1]] = t_c @ right.conj().T, t_d @ left
+    numbers = np.arange(count)
+    padded = np.zeros(count)
+    padded[: len(alpha)] = alpha
+    return Axis(basis, padded, c, d, numbers < t_c.shape[1], numbers < t_d.shape[1])
+
+
+def _eigenspace(reflection: Array, sign: float) -> Array:
+    values, vectors = np.linalg.eigh(0.5 * (reflection + reflection.conj().T))
+    return vectors[:, np.abs(values - sign) < 0.5]
+
+
+def _reflections(basis: LineBasis) -> tuple[Array, Array]:
+    """Return x -> -x in both spaces, as matrices between the functions of the basis."""
+    mesh = basis.mesh
+    count = 2 * (max(mesh.degrees) // 2 + 2)  # even: no point lies at 0, which rounding might move to the other end
+    x, w = gauss(count)
+    points, weights = [], []
+    smooth = np.zeros((len(mesh.degrees) * count, mesh.size + 1))
+    flat = np.zeros((len(mesh.degrees) * count, mesh.size))
+    row = column = 0
+    for k, degree in enumerate(mesh.degrees):
+        a, h = mesh.edges[k], mesh.edges[k + 1] - mesh.edges[k]
+        values, legendre = gauss_values(degree, count)
+        smooth[np.ix_(np.arange(row, row + count), mesh.places[k])] += values.T
+        flat[row : row + count, column : column + degree] = legendre.T / np.sqrt(h)
+        points.append(a + 0.5 * h * (x + 1.0))
+        weights.append(0.5 * h * w)
+        row, column = row + count, column + degree
+    last = len(mesh.edges) - 1
+    smooth[:, 0] += smooth[:, last]
+    at, weight = np.concatenate(points) % mesh.period, np.concatenate(weights)
+    order, mirrored = np.argsort(at), np.argsort(-at % mesh.period)
+    mirror = np.empty(len(at), dtype=int)
+    mirror[order] = mirrored
+    found = []
+    for values, columns in ((np.delete(smooth, last, axis=1), basis.continuous), (flat, basis.discontinuous)):
+        here = values @ columns
+        found.append((here.conj().T * weight) @ here[mirror])
+    return found[0], found[1]

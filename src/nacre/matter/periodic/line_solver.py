@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from nacre.core.arrays import Array
 from nacre.matter.periodic.lamellar_modes import layer_modes, line_modes
 from nacre.matter.periodic.line_basis import (
     LineBasis,
@@ -37,6 +36,7 @@ from nacre.matter.periodic.structure import (
     order_set,
     propagating,
 )
+from nacre.matter.periodic.types import Array
 
 NORMAL = 1e-14  # smaller wave numbers along the lines are zero
 GRADING = 0.18

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nacre.core.arrays import Array
 from nacre.core.disk_cache import cache_arrays, cached_arrays
 from nacre.core.parallel import in_threads
 from nacre.matter.periodic.solve import solve
 from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Region
+from nacre.matter.periodic.types import Array
 
 VERSION = 2  # raised when numbers change, which invalidates stored solutions
 MIN_STORED_S = 0.2  # solutions that take less are not stored

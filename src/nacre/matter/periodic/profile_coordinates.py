@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from nacre.core.arrays import Array
 from nacre.matter.periodic.line_basis import LineMesh, folded, gauss, gauss_values
+from nacre.matter.periodic.types import Array
 
 SAME_BETA = 1e-5  # modes nearer than this (over k0) are combined to plane waves
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from nacre.core.arrays import Array
+from nacre.matter.periodic.types import Array
 
 Solver = Callable[[Array], Array]
 

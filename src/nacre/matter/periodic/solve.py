@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.matter.periodic.crossed_solver import FOURIER_STEPS, RECTANGLE_STEPS, solve_fourier, solve_rectangles
 from nacre.matter.periodic.line_solver import solve_lines, solve_profile
 from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle
+from nacre.matter.periodic.types import Array
 
 # error of the finer of two sizes over their difference, from the observed rates of convergence
 SAFETY = {"lines": 0.5, "profile": 0.5, "rectangles": 1.0, "fourier": 1.5}

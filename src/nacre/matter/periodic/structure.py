@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nacre.core.arrays import Array
+from nacre.matter.periodic.types import Array
 
 CLEAR_K = 1e-6  # a substrate with a smaller k transmits orders
 

@@ -19,6 +19,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.core.files import atomic_path, real, write_text
 from nacre.core.html import png_uri, render_page
+from nacre.families.contract import Pixels
 from nacre.light import (
     SRGB_WHITE_XYZ,
     clip_to_srgb,
@@ -37,6 +38,7 @@ from nacre.optimise.html_report import PICTURE, REPORT
 from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, fine_grid, level_grid
 from nacre.optimise.image.files import ParameterMap, write_maps
 from nacre.optimise.image.matching import blurred, dither, has_same_hue, map_into_solid, match_colours
+from nacre.optimise.image.pixels import write_pixels
 from nacre.optimise.solutions import SUMMARY, Design, DesignProgress, Solution, claim, clear_solutions, write_recipe
 from nacre.optimise.task import DesignTask
 from nacre.optimise.thin_film.adapter import interrupt_flag
@@ -252,7 +254,11 @@ def _write(task: DesignTask, folder: Path, picture: PictureDesign, facts: dict[s
     clear_solutions(folder, 0)  # earlier maps under other names
     folder.mkdir(parents=True, exist_ok=True)
     map_files = write_maps(folder, picture.maps, {"nacre": __version__, "target": task.fingerprint})
-    changes = {m.path: m.texture for m in picture.maps}
+    changes: dict[str, Any] = {m.path: m.texture for m in picture.maps}
+    if isinstance(task.material.model, Pixels):
+        # each pixel is a structure of its own: the recipe is the middle one, the field is a drawing
+        changes = {m.path: float(np.median(m.values)) for m in picture.maps}
+        map_files = [*map_files, *write_pixels(folder, task.material, picture.maps)]
     path, files = write_recipe(folder, task.material, changes, {})
     with atomic_path(folder / REACHED) as temporary:
         Image.fromarray(np.round(255.0 * picture.reached).astype(np.uint8)).save(temporary)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from nacre.core.errors import NacreError, RecipeError
+from nacre.families.contract import Pixels
 from nacre.material.material import Material
 from nacre.optimise.parameters import Parameter
 from nacre.optimise.spec import DesignSpec
@@ -35,12 +36,17 @@ def check_picture_target(spec: DesignSpec, base: Material, parameters: Sequence[
             raise RecipeError(f"{where}: a picture takes numbers that vary over the surface, not choices")
         if p.is_whole:
             raise RecipeError(f"{where}: only whole numbers are allowed there; a picture takes a continuous one")
+        if isinstance(base.model, Pixels):
+            _try(base, {p.path: p.low}, where)
+            _try(base, {p.path: p.high}, where)
+            continue
         textures[p.path] = {"formula": f"{p.low!r} + {p.high - p.low!r}*u", "min": p.low, "max": p.high}
         _try(base, {p.path: textures[p.path]}, where)
-    _try(base, textures, f"{source}: parameters")
+    if textures:
+        _try(base, textures, f"{source}: parameters")
 
 
-def _try(base: Material, textures: dict[str, dict[str, Any]], where: str) -> None:
+def _try(base: Material, textures: dict[str, Any], where: str) -> None:
     try:
         base.vary(textures)
     except NacreError as error:

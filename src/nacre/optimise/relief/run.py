@@ -215,6 +215,7 @@ def _recipe_text(spec: TargetSpec) -> str:
     data = {
         "family": "relief",
         "heights": "height.npy",
+        "periodic": True,
         "feature_um": spec.feature_um,
         "blur_um": spec.blur_um,
         "coating": coating["name"] if set(coating) == {"name"} else coating,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import re
 import struct
+import warnings
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -32,6 +33,7 @@ MAX_SIDE = 65536
 BYTES_PER_POINT = 16
 HIGHEST_UM = 1e9
 SQUARE = 0.01  # relative difference of the pitches that is stated
+BAD = re.compile(r"\b(?:BAD|NA|N/A|null|void)\b|(?<!\S)-{2,}(?!\S)")
 DAMAGED = (
     struct.error, ValueError, KeyError, IndexError, TypeError, OverflowError, EOFError, AttributeError, RuntimeError,
     zipfile.BadZipFile, ParseError, NotImplementedError,
@@ -107,15 +109,22 @@ def numbers(text: str, path: Path) -> Array:
     Raises:
         NacreError: something else stands between the numbers.
     """
-    words = re.sub(r"\b(BAD|NA|N/A|null|void)\b|(?<!\S)-{2,}(?!\S)", "nan", text)
+    has_words = any(word in text for word in ("BAD", "NA", "N/A", "null", "void", "--"))
+    words = BAD.sub("nan", text) if has_words else text
     sample = words[:20000].replace(";", " ").split()
     has_decimal_commas = "," in words and not any("." in cell for cell in sample)
     # 1,5 2,5 has as many commas as cells; 1,2,3 has more
     if has_decimal_commas and len(sample) > 1 and all(cell.count(",") <= 1 for cell in sample):
         words = words.replace(",", ".")
-    cells = words.replace(",", " ").replace(";", " ").split()
+    words = words.replace(",", " ").replace(";", " ")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            return np.fromstring(words, dtype=float, sep=" ")
+        except (DeprecationWarning, ValueError):
+            pass
     try:
-        return np.array(cells, dtype=float)
+        return np.array(words.split(), dtype=float)
     except ValueError as error:
         raise NacreError(f"{path}: {' '.join(str(error).split())[:80]} in the matrix of heights") from None
 

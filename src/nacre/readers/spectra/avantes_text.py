@@ -13,13 +13,19 @@ from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
 
 _UNITS = re.compile(r"^\s*\[nm\]\s*[;\t,]")
+_PREAMBLE = re.compile(r"averag|spectrometer|smooth|avasoft|spectrom|mittel|moyenn|promed", re.IGNORECASE)
 _ROLES = (("sample", r"sampl|scope|mess|échant|muestr|campion"), ("dark", r"dark|dunkel|noir|oscur"),
           ("reference", r"ref(?!l)|réf(?!l)|white"))  # fmt: skip
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 if a line of units begins with `[nm];`."""
-    return CERTAIN if any(_UNITS.match(line.replace("\0", "")) for line in head.lines[:60]) else 0.0
+    """Return 1 if a line of units begins with `[nm];` below AvaSoft's own heading or preamble."""
+    lines = [line.replace("\0", "") for line in head.lines[:60]]
+    place = next((number for number, line in enumerate(lines) if _UNITS.match(line)), None)
+    if place is None:
+        return 0.0
+    is_named = place > 0 and re.match(r"\s*wave\s*[;\t,]", lines[place - 1].lower()) is not None
+    return CERTAIN if is_named or any(_PREAMBLE.search(line) for line in lines[:place]) else 0.0
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:

@@ -19,8 +19,7 @@ DATA_AT = 0x740
 _HEAD = struct.Struct("<HI3d")  # channels, points, first, last and step of the abscissa; at byte 130
 _HEAD_AT = 130
 _DATA_INFO = struct.Struct("<6I3d")
-# code of the ordinate in DataInfo and in the head of version 1 (as its program numbers them)
-_UNITS = {1: Label("transmittance", 0.01), 2: Label("reflectance", 0.01), 3: Label("absorbance", 1.0)}
+_WAVELENGTH_NM, _ABSORBANCE = 0x10000103, 3  # codes of the axes in DataInfo, behind the abscissa
 
 
 def sniff(head: FileHead) -> float:
@@ -41,12 +40,15 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         AmbiguousFileError: the quantity is not stated by the options and the values do not decide.
     """
     data = path.read_bytes()
+    codes: tuple[int, ...] = ()
     if data.startswith(MAGIC):
         channels, count, first, last, step = _HEAD.unpack_from(data, _HEAD_AT)
         raw = data[DATA_AT : DATA_AT + 4 * channels * count]
     else:
         ole = OleFile(data)
-        _, _, _, _, _, count, first, last, step = _DATA_INFO.unpack_from(ole.stream("DataInfo"))
+        info = ole.stream("DataInfo")
+        _, _, _, _, _, count, first, last, step = _DATA_INFO.unpack_from(info)
+        codes = struct.unpack_from("<2I", info, _DATA_INFO.size)
         raw = ole.stream("Y-Data")
         channels = max(1, len(raw) // (4 * count)) if count else 0
     if (
@@ -64,9 +66,12 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     notes = Notes()
     if abs(x[-1] - last) > 0.5 * abs(step):
         notes.assumed.append(f"the stored last abscissa {last:g} disagrees with first, step and number: {x[-1]:g}")
-    unit = common.assumed_unit(path, x, notes, options)
+    is_nm = codes[:1] == (_WAVELENGTH_NM,)
+    unit = "nm" if is_nm and options.unit is None else common.assumed_unit(path, x, notes, options)
     nm = common.nanometres(x, unit)
     label = common.option_label(path, options)
+    if label is None and codes[1:] == (_ABSORBANCE,):
+        label = Label("absorbance", 1.0)
     if label is None:
         size = common.typical(nm, table[0])
         if not 5 <= size <= 1000:

@@ -261,14 +261,23 @@ def _labels(
     decided: dict[str, Label] = {}
     for quantity in dict.fromkeys(label.quantity for label in labels if label.factor is None):
         members = [values for label, (_, values) in zip(labels, columns, strict=True) if label.quantity == quantity]
-        what = f"{quantity} without a unit" if quantity else f"no quantity in the heading {_shown(columns)}"
+        shown = _shown(columns)
+        what = (
+            f"{quantity} without a unit"
+            if quantity
+            else f"no quantity in the heading{shown}"
+            if shown
+            else "no quantity"
+        )
         size_x, size_y = np.tile(x, len(members)), np.concatenate(members)
         decided[quantity] = common.by_size(path, size_x, size_y, notes, what, likely=quantity or "reflectance")
     return [decided[label.quantity] if label.factor is None else label for label in labels]
 
 
 def _shown(columns: Sequence[tuple[str, Array]]) -> str:
-    return ", ".join(f'"{heading}"' for heading, _ in columns)[:60]
+    headings = [heading for heading, _ in columns if heading]
+    more = f" and {len(headings) - 3} more" if len(headings) > 3 else ""
+    return " " + ", ".join(f'"{heading[:20]}"' for heading in headings[:3]) + more if headings else ""
 
 
 def _one(
