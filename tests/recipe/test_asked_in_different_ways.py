@@ -47,7 +47,8 @@ def random_recipe(seed: int, folder: Path) -> dict[str, Any]:
     g = np.random.default_rng([37, seed])
     made = {
         "film": lambda: random_film(g), "pearl": lambda: random_pearl(g) | {"quality": "fast"},
-        "glass": lambda: random_glass(g), "metasurface": lambda: random_metasurface(g), "relief": lambda: random_relief(g, folder),
+        "glass": lambda: random_glass(g), "metasurface": lambda: random_metasurface(g),
+        "relief": lambda: random_relief(g, folder),
     }  # fmt: skip
     data: dict[str, Any] = made[FAMILIES[seed % len(FAMILIES)]]()
     if data["family"] == "film" and seed % 2:
