@@ -399,7 +399,7 @@ def import_(source: str | Path, recipe: str | Path, *, law: str | None = None, *
         UnsupportedError: the measurement is not a BRDF of an isotropic sample.
     """
     check_writable(recipe)
-    import_material(Path(source), Path(recipe), options=ReadOptions(**options), law=law)
+    import_material(Path(source), Path(recipe), options=_read_options(options), law=law)
     return load(recipe)
 
 
@@ -415,12 +415,27 @@ def read(path: str | Path, **options: Any) -> Measurement | list[Measurement]:
         NacreError: unknown format, damaged contents, or an unknown option.
         AmbiguousFileError: the file can be read in several ways; `option` names the option that decides.
     """
+    found = open_file(path, _read_options(options))
+    return found[0] if len(found) == 1 else found
+
+
+def _read_options(options: Mapping[str, Any]) -> ReadOptions:
+    """Check the names of options.
+
+    Raises:
+        NacreError: an unknown option.
+    """
     allowed = [entry.name for entry in fields(ReadOptions)]
     for name in options:
         if name not in allowed:
             raise NacreError(f"{name} is no option of read.{did_you_mean(name, allowed)} Allowed: {', '.join(allowed)}")
-    found = open_file(path, ReadOptions(**options))
-    return found[0] if len(found) == 1 else found
+    given = dict(options)
+    for name in ("columns", "ignore"):
+        if isinstance(given.get(name), str):
+            given[name] = tuple(word.strip() for word in given[name].split(","))
+    if isinstance(given.get("pitch_um"), int | float):
+        given["pitch_um"] = (float(given["pitch_um"]), float(given["pitch_um"]))
+    return ReadOptions(**given)
 
 
 def fabricate(

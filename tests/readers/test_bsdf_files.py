@@ -300,4 +300,6 @@ def test_a_half_angle_law_extrapolates_a_scan() -> None:
     lobe, remarks = measured_table(data, "scan", "half-angle")
     aside = lobe.evaluate(direction(np.radians(45.0)), direction(np.radians(45.0), np.radians(90.0)))
     assert np.pi * aside[0] == pytest.approx(0.1, rel=0.05)
+    with pytest.raises(NacreError):
+        measured_table(data, "scan", "linear")
     assert any("law" in line for line in remarks)

@@ -120,6 +120,24 @@ def test_accurion_averages_the_zones(tmp_path: Path) -> None:
     assert len(found.data["psi_deg"]) == 1
 
 
+def test_places_of_accurion_are_data_sets_of_their_own(tmp_path: Path) -> None:
+    rows = "".join(
+        f"658.0\t{angle}\t{170 - place}\t{30 + place}\t{0.01 * angle}\t{5.0 * place}\n"
+        for place in (0, 1)
+        for angle in (50, 52)
+    )
+    found = open_file(written(tmp_path, f"#Lambda\tAOI\tDelta\tPsi\tX_pos\tY_pos\n#nm\tdeg\tdeg\tdeg\tmm\tmm\n{rows}"))
+    assert [m.data["psi_deg"].tolist() for m in found] == [[30.0, 30.0], [31.0, 31.0]]
+    assert len({m.name for m in found}) == 2
+
+
+def test_angles_in_the_headings_of_a_table_stand_one_after_another(tmp_path: Path) -> None:
+    heading = "Wavelength (nm),Psi (65\u00b0),Delta (65\u00b0),Psi (70\u00b0),Delta (70\u00b0)\n"
+    text = heading + "400,20,150,15,140\n500,21,155,16,145\n"
+    found = first(written(tmp_path, text, "t.csv"))
+    assert row(found, 2, *BASIC) == [400.0, 70.0, 15.0, 140.0]
+
+
 def test_film_sense(tmp_path: Path) -> None:
     found = first(written(tmp_path, FILM_SENSE))
     assert row(found, 0, "angle_of_incidence_deg", "ncs_n", "ncs_c", "ncs_s") == [65.01, 0.6, -0.7, 0.3]
@@ -158,7 +176,9 @@ def test_nexus(tmp_path: Path, draft: str) -> None:
         entry[waves] = [4000.0, 5000.0, 6000.0]
         entry[f"{group}/data_type"] = "psi/delta" if draft == "older" else "Psi/Delta"
         entry[f"{group}/measured_data"] = table[None, None] if draft == "older" else table
-    assert row(first(path), 4, *BASIC) == [500.0, 60.0, 7.0, 10.0]
+        entry[f"{group}/column_names"] = ["psi", "delta"] if draft == "older" else ["delta", "psi"]
+    expected = [500.0, 60.0, 7.0, 10.0]
+    assert row(first(path), 4, *BASIC) == (expected if draft == "older" else [*expected[:2], 10.0, 7.0])
 
 
 @pytest.mark.parametrize(

@@ -488,3 +488,28 @@ def test_edges_stay_sharp_above_the_crease_only_without_normals(tmp_path: Path) 
         assert len(np.unique(np.round(read_mesh(tmp_path / "fold.obj", "z").normals, 6), axis=0)) == count
         (tmp_path / "fold.obj").write_text("\n".join([*lines, "s off", "f 1 2 5 4", "f 2 3 6 5"]) + "\n")
         assert len(np.unique(np.round(read_mesh(tmp_path / "fold.obj", "z").normals, 6), axis=0)) == 2
+
+
+def test_obj_files_of_several_materials_keep_their_normals(tmp_path: Path) -> None:
+    (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 0 0\nnewmtl b\nKd 0 1 0\n")
+    lines = ["mtllib m.mtl", *(f"v {x} {y} 0" for y in (0, 1) for x in (0, 1, 2))]
+    # normals that no geometry of a plane has
+    lines += ["vn 0.6 0 0.8", "vn 0 0.6 0.8", "usemtl a", "f 1//1 2//1 5//1 4//1", "usemtl b", "f 2//2 3//2 6//2 5//2"]
+    (tmp_path / "two.obj").write_text("\n".join(lines) + "\n")
+    normals = read_mesh(tmp_path / "two.obj", "z").normals
+    assert {tuple(row) for row in np.round(normals, 6).tolist()} == {(0.6, 0.0, 0.8), (0.0, 0.6, 0.8)}
+
+
+def test_gltf_files_keep_their_normals_under_a_transform(tmp_path: Path) -> None:
+    import trimesh
+
+    corners, faces = [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]
+    part = trimesh.Trimesh(corners, faces, vertex_normals=[[0.6, 0.0, 0.8]] * 3, process=False)
+    scene = trimesh.Scene()
+    stretch = np.diag([2.0, 1.0, 1.0, 1.0])
+    scene.add_geometry(part, transform=stretch)
+    (tmp_path / "one.glb").write_bytes(scene.export(file_type="glb", include_normals=True))
+    mesh = read_mesh(tmp_path / "one.glb", "z")
+    expected = np.array([0.3, 0.0, 0.8]) / np.hypot(0.3, 0.8)  # normals follow the inverse transpose
+    np.testing.assert_allclose(mesh.normals, np.tile(expected, (len(mesh.normals), 1)), atol=1e-6)
+    assert np.ptp(mesh.vertices[:, 0]) == pytest.approx(2.0)

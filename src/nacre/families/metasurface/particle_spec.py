@@ -104,7 +104,7 @@ class SpeciesSpec(RecipeModel):
     tmatrix: str | None = pydantic.Field(
         default=None,
         description="in place of material and radius_nm: a file of T-matrices of a particle, axis z, "
-        "as programs exchange them (arXiv:2408.10727)",
+        "as programs exchange them (arXiv:2408.10727); or a folder or pattern of files at several wavelengths",
         examples=["disc.tmat.h5"],
     )
     diameter_nm: Extent | None = pydantic.Field(

@@ -61,6 +61,7 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         default_geometry="45as15",  # its specular reflection is a lobe of finite width
     )
     is_direct = False
+    version = 2  # heights that do not close at their edges are scans
 
     tile: Tile | Scan
     coherence: Coherence

@@ -17,7 +17,6 @@ from nacre.matter.indices.constant import (
     names_file,
     unknown_material,
 )
-from nacre.matter.indices.constants_file import read_index_file
 from nacre.matter.indices.database import find_page, read_page
 from nacre.matter.indices.law_spec import (
     BrendelBormannSpec,
@@ -31,7 +30,6 @@ from nacre.matter.indices.laws import DrudeLorentz, SumOfTerms, Tail, Term
 from nacre.matter.indices.mixtures import FRACTION_ERROR, SPHERE, Mixture
 from nacre.matter.indices.models import Cauchy, Constant, Dispersion, Oscillators, Sellmeier, abbe_cauchy
 from nacre.matter.stack.inputs import CLEAR_K
-from nacre.readers.constants.spd_pair import other_of_pair
 from nacre.readers.measurement import ReadOptions
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 
@@ -329,6 +327,10 @@ class IndexSpec(RecipeModel):
         return made.with_extrapolation(self.extrapolate)
 
     def _table(self, name: str, context: RecipeContext) -> Dispersion:
+        # readers are loaded when a file is read
+        from nacre.matter.indices.constants_file import read_index_file
+        from nacre.readers.constants.spd_pair import other_of_pair
+
         path = context.path(name)
         other = other_of_pair(path)
         if other is not None and other.is_file():

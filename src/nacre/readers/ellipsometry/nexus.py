@@ -28,6 +28,7 @@ NAMES = (
     "sample/sample_name", "sample/name", "sample/layer_structure", "instrument/company", "instrument/model",
     "start_time",
 )  # fmt: skip
+COLUMNS = ("sample/column_names", "data_collection/column_names")
 MUELLER = [f"m{i}{j}" for i in range(1, 5) for j in range(1, 5)]
 
 
@@ -94,6 +95,11 @@ def _entry(path: Path, entry: Any, name: str, options: ReadOptions) -> Measureme
         raise NacreError(
             f"{path}: data_type = {kind!r} is not known; allowed: psi/delta, tan(psi)/cos(delta), Mueller matrix"
         )
+    columns_of = _first(entry, COLUMNS)
+    if columns_of is not None and kind == "psi/delta":
+        written = [str(each, "utf-8") if isinstance(each, bytes) else str(each) for each in np.ravel(columns_of[()])]
+        if sorted(word.lower() for word in written) == ["delta", "psi"]:
+            names = [f"{word.lower()}_deg" for word in written]
     table = np.asarray(data[()], dtype=float)
     shape = (len(angles), len(names), len(waves))
     if table.size != np.prod(shape) or table.shape[-1] != len(waves):
