@@ -4,19 +4,21 @@ from __future__ import annotations
 
 # format -> real files of it in public repositories, with independent readings, that the tests read or refuse by name
 REAL_FILES = {
-    "accurion": 2, "al3d": 1, "alta": 1, "ase": 3, "asd-text": 1, "aster": 1, "avantes-binary": 1, "avantes-text": 3,
-    "bruker-dpt": 1, "cgats": 5, "craic-text": 1, "cxf": 1, "film-sense": 1, "gonio": 2, "grams-spc": 1, "gwyddion-text": 2,
-    "holography": 1, "ibw": 1, "icc-text": 2, "jasco-text": 2, "jcamp": 2, "lamp": 1, "licor-prn": 1, "matrix": 1,
-    "nanoscope": 1, "netcdf": 1, "nexus-ellipsometry": 1, "ocean-text": 4, "palette": 1, "perkinelmer-text": 3, "profile": 2,
-    "regress-pro": 1, "sdf": 1, "spectraray": 2, "spectrum-table": 7, "speos": 1, "table": 11, "tmd": 1, "woollam-dat": 1,
-    "woollam-intensity": 1, "woollam-text": 4, "wsxm": 1, "xyz": 1, "zemax": 1,
+    "accurion": 2, "al3d": 1, "alta": 1, "asd-text": 1, "ase": 3, "aster": 1, "avantes-binary": 1,
+    "avantes-text": 3, "bruker-dpt": 1, "cgats": 5, "craic-text": 1, "cxf": 1, "film-sense": 1, "gonio": 2,
+    "grams-spc": 1, "gwyddion-text": 2, "holography": 1, "ibw": 1, "icc-text": 2, "jasco-text": 2, "jcamp": 2,
+    "lamp": 1, "licor-prn": 1, "matrix": 1, "nanoscope": 1, "netcdf": 1, "nexus-dispersion": 1,
+    "nexus-ellipsometry": 1, "ocean-text": 4, "palette": 1, "perkinelmer-text": 3, "profile": 2, "regress-pro": 1,
+    "sdf": 1, "spd-pair": 1, "spectraray": 2, "spectrum-table": 7, "speos": 1, "table": 8, "tmatrix": 4, "tmd": 1,
+    "woollam-dat": 1, "woollam-intensity": 1, "woollam-mat": 1, "woollam-text": 4, "wsxm": 1, "xyz": 1, "zemax": 1,
+    "zemax-coating": 1,
 }  # fmt: skip
 # format -> how nacre writes it
 WRITTEN = {
     "rgl": "`nacre export --to rgl`", "merl": "`nacre export --to merl`", "zemax": "`nacre export --to zemax`",
     "astm_e1392": "`nacre export --to astm`", "brdf_json": "`nacre export --to brdf-json`",
-    "speos": "`nacre export --to speos`", "gonio": "`nacre export --to csv`", "table": "`nacre read -o`, `nacre spectrum -o`",
-    "tmatrix": "`nacre export --to tmat`", "tmat": "`nacre export --to tmat`",
+    "speos": "`nacre export --to speos`", "gonio": "`nacre export --to csv`", "table": "`nacre read -o`",
+    "tmatrix": "`nacre export --to tmat`",
 }  # fmt: skip
 KINDS = {
     "ellipsometry": "Ellipsometry", "constants": "Optical constants", "spectrum": "Spectra", "heights": "Height maps",

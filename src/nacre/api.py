@@ -429,7 +429,13 @@ def _read_options(options: Mapping[str, Any]) -> ReadOptions:
     for name in options:
         if name not in allowed:
             raise NacreError(f"{name} is no option of read.{did_you_mean(name, allowed)} Allowed: {', '.join(allowed)}")
-    return ReadOptions(**options)
+    given = dict(options)
+    for name in ("columns", "ignore"):
+        if isinstance(given.get(name), str):
+            given[name] = tuple(word.strip() for word in given[name].split(","))
+    if isinstance(given.get("pitch_um"), int | float):
+        given["pitch_um"] = (float(given["pitch_um"]), float(given["pitch_um"]))
+    return ReadOptions(**given)
 
 
 def fabricate(

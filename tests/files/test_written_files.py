@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from nacre.core.errors import NacreError
-from nacre.core.files import Process, atomic_path, check_writable, short_name, write_text
+from nacre.core.files import Process, atomic_path, check_writable, read_text, short_name, write_text
 
 HANG = (
     "import sys, time\nfrom nacre.core.files import atomic_path\n"
@@ -115,3 +115,26 @@ def test_what_is_made_of_a_design_is_called_after_its_folder(tmp_path: Path, pat
     for folder in ("sign/2", "v1.5"):
         (tmp_path / folder).mkdir(parents=True)
     assert short_name(tmp_path / path) == name
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o077])
+def test_a_new_file_has_the_permissions_of_any_new_file(mask: int, tmp_path: Path) -> None:
+    """Without a change of the process-wide mask, which other threads share."""
+    code = "import os, sys; os.umask(int(sys.argv[2])); from nacre.core.files import write_text\n"
+    code += "write_text(sys.argv[1], 'x')\nos.umask(0o007)\nwrite_text(sys.argv[1] + '2', 'x')"
+    path = tmp_path / "a.txt"
+    subprocess.run([sys.executable, "-c", code, str(path), str(mask)], check=True)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~mask
+    assert stat.S_IMODE((tmp_path / "a.txt2").stat().st_mode) == 0o660
+
+
+def test_pipes_are_read_to_their_end_and_refused_without_a_writer(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.toml"
+    os.mkfifo(pipe)
+    with pytest.raises(NacreError, match="pipe"):
+        read_text(pipe)
+    text = "x" * 200_000
+    sender = threading.Thread(target=lambda: pipe.write_text(text), daemon=True)
+    sender.start()
+    assert read_text(pipe) == text
+    sender.join(10)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 import subprocess
 import sys
@@ -476,3 +477,25 @@ def test_numbers_that_json_lacks_become_null_and_text_is_unchanged() -> None:
     data = {"title": "NaN glass, Infinity edition", "thickness_nm": float("inf"), "list": [float("nan"), 1.5, True]}
     expected = {"title": "NaN glass, Infinity edition", "thickness_nm": None, "list": [None, 1.5, True]}
     assert json_data(data) == expected
+
+
+@pytest.mark.parametrize(
+    "name", ["x" * 300 + ".toml", "a/" * 3000 + "x.toml", "\ud800.toml", "é" * 200 + ".toml", "\0.toml"]
+)
+def test_long_and_odd_names_are_answered(page: TestClient, name: str) -> None:
+    for route, body in (
+        ("/api/save", {"name": name, "text": FILM, "version": ""}),
+        ("/api/formats", {"name": name, "text": FILM}),
+    ):
+        answer = page.post(route, content=json.dumps(body))
+        assert answer.status_code == 422 and answer.json()["error"].count("\n") == 0
+
+
+def test_links_that_lead_out_and_pipes_are_neither_listed_nor_read(page: TestClient, folder: Path) -> None:
+    (folder / "out.toml").symlink_to(folder.parent / "secret.toml")
+    (folder / "in.toml").symlink_to(folder / "film.toml")
+    os.mkfifo(folder / "pipe.toml")
+    listed = page.get("/api/state").json()["recipes"]
+    assert "in.toml" in listed and not {"out.toml", "pipe.toml"} & set(listed)
+    for name, status in (("in.toml", 200), ("out.toml", 422), ("pipe.toml", 422)):
+        assert page.get("/api/recipe", params={"name": name}).status_code == status

@@ -18,8 +18,9 @@ import click
 
 from nacre._version import __version__
 from nacre.cli.common import STATUS_BAD_INPUT, STATUS_INTERRUPTED, STOPPED, hold_closed_streams, say
-from nacre.cli.progress import listener
+from nacre.cli.progress import compile_listener, listener
 from nacre.core.errors import NacreError, did_you_mean
+from nacre.core.jit import on_compile
 from nacre.core.progress import on_progress
 
 GARBAGE_AFTER = 50_000  # new container objects
@@ -114,7 +115,7 @@ def run(argv: list[str]) -> int:
     try:
         if any("\0" in word for word in argv):
             raise NacreError("an argument holds a NUL character, which no file name and no number has")
-        with on_progress(listener(yes)), warnings.catch_warnings():
+        with on_progress(listener(yes)), on_compile(compile_listener()), warnings.catch_warnings():
             warnings.showwarning = _say_warning  # type: ignore[assignment]  # takes the rest by *where
             cli.main(args=argv, prog_name="nacre", standalone_mode=False)
         sys.stdout.flush()

@@ -9,9 +9,9 @@ from typing import Any
 import click
 
 from nacre.cli import common
+from nacre.cli.progress import COMPILING, LONG_COMPILE_S
 from nacre.core.errors import NacreError
 
-LONG_COMPILE_S = 3.0  # longer compilation is reported
 MAX_LISTED = 20  # colours of a batch
 TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
 
@@ -151,9 +151,9 @@ class _Screen:
 
     def _report_compiling(self, seconds: float) -> None:
         """Report once that kernels are being compiled."""
-        if seconds > LONG_COMPILE_S and not self._is_reported:
+        if seconds > LONG_COMPILE_S and not self._is_reported and self._status is None:  # a terminal has its own line
             self._is_reported = True
-            common.note("compiling kernels for this machine; later runs reuse them")
+            common.note(COMPILING)
 
     def count(self, done: int, total: int) -> None:
         """Show how many designs of a batch are done."""

@@ -12,6 +12,8 @@ from nacre.cli.common import one_line, say
 
 ASK_S = 60.0  # longer work needs confirmation on a terminal
 PACE_S = 30.0  # between lines without a terminal
+LONG_COMPILE_S = 1.0
+COMPILING = "compiling kernels for this machine; later runs reuse them"
 BUSY = 1.5  # ratio of wall time to time on free cores, above which both are reported
 
 
@@ -32,6 +34,19 @@ def listener(yes: bool) -> Callable[[str, float], None]:
             _follow()
         elif seconds > ASK_S:
             _report()
+
+    return hear
+
+
+def compile_listener() -> Callable[[float], None]:
+    """Return a listener that says once, on a terminal, that the first run compiles kernels."""
+    is_said = False
+
+    def hear(seconds: float) -> None:
+        nonlocal is_said
+        if seconds > LONG_COMPILE_S and not is_said and _is_terminal():
+            is_said = True
+            say(COMPILING)
 
     return hear
 

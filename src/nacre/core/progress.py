@@ -11,16 +11,21 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 
+SMOOTHING = 0.3  # weight of the newest estimate of the time left
 # done passes, all passes, seconds left
 ProgressCallback = Callable[[int, int, float], None]
 
 
 class Clock:
-    """Estimates the time left from the passes done; the first pass, which compiles, counts only until the second."""
+    """Estimates the time left from the passes done; the first pass, which compiles, counts only until the second.
+
+    Later estimates move gradually: single passes and the estimated number of passes vary.
+    """
 
     def __init__(self) -> None:
         self._start = time.perf_counter()
         self._after_first: float | None = None
+        self._end: float | None = None
 
     def left(self, done: int, total: int) -> float:
         """Return the seconds left after `done` of `total` passes."""
@@ -28,7 +33,10 @@ class Clock:
         if done <= 1 or self._after_first is None:
             self._after_first = now
             return (now - self._start) * (total - done) / max(done, 1)
-        return (now - self._after_first) / (done - 1) * (total - done)
+        end = now + (now - self._after_first) / (done - 1) * (total - done)
+        weight = 1.0 if self._end is None else max(SMOOTHING, done / max(total, 1))
+        self._end = end if self._end is None else self._end + weight * (end - self._end)
+        return max(self._end - now, 0.0) if done < total else 0.0
 
 
 def silent(done: int, total: int, seconds_left: float) -> None:
@@ -55,7 +63,9 @@ def progress_bar(title: str, wanted: bool | ProgressCallback | None) -> Iterator
         task = bar.add_task(title, total=1, left="")
 
         def show(done: int, total: int, seconds_left: float) -> None:
-            bar.update(task, total=total, completed=done, left=f"{seconds_left:.0f} s left")
+            # the first pass compiles: its time says little about the others
+            left = f"about {duration(seconds_left)} left" if 1 < done < total else ""
+            bar.update(task, total=total, completed=done, left=left)
 
         yield show
 
@@ -77,7 +87,7 @@ def _notebook_bar(title: str) -> Iterator[ProgressCallback]:
     handle = display(bar(0, 1, title), display_id=True)
 
     def show(done: int, total: int, seconds_left: float) -> None:
-        handle.update(bar(done, total, f"{title}, {seconds_left:.0f} s left"))
+        handle.update(bar(done, total, f"{title}, about {duration(seconds_left)} left" if 1 < done < total else title))
 
     try:
         yield show

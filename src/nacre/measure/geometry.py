@@ -79,7 +79,7 @@ class Geometry:
         mirror = np.array([-np.sin(theta), 0.0, np.cos(theta)])
         away = np.array([-np.cos(theta), 0.0, -np.sin(theta)])
         across = np.array([0.0, 1.0, 0.0])
-        return np.cos(angle) * mirror + np.sin(angle) * (np.cos(turn) * away + np.sin(turn) * across)
+        return np.asarray(np.cos(angle) * mirror + np.sin(angle) * (np.cos(turn) * away + np.sin(turn) * across))
 
     @property
     def view_deg(self) -> float:

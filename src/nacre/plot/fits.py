@@ -12,6 +12,7 @@ from nacre.plot import style
 from nacre.plot.style import Figure
 
 MAX_COLUMNS = 3
+HALF_TURN = 180.0  # degrees; a line is broken where an angle passes 360
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +53,9 @@ def fit_panels_figure(panels: Sequence[FitPanel], title: str) -> Figure:
                 ink = style.LINES[k % len(style.LINES)]
                 order = np.argsort(x)
                 upper.plot(x, measured, ".", markersize=2, color=ink, label=label)
-                upper.plot(x[order], fitted[order], color=ink, linewidth=0.8)
+                jumps = np.flatnonzero(np.abs(np.diff(fitted[order])) > HALF_TURN) + 1
+                along, line = (np.insert(np.asarray(v, dtype=float)[order], jumps, np.nan) for v in (x, fitted))
+                upper.plot(along, line, color=ink, linewidth=0.8)
                 lower.plot(x, fitted - measured, ".", markersize=1.5, color=ink)
             lower.axhline(0.0, color=style.INK, linewidth=0.6)
             upper.set(ylabel=panel.y_label)

@@ -27,6 +27,7 @@ from nacre.optimise.solutions import Solution
 from nacre.optimise.targets import Target
 from nacre.optimise.task import DesignTask
 from nacre.optimise.thin_film.adapter import ThinFilmSearch
+from nacre.optimise.tolerances import draw
 from nacre.recipe.paths import find_by_path
 from nacre.recipe.toml import dump_toml, parse_toml
 from nacre.studio.design_request import LENGTH, OBSERVER, THICKNESS, inlined, rounded, task_of
@@ -278,7 +279,7 @@ def tolerance(request: Mapping[str, Any], emit: Emit) -> None:
     angles, grid = _sampling(material, lamp)
     nominal = _reflected_xyz(material, angles, grid, lamp)
     generator = np.random.default_rng(0)
-    values = {one.path: one.draw(generator, draws) for one in tolerances}
+    values = draw(tolerances, generator, draws).values
     found: list[Array] = []
     failed, last_event = 0, time.monotonic()
 

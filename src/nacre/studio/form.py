@@ -49,7 +49,7 @@ def _describe(model: type[RecipeModel], tables: dict[str, Any]) -> None:
 
 
 def _key(model: type[RecipeModel], key: Key) -> dict[str, Any]:
-    field = model.model_fields[key.name]
+    field = next(field for name, field in model.model_fields.items() if key.name in (name, field.alias))
     metadata = [*field.metadata, field]
     default = None if field.is_required() else as_written(field.get_default(call_default_factory=True))
     made: dict[str, Any] = {

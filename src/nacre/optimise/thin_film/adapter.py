@@ -16,6 +16,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.families.film.material import Film
 from nacre.material.material import Material
+from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack.solve import powers
 from nacre.measure.geometry import Geometry
 from nacre.optimise.evaluation import geometries_of
@@ -179,7 +180,13 @@ class ThinFilmSearch(Search):
         """Return the media with the indices of the recipe."""
         data = [{"material": self.entries[name], "thickness_nm": 1.0} for name in names]
         film = _film(self.task.material.vary({"layers": data}))
-        return [Medium(name, layer.material.n_complex(grid)) for name, layer in zip(names, film.layers, strict=True)]
+        found = []
+        for name, layer in zip(names, film.layers, strict=True):
+            if isinstance(layer.material, AnisotropicConstant):
+                source = self.task.context.source
+                raise RecipeError(f'{source}: "{name}" is anisotropic; a stack search takes isotropic materials')
+            found.append(Medium(name, layer.material.n_complex(grid)))
+        return found
 
     def _tolerances(self, slots: int | None) -> tuple[float | tuple[float, ...], float | tuple[float, ...]]:
         """Return the thickness tolerances, relative and in nm: one number, or one per layer.

@@ -1,0 +1,187 @@
+"""Random recipes asked in different ways have one answer: within rounding, or within an error that is stated.
+
+`NACRE_ASKED_RECIPES` sets their number (300 for the full proof).
+"""
+
+from __future__ import annotations
+
+import copy
+import csv
+import io
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import colour
+import numpy as np
+import pytest
+from random_recipes import random_film, random_metasurface, random_pearl, random_relief
+
+import nacre
+from nacre.bsdf import Bsdf
+from nacre.core.errors import NacreError
+from nacre.recipe.toml import dump_toml
+
+COUNT = int(os.environ.get("NACRE_ASKED_RECIPES", "60"))
+LAM = np.linspace(420.0, 680.0, 6)
+ANGLES_DEG = np.array([0.0, 35.0, 70.0])
+PRINTED = 6e-6  # of a power in a table of the command
+TABLE = 2e-4  # of R and T of smooth films between nodes, unless the file states more
+LAB = 0.02  # CIELAB: colour-science integrates by other rules
+SPLIT = 1e-9  # one layer in two
+WALK_SPLIT, WALK_MEAN = 0.05, 0.01  # of a glass: noise of the random walk through strata, and of its mean of 18
+FAMILIES = (*["film"] * 26, "glass", "metasurface", "relief", "pearl")  # films are quick
+
+
+def random_glass(g: np.random.Generator) -> dict[str, Any]:
+    spheres = {
+        "material": {"n": 1.59},
+        "radius_nm": float(g.uniform(90, 150)),
+        "volume_fraction": float(g.uniform(0.3, 0.5)),
+    }
+    return {"family": "glass", "thickness_um": float(g.uniform(5, 20)), "spheres": spheres, "absorber": {"k": 0.001}}
+
+
+def random_recipe(seed: int, folder: Path) -> dict[str, Any]:
+    g = np.random.default_rng([37, seed])
+    made = {
+        "film": lambda: random_film(g), "pearl": lambda: random_pearl(g) | {"quality": "fast"},
+        "glass": lambda: random_glass(g), "metasurface": lambda: random_metasurface(g),
+        "relief": lambda: random_relief(g, folder),
+    }  # fmt: skip
+    data: dict[str, Any] = made[FAMILIES[seed % len(FAMILIES)]]()
+    if data["family"] == "film" and seed % 2:
+        data.pop("surface")
+    return data
+
+
+def in_um(data: Any) -> Any:
+    """Return a recipe with its lengths in micrometres."""
+    if isinstance(data, dict):
+        return {
+            (f"{key[:-3]}_um" if key.endswith("_nm") else key): (
+                value / 1e3 if key.endswith("_nm") and isinstance(value, float | int) else in_um(value)
+            )
+            for key, value in data.items()
+        }
+    return [in_um(each) for each in data] if isinstance(data, list) else data
+
+
+def values(material: Any) -> dict[str, np.ndarray]:
+    return material.spectrum(np.radians(ANGLES_DEG), LAM).parts()
+
+
+def close(one: dict[str, np.ndarray], other: dict[str, np.ndarray], tolerance: float) -> None:
+    assert one.keys() == other.keys()
+    for name in one:
+        np.testing.assert_allclose(one[name], other[name], rtol=0.0, atol=tolerance, err_msg=name)
+
+
+def from_command(path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, np.ndarray]:
+    from nacre.cli import run
+
+    angles, grid = (",".join(f"{x:g}" for x in each) for each in (ANGLES_DEG, LAM))
+    assert run(["spectrum", str(path), "--angles-deg", angles, "--wavelengths-nm", grid]) == 0
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    names = [name for name in rows[0] if name.startswith(("specular_", "diffuse_"))]
+    return {name: np.array([float(row[name]) for row in rows]).reshape(len(ANGLES_DEG), len(LAM)) for name in names}
+
+
+def check(seed: int, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = random_recipe(seed, folder)
+    path = folder / "asked.toml"
+    path.write_text(dump_toml(data))
+    material = nacre.load(path)
+    found = values(material)
+    close(found, values(nacre.load(path)), 0.0)
+    (folder / "um.toml").write_text(dump_toml(in_um(data)))
+    close(found, values(nacre.load(folder / "um.toml")), 1e-9)
+    close(found, from_command(path, capsys), PRINTED)
+    bsdf = material.bsdf(LAM)
+    bsdf.save(folder / "asked.nacre")
+    stored = Bsdf.load(folder / "asked.nacre")
+    assert stored.fingerprint == bsdf.fingerprint
+    if data["family"] == "film":
+        check_film(data, material, found, stored)
+    if data["family"] == "glass":
+        halves = {**data, "thickness_um": 0.5 * data["thickness_um"]}
+        halves.pop("family")
+        split = nacre.material({"family": "glass", "strata": [halves, copy.deepcopy(halves)]})
+        for name, value in values(split).items():
+            np.testing.assert_allclose(value, found[name], atol=WALK_SPLIT)
+            assert abs(np.mean(value - found[name])) <= WALK_MEAN
+    check_colour(found)
+
+
+def check_film(data: dict[str, Any], material: Any, found: dict[str, np.ndarray], stored: Bsdf) -> None:
+    """The compiled table against the solution, and a layer split in two."""
+    if "surface" not in data:
+        allowed = max(TABLE, stored.provenance["angle_table"]["largest_error"])
+        delta = stored.specular(np.radians(ANGLES_DEG))
+        assert np.max(np.abs(delta.reflectance - found["specular_reflectance"])) <= allowed
+    if data["layers"]:
+        split = copy.deepcopy(data)
+        half = {**split["layers"][0], "thickness_nm": 0.5 * split["layers"][0]["thickness_nm"]}
+        split["layers"][:1] = [half, dict(half)]
+        close(found, values(nacre.material(split)), SPLIT)
+
+
+def check_colour(found: dict[str, np.ndarray]) -> None:
+    """Colours of the report's integration against colour-science, for this spectrum interpolated to 1 nm."""
+    value = sum(np.asarray(part) for name, part in found.items() if name.endswith("reflectance"))
+    fine = np.arange(360.0, 831.0)
+    spectrum = np.interp(fine, LAM, np.clip(np.asarray(value)[0], 0.0, 1.0))
+    ours = nacre.light.xyz_to_lab(
+        nacre.light.spectrum_to_xyz(spectrum, fine, "D65", "10deg"), nacre.light.white_xyz("D65", "10deg")
+    )
+    observer = colour.MSDS_CMFS["CIE 1964 10 Degree Standard Observer"]
+    sd = colour.SpectralDistribution(dict(zip(fine, spectrum, strict=True)))
+    lamp = colour.SDS_ILLUMINANTS["D65"]
+    shape = colour.SpectralShape(360, 830, 1)
+    xyz = colour.sd_to_XYZ(sd, observer.copy().align(shape), lamp.copy().align(shape), method="Integration")
+    white = colour.sd_to_XYZ(
+        colour.sd_ones(shape), observer.copy().align(shape), lamp.copy().align(shape), method="Integration"
+    )
+    theirs = colour.XYZ_to_Lab(xyz / white[1], colour.XYZ_to_xy(white))
+    assert np.max(np.abs(np.asarray(ours) - theirs)) <= LAB
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_random_film_has_one_answer(seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    check(seed, tmp_path, capsys)
+
+
+@pytest.mark.full
+def test_random_recipes_have_one_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for seed in range(4, 4 + COUNT):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        try:
+            check(seed, folder, capsys)
+        except NacreError as error:
+            assert "\n" not in str(error)
+
+
+@pytest.mark.full
+def test_a_sweep_on_one_and_two_workers_and_a_single_answer_agree(tmp_path: Path) -> None:
+    film = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100.0}]}
+    (tmp_path / "film.toml").write_text(dump_toml(film))
+    sweep = {
+        "recipe": "film.toml",
+        "axes": {"layers[0].thickness_nm": [100.0, 150.0, 200.0]},
+        "measure": {"angles_deg": [0, 50]},
+    }
+    (tmp_path / "sweep.toml").write_text(dump_toml(sweep))
+    results = [nacre.sweep(tmp_path / "sweep.toml", tmp_path / f"{jobs}.zarr", jobs=jobs) for jobs in (1, 2)]
+    labs = [np.asarray(result["lab_specular_reflectance"]) for result in results]
+    np.testing.assert_array_equal(labs[0], labs[1])
+    for row, thickness in zip(labs[0], (100.0, 150.0, 200.0), strict=True):
+        film["layers"][0]["thickness_nm"] = thickness  # type: ignore[index]
+        one = nacre.material(film).spectrum(np.radians([0.0, 50.0]))
+        lab = nacre.light.xyz_to_lab(
+            nacre.light.spectrum_to_xyz(one.specular_reflectance, one.wavelengths_nm, "D65", "10deg"),
+            nacre.light.white_xyz("D65", "10deg"),
+        )
+        assert json.dumps(row.shape) == json.dumps(np.shape(lab))
+        np.testing.assert_allclose(row, lab, atol=0.5)
