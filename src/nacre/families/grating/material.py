@@ -22,7 +22,7 @@ from nacre.families.contract import Diffracting, Model, Pixels, Traits
 from nacre.families.grating.outlines import outlines
 from nacre.families.grating.tables import MAX_THETA, OrderTables, order_tables
 from nacre.matter.indices.constant import OpticalConstant
-from nacre.matter.periodic.orders import Orders, solve_orders
+from nacre.matter.periodic.orders import Orders, coarse_orders, solve_orders
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Shape
 
 MIRROR_NODES = 65
@@ -75,6 +75,7 @@ class Grating(Model, Diffracting, Pixels):
     Attributes:
         turn_deg: angle from u to the direction across the lines; `turn`: a texture in its place.
         tolerance: largest estimated error of an efficiency; None: by method.
+        is_coarse: solve once at the smallest size, for searches among many similar materials.
     """
 
     traits = Traits(noun="grating", default_parts=("specular_reflectance", "diffuse_reflectance"), takes_ambient=True)
@@ -89,6 +90,7 @@ class Grating(Model, Diffracting, Pixels):
     turn: Texture | None
     tolerance: float | None
     grid_nm: tuple[float, ...]
+    is_coarse: bool = False
 
     @property
     def wavelengths_nm(self) -> Array:
@@ -124,6 +126,8 @@ class Grating(Model, Diffracting, Pixels):
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         stacks = dict(zip(lam.tolist(), self.stacks(lam), strict=True))
         azimuth = azimuth_rad - np.radians(self.turn_deg)
+        if self.is_coarse:
+            return coarse_orders(lambda w: stacks[w], theta_rad, azimuth, lam)
         return solve_orders(lambda w: stacks[w], theta_rad, azimuth, lam, self.tolerance)
 
     @property

@@ -324,4 +324,5 @@ class GratingSpec(RecipeModel):
             turn=texture,
             tolerance=self.model.tolerance,
             grid_nm=tuple(self.wavelengths.grid()),
+            is_coarse=context.is_low_fidelity and self.model.tolerance is None,
         )

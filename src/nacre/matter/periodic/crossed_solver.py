@@ -27,6 +27,7 @@ from nacre.matter.periodic.structure import (
     PeriodicStack,
     Rectangle,
     Region,
+    check_unknowns,
     empty_orders,
     order_set,
     propagating,
@@ -112,6 +113,7 @@ def _rectangle_class(stack: PeriodicStack, k0: float, transverse: Array, axes: t
         np.repeat(x.alpha, shape[1]), np.tile(y.alpha, shape[0]), both(x.with_d, y.with_c), both(x.with_c, y.with_d),
         both(x.with_c, y.with_c),
     )  # fmt: skip
+    check_unknowns(len(of.x) + len(of.y), k0)
     modes: list[Modes] = []
     for layer in stack.layers:
         if not is_patterned(layer):
@@ -193,13 +195,17 @@ def solve_fourier(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
     assert cell.period_y is not None
     # orders within a circle of wave numbers, as many as a square lattice of this cell would have in that radius
     area = cell.period_x * cell.period_y * np.sin(cell.angle_rad)
-    reach = radius * 2.0 * np.pi / np.sqrt(area)
+    unit = 2.0 * np.pi / np.sqrt(area)
+    # the orders that propagate must be among them, and some beyond
+    radius = max(radius, int(np.ceil(2.0 * stack.reach * k0 / unit)) + radius - FOURIER_STEPS[0] + 1)
+    reach = radius * unit
     count = int(np.ceil(radius * max(cell.period_x, cell.period_y) / np.sqrt(area))) + 1
     grid = np.arange(-count, count + 1)
     orders = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
     vectors = cell.wave_vectors(orders)
     keep = np.hypot(vectors[:, 0], vectors[:, 1]) <= reach * (1.0 + 1e-9)
     orders = orders[keep]
+    check_unknowns(2 * len(orders) // (1 + sum(np.abs(transverse) < SYMMETRIC)), k0)
     layers = [sampled(layer, cell) if is_patterned(layer) else None for layer in stack.layers]
     symmetric = tuple(
         abs(first) < SYMMETRIC and cell.is_rectangular and all(_is_even_map(layer, axis) for layer in layers if layer)

@@ -32,6 +32,7 @@ from nacre.matter.periodic.structure import (
     PeriodicStack,
     Profile,
     Rectangle,
+    check_unknowns,
     empty_orders,
     order_set,
     propagating,
@@ -62,7 +63,9 @@ def solve_lines(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: floa
     patterned = [layer for layer in stack.layers if is_patterned(layer)]
     if not patterned:
         return _flat(stack, k0, transverse, k_z, incident, phi_rad)
-    basis = line_basis(_mesh_of(stack, patterned, k0, level), transverse[0], 1.001 * stack.reach)
+    mesh = _mesh_of(stack, patterned, k0, level)
+    check_unknowns(2 * mesh.size, k0)
+    basis = line_basis(mesh, transverse[0], 1.001 * stack.reach)
     alpha = basis.alpha
     beta = np.full_like(alpha, transverse[1])
     solved: dict[PatternLayer, Modes] = {}
@@ -157,6 +160,7 @@ def solve_profile(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
     alpha_0, k_y = float(transverse[0]), float(transverse[1])
     period, depth = stack.cell.period_x * k0, profile.depth_nm * k0
     mesh = _profile_mesh(stack, profile, period, k0, level)
+    check_unknowns(2 * mesh.size, k0)
     phase = complex(np.exp(1j * alpha_0 * period))
     parts = operators(mesh, lambda x: depth / period * profile.slope(x / period % 1.0), phase)
     numbers = np.array([layer.epsilon for layer in stack.layers])

@@ -11,7 +11,7 @@ import numpy as np
 
 from nacre.core.disk_cache import cache_arrays, cached_arrays
 from nacre.core.parallel import in_threads
-from nacre.matter.periodic.solve import solve
+from nacre.matter.periodic.solve import solve, solve_coarse
 from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Region
 from nacre.matter.periodic.types import Array
 
@@ -71,6 +71,20 @@ def solve_orders(
     cases = [(a, w) for a in range(len(angles)) for w in range(len(grid))]
     found = in_threads(
         lambda case: cached_solution(stacks[case[1]], float(grid[case[1]]), float(angles[case[0]]), phi, tolerance),
+        cases,
+    )
+    return gathered(cases, found, angles, azimuth_rad, grid)
+
+
+def coarse_orders(
+    stack_at: Callable[[float], PeriodicStack], angles_rad: Array, azimuth_rad: float, wavelengths_nm: Array
+) -> Orders:
+    """Solve as `solve_orders`, once at the smallest size and without an estimate of the error, which is infinite."""
+    angles, grid = np.atleast_1d(angles_rad).astype(float), np.atleast_1d(wavelengths_nm).astype(float)
+    stacks = [stack_at(float(w)) for w in grid]
+    cases = [(a, w) for a in range(len(angles)) for w in range(len(grid))]
+    found = in_threads(
+        lambda case: solve_coarse(stacks[case[1]], float(grid[case[1]]), float(angles[case[0]]), azimuth_rad + np.pi),
         cases,
     )
     return gathered(cases, found, angles, azimuth_rad, grid)

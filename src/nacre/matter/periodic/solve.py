@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from nacre.core.errors import NacreError
 from nacre.matter.periodic.crossed_solver import FOURIER_STEPS, RECTANGLE_STEPS, solve_fourier, solve_rectangles
 from nacre.matter.periodic.line_solver import solve_lines, solve_profile
-from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle
+from nacre.matter.periodic.structure import NotConvergedError, OrderSolution, PeriodicStack, Rectangle
 from nacre.matter.periodic.types import Array
 
 # error of the finer of two sizes over their difference, from the observed rates of convergence
@@ -19,10 +18,6 @@ TOLERANCE = {"lines": 2e-4, "profile": 5e-5, "rectangles": 3e-3, "fourier": 4e-3
 LEAST_ERROR = {"lines": 1e-5, "profile": 2e-6, "rectangles": 2e-4, "fourier": 2e-4}
 FORGIVEN = 20.0  # a default tolerance may be missed by this factor; the error is stated
 CORNER_RATE = 2.5  # the error of rectangles falls as degree^-2.5, by the fields at their corners
-
-
-class NotConvergedError(NacreError):
-    """The orders did not reach the tolerance within the largest size."""
 
 
 def method_of(stack: PeriodicStack) -> str:
@@ -79,7 +74,12 @@ def solve(
     best: OrderSolution | None = None
     last = 0
     for size in sizes:
-        found = run(stack, k0, theta_rad, phi_rad, size)
+        try:
+            found = run(stack, k0, theta_rad, phi_rad, size)
+        except NotConvergedError:
+            if best is None:
+                raise
+            break
         if found.unknowns <= 1:
             return found
         candidate = found

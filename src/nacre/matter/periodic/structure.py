@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nacre.core.errors import NacreError
 from nacre.matter.periodic.types import Array
 
+MAX_UNKNOWNS = 1500  # of one eigenproblem: half a minute
 CLEAR_K = 1e-6  # a substrate with a smaller k transmits orders
 
 
@@ -146,6 +148,23 @@ class OrderSolution:
     error: float
     unknowns: int
     method: str
+
+
+class NotConvergedError(NacreError):
+    """The orders do not reach the tolerance within the largest size."""
+
+
+def check_unknowns(count: int, k0: float) -> None:
+    """Refuse an eigenproblem that is too large.
+
+    Raises:
+        NotConvergedError: naming the size.
+    """
+    if count > MAX_UNKNOWNS:
+        raise NotConvergedError(
+            f"orders at {2.0 * np.pi / k0:g} nm need {count} unknowns; allowed: at most {MAX_UNKNOWNS}, by a smaller "
+            "period or a longer wavelength"
+        )
 
 
 def propagating(stack: PeriodicStack, k0: float, transverse: Array, index: float) -> tuple[Array, Array]:
