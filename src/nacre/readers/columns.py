@@ -256,20 +256,24 @@ def interpret(
         if is_ignored[i] or name == "-":
             continue
         unit = table.units[i]
-        told = (Meaning("spectral", unit),) if name == "spectral" else meanings(name, unit)
-        if not told and options.assumed_quantity is not None and parse_unit(name) == "%":
-            told = (Meaning(options.assumed_quantity, "%"),)
-        if told == (Meaning("", told[0].unit, is_error=True),) if told else False:
-            told = (replace(before, is_error=True, unit=told[0].unit or before.unit),) if before is not None else ()
-        if not told:
+        found_meanings = (Meaning("spectral", unit),) if name == "spectral" else meanings(name, unit)
+        if not found_meanings and options.assumed_quantity is not None and parse_unit(name) == "%":
+            found_meanings = (Meaning(options.assumed_quantity, "%"),)
+        if found_meanings == (Meaning("", found_meanings[0].unit, is_error=True),) if found_meanings else False:
+            found_meanings = (
+                (replace(before, is_error=True, unit=found_meanings[0].unit or before.unit),)
+                if before is not None
+                else ()
+            )
+        if not found_meanings:
             if _is_row_number(table, i, name):
                 result.unused.append(headings[i] or "row number")
             else:
                 unknown.append(headings[i] or f"column {i + 1}")
             continue
-        chosen = [meaning for meaning in told if meaning.quantity in wanted or meaning.quantity == "spectral"]
+        chosen = [meaning for meaning in found_meanings if meaning.quantity in wanted or meaning.quantity == "spectral"]
         chosen = chosen or _of_bare_unit(name, wanted)
-        if chosen and chosen[0].quantity not in TEXT_QUANTITIES and any(m.quantity == "name" for m in told):
+        if chosen and chosen[0].quantity not in TEXT_QUANTITIES and any(m.quantity == "name" for m in found_meanings):
             chosen = chosen if table.is_numeric(i) else []  # "sample" heads names as well as counts
         if {meaning.quantity for meaning in chosen} == {"absorptance", "absorbance"}:
             chosen = []  # "A" beside R and T

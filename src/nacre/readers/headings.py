@@ -369,10 +369,10 @@ def _of_bracketed(text: str, unit: str) -> tuple[Meaning, ...]:
         names = () if symbol.strip().lower() in ("s", "p", "a", "b", "c", "e") else names
         if names:
             confirmed, content = set(names), rest
-        told = _qualified(content, base)
-        if told is None:
+        stated = _qualified(content, base)
+        if stated is None:
             return ()
-        base = told
+        base = stated
     found = _of_core(core, base)
     return found if confirmed is None else tuple(meaning for meaning in found if meaning.quantity in confirmed)
 
@@ -387,10 +387,10 @@ def _qualified(content: str, base: Meaning) -> Meaning | None:
     if unit is not None and not (content in ("s", "p") or (is_lamp and content != "A")):
         return replace(base, unit=unit) if base.unit in ("", unit) or unit == "1" else None
     for part in [p for p in re.split(r"[,;/|]|\s{2,}|\s(?![\d.]*\s?(?:°|deg))", content) if p.strip()]:
-        told = _qualifier(part.strip(), base)
-        if told is None:
+        stated = _qualifier(part.strip(), base)
+        if stated is None:
             return None
-        base = told
+        base = stated
     return base
 
 
@@ -430,6 +430,7 @@ def _qualifier(part: str, base: Meaning) -> Meaning | None:
         "cie",
         "observer",
         "vacuum",
+        "air",
         "vac",
         "mean",
         "average",
@@ -520,8 +521,8 @@ def _peeled(core: str, base: Meaning) -> tuple[Meaning, ...]:
     angle = _ANGLE.search(core)
     if angle and core.strip() != angle[0].strip():
         rest = (core[: angle.start()] + " " + core[angle.end() :]).strip(" @,_-/")
-        told = _qualifier(angle[0].strip(" @"), base)
-        found = _of_core(re.sub(r"\b(at|bei|aoi)\s*$", "", rest).strip(), told) if told and rest else ()
+        stated = _qualifier(angle[0].strip(" @"), base)
+        found = _of_core(re.sub(r"\b(at|bei|aoi)\s*$", "", rest).strip(), stated) if stated and rest else ()
         if found:
             return found
     tokens = [token for token in re.split(r"[\s_,/-]+", core) if token]
@@ -535,11 +536,11 @@ def _peeled(core: str, base: Meaning) -> tuple[Meaning, ...]:
         return tuple(replace(base, quantity=name) for name in sorted(both))
     for place in (len(tokens) - 1, 0, *range(1, len(tokens) - 1)):
         word = _spelt(tokens[place]).strip().lower()
-        told = _qualified_by(word, tokens, base)
-        if told is None:
+        stated = _qualified_by(word, tokens, base)
+        if stated is None:
             continue
-        found = _of_core(" ".join(tokens[:place] + tokens[place + 1 :]), told)
-        if found and (told != base or word not in ("hunter", "lab")):
+        found = _of_core(" ".join(tokens[:place] + tokens[place + 1 :]), stated)
+        if found and (stated != base or word not in ("hunter", "lab")):
             return found
     return ()
 
@@ -558,9 +559,9 @@ def _checked(found: tuple[Meaning, ...]) -> tuple[Meaning, ...]:
         wanted = DIMENSIONS.get(meaning.quantity)
         unit = meaning.unit
         if unit and unit != "1" and wanted != UNITS[unit][0]:
-            told = _of_other_dimension(meaning)
-            if told is not None:
-                kept.append(told)
+            stated = _of_other_dimension(meaning)
+            if stated is not None:
+                kept.append(stated)
             continue
         if unit == "1":
             if wanted is not None and wanted != "number":

@@ -128,7 +128,8 @@ def find_key(roots: Sequence[type[RecipeModel]], path: str, source: str) -> tupl
     models: Sequence[type[RecipeModel]] = roots
     walked, found = "", None
     for word in re.sub(r"\[\d*\]", "", path).split("."):
-        keys = {key.name: key for model in models for key in keys_of(model)}
+        # of alternative tables the first, the most common, comes last here
+        keys = {key.name: key for model in reversed(models) for key in keys_of(model)}
         found = next((keys[way] for way in spellings(word) if way in keys), None)
         if found is None:
             raise RecipeError(_unknown(word, keys, walked, roots, source))

@@ -315,6 +315,8 @@ DEFAULTS: tuple[Default, ...] = (
     _entry("Ti", "titanium", "main/Ti/Johnson", "titanium"),
     # not Werner 2009 for Pt and W: its n falls to 0.5 and 0.9 in the visible, where others measure 2.3 and 3.5
     _entry("W", "tungsten", "main/W/Weaver", "tungsten"),
+    _entry("steel", "stainless steel, austenitic", "other/stainless_steel/Karlsson-austenitic", "stainless steel"),
+    _entry("brass", "brass, 70 % copper and 30 % zinc", "other/Cu-Zn/Querry-Cu70Zn30"),
     # semiconductors
     _entry("Si", "silicon, crystalline", "main/Si/Green-2008", "silicon"),
     _entry("Ge", "germanium, crystalline", "main/Ge/Nunley", "germanium"),

@@ -128,14 +128,14 @@ class BSplineSpec(RecipeModel):
     """Imaginary permittivity as a cubic B-spline over energy; the real part follows by Kramers-Kronig."""
 
     forms: ClassVar[tuple[str, ...]] = (
-        "{knots_ev = [1.5, 2.5, 3.5, 4.5, 5.5], values = [0, 0.1, 1.2, 2.0, 1.0], eps_inf = 1.5}",
+        "{knots_ev = [2.5, 3.5, 4.5, 5.5, 6.5], values = [0, 0.1, 1.2, 2.0, 1.0], eps_inf = 1.5}",
     )
 
     knots_ev: tuple[Positive, ...] = pydantic.Field(
         min_length=4,
         max_length=200,
         description="ascending energies of the knots, in eV",
-        examples=[[1.5, 2.5, 3.5, 4.5]],
+        examples=[[2.5, 3.5, 4.5, 5.5]],
     )
     values: tuple[NotNegative, ...] = pydantic.Field(
         min_length=4,
