@@ -217,7 +217,7 @@ class WavelengthsSpec(RecipeModel):
 
     min_nm: Annotated[float, Field(ge=100.0, le=1e5)] = Field(default=380.0, description="first wavelength of the grid")
     max_nm: Annotated[float, Field(ge=100.0, le=1e5)] = Field(default=780.0, description="last wavelength of the grid")
-    step_nm: Annotated[float, Field(ge=0.5, le=50.0)] = Field(default=20.0, description="step of the grid")
+    step_nm: Annotated[float, Field(ge=0.5, le=1000.0)] = Field(default=20.0, description="step of the grid")
 
     @pydantic.model_validator(mode="after")
     def _ascends(self) -> WavelengthsSpec:
