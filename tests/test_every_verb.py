@@ -240,7 +240,7 @@ def test_evaluate(both: Both) -> None:
         np.testing.assert_array_equal(seen["f"], nacre.evaluate(bsdf, WI, WO, samples=SAMPLES, seed=3))
 
 
-@families("metasurface", "relief")
+@families("metasurface", "relief", "grating")
 @pytest.mark.render
 @pytest.mark.parametrize("kind", ["spectrum", "structure", "field"])
 def test_plot(both: Both, kind: str) -> None:
@@ -257,7 +257,7 @@ def test_compile(both: Both) -> None:
     assert both.files(lambda path: nacre.load(both.recipe).bsdf().save(path), arguments, "x.nacre") == ["x.nacre"]
 
 
-@families("metasurface", "relief")
+@families("metasurface", "relief", "grating")
 @pytest.mark.render
 def test_render(both: Both) -> None:
     arguments = ["render", str(both.recipe), "--size", "12x10", "--spp", "2", "--seed", "5"]
@@ -267,7 +267,7 @@ def test_render(both: Both) -> None:
     assert names == ["x.png"]
 
 
-@families("pearl", "metasurface", "relief")
+@families("pearl", "metasurface", "relief", "grating")
 @pytest.mark.render
 def test_report(both: Both) -> None:
     arguments = ["report", str(both.recipe), "--samples", str(SAMPLES), "--json"]
@@ -282,7 +282,7 @@ def test_report(both: Both) -> None:
     )  # fmt: skip
 
 
-@families("pearl", "metasurface", "relief")
+@families("pearl", "metasurface", "relief", "grating")
 @pytest.mark.render
 def test_tolerance(both: Both) -> None:
     arguments = ["tolerance", str(both.recipe), "--draws", "3", "--seed", "2", "--samples", str(SAMPLES), "--json"]
@@ -291,7 +291,7 @@ def test_tolerance(both: Both) -> None:
     assert json.loads(found[1])["yield"] == pytest.approx(found[0].yield_share, abs=1e-12)
 
 
-@families("pearl", "metasurface", "relief", "blend")
+@families("pearl", "metasurface", "relief", "blend", "grating")
 @pytest.mark.render
 def test_fit(both: Both) -> None:
     rows = "".join(f"{w:g},0,{v}\n" for w, v in ((400, 0.2), (700, 0.3)))
@@ -308,7 +308,7 @@ def test_fit(both: Both) -> None:
         assert [fitted.get(number.path) for number in found[0].numbers] == values
 
 
-@families("pearl", "metasurface", "relief")
+@families("pearl", "metasurface", "relief", "grating")
 @pytest.mark.render
 def test_sweep(both: Both) -> None:
     numbers = nacre.load(both.recipe).parameters
@@ -324,7 +324,7 @@ def test_sweep(both: Both) -> None:
     assert content(both.python / "x.zarr") == content(both.command / "x.zarr")
 
 
-@families("film", "pearl", "metasurface", "relief", "blend")
+@families("film", "pearl", "metasurface", "relief", "blend", "grating")
 @pytest.mark.parametrize("to", sorted(set(EXPORTS) - {"lut"}))  # a folder: tests/exchange/test_lut_files.py
 @pytest.mark.render
 def test_export(both: Both, to: str) -> None:
@@ -349,7 +349,7 @@ def test_fabricate(both: Both, to: str) -> None:
     assert (names is not None) == (to in DRAWINGS.get(family, set()))
 
 
-@families("pearl", "metasurface", "relief", "blend")
+@families("pearl", "metasurface", "relief", "blend", "grating")
 @pytest.mark.render
 def test_gamut(both: Both) -> None:
     number = NUMBERS.get(both.recipe.stem) or next(iter(nacre.load(both.recipe).parameters))
@@ -361,7 +361,7 @@ def test_gamut(both: Both) -> None:
         assert json.loads(found[1]) == json.loads(json.dumps(found[0].document()))
 
 
-@families("pearl", "metasurface", "relief", "blend")
+@families("pearl", "metasurface", "relief", "blend", "grating")
 @pytest.mark.render
 def test_design(both: Both) -> None:
     """A budget of evaluations gives the same solution by Python and by command."""
