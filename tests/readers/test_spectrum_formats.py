@@ -402,3 +402,12 @@ def test_a_jws_of_the_second_version_is_an_ole_file(tmp_path: Path) -> None:
     (measurement,) = open_file(written(tmp_path, data))
     assert measurement.format == "jasco-jws"
     check(measurement, "absorbance", 1e-6)
+
+
+def test_geometry_and_white_reference_are_metadata(tmp_path: Path) -> None:
+    text = "Sample: tile\nGeometry: d/8 SCE\nWhite: Spectralon 99\n\nWavelength (nm),R (%)\n" + rows(
+        NM, PER_CENT, mark=","
+    )
+    (measurement,) = open_file(written(tmp_path, text.encode()))
+    assert measurement.metadata["geometry"] == "diffuse"
+    assert measurement.metadata["white_reference"] == "Spectralon"

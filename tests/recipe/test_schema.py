@@ -86,8 +86,9 @@ def test_every_number_of_the_examples_is_refused_as_text_and_as_a_truth_value(pa
 
 
 def is_material(data: dict[str, Any], place: str) -> bool:
-    return place.rpartition(".")[2] in (
-        "ambient", "substrate", "material", "resin", "coating", "ordinary", "extraordinary", "from", "to"
+    return place.rpartition(".")[2].partition("[")[0] in (
+        "ambient", "substrate", "material", "resin", "coating", "ordinary", "extraordinary", "principal", "mix",
+        "from", "to",
     )  # fmt: skip
 
 

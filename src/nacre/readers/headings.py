@@ -430,6 +430,7 @@ def _qualifier(part: str, base: Meaning) -> Meaning | None:
         "cie",
         "observer",
         "vacuum",
+        "air",
         "vac",
         "mean",
         "average",

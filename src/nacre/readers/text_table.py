@@ -475,8 +475,10 @@ def _with_units_joined(cells: Sequence[str]) -> list[str]:
     """Join a unit in brackets to its word, and the words of "Photon energy [eV]" that blanks split."""
     whole: list[str] = []
     for cell in cells:
-        if whole and (cell[:1] in "([/" or whole[-1].endswith("/")):
-            whole[-1] += f" {cell}"
+        last = whole[-1] if whole else ""
+        is_open = last.count("(") + last.count("[") > last.count(")") + last.count("]")
+        if whole and cell and (is_open or cell[:1] in "([/" or whole[-1].endswith("/")):
+            whole[-1] += f", {cell}" if is_open else f" {cell}"
         else:
             whole.append(cell)
     return whole

@@ -262,7 +262,7 @@ def _profile_mesh(stack: PeriodicStack, profile: Profile, period: float, k0: flo
     slope = profile.depth_nm / stack.cell.period_x
     if not profile.corners:
         count = max(3, int(np.ceil(period * index / 4.0)))
-        degree = int(np.ceil(0.5 * period * index / count)) + 5 + 2 * level + int(2.0 * slope)
+        degree = int(np.ceil(0.5 * period * index / count) + 5 + 2 * level) + int(2.0 * slope)
         return assemble(period, np.linspace(0.0, period, count + 1), (degree,) * count)
     corners = np.array(profile.corners)
     edges, degrees, layers = [corners[0]], [], 1 + level

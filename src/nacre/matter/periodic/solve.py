@@ -16,7 +16,7 @@ from nacre.matter.periodic.types import Array
 SAFETY = {"lines": 0.5, "profile": 0.5, "rectangles": 1.0, "fourier": 1.5}
 TOLERANCE = {"lines": 2e-4, "profile": 5e-5, "rectangles": 3e-3, "fourier": 4e-3}
 LEAST_ERROR = {"lines": 1e-5, "profile": 2e-6, "rectangles": 2e-4, "fourier": 2e-4}
-FORGIVEN = 20.0  # a default tolerance may be missed by this factor; the error is stated
+LARGEST_ERROR = 2e-2  # where no tolerance is asked for, a larger error is refused; a smaller one is stated
 CORNER_RATE = 2.5  # the error of rectangles falls as degree^-2.5, by the fields at their corners
 
 
@@ -94,7 +94,7 @@ def solve(
                 return best
         previous, last = found, size
     assert best is not None
-    if is_strict and best.error > (bound if tolerance is not None else FORGIVEN * bound):
+    if is_strict and best.error > (bound if tolerance is not None else LARGEST_ERROR):
         raise NotConvergedError(
             f"orders at {wavelength_nm:g} nm: error {best.error:.1e} with {best.unknowns} unknowns, above the "
             f"tolerance {bound:g}; allowed: a larger model.tolerance, or a structure with fewer or simpler shapes"

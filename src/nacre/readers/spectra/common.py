@@ -50,6 +50,13 @@ _UNITS: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
         ("eV", r"\bev\b|electron.?volt"),
     )
 )
+# specular component included, excluded, or measured alone
+_GEOMETRIES: tuple[tuple[str, re.Pattern[str]], ...] = (
+    ("diffuse", re.compile(r"\bSCE\b|\bSPEX\b|(?i:specular[ -]?excluded)")),
+    ("total", re.compile(r"\bSCI\b|\bSPIN\b|(?i:specular[ -]?included|integrating sphere)")),
+    ("specular", re.compile(r"(?i:specular reflect)")),
+)
+_WHITE = re.compile(r"(?i)\bspectralon\b|\bWS-1(?:-SL)?\b|\bBaSO4\b|barium sulphate|barium sulfate")
 UNIT_CHOICES = ("nm", "um", "angstrom", "eV", "1/cm")
 NM_EV = 1239.841984  # h c / e in nm eV (exact constants of the SI, 2019)
 
@@ -410,6 +417,7 @@ def spectrum(
     for key, column in (more or {}).items():
         data[key] = np.asarray(column, dtype=float)[order]
     about = dict(metadata or {})
+    about = _geometry(about) | about
     if factor == 0.01:
         about.setdefault("unit_in_file", "%")
     largest = float(np.nanmax(data[label.quantity]))
@@ -417,6 +425,15 @@ def spectrum(
     if label.quantity in ("reflectance", "transmittance") and in_visible > 1.0:
         notes.assumed.append(f"values above 1 (up to {largest:.4g}) are kept: the sample exceeds the reference")
     return Measurement(path, format, "spectrum", data, name, about, tuple(notes.assumed), tuple(notes.left_out))
+
+
+def _geometry(metadata: Mapping[str, Any]) -> dict[str, str]:
+    """Return the geometry and the white reference that a preamble names, as `geometry` and `white_reference`."""
+    text = "; ".join(f"{key}: {value}" for key, value in metadata.items() if isinstance(value, str))
+    found = {name: pattern.search(text) for name, pattern in _GEOMETRIES}
+    geometry = next((name for name, match in found.items() if match), None)
+    white = _WHITE.search(text)
+    return ({"geometry": geometry} if geometry else {}) | ({"white_reference": white[0]} if white else {})
 
 
 def choose(path: Path, found: Sequence[Measurement], options: ReadOptions) -> list[Measurement]:
