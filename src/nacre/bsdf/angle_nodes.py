@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.grids import interpolate, node_coordinate
-from nacre.bsdf.response import FINEST_LEVEL
+from nacre.bsdf.response import FINEST_LEVEL, InterfaceResponse
 from nacre.core.arrays import Array
 
 UNITS = 2**FINEST_LEVEL  # nodes are whole numbers of 2^-FINEST_LEVEL
@@ -166,10 +166,20 @@ def _refine_at_check(nodes: _Nodes, most: int, check: Array, exact: Array) -> fl
 
 def _curvature_error(nodes: _Nodes) -> float:
     """Return the largest error of linear interpolation by the second differences between equal intervals."""
-    width = np.diff(nodes.at)
+    return _second_difference_error(np.diff(nodes.at), nodes.values)
+
+
+def response_error(response: InterfaceResponse) -> float:
+    """Return the same estimate for an interface that was tabulated elsewhere: the largest error of R or T."""
+    width = np.rint(np.diff(response.cos_outside) * UNITS)
+    tables = (response.reflectance, response.transmittance, response.reflectance_inside)
+    return max(_second_difference_error(width, np.moveaxis(table, -2, 0)) for table in tables)
+
+
+def _second_difference_error(width: Array, values: Array) -> float:
     middle = np.flatnonzero(width[1:] == width[:-1]) + 1
-    second = nodes.values[middle - 1] - 2.0 * nodes.values[middle] + nodes.values[middle + 1]
-    return float(_largest(second).max(initial=0.0)) / 8.0
+    second = values[middle - 1] - 2.0 * values[middle] + values[middle + 1]
+    return float(_largest(second).max(initial=0.0)) / 8.0 if len(middle) else 0.0
 
 
 def _with_certain_split(nodes: _Nodes, wide: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array, Array]:

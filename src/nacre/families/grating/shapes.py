@@ -40,7 +40,6 @@ SAMPLES = 256  # a side, in the search for overlaps
 class ShapeSpec(RecipeModel):
     """A shape in the cell, of one material through the whole layer; the cell's centre is (0, 0)."""
 
-    noun: ClassVar[str] = "shape"
     forms: ClassVar[tuple[str, ...]] = (
         '{shape = "line", material = "Ag", width_nm = 120}',
         '{shape = "disc", material = "Si", diameter_nm = 140}',

@@ -32,7 +32,6 @@ Period = Annotated[float, Field(ge=MIN_PERIOD_NM, le=MAX_PERIOD_NM)]
 class GratingLayerSpec(RecipeModel):
     """A layer, with shapes of other materials in it."""
 
-    noun: ClassVar[str] = "patterned layer"
     forms: ClassVar[tuple[str, ...]] = (
         '{thickness_nm = 130, material = "air", shapes = [{shape = "disc", material = "Si", diameter_nm = 140}]}',
         '{thickness_nm = 50, material = "SiO2"}',

@@ -49,15 +49,7 @@ def order_tables(stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: 
         thetas, azimuths = THETAS[method], AZIMUTHS[method]
     angles = np.minimum(np.linspace(0.0, 0.5 * np.pi, thetas), MAX_THETA)
     images = _images(stack)
-    source: dict[tuple[int, int], tuple[tuple[int, int], tuple[int, int]]] = {}
-    for t in range(thetas):
-        for a in range(azimuths):
-            source[t, a] = ((t, a), (1, 1))
-            for signs in images:
-                other = (t, _mirrored(a, azimuths, signs))
-                if other in source and source[other][0] == other and other != (t, a):
-                    source[t, a] = (other, signs)
-                    break
+    source = _sources(thetas, azimuths, images)
     own = [node for node, (first, _) in source.items() if node == first]
     cases = [(t, a, w) for t, a in own for w in range(len(wavelengths_nm))]
 
@@ -100,6 +92,22 @@ def order_tables(stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: 
     for (t, a, w), better in zip(some, in_threads(check, some), strict=True):
         error = max(error, difference(found[t, a, w], better))
     return OrderTables(mirror, passed, reflected, np.array(every, dtype=np.int64).reshape(-1, 2), lattice, error)
+
+
+def _sources(
+    thetas: int, azimuths: int, images: list[tuple[int, int]]
+) -> dict[tuple[int, int], tuple[tuple[int, int], tuple[int, int]]]:
+    """Return for each (angle, azimuth) the solved direction of which it is a mirror image, and the signs of x and y."""
+    source: dict[tuple[int, int], tuple[tuple[int, int], tuple[int, int]]] = {}
+    for t in range(thetas):
+        for a in range(azimuths):
+            source[t, a] = ((t, a), (1, 1))
+            for signs in images:
+                other = (t, _mirrored(a, azimuths, signs))
+                if other in source and source[other][0] == other and other != (t, a):
+                    source[t, a] = (other, signs)
+                    break
+    return source
 
 
 def _is_patterned(stack: PeriodicStack) -> bool:

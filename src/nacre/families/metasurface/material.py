@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nacre.bsdf.angle_nodes import response_error
 from nacre.bsdf.bsdf import Bsdf, Spectrum
+from nacre.bsdf.response import ResponseLobe
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.core.parallel import in_threads
@@ -429,6 +431,10 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             notes["ensemble"] = refinement.notes
         notes |= non_sphere_notes(self.all_species) | self._convergence.notes
         self._convergence.report(self.body is not None)
+        for lobe in lobes:
+            if isinstance(lobe, ResponseLobe):
+                error = round(response_error(lobe.response), 6)
+                notes["angle_table"] = {"cosines": len(lobe.response.cos_outside), "largest_error": error}
         return Bsdf(lobes, notes)
 
     def _warn(self) -> None:
