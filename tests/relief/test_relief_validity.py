@@ -72,8 +72,8 @@ def test_a_steep_relief_warns_once_and_a_flat_one_does_not(tmp_path: Path, caplo
         steep = relief(tmp_path, 2.4)
         steep.bsdf([450.0, 550.0, 650.0])
         steep.bsdf([450.0, 600.0, 650.0])
-    (record,) = caplog.records
-    message = record.getMessage()
+    # another warning states that `bounded` scales this relief
+    (message,) = [record.getMessage() for record in caplog.records if "bounded" not in record.getMessage()]
     assert "slopes of 1.2" in message and "3.6 wavelengths" in message
     assert f"dE00 {steep.model.validity.de00:.0f}" in message
 

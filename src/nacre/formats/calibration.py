@@ -63,7 +63,7 @@ def _any_pairs(path: Path, second_unit: str) -> tuple[Array, tuple[str, str] | N
     if not table.headings:
         return pairs, None
     words = (table.headings[0], table.headings[1])
-    units = [table.units[i] or stated_unit(words[i]) for i in (0, 1)]
+    units = [table.units[i] or (words[i] if words[i] in UNITS else stated_unit(words[i])) for i in (0, 1)]
     is_length = [unit in UNITS and UNITS[unit][0] == "length" for unit in units]
     if is_length[0] and not is_length[1]:
         pairs, words, units = pairs[:, ::-1], (words[1], words[0]), units[::-1]
