@@ -92,7 +92,8 @@ class ColourObservation:
             grid, values = found.wavelengths_nm, np.zeros((1, len(found.wavelengths_nm))) if part is None else part
         else:
             raise NacreError(f'geometry = "{self.geometry}" is not specular, transmitted or aspecular')
-        return np.asarray(xyz_to_lab(spectrum_to_xyz(values, grid, *light), white_xyz(*light)))[0]
+        lab: Array = np.asarray(xyz_to_lab(spectrum_to_xyz(values, grid, *light), white_xyz(*light)))[0]
+        return lab
 
 
 @dataclass(frozen=True)
@@ -278,7 +279,7 @@ class _Likelihood:
     @property
     def largest_chi2(self) -> float:
         """Largest accepted chi-squared."""
-        return self.points + EXCESS * np.sqrt(2.0 * self.points)
+        return float(self.points + EXCESS * np.sqrt(2.0 * self.points))
 
     def material(self, factors: Array) -> Material:
         """Return the recipe with all causes at their factors."""

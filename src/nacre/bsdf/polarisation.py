@@ -114,9 +114,8 @@ def _anisotropic(tables: AnisotropicTables) -> InterfacePolarisation:
             square = rare**2 + np.maximum(dense**2 - rare**2, 0.0) * share
             square = np.maximum(square, rare**2 * (1.0 + LEAST_COS**2))
             total, _ = inside.elements(np.arcsin(np.clip(np.sqrt(square) / dense, 0.0, 1.0)), azimuths)
-    if not tables.transmits:
-        transmitted = None
-    return InterfacePolarisation(lam, reflected, behind, total, transmitted, returned, tables.eta, tables.flipped)
+    passed = transmitted if tables.transmits else None
+    return InterfacePolarisation(lam, reflected, behind, total, passed, returned, tables.eta, tables.flipped)
 
 
 class _Side:

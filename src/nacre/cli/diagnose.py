@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 import click
+import numpy as np
 
 from nacre.cli import common
 from nacre.core.errors import NacreError
@@ -55,7 +56,7 @@ def diagnose(
     options = ReadOptions(quantity=quantity, angle_deg=angle_deg)
     range_ = checked_range(range_nm)
     spectra = [part for path in measurements for part in parts_of(read_measurement(path, options, range_))]
-    colours = [ColourObservation(*_lab(text)) for text in labs]
+    colours = [ColourObservation(geometry, np.array(lab)) for geometry, lab in map(_lab, labs)]
     result = run(
         material,
         recipe_tolerances(material, tolerances),
