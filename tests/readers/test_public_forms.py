@@ -80,7 +80,9 @@ def test_jcamp_with_a_step_instead_of_a_last_abscissa(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.data["transmittance"][[0, -1]], [0.1, 0.6])
 
 
-SOPRA = "VERSION*1*\nFORMAT*1*\nPOINTS*3*\nDATA1*1*4.0e2*4.1*3.0*\nDATA1*2*5.0e2*4.2*2.0*\nDATA1*3*6.0e2*4.3*1.0*\nEOF*\n"
+SOPRA = (
+    "VERSION*1*\nFORMAT*1*\nPOINTS*3*\nDATA1*1*4.0e2*4.1*3.0*\nDATA1*2*5.0e2*4.2*2.0*\nDATA1*3*6.0e2*4.3*1.0*\nEOF*\n"
+)
 
 
 def test_a_material_of_the_sopra_database(tmp_path: Path) -> None:

@@ -162,9 +162,10 @@ def _measurement(path: Path, table: Table) -> Measurement | None:
     bands = sorted((float(match[1]), at) for at, name in enumerate(table.fields) if (match := _BAND.fullmatch(name)))
     assumed: list[str] = []
     left_out: list[str] = []
-    is_display = "DISPLAY" in table.keywords.get("DEVICE_CLASS", "") or "EMISS" in str(
-        table.keywords.get("MEAS_TYPE", "")
-    ).upper()
+    is_display = (
+        "DISPLAY" in table.keywords.get("DEVICE_CLASS", "")
+        or "EMISS" in str(table.keywords.get("MEAS_TYPE", "")).upper()
+    )
     if bands and table.rows and not is_display:
         spectra = np.array([[_number(path, row[at]) for _, at in bands] for row in table.rows])
         norm = number(table.keywords.get("SPECTRAL_NORM", "")) or 0.0
