@@ -51,7 +51,8 @@ def test_a_quoted_heading_with_a_comma_over_rows_without_k(tmp_path: Path) -> No
 
 def test_names_and_rows_of_cgats_decide_over_number_of_fields(tmp_path: Path) -> None:
     text = (
-        "CTI1\n\nNUMBER_OF_FIELDS 9\nBEGIN_DATA_FORMAT\nSAMPLE_ID RGB_R RGB_G RGB_B XYZ_X XYZ_Y XYZ_Z\nEND_DATA_FORMAT\n"
+        "CTI1\n\nNUMBER_OF_FIELDS 9\nBEGIN_DATA_FORMAT\nSAMPLE_ID RGB_R RGB_G RGB_B XYZ_X XYZ_Y XYZ_Z\n"
+        "END_DATA_FORMAT\n"
         "NUMBER_OF_SETS 2\nBEGIN_DATA\n1 100 0 0 14.91 22.41 53.72\n2 70 0 0 24.6 32.11 56.56\nEND_DATA\n"
     )
     (found,) = open_file(written(tmp_path, "c.ti1", text))
