@@ -61,13 +61,13 @@ def test_a_render_shows_its_progress_in_a_notebook_and_cleans_up(tmp_path: Path)
     notebook.cells = [
         nbformat.v4.new_code_cell(
             "from nacre.core.progress import progress_bar\n"
-            "bar = progress_bar('render', None)\nshow = bar.__enter__()\nshow(1, 2, 3.0)"
+            "bar = progress_bar('render', None)\nshow = bar.__enter__()\nshow(2, 4, 3.0)"
         )
     ]
     client = nbclient.NotebookClient(notebook, timeout=CELL_LIMIT_S, resources={"metadata": {"path": str(tmp_path)}})
     client.execute()
     shown = notebook.cells[0].outputs[0]["data"]["text/html"]
-    assert '<progress value="1" max="2">' in shown and "3 s left" in shown
+    assert '<progress value="2" max="4">' in shown and "about 3 " in shown
 
     notebook.cells[0].source += "\nbar.__exit__(None, None, None)"
     client.execute()

@@ -47,7 +47,7 @@ def test_the_unpolarised_picture_returns_to_its_variant() -> None:
     variant = mi.variant()
     xyz(polariser="left")
     assert mi.variant() == variant
-    np.testing.assert_array_equal(xyz(), before)
+    np.testing.assert_allclose(xyz(), before, rtol=1e-5, atol=1e-7)  # threads sum in any order
 
 
 @pytest.mark.parametrize(

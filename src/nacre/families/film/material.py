@@ -41,7 +41,7 @@ from nacre.light.wavelengths import STEPS_NM
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack.polarised import Helix, PolarisedResponse
-from nacre.matter.stack.stack import Layer, Stack
+from nacre.matter.stack.stack import Layer, Stack, is_isotropic
 
 COLOUR_COSINES = np.array([1.0, 0.8, 0.5, 0.25])  # of the colours compared in the choice of grids
 MIDDLE = np.array([0.5, 0.5])
@@ -140,7 +140,7 @@ class Film(Model, Polarised):
     @property
     def is_anisotropic(self) -> bool:
         """Whether a layer or the substrate is anisotropic."""
-        return not self.stack.is_isotropic
+        return not all(map(is_isotropic, (self.substrate, *(layer.material for layer in self.layers))))
 
     @property
     def mixes_polarisations(self) -> bool:
