@@ -303,3 +303,23 @@ def test_a_half_angle_law_extrapolates_a_scan() -> None:
     with pytest.raises(NacreError):
         measured_table(data, "scan", "linear")
     assert any("law" in line for line in remarks)
+
+
+def test_a_speos_intensity_gives_no_pole_at_grazing_directions(tmp_path: Path) -> None:
+    block = "50\n3 3\n\t0\t180\t360\n0\t1\t1\t1\n45\t0.70711\t0.70711\t0.70711\n90\t0.01\t0.01\t0.01\n"
+    (tmp_path / "x.brdf").write_text(
+        f"OPTIS - brdf surface file v9.0\n0\nSurface\n0\n\n1\t0\n0\n1\t1\n0.0\n550.0\n{block}End of file\n"
+    )
+    (found,) = open_file(tmp_path / "x.brdf")
+    bsdf = found.data["bsdf"].ravel()
+    at = found.data["theta_o_deg"]
+    np.testing.assert_allclose(bsdf[at == 45.0], bsdf[at == 0.0][0], rtol=1e-4)
+    assert not bsdf[at == 90.0].any()
+
+
+def test_astm_names_of_colours(tmp_path: Path) -> None:
+    (tmp_path / "x.astm").write_text(
+        "NUM_POINTS 2\nVARS=theta_i,phi_i,theta_s,phi_s,Red,Green,Blue\n10,0,0,0,.1,.2,.3\n10,0,40,180,.1,.2,.3\n"
+    )
+    (found,) = open_file(tmp_path / "x.astm")
+    np.testing.assert_allclose(found.data["bsdf_rgb"], [[0.1, 0.2, 0.3]] * 2)

@@ -192,3 +192,41 @@ def test_spectra_become_colours_under_the_light_of_the_target(tmp_path: Path) ->
         np.testing.assert_allclose(grey.lab, [[49.98, 0, 0]], atol=0.02)
         np.testing.assert_allclose(white.lab, [[100, 0, 0]], atol=0.02)
         assert grey.name == "grey" and white_xyz(*light)[1] == pytest.approx(1.0)
+
+
+def test_cgats_in_polar_coordinates_and_chromaticities(tmp_path: Path) -> None:
+    (card,) = open_file(written(tmp_path, cgats("SAMPLE_ID LAB_L LAB_C LAB_H", ["1 50 20 90", "2 60 10 180"])))
+    np.testing.assert_allclose([card.data["a"], card.data["b"]], [[0.0, -10.0], [20.0, 0.0]], atol=1e-12)
+    (card,) = open_file(written(tmp_path, cgats("SAMPLE_ID XYY_X XYY_Y XYY_CAPY", ["1 0.3 0.4 20", "2 0 0 0"])))
+    np.testing.assert_allclose(np.stack([card.data[name] for name in "XYZ"]), [[15.0, 0.0], [20.0, 0.0], [15.0, 0.0]])
+
+
+@pytest.mark.parametrize("first, keywords", [("CTI1", ""), ("CTI3", 'DEVICE_CLASS "DISPLAY"\n')])
+def test_targets_and_displays_are_named(tmp_path: Path, first: str, keywords: str) -> None:
+    (card,) = open_file(written(tmp_path, cgats("SAMPLE_ID XYZ_X XYZ_Y XYZ_Z", ["1 95 100 108"], keywords, first)))
+    assert len(card.assumed) == 2
+
+
+def test_a_palette_with_a_fourth_channel(tmp_path: Path) -> None:
+    text = "GIMP Palette\nChannels: RGBA\n#\n255 0 0 255 Red\n0 51 0 128\t3 green\n"
+    (card,) = open_file(written(tmp_path, text, "a.gpl"))
+    np.testing.assert_allclose(card.data["srgb"], [[1.0, 0.0, 0.0], [0.0, 0.2, 0.0]])
+    assert card.metadata["names"] == ["Red", "3 green"]
+
+
+@pytest.mark.parametrize("count, first", [(36, 380.0), (31, 400.0), (40, None)])
+def test_cxf_spectra_without_an_increment_and_in_per_cent(tmp_path: Path, count: int, first: float | None) -> None:
+    spectrum = " ".join(["45.5"] * count)
+    path = written(tmp_path, (
+        '<cc:CxF xmlns:cc="http://colorexchangeformat.com/CxF3-core"><cc:Resources><cc:ObjectCollection>'
+        '<cc:Object Name="A" Id="1"><cc:ColorValues><cc:ReflectanceSpectrum>'
+        f"{spectrum}</cc:ReflectanceSpectrum></cc:ColorValues></cc:Object></cc:ObjectCollection></cc:Resources></cc:CxF>"
+    ), "a.mxf")  # fmt: skip
+    if first is None:
+        with pytest.raises(NacreError):
+            open_file(path)
+        return
+    (card,) = open_file(path)
+    assert card.data["wavelength_nm"][[0, 1]].tolist() == [first, first + 10.0]
+    np.testing.assert_allclose(card.data["spectra"], 0.455)
+    assert len(card.assumed) == 2

@@ -345,7 +345,12 @@ def test_a_unit_that_is_no_length_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["X_(microns),y1\n0.1,2.0\n0.2,2.1\n", "".join(f"{k * 1e-8} 1e-9\n" for k in range(20))]
+    "text",
+    [
+        "X_(microns),y1\n0.1,2.0\n0.2,2.1\n",
+        "".join(f"{k * 1e-8} 1e-9\n" for k in range(20)),
+        "Scan Parameters\nScan Type,Standard\nLength,15 um\n\nScan Data\nLateral um,Raw Micrometer,\n0.0,-0.01,,\n",
+    ],
 )
 def test_line_profiles_are_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "a.csv"
@@ -353,6 +358,31 @@ def test_line_profiles_are_refused(tmp_path: Path, text: str) -> None:
     assert recognise(path)[0][1].id == "profile"
     with pytest.raises(NacreError):
         open_file(path)
+
+
+def _file(path: Path, data: bytes) -> Path:
+    path.write_bytes(data)
+    return path
+
+
+def test_text_exports_of_wsxm_and_the_second_edition_of_sdf(tmp_path: Path) -> None:
+    (found,) = open_file(_file(tmp_path / "b.sdf", sdf_text().replace(b"aISO-1.0", b"aISO-2.0")))
+    np.testing.assert_allclose(found.data["height_um"], heights(), atol=1e-9)
+    head = "WSxM file copyright UAM\r\nWSxM ASCII "
+    row, column = np.indices((ROWS, COLUMNS))
+    points = zip(column.ravel() * PITCH[0], row.ravel() * PITCH[1], heights().ravel())
+    rows = "".join(f"{x * 1e4:.3f}\t{y * 1e4:.3f}\t{z * 1e4:.3f}\r\n" for x, y, z in points)
+    (found,) = open_file(_file(tmp_path / "p.txt", f"{head}XYZ file\r\nX[A]\tY[A]\tZ[A]\r\n\r\n{rows}".encode()))
+    np.testing.assert_allclose(found.data["height_um"], heights(), atol=1e-9)
+    np.testing.assert_allclose(found.metadata["pitch_um"], PITCH)
+    sides = f"X Amplitude: {COLUMNS * PITCH[0]} um\r\nY Amplitude: {ROWS * PITCH[1]} um\r\n"
+    rows = "".join("\t".join(f"{z * 1e3:.3f}" for z in line) + "\r\n" for line in heights())
+    path = _file(tmp_path / "m.txt", f"{head}Matrix file\r\n{sides}\r\n{rows}".encode())
+    with pytest.raises(AmbiguousFileError):
+        open_file(path)
+    (found,) = open_file(path, ReadOptions(unit="nm"))
+    np.testing.assert_allclose(found.data["height_um"], heights(), atol=1e-9)
+    np.testing.assert_allclose(found.metadata["pitch_um"], PITCH)
 
 
 def test_points_off_a_grid_are_refused(tmp_path: Path) -> None:

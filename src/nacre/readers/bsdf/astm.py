@@ -83,7 +83,7 @@ def _rows(path: Path, lines: list[str], start: int, width: int) -> Array:
 
 def _channels(path: Path, names: list[str]) -> tuple[str | None, Array | None, list[str]]:
     """Return the colour space, or the wavelengths, of the value columns."""
-    upper = [name.upper() for name in names]
+    upper = [{"RED": "R", "GREEN": "G", "BLUE": "B"}.get(name.upper(), name.upper()) for name in names]
     for colour in ("rgb", "xyz"):
         if upper == list(colour.upper()):
             return colour, None, []

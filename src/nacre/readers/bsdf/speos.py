@@ -134,9 +134,15 @@ def _scaled(theta: Array, phi: Array, values: Array, percent: float, is_bsdf: bo
 
     Values are proportional to the BSDF, or to the intensity (BSDF times cosine).
     """
-    f = values if is_bsdf else values / np.maximum(np.abs(np.cos(np.radians(theta))), 1e-6)[:, None]
+    f = values if is_bsdf else _over_cosine(theta[:, None], values)
     total = hemispherical_share(theta, phi, f)
     return np.asarray(f * (percent / 100.0 / total)) if total > 0 else f
+
+
+def _over_cosine(theta: Array, intensity: Array) -> Array:
+    """Return the BSDF of an intensity; at grazing directions, where the cosine is 0, no finite BSDF follows: 0."""
+    cosine = np.abs(np.cos(np.radians(theta)))
+    return np.asarray(np.where(cosine > 1e-6, intensity / np.maximum(cosine, 1e-6), 0.0))
 
 
 def hemispherical_share(theta_deg: Array, phi_deg: Array, f: Array) -> float:
@@ -230,7 +236,7 @@ def _anisotropic(path: Path, lines: list[str]) -> list[Measurement]:
                 values.append(value)
         value = np.concatenate(values)
         theta = np.concatenate(angles)[:, 2]
-        f = value if is_bsdf else value / np.maximum(np.abs(np.cos(np.radians(theta))), 1e-6)
+        f = value if is_bsdf else _over_cosine(theta, value)
         share = spectrum[:, 1] / max(float(spectrum[:, 1].max()), 1e-300)
         metadata = {"title": lines[0].strip(), "description": text, "anisotropy_vector": vector,
                     "reference_spectrum_percent": spectrum[:, 1], "scatter": scatter}  # fmt: skip

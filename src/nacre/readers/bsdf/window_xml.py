@@ -51,7 +51,10 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     bases = {_text(node, "AngleBasisName"): _basis(path, node) for node in root.iter("AngleBasis")}
     structure = next((node.text or "" for node in root.iter("IncidentDataStructure")), "Columns").strip()
     if structure not in ("Columns", "Rows") or not bases:
-        raise NacreError(f"{path}: IncidentDataStructure = {structure or 'none'} is not a matrix of patches")
+        raise NacreError(
+            f"{path}: IncidentDataStructure = {structure or 'none'} is not a matrix of patches; "
+            "convert a tensor tree by Radiance's bsdf2klems"
+        )
     name = next((node.text or "" for node in root.iter("Name")), "").strip()
     found = []
     for data in root.iter("WavelengthData"):

@@ -22,6 +22,7 @@ _BAND = re.compile(
 )
 _NAMES = ("SAMPLE_NAME", "SAMPLENAME", "SAMPLE_ID", "SAMPLEID", "SAMPLE_LOC", "STRING")
 _COLOURS = {"LAB": ("L", "a", "b"), "XYZ": ("X", "Y", "Z")}
+_POLAR = {"LAB": ("LAB_L", "LAB_C", "LAB_H"), "XYZ": ("XYY_X", "XYY_Y", "XYY_CAPY")}
 _FIELDS = {"LAB": ("LAB_L", "LAB_A", "LAB_B"), "XYZ": ("XYZ_X", "XYZ_Y", "XYZ_Z")}
 EMISSION = ("CCSS", "CCMX")
 MAX_FACTOR = 4.0  # far above the radiance factor of fluorescent paper
@@ -47,6 +48,7 @@ class Table:
     fields: list[str] = field(default_factory=list)
     rows: list[list[str]] = field(default_factory=list)
     ended: bool = False
+    kin: str = ""
 
 
 def sniff(head: FileHead) -> float:
@@ -69,6 +71,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     tables = [table for table in _tables(path, lines) if table.fields]
     found, empty = [], []
     for table in tables:
+        table.kin = first
         measurement = _measurement(path, table)
         if measurement is None:
             spaces = dict.fromkeys(name.split("_")[0] for name in table.fields if "_" in name and name not in _NAMES)
@@ -155,10 +158,16 @@ def _measurement(path: Path, table: Table) -> Measurement | None:
     """Return the colours of a table, or None if it holds device values only."""
     place = {name: at for at, name in enumerate(table.fields)}
     data: dict[str, Array] = {}
-    for space, wanted in _FIELDS.items():
-        if all(name in place for name in wanted) and table.rows:
-            columns = [[_number(path, row[place[name]]) for row in table.rows] for name in wanted]
-            data |= dict(zip(_COLOURS[space], map(np.array, columns), strict=True))
+    used: set[str] = set()
+    for fields in (_FIELDS, _POLAR):
+        for space, wanted in fields.items():
+            if _COLOURS[space][0] in data or not table.rows or not all(name in place for name in wanted):
+                continue
+            columns = [np.array([_number(path, row, place[name], name) for row in table.rows]) for name in wanted]
+            data |= dict(
+                zip(_COLOURS[space], columns if fields is _FIELDS else _cartesian(space, columns), strict=True)
+            )
+            used |= set(wanted)
     bands = sorted((float(match[1]), at) for at, name in enumerate(table.fields) if (match := _BAND.fullmatch(name)))
     assumed: list[str] = []
     left_out: list[str] = []
@@ -167,7 +176,7 @@ def _measurement(path: Path, table: Table) -> Measurement | None:
         or "EMISS" in str(table.keywords.get("MEAS_TYPE", "")).upper()
     )
     if bands and table.rows and not is_display:
-        spectra = np.array([[_number(path, row[at]) for _, at in bands] for row in table.rows])
+        spectra = np.array([[_number(path, row, at, table.fields[at]) for _, at in bands] for row in table.rows])
         norm = number(table.keywords.get("SPECTRAL_NORM", "")) or 0.0
         factor = 1.0 / norm if norm > 0.0 else spectra_scale(spectra, assumed)
         if norm and np.nanmax(spectra) * factor > MAX_FACTOR:
@@ -180,7 +189,10 @@ def _measurement(path: Path, table: Table) -> Measurement | None:
         left_out.append("spectra that a display emits")
     if not data:
         return None
-    used = {name for wanted in _FIELDS.values() for name in wanted if name in place}
+    if is_display:
+        assumed.append("X, Y, Z are of the light that a display emits, relative to its white")
+    if table.kin == "CTI1":
+        assumed.append("a target that is to be measured: its X, Y, Z are expected values, not measured ones")
     others = [name for name in table.fields if name not in used | set(_NAMES) and not _BAND.fullmatch(name)]
     if others:
         left_out.append(f"the fields {', '.join(others)[:200]}")
@@ -210,8 +222,17 @@ def _light(keywords: dict[str, str]) -> tuple[str | None, str | None]:
     return illuminant, observer
 
 
-def _number(path: Path, cell: str) -> float:
-    value = number(cell, comma=True)
+def _cartesian(space: str, columns: list[Array]) -> list[Array]:
+    """Return L*, a*, b* of L*, C*, h in degrees, or X, Y, Z of x, y, Y."""
+    first, second, third = columns
+    if space == "LAB":
+        return [first, second * np.cos(np.radians(third)), second * np.sin(np.radians(third))]
+    scale = third / np.where(second > 0.0, second, np.inf)
+    return [first * scale, third, (1.0 - first - second) * scale]
+
+
+def _number(path: Path, row: list[str], at: int, name: str) -> float:
+    value = number(row[at], comma=True)
     if value is None or not np.isfinite(value):
-        raise NacreError(f'{path}: "{cell[:40]}" is not a number')
+        raise NacreError(f'{path}: row "{row[0][:20]}": {name} = "{row[at][:40]}" is not a number')
     return value

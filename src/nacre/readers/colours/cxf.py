@@ -10,11 +10,12 @@ import numpy as np
 
 from nacre.core.errors import NacreError
 from nacre.light import lch_to_lab, xyy_to_xyz
-from nacre.readers.colours.common import SRGB, colours, illuminant_in, observer_in
+from nacre.readers.colours.common import SRGB, colours, illuminant_in, observer_in, spectra_scale
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
 CXF3 = "CxF3-core"
+USUAL_GRIDS = {36: 380.0, 31: 400.0}  # number of values -> first wavelength, nm, of X-Rite's instruments
 MAX_BYTES = 256 << 20
 
 
@@ -65,11 +66,16 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(
             f"{path}: CxF without L*a*b*, XYZ, sRGB or reflectance; it holds {', '.join(skipped) or 'no colours'}"
         )
-    return [_measurement(path, key, entries, skipped) for key, entries in groups.items()]
+    states_grid = b"Increment" in data
+    return [_measurement(path, key, entries, skipped, states_grid) for key, entries in groups.items()]
 
 
 def _measurement(
-    path: Path, key: tuple[object, ...], entries: list[tuple[str, dict[str, list[float]]]], skipped: list[str]
+    path: Path,
+    key: tuple[object, ...],
+    entries: list[tuple[str, dict[str, list[float]]]],
+    skipped: list[str],
+    states_grid: bool,
 ) -> Measurement:
     specification, grid, kinds = key
     assert isinstance(specification, Specification)
@@ -81,8 +87,12 @@ def _measurement(
     if "srgb" in table:
         data["srgb"] = table["srgb"]
     if "spectra" in table:
-        data["spectra"], data["wavelength_nm"] = table["spectra"], np.asarray(grid)
+        data["wavelength_nm"] = np.asarray(grid)
     assumed = [SRGB] if kinds == ("srgb",) else []
+    if "spectra" in table:
+        data["spectra"] = table["spectra"] * spectra_scale(table["spectra"], assumed)
+        if not states_grid:
+            assumed.append("wavelengths in steps of 10 nm by the number of values; the file states no increment")
     return colours(
         path, "cxf", [name for name, _ in entries], data, illuminant=specification.illuminant,
         observer=specification.observer, assumed=assumed, left_out=skipped,
@@ -130,6 +140,9 @@ def _values(
 def _grid(path: Path, node: Xml.Element, specification: Specification, count: int) -> tuple[float, ...]:
     start = float(node.get("StartWL") or specification.start_nm or 0.0)
     step = float(node.get("Increment") or specification.step_nm or 0.0)
+    usual = USUAL_GRIDS.get(count, 0.0)
+    if step <= 0 and usual and start in (0.0, usual):  # X-Rite's .mxf states neither
+        start, step = usual, 10.0
     if start <= 0 or step <= 0:
         raise NacreError(f"{path}: a reflectance spectrum without start or increment of its wavelengths")
     return tuple(start + step * place for place in range(count))

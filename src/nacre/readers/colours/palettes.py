@@ -13,6 +13,7 @@ from nacre.readers.registry import CERTAIN, LIKELY, FileHead
 from nacre.readers.spectra.common import read_text
 
 _ROW = re.compile(r"\s*(\d{1,3})\s+(\d{1,3})\s+(\d{1,3})(?:\s+(.*\S))?\s*$")
+_ALPHA = re.compile(r"\s*(\d{1,3}\s+\d{1,3}\s+\d{1,3})\s+(\d{1,3})(?=\s|$)")
 _HEX = re.compile(
     r"\s*(?:(?P<name>[^#;,\t]*?)[\s,;:\t]+)?(?P<mark>#|0x)?(?P<hex>[0-9A-Fa-f]{6}|[0-9A-Fa-f]{8})(?:[\s,;:]+(?P<after>\S.*))?\s*$"
 )
@@ -71,16 +72,17 @@ def _rows(path: Path, lines: list[str]) -> tuple[list[tuple[list[float], str]], 
     """Return the colours of .gpl or JASC-PAL (version, count, then rows) and the name of the palette."""
     found: list[tuple[list[float], str]] = []
     name, stated = "", None
+    has_alpha = any(re.match(r"\s*Channels\s*:\s*RGBA\s*$", line) for line in lines[:20])  # Aseprite
     is_jasc = lines[0].strip().startswith("JASC-PAL")
     for number, line in enumerate(lines):
         text = line.strip()
         if is_jasc and number in (1, 2):
             stated = int(text) if number == 2 else stated
             continue
-        if not text or number == 0 or text.startswith("#") or re.match(r"(Name|Columns)\s*:", text):
+        if not text or number == 0 or text.startswith("#") or re.match(r"(Name|Columns|Channels)\s*:", text):
             name = text.partition(":")[2].strip() if text.startswith("Name") else name
             continue
-        match = _ROW.match(line)
+        match = _ROW.match(_ALPHA.sub(r"\1 ", line) if has_alpha else line)
         if match is None or any(int(match[place]) > 255 for place in (1, 2, 3)):
             raise NacreError(
                 f'{path}: line {number + 1}: "{text[:40]}" is no colour: red, green, blue (0 to 255), name'

@@ -17,6 +17,10 @@ HEADING = re.compile(
     r"(y\d?|z|height|raw|total profile|höhe|profile)\b[^,;\t]*$",
     re.IGNORECASE,
 )
+# Dektak, below its scan parameters: "Lateral um,Raw Micrometer,"
+DEEPER = re.compile(
+    r"^\W*(lateral|scan length)\b[^,;\t]{0,12}[,;\t]\W*(raw|total profile|profile|height)\b", re.IGNORECASE
+)
 LARGEST_M = 0.01  # a length in metres below 1 cm: no abscissa of a spectrum begins at 0 and ends there
 
 
@@ -26,6 +30,8 @@ def sniff(head: FileHead) -> float:
         return 0.0
     lines = [line for line in decoded(head.data).splitlines() if line.strip()]
     if lines and HEADING.match(lines[0]):
+        return LIKELY
+    if any(DEEPER.match(line) for line in lines[1:100]):
         return LIKELY
     rows = lines[:200]
     try:

@@ -14,7 +14,7 @@ from nacre.readers.heights.surface import array, check_end, check_shape, decoded
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
-MAGIC = (b"aISO-1.0", b"bISO-1.0", b"aBCR-1.0", b"bBCR-1.0")
+MAGIC = tuple(side + name for side in (b"a", b"b") for name in (b"ISO-1.0", b"ISO-2.0", b"BCR-1.0"))
 HEAD = struct.Struct("<8s10s12s12sHHddddBBB")
 # data type -> numpy type and the value of a hole
 TYPES: dict[int, tuple[str, float | None]] = {

@@ -17,7 +17,7 @@ TOLERANCE = 1e-3  # of a step, for positions on a grid
 HEADING = re.compile(
     r"^\W*x(_\w\w?)?\b[^\n]*?\by(_\w\w?)?\b[^\n]*?\b(z|h|height|höhe)(_\w\w?)?\b[^\n]*$", re.IGNORECASE
 )
-UNIT = re.compile(r"(?:[\[(/]\s*|_)((?:[num]?m)|µm|μm|Å)\b")
+UNIT = re.compile(r"(?:[\[(/]\s*|_)((?:[num]?m)|µm|μm|Å|A)\b")
 
 
 def _parts(text: str) -> tuple[str, list[str]]:
