@@ -93,3 +93,36 @@ def test_a_material_of_the_sopra_database(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.data["k"], [3.0, 2.0, 1.0])
     with pytest.raises(NacreError):
         open_file(written(tmp_path, "C.MAT", SOPRA.replace("DATA1*3*6.0e2*4.3*1.0*\n", "")))
+
+
+@pytest.mark.parametrize(
+    ("view", "quantity", "first"),
+    [("Absorbance_10-02", "absorbance", 40.0), ("Relative_10-02", "irradiance", 40.0), ("Subt10__0", "counts", 40.0),
+     ("a_Transmission_1", "transmittance", 0.4)],
+)  # fmt: skip
+def test_the_view_of_ocean_view_names_the_quantity(tmp_path: Path, view: str, quantity: str, first: float) -> None:
+    rows = "".join(f"{400 + 5 * i}.0\t{40 + 0.1 * i:.2f}\n" for i in range(40))
+    head = f"Data from {view}.txt Node\nDate: x\nXAxis mode: Wavelengths\n>>>>>Begin Spectral Data<<<<<\n"
+    (found,) = open_file(written(tmp_path, "o.txt", head + rows))
+    assert found.data[quantity][0] == pytest.approx(first)
+
+
+def test_colorburst_without_names_holds_lab_behind_densities(tmp_path: Path) -> None:
+    rows = "".join(f"0.1\t0.2\t-0.01\t0.3\t{90 - i}.5\t1.5\t-2.5\n" for i in range(3))
+    (found,) = open_file(written(tmp_path, "c.txt", f"ColorBurst\nBEGIN_DATA\n{rows}END_DATA\n"))
+    np.testing.assert_allclose(found.data["L"], [90.5, 89.5, 88.5])
+    np.testing.assert_allclose(found.data["b"], -2.5)
+
+
+def test_is_and_ic_of_ellipsometry_are_no_reflectances(tmp_path: Path) -> None:
+    rows = "".join(f"{400 + 5 * i}\t{0.5 + 0.01 * i:.3f}\t{-0.3 + 0.01 * i:.3f}\n" for i in range(10))
+    with pytest.raises(NacreError):
+        open_file(written(tmp_path, "i.txt", "Wavelength (nm)\tIs\tIc\n" + rows))
+
+
+def test_a_depolarisation_beside_psi_and_delta_is_left_out(tmp_path: Path) -> None:
+    rows = "".join(f"{400 + 10 * i},70,{30 + 0.1 * i:.2f},120,0.5\n" for i in range(6))
+    head = "Wavelength (nm),Angle (°),Psi (°),Delta (°),% Depolarization\n"
+    (found,) = open_file(written(tmp_path, "d.csv", head + rows))
+    np.testing.assert_allclose(found.data["psi_deg"][[0, -1]], [30.0, 30.5])
+    assert found.left_out

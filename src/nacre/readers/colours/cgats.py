@@ -25,6 +25,7 @@ _COLOURS = {"LAB": ("L", "a", "b"), "XYZ": ("X", "Y", "Z")}
 _POLAR = {"LAB": ("LAB_L", "LAB_C", "LAB_H"), "XYZ": ("XYY_X", "XYY_Y", "XYY_CAPY")}
 _FIELDS = {"LAB": ("LAB_L", "LAB_A", "LAB_B"), "XYZ": ("XYZ_X", "XYZ_Y", "XYZ_Z")}
 EMISSION = ("CCSS", "CCMX")
+COLORBURST = ("D_RED", "D_GREEN", "D_BLUE", "D_VIS", "LAB_L", "LAB_A", "LAB_B")
 MAX_FACTOR = 4.0  # far above the radiance factor of fluorescent paper
 _METADATA = (
     "DESCRIPTOR",
@@ -94,6 +95,8 @@ def _tables(path: Path, lines: list[str]) -> list[Table]:
     """
     tables = [Table()]
     place = "head"
+    if lines and lines[0].strip() == "ColorBurst":  # without names: densities of C, M, Y, K, then L*a*b*
+        tables[-1].fields += COLORBURST
     for line in lines:
         text = line.strip()
         word = text.split()[0].upper() if text else ""
@@ -129,6 +132,8 @@ def _check(path: Path, table: Table) -> None:
     stated = table.keywords.get("NUMBER_OF_SETS", "")
     if table.fields and stated.isdigit() and int(stated) != len(table.rows):
         raise NacreError(f"{path}: NUMBER_OF_SETS = {stated}, and {len(table.rows)} rows are there")
+    if table.rows and not table.fields:
+        raise NacreError(f"{path}: has no BEGIN_DATA_FORMAT, so its {len(table.rows[0])} columns have no names")
     for row in table.rows:  # NUMBER_OF_FIELDS of charts written by hand is often wrong; names and rows decide
         if len(row) != len(table.fields):
             raise NacreError(
