@@ -30,7 +30,7 @@ _NUMBER_HEADING = re.compile(r"^\D{0,12}?(\d{3,4}(?:\.\d+)?)\s*(?:nm)?$", re.IGN
 _BESIDE = re.compile(r"\b(rad|radiance|irr|irrad|irradiance|norm|dn|raw)\b", re.IGNORECASE)
 _OTHER = re.compile(
     r"psi|delta|\bn\b|\bk\b|eps|\be1\b|\be2\b|refractive|index of|theta|phi|bsdf|brdf|^[xyz]$|^l\*?$|height|"
-    r"^m\d\d$|aoi|angle|polari|^i[sc]'?$",
+    r"^m\d\d$|aoi|angle|polari|^i[sc]'?$|^[nk][oe]$",
     re.IGNORECASE,
 )
 
