@@ -126,7 +126,8 @@ WORDS: dict[str, str] = {
     "area": "area mean min max mode flache surfacearea perimeter perim circ circularity solidity roundness round "
     "aspectratio ar major minor feret feretangle minferet median skew kurt intden rawintden",
     "gloss": "gloss glanz gloss60 gu haze de deltae de00 de2000 decmc whiteness opacity comment remark note bemerkung "
-    "date datum zeit timestamp folder geometry lamp met layers reachedl reacheda reachedb",
+    "date datum zeit timestamp folder geometry lamp met layers reachedl reacheda reachedb"
+    " depolarization depolarisation depol dpol",
     "x": "x xm xc xpos xposition posx positionx xcoord xcoordinate coordx xcentre xcenter centrex centerx xcentroid "
     "centroidx xkoordinate xloc xmean xo",
     "y": "y ym yc ypos yposition posy positiony ycoord ycoordinate coordy ycentre ycenter centrey centery ycentroid "

@@ -97,6 +97,7 @@ FORMATS: tuple[Format, ...] = (
     Format("icc-text", "iccDEV apply data", "colours", "colours.icc_text"),
     Format("lamp", "lamps (IES TM-27 .spdx, UPRtek, Sekonic)", "spectrum", "colours.lamps"),
     Format("woollam-mat", "Woollam material (.mat)", "constants", "constants.wvase_mat"),
+    Format("sopra", "SOPRA database (.MAT)", "constants", "constants.sopra"),
     Format("zemax-coating", "Zemax COATING.DAT", "constants", "constants.zemax_coating"),
     Format("spd-pair", "Mitsuba, PBRT .eta.spd and .k.spd", "constants", "constants.spd_pair"),
     Format("rii-page", "refractiveindex.info page (YAML)", "constants", "constants.rii_page"),

@@ -464,6 +464,8 @@ def _splits(text: str, delimiter: str | None, width: int) -> Iterator[list[str]]
     cases.append([cell for cell in re.split(r"[\t ]+", text.strip()) if cell])
     cases.append([cell for cell in re.split(r"[\t ,;]+", text.strip()) if cell])
     for cells in cases:
+        if text.count('"') % 2 == 0 and any(cell.count('"') % 2 for cell in cells):
+            continue  # the delimiter stands inside quotes
         for joined in (cells, _with_units_joined(cells)):
             plain_cells = [cell.strip().strip('"').strip() for cell in joined]
             if plain_cells not in seen:

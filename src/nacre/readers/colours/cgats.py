@@ -25,6 +25,8 @@ _COLOURS = {"LAB": ("L", "a", "b"), "XYZ": ("X", "Y", "Z")}
 _POLAR = {"LAB": ("LAB_L", "LAB_C", "LAB_H"), "XYZ": ("XYY_X", "XYY_Y", "XYY_CAPY")}
 _FIELDS = {"LAB": ("LAB_L", "LAB_A", "LAB_B"), "XYZ": ("XYZ_X", "XYZ_Y", "XYZ_Z")}
 EMISSION = ("CCSS", "CCMX")
+COLORBURST = ("D_RED", "D_GREEN", "D_BLUE", "D_VIS", "LAB_L", "LAB_A", "LAB_B")
+MAX_FACTOR = 4.0  # far above the radiance factor of fluorescent paper
 _METADATA = (
     "DESCRIPTOR",
     "ORIGINATOR",
@@ -78,6 +80,8 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         else:
             found.append(measurement)
     if not found:
+        if any("EMISS" in table.keywords.get("MEAS_TYPE", "").upper() for table in tables):
+            raise NacreError(f"{path}: MEAS_TYPE states the spectrum of a light, no reflectances")
         held = ", ".join(dict.fromkeys(empty)) or "no table"
         raise NacreError(f"{path}: holds {held} only; a list of L*a*b*, XYZ or spectra is needed")
     return found
@@ -91,6 +95,8 @@ def _tables(path: Path, lines: list[str]) -> list[Table]:
     """
     tables = [Table()]
     place = "head"
+    if lines and lines[0].strip() == "ColorBurst":  # without names: densities of C, M, Y, K, then L*a*b*
+        tables[-1].fields += COLORBURST
     for line in lines:
         text = line.strip()
         word = text.split()[0].upper() if text else ""
@@ -126,10 +132,9 @@ def _check(path: Path, table: Table) -> None:
     stated = table.keywords.get("NUMBER_OF_SETS", "")
     if table.fields and stated.isdigit() and int(stated) != len(table.rows):
         raise NacreError(f"{path}: NUMBER_OF_SETS = {stated}, and {len(table.rows)} rows are there")
-    stated = table.keywords.get("NUMBER_OF_FIELDS", "")
-    if table.fields and stated.isdigit() and int(stated) != len(table.fields):
-        raise NacreError(f"{path}: NUMBER_OF_FIELDS = {stated}, and {len(table.fields)} names of fields are there")
-    for row in table.rows:
+    if table.rows and not table.fields:
+        raise NacreError(f"{path}: has no BEGIN_DATA_FORMAT, so its {len(table.rows[0])} columns have no names")
+    for row in table.rows:  # NUMBER_OF_FIELDS of charts written by hand is often wrong; names and rows decide
         if len(row) != len(table.fields):
             raise NacreError(
                 f'{path}: the row "{" ".join(row)[:60]}" has {len(row)} cells for {len(table.fields)} fields'
@@ -171,13 +176,19 @@ def _measurement(path: Path, table: Table) -> Measurement | None:
     bands = sorted((float(match[1]), at) for at, name in enumerate(table.fields) if (match := _BAND.fullmatch(name)))
     assumed: list[str] = []
     left_out: list[str] = []
-    is_display = "DISPLAY" in table.keywords.get("DEVICE_CLASS", "") or "EMISS" in str(
-        table.keywords.get("MEAS_TYPE", "")
+    is_display = (
+        "DISPLAY" in table.keywords.get("DEVICE_CLASS", "")
+        or "EMISS" in str(table.keywords.get("MEAS_TYPE", "")).upper()
     )
     if bands and table.rows and not is_display:
         spectra = np.array([[_number(path, row, at, table.fields[at]) for _, at in bands] for row in table.rows])
         norm = number(table.keywords.get("SPECTRAL_NORM", "")) or 0.0
-        factor = 1.0 / norm if norm > 1.0 else spectra_scale(spectra, assumed)
+        factor = 1.0 / norm if norm > 0.0 else spectra_scale(spectra, assumed)
+        if norm and np.nanmax(spectra) * factor > MAX_FACTOR:
+            raise NacreError(
+                f"{path}: spectra up to {np.nanmax(spectra) * factor:.3g} of SPECTRAL_NORM are those of a light, no "
+                "reflectances"
+            )
         data |= {"wavelength_nm": np.array([nm for nm, _ in bands]), "spectra": spectra * factor}
     elif bands:
         left_out.append("spectra that a display emits")

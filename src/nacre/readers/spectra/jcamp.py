@@ -188,8 +188,11 @@ def _xy(path: Path, block: Block) -> tuple[Array, Array]:
     elif block.form.startswith("(X++"):
         y = np.array(_ordinates(path, block.table)) * y_factor
         first, last = _number(block, "FIRSTX"), _number(block, "LASTX")
+        step = _number(block, "DELTAX")
+        if last is None and first is not None and step is not None:
+            last = first + step * (len(y) - 1)
         if first is None or last is None:
-            raise NacreError(f"{path}: JCAMP-DX without FIRSTX or LASTX")
+            raise NacreError(f"{path}: JCAMP-DX without FIRSTX and LASTX or DELTAX")
         x = np.linspace(first, last, len(y))
     else:
         raise NacreError(

@@ -20,6 +20,14 @@ _NO = re.compile(
     re.IGNORECASE,
 )
 JAZ = {"W": "wavelength_nm", "D": "dark", "R": "reference", "S": "sample", "P": "processed"}
+_VIEW = re.compile(r"\s*Data from (.*?)(?:\.txt)? Node", re.IGNORECASE)
+# words of the view of OceanView that a file was saved from, as in "Data from Absorbance_10-12-30.txt Node"
+VIEWS = {
+    "absorbance": Label("absorbance", 1.0), "reflection": Label("reflectance"), "reflectance": Label("reflectance"),
+    "transmission": Label("transmittance"), "transmittance": Label("transmittance"),
+    "relative": Label("irradiance", 1.0), "relativeirradiance": Label("irradiance", 1.0),
+    "subt": Label("counts", 1.0), "quickview": Label("counts", 1.0),
+}  # fmt: skip
 RATIO = (
     'the processed values are the ratio to the reference and were read as reflectance; quantity = "transmittance" '
     "states otherwise"
@@ -90,12 +98,24 @@ def _measurement(
     )  # fmt: skip
 
 
+def _view(preamble: str) -> Label | None:
+    """Return the quantity of the view of OceanView that the first line names, or None."""
+    match = _VIEW.match(preamble)
+    words = re.split(r"[^a-z]+", match[1].lower()) if match else []
+    return next((label for word, label in VIEWS.items() if word in words), None)
+
+
 def _label(path: Path, preamble: str, nm: np.ndarray, values: np.ndarray, is_processed: bool, notes: Notes) -> Label:
     """Return the quantity of the processed values from the preamble, the name of the mode or the size of the values."""
     if "irradiance" in preamble.lower():
         return Label("irradiance", 1.0)
     if not is_processed or len(_NO.findall(preamble)) >= 2:
         return Label("counts", 1.0)
+    view = _view(preamble)
+    if view is not None:
+        notes.assumed.append(f"{view.quantity}, because the name of the view in the first line says so")
+        if view.factor is not None:
+            return view
     mode = next((label for word in path.name.split(".")[1:] if (label := common.label_of(word))), None)
     if mode is not None and mode.quantity in ("absorbance", "irradiance", "counts"):
         return mode
@@ -103,6 +123,8 @@ def _label(path: Path, preamble: str, nm: np.ndarray, values: np.ndarray, is_pro
     if size > 1000:
         notes.assumed.append(f"counts, because the values are up to {size:.4g}")
         return Label("counts", 1.0)
+    if view is not None:
+        return common.by_size(path, nm, values, notes, f"{view.quantity} without a unit", likely=view.quantity)
     if size < 1.5:
         choices = ("reflectance (%)", *common.QUANTITIES)
         raise AmbiguousFileError(f"{path}: no quantity, and values up to {size:.3g}", "quantity", choices)

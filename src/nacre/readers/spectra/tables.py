@@ -27,9 +27,10 @@ _WAVELENGTH = re.compile(
 )
 _PIXEL = re.compile(r"^(pixel|index|point|no\.?|#|id)$", re.IGNORECASE)
 _NUMBER_HEADING = re.compile(r"^\D{0,12}?(\d{3,4}(?:\.\d+)?)\s*(?:nm)?$", re.IGNORECASE)
+_BESIDE = re.compile(r"\b(rad|radiance|irr|irrad|irradiance|norm|dn|raw)\b", re.IGNORECASE)
 _OTHER = re.compile(
     r"psi|delta|\bn\b|\bk\b|eps|\be1\b|\be2\b|refractive|index of|theta|phi|bsdf|brdf|^[xyz]$|^l\*?$|height|"
-    r"^m\d\d$|aoi|angle|polari",
+    r"^m\d\d$|aoi|angle|polari|^i[sc]'?$",
     re.IGNORECASE,
 )
 
@@ -236,6 +237,12 @@ def _without_counts(
         gone = [names[column] for (column, _), one in zip(spectra, is_processed, strict=True) if not one]
         notes.left_out.append(f"the columns {', '.join(gone)[:80]}")
         return [entry for entry, one in zip(spectra, is_processed, strict=True) if one]
+    beside = [label is None and bool(_BESIDE.search(names[column]))
+              for label, (column, _) in zip(labels, spectra, strict=True)]  # fmt: skip
+    if any(beside) and any(label is not None and label.quantity != "counts" for label in labels):
+        gone = [names[column] for (column, _), one in zip(spectra, beside, strict=True) if one]
+        notes.left_out.append(f"radiances and counts: {', '.join(gone)[:80]}")
+        return [entry for entry, one in zip(spectra, beside, strict=True) if not one]
     if all(label is not None for label in labels):
         kept = [entry for entry, label in zip(spectra, labels, strict=True) if label and label.quantity != "counts"]
         if kept and len(kept) < len(spectra):

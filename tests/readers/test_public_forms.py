@@ -1,0 +1,128 @@
+"""Forms of public files that the other tests of readers do not have, as small generated texts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nacre.core.errors import NacreError
+from nacre.readers.registry import open_file
+
+MUELLER = "".join(
+    f"E\t{nm}.000000\t65.000000\t30.1\t120.2\t0.01\t0.02\n"
+    f"mm11\t{nm}.000000\t65.000000\t1.0\t0.004\n"
+    f"mm12\t{nm}.000000\t65.000000\t-0.5\t-0.5\t0.003\t0.003\n"
+    for nm in (400, 410, 420)
+)
+
+
+def written(folder: Path, name: str, text: str) -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_mueller_element_of_complete_ease_is_given_twice_before_its_errors(tmp_path: Path) -> None:
+    head = "\ufeffSample\nVASEmethod[EllipsometerType=10, Mueller]\nOriginal[x.dat]\nnm\n"
+    found = open_file(written(tmp_path, "m.dat", head + MUELLER))
+    matrix = next(one for one in found if "m12" in one.data)
+    np.testing.assert_allclose(matrix.data["m12"], -0.5)
+    np.testing.assert_allclose(matrix.data["m12_error"], 0.003)
+    np.testing.assert_allclose(matrix.data["m11_error"], 0.004)
+
+
+def test_radiances_beside_a_reflectance_are_left_out(tmp_path: Path) -> None:
+    head = "Comment: x\nMeasurement: REFLECTANCE\nUnits: W/m^2/sr/nm\nColumns [4]:\nData:\n"
+    rows = "".join(f"{350 + i}.0\t1.0e-3\t0.5e-3\t{50 + 0.1 * i:.4f}\n" for i in range(12))
+    text = head + "Wvl\tRad. (Ref.)\tRad. (Target)\tReflect. %\n" + rows
+    (found,) = open_file(written(tmp_path, "s.sed", text))
+    np.testing.assert_allclose(found.data["reflectance"][[0, -1]], [0.5, 0.511])
+    assert found.left_out
+
+
+def test_a_quoted_heading_with_a_comma_over_rows_without_k(tmp_path: Path) -> None:
+    rows = "".join(f"{0.4 + 0.01 * i:.2f},{1.5 - 0.001 * i:.10f}\n" for i in range(5))
+    (found,) = open_file(written(tmp_path, "n.csv", '\ufeff"Wavelength, µm","n","k"\n' + rows))
+    np.testing.assert_allclose(found.data["wavelength_nm"][[0, -1]], [400.0, 440.0])
+    np.testing.assert_allclose(found.data["n"][[0, -1]], [1.5, 1.496])
+
+
+def test_names_and_rows_of_cgats_decide_over_number_of_fields(tmp_path: Path) -> None:
+    text = (
+        "CTI1\n\nNUMBER_OF_FIELDS 9\nBEGIN_DATA_FORMAT\nSAMPLE_ID RGB_R RGB_G RGB_B XYZ_X XYZ_Y XYZ_Z\n"
+        "END_DATA_FORMAT\n"
+        "NUMBER_OF_SETS 2\nBEGIN_DATA\n1 100 0 0 14.91 22.41 53.72\n2 70 0 0 24.6 32.11 56.56\nEND_DATA\n"
+    )
+    (found,) = open_file(written(tmp_path, "c.ti1", text))
+    np.testing.assert_allclose(found.data["Y"], [22.41, 32.11])
+
+
+@pytest.mark.parametrize("kind", ['MEAS_TYPE "EMISSION"', "# nothing"])
+def test_the_spectrum_of_a_light_is_no_colour(tmp_path: Path, kind: str) -> None:
+    text = (
+        f'SPECT\n\n{kind}\nSPECTRAL_NORM "1.000000"\nNUMBER_OF_FIELDS 5\nBEGIN_DATA_FORMAT\n'
+        "SPEC_400 SPEC_410 SPEC_420 SPEC_430 SPEC_440\nEND_DATA_FORMAT\nNUMBER_OF_SETS 1\nBEGIN_DATA\n"
+        "0.1 2.0 46.0 0.3 0.2\nEND_DATA\n"
+    )
+    with pytest.raises(NacreError):
+        open_file(written(tmp_path, "l.sp", text))
+
+
+def test_jcamp_with_a_step_instead_of_a_last_abscissa(tmp_path: Path) -> None:
+    text = (
+        "##TITLE=x\n##JCAMP-DX=5.01\n##DATA TYPE=INFRARED SPECTRUM\n##XUNITS=1/CM\n##YUNITS=TRANSMITTANCE\n"
+        "##XFACTOR=1\n##YFACTOR=1\n##FIRSTX=4000\n##DELTAX=-1\n##NPOINTS=6\n##XYDATA=(X++(Y..Y))\n"
+        "4000 0.10 0.20 0.30\n3997 0.40 0.50 0.60\n##END=\n"
+    )
+    (found,) = open_file(written(tmp_path, "j.jdx", text))
+    np.testing.assert_allclose(found.data["wavelength_nm"][[0, -1]], [2500.0, 1e7 / 3995.0])
+    np.testing.assert_allclose(found.data["transmittance"][[0, -1]], [0.1, 0.6])
+
+
+SOPRA = (
+    "VERSION*1*\nFORMAT*1*\nPOINTS*3*\nDATA1*1*4.0e2*4.1*3.0*\nDATA1*2*5.0e2*4.2*2.0*\nDATA1*3*6.0e2*4.3*1.0*\nEOF*\n"
+)
+
+
+def test_a_material_of_the_sopra_database(tmp_path: Path) -> None:
+    (found,) = open_file(written(tmp_path, "S.MAT", SOPRA))
+    np.testing.assert_allclose(found.data["wavelength_nm"], [400.0, 500.0, 600.0])
+    np.testing.assert_allclose(found.data["n"], [4.1, 4.2, 4.3])
+    np.testing.assert_allclose(found.data["k"], [3.0, 2.0, 1.0])
+    with pytest.raises(NacreError):
+        open_file(written(tmp_path, "C.MAT", SOPRA.replace("DATA1*3*6.0e2*4.3*1.0*\n", "")))
+
+
+@pytest.mark.parametrize(
+    ("view", "quantity", "first"),
+    [("Absorbance_10-02", "absorbance", 40.0), ("Relative_10-02", "irradiance", 40.0), ("Subt10__0", "counts", 40.0),
+     ("a_Transmission_1", "transmittance", 0.4)],
+)  # fmt: skip
+def test_the_view_of_ocean_view_names_the_quantity(tmp_path: Path, view: str, quantity: str, first: float) -> None:
+    rows = "".join(f"{400 + 5 * i}.0\t{40 + 0.1 * i:.2f}\n" for i in range(40))
+    head = f"Data from {view}.txt Node\nDate: x\nXAxis mode: Wavelengths\n>>>>>Begin Spectral Data<<<<<\n"
+    (found,) = open_file(written(tmp_path, "o.txt", head + rows))
+    assert found.data[quantity][0] == pytest.approx(first)
+
+
+def test_colorburst_without_names_holds_lab_behind_densities(tmp_path: Path) -> None:
+    rows = "".join(f"0.1\t0.2\t-0.01\t0.3\t{90 - i}.5\t1.5\t-2.5\n" for i in range(3))
+    (found,) = open_file(written(tmp_path, "c.txt", f"ColorBurst\nBEGIN_DATA\n{rows}END_DATA\n"))
+    np.testing.assert_allclose(found.data["L"], [90.5, 89.5, 88.5])
+    np.testing.assert_allclose(found.data["b"], -2.5)
+
+
+def test_is_and_ic_of_ellipsometry_are_no_reflectances(tmp_path: Path) -> None:
+    rows = "".join(f"{400 + 5 * i}\t{0.5 + 0.01 * i:.3f}\t{-0.3 + 0.01 * i:.3f}\n" for i in range(10))
+    with pytest.raises(NacreError):
+        open_file(written(tmp_path, "i.txt", "Wavelength (nm)\tIs\tIc\n" + rows))
+
+
+def test_a_depolarisation_beside_psi_and_delta_is_left_out(tmp_path: Path) -> None:
+    rows = "".join(f"{400 + 10 * i},70,{30 + 0.1 * i:.2f},120,0.5\n" for i in range(6))
+    head = "Wavelength (nm),Angle (°),Psi (°),Delta (°),% Depolarization\n"
+    (found,) = open_file(written(tmp_path, "d.csv", head + rows))
+    np.testing.assert_allclose(found.data["psi_deg"][[0, -1]], [30.0, 30.5])
+    assert found.left_out
