@@ -385,6 +385,38 @@ def test_text_exports_of_wsxm_and_the_second_edition_of_sdf(tmp_path: Path) -> N
     np.testing.assert_allclose(found.metadata["pitch_um"], PITCH)
 
 
+@pytest.mark.parametrize(
+    "magic, code, kind, hole",
+    [("bISO-1.0", 5, "<i2", -32768), ("bISO-2.0", 4, "i1", -128), ("bISO-2.0", 7, "<f8", -np.finfo("f8").max),
+     ("bISO-2.0", 3, "<f4", -np.finfo("f4").max), ("bBCR-1.0", 5, "<i2", 32767)],
+)  # fmt: skip
+def test_the_editions_of_sdf_differ_in_their_head_and_holes(
+    tmp_path: Path, magic: str, code: int, kind: str, hole: float
+) -> None:
+    values = np.arange(ROWS * COLUMNS, dtype=float).reshape(ROWS, COLUMNS)
+    values[1, 2] = hole
+    size = "I" if magic == "bISO-2.0" else "H"
+    head = struct.pack(
+        f"<8s10s12s12s{size}{size}ddddBBB", magic.encode(), b"us", b"", b"", COLUMNS, ROWS, PITCH[0] * 1e-6,
+        PITCH[1] * 1e-6, 1e-9, -1.0, 0, code, 0,
+    )  # fmt: skip
+    (found,) = open_file(_file(tmp_path / "x.sdf", head + values.astype(kind).tobytes()))
+    values[1, 2] = np.nan
+    np.testing.assert_allclose(found.data["height_um"], values * 1e-3, atol=1e-12)
+    np.testing.assert_allclose(found.metadata["pitch_um"], PITCH)
+
+
+@pytest.mark.parametrize(
+    "names", [("チャネル：", "幅:", "高さ：", "値の単位:"), ("Канал:", "Ширина:", "Высота:", "Единицы:")]
+)
+def test_heads_in_other_scripts_are_read(tmp_path: Path, names: tuple[str, ...]) -> None:
+    text = gwyddion_text().decode()
+    for old, new in zip(("Channel:", "Width:", "Height:", "Value units:"), names, strict=True):
+        text = text.replace(old, new)
+    (found,) = open_file(_file(tmp_path / "x.txt", text.encode()))
+    np.testing.assert_allclose(found.data["height_um"], heights(), atol=1e-9)
+
+
 def test_points_off_a_grid_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.xyz"
     points = np.random.default_rng(0).random((30, 3))

@@ -58,6 +58,7 @@ FORMATS: tuple[Format, ...] = (
     Format("brdf_json", "universal BRDF (JSON)", "bsdf", "bsdf.brdf_json"),
     Format("gonio", "goniometer table", "bsdf", "bsdf.gonio_table"),
     Format("merl", "MERL BRDF", "bsdf", "bsdf.merl"),
+    Format("other-bsdf", "FRED, LightTools BSDF (refused)", "bsdf", "bsdf.others"),
     Format("rgl", "RGL tensor BSDF", "bsdf", "bsdf.rgl"),
     Format("speos", "Speos scattering or BSDF", "bsdf", "bsdf.speos"),
     Format("ssdd", "SSDD", "bsdf", "bsdf.ssdd"),

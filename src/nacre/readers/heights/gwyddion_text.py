@@ -19,7 +19,7 @@ from nacre.readers.heights.surface import (
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
-REMARK = re.compile(r"#\s*([^:]+):\s*(.*?)\s*$")
+REMARK = re.compile(r"#\s*([^:：]+)[:：]\s*(.*?)\s*$")  # a wide colon in Japanese and Chinese
 SIZE = re.compile(r"[-+]?[\d.,]+(?:[eE][-+]?\d+)?\s*\S{1,3}$")
 
 

@@ -15,12 +15,8 @@ from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
 MAGIC = tuple(side + name for side in (b"a", b"b") for name in (b"ISO-1.0", b"ISO-2.0", b"BCR-1.0"))
-HEAD = struct.Struct("<8s10s12s12sHHddddBBB")
-# data type -> numpy type and the value of a hole
-TYPES: dict[int, tuple[str, float | None]] = {
-    0: ("u1", None), 1: ("<u2", 2**16 - 1), 2: ("<u4", 2**32 - 1), 3: ("<f4", None), 4: ("i1", None),
-    5: ("<i2", -(2**15)), 6: ("<i4", -(2**31)), 7: ("<f8", None),
-}  # fmt: skip
+HEAD = "<8s10s12s12s{0}{0}ddddBBB"  # numbers of points and profiles: 16 bits, or 32 in ISO-2.0
+TYPES = {0: "u1", 1: "<u2", 2: "<u4", 3: "<f4", 4: "i1", 5: "<i2", 6: "<i4", 7: "<f8"}
 
 
 def sniff(head: FileHead) -> float:
@@ -38,20 +34,28 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: is compressed; export it without compression")
     if not scale[2] > 0:
         raise NacreError(f"{path}: gives Zscale = {scale[2]:g}; it should be above 0")
-    _, hole = TYPES[int(fields["DataType"])]
     heights = values.astype(float)
-    if hole is not None:
-        heights[values == hole] = np.nan
+    heights[np.isin(heights, _holes(np.dtype(TYPES[int(fields["DataType"])]), data[1:4] == b"BCR"))] = np.nan
     kept = {k: str(v) for k, v in fields.items() if k in ("ManufacID", "CreateDate", "ModDate")}
     return [height_map(path, "sdf", heights * scale[2] * 1e6, (scale[0] * 1e6, scale[1] * 1e6), metadata=kept)]
 
 
+def _holes(kind: np.dtype[Any], is_bcr: bool) -> list[float]:
+    """Return the values of a hole: the least of the type in ISO 25178-71, the largest in BCR-STM, which some mix."""
+    if kind.kind == "f":
+        return [float(np.finfo(kind).min), float(np.finfo(kind).max)]
+    limits = np.iinfo(kind)
+    least = [float(limits.min)] if kind.kind == "i" else []
+    return [*least, float(limits.max)] if is_bcr or kind.kind == "u" else least
+
+
 def _binary(data: bytes) -> tuple[NDArray[Any], dict[str, Any]]:
-    _, maker, made, changed, columns, rows, x, y, z, _, compression, kind, _ = HEAD.unpack_from(data)
+    form = struct.Struct(HEAD.format("I" if data.startswith(b"bISO-2.0") else "H"))
+    _, maker, made, changed, columns, rows, x, y, z, _, compression, kind, _ = form.unpack_from(data)
     texts = (v.decode("latin-1").strip(" \0") for v in (maker, made, changed))
     fields = dict(zip(("ManufacID", "CreateDate", "ModDate"), texts))
     more = {"Xscale": x, "Yscale": y, "Zscale": z, "Compression": compression, "DataType": kind}
-    values = array(data, TYPES[kind][0], (rows, columns), HEAD.size)
+    values = array(data, TYPES[kind], (rows, columns), form.size)
     return values, {**fields, **more}
 
 

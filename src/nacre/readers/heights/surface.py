@@ -25,7 +25,8 @@ from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptio
 LENGTHS_UM = {
     "m": 1e6, "cm": 1e4, "mm": 1e3, "um": 1.0, "nm": 1e-3, "pm": 1e-6, "fm": 1e-9, "km": 1e9,
     "A": 1e-4, "Å": 1e-4, "angstrom": 1e-4, "angstroms": 1e-4, "ang": 1e-4, "micron": 1.0, "microns": 1.0, "µ": 1.0,
-    "in": 25400.0, "inch": 25400.0, "nanometer": 1e-3, "nanometers": 1e-3, "micrometer": 1.0, "micrometers": 1.0,
+    "мкм": 1.0, "нм": 1e-3, "мм": 1e3, "м": 1e6, "in": 25400.0, "inch": 25400.0,
+    "nanometer": 1e-3, "nanometers": 1e-3, "micrometer": 1.0, "micrometers": 1.0,
     "millimeter": 1e3, "millimeters": 1e3, "meter": 1e6, "meters": 1e6, "metre": 1e6, "metres": 1e6,
 }  # fmt: skip
 UNIT_CHOICES = ("nm", "um", "mm", "m")
