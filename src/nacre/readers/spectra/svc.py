@@ -1,4 +1,4 @@
-"""Spectra Vista `.sig`: keys, `data=`, then wavelength, radiances of reference and target, and their ratio in per cent."""
+"""Spectra Vista `.sig`: keys, `data=`, then wavelength, radiances of reference and target, their ratio in per cent."""
 
 from __future__ import annotations
 
