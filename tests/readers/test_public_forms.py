@@ -150,3 +150,19 @@ def test_the_unit_tells_wavelength_and_angular_frequency_apart(tmp_path: Path, h
     nm = found.data["wavelength_nm"]
     np.testing.assert_allclose(nm[0], 500.0 if "nm" in heading else 1.883651567308853e18 / 3e15)
     assert found.data["n"][0] == 1.5
+
+
+def test_headings_with_wavelengths_of_lamps_stand_above_a_wavelength_column(tmp_path: Path) -> None:
+    head = "Wavelength [nm]," + ",".join(f"{1000 + 50 * i}nm" for i in range(9)) + "\n"
+    rows = "".join(f"{1014.5 + 4.5 * i:.1f}," + ",".join(f"{0.1 * j:.1f}" for j in range(9)) + "\n" for i in range(20))
+    found = open_file(written(tmp_path, "l.csv", head + rows))
+    assert len(found) == 9
+    np.testing.assert_allclose(found[8].data["wavelength_nm"][[0, -1]], [1014.5, 1100.0])
+    np.testing.assert_allclose(found[8].data["reflectance"], 0.8)
+
+
+def test_repeated_columns_of_avantes_are_spectra_of_their_own(tmp_path: Path) -> None:
+    head = "Averaging Nr. [scans]: 2\nWave   ;Sample   ;Sample\n[nm]   ;[counts] ;[counts]\n\n"
+    rows = "".join(f"{900 + 5 * i},00;{4500 + i},000;{4600 + i},000\n" for i in range(20))
+    found = open_file(written(tmp_path, "a.csv", head + rows))
+    assert [one.data["counts"][0] for one in found] == [4500.0, 4600.0]

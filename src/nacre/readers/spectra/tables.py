@@ -320,6 +320,9 @@ def _across(lines: Sequence[str]) -> tuple[list[str], list[int], Array, list[lis
         columns = [place for place, _ in matches]
         below = [common.cells(text, mark) for text in lines[start + 1 :] if text.strip()]
         rows = [row for row in below if len(row) > columns[-1]]
+        first = np.array([common.number(row[0], comma=mark != ",") or np.nan for row in rows])
+        if columns[0] == 1 and _WAVELENGTH.search(names[0].strip()) and _is_axis(first):
+            continue  # wavelengths down; the headings, such as "1200 nm", name lamps or thicknesses
         has_text = any(common.number(name, comma=mark != ",") is None for name in names)
         if rows and len(rows) == len(below) and (has_text or len(rows) < 3):
             return names, columns, grid, rows
