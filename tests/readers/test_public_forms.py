@@ -166,3 +166,21 @@ def test_repeated_columns_of_avantes_are_spectra_of_their_own(tmp_path: Path) ->
     rows = "".join(f"{900 + 5 * i},00;{4500 + i},000;{4600 + i},000\n" for i in range(20))
     found = open_file(written(tmp_path, "a.csv", head + rows))
     assert [one.data["counts"][0] for one in found] == [4500.0, 4600.0]
+
+
+def test_powers_under_the_head_of_wvase_are_spectra(tmp_path: Path) -> None:
+    head = "SiO2(20A)/Si\nVASEmethod[EllipsometerType=0]\nOriginal[a b c d.dat]\nnm\n"
+    rows = "".join(f"uR\t{200 + i}.000000\t0.000000\t{0.65 + 0.001 * i:.5f}\t0.0001\n" for i in range(10))
+    (found,) = open_file(written(tmp_path, "r.dat", head + rows))
+    assert found.kind == "spectrum"
+    np.testing.assert_allclose(found.data["reflectance"][[0, -1]], [0.65, 0.659])
+    psi = "".join(f"{200 + i}.0\t65.0\t30.5\t120.5\n" for i in range(10))
+    both = open_file(written(tmp_path, "b.dat", head + rows + psi))
+    assert {"psi_deg", "reflectance"} <= {name for one in both for name in one.data}
+
+
+def test_psi_and_delta_under_a_heading_without_a_name_of_the_wavelength(tmp_path: Path) -> None:
+    rows = "".join(f"{400 + 10 * i}\t70\t30.5\t130.5\n" for i in range(5))
+    (found,) = open_file(written(tmp_path, "w.txt", "\taoi\tPsi\tDelta\n\n" + rows))
+    np.testing.assert_allclose(found.data["wavelength_nm"][[0, -1]], [400.0, 440.0])
+    np.testing.assert_allclose(found.data["delta_deg"], 130.5)

@@ -27,12 +27,16 @@ POWERS = {
     "ut": ("transmittance", "both"), "st": ("transmittance", "s"), "pt": ("transmittance", "p"),
 }  # fmt: skip
 DEPOLARISATION = "dpole"
+ROW = re.compile(r"\s*([A-Za-z]\w*)?\s*[-+.\deE]+\s+[-+.\deE]+\s+[-+.\d]")
 MUELLER = re.compile(r"mm([1-4])([1-4])$")
 
 
 def sniff(head: FileHead) -> float:
     """Return the confidence that a file is a Woollam data file."""
-    return CERTAIN if any(line.startswith("VASEmethod[") for line in head.lines[:HEAD_LINES]) else 0.0
+    if not any(line.startswith("VASEmethod[") for line in head.lines[:HEAD_LINES]):
+        return 0.0
+    words = {(match[1] or "").lower() for line in head.lines if (match := ROW.match(line))}
+    return 0.9 if words and words <= set(POWERS) else CERTAIN  # powers alone are spectra
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -53,6 +57,8 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: the line with the unit (nm, Angstroms or eV) is missing")
     found = _rows(path, lines, first)
     metadata = {"comment": lines[0].strip() if start else "", "method": lines[start].strip(), "unit_in_file": unit}
+    if "TransmissionMeas=1" in lines[start]:
+        metadata["light"] = "transmitted (TransmissionMeas=1)"
     left_out = [f"{len(rows)} rows of {word}" for word, rows in found.items() if not _is_known(word)]
     results = []
     for word, rows in found.items():

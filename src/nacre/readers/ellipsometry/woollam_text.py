@@ -39,6 +39,11 @@ def _heading(lines: list[str]) -> tuple[int, str, bool] | None:
     """Return line number, unit, and whether the columns are tan Psi and cos Delta."""
     for i, line in enumerate(lines[:HEAD_LINES]):
         words = line.split()
+        if line[:1] == "\t" and [word.lower() for word in words] in (
+            ["aoi", "psi", "delta"],
+            ["angle", "psi", "delta"],
+        ):
+            return i, "", False  # the wavelength has no name
         if not words or words[0].lower() not in UNITS or numbers(line) is not None:
             continue
         rest = [word.lower() for word in words[1:]]
@@ -73,15 +78,14 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     lines = text_lines(path)
     heading = _heading(lines)
     assumed: list[str] = []
-    if heading is None:
-        first, unit, trig = 0, options.unit or "", False
-        names = "the columns are taken as wavelength, angle of incidence, Psi, Delta"
+    first, unit, trig = (0, "", False) if heading is None else (heading[0] + 1, heading[1], heading[2])
+    unit = options.unit or unit
+    if not unit:
         values = [row[0] for line in lines if (row := numbers(line))]
-        if not unit:
-            unit = "eV" if values and max(values) < 20 else "nm" if values and max(values) <= 3000 else "angstrom"
-        assumed.append(f"the file has no heading: {names}; the wavelength in {unit}")
-    else:
-        first, unit, trig = heading[0] + 1, options.unit or heading[1], heading[2]
+        unit = "eV" if values and max(values) < 20 else "nm" if values and max(values) <= 3000 else "angstrom"
+        assumed.append(f"the first column has no heading: the wavelength in {unit}")
+    if heading is None:
+        assumed.append("the file has no heading: the columns are taken as wavelength, angle of incidence, Psi, Delta")
     rows = []
     for number, line in enumerate(lines[first:], first + 1):
         if not line.strip():

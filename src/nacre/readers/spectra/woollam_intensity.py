@@ -14,7 +14,7 @@ from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
 
 _ROW = re.compile(r"\s*([ups])([RT])(?:b|f)?\s+[-\d.]")
-_OTHER_ROW = re.compile(r"\s*(?:E|dPolE|dpolE|Em|AnE)\s+[-\d.]")
+_OTHER_ROW = re.compile(r"\s*(?:(?:E|dPolE|dpolE|Em|AnE|mm[1-4]{2})\s+[-\d.]|[-\d.]+(?:\s+[-+\d.eE]+){3,}\s*$)")
 POLARISATIONS = {"u": "unpolarised", "p": "p", "s": "s"}
 QUANTITIES = {"R": "reflectance", "T": "transmittance"}
 
