@@ -126,3 +126,43 @@ def test_a_depolarisation_beside_psi_and_delta_is_left_out(tmp_path: Path) -> No
     (found,) = open_file(written(tmp_path, "d.csv", head + rows))
     np.testing.assert_allclose(found.data["psi_deg"][[0, -1]], [30.0, 30.5])
     assert found.left_out
+
+
+def test_a_signature_of_spectra_vista_is_the_ratio(tmp_path: Path) -> None:
+    rows = "".join(f"{340 + 1.5 * i:.1f}  1000.2{i}  52.31  {5.2 + 0.1 * i:.2f}\n" for i in range(20))
+    head = "/*** Spectra Vista SIG Data ***/\nname= a.sig\nfactors= 1.000, 0.992, 0.975\nunits= Radiance\ndata= \n"
+    (found,) = open_file(written(tmp_path, "a.sig", head + rows))
+    np.testing.assert_allclose(found.data["wavelength_nm"][[0, -1]], [340.0, 368.5])
+    np.testing.assert_allclose(found.data["reflectance"][[0, -1]], [0.052, 0.071])
+
+
+def test_rows_that_begin_with_a_tab(tmp_path: Path) -> None:
+    text = "\twvl (Å)\tn\tk\n\t4000\t1.5\t0\n\t5000\t1.49\t0.1\n\t6000\t1.48\t0.2\n"
+    (found,) = open_file(written(tmp_path, "a.txt", text))
+    np.testing.assert_allclose(found.data["wavelength_nm"], [400.0, 500.0, 600.0])
+    np.testing.assert_allclose(found.data["k"], [0.0, 0.1, 0.2])
+
+
+@pytest.mark.parametrize("heading", ["w[nm]", "w (rad/s)"])
+def test_the_unit_tells_wavelength_and_angular_frequency_apart(tmp_path: Path, heading: str) -> None:
+    rows = "500\t1.5\t0\n600\t1.4\t0\n700\t1.3\t0\n" if "nm" in heading else "2e15\t1.3\t0\n3e15\t1.5\t0\n"
+    (found,) = open_file(written(tmp_path, "w.txt", f"# {heading}\tn\tk\n{rows}"))
+    nm = found.data["wavelength_nm"]
+    np.testing.assert_allclose(nm[0], 500.0 if "nm" in heading else 1.883651567308853e18 / 3e15)
+    assert found.data["n"][0] == 1.5
+
+
+def test_headings_with_wavelengths_of_lamps_stand_above_a_wavelength_column(tmp_path: Path) -> None:
+    head = "Wavelength [nm]," + ",".join(f"{1000 + 50 * i}nm" for i in range(9)) + "\n"
+    rows = "".join(f"{1014.5 + 4.5 * i:.1f}," + ",".join(f"{0.1 * j:.1f}" for j in range(9)) + "\n" for i in range(20))
+    found = open_file(written(tmp_path, "l.csv", head + rows))
+    assert len(found) == 9
+    np.testing.assert_allclose(found[8].data["wavelength_nm"][[0, -1]], [1014.5, 1100.0])
+    np.testing.assert_allclose(found[8].data["reflectance"], 0.8)
+
+
+def test_repeated_columns_of_avantes_are_spectra_of_their_own(tmp_path: Path) -> None:
+    head = "Averaging Nr. [scans]: 2\nWave   ;Sample   ;Sample\n[nm]   ;[counts] ;[counts]\n\n"
+    rows = "".join(f"{900 + 5 * i},00;{4500 + i},000;{4600 + i},000\n" for i in range(20))
+    found = open_file(written(tmp_path, "a.csv", head + rows))
+    assert [one.data["counts"][0] for one in found] == [4500.0, 4600.0]

@@ -177,7 +177,7 @@ SYMBOLS: dict[str, tuple[str, ...]] = {
     "e": ("energy",),
     "f": ("frequency",),
     "F": ("frequency",),
-    "w": ("angular_frequency",),
+    "w": ("angular_frequency", "wavelength"),
     "r": ("radius",),
     "d": ("thickness", "diameter"),
     "D": ("diameter",),
@@ -343,6 +343,9 @@ def meanings(heading: str, unit: str = "") -> tuple[Meaning, ...]:
     found = _of_core(whole, Meaning("", unit)) if _is_function(text) else ()
     if not found:
         found = _of_bracketed(text, unit)
+    if text[:1] == "w" and any(meaning.quantity == "angular_frequency" for meaning in found):  # "w[nm]" names no time
+        spoken = "wavelength" if found[0].unit in ("nm", "um", "angstrom") else "angular_frequency"
+        found = tuple(meaning for meaning in found if meaning.quantity == spoken)
     return _checked(found)
 
 

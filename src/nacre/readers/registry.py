@@ -23,6 +23,7 @@ MAX_BYTES = 2 << 30
 CERTAIN = 1.0  # a magic number or an unmistakable first line
 LIKELY = 0.6  # typical keys
 POSSIBLE = 0.2  # any table of numbers
+_MARKUP = re.compile(r"\s*(?:[<{]|\[\s*[\[{\"\d-])")
 CUT = "the file ends inside its last line, which may be cut"
 _DAMAGE = (
     ValueError, LookupError, ArithmeticError, RuntimeError, EOFError, TypeError, struct.error, zlib.error,
@@ -78,6 +79,7 @@ FORMATS: tuple[Format, ...] = (
     Format("asd-text", "ASD ViewSpec text", "spectrum", "spectra.asd"),
     Format("licor-prn", "LI-COR LI-1800 .PRN", "spectrum", "spectra.licor"),
     Format("aster", "ASTER and ECOSTRESS spectral library", "spectrum", "spectra.aster"),
+    Format("svc-sig", "Spectra Vista (.sig)", "spectrum", "spectra.svc"),
     Format("woollam-intensity", "Woollam intensities (uR, uT, pR, sR)", "spectrum", "spectra.woollam_intensity"),
     Format("bruker-dpt", "Bruker data point table .dpt", "spectrum", "spectra.bruker_dpt"),
     Format("opus", "Bruker OPUS", "spectrum", "spectra.opus"),
@@ -205,7 +207,7 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
         entry = format_named(options.format)
     else:
         found = recognise(path)
-        if found and found[0][0] <= POSSIBLE and options.expects is None and head_of(path).text.lstrip()[:1] in "<{[":
+        if found and found[0][0] <= POSSIBLE and options.expects is None and _MARKUP.match(head_of(path).text):
             found = []  # XML or JSON of another program is no table
         if not found and options.expects is not None and head_of(path).is_text:
             found = [(0.0, format_named("table"))]  # its error names what the caller needs

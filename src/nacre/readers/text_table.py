@@ -519,6 +519,9 @@ def unit_of(cell: str) -> str:
 def _table(
     path: Path, above: list[_Line], data: list[_Line], delimiter: str | None, knows: Callable[[str, str], bool]
 ) -> TextTable:
+    if all(line.cells[:1] == [""] for line in data):  # rows that begin with a delimiter
+        for line in data:
+            line.cells = line.cells[1:]
     width = max(len(line.cells) for line in data)
     headings, units, heading_line, used = _find_headings(above, width, delimiter, knows)
     if headings and len(headings) < width:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Sequence
 
 from nacre.readers.file_head import FileHead
@@ -52,7 +53,7 @@ def appearance(head: FileHead) -> str:
         return "a web page"
     if start.startswith("<"):
         return "an XML file"
-    if start.startswith(("{", "[")):
+    if re.match(r"\{|\[\s*[\[{\"\d-]", start):
         return "a JSON file"
     lines = [line for line in head.lines if line.strip()]
     first = lines[0].strip()[:60] if lines else ""

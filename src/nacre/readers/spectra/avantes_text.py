@@ -56,6 +56,16 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         values = 100.0 * common.ratio(counts["sample"], counts["dark"], counts["reference"])
         label = Label("reflectance", 0.01)
         notes.assumed.append("reflectance = (sample - dark) / (reference - dark)")
+    same = [place for place in range(1, len(units)) if (names[place], units[place]) == (names[-1], units[-1])]
+    if len(same) > 1 and names[-1]:  # one column a measurement
+        spectra = [
+            common.spectrum(
+                path, "avantes-text", table[:, 0], table[:, place], label, options, name=f"{names[place]} {count}",
+                metadata=metadata, notes=Notes(list(notes.assumed), list(notes.left_out)),
+            )
+            for count, place in enumerate(same, start=1)
+        ]  # fmt: skip
+        return common.choose(path, spectra, options)
     more = {f"{role}_counts": column for role, column in counts.items()} if label.quantity != "counts" else None
     return [
         common.spectrum(

@@ -30,7 +30,7 @@ _NUMBER_HEADING = re.compile(r"^\D{0,12}?(\d{3,4}(?:\.\d+)?)\s*(?:nm)?$", re.IGN
 _BESIDE = re.compile(r"\b(rad|radiance|irr|irrad|irradiance|norm|dn|raw)\b", re.IGNORECASE)
 _OTHER = re.compile(
     r"psi|delta|\bn\b|\bk\b|eps|\be1\b|\be2\b|refractive|index of|theta|phi|bsdf|brdf|^[xyz]$|^l\*?$|height|"
-    r"^m\d\d$|aoi|angle|polari|^i[sc]'?$",
+    r"^m\d\d$|aoi|angle|polari|^i[sc]'?$|^[nk][oe]$",
     re.IGNORECASE,
 )
 
@@ -320,6 +320,9 @@ def _across(lines: Sequence[str]) -> tuple[list[str], list[int], Array, list[lis
         columns = [place for place, _ in matches]
         below = [common.cells(text, mark) for text in lines[start + 1 :] if text.strip()]
         rows = [row for row in below if len(row) > columns[-1]]
+        first = np.array([common.number(row[0], comma=mark != ",") or np.nan for row in rows])
+        if columns[0] == 1 and _WAVELENGTH.search(names[0].strip()) and _is_axis(first):
+            continue  # wavelengths down; the headings, such as "1200 nm", name lamps or thicknesses
         has_text = any(common.number(name, comma=mark != ",") is None for name in names)
         if rows and len(rows) == len(below) and (has_text or len(rows) < 3):
             return names, columns, grid, rows
