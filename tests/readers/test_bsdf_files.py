@@ -332,3 +332,11 @@ def test_files_of_programs_that_are_not_read_are_refused(tmp_path: Path, text: s
     (tmp_path / "x.txt").write_text(text)
     with pytest.raises(NacreError):
         open_file(tmp_path / "x.txt")
+
+
+def test_a_table_of_transmitted_scatter_says_so(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text(
+        "theta_i [deg],theta_o [deg],phi_o [deg],BTDF [1/sr],BTDF_std\n0,100,0,.2,.1\n30,150,0,.2,.1\n"
+    )
+    (found,) = open_file(tmp_path / "x.csv")
+    assert found.metadata["scatter"] == "btdf"

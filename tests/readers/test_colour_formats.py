@@ -230,3 +230,44 @@ def test_cxf_spectra_without_an_increment_and_in_per_cent(tmp_path: Path, count:
     assert card.data["wavelength_nm"][[0, 1]].tolist() == [first, first + 10.0]
     np.testing.assert_allclose(card.data["spectra"], 0.455)
     assert len(card.assumed) == 2
+
+
+@pytest.mark.parametrize(
+    "text, names",
+    [("name,x,y,Y\nRed,0.3,0.4,20\nBlue,0.2,0.1,7\n", ["Red", "Blue"]),
+     ("h V C x y Y\n10RP 1 2 0.3 0.4 20\n5R 1 2 0.2 0.1 7\n", ["1", "2"]),
+     ("id;x;y;Y\n1;0,3;0,4;0,2\n2;0,2;0,1;0,07\n", ["1", "2"])],
+)  # fmt: skip
+def test_tables_of_chromaticities(tmp_path: Path, text: str, names: list[str]) -> None:
+    (card,) = open_file(written(tmp_path, text, "x.csv"))
+    np.testing.assert_allclose(np.stack([card.data[name] for name in "XYZ"]), [[15.0, 14.0], [20.0, 7.0], [15.0, 49.0]])
+    assert card.metadata["names"] == names
+
+
+def test_tables_of_red_green_and_blue(tmp_path: Path) -> None:
+    (card,) = open_file(written(tmp_path, "Name\tR\tG\tB\nA\t255\t51\t0\n", "x.txt"))
+    np.testing.assert_allclose(card.data["srgb"], [[1.0, 0.2, 0.0]])
+    with pytest.raises(NacreError):
+        open_file(written(tmp_path, "Name\tR\tG\tB\nA\t50.5\t10.1\t0\n", "y.txt"))
+
+
+def test_a_table_with_the_names_of_cgats_and_no_head(tmp_path: Path) -> None:
+    text = "SAMPLE_ID\tSAMPLE_NAME\tRGB_R\tLAB_L\tLAB_A\tLAB_B\n1\tA1\t115\t37.99\t13.56\t14.06\n"
+    (card,) = open_file(written(tmp_path, text, "x.txt"))
+    assert card.metadata["names"] == ["A1"] and card.metadata["sample_ids"] == ["1"]
+    assert (card.data["L"][0], card.data["b"][0]) == (37.99, 14.06)
+
+
+def test_tristimulus_values_with_a_white_of_one(tmp_path: Path) -> None:
+    (card,) = open_file(written(tmp_path, "name,X,Y,Z\nA,0.41,0.21,0.02\nB,0.18,0.07,0.95\n", "x.csv"))
+    np.testing.assert_allclose(card.data["Y"], [21.0, 7.0])
+    assert len(card.assumed) == 1
+
+
+def test_dark_spectra_of_argyll_are_in_per_cent(tmp_path: Path) -> None:
+    text = cgats("SAMPLE_ID XYZ_X XYZ_Y XYZ_Z SPEC_500 SPEC_550 SPEC_600", ["1 .5 .6 .4 .6 .6 .7"], first="CTI3")
+    (card,) = open_file(written(tmp_path, text))
+    np.testing.assert_allclose(card.data["spectra"], [[0.006, 0.006, 0.007]])
+    text = cgats("SAMPLE_ID XYZ_X XYZ_Y XYZ_Z SPEC_500 SPEC_550 SPEC_600", ["1 50 60 40 .6 .6 .7"], first="CTI3")
+    (card,) = open_file(written(tmp_path, text))
+    np.testing.assert_allclose(card.data["spectra"], [[0.6, 0.6, 0.7]])

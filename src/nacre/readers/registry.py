@@ -91,6 +91,7 @@ FORMATS: tuple[Format, ...] = (
         "spectra.tables",
     ),
     Format("cgats", "CGATS.17, ISO 28178, Argyll, ProfileMaker", "colours", "colours.cgats"),
+    Format("colour-table", "table of colours (xyY, RGB, names of CGATS)", "colours", "colours.colour_tables"),
     Format("cxf", "CxF/X-3", "colours", "colours.cxf"),
     Format("ase", "Adobe swatches .ase and .aco", "colours", "colours.swatches"),
     Format(

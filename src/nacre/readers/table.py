@@ -372,6 +372,9 @@ def _plain(columns: Columns, kind: Kind) -> Measurement:
         for key in ("illuminant", "observer"):
             if getattr(meaning, key):
                 metadata[key] = getattr(meaning, key)
+    if all(name in data for name in "XYZ") and float(data["Y"].max()) <= 1.1:
+        data |= {name: data[name] * 100.0 for name in "XYZ"}
+        columns.assumed.append("Y of white = 1, because no Y is above 1.1")
     metadata |= {"names" if name == "name" else name: cells for name, cells in columns.texts.items()}
     if not data and "hex" not in columns.texts:
         raise NacreError(f"{columns.path}: no numbers; the columns are {columns.table.shown_headings}")

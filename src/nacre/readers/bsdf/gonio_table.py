@@ -42,7 +42,8 @@ NAMES = {
     "wavelength": ("wavelength", "lambda", "wl", "wave"),
     "bsdf": ("value", "bsdf", "brdf", "btdf", "f", "fr", "bsdfvalue", "brdfvalue"),
     "factor": ("brf", "reflectancefactor", "panelbrf", "factor", "rf", "radiancefactor", "hcrf", "beta"),
-    "error": ("error", "sigma", "err", "std", "stdev", "uncertainty", "ubrdf", "ubsdf"),
+    "error": ("error", "sigma", "err", "std", "brdfstd", "bsdfstd", "btdfstd", "brdferror",
+              "bsdferror", "stdev", "uncertainty", "ubrdf", "ubsdf"),
 }  # fmt: skip
 UNITS = {"deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "rad": "rad", "radian": "rad", "radians": "rad"}
 WAVE_UNITS = ("nm", "um", "µm", "μm")
@@ -62,6 +63,7 @@ class Heading:
         waves: columns that hold a value at a wavelength, with the wavelengths.
         angle_unit, wave_unit: units in the headings.
         unknown: headings that are not recognised.
+        is_btdf: the heading of the values names transmitted scatter.
     """
 
     place: dict[str, int] = field(default_factory=dict)
@@ -70,6 +72,7 @@ class Heading:
     angle_unit: str | None = None
     wave_unit: str | None = None
     unknown: list[str] = field(default_factory=list)
+    is_btdf: bool = False
 
 
 def sniff(head: FileHead) -> float:
@@ -122,6 +125,7 @@ def heading(cells: Sequence[str]) -> Heading:
         if meaning in known.place:
             raise NacreError(f'columns {known.place[meaning] + 1} and {column + 1} are both "{meaning}"')
         known.place[meaning] = column
+        known.is_btdf |= "btdf" in name
         if unit in UNITS and meaning != "wavelength":
             known.angle_unit = UNITS[unit]
         if meaning == "wavelength" and unit in WAVE_UNITS:
@@ -164,15 +168,19 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     values, waves, notes = _values(path, known, table, options)
     assumed += notes
     if known.waves or waves is None:
-        return [as_measurement(path, "gonio", angles, waves, values, {"form": "wide"}, assumed=assumed)]
+        return [as_measurement(path, "gonio", angles, waves, values, {"form": "wide"} | _side(known), assumed=assumed)]
     return [_long(path, known, table, angles, waves, values, assumed)]
+
+
+def _side(known: Heading) -> dict[str, object]:
+    return {"scatter": "btdf"} if known.is_btdf else {}
 
 
 def _long(
     path: Path, known: Heading, table: Array, angles: Array, waves: Array, values: Array, assumed: list[str]
 ) -> Measurement:
     """Return one row per direction pair and wavelength, in the order of the file."""
-    made = as_measurement(path, "gonio", angles, None, values, {"pairs": len(np.unique(angles, axis=0))},
+    made = as_measurement(path, "gonio", angles, None, values, {"pairs": len(np.unique(angles, axis=0))} | _side(known),
                           assumed=assumed)  # fmt: skip
     data = dict(made.data)
     value = data.pop("bsdf")

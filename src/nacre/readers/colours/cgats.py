@@ -73,7 +73,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     found, empty = [], []
     for table in tables:
         table.kin = first
-        measurement = _measurement(path, table)
+        measurement = measurement_of(path, table)
         if measurement is None:
             spaces = dict.fromkeys(name.split("_")[0] for name in table.fields if "_" in name and name not in _NAMES)
             empty.append(" and ".join(spaces) or "no fields")
@@ -159,7 +159,7 @@ def _cells(line: str, count: int) -> list[str]:
     return [match[1] if match[2] is None else match[2] for match in _TOKEN.finditer(line)]
 
 
-def _measurement(path: Path, table: Table) -> Measurement | None:
+def measurement_of(path: Path, table: Table) -> Measurement | None:
     """Return the colours of a table, or None if it holds device values only."""
     place = {name: at for at, name in enumerate(table.fields)}
     data: dict[str, Array] = {}
@@ -183,7 +183,7 @@ def _measurement(path: Path, table: Table) -> Measurement | None:
     if bands and table.rows and not is_display:
         spectra = np.array([[_number(path, row, at, table.fields[at]) for _, at in bands] for row in table.rows])
         norm = number(table.keywords.get("SPECTRAL_NORM", "")) or 0.0
-        factor = 1.0 / norm if norm > 0.0 else spectra_scale(spectra, assumed)
+        factor = 1.0 / norm if norm > 0.0 else _scale(spectra, np.array([nm for nm, _ in bands]), data, assumed)
         if norm and np.nanmax(spectra) * factor > MAX_FACTOR:
             raise NacreError(
                 f"{path}: spectra up to {np.nanmax(spectra) * factor:.3g} of SPECTRAL_NORM are those of a light, no "
@@ -225,6 +225,17 @@ def _light(keywords: dict[str, str]) -> tuple[str | None, str | None]:
     illuminant = next((found for text in lamps if text and (found := illuminant_in(text))), None)
     observer = next((found for text in views if text and (found := observer_in(text))), None)
     return illuminant, observer
+
+
+def _scale(spectra: Array, nm: Array, data: dict[str, Array], assumed: list[str]) -> float:
+    """Return 0.01 for spectra in per cent: their mean near 555 nm is nearer to Y than to Y / 100."""
+    green = np.abs(nm - 555.0) <= 60.0
+    if "Y" in data and green.any() and float(spectra.max()) <= 2.0:
+        ratio = float(np.median(data["Y"])) / max(float(np.median(spectra[:, green])), 1e-12)
+        if 0.1 < ratio < 10.0:
+            assumed.append("spectra in per cent, because they agree with Y")
+            return 0.01
+    return spectra_scale(spectra, assumed)
 
 
 def _cartesian(space: str, columns: list[Array]) -> list[Array]:
