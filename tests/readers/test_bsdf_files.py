@@ -340,3 +340,9 @@ def test_a_table_of_transmitted_scatter_says_so(tmp_path: Path) -> None:
     )
     (found,) = open_file(tmp_path / "x.csv")
     assert found.metadata["scatter"] == "btdf"
+
+
+def test_a_scan_without_an_incidence_names_the_missing_angle(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("angle_deg,brdf\n-30,.1\n0,.2\n30,.1\n")
+    with pytest.raises(NacreError, match="theta_i"):
+        open_file(tmp_path / "x.csv")

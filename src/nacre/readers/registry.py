@@ -135,6 +135,7 @@ FORMATS: tuple[Format, ...] = (
     Format("holography", "text matrix of digital holography", "heights", "heights.holography"),
     Format("xyz", "points x y z of a grid", "heights", "heights.xyz"),
     Format("matrix", "matrix of heights without a head", "heights", "heights.matrix"),
+    Format("other-heights", "Wyko, Zygo XYZ, SPIP, Keyence, Shimadzu text (refused)", "heights", "heights.others"),
     Format("profile", "line profile (refused)", "heights", "heights.profile"),
 )
 

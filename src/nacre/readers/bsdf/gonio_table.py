@@ -19,7 +19,7 @@ from nacre.core.errors import NacreError
 from nacre.readers.bsdf.samples import angles_in_degrees, read_text, unsigned, wavelengths_in_nm
 from nacre.readers.bsdf.samples import measurement as as_measurement
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
-from nacre.readers.registry import FileHead
+from nacre.readers.registry import LIKELY, FileHead
 from nacre.readers.text_table import rows
 
 GAPS = ("", "nan", "-", "--", "n/a", "na", "#n/a", "null", "none")
@@ -81,6 +81,9 @@ def sniff(head: FileHead) -> float:
         known = heading(cells).place
         if "theta_i" in known and "theta_o" in known:
             return 0.9
+        names = {_name_and_unit(cell)[0] for cell in cells}
+        if names & {"brdf", "bsdf", "btdf"} and any("angle" in name or "theta" in name for name in names):
+            return LIKELY + 0.1  # `read` asks for the angles that are missing
     return 0.0
 
 
@@ -156,7 +159,10 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     known, table = _table(path, options)
     assumed: list[str] = []
     if "theta_i" not in known.place or "theta_o" not in known.place:
-        raise NacreError(f"{path}: has no column for the polar angle of both directions (theta_i, theta_o)")
+        raise NacreError(
+            f"{path}: has no column for the polar angle of both directions; name them theta_i, theta_o, "
+            "and give a constant one its own column"
+        )
     angles, notes = _angles(path, known, table, options)
     assumed += notes
     for space, columns in known.colour.items():
