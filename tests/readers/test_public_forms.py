@@ -221,3 +221,13 @@ def test_a_last_abscissa_that_the_rows_contradict_is_refused(tmp_path: Path) -> 
         open_file(written(tmp_path, "a.jdx", text.format(last=800)))
     (found,) = open_file(written(tmp_path, "b.jdx", text.format(last=405)))
     np.testing.assert_allclose(found.data["absorbance"][[0, -1]], [0.1, 0.6])
+
+
+def test_tristimulus_values_up_to_one_are_said_to_be_dark(tmp_path: Path) -> None:
+    text = (
+        "CGATS.17\nBEGIN_DATA_FORMAT\nSAMPLE_ID\tXYZ_X\tXYZ_Y\tXYZ_Z\nEND_DATA_FORMAT\nBEGIN_DATA\n"
+        "A\t0.3\t0.33\t0.30\nB\t{y}\t{y}\t0.8\nEND_DATA\n"
+    )
+    (dark,) = open_file(written(tmp_path, "d.txt", text.format(y=0.95)))
+    (usual,) = open_file(written(tmp_path, "u.txt", text.format(y=95)))
+    assert len(dark.assumed) == len(usual.assumed) + 1

@@ -175,6 +175,8 @@ def measurement_of(path: Path, table: Table) -> Measurement | None:
             used |= set(wanted)
     bands = sorted((float(match[1]), at) for at, name in enumerate(table.fields) if (match := _BAND.fullmatch(name)))
     assumed: list[str] = []
+    if "Y" in data and len(table.rows) > 1 and data["Y"].max() <= 1.0:
+        assumed.append(f"Y up to {data['Y'].max():.3g} of a white of Y = 100, as CGATS.17 defines: very dark colours")
     left_out: list[str] = []
     is_display = (
         "DISPLAY" in table.keywords.get("DEVICE_CLASS", "")
