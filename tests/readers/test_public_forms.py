@@ -184,3 +184,40 @@ def test_psi_and_delta_under_a_heading_without_a_name_of_the_wavelength(tmp_path
     (found,) = open_file(written(tmp_path, "w.txt", "\taoi\tPsi\tDelta\n\n" + rows))
     np.testing.assert_allclose(found.data["wavelength_nm"][[0, -1]], [400.0, 440.0])
     np.testing.assert_allclose(found.data["delta_deg"], 130.5)
+
+
+def test_a_row_of_bare_units_belongs_to_the_names_above(tmp_path: Path) -> None:
+    rows = "".join(f"{400 + i},0;10,1;20,2;69,7\n" for i in range(12))
+    head = "Wavelength;Transmittance;Reflectance;Absorptance\nnm;%;%;%\n"
+    found = open_file(written(tmp_path, "w.csv", head + rows))
+    values = {name: float(one.data[name][0]) for one in found for name in one.data if name != "wavelength_nm"}
+    assert values == pytest.approx({"transmittance": 0.101, "reflectance": 0.202, "absorptance": 0.697})
+
+
+@pytest.mark.parametrize("second", ["", "Wavenumber,"])
+def test_the_technique_names_the_processed_values(tmp_path: Path, second: str) -> None:
+    head = f"ENLIGHTEN Version,2.2.7\nTechnique,Transmission\n\nPixel,Wavelength,{second}Processed,Raw,Dark\n"
+    more = "0.0," if second else ""
+    rows = "".join(f"{i},{400 + 0.5 * i:.2f},{more}{50 + 0.1 * i:.5f},{2000 + i}.0,900.0\n" for i in range(30))
+    (found,) = open_file(written(tmp_path, "e.csv", head + rows))
+    np.testing.assert_allclose(found.data["transmittance"][[0, -1]], [0.5, 0.529])
+
+
+def test_radiances_of_asd_are_no_reflectance(tmp_path: Path) -> None:
+    head = "Text conversion of header file a.asd\nNew ASD spectrum file\nSpectrum file is radiance data\n\n"
+    rows = "".join(f"{350 + i}\t {0.35 + 0.001 * i:.4f} \n" for i in range(60))
+    (found,) = open_file(written(tmp_path, "a.txt", head + "Wavelength\ta.asd\n" + rows))
+    assert "reflectance" not in found.data
+    np.testing.assert_allclose(found.data["irradiance"][0], 0.35)
+
+
+def test_a_last_abscissa_that_the_rows_contradict_is_refused(tmp_path: Path) -> None:
+    text = (
+        "##TITLE=x\n##JCAMP-DX=4.24\n##DATA TYPE=UV/VIS SPECTRUM\n##XUNITS=NANOMETERS\n##YUNITS=ABSORBANCE\n"
+        "##XFACTOR=1\n##YFACTOR=1\n##FIRSTX=400\n##LASTX={last}\n##XYDATA=(X++(Y..Y))\n"
+        "400 .1 .2 .3\n403 .4 .5 .6\n##END=\n"
+    )
+    with pytest.raises(NacreError):
+        open_file(written(tmp_path, "a.jdx", text.format(last=800)))
+    (found,) = open_file(written(tmp_path, "b.jdx", text.format(last=405)))
+    np.testing.assert_allclose(found.data["absorbance"][[0, -1]], [0.1, 0.6])

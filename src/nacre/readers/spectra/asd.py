@@ -45,6 +45,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         match = next((match for line in prose if (match := re.search(pattern, line, re.IGNORECASE))), None)
         if match:
             metadata[key] = match[1].strip()
+    kind = re.search(r"spectrum file is (radiance|irradiance) data", words)
     is_raw = "white reference" not in words and bool(re.search(r"raw data|raw dn|radiance", words))
     spectra = []
     for column in range(1, block.table.shape[1]):
@@ -52,7 +53,10 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         values = common.complete(path, block)[:, column]
         label = Label("counts", 1.0) if is_raw else Label("reflectance", 1.0)
         size = common.typical(block.table[:, 0], values)
-        if size > 20:
+        if kind is not None:
+            label = Label("irradiance", 1.0)
+            notes.assumed.append(f"{kind[1]}, as the preamble states")
+        elif size > 20:
             label = Label("counts", 1.0)
             notes.assumed.append(f"counts, because the values are up to {size:.4g}")
         elif not is_raw:

@@ -194,12 +194,31 @@ def _xy(path: Path, block: Block) -> tuple[Array, Array]:
         if first is None or last is None:
             raise NacreError(f"{path}: JCAMP-DX without FIRSTX and LASTX or DELTAX")
         x = np.linspace(first, last, len(y))
+        _check_abscissa(path, block.table, x, x_factor)
     else:
         raise NacreError(
             f'{path}: the form "{block.form}" of {block.kind} is not known; allowed: (XY..XY), (X++(Y..Y))'
         )
     common.check_count(path, block.records.get("NPOINTS"), len(y), "NPOINTS")
     return x, y
+
+
+def _check_abscissa(path: Path, lines: list[str], x: Array, factor: float) -> None:
+    """Refuse abscissas of FIRSTX and LASTX that the begin of the last line contradicts by 5 % of the range.
+
+    Raises:
+        NacreError: points are missing, or LASTX is that of another spectrum.
+    """
+    rows = [line for line in lines if line.strip()]
+    stated = common.number(_TOKEN.findall(rows[-1])[0]) if len(rows) > 1 else None
+    if stated is None:
+        return
+    expected = x[min(len(_ordinates(path, rows[:-1])), len(x) - 1)]
+    if min(abs(stated * factor - expected), abs(stated - expected)) > 0.05 * np.ptp(x) + 2.0 * np.ptp(x) / len(x):
+        raise NacreError(
+            f"{path}: the last line begins at {stated * factor:g}, and FIRSTX with LASTX give {expected:g}; points are "
+            "missing or LASTX is wrong"
+        )
 
 
 def _pairs(path: Path, lines: list[str], comma: bool) -> Array:

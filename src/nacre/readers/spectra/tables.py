@@ -25,6 +25,7 @@ _WAVELENGTH = re.compile(
     r"wave ?numbers?)\b|^\[?nm\b",
     re.IGNORECASE,
 )
+_UNIT = re.compile(r"[\[(]?\s*(nm|[uµμ]m|cm-1|1/cm|eV|%|1|-|a\.?u\.?|counts|)\s*[\])]?", re.IGNORECASE)
 _PIXEL = re.compile(r"^(pixel|index|point|no\.?|#|id)$", re.IGNORECASE)
 _NUMBER_HEADING = re.compile(r"^\D{0,12}?(\d{3,4}(?:\.\d+)?)\s*(?:nm)?$", re.IGNORECASE)
 _BESIDE = re.compile(r"\b(rad|radiance|irr|irrad|irradiance|norm|dn|raw)\b", re.IGNORECASE)
@@ -90,9 +91,13 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         notes.left_out.append("the text below the table")
     names = _headings(text.lines, block)
     metadata = common.key_values(text.lines[: block.start], ":=")
+    technique = next((line.split(",")[1] for line in text.lines[: block.start] if line.startswith("Technique,")), "")
+    if technique.strip():
+        metadata["Technique"] = technique.strip()
     if not names:
         return [_plain(path, common.complete(path, block), options, notes)]
-    pairs = [place for place, name in enumerate(names) if _WAVELENGTH.search(name)]
+    axes = [place for place, name in enumerate(names) if _WAVELENGTH.search(name)]
+    pairs = [place for place in axes if place + 1 not in axes]
     if len(pairs) > 1:
         found_pairs = _pairs(path, text.lines, block, names, pairs, options, notes)
         return common.choose(path, found_pairs, options)
@@ -103,7 +108,13 @@ def _headings(lines: Sequence[str], block: Block) -> list[str]:
     """Return the headings: the nearest line above with as many words as columns, or that names a wavelength."""
     width = block.table.shape[1]
     mark = common.delimiter(lines[block.start])
-    for line in reversed([line for line in lines[max(0, block.start - 4) : block.start] if line.strip()]):
+    above = [line for line in lines[max(0, block.start - 4) : block.start] if line.strip()]
+    if len(above) > 1:  # a row of bare units below the names
+        names, units = (common.cells(line, mark) for line in above[-2:])
+        is_pair = len(names) == len(units) > 1 and all(_UNIT.fullmatch(cell.strip()) for cell in units)
+        if is_pair and any(common.label_of(name) for name in names):
+            return [f"{name.strip()} [{unit.strip(' []()')}]" for name, unit in zip(names, units, strict=True)]
+    for line in reversed(above):
         for delimiter in dict.fromkeys((mark, ";", "\t", ",")):
             cells = common.cells(line, delimiter)
             if (
@@ -206,7 +217,11 @@ def _columns(
     for column in range(table.shape[1]):
         if column == place or names[column] in options.ignore or not np.isfinite(table[:, column]).any():
             continue
-        if _PIXEL.match(names[column]) or (column < place and not common.label_of(names[column])):
+        if (
+            _PIXEL.match(names[column])
+            or _WAVELENGTH.search(names[column])
+            or (column < place and not common.label_of(names[column]))
+        ):
             notes.left_out.append(f'the column "{names[column]}"')
             continue
         label = common.label_of(names[column])
@@ -217,6 +232,9 @@ def _columns(
     if not spectra:
         raise NacreError(f"{path}: has no column of a spectrum; headings: {', '.join(names)[:200]}")
     spectra = _without_counts(spectra, names, notes)
+    technique = common.label_of(metadata.get("Technique", ""))
+    if technique is not None and len(spectra) == 1 and names[spectra[0][0]] == "Processed":  # Wasatch Enlighten
+        names[spectra[0][0]] = "Processed %" + technique.quantity if technique.factor is None else technique.quantity
     labels = _labels(
         path, table[:, place], [(names[column], table[:, column]) for column, _ in spectra], options, notes
     )
