@@ -326,7 +326,12 @@ def test_astm_names_of_colours(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["type bsdf_data\nformat angles=deg\n10\t0\n0\t0\t.1\n", "SphereMesh:\t2\t1\t0\t0\t360\t90\n1\t1\n"]
+    "text",
+    [
+        "type bsdf_data\nformat angles=deg\n10\t0\n0\t0\t.1\n",
+        "SphereMesh:\t2\t1\t0\t0\t360\t90\n1\t1\n",
+        "Symmetry Asymmetric\nSpectralContent Monochrome\nScatterAzimuth 1\n0\nScatterRadial 1\n0\nDataBegin\nAOI 0\n",
+    ],
 )
 def test_files_of_programs_that_are_not_read_are_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "x.txt").write_text(text)

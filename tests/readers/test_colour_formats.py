@@ -271,3 +271,9 @@ def test_dark_spectra_of_argyll_are_in_per_cent(tmp_path: Path) -> None:
     text = cgats("SAMPLE_ID XYZ_X XYZ_Y XYZ_Z SPEC_500 SPEC_550 SPEC_600", ["1 50 60 40 .6 .6 .7"], first="CTI3")
     (card,) = open_file(written(tmp_path, text))
     np.testing.assert_allclose(card.data["spectra"], [[0.6, 0.6, 0.7]])
+
+
+def test_names_of_cgats_below_remarks(tmp_path: Path) -> None:
+    text = "Data of a card\nDate: 2005\n\nSampleID\tSAMPLE_NAME\tCMYK_C\tLAB_L\tLAB_A\tLAB_B\n1\tA1\t0\t95\t0\t-2\n"
+    (card,) = open_file(written(tmp_path, text, "x.txt"))
+    assert (card.data["L"][0], card.data["b"][0], card.metadata["names"]) == (95.0, -2.0, ["A1"])

@@ -9,15 +9,19 @@ from nacre.core.errors import NacreError
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
+LENGTH = 8000  # characters that hold the angles of a head
 PROGRAMS = {
     "FRED": re.compile(r"^\s*type\s+bsdf_data\b", re.IGNORECASE | re.MULTILINE),
-    "LightTools": re.compile(r"^\s*SphereMesh:\s*\d", re.MULTILINE),
+    "LightTools": re.compile(
+        r"^\s*SphereMesh:\s*\d|\A(?!.*SampleRotation).*^\s*ScatterAzimuth\s+\d.*^\s*ScatterRadial\s+\d",
+        re.MULTILINE | re.DOTALL,
+    ),
 }
 
 
 def sniff(head: FileHead) -> float:
     """Return 1 for the first lines of one of the programs."""
-    return CERTAIN if _program(head.text[:2000]) else 0.0
+    return CERTAIN if _program(head.text[:LENGTH]) else 0.0
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -26,7 +30,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     Raises:
         NacreError: always.
     """
-    program = _program(path.read_bytes()[:2000].decode("latin-1")) or "unknown"
+    program = _program(path.read_bytes()[:LENGTH].decode("latin-1")) or "unknown"
     raise NacreError(
         f"{path}: is a BSDF of {program}, which is not read; export ASTM E1392 or the tabular form of Zemax"
     )

@@ -90,8 +90,11 @@ def read_zemax(path: str | Path) -> ZemaxBsdf:
     words = iter([w for line in lines if line and not line.startswith("#") for w in line.split()])
     try:
         return _parse(words)
-    except (StopIteration, ValueError, KeyError, IndexError, MemoryError):
-        raise NacreError(f"{path}: is not a Zemax tabular BSDF, or is damaged") from None
+    except StopIteration:
+        raise NacreError(f"{path}: Zemax tabular BSDF ends too early; it is cut") from None
+    except (ValueError, KeyError, IndexError, MemoryError) as error:
+        cause = str(error)[:100] or "damaged"
+        raise NacreError(f"{path}: is not a whole Zemax tabular BSDF: {cause}") from None
 
 
 def _parse(words: Iterator[str]) -> ZemaxBsdf:
@@ -100,13 +103,13 @@ def _parse(words: Iterator[str]) -> ZemaxBsdf:
     for name in AXES:
         count = int(_named(words, name))
         if not 1 <= count <= 100_000:
-            raise ValueError(name)
+            raise ValueError(f"{name} has {count} angles")
         axes[name] = numbers(words, count)
         if np.any(np.diff(axes[name]) <= 0):
-            raise ValueError(name)
-    content = next(key for key in CHANNELS if key.lower() == header["SpectralContent"].lower())
-    if header["Symmetry"].lower() not in SYMMETRIES or header["ScatterType"].upper() not in ("BRDF", "BTDF"):
-        raise ValueError("head")
+            raise ValueError(f"the angles of {name} do not ascend")
+    content = _one_of(header, "SpectralContent", tuple(CHANNELS))
+    _one_of(header, "Symmetry", SYMMETRIES)
+    _one_of(header, "ScatterType", ("BRDF", "BTDF"))
     rotation, incidence, azimuth, radial = (axes[name] for name in AXES)
     shape = (len(CHANNELS[content]), len(rotation), len(incidence))
     values, tis = np.zeros((*shape, len(azimuth), len(radial))), np.zeros(shape)
@@ -118,7 +121,7 @@ def _parse(words: Iterator[str]) -> ZemaxBsdf:
             values[channel][place] = numbers(words, len(azimuth) * len(radial)).reshape(len(azimuth), len(radial))
         _named_only(words, "DataEnd")
     if not np.all(np.isfinite(values)):
-        raise ValueError("not finite")
+        raise ValueError("values are not finite")
     return ZemaxBsdf(
         incidence, azimuth, radial, values[:, 0], tis[:, 0], header["ScatterType"].upper(), header["Symmetry"],
         rotation, values if len(rotation) > 1 else None,
@@ -131,8 +134,16 @@ def _named(words: Iterator[str], name: str) -> str:
 
 
 def _named_only(words: Iterator[str], name: str) -> None:
-    if next(words).lower() != name.lower():
-        raise ValueError(name)
+    word = next(words)
+    if word.lower() != name.lower():
+        raise ValueError(f'"{word[:20]}" stands in the place of {name}')
+
+
+def _one_of(header: dict[str, str], key: str, allowed: tuple[str, ...]) -> str:
+    found = next((name for name in allowed if name.lower() == header[key].lower()), None)
+    if found is None:
+        raise ValueError(f"{key} = {header[key][:30]}; allowed: {', '.join(allowed)}")
+    return found
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:

@@ -68,7 +68,8 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     lines = [line.rstrip() for line in read_text(path).lines]
     first = next(line for line in lines if line.strip()).split()[0]
     if first in EMISSION:
-        raise NacreError(f"{path}: {first} holds spectra that a display emits, no reflectances")
+        what = "spectra that a display emits" if first == "CCSS" else "a correction of a colorimeter"
+        raise NacreError(f"{path}: {first} holds {what}, no reflectances")
     tables = [table for table in _tables(path, lines) if table.fields]
     found, empty = [], []
     for table in tables:

@@ -26,8 +26,7 @@ FACTOR_LIMIT = 1.1  # above the Y of any reflecting sample with a white of 1
 
 def sniff(head: FileHead) -> float:
     """Return a confidence above that of a text table for headings of one of the three kinds."""
-    line = next((line for line in head.lines if line.strip()), "")
-    return LIKELY + 0.1 if head.is_text and _fields(_cells(line)) else 0.0
+    return LIKELY + 0.1 if head.is_text and _start([line for line in head.lines if line.strip()]) is not None else 0.0
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -37,10 +36,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: a row has other cells than headings, or R, G, B are neither 0 to 1 nor 0 to 255.
     """
     lines = [line for line in read_text(path).lines if line.strip()]
-    fields = _fields(_cells(lines[0]))
-    if fields is None:
+    start = _start(lines)
+    fields = None if start is None else _fields(_cells(lines[start]))
+    if start is None or fields is None:
         raise NacreError(f"{path}: its headings are no colours")
-    rows = [_cells(line) for line in lines[1:]]
+    rows = [_cells(line) for line in lines[start + 1 :]]
     for row in rows:
         if len(row) != len(fields):
             raise NacreError(f'{path}: the row "{" ".join(row)[:60]}" has {len(row)} cells for {len(fields)} headings')
@@ -54,6 +54,18 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     return [replace(found, format="colour-table")]
 
 
+def _start(lines: list[str]) -> int | None:
+    """Return the place of the headings: the first line, or names of CGATS below at most 12 lines of remarks."""
+    if lines and _fields(_cells(lines[0])):
+        return 0
+    return next((at for at, line in enumerate(lines[1:13], start=1) if _named_as_cgats(_cells(line))), None)
+
+
+def _named_as_cgats(cells: list[str]) -> bool:
+    upper = {cell.upper() for cell in cells}
+    return {"LAB_L", "LAB_A", "LAB_B"} <= upper or {"XYZ_X", "XYZ_Y", "XYZ_Z"} <= upper
+
+
 def _cells(line: str) -> list[str]:
     mark = next((mark for mark in ("\t", ";", ",") if mark in line), None)
     return [cell.strip().strip('"').strip() for cell in line.split(mark)]
@@ -62,7 +74,7 @@ def _cells(line: str) -> list[str]:
 def _fields(cells: list[str]) -> list[str] | None:
     """Return the field names of CGATS for a row of headings, or None if it names no colours."""
     upper = [cell.upper() for cell in cells]
-    if {"LAB_L", "LAB_A", "LAB_B"} <= set(upper) or {"XYZ_X", "XYZ_Y", "XYZ_Z"} <= set(upper):
+    if _named_as_cgats(cells):
         return upper if len(set(upper)) == len(upper) else None
     words = [re.sub(r"[\W_]", "", cell).lower() for cell in cells]
     named = [NAMES.get(word) for word in words]
