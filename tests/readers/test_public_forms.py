@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from nacre.core.errors import NacreError
+from nacre.readers.measurement import AmbiguousFileError, ReadOptions
 from nacre.readers.registry import open_file
 
 MUELLER = "".join(
@@ -231,3 +232,15 @@ def test_tristimulus_values_up_to_one_are_said_to_be_dark(tmp_path: Path) -> Non
     (dark,) = open_file(written(tmp_path, "d.txt", text.format(y=0.95)))
     (usual,) = open_file(written(tmp_path, "u.txt", text.format(y=95)))
     assert len(dark.assumed) == len(usual.assumed) + 1
+
+
+def test_a_spectrum_without_a_type_is_asked(tmp_path: Path) -> None:
+    text = (
+        'SPECT\n\nDESCRIPTOR "D50"\nSPECTRAL_NORM "100.0"\nNUMBER_OF_FIELDS 3\nBEGIN_DATA_FORMAT\n'
+        "SPEC_400 SPEC_410 SPEC_420\nEND_DATA_FORMAT\nNUMBER_OF_SETS 1\nBEGIN_DATA\n40 50 60\nEND_DATA\n"
+    )
+    path = written(tmp_path, "d.sp", text)
+    with pytest.raises(AmbiguousFileError):
+        open_file(path)
+    (found,) = open_file(path, ReadOptions(quantity="reflectance"))
+    np.testing.assert_allclose(found.data["spectra"], [[0.4, 0.5, 0.6]])

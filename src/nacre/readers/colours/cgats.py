@@ -11,7 +11,7 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.colours.common import colours, illuminant_in, observer_in, spectra_scale
-from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 from nacre.readers.spectra.common import number, read_text
 
@@ -71,6 +71,12 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         what = "spectra that a display emits" if first == "CCSS" else "a correction of a colorimeter"
         raise NacreError(f"{path}: {first} holds {what}, no reflectances")
     tables = [table for table in _tables(path, lines) if table.fields]
+    if first == "SPECT" and options.quantity != "reflectance" and not any("MEAS_TYPE" in t.keywords for t in tables):
+        raise AmbiguousFileError(
+            f"{path}: SPECT without MEAS_TYPE is the spectrum of a light, or a reflectance",
+            "quantity",
+            ("reflectance",),
+        )
     found, empty = [], []
     for table in tables:
         table.kin = first
