@@ -277,3 +277,10 @@ def test_names_of_cgats_below_remarks(tmp_path: Path) -> None:
     text = "Data of a card\nDate: 2005\n\nSampleID\tSAMPLE_NAME\tCMYK_C\tLAB_L\tLAB_A\tLAB_B\n1\tA1\t0\t95\t0\t-2\n"
     (card,) = open_file(written(tmp_path, text, "x.txt"))
     assert (card.data["L"][0], card.data["b"][0], card.metadata["names"]) == (95.0, -2.0, ["A1"])
+
+
+def test_transmitted_light_is_named(tmp_path: Path) -> None:
+    text = cgats("SPEC_400 SPEC_500", ["60 50"], 'MEAS_TYPE "TRANSMISSIVE"\nSPECTRAL_NORM "100"\n', "SPECT")
+    (card,) = open_file(written(tmp_path, text, "x.sp"))
+    np.testing.assert_allclose(card.data["spectra"], [[0.6, 0.5]])
+    assert len(card.assumed) == 1

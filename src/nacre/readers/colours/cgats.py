@@ -203,6 +203,8 @@ def measurement_of(path: Path, table: Table) -> Measurement | None:
         left_out.append("spectra that a display emits")
     if not data:
         return None
+    if "TRANSM" in table.keywords.get("MEAS_TYPE", "").upper():
+        assumed.append("MEAS_TYPE states transmitted light: the values are of transmittances")
     if is_display:
         assumed.append("X, Y, Z are of the light that a display emits, relative to its white")
     if table.kin == "CTI1":
