@@ -82,7 +82,8 @@ def report(request: Mapping[str, Any], emit: Emit) -> bytes:
         ]
     }
     if len(reports) > 1:
-        found["differences"] = documents["differences_to_first"][0]
+        compared = documents["differences_to_first"][0]
+        found["differences"] = {name: compared[name] for name in ("aspecular", "specular") if name in compared}
     return json.dumps(found).encode()
 
 
