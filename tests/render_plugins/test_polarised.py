@@ -122,6 +122,20 @@ def test_a_diffuse_lobe_depolarises(polarised: Any) -> None:
     np.testing.assert_array_equal(found, 0.0)
 
 
+def test_a_grating_depolarises(polarised: Any) -> None:
+    from nacre.device.bsdf import make_bsdf
+
+    lines = {"thickness_nm": 60, "material": "air", "shapes": [{"shape": "line", "material": METAL, "width_nm": 300}]}
+    recipe = {"family": "grating", "substrate": {"n": 1.5}, "layers": [lines], "lattice": {"period_nm": 700}}
+    bsdf = make_bsdf(nacre.material(recipe).bsdf(np.array([460.0, 500.0, 560.0, 600.0])))
+    si = interaction(np.array([0.1, 0.0, 0.995]))
+    sine = 560.0 / 700.0 - 0.1  # of the first order at 560 nm
+    value = np.array(bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(sine, 0.0, float(np.sqrt(1.0 - sine**2)))))
+    assert value[0, 0].max() > 0.0
+    value[0, 0] = 0.0
+    np.testing.assert_array_equal(value, 0.0)
+
+
 PLATE = {
     "material": {"ordinary": {"n": 1.5}, "extraordinary": {"n": 1.7}, "axis_polar_deg": 70, "axis_azimuth_deg": 25},
     "thickness_nm": 250,

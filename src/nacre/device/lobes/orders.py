@@ -118,7 +118,7 @@ class OrdersPlugin(LobePlugin[OrdersLobe]):
         frame = rotated_frame(self.rotation, si, active)
         wi = frame(si.wi, True)
         active = active & enabled[0] & (wi.z > MIN_COS)
-        lines = dr.size_v(mi.Spectrum)
+        lines = dr.size_v(mi.UnpolarizedSpectrum)
         pick = dr.minimum(dr.floor(sample1 * lines), lines - 1.0)
         rest = sample1 * lines - pick
         where = self.axis.locate(si.wavelengths, active)
@@ -150,8 +150,8 @@ class OrdersPlugin(LobePlugin[OrdersLobe]):
 
     def _eval_pdf(self, si: Any, wi: Any, wo: Any, active: Any) -> tuple[Any, Any]:
         where = self.axis.locate(si.wavelengths, active)
-        value, density = mi.Spectrum(0.0), mi.Float(0.0)
-        lines = dr.size_v(mi.Spectrum)
+        value, density = mi.UnpolarizedSpectrum(0.0), mi.Float(0.0)
+        lines = dr.size_v(mi.UnpolarizedSpectrum)
         for i in range(lines):
             wavelength = dr.maximum(si.wavelengths[i], MIN_WAVELENGTH_NM)
             q_x, q_y = (wi.x + wo.x) / wavelength, (wi.y + wo.y) / wavelength
