@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ def spectrum(
     output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Print reflectance and transmittance of RECIPE over angle and wavelength."""
-    from nacre.core.files import check_writable, write_text
+    from nacre.core.files import check_writable
     from nacre.material.material import recipe_provenance
 
     if output:
@@ -65,13 +66,7 @@ def spectrum(
     }
     document["provenance"] = recipe_provenance(material)
     text_csv = _csv(result.wavelengths_nm, angles, parts | _elements(result.matrices()), polarisation)
-    if output:
-        write_text(output, text_csv if output.endswith(".csv") else json.dumps(document) + "\n")
-        common.note(output)
-    if as_json:
-        click.echo(json.dumps(document))
-    elif not output:
-        click.echo(text_csv, nl=False)
+    _answer(document, text_csv, output, as_json)
 
 
 @click.command()
@@ -90,7 +85,7 @@ def orders(
 ) -> None:  # fmt: skip
     """Print the efficiencies of the diffraction orders of RECIPE, for s and p polarised light."""
     from nacre import api
-    from nacre.core.files import check_writable, write_text
+    from nacre.core.files import check_writable
     from nacre.material.material import recipe_provenance
 
     if output:
@@ -115,6 +110,13 @@ def orders(
         "provenance": recipe_provenance(material),
     }
     text_csv = _orders_csv(found, angles)
+    _answer(document, text_csv, output, as_json)
+
+
+def _answer(document: Mapping[str, Any], text_csv: str, output: str | None, as_json: bool) -> None:
+    """Write a table to a file, as CSV or JSON by its suffix, and print it as JSON, or as CSV without a file."""
+    from nacre.core.files import write_text
+
     if output:
         write_text(output, text_csv if output.endswith(".csv") else json.dumps(document) + "\n")
         common.note(output)
