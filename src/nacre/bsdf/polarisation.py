@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nacre.bsdf.tabulate import StackTables
+from nacre.bsdf.tabulate import StackTables, in_plane_beyond
 from nacre.bsdf.tabulate_anisotropic import SLICE_SHARE, AnisotropicTables
 from nacre.core.arrays import Array, ComplexArray
 from nacre.matter.stack import solve as solver
@@ -84,9 +84,8 @@ def interface_polarisation(tables: StackTables, thicknesses_nm: Array) -> Interf
         inside = solver.amplitudes(back_n, back_d, lam, kappa=np.sqrt(1.0 - cos * cos)[:, None] * rare)
         behind = _elements(inside.r_s, inside.r_p)
         if tables.eta > 1.0:
-            share = np.square(np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, TOTAL_NODES)))[:, None]
-            square = rare**2 + np.maximum(dense**2 - rare**2, 0.0) * share
-            beyond = solver.amplitudes(back_n, back_d, lam, kappa=np.sqrt(square))
+            kappa = in_plane_beyond(rare, dense, np.linspace(0.0, 1.0, TOTAL_NODES))
+            beyond = solver.amplitudes(back_n, back_d, lam, kappa=kappa)
             total = _elements(beyond.r_s, beyond.r_p)
     regions = [None if region is None else region[None] for region in (reflected, behind, total, transmitted)]
     assert regions[0] is not None
@@ -110,10 +109,9 @@ def _anisotropic(tables: AnisotropicTables) -> InterfacePolarisation:
         conjugate = np.arcsin(np.clip(np.sin(theta)[:, None] * rare / dense, 0.0, 1.0))
         behind, returned = inside.elements(conjugate, azimuths)
         if tables.eta > 1.0:
-            share = np.square(np.sin(0.5 * np.pi * np.linspace(0.0, 1.0, ANISOTROPIC_TOTAL_NODES)))[:, None]
-            square = rare**2 + np.maximum(dense**2 - rare**2, 0.0) * share
-            square = np.maximum(square, rare**2 * (1.0 + LEAST_COS**2))
-            total, _ = inside.elements(np.arcsin(np.clip(np.sqrt(square) / dense, 0.0, 1.0)), azimuths)
+            kappa = in_plane_beyond(rare, dense, np.linspace(0.0, 1.0, ANISOTROPIC_TOTAL_NODES))
+            kappa = np.maximum(kappa, rare * np.sqrt(1.0 + LEAST_COS**2))
+            total, _ = inside.elements(np.arcsin(np.clip(kappa / dense, 0.0, 1.0)), azimuths)
     passed = transmitted if tables.transmits else None
     return InterfacePolarisation(lam, reflected, behind, total, passed, returned, tables.eta, tables.flipped)
 

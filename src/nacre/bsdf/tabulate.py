@@ -239,15 +239,10 @@ class StackTables:
         return np.moveaxis(np.stack([reflected, passed, behind], axis=-2), -3, 0)
 
     def _beyond(self, d: Array, x: Array) -> Array:
-        """Return R from inside beyond the critical angle, `[x, *params, wavelength]`.
-
-        In-plane wavevectors run from critical to grazing at every wavelength: their squares are stretched to each
-        wavelength's index, although all share one `eta`.
-        """
+        """Return R from inside beyond the critical angle, `[x, *params, wavelength]`."""
         rare = (self.n[-1] if self.flipped else self.n[0]).real
         dense = (self.n[0] if self.flipped else self.n[-1]).real
-        share = np.square(np.sin(0.5 * np.pi * x))[:, None]
-        reflected, _ = self.inside(d, np.sqrt(rare**2 + np.maximum(dense**2 - rare**2, 0.0) * share))
+        reflected, _ = self.inside(d, in_plane_beyond(rare, dense, x))
         return np.moveaxis(np.where(x[:, None] == 1.0, 1.0, reflected), -2, 0)
 
     def _error_in_denser(self, response: InterfaceResponse, d: Array, angles: Array) -> float:
@@ -262,6 +257,16 @@ class StackTables:
         exact = self.inside(d, np.sin(theta)[:, None] * dense)
         found = response.lookup(np.cos(theta), np.ones(len(theta), dtype=bool))
         return max(float(np.max(np.abs(a - np.clip(b, 0.0, 1.0)))) for a, b in zip(found, exact, strict=True))
+
+
+def in_plane_beyond(rare: Array, dense: Array, x: Array) -> Array:
+    """Return kx / k0 `[x, wavelength]` beyond the critical angle, of media with the indices `[wavelength]`.
+
+    It runs from critical (x = 0) to grazing (x = 1) at every wavelength: the squares are stretched to each wavelength's
+    index, although all share one `eta`.
+    """
+    share = np.square(np.sin(0.5 * np.pi * x))[:, None]
+    return np.asarray(np.sqrt(rare**2 + np.maximum(dense**2 - rare**2, 0.0) * share))
 
 
 def _blocks(rows: int, values: int) -> Iterator[slice]:
