@@ -15,8 +15,9 @@ import mitsuba as mi
 from nacre.bsdf.lobe import Lobe
 from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import LobePlugin, larger, negated, smaller, with_wi
-from nacre.device.polarisation import DevicePolarisation, depolarised, scaled
+from nacre.device.polarisation import DevicePolarisation, scaled
 from nacre.device.texture import ObjectSpace
+from nacre.device.variant import depolarised
 
 
 def update_lobes(target: Any, lobes: Sequence[Lobe]) -> None:

@@ -20,11 +20,6 @@ from nacre.device.tables import DeviceTable, WavelengthAxis
 DARKEST = 1e-12  # power below which a matrix is taken as depolarising
 
 
-def depolarised(value: Any) -> Any:
-    """Return a value as a depolarising Mueller matrix in polarised variants, else unchanged."""
-    return mi.mueller.depolarizer(value) if mi.is_polarized else value
-
-
 def scaled(matrix: Any, value: Any) -> Any:
     """Return a Mueller matrix times a spectrum (`*` would be the product of a matrix and a vector)."""
     return mi.Spectrum([[matrix[i, j] * value for j in range(4)] for i in range(4)])

@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import ModuleType
+from typing import Any
 
 from nacre.core.errors import MachineError, UnsupportedError, did_you_mean
 from nacre.device import llvm
@@ -69,6 +70,13 @@ def polarised_variant() -> Iterator[ModuleType]:
         yield mi
     finally:
         mi.set_variant(before)
+
+
+def depolarised(value: Any) -> Any:
+    """Return an unpolarised value as the variant's spectrum: a depolarising Mueller matrix if that is polarised."""
+    import mitsuba as mi
+
+    return mi.mueller.depolarizer(value) if mi.is_polarized else value
 
 
 def import_mitsuba() -> ModuleType:

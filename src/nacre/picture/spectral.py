@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.device.variant import depolarised
 from nacre.light import xyz_weights
 from nacre.light.tables import observer, table_wavelengths_nm
-from nacre.picture.lights.environment_plugin import unpolarised
 from nacre.picture.plugin import WrappedIntegrator, dr, make_plugin, mi
 
 FIRST_NM, LAST_NM = 360.0, 830.0
@@ -83,4 +83,4 @@ class Divided(WrappedIntegrator):
         response = self.response.eval(si, active)
         # rounding may put a wavelength beyond the last one; the film takes the intensity of polarised light
         value = light[0, 0] if mi.is_polarized else light
-        return unpolarised(dr.select(response > 0.0, value / response, 0.0)), is_valid, rest
+        return depolarised(dr.select(response > 0.0, value / response, 0.0)), is_valid, rest

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nacre.device.variant import depolarised
 from nacre.picture.plugin import Plugin, dr, make_plugin, mi
 
 if TYPE_CHECKING:
@@ -36,11 +37,6 @@ def spectrum_texture(wavelengths_nm: Any, power: Any) -> Any:
     values = np.interp(np.arange(360.0, 831.0), wavelengths_nm, power)
     limits = {"wavelength_min": 360.0, "wavelength_max": 830.0}
     return mi.load_dict({"type": "regular", **limits, "values": ",".join(f"{v:.7g}" for v in values)})
-
-
-def unpolarised(radiance: Any) -> Any:
-    """Return unpolarised emission as the variant's spectrum."""
-    return mi.mueller.depolarizer(radiance) if mi.is_polarized else radiance
 
 
 class DistantEmitter(Plugin):
@@ -122,7 +118,7 @@ class NacreEnvironment(DistantEmitter):
             self.radius = mi.Float(max(1e-3, float(np.asarray(sphere.radius).reshape(-1)[0]) * 1.01))
 
     def eval(self, si: Any, active: Any = True) -> Any:
-        return unpolarised(self._shine(self._uv(-si.wi)[0], si.wavelengths, active))
+        return depolarised(self._shine(self._uv(-si.wi)[0], si.wavelengths, active))
 
     def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
         uv, density = self.density.sample(sample, active=active)
@@ -137,14 +133,14 @@ class NacreEnvironment(DistantEmitter):
         ds.delta, ds.emitter = mi.Bool(False), self.emitter_pointer()
         ds.d, ds.dist = d, distance
         weight = self._shine(uv, it.wavelengths, active) / dr.maximum(ds.pdf, 1e-12)
-        return ds, unpolarised(weight & active)
+        return ds, depolarised(weight & active)
 
     def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
         uv, sin_theta = self._uv(ds.d)
         return dr.select(active, _per_solid_angle(self.density.eval(uv, active=active), sin_theta), 0.0)
 
     def eval_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
-        return unpolarised(self._shine(self._uv(ds.d)[0], it.wavelengths, active))
+        return depolarised(self._shine(self._uv(ds.d)[0], it.wavelengths, active))
 
     def to_string(self) -> str:
         return f"NacreEnvironment[{self.count} spectra, {self.columns} x {self.rows}]"
