@@ -306,16 +306,20 @@ class _Likelihood:
         return float(np.sum(self.residual(factors) ** 2))
 
     def jacobian(self, factors: Array) -> Array:
-        """Return the derivatives of the residuals, `[value, cause]`, by central differences."""
-        steps = STEP * np.eye(len(factors))
-        rows = [self.residual(factors + step) - self.residual(factors - step) for step in steps]
-        return np.stack(rows, axis=1) / (2.0 * STEP)
+        """Return the derivatives of the residuals, `[value, cause]`."""
+        return _central_differences(self.residual, factors)
 
     def along(self, number: int, factor: float) -> Array:
         """Return the factors with one cause at a value and the others at 0."""
         factors = np.zeros(len(self.causes))
         factors[number] = factor
         return factors
+
+
+def _central_differences(function: Callable[[Array], Array], factors: Array) -> Array:
+    """Return the derivatives of a function of the factors, `[value, cause]`."""
+    rows = [function(factors + step) - function(factors - step) for step in STEP * np.eye(len(factors))]
+    return np.stack(rows, axis=1) / (2.0 * STEP)
 
 
 def _single(likelihood: _Likelihood, number: int) -> tuple[float, Suspect]:
@@ -378,13 +382,7 @@ def _advice_for_all(likelihood: _Likelihood, factors: Array, covariance: Array) 
     open_ = int(np.sum(np.sqrt(np.diag(covariance)) >= DETERMINED))
 
     def determines(pair: Sequence[SpectrumObservation], noise: float) -> bool:
-        steps = STEP * np.eye(len(factors))
-        rows = [
-            np.concatenate(likelihood.predict(factors + step, pair))
-            - np.concatenate(likelihood.predict(factors - step, pair))
-            for step in steps
-        ]
-        slope = np.stack(rows, axis=1) / (2.0 * STEP * noise)
+        slope = _central_differences(lambda at: np.concatenate(likelihood.predict(at, pair)) / noise, factors)
         together = np.linalg.inv(np.linalg.inv(covariance) + slope.T @ slope)
         return int(np.sum(np.sqrt(np.diag(together)) >= DETERMINED)) < open_
 
