@@ -58,7 +58,13 @@ MAX_NESTED_RECIPES = 8
 BYTES_PER_VALUE = 160  # per angle and wavelength: amplitudes and powers of two polarisations, and the stored parts
 MANY_ANGLES = 1000  # from here on the memory of the material's own wavelengths is checked
 POLARISATIONS = ("s", "p", "both", "left", "right", "mueller")
-STUDY_TABLES = ("fit", "tolerance", "ties", "instrument")  # of fits and tolerances; they do not change the optics
+STUDY_TABLES = (
+    "fit",
+    "tolerance",
+    "ties",
+    "instrument",
+    "geometry",
+)  # of fits and tolerances; they do not change the optics
 
 
 @functools.lru_cache(maxsize=256)  # each message once per process
