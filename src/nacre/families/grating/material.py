@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from nacre.families.grating.outlines import outlines
 from nacre.families.grating.tables import MAX_THETA, OrderTables, order_tables
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.periodic.orders import Orders, coarse_orders, solve_orders
+from nacre.matter.periodic.slices import COARSE, Wall, sliced
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Shape
 
 MIRROR_NODES = 65
@@ -61,11 +63,11 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class GratingLayer:
-    """One layer with its shapes."""
+    """One layer with its shapes, their materials and their walls."""
 
     thickness_nm: float
     material: OpticalConstant
-    shapes: tuple[tuple[Shape, OpticalConstant], ...] = ()
+    shapes: tuple[tuple[Shape, OpticalConstant, Wall], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,28 +100,26 @@ class Grating(Model, Diffracting, Pixels):
         return np.array(self.grid_nm)
 
     def stacks(self, wavelengths_nm: Array) -> list[PeriodicStack]:
-        """Return the structure at wavelengths."""
+        """Return the structure at wavelengths; sloping walls as steps that can be refined."""
         lam = np.asarray(wavelengths_nm, dtype=float)
         cover, substrate = self.ambient.n_complex(lam).real, self.substrate.n_complex(lam)
         grounds = [layer.material.n_complex(lam) ** 2 for layer in self.layers]
-        shapes = [[material.n_complex(lam) ** 2 for _, material in layer.shapes] for layer in self.layers]
-        return [
-            PeriodicStack(
-                self.cell,
-                float(cover[k]),
-                tuple(
-                    PatternLayer(
-                        layer.thickness_nm,
-                        complex(ground[k]),
-                        tuple((shape, complex(e[k])) for (shape, _), e in zip(layer.shapes, inner, strict=True)),
-                    )
-                    for layer, ground, inner in zip(self.layers, grounds, shapes, strict=True)
-                ),
-                complex(substrate[k]),
-                self.profile,
-            )
-            for k in range(len(lam))
-        ]
+        inner = [[material.n_complex(lam) ** 2 for _, material, _ in layer.shapes] for layer in self.layers]
+        is_sloped = any(not wall.is_vertical for layer in self.layers for _, _, wall in layer.shapes)
+
+        def made(k: int, count: int) -> PeriodicStack:
+            layers: list[PatternLayer] = []
+            for layer, ground, values in zip(self.layers, grounds, inner, strict=True):
+                shapes = [
+                    (shape, complex(e[k]), wall) for (shape, _, wall), e in zip(layer.shapes, values, strict=True)
+                ]  # fmt: skip
+                layers += sliced(layer.thickness_nm, complex(ground[k]), shapes, count)
+            refined = partial(made, k) if is_sloped and count == COARSE else None
+            return PeriodicStack(
+                self.cell, float(cover[k]), tuple(layers), complex(substrate[k]), self.profile, refined
+            )  # fmt: skip
+
+        return [made(k, COARSE) for k in range(len(lam))]
 
     def diffraction_orders(self, theta_rad: Array, azimuth_rad: float, wavelengths_nm: Array | None) -> Orders:
         """Return the orders for light from an azimuth in the frame of the surface."""
@@ -147,7 +147,7 @@ class Grating(Model, Diffracting, Pixels):
         return [
             (number, corners)
             for number, layer in enumerate(self.layers, start=1)
-            for shape, _ in layer.shapes
+            for shape, _, _ in layer.shapes
             for corners in outlines(shape, x, y)
         ]
 

@@ -14,7 +14,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.families.grating.material import Grating, GratingLayer, Spread
 from nacre.families.grating.profiles import profile_of, read_profile
-from nacre.families.grating.shapes import ShapeSpec, check_shapes
+from nacre.families.grating.shapes import ShapeSpec, check_shapes, widest
 from nacre.matter.indices.spec import IndexSpec, ambient_in
 from nacre.matter.periodic.structure import Cell, Profile
 from nacre.recipe.model import RecipeContext, RecipeModel
@@ -291,12 +291,14 @@ class GratingSpec(RecipeModel):
         layers = []
         for i, layer in enumerate(self.layers):
             named, shapes = [], []
+            height = layer.thickness_nm
             for k, shape in enumerate(layer.shapes):
                 key = f"layers[{i}].shapes[{k}]"
                 material = shape.material.build(context)
+                wall = shape.wall(context, key, height)
                 for part in shape.geometry(context, key, cell):
-                    named.append((key, part))
-                    shapes.append((part, material))
+                    named.append((key, widest(part, wall, height)))
+                    shapes.append((part, material, wall))
             if (wrong := check_shapes(named, cell)) is not None:
                 raise RecipeError(f"{context.source}: {wrong}; allowed: shapes inside the cell that do not overlap")
             layers.append(GratingLayer(layer.thickness_nm, layer.material.build(context), tuple(shapes)))
