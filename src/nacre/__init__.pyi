@@ -10,6 +10,7 @@ from .api import evaluate as evaluate
 from .api import export as export
 from .api import fabricate as fabricate
 from .api import fit as fit
+from .api import formulate as formulate
 from .api import gamut as gamut
 from .api import import_ as import_
 from .api import orders as orders

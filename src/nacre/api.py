@@ -40,6 +40,9 @@ from nacre.material.number_maps import number_maps
 from nacre.matter.drawings import DrawingRequest
 from nacre.matter.periodic.orders import Orders
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
+from nacre.optimise.formulation.formulate import Formulation
+from nacre.optimise.formulation.formulate import formulate as run_formulation
+from nacre.optimise.formulation.formulate import write_formulation
 from nacre.optimise.gamut import Gamut, find_gamut, parse_parameters
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import open_file
@@ -50,6 +53,7 @@ __all__ = [
     "export",
     "fabricate",
     "fit",
+    "formulate",
     "gamut",
     "import_",
     "orders",
@@ -298,6 +302,31 @@ def fit(
         from nacre.analysis.fit_report import write_fit_page
 
         write_fit_page(report, found, measured, numbers)
+    return found
+
+
+def formulate(
+    target: str | Path | Mapping[str, Any],
+    out: str | Path | None = None,
+    progress: Callable[[int, int, float], None] | None = None,
+) -> Formulation:
+    """Match measured colours of an effect paint with pigments and a dye of a library.
+
+    Args:
+        target: TOML file with `library`, `recipe` and `[[target]]`, or a dictionary of these keys.
+        out: folder for the recipes and `formulation.json`; default: nothing is written.
+        progress: called with (done, all, best rms distance in tolerances) in each stage.
+
+    Raises:
+        RecipeError: the file or its library is not valid.
+        UnsupportedError: the paint has no noise-free model.
+        NacreError: the folder cannot be written.
+    """
+    if out is not None and not Path(out).exists():
+        check_writable(out)
+    found = run_formulation(target, progress)
+    if out is not None:
+        write_formulation(found, Path(out))
     return found
 
 
