@@ -16,6 +16,7 @@ from .api import import_ as import_
 from .api import orders as orders
 from .api import read as read
 from .api import report as report
+from .api import runsheet as runsheet
 from .api import spectrum as spectrum
 from .api import sweep as sweep
 from .api import tolerance as tolerance
