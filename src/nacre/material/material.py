@@ -67,6 +67,7 @@ STUDY_TABLES = (
     "ties",
     "instrument",
     "geometry",
+    "correlation",
 )  # of fits and tolerances; they do not change the optics
 
 

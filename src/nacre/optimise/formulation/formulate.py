@@ -43,6 +43,7 @@ SCOUT_STEPS, COARSE_STEPS, FINE_STEPS = 7, 25, 12  # of least squares
 SECOND = 10  # combinations refined on the two-stream model, for each answer
 CORRECTIONS, REST = 6, 2e-3  # largest number of space-mapping steps; a smaller move ends them
 FINALISTS = 4  # for each answer
+GOOD_RMS, EDGE, POLISH_STEPS = 0.1, 0.05, 15  # of the final least squares
 WALKS = 1 << 16
 BLACK, WHITE = 0.0, 0.8  # albedo of the contrast ratio's bases; ISO 6504-3 asks for at least 0.8 of the white
 HIDING = Geometry("aspecular", 45.0, 45.0)  # 45/0
@@ -66,14 +67,14 @@ class Ingredient:
     path: str
 
     def fraction(self, unit: float) -> float:
-        """Return the volume fraction of a coordinate in [0, 1]; quadratic, for small amounts."""
+        """Return the volume fraction of a coordinate in [0, 1]."""
         low, high = self.entry.volume_fraction
-        return float(max(low + (high - low) * unit**2, LEAST * high))
+        return float(max(low + (high - low) * unit, LEAST * high))
 
     def unit(self, fraction: float) -> float:
         """Return the coordinate of a volume fraction."""
         low, high = self.entry.volume_fraction
-        return float(np.sqrt(np.clip((fraction - low) / (high - low), 0.0, 1.0)))
+        return float(np.clip((fraction - low) / (high - low), 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -312,6 +313,21 @@ class _Paint:
         found = minimise_residuals(residuals, start, max_nfev=steps)
         return float(np.sqrt(np.mean(residuals(found.point) ** 2))), found.point
 
+    def polished(self, start: Array) -> tuple[float, Array]:
+        """Return rms distance and point by space mapping, then by least squares of the doubling method if far."""
+        rms, point = self.corrected(start)
+        if rms < GOOD_RMS:
+            return rms, point
+
+        def residuals(at: Array) -> Array:
+            exact, rest = self.factors(self.fractions(at), True)
+            return np.asarray(self.task.merit.residuals(exact + rest))
+
+        inside = np.clip(point, EDGE, 1.0 - EDGE)  # an ingredient at a bound may come back
+        found = minimise_residuals(residuals, inside, max_nfev=POLISH_STEPS)
+        polished = float(np.sqrt(np.mean(residuals(found.point) ** 2)))
+        return min((rms, point), (polished, found.point), key=lambda pair: pair[0])
+
     def corrected(self, start: Array, steps: int = CORRECTIONS) -> tuple[float, Array]:
         """Return the rms distance of the doubling method, in tolerances, and its point, by steps of space mapping."""
         best, best_point, point = np.inf, start, start
@@ -364,7 +380,7 @@ class _Search:
         plan = (
             (SECOND * solutions, lambda found: (*found[1].fit(found[2], None, COARSE_STEPS), found[1]), SECOND_SHARE),
             (FINALISTS * solutions, lambda found: (*found[1].corrected(found[2], 2), found[1]), THIRD_SHARE),
-            (2 * solutions, lambda found: (*found[1].corrected(found[2], CORRECTIONS), found[1]), FINE_SHARE),
+            (2 * solutions, lambda found: (*found[1].polished(found[2]), found[1]), FINE_SHARE),
         )
         for most, refined, share in plan:
             better = self._stage(tried[:most], refined, share, solutions)
