@@ -17,7 +17,7 @@ from nacre.material.material import Material, material_from_data
 from nacre.recipe.model import validate
 
 MAP_SIZE = 256  # texels along each side of the map
-NODES = {True: (48, 8), False: (5, 3)}  # along the first and the second range, of quick and of slow materials
+NODES = {(True, 1): (48,), (True, 2): (24, 6), (False, 1): (5,), (False, 2): (3, 3)}  # by speed and count of ranges
 DRAWN = ("thickness_nm", "thickness_um", "thickness_mm", "mask")  # others, such as rotations, change no colour of a table
 MAX_VARYING = 2
 
@@ -46,7 +46,7 @@ def grades_of(material: Material) -> Grades | None:
         return None
     axis = (np.arange(MAP_SIZE) + 0.5) / MAP_SIZE
     uv = np.stack(np.meshgrid(axis, axis), axis=-1)
-    counts = NODES[material.model.traits.is_quick][: len(found)]
+    counts = NODES[material.model.traits.is_quick, len(found)]
     place, values, stepped = np.zeros((MAP_SIZE, MAP_SIZE, 2)), [], False
     for i, (path, table) in enumerate(found):
         texture = _built(material, table, path)

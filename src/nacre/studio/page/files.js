@@ -20,6 +20,8 @@ export async function open(name) {
     return;
   }
   page.setError(null);
+  for (const id of ["object-error", "design-error", "file-error", "file-state"]) $(id).textContent = "";        // of the last recipe
+  $("file-remarks").replaceChildren();
   listRecipes();
   $("text").value = recipe.text;
   await page.showRecipe();
