@@ -331,7 +331,8 @@ DEFAULTS: tuple[Default, ...] = (
     _entry("Ti", "titanium", "main/Ti/Johnson", "titanium"),
     # not Werner 2009 for Pt and W: its n falls to 0.5 and 0.9 in the visible, where others measure 2.3 and 3.5
     _entry("W", "tungsten", "main/W/Weaver", "tungsten"),
-    _entry("steel", "stainless steel, austenitic", "other/stainless_steel/Karlsson-austenitic", "stainless steel", "inox"),
+    _entry("steel", "stainless steel, austenitic", "other/stainless_steel/Karlsson-austenitic", "stainless steel",
+           "inox"),
     _entry("brass", "brass, 70 % copper and 30 % zinc", "other/Cu-Zn/Querry-Cu70Zn30"),
     # semiconductors
     _entry("Si", "silicon, crystalline", "main/Si/Green-2008", "silicon"),
@@ -393,7 +394,8 @@ DEFAULTS: tuple[Default, ...] = (
     _constant("polysilazane", "polysilazane lacquer", 1.5550,
               "Guillen et al. 2020, table A1, which gives no dispersion; no database entry"),
     _entry("BK7", "borosilicate crown glass N-BK7", "specs/SCHOTT-optical/N-BK7", "N-BK7", "BK7 glass"),
-    _constant("glass", "plain glass without dispersion", 1.5, "by convention; BK7 is the dispersive one", "window glass", "float glass"),
+    _constant("glass", "plain glass without dispersion", 1.5, "by convention; BK7 is the dispersive one",
+              "window glass", "float glass"),
 )  # fmt: skip
 
 

@@ -85,7 +85,13 @@ async function offer(answer) {
   box.hidden = !all.length;
 }
 
-const own = (seq) => ({ ...recipe.question(seq), ...comparedLab(), lamp: $("lamp").value });
+// Angles and wavelengths of a dropped measurement, for Psi and Delta beside it.
+function ellipsometryAsked() {
+  const found = app.ellipsometry ?? [], nm = found.flatMap((one) => one.nm);
+  return found.length ? { ellipsometry: { angles_deg: found.map((one) => one.angle_deg), range_nm: [Math.min(...nm), Math.max(...nm)] } } : {};
+}
+
+const own = (seq) => ({ ...recipe.question(seq), ...comparedLab(), ...ellipsometryAsked(), lamp: $("lamp").value });
 
 // ---- the recipe as form and TOML
 
