@@ -104,7 +104,7 @@ class Film(Model, Polarised):
         range_nm, step_nm: wavelength grid; default step: colours within 0.5 dE00.
     """
 
-    version = 2
+    version = 3
     traits = Traits(noun="film", default_parts=("specular_reflectance",), is_quick=True)
 
     ambient: OpticalConstant
