@@ -50,7 +50,9 @@ def call(command: Sequence[str | Path], folder: Path | None = None, **variables:
         [str(word) for word in command], cwd=folder, env={**os.environ, **variables}, capture_output=True, text=True
     )
     if done.returncode:
-        raise SystemExit(f"release: {' '.join(map(str, command))}: status {done.returncode}\n{done.stdout}{done.stderr}")
+        raise SystemExit(
+            f"release: {' '.join(map(str, command))}: status {done.returncode}\n{done.stdout}{done.stderr}"
+        )
     return done.stdout
 
 
@@ -79,7 +81,9 @@ def build(python: Path, epoch: int, out: Path) -> list[Path]:
         with tarfile.open(fileobj=io.BytesIO(archive)) as packed:
             packed.extractall(folder, filter="data")
         out.mkdir(parents=True, exist_ok=True)
-        call([python, "-m", "build", "--no-isolation", "-q", "-o", out, "."], Path(folder), SOURCE_DATE_EPOCH=str(epoch))
+        call(
+            [python, "-m", "build", "--no-isolation", "-q", "-o", out, "."], Path(folder), SOURCE_DATE_EPOCH=str(epoch)
+        )
     for sdist in out.glob("*.tar.gz"):
         normalise(sdist, epoch)
     return sorted(out.glob("nacre-*"))
@@ -106,7 +110,9 @@ def pip(python: Path, *words: str | Path) -> str:
 def megabytes(python: Path) -> float:
     """Return the size of an environment's packages in 10^6 bytes."""
     (site,) = python.parents[1].glob("lib/python*/site-packages")
-    return round(sum(f.stat().st_size for f in site.rglob("*") if f.is_file() and "__pycache__" not in f.parts) / 1e6, 1)
+    return round(
+        sum(f.stat().st_size for f in site.rglob("*") if f.is_file() and "__pycache__" not in f.parts) / 1e6, 1
+    )
 
 
 def readme_commands() -> list[str]:
