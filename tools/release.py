@@ -62,7 +62,7 @@ def sha256(path: Path) -> str:
 
 
 def normalise(sdist: Path, epoch: int) -> None:
-    """Rewrite an sdist with sorted names, one time, one owner and plain modes, so that equal content gives equal bytes."""
+    """Rewrite an sdist with sorted names, one time, one owner and plain modes: equal content gives equal bytes."""
     packed = io.BytesIO()
     with tarfile.open(sdist) as source, tarfile.open(fileobj=packed, mode="w", format=tarfile.PAX_FORMAT) as target:
         for member in sorted(source.getmembers(), key=lambda one: one.name):
@@ -90,10 +90,15 @@ def build(python: Path, epoch: int, out: Path) -> list[Path]:
 
 
 def find_pythons() -> dict[str, str]:
-    """Return the interpreters of `PYTHONS` that this machine has."""
-    found = {name: shutil.which(f"python{name}") for name in PYTHONS}
-    found[f"{sys.version_info[0]}.{sys.version_info[1]}"] = sys.executable
-    return {name: path for name, path in found.items() if path and name in PYTHONS}
+    """Return the interpreters of `PYTHONS` that this machine has: this one, on the path, or of pyenv."""
+    found = {f"{sys.version_info[0]}.{sys.version_info[1]}": sys.executable}
+    root = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+    for name in PYTHONS:
+        named = [*map(str, root.glob(f"{name}.*/bin/python{name}")), shutil.which(f"python{name}")]
+        for path in filter(None, named):
+            if subprocess.run([path, "-c", ""], capture_output=True).returncode == 0:
+                found.setdefault(name, path)
+    return {name: found[name] for name in PYTHONS if name in found}
 
 
 def make_environment(python: str, place: Path) -> Path:

@@ -1,4 +1,4 @@
-"""What other systems lack is simulated: no /proc, no sysconf, no affinity, files that are open elsewhere, no signals."""
+"""What other systems lack is simulated: no /proc, no sysconf, no affinity, files open elsewhere, no signals."""
 
 from __future__ import annotations
 

@@ -188,6 +188,8 @@ def _create(path: Path, sweep: Sweep) -> None:
         if points.mode != "grid":
             _coordinate(group, "point", list(range(points.count)), ["point"])
         _coordinate(group, "angle_deg", list(measurement.angles_deg), ["angle_deg"])
+        if measurement.geometries:
+            _coordinate(group, "geometry", [name for name, _ in measurement.geometries], ["geometry"])
         _coordinate(group, "lab", ["L*", "a*", "b*"], ["lab"])
         _coordinate(group, "xyz", ["X", "Y", "Z"], ["xyz"])
         if measurement.wavelengths_nm is not None:
