@@ -30,6 +30,7 @@ ANISOTROPIC_TOTAL_NODES = 33
 AZIMUTHS = (8, 16, 32)
 AZIMUTH_ERROR = 0.03  # of an element midway between azimuths, relative to the largest first element
 LEAST_COS = 1e-5  # no wave runs exactly along the surface
+MOST_STORED = 1_000_000  # values in a file
 PROBE_COSINES = np.array([0.35, 0.6, 0.85])
 PROBE_WAVELENGTHS = 8
 REGIONS = ("reflected", "reflected_inside", "total", "transmitted", "transmitted_inside")
@@ -82,9 +83,15 @@ class InterfacePolarisation:
             raise ValueError("eta or the transmitted part is inconsistent")
 
     def compact(self) -> InterfacePolarisation:
-        """Return the tables in single precision, as the renderer has them, without the refined powers."""
+        """Return the tables in single precision, as the renderer has them, without the refined powers.
+
+        Tables of isotropic interfaces have every second, fourth or eighth cosine if they are large.
+        """
         tables = {name: getattr(self, name) for name in REGIONS}
-        single = {name: None if table is None else table.astype(np.float32) for name, table in tables.items()}
+        size, step = sum(0 if table is None else table.size for table in tables.values()), 1
+        while self.reflected.shape[-1] == 4 and size > step * MOST_STORED and step < 8:
+            step *= 2
+        single = {n: None if table is None else table[:, ::step].astype(np.float32) for n, table in tables.items()}
         return dataclasses.replace(self, **single, response=None)
 
     def arrays(self) -> dict[str, Array]:
