@@ -1,9 +1,9 @@
 """Texture of effect coatings: sparkle under a small lamp at 15, 45 and 75 degrees, and graininess under diffuse light.
 
 The flakes of the recipe (size, slope, number, depth, and what lies above them) give both, from their statistics
-(`nacre.measure.sparkle`, `nacre.measure.graininess`) or from drawn patches as the camera sees them. The mean luminance is
-that of the material's Bsdf. Instruments of the market map such quantities to scales that are not public: without measured
-pairs the scale is relative. `calibration` holds such pairs.
+(`nacre.measure.sparkle`, `nacre.measure.graininess`) or from drawn patches as the camera sees them. The mean luminance
+is that of the material's Bsdf. Instruments of the market map such quantities to scales that are not public: without
+measured pairs the scale is relative. `calibration` holds such pairs.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from pydantic import Field
 from nacre.bsdf import Bsdf
 from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError, RecipeError, UnsupportedError, did_you_mean
+from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
+from nacre.core.files import read_text
 from nacre.families.contract import Mixed, Model, ResolvedFlakes, SingleFlakes
 from nacre.light import smooth_weights
 from nacre.material.material import Material
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
-from nacre.measure.graininess import DiffuseArea, Graininess, graininess_patch, graininess_statistics
+from nacre.measure.graininess import TILES, DiffuseArea, Graininess, graininess_patch, graininess_statistics
 from nacre.measure.sparkle import Area, Pixels, Sparkle, sparkle_patch, sparkle_statistics
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
 from nacre.recipe.toml import parse_toml
@@ -81,13 +82,20 @@ class Instrument(RecipeModel):
         names = [*QUANTITIES, *(f"{name}_{angle:g}" for name in QUANTITIES[:3] for angle in ANGLES_DEG)]
         for name, pairs in self.calibration.items():
             if name not in names:
-                raise ValueError(f"calibration.{name} is not known.{did_you_mean(name, names)} Known: {', '.join(names)}")
+                raise ValueError(
+                    f"calibration.{name} is not known.{did_you_mean(name, names)} Known: {', '.join(names)}"
+                )
             if not pairs or not all(math.isfinite(v) and v >= 0 for pair in pairs for v in pair):
-                raise ValueError(f"calibration.{name} = {show_value([list(p) for p in pairs])} needs pairs of numbers >= 0")
+                given = show_value([list(pair) for pair in pairs])
+                raise ValueError(
+                    f"calibration.{name} = {given} is not allowed; write [[relative, measured]], from 0 up"
+                )
             if max(pair[0] for pair in pairs) <= 0:
                 raise ValueError(f"calibration.{name} needs a relative value above 0")
         if self.pixel_um * 64 > self.field_mm * 1e3:
-            raise ValueError(f"pixel_um = {self.pixel_um:g} leaves fewer than 64 pixels along field_mm = {self.field_mm:g}")
+            raise ValueError(
+                raise ValueError(f"calibration.{name} = {given} is not allowed; write [[relative, measured]], from 0")
+            )
         return self
 
 
@@ -103,11 +111,7 @@ def read_instrument(source: str | Path | Mapping[str, Any] | Instrument | None) 
         return source
     if isinstance(source, Mapping):
         return validate(Instrument, source, RecipeContext("instrument"))  # type: ignore[no-any-return]
-    try:
-        text = Path(source).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8"
-        raise RecipeError(f"{source}: the instrument cannot be read ({reason})") from None
+    text = read_text(Path(source), "instrument")
     return validate(Instrument, parse_toml(text, str(source)), RecipeContext(str(source)))  # type: ignore[no-any-return]
 
 
@@ -138,6 +142,15 @@ class Texture:
     instrument: Instrument
     images: dict[str, Array] = field(default_factory=dict, compare=False, repr=False)
     seed: int = 0
+
+    @property
+    def pictures(self) -> dict[str, tuple[Array, float]]:
+        """Images of the patches with the lengths of their sides in mm, for `nacre.plot.texture_figure`."""
+        found = {}
+        for name, image in self.images.items():
+            tile = self.instrument.field_mm / math.sqrt(TILES)
+            found[name] = (image, tile if name == "diffuse" else image.shape[0] * self.instrument.pixel_um / 1e3)
+        return found
 
     @property
     def scale(self) -> str:

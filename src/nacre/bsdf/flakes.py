@@ -1,10 +1,10 @@
 """Single flakes of an effect coating as a camera sees them: under a small lamp, and under diffuse light.
 
 A flake is a disc with a normal of its own. Under a small lamp it is luminous if its normal lies near the half vector:
-its luminance is `brightness` times the density of the slope between half vector and normal, a Gaussian that contains the
-flatness and the diffraction of the flake, the angular spread of a rough interface, and the apertures of lamp and camera.
-Under diffuse light every flake is luminous, by its own reflectance, and covers what lies below it.
-Luminances are luminance factors: a perfect white diffuser under the same light has 1.
+its luminance is `brightness` times the density of the slope between half vector and normal, a Gaussian that contains
+the flatness and the diffraction of the flake, the angular spread of a rough interface, and the apertures of lamp and
+camera. Under diffuse light every flake is luminous, by its own reflectance, and covers what lies below it. Luminances
+are luminance factors: a perfect white diffuser under the same light has 1.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Graininess of an effect coating under diffuse light: what the eye resolves of the flakes' unequal luminances.
 
-Flakes cover each other. With N the discs over a point, a and T luminance and transmittance of a flake, and both points of
-a pair covered together by the share g of the discs (their covariogram), the second moment C of the luminances of two
+Flakes cover each other. With N the discs over a point, a and T luminance and transmittance of a flake, and both points
+of a pair covered together by the share g of the discs (their covariogram), the second moment C of the luminances of two
 points obeys, upwards through the stratum,
 
     dm/dz = N (<a> + (<T> - 1) m),
@@ -10,9 +10,10 @@ points obeys, upwards through the stratum,
 the colour dead-leaves model of Bordenave, Gousseau and Roueff (Adv. Appl. Probab. 38, 31 (2006)), for flakes that
 transmit. `graininess_statistics` integrates this; `graininess_patch` draws the flakes on top of each other. The
 luminance is then filtered by the contrast sensitivity of the eye (Mannos and Sakrison, IEEE Trans. Inf. Theory 20, 525
-(1974)), held at its maximum below its peak at 8 cycles per degree, as for the visibility of halftones (Mitsa and Varkur,
-ICASSP 1993). Graininess is the standard deviation of the result over the mean, in per cent; a standard deviation over the
-mean of the luminance factor follows Ferrero et al., Opt. Express 26, 30116 (2018).
+(1974)), held at its maximum below its peak at 8 cycles per degree, as for the visibility of halftones (Mitsa and
+Varkur, ICASSP 1993). Graininess is the standard deviation of the result over the mean, in per cent. Ferrero et al.,
+"Definition of a measurement scale of graininess from reflectance and visual measurements", Opt. Express (2018), propose
+a scale from luminance factors, which differs from the one used here.
 """
 
 # mypy: allow-untyped-defs, allow-incomplete-defs

@@ -1,16 +1,17 @@
 """Sparkle of an effect coating: luminance of camera pixels, from the statistics of flakes or from a drawn patch.
 
 Luminous flakes are a Poisson process on the surface. The luminance of a pixel is a uniform part plus the sum over the
-flakes in it, that is, shot noise: with the measure M of the contributions x of single flakes, its characteristic function
-is exp(integral (exp(i w x) - 1) dM) (Campbell's theorem; Rice 1944). `sparkle_statistics` computes M by quadrature over
-size, slope, depth and position, and inverts the characteristic function by a Fourier transform. `sparkle_patch` draws
-flake after flake.
+flakes in it, that is, shot noise: with the measure M of the contributions x of single flakes, its characteristic
+function is exp(integral (exp(i w x) - 1) dM) (Campbell's theorem; Rice 1944). `sparkle_statistics` computes M by
+quadrature over size, slope, depth and position, and inverts the characteristic function by a Fourier transform.
+`sparkle_patch` draws flake after flake.
 
-A pixel sparkles if its luminance L exceeds the mean L0 by the contrast C = (L - L0) / (L0 + dark) > threshold. The model
-of luminous spots on a uniform background, with point spread, entrance pupil and diffuseness of the light, follows Ferrero
-et al., Opt. Express 21, 26812 (2013); a contrast against the background with a threshold as in Ferrero et al., Opt.
-Express 29, 7589 (2021). `dark` is the dark light of the generalised Weber law (compare Kirchner et al., J. Opt. Soc. Am.
-A 32, 921 (2015), for the visibility of sparkle).
+A pixel sparkles if its luminance L exceeds the mean L0 by a contrast (L - L0) / (L0 + dark) > threshold. Its intensity
+is the luminance above the mean, relative to white, and not the contrast: an absorbing clear coat weakens spots and dims
+their surroundings even more. Luminous spots on a background, point spread, entrance pupil and diffuseness of the light
+are the ingredients of Ferrero et al., Opt. Express 21, 26812 (2013); scales of contrast are proposed by Ferrero et al.,
+Opt. Express 29, 7589 (2021). `dark` is the dark light of the generalised Weber law; "Visibility of sparkle in metallic
+paints", J. Opt. Soc. Am. A 32, 921 (2015), derives the visibility of sparkle from such thresholds.
 """
 
 # mypy: allow-untyped-defs, allow-incomplete-defs
@@ -74,9 +75,10 @@ class Sparkle:
     """Sparkle in one geometry.
 
     Attributes:
-        intensity: mean contrast of sparkling pixels; 0 without any.
+        intensity: mean luminance factor of sparkling pixels above that of the field; 0 without any.
         area: share of sparkling pixels, in per cent.
-        grade: intensity times area: the contrast of sparkling pixels per pixel of the field, in per cent.
+        grade: intensity times the square root of the sparkling share, the root mean square over the field of equal
+            spots; the product of both alone, their light, hardly depends on the size of the flakes.
         intensity_error, area_error, grade_error: standard errors.
     """
 
@@ -210,9 +212,7 @@ def _measure(flakes: LitFlakes, side_um: float, effort: float) -> tuple[list[tup
         seen = flakes.density(flakes.half + offset).mean(axis=1) * ellipse
         kernel = np.exp(-0.5 * q) / (2.0 * math.pi * width[0] * width[1])
         covered, place = _pixel_shares(float(spot), side_um, round(PLACES * effort))
-        share, at = _levels(
-            covered / side_um**2 * (radius / spot) ** 2, np.full(covered.shape, place), LEVELS
-        )
+        share, at = _levels(covered / side_um**2 * (radius / spot) ** 2, np.full(covered.shape, place), LEVELS)
         number = flakes.number / UM2_PER_MM2 / count
         found.append((kernel, seen * number, bright, chance, share, at))
         largest = max(largest, float(kernel.max() * bright.max() * share.max()))
@@ -227,7 +227,7 @@ def _moments(parts: Sequence[tuple[Array, ...]]) -> tuple[float, float]:
 
 
 def _tail(area: Area, field_mean: float, pixels: Pixels, effort: float) -> tuple[float, float]:
-    """Return the probability that a pixel sparkles, and the mean contrast of such pixels times that probability."""
+    """Return the probability that a pixel sparkles, and the mean excess of such pixels times that probability."""
     measured = [_measure(flakes, pixels.pixel_um, effort) for flakes in area.flakes]
     parts = [part for found, _ in measured for part in found]
     first, second = _moments(parts)
@@ -247,8 +247,7 @@ def _tail(area: Area, field_mean: float, pixels: Pixels, effort: float) -> tuple
     part_above = np.clip((low + step - limit) / step, 0.0, 1.0)
     middle = np.maximum(low, limit) + 0.5 * part_above * step
     above = chance * part_above
-    contrast = (middle - field_mean) / (field_mean + pixels.dark)
-    return float(above.sum()), float(np.sum(above * contrast))
+    return float(above.sum()), float(np.sum(above * (middle - field_mean)))
 
 
 def uniform_part(area: Area, pixels: Pixels) -> float:
@@ -257,8 +256,10 @@ def uniform_part(area: Area, pixels: Pixels) -> float:
     return max(area.mean - _moments(parts)[0], 0.0)
 
 
-def _sparkle(chance: float, excess: float, errors: tuple[float, float, float]) -> Sparkle:
-    return Sparkle(excess / chance if chance > 0 else 0.0, 100.0 * chance, 100.0 * excess, *errors)
+def _numbers(chance: float, excess: float) -> tuple[float, float, float]:
+    """Return intensity, area and grade from the share of sparkling pixels and their excess times that share."""
+    intensity = excess / chance if chance > 0 else 0.0
+    return intensity, 100.0 * chance, intensity * math.sqrt(chance)
 
 
 def sparkle_statistics(areas: Sequence[Area], pixels: Pixels) -> Sparkle:
@@ -273,10 +274,9 @@ def sparkle_statistics(areas: Sequence[Area], pixels: Pixels) -> Sparkle:
     for effort in (1.0, 0.5):
         tails = np.array([_tail(area, mean, pixels, effort) for area in areas])
         chance, excess = np.array([area.share for area in areas]) @ tails
-        found.append((chance, excess, excess / chance if chance > 0 else 0.0))
+        found.append(_numbers(float(chance), float(excess)))
     fine, coarse = found
-    errors = (abs(fine[2] - coarse[2]), 100.0 * abs(fine[0] - coarse[0]), 100.0 * abs(fine[1] - coarse[1]))
-    return _sparkle(float(fine[0]), float(fine[1]), errors)
+    return Sparkle(*fine, *(abs(a - b) for a, b in zip(fine, coarse, strict=True)))
 
 
 def _draw(flakes: LitFlakes, pixels: Pixels, image: Array, generator: np.random.Generator) -> None:
@@ -373,16 +373,10 @@ def measure_image(image: Array, pixels: Pixels) -> Sparkle:
         for k in kept:
             above = candidates[k][np.searchsorted(candidates[k], limit, side="right") :]
             number, light = number + len(above), light + float(above.sum())
-        return number / pixels_kept, (light - number * mean) / (mean + pixels.dark) / pixels_kept
+        return number / pixels_kept, (light - number * mean) / pixels_kept
 
-    chance, excess = of(None)
-    left_out = np.array([of(k) for k in range(len(blocks))])
-    ratio = left_out[:, 1] / np.maximum(left_out[:, 0], 1e-30)
-    spread = math.sqrt(len(blocks) - 1.0)
-    one_pixel = 1.0 / image.size  # the least error of a count
-    errors = (
-        spread * float(ratio.std()),
-        100.0 * max(spread * float(left_out[:, 0].std()), one_pixel),
-        100.0 * max(spread * float(left_out[:, 1].std()), one_pixel * pixels.threshold),
-    )
-    return _sparkle(chance, excess, errors)
+    whole = _numbers(*of(None))
+    left_out = np.array([_numbers(*of(k)) for k in range(len(blocks))])
+    errors = math.sqrt(len(blocks) - 1.0) * left_out.std(axis=0)
+    least = (0.0, 100.0 / image.size, pixels.threshold * image.mean() / math.sqrt(image.size))  # of one sparkling pixel
+    return Sparkle(*whole, *(float(max(pair)) for pair in zip(errors, least, strict=True)))

@@ -110,7 +110,7 @@ class FlakeTexture:
         return np.asarray((1.0 - part) * table[low] + part * table[low + 1])
 
     def _crossings(self, i: int, w: Array) -> tuple[float, Array]:
-        """Return the flakes that light along `w[3]` crosses in a stratum, and their optical thickness `[wavelength]`."""
+        """Return the flakes crossed by light along `w[3]` in a stratum, and their optical thickness `[wavelength]`."""
         stratum, met, depth = self.pearl.strata[i], 0.0, np.zeros(len(self.wavelengths_nm))
         for flakes, (_, transmit) in zip(stratum.flakes, self.tables[i], strict=True):
             m, area = visible_normals(flakes.normals, w)
@@ -176,7 +176,9 @@ class FlakeTexture:
 
         A cone of half angle a has the variance a^2 / 4 along each axis; a lamp at an angle is foreshortened.
         """
-        bends = [interface_bend(self._alpha(k), self.index[k] / (self.index[k - 1] if k else 1.0)) for k in range(i + 1)]
+        bends = [
+            interface_bend(self._alpha(k), self.index[k] / (self.index[k - 1] if k else 1.0)) for k in range(i + 1)
+        ]
         own = math.tan(math.radians(self.scales.flatness_deg)) ** 2 + sum(b * b for b in bends)
         lamp = 0.25 * lamp_rad**2 * np.array([math.cos(theta_rad) ** 2, 1.0])
         return np.asarray(own + (lamp + 0.25 * camera_rad**2) / tall**2)
@@ -188,8 +190,8 @@ class FlakeTexture:
     def _blur_um(self, i: int, reach_um: float, camera_rad: float) -> float:
         """Return the standard deviation of an image point on the surface.
 
-        By diffraction at the entrance pupil; by defocus, as the camera is focused on the outer surface; and by the rough
-        outer interface, which bends the light that comes from `reach_um` below.
+        By diffraction at the entrance pupil; by defocus, as the camera is focused on the outer surface; and by the
+        rough outer interface, which bends the light that comes from `reach_um` below.
         """
         pupil = RESOLUTION * MIDDLE_UM / math.sin(camera_rad)
         defocus = 0.5 * reach_um * math.tan(camera_rad) / self.index[i]
@@ -258,5 +260,3 @@ def _brightness(spectrum: Array, absorbed: Array, shade: Array, met: float) -> A
     powers = np.maximum(shade, 0.0)[:, None] ** np.arange(math.ceil(min(most, MOST_CROSSINGS)) + 1)
     depth = np.linspace(0.0, 1.0, DEPTH_NODES)
     return np.asarray((spectrum * np.exp(-np.outer(depth, absorbed))) @ powers)
-
-

@@ -93,7 +93,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
                 found.append(f"strata[{i}]: {kinds} types of platelets work, but each slows rendering down")
             for j, flakes in enumerate(stratum.flakes):
                 if flakes.diameter_um is not None and (self.glints is None or i > 0):
-                    found.append(f"strata[{i}].platelets[{j}]: diameter_um affects texture only, not pictures, without glints")
+                    found.append(f"strata[{i}].platelets[{j}]: diameter_um has no effect on pictures without glints")
                 if abs(flakes.normals.frame[2, 2]) < EDGE_ON:
                     found.append(f"strata[{i}].platelets[{j}]: the rotation turns the platelets nearly edge-on")
         return tuple(found)
