@@ -94,7 +94,7 @@ class Instrument(RecipeModel):
                 raise ValueError(f"calibration.{name} needs a relative value above 0")
         if self.pixel_um * 64 > self.field_mm * 1e3:
             raise ValueError(
-                raise ValueError(f"calibration.{name} = {given} is not allowed; write [[relative, measured]], from 0")
+                f"pixel_um = {self.pixel_um:g} is not allowed; field_mm = {self.field_mm:g} should hold 64 or more"
             )
         return self
 
