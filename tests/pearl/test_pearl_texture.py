@@ -161,13 +161,18 @@ def test_statistics_and_patch_agree_on_sparkle_of_thirty_paints(quick_walks: Non
 
 def test_statistics_and_patch_agree_on_graininess(quick_walks: None) -> None:
     for seed in (1, 4):
+        areas, _ = scene(paint(seed, diameter=40.0)).diffuse()
+        closed, (drawn, _) = graininess_statistics(areas, 500.0), graininess_patch(areas, 500.0, 10.0, seed)
+        assert abs(drawn.value - closed.value) <= 4.0 * math.hypot(drawn.error, closed.error)
+
+
+@pytest.mark.full
+def test_the_noise_of_graininess_is_within_its_bar(quick_walks: None) -> None:
+    for seed in (1, 4, 9):
         areas, _ = scene(paint(seed, diameter=30.0)).diffuse()
-        closed = graininess_statistics(areas, 500.0)
-        drawn = [graininess_patch(areas, 500.0, 20.0, k)[0] for k in range(2)]
-        for one in drawn:
-            assert abs(one.value - closed.value) <= 4.0 * math.hypot(one.error, closed.error)
-            assert one.error <= GRAIN_NOISE * one.value
-        assert abs(drawn[0].value - drawn[1].value) <= 4.0 * math.hypot(drawn[0].error, drawn[1].error)
+        values = [graininess_patch(areas, 500.0, 20.0, k)[0].value for k in range(4)]
+        assert np.std(values, ddof=1) <= GRAIN_NOISE * np.mean(values)
+        assert np.mean(values) == pytest.approx(graininess_statistics(areas, 500.0).value, rel=GRAIN_NOISE)
 
 
 def test_opaque_flakes_of_one_luminance_without_gaps_are_uniform(quick_walks: None) -> None:
@@ -196,7 +201,7 @@ def check_ranks(seeds: range) -> None:
 
 
 def test_rank_orders_hold(quick_walks: None) -> None:
-    check_ranks(range(3))
+    check_ranks(range(2))
 
 
 @pytest.mark.full
@@ -249,7 +254,7 @@ def test_the_report_holds_texture_and_calibrated_values(
         'family = "pearl"\n[[strata]]\nresin = {n = 1.5}\nthickness_um = 20\n[[strata.platelets]]\n'
         'volume_fraction = 0.02\nsubstrate = {material = "Al", thickness_nm = 300}\ndiameter_um = 25\n'
     )
-    (tmp_path / "tool.toml").write_text("[calibration]\nsparkle = [[1, 2], [100, 30]]\ngraininess = [[0, 0], [9, 5]]\n")
+    (tmp_path / "tool.toml").write_text("[calibration]\nsparkle = [[0, 2], [100, 30]]\ngraininess = [[0, 0], [9, 5]]\n")
     names = [str(tmp_path / name) for name in ("paint.toml", "tool.toml")]
     assert run(["report", names[0], "--texture", "--instrument", names[1], "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["reports"][0]["texture"]

@@ -305,9 +305,9 @@ class _Scene:
         for share, parts in self.places:
             found = tuple(one.scaled(factor) for factor, m in parts if factor > 0 for one in flakes.get(id(m), []))
             areas.append(Area(share, found, sum(factor * means[id(m)] for factor, m in parts)))
-        for key, error in errors.items():
+        for key, deviation in errors.items():
             total = sum(share * factor for share, parts in self.places for factor, m in parts if id(m) == key)
-            variance += (total * error) ** 2
+            variance += (total * deviation) ** 2
         return areas, math.sqrt(variance)
 
     def diffuse(self) -> tuple[list[tuple[float, DiffuseArea]], float]:

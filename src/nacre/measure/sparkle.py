@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.bsdf.flakes import LitFlakes
 from nacre.core.arrays import Array
@@ -165,11 +166,11 @@ def _levels(values: Array, weights: Array, count: int) -> tuple[Array, Array]:
     total = np.bincount(bins, mass, count)
     sums = np.bincount(bins, mass * flat, count)
     held = total > 0
-    return sums[held] / total[held], total[held]
+    return np.asarray(sums[held] / total[held]), np.asarray(total[held], dtype=float)
 
 
 def _quantile(table: Array, share: Array) -> Array:
-    return np.interp(share, np.linspace(0.0, 1.0, len(table)), table)
+    return np.asarray(np.interp(share, np.linspace(0.0, 1.0, len(table)), table))
 
 
 def _widths(flakes: LitFlakes, radii: Array) -> Array:
@@ -205,7 +206,8 @@ def _measure(flakes: LitFlakes, side_um: float, effort: float) -> tuple[list[tup
     q = (np.arange(slopes) + 0.5) / slopes * FARTHEST
     turn = (np.arange(TURNS) + 0.5) * 2 * np.pi / TURNS
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    found, largest = [], 0.0
+    found: list[tuple[Array, ...]] = []
+    largest = 0.0
     for radius, spot, width in zip(radii, _spot_radii(flakes, radii), _widths(flakes, radii), strict=True):
         offset = np.sqrt(q)[:, None, None] * circle * width
         ellipse = math.pi * float(width[0] * width[1]) * FARTHEST / slopes  # slope area of one node
@@ -311,7 +313,7 @@ def _draw(flakes: LitFlakes, pixels: Pixels, image: Array, generator: np.random.
         _draw_discs(x, y, spot, light * math.pi * (radius / pixels.pixel_um) ** 2, image)
 
 
-def _read_brightness(table: Array, depth: Array, crossed: Array) -> Array:
+def _read_brightness(table: Array, depth: Array, crossed: NDArray[np.int64]) -> Array:
     at = depth * (len(table) - 1)
     low = np.minimum(at.astype(int), len(table) - 2)
     column = np.minimum(crossed, table.shape[1] - 1)
@@ -359,8 +361,8 @@ def measure_image(image: Array, pixels: Pixels) -> Sparkle:
     """Return the sparkle of an image of luminance factors `[row, column]`; jackknife over its blocks."""
     block = max(1, min(image.shape) // BLOCKS)
     rows, columns = image.shape[0] // block, image.shape[1] // block
-    blocks = image[: rows * block, : columns * block].reshape(rows, block, columns, block).swapaxes(1, 2)
-    blocks = blocks.reshape(rows * columns, -1)
+    pieces = image[: rows * block, : columns * block].reshape(rows, block, columns, block).swapaxes(1, 2)
+    blocks = pieces.reshape(rows * columns, -1)
     sums = blocks.sum(axis=1)
     candidates = [np.sort(values[values > 0.5 * image.mean()]) for values in blocks]
 
