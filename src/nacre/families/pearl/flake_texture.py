@@ -13,8 +13,7 @@ ways, Poisson-distributed with a mean proportional to the depth, T their mean tr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -27,9 +26,6 @@ from nacre.families.pearl.flake_normals import FlakeNormals, optical_number, ort
 from nacre.families.pearl.glints import DIFFRACTION, MIDDLE_UM, Glints, interface_bend
 from nacre.families.pearl.platelet import platelet_response
 from nacre.families.pearl.strata import Flakes, Stratum, dye_response
-
-if TYPE_CHECKING:
-    from nacre.families.pearl.material import Pearl
 
 DEPTH_NODES = 17
 COS_NODES = 257
@@ -64,7 +60,8 @@ class FlakeTexture:
     """The flakes of a pearl at given wavelengths.
 
     Args:
-        pearl: the material; each of its pigments has a diameter.
+        strata: of the pearl, from the light inward; each of their pigments has a diameter.
+        glints: spread of the diameters and flatness of the flakes, or None for the defaults.
         wavelengths_nm: `[wavelength]`, vacuum.
         weights: `[wavelength]`, whose sum with a reflectance factor is the luminance factor.
 
@@ -72,24 +69,24 @@ class FlakeTexture:
         UnsupportedError: a pigment has no diameter, or there is none.
     """
 
-    def __init__(self, pearl: Pearl, wavelengths_nm: Array, weights: Array) -> None:
-        self.pearl, self.wavelengths_nm, self.weights = pearl, wavelengths_nm, weights
-        for i, stratum in enumerate(pearl.strata):
+    def __init__(self, strata: Sequence[Stratum], glints: Glints | None, wavelengths_nm: Array, weights: Array) -> None:
+        self.strata, self.wavelengths_nm, self.weights = strata, wavelengths_nm, weights
+        for i, stratum in enumerate(strata):
             for j, flakes in enumerate(stratum.flakes):
                 if flakes.diameter_um is None:
                     raise UnsupportedError(f"strata[{i}].platelets[{j}].diameter_um is missing; texture needs it")
-        if not any(stratum.flakes for stratum in pearl.strata):
+        if not any(stratum.flakes for stratum in strata):
             raise UnsupportedError("the pearl has no platelets, and so no texture")
-        self.scales = pearl.glints or Glints((1.0, 1.0))
+        self.scales = glints or Glints((1.0, 1.0))
         at = np.array([INDEX_NM])
-        self.index = [float(stratum.resin.n_complex(at)[0].real) for stratum in pearl.strata]
-        self.absorption = [self._absorption(stratum) for stratum in pearl.strata]
+        self.index = [float(stratum.resin.n_complex(at)[0].real) for stratum in strata]
+        self.absorption = [self._absorption(stratum) for stratum in strata]
         cos = np.linspace(0.0, 1.0, COS_NODES)
         self.cos = cos
         self.tables = [
             [platelet_response(f.platelet, s.resin.n_complex(wavelengths_nm).real, cos, wavelengths_nm).unpolarised()
              for f in s.flakes]
-            for s in pearl.strata
+            for s in strata
         ]  # fmt: skip
 
     def _absorption(self, stratum: Stratum) -> Array:
@@ -111,7 +108,7 @@ class FlakeTexture:
 
     def _crossings(self, i: int, w: Array) -> tuple[float, Array]:
         """Return the flakes crossed by light along `w[3]` in a stratum, and their optical thickness `[wavelength]`."""
-        stratum, met, depth = self.pearl.strata[i], 0.0, np.zeros(len(self.wavelengths_nm))
+        stratum, met, depth = self.strata[i], 0.0, np.zeros(len(self.wavelengths_nm))
         for flakes, (_, transmit) in zip(stratum.flakes, self.tables[i], strict=True):
             m, area = visible_normals(flakes.normals, w)
             count = self._number(stratum, flakes) * area / abs(w[2])
@@ -139,7 +136,7 @@ class FlakeTexture:
         wi, wo = direction(theta_rad), np.array([0.0, 0.0, 1.0])
         found: list[LitFlakes] = []
         above_um, above_depth = 0.0, np.zeros(len(self.wavelengths_nm))
-        for i, stratum in enumerate(self.pearl.strata):
+        for i, stratum in enumerate(self.strata):
             (inner_i, passed_i), (inner_o, passed_o) = self._inside(wi, i), self._inside(wo, i)
             ways = [self._crossings(i, inner) for inner in (inner_i, inner_o)]
             slant = 1.0 / inner_i[2] + 1.0 / inner_o[2]
@@ -184,7 +181,7 @@ class FlakeTexture:
         return np.asarray(own + (lamp + 0.25 * camera_rad**2) / tall**2)
 
     def _alpha(self, i: int) -> float:
-        surface = self.pearl.strata[i].surface
+        surface = self.strata[i].surface
         return math.sqrt(max(surface.alpha_x * surface.alpha_y, 0.0))
 
     def _blur_um(self, i: int, reach_um: float, camera_rad: float) -> float:
@@ -208,7 +205,7 @@ class FlakeTexture:
         depth = np.linspace(0.0, 1.0, DEPTH_NODES)
         tilt = np.arccos(self.cos)
         above: Array = np.zeros((COS_NODES, len(self.wavelengths_nm)))
-        for i, stratum in enumerate(self.pearl.strata):
+        for i, stratum in enumerate(self.strata):
             sine = np.sin(np.minimum(2.0 * tilt, np.pi / 2)) * self.index[i]
             is_lit = (2.0 * tilt < np.pi / 2) & (sine < 1.0)
             outside = [direction(float(np.arcsin(s))) if lit else normal for s, lit in zip(sine, is_lit, strict=True)]

@@ -224,7 +224,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
 
     def single_flakes(self, wavelengths_nm: Array, weights: Array) -> FlakeTexture:
         """Return the flakes one by one, for sparkle and graininess."""
-        return FlakeTexture(self, wavelengths_nm, weights)
+        return FlakeTexture(self.strata, self.glints, wavelengths_nm, weights)
 
     @property
     def over_black(self) -> Pearl:
