@@ -55,11 +55,11 @@ def export_material(
 
     Args:
         target: "rgl", "merl", "csv", "zemax", "astm", "brdf-json", "speos", "gltf", "materialx", "exr", "nacre",
-            "tmat", or "lut" (a folder).
+            "tmat", or "lut" or "three" (folders).
         angle_step_deg: step of the direction grid of csv, astm, brdf-json and speos.
         wavelength_nm: for a monochrome zemax file.
-        illuminant: of the colours of lut.
-        progress: called with a description of each step of lut.
+        illuminant: of the colours of lut and three.
+        progress: called with a description of each step of lut and three.
 
     Returns:
         facts about the file; `lost` lists the properties that the format cannot hold.
@@ -82,6 +82,10 @@ def export_material(
         return facts | {"lost": writer(path, comment)}
     if target == "lut":
         return facts | _export_table(material, path, illuminant, progress)
+    if target == "three":
+        from nacre.analysis.three import export_three
+
+        return facts | export_three(material, path, illuminant, progress)
     if target in ("gltf", "materialx"):
         return facts | _export_film(material, target, path)
     bsdf = material.bsdf()

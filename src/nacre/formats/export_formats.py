@@ -12,9 +12,9 @@ from nacre.core.errors import UnsupportedError
 EXPORTS = {
     "rgl": ".bsdf", "merl": ".binary", "csv": ".csv", "zemax": ".bsdf", "gltf": ".gltf", "materialx": ".mtlx",
     "exr": ".exr", "nacre": ".nacre", "lut": "-lut", "tmat": ".tmat.h5", "astm": ".astm", "brdf-json": ".json",
-    "speos": ".brdf",
+    "speos": ".brdf", "three": "-three",
 }  # fmt: skip
-FOLDER = "lut"  # this format is a folder
+FOLDERS = ("lut", "three")  # these formats are folders, with colours of one lamp
 FAMILY_FORMATS = ("tmat",)  # only some families write these (`OwnFormats`)
 
 
