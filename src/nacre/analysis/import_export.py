@@ -54,7 +54,7 @@ def export_material(
     """Write a material in another program's format.
 
     Args:
-        target: "rgl", "merl", "csv", "zemax", "astm", "brdf-json", "speos", "gltf", "materialx", "exr", "nacre",
+        target: "rgl", "merl", "csv", "zemax", "astm", "brdf-json", "speos", "gltf", "materialx", "usd", "exr", "nacre",
             "tmat", or "lut" or "three" (folders).
         angle_step_deg: step of the direction grid of csv, astm, brdf-json and speos.
         wavelength_nm: for a monochrome zemax file.
@@ -86,7 +86,7 @@ def export_material(
         from nacre.analysis.three import export_three
 
         return facts | export_three(material, path, illuminant, progress)
-    if target in ("gltf", "materialx"):
+    if target in ("gltf", "materialx", "usd"):
         return facts | _export_film(material, target, path)
     bsdf = material.bsdf()
     if target in OF_VALUES and any(lobe.is_stochastic for lobe in bsdf.lobes):
@@ -169,9 +169,14 @@ def _export_film(material: Material, target: str, path: Path) -> dict[str, Any]:
 
         write_gltf(path, fit.film, material.name, provenance)
     else:
-        from nacre.formats.thin_film import write_materialx
+        from nacre.formats.thin_film import materialx_document, write_materialx
+        from nacre.formats.usd import write_usd
 
-        write_materialx(path, fit.film, material.name, f"nacre {__version__}, residual dE00 {fit.mean_residual:.2f}")
+        comment = f"nacre {__version__}, residual dE00 {fit.mean_residual:.2f}"
+        if target == "usd":
+            write_usd(path, materialx_document(fit.film, material.name), comment)
+        else:
+            write_materialx(path, fit.film, material.name, comment)
     return {
         "film": dict(fit.film.__dict__), "lost": list(fit.lost), "angles_deg": fit.angles_deg.tolist(),
         "residual_delta_e_2000": fit.mean_residual, "residual_by_angle": fit.residual.tolist(),

@@ -12,7 +12,7 @@ from nacre.core.errors import UnsupportedError
 EXPORTS = {
     "rgl": ".bsdf", "merl": ".binary", "csv": ".csv", "zemax": ".bsdf", "gltf": ".gltf", "materialx": ".mtlx",
     "exr": ".exr", "nacre": ".nacre", "lut": "-lut", "tmat": ".tmat.h5", "astm": ".astm", "brdf-json": ".json",
-    "speos": ".brdf", "three": "-three",
+    "speos": ".brdf", "three": "-three", "usd": ".usda",
 }  # fmt: skip
 FOLDERS = ("lut", "three")  # these formats are folders, with colours of one lamp
 FAMILY_FORMATS = ("tmat",)  # only some families write these (`OwnFormats`)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -101,7 +102,15 @@ def write_materialx(path: str | Path, film: ThinFilm, name: str, comment: str = 
     Raises:
         NacreError: the file cannot be written.
     """
-    label = "".join(c if c.isalnum() else "_" for c in name) or "material"
+    root = materialx_document(film, name, comment)
+    with atomic_path(path) as temporary:
+        ET.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
+
+
+def materialx_document(film: ThinFilm, name: str, comment: str = "") -> ET.Element:
+    """Return a MaterialX document with an `open_pbr_surface` and its material node."""
+    label = re.sub(r"\W", "_", name, flags=re.ASCII) or "material"
+    label = f"_{label}" if label[0].isdigit() else label
     root = ET.Element("materialx", version="1.39", colorspace="lin_rec709")
     if comment:
         root.append(ET.Comment(" " + comment.replace("--", "- -") + " "))
@@ -123,5 +132,4 @@ def write_materialx(path: str | Path, film: ThinFilm, name: str, comment: str = 
     material = ET.SubElement(root, "surfacematerial", name=label, type="material")
     ET.SubElement(material, "input", name="surfaceshader", type="surfaceshader", nodename=f"{label}_surface")
     ET.indent(root)
-    with atomic_path(path) as temporary:
-        ET.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
+    return root

@@ -191,10 +191,12 @@ export class NacreNodeMaterial extends NodeMaterial {
       this.alphaHere = clamp(clear.oneMinus(), 0, 1);
     }
     const sent = this._environment ? lit.add(this.surroundings()) : lit;
-    return this.unclipped ? sent : max(sent, vec3(0));
+    this.sentHere = sent.toVar();
+    return this.sentHere;
   }
   setupOutput(builder, output) {
-    return super.setupOutput(builder, pictures.through ? vec4(output.rgb, this.alphaHere) : output);
+    const rgb = this.unclipped ? this.sentHere : max(this.sentHere, vec3(0)); // three's own output is clipped
+    return super.setupOutput(builder, vec4(rgb, pictures.through ? this.alphaHere : output.a));
   }
 
   /** Frame, direction of view in it, and what varies, at this point. */
