@@ -181,13 +181,20 @@ def test_uniform_light_is_reflected_as_nacre_does(name: str, page: Page, tmp_pat
 
 def test_the_package_is_replaced_as_a_whole_and_names_its_files(tmp_path: Path) -> None:
     folder = tmp_path / "t"
-    film = {"family": "film", "ambient": "air", "substrate": "air", "layers": [{"material": {"n": 1.33}, "thickness_nm": 300}]}
+    film = {
+        "family": "film",
+        "ambient": "air",
+        "substrate": "air",
+        "layers": [{"material": {"n": 1.33}, "thickness_nm": 300}],
+    }
     facts = nacre.export(film, "three", folder)
     names = {entry.name for entry in folder.iterdir()}
     assert names == set(facts["files"]) and {"material.js", "node-material.js", "material.d.ts", "index.html"} <= names
     assert any("passes" in part for part in facts["lost"])
     package = json.loads((folder / "package.json").read_text())
-    assert {part["default"][2:] for part in package["exports"].values()} <= names and "three" in package["peerDependencies"]
+    assert {part["default"][2:] for part in package["exports"].values()} <= names and "three" in package[
+        "peerDependencies"
+    ]
     nacre.export(film, "three", folder)
     (folder / "own.txt").write_text("x")
     with pytest.raises(NacreError):

@@ -45,7 +45,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Pat
             found[f"film {name}"] = (folder / f"{name}.mtlx", folder / f"{name}.usda")
         if name != "gold":
             nacre.export(material, "lut", folder / f"{name}-lut")
-            found[f"graph {name}"] = (folder / f"{name}-lut" / "material.mtlx", folder / f"{name}-lut" / "material.usda")
+            found[f"graph {name}"] = (
+                folder / f"{name}-lut" / "material.mtlx",
+                folder / f"{name}-lut" / "material.usda",
+            )
     return found
 
 

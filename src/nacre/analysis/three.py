@@ -33,8 +33,8 @@ def export_three(material: Material, folder: Path, illuminant: str, progress: Ca
     scatters = any(closure.kind == "diffuse" for closure in table.closures)
     if scatters and "lobe" not in table.pictures:
         raise UnsupportedError(
-            f"{material.context.source}: scatters by a random walk that has no form without noise, which a shader needs; "
-            "export a lut, whose colours over the angle of view three.js can use"
+            f"{material.context.source}: scatters by a random walk that has no form without noise, which a "
+            "shader needs; export a lut, whose colours over the angle of view three.js can use"
         )
     progress("colours under uniform light")
     even, alpha = even_pictures(table)

@@ -353,7 +353,11 @@ def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, change
 @click.argument("recipe")
 @click.option("--to", "target", required=True, type=click.Choice(sorted(EXPORTS)))
 @click.option(
-    "-o", "output", default=None, metavar="FILE", help="Default: RECIPE with the format's suffix; lut and three: a folder."
+    "-o",
+    "output",
+    default=None,
+    metavar="FILE",
+    help="Default: RECIPE with the format's suffix; lut and three: a folder.",
 )
 @click.option("--angle-step-deg", type=click.FloatRange(0.5, 30), default=10.0, show_default=True, help="csv: grid.")
 @click.option("--wavelength-nm", type=float, default=None, help="zemax: one wavelength instead of XYZ.")
@@ -378,7 +382,9 @@ def export(
         options |= {"illuminant": illuminant or "D65", "progress": lambda what: common.note(f"{what} ...")}
     else:
         if illuminant is not None:
-            raise NacreError(f"--illuminant {illuminant}: is for --to {', '.join(FOLDERS)}; {target} holds no colours of one lamp")
+            raise NacreError(
+                f"--illuminant {illuminant}: is for --to {', '.join(FOLDERS)}; {target} holds no colours of one lamp"
+            )
         check_writable(path)
     material = common.load_material(recipe, changes)
     facts = export_material(material, target, path, **options)

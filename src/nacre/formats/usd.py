@@ -19,7 +19,8 @@ TYPES = {
 }  # fmt: skip
 # definitions whose name does not end in the type of the output
 DEFINITIONS = {
-    ("dotproduct", "float"): "ND_dotproduct_vector3", ("add", "BSDF"): "ND_add_bsdf", ("surface", "surfaceshader"): "ND_surface",
+    ("dotproduct", "float"): "ND_dotproduct_vector3", ("add", "BSDF"): "ND_add_bsdf",
+    ("surface", "surfaceshader"): "ND_surface",
 }  # fmt: skip
 SPHERE = "Sphere"
 
@@ -43,13 +44,16 @@ def usd_text(document: ET.Element, comment: str = "") -> str:
     name = material.get("name", "material")
     surface = next(entry for entry in material if entry.get("name") == "surfaceshader").get("nodename", "")
     base = f"/Root/{name}"
-    owners = {node.get("name", ""): f"{base}/{graph.get('name')}" for graph in document.iter("nodegraph") for node in graph}
+    owners = {
+        node.get("name", ""): f"{base}/{graph.get('name')}" for graph in document.iter("nodegraph") for node in graph
+    }
     lines = [
         "#usda 1.0", "(", f"    doc = {_quoted(comment)}", '    defaultPrim = "Root"', "    metersPerUnit = 0.01",
         '    upAxis = "Y"', ")", "", 'def Xform "Root"', "{",
         f'    def Sphere "{SPHERE}" (', '        prepend apiSchemas = ["MaterialBindingAPI"]', "    )", "    {",
         "        double radius = 1", f"        rel material:binding = <{base}>", "    }", "",
-        f'    def Material "{name}"', "    {", f"        token outputs:mtlx:surface.connect = <{base}/{surface}.outputs:out>",
+        f'    def Material "{name}"', "    {",
+        f"        token outputs:mtlx:surface.connect = <{base}/{surface}.outputs:out>",
     ]  # fmt: skip
     for element in document:
         if element.tag == "nodegraph":

@@ -76,7 +76,9 @@ def _modules(table: LightTable, pictures: Mapping[str, Picture], gloss_alpha: fl
         "BRUSHED": facets is not None and facets["alpha"][0] != facets["alpha"][1],
     }  # fmt: skip
     defines += [f"#define NACRE_{name}" for name, is_set in flags.items() if is_set]
-    glsl = re.sub(r"#ifdef GL_ES\n.*?#endif\n", "", "\n".join(defines) + "\n" + glsl_text(table), count=1, flags=re.DOTALL)
+    glsl = re.sub(
+        r"#ifdef GL_ES\n.*?#endif\n", "", "\n".join(defines) + "\n" + glsl_text(table), count=1, flags=re.DOTALL
+    )
     values = {
         "NAME": " ".join(table.name.split()).replace("*/", ""), "ILLUMINANT": table.illuminant, "VERSION": __version__,
         "TABLE": json.dumps(held), "GLSL": json.dumps(glsl), "SAMPLES": str(SAMPLES),
@@ -115,7 +117,9 @@ def _half(name: str, picture: Picture) -> dict[str, Any]:
 
 def _page(table: LightTable, texts: Mapping[str, str]) -> str:
     """Return the example page: all modules, and three.js, inside one file."""
-    own = {f"nacre/{name}": text.replace("from './", "from 'nacre/") for name, text in texts.items() if name[-3:] == ".js"}
+    own = {
+        f"nacre/{name}": text.replace("from './", "from 'nacre/") for name, text in texts.items() if name[-3:] == ".js"
+    }
     library = {SPECIFIERS[name]: _vendored(f"three.{name}.min.js") for name in THREE}
     modules = {
         name: base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode("ascii")
