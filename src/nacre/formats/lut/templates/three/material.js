@@ -144,7 +144,8 @@ float nacreVisibleDensity(vec3 w, vec3 m, vec2 alpha) {
   float seen = 2.0 / (1.0 + sqrt(1.0 + dot(wide, wide) / max(w.z * w.z, 1e-12)));
   return seen / (NACRE_PI * alpha.x * alpha.y * s * s * 4.0 * max(w.z, 1e-6));
 }
-vec2 nacrePoint(int i) { return fract(vec2(0.5, 0.5) + float(i) * vec2(0.7548776662466927, 0.5698402909980532)); }
+// A lattice of Fibonacci.
+vec2 nacrePoint(int i) { return vec2((float(i) + 0.5) / NACRE_SAMPLES, fract(float(i) * 0.6180339887498949)); }
 // What reaches the eye from all around.
 vec3 nacreSurroundings(NacreSurface s) {
   vec3 sum = vec3(0.0), up = vec3(s.wo.xy, max(abs(s.wo.z), 1e-3));

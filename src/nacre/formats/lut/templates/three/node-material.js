@@ -232,7 +232,7 @@ export class NacreNodeMaterial extends NodeMaterial {
       const at = vec2(atan(d.z, d.x).div(2 * Math.PI).add(0.5), asin(clamp(d.y, -1, 1)).div(Math.PI).add(0.5));
       return texture(light.texture, at).level(level).rgb.mul(turned.z);
     };
-    const point = (i) => fract(vec2(float(i).mul(0.7548776662466927).add(0.5), float(i).mul(0.5698402909980532).add(0.5)));
+    const point = (i) => vec2(float(i).add(0.5).div(SAMPLES), fract(float(i).mul(0.6180339887498949)));
     const up = vec3(wo.xy, max(abs(wo.z), 1e-3)).toVar(), flip = select(wo.z.lessThan(0), float(-1), float(1)).toVar();
     const turn = (w) => vec3(w.xy, w.z.mul(flip));
     const visible = (a, u) => {
