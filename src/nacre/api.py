@@ -31,6 +31,7 @@ from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import DESIGN_RECIPE, check_writable, short_name
 from nacre.core.jobs import Workers
 from nacre.families.contract import Diffracting, Model, fabrications
+from nacre.formats.export_formats import FOLDERS
 from nacre.formats.fabrication import SUFFIXES, HeightOptions, write_drawing
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
@@ -372,15 +373,15 @@ def export(thing: MaterialLike, to: str, output: str | Path, **options: Any) -> 
 
     Args:
         thing: a material or a path.
-        to: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr", "nacre" or "lut".
-        output: the file; for "lut" a folder, which is new, empty or holds such tables.
+        to: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "usd", "exr", "nacre", "three" or "lut".
+        output: the file; for "three" and "lut" a folder, which is new, empty or holds such tables.
         options: arguments of `nacre.analysis.import_export.export_material`.
 
     Raises:
         UnsupportedError: the format cannot represent the material.
         NacreError: the file cannot be written.
     """
-    if to != "lut":
+    if to not in FOLDERS:
         check_writable(output)
     return export_material(as_material(thing), to, Path(output), **options)
 
