@@ -264,18 +264,21 @@ def diagnose(
 def fit(
     measurement: str | Path | Sequence[str | Path], thing: MaterialLike, parameters: Iterable[str] = (), *,
     starts: int = 4, ties: Iterable[str] = (), range_nm: tuple[float, float] | None = None,
-    report: str | Path | None = None, angle_deg: float | None = None, delta_convention: str | None = None,
+    report: str | Path | None = None, colours: Mapping[str, Sequence[float]] | None = None,
+    angle_deg: float | None = None, delta_convention: str | None = None,
     **options: Any,
 ) -> Fit:  # fmt: skip
     """Fit parameters of a recipe to measurements of one sample.
 
     Args:
-        measurement: file of an ellipsometer or spectrometer, CSV of a spectrum or of goniometer values; or several.
+        measurement: file of an ellipsometer or spectrometer, CSV of a spectrum, of goniometer values or of colours with
+            their geometries; or several.
         thing: a material or a path.
         parameters: such as "layers[0].thickness_nm=50:400", in addition to those of the recipe's `[fit]`.
         starts: refined starting points; options: further arguments of `nacre.analysis.fit.run_fit`.
         ties: such as "layers[2].thickness_nm=layers[0].thickness_nm", in addition to those of the recipe's `[ties]`.
         range_nm: other wavelengths of the measurements are ignored.
+        colours: measured CIELAB by geometry ("45as15" or a name of `[[geometry]]`), D65, 10 degree observer.
         report: HTML file that compares measurement and fit.
         angle_deg, delta_convention: properties that an ellipsometer's file does not state.
 
@@ -288,7 +291,7 @@ def fit(
         check_writable(report)
     paths = [measurement] if isinstance(measurement, str | Path) else list(measurement)
     stated = ReadOptions(angle_deg=angle_deg, delta_convention=delta_convention)
-    material, measured = as_material(thing), read_measurements(paths, stated, range_nm)
+    material, measured = as_material(thing), read_measurements(paths, stated, range_nm, colours)
     numbers = fit_parameters(material, tuple(parameters))
     tied = read_ties(material, [number.path for number in numbers], tuple(ties))
     found = run_fit(material, measured, numbers, starts=starts, ties=tied, **options)

@@ -10,7 +10,7 @@ import pydantic
 from nacre.optimise.relief.target import TargetTable
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeModel
-from nacre.recipe.path_tables import ParameterSpec, ToleranceSpec
+from nacre.recipe.path_tables import GeometrySpec, ParameterSpec, ToleranceSpec
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 Triple = tuple[float, float, float]
@@ -38,7 +38,7 @@ class TargetEntry(RecipeModel):
         default=None,
         description="geometry: specular T, transmitted T (into the substrate), diffuse T or hemispherical T, "
         "with T the angle of incidence in degrees; or IasA: light from I, viewer A degrees from the mirror direction "
-        "towards the light",
+        "towards the light; or a name of [[geometry]]",
         examples=["specular 0", "45as15"],
     )
     polarisation: Literal["s", "p", "left", "right", "both"] = pydantic.Field(
@@ -229,6 +229,11 @@ class DesignSpec(RecipeModel):
     )
     target: Annotated[list[TargetEntry], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
         description="targets, a list of tables"
+    )
+    geometry: list[GeometrySpec] = pydantic.Field(
+        default=[],
+        description="geometries by name for the targets, in addition to those of the recipe",
+        examples=[[{"name": "door", "at": "45as60az125.3"}]],
     )
     light: LightSpec = pydantic.Field(default=LightSpec(), description="lamps and observer")
     tolerance: Annotated[
