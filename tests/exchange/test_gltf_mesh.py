@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 from pathlib import Path
@@ -25,6 +26,13 @@ VARYING: dict[str, Any] = {
     **FILM, "layers": [{"material": {"n": 1.8}, "thickness_nm": {"formula": "200 + 200*v", "min": LOW, "max": HIGH}}],
     "substrate": {"n": 1.3},
 }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def varying(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """A .gltf with a thickness map, and the facts about it."""
+    path = tmp_path_factory.mktemp("varying") / "map.gltf"
+    return path, nacre.export(VARYING, "gltf", path)
 
 
 def box(path: Path) -> Path:
@@ -56,25 +64,28 @@ def test_a_material_goes_on_ones_own_mesh(suffix: str, target: str, tmp_path: Pa
     assert ours["thickness_nm"] == pytest.approx(facts["film"]["thickness_nm"])
 
 
-def test_the_thickness_map_holds_the_recipes_thickness_and_comes_back(tmp_path: Path) -> None:
+def test_the_thickness_map_holds_the_recipes_thickness_and_comes_back(
+    varying: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
     import pygltflib
 
-    facts = nacre.export(VARYING, "gltf", tmp_path / "map.glb")
+    path, facts = varying
     held = facts["thickness_map"]
     assert facts["residual_delta_e_2000"] < 1.0  # a clear film on a clear base is what the format describes
     assert held["low_nm"] == pytest.approx(LOW, abs=8) and held["high_nm"] == pytest.approx(HIGH, abs=8)
-    document = pygltflib.GLTF2().load(str(tmp_path / "map.glb"))
+    document = pygltflib.GLTF2().load(str(path))
     film = document.materials[0].extensions["KHR_materials_iridescence"]
     assert film["iridescenceThicknessTexture"] == {"index": 0}
     view = document.bufferViews[document.images[0].bufferView]
-    png = document.binary_blob()[view.byteOffset : view.byteOffset + view.byteLength]
+    blob = base64.b64decode(document.buffers[0].uri.partition(",")[2])
+    png = blob[view.byteOffset : view.byteOffset + view.byteLength]
     green = np.asarray(Image.open(io.BytesIO(png)))[..., 1] / 255
     nm = film["iridescenceThicknessMinimum"] + green * (
         film["iridescenceThicknessMaximum"] - film["iridescenceThicknessMinimum"]
     )
     rows = (np.arange(len(nm))[::-1] + 0.5) / len(nm)  # the first row is at the top
     assert np.abs(nm[:, 0] - (LOW + (HIGH - LOW) * rows)).max() < 8
-    material = nacre.import_(tmp_path / "map.glb", tmp_path / "again.toml")
+    material = nacre.import_(path, tmp_path / "again.toml")
     assert {"texture", "min", "max"} <= set(material.data["layers"][0]["thickness_nm"])
     wi = np.array([[0.3, 0.0, np.sqrt(1 - 0.09)]])
     wo = wi * [-1, 1, 1]
@@ -98,9 +109,10 @@ def test_a_bad_mesh_is_one_line_and_writes_nothing(
 
 
 @pytest.mark.parametrize("uri", ["absent.png", "../outside.png", "data:image/png;base64,AAAA"])
-def test_a_thickness_picture_that_cannot_be_read_becomes_the_middle(uri: str, tmp_path: Path) -> None:
-    nacre.export(VARYING, "gltf", tmp_path / "map.gltf")
-    document = json.loads((tmp_path / "map.gltf").read_text())
+def test_a_thickness_picture_that_cannot_be_read_becomes_the_middle(
+    uri: str, varying: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    document = json.loads(varying[0].read_text())
     document["images"] = [{"uri": uri}]
     (tmp_path / "map.gltf").write_text(json.dumps(document))
     film = document["materials"][0]["extensions"]["KHR_materials_iridescence"]
