@@ -32,6 +32,7 @@ from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import DESIGN_RECIPE, check_writable, short_name
 from nacre.core.jobs import Workers
 from nacre.families.contract import Diffracting, Model, fabrications
+from nacre.formats.export_formats import FOLDERS
 from nacre.formats.fabrication import SUFFIXES, HeightOptions, write_drawing
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
@@ -291,18 +292,21 @@ def diagnose(
 def fit(
     measurement: str | Path | Sequence[str | Path], thing: MaterialLike, parameters: Iterable[str] = (), *,
     starts: int = 4, ties: Iterable[str] = (), range_nm: tuple[float, float] | None = None,
-    report: str | Path | None = None, angle_deg: float | None = None, delta_convention: str | None = None,
+    report: str | Path | None = None, colours: Mapping[str, Sequence[float]] | None = None,
+    angle_deg: float | None = None, delta_convention: str | None = None,
     **options: Any,
 ) -> Fit:  # fmt: skip
     """Fit parameters of a recipe to measurements of one sample.
 
     Args:
-        measurement: file of an ellipsometer or spectrometer, CSV of a spectrum or of goniometer values; or several.
+        measurement: file of an ellipsometer or spectrometer, CSV of a spectrum, of goniometer values or of colours with
+            their geometries; or several.
         thing: a material or a path.
         parameters: such as "layers[0].thickness_nm=50:400", in addition to those of the recipe's `[fit]`.
         starts: refined starting points; options: further arguments of `nacre.analysis.fit.run_fit`.
         ties: such as "layers[2].thickness_nm=layers[0].thickness_nm", in addition to those of the recipe's `[ties]`.
         range_nm: other wavelengths of the measurements are ignored.
+        colours: measured CIELAB by geometry ("45as15" or a name of `[[geometry]]`), D65, 10 degree observer.
         report: HTML file that compares measurement and fit.
         angle_deg, delta_convention: properties that an ellipsometer's file does not state.
 
@@ -315,7 +319,7 @@ def fit(
         check_writable(report)
     paths = [measurement] if isinstance(measurement, str | Path) else list(measurement)
     stated = ReadOptions(angle_deg=angle_deg, delta_convention=delta_convention)
-    material, measured = as_material(thing), read_measurements(paths, stated, range_nm)
+    material, measured = as_material(thing), read_measurements(paths, stated, range_nm, colours)
     numbers = fit_parameters(material, tuple(parameters))
     tied = read_ties(material, [number.path for number in numbers], tuple(ties))
     found = run_fit(material, measured, numbers, starts=starts, ties=tied, **options)
@@ -400,15 +404,15 @@ def export(thing: MaterialLike, to: str, output: str | Path, **options: Any) -> 
 
     Args:
         thing: a material or a path.
-        to: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr", "nacre" or "lut".
-        output: the file; for "lut" a folder, which is new, empty or holds such tables.
+        to: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "usd", "exr", "nacre", "three" or "lut".
+        output: the file; for "three" and "lut" a folder, which is new, empty or holds such tables.
         options: arguments of `nacre.analysis.import_export.export_material`.
 
     Raises:
         UnsupportedError: the format cannot represent the material.
         NacreError: the file cannot be written.
     """
-    if to != "lut":
+    if to not in FOLDERS:
         check_writable(output)
     return export_material(as_material(thing), to, Path(output), **options)
 

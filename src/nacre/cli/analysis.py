@@ -195,6 +195,10 @@ def _limits(texts: tuple[str, ...]) -> dict[str, float]:
 @click.option("--limit", type=float, default=1.0, show_default=True, help="Largest accepted CIEDE2000 difference.")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--illuminant", default="D65", show_default=True, help=common.LAMPS)
+@click.option(
+    "--geometry", "geometries", multiple=True, metavar="45as15",
+    help="Geometry, such as 45as15 or specular 0, or a name of the recipe's [[geometry]]; default: the named ones.",
+)  # fmt: skip
 @click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-o", "output", default=None, metavar="FILE.json", help="Also write the numbers, as JSON.")
@@ -202,8 +206,8 @@ def _limits(texts: tuple[str, ...]) -> dict[str, float]:
 @common.cache_option
 @common.jobs_option
 def tolerance(
-    recipe: str, tolerances: tuple[str, ...], draws: int, limit: float, seed: int, illuminant: str, samples: int | None,
-    as_json: bool, output: str | None, changes: tuple[str, ...],
+    recipe: str, tolerances: tuple[str, ...], draws: int, limit: float, seed: int, illuminant: str,
+    geometries: tuple[str, ...], samples: int | None, as_json: bool, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Compute colour variation, yield and ranked sensitivities from the manufacturing tolerances of RECIPE."""
     from nacre.analysis.tolerance import recipe_tolerances, run_tolerance, tolerance_document
@@ -219,6 +223,7 @@ def tolerance(
         task = bar.add_task("tolerance", total=draws, info="")
         result = run_tolerance(
             material, found, draws=draws, limit=limit, seed=seed, illuminant=illuminant, samples=samples,
+            geometries=geometries,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )  # fmt: skip
     document = tolerance_document(result, found)
@@ -230,12 +235,12 @@ def tolerance(
         return
     low, high = document["yield_interval_95"]
     click.echo(f"{material.name}: {document['geometry']}, {draws} draws, {illuminant}, 10 degree observer")
-    click.echo("  angle   nominal L*, a*, b*          dE00 median   95 %")
-    rows = zip(document["angles_deg"], document["nominal_lab"], document["delta_e_2000_median"],
+    click.echo("  geometry        nominal L*, a*, b*          dE00 median   95 %")
+    rows = zip(document["geometries"], document["nominal_lab"], document["delta_e_2000_median"],
                document["delta_e_2000_95"], strict=True)  # fmt: skip
-    for angle, lab, median, high95 in rows:
-        click.echo(f"  {angle:5g}   {lab[0]:7.2f} {lab[1]:7.2f} {lab[2]:7.2f}     {median:8.2f}  {high95:8.2f}")
-    click.echo(f"  yield within dE00 {limit:g} at all angles: {100 * document['yield']:.1f} %"
+    for label, lab, median, high95 in rows:
+        click.echo(f"  {label:14s}  {lab[0]:7.2f} {lab[1]:7.2f} {lab[2]:7.2f}     {median:8.2f}  {high95:8.2f}")
+    click.echo(f"  yield within dE00 {limit:g} at all geometries: {100 * document['yield']:.1f} %"
                f"  (95 %: {100 * low:.1f} to {100 * high:.1f} %)")  # fmt: skip
     if document["failed_draws"]:
         click.echo(f"  {document['failed_draws']} draws could not be computed and count as outside")

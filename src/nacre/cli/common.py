@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import math
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import click
@@ -226,3 +227,24 @@ def hold_closed_streams() -> None:
 def words(text: str | None) -> tuple[str, ...]:
     """Return the words of an option, delimited by commas."""
     return tuple(word.strip() for word in text.split(",")) if text else ()
+
+
+def read_labs(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
+    """Return geometry -> CIELAB from options `GEOMETRY=L,a,b`.
+
+    Raises:
+        NacreError: one cannot be read, or a geometry occurs twice.
+    """
+    found: dict[str, tuple[float, ...]] = {}
+    for text in texts:
+        geometry, _, values = text.rpartition("=")
+        try:
+            lab = tuple(float(cell) for cell in values.split(","))
+        except ValueError:
+            lab = ()
+        if not geometry.strip() or len(lab) != 3 or not all(map(math.isfinite, lab)):
+            raise NacreError(f'--lab "{text}" cannot be read; write it like "specular 5=62,30,-12"')
+        if geometry.strip() in found:
+            raise NacreError(f'--lab "{text}": the geometry occurs twice')
+        found[geometry.strip()] = lab
+    return found

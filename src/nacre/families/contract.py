@@ -317,6 +317,11 @@ class ExpensiveMethod(abc.ABC):
 class Diffracting(abc.ABC):
     """A periodic material, whose light leaves in orders."""
 
+    @property
+    @abc.abstractmethod
+    def order_width_rad(self) -> float:
+        """Angular standard deviation of each order."""
+
     @abc.abstractmethod
     def diffraction_orders(self, theta_rad: Array, azimuth_rad: float, wavelengths_nm: Array | None) -> Orders:
         """Return the orders of plane waves.
