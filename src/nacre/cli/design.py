@@ -129,7 +129,8 @@ def _print_solutions(result: Any, as_json: bool) -> None:
             distance = f"{worst.distance:.2f}" + (" % rms" if worst.lamp is None else "")
             click.echo(f"  {number}  {'dE00 ' if worst.lamp else ''}{distance} at {worst.target.geometry}{thick}{made}"
                        f"   {solution.recipe.parent}")  # fmt: skip
-    common.note(f"{result.folder}: report.html; nacre render {result.folder}; nacre report {result.folder}")
+    written = "report.html; " if (result.folder / "report.html").is_file() else ""
+    common.note(f"{result.folder}: {written}nacre render {result.folder}; nacre report {result.folder}")
 
 
 class _Screen:
