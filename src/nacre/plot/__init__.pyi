@@ -33,6 +33,7 @@ from .style import save_figure as save_figure
 from .sweeps import gamut_figure as gamut_figure
 from .sweeps import parallel_figure as parallel_figure
 from .sweeps import sweep_map_figure as sweep_map_figure
+from .texture import texture_figure as texture_figure
 from .tracks import Track as Track
 from .tracks import angle_tracks as angle_tracks
 from .tracks import number_tracks as number_tracks

@@ -139,6 +139,11 @@ class Grating(Model, Diffracting, Pixels):
 
         return [made(k, COARSE) for k in range(len(lam))]
 
+    @property
+    def order_width_rad(self) -> float:
+        """Angular standard deviation of each order."""
+        return self.spread.angle_rad
+
     def diffraction_orders(self, theta_rad: Array, azimuth_rad: float, wavelengths_nm: Array | None) -> Orders:
         """Return the orders for light from an azimuth in the frame of the surface."""
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)

@@ -360,6 +360,21 @@ def by_size(path: Path, nm: Array, values: Array, notes: Notes, what: str, *, li
     raise AmbiguousFileError(f"{path}: {what}, and values up to {size:.4g} do not decide", "quantity", choices)
 
 
+def named_quantity(path: Path, options: ReadOptions, stated: str, nm: Array, values: Array, notes: Notes) -> Label:
+    """Return the quantity that a file states by name; without a name, by size.
+
+    Raises:
+        AmbiguousFileError: the name is not known, and no option states the quantity.
+    """
+    label = option_label(path, options) or label_of(stated)
+    if label is not None:
+        return label
+    if stated.strip():
+        choices = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])
+        raise AmbiguousFileError(f'{path}: "{stated.strip()}" is no known quantity of a spectrum', "quantity", choices)
+    return by_size(path, nm, values, notes, "no quantity")
+
+
 def scale(path: Path, label: Label, nm: Array, values: Array, notes: Notes) -> float:
     """Return the factor to dimensionless values of a label; without a unit in the label, by size.
 
