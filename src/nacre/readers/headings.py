@@ -57,12 +57,14 @@ WORDS: dict[str, str] = {
     "wn wavenr wavenumberaxis vagtal vågtal 波数 волновоечисло ramanshift",
     "frequency": "frequency freq frequenz frequence frecuencia frequenza frequencia opticalfrequency nu",
     "angular_frequency": "angularfrequency angfreq angularfreq omega kreisfrequenz pulsation circularfrequency",
-    "n": "屈折率 折射率 refractiveindex refractiveindices refindex refrindex refrind indexofrefraction brechungsindex brechzahl "
+    "n": "屈折率 折射率 "
+    "refractiveindex refractiveindices refindex refrindex refrind indexofrefraction brechungsindex brechzahl "
     "brechungszahl indicederefraction indicedirifrazione indicederefraccion realindex realn ren nreal nre "
     "realrefractiveindex realpartofn realpartn refractiveindexn nrefractiveindex refractiveindexreal indexn nindex "
     "rin refractiveindexrealpart realpartofrefractiveindex realpartoftherefractiveindex nprime ior "
     "index_of_refraction",
-    "k": "消衰係数 消光系数 kappa extinction extinctioncoefficient extinctioncoeff extcoeff extcoef extinctionk extinctioncoef "
+    "k": "消衰係数 消光系数 "
+    "kappa extinction extinctioncoefficient extinctioncoeff extcoeff extcoef extinctionk extinctioncoef "
     "extinctionindex extinktionskoeffizient extinktionskoeff extinktionskoeffizientk absorptionsindex "
     "absorptionindex imn imagn nimag nim kimag kimaginary imaginaryindex imaginaryn imaginaryrefractiveindex "
     "imaginarypartofn imagpartofn coefficientdextinction coefficientedextinction extinctioncoefficientk "
