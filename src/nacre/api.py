@@ -256,7 +256,8 @@ def tolerance(
         thing: a material or a path.
         tolerances: such as "layers[0].thickness_nm=2%", in addition to those of the recipe's `[tolerance]`.
         draws: number of materials; limit: largest accepted CIEDE2000 difference (dE00).
-        options: further arguments of `nacre.analysis.tolerance.run_tolerance`.
+        options: further arguments of `nacre.analysis.tolerance.run_tolerance`, such as
+            `workers=nacre.core.jobs.Workers(cluster="tcp://host:port")`.
 
     Raises:
         NacreError: there is no tolerance, or one names no number of the recipe.
