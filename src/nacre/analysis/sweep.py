@@ -27,6 +27,7 @@ from nacre.analysis.sweep_plan import Sweep, SweepSpec, load_sweep, measurement_
 from nacre.core.errors import NacreError
 from nacre.core.files import check_writable, temporary_prefix
 from nacre.core.jobs import Workers, run_jobs
+from nacre.core.packages import require
 from nacre.material.material import Material, material
 
 logger = logging.getLogger("nacre")
@@ -249,7 +250,9 @@ def run_sweep(
 
     Raises:
         NacreError: the store holds another sweep or cannot be written, or the cluster cannot be reached.
+        MachineError: zarr is not installed.
     """
+    require("zarr")
     workers = workers or Workers()
     workers.check()
     with locked(Path(output), report):

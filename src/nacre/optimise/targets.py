@@ -291,7 +291,7 @@ def _check_picture(wants: Sequence[Target], light: LightSpec, context: RecipeCon
     for want in wants:
         if want.image is None:
             continue
-        if len(wants) > 1:
+        if len(wants) > 1 and any(other.image is None for other in wants):
             raise RecipeError(f"{want.key}.image: a picture is the only target; remove the other {len(wants) - 1}")
         if len(light.illuminants) > 1:
             lamps = show_value(light.illuminants)

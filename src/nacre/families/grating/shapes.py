@@ -161,8 +161,8 @@ class ShapeSpec(RecipeModel):
             return [Rectangle(x - 0.5 * w, x + 0.5 * w)]
         if kind == "rectangle" and self.corner_radius_nm > 0.0:
             r = self.corner_radius_nm
-            inner = box(Rectangle(r - 0.5 * w, 0.5 * w - r, r - 0.5 * h, 0.5 * h - r)).distance
-            return [Region(_turned(lambda a, b: inner(a, b) - r, x, y, turn), ("rounded", x, y, w, h, r, turn))]
+            core = box(Rectangle(r - 0.5 * w, 0.5 * w - r, r - 0.5 * h, 0.5 * h - r)).distance
+            return [Region(_turned(lambda a, b: core(a, b) - r, x, y, turn), ("rounded", x, y, w, h, r, turn))]
         if kind == "rectangle" and self.rotation_deg == 0.0:
             return [Rectangle(x - 0.5 * w, x + 0.5 * w, y - 0.5 * h, y + 0.5 * h)]
         if kind == "cross" and self.rotation_deg == 0.0 and self._is_vertical:
