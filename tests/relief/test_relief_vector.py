@@ -70,7 +70,7 @@ def test_the_smallest_period_is_solved() -> None:
     assert lines_of(Tile(np.eye(8), 100.0, 1.0)) is None
 
 
-@pytest.mark.parametrize("name", ["lamellar-18", "lamellar-25", "sinusoidal-27", "sinusoidal-31"])
+@pytest.mark.parametrize("name", ["lamellar-18", "lamellar-25", "sinusoidal-31"])
 def test_colours_of_orders_are_those_of_two_other_solvers(name: str, tmp_path: Path) -> None:
     """The relief's recipe, on gratings of the validation that scalar diffraction misses."""
     group = next(each for each in read_groups() if each["name"] == name)
@@ -80,7 +80,7 @@ def test_colours_of_orders_are_those_of_two_other_solvers(name: str, tmp_path: P
 
 
 def test_the_bsdf_holds_the_orders(tmp_path: Path) -> None:
-    material = relief(tmp_path, LINES[::2], 0.125)
+    material = relief(tmp_path, np.tile(np.repeat([0.0, 0.12], 4)[:, None], (1, 8)), 0.06)
     lam = np.array([450.0, 600.0])
     bsdf = material.bsdf(lam)
     wi = np.array([np.sin(0.4), 0.0, np.cos(0.4)])

@@ -34,8 +34,8 @@ class ReliefModelSpec(RecipeModel):
     )
     tolerance: Annotated[float, Field(ge=1e-6, le=0.1)] | None = Field(
         default=None,
-        description="of vector optics: largest estimated error of an order's efficiency; default: 2e-4, between "
-        "vertical walls 1e-3",
+        description="of vector optics: largest estimated error of an order's efficiency; default: 2e-4, of narrow "
+        "walls 1e-3",
         examples=[1e-3],
     )
 

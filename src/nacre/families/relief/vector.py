@@ -22,7 +22,7 @@ from nacre.matter.periodic.solve import LARGEST_ERROR
 from nacre.matter.periodic.structure import NotConvergedError, PeriodicStack
 
 TABLE_ERROR = 1e-2  # of an efficiency in the tables over directions
-TOLERANCE = {True: 1e-3, False: 2e-4}  # of an efficiency, for walls and for profiles
+TOLERANCE = {True: 1e-3, False: 2e-4}  # of an efficiency, for narrow walls and for smooth curves
 QUARTER = 0.5 * np.pi
 
 
@@ -33,7 +33,7 @@ class VectorRelief(Model, Diffracting, Fabricable):
     Attributes:
         scalar: the same relief in scalar theory, with the surface, coating and coherence.
         lines: its period.
-        tolerance: largest estimated error of an efficiency; None: 2e-4, between vertical walls 1e-3.
+        tolerance: largest estimated error of an efficiency; None: 2e-4, of narrow walls 1e-3.
         reason: why this theory was chosen, or empty.
     """
 
@@ -139,7 +139,7 @@ class VectorRelief(Model, Diffracting, Fabricable):
 
     @property
     def _tolerance(self) -> float:
-        return self.tolerance if self.tolerance is not None else TOLERANCE[self.lines.has_walls]
+        return self.tolerance if self.tolerance is not None else TOLERANCE[self.lines.has_steps]
 
     @property
     def _coherence_width(self) -> float:
