@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import erf
 
@@ -128,7 +129,7 @@ class Lines:
             found.append(PatternLayer(float(high - low), cover, tuple(shapes)))
         return tuple(reversed(found))
 
-    def stacks(self, cover: Array, body: Array) -> list[PeriodicStack]:
+    def stacks(self, cover: Array, body: NDArray[np.complex128]) -> list[PeriodicStack]:
         """Return the structure for each index `[wavelength]` of the medium above (real) and of the body."""
         cell = Cell(self.period_nm)
         if np.ptp(self.heights_nm) == 0.0:
@@ -148,7 +149,7 @@ def lines_of(tile: Tile) -> Lines | None:
     tolerance = SAME * max(float(np.ptp(heights)), 1e-6)
     for axis in (1, 0):
         if np.all(np.ptp(heights, axis=axis) <= tolerance):
-            row = heights.take(0, axis=axis)
+            row = np.asarray(heights.take(0, axis=axis))
             row = np.where(np.abs(row - np.roll(row, 1)) <= tolerance, np.roll(row, 1), row)
             divisors = [d for d in range(1, len(row) + 1) if len(row) % d == 0]
             period = next(d for d in divisors if np.allclose(row, np.roll(row, d), 0.0, tolerance))
@@ -160,4 +161,4 @@ def lines_of(tile: Tile) -> Lines | None:
 
 def _images(blur: float, period: float) -> Array:
     count = int(np.ceil(REACH * blur / period)) + 1
-    return np.arange(-count, count + 1) * period
+    return np.asarray(np.arange(-count, count + 1) * period, dtype=float)

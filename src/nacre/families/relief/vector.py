@@ -52,7 +52,7 @@ class VectorRelief(Model, Diffracting, Fabricable):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Why the theory was chosen, and whether the orders are narrower than the light's coherence asks for."""
-        lines = (self.reason,) if self.reason else ()
+        lines: tuple[str, ...] = (self.reason,) if self.reason else ()
         width, asked = self._width(float(self.wavelengths_nm[0])), self._coherence_width
         if width < 0.99 * asked:
             lines += (
