@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PY := .venv/bin/python
 export NACRE_PROJECT := $(CURDIR)
 
-.PHONY: setup demo test test-full test-lowest coverage mutants fuzz lint docs bench validate wheel clean
+.PHONY: setup demo test test-full test-lowest coverage mutants fuzz lint docs bench validate wheel release clean
 
 setup:
 	@bash tools/setup.sh
@@ -56,6 +56,10 @@ validate: setup
 
 wheel: setup
 	@$(PY) -m build --wheel --no-isolation
+
+# sdist and wheel in dist/, the same bytes from two builds, checked, installed and run in empty environments
+release: setup
+	@$(PY) -m tools.release $(if $(SIZES),--sizes)
 
 docs: setup
 	@$(PY) -c 'import furo, myst_nb' 2>/dev/null || \

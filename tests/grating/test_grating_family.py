@@ -12,6 +12,7 @@ import pytest
 import nacre
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.lobes.orders import OrdersLobe
+from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.cli import run
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 
@@ -110,6 +111,11 @@ def layers(*shapes: dict[str, Any]) -> dict[str, Any]:
         layers({"shape": "disc"}),
         layers({"shape": "hexagon"}),
         layers({"gds": "absent.gds"}),
+        layers({"shape": "disc", "diameter_nm": 140, "rounding_nm": 120}),
+        layers({"shape": "disc", "diameter_nm": 140, "sidewall_deg": 10}),
+        layers({"shape": "disc", "diameter_nm": 280, "sidewall_deg": 120}),
+        layers({"shape": "disc", "diameter_nm": 140, "corner_radius_nm": 20}),
+        layers({"shape": "rectangle", "width_nm": 140, "corner_radius_nm": 80}),
         {"lattice": {"period_nm": 0}},
         {"lattice": {"period_nm": 1e9}},
         {"lattice": {"period_nm": 8000}},
@@ -118,6 +124,11 @@ def layers(*shapes: dict[str, Any]) -> dict[str, Any]:
         {"profile": {"shape": "sinusoidal", "depth_nm": 100}},
         {"orders": {"spread_deg": 0}},
         {"layers": [], "orientation": {"turn_deg": {"formula": "90*u"}}},
+        {"layers": [], "lattice": {"period_nm": {"formula": "400 + 90*u"}}},
+        {"lattice": {"period_nm": {"formula": "200*u"}}},
+        {"lattice": {"period_nm": {"formula": "120 + 200*u"}}},
+        {"lattice": {"period_nm": {"formula": "300 + 2000*u"}}},
+        {"lattice": {"period_nm": {"texture": "absent.png", "min": 300, "max": 400}}},
     ],
 )
 def test_wrong_recipes_are_refused_in_one_line(changes: dict[str, Any]) -> None:
@@ -169,16 +180,57 @@ def test_disorder_moves_light_from_orders_to_a_diffuse_part() -> None:
     assert np.all(orders < 0.9 * whole) and orders + diffuse == pytest.approx(whole, rel=0.01)
 
 
-def orders_lobe() -> Bsdf:
+@pytest.mark.full
+def test_the_period_varies_over_the_surface() -> None:
+    made = compact_disc(profile={"shape": "sinusoidal", "depth_nm": 80}, layers=[])
+    made["lattice"] = {"period_nm": {"formula": "800 + 160*u"}}
+    grid = np.array([500.0])
+    varied = nacre.material(made)
+    assert nacre.orders(varied, 0, 0, [500.0]).reflected_direction[0, 0, -1, 0] == pytest.approx(500 / 880)
+    bsdf = varied.bsdf(grid)
+    assert bsdf.lobes[1].varying == ("lattice.period_nm",)
+    wi = np.array([0.0, 0.0, 1.0])
+    for u, period in ((0.0, 800.0), (0.75, 920.0)):
+        plain = nacre.material(made | {"lattice": {"period_nm": period}}).bsdf(grid)
+        uv = np.array([u, 0.5])
+        sine = grid / period
+        wo = np.column_stack([sine, 0 * sine, np.sqrt(1 - sine**2)])
+        value, exact = (np.diagonal(b.evaluate(wi, wo, at)) for b, at in ((bsdf, uv), (plain, None)))
+        assert np.all(exact > 5.0) and value == pytest.approx(exact, rel=0.05)
+        assert bsdf.lobes[1].hemispherical(wi, uv)[0] == pytest.approx(plain.lobes[1].hemispherical(wi)[0], abs=0.01)
+
+
+def test_transmitted_orders_are_part_of_the_material() -> None:
+    made = {"family": "grating", "substrate": {"n": 1.5}, "lattice": {"period_nm": 900},
+            "profile": {"shape": "sinusoidal", "depth_nm": 300}}  # fmt: skip
+    bsdf = nacre.material(made).bsdf(np.array([550.0]))
+    wi = np.array([0.0, 0.0, 1.0])
+    mirror = bsdf.lobes[0].specular(np.array(1.0))
+    sides = [part for lobe in bsdf.lobes[1:] for part in lobe.hemispherical(wi)]
+    assert mirror.reflectance + mirror.transmittance + sum(sides) == pytest.approx(np.ones(1), abs=2e-3)
+    orders = bsdf.lobes[2].hemispherical(wi)[1]
+    assert bsdf.lobes[2].transmits and np.all(orders > 0.2)
+
+
+def orders_lobe(eta: float = 0.0, varies: bool = False) -> Bsdf:
     g = np.random.default_rng(1)
-    power = g.uniform(0.05, 0.25, (6, 9, 6, 5)).astype(np.float32)
-    power[:, -1] = power[:, 0]
+    power = g.uniform(0.05, 0.25, (3, 6, 9, 6, 5)).astype(np.float32)
+    power[:, :, -1] = power[:, :, 0]
     numbers = np.array([[-2, 0], [-1, 0], [1, 0], [2, 0], [0, 1], [0, -1]])
     lattice = np.array([[1 / 1600.0, 0.0], [0.0, 1 / 1200.0]])
-    return Bsdf((OrdersLobe(np.array([400.0, 450.0, 520.0, 600.0, 700.0]), power, lattice, numbers, 0.02),))
+    grid = np.array([400.0, 450.0, 520.0, 600.0, 700.0])
+    if not varies:
+        return Bsdf((OrdersLobe(grid, power[0], lattice, numbers, 0.02, None, eta),))
+    texture = Texture(1600.0, 2000.0, formula=parse_formula("1600 + 400*u"))
+    period = ParameterAxis("lattice.period_nm", np.array([1600.0, 1800.0, 2000.0]), texture)
+    return Bsdf((OrdersLobe(grid, power, lattice, numbers, 0.02, None, eta, (period,)),))
 
 
-def pairs(seed: int) -> tuple[Any, Any]:
+LOBES = {"reflected": (0.0, False), "transmitted": (1.5, False), "period": (0.0, True), "both": (1.5, True)}
+
+
+def pairs(seed: int, eta: float = 0.0, scale: float = 1.0) -> tuple[Any, Any]:
+    """Return light and eye near orders; of transmitted ones one of the two lies below."""
     from lobe_trials import directions
 
     lobe = orders_lobe().lobes[0]
@@ -187,30 +239,65 @@ def pairs(seed: int) -> tuple[Any, Any]:
     eye = directions(2000, seed, False)
     t = (
         -eye[:, :2]
-        + (lobe.orders[g.integers(0, 6, 2000)] @ lobe.lattice) * g.choice(lobe.wavelengths_nm, 2000)[:, None]
+        + (lobe.orders[g.integers(0, 6, 2000)] @ lobe.lattice) * g.choice(lobe.wavelengths_nm, 2000)[:, None] / scale
     )
-    t = t + g.normal(0.0, 0.02, t.shape)
+    t = (t + g.normal(0.0, 0.02, t.shape)) / (eta or 1.0)
     z = np.sqrt(np.maximum(1.0 - np.sum(t**2, axis=1), 0.03))
-    light = np.column_stack([t, z])
-    return light / np.linalg.norm(light, axis=1, keepdims=True), eye
+    light = np.column_stack([t, -z if eta else z])
+    light /= np.linalg.norm(light, axis=1, keepdims=True)
+    is_swapped = (np.arange(2000) % 2 == 1)[:, None] & (eta > 0.0)
+    return np.where(is_swapped, eye, light), np.where(is_swapped, light, eye)
 
 
 @pytest.mark.render
-def test_the_plugin_gives_the_values_of_the_arrays(mi: Any) -> None:
+@pytest.mark.parametrize("name", LOBES)
+def test_the_plugin_gives_the_values_of_the_arrays(mi: Any, name: str) -> None:
     from lobe_trials import array_mismatch, reciprocity_mismatch
 
-    assert array_mismatch(orders_lobe(), *pairs(3)) <= 1e-4
-    assert reciprocity_mismatch(orders_lobe(), *pairs(4), 1.0) <= 1e-4
+    eta, varies = LOBES[name]
+    uv = np.column_stack([np.random.default_rng(0).uniform(0.2, 0.3, 2000), np.zeros(2000)]) if varies else None
+    lobe = orders_lobe(eta, varies)
+    light, eye = pairs(3, eta, 1.06 if varies else 1.0)
+    assert np.mean(lobe.evaluate(light, eye, uv).max(axis=-1) > 1.0) > 0.3
+    assert array_mismatch(lobe, light, eye, uv) <= 2e-4
+    if not varies:
+        assert reciprocity_mismatch(lobe, *pairs(4, eta), max(eta, 1.0)) <= 1e-4
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("view", [(1.0, 0.0), (30.0, 40.0), (65.0, 200.0)])
-def test_draws_follow_the_density(mi: Any, view: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    ("name", "view"),
+    [
+        ("reflected", (1.0, 0.0)),
+        ("reflected", (30.0, 40.0)),
+        ("reflected", (65.0, 200.0)),
+        ("transmitted", (30.0, 40.0)),
+        ("both", (125.0, 100.0)),
+    ],
+)
+def test_draws_follow_the_density(mi: Any, name: str, view: tuple[float, float]) -> None:
     from lobe_trials import chi_square, direction, draw, weight_mismatch
 
-    assert weight_mismatch(draw(orders_lobe(), direction(*view), 20_000, seed=3)) <= 2e-3
-    outcome = chi_square(orders_lobe(), *view, resolution=200, steps=24)
-    assert outcome.passes(0.01, 3), outcome.messages
+    lobe = orders_lobe(*LOBES[name])
+    assert weight_mismatch(draw(lobe, direction(*view), 20_000, seed=3)) <= 2e-3
+    outcome = chi_square(lobe, *view, resolution=200, steps=24)
+    assert outcome.passes(0.01, 5), outcome.messages
+
+
+@pytest.mark.parametrize("eta", [0.7, 1.5])
+def test_transmitted_orders_keep_their_light_both_ways(eta: float) -> None:
+    lobe = orders_lobe(eta).lobes[0]
+    assert isinstance(lobe, OrdersLobe) and lobe.transmits
+    grid = np.linspace(-1, 1, 1201)
+    x, y = np.meshgrid(grid, grid)
+    inside = x**2 + y**2 < 1
+    wo = np.stack([x[inside], y[inside], np.sqrt(1 - x[inside] ** 2 - y[inside] ** 2)], axis=-1)
+    for sign in (1.0, -1.0):
+        wi = np.array([0.1, 0.05, sign * np.sqrt(1 - 0.0125)])
+        away = wo * [1.0, 1.0, -sign]
+        total = lobe.evaluate(np.broadcast_to(wi, away.shape), away).sum(axis=0) * (grid[1] - grid[0]) ** 2
+        back, through = lobe.hemispherical(wi)
+        assert not back.any() and total == pytest.approx(through, rel=0.03)
 
 
 def test_the_lobe_conserves_the_efficiencies() -> None:

@@ -95,7 +95,7 @@ def interaction(
     """Return a surface interaction with local directions `wi[n, 3]`, wavelengths and uv."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(wi))
     si.wi = mi.Vector3f(np.ascontiguousarray(wi.T, dtype=np.float32))
-    si.wavelengths = mi.Spectrum([dr.opaque(mi.Float, float(w), len(wi)) for w in wavelengths_nm])
+    si.wavelengths = mi.UnpolarizedSpectrum([dr.opaque(mi.Float, float(w), len(wi)) for w in wavelengths_nm])
     where = np.full((len(wi), 2), 0.5) if uv is None else np.broadcast_to(uv, (len(wi), 2))
     si.uv = mi.Point2f(np.ascontiguousarray(where.T, dtype=np.float32))
     si.t = mi.Float(0.0)
@@ -179,6 +179,7 @@ def chi_square(
     def sample(u: Any) -> Any:
         bs, weight = plugin.sample(ctx, interactions(dr.width(u)), u[0], mi.Point2f(u[1], u[2]), mi.Bool(True))
         is_delta = (bs.sampled_type & int(mi.BSDFFlags.Delta)) != 0
+        weight = weight[0, 0] if mi.is_polarized else weight
         drawn = (bs.pdf > 0.0) & ~is_delta & (dr.max(weight) >= 0.0)
         # a draw that failed points nowhere; weight 0 keeps it out of the histogram
         return dr.select(drawn, bs.wo, mi.Vector3f(0, 0, 1)), dr.select(drawn, mi.Float(1.0), 0.0)

@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 from PIL import Image
 from starlette.testclient import TestClient
 
+import nacre
 from nacre.core.errors import NacreError
 from nacre.picture.lights.environments import directions
 from nacre.picture.scenes.subjects import read_mesh
 from nacre.picture.shapes.mesh import Mesh, parametric
+from nacre.recipe.toml import parse_toml
 from nacre.studio import objects, routes
 from nacre.studio.folder import OpenedFolder
+from nacre.studio.measured import computed_psi_delta
 from nacre.studio.objects import OBJECTS, MeshStore, simplified
 from nacre.studio.security import HEADER
 from nacre.studio.server import make_app
@@ -275,6 +278,53 @@ def test_a_dropped_spectrum_is_answered_as_a_curve(client: TestClient) -> None:
 def test_a_dropped_colour_list_is_answered_as_colours(client: TestClient) -> None:
     found = client.post("/api/measurement?name=x.gpl", content=b"GIMP Palette\n255 0 0 red\n0 0 255 blue\n").json()
     assert found["colours"] == [{"name": "red", "hex": "#ff0000"}, {"name": "blue", "hex": "#0000ff"}]
+
+
+PSI = "Wavelength (nm)\tAngle (deg)\tPsi (deg)\tDelta (deg)\n"
+
+
+def test_dropped_psi_and_delta_are_answered_by_angle_and_computed_beside(client: TestClient) -> None:
+    wafer = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 10}]\n'
+    data = nacre.material(parse_toml(wafer, "wafer"))
+    known = nacre.ellipsometry(data, [60.0, 70.0], np.arange(400.0, 700.0, 5.0))
+    rows = [
+        f"{nm}\t{angle}\t{known.psi_deg[i, j]:.5f}\t{known.delta_deg[i, j]:.5f}\n"
+        for i, angle in enumerate((60, 70))
+        for j, nm in enumerate(known.wavelengths_nm)
+    ]
+    found = client.post("/api/measurement?name=wafer.txt", content=(PSI + "".join(rows)).encode()).json()
+    assert [curve["angle_deg"] for curve in found["ellipsometry"]] == [60.0, 70.0] and not found["is_scan"]
+    asked = {"angles_deg": [60.0, 70.0], "range_nm": [400.0, 695.0]}
+    computed = computed_psi_delta(data, asked)
+    assert computed is not None
+    for i, curve in enumerate(found["ellipsometry"]):
+        np.testing.assert_allclose(curve["psi"], known.psi_deg[i], atol=1e-4)
+        np.testing.assert_allclose(np.interp(curve["nm"], computed["nm"], computed["psi"][i]), curve["psi"], atol=0.02)
+    for wrong in (None, {}, {"angles_deg": [95.0], "range_nm": [400, 700]}, {"angles_deg": [60], "range_nm": "all"}):
+        assert computed_psi_delta(data, wrong) is None
+    rest = computed_psi_delta(nacre.load("pearl/bottle3"), asked)
+    assert rest is not None and set(rest) == {"note"}
+
+
+def test_a_dropped_scan_is_stored_beside_the_recipes_and_becomes_a_relief(client: TestClient, tmp_path: Path) -> None:
+    heights = 1e-8 * np.random.default_rng(1).normal(size=(32, 32))
+    head = "# Channel: Topography\n# Width: 8 µm\n# Height: 8 µm\n# Value units: m\n"
+    text = head + "".join("\t".join(f"{z:.4e}" for z in row) + "\n" for row in heights)
+    for _ in range(2):  # the same file may be dropped again
+        made = client.post("/api/scan?name=scan.txt", content=text.encode()).json()
+        assert (tmp_path / "scan.txt").read_bytes() == text.encode()
+    material = OpenedFolder.of(str(tmp_path)).material(made["text"], made["name"])
+    assert material.family == "relief" and made["version"] == "" and not (tmp_path / made["name"]).exists()
+    for name, content in (
+        ("scan.txt", text + "\n"),
+        ("small.txt", head + "1e-9\t2e-9\n3e-9\t1e-9\n"),
+        ("wing.txt", SCOPE),
+    ):
+        before = sorted(path.name for path in tmp_path.iterdir())
+        answer = client.post("/api/scan", params={"name": name}, content=content.encode())
+        assert answer.status_code == 422 and name in answer.json()["error"] and "upload" not in answer.json()["error"]
+        assert sorted(path.name for path in tmp_path.iterdir()) == before
+    assert client.post("/api/scan?name=.hidden", content=text.encode()).status_code == 422
 
 
 @pytest.mark.parametrize("name, content", [("a.bin", b"\0\1\2\3"), ("../../x.dpt", b"1,2\n2,3\n3,4\n"), ("e.txt", b"")])

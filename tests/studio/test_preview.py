@@ -184,3 +184,44 @@ def test_aligned_particles_are_drawn_in_the_plane_of_u_and_say_so(monkeypatch: p
         assert appearance.ALIGNED_NOTE in one.notes and one.lobe is None
     mirrors = [both[-1].mirror_rgb for both in seen.values()]
     assert np.abs(mirrors[0] - mirrors[1]).max() > 0.1 * mirrors[0].max()
+
+
+def test_a_graded_film_is_drawn_with_the_colours_of_its_places() -> None:
+    text = {
+        "family": "film", "substrate": "Si",
+        "layers": [{"material": "SiO2", "thickness_nm": {"formula": "100 + 300*u"}},
+                   {"material": "TiO2", "thickness_nm": {"formula": "20 + 60*v"}}],
+    }  # fmt: skip
+    (found,) = appearances(nacre.material(text), "D65", lambda: False)
+    assert found.grades is not None
+    tables, place = found.grades["tables"], found.grades["map"]
+    second, first = tables.shape[1:3]
+    row, column = 200, 40  # v, u at centres of texels of the map
+    u, v = (column + 0.5) / place.shape[1], (row + 0.5) / place.shape[0]
+    layers = [{"material": "SiO2", "thickness_nm": 100 + 300 * u}, {"material": "TiO2", "thickness_nm": 20 + 60 * v}]
+    (uniform,) = appearances(nacre.material({**text, "layers": layers}), "D65", lambda: False)
+    x, y = place[row, column] * [first - 1, second - 1]
+    i, j = int(x), int(y)
+    rows = [(1 - x + i) * tables[0, k, i] + (x - i) * tables[0, k, i + 1] for k in (j, j + 1)]
+    drawn = (1 - y + j) * rows[0] + (y - j) * rows[1]
+    # linear interpolation over 12 nm of each layer: a hundredth of a white
+    np.testing.assert_allclose(drawn[:80], uniform.mirror_rgb[:80], atol=0.012)
+    rough = {**text, "layers": [], "surface": {"roughness": {"formula": "0.1 + 0.1*u"}}}
+    (uneven,) = appearances(nacre.material(rough), "D65", lambda: False)
+    assert uneven.grades is None and len(uneven.notes) == 1
+
+
+def test_a_mask_is_drawn_over_the_surface() -> None:
+    part = {"family": "film", "substrate": "Au"}
+    blend = {
+        "family": "blend",
+        "first": part,
+        "second": {"family": "film", "substrate": "Ag"},
+        "mask": {"formula": "u"},
+    }
+    *_, found = appearances(nacre.material(blend), "D65", lambda: False)
+    assert found.grades is not None and not found.is_draft
+    tables = found.grades["tables"][:3].sum(axis=0)[0]
+    for node, substrate in ((0, "Ag"), (-1, "Au")):
+        *_, pure = appearances(nacre.material({**part, "substrate": substrate}), "D65", lambda: False)
+        np.testing.assert_allclose(tables[node, 0], pure.mirror_rgb[0], atol=0.02)

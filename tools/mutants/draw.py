@@ -20,7 +20,7 @@ from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
 
-ROOMS = ("light", "matter", "bsdf", "families", "measure", "exchange")
+ROOMS = ("light", "matter", "bsdf", "families", "measure", "formats")
 Span = tuple[tuple[int, int], tuple[int, int]]
 
 

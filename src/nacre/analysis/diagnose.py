@@ -16,13 +16,11 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
-from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material
+from nacre.measure.colours import geometry_colours, recipe_geometries
 from nacre.measure.geometry import Geometry
-from nacre.measure.wavelengths import colour_spectrum, colour_values
 from nacre.optimise.tolerances import Component, Tolerance, components
 
 SCAN = np.linspace(-4.0, 4.0, 17)  # of a single cause, in prior standard deviations
@@ -67,7 +65,7 @@ class SpectrumObservation:
 
 @dataclass(frozen=True)
 class ColourObservation:
-    """CIELAB `values[3]` at a geometry ("specular 0", "45as15")."""
+    """CIELAB `values[3]` at a geometry ("specular 0", "45as15", or a name of the recipe's `[[geometry]]`)."""
 
     geometry: str
     values: Array
@@ -78,22 +76,12 @@ class ColourObservation:
         """Return the material's CIELAB colour.
 
         Raises:
-            NacreError: the geometry is neither specular, transmitted nor aspecular.
+            NacreError: the geometry is not known, or is diffuse or hemispherical.
         """
-        geometry, light = Geometry.read(self.geometry, "geometry"), (self.illuminant, self.observer)
-        theta = np.radians(geometry.theta_deg)
-        if geometry.kind == "aspecular":
-            wi, wo = direction(theta)[None], geometry.wo[None]
-            values, grid = colour_values(material, wi, wo, self.illuminant, samples, seed)
-            values = np.pi * values
-        elif geometry.kind in ("specular", "transmitted"):
-            found = colour_spectrum(material, np.atleast_1d(theta), self.illuminant)
-            part = found.specular_reflectance if geometry.kind == "specular" else found.specular_transmittance
-            grid, values = found.wavelengths_nm, np.zeros((1, len(found.wavelengths_nm))) if part is None else part
-        else:
+        geometry = Geometry.read(self.geometry, "geometry", recipe_geometries(material))
+        if geometry.kind in ("diffuse", "hemispherical"):
             raise NacreError(f'geometry = "{self.geometry}" is not specular, transmitted or aspecular')
-        lab: Array = np.asarray(xyz_to_lab(spectrum_to_xyz(values, grid, *light), white_xyz(*light)))[0]
-        return lab
+        return geometry_colours(material, [geometry], self.illuminant, self.observer, samples, seed)[0]
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from nacre.analysis import intervals as ci
+from nacre.analysis.colour_data import ColourData, colour_measurement, stated_colours
 from nacre.analysis.ellipsometry_data import EllipsometryData, ellipsometry_data
 from nacre.analysis.fit_data import Data, Joint, joined, name_of, parts_of
 from nacre.analysis.measured import Measured, gonio_measurement, spectrum_measurement
@@ -132,11 +133,15 @@ class Fit:
 
 
 def read_measurements(
-    paths: Sequence[str | Path], options: ReadOptions | None = None, range_nm: tuple[float, float] | None = None
+    paths: Sequence[str | Path],
+    options: ReadOptions | None = None,
+    range_nm: tuple[float, float] | None = None,
+    colours: Mapping[str, Sequence[float]] | None = None,
 ) -> Data:
-    """Read the measurements of one sample: files of ellipsometers, spectrometers and goniometers.
+    """Read the measurements of one sample: files of ellipsometers, spectrometers and goniometers, and colours.
 
     Args:
+        colours: geometry -> CIELAB under D65 with the 10 degree observer.
         options: properties that the files do not state.
         range_nm: rows of other wavelengths are ignored.
 
@@ -145,13 +150,15 @@ def read_measurements(
         AmbiguousFileError: a file can be read in several ways.
     """
     found = [part for path in paths for part in parts_of(read_measurement(path, options, range_nm))]
-    return joined(found)
+    return joined([*found, stated_colours(colours)] if colours else found)
 
 
 def read_measurement(
     path: str | Path, options: ReadOptions | None = None, range_nm: tuple[float, float] | None = None
 ) -> Data:
     """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, a gonio CSV, or an instrument's file.
+
+    A list of colours holds CIELAB (D65, 10 degree observer) at the geometries that their names state.
 
     Spectrum columns may be in per cent and wavelengths in um, as their headings say. Rows without a measured value
     are ignored.
@@ -165,6 +172,8 @@ def read_measurement(
         raise NacreError(f"{path}: is a recipe; give the measurement, a CSV, first, and then the recipe")
     options = replace(options or ReadOptions(), expects="spectrum")
     found = open_file(path, options)
+    if found[0].kind == "colours":
+        return colour_measurement(path)
     if found[0].kind == "bsdf":
         return gonio_measurement(path, found[0])
     chosen = [m for m in found if m.kind == "ellipsometry" and ("depolarisation" not in m.data or "psi_deg" in m.data)]
@@ -267,6 +276,7 @@ def run_fit(
     tied = read_ties(material, [number.path for number in free]) if ties is None else ties
     paths = [*(parameter.path for parameter in free), *tied.expressions]
     material = material.at_low_fidelity().with_parts_loaded(paths)
+    measured = joined([p.resolved(material) if isinstance(p, ColourData) else p for p in parts_of(measured)])
     problem = _Problem(material, measured, free, tied, samples, seed, weights)
     minima: list[LocalMinimum] = []
     for turn in range(MOST_TURNS):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from nacre.analysis.colour_data import ColourData
 from nacre.analysis.ellipsometry_data import EllipsometryData
 from nacre.analysis.fit import Fit, FittedNumber, Measured
 from nacre.analysis.fit_data import Data, Joint, parts_of
@@ -55,7 +56,7 @@ def _is_at_bound(number: FittedNumber, bounds: Parameter) -> bool:
 
 
 def _figure(fit: Fit, measured: Data, free: Sequence[Parameter]) -> Figure:
-    if isinstance(measured, Joint | EllipsometryData):
+    if isinstance(measured, Joint | EllipsometryData | ColourData):
         from nacre.plot import fit_panels_figure
 
         return fit_panels_figure(_panels(fit, measured), f"{fit.material.name}, fitted")
@@ -73,7 +74,7 @@ def _figure(fit: Fit, measured: Data, free: Sequence[Parameter]) -> Figure:
     )
 
 
-def _panels(fit: Fit, measured: Joint | EllipsometryData) -> list[FitPanel]:
+def _panels(fit: Fit, measured: Joint | EllipsometryData | ColourData) -> list[FitPanel]:
     """Return Psi and Delta, or the other quantities, of each measurement."""
     from nacre.plot import FitPanel
 
@@ -86,6 +87,10 @@ def _panels(fit: Fit, measured: Joint | EllipsometryData) -> list[FitPanel]:
                 FitPanel(f"{title}: {Path(part.name).name[:24]}", *labels, curves)
                 for title, labels, curves in part.curves(fitted)
             ]
+        elif isinstance(part, ColourData):
+            place_of = np.arange(len(part.labels), dtype=float)
+            drawn = tuple((f"{c}*", place_of, part.values[:, i], fitted[:, i]) for i, c in enumerate("Lab"))
+            panels.append(FitPanel(", ".join(part.labels)[:60], "Geometry", "CIELAB", drawn))
         elif part.kind == "spectrum":
             spectrum = cast(Measured, part)
             assert spectrum.angles_deg is not None

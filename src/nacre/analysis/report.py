@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from nacre._version import __version__
+from nacre.analysis.texture import Texture
 from nacre.bsdf import Bsdf
 from nacre.bsdf.grids import direction
 from nacre.bsdf.texture import refuse_place
@@ -31,6 +32,7 @@ from nacre.light import (
 )
 from nacre.material.material import Material
 from nacre.measure import instruments as geometry
+from nacre.measure.colours import recipe_geometries
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
 from nacre.measure.geometry import Geometry, aspecular_pairs
 from nacre.measure.polarisation import SelectiveBand, circular_reflection, selective_band
@@ -94,6 +96,7 @@ class Report:
         transmission_haze: ASTM D1003 percentage, None for an opaque material.
         noise: largest standard error of a reflectance factor, 0 without a random walk.
         surface: roughness of a measured surface, such as `sq_um`.
+        texture: sparkle and graininess, if asked for.
         selective: band in which one hand of circular light is reflected, at "0" and "45" degrees, if there is one.
     """
 
@@ -112,6 +115,7 @@ class Report:
     surface: dict[str, float] = field(default_factory=dict)
     selective: dict[str, SelectiveBand] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
+    texture: Texture | None = None
 
     @property
     def tables(self) -> dict[str, ColourTable]:
@@ -134,20 +138,22 @@ def make_report(
         material: the material.
         illuminant, observer: of the colours; usually D65 and 10 degrees.
         samples, seed: of random walks.
-        geometries: further aspecular geometries, "45as25az90" or "NAME=45as25az90".
+        geometries: further aspecular geometries, "45as25az90" or "NAME=45as25az90", in addition to the aspecular ones
+            of the recipe's `[[geometry]]`.
 
     Raises:
         NacreError: the material cannot be computed.
         RecipeError: a geometry is not aspecular, or behind the surface.
     """
-    named = read_geometries(geometries)
+    own = {name: at for name, at in recipe_geometries(material).items() if at.kind == "aspecular"}
+    named = own | read_geometries(geometries)
     refuse_place(material.model, f"{material.context.source}: report")
     bsdf = colour_bsdf(material, illuminant)
     light = (illuminant, observer)
     standard = [Geometry("aspecular", 45.0, angle) for angle in geometry.ASPECULAR_DEG]
     wi, wo = aspecular_pairs([*standard, *named.values()])
     factor, error = evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed)
-    own, factor = factor[len(standard) :], factor[: len(standard)]
+    further, factor = factor[len(standard) :], factor[: len(standard)]
     labels = tuple(map(str, standard))
     aspecular = colour_table(
         "aspecular, 45 degree incidence", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *light, labels
@@ -173,7 +179,7 @@ def make_report(
         if mirror.max() > MIRROR_THRESHOLD
         else None,
         geometries=colour_table(
-            "further geometries", [g.view_deg for g in named.values()], np.pi * own, bsdf, *light, tuple(named)
+            "further geometries", [g.view_deg for g in named.values()], np.pi * further, bsdf, *light, tuple(named)
         )
         if named
         else None,

@@ -27,6 +27,7 @@ from nacre.analysis.sweep_plan import Sweep, SweepSpec, load_sweep, measurement_
 from nacre.core.errors import NacreError
 from nacre.core.files import check_writable, temporary_prefix
 from nacre.core.jobs import Workers, run_jobs
+from nacre.core.packages import require
 from nacre.material.material import Material, material
 
 logger = logging.getLogger("nacre")
@@ -187,6 +188,8 @@ def _create(path: Path, sweep: Sweep) -> None:
         if points.mode != "grid":
             _coordinate(group, "point", list(range(points.count)), ["point"])
         _coordinate(group, "angle_deg", list(measurement.angles_deg), ["angle_deg"])
+        if measurement.geometries:
+            _coordinate(group, "geometry", [name for name, _ in measurement.geometries], ["geometry"])
         _coordinate(group, "lab", ["L*", "a*", "b*"], ["lab"])
         _coordinate(group, "xyz", ["X", "Y", "Z"], ["xyz"])
         if measurement.wavelengths_nm is not None:
@@ -247,7 +250,9 @@ def run_sweep(
 
     Raises:
         NacreError: the store holds another sweep or cannot be written, or the cluster cannot be reached.
+        MachineError: zarr is not installed.
     """
+    require("zarr")
     workers = workers or Workers()
     workers.check()
     with locked(Path(output), report):

@@ -21,8 +21,10 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import read_text
 from nacre.core.memory import check_memory
-from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
+from nacre.light import lab_to_xyz, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material, load
+from nacre.measure.colours import geometry_colours, recipe_geometries
+from nacre.measure.geometry import Geometry
 from nacre.measure.wavelengths import colour_spectrum
 from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.keys import ByPath
@@ -218,6 +220,7 @@ def _grid_values(low: float, high: float, value: Mapping[str, Any], logarithmic:
     return tuple(low + step * i for i in range(count))
 
 
+AT_GEOMETRIES = "geometries"  # colours at named geometries, beside the parts of spectra
 PARTS = ("specular_reflectance", "specular_transmittance", "diffuse_reflectance", "diffuse_transmittance")
 
 
@@ -230,6 +233,7 @@ class Measurement:
         illuminant, observer: of the colours.
         wavelengths_nm: grid of stored spectra, or None to store colours only.
         parts: parts of the spectrum.
+        geometries: (name, geometry) at which colours are stored as well.
     """
 
     angles_deg: tuple[float, ...] = (0.0, 15.0, 30.0, 45.0, 60.0)
@@ -237,6 +241,7 @@ class Measurement:
     observer: str = "10deg"
     wavelengths_nm: tuple[float, ...] | None = None
     parts: tuple[str, ...] = ("specular_reflectance",)
+    geometries: tuple[tuple[str, str], ...] = ()
 
     def layout(self) -> dict[str, tuple[tuple[str, ...], tuple[int, ...]]]:
         """Return a point's arrays: name -> (dimension names, shape)."""
@@ -247,6 +252,9 @@ class Measurement:
             arrays[f"xyz_{part}"] = (("angle_deg", "xyz"), (angles, 3))
             if self.wavelengths_nm is not None:
                 arrays[part] = (("angle_deg", "wavelength_nm"), (angles, len(self.wavelengths_nm)))
+        if self.geometries:
+            for space in ("lab", "xyz"):
+                arrays[f"{space}_{AT_GEOMETRIES}"] = (("geometry", space), (len(self.geometries), 3))
         return arrays
 
     def take(self, material: Material, seed: int) -> dict[str, Array]:
@@ -268,6 +276,10 @@ class Measurement:
             arrays[f"lab_{part}"] = xyz_to_lab(xyz, white)
             if stored is not None:
                 arrays[part] = _part(stored, part)
+        if self.geometries:
+            rows = [Geometry.read(at, name) for name, at in self.geometries]
+            lab = geometry_colours(material, rows, self.illuminant, self.observer, seed=seed)
+            arrays[f"lab_{AT_GEOMETRIES}"], arrays[f"xyz_{AT_GEOMETRIES}"] = lab, np.asarray(lab_to_xyz(lab, white))
         return arrays
 
 
@@ -280,6 +292,7 @@ def _part(spectrum: Spectrum, name: str) -> Array:
 def measurement_from(data: dict[str, Any]) -> Measurement:
     """Rebuild a measurement from the dictionary sent to a worker."""
     fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
+    fields["geometries"] = tuple((name, at) for name, at in fields["geometries"])
     return Measurement(**fields)
 
 
@@ -304,6 +317,12 @@ class MeasureSpec(RecipeModel):
         default=None,
         description="parts of the spectrum to store, such as specular_reflectance; chosen by the material if not given",
         examples=[["specular_reflectance"]],
+    )
+    geometries: list[str] | None = pydantic.Field(
+        default=None,
+        description="geometries at which colours are stored as well, or names of the recipe's [[geometry]]; default: "
+        "all of these names",
+        examples=[["45as15", "45as110", "door"]],
     )
 
 
@@ -408,6 +427,10 @@ def _measurement(spec: MeasureSpec, material: Material, source: str) -> Measurem
     grid = spec.wavelengths_nm
     if grid is not None and (len(grid) < 2 or min(grid) <= 0 or any(b <= a for a, b in zip(grid, grid[1:]))):
         raise RecipeError(f"{source}: measure.wavelengths_nm must be positive and ascending, at least two")
+    named = recipe_geometries(material)
+    asked = list(named) if spec.geometries is None else spec.geometries
+    geometries = tuple((name, str(Geometry.read(name, f"{source}: measure.geometries", named))) for name in asked)
     return Measurement(
-        tuple(spec.angles_deg), spec.illuminant, spec.observer, None if grid is None else tuple(grid), tuple(parts)
-    )
+        tuple(spec.angles_deg), spec.illuminant, spec.observer, None if grid is None else tuple(grid), tuple(parts),
+        geometries,
+    )  # fmt: skip

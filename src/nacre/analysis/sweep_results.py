@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nacre.analysis.sweep_plan import AT_GEOMETRIES
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
 
@@ -48,6 +49,7 @@ class SweepColours:
         xyz, lab: `[axis 0, axis 1, ..., angle, 3]` of a grid, `[point, angle, 3]` otherwise; NaN for missing points.
         illuminant, observer: of the colours.
         recipe: the recipe's text; source: the sweep's file name.
+        labels: names of the geometries instead of angles, which then are their numbers.
     """
 
     axes: tuple[SweepAxis, ...]
@@ -61,6 +63,7 @@ class SweepColours:
     observer: str
     recipe: str
     source: str
+    labels: tuple[str, ...] = ()
 
     def parameters(self) -> Array:
         """Return the varied numbers of every point, `[point, axis]`, in the order of the flattened colours."""
@@ -96,7 +99,6 @@ def read_sweep(path: str | Path, part: str | None = None) -> SweepColours:
             raise NacreError(f"{path}: has more than {MAX_POINTS_READ} points; draw a smaller sweep")
         status = np.asarray(group["status"][...])
         axes = tuple(_axis(group, name, recipe_path) for name, recipe_path in paths.items())
-        angles = np.asarray(group["angle_deg"][...], dtype=float)
         if part is not None and part not in parts:
             hint = did_you_mean(part, parts)
             raise NacreError(f'{path}: holds no part "{part}".{hint} It holds {", ".join(parts)}')
@@ -104,8 +106,11 @@ def read_sweep(path: str | Path, part: str | None = None) -> SweepColours:
         is_done = status == DONE
         if not is_done.any():
             raise NacreError(f"{path}: has no finished point to draw; run nacre sweep first")
-        chosen = part or max(colours, key=lambda name: float(np.nanmax(colours[name][is_done][..., 1])))
+        measured = [name for name in colours if name != AT_GEOMETRIES] or list(colours)
+        chosen = part or max(measured, key=lambda name: float(np.nanmax(colours[name][is_done][..., 1])))
         lab = np.asarray(group[f"lab_{chosen}"][...])
+        labels = tuple(_axis(group, "geometry", "").words) if chosen == AT_GEOMETRIES else ()
+        angles = np.arange(float(len(labels))) if labels else np.asarray(group["angle_deg"][...], dtype=float)
         is_grid = attributes["mode"] == "grid"
         shape = tuple(len(axis.values) for axis in axes) if is_grid else (len(axes[0].values),)
         if lab.shape != (*shape, len(angles), 3) or colours[chosen].shape != lab.shape or status.shape != shape:
@@ -113,7 +118,7 @@ def read_sweep(path: str | Path, part: str | None = None) -> SweepColours:
         return SweepColours(
             axes, is_grid, chosen, parts, angles, np.where(is_done[..., None, None], colours[chosen], np.nan),
             np.where(is_done[..., None, None], lab, np.nan), str(attributes["illuminant"]),
-            str(attributes["observer"]), str(attributes["recipe"]), str(attributes["sweep"]),
+            str(attributes["observer"]), str(attributes["recipe"]), str(attributes["sweep"]), labels,
         )  # fmt: skip
     except NacreError:
         raise
@@ -158,7 +163,7 @@ def sweep_figure(colours: SweepColours, kind: str, angles_deg: Array | None = No
     from nacre.plot import sweeps
 
     chosen = _angles(colours, kind, angles_deg)
-    labels = [f"{colours.angles_deg[i]:g}\u00b0" for i in chosen]
+    labels = [colours.labels[i] if colours.labels else f"{colours.angles_deg[i]:g}\u00b0" for i in chosen]
     light = (colours.illuminant, colours.observer)
     title = colours.part.replace("_", " ").capitalize()
     flat = colours.xyz.reshape(-1, len(colours.angles_deg), 3)
@@ -175,6 +180,8 @@ def sweep_figure(colours: SweepColours, kind: str, angles_deg: Array | None = No
 
 def _angles(colours: SweepColours, kind: str, angles_deg: Array | None) -> list[int]:
     stored = colours.angles_deg
+    if angles_deg is not None and colours.labels:
+        raise NacreError(f"--angles-deg: these colours are at named geometries: {', '.join(colours.labels)}")
     if angles_deg is not None:
         places = []
         for angle in np.atleast_1d(angles_deg):

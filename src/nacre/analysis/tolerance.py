@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,16 +13,19 @@ from nacre.analysis.report import SPECULAR_ANGLES_DEG
 from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
-from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
+from nacre.core.jobs import Workers, run_jobs
+from nacre.light import delta_e_2000
 from nacre.material.material import Material
 from nacre.measure import instruments
-from nacre.measure.wavelengths import colour_spectrum, colour_values
+from nacre.measure.colours import geometry_colours, recipe_geometries
+from nacre.measure.geometry import Geometry
 from nacre.optimise.tolerances import Component, Tolerance, components, draw, read_tolerances, wilson_interval
 from nacre.recipe.path_tables import by_path, with_options
 
 MAX_DRAWS = 1_000_000
 SENSITIVITY_STEP = 0.5  # central difference half step, in standard deviations
 LIGHT_DEG = 45.0
+START_WORKERS_S = 10.0  # of remaining work; a worker process takes 2 s to start
 
 
 @dataclass(frozen=True)
@@ -29,8 +33,10 @@ class ToleranceResult:
     """Tolerance analysis result.
 
     Attributes:
-        geometry: "aspecular, 45 degree incidence" or "mirror direction".
-        angles_deg: `[angle]`.
+        geometry: "aspecular, 45 degree incidence", "mirror direction" or "geometries" (named ones).
+        labels: `[angle]` geometries, such as "45as15", or their names.
+        angles_deg: `[angle]`: aspecular angle or incidence; of named geometries the viewer's angle from the normal, or
+            the incidence.
         nominal_lab: `[angle, 3]`.
         lab: `[draw, angle, 3]`.
         delta_e: `[draw, angle]`, dE00 to the nominal colour.
@@ -52,6 +58,7 @@ class ToleranceResult:
     sensitivities: tuple[tuple[str, float, float], ...]
     failed: int
     clipped: dict[str, float]
+    labels: tuple[str, ...] = ()
 
 
 def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tuple[Tolerance, ...]:
@@ -87,6 +94,8 @@ def run_tolerance(
     illuminant: str = "D65",
     observer: str = "10deg",
     samples: int | None = None,
+    geometries: Sequence[str] = (),
+    workers: Workers | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ToleranceResult:
     """Draw materials within their tolerances and measure their colours.
@@ -97,7 +106,10 @@ def run_tolerance(
         material: the nominal material.
         tolerances: from `recipe_tolerances`.
         draws: material count.
-        limit: dE00 within which a material passes, at every angle.
+        limit: dE00 within which a material passes, at every geometry.
+        geometries: "45as15", "specular 0", or names of the recipe's `[[geometry]]`; default: those of the recipe, or
+            else the standard angles.
+        workers: processes or cluster that measure the draws of long runs; the result does not depend on them.
         progress: called with (done, total): draws, and two materials per sensitivity.
 
     Raises:
@@ -108,7 +120,9 @@ def run_tolerance(
     if not limit > 0:
         raise NacreError(f"--limit = {limit} must be above 0")
     material = material.at_low_fidelity().with_parts_loaded(each.path for each in tolerances)
-    measure = ColourProbe(material, illuminant, observer, samples, seed)
+    own = recipe_geometries(material)
+    chosen = {name.strip(): Geometry.read(name, "geometry", own) for name in geometries} or own
+    measure = ColourProbe(material, illuminant, observer, samples, seed, chosen)
     nominal = measure(material)
     generator = np.random.default_rng(seed)
     causes = components(tolerances)
@@ -116,14 +130,14 @@ def run_tolerance(
     values = drawn.values
     lab = np.full((draws, *nominal.shape), np.nan)
     total = draws + 2 * len(causes)
-    make = material.parametrise(values)
-    for i in range(draws):
-        try:
-            lab[i] = measure(make({path: float(v[i]) for path, v in values.items()}))
-        except NacreError:
-            pass  # remains NaN and counts as failed
+    trials = _Trials(material, tuple(values), measure)
+    drawn_values = np.stack(list(values.values()), axis=1)
+    found = run_jobs(_measure_draw, trials, drawn_values, workers, start_workers_s=START_WORKERS_S)
+    for done, (index, colours) in enumerate(found, start=1):
+        if colours is not None:
+            lab[index] = colours  # otherwise it remains NaN and counts as failed
         if progress:
-            progress(i + 1, total)
+            progress(done, total)
     changes = []
     for number, each in enumerate(causes, start=1):
         changes.append(_sensitivity(material, each, measure, nominal))
@@ -136,6 +150,7 @@ def run_tolerance(
     return ToleranceResult(
         geometry=measure.geometry,
         angles_deg=np.asarray(measure.angles_deg),
+        labels=measure.labels,
         nominal_lab=nominal,
         lab=lab,
         delta_e=delta,
@@ -148,30 +163,65 @@ def run_tolerance(
     )
 
 
-class ColourProbe:
-    """Measures CIELAB at fixed angles: aspecular if the material scatters, in the mirror direction otherwise."""
+@dataclass(frozen=True)
+class _Trials:
+    """Measures materials whose numbers at `paths` are replaced by drawn values."""
 
-    def __init__(self, material: Material, illuminant: str, observer: str, samples: int | None, seed: int) -> None:
-        self._light = (illuminant, observer)
-        self._samples, self._seed = samples, seed
+    material: Material
+    paths: tuple[str, ...]
+    measure: ColourProbe
+
+    @cached_property
+    def make(self) -> Callable[[Mapping[str, Any]], Material]:
+        """Function from values to materials, compiled once in each process."""
+        return self.material.parametrise(self.paths)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle without the compiled function."""
+        return _Trials, (self.material, self.paths, self.measure)
+
+
+def _measure_draw(trials: _Trials, values: Array) -> Array | None:
+    """Return the colours of one draw; None if it cannot be computed. Runs in a worker."""
+    try:
+        return trials.measure(trials.make(dict(zip(trials.paths, map(float, values), strict=True))))
+    except NacreError:
+        return None
+
+
+class ColourProbe:
+    """Measures CIELAB at fixed geometries.
+
+    Default: the standard aspecular angles if the material scatters, in the mirror direction otherwise.
+    """
+
+    def __init__(
+        self,
+        material: Material,
+        illuminant: str,
+        observer: str,
+        samples: int | None,
+        seed: int,
+        geometries: Mapping[str, Geometry] | None = None,
+    ) -> None:
+        self._options = (illuminant, observer, samples, seed)
+        if geometries:
+            self.geometry, self.labels, self._at = "geometries", tuple(geometries), list(geometries.values())
+            self.angles_deg = tuple(at.view_deg if at.kind == "aspecular" else at.theta_deg for at in self._at)
+            return
         wi = np.broadcast_to(direction(np.radians(LIGHT_DEG)), (1, 3))
         few = material.values_at(wi, wi, np.array([550.0]))  # cheap for materials that scatter
-        self._scatters = few is not None or any(not lobe.is_delta for lobe in material.bsdf().lobes)
-        self.geometry = "aspecular, 45 degree incidence" if self._scatters else "mirror direction"
-        self.angles_deg: tuple[float, ...] = instruments.ASPECULAR_DEG if self._scatters else SPECULAR_ANGLES_DEG
-        self._wo = np.stack([instruments.aspecular_direction(LIGHT_DEG, a) for a in instruments.ASPECULAR_DEG])
+        scatters = few is not None or any(not lobe.is_delta for lobe in material.bsdf().lobes)
+        self.geometry = "aspecular, 45 degree incidence" if scatters else "mirror direction"
+        self.angles_deg = tuple(instruments.ASPECULAR_DEG if scatters else SPECULAR_ANGLES_DEG)
+        self._at = [
+            Geometry("aspecular", LIGHT_DEG, a) if scatters else Geometry("specular", a) for a in self.angles_deg
+        ]
+        self.labels = tuple(map(str, self._at))
 
     def __call__(self, material: Material) -> Array:
-        """Return CIELAB, `[angle, 3]`."""
-        if self._scatters:
-            wi = np.broadcast_to(direction(np.radians(LIGHT_DEG)), self._wo.shape)
-            values, grid = colour_values(material, wi, self._wo, self._light[0], self._samples, self._seed)
-            values = np.pi * values
-        else:
-            spectrum = colour_spectrum(material, np.radians(self.angles_deg), self._light[0])
-            grid, reflectance = spectrum.wavelengths_nm, spectrum.specular_reflectance
-            values = np.zeros((len(self.angles_deg), len(grid))) if reflectance is None else reflectance
-        return np.asarray(xyz_to_lab(spectrum_to_xyz(values, grid, *self._light), white_xyz(*self._light)))
+        """Return CIELAB, `[geometry, 3]`."""
+        return geometry_colours(material, self._at, *self._options)
 
 
 def _sensitivity(material: Material, cause: Component, measure: ColourProbe, nominal: Array) -> float:
@@ -192,6 +242,7 @@ def tolerance_document(result: ToleranceResult, tolerances: tuple[Tolerance, ...
     percentiles = np.percentile(delta, [50, 95], axis=0) if len(delta) else np.zeros((2, len(result.angles_deg)))
     return {
         "geometry": result.geometry,
+        "geometries": list(result.labels),
         "angles_deg": result.angles_deg.tolist(),
         "nominal_lab": result.nominal_lab.tolist(),
         "mean_lab": lab.mean(axis=0).tolist() if len(lab) else None,

@@ -21,6 +21,7 @@ from nacre.cli.common import STATUS_BAD_INPUT, STATUS_INTERRUPTED, STOPPED, hold
 from nacre.cli.progress import compile_listener, listener
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.jit import on_compile
+from nacre.core.packages import missing_line
 from nacre.core.progress import on_progress
 
 GARBAGE_AFTER = 50_000  # new container objects
@@ -152,6 +153,9 @@ def run(argv: list[str]) -> int:
         if _was_interrupted(error):
             say(STOPPED)
             return STATUS_INTERRUPTED
+        if isinstance(error, ModuleNotFoundError) and (line := missing_line(error.name or "")):
+            say(f"nacre: {line}")
+            return STATUS_BAD_INPUT
         say(
             f"nacre: this is a bug in nacre, please report it: {type(error).__name__}: "
             f"{str(error)[:300]} (run again with --debug for the details)"

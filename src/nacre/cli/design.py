@@ -11,6 +11,7 @@ import click
 from nacre.cli import common
 from nacre.cli.progress import COMPILING, LONG_COMPILE_S
 from nacre.core.errors import NacreError
+from nacre.core.jobs import Workers
 
 MAX_LISTED = 20  # colours of a batch
 TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
@@ -29,9 +30,12 @@ TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
     "many.csv for each.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result's numbers as JSON.")
+@common.cluster_options
 @common.cache_option
 @common.jobs_option
-def design(target: str, output: str | None, resume: bool, labs: str | None, as_json: bool) -> None:
+def design(
+    target: str, output: str | None, resume: bool, labs: str | None, as_json: bool, workers: Workers
+) -> None:  # fmt: skip
     """Find a structure with the appearance of TARGET; the best solution so far is always on disk.
 
     TARGET holds [[target]] tables, for a film, pearl, metasurface or any other recipe, or a [target] table, for a
@@ -47,8 +51,10 @@ def design(target: str, output: str | None, resume: bool, labs: str | None, as_j
     if not folder.exists():
         check_writable(folder)
     if labs is not None:
-        _design_many(target, labs, folder, resume, as_json)
+        _design_many(target, labs, folder, resume, as_json, workers)
         return
+    if workers.cluster is not None or workers.security is not None:
+        raise NacreError("--cluster: one design runs on this machine; a cluster serves --many")
     jobs = os.environ.get("NACRE_JOBS")
     with _Screen() as screen:
         result = run(target, folder, resume, screen.show, int(jobs) if jobs else None)
@@ -62,13 +68,14 @@ def design(target: str, output: str | None, resume: bool, labs: str | None, as_j
         raise KeyboardInterrupt
 
 
-def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bool) -> None:
+def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bool, workers: Workers) -> None:
     """Design for each row of a CSV and print the results."""
     from nacre.material.examples import resolve_recipe_path
     from nacre.optimise.batch import SUMMARY, TABLE, design_batch
 
     with _Screen() as screen:
-        found = design_batch(resolve_recipe_path(Path(target)), labs, folder, resume=resume, progress=screen.count)
+        path = resolve_recipe_path(Path(target))
+        found = design_batch(path, labs, folder, resume=resume, workers=workers, progress=screen.count)
     if as_json:
         click.echo((folder / SUMMARY).read_text(encoding="utf-8"), nl=False)
     else:
@@ -122,7 +129,8 @@ def _print_solutions(result: Any, as_json: bool) -> None:
             distance = f"{worst.distance:.2f}" + (" % rms" if worst.lamp is None else "")
             click.echo(f"  {number}  {'dE00 ' if worst.lamp else ''}{distance} at {worst.target.geometry}{thick}{made}"
                        f"   {solution.recipe.parent}")  # fmt: skip
-    common.note(f"{result.folder}: report.html; nacre render {result.folder}; nacre report {result.folder}")
+    written = "report.html; " if (result.folder / "report.html").is_file() else ""
+    common.note(f"{result.folder}: {written}nacre render {result.folder}; nacre report {result.folder}")
 
 
 class _Screen:

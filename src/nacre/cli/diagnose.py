@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 
 import click
@@ -56,12 +55,12 @@ def diagnose(
     options = ReadOptions(quantity=quantity, angle_deg=angle_deg)
     range_ = checked_range(range_nm)
     spectra = [part for path in measurements for part in parts_of(read_measurement(path, options, range_))]
-    colours = [ColourObservation(geometry, np.array(lab)) for geometry, lab in map(_lab, labs)]
+    colours = [ColourObservation(geometry, np.array(lab)) for geometry, lab in common.read_labs(labs).items()]
     result = run(
         material,
         recipe_tolerances(material, tolerances),
         [*spectra, *colours],
-        [noise] * len(spectra) + [lab_noise] * len(colours),
+        [lab_noise if part.kind == "colours" else noise for part in spectra] + [lab_noise] * len(colours),
     )
     if output is not None:
         write_text(output, result.material.text)
@@ -75,18 +74,6 @@ def diagnose(
         click.echo(f"    {each.name:44s} {each.probability:8.3f}   {each.factor:+7.2f} +- {each.factor_error:.2f}"
                    f"   {each.chi2:10.1f}")  # fmt: skip
     click.echo(f"  {result.points} measured values; chi-squared of the recipe as it is: {result.nominal_chi2:.1f}")
-
-
-def _lab(text: str) -> tuple[str, list[float]]:
-    """Read `GEOMETRY=L,a,b`."""
-    geometry, _, values = text.rpartition("=")
-    try:
-        lab = [float(cell) for cell in values.split(",")]
-    except ValueError:
-        lab = []
-    if not geometry or len(lab) != 3 or not all(map(math.isfinite, lab)):
-        raise NacreError(f'--lab "{text}" cannot be read; write it like "specular 5=62,30,-12"')
-    return geometry.strip(), lab
 
 
 commands: dict[str, click.Command] = {"diagnose": diagnose}

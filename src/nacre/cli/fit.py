@@ -40,6 +40,8 @@ HIGH_CORRELATION = 0.9
 )
 @click.option("--intervals", type=click.Choice(["auto", "linear", "profile", "resampling"]), default="auto",
               show_default=True, help="Method of the 95 % intervals.")  # fmt: skip
+@click.option("--lab", "labs", multiple=True, metavar="GEOMETRY=L,a,b",
+              help="A measured colour, such as 45as15=62,30,-12; D65, 10 degree observer.")  # fmt: skip
 @click.option("--range-nm", default=None, metavar="LOW:HIGH", help="Ignore other wavelengths of the measurements.")
 @click.option("--angle-deg", type=float, default=None, help="Angle of incidence that a file does not state.")
 @click.option("--delta-convention", type=click.Choice(["positive", "negative", "positive-shifted", "negative-shifted"]),
@@ -59,9 +61,9 @@ HIGH_CORRELATION = 0.9
 @common.jobs_option
 def fit(
     files: tuple[str, ...], parameters: tuple[str, ...], ties: tuple[str, ...], as_json: bool, residual: str | None,
-    page: str | None, output: str | None, range_nm: str | None, **options: Any,
+    page: str | None, output: str | None, range_nm: str | None, labs: tuple[str, ...], **options: Any,
 ) -> None:  # fmt: skip
-    """Fit parameters of RECIPE to each MEASUREMENT: files of ellipsometers, spectra, gonio CSV.
+    """Fit parameters of RECIPE to each MEASUREMENT: files of ellipsometers, spectra, gonio CSV, colours.
 
     Several measurements are of one sample; each is weighted by its own residual.
     """
@@ -73,8 +75,9 @@ def fit(
     from nacre.recipe.toml import edit_toml
 
     *measurements, recipe = files
-    if not measurements:
+    if not measurements and not labs:
         raise NacreError("give the measurements and then the recipe: nacre fit MEASUREMENT... RECIPE")
+    colours = common.read_labs(labs)
     path = Path(output) if output else Path(f"{short_name(recipe)}-fitted.toml")
     asked = ((path, ".toml"), (residual and Path(residual), ".npz"), (page and Path(page), ".html"))
     for target, suffix in asked:
@@ -85,7 +88,7 @@ def fit(
     names = ("angle_deg", "delta_convention", "spectrum", "quantity", "unit")
     stated = {name: options.pop(name) for name in names}
     stated |= {name: common.words(options.pop(name)) for name in ("columns", "ignore")}
-    measured = read_measurements(measurements, ReadOptions(**stated), checked_range(range_nm))
+    measured = read_measurements(measurements, ReadOptions(**stated), checked_range(range_nm), colours)
     for part in parts_of(measured):
         for remark in getattr(part, "remarks", ()):
             common.note(f"{getattr(part, 'name', '')}: {remark}")

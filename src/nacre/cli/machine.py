@@ -57,7 +57,10 @@ def indices_search(text: str, limit: int) -> None:
     if len(found) > limit:
         common.note(f"... and {len(found) - limit} more; use --limit")
     if not found:
-        common.note(f'nothing is called "{text}"')
+        from nacre.matter.indices.constant import scattering_hint
+
+        hint = scattering_hint(text)
+        common.note(f'nothing is called "{text}"' + (f": {hint}" if hint else ""))
 
 
 def _range(range_nm: tuple[float, float]) -> str:

@@ -63,17 +63,35 @@ class Workers:
 
 
 def run_jobs(
-    task: Task, shared: Any, items: Sequence[Any], workers: Workers | None = None
+    task: Task, shared: Any, items: Sequence[Any], workers: Workers | None = None, *, start_workers_s: float = 0.0
 ) -> Iterator[tuple[int, Any]]:
     """Yield (index, `task(shared, item)`) of all items in the order of completion.
 
     An exception of the task ends the work, as does closing the iterator; items that run are abandoned.
+
+    Args:
+        start_workers_s: seconds of remaining work from which worker processes of this machine are started. Until the
+            first items give the estimate, and for shorter work, this process computes alone.
 
     Raises:
         NacreError: the cluster cannot be reached, or worker processes end again and again.
     """
     workers = workers or Workers()
     workers.check()
+    done = 0
+    if workers.cluster is None and start_workers_s > 0:
+        begun = time.monotonic()
+        while done < len(items):
+            yield done, task(shared, items[done])
+            done += 1
+            if (time.monotonic() - begun) * (len(items) - done) / done > start_workers_s:
+                break
+        items = items[done:]
+    for number, result in _run_parallel(task, shared, items, workers):
+        yield done + number, result
+
+
+def _run_parallel(task: Task, shared: Any, items: Sequence[Any], workers: Workers) -> Iterator[tuple[int, Any]]:
     count = min(workers.jobs or available_jobs(), len(items))
     if workers.cluster is None and count <= 1:
         for number, item in enumerate(items):

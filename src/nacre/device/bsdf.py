@@ -14,6 +14,7 @@ import mitsuba as mi
 
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.lobes.specular import AlignedSpecular
 from nacre.bsdf.registry import outside_lobe
 from nacre.bsdf.rgb import projected_to_rgb
 from nacre.bsdf.texture import place_formula
@@ -71,14 +72,16 @@ def make_bsdf(
         )
     frame = object_frame if formula is not None else None
     space = None if frame is None and v_up else ObjectSpace(frame, v_up)
-    plugins = [make_plugin(lobe) for lobe in bsdf.lobes]
-    polarisation = None
+    lobes, polarisation = bsdf.lobes, None
     if mi.is_polarized:
         tables = bsdf.polarisation() if bsdf.polarisation is not None else None
         if tables is None:
             logger.info("%s: reflects and transmits unpolarised light in polarised variants", bsdf)
         else:
-            polarisation = DevicePolarisation(tables)
+            is_of_azimuth = any(isinstance(lobe, AlignedSpecular) for lobe in lobes)
+            polarisation = DevicePolarisation(tables, is_of_azimuth)
+            lobes = tuple(tables.refined(lobe) for lobe in lobes)
+    plugins = [make_plugin(lobe) for lobe in lobes]
     cls = bsdf_class(mi.variant())
     properties = mi.Properties() if properties is None else properties
     return cls(properties, plugins, two_sided and not bsdf.transmits, space, polarisation)
@@ -98,9 +101,11 @@ def update_bsdf(target: Any, bsdf: Bsdf) -> None:
     """Replace a BSDF's data in a built scene by another Bsdf's with the same structure, without a new kernel.
 
     Raises:
-        UnsupportedError: number, kinds or shapes of the lobes differ, or formulas in x, y, z appeared or vanished:
-            build the scene again.
+        UnsupportedError: number, kinds or shapes of the lobes differ, formulas in x, y, z appeared or vanished, or
+            there are Mueller matrices: build the scene again.
     """
+    if mi.is_polarized and (target.sum.polarisation is not None or bsdf.polarisation is not None):
+        raise UnsupportedError("the Mueller matrices may have changed; build the scene again")
     has_place = target.object_space is not None and target.object_space.has_place
     if (place_formula(bsdf) is not None) != has_place:
         raise UnsupportedError("formulas in x, y, z appeared or vanished; build the scene again")

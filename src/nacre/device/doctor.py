@@ -16,6 +16,7 @@ from nacre.core.errors import MachineError
 from nacre.core.memory import VARIABLE, memory_limit, shown_bytes
 
 EXTRAS = {
+    "studio": (("starlette", "uvicorn", "websockets"), "pip install 'nacre[studio]'"),
     "sweeps": (("xarray", "zarr", "dask", "distributed", "cryptography"), "pip install 'nacre[study]'"),
     "notebooks": (("anywidget",), "pip install 'nacre[notebook]'"),
     "gradients": (("jax",), "pip install 'nacre[gradient]'"),

@@ -16,12 +16,15 @@ from typing import Any
 
 import numpy as np
 
+from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import plain, why_unreadable
+from nacre.formats.gltf_pictures import green_channel
 from nacre.light import srgb_decode
 
 MAX_BYTES = 16 << 20
 GLB_MAGIC, GLB_JSON = b"glTF", b"JSON"
+THICKNESS_TEXTURE = "iridescenceThicknessTexture"
 IRIDESCENCE = "KHR_materials_iridescence"
 GLTF_READ = (IRIDESCENCE, "KHR_materials_ior", "KHR_materials_transmission")
 GLTF_BASE = ("baseColorFactor", "metallicFactor", "roughnessFactor")
@@ -43,6 +46,20 @@ SPACES: dict[str, tuple[Any, str | None]] = {
 
 
 @dataclass(frozen=True)
+class ThicknessMap:
+    """A thickness that varies over uv.
+
+    Attributes:
+        low_nm, high_nm: thickness where the image is 0 and 1.
+        image: `[row, column]`, the first row at the top (v = 1).
+    """
+
+    low_nm: float
+    high_nm: float
+    image: Array
+
+
+@dataclass(frozen=True)
 class ThinFilm:
     """A single thin film over a base.
 
@@ -57,6 +74,7 @@ class ThinFilm:
         not_read: names of unsupported properties in the file.
         weight: share of the surface with the film; 0: no film.
         remarks: sentences on values that were rounded or chosen.
+        thickness_map: in place of `thickness_nm`.
     """
 
     thickness_nm: float
@@ -69,6 +87,7 @@ class ThinFilm:
     not_read: tuple[str, ...] = ()
     weight: float = 1.0
     remarks: tuple[str, ...] = ()
+    thickness_map: ThicknessMap | None = None
 
 
 @dataclass(frozen=True)
@@ -160,7 +179,7 @@ def read_gltf(path: str | Path, name: str | None = None) -> ThinFilm:
             films = films or materials
             names = [str(m.get("name") or f"material {i}") for i, m in enumerate(films)]
             place, remarks = chosen(names, name, path)
-            return _gltf_film(films[place], remarks)
+            return _gltf_film(films[place], remarks, path, document)
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
     except (ValueError, TypeError, AttributeError, RecursionError, struct.error):
@@ -178,7 +197,7 @@ def _gltf_json(content: bytes) -> bytes:
     return content[20 : 20 + length]
 
 
-def _gltf_film(material: Mapping[str, Any], remarks: list[str]) -> ThinFilm:
+def _gltf_film(material: Mapping[str, Any], remarks: list[str], path: Path, document: Mapping[str, Any]) -> ThinFilm:
     extensions = material["extensions"]
     film, base = extensions[IRIDESCENCE], material.get("pbrMetallicRoughness", {})
     colour = [float(c) for c in base.get("baseColorFactor", [1, 1, 1, 1])]
@@ -188,12 +207,18 @@ def _gltf_film(material: Mapping[str, Any], remarks: list[str]) -> ThinFilm:
         float(film.get(f"iridescenceThickness{end}", default))
         for end, default in (("Minimum", 100.0), ("Maximum", 400.0))
     )
-    thickness = thickest
+    thickness, varied = thickest, None
     remarks = [*remarks, *rounded(metal, share, weight)]
-    if "iridescenceThicknessTexture" in film:
-        thickness = 0.5 * (thinnest + thickest)
-        remarks.append(f"the thickness texture varies from {thinnest:g} to {thickest:g} nm; {thickness:g} nm was taken")
     not_read = [key for part in (base, film, clear, material) for key in part if key.endswith("Texture")]
+    if THICKNESS_TEXTURE in film:
+        thickness = 0.5 * (thinnest + thickest)
+        image = green_channel(path, document, film[THICKNESS_TEXTURE])
+        if image is None:
+            said = f"varies from {thinnest:g} to {thickest:g} nm, but is not in the file or beside it; {thickness:g} nm"
+            remarks.append(f"the thickness texture {said} was taken")
+        else:
+            not_read.remove(THICKNESS_TEXTURE)
+            varied = ThicknessMap(thinnest, thickest, image)
     if metal < 0.5 and colour[:3] != [1.0, 1.0, 1.0]:
         not_read.append("baseColorFactor (light scattered or tinted below a dielectric surface)")
     if len(colour) > 3 and colour[3] < 1.0 or material.get("alphaMode", "OPAQUE") != "OPAQUE":
@@ -204,7 +229,7 @@ def _gltf_film(material: Mapping[str, Any], remarks: list[str]) -> ThinFilm:
     return ThinFilm(
         thickness, float(film.get("iridescenceIor", 1.3)), (colour[0], colour[1], colour[2]),
         float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5)), metal >= 0.5,
-        float(base.get("roughnessFactor", 1.0)) ** 2, share > 0, tuple(not_read), weight, tuple(remarks),
+        float(base.get("roughnessFactor", 1.0)) ** 2, share > 0, tuple(not_read), weight, tuple(remarks), varied,
     )  # fmt: skip
 
 

@@ -6,10 +6,14 @@ animations use these paths for all families.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import dataclasses
 import functools
+import json
 import logging
+import pickle
+import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,9 +25,11 @@ from numpy.typing import ArrayLike, NDArray
 from nacre._version import __version__
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
+from nacre.bsdf.polarisation import InterfacePolarisation
 from nacre.bsdf.texture import refuse_place
+from nacre.core import disk_cache
 from nacre.core.arrays import Array, floats, wavelength_grid
-from nacre.core.disk_cache import cached
+from nacre.core.disk_cache import cache_arrays, cached, cached_arrays
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import DESIGN_RECIPE, named, read_text, short_name
 from nacre.core.memory import check_memory
@@ -55,10 +61,17 @@ logger = logging.getLogger("nacre")
 
 MAX_EXCESS = 1e-3  # relative to the incident light; larger sums of reflectance and transmittance are reported
 MAX_NESTED_RECIPES = 8
+OF_OUTER = object()  # default of a nested recipe's ambient: that of the outer recipe
 BYTES_PER_VALUE = 160  # per angle and wavelength: amplitudes and powers of two polarisations, and the stored parts
 MANY_ANGLES = 1000  # from here on the memory of the material's own wavelengths is checked
 POLARISATIONS = ("s", "p", "both", "left", "right", "mueller")
-STUDY_TABLES = ("fit", "tolerance", "ties", "instrument")  # of fits and tolerances; they do not change the optics
+STUDY_TABLES = (
+    "fit",
+    "tolerance",
+    "ties",
+    "instrument",
+    "geometry",
+)  # of fits and tolerances; they do not change the optics
 
 
 @functools.lru_cache(maxsize=256)  # each message once per process
@@ -79,6 +92,16 @@ class Material:
     model: Model
     data: Mapping[str, Any]
     context: RecipeContext = field(default_factory=RecipeContext)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the recipe, not the model: worker processes build the model from it, once per recipe."""
+        if self.context.ambient is not None:
+            raise pickle.PicklingError(f"{self.context.source}: a nested material cannot be pickled on its own")
+        if isinstance(self.model, StoredBsdf):
+            return _load, (Path(self.context.source).resolve(), 0)
+        c = self.context
+        digests = tuple(sorted((str(path), digest) for path, digest in c.dependencies.items()))
+        return _restored, (json.dumps(self.data, sort_keys=True), c.source, c.folder, c.is_low_fidelity, digests)
 
     def __repr__(self) -> str:
         """Return family and source on one line, without the model's tables."""
@@ -116,11 +139,23 @@ class Material:
             MaterialRangeError: an optical constant is not known at a wavelength.
         """
         bsdf = self._solved(wavelength_grid(wavelengths_nm), keep)
-        polarisation = None
+        polarisation = bsdf.polarisation
         if isinstance(self.model, Polarising):
-            polarisation = functools.partial(self.model.polarisation, bsdf.wavelengths_nm)
+            polarisation = functools.partial(self._polarisation, self.model, bsdf.wavelengths_nm)
         provenance = {**bsdf.provenance, **recipe_provenance(self)}
         return dataclasses.replace(bsdf, provenance=provenance, polarisation=polarisation)
+
+    def _polarisation(self, model: Polarising, wavelengths_nm: Array) -> InterfacePolarisation | None:
+        """Tabulate Mueller matrices; those of an anisotropic interface that take long are stored in the disk cache."""
+        key = fingerprint(self.fingerprint, {}, wavelengths_nm=wavelengths_nm, part="mueller")
+        if (stored := cached_arrays(key)) is not None:
+            with contextlib.suppress(ValueError, KeyError):  # damaged
+                return InterfacePolarisation.from_arrays(stored)
+        start = time.perf_counter()
+        tables = model.polarisation(wavelengths_nm)
+        if tables is not None and tables.response is None and time.perf_counter() - start > disk_cache.MIN_SOLVE_S:
+            cache_arrays(key, tables.arrays())
+        return tables
 
     def _solved(self, grid: NDArray[np.float64] | None, keep: bool = True) -> Bsdf:
         for warning in self.model.warnings:
@@ -432,14 +467,29 @@ def _load(path: Path, depth: int, ambient: Any = None) -> Material:
 
 def _with_loader(context: RecipeContext, folder: Path, depth: int) -> RecipeContext:
     """Return a context that loads nested recipes from files of a folder or from tables."""
+    return dataclasses.replace(context, load_recipe=_NestedLoader(context, folder, depth))
 
-    def load_recipe(other: str | Mapping[str, Any], ambient: Any = context.ambient) -> Material:
+
+@dataclass(frozen=True)
+class _NestedLoader:
+    """Loads a recipe nested in another one.
+
+    Attributes:
+        context: of the outer recipe, without a loader.
+        folder: base of relative paths.
+        depth: of the nested recipe.
+    """
+
+    context: RecipeContext
+    folder: Path
+    depth: int
+
+    def __call__(self, other: str | Mapping[str, Any], ambient: Any = OF_OUTER) -> Material:
+        ambient = self.context.ambient if ambient is OF_OUTER else ambient
         if isinstance(other, Mapping):
-            return material_from_data(other, dataclasses.replace(ready, text="", ambient=ambient))
-        return _load(folder / other, depth, ambient)
-
-    ready = dataclasses.replace(context, load_recipe=load_recipe)
-    return ready
+            ready = dataclasses.replace(self.context, load_recipe=self, text="", ambient=ambient)
+            return material_from_data(other, ready)
+        return _load(self.folder / other, self.depth, ambient)
 
 
 def material(data: Mapping[str, Any], folder: str | Path = ".") -> Material:
@@ -454,6 +504,25 @@ def material(data: Mapping[str, Any], folder: str | Path = ".") -> Material:
     """
     folder = named(folder)
     return material_from_data(data, _with_loader(RecipeContext("recipe", folder.resolve()), folder, 1))
+
+
+@functools.lru_cache(maxsize=8)
+def _restored(
+    data: str, source: str, folder: Path, is_low_fidelity: bool, digests: tuple[tuple[str, str], ...]
+) -> Material:
+    """Return a material from its pickle.
+
+    Raises:
+        NacreError: a file that the recipe names has changed since.
+    """
+    context = dataclasses.replace(
+        _with_loader(RecipeContext(source, folder), folder, 1), is_low_fidelity=is_low_fidelity
+    )
+    made = material_from_data(json.loads(data), context)
+    for path, digest in digests:
+        if made.context.dependencies.get(Path(path)) != digest:
+            raise NacreError(f"{path}: has changed since the recipe was read; start again")
+    return made
 
 
 def loaded(thing: Any) -> Any:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError, did_you_mean
@@ -42,13 +44,19 @@ class Geometry:
     polarisation: str = "both"
 
     @classmethod
-    def read(cls, text: str, where: str) -> Geometry:
-        """Read `specular T`, `transmitted T`, `diffuse T`, `hemispherical T`, `IasA` or `IasAazZ`.
+    def read(cls, text: str, where: str, named: Mapping[str, Geometry] | None = None) -> Geometry:
+        """Read `specular T`, `transmitted T`, `diffuse T`, `hemispherical T`, `IasA`, `IasAazZ` or a name.
+
+        Args:
+            where: file and key, for messages.
+            named: geometries by name.
 
         Raises:
             RecipeError: another form, or an angle behind the surface.
         """
         said = text.strip()
+        if named and said in named:
+            return named[said]
         word, aspecular = _WORD.match(said), _ASPECULAR.match(said)
         try:
             if aspecular:
@@ -58,7 +66,7 @@ class Geometry:
             elif word and word[1] in KINDS:
                 geometry = cls(word[1], float(word[2]))
             else:
-                hint = did_you_mean(word[1], KINDS) if word else ""
+                hint = did_you_mean(word[1], KINDS) if word else did_you_mean(said, list(named or ()))
                 raise RecipeError(f"{where} = {show_value(text)} is not known.{hint} Write {FORMS}")
         except ValueError:
             raise RecipeError(f"{where} = {show_value(text)} holds no angle; write {FORMS}") from None
@@ -96,6 +104,37 @@ class Geometry:
             return f"{self.kind} {self.theta_deg:g}{state}"
         turn = "" if self.azimuth_deg == IN_PLANE_DEG else f"az{self.azimuth_deg:g}"
         return f"{self.theta_deg:g}as{self.aspecular_deg:g}{turn}"
+
+
+def named_geometries(entries: Any, where: str) -> dict[str, Geometry]:
+    """Return geometries by name from a list of tables with `name` and `at`.
+
+    Raises:
+        RecipeError: it is no such list, a geometry is not known, or a name occurs twice.
+    """
+    if not isinstance(entries, Sequence) or isinstance(entries, str):
+        raise RecipeError(f"{where} = {show_value(entries)} should be a list of tables: [[geometry]] with name and at")
+    found: dict[str, Geometry] = {}
+    for number, entry in enumerate(entries):
+        table = entry if isinstance(entry, Mapping) else {}
+        name, at = table.get("name"), table.get("at")
+        if set(table) != {"name", "at"} or not isinstance(name, str) or not name.strip() or not isinstance(at, str):
+            raise RecipeError(f'{where}[{number}] = {show_value(entry)}: write name = "door" and at = "45as60az125.3"')
+        if name.strip() in found:
+            raise RecipeError(f'{where}[{number}].name = "{name}" occurs twice')
+        found[name.strip()] = Geometry.read(at, f"{where}[{number}].at")
+    return found
+
+
+def spectrum_at(spectrum: Spectrum, geometry: Geometry) -> Array | None:
+    """Return the factor `[wavelength]` of a geometry that is not aspecular; None if the material has no such part."""
+    row = int(np.argmin(np.abs(spectrum.angles_deg - geometry.theta_deg)))
+    mirror, diffuse = spectrum.specular_reflectance, spectrum.diffuse_reflectance
+    if geometry.kind == "hemispherical":
+        parts = [part[row] for part in (mirror, diffuse) if part is not None]
+        return np.sum(parts, axis=0) if parts else None
+    part = {"specular": mirror, "transmitted": spectrum.specular_transmittance, "diffuse": diffuse}[geometry.kind]
+    return None if part is None else np.asarray(part[row])
 
 
 def aspecular_pairs(geometries: Sequence[Geometry]) -> tuple[Array, Array]:

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import check_room, read_text, write_text
+from nacre.core.jobs import Workers, run_jobs
 from nacre.optimise.colour_list import ColourRow, read_colours
 from nacre.optimise.evaluation import TargetResult, evaluate
 from nacre.optimise.run import (
@@ -36,6 +37,7 @@ from nacre.optimise.thin_film.adapter import thin_film_search_many
 
 TABLE, SUMMARY = "many.csv", "many.json"
 WRITE_INTERVAL_S = 2.0
+START_WORKERS_S = 10.0  # of remaining work; a worker process takes 2 s to start
 MAX_NAME_LENGTH = 60
 HEADINGS = "name folder L a b reached_L reached_a reached_b de00 geometry lamp met total_nm".split()
 
@@ -63,6 +65,7 @@ def many(
     out: str | Path | None = None,
     *,
     resume: bool = False,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> list[Solution]:
     """Return the best solution for each colour in a list, one target.
@@ -75,6 +78,7 @@ def many(
             or name, L, a, b (see `nacre.optimise.colour_list`).
         out: a folder for the solutions, one folder each, with many.csv and many.json.
         resume: reuse solutions in `out` for the same colours and target.
+        workers: processes or cluster for designs that are not solved together as stacks; default: one process per core.
         progress: called with (done, total).
 
     Raises:
@@ -83,7 +87,7 @@ def many(
 
     Example: `nacre.design.many("paint.toml", [(50, 20, 10), (60, -30, 5)])[0].targets[0].distance`.
     """
-    return design_batch(target, labs, out, resume=resume, progress=progress).solutions
+    return design_batch(target, labs, out, resume=resume, workers=workers, progress=progress).solutions
 
 
 def design_batch(
@@ -92,6 +96,7 @@ def design_batch(
     out: str | Path | None = None,
     *,
     resume: bool = False,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> BatchDesign:
     """As `many`, with table rows. After an interrupt the folder contains the finished designs."""
@@ -105,14 +110,14 @@ def design_batch(
     ]
     if out is None:
         solutions: dict[int, Solution] = {}
-        _solve(task, tasks, range(len(rows)), _collector(solutions, len(rows), progress))
+        _solve(task, tasks, range(len(rows)), _collector(solutions, len(rows), progress), workers)
         return BatchDesign([solutions[number] for number in range(len(rows))], [], None)
     folder = _BatchFolder(Path(out), task, rows, resume)
     solutions = {number: found for number in folder.done if (found := folder.read(number, tasks[number]))}
     remaining = [number for number in range(len(rows)) if number not in solutions]
     collect = _collector(solutions, len(rows), progress)
     try:
-        _solve(task, tasks, remaining, lambda n, solution: collect(n, folder.add(n, tasks[n], solution)))
+        _solve(task, tasks, remaining, lambda n, found: collect(n, folder.add(n, tasks[n], found)), workers)
     except BaseException as error:
         folder.write("interrupted" if isinstance(error, KeyboardInterrupt) else "stopped")
         raise
@@ -144,7 +149,11 @@ def _read(target: str | Path | Mapping[str, Any]) -> DesignTask:
 
 
 def _solve(
-    task: DesignTask, tasks: Sequence[DesignTask], numbers: Sequence[int], collect: Callable[[int, Solution], None]
+    task: DesignTask,
+    tasks: Sequence[DesignTask],
+    numbers: Sequence[int],
+    collect: Callable[[int, Solution], None],
+    workers: Workers | None,
 ) -> None:
     """Search the tasks with the given numbers; call `collect` for each, one at a time.
 
@@ -164,18 +173,28 @@ def _solve(
     is_plain = not task.spec.tolerance and task.spec.limits.max_layers is None
     if is_plain and thin_film_search_many(task, tasks, numbers, evaluate_stack):
         return
-    for number in numbers:
-        one = tasks[number]
-        search = choose_search(one, one.spec.search.seed)
-        budget = budget_of(one, search)
-        result = search.run(budget)
-        if result.status == "interrupted":
-            raise KeyboardInterrupt
-        found = result.solutions
-        solution = evaluate_solution(one, found[0][1], budget.reserved_s, 0.0) if found else None
-        if solution is None:
-            raise RecipeError(f"{task.context.source}: the recipe cannot be computed anywhere in its bounds")
-        collect(number, solution)
+    remaining = [tasks[number] for number in numbers]
+    found = run_jobs(_search, task.context.source, remaining, workers, start_workers_s=START_WORKERS_S)
+    for index, solution in found:
+        collect(numbers[index], solution)
+
+
+def _search(source: str, task: DesignTask) -> Solution:
+    """Return the best solution of one task; runs in a worker.
+
+    Raises:
+        KeyboardInterrupt: on an interrupt.
+        RecipeError: no candidate could be computed.
+    """
+    search = choose_search(task, task.spec.search.seed)
+    budget = budget_of(task, search)
+    result = search.run(budget)
+    if result.status == "interrupted":
+        raise KeyboardInterrupt
+    solution = evaluate_solution(task, result.solutions[0][1], budget.reserved_s, 0.0) if result.solutions else None
+    if solution is None:
+        raise RecipeError(f"{source}: the recipe cannot be computed anywhere in its bounds")
+    return solution
 
 
 class _BatchFolder:

@@ -35,6 +35,7 @@ from nacre.light import (
 )
 from nacre.material.material import Material
 from nacre.matter.stack.solve import powers
+from nacre.measure.colours import recipe_geometries
 from nacre.measure.geometry import Geometry
 from nacre.optimise.evaluation import lab_hex
 from nacre.optimise.measurement import check_answers, search_wavelengths, simulate_measurement
@@ -196,7 +197,7 @@ def applicable_geometry(materials: Sequence[Material], geometry: str | None, whe
     others = [other for other in OTHER_GEOMETRIES if other != usual]
     refused: list[RecipeError] = []
     for text in [usual, *others] if geometry is None else [geometry]:
-        found = Geometry.read(text, where)
+        found = Geometry.read(text, where, recipe_geometries(materials[0]))
         try:
             check_answers(materials, [found], [where])
         except RecipeError as error:

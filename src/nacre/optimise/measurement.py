@@ -15,7 +15,7 @@ from nacre.families.contract import search_model, values_at
 from nacre.light import default_wavelengths, lamp_lines_nm, spans_colour, with_lamp_lines
 from nacre.material.material import Material
 from nacre.measure.evaluate import evaluate_with_error
-from nacre.measure.geometry import Geometry, aspecular_pairs
+from nacre.measure.geometry import Geometry, aspecular_pairs, spectrum_at
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.measure.wavelengths import WALK_NM
 
@@ -84,7 +84,7 @@ def simulate_measurement(
     for row, geometry in enumerate(geometries):
         if geometry.kind == "aspecular":
             continue
-        value = _part(spectra[geometry.polarisation], geometry)
+        value = spectrum_at(spectra[geometry.polarisation], geometry)
         if value is None:
             missing.append(geometry)
         else:
@@ -129,16 +129,6 @@ def _spectrum(
     bsdf = material.model.bsdf(wavelengths_nm) if bsdf is None else bsdf
     wants_diffuse = any(geometry.kind in ("diffuse", "hemispherical") for geometry in geometries)
     return bsdf_spectrum(bsdf, np.radians(angles), seed=seed, diffuse=wants_diffuse), bsdf
-
-
-def _part(spectrum: Spectrum, geometry: Geometry) -> Array | None:
-    row = int(np.argmin(np.abs(spectrum.angles_deg - geometry.theta_deg)))
-    mirror, diffuse = spectrum.specular_reflectance, spectrum.diffuse_reflectance
-    if geometry.kind == "hemispherical":
-        parts = [part[row] for part in (mirror, diffuse) if part is not None]
-        return np.sum(parts, axis=0) if parts else None
-    part = {"specular": mirror, "transmitted": spectrum.specular_transmittance, "diffuse": diffuse}[geometry.kind]
-    return None if part is None else np.asarray(part[row])
 
 
 def search_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
@@ -215,7 +205,7 @@ def missing_geometries(material: Material, geometries: Sequence[Geometry]) -> fr
     asked = [geometry for geometry in geometries if geometry.kind != "aspecular"]
     angles = np.radians([geometry.theta_deg for geometry in asked])
     found = material.model.spectrum(angles, probe, "both", 0) if asked else None
-    missing = [geometry for geometry in asked if found is not None and _part(found, geometry) is None]
+    missing = [geometry for geometry in asked if found is not None and spectrum_at(found, geometry) is None]
     if found is None:
         bsdf = material.model.bsdf(probe)
         spreads = any(not lobe.is_delta for lobe in bsdf.lobes)
@@ -225,7 +215,7 @@ def missing_geometries(material: Material, geometries: Sequence[Geometry]) -> fr
             missing += [
                 geometry
                 for geometry in asked
-                if geometry.kind in ("specular", "transmitted") and _part(mirror, geometry) is None
+                if geometry.kind in ("specular", "transmitted") and spectrum_at(mirror, geometry) is None
             ]
     return frozenset(missing)
 

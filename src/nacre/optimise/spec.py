@@ -10,7 +10,7 @@ import pydantic
 from nacre.optimise.relief.target import TargetTable
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeModel
-from nacre.recipe.path_tables import ParameterSpec, ToleranceSpec
+from nacre.recipe.path_tables import GeometrySpec, ParameterSpec, ToleranceSpec
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 Triple = tuple[float, float, float]
@@ -38,7 +38,7 @@ class TargetEntry(RecipeModel):
         default=None,
         description="geometry: specular T, transmitted T (into the substrate), diffuse T or hemispherical T, "
         "with T the angle of incidence in degrees; or IasA: light from I, viewer A degrees from the mirror direction "
-        "towards the light",
+        "towards the light; or a name of [[geometry]]",
         examples=["specular 0", "45as15"],
     )
     polarisation: Literal["s", "p", "left", "right", "both"] = pydantic.Field(
@@ -70,8 +70,14 @@ class TargetEntry(RecipeModel):
     image: str | None = pydantic.Field(
         default=None,
         description="sRGB picture: each pixel is the target colour of its place on the surface, over which one or two "
-        "parameters vary; it is the only target",
+        "parameters vary; it is the only target. With period and turn of a grating as parameters it becomes a hologram "
+        "of one or two pictures",
         examples=["photo.png"],
+    )
+    light_azimuth_deg: Annotated[float, pydantic.Field(ge=-360.0, le=360.0)] = pydantic.Field(
+        default=0.0,
+        description="of a hologram: azimuth of lamp and viewer about the normal, from u towards v",
+        examples=[90],
     )
     hue_deg: Bounds | None = pydantic.Field(
         default=None,
@@ -148,6 +154,9 @@ class LimitsSpec(RecipeModel):
         description="of a picture: number of values, evenly spaced over its bounds, that the process gives each "
         "parameter; colours between them are dithered",
         examples=[8],
+    )
+    dot_um: Annotated[float, pydantic.Field(ge=1.0, le=1000.0)] = pydantic.Field(
+        default=10.0, description="of a hologram: side of a dot", examples=[10]
     )
     within_validity: bool = pydantic.Field(
         default=False,
@@ -229,6 +238,11 @@ class DesignSpec(RecipeModel):
     )
     target: Annotated[list[TargetEntry], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
         description="targets, a list of tables"
+    )
+    geometry: list[GeometrySpec] = pydantic.Field(
+        default=[],
+        description="geometries by name for the targets, in addition to those of the recipe",
+        examples=[[{"name": "door", "at": "45as60az125.3"}]],
     )
     light: LightSpec = pydantic.Field(default=LightSpec(), description="lamps and observer")
     tolerance: Annotated[

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -126,14 +126,22 @@ def srgb_to_lab(text: str, where: str) -> Array:
     return np.asarray(xyz_to_lab(srgb_linear_to_xyz(srgb_decode(rgb)), srgb_linear_to_xyz(np.ones(3))))
 
 
-def read_targets(specs: Sequence[TargetEntry], light: LightSpec, context: RecipeContext) -> tuple[Target, ...]:
+def read_targets(
+    specs: Sequence[TargetEntry],
+    light: LightSpec,
+    context: RecipeContext,
+    named: Mapping[str, Geometry] | None = None,
+) -> tuple[Target, ...]:
     """Resolve the targets of a file.
+
+    Args:
+        named: geometries by name.
 
     Raises:
         RecipeError: naming the target and what is allowed; or two incompatible colours for one geometry.
     """
     check_light(light, context)
-    wants = tuple(_want(spec, f"{context.source}: target[{i}]", context) for i, spec in enumerate(specs))
+    wants = tuple(_want(spec, f"{context.source}: target[{i}]", context, named) for i, spec in enumerate(specs))
     _check_agreement(wants, light)
     _check_picture(wants, light, context)
     return wants
@@ -157,10 +165,10 @@ def check_light(light: LightSpec, context: RecipeContext) -> None:
         )
 
 
-def _want(spec: TargetEntry, key: str, context: RecipeContext) -> Target:
+def _want(spec: TargetEntry, key: str, context: RecipeContext, named: Mapping[str, Geometry] | None = None) -> Target:
     if spec.geometry is None:
         raise RecipeError(f"{key}.directions: a picture over directions needs heights in [parameters]")
-    at = replace(Geometry.read(spec.geometry, f"{key}.geometry"), polarisation=spec.polarisation)
+    at = replace(Geometry.read(spec.geometry, f"{key}.geometry", named), polarisation=spec.polarisation)
     if at.polarisation != "both" and at.kind not in ("specular", "transmitted"):
         raise RecipeError(
             f'{key}.polarisation = "{at.polarisation}" has no effect on "{spec.geometry}"; only specular and '
@@ -283,7 +291,7 @@ def _check_picture(wants: Sequence[Target], light: LightSpec, context: RecipeCon
     for want in wants:
         if want.image is None:
             continue
-        if len(wants) > 1:
+        if len(wants) > 1 and any(other.image is None for other in wants):
             raise RecipeError(f"{want.key}.image: a picture is the only target; remove the other {len(wants) - 1}")
         if len(light.illuminants) > 1:
             lamps = show_value(light.illuminants)

@@ -14,8 +14,10 @@ from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.core.files import read_text
 from nacre.material.material import Material, load, material
 from nacre.matter.indices.spec import IndexSpec
+from nacre.measure.colours import recipe_geometries
+from nacre.measure.geometry import Geometry, named_geometries
 from nacre.optimise.evaluation import geometries_of
-from nacre.optimise.image.validation import check_picture_target
+from nacre.optimise.image.validation import HOLOGRAM, check_hologram, check_picture_target, is_hologram
 from nacre.optimise.measurement import check_answers
 from nacre.optimise.parameters import Parameter, read_parameters, values_at
 from nacre.optimise.spec import DesignSpec, LayersSpec
@@ -175,7 +177,7 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
     source = context.source
     base = _recipe(spec, context).with_parts_loaded([*spec.parameters, *spec.tolerance])
     refuse_place(base.model, f"{context.source}: recipe")
-    targets = read_targets(spec.target, spec.light, context)
+    targets = read_targets(spec.target, spec.light, context, task_geometries(spec, base, context))
     if spec.layers is not None:
         check_layers(spec.layers, base, source)
         _check_total(spec, source)
@@ -196,13 +198,37 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
         read_tolerances(spec.tolerance, base, source)
     if spec.limits.within_validity:
         raise RecipeError(f"{source}: limits.within_validity = true applies to heights of reliefs")
+    found = DesignTask(spec, context, base, targets, parameters)
+    if targets[0].image is not None and is_hologram(base, parameters):
+        check_hologram(spec, targets, source)
+        return found
+    turned = next((k for k, entry in enumerate(spec.target) if entry.light_azimuth_deg), None)
+    if turned is not None:
+        raise RecipeError(
+            f"{targets[turned].key}.light_azimuth_deg = {spec.target[turned].light_azimuth_deg:g} applies to holograms "
+            f"of a grating: {HOLOGRAM}"
+        )
     if targets[0].image is not None:
+        if len(targets) > 1:
+            raise RecipeError(
+                f"{targets[1].key}.image: a picture is the only target; remove the other {len(targets) - 1}, or vary "
+                f"{HOLOGRAM}"
+            )
         check_picture_target(spec, base, parameters, source)
     else:
         check_limits(spec, base, parameters, source)
-    found = DesignTask(spec, context, base, targets, parameters)
     _check_geometries(found)
     return found
+
+
+def task_geometries(spec: DesignSpec, base: Material, context: RecipeContext) -> dict[str, Geometry]:
+    """Return the named geometries of a target file and its recipe.
+
+    Raises:
+        RecipeError: an entry is not a geometry, or a name occurs twice.
+    """
+    own = named_geometries([entry.model_dump() for entry in spec.geometry], f"{context.source}: geometry")
+    return recipe_geometries(base) | own
 
 
 def _recipe(spec: DesignSpec, context: RecipeContext) -> Material:

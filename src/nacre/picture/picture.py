@@ -252,15 +252,16 @@ class _Picture:
             frame = render_passes(self.scene, self.settings, report, preview)
             alone = self._each_light(frame.spp, report) if self.options.lighting.light_layers else {}
             if self.options.output.layers == "stokes":
-                frame = replace(frame, layers={**frame.layers, **self._stokes(frame.spp, report)})
+                frame = replace(frame, layers={**frame.layers, **self._stokes(frame, report)})
         return self.result(frame, alone)
 
-    def _stokes(self, spp: int, report: ProgressCallback) -> dict[str, Any]:
-        """Return the XYZ of the Stokes components, from the same paths as the picture."""
+    def _stokes(self, frame: Frame, report: ProgressCallback) -> dict[str, Any]:
+        """Return the XYZ of the Stokes components, from the same paths as the picture, which may be one of them."""
         found = {}
         for name in STOKES:
-            settings = replace(self.settings, until=Until(spp), analyser=name)
-            found[name] = render_passes(self.scene, settings, report).xyz.astype(np.float32)
+            settings = replace(self.settings, until=Until(frame.spp), analyser=name)
+            is_known = name == self.settings.analyser
+            found[name] = (frame if is_known else render_passes(self.scene, settings, report)).xyz.astype(np.float32)
         return found
 
     def _each_light(self, spp: int, report: ProgressCallback) -> dict[str, Any]:

@@ -90,8 +90,27 @@ class InstrumentSpec(RecipeModel):
     )
 
 
+class GeometrySpec(RecipeModel):
+    """A geometry with a name, for reports, targets, fits, tolerances and sweeps."""
+
+    forms: ClassVar[tuple[str, ...]] = ('{name = "door", at = "45as60az125.3"}',)
+
+    name: str = pydantic.Field(min_length=1, max_length=80, description="name", examples=["door"])
+    at: str = pydantic.Field(
+        description="geometry as in targets: IasA or IasAazZ (light from I, viewer A degrees from the mirror "
+        "direction, turned about it by Z), specular T, transmitted T, diffuse T or hemispherical T",
+        examples=["45as60az125.3"],
+    )
+
+
 class StudySpec(RecipeModel):
     """Tables that a recipe of any family may hold."""
+
+    geometry: list[GeometrySpec] = pydantic.Field(
+        default=[],
+        description="geometries by name, which reports, targets, fits, tolerances and sweeps know",
+        examples=[[{"name": "door", "at": "45as60az125.3"}]],
+    )
 
     numbers: dict[str, float] = pydantic.Field(
         default={},

@@ -8,7 +8,11 @@ variant; `use_variant()` sets one.
 import lazy_loader
 
 from nacre.core.lazy import make_callable
-from nacre.render.scene_plugin import install
+from nacre.core.packages import require
+
+require("mitsuba", "drjit")
+
+from nacre.render.scene_plugin import install  # noqa: E402  # after the check: it imports both
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 

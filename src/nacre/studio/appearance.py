@@ -35,6 +35,7 @@ from nacre.matter.drawings import DrawingRequest, HeightMap
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.measure.gloss import Gloss, find_gloss
 from nacre.measure.spectrum import bsdf_spectrum
+from nacre.studio.graded import Grades, grades_of, is_undrawn
 from nacre.studio.latest_only_worker import SupersededError
 
 LAMPS = ("D65", "A", "F11")
@@ -132,6 +133,9 @@ class Appearance:
         swatches: for each lamp its name and the total colours `hex` and `lab` at `SHOWN_DEG`.
         is_draft: solved at few angles and wavelengths; the final appearance follows.
         notes: sentences about approximations.
+        grades: for a material that varies over the surface, its colours at the nodes `tables`
+            `[part, node of the second range, node of the first, angle, 3]` (parts: mirror-like, glossy, diffuse,
+            transmitted) and the `map` of the surface, see `nacre.studio.graded`.
         profile: for height maps `heights_um` along one line, its `length_um` and the map's `depth_um`.
     """
 
@@ -151,6 +155,7 @@ class Appearance:
     notes: tuple[str, ...]
     seconds: float
     profile: dict[str, Any] | None
+    grades: dict[str, Any] | None = None
 
     def packed(self, **header: Any) -> bytes:
         """Return the appearance as bytes, see `pack`; `header` adds entries such as the request number."""
@@ -162,6 +167,7 @@ class Appearance:
             "total": self.total,
             **({} if self.lobe is None else {"lobe": self.lobe}),
             **({} if self.transmitted_rgb is None else {"through": self.transmitted_rgb}),
+            **({} if self.grades is None else {"grades": self.grades["tables"], "grade_map": self.grades["map"]}),
         }
         own = {
             "facets": self.facets,
@@ -172,6 +178,7 @@ class Appearance:
             "draft": self.is_draft,
             "notes": self.notes,
             "profile": self.profile,
+            "stepped": bool(self.grades and self.grades["is_stepped"]),
             "seconds": round(self.seconds, 4),
             "shown_deg": SHOWN_DEG,
         }
@@ -207,9 +214,51 @@ def appearances(material: Material, illuminant: str, is_superseded: Callable[[],
         draft_quality.update(family, draft.seconds)
         yield draft
         _check(is_superseded)
-        yield _solve(material, illuminant, is_superseded, FINAL)
+        final = _solve(material, illuminant, is_superseded, FINAL)
+        grades = grades_of(material)
+        if grades is not None:
+            yield replace(final, is_draft=True)
+        yield _graded(final, grades, illuminant, is_superseded, DRAFTS[0])
     else:
-        yield _solve(material, illuminant, is_superseded, QUICK)
+        found = _solve(material, illuminant, is_superseded, QUICK)
+        yield _graded(found, grades_of(material), illuminant, is_superseded, QUICK)
+
+
+def _graded(
+    found: Appearance,
+    grades: Grades | None,
+    illuminant: str,
+    is_superseded: Callable[[], bool],
+    quality: Quality,
+) -> Appearance:
+    """Return the appearance with its colours at the nodes of the numbers that vary over the surface."""
+    if grades is None:
+        return found
+    start = time.perf_counter()
+    rows = []
+    for node in grades.materials:
+        _check(is_superseded)
+        wavelengths, parts, gloss, _ = _spectra(node, quality, is_superseded)
+        rgb = [_rgb(part, wavelengths, illuminant, quality.angles_deg) for part in _split(parts, gloss)]
+        transmitted = parts[TRANSMITTED_PARTS[0]]
+        has_light = found.transmitted_rgb is not None
+        rgb.append(_rgb(transmitted if has_light else 0.0 * transmitted, wavelengths, illuminant, quality.angles_deg))
+        rows.append(rgb)
+    first, second = grades.shape
+    tables = np.array(rows).transpose(1, 0, 2, 3).reshape(4, second, first, len(ANGLES_DEG), 3)
+    return replace(
+        found,
+        grades={"tables": tables, "map": grades.place, "is_stepped": grades.is_stepped},
+        lobe=None,  # its shape is that of the centre
+        seconds=found.seconds + time.perf_counter() - start,
+    )
+
+
+def _split(parts: Mapping[str, Array], gloss: Gloss | None) -> tuple[Array, Array, Array]:
+    """Return the mirror-like, glossy and diffuse reflectances `[angle, wavelength]`."""
+    mirror, diffuse = (parts[name] for name in PARTS)
+    glossy = 0.0 * diffuse if gloss is None else gloss.reflectance
+    return mirror, glossy, diffuse - glossy
 
 
 def _drafted(material: Material) -> Material:
@@ -272,9 +321,8 @@ def _solve(material: Material, illuminant: str, is_superseded: Callable[[], bool
             f"{material.context.source}: wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm make no colour"
         )
     mirror, diffuse = (parts[name] for name in PARTS)
-    glossy = 0.0 * diffuse if gloss is None else gloss.reflectance
     mirror_rgb, gloss_rgb, diffuse_rgb = (
-        _rgb(part, wavelengths, illuminant, angles_deg) for part in (mirror, glossy, diffuse - glossy)
+        _rgb(part, wavelengths, illuminant, angles_deg) for part in _split(parts, gloss)
     )
     shown = _at_angles(mirror + diffuse, angles_deg)
     alpha, facets, notes = _surface(material)
@@ -405,8 +453,8 @@ def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
         notes.append("The fan of light of the ridges is drawn as a rough mirror; the rendered picture shows its shape.")
     if _is_aligned(material):
         notes.append(ALIGNED_NOTE)
-    if _varies(material.data):
-        notes.append("Values that vary over the surface are drawn as at the surface's centre.")
+    if is_undrawn(material.data):
+        notes.append("Roughness and directions that vary over the surface are drawn as at the surface's centre.")
     return alpha, facets, notes
 
 
@@ -435,14 +483,6 @@ def _profile(material: Material) -> dict[str, Any] | None:
         "length_um": len(line) * drawing.feature_um,
         "depth_um": float(np.ptp(drawing.heights_um)),
     }
-
-
-def _varies(data: Any) -> bool:
-    if isinstance(data, list):
-        return any(_varies(value) for value in data)
-    if not isinstance(data, Mapping):
-        return False
-    return "texture" in data or "formula" in data or any(_varies(value) for value in data.values())
 
 
 def lobe_image(material: Material, bsdf: Bsdf | None, to_rgb: Callable[[Array, Array], Array]) -> Array | None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from nacre.core.errors import NacreError
 from nacre.families.contract import OwnFormats, fabrications
-from nacre.formats.export_formats import EXPORTS, FAMILY_FORMATS, FOLDER, export_remarks
+from nacre.formats.export_formats import EXPORTS, FAMILY_FORMATS, FOLDERS, export_remarks
 from nacre.formats.fabrication import SUFFIXES
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 MAX_RECIPES = 2  # in a report
 MAX_FILE = 96 << 20  # bytes; the command is unlimited
+KINDS = ("aspecular", "specular", "geometries")  # tables of colours in a report
 MAX_REMARKS = 30
 PICTURES = (".png", ".jpg", ".webp", ".exr", ".spectral.exr")
 # option -> type, lowest and highest value
@@ -75,7 +76,7 @@ def report(request: Mapping[str, Any], emit: Emit) -> bytes:
     found: dict[str, Any] = {
         "reports": [
             {
-                "colours": [{"kind": kind, **document[kind]} for kind in ("aspecular", "specular") if document[kind]],
+                "colours": [{"kind": kind, **document[kind]} for kind in KINDS if document.get(kind)],
                 "numbers": report_numbers(one),
             }
             for one, document in zip(reports, documents["reports"], strict=True)
@@ -83,7 +84,7 @@ def report(request: Mapping[str, Any], emit: Emit) -> bytes:
     }
     if len(reports) > 1:
         compared = documents["differences_to_first"][0]
-        found["differences"] = {name: compared[name] for name in ("aspecular", "specular") if name in compared}
+        found["differences"] = {name: compared[name] for name in KINDS if name in compared}
     return json.dumps(found).encode()
 
 
@@ -186,7 +187,7 @@ def _export(material: Material, request: Mapping[str, Any], folder: Path, stem: 
     from nacre.analysis.import_export import export_material
 
     to, options = request["to"], dict(request["options"])
-    if to == FOLDER:
+    if to in FOLDERS:
         options["illuminant"] = request["lamp"]
     return export_remarks(export_material(material, to, folder / f"{stem}{EXPORTS[to]}", **options))
 

@@ -195,6 +195,24 @@ class OpenedFolder:
             temporary.write_text(text, encoding="utf-8")
         return version_of(text)
 
+    def store(self, name: str, content: bytes) -> None:
+        """Write a file that a recipe refers to into the folder atomically; the same content may exist already.
+
+        Raises:
+            NacreError: not a plain file name, another file of this name exists, or it cannot be written.
+        """
+        if not name or name.startswith(".") or Path(name).name != name or name.endswith(".toml"):
+            raise NacreError(f'"{name[:80]}" is not the name of a data file')
+        named(self.folder / name)
+        path = self.folder / name
+        if path.is_symlink() or path.exists():
+            if path.is_file() and not path.is_symlink() and path.read_bytes() == content:
+                return
+            raise NacreError(f"{name}: another file of this name is in the opened folder; rename one of them")
+        check_writable(path)
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(content)
+
 
 def version_of(text: str) -> str:
     """Return a hash that distinguishes file versions."""

@@ -29,6 +29,7 @@ from nacre.studio.design_request import list_parameters, read_design
 from nacre.studio.downloads import formats_of, read_file, read_picture, read_report, unpacked
 from nacre.studio.edit import line_of
 from nacre.studio.form import family_form
+from nacre.studio.measured import relief_recipe
 from nacre.studio.objects import OBJECTS, MeshStore, packed_object, read_upload
 from nacre.studio.session import MAX_MESSAGE, Session
 from nacre.studio.subprocess_jobs import SubprocessJob
@@ -108,7 +109,7 @@ def routes() -> list[BaseRoute]:
         "/api/indices": indices, "/api/object": picture_object, "/favicon.ico": no_icon,
     }  # fmt: skip
     post = {
-        "/api/save": save, "/api/report": report, "/api/mesh": mesh, "/api/measurement": measurement,
+        "/api/save": save, "/api/report": report, "/api/mesh": mesh, "/api/measurement": measurement, "/api/scan": scan,
         "/api/formats": formats, "/api/file": file,
         "/api/parameters": parameters, "/api/stop": stop, **{f"/api/{name}": _streaming(name) for name in JOBS},
     }  # fmt: skip
@@ -285,14 +286,26 @@ async def mesh(request: Request) -> Response:
 
 async def measurement(request: Request) -> Response:
     """Answer what a dropped file of an instrument contains."""
+    return Response((await _dropped(request, "measurement_job"))[1], media_type="application/json")
+
+
+async def scan(request: Request) -> Response:
+    """Store a dropped scan in the opened folder; answer a recipe of its relief, which is not saved."""
+    name, _, content = await _dropped(request, "scan_job")
+    await asyncio.to_thread(_studio(request).opened.store, name, content)
+    return JSONResponse({"name": f"{Path(name).stem}.toml", "text": relief_recipe(name), "version": ""})
+
+
+async def _dropped(request: Request, job: str) -> tuple[str, bytes, bytes]:
+    """Return the name of an uploaded file, a job's answer about it, and its content."""
     name = request.query_params.get("name", "").replace("\\", "/").rpartition("/")[2][-80:]
     suffix = Path(name).suffix if len(Path(name).suffix) <= MAX_SUFFIX else ""
     with tempfile.TemporaryDirectory(prefix="nacre-studio-") as place:
         uploaded = Path(place) / f"upload{suffix}"
         await _upload(request, uploaded, name)
         question = {"path": str(uploaded), "name": name}
-        found = await _result(request, "measurement", "nacre.studio.measured:measurement_job", question)
-    return Response(found, media_type="application/json")
+        found = await _result(request, "measurement", f"nacre.studio.measured:{job}", question)
+        return name, found, uploaded.read_bytes()
 
 
 def _mesh(body: Body, studio: Studio) -> dict[str, Any]:

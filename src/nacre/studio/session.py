@@ -25,6 +25,7 @@ from nacre.studio.appearance import Appearance, appearances
 from nacre.studio.edit import edited, line_of
 from nacre.studio.folder import MAX_TEXT, OpenedFolder
 from nacre.studio.latest_only_worker import LatestOnlyWorker
+from nacre.studio.measured import computed_psi_delta
 from nacre.studio.subprocess_jobs import failure_text
 
 MAX_MESSAGE = 2 * MAX_TEXT
@@ -77,7 +78,11 @@ class Session:
         header = {"seq": request.body["seq"], "text": request.text, "data": json_data(material.data)}
         lamp = str(request.body.get("lamp", "D65"))
         for found in appearances(material, lamp if lamp in ILLUMINANTS else "D65", is_superseded):
-            yield found.packed(**header, **_difference(request.body.get("compared_lab"), found)), found.is_draft
+            beside = (
+                {} if found.is_draft else {"psi_delta": computed_psi_delta(material, request.body.get("ellipsometry"))}
+            )
+            compared = _difference(request.body.get("compared_lab"), found)
+            yield found.packed(**header, **beside, **compared), found.is_draft
 
     def _fail(self, request: PageRequest, error: Exception) -> None:
         message = failure_text(error, request.name or "recipe")

@@ -7,6 +7,7 @@ interrupts it, and a job that handles `KeyboardInterrupt` then finishes with its
 
 from __future__ import annotations
 
+import _thread
 import asyncio
 import contextlib
 import importlib
@@ -166,10 +167,21 @@ def failure_text(error: Exception, name: str = "") -> str:
     return f"this is a bug in nacre, please report it: {type(error).__name__}: {str(error)[:200]}"
 
 
+def interrupt(system: str = os.name) -> None:
+    """Raise KeyboardInterrupt in the main thread of this process.
+
+    A signal also ends a wait of the main thread; on Windows it would end the process, so the interpreter is asked.
+    """
+    if system == "posix":
+        os.kill(os.getpid(), signal.SIGINT)
+    else:
+        _thread.interrupt_main()
+
+
 def _listen() -> None:
     for line in sys.stdin:
         if line.strip() == "stop":
-            os.kill(os.getpid(), signal.SIGINT)
+            interrupt()
     os._exit(3)  # stdin closed: the server ended or cancelled the job
 
 

@@ -1,4 +1,4 @@
-"""Diffraction orders of a periodic structure, each with a narrow angular width."""
+"""Diffraction orders of a periodic structure, reflected or transmitted, each with a narrow angular width."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.grids import interpolate
 from nacre.bsdf.lobe import Lobe
-from nacre.bsdf.texture import Texture
+from nacre.bsdf.response import check_parameters
+from nacre.bsdf.texture import ParameterAxis, Texture
 from nacre.core.arrays import Array
 
 MAX_OVERLAP = 0.12  # largest angular width over the distance of neighbouring orders
@@ -20,7 +21,7 @@ MIN_WAVELENGTH_NM = 200.0
 
 @dataclass(frozen=True)
 class OrdersLobe(Lobe):
-    """Reflected orders (m, n), with a Gaussian width in direction cosines.
+    """Orders (m, n) of one side, with a Gaussian width in direction cosines.
 
     f = (E_mn(wi) + E_mn(wo)) / 2 G(q - lambda g_mn),  q = wi_t + wo_t,
     G(d) = exp(-|d|^2 / (2 w^2)) / (2 pi w^2),
@@ -29,14 +30,22 @@ class OrdersLobe(Lobe):
     Since cos_o d omega_o = d wo_t, each order carries E of the light; since E is equal for exchanged directions, f is
     reciprocal. Directions are first rotated by -rotation about z.
 
+    Transmitted orders have, with the direction a above the surface, b below it and the relative index eta,
+
+    f = E_mn(a) G(q - lambda g_mn) (eta^2 if the viewer is below),  q = a_t + eta b_t,
+
+    so that light passes equally both ways.
+
     Attributes:
         wavelengths_nm: `[wavelength]`.
-        power: `[theta, azimuth, order, wavelength]`, float32, E: uniform nodes in theta from 0 to pi/2 and in the
-            azimuth of the light from 0 to 2 pi, both ends included; linear between. The zero order is not part of it.
-        lattice: `[2, 2]` rows g_10 and g_01, in 1/nm (for lines g_01 is zero).
+        power: `[*params, theta, azimuth, order, wavelength]`, float32, E: uniform nodes in theta from 0 to pi/2 and in
+            the azimuth of the light from 0 to 2 pi, both ends included; linear between. Without the zero order.
+        lattice: `[2, 2]` rows g_10 and g_01, in 1/nm (for lines g_01 is zero); at the first period of `parameters`.
         orders: `[order, 2]`, (m, n).
         width: w.
         rotation: angle of the lattice about the normal, rad, from +x to +y.
+        eta: of transmitted orders, index below over index above; 0 for reflected orders.
+        parameters: the period over the surface, if it varies; wave vectors follow it exactly, E between its nodes.
     """
 
     kind: ClassVar[str] = "orders"
@@ -46,6 +55,13 @@ class OrdersLobe(Lobe):
     orders: NDArray[np.int64]
     width: float
     rotation: Texture | None = None
+    eta: float = 0.0
+    parameters: tuple[ParameterAxis, ...] = ()
+
+    @property
+    def transmits(self) -> bool:
+        """Whether the orders leave to the other side."""
+        return self.eta > 0.0
 
     def check(self) -> None:
         """Check shapes and ranges.
@@ -54,10 +70,19 @@ class OrdersLobe(Lobe):
             ValueError: names the inconsistent array.
         """
         super().check()
-        if self.power.ndim != 4 or self.power.shape[2:] != (len(self.orders), len(self.wavelengths_nm)):
-            raise ValueError("power must be [theta, azimuth, order, wavelength]")
-        if min(self.power.shape[:2]) < 2 or np.any(self.power < 0.0):
+        leading = check_parameters(self.parameters)
+        if len(leading) > 1:
+            raise ValueError("parameters of orders is the period alone")
+        if self.power.ndim != 4 + len(leading) or self.power.shape[: len(leading)] != leading:
+            raise ValueError("power must be [*params, theta, azimuth, order, wavelength]")
+        if self.power.shape[-2:] != (len(self.orders), len(self.wavelengths_nm)):
+            raise ValueError("power must be [*params, theta, azimuth, order, wavelength]")
+        if min(self.power.shape[-4:-2]) < 2 or np.any(self.power < 0.0):
             raise ValueError("power needs two angles and two azimuths or more, and no value below 0")
+        if leading and not self.parameters[0].values[0] > 0.0:
+            raise ValueError("periods must be positive")
+        if not (self.eta == 0.0 or 0.01 <= self.eta < 100.0):
+            raise ValueError("eta must be 0, or the relative index of the medium below")
         if self.orders.ndim != 2 or self.orders.shape[1] != 2 or np.any(np.abs(self.orders) > 10_000):
             raise ValueError("orders must be [order, 2]")
         if self.lattice.shape != (2, 2) or not np.hypot(*self.lattice[0]) > 0.0:
@@ -89,49 +114,80 @@ class OrdersLobe(Lobe):
         c, s = np.cos(angle), np.sin(angle)
         return np.stack([c * w[..., 0] + s * w[..., 1], c * w[..., 1] - s * w[..., 0], w[..., 2]], axis=-1)
 
-    def efficiencies(self, w: Array) -> Array:
-        """Return E `[..., order, wavelength]` at directions in the lattice's frame."""
-        thetas, azimuths = self.power.shape[:2]
+    def _period(self, uv: Array | None, shape: tuple[int, ...]) -> tuple[Array, tuple[Array, ...]]:
+        """Return the period over the first one, and the node coordinates of the period, each of a shape."""
+        if not self.parameters:
+            return np.ones(shape), ()
+        axis = self.parameters[0]
+        at = np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(np.asarray(uv, dtype=float), (*shape, 2))
+        period = axis.texture(at)
+        return period / float(axis.values[0]), (axis.coordinate(period),)
+
+    def efficiencies(self, w: Array, coordinates: tuple[Array, ...] = ()) -> Array:
+        """Return E `[..., order, wavelength]` at directions in the lattice's frame.
+
+        Args:
+            coordinates: node coordinate of the period, if it varies.
+        """
+        thetas, azimuths = self.power.shape[-4:-2]
         theta = np.arccos(np.clip(w[..., 2], 0.0, 1.0)) / (0.5 * np.pi) * (thetas - 1)
         phi = np.mod(np.arctan2(w[..., 1], w[..., 0]) / (2.0 * np.pi), 1.0) * (azimuths - 1)
-        return interpolate(self.power, (theta, phi))
+        return interpolate(self.power, (*coordinates, theta, phi))
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
-        """Return f in 1/sr, `[..., wavelength]`; zero below the surface."""
+        """Return f in 1/sr, `[..., wavelength]`; zero for exits on the side that the orders do not leave to."""
         wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
         wi, wo = self._rotated(wi, uv), self._rotated(wo, uv)
         shape = wi.shape[:-1]
+        scale, coordinates = self._period(uv, shape)
+        scale, coordinates = scale.reshape(-1, 1, 1), tuple(c.reshape(-1) for c in coordinates)
         wi, wo = wi.reshape(-1, 3), wo.reshape(-1, 3)
-        q = (wi + wo)[:, None, :2] / self.wavelengths_nm[:, None]  # [pair, wavelength, 2], in 1/nm
+        above, other, factor = wi, wo, np.ones(len(wi))
+        if self.transmits:
+            is_up = wi[:, 2:] > 0.0
+            above, other = np.where(is_up, wi, wo), np.where(is_up, wo, wi) * [self.eta, self.eta, -1.0]
+            factor = np.where(is_up[:, 0], self.eta**2, 1.0)
+        q = (above + other)[:, None, :2] / self.wavelengths_nm[:, None] * scale  # [pair, wavelength, 2], in 1/nm
         fraction = q @ self.inverse
         number = np.rint(fraction).astype(np.int64)
-        off = (q - number @ self.lattice) * self.wavelengths_nm[:, None]
+        off = (q - number @ self.lattice) / scale * self.wavelengths_nm[:, None]
         shifted = np.sum(off**2, axis=-1) / self.width**2
         table, first, second = self.places
         known = (np.abs(number[..., 0]) <= first) & (np.abs(number[..., 1]) <= second)
         place = table[np.clip(number[..., 0] + first, 0, 2 * first), np.clip(number[..., 1] + second, 0, 2 * second)]
-        known &= (place >= 0) & (shifted < 60.0) & ((wi[:, 2] > 0) & (wo[:, 2] > 0))[:, None]
+        known &= (place >= 0) & (shifted < 60.0) & ((above[:, 2] > 0) & (other[:, 2] > 0))[:, None]
         result = np.zeros((len(wi), len(self.wavelengths_nm)))
         lit = np.flatnonzero(known.any(axis=1))
         if lit.size:
-            both = 0.5 * (self.efficiencies(wi[lit]) + self.efficiencies(wo[lit]))
+            at_lit = tuple(c[lit] for c in coordinates)
+            both = self.efficiencies(above[lit], at_lit)
+            if not self.transmits:
+                both = 0.5 * (both + self.efficiencies(other[lit], at_lit))
             at = np.clip(place[lit], 0, None)
             value = np.take_along_axis(both, at[:, None, :], axis=1)[:, 0]
             bell = np.exp(-0.5 * np.minimum(shifted[lit], 60.0)) / (2.0 * np.pi * self.width**2)
-            result[lit] = np.where(known[lit], value * bell, 0.0)
+            result[lit] = np.where(known[lit], value * bell, 0.0) * factor[lit, None]
         return result.reshape(*shape, -1)
 
     def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
         """Return the light in all orders, for light along one `wi[3]`."""
         nothing = np.zeros(len(self.wavelengths_nm))
         wi = np.asarray(wi, dtype=float)
-        if wi[2] <= 0:
+        if wi[2] == 0.0 or (wi[2] < 0.0 and not self.transmits):
             return nothing, nothing
         turned = self._rotated(wi, None if uv is None else np.asarray(uv, dtype=float))
-        exits = self.orders @ self.lattice
-        sines = exits[:, None, :] * self.wavelengths_nm[:, None] - turned[:2]
-        leaves = np.sum(sines**2, axis=-1) < 1.0
-        return np.sum(np.where(leaves, self.efficiencies(turned), 0.0), axis=0), nothing
+        scale, coordinates = self._period(uv, ())
+        shifts = ((self.orders @ self.lattice) / scale)[:, None, :] * self.wavelengths_nm[:, None]
+        if wi[2] > 0.0:
+            leaves = np.sum((shifts - turned[:2]) ** 2, axis=-1) < (self.eta if self.transmits else 1.0) ** 2
+            total = np.sum(np.where(leaves, self.efficiencies(turned, coordinates), 0.0), axis=0)
+            return (nothing, total) if self.transmits else (total, nothing)
+        exits = shifts - self.eta * turned[:2]  # [order, wavelength, 2], above
+        cos2 = 1.0 - np.sum(exits**2, axis=-1)
+        way = np.concatenate([exits, np.sqrt(np.maximum(cos2, 0.0))[..., None]], axis=-1)
+        found = self.efficiencies(way, tuple(np.full(cos2.shape, c) for c in coordinates))
+        own = np.einsum("owow->ow", found)
+        return nothing, np.sum(np.where(cos2 > 0.0, own, 0.0), axis=0)
 
 
 def limited_width(width: float, lattice: Array, shortest_nm: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,17 +16,19 @@ from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
 from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import is_transparent
-from nacre.bsdf.texture import Texture, parse_formula
+from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Diffracting, Model, Pixels, Traits
 from nacre.families.grating.outlines import outlines
 from nacre.matter.indices.constant import OpticalConstant
-from nacre.matter.periodic.order_tables import MAX_THETA, OrderTables, order_tables
+from nacre.matter.periodic.order_tables import MAX_THETA, OrderTables, in_common, order_tables
 from nacre.matter.periodic.orders import Orders, coarse_orders, solve_orders
+from nacre.matter.periodic.slices import COARSE, Wall, sliced
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Shape
 
 MIRROR_NODES = 65
+NODE_RATIO = 0.12  # of neighbouring nodes of a period, at least
 
 
 def _diffuse(lost: Array, wavelengths_nm: Array) -> Diffuse:
@@ -60,12 +63,26 @@ class Spread:
 
 
 @dataclass(frozen=True, eq=False)
+class VaryingPeriod:
+    """A period that varies over the surface."""
+
+    texture: Texture
+
+    @property
+    def nodes(self) -> tuple[float, ...]:
+        """Periods at which orders are solved, ascending and even."""
+        low, high = self.texture.low, self.texture.high
+        count = int(np.ceil(np.log(high / low) / NODE_RATIO)) + 1 if high > low else 1
+        return tuple(np.linspace(low, high, count).tolist())
+
+
+@dataclass(frozen=True, eq=False)
 class GratingLayer:
-    """One layer with its shapes."""
+    """One layer with its shapes, their materials and their walls."""
 
     thickness_nm: float
     material: OpticalConstant
-    shapes: tuple[tuple[Shape, OpticalConstant], ...] = ()
+    shapes: tuple[tuple[Shape, OpticalConstant, Wall], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +90,9 @@ class Grating(Model, Diffracting, Pixels):
     """A periodic structure of layers, or of a profile, on a substrate.
 
     Attributes:
+        cell: the lattice; where the period varies, that of the middle of the surface.
         turn_deg: angle from u to the direction across the lines; `turn`: a texture in its place.
+        period: unset for a single one.
         tolerance: largest estimated error of an efficiency; None: by method.
         is_coarse: solve once at the smallest size, for searches among many similar materials.
     """
@@ -91,6 +110,7 @@ class Grating(Model, Diffracting, Pixels):
     tolerance: float | None
     grid_nm: tuple[float, ...]
     is_coarse: bool = False
+    period: VaryingPeriod | None = None
 
     @property
     def wavelengths_nm(self) -> Array:
@@ -98,28 +118,31 @@ class Grating(Model, Diffracting, Pixels):
         return np.array(self.grid_nm)
 
     def stacks(self, wavelengths_nm: Array) -> list[PeriodicStack]:
-        """Return the structure at wavelengths."""
+        """Return the structure at wavelengths; sloping walls as steps that can be refined."""
         lam = np.asarray(wavelengths_nm, dtype=float)
         cover, substrate = self.ambient.n_complex(lam).real, self.substrate.n_complex(lam)
         grounds = [layer.material.n_complex(lam) ** 2 for layer in self.layers]
-        shapes = [[material.n_complex(lam) ** 2 for _, material in layer.shapes] for layer in self.layers]
-        return [
-            PeriodicStack(
-                self.cell,
-                float(cover[k]),
-                tuple(
-                    PatternLayer(
-                        layer.thickness_nm,
-                        complex(ground[k]),
-                        tuple((shape, complex(e[k])) for (shape, _), e in zip(layer.shapes, inner, strict=True)),
-                    )
-                    for layer, ground, inner in zip(self.layers, grounds, shapes, strict=True)
-                ),
-                complex(substrate[k]),
-                self.profile,
-            )
-            for k in range(len(lam))
-        ]
+        inner = [[material.n_complex(lam) ** 2 for _, material, _ in layer.shapes] for layer in self.layers]
+        is_sloped = any(not wall.is_vertical for layer in self.layers for _, _, wall in layer.shapes)
+
+        def made(k: int, count: int) -> PeriodicStack:
+            layers: list[PatternLayer] = []
+            for layer, ground, values in zip(self.layers, grounds, inner, strict=True):
+                shapes = [
+                    (shape, complex(e[k]), wall) for (shape, _, wall), e in zip(layer.shapes, values, strict=True)
+                ]  # fmt: skip
+                layers += sliced(layer.thickness_nm, complex(ground[k]), shapes, count)
+            refined = partial(made, k) if is_sloped and count == COARSE else None
+            return PeriodicStack(
+                self.cell, float(cover[k]), tuple(layers), complex(substrate[k]), self.profile, refined
+            )  # fmt: skip
+
+        return [made(k, COARSE) for k in range(len(lam))]
+
+    @property
+    def order_width_rad(self) -> float:
+        """Angular standard deviation of each order."""
+        return self.spread.angle_rad
 
     def diffraction_orders(self, theta_rad: Array, azimuth_rad: float, wavelengths_nm: Array | None) -> Orders:
         """Return the orders for light from an azimuth in the frame of the surface."""
@@ -147,28 +170,55 @@ class Grating(Model, Diffracting, Pixels):
         return [
             (number, corners)
             for number, layer in enumerate(self.layers, start=1)
-            for shape, _ in layer.shapes
+            for shape, _, _ in layer.shapes
             for corners in outlines(shape, x, y)
         ]
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
         """Solve the orders on a grid of directions: the zero order is a mirror, the others form a lobe.
 
-        Orders transmitted beside the zero order are part of `spectrum` only. Light from behind is neither reflected nor
-        diffracted; the zero order passes it.
+        Transmitted orders form another lobe, which passes light of both sides. Light from behind is not reflected.
         """
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
-        table = order_tables(self.stacks(lam), lam, self.tolerance)
-        notes = {"estimated_error": float(f"{table.error:.2g}")}
-        lobes: list[Lobe] = [self._mirror(table, lam)]
-        if len(table.orders):
-            width = limited_width(self.spread.angle_rad, table.lattice, float(lam[0]))
-            kept = self.spread.coherent_share(table.orders @ table.lattice)[:, None].astype(np.float32)
-            lobes.append(OrdersLobe(lam, table.reflected * kept, table.lattice, table.orders, width, self._rotation))
-            if np.any(kept < 1.0):
-                lost = np.einsum("taow,o->tw", table.reflected[:, :-1], 1.0 - kept[:, 0]) / (table.mirror.shape[1] - 1)
-                lobes.append(_diffuse(lost, lam))
+        cells = [self.cell] if self.period is None else [self._cell_of(p) for p in self.period.nodes]
+        tables = in_common(
+            [order_tables(replace(self, cell=cell).stacks(lam), lam, self.tolerance) for cell in cells]
+        )  # fmt: skip
+        notes = {"estimated_error": float(f"{max(t.error for t in tables):.2g}")}
+        axes: tuple[ParameterAxis, ...] = ()
+        if self.period is not None and len(cells) > 1:
+            axes = (ParameterAxis("lattice.period_nm", np.array(self.period.nodes), self.period.texture),)
+        eta = self._eta(lam)
+        lobes: list[Lobe] = [self._mirror(tables, lam, eta, axes)]
+        first = tables[0]
+        if not len(first.orders):
+            return Bsdf(tuple(lobes), notes)
+        width = limited_width(self.spread.angle_rad, tables[-1].lattice, float(lam[0]))
+        kept = [self.spread.coherent_share(t.orders @ t.lattice)[:, None].astype(np.float32) for t in tables]
+        for name, index in (("reflected", 0.0), ("transmitted", eta)):
+            parts = [getattr(t, name) * share for t, share in zip(tables, kept, strict=True)]
+            if name == "transmitted" and (index == 0.0 or not any(np.any(part) for part in parts)):
+                continue
+            power = np.stack(parts) if axes else parts[0]
+            lobes.append(OrdersLobe(lam, power, first.lattice, first.orders, width, self._rotation, index, axes))
+        if any(np.any(share < 1.0) for share in kept):
+            lost = [
+                np.einsum("taow,o->tw", t.reflected[:, :-1], 1.0 - share[:, 0]) / (t.mirror.shape[1] - 1)
+                for t, share in zip(tables, kept, strict=True)
+            ]
+            lobes.append(_diffuse(np.mean(lost, axis=0), lam))
         return Bsdf(tuple(lobes), notes)
+
+    def _cell_of(self, period_nm: float) -> Cell:
+        return Cell(period_nm, None if self.cell.period_y is None else period_nm, self.cell.angle_rad)
+
+    def _eta(self, lam: Array) -> float:
+        """Return the relative index below, for the refraction of all wavelengths; 0 if no light passes."""
+        index, outer = self.substrate.n_complex(lam), self.ambient.n_complex(lam).real
+        eta = float(np.mean(index.real) / np.mean(outer)) if is_transparent(index) else 0.0
+        if eta < 1.0:
+            return 0.0
+        return eta if eta - 1.0 > 1e-6 else 1.0
 
     @property
     def _rotation(self) -> Texture | None:
@@ -186,29 +236,32 @@ class Grating(Model, Diffracting, Pixels):
             return Texture(made.low * degree, made.high * degree, formula=scaled)
         return Texture(made.low * degree, made.high * degree, image=made.image, is_stepped=made.is_stepped)
 
-    def _mirror(self, table: OrderTables, lam: Array) -> Lobe:
-        """Return the zero order; if the turn varies over the surface, its mean over the azimuth."""
-        index, outer = self.substrate.n_complex(lam), self.ambient.n_complex(lam).real
-        transmits = is_transparent(index)
-        eta = float(np.mean(index.real) / np.mean(outer)) if transmits else 1.0
-        transmits = transmits and eta >= 1.0
-        eta = eta if transmits and abs(eta - 1.0) > 1e-6 else 1.0
+    def _mirror(
+        self, tables: list[OrderTables], lam: Array, eta: float, axes: tuple[ParameterAxis, ...]
+    ) -> Lobe:  # fmt: skip
+        """Return the zero order; if the turn or the period varies over the surface, its mean over the azimuth."""
+        transmits, eta = eta > 0.0, max(eta, 1.0)
         cosines = np.linspace(0.0, 1.0, MIRROR_NODES)
-        at = np.arccos(cosines) / (0.5 * np.pi) * (table.mirror.shape[0] - 1)
-        reflected, passed = (
-            np.moveaxis(interpolate(part, (at,)), 0, 1) for part in (table.mirror, table.passed)
-        )  # [azimuth, cosine, wavelength]
-        if not transmits:
-            passed = np.zeros_like(passed)
-        total = np.zeros((*reflected.shape[:1], 2 if eta > 1.0 else 0, len(lam)))
-        if self.turn is None:
+        at = np.arccos(cosines) / (0.5 * np.pi) * (tables[0].mirror.shape[0] - 1)
+
+        def over_cosine(part: Array) -> Array:
+            return np.moveaxis(interpolate(part, (at,)), 0, 1)  # [azimuth, cosine, wavelength]
+
+        reflected = np.stack([over_cosine(t.mirror) for t in tables])
+        passed = np.stack([over_cosine(t.passed) for t in tables]) * float(transmits)
+        beyond = 2 if eta > 1.0 else 0
+        if self.turn is None and self.period is None:
+            total = np.zeros((*reflected.shape[1:2], beyond, len(lam)))
             response = InterfaceResponse(
-                lam, cosines, reflected, passed, np.zeros_like(reflected), total, eta, transmits
+                lam, cosines, reflected[0], passed[0], np.zeros_like(reflected[0]), total, eta, transmits
             )
             return AlignedSpecular(response, float(np.radians(self.turn_deg)))
-        reflected, passed = reflected[:-1].mean(axis=0), passed[:-1].mean(axis=0)
+        reflected, passed = reflected[:, :-1].mean(axis=1), passed[:, :-1].mean(axis=1)
+        total = np.zeros((len(tables), beyond, len(lam)))
+        if not axes:
+            reflected, passed, total = reflected[0], passed[0], total[0]
         response = InterfaceResponse(
-            lam, cosines, reflected, passed, np.zeros_like(reflected), total[0], eta, transmits
+            lam, cosines, reflected, passed, np.zeros_like(reflected), total, eta, transmits, parameters=axes
         )
         return Specular(response)
 

@@ -13,7 +13,8 @@ from nacre.bsdf.texture_spec import read_grey
 from nacre.core.errors import RecipeError
 from nacre.core.files import plain, why_unreadable
 from nacre.matter.indices.spec import IndexSpec
-from nacre.matter.periodic.crossed_solver import cell_grid
+from nacre.matter.periodic.crossed_solver import box, cell_grid
+from nacre.matter.periodic.slices import Wall, inset
 from nacre.matter.periodic.structure import Cell, Rectangle, Region, Shape
 from nacre.matter.periodic.types import Array
 from nacre.recipe.model import RecipeContext, RecipeModel
@@ -68,6 +69,16 @@ class ShapeSpec(RecipeModel):
     rotation_deg: Annotated[float, Field(ge=-360.0, le=360.0)] = Field(
         default=0.0, description="turn about its centre, from x towards y", examples=[30]
     )
+    sidewall_deg: Annotated[float, Field(ge=30.0, le=150.0)] = Field(
+        default=90.0, description="angle between wall and base inside the shape: 90 vertical, less where it narrows "
+        "upward; sizes are those at half the height", examples=[82],
+    )  # fmt: skip
+    rounding_nm: Annotated[float, Field(ge=0.0, le=1e5)] = Field(
+        default=0.0, description="radius of the upper edge, in section", examples=[20]
+    )
+    corner_radius_nm: Annotated[float, Field(ge=0.0, le=1e5)] = Field(
+        default=0.0, description="radius of the corners of a rectangle, seen from above", examples=[15]
+    )
     points_nm: tuple[tuple[Place, Place], ...] | None = Field(
         default=None, min_length=3, max_length=1000, description="corners of a polygon, from its centre",
         examples=[[[-60, -50], [60, -50], [0, 70]]],
@@ -94,6 +105,14 @@ class ShapeSpec(RecipeModel):
             raise ValueError(f"inner_diameter_nm = {self.inner_diameter_nm:g} must be below {self.diameter_nm:g}")
         if kind == "cross" and float(self.length or 0) < float(self.width or 0):
             raise ValueError(f"length_nm = {self.length:g} is below width_nm = {self.width:g}")
+        if self.corner_radius_nm > 0.0:
+            if kind != "rectangle":
+                raise ValueError(f'corner_radius_nm has no meaning for a shape "{kind}"; allowed: a rectangle')
+            most = 0.5 * min(float(self.width or 0), float(self.length or 0))
+            if self.corner_radius_nm > most:
+                raise ValueError(
+                    f"corner_radius_nm = {self.corner_radius_nm:g} is more than half a side; allowed: at most {most:g}"
+                )
         return self
 
     @property
@@ -113,6 +132,22 @@ class ShapeSpec(RecipeModel):
             return self.size_nm[1]
         return self.width_nm if self.length_nm is None and self.kind == "rectangle" else self.length_nm
 
+    def wall(self, context: RecipeContext, key: str, thickness_nm: float) -> Wall:
+        """Return the section of the wall.
+
+        Raises:
+            RecipeError: the rounding is higher than the layer.
+        """
+        if self.rounding_nm > thickness_nm:
+            raise context.fail(
+                f"{key}.rounding_nm", self.rounding_nm, f"is more than the layer; allowed: at most {thickness_nm:g}"
+            )
+        return Wall(self.sidewall_deg, self.rounding_nm)
+
+    @property
+    def _is_vertical(self) -> bool:
+        return self.sidewall_deg == 90.0 and self.rounding_nm == 0.0
+
     def geometry(self, context: RecipeContext, key: str, cell: Cell) -> list[Shape]:
         """Return the shape as rectangles or as a region.
 
@@ -124,9 +159,13 @@ class ShapeSpec(RecipeModel):
         w, h = self.width or 0.0, self.length or 0.0
         if kind == "line":
             return [Rectangle(x - 0.5 * w, x + 0.5 * w)]
+        if kind == "rectangle" and self.corner_radius_nm > 0.0:
+            r = self.corner_radius_nm
+            core = box(Rectangle(r - 0.5 * w, 0.5 * w - r, r - 0.5 * h, 0.5 * h - r)).distance
+            return [Region(_turned(lambda a, b: core(a, b) - r, x, y, turn), ("rounded", x, y, w, h, r, turn))]
         if kind == "rectangle" and self.rotation_deg == 0.0:
             return [Rectangle(x - 0.5 * w, x + 0.5 * w, y - 0.5 * h, y + 0.5 * h)]
-        if kind == "cross" and self.rotation_deg == 0.0:
+        if kind == "cross" and self.rotation_deg == 0.0 and self._is_vertical:
             arms: list[Shape] = [Rectangle(x - 0.5 * w, x + 0.5 * w, y - 0.5 * h, y + 0.5 * h)]
             if h > w:
                 arms += [
@@ -217,7 +256,14 @@ class ShapeSpec(RecipeModel):
         polygons = found.get_polygons(layer=self.layer, datatype=0) if isinstance(found, gdstk.Cell) else []
         if not polygons:
             raise context.fail(f"{key}.layer", self.layer, f"holds no polygons in cell {top[0].name}")
-        return [np.asarray(p.points) * (library.unit / 1e-9) for p in polygons]
+        merged = gdstk.boolean(polygons, [], "or", precision=1e-3 * library.precision / library.unit)
+        return [np.asarray(p.points) * (library.unit / 1e-9) for p in merged]
+
+
+def widest(shape: Shape, wall: Wall, thickness_nm: float) -> Shape:
+    """Return the largest section of a shape with a sloping wall."""
+    away = float(wall.insets(thickness_nm, np.linspace(0.0, thickness_nm, 65)).min())
+    return inset(shape, away) or shape
 
 
 def _bilinear(values: Array, u: Array, v: Array) -> Array:

@@ -12,9 +12,9 @@ from pydantic import Field
 from nacre.bsdf.texture_spec import TextureSpec
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
-from nacre.families.grating.material import Grating, GratingLayer, Spread
+from nacre.families.grating.material import Grating, GratingLayer, Spread, VaryingPeriod
 from nacre.families.grating.profiles import profile_of, read_profile
-from nacre.families.grating.shapes import ShapeSpec, check_shapes
+from nacre.families.grating.shapes import ShapeSpec, check_shapes, widest
 from nacre.matter.indices.spec import IndexSpec, ambient_in
 from nacre.matter.periodic.structure import Cell, Profile
 from nacre.recipe.model import RecipeContext, RecipeModel
@@ -24,6 +24,7 @@ MAX_THICKNESS_NM = 100_000.0
 MAX_PERIOD_NM = 100_000.0
 MAX_CROSSED_NM = 5_000.0
 MIN_PERIOD_NM = 10.0
+MAX_RATIO = 4.0  # of a period that varies over the surface
 MAX_FLAT_SLOPE = 20.0  # steeper flanks than this are walls
 
 Period = Annotated[float, Field(ge=MIN_PERIOD_NM, le=MAX_PERIOD_NM)]
@@ -52,11 +53,13 @@ class LatticeSpec(RecipeModel):
     forms: ClassVar[tuple[str, ...]] = (
         "{period_nm = 300}",
         "{period_nm = [300, 400]}",
+        '{period_nm = {texture = "periods.png", min = 600, max = 1100}}',
         '{kind = "hexagonal", period_nm = 400}',
     )
 
-    period_nm: Period | tuple[Period, Period] = Field(
-        description="period, or both periods of a cell", examples=[300, [300, 400]]
+    period_nm: Period | tuple[Period, Period] | TextureSpec = Field(
+        description="period, or both periods of a cell; one that varies over the surface is solved at nodes 12 % apart",
+        examples=[300, [300, 400]],
     )
     kind: Literal["line", "square", "hexagonal"] | None = Field(
         default=None, description="default: line if all shapes are lines, else square", examples=["hexagonal"]
@@ -76,15 +79,20 @@ class LatticeSpec(RecipeModel):
             raise ValueError(f"angle_deg = {self.angle_deg:g} does not fit a hexagonal lattice; allowed: 60, 120")
         return self
 
-    def build(self, is_lines: bool) -> Cell:
-        """Return the cell."""
+    def build(self, is_lines: bool, period_nm: float = MIN_PERIOD_NM) -> Cell:
+        """Return the cell.
+
+        Args:
+            period_nm: the period, where it varies over the surface.
+        """
         kind = self.kind
         if isinstance(self.period_nm, tuple):
             return Cell(*self.period_nm, np.radians(90.0 if self.angle_deg is None else self.angle_deg))
+        single = period_nm if isinstance(self.period_nm, TextureSpec) else self.period_nm
         if kind == "line" or (kind is None and is_lines and self.angle_deg is None):
-            return Cell(self.period_nm)
+            return Cell(single)
         default = 60.0 if kind == "hexagonal" else 90.0
-        return Cell(self.period_nm, self.period_nm, np.radians(default if self.angle_deg is None else self.angle_deg))
+        return Cell(single, single, np.radians(default if self.angle_deg is None else self.angle_deg))
 
 
 class ProfileSpec(RecipeModel):
@@ -241,7 +249,7 @@ class GratingSpec(RecipeModel):
         "wavelengths": {"min_nm": 400, "max_nm": 700, "step_nm": 50},
     }
 
-    varies: ClassVar[str] = "orientation.turn_deg"
+    varies: ClassVar[str] = "orientation.turn_deg, lattice.period_nm"
 
     family: Literal["grating"] = Field(default="grating", description="the family's name")
     title: str = Field(default="", description="a title for figures", examples=["Silicon pixels"])
@@ -281,33 +289,68 @@ class GratingSpec(RecipeModel):
     def _is_lines(self) -> bool:
         return all(shape.kind == "line" for layer in self.layers for shape in layer.shapes)
 
+    def _period(self, context: RecipeContext) -> VaryingPeriod | None:
+        """Return the period over the surface, if it varies.
+
+        Raises:
+            RecipeError: it leaves what is allowed, or the structure has no period.
+        """
+        given = self.lattice.period_nm
+        if not isinstance(given, TextureSpec):
+            return None
+        texture = given.build(context, "lattice.period_nm")
+        most = MAX_PERIOD_NM if self.lattice.build(self._is_lines).period_y is None else MAX_CROSSED_NM
+        if not MIN_PERIOD_NM <= texture.low <= texture.high <= most:
+            raise RecipeError(
+                f"{context.source}: lattice.period_nm varies from {texture.low:g} to {texture.high:g}; "
+                f"allowed: {MIN_PERIOD_NM:g} to {most:g}"
+            )
+        if self.profile is not None and self.profile.shape == "file":
+            raise RecipeError(
+                f"{context.source}: lattice.period_nm varies, but profile.heights has a period of its own; allowed: "
+                "one period, or another shape of the profile"
+            )
+        if texture.high > MAX_RATIO * texture.low:
+            raise RecipeError(
+                f"{context.source}: lattice.period_nm varies from {texture.low:g} to {texture.high:g}; allowed: up to "
+                f"{MAX_RATIO:g} times the smallest"
+            )
+        return VaryingPeriod(texture)
+
     def build(self, context: RecipeContext) -> Grating:
         """Return the material.
 
         Raises:
             RecipeError: shapes overlap or leave the cell, or a file cannot be used.
         """
-        cell = self.lattice.build(self._is_lines)
+        period = self._period(context)
+        cells = [self.lattice.build(self._is_lines, p) for p in (period.nodes if period else (MIN_PERIOD_NM,))]
+        cell = cells[0]  # the smallest one, in which all shapes must fit
         layers = []
         for i, layer in enumerate(self.layers):
             named, shapes = [], []
+            height = layer.thickness_nm
             for k, shape in enumerate(layer.shapes):
                 key = f"layers[{i}].shapes[{k}]"
                 material = shape.material.build(context)
+                wall = shape.wall(context, key, height)
                 for part in shape.geometry(context, key, cell):
-                    named.append((key, part))
-                    shapes.append((part, material))
+                    named.append((key, widest(part, wall, height)))
+                    shapes.append((part, material, wall))
             if (wrong := check_shapes(named, cell)) is not None:
                 raise RecipeError(f"{context.source}: {wrong}; allowed: shapes inside the cell that do not overlap")
             layers.append(GratingLayer(layer.thickness_nm, layer.material.build(context), tuple(shapes)))
         turn = self.orientation.turn_deg
         texture = turn.build(context, "orientation.turn_deg") if isinstance(turn, TextureSpec) else None
         is_flat = self.profile is None and not any(layer.shapes for layer in self.layers)
-        if is_flat and texture is not None:
+        if is_flat and (texture is not None or period is not None):
+            key = "orientation.turn_deg" if texture is not None else "lattice.period_nm"
             raise RecipeError(
-                f"{context.source}: orientation.turn_deg varies, but the layers have no shapes and so no direction; "
+                f"{context.source}: {key} varies, but the layers have no shapes and so no direction; "
                 "allowed: a profile, or layers with shapes"
             )
+        if period is not None:
+            cell = self.lattice.build(self._is_lines, period.texture.middle)
         return Grating(
             ambient=ambient_in(self.ambient, "ambient" in self.model_fields_set, context),
             layers=tuple(layers),
@@ -321,6 +364,7 @@ class GratingSpec(RecipeModel):
             ),
             turn_deg=0.0 if isinstance(turn, TextureSpec) else float(turn),
             turn=texture,
+            period=period,
             tolerance=self.model.tolerance,
             grid_nm=tuple(self.wavelengths.grid()),
             is_coarse=context.is_low_fidelity and self.model.tolerance is None,

@@ -212,6 +212,8 @@ def unknown_material(name: str) -> str:
         return f"is text; a constant index stands without quotes: {number.rpartition(' ')[2]}"
     if names_file(name):
         return f'is the name of a file, not of a material; write {{file = "{name}"}} in its place'
+    if hint := scattering_hint(name):
+        return f"is not an optical constant: {hint}"
     books = {page.key.split("/")[1] for page in catalogue().values()}
     if name in books:
         return f"has no default entry. Choose one for {{rii = ...}}: nacre indices search {name}"
@@ -219,6 +221,20 @@ def unknown_material(name: str) -> str:
     element = re.match(r"[A-Z][a-z]?(?=[A-Z0-9]|$)", name)
     word = element[0] if element else (name.split() or ["..."])[0][:40]
     return f"is not known.{did_you_mean(name, names)} List: nacre indices search {word}"
+
+
+# albedos of matt materials that people name, for the hint
+_ALBEDOS = {"black": 0.04, "paper": 0.8, "white": 0.8, "paint": 0.5, "wood": 0.3, "cardboard": 0.5, "textile": 0.4}
+
+
+def scattering_hint(text: str) -> str:
+    """Return how to describe a matt material, such as "black paper", that is named like an optical constant, or ""."""
+    words = text.lower().replace("-", " ").split()
+    found = [word for word in _ALBEDOS if word in words]
+    if not found:
+        return ""
+    albedo = min(_ALBEDOS[word] for word in found)
+    return f'{" ".join(words)} scatters light; write substrate = "glass" with base = {{albedo = {albedo:g}}}'
 
 
 @dataclass(frozen=True)
@@ -307,7 +323,7 @@ DEFAULTS: tuple[Default, ...] = (
     _entry("Ag", "silver", "main/Ag/Johnson", "silver"),
     _entry("Al", "aluminium", "main/Al/Rakic", "aluminium", "aluminum"),
     _entry("Au", "gold", "main/Au/Johnson", "gold"),
-    _entry("Cr", "chromium", "main/Cr/Johnson", "chromium"),
+    _entry("Cr", "chromium", "main/Cr/Johnson", "chromium", "chrome"),
     _entry("Cu", "copper", "main/Cu/Johnson", "copper"),
     _entry("Fe", "iron", "main/Fe/Johnson", "iron"),
     _entry("Ni", "nickel", "main/Ni/Johnson", "nickel"),
@@ -315,7 +331,8 @@ DEFAULTS: tuple[Default, ...] = (
     _entry("Ti", "titanium", "main/Ti/Johnson", "titanium"),
     # not Werner 2009 for Pt and W: its n falls to 0.5 and 0.9 in the visible, where others measure 2.3 and 3.5
     _entry("W", "tungsten", "main/W/Weaver", "tungsten"),
-    _entry("steel", "stainless steel, austenitic", "other/stainless_steel/Karlsson-austenitic", "stainless steel"),
+    _entry("steel", "stainless steel, austenitic", "other/stainless_steel/Karlsson-austenitic", "stainless steel",
+           "inox"),
     _entry("brass", "brass, 70 % copper and 30 % zinc", "other/Cu-Zn/Querry-Cu70Zn30"),
     # semiconductors
     _entry("Si", "silicon, crystalline", "main/Si/Green-2008", "silicon"),
@@ -326,7 +343,7 @@ DEFAULTS: tuple[Default, ...] = (
     _entry("calcite-o", "calcite, ordinary ray", "main/CaCO3/Ghosh-o"),
     _entry("calcite-e", "calcite, extraordinary ray", "main/CaCO3/Ghosh-e"),
     # oxides and other dielectrics
-    _entry("SiO2", "silica, fused", "main/SiO2/Malitson", "silica", "fused silica"),
+    _entry("SiO2", "silica, fused", "main/SiO2/Malitson", "silica", "fused silica", "quartz glass"),
     _continued("TiO2", "titania, rutile, ordinary ray (an upper bound for coatings; see TiO2-film)",
                "main/TiO2/Devore-o", "published from 430 nm; the absorption of rutile below 410 nm is left out",
                "titania", "rutile"),
@@ -370,14 +387,15 @@ DEFAULTS: tuple[Default, ...] = (
             "published from 400 nm; below, the three-term Cauchy formula through its n at 400, 450 and 500 nm, "
             "no absorption"),
     _continued("PMMA", "polymethyl methacrylate, acrylic glass", "organic/poly_methyl_methacrylate/Szczurowski",
-               "published from 405 nm", "acrylic"),
+               "published from 405 nm", "acrylic", "plexiglass", "perspex"),
     _continued("polystyrene", "polystyrene", "organic/polystyrene/Sultanova", "published from 437 nm", "PS"),
     _continued("polycarbonate", "polycarbonate", "organic/polycarbonate/Sultanova", "published from 437 nm", "PC"),
     _abbe("polyurethane", "polyurethane lacquer", 1.5650, 24.37, "PU"),
     _constant("polysilazane", "polysilazane lacquer", 1.5550,
               "Guillen et al. 2020, table A1, which gives no dispersion; no database entry"),
     _entry("BK7", "borosilicate crown glass N-BK7", "specs/SCHOTT-optical/N-BK7", "N-BK7", "BK7 glass"),
-    _constant("glass", "plain glass without dispersion", 1.5, "by convention; BK7 is the dispersive one"),
+    _constant("glass", "plain glass without dispersion", 1.5, "by convention; BK7 is the dispersive one",
+              "window glass", "float glass"),
 )  # fmt: skip
 
 

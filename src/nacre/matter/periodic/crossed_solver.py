@@ -310,7 +310,7 @@ def periodic_distance(region: Region, cell: Cell, x: Array, y: Array) -> Array:
     return found
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=24)
 def _geometry(shapes: tuple[_Keyed, ...], cell: Cell) -> tuple[list[Array], Array, Array]:
     """Return the share of each shape in each grid cell, and the faded normals."""
     assert cell.period_y is not None

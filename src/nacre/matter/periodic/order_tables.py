@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import numpy as np
@@ -32,7 +32,7 @@ class OrderTables:
 
     Attributes:
         mirror, passed: `[theta, azimuth, wavelength]`, the zero order.
-        reflected: `[theta, azimuth, order, wavelength]`, the other orders.
+        reflected, transmitted: `[theta, azimuth, order, wavelength]`, the other orders.
         orders: `[order, 2]`.
         lattice: `[2, 2]`, their wave vectors over 2 pi, in 1/nm.
         error: largest estimated error.
@@ -41,6 +41,7 @@ class OrderTables:
     mirror: Array
     passed: Array
     reflected: NDArray[np.float32]
+    transmitted: NDArray[np.float32]
     orders: NDArray[np.int64]
     lattice: Array
     error: float
@@ -61,13 +62,13 @@ def order_tables(
     if stored is not None:
         return OrderTables(
             stored["mirror"], stored["passed"], stored["reflected"].astype(np.float32),
-            stored["orders"].astype(np.int64), stored["lattice"], float(stored["error"][0]),
+            stored["transmitted"].astype(np.float32), stored["orders"].astype(np.int64), stored["lattice"],
+            float(stored["error"]),
         )  # fmt: skip
     start = time.perf_counter()
     made = _solved_tables(stacks, wavelengths_nm, tolerance, table_error)
     if key and time.perf_counter() - start > MIN_STORED_S:
-        arrays = {name: getattr(made, name) for name in ("mirror", "passed", "reflected", "orders", "lattice")}
-        cache_arrays(key, arrays | {"error": np.array([made.error])})
+        cache_arrays(key, {each.name: np.asarray(getattr(made, each.name)) for each in fields(made)})
     return made
 
 
@@ -108,23 +109,29 @@ def _solved_tables(
             if max(difference(*pair) for pair in pairs) <= table_error:
                 break
     found = dict(zip(cases, in_threads(partial(work, step=step), cases), strict=True))
-    numbers = {(int(m), int(n)) for s in found.values() for m, n in s.reflected.numbers}
+    numbers = {
+        (int(m), int(n)) for s in found.values() for side in (s.reflected, s.transmitted) for m, n in side.numbers
+    }
     every = sorted({(m * x, n * y) for m, n in numbers for x, y in {(1, 1), *images}} - {(0, 0)})
     place = {number: k for k, number in enumerate(every)}
     shape = (thetas, azimuths + 1, len(wavelengths_nm))
     mirror, passed = np.zeros(shape), np.zeros(shape)
-    reflected = np.zeros((thetas, azimuths + 1, len(every), len(wavelengths_nm)), dtype=np.float32)
+    reflected, transmitted = (
+        np.zeros((thetas, azimuths + 1, len(every), len(wavelengths_nm)), dtype=np.float32) for _ in range(2)
+    )
     for (t, a), ((first, second), (x, y)) in source.items():
         for w in range(len(wavelengths_nm)):
             solution = found[first, second, w]
-            for side, target in ((solution.reflected, mirror), (solution.transmitted, passed)):
+            for side, target, others in (
+                (solution.reflected, mirror, reflected), (solution.transmitted, passed, transmitted)
+            ):  # fmt: skip
                 mean = np.maximum(side.efficiency.mean(axis=1), 0.0)
                 for (m, n), value in zip(side.numbers, mean, strict=True):
                     if m == 0 and n == 0:
                         target[t, a, w] = value
-                    elif target is mirror:
-                        reflected[t, a, place[int(m) * x, int(n) * y], w] = value
-    for part in (mirror, passed, reflected):
+                    else:
+                        others[t, a, place[int(m) * x, int(n) * y], w] = value
+    for part in (mirror, passed, reflected, transmitted):
         part[:, -1] = part[:, 0]
     cell = stack.cell
     lattice = cell.wave_vectors(np.array([[1, 0], [0, 1]])) / (2.0 * np.pi)
@@ -133,7 +140,24 @@ def _solved_tables(
     error = 0.0
     for (t, a, w), better in zip(some, in_threads(check, some), strict=True):
         error = max(error, difference(found[t, a, w], better))
-    return OrderTables(mirror, passed, reflected, np.array(every, dtype=np.int64).reshape(-1, 2), lattice, error)
+    numbered = np.array(every, dtype=np.int64).reshape(-1, 2)
+    return OrderTables(mirror, passed, reflected, transmitted, numbered, lattice, error)
+
+
+def in_common(tables: list[OrderTables]) -> list[OrderTables]:
+    """Return tables with the orders of all of them; an order that a table lacks is dark."""
+    every = np.unique(np.concatenate([t.orders for t in tables]), axis=0)
+    place = {tuple(number): k for k, number in enumerate(every.tolist())}
+
+    def widened(part: NDArray[np.float32], orders: NDArray[np.int64]) -> NDArray[np.float32]:
+        wide = np.zeros((*part.shape[:2], len(every), part.shape[3]), dtype=np.float32)
+        wide[:, :, [place[tuple(number)] for number in orders.tolist()]] = part
+        return wide
+
+    return [
+        replace(t, reflected=widened(t.reflected, t.orders), transmitted=widened(t.transmitted, t.orders), orders=every)
+        for t in tables
+    ]
 
 
 def _sources(

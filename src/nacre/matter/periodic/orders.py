@@ -15,7 +15,7 @@ from nacre.matter.periodic.solve import solve, solve_coarse
 from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Region
 from nacre.matter.periodic.types import Array
 
-VERSION = 2  # raised when numbers change, which invalidates stored solutions
+VERSION = 3  # raised when numbers change, which invalidates stored solutions
 MIN_STORED_S = 0.2  # solutions that take less are not stored
 
 
@@ -119,7 +119,7 @@ def case_key(stack: PeriodicStack, *case: object) -> str:
         for layer in stack.layers
     )
     profile = None if stack.profile is None else (stack.profile.depth_nm, stack.profile.key)
-    text = repr((VERSION, stack.cell, stack.cover, layers, stack.substrate, profile, case))
+    text = repr((VERSION, stack.cell, stack.cover, layers, stack.substrate, profile, stack.refined is not None, case))
     return "orders-" + hashlib.sha256(text.encode()).hexdigest()
 
 

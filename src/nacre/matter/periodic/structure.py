@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -97,6 +97,7 @@ class PeriodicStack:
         cover: real index of the medium of the light.
         layers: from the top down.
         substrate: complex index.
+        refined: of a structure with sloping walls, which `layers` approximate by steps: returns it with more steps.
     """
 
     cell: Cell
@@ -104,6 +105,7 @@ class PeriodicStack:
     layers: tuple[PatternLayer, ...]
     substrate: complex
     profile: Profile | None = None
+    refined: Callable[[int], PeriodicStack] | None = field(default=None, compare=False)
 
     @property
     def is_clear(self) -> bool:

@@ -35,7 +35,7 @@ from nacre.optimise.relief.run import DesignResult, design
 from nacre.optimise.relief.target import LARGEST_TILE_FEATURES, TargetSpec
 from nacre.optimise.spec import DesignSpec
 from nacre.optimise.targets import Target, read_targets
-from nacre.optimise.task import read_data
+from nacre.optimise.task import read_data, task_geometries
 from nacre.recipe.model import RecipeContext, show_value, validate
 from nacre.recipe.toml import parse_toml
 
@@ -82,8 +82,9 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
             raise RecipeError(f"{source}: {name}: is not known of a relief whose heights are sought")
     places = [f"target[{i}].directions" for i, target in enumerate(spec.target) if target.directions]
     pictures = [target.directions for target in spec.target if target.directions]
+    named = task_geometries(spec, recipe, context)
     colours = tuple(
-        replace(read_targets([target], spec.light, context)[0], key=f"{source}: target[{i}]")
+        replace(read_targets([target], spec.light, context, named)[0], key=f"{source}: target[{i}]")
         for i, target in enumerate(spec.target)
         if target.directions is None
     )

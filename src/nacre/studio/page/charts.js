@@ -116,6 +116,37 @@ export function drawSpectrum(svg, look, other, measured = []) {
   });
 }
 
+// Psi and Delta over the wavelength: `measured` of a dropped file, dotted, and `computed` at the same angles.
+export function drawEllipsometry(svg, measured, computed) {
+  const draw = curveDrawer(svg);
+  clear(svg);
+  const [left, right] = [26, 276], nm = measured.flatMap((one) => one.nm), [low, high] = [Math.min(...nm), Math.max(...nm)];
+  const x = (lam) => left + ((lam - low) / Math.max(high - low, 1e-9)) * (right - left);
+  [["psi", 90, 8, 96], ["delta", 360, 114, 202]].forEach(([name, most, top, bottom]) => {
+    const y = (value) => bottom - (value / most) * (bottom - top);
+    for (const share of [0, 0.5, 1]) {
+      add(svg, "line", { x1: left, x2: right, y1: y(share * most), y2: y(share * most), class: "axis" });
+      add(svg, "text", { x: left - 4, y: y(share * most) + 3, "text-anchor": "end" }, `${share * most}°`);
+    }
+    add(svg, "text", { x: right, y: top + 9, "text-anchor": "end" }, name === "psi" ? "Ψ" : "Δ");
+    const curves = (lam, values, isMeasured, dashes) => {       // Delta continues from 360 to 0 degrees
+      let part = [];
+      values.forEach((value, i) => {
+        if (i && Math.abs(value - values[i - 1]) > 0.5 * most) { draw(part, isMeasured, dashes); part = []; }
+        part.push([x(lam[i]), y(value)]);
+      });
+      draw(part, isMeasured, dashes);
+    };
+    computed?.psi?.forEach((_, row) => curves(computed.nm, computed[name][row], false, DASHES[row]));
+    for (const one of measured) curves(one.nm, one[name], true, "1 2");
+  });
+  for (const share of [0, 0.5, 1]) add(svg, "text", { x: x(low + share * (high - low)), y: 215, "text-anchor": share === 0 ? "start" : share === 1 ? "end" : "middle" }, `${Math.round(low + share * (high - low))}${share === 1 ? " nm" : ""}`);
+  measured.forEach(({ angle_deg: angle }, row) => {
+    add(svg, "line", { x1: left + 62 * row, x2: left + 62 * row + 18, y1: 230, y2: 230, class: "curve", "stroke-dasharray": DASHES[row] });
+    add(svg, "text", { x: left + 22 + 62 * row, y: 233 }, `${Number(angle.toFixed(2))}°`);
+  });
+}
+
 // `least`: smallest extent of the axes.
 export function drawTrack(svg, look, other, least) {
   const draw = curveDrawer(svg);

@@ -48,10 +48,12 @@ async function open() {
     }));
     const all = [...$("file-to").options].map(({ value }) => value);
     $("file-to").value = all.includes(chosen) ? chosen : "picture:.png";
-    $("file-make").disabled = false;
+    $("file-make").disabled = $("file-fields").hidden = false;
     put();
   } catch (problem) {
-    $("file-make").disabled = true;
+    $("file-make").disabled = $("file-fields").hidden = true;
+    $("file-about").textContent = $("file-state").textContent = "";
+    $("file-remarks").replaceChildren();
     $("file-error").textContent = problem.message;
   }
 }

@@ -13,13 +13,20 @@ export function listRecipes() {
 
 export async function open(name) {
   try {
-    recipe.open(await api(`api/recipe?name=${encodeURIComponent(name)}`));
+    await openMade(await api(`api/recipe?name=${encodeURIComponent(name)}`));
   } catch (problem) {
     page.setError({ error: problem.message, line: null });
     listRecipes();
-    return;
   }
+}
+
+// Open a recipe by name, text and version; version "": it is not in the folder yet.
+export async function openMade(found) {
+  recipe.open(found);
+  if (!found.version && !found.name.startsWith("example:")) recipe.saved = null;
   page.setError(null);
+  for (const id of ["object-error", "design-error", "file-error", "file-state"]) $(id).textContent = "";        // of the last recipe
+  $("file-remarks").replaceChildren();
   listRecipes();
   $("text").value = recipe.text;
   await page.showRecipe();

@@ -16,7 +16,9 @@ import { fetchRoom, initSurroundings } from "./surroundings.js";
 import { View } from "./view.js";
 import { Socket } from "./socket.js";
 
-const { recipe } = app, models = new Map(), TABS = ["form", "toml", "design"];
+const { recipe } = app, models = new Map(), LISTING = / List: nacre indices search (.*)$/, TABS = ["form", "toml", "design"];
+
+let wrapped = "";       // text and width of the numbered lines
 
 // ---- connection and answers
 
@@ -61,11 +63,35 @@ function setError(answer) {
   if (!answer && !app.error) return;      // the usual case; numbering the lines would force a layout
   app.error = answer;
   $("error").hidden = !answer;
-  if (answer) $("error").textContent = (answer.line ? `Line ${answer.line}: ` : "") + answer.error;
+  if (answer) $("error").textContent = (answer.line ? `Line ${answer.line}: ` : "") + answer.error.replace(LISTING, "");
+  offer(answer);
   number();
 }
 
-const own = (seq) => ({ ...recipe.question(seq), ...comparedLab(), lamp: $("lamp").value });
+// Names to click instead of the command that lists them.
+async function offer(answer) {
+  const box = $("error-choices"), wanted = LISTING.exec(answer?.error ?? "")?.[1], path = /: ([\w.[\]]+) = "/.exec(answer?.error ?? "")?.[1];
+  box.hidden = true;
+  if (!wanted || !path || !recipe.data) return;
+  const meant = [...(answer.error.match(/Did you mean .*/)?.[0] ?? "").matchAll(/"([^"]+)"/g)].map(([, name]) => ({ name, title: name }));
+  const { found } = await api(`api/indices?q=${encodeURIComponent(wanted)}`).catch(() => ({ found: [] }));
+  if (app.error !== answer) return;
+  const all = [...meant, ...found.filter(({ name }) => !meant.some((one) => one.name === name))];
+  box.replaceChildren(...all.map(({ name, title }) => {
+    const button = el("button", { type: "button", textContent: name, title });
+    button.addEventListener("click", () => change({ op: "set", path, value: name }));
+    return button;
+  }));
+  box.hidden = !all.length;
+}
+
+// Angles and wavelengths of a dropped measurement, for Psi and Delta beside it.
+function ellipsometryAsked() {
+  const found = app.ellipsometry ?? [], nm = found.flatMap((one) => one.nm);
+  return found.length ? { ellipsometry: { angles_deg: found.map((one) => one.angle_deg), range_nm: [Math.min(...nm), Math.max(...nm)] } } : {};
+}
+
+const own = (seq) => ({ ...recipe.question(seq), ...comparedLab(), ...ellipsometryAsked(), lamp: $("lamp").value });
 
 // ---- the recipe as form and TOML
 
@@ -95,8 +121,21 @@ function number() {
   if ($("lines").childElementCount !== count) {
     $("lines").replaceChildren(...Array.from({ length: count }, (_, i) => el("div", { textContent: i + 1 })));
   }
+  wrap();
   [...$("lines").children].forEach((line, i) => line.classList.toggle("bad", app.error?.line === i + 1));
   $("lines").scrollTop = $("text").scrollTop;
+}
+
+// A number stands beside the first row of its line: long lines are wrapped.
+function wrap() {
+  const text = $("text"), box = $("wrapped"), width = text.clientWidth - 16, key = `${width} ${text.value}`;
+  if ($("toml").hidden || width <= 0 || wrapped === key) return;
+  wrapped = key;
+  box.style.width = `${width}px`;
+  box.replaceChildren(...text.value.split("\n").map((line) => el("div", { textContent: line || " " })));
+  const heights = [...box.children].map((line) => line.offsetHeight);
+  [...$("lines").children].forEach((line, i) => { line.style.height = `${heights[i]}px`; });
+  box.replaceChildren();
 }
 
 function change(edit) {
@@ -168,6 +207,7 @@ function listen() {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawPanels);
   $("text").addEventListener("input", typed);
   $("text").addEventListener("scroll", number);
+  addEventListener("resize", number);
   $("exposure").addEventListener("input", () => {
     $("stops").textContent = Number($("exposure").value).toFixed(1);
     if (app.view) { app.view.exposure = Number($("exposure").value); app.view.draw(); }

@@ -21,7 +21,7 @@ void main() {
 }`;
 
 // Octahedral normal, 16 bits per coordinate; the part's number, whether a line of u, v passes, and the reflectance of the print
-// (over a pixel of the picture, which is two of these wide).
+// (over a pixel of the picture, which is two of these wide); u and v, 16 bits each.
 export const MESH = `
 in vec3 n;
 in vec2 uv;
@@ -29,11 +29,14 @@ uniform float part, printed;
 uniform sampler2D paper;
 layout(location = 0) out vec4 facing;
 layout(location = 1) out vec4 kind;
+layout(location = 2) out vec4 at;
 vec2 split(float x) { float whole = floor(x * 65535.0 + 0.5), high = floor(whole / 256.0); return vec2(high, whole - 256.0 * high) / 255.0; }
 void main() {
   vec3 m = n / max(abs(n.x) + abs(n.y) + abs(n.z), 1e-9);
   vec2 o = m.z >= 0.0 ? m.xy : (1.0 - abs(m.yx)) * vec2(m.x >= 0.0 ? 1.0 : -1.0, m.y >= 0.0 ? 1.0 : -1.0);
   facing = vec4(split(0.5 + 0.5 * o.x), split(0.5 + 0.5 * o.y));
+  vec2 place = mix(uv, fract(uv), vec2(greaterThan(abs(uv - 0.5), vec2(0.5))));
+  at = vec4(split(place.x), split(place.y));
   vec2 line = abs(fract(uv * 10.0 + 0.5) - 0.5) / max(fwidth(uv * 10.0), vec2(1e-5));
   kind = vec4(part / 255.0, smoothstep(2.5, 0.8, min(line.x, line.y)), printed > 0.5 ? texture(paper, uv, 1.0).r : 1.0, 1.0);
 }`;
@@ -42,6 +45,9 @@ export const SHADE = `${COMMON}
 ${DEPTHS}
 uniform sampler2D facing, kind, depth;
 uniform sampler2D throughMirror, throughGloss, throughMatt;
+#ifdef GRADED
+uniform sampler2D surfaceAt;
+#endif
 uniform vec3 plain[8];          // companion objects: diffuse and specular reflectance, roughness; negative: the material
 uniform float grid;
 #ifdef CLEAR
@@ -85,19 +91,19 @@ vec3 byLobes(vec3 spot, vec3 d, vec3 n) {
   vec2 at = placeOf(there);
 #ifdef FACETS
   vec4 m = texture(throughMirror, at);
-  vec3 seen = nacreColour(table, clamp(m.a + change, 0.0, 1.0), 0.0, first, BANDS) * m.rgb;
+  vec3 seen = tone(nacreAngle(clamp(m.a + change, 0.0, 1.0)), 0.0) * m.rgb;
 #else
-  vec3 seen = nacreColour(table, cosine, 0.0, first, BANDS) * incoming(spot, r, alpha);
+  vec3 seen = tone(nacreAngle(cosine), 0.0) * incoming(spot, r, alpha);
 #endif
 #ifdef LOBE
   seen += texture(throughMatt, gloss > 0.0 ? at : placeOf(n)).rgb;
 #endif
 #ifdef MATT
-  seen += nacreColour(table, cosine, 0.0, first + 2.0, BANDS) * texture(throughMatt, placeOf(n)).rgb;
+  seen += tone(nacreAngle(cosine), 2.0) * texture(throughMatt, placeOf(n)).rgb;
 #endif
 #ifdef GLOSS
   vec4 g = texture(throughGloss, at);
-  seen += nacreColour(table, clamp(g.a + change, 0.0, 1.0), 0.0, first + 1.0, BANDS) * g.rgb;
+  seen += tone(nacreAngle(clamp(g.a + change, 0.0, 1.0)), 1.0) * g.rgb;
 #endif
   return seen;
 }
@@ -109,6 +115,10 @@ vec3 seenAt(ivec2 fine) {
   if (part == 0) return behind(d, 2.0 * length(right) / size.x);
   vec3 spot = placeAt(depth, fine, ray), n = turned(normalAt(fine), d), own = plain[part - 1], seen;
   if (own.x < 0.0) {
+#ifdef GRADED
+    vec4 uv = texelFetch(surfaceAt, fine, 0) * 255.0;
+    placeAtUv(vec2(uv.x * 256.0 + uv.y, uv.z * 256.0 + uv.w) / 65535.0);
+#endif
 #ifdef GATHERED
     seen = byLobes(spot, d, n);
 #else

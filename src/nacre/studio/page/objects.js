@@ -1,11 +1,12 @@
 // The object: the sphere, shapes of pictures, or the user's mesh.
 
 import { $, app, ask, request } from "./common.js";
+import { openMade } from "./files.js";
 
 const cached = new Map();         // objects by name
 const NAMES = { speedshape: "speed shape", body: "car" };
 const MAX_MESH = 64 << 20;
-let own = null, wanted = "sphere", file = null;
+let own = null, wanted = "sphere", file = null, scan = null;
 
 function unpack(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
@@ -61,8 +62,24 @@ async function measure(given) {
     const found = await answer.json();
     if (!answer.ok) throw new Error(found.error ?? `the server answered ${answer.status}`);
     app.measured = found.curves;
+    app.ellipsometry = found.ellipsometry;
+    scan = found.is_scan ? given : null;
+    $("make-relief").hidden = !scan;
     $("object-error").textContent = found.summary[0];
+    if (found.ellipsometry.length) app.socket.ask();
     document.dispatchEvent(new CustomEvent("measured", { detail: found }));
+  } catch (problem) {
+    $("object-error").textContent = problem.message;
+  }
+}
+
+// Store the dropped scan in the opened folder and open a recipe of its relief.
+async function makeRelief() {
+  try {
+    const answer = await request(`api/scan?name=${encodeURIComponent(scan.name)}`, { method: "POST", body: scan }), found = await answer.json();
+    if (!answer.ok) throw new Error(found.error ?? `the server answered ${answer.status}`);
+    $("make-relief").hidden = true;
+    await openMade(found);
   } catch (problem) {
     $("object-error").textContent = problem.message;
   }
@@ -72,6 +89,7 @@ async function give(given) {
   if (!given) return;
   if (!$("own-mesh").accept.split(",").some((suffix) => given.name.toLowerCase().endsWith(suffix))) return measure(given);
   file = given;
+  $("make-relief").hidden = true;
   $("object-error").textContent = `Reading ${given.name}`;
   try {
     if (given.size > MAX_MESH) throw new Error(`${given.name}: ${given.size >> 20} MiB; the page takes meshes up to ${MAX_MESH >> 20} MiB`);
@@ -97,6 +115,7 @@ export function listObjects() {
 }
 
 export function initObjects() {
+  $("make-relief").addEventListener("click", makeRelief);
   $("object").addEventListener("change", () => choose($("object").value));
   $("own-mesh").addEventListener("change", () => { give($("own-mesh").files[0]); $("own-mesh").value = ""; });
   $("pick-mesh").addEventListener("click", () => $("own-mesh").click());

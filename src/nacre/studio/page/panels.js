@@ -1,7 +1,7 @@
 // Charts and form of the newest answer. Painting them takes as long as painting the object, therefore they wait until the
 // object is on the screen and no request is pending.
 
-import { drawRibbon, drawSpectrum, drawSwatches, drawTrack } from "./charts.js";
+import { drawEllipsometry, drawRibbon, drawSpectrum, drawSwatches, drawTrack } from "./charts.js";
 import { scatterExtent, drawScatter } from "./tolerance.js";
 import { $, app, el } from "./common.js";
 import { other } from "./compare.js";
@@ -38,6 +38,12 @@ export function drawPanels() {
   $("ribbons").classList.toggle("two", Boolean(kept));
   if (kept) drawRibbon($("ribbon-b"), $("ribbon-b-text"), kept);
   drawSpectrum($("spectrum"), look, kept, app.measured);
+  const beside = app.ellipsometry ?? [];
+  $("ellipsometry-box").hidden = !beside.length;
+  if (beside.length) {
+    drawEllipsometry($("ellipsometry"), beside, look.psi_delta);
+    $("ellipsometry-text").textContent = look.psi_delta?.note ?? "Measured dotted, computed as lines.";
+  }
   drawScatter($("tolerance-ribbon"), $("track"), drawTrack($("track"), look, kept, scatterExtent()));
   drawSwatches($("swatches"), look, kept);
   const words = drawStructure($("structure"), look.data, look.profile);

@@ -29,6 +29,20 @@ uniform float lampRadius;
 layout(location = 0) out vec4 colour;
 const float PI = 3.14159265, BANDS = 8.0;
 const vec3 CENTRE = vec3(0.0, 0.0, 1.0);
+// colours of the drawn appearance over the angle (0 to 1): mirror-like, glossy, spread, through; of the graded ones at a place on the surface
+#ifdef GRADED
+uniform sampler2D placeMap;     // positions in the ranges of the numbers that vary over the surface
+uniform float across;           // nodes along the second range
+vec2 place = vec2(0.0);
+void placeAtUv(vec2 uv) { place = texture(placeMap, uv).rg; }
+vec3 tone(float x, float part) {
+  float at = place.y * (across - 1.0), low = clamp(floor(at), 0.0, max(across - 2.0, 0.0)), row = (first + part) * across + low;
+  vec3 one = nacreTexel(table, x, place.x, row, BANDS * across);
+  return across < 1.5 ? one : mix(one, nacreTexel(table, x, place.x, row + 1.0, BANDS * across), at - low);
+}
+#else
+vec3 tone(float x, float part) { return nacreTexel(table, x, 0.0, first + part, BANDS); }
+#endif
 // the stage of pictures (see surroundings.py): half width, front edge, start of the bend, radius, height, length
 const float WIDTH = 20.0, FRONT = 16.0, BACK = 5.0, BEND = 4.5, TOP = 5.2, LENGTH = FRONT + BACK + 0.5 * PI * BEND + TOP - BEND;
 const float HALF_WAY = 1.5;                              // median distance of the shade's rows in radii
@@ -170,8 +184,8 @@ vec3 encode(vec3 c) {
 // light of the material towards the eye
 vec3 material(vec3 spot, vec3 d, vec3 n, vec3 down) {
   float cosine = clamp(-dot(d, n), 0.0, 1.0);
-  vec3 mirror = nacreColour(table, cosine, 0.0, first, BANDS), glossy = nacreColour(table, cosine, 0.0, first + 1.0, BANDS);
-  vec3 spread = nacreColour(table, cosine, 0.0, first + 2.0, BANDS);
+  vec3 mirror = tone(nacreAngle(cosine), 0.0), glossy = tone(nacreAngle(cosine), 1.0);
+  vec3 spread = tone(nacreAngle(cosine), 2.0);
   float under = 0.5 * (1.0 - n.z);
   LIGHT light = matt(n) * smoothstep(-1.0, 0.6, n.z) + under * under * floorAt(down.xy);
   vec3 seen = mirror * incoming(spot, reflect(d, n), alpha) + spread * light;
@@ -179,7 +193,7 @@ vec3 material(vec3 spot, vec3 d, vec3 n, vec3 down) {
   return seen;
 }
 #ifdef CLEAR
-vec3 through(float cosine) { return nacreColour(table, cosine, 0.0, first + 3.0, BANDS); }
+vec3 through(float cosine) { return tone(nacreAngle(cosine), 3.0); }
 #endif`;
 
 // Integrated light of the ball over its normals (see light.js): the angle to the eye is the radius, the azimuth about it the
@@ -196,7 +210,7 @@ vec3 passed(vec3 d, vec3 p, vec3 straight) {
   float cosine = clamp(-dot(d, p), 0.0, 1.0);
   vec3 wall = p + 2.0 * cosine * d, back = reflect(d, wall), t = through(cosine);
   vec3 image = vec3(trace(wall + 2.0 * cosine * back + CENTRE, back, alpha));
-  return t * t * (straight + nacreColour(table, cosine, 0.0, first, BANDS) * image);
+  return t * t * (straight + tone(nacreAngle(cosine), 0.0) * image);
 }
 #endif
 vec3 onBall(vec3 d) {
@@ -204,6 +218,10 @@ vec3 onBall(vec3 d) {
   float b = dot(o, d);
   return normalize(o + d * (-b - sqrt(max(b * b - dot(o, o) + 1.0, 0.0))));
 }
+#ifdef GRADED
+// u around the vertical axis, v from the lowest point up, as on the sphere of pictures
+void placeOnBall(vec3 p) { placeAtUv(vec2(fract(atan(p.y, p.x) / (2.0 * PI)), acos(clamp(-p.z, -1.0, 1.0)) / PI)); }
+#endif
 #if defined(FACETS) || defined(GLOSS) || defined(MATT) || defined(LOBE)
 #define WIDE
 // light of wide lobes and of a matt surface; a smooth mirror needs a single look-up
@@ -217,15 +235,15 @@ vec3 wide(vec3 d) {
   seen = texture(throughMatt, at).rgb;
 #endif
 #ifdef MATT
-  seen = texture(throughMatt, at).rgb * nacreColour(table, clamp(-dot(d, p), 0.0, 1.0), 0.0, first + 2.0, BANDS);
+  seen = texture(throughMatt, at).rgb * tone(nacreAngle(clamp(-dot(d, p), 0.0, 1.0)), 2.0);
 #endif
 #ifdef FACETS
   vec4 m = texture(throughMirror, at);
-  seen += nacreColour(table, m.a, 0.0, first, BANDS) * m.rgb;
+  seen += tone(nacreAngle(m.a), 0.0) * m.rgb;
 #endif
 #ifdef GLOSS
   vec4 g = texture(throughGloss, at);
-  seen += nacreColour(table, g.a, 0.0, first + 1.0, BANDS) * g.rgb;
+  seen += tone(nacreAngle(g.a), 1.0) * g.rgb;
 #endif
   return seen;
 }
@@ -235,9 +253,12 @@ void main() {
   vec4 back = texelFetch(backdrop, ivec2(gl_FragCoord.xy), 0);
   if (back.a > 0.0) {
     vec3 seen = vec3(0.0);
+#ifdef GRADED
+    placeOnBall(onBall(rayAt(gl_FragCoord.xy)));
+#endif
 #ifndef FACETS
     vec4 m = texelFetch(mirrored, ivec2(gl_FragCoord.xy), 0);
-    seen = nacreTexel(table, m.a, 0.0, first, BANDS) * m.rgb;
+    seen = tone(m.a, 0.0) * m.rgb;
 #endif
 #ifdef WIDE
     seen += wide(rayAt(gl_FragCoord.xy));
@@ -254,7 +275,11 @@ void main() {
   float cover = clamp(0.5 + (1.0 - sqrt(max(dot(o, o) - b * b, 0.0))) / (pixel * length(o)), 0.0, 1.0);
   vec4 back = vec4(behind(d, pixel), cover);
   if (cover > 0.0) {
-    vec3 p = onBall(d), seen = material(p + CENTRE, d, p, p * 1.6);
+    vec3 p = onBall(d);
+#ifdef GRADED
+    placeOnBall(p);
+#endif
+    vec3 seen = material(p + CENTRE, d, p, p * 1.6);
 #ifdef CLEAR
     seen += passed(d, p, back.rgb);
 #endif
@@ -353,7 +378,7 @@ vec3 scattered(vec3 spot, vec3 n, vec3 side, vec3 v) {
   if (lit.z > 0.0) sum += nacreScattered(lit, wo) * lit.z * lampPower;
 #endif
   float cosine = wo.z;
-  return sum / whole * (nacreColour(table, cosine, 0.0, first + 1.0, BANDS) + nacreColour(table, cosine, 0.0, first + 2.0, BANDS));
+  return sum / whole * (tone(nacreAngle(cosine), 1.0) + tone(nacreAngle(cosine), 2.0));
 }
 void main() {
   vec2 at = (gl_FragCoord.xy - 0.5 * pixels) / (0.5 * pixels - 1.0);

@@ -6,15 +6,15 @@ import { BACKDROP, BALL, COVER, GATHER } from "./shaders.js";
 
 // camera of pictures of a sphere, and the shade below it
 const SPHERE = { distance: Math.hypot(8.6, 1.77), target: [0, 0, 0.93], fov: 19, foot: [0, 0, 1, 1], azimuth: 0, elevation: 11.63 };
-const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "square", "lampTo", "lampPower", "lampRadius", "paper", "printed", "pixels", "beckmann", "compensated", "lobes", "count", "nacreLobe", "backdrop", "mirrored", "solid", "farFacing", "farKind", "farDepth", "sheets"];
-const SAMPLERS = ["table", "room", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "nacreLobe", "backdrop", "mirrored", "paper", "farFacing", "farKind", "farDepth", "sheets"];
+const UNIFORMS = ["table", "first", "room", "eye", "right", "up", "ahead", "size", "foot", "ball", "alpha", "gloss", "layers", "exposure", "level", "ground", "plain", "part", "grid", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "square", "lampTo", "lampPower", "lampRadius", "paper", "printed", "pixels", "beckmann", "compensated", "lobes", "count", "nacreLobe", "backdrop", "mirrored", "solid", "farFacing", "farKind", "farDepth", "sheets", "placeMap", "surfaceAt", "across"];
+const SAMPLERS = ["table", "room", "facing", "kind", "depth", "throughMirror", "throughGloss", "throughMatt", "nacreLobe", "backdrop", "mirrored", "paper", "farFacing", "farKind", "farDepth", "sheets", "placeMap", "surfaceAt"];
 const SQUARE = 0.55;    // chequers below clear materials, as in pictures
 const DEFINES = { gathered: "#define GATHERED\n", shadeGathered: "#define GATHERED\n", gather: "#define GATHERS\n#define NACRE_LOBE\n#define NACRE_LOBE_SLICES 4.0\n#define NACRE_LOBE_SCALE 1.0\n" };   // see `lobe_image` in appearance.py
 const EXTRA = 2;        // layers of the room that are not light: shade of the ball, light of the stage
 const SHADERS = { ball: [COVER, BALL], gathered: [COVER, BALL], gather: [COVER, GATHER], backdrop: [COVER, BACKDROP], mesh: [MESH_VERTEX, MESH], shade: [COVER, SHADE], shadeGathered: [COVER, SHADE] };
 const FINER = 2;        // triangles are drawn at twice the resolution for smooth edges
 const MOST_PARTS = 8;
-const NEAR_UNIT = 2, PAPER_UNIT = 11, FAR_UNIT = 12;    // texture units, see `SAMPLERS`
+const NEAR_UNIT = 2, PAPER_UNIT = 11, FAR_UNIT = 12, PLACE_UNIT = 16, SURFACE_UNIT = 17;    // texture units, see `SAMPLERS`
 const SLOW_MS = 20, FEWEST = 400;  // pixels a side
 let backdrops = 0;      // drawn so far
 
@@ -24,8 +24,11 @@ const lobeBits = (look) => (look.lobe ? 8 : 0) + (look.alpha >= 0.001 ? 1 : 0) +
 // Look-ups of the integrated lobes; a lobe table uses the slot of the matt surface.
 const lobesOf = (look) => [[1, "FACETS"], ...(look.lobe ? [[8, "LOBE"]] : [[2, "GLOSS"], [4, "MATT"]])].map(([bit, lobe]) => (lobeBits(look) & bit ? `#define ${lobe}\n` : "")).join("");
 const OF_LOBES = ["gathered", "shadeGathered"], OF_THROUGH = [...OF_LOBES, "ball", "shade"];
-const definesOf = (name, look) => (look && OF_LOBES.includes(name) ? lobesOf(look) : "") + (look?.through && OF_THROUGH.includes(name) ? "#define CLEAR\n" : "");
-const BANDS = 4;        // rows of the table per appearance
+const definesOf = (name, look) => (look && OF_LOBES.includes(name) ? lobesOf(look) : "") + (look?.through && OF_THROUGH.includes(name) ? "#define CLEAR\n" : "") + (look?.grades && OF_THROUGH.includes(name) ? "#define GRADED\n" : "");
+const BANDS = 4;        // parts of the table per appearance
+const shapeOf = (look, name) => look.arrays.find(([one]) => one === name)?.[1];
+// Nodes of a graded appearance, as [of the second range, of the first].
+const nodesOf = (look) => shapeOf(look, "grades")?.slice(1, 3) ?? [1, 1];
 
 // Share of the light that an object blocks from the floor; light passes a free film twice.
 const solidOf = ({ through }) => (through ? 1 - (0.2126 * through[0] + 0.7152 * through[1] + 0.0722 * through[2]) ** 2 : 1);
@@ -50,7 +53,8 @@ export class View {
     this.use("ball");
     this.buffer = this.corners = this.lobeTexture = this.backdrop = null;
     this.painted = {};          // by row: the ball for which the whole canvas was drawn, see `boxOf`
-    this.columns = 0;           // of the uploaded table
+    this.columns = this.rows = 0;           // of the uploaded table
+    this.placed = new Map();    // maps of the surface, by graded appearance
     this.tableTexture = this.texture(0, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE);
     this.paperTexture = this.texture(PAPER_UNIT, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE);
     this.roomTexture = this.texture(1, gl.TEXTURE_2D_ARRAY, gl.REPEAT);
@@ -141,15 +145,39 @@ export class View {
       gl.texImage3D(gl.TEXTURE_2D_ARRAY, 0, held, columns, rows, layers + EXTRA, 0, sent, gl.FLOAT, values);
     }
     if (!this.look) return;
-    const count = this.look.mirror.length / 3, texels = new Float32Array(2 * BANDS * count * 4), other = this.other ?? this.look;
-    [this.look, other].flatMap((look) => [look.mirror, look.gloss, look.spread, look.through]).forEach((part, row) => {
-      if (!part) return;
-      for (let i = 0; i < count; i++) texels.set([part[3 * i], part[3 * i + 1], part[3 * i + 2], 1], 4 * (row * count + i));
-    });
+    const count = this.look.mirror.length / 3, looks = [this.look, this.other ?? this.look];
+    const [across, along] = [0, 1].map((i) => Math.max(...looks.map((look) => nodesOf(look)[i]))), rows = 2 * BANDS * across * along, texels = new Float32Array(rows * count * 4);
+    let at = 0;
+    for (const look of looks) {
+      const [second, first] = nodesOf(look);
+      [look.mirror, look.gloss, look.spread, look.through].forEach((part, band) => {
+        for (let j = 0; j < across; j++) for (let i = 0; i < along; i++) {
+          const near = (k, given, wanted) => Math.round((k * (given - 1)) / Math.max(wanted - 1, 1));
+          const from = look.grades ? 3 * count * ((band * second + near(j, second, across)) * first + near(i, first, along)) : 0, values = look.grades ?? part;
+          for (let k = 0; k < count; k++, at += 4) if (values) texels.set([values[from + 3 * k], values[from + 3 * k + 1], values[from + 3 * k + 2], 1], at);
+        }
+      });
+    }
+    this.across = across;
     gl.activeTexture(gl.TEXTURE0);
-    if (this.columns === count) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, count, 2 * BANDS, gl.RGBA, gl.FLOAT, texels);
-    else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, count, 2 * BANDS, 0, gl.RGBA, gl.FLOAT, texels);
+    if (this.columns === count && this.rows === rows) gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, count, rows, gl.RGBA, gl.FLOAT, texels);
+    else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA16F, count, rows, 0, gl.RGBA, gl.FLOAT, texels);
+    this.rows = rows;
+    for (const [look, texture] of this.placed) if (!looks.includes(look)) { gl.deleteTexture(texture); this.placed.delete(look); }
     this.columns = count;
+  }
+
+  // Bind the map of the surface of a graded appearance.
+  place(look) {
+    const gl = this.gl, known = this.placed.get(look);
+    if (known) {
+      gl.activeTexture(gl.TEXTURE0 + PLACE_UNIT);
+      gl.bindTexture(gl.TEXTURE_2D, known);
+      return;
+    }
+    const [rows, columns] = shapeOf(look, "grade_map");
+    this.placed.set(look, this.texture(PLACE_UNIT, gl.TEXTURE_2D, gl.CLAMP_TO_EDGE, look.stepped ? gl.NEAREST : gl.LINEAR));
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RG16F, columns, rows, 0, gl.RG, gl.FLOAT, look.grade_map);
   }
 
   resize() {
@@ -216,6 +244,10 @@ export class View {
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(left, bottom, Math.max(right - left, 0), top - bottom);
     const at = this.prepare(isGathered ? well : plainly, look, first);
+    if (look.grades) {
+      this.place(look);
+      gl.uniform1f(at.across, this.across);
+    }
     this.canvas.dataset.light = isGathered ? "gathered" : this.light.isAble ? "gathering" : "blurred";
     if (places) {
       const plain = new Float32Array(3 * MOST_PARTS).fill(-1);      // negative: the material
@@ -362,6 +394,8 @@ export class View {
       return [one, attach(unit + 2, gl.DEPTH24_STENCIL8, gl.DEPTH_STENCIL_ATTACHMENT)];
     };
     [made.near] = whole(NEAR_UNIT);
+    attach(SURFACE_UNIT, gl.RGBA8, gl.COLOR_ATTACHMENT2);
+    gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1, gl.COLOR_ATTACHMENT2]);
     if (isClear) {
       const [far, depth] = whole(FAR_UNIT);
       made.far = far;
