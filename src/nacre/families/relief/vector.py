@@ -71,6 +71,11 @@ class VectorRelief(Model, Diffracting, Fabricable):
         """Those of the scalar relief."""
         return self.scalar.fabrications
 
+    @property
+    def order_width_rad(self) -> float:
+        """Standard deviation of each order's direction, by the light's coherence."""
+        return self._coherence_width
+
     def stacks(self, wavelengths_nm: Array) -> list[PeriodicStack]:
         """Return the structure at wavelengths, x across the lines."""
         body = self.scalar.coating.n_complex(wavelengths_nm)
