@@ -100,11 +100,13 @@ class Document:
     def text(self, entry: ET.Element, scope: ET.Element | None = None) -> str | None:
         """Return the text of an input that a constant gives, of any type, or None."""
         found = self._follow(entry, scope, 0)
-        if found is None or isinstance(found[0], str):
-            return None if found is None else str(found[0])
-        node, scope, _ = found
-        value = next((i for i in node.findall("input") if i.get("name") == "value"), None)
-        return self.text(value, scope) if node.tag == "constant" and value is not None else None
+        if found is None:
+            return None
+        constant, inside, _ = found
+        if isinstance(constant, str):
+            return constant
+        value = next((i for i in constant.findall("input") if i.get("name") == "value"), None)
+        return self.text(value, inside) if constant.tag == "constant" and value is not None else None
 
     def _follow(
         self, entry: ET.Element, scope: ET.Element | None, depth: int
