@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.text_table import is_japanese
 
 MAX_TEXT_BYTES = 256 << 20
 MAX_METADATA = 40
@@ -118,7 +119,7 @@ def text_of(data: bytes) -> Text:
         try:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
-            text = data.decode("cp932" if b"JASCO" in data[:2000] else "cp1252", errors="replace")
+            text = data.decode("cp932" if b"JASCO" in data[:2000] or is_japanese(data) else "cp1252", errors="replace")
     return Text(_LINE_END.split(text), nul)
 
 
