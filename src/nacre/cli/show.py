@@ -17,6 +17,7 @@ from nacre.formats.export_formats import EXPORTS, FOLDERS, export_remarks
 PLOT_KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
     "field", "scattering", "structure", "platelet", "microscope", "ellipsometry", "mueller", "circular",
+    "michel-levy",
 )  # fmt: skip
 STEPS, TRACK_STEPS = {"colour-map": 61, "ribbon": 91, "spectrum": 6}, 11  # for a range without a step
 NO_DIRECTIONS = "is not an .npz file of numbers (wi[N,3], wo[N,3] and, if need be, uv[N,2])"
