@@ -18,6 +18,7 @@ WRITTEN = {
     "rgl": "`nacre export --to rgl`", "merl": "`nacre export --to merl`", "zemax": "`nacre export --to zemax`",
     "astm_e1392": "`nacre export --to astm`", "brdf_json": "`nacre export --to brdf-json`",
     "speos": "`nacre export --to speos`", "gonio": "`nacre export --to csv`", "table": "`nacre read -o`",
+    "nacre-heights": "`nacre fabricate --to csv`", "nacre-table": "`nacre orders`, `fabricate`, `design --many`",
     "tmatrix": "`nacre export --to tmat`",
 }  # fmt: skip
 KINDS = {

@@ -17,6 +17,7 @@ from .api import read as read
 from .api import report as report
 from .api import spectrum as spectrum
 from .api import sweep as sweep
+from .api import texture as texture
 from .api import tolerance as tolerance
 from .bsdf import Bsdf as Bsdf
 from .core.errors import NacreError as NacreError

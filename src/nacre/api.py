@@ -22,6 +22,7 @@ from nacre.analysis.import_export import export_material, import_material
 from nacre.analysis.report import Report, make_report
 from nacre.analysis.sweep import run_sweep
 from nacre.analysis.sweep_plan import load_sweep
+from nacre.analysis.texture import Instrument, Texture, measure_texture
 from nacre.analysis.ties import read_ties
 from nacre.analysis.tolerance import ToleranceResult, recipe_tolerances, run_tolerance
 from nacre.bsdf import Bsdf
@@ -31,6 +32,7 @@ from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import DESIGN_RECIPE, check_writable, short_name
 from nacre.core.jobs import Workers
 from nacre.families.contract import Diffracting, Model, fabrications
+from nacre.formats.export_formats import FOLDERS
 from nacre.formats.fabrication import SUFFIXES, HeightOptions, write_drawing
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
@@ -58,6 +60,7 @@ __all__ = [
     "spectrum",
     "sweep",
     "diagnose",
+    "texture",
     "tolerance",
 ]
 
@@ -218,6 +221,32 @@ def report(
     return make_report(as_material(thing), illuminant, observer, samples, seed, geometries)
 
 
+def texture(
+    thing: MaterialLike,
+    *,
+    instrument: str | Path | Mapping[str, Any] | Instrument | None = None,
+    method: str = "statistics",
+    illuminant: str = "D65",
+    observer: str = "10deg",
+    seed: int = 0,
+) -> Texture:
+    """Compute sparkle at 15, 45 and 75 degrees and graininess of a pearl, or of a blend with pearls.
+
+    The scale is relative unless the instrument's `calibration` holds measured pairs.
+
+    Args:
+        thing: a material, or a path of a recipe, an example's name or a recipe's table.
+        instrument: lamp, camera and calibration: a TOML file, or its keys as a table.
+        method: "statistics", in closed form, or "patch", from drawn flakes; then `images` holds the camera's pictures.
+        illuminant, observer: of the luminance.
+        seed: of random walks and drawn flakes.
+
+    Raises:
+        NacreError: the material has no flakes, or one without `diameter_um`; the instrument is not valid.
+    """
+    return measure_texture(as_material(thing), instrument, method, illuminant, observer, seed)
+
+
 def tolerance(
     thing: MaterialLike, tolerances: Iterable[str] = (), *, draws: int = 500, limit: float = 1.0, **options: Any
 ) -> ToleranceResult:
@@ -227,7 +256,8 @@ def tolerance(
         thing: a material or a path.
         tolerances: such as "layers[0].thickness_nm=2%", in addition to those of the recipe's `[tolerance]`.
         draws: number of materials; limit: largest accepted CIEDE2000 difference (dE00).
-        options: further arguments of `nacre.analysis.tolerance.run_tolerance`.
+        options: further arguments of `nacre.analysis.tolerance.run_tolerance`, such as
+            `workers=nacre.core.jobs.Workers(cluster="tcp://host:port")`.
 
     Raises:
         NacreError: there is no tolerance, or one names no number of the recipe.
@@ -375,15 +405,15 @@ def export(thing: MaterialLike, to: str, output: str | Path, **options: Any) -> 
 
     Args:
         thing: a material or a path.
-        to: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "exr", "nacre" or "lut".
-        output: the file; for "lut" a folder, which is new, empty or holds such tables.
+        to: "rgl", "merl", "csv", "zemax", "gltf", "materialx", "usd", "exr", "nacre", "three" or "lut".
+        output: the file; for "three" and "lut" a folder, which is new, empty or holds such tables.
         options: arguments of `nacre.analysis.import_export.export_material`.
 
     Raises:
         UnsupportedError: the format cannot represent the material.
         NacreError: the file cannot be written.
     """
-    if to != "lut":
+    if to not in FOLDERS:
         check_writable(output)
     return export_material(as_material(thing), to, Path(output), **options)
 

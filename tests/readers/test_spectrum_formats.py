@@ -411,3 +411,24 @@ def test_geometry_and_white_reference_are_metadata(tmp_path: Path) -> None:
     (measurement,) = open_file(written(tmp_path, text.encode()))
     assert measurement.metadata["geometry"] == "diffuse"
     assert measurement.metadata["white_reference"] == "Spectralon"
+
+
+UNKNOWN_QUANTITIES: dict[str, tuple[bytes, bytes]] = {
+    "jcamp pairs": (b"##YUNITS=REFLECTANCE", b"##YUNITS=ARBITRARY UNITS"),
+    "jasco": (b"YUNITS\tREFLECTANCE", b"YUNITS\tFLUORESCENCE"),
+    "sp": (b"%R", b"mV"),
+    "spc": (struct.pack("<dIBB", 700.0, 1, 3, 129), struct.pack("<dIBB", 700.0, 1, 3, 0)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNKNOWN_QUANTITIES)
+def test_a_quantity_that_is_not_known_is_asked_not_assumed(tmp_path: Path, name: str) -> None:
+    known, unknown = UNKNOWN_QUANTITIES[name]
+    data = WRITERS[name][0]()
+    assert data.count(known) == 1
+    path = written(tmp_path, data.replace(known, unknown))
+    with pytest.raises(AmbiguousFileError) as error:
+        open_file(path)
+    assert error.value.option == "quantity" and "counts" in error.value.choices
+    (found,) = open_file(path, ReadOptions(quantity="counts"))
+    assert "counts" in found.data and "reflectance" not in found.data

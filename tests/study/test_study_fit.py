@@ -84,6 +84,18 @@ def test_a_spectrum_csv_of_our_own_reads_back(tmp_path: Path) -> None:
     assert nacre.load(fitted).get("layers[0].thickness_nm") == pytest.approx(333.0, abs=0.01)
 
 
+def test_values_above_one_are_used_as_measured_and_per_cent_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "m.csv"
+    path.write_text(
+        "wavelength_nm,specular_reflectance\n" + "".join(f"{nm},{nm / 400}\n" for nm in range(400, 700, 50))
+    )
+    measured = read_measurement(path)
+    assert measured.values.max() == pytest.approx(650 / 400) and len(measured.remarks) == 2
+    path.write_text("wavelength_nm,specular_reflectance\n" + "".join(f"{nm},{nm / 10}\n" for nm in range(400, 700, 50)))
+    with pytest.raises(NacreError):
+        read_measurement(path)
+
+
 @pytest.mark.parametrize(
     ("text", "what"),
     [

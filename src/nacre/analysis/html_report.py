@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nacre.analysis.report import ColourTable, Comparison, Report
+from nacre.analysis.texture import texture_document, texture_rows
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.errors import UnsupportedError
 from nacre.core.html import render_page
@@ -117,6 +118,7 @@ def _document(report: Report) -> dict[str, Any]:
         "hemispherical": _clean(report.hemispherical),
         "largest_standard_error": report.noise,
         "selective_reflection": {angle: dict(band.__dict__) for angle, band in report.selective.items()},
+        "texture": None if report.texture is None else _clean(texture_document(report.texture)),
         "provenance": report.provenance,
     }
 
@@ -206,6 +208,8 @@ def report_numbers(report: Report) -> list[tuple[str, str]]:
         ))  # fmt: skip
     if report.noise > 0:
         rows.append(("largest standard error of pi f", f"{report.noise:.2g}"))
+    if report.texture is not None:
+        rows += texture_rows(report.texture)
     rows += [(SURFACE_NAMES.get(name, name), f"{value:.5g}") for name, value in report.surface.items()]
     return rows
 

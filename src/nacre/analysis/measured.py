@@ -24,6 +24,7 @@ TOTALS = ("total_reflectance", "total_transmittance")
 POLARISED = {f"{part}_{p}": (part, p) for part in (*PARTS, *TOTALS) for p in ("s", "p")}
 VISIBLE_NM = (380.0, 780.0)
 MAX_POWER, MIN_POWER = 1.1, -0.05  # allows for instrument errors near white and black
+MAX_RELATIVE = 2.0  # of a reference that reflects less than the sample; larger values are per cent
 RELATIVE_FLOOR = 0.01
 LEAST_ERROR = 0.1  # of the median standard error: smaller ones do not weigh more
 UNPOLARISED = "both"
@@ -282,6 +283,7 @@ def _on_grid(path: Path, series: Sequence[_Series], remarks: tuple[str, ...]) ->
         remarks = (*remarks, f"noise beyond {VISIBLE_NM[0]:g}-{VISIBLE_NM[1]:g} nm is left out")
         waves, values, errors = waves[kept], values[..., kept], None if errors is None else errors[..., kept]
     _check_spectrum(path, parts, angles, waves, values)
+    remarks = (*remarks, *_above_one(parts, values))
     if errors is not None and not (np.isfinite(errors).all() and (errors >= 0).all() and np.median(errors) > 0):
         errors, remarks = None, (*remarks, "standard errors that are missing, negative or 0 are not used")
     elif errors is None and any(one.errors is not None for one in series):
@@ -324,6 +326,15 @@ def _check_modes(path: Path, parts: Sequence[str], remarks: tuple[str, ...]) -> 
         )
 
 
+def _above_one(parts: Sequence[str], values: Array) -> list[str]:
+    """Return a remark for each part with values beyond instrument errors of a share of the incident light."""
+    return [
+        f"{part} reaches {each.max():g}; values above 1 are used as measured, relative to a reference of less light"
+        for part, each in zip(parts, values, strict=True)
+        if each.max() > MAX_POWER
+    ]
+
+
 def _check_spectrum(path: Path, parts: Sequence[str], angles: Array, waves: Array, values: Array) -> None:
     if np.isnan(values).any():
         i, angle, wave = (int(index) for index in np.argwhere(np.isnan(values))[0])
@@ -332,10 +343,10 @@ def _check_spectrum(path: Path, parts: Sequence[str], angles: Array, waves: Arra
             f"{angles[angle]:g} degrees and {waves[wave]:g} nm"
         )
     for part, each in zip(parts, values):
-        if each.max() > MAX_POWER:
+        if each.max() > MAX_RELATIVE:
             raise NacreError(
-                f"{path}: {part} = {each.max():g} is above 1; it is a share of the incident light; if it is in per "
-                f"cent, name the column {part}_percent"
+                f"{path}: {part} = {each.max():g} is above {MAX_RELATIVE:g}; a share of the incident light; if it "
+                f"is in per cent, name the column {part}_percent"
             )
         if each.min() < MIN_POWER:
             raise NacreError(f"{path}: {part} = {each.min():g} is below 0")

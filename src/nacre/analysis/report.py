@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from nacre._version import __version__
+from nacre.analysis.texture import Texture
 from nacre.bsdf import Bsdf
 from nacre.bsdf.grids import direction
 from nacre.bsdf.texture import refuse_place
@@ -95,6 +96,7 @@ class Report:
         transmission_haze: ASTM D1003 percentage, None for an opaque material.
         noise: largest standard error of a reflectance factor, 0 without a random walk.
         surface: roughness of a measured surface, such as `sq_um`.
+        texture: sparkle and graininess, if asked for.
         selective: band in which one hand of circular light is reflected, at "0" and "45" degrees, if there is one.
     """
 
@@ -113,6 +115,7 @@ class Report:
     surface: dict[str, float] = field(default_factory=dict)
     selective: dict[str, SelectiveBand] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
+    texture: Texture | None = None
 
     @property
     def tables(self) -> dict[str, ColourTable]:
@@ -165,8 +168,8 @@ def make_report(
     for name, values in parts.items():
         for angle, value in zip((0, 45), values, strict=True):
             totals[f"{name}_{angle}"] = float(value)
-    judged = colour_table("flop", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *geometry.FLOP_LIGHT).lab
-    lightness = {a: lab[0] for a, lab in zip(geometry.ASPECULAR_DEG, judged, strict=True)}
+    flop_lab = colour_table("flop", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *geometry.FLOP_LIGHT).lab
+    lightness = {a: lab[0] for a, lab in zip(geometry.ASPECULAR_DEG, flop_lab, strict=True)}
     return Report(
         name=material.name,
         illuminant=illuminant,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from nacre.analysis.report import SPECULAR_ANGLES_DEG
 from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
+from nacre.core.jobs import Workers, run_jobs
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
 from nacre.measure import instruments
@@ -23,6 +25,7 @@ from nacre.recipe.path_tables import by_path, with_options
 MAX_DRAWS = 1_000_000
 SENSITIVITY_STEP = 0.5  # central difference half step, in standard deviations
 LIGHT_DEG = 45.0
+START_WORKERS_S = 10.0  # of remaining work; a worker process takes 2 s to start
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,7 @@ def run_tolerance(
     observer: str = "10deg",
     samples: int | None = None,
     geometries: Sequence[str] = (),
+    workers: Workers | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ToleranceResult:
     """Draw materials within their tolerances and measure their colours.
@@ -105,6 +109,7 @@ def run_tolerance(
         limit: dE00 within which a material passes, at every geometry.
         geometries: "45as15", "specular 0", or names of the recipe's `[[geometry]]`; default: those of the recipe, or
             else the standard angles.
+        workers: processes or cluster that measure the draws of long runs; the result does not depend on them.
         progress: called with (done, total): draws, and two materials per sensitivity.
 
     Raises:
@@ -125,14 +130,14 @@ def run_tolerance(
     values = drawn.values
     lab = np.full((draws, *nominal.shape), np.nan)
     total = draws + 2 * len(causes)
-    make = material.parametrise(values)
-    for i in range(draws):
-        try:
-            lab[i] = measure(make({path: float(v[i]) for path, v in values.items()}))
-        except NacreError:
-            pass  # remains NaN and counts as failed
+    trials = _Trials(material, tuple(values), measure)
+    drawn_values = np.stack(list(values.values()), axis=1)
+    found = run_jobs(_measure_draw, trials, drawn_values, workers, start_workers_s=START_WORKERS_S)
+    for done, (index, colours) in enumerate(found, start=1):
+        if colours is not None:
+            lab[index] = colours  # otherwise it remains NaN and counts as failed
         if progress:
-            progress(i + 1, total)
+            progress(done, total)
     changes = []
     for number, each in enumerate(causes, start=1):
         changes.append(_sensitivity(material, each, measure, nominal))
@@ -156,6 +161,32 @@ def run_tolerance(
         clipped=drawn.clipped,
         failed=int(np.sum(np.isnan(delta).any(axis=1))),
     )
+
+
+@dataclass(frozen=True)
+class _Trials:
+    """Measures materials whose numbers at `paths` are replaced by drawn values."""
+
+    material: Material
+    paths: tuple[str, ...]
+    measure: ColourProbe
+
+    @cached_property
+    def make(self) -> Callable[[Mapping[str, Any]], Material]:
+        """Function from values to materials, compiled once in each process."""
+        return self.material.parametrise(self.paths)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle without the compiled function."""
+        return _Trials, (self.material, self.paths, self.measure)
+
+
+def _measure_draw(trials: _Trials, values: Array) -> Array | None:
+    """Return the colours of one draw; None if it cannot be computed. Runs in a worker."""
+    try:
+        return trials.measure(trials.make(dict(zip(trials.paths, map(float, values), strict=True))))
+    except NacreError:
+        return None
 
 
 class ColourProbe:

@@ -182,7 +182,8 @@ def _write_heights(drawing: HeightMap, to: str, path: Path, options: HeightOptio
         write_stl(path, heights_um, feature_um, options.base_um, repeat)
     else:
         with atomic_path(path) as temporary:
-            np.savetxt(temporary, heights_um, delimiter=",", fmt="%.6f", header="feature heights in um, row = x")
+            head = f"feature heights in um, row = x; feature_um = {feature_um:.9g}"
+            np.savetxt(temporary, heights_um, delimiter=",", fmt="%.6f", header=head)
 
 
 def _tiles(size_mm: tuple[float, float] | None, tile_um: float) -> tuple[int, int]:

@@ -19,6 +19,7 @@ from nacre.families.contract import is_direct, method_overrides
 from nacre.material.material import Material
 from nacre.optimise.checkpoint import Checkpointer
 from nacre.optimise.evaluation import evaluate, objective, rank
+from nacre.optimise.image.validation import is_hologram
 from nacre.optimise.methods import surrogate
 from nacre.optimise.methods.least_squares import LeastSquaresSearch
 from nacre.optimise.methods.successive_halving import SuccessiveHalvingSearch
@@ -106,7 +107,10 @@ def run(
         raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
     if search is None:
         from nacre.optimise.image.design import design_picture
+        from nacre.optimise.image.hologram import design_hologram
 
+        if is_hologram(task.material, task.parameters):
+            return design_hologram(task, folder, begun)
         return design_picture(task, folder, begun, progress)
     writer = _Writer(task, folder, begun, checkpointer, progress)
     result = search.run(budget_of(task, search, time.monotonic() - begun), writer.update, checkpointer.solutions)

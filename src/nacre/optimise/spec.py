@@ -70,8 +70,14 @@ class TargetEntry(RecipeModel):
     image: str | None = pydantic.Field(
         default=None,
         description="sRGB picture: each pixel is the target colour of its place on the surface, over which one or two "
-        "parameters vary; it is the only target",
+        "parameters vary; it is the only target. With period and turn of a grating as parameters it becomes a hologram "
+        "of one or two pictures",
         examples=["photo.png"],
+    )
+    light_azimuth_deg: Annotated[float, pydantic.Field(ge=-360.0, le=360.0)] = pydantic.Field(
+        default=0.0,
+        description="of a hologram: azimuth of lamp and viewer about the normal, from u towards v",
+        examples=[90],
     )
     hue_deg: Bounds | None = pydantic.Field(
         default=None,
@@ -148,6 +154,9 @@ class LimitsSpec(RecipeModel):
         description="of a picture: number of values, evenly spaced over its bounds, that the process gives each "
         "parameter; colours between them are dithered",
         examples=[8],
+    )
+    dot_um: Annotated[float, pydantic.Field(ge=1.0, le=1000.0)] = pydantic.Field(
+        default=10.0, description="of a hologram: side of a dot", examples=[10]
     )
     within_validity: bool = pydantic.Field(
         default=False,

@@ -17,7 +17,7 @@ from nacre.matter.indices.spec import IndexSpec
 from nacre.measure.colours import recipe_geometries
 from nacre.measure.geometry import Geometry, named_geometries
 from nacre.optimise.evaluation import geometries_of
-from nacre.optimise.image.validation import check_picture_target
+from nacre.optimise.image.validation import HOLOGRAM, check_hologram, check_picture_target, is_hologram
 from nacre.optimise.measurement import check_answers
 from nacre.optimise.parameters import Parameter, read_parameters, values_at
 from nacre.optimise.spec import DesignSpec, LayersSpec
@@ -77,7 +77,7 @@ def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], so
 __all__ = ["check_limits", "total_thickness_nm"]
 
 
-# Reading a target of wants: file or dictionary in, everything checked out.
+# Reading a target: a file or dictionary becomes a checked task.
 
 LAYER_PATHS = ("layers", "substrate")
 OTHER = "other"  # in bounds by material: all that are not named
@@ -142,8 +142,8 @@ def is_design_task(data: Mapping[str, Any]) -> bool:
 
 def is_relief_task(data: Mapping[str, Any]) -> bool:
     """Whether a target file varies the heights of a relief, or has a picture over directions."""
-    free, wants = data.get("parameters"), data.get("target")
-    pictures = isinstance(wants, list) and any(isinstance(want, Mapping) and "directions" in want for want in wants)
+    free, targets = data.get("parameters"), data.get("target")
+    pictures = isinstance(targets, list) and any(isinstance(one, Mapping) and "directions" in one for one in targets)
     return pictures or (isinstance(free, Mapping) and "heights" in free)
 
 
@@ -198,11 +198,25 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
         read_tolerances(spec.tolerance, base, source)
     if spec.limits.within_validity:
         raise RecipeError(f"{source}: limits.within_validity = true applies to heights of reliefs")
+    found = DesignTask(spec, context, base, targets, parameters)
+    if targets[0].image is not None and is_hologram(base, parameters):
+        check_hologram(spec, targets, source)
+        return found
+    turned = next((k for k, entry in enumerate(spec.target) if entry.light_azimuth_deg), None)
+    if turned is not None:
+        raise RecipeError(
+            f"{targets[turned].key}.light_azimuth_deg = {spec.target[turned].light_azimuth_deg:g} applies to holograms "
+            f"of a grating: {HOLOGRAM}"
+        )
     if targets[0].image is not None:
+        if len(targets) > 1:
+            raise RecipeError(
+                f"{targets[1].key}.image: a picture is the only target; remove the other {len(targets) - 1}, or vary "
+                f"{HOLOGRAM}"
+            )
         check_picture_target(spec, base, parameters, source)
     else:
         check_limits(spec, base, parameters, source)
-    found = DesignTask(spec, context, base, targets, parameters)
     _check_geometries(found)
     return found
 
@@ -337,7 +351,7 @@ def _check_geometries(target: DesignTask) -> None:
     for other in substrates(target.spec.layers)[1:] if target.spec.layers else ():
         tried.append(target.material.vary({"substrate": other}))
     rows = geometries_of(target.targets)
-    keys = [next(want.key for want in target.targets if want.geometry == at) + ".geometry" for at in rows]
+    keys = [next(one.key for one in target.targets if one.geometry == at) + ".geometry" for at in rows]
     check_answers(tried, rows, keys)
 
 

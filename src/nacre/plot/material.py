@@ -29,6 +29,7 @@ from nacre.plot.tracks import material_tracks
 KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
     "field", "scattering", "structure", "platelet", "microscope", "ellipsometry", "mueller", "circular",
+    "michel-levy",
 )  # fmt: skip
 SPECTRUM_ANGLES_DEG = (0.0, 30.0, 60.0)
 LOBE_ANGLES_DEG = (10.0, 30.0, 60.0)

@@ -21,8 +21,8 @@ from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Diffracting, Model, Pixels, Traits
 from nacre.families.grating.outlines import outlines
-from nacre.families.grating.tables import MAX_THETA, OrderTables, in_common, order_tables
 from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.periodic.order_tables import MAX_THETA, OrderTables, in_common, order_tables
 from nacre.matter.periodic.orders import Orders, coarse_orders, solve_orders
 from nacre.matter.periodic.slices import COARSE, Wall, sliced
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Shape
@@ -138,6 +138,11 @@ class Grating(Model, Diffracting, Pixels):
             )  # fmt: skip
 
         return [made(k, COARSE) for k in range(len(lam))]
+
+    @property
+    def order_width_rad(self) -> float:
+        """Angular standard deviation of each order."""
+        return self.spread.angle_rad
 
     def diffraction_orders(self, theta_rad: Array, azimuth_rad: float, wavelengths_nm: Array | None) -> Orders:
         """Return the orders for light from an azimuth in the frame of the surface."""

@@ -122,7 +122,8 @@ class HeightOptions:
             )  # fmt: skip
         # x along the rows of the picture, y upward
         heights = found.data["height_um"].T[:, ::-1]
-        return Heights(heights, own, bool(self.periodic), True, tuple(found.assumed))
+        is_periodic = found.metadata.get("is_period", False) if self.periodic is None else self.periodic
+        return Heights(heights, own, is_periodic, True, tuple(found.assumed))
 
     def _check_unit(self, heights: Array, context: RecipeContext) -> None:
         """Refuse numbers of which another unit is far more likely."""

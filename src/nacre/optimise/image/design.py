@@ -20,17 +20,7 @@ from nacre.core.errors import RecipeError
 from nacre.core.files import atomic_path, real, write_text
 from nacre.core.html import png_uri, render_page
 from nacre.families.contract import Pixels
-from nacre.light import (
-    SRGB_WHITE_XYZ,
-    clip_to_srgb,
-    delta_e_2000,
-    lab_to_xyz,
-    srgb_decode,
-    srgb_encode,
-    srgb_linear_to_xyz,
-    xyz_to_lab,
-    xyz_to_srgb_linear,
-)
+from nacre.light import delta_e_2000, lab_to_xyz, xyz_to_lab
 from nacre.material.material import load
 from nacre.optimise.evaluation import SEED_OFFSET, TargetResult
 from nacre.optimise.gamut import colour_chart
@@ -39,6 +29,7 @@ from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, fine_gri
 from nacre.optimise.image.files import ParameterMap, write_maps
 from nacre.optimise.image.matching import blurred, dither, has_same_hue, map_into_solid, match_colours
 from nacre.optimise.image.pixels import write_pixels
+from nacre.optimise.image.rgb import screen_rgb, srgb_lab
 from nacre.optimise.solutions import SUMMARY, Design, DesignProgress, Solution, claim, clear_solutions, write_recipe
 from nacre.optimise.task import DesignTask
 from nacre.optimise.thin_film.adapter import interrupt_flag
@@ -118,17 +109,6 @@ def make_picture(
     ]
     reached = screen_rgb(grid.flat_xyz[points], white)
     return PictureDesign(target.image, reached, distance, is_mapped, keeps_hue, maps, grid, white)
-
-
-def srgb_lab(rgb: Array) -> Array:
-    """Return CIELAB for encoded sRGB `[..., 3]` under its white (D65, 2 degree observer)."""
-    return np.asarray(xyz_to_lab(srgb_linear_to_xyz(srgb_decode(rgb)), SRGB_WHITE_XYZ))
-
-
-def screen_rgb(xyz: Array, white: Array) -> Array:
-    """Return the encoded sRGB with the same CIELAB values as XYZ `[..., 3]` under `white`, clipped to sRGB."""
-    shown = np.clip(lab_to_xyz(xyz_to_lab(xyz, white), SRGB_WHITE_XYZ), 0.0, None)
-    return np.asarray(srgb_encode(clip_to_srgb(xyz_to_srgb_linear(shown)).rgb))
 
 
 def design_picture(

@@ -6,12 +6,38 @@ from collections.abc import Sequence
 from typing import Any
 
 from nacre.core.errors import NacreError, RecipeError
-from nacre.families.contract import Pixels
+from nacre.families.contract import Diffracting, Pixels
 from nacre.material.material import Material
 from nacre.optimise.parameters import Parameter
 from nacre.optimise.spec import DesignSpec
+from nacre.optimise.targets import Target
 
 MAX_PARAMETERS = 2
+PERIOD, TURN = "lattice.period_nm", "orientation.turn_deg"
+HOLOGRAM = f"{PERIOD} and {TURN} together"
+MAX_CHANNELS = 2  # pictures of a hologram
+
+
+def is_hologram(base: Material, parameters: Sequence[Parameter]) -> bool:
+    """Whether a picture is to be made of the turn and the period of a grating."""
+    return isinstance(base.model, Diffracting) and {p.path for p in parameters} == {PERIOD, TURN}
+
+
+def check_hologram(spec: DesignSpec, targets: Sequence[Target], source: str) -> None:
+    """Refuse a target file that no hologram can meet.
+
+    Raises:
+        RecipeError: with the key.
+    """
+    for name in ("layers", "tolerance"):
+        if getattr(spec, name):
+            raise RecipeError(f"{source}: {name} does not apply to a hologram; remove it")
+    if len(targets) > MAX_CHANNELS:
+        raise RecipeError(f"{source}: a hologram of {len(targets)} pictures is not made; allowed: one or two")
+    first = targets[0].image
+    for target in targets[1:]:
+        if target.image is None or first is None or target.image.shape != first.shape:
+            raise RecipeError(f"{target.key}.image is not of the size of the first picture; allowed: equal sizes")
 
 
 def check_picture_target(spec: DesignSpec, base: Material, parameters: Sequence[Parameter], source: str) -> None:
@@ -29,6 +55,8 @@ def check_picture_target(spec: DesignSpec, base: Material, parameters: Sequence[
     if len(parameters) > MAX_PARAMETERS:
         paths = ", ".join(parameter.path for parameter in parameters)
         raise RecipeError(f"{source}: parameters: {len(parameters)} numbers ({paths}); a picture takes one or two")
+    if isinstance(base.model, Diffracting) and any(p.path == TURN for p in parameters):
+        raise RecipeError(f'{source}: parameters."{TURN}" alone makes no picture; allowed: {HOLOGRAM}, for a hologram')
     textures: dict[str, dict[str, Any]] = {}
     for p in parameters:
         where = f'{source}: parameters."{p.path}"'

@@ -38,10 +38,8 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     unit = common.option_unit(path, options) or common.unit_named(units["X"])
     if unit is None:
         raise NacreError(f'{path}: X Units = "{units["X"]}" is no unit of a spectrum')
-    label = common.label_of(units["Y"])
-    if label is None:
-        nm = common.nanometres(table[:, 0], unit)
-        label = common.by_size(path, nm, table[:, 1], notes, f'Y Units = "{units["Y"]}" is not known')
+    nm = common.nanometres(table[:, 0], unit)
+    label = common.named_quantity(path, options, units["Y"], nm, table[:, 1], notes)
     return [
         common.spectrum(
             path, "aster", table[:, 0], table[:, 1], label, options, unit=unit, name=metadata.get("Name", ""),

@@ -50,7 +50,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         )
     metadata = common.key_values([line for line in lines[: place - 1] if line.strip()], ":")
     counts = _counts(names, units, table)
-    label = _label(path, names[-1], units[-1], table, notes)
+    label = common.option_label(path, options) or _label(path, names[-1], units[-1], table, options, notes)
     values = table[:, len(units) - 1]
     if label.quantity == "counts" and {"sample", "dark", "reference"} <= set(counts) and options.quantity is None:
         values = 100.0 * common.ratio(counts["sample"], counts["dark"], counts["reference"])
@@ -84,7 +84,7 @@ def _counts(names: list[str], units: list[str], table: Array) -> dict[str, Array
     return found
 
 
-def _label(path: Path, name: str, unit: str, table: Array, notes: Notes) -> Label:
+def _label(path: Path, name: str, unit: str, table: Array, options: ReadOptions, notes: Notes) -> Label:
     label = common.label_of(name) or common.label_of(unit.strip("[]"))
     is_per_cent = "%" in unit
     if label is not None and label.quantity in ("reflectance", "transmittance"):
@@ -94,4 +94,4 @@ def _label(path: Path, name: str, unit: str, table: Array, notes: Notes) -> Labe
     if is_per_cent:
         notes.assumed.append(f'"{name}" in per cent is a reflectance')
         return Label("reflectance", 0.01)
-    return common.by_size(path, table[:, 0], table[:, -1], notes, f'the column "{name}" [{unit}] is not known')
+    return common.named_quantity(path, options, name, table[:, 0], table[:, -1], notes)

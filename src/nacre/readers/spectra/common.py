@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.text_table import is_japanese
 
 MAX_TEXT_BYTES = 256 << 20
 MAX_METADATA = 40
@@ -118,7 +119,7 @@ def text_of(data: bytes) -> Text:
         try:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
-            text = data.decode("cp932" if b"JASCO" in data[:2000] else "cp1252", errors="replace")
+            text = data.decode("cp932" if b"JASCO" in data[:2000] or is_japanese(data) else "cp1252", errors="replace")
     return Text(_LINE_END.split(text), nul)
 
 
@@ -357,6 +358,21 @@ def by_size(path: Path, nm: Array, values: Array, notes: Notes, what: str, *, li
         return Label(likely, 0.01)
     choices = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])
     raise AmbiguousFileError(f"{path}: {what}, and values up to {size:.4g} do not decide", "quantity", choices)
+
+
+def named_quantity(path: Path, options: ReadOptions, stated: str, nm: Array, values: Array, notes: Notes) -> Label:
+    """Return the quantity that a file states by name; without a name, by size.
+
+    Raises:
+        AmbiguousFileError: the name is not known, and no option states the quantity.
+    """
+    label = option_label(path, options) or label_of(stated)
+    if label is not None:
+        return label
+    if stated.strip():
+        choices = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])
+        raise AmbiguousFileError(f'{path}: "{stated.strip()}" is no known quantity of a spectrum', "quantity", choices)
+    return by_size(path, nm, values, notes, "no quantity")
 
 
 def scale(path: Path, label: Label, nm: Array, values: Array, notes: Notes) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import LIKELY, FileHead
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Label, Notes
@@ -76,8 +76,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     for number, (x, y) in enumerate(_tables(path, data, head), start=1):
         own = Notes(list(notes.assumed))
         found = unit or common.assumed_unit(path, x, own, options)
-        nm = common.nanometres(x, found)
-        label = common.option_label(path, options) or _label(path, head, nm, y, own)
+        label = common.option_label(path, options) or _label(path, head)
         name = head.comment if head.spectra == 1 else str(number)
         spectra.append(
             common.spectrum(
@@ -96,12 +95,13 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     return common.choose(path, spectra, options)
 
 
-def _label(path: Path, head: Head, nm: Array, y: Array, notes: Notes) -> Label:
+def _label(path: Path, head: Head) -> Label:
     label = Y_LABELS.get(head.y_type)
     if label is None and len(head.labels) > 1:
         label = common.label_of(head.labels[1])
     if label is None:
-        return common.by_size(path, nm, y, notes, f"no quantity (type {head.y_type} of the ordinate)")
+        choices = ("reflectance (%)", "reflectance (1)", *common.QUANTITIES[1:])
+        raise AmbiguousFileError(f"{path}: the ordinate has type {head.y_type}, no quantity", "quantity", choices)
     return label
 
 

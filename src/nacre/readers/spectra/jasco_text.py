@@ -49,7 +49,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         if label is None:
             if column > 1:
                 continue  # such as the voltage of the detector
-            label = common.by_size(path, nm, table[:, column], notes, f'YUNITS = "{units}" is not known')
+            label = common.named_quantity(path, options, units, nm, table[:, column], notes)
         spectra.append(
             common.spectrum(
                 path, "jasco-text", table[:, 0], table[:, column], label, options, unit=unit,

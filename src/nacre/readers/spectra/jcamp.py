@@ -137,9 +137,7 @@ def _spectrum(path: Path, block: Block, label: Label | None, options: ReadOption
     label = common.option_label(path, options) or label
     units = block.records.get("YUNITS", "")
     if label is None:
-        if units and not re.search(r"arbitrary", units, re.IGNORECASE):
-            raise NacreError(f'{path}: YUNITS = "{units}" is no quantity of a spectrum; quantity = ... states it')
-        label = common.by_size(path, nm, y, notes, "no YUNITS")
+        label = common.named_quantity(path, options, units, nm, y, notes)
     if label.quantity in ("reflectance", "transmittance") and label.factor is None:
         # JCAMP-DX 4.24, sec. 4.2: TRANSMITTANCE and REFLECTANCE are factors; some programs write per cent
         label = common.Label(label.quantity, 0.01 if common.typical(nm, y) > 2 else 1.0)

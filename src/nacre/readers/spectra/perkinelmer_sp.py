@@ -43,12 +43,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     if (last - first) * interval < 0:
         first, last = last, first
     x = np.linspace(first, last, count)
-    unit, label = common.unit_named(x_label), common.label_of(y_label)
+    unit = common.unit_named(x_label)
     if unit is None:
         raise NacreError(f'{path}: "{x_label}" is no unit of a spectrum')
     notes = Notes()
-    if label is None:
-        label = common.by_size(path, common.nanometres(x, unit), values, notes, f'the unit "{y_label}" is not known')
+    label = common.named_quantity(path, options, y_label, common.nanometres(x, unit), values, notes)
     metadata: dict[str, Any] = {"description": data[4:44].split(b"\0")[0].decode("latin-1").strip()}
     name = _text(members.get(_NAME, b"\0\0"))
     return [

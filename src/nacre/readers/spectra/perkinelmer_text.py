@@ -39,12 +39,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: has no rows of numbers")
     table = common.complete(path, found[0])
     common.check_count(path, stated, len(table), "the preamble")
-    unit, label = common.unit_named(x_label), common.label_of(y_label)
+    unit = common.unit_named(x_label)
     if unit is None:
         raise NacreError(f'{path}: "{x_label}" is no unit of a spectrum')
     notes = Notes()
-    if label is None:
-        label = common.by_size(path, table[:, 0], table[:, 1], notes, f'the unit "{y_label}" is not known')
+    label = common.named_quantity(path, options, y_label, common.nanometres(table[:, 0], unit), table[:, 1], notes)
     return [
         common.spectrum(
             path,

@@ -61,6 +61,8 @@ def _confidence(lines: Sequence[str], block: Block) -> float:
     place = 0 if not names[0] and _is_axis(x) else _axis(names)
     if place is None or place >= block.table.shape[1] or any(_is_other(name) for name in names):
         return 0.0
+    if any(meaning.polarisation or meaning.angle_deg for name in names for meaning in meanings(name)):
+        return 0.0  # the table of the vocabulary reads angles and polarisations
     labels = [common.label_of(name) for name in names[place + 1 :] if name]
     if any(label is not None for label in labels):
         return HEADED
