@@ -168,8 +168,8 @@ def make_report(
     for name, values in parts.items():
         for angle, value in zip((0, 45), values, strict=True):
             totals[f"{name}_{angle}"] = float(value)
-    judged = colour_table("flop", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *geometry.FLOP_LIGHT).lab
-    lightness = {a: lab[0] for a, lab in zip(geometry.ASPECULAR_DEG, judged, strict=True)}
+    flop_lab = colour_table("flop", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *geometry.FLOP_LIGHT).lab
+    lightness = {a: lab[0] for a, lab in zip(geometry.ASPECULAR_DEG, flop_lab, strict=True)}
     return Report(
         name=material.name,
         illuminant=illuminant,

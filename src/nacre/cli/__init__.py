@@ -40,6 +40,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "gamut": ("nacre.cli.design", "Show the colours that parameters can reach."),
     "fabricate": ("nacre.cli.design", "Write the files to make a design or a material."),
     "export": ("nacre.cli.show", "Write a material in another program's format."),
+    "blender": ("nacre.cli.machine", "Write the extension for Blender."),
     "read": ("nacre.cli.read", "Say what a file of an instrument or another program contains."),
     "import": ("nacre.cli.show", "Read a measurement or another program's material into a recipe."),
     "fit": ("nacre.cli.fit", "Fit parameters of a recipe to measurements."),

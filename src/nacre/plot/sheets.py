@@ -84,7 +84,7 @@ class DesignSheet:
 
     Attributes:
         title: over it.
-        swatches: one each want and lamp.
+        swatches: one for each target and lamp.
         wavelengths_nm: `[wavelength]`, of all spectra.
         curves: label -> factor `[wavelength]`.
         wanted: label -> wavelengths and factors `[2, n]` of target spectra.
