@@ -20,6 +20,7 @@ from nacre.analysis.ellipsometry import EllipsometricResponse, compute_ellipsome
 from nacre.analysis.fit import Fit, fit_parameters, read_measurements, run_fit
 from nacre.analysis.import_export import export_material, import_material
 from nacre.analysis.report import Report, make_report
+from nacre.analysis.run_sheet import RunSheet, make_run_sheet
 from nacre.analysis.sweep import run_sweep
 from nacre.analysis.sweep_plan import load_sweep
 from nacre.analysis.texture import Instrument, Texture, measure_texture
@@ -42,6 +43,8 @@ from nacre.material.number_maps import number_maps
 from nacre.matter.drawings import DrawingRequest
 from nacre.matter.periodic.orders import Orders
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
+from nacre.optimise.formulation.formulate import Formulation, write_formulation
+from nacre.optimise.formulation.formulate import formulate as run_formulation
 from nacre.optimise.gamut import Gamut, find_gamut, parse_parameters
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import open_file
@@ -52,11 +55,13 @@ __all__ = [
     "export",
     "fabricate",
     "fit",
+    "formulate",
     "gamut",
     "import_",
     "orders",
     "read",
     "report",
+    "runsheet",
     "spectrum",
     "sweep",
     "diagnose",
@@ -221,6 +226,33 @@ def report(
     return make_report(as_material(thing), illuminant, observer, samples, seed, geometries)
 
 
+def runsheet(
+    thing: MaterialLike,
+    wavelength_nm: float = 550.0,
+    angle_deg: float = 0.0,
+    quantity: str = "reflectance",
+    noise: float = 0.001,
+) -> RunSheet:
+    """Return the optical monitor signal of each layer of a film while it grows, with turning points and stop criteria.
+
+    Args:
+        thing: a material or a path.
+        wavelength_nm, angle_deg: of the monitor light.
+        quantity: "reflectance" or "transmittance" into the substrate.
+        noise: standard deviation of the signal.
+
+    Raises:
+        UnsupportedError: the material has no coherent stack.
+        NacreError: a value is not allowed.
+
+    Example:
+        >>> layer = {"material": {"n": 2.2}, "thickness_nm": 62.5}  # a quarter wave
+        >>> nacre.runsheet({"family": "film", "substrate": {"n": 1.52}, "layers": [layer]}, 550.0).layers[0].stop
+        'turning point'
+    """
+    return make_run_sheet(as_material(thing), wavelength_nm, angle_deg, quantity, noise)
+
+
 def texture(
     thing: MaterialLike,
     *,
@@ -328,6 +360,31 @@ def fit(
         from nacre.analysis.fit_report import write_fit_page
 
         write_fit_page(report, found, measured, numbers)
+    return found
+
+
+def formulate(
+    target: str | Path | Mapping[str, Any],
+    out: str | Path | None = None,
+    progress: Callable[[int, int, float], None] | None = None,
+) -> Formulation:
+    """Match measured colours of an effect paint with pigments and a dye of a library.
+
+    Args:
+        target: TOML file with `library`, `recipe` and `[[target]]`, or a dictionary of these keys.
+        out: folder for the recipes and `formulation.json`; default: nothing is written.
+        progress: called with (done, all, best rms distance in tolerances) in each stage.
+
+    Raises:
+        RecipeError: the file or its library is not valid.
+        UnsupportedError: the paint has no noise-free model.
+        NacreError: the folder cannot be written.
+    """
+    if out is not None and not Path(out).exists():
+        check_writable(out)
+    found = run_formulation(target, progress)
+    if out is not None:
+        write_formulation(found, Path(out))
     return found
 
 

@@ -71,6 +71,7 @@ STUDY_TABLES = (
     "ties",
     "instrument",
     "geometry",
+    "correlation",
 )  # of fits and tolerances; they do not change the optics
 
 
