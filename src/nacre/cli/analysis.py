@@ -250,6 +250,9 @@ def tolerance(
     click.echo("  sensitivities (dE00 of one standard deviation, share of variance):")
     for path, change, share in result.sensitivities:
         click.echo(f"    {path:44s} {change:8.3f}  {100 * share:5.1f} %")
+    click.echo("  contributions of the sources:")
+    for source, change, share in result.contributions:
+        click.echo(f"    {source:44s} {change:8.3f}  {100 * share:5.1f} %")
 
 
 commands: dict[str, click.Command] = {"sweep": sweep, "report": report, "tolerance": tolerance}
