@@ -311,3 +311,24 @@ def test_the_table_of_a_batch_of_designs_is_a_list_of_its_colours(tmp_path: Path
     )
     (row,) = read_colours(tmp_path / "many.csv", 1)
     assert row.name == "#1" and row.lab.tolist() == [[52.0, -30.0, 28.0]]
+
+
+@pytest.mark.parametrize("template", ["Rs_{0},Rp_{0}", "Rs({0}),Rp({0})", "R_s {0},R_p {0}"])
+def test_an_angle_behind_a_polarisation_is_an_angle(tmp_path: Path, template: str) -> None:
+    path = tmp_path / "t.csv"
+    rows = "400,0.10,0.05\n500,0.11,0.06\n600,0.12,0.07\n"
+    path.write_text(f"Wavelength (nm),{template.format(45)}\n{rows}")
+    s, p = open_file(path)
+    assert [s.metadata["polarisation"], p.metadata["polarisation"]] == ["s", "p"]
+    assert s.metadata["angle_of_incidence_deg"] == p.metadata["angle_of_incidence_deg"] == 45.0
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "shift_jis", "utf-16"])
+def test_japanese_headings_are_read_in_their_encodings(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "t.csv"
+    path.write_bytes("波長(nm),反射率(%)\n400,10\n500,11\n600,12\n700,13\n".encode(encoding))
+    (found,) = open_file(path)
+    np.testing.assert_allclose(found.data["reflectance"], [0.10, 0.11, 0.12, 0.13])
+    path.write_bytes("波長,屈折率,消衰係数\n400,1.5,0.1\n500,1.5,0.1\n600,1.4,0.1\n700,1.3,0.1\n".encode(encoding))
+    (found,) = open_file(path)
+    assert found.kind == "constants" and found.data["k"][0] == 0.1

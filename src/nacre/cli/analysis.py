@@ -13,6 +13,7 @@ import click
 
 from nacre.cli import common
 from nacre.core.errors import NacreError
+from nacre.core.jobs import Workers
 
 if TYPE_CHECKING:
     from nacre.analysis.texture import Texture
@@ -37,11 +38,10 @@ def _progress_bar(description: str) -> Any:
 @common.cluster_options
 @common.cache_option
 @common.jobs_option
-def sweep(sweep_file: str, output: str | None, cluster: str | None, security: str | None) -> None:
+def sweep(sweep_file: str, output: str | None, workers: Workers) -> None:
     """Compute a material over many values of its numbers; run again to resume after an interruption."""
     from nacre.analysis.sweep import errors_file, run_sweep
     from nacre.analysis.sweep_plan import load_sweep
-    from nacre.core.jobs import Workers
 
     plan = load_sweep(sweep_file)
     path = Path(output) if output else Path(f"{Path(sweep_file).stem}.zarr")
@@ -51,7 +51,6 @@ def sweep(sweep_file: str, output: str | None, cluster: str | None, security: st
         def show(done: int, failed: int, total: int) -> None:
             bar.update(task, completed=done + failed, info=f"{failed} failed" if failed else "")
 
-        workers = Workers(None, cluster, security)  # --jobs sets the process's default
         finished, failed = run_sweep(plan, path, workers=workers, progress=show, report=common.note)
     common.note(f"{path}: {finished} of {plan.points.count} points" + (f", {failed} failed" if failed else ""))
     if failed:
@@ -203,11 +202,13 @@ def _limits(texts: tuple[str, ...]) -> dict[str, float]:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-o", "output", default=None, metavar="FILE.json", help="Also write the numbers, as JSON.")
 @common.set_option
+@common.cluster_options
 @common.cache_option
 @common.jobs_option
 def tolerance(
     recipe: str, tolerances: tuple[str, ...], draws: int, limit: float, seed: int, illuminant: str,
     geometries: tuple[str, ...], samples: int | None, as_json: bool, output: str | None, changes: tuple[str, ...],
+    workers: Workers,
 ) -> None:  # fmt: skip
     """Compute colour variation, yield and ranked sensitivities from the manufacturing tolerances of RECIPE."""
     from nacre.analysis.tolerance import recipe_tolerances, run_tolerance, tolerance_document
@@ -223,7 +224,7 @@ def tolerance(
         task = bar.add_task("tolerance", total=draws, info="")
         result = run_tolerance(
             material, found, draws=draws, limit=limit, seed=seed, illuminant=illuminant, samples=samples,
-            geometries=geometries,
+            geometries=geometries, workers=workers,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )  # fmt: skip
     document = tolerance_document(result, found)
@@ -249,6 +250,9 @@ def tolerance(
     click.echo("  sensitivities (dE00 of one standard deviation, share of variance):")
     for path, change, share in result.sensitivities:
         click.echo(f"    {path:44s} {change:8.3f}  {100 * share:5.1f} %")
+    click.echo("  contributions of the sources:")
+    for source, change, share in result.contributions:
+        click.echo(f"    {source:44s} {change:8.3f}  {100 * share:5.1f} %")
 
 
 commands: dict[str, click.Command] = {"sweep": sweep, "report": report, "tolerance": tolerance}
