@@ -118,7 +118,7 @@ def spectrum(
 
     Args:
         thing: a recipe, a file or a material.
-        angles_deg: angles of incidence in the ambient medium.
+        angles_deg: incidence angles in the ambient medium.
         wavelengths_nm: vacuum wavelengths; default: chosen by the material.
         polarisation: "s", "p", "both" (unpolarised), "left" or "right" (circular), or "mueller": unpolarised, with
             `mueller_reflected` and `mueller_transmitted`, `[angle, wavelength, 4, 4]`.
@@ -137,7 +137,7 @@ def orders(
     azimuth_deg: float = 0.0,
     wavelengths_nm: ArrayLike | None = None,
 ) -> Orders:
-    """Return the diffraction orders of a grating: efficiencies, Jones matrices and directions.
+    """Return a grating's diffraction orders: efficiencies, Jones matrices and directions.
 
     Args:
         thing: a material, or a path of a recipe, an example's name or a recipe's table.
@@ -182,12 +182,12 @@ def ellipsometry(
 
     Args:
         thing: a material or a path.
-        angles_deg: angles of incidence, above 0 and below 90.
+        angles_deg: incidence angles, above 0 and below 90.
         wavelengths_nm: default: chosen by the material.
         azimuth_deg: azimuth of the direction to the light, from u.
 
     Raises:
-        NacreError: the material has no stack, or an optical constant is not known at a wavelength.
+        NacreError: the material lacks a stack, or an optical constant is not known at a wavelength.
 
     Example:
         >>> wafer = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 2}]}
@@ -274,7 +274,7 @@ def texture(
         seed: of random walks and drawn flakes.
 
     Raises:
-        NacreError: the material has no flakes, or one without `diameter_um`; the instrument is not valid.
+        NacreError: the material lacks flakes, or one lacks `diameter_um`; the instrument is not valid.
     """
     return measure_texture(as_material(thing), instrument, method, illuminant, observer, seed)
 
@@ -551,7 +551,7 @@ def fabricate(
         calibration: CSV of grey value and depth in um, for images, or "published" for the built-in curve; default:
             linear, 65,535 at the top and 0 at the deepest point of this relief. For maps: a CSV of machine setting
             and value (volts, nm), or a table from recipe paths to such files.
-        levels: number of heights of a mask; default: that of the relief, or 16. For maps: number of values.
+        levels: number of heights of a mask; default: that of the relief, or 16. For maps: value count.
         pixels_per_feature: pixels along a feature's side, for images.
         base_um: thickness of an STL's base.
         seed: of random positions; default: the recipe's.

@@ -190,7 +190,7 @@ def _verdict(found: Comparison) -> list[str]:
 
 
 def report_numbers(report: Report) -> list[tuple[str, str]]:
-    """Return the single numbers of a report, with their names and units."""
+    """Return a report's single numbers, with their names and units."""
     rows = [("flop index (Alman)", "-" if report.flop_index is None else f"{report.flop_index:.2f}")]
     rows += [(f"gloss {angle} degrees (GU)", f"{value:.1f}") for angle, value in report.gloss.items()]
     if report.reflection_haze is not None:

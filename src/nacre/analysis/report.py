@@ -245,7 +245,7 @@ def flop_index(lightness_15: float, lightness_45: float, lightness_110: float) -
 
 
 def _selective(material: Material, wavelengths_nm: Array) -> dict[str, SelectiveBand]:
-    """Return the bands of selective reflection by angle of incidence."""
+    """Return the bands of selective reflection by incidence angle."""
     if not isinstance(material.model, Polarised) or not material.model.mixes_polarisations:
         return {}
     spectrum = material.spectrum(np.radians([0.0, 45.0]), wavelengths_nm, "mueller")
@@ -343,7 +343,7 @@ class Comparison:
 def compare(
     report: Report, standard: Report, formula: str = "ciede2000", limits: Mapping[str, float] | None = None
 ) -> Comparison:
-    """Return the colour differences of a report from a standard.
+    """Return a report's colour differences from a standard.
 
     Args:
         formula: key of `nacre.light.colour_differences.FORMULAS`; the standard is the formula's first colour.

@@ -50,7 +50,7 @@ class Evaluator:
     def of(
         cls, material: Material, targets: Sequence[Target], light: LightSpec, seed: int, measured: Measurement | None
     ) -> Evaluator:
-        """Return the evaluator of a material.
+        """Return a material's evaluator.
 
         Args:
             measured: result of its final evaluation.

@@ -77,7 +77,7 @@ def solve(
     """Return the orders of a unit plane wave.
 
     Args:
-        theta_rad: angle of incidence in the cover.
+        theta_rad: incidence angle in the cover.
         phi_rad: azimuth of the transverse part of the incident wave vector.
         tolerance: largest estimated error of an efficiency; default: by method.
         is_strict: raise an error if the tolerance is not reached; otherwise return the best solution.
