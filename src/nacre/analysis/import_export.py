@@ -308,6 +308,8 @@ def _import_film(source: Path, recipe: Path, name: str | None = None) -> list[st
     picture = recipe.with_name(f"{recipe.stem}-thickness.png")
     if film.thickness_map is not None:
         low, high = sorted((film.thickness_map.low_nm, film.thickness_map.high_nm))
+        if not 0.0 <= low <= high < np.inf:
+            raise NacreError(f"{source}: its thickness map runs from {low:g} to {high:g} nm; allowed: 0 and more")
         thickness = low if low == high else {"texture": picture.name, "min": low, "max": high}
     coated: dict[str, Any] = {
         "family": "film", "ambient": "air", "substrate": substrate,

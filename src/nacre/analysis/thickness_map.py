@@ -69,7 +69,7 @@ def fit_thickness_map(material: Material, axis: ParameterAxis) -> ThicknessMapFi
         axis: from `varying_axis`.
 
     Raises:
-        UnsupportedError: the material has no specular part, or is a blend.
+        UnsupportedError: the material lacks a specular part, or is a blend.
     """
     low, high = float(axis.values[0]), float(axis.values[-1])
     values = np.linspace(low, high, VALUES)

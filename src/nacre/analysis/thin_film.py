@@ -46,7 +46,7 @@ def fit_thin_film(material: Material) -> ThinFilmFit:
     """Fit one film to the specular colours of a material.
 
     Raises:
-        UnsupportedError: the material has no specular part, or is a blend.
+        UnsupportedError: the material lacks a specular part, or is a blend.
     """
     bsdf = material.bsdf()
     if any(isinstance(lobe, MaskedLobe) for lobe in bsdf.lobes):

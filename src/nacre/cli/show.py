@@ -17,6 +17,7 @@ from nacre.formats.export_formats import EXPORTS, FOLDERS, export_remarks
 PLOT_KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
     "field", "scattering", "structure", "platelet", "microscope", "ellipsometry", "mueller", "circular",
+    "michel-levy",
 )  # fmt: skip
 STEPS, TRACK_STEPS = {"colour-map": 61, "ribbon": 91, "spectrum": 6}, 11  # for a range without a step
 NO_DIRECTIONS = "is not an .npz file of numbers (wi[N,3], wo[N,3] and, if need be, uv[N,2])"
@@ -158,7 +159,7 @@ def _elements(matrices: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def _csv(
     wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np.ndarray], polarisation: str = "both"
 ) -> str:
-    """Return the table of a spectrum; of polarised light it has a column that says so."""
+    """Return a spectrum's table; of polarised light it has a column that says so."""
     stated = [] if polarisation in ("both", "mueller") else [polarisation]
     lines = [",".join(["wavelength_nm", "angle_deg", *(["polarisation"] if stated else []), *parts])]
     for a, angle in enumerate(angles_deg):

@@ -20,6 +20,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.formats.gltf_pictures import green_channel
+from nacre.formats.materialx_nodes import Document, Number, surfaces
 from nacre.light import srgb_decode
 
 MAX_BYTES = 16 << 20
@@ -251,17 +252,33 @@ def read_materialx(path: str | Path, name: str | None = None) -> ThinFilm:
             # entities can expand to gigabytes and are not part of MaterialX
             raise NacreError(f"{path}: holds a document type declaration, which MaterialX does not use")
         root = ET.fromstring(text)
-        surfaces = [node for node in root.iter() if node.tag in SHADERS]
-        films = [node for node in surfaces if _has_film(node)]
+        followed = [_followed(node, Document(root, path)) for node in surfaces(root, tuple(SHADERS))]
+        films = [(node, numbers) for node, numbers in followed if _has_film(node)]
         if films:
-            names = [node.get("name") or node.tag for node in films]
+            names = [node.get("name") or node.tag for node, _ in films]
             place, remarks = chosen(names, name, path)
-            return _materialx_film(films[place], root.get("colorspace", ""), remarks)
+            return _materialx_film(*films[place], root.get("colorspace", ""), remarks)
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
     except (ET.ParseError, ValueError, UnicodeDecodeError):
         raise NacreError(f"{path}: is not a MaterialX document, or is damaged") from None
     raise NacreError(f"{path}: no {', '.join(SHADERS)} has a thin film")
+
+
+def _followed(node: ET.Element, document: Document) -> tuple[ET.Element, dict[str, Number]]:
+    """Return a shader with values for inputs connected to constants, and its inputs connected to images."""
+    made, images = ET.Element(node.tag, node.attrib), {}
+    for entry in node.findall("input"):
+        attributes = dict(entry.attrib)
+        if entry.get("value") is None:
+            found = document.number(entry) if entry.get("type") == "float" else None
+            text = document.text(entry) if found is None else repr(found.constant) if found.image is None else None
+            if text is not None:
+                attributes["value"] = text
+            elif found is not None:
+                images[str(entry.get("name"))] = found
+        ET.SubElement(made, "input", attributes)
+    return made, images
 
 
 def _has_film(node: ET.Element) -> bool:
@@ -271,9 +288,14 @@ def _has_film(node: ET.Element) -> bool:
     return entry is not None and (entry.get("value") is None or float(entry.get("value", "0")) > 0)
 
 
-def _materialx_film(node: ET.Element, space: str, remarks: list[str]) -> ThinFilm:
+def _materialx_film(node: ET.Element, images: Mapping[str, Number], space: str, remarks: list[str]) -> ThinFilm:
     shader, inputs = SHADERS[node.tag], {str(i.get("name")): i for i in node.findall("input")}
     connected = sorted(name for name, entry in inputs.items() if entry.get("value") is None)
+    key, default = shader.thickness
+    for name in sorted(set(images) & shader.names - {key}):
+        inputs[name] = ET.Element("input", name=name, value=repr(images[name].mean))
+        connected.remove(name)
+        remarks = [*remarks, f"{name} is a texture; its mean, {images[name].mean:.3g}, was taken"]
 
     def number(name: str | None, default: float) -> float:
         entry = inputs.get(name or "")
@@ -286,14 +308,18 @@ def _materialx_film(node: ET.Element, space: str, remarks: list[str]) -> ThinFil
     remarks = [*remarks, *rounded(metal, clear, weight)]
     rgb, said = _colour(inputs.get(shader.colour[0]), shader.colour[1], space)
     remarks += said
-    key, default = shader.thickness
     unit = inputs[key].get("unit", "") if key in inputs else ""
     if key in connected and default == 0.0:
         default = 300.0
     thickness = number(key, default) * (
         LENGTHS_NM.get(unit, shader.film_nm) if key not in connected else shader.film_nm
     )
-    if key in connected:
+    varied = None
+    if key in images:
+        low, high = (shader.film_nm * end for end in images[key].ends)
+        varied, thickness = ThicknessMap(low, high, np.asarray(images[key].image)), shader.film_nm * images[key].mean
+        connected.remove(key)
+    elif key in connected:
         remarks.append(f"{key} is given by a node; {thickness:g} nm was taken")
     not_read = connected + sorted(name for name in inputs if name not in shader.names and name not in connected)
     if metal < 0.5 and clear <= 0 and base > 0 and shader.colour[0] not in not_read:
@@ -305,7 +331,7 @@ def _materialx_film(node: ET.Element, space: str, remarks: list[str]) -> ThinFil
         rgb = (base * rgb[0], base * rgb[1], base * rgb[2])
     return ThinFilm(
         thickness, number(*shader.film_ior), rgb, number(*shader.ior), metal >= 0.5,
-        number(*shader.roughness) ** 2, clear > 0, tuple(not_read), weight, tuple(remarks),
+        number(*shader.roughness) ** 2, clear > 0, tuple(not_read), weight, tuple(remarks), varied,
     )  # fmt: skip
 
 

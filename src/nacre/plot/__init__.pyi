@@ -14,6 +14,7 @@ from .material import save_index as save_index
 from .material import save_material as save_material
 from .polarisation import circular_figure as circular_figure
 from .polarisation import ellipsometry_figure as ellipsometry_figure
+from .polarisation import michel_levy_figure as michel_levy_figure
 from .polarisation import mueller_figure as mueller_figure
 from .sheets import DesignSheet as DesignSheet
 from .sheets import Swatch as Swatch

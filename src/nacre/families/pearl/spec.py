@@ -326,7 +326,7 @@ class GlintsSpec(RecipeModel):
         """Return the glints of the uppermost stratum.
 
         Raises:
-            RecipeError: it has no platelets, or one without a diameter.
+            RecipeError: it lacks platelets, or one lacks a diameter.
         """
         if not upper.flakes:
             raise context.fail("glints.surface_mm", self.surface_mm, "has no effect: strata[0] has no platelets")
