@@ -325,7 +325,8 @@ def test_sweep(both: Both) -> None:
 
 
 @families("film", "pearl", "metasurface", "relief", "blend", "grating")
-@pytest.mark.parametrize("to", sorted(set(EXPORTS) - {"lut"}))  # a folder: tests/exchange/test_lut_files.py
+# folders: tests/exchange/test_lut_files.py, test_three.py
+@pytest.mark.parametrize("to", sorted(set(EXPORTS) - {"lut", "three"}))
 @pytest.mark.render
 def test_export(both: Both, to: str) -> None:
     name = f"x{EXPORTS[to]}"

@@ -219,3 +219,29 @@ def test_the_harmonic_lobe_accepts_read_only_tables_beside_writable_ones() -> No
     frozen = above.copy()
     frozen.flags.writeable = False
     assert np.array_equal(dataclasses.replace(lobe, above=frozen).evaluate(wi, wo), expected)
+
+
+def test_a_compiled_film_has_its_mueller_matrices(tmp_path: Path) -> None:
+    import nacre
+
+    film = {"family": "film", "substrate": 1.5, "layers": [{"material": 2.0, "thickness_nm": 100}]}
+    made = nacre.material(film).bsdf([500.0, 600.0])
+    made.save(tmp_path / "a.nacre")
+    matrices = nacre.load(tmp_path / "a.nacre").bsdf().polarisation()
+    for name in ("reflected", "reflected_inside", "total", "transmitted"):
+        # single precision in the file
+        np.testing.assert_allclose(getattr(matrices, name), getattr(made.polarisation(), name), atol=1e-6)
+    header, arrays = parts(tmp_path / "a.nacre")
+    header["polarisation"]["fields"]["total"] = header["polarisation"]["fields"]["reflected"]["array"]
+    with zipfile.ZipFile(tmp_path / "b.nacre", "w") as zipped:
+        zipped.writestr(HEADER, json.dumps(header))
+        for name, content in arrays.items():
+            zipped.writestr(name, content)
+    with pytest.raises(NacreError):
+        Bsdf.load(tmp_path / "b.nacre")
+
+
+def parts(path: Path) -> tuple[dict, dict[str, bytes]]:
+    with zipfile.ZipFile(path) as zipped:
+        arrays = {name: zipped.read(name) for name in zipped.namelist() if name != HEADER}
+        return json.loads(zipped.read(HEADER)), arrays

@@ -64,3 +64,14 @@ def test_worker_processes_find_the_same_designs_as_one_process(monkeypatch: pyte
     for a, b in zip(one, two, strict=True):
         assert a.changes == b.changes
         assert a.worst.distance == b.worst.distance
+
+
+@pytest.mark.full
+def test_worker_processes_draw_the_same_tolerances_as_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nacre.analysis.tolerance.START_WORKERS_S", 1e-6)
+    layers = [{"material": "TiO2", "thickness_nm": 60}, {"material": "SiO2", "thickness_nm": 90}]
+    film = nacre.material({"family": "film", "substrate": "BK7", "layers": layers})
+    spreads = ["layers[*].thickness_nm=3%"]
+    one, two = (nacre.tolerance(film, spreads, draws=40, workers=Workers(jobs)) for jobs in (1, 2))
+    np.testing.assert_array_equal(one.lab, two.lab)
+    assert one.yield_share == two.yield_share

@@ -67,6 +67,27 @@ def test_another_file_or_other_optics_are_solved_anew(
     assert len(made) == 3
 
 
+def test_mueller_matrices_of_an_anisotropic_film_are_solved_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plate = {"material": {"ordinary": 1.5, "extraordinary": 1.7, "axis_polar_deg": 90}, "thickness_nm": 300}
+    recipe = {"family": "film", "substrate": {"n": 0.2, "k": 3.0}, "layers": [plate]}
+    model = type(nacre.material(recipe).model)
+    made, real = [], model.polarisation
+
+    def counting(self: object, *arguments: object) -> object:
+        made.append(1)
+        return real(self, *arguments)
+
+    monkeypatch.setattr(model, "polarisation", counting)
+    first, second = (nacre.material(recipe).bsdf([500.0, 600.0]).polarisation() for _ in range(2))
+    assert len(made) == 1
+    np.testing.assert_array_equal(first.reflected, second.reflected)
+    assert second.transmitted is None and (second.eta, second.flipped) == (first.eta, first.flipped)
+    (entry,) = folder.glob("*.npz")
+    entry.write_bytes(entry.read_bytes()[:-200])
+    nacre.material(recipe).bsdf([500.0, 600.0]).polarisation()
+    assert len(made) == 2
+
+
 def test_a_damaged_entry_is_solved_anew_and_replaced(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = count_solves(monkeypatch)
     expected = numbers(nacre.material(CACHED))

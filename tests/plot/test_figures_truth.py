@@ -209,3 +209,45 @@ def test_names_of_thin_layers_do_not_cover_each_other() -> None:
     crowded = apart(np.array([0.9, 0.95, 0.96, 0.97]), 0.05)
     assert crowded.max() <= 1.0 + 1e-12 and np.diff(crowded).min() >= 0.05 - 1e-12
     assert np.diff(apart(np.full(40, 0.5), 0.05)).min() > 0.02  # more than there is room for
+
+
+TAPE = {
+    "family": "film",
+    "substrate": "air",
+    "layers": [
+        {"material": {"principal": [1.51, 1.498, 1.496], "euler_deg": [20, 0, 0]}, "thickness_nm": 60_000,
+         "incoherent": True},
+    ],
+    "wavelengths": {"step_nm": 20},
+}  # fmt: skip
+
+
+def test_the_michel_levy_chart_marks_the_retardance_of_a_sheet():
+    figure = plot.material_figure(TAPE, "michel-levy")
+    (mark,) = [line for line in figure.axes[1].lines if line.get_linestyle() == "--"]
+    # birefringence times thickness; the step of the search is 1 nm
+    assert abs(mark.get_xdata()[0] - 0.012 * 60_000) < 2.0
+    own = np.asarray(figure.axes[0].images[0].get_array())[0, 0]
+    chart = np.asarray(figure.axes[1].images[0].get_array())[0]
+    at = chart[int(round(720.0 / plot.polarisation.MICHEL_LEVY_NM * 1000))]
+    np.testing.assert_allclose(own, at, atol=0.08)  # the sheet reflects some 8 % of the light
+
+
+def test_the_michel_levy_chart_is_refused_for_an_opaque_film():
+    with pytest.raises(NacreError):
+        plot.material_figure({"family": "film", "substrate": "Si", "layers": []}, "michel-levy")
+
+
+def test_retardances_and_crossed_polarisers_are_those_of_a_retarder():
+    from nacre.measure.polarisation import crossed_polarisers, retardance_nm
+
+    delta = 2.0 * np.pi * 1234.0 / NM
+    matrices = np.zeros((len(NM), 4, 4))  # fast axis along p
+    matrices[:, 0, 0] = matrices[:, 1, 1] = 1.0
+    matrices[:, 2, 2] = matrices[:, 3, 3] = np.cos(delta)
+    matrices[:, 2, 3], matrices[:, 3, 2] = np.sin(delta), -np.sin(delta)
+    assert abs(retardance_nm(0.9 * matrices, NM) - 1234.0) < 1.0
+    np.testing.assert_allclose(crossed_polarisers(matrices), np.sin(0.5 * delta) ** 2, atol=1e-3)
+    depolarising = np.zeros_like(matrices)
+    depolarising[:, 0, 0] = 1.0
+    assert retardance_nm(depolarising, NM) is None

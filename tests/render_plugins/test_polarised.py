@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -196,6 +197,20 @@ def test_matrices_of_a_birefringent_plate_are_those_of_its_stack(
         np.testing.assert_allclose(
             np.hypot(found[:, 0, 1], found[:, 0, 2]), np.hypot(expected[:, 0, 1], expected[:, 0, 2]), atol=limit
         )
+
+
+def test_a_compiled_film_has_the_matrices_of_its_recipe(polarised: Any, tmp_path: Path) -> None:
+    from nacre.device.bsdf import make_bsdf
+
+    for layers in ([PLATE], [{"material": {"n": 2.0}, "thickness_nm": 90}]):
+        made = nacre.material({"family": "film", "substrate": METAL, "layers": layers}).bsdf(GRID_NM)
+        made.save(tmp_path / "film.nacre")
+        stored = make_bsdf(nacre.load(tmp_path / "film.nacre").bsdf())
+        si = interaction(np.array([0.5, 0.3, np.sqrt(0.66)]))
+        found, expected = (samples(b, si, [0.5] * 3, mi.TransportMode.Radiance)[1] for b in (stored, make_bsdf(made)))
+        # 1e-4: the file has the table of R of the unpolarised lobe
+        np.testing.assert_allclose(found, expected, atol=1e-4)
+        assert abs(found[1:, 1:]).max() > 0.1
 
 
 def test_a_right_handed_helix_reflects_right_circular_light(polarised: Any) -> None:

@@ -350,7 +350,7 @@ class _Problem:
         self._scale = measured.noise_scale(weights)
         self._correction: Array | float = 0.0  # random walk minus surrogate
         self.is_corrected = False
-        self._walked: Array | None = None  # `[seed, value]`, scaled results from independent walks at one point
+        self._walk_means: Array | None = None  # `[seed, value]`, scaled results from independent walks at one point
 
     def values(self, point: Array) -> dict[str, Any]:
         """Return the values of the free and of the tied numbers."""
@@ -412,7 +412,7 @@ class _Problem:
         )
         noisy = not is_direct(self.build(end.point).model) and self._samples is not None
         whole = any(each.is_whole for each in self._free)
-        if method == "linear" or whole or noisy or self._walked is not None or end.loss == 0.0:
+        if method == "linear" or whole or noisy or self._walk_means is not None or end.loss == 0.0:
             return linear
         if method == "auto" and (not self._is_quick() or not ci.is_nonlinear(self.residual, end, widths)):
             return linear
@@ -454,10 +454,10 @@ class _Problem:
 
     def _walk(self, material: Material) -> list[Array]:
         seeds = range(self._seed, self._seed + CORRECTION_SEEDS)
-        walked = [self._measured.model(material, self._samples, seed) for seed in seeds]
-        self._walked = np.stack([(values / self._scale).ravel() for values in walked])
-        self.evaluations += len(walked)
-        return walked
+        estimates = [self._measured.model(material, self._samples, seed) for seed in seeds]
+        self._walk_means = np.stack([(values / self._scale).ravel() for values in estimates])
+        self.evaluations += len(estimates)
+        return estimates
 
     def relative(self, loss: float) -> float:
         """Return the relative rms for a squared sum."""
@@ -587,14 +587,14 @@ class _Problem:
 
     def _walk_variance(self, point: Array, pseudoinverse: Array) -> Array:
         """Return each number's variance, relative to its bounds, due to the random walk seed."""
-        if self._walked is None:
+        if self._walk_means is None:
             material = self.build(point)
             if is_direct(material.model) or not _has_random_walk(material, self._measured.wavelengths_nm):
                 return np.zeros(len(point))
             self._walk(material)
-        assert self._walked is not None
-        moved = np.var(self._walked @ pseudoinverse.T, axis=0, ddof=1)
-        return np.asarray(moved / len(self._walked) if self.is_corrected else moved)
+        assert self._walk_means is not None
+        moved = np.var(self._walk_means @ pseudoinverse.T, axis=0, ddof=1)
+        return np.asarray(moved / len(self._walk_means) if self.is_corrected else moved)
 
 
 def _has_random_walk(material: Material, wavelengths_nm: Array) -> bool:

@@ -14,9 +14,9 @@ from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.files import plain, why_unreadable, write_text
+from nacre.core.files import atomic_path, plain, why_unreadable, write_text
 from nacre.families.contract import OwnFormats
-from nacre.formats.foreign_materials import read_gltf, read_materialx
+from nacre.formats.foreign_materials import ThicknessMap, read_gltf, read_materialx
 from nacre.formats.gonio_csv import MAX_VALUE, GonioData, gonio_data, write_gonio_csv
 from nacre.formats.half_angle_tables import merl_table, read_merl_filled, write_merl
 from nacre.formats.lobes import delta_lost, gonio_grid, is_isotropic, lost_parts, merl_lobe
@@ -49,17 +49,19 @@ def export_material(
     angle_step_deg: float = 10.0,
     wavelength_nm: float | None = None,
     illuminant: str = "D65",
+    mesh: str | Path | None = None,
     progress: Callable[[str], None] = lambda what: None,
 ) -> dict[str, Any]:
     """Write a material in another program's format.
 
     Args:
-        target: "rgl", "merl", "csv", "zemax", "astm", "brdf-json", "speos", "gltf", "materialx", "exr", "nacre",
-            "tmat", or "lut" (a folder).
+        target: "rgl", "merl", "csv", "zemax", "astm", "brdf-json", "speos", "gltf", "materialx", "usd", "exr", "nacre",
+            "tmat", or "lut" or "three" (folders).
         angle_step_deg: step of the direction grid of csv, astm, brdf-json and speos.
         wavelength_nm: for a monochrome zemax file.
-        illuminant: of the colours of lut.
-        progress: called with a description of each step of lut.
+        illuminant: of the colours of lut and three.
+        mesh: of gltf: the object that has the material, a mesh file (.gltf, .glb, .obj, .ply, .stl); default: a sphere.
+        progress: called with a description of each step of lut and three.
 
     Returns:
         facts about the file; `lost` lists the properties that the format cannot hold.
@@ -82,8 +84,12 @@ def export_material(
         return facts | {"lost": writer(path, comment)}
     if target == "lut":
         return facts | _export_table(material, path, illuminant, progress)
-    if target in ("gltf", "materialx"):
-        return facts | _export_film(material, target, path)
+    if target == "three":
+        from nacre.analysis.three import export_three
+
+        return facts | export_three(material, path, illuminant, progress)
+    if target in ("gltf", "materialx", "usd"):
+        return facts | _export_film(material, target, path, None if mesh is None else Path(mesh))
     bsdf = material.bsdf()
     if target in OF_VALUES and any(lobe.is_stochastic for lobe in bsdf.lobes):
         raise UnsupportedError(
@@ -155,23 +161,62 @@ def _export_table(material: Material, folder: Path, illuminant: str, progress: C
     }  # fmt: skip
 
 
-def _export_film(material: Material, target: str, path: Path) -> dict[str, Any]:
+def _export_film(material: Material, target: str, path: Path, mesh: Path | None = None) -> dict[str, Any]:
+    """Write the best-fitting thin film; in glTF on a mesh, with a thickness map if a number varies."""
+    from nacre.analysis.thickness_map import fit_thickness_map, varying_axis
     from nacre.analysis.thin_film import fit_thin_film
 
-    fit = fit_thin_film(material)
-    provenance = {"nacre": __version__, "recipe": material.text, "residual_delta_e_2000": fit.mean_residual}
+    parts = [] if mesh is None else _mesh_parts(mesh)
+    axis = varying_axis(material) if target == "gltf" else None
+    mapped = None if axis is None else fit_thickness_map(material, axis)
+    fit = mapped.fit if mapped else fit_thin_film(material)
+    residual = mapped.mean_residual if mapped else fit.mean_residual
+    film = {key: value for key, value in fit.film.__dict__.items() if key != "thickness_map"}
+    facts = {
+        "film": film, "lost": list(fit.lost), "angles_deg": fit.angles_deg.tolist(),
+        "residual_delta_e_2000": residual, "residual_by_angle": fit.residual.tolist(),
+    }  # fmt: skip
+    if mapped and axis:
+        del facts["residual_by_angle"]
+        facts |= {
+            "lost": [part for part in fit.lost if "texture" not in part],
+            "thickness_map": {
+                "low_nm": mapped.thickness.low_nm, "high_nm": mapped.thickness.high_nm, "number": axis.name,
+                "values": mapped.values.tolist(), "residual_by_value": mapped.residual.tolist(),
+            },
+        }  # fmt: skip
+    provenance = {"nacre": __version__, "recipe": material.text, "residual_delta_e_2000": residual}
+    comment = f"nacre {__version__}, residual dE00 {residual:.2f}"
     if target == "gltf":
-        from nacre.formats.thin_film import write_gltf
+        from nacre.formats.gltf import write_gltf
 
-        write_gltf(path, fit.film, material.name, provenance)
+        write_gltf(path, fit.film, material.name, provenance, parts, mapped.thickness if mapped else None)
+    elif target == "usd":
+        from nacre.formats.thin_film import materialx_document
+        from nacre.formats.usd import write_usd
+
+        write_usd(path, materialx_document(fit.film, material.name), comment)
     else:
         from nacre.formats.thin_film import write_materialx
 
-        write_materialx(path, fit.film, material.name, f"nacre {__version__}, residual dE00 {fit.mean_residual:.2f}")
-    return {
-        "film": dict(fit.film.__dict__), "lost": list(fit.lost), "angles_deg": fit.angles_deg.tolist(),
-        "residual_delta_e_2000": fit.mean_residual, "residual_by_angle": fit.residual.tolist(),
-    }  # fmt: skip
+        write_materialx(path, fit.film, material.name, comment)
+    if mesh is not None:
+        facts["lost"].append("the mesh file's own materials, nodes and animations: its triangles became one object")
+    return facts
+
+
+def _mesh_parts(mesh: Path) -> list[Any]:
+    """Return the triangles of a mesh file, y up.
+
+    Raises:
+        NacreError: the file is missing, damaged, empty or too large.
+    """
+    from nacre.formats.gltf import Part
+    from nacre.picture.scenes.subjects import TO_Z_UP, read_mesh
+
+    read = read_mesh(mesh)
+    turn = TO_Z_UP["y"]
+    return [Part(read.vertices @ turn, read.normals @ turn, read.uv, read.faces)]
 
 
 def import_material(
@@ -259,21 +304,43 @@ def _import_film(source: Path, recipe: Path, name: str | None = None) -> list[st
         remarks.append(f"not carried over: {', '.join(film.not_read)}")
     # slight absorption makes the base of a metal opaque without changing its reflection
     substrate = {"n": base} if film.transmits else {"n": base, "k": 1e-4}
+    thickness: Any = film.thickness_nm
+    picture = recipe.with_name(f"{recipe.stem}-thickness.png")
+    if film.thickness_map is not None:
+        low, high = sorted((film.thickness_map.low_nm, film.thickness_map.high_nm))
+        if not 0.0 <= low <= high < np.inf:
+            raise NacreError(f"{source}: its thickness map runs from {low:g} to {high:g} nm; allowed: 0 and more")
+        thickness = low if low == high else {"texture": picture.name, "min": low, "max": high}
     coated: dict[str, Any] = {
         "family": "film", "ambient": "air", "substrate": substrate,
         "layers": [{"material": {"n": film.film_ior}, "thickness_nm": film.thickness_nm}],
         "surface": {"distribution": "ggx", "roughness": film.roughness},
     }  # fmt: skip
     bare = coated | {"layers": []}
-    data = coated if film.weight == 1.0 else bare if film.weight == 0.0 else {
-        "family": "blend", "mask": film.weight, "first": coated, "second": bare,
+    textured = coated | {"layers": [{"material": {"n": film.film_ior}, "thickness_nm": thickness}]}
+    data = textured if film.weight == 1.0 else bare if film.weight == 0.0 else {
+        "family": "blend", "mask": film.weight, "first": textured, "second": bare,
     }  # fmt: skip
     try:
         material_from_data(coated, RecipeContext("film"))
     except NacreError as error:  # leave no recipe that the next command refuses
         raise NacreError(f"{source}: holds a film that cannot be: {str(error).removeprefix('film: ')}") from None
+    if isinstance(thickness, dict) and film.thickness_map is not None:
+        _write_grey(picture, film.thickness_map)
+        remarks.append(f"the thickness map is {picture.name}, from {thickness['min']:g} to {thickness['max']:g} nm")
     write_text(recipe, dump_toml(data))
     return remarks
+
+
+def _write_grey(path: Path, thickness: ThicknessMap) -> None:
+    """Write a thickness map as a grey picture with 16 bits; white is the thickest."""
+    from nacre.formats.height_fields import GREY, write_png_stream
+
+    unit = np.clip(thickness.image, 0.0, 1.0)
+    unit = 1.0 - unit if thickness.low_nm > thickness.high_nm else unit
+    rows = np.round(65535 * unit).astype(np.uint16)
+    with atomic_path(path) as temporary, open(temporary, "wb") as stream:
+        write_png_stream(stream, rows, (rows.shape[1], rows.shape[0]), GREY, "thickness", level=9)
 
 
 def _import_bsdf(source: Path, options: ReadOptions, law: str | None) -> tuple[TableLobe, list[str]]:

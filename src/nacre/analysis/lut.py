@@ -445,7 +445,9 @@ def _baked(material: Material, bsdf: Bsdf, light: Illuminant, progress: Progress
     if axes:
         (axis,) = axes.values()
         parameter = Parameter(axis.name, float(axis.values[0]), float(axis.values[-1]))
-        pictures["map"] = Picture(_map(axis), f"{axis.name} over uv, from 0 to 1", is_data=True)
+        pictures["map"] = Picture(
+            np.repeat(map_over_uv(axis)[None, ..., None], 3, axis=-1), f"{axis.name} over uv, from 0 to 1", is_data=True
+        )
     if interfaces or mirror is not None:
         progress("the film's interface")
         facets = _bake_interface(interfaces, mirror, to_rgb, pictures, closures, errors)
@@ -498,13 +500,12 @@ def _walk_mirror(bsdf: Bsdf) -> Array | None:
     return found.reflectance if found.reflectance.max() > MIN_REFLECTANCE else None
 
 
-def _map(axis: ParameterAxis) -> Array:
-    """Return a number's map over uv `[1, row, column, 3]`; the first row is v = 0."""
+def map_over_uv(axis: ParameterAxis) -> Array:
+    """Return a number's map over uv `[row, column]`, from 0 to 1; the first row is v = 0."""
     image = axis.texture.image
     rows, columns = (MAP_SIZE, MAP_SIZE) if image is None else np.minimum(image.shape, LARGEST_MAP)
     u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
-    unit = axis.coordinate(axis.texture(np.stack([u, v], axis=-1))) / max(len(axis.values) - 1, 1)
-    return np.repeat(unit[None, ..., None], 3, axis=-1)
+    return axis.coordinate(axis.texture(np.stack([u, v], axis=-1))) / max(len(axis.values) - 1, 1)
 
 
 def _bake_interface(

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from nacre._version import __version__
+from nacre.analysis.texture import Texture
 from nacre.bsdf import Bsdf
 from nacre.bsdf.grids import direction
 from nacre.bsdf.texture import refuse_place
@@ -95,6 +96,7 @@ class Report:
         transmission_haze: ASTM D1003 percentage, None for an opaque material.
         noise: largest standard error of a reflectance factor, 0 without a random walk.
         surface: roughness of a measured surface, such as `sq_um`.
+        texture: sparkle and graininess, if asked for.
         selective: band in which one hand of circular light is reflected, at "0" and "45" degrees, if there is one.
     """
 
@@ -113,6 +115,7 @@ class Report:
     surface: dict[str, float] = field(default_factory=dict)
     selective: dict[str, SelectiveBand] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
+    texture: Texture | None = None
 
     @property
     def tables(self) -> dict[str, ColourTable]:
@@ -165,8 +168,8 @@ def make_report(
     for name, values in parts.items():
         for angle, value in zip((0, 45), values, strict=True):
             totals[f"{name}_{angle}"] = float(value)
-    judged = colour_table("flop", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *geometry.FLOP_LIGHT).lab
-    lightness = {a: lab[0] for a, lab in zip(geometry.ASPECULAR_DEG, judged, strict=True)}
+    flop_lab = colour_table("flop", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *geometry.FLOP_LIGHT).lab
+    lightness = {a: lab[0] for a, lab in zip(geometry.ASPECULAR_DEG, flop_lab, strict=True)}
     return Report(
         name=material.name,
         illuminant=illuminant,
@@ -242,7 +245,7 @@ def flop_index(lightness_15: float, lightness_45: float, lightness_110: float) -
 
 
 def _selective(material: Material, wavelengths_nm: Array) -> dict[str, SelectiveBand]:
-    """Return the bands of selective reflection by angle of incidence."""
+    """Return the bands of selective reflection by incidence angle."""
     if not isinstance(material.model, Polarised) or not material.model.mixes_polarisations:
         return {}
     spectrum = material.spectrum(np.radians([0.0, 45.0]), wavelengths_nm, "mueller")
@@ -320,6 +323,7 @@ class Comparison:
         tables: table name -> differences `[angle]`.
         labels: table name -> names of the geometries `[angle]`.
         limits: geometry -> largest accepted difference; geometries without a limit are not evaluated.
+        standard: file of the standard; "": the first report.
     """
 
     name: str
@@ -327,6 +331,7 @@ class Comparison:
     tables: dict[str, Array]
     labels: dict[str, tuple[str, ...]]
     limits: dict[str, float]
+    standard: str = ""
 
     @property
     def passes(self) -> dict[str, bool]:
@@ -338,7 +343,7 @@ class Comparison:
 def compare(
     report: Report, standard: Report, formula: str = "ciede2000", limits: Mapping[str, float] | None = None
 ) -> Comparison:
-    """Return the colour differences of a report from a standard.
+    """Return a report's colour differences from a standard.
 
     Args:
         formula: key of `nacre.light.colour_differences.FORMULAS`; the standard is the formula's first colour.
@@ -350,6 +355,43 @@ def compare(
     both = {name: (standard.tables[name], table) for name, table in report.tables.items() if name in standard.tables}
     tables = {name: colour_difference(first.lab, second.lab, formula) for name, (first, second) in both.items()}
     labels = {name: second.labels for name, (_, second) in both.items()}
+    return Comparison(report.name, formula, tables, labels, _limits_of(labels, limits))
+
+
+def compare_with_colours(
+    report: Report,
+    colours: Mapping[str, Array],
+    formula: str = "ciede2000",
+    limits: Mapping[str, float] | None = None,
+    standard: str = "colours",
+) -> Comparison:
+    """Return the colour differences of a report from a list of colours.
+
+    Args:
+        colours: geometry of the report -> CIELAB `[3]` of the standard, for the report's illuminant and observer.
+        formula, limits: as for `compare`.
+        standard: name of the list.
+
+    Raises:
+        NacreError: a geometry of the list or of a limit is not in the report, or the formula is unknown.
+    """
+    seen = {label: lab for table in report.tables.values() for label, lab in zip(table.labels, table.lab, strict=True)}
+    for label in colours:
+        if label not in seen:
+            hint = did_you_mean(label, list(seen))
+            raise NacreError(f'{standard}: "{label}" names no geometry of the report.{hint} It has {", ".join(seen)}')
+    first, second = (np.array([table[label] for label in colours], dtype=float) for table in (colours, seen))
+    labels = {"standard": tuple(colours)}
+    differences = {"standard": colour_difference(first, second, formula)}
+    return Comparison(report.name, formula, differences, labels, _limits_of(labels, limits), standard)
+
+
+def _limits_of(labels: Mapping[str, tuple[str, ...]], limits: Mapping[str, float] | None) -> dict[str, float]:
+    """Return the limit of each geometry; "" stands for all others.
+
+    Raises:
+        NacreError: a limit's geometry is in no table.
+    """
     known = [label for row in labels.values() for label in row]
     limits = dict(limits or {})
     for name in limits:
@@ -359,4 +401,4 @@ def compare(
     general = limits.pop("", None)
     if general is not None:
         limits = dict.fromkeys(known, general) | limits
-    return Comparison(report.name, formula, tables, labels, limits)
+    return limits

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from nacre.analysis.report import SPECULAR_ANGLES_DEG
 from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
+from nacre.core.jobs import Workers, run_jobs
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
 from nacre.measure import instruments
@@ -23,6 +25,7 @@ from nacre.recipe.path_tables import by_path, with_options
 MAX_DRAWS = 1_000_000
 SENSITIVITY_STEP = 0.5  # central difference half step, in standard deviations
 LIGHT_DEG = 45.0
+START_WORKERS_S = 10.0  # of remaining work; a worker process takes 2 s to start
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class ToleranceResult:
         limit: dE00 limit for the yield.
         yield_share: draw share within the limit at every angle; `yield_interval`: its 95 % interval.
         sensitivities: (path or group, dE00 per standard deviation at the worst angle, variance share), largest first.
+        contributions: (source, dE00 per standard deviation at the worst angles, variance share) of the causes of one
+            source together, largest first.
         failed: draws that could not be computed; they count as outside the limit.
         clipped: path -> share of draws that were cut off at 0.
     """
@@ -56,6 +61,7 @@ class ToleranceResult:
     failed: int
     clipped: dict[str, float]
     labels: tuple[str, ...] = ()
+    contributions: tuple[tuple[str, float, float], ...] = ()
 
 
 def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tuple[Tolerance, ...]:
@@ -92,6 +98,7 @@ def run_tolerance(
     observer: str = "10deg",
     samples: int | None = None,
     geometries: Sequence[str] = (),
+    workers: Workers | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ToleranceResult:
     """Draw materials within their tolerances and measure their colours.
@@ -105,6 +112,7 @@ def run_tolerance(
         limit: dE00 within which a material passes, at every geometry.
         geometries: "45as15", "specular 0", or names of the recipe's `[[geometry]]`; default: those of the recipe, or
             else the standard angles.
+        workers: processes or cluster that measure the draws of long runs; the result does not depend on them.
         progress: called with (done, total): draws, and two materials per sensitivity.
 
     Raises:
@@ -125,14 +133,14 @@ def run_tolerance(
     values = drawn.values
     lab = np.full((draws, *nominal.shape), np.nan)
     total = draws + 2 * len(causes)
-    make = material.parametrise(values)
-    for i in range(draws):
-        try:
-            lab[i] = measure(make({path: float(v[i]) for path, v in values.items()}))
-        except NacreError:
-            pass  # remains NaN and counts as failed
+    trials = _Trials(material, tuple(values), measure)
+    drawn_values = np.stack(list(values.values()), axis=1)
+    found = run_jobs(_measure_draw, trials, drawn_values, workers, start_workers_s=START_WORKERS_S)
+    for done, (index, colours) in enumerate(found, start=1):
+        if colours is not None:
+            lab[index] = colours  # otherwise it remains NaN and counts as failed
         if progress:
-            progress(i + 1, total)
+            progress(done, total)
     changes = []
     for number, each in enumerate(causes, start=1):
         changes.append(_sensitivity(material, each, measure, nominal))
@@ -153,9 +161,46 @@ def run_tolerance(
         yield_share=good / draws,
         yield_interval=wilson_interval(good, draws),
         sensitivities=tuple((each.name, change, change**2 / variance) for each, change in ranked),
+        contributions=_contributions(causes, changes),
         clipped=drawn.clipped,
         failed=int(np.sum(np.isnan(delta).any(axis=1))),
     )
+
+
+def _contributions(causes: Sequence[Component], changes: Sequence[float]) -> tuple[tuple[str, float, float], ...]:
+    """Return the root of the summed variances of each source, and its share, largest first."""
+    variances: dict[str, float] = {}
+    for cause, change in zip(causes, changes, strict=True):
+        variances[cause.source] = variances.get(cause.source, 0.0) + change**2
+    total = sum(variances.values()) or 1.0
+    found = [(source, float(np.sqrt(variance)), variance / total) for source, variance in variances.items()]
+    return tuple(sorted(found, key=lambda each: -each[1]))
+
+
+@dataclass(frozen=True)
+class _Trials:
+    """Measures materials whose numbers at `paths` are replaced by drawn values."""
+
+    material: Material
+    paths: tuple[str, ...]
+    measure: ColourProbe
+
+    @cached_property
+    def make(self) -> Callable[[Mapping[str, Any]], Material]:
+        """Function from values to materials, compiled once in each process."""
+        return self.material.parametrise(self.paths)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle without the compiled function."""
+        return _Trials, (self.material, self.paths, self.measure)
+
+
+def _measure_draw(trials: _Trials, values: Array) -> Array | None:
+    """Return the colours of one draw; None if it cannot be computed. Runs in a worker."""
+    try:
+        return trials.measure(trials.make(dict(zip(trials.paths, map(float, values), strict=True))))
+    except NacreError:
+        return None
 
 
 class ColourProbe:
@@ -199,7 +244,7 @@ def _sensitivity(material: Material, cause: Component, measure: ColourProbe, nom
     if low == high:
         return 0.0
     # a number that ends at 0 moves by less than the full step
-    step = min((high[t.path] - low[t.path]) / t.standard_deviation for t in cause.tolerances if t.deviation > 0)
+    step = min((high[t.path] - low[t.path]) / t.standard_deviation for t in cause.tolerances if t.deviation != 0)
     below, above = (measure(material.vary(values)) for values in (low, high))
     return float(np.max(delta_e_2000(nominal, nominal + (above - below) / step)))
 
@@ -227,6 +272,10 @@ def tolerance_document(result: ToleranceResult, tolerances: tuple[Tolerance, ...
         "sensitivities": [
             {"path": path, "delta_e_of_one_deviation": change, "share_of_variance": share}
             for path, change, share in result.sensitivities
+        ],
+        "contributions": [
+            {"source": source, "delta_e_of_one_deviation": change, "share_of_variance": share}
+            for source, change, share in result.contributions
         ],
         "tolerances": [each.__dict__ for each in tolerances],
     }

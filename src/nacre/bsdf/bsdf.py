@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.file import describe_lobes, read_lobes, write_lobes
 from nacre.bsdf.lobe import Lobe, SpecularResponse, specular_at
+from nacre.bsdf.polarisation import InterfacePolarisation
 from nacre.core.arrays import Array
 from nacre.recipe.fingerprint import fingerprint
 
@@ -25,12 +26,12 @@ class Bsdf:
         lobes: the terms of the sum, all on the same wavelengths.
         provenance: recipe text, nacre version, seed, notes; stored with every output.
         polarisation: function that tabulates the Mueller matrices of the interface (or returns None), for polarised
-            rendering; not stored in files.
+            rendering.
     """
 
     lobes: tuple[Lobe, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    polarisation: Callable[[], Any] | None = field(default=None, compare=False, repr=False)
+    polarisation: Callable[[], InterfacePolarisation | None] | None = field(default=None, compare=False, repr=False)
 
     def __repr__(self) -> str:
         """Return a short description without the lobes' tables."""
@@ -57,7 +58,7 @@ class Bsdf:
         )
 
     def save(self, path: str | Path, *, is_packed: bool = True) -> None:
-        """Write one `.nacre` file atomically.
+        """Write one `.nacre` file atomically, with the Mueller matrices of an interface that has them.
 
         Args:
             path: file path.
@@ -66,7 +67,8 @@ class Bsdf:
         Raises:
             NacreError: the file cannot be written.
         """
-        write_lobes(path, self.lobes, self.provenance, is_packed)
+        matrices = None if self.polarisation is None else self.polarisation()
+        write_lobes(path, self.lobes, self.provenance, is_packed, matrices)
 
     @classmethod
     def load(cls, path: str | Path) -> Bsdf:
@@ -75,7 +77,8 @@ class Bsdf:
         Raises:
             NacreError: the file is missing, damaged, too large, or has a newer format.
         """
-        return cls(*read_lobes(path))
+        lobes, provenance, matrices = read_lobes(path)
+        return cls(lobes, provenance, None if matrices is None else lambda: matrices)
 
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return the sum of the lobes' non-delta values: `[..., wavelength]`, 1/sr, without the cosine, never NaN."""

@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 
 from nacre._version import __version__
 from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.polarisation import InterfacePolarisation
 from nacre.bsdf.registry import lobe_class
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
-from nacre.bsdf.validate_lobe import check_lobe
+from nacre.bsdf.validate_lobe import check_fields, check_lobe
 from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path, plain, why_unreadable
 from nacre.core.memory import check_memory
@@ -40,21 +41,34 @@ MAX_DEPTH = 12
 PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 DTYPES = ("<f8", "<f4", "<i8", "<i4", "|u1", "|b1", "<c16", "<c8")
 UNITS = {"wavelengths_nm": "nm", "*_nm": "nm", "*_rad": "rad", "bsdf": "1/sr", "power ratios": "1"}
-_PARTS: dict[str, type] = {"interface-response": InterfaceResponse, "parameter-axis": ParameterAxis, "texture": Texture}
+_PARTS: dict[str, type] = {
+    "interface-response": InterfaceResponse,
+    "parameter-axis": ParameterAxis,
+    "texture": Texture,
+    "interface-polarisation": InterfacePolarisation,
+}
 
 
 def write_lobes(
-    path: str | Path, lobes: tuple[Lobe, ...], provenance: Mapping[str, Any], is_packed: bool = True
+    path: str | Path,
+    lobes: tuple[Lobe, ...],
+    provenance: Mapping[str, Any],
+    is_packed: bool = True,
+    polarisation: InterfacePolarisation | None = None,
 ) -> None:
     """Write a Bsdf's lobes and provenance atomically.
 
     Args:
         is_packed: deflate, which makes tables 10 % or more smaller and takes ten times as long.
+        polarisation: Mueller matrices of the interface; stored in single precision.
 
     Raises:
         NacreError: the folder is not writable, or a lobe contains an unsupported value.
     """
     trees, arrays, axes = describe_lobes(lobes, str(path))
+    matrices = None
+    if polarisation is not None:
+        matrices = _encode(polarisation.compact(), "polarisation", arrays, axes, str(path))
     described = {
         name: {
             "shape": list(array.shape),
@@ -72,6 +86,7 @@ def write_lobes(
         "provenance": _plain(provenance),
         "lobes": trees,
         "arrays": described,
+        **({} if matrices is None else {"polarisation": matrices}),
     }
     text = json.dumps(header, indent=1, allow_nan=False)
     with (
@@ -167,8 +182,8 @@ def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
 
-def read_lobes(path: str | Path) -> tuple[tuple[Lobe, ...], Mapping[str, Any]]:
-    """Read a Bsdf's lobes and provenance.
+def read_lobes(path: str | Path) -> tuple[tuple[Lobe, ...], Mapping[str, Any], InterfacePolarisation | None]:
+    """Read a Bsdf's lobes, its provenance, and the Mueller matrices of its interface if the file has them.
 
     Raises:
         NacreError: the file is missing, damaged, too large, of another format or too new.
@@ -186,7 +201,9 @@ def read_lobes(path: str | Path) -> tuple[tuple[Lobe, ...], Mapping[str, Any]]:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
 
 
-def _read(zipped: zipfile.ZipFile, path: Path) -> tuple[tuple[Lobe, ...], Mapping[str, Any]]:
+def _read(
+    zipped: zipfile.ZipFile, path: Path
+) -> tuple[tuple[Lobe, ...], Mapping[str, Any], InterfacePolarisation | None]:
     entries = {entry.filename: entry for entry in zipped.infolist()}
     if HEADER not in entries:
         raise NacreError(f"{path}: is not a .nacre file: it has no {HEADER}")
@@ -219,7 +236,12 @@ def _read(zipped: zipfile.ZipFile, path: Path) -> tuple[tuple[Lobe, ...], Mappin
             if not np.array_equal(lobe.wavelengths_nm, lobes[0].wavelengths_nm):
                 raise ValueError("its lobes have different wavelengths")
         provenance = header.get("provenance")
-        return lobes, provenance if isinstance(provenance, dict) else {}
+        matrices = _decode(header.get("polarisation"), arrays, path, 0)
+        if matrices is not None:
+            check_fields(matrices)
+            if not np.array_equal(matrices.wavelengths_nm, lobes[0].wavelengths_nm):
+                raise ValueError("its Mueller matrices have other wavelengths than its lobes")
+        return lobes, provenance if isinstance(provenance, dict) else {}, matrices
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         reason = " ".join(str(error).split())[:120]
         raise NacreError(f"{path}: its header does not describe a Bsdf: {reason}") from None

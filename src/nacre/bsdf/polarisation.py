@@ -12,6 +12,7 @@ the direction to the light, relative to the azimuthal mean of the first.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,8 +30,10 @@ ANISOTROPIC_TOTAL_NODES = 33
 AZIMUTHS = (8, 16, 32)
 AZIMUTH_ERROR = 0.03  # of an element midway between azimuths, relative to the largest first element
 LEAST_COS = 1e-5  # no wave runs exactly along the surface
+MOST_STORED = 1_000_000  # values in a file
 PROBE_COSINES = np.array([0.35, 0.6, 0.85])
 PROBE_WAVELENGTHS = 8
+REGIONS = ("reflected", "reflected_inside", "total", "transmitted", "transmitted_inside")
 # Stokes components of the frame (s, k x s) from those of (p, s)
 _FRAME = np.array([1.0, -1.0, -1.0, 1.0])
 
@@ -62,6 +65,55 @@ class InterfacePolarisation:
     eta: float
     flipped: bool
     response: InterfaceResponse | None = None
+
+    def __post_init__(self) -> None:
+        """Check the shapes, since tables may come from a file.
+
+        Raises:
+            ValueError: names the inconsistent table.
+        """
+        azimuths, _, waves, elements = self.reflected.shape
+        if waves != len(self.wavelengths_nm) or (azimuths > 1, elements) not in ((False, 4), (True, 16)):
+            raise ValueError(f"reflected has the shape {self.reflected.shape}")
+        for name in REGIONS[1:]:
+            table = getattr(self, name)
+            if table is not None and (table.shape[0], *table.shape[2:]) != (azimuths, waves, elements):
+                raise ValueError(f"{name} has the shape {table.shape}")
+        if not self.eta >= 1.0 or (self.reflected_inside is None) != (self.transmitted is None):
+            raise ValueError("eta or the transmitted part is inconsistent")
+
+    def compact(self) -> InterfacePolarisation:
+        """Return the tables in single precision, as the renderer has them, without the refined powers.
+
+        Tables of isotropic interfaces have every second, fourth or eighth cosine if they are large.
+        """
+        tables = {name: getattr(self, name) for name in REGIONS}
+        size, step = sum(0 if table is None else table.size for table in tables.values()), 1
+        while self.reflected.shape[-1] == 4 and size > step * MOST_STORED and step < 8:
+            step *= 2
+        single = {n: None if table is None else table[:, ::step].astype(np.float32) for n, table in tables.items()}
+        return dataclasses.replace(self, **single, response=None)
+
+    def arrays(self) -> dict[str, Array]:
+        """Return all numbers by name, for `from_arrays`."""
+        tables = {name: getattr(self, name) for name in REGIONS}
+        numbers = np.array([self.eta, float(self.flipped)])
+        return {
+            "wavelengths_nm": self.wavelengths_nm,
+            "numbers": numbers,
+            **{name: table for name, table in tables.items() if table is not None},
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, Array]) -> InterfacePolarisation:
+        """Return the tables that `arrays` describes.
+
+        Raises:
+            ValueError, KeyError: they are damaged.
+        """
+        eta, flipped = arrays["numbers"]
+        tables = {name: arrays.get(name) for name in REGIONS}
+        return cls(arrays["wavelengths_nm"], **tables, eta=float(eta), flipped=bool(flipped))  # type: ignore[arg-type]  # checked there
 
     def refined(self, lobe: Lobe) -> Lobe:
         """Return a lobe with the finer tables of R and T if its own have uniform nodes over angle.

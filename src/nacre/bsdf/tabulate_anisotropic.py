@@ -1,16 +1,18 @@
-"""Interface tables of an anisotropic stack for unpolarised light, as means over the azimuth."""
+"""Interface tables of an anisotropic stack for unpolarised light, over the azimuth or as means over it."""
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 
 import numpy as np
 
 from nacre.bsdf.response import InterfaceResponse
-from nacre.bsdf.tabulate import StackTables
+from nacre.bsdf.tabulate import COLOUR_ERROR, StackTables, reflected_lab
 from nacre.bsdf.texture import ParameterAxis
 from nacre.core.arrays import Array
+from nacre.light import delta_e_2000
 from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack.stack import Medium, Stack, permittivity_of
 
@@ -23,6 +25,9 @@ AZIMUTH_ERROR = 4e-3  # of the mean reflectance, by the next count
 CHECKED_COSINES = (np.array([12.0, 30.0, 47.0]) + 0.5) / 64  # midway between nodes
 PROBE_COSINES = np.array([0.8, 0.45])
 PROBE_WAVELENGTHS = 12
+MOST_THETA, BESIDE_GRAZING = 0.5 * np.pi - 1e-6, 1e-10  # no wave runs exactly along the surface
+PROBED_AZIMUTHS = 4  # in half a turn
+LEAST_AZIMUTHS, MOST_AZIMUTHS = 8, 32  # with 32, cos(2 phi) is wrong by at most 0.02 of the amplitude
 
 
 class AnisotropicTables(StackTables):
@@ -45,10 +50,11 @@ class AnisotropicTables(StackTables):
         self.stack = stack
         self._absorbs_nothing = all(_is_lossless(layer.material, lam) for layer in stack.layers)
         self.azimuths_rad = self._azimuths() if depends_on_azimuth else np.zeros(1)
+        self._azimuths_inside = self.azimuths_rad
 
     def outside(self, thicknesses_nm: Array, cos_outside: Array) -> tuple[Array, Array]:
         """Return R and T `[*params, cos, wavelength]` for light in the rarer medium."""
-        theta = np.arccos(np.clip(cos_outside, 0.0, 1.0))
+        theta = np.minimum(np.arccos(np.clip(cos_outside, 0.0, 1.0)), MOST_THETA)
         shape = (*thicknesses_nm.shape[:-1], len(theta), len(self.wavelengths_nm))
         rows = thicknesses_nm.reshape(math.prod(thicknesses_nm.shape[:-1]), thicknesses_nm.shape[-1])
         found = [self._mean(self.lit(row, from_above=not self.flipped), theta) for row in rows]
@@ -58,9 +64,12 @@ class AnisotropicTables(StackTables):
     def inside(self, thicknesses_nm: Array, in_plane: Array) -> tuple[Array, Array]:
         """Return R and T `[*params, angle, wavelength]` in the denser medium, at kx/k0 `[angle, wavelength]`."""
         rows = thicknesses_nm.reshape(math.prod(thicknesses_nm.shape[:-1]), thicknesses_nm.shape[-1])
-        dense = (self.n[0] if self.flipped else self.n[-1]).real
-        theta = np.arcsin(np.clip(in_plane / dense, 0.0, 1.0))
-        found = [self._mean(self.lit(row, from_above=self.flipped), theta) for row in rows]
+        rare, dense = (self.n[-1], self.n[0]) if self.flipped else (self.n[0], self.n[-1])
+        rare, dense = rare.real, dense.real
+        in_plane = np.where(np.abs(in_plane / rare - 1.0) < BESIDE_GRAZING, rare * (1.0 + BESIDE_GRAZING), in_plane)
+        theta = np.minimum(np.arcsin(np.clip(in_plane / dense, 0.0, 1.0)), MOST_THETA)
+        stack_of = [self.lit(row, from_above=self.flipped) for row in rows]
+        found = [self._mean(stack, theta, self._azimuths_inside) for stack in stack_of]
         shape = (*thicknesses_nm.shape[:-1], *in_plane.shape)
         return np.reshape([one[0] for one in found], shape), np.reshape([one[1] for one in found], shape)
 
@@ -98,13 +107,62 @@ class AnisotropicTables(StackTables):
         reflected = np.mean([one.mueller_reflected[..., 0, 0] for one in found], axis=0)
         return reflected, np.mean([one.entering[..., 0] for one in found], axis=0)
 
+    def varies_visibly(self, thicknesses_nm: Array) -> bool:
+        """Whether the colour of the reflected light at some azimuth differs from that of the mean by dE00 0.5."""
+        if len(self.azimuths_rad) == 1:
+            return False
+        stack, theta = self.lit(thicknesses_nm, from_above=not self.flipped), np.arccos(PROBE_COSINES)
+        azimuths = np.linspace(0.0, np.pi, PROBED_AZIMUTHS, endpoint=False)
+        found = np.stack([self._mean(stack, theta, np.array([a]))[0] for a in azimuths])
+        each, mean = (reflected_lab(r, self.wavelengths_nm) for r in (found, found.mean(axis=0)))
+        return bool(np.max(delta_e_2000(each, np.broadcast_to(mean, each.shape))) > COLOUR_ERROR)
+
+    def over_azimuth(self, thicknesses_nm: Array) -> InterfaceResponse:
+        """Tabulate with the azimuth as a leading axis, as `AlignedSpecular` has it.
+
+        Uniform azimuths from 0 to 2 pi, both included, halved until the colour of the reflected light midway between
+        them is exact to dE00 0.5 at a few angles, or there are `MOST_AZIMUTHS` intervals.
+
+        Args:
+            thicknesses_nm: `[layer]`.
+        """
+        d = np.asarray(thicknesses_nm, dtype=float)
+        stack, theta = self.lit(d, from_above=not self.flipped), np.arccos(PROBE_COSINES)
+        count = LEAST_AZIMUTHS
+        while count < MOST_AZIMUTHS:
+            at = np.linspace(0.0, np.pi, count + 1)  # nodes and the middles between them, in half a turn
+            found = np.stack([self._mean(stack, theta, np.array([a]))[0] for a in at])
+            between = 0.5 * (found[:-2:2] + found[2::2])
+            exact, linear = (reflected_lab(r, self.wavelengths_nm) for r in (found[1::2], between))
+            if float(np.max(delta_e_2000(linear, exact))) < COLOUR_ERROR:
+                break
+            count *= 2
+        turn = count // 2 if self._is_even else count
+        parts = [self._at_azimuth(a).build(d, self.cos_nodes) for a in 2.0 * np.pi * np.arange(turn) / count]
+        parts = [*parts * (count // turn), parts[0]]
+        names = ("reflectance", "transmittance", "reflectance_inside", "total")
+        return dataclasses.replace(parts[0], **{name: np.stack([getattr(p, name) for p in parts]) for name in names})
+
+    def _at_azimuth(self, azimuth: float) -> AnisotropicTables:
+        """Return the tables of one azimuth of the light outside; light from inside leaves towards it.
+
+        A stack lit from below is turned about u, which reverses the azimuth.
+        """
+        one = copy.copy(self)
+        one.azimuths_rad, one._azimuths_inside = np.array([azimuth]), np.array([-(azimuth + np.pi)])
+        return one
+
+    @property
+    def _is_even(self) -> bool:
+        """Whether opposite azimuths are equal: reflection by reciprocity, transmission then only without losses."""
+        return self._absorbs_nothing or not self.transmits
+
     def _azimuths(self) -> Array:
         """Return azimuths enough for the mean reflectance."""
         waves = self.wavelengths_nm
         self.wavelengths_nm = waves[:: max(len(waves) // PROBE_WAVELENGTHS, 1)]
         theta, before = np.arccos(PROBE_COSINES), None
-        # reflection from opposite azimuths is equal by reciprocity, and so is transmission without losses
-        period = np.pi if self._absorbs_nothing or not self.transmits else 2.0 * np.pi
+        period = np.pi if self._is_even else 2.0 * np.pi
         stack = self.lit(self.stack.thicknesses_nm, from_above=not self.flipped)
         for count in AZIMUTHS:
             azimuths = np.linspace(0.0, period, count, endpoint=False) + 0.25 * np.pi

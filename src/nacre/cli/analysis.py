@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from nacre.cli import common
 from nacre.core.errors import NacreError
+from nacre.core.jobs import Workers
+
+if TYPE_CHECKING:
+    from nacre.analysis.texture import Texture
+    from nacre.material.material import Material
 
 
 def _progress_bar(description: str) -> Any:
@@ -31,11 +38,10 @@ def _progress_bar(description: str) -> Any:
 @common.cluster_options
 @common.cache_option
 @common.jobs_option
-def sweep(sweep_file: str, output: str | None, cluster: str | None, security: str | None) -> None:
+def sweep(sweep_file: str, output: str | None, workers: Workers) -> None:
     """Compute a material over many values of its numbers; run again to resume after an interruption."""
     from nacre.analysis.sweep import errors_file, run_sweep
     from nacre.analysis.sweep_plan import load_sweep
-    from nacre.core.jobs import Workers
 
     plan = load_sweep(sweep_file)
     path = Path(output) if output else Path(f"{Path(sweep_file).stem}.zarr")
@@ -45,7 +51,6 @@ def sweep(sweep_file: str, output: str | None, cluster: str | None, security: st
         def show(done: int, failed: int, total: int) -> None:
             bar.update(task, completed=done + failed, info=f"{failed} failed" if failed else "")
 
-        workers = Workers(None, cluster, security)  # --jobs sets the process's default
         finished, failed = run_sweep(plan, path, workers=workers, progress=show, report=common.note)
     common.note(f"{path}: {finished} of {plan.points.count} points" + (f", {failed} failed" if failed else ""))
     if failed:
@@ -70,6 +75,19 @@ def sweep(sweep_file: str, output: str | None, cluster: str | None, security: st
     "--tolerance", "limits", multiple=True, metavar="[GEOMETRY=]VALUE",
     help="Largest accepted difference, such as 1.0 or 45as15=1.5; the report then states pass or fail.",
 )  # fmt: skip
+@click.option(
+    "--standard", default=None, metavar="COLOURS.csv",
+    help="List of colours as the standard of one recipe, in place of a first recipe: geometry, L*, a*, b*.",
+)  # fmt: skip
+@click.option("--texture", "has_texture", is_flag=True, help="Add sparkle and graininess of a coating with flakes.")
+@click.option(
+    "--texture-patch", "patch", default=None, metavar="FILE.png",
+    help="Compute them from drawn flakes, and write the camera's pictures.",
+)  # fmt: skip
+@click.option(
+    "--instrument", default=None, metavar="FILE.toml",
+    help="Lamp, camera, threshold and calibration of sparkle and graininess.",
+)  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-o", "output", default=None, metavar="FILE.txt|.json|.html", help="Write it there, not to stdout.")
 @common.set_option
@@ -77,27 +95,29 @@ def sweep(sweep_file: str, output: str | None, cluster: str | None, security: st
 @common.jobs_option
 def report(
     recipes: tuple[str, ...], illuminant: str, observer: str, samples: int | None, seed: int,
-    geometries: tuple[str, ...], formula: str, limits: tuple[str, ...], as_json: bool,
-    output: str | None, changes: tuple[str, ...],
+    geometries: tuple[str, ...], formula: str, limits: tuple[str, ...], standard: str | None, has_texture: bool,
+    patch: str | None, instrument: str | None, as_json: bool, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Report colour, flop, gloss, haze and totals of one RECIPE, or of two side by side."""
     from nacre.analysis.html_report import dump_json, report_html, report_text
-    from nacre.analysis.report import compare, make_report, read_geometries
+    from nacre.analysis.report import compare, compare_with_colours, make_report, read_geometries
     from nacre.core.files import check_writable, write_text
     from nacre.core.parallel import on_progress
 
     if len(recipes) > 2:
         raise NacreError(f"report takes one recipe or two, not {len(recipes)}")
-    if limits and len(recipes) < 2:
-        raise NacreError("--tolerance compares two recipes; the first is the standard")
+    colours = _standard(standard, recipes, limits, (illuminant, observer))
     read_geometries(geometries)
+    geometries = _with_standard(geometries, colours)
     allowed = _limits(limits)
+    add_texture = _texture(has_texture, patch, instrument, illuminant, observer, seed)
     if output:
         if Path(output).suffix not in (".txt", ".json", ".html"):
             raise NacreError(f"-o {output}: the suffix must be .txt, .json or .html")
         check_writable(output)
     materials = [common.load_material(recipe, changes) for recipe in recipes]
     reports = []
+    textures = [add_texture(material) for material in materials]  # refuses a material without flakes early
     with _progress_bar("report") as bar:
         # the bar appears only for families that report their wavelengths
         for number, material in enumerate(materials, start=1):
@@ -108,7 +128,15 @@ def report(
 
             with on_progress(show):
                 reports.append(make_report(material, illuminant, observer, samples, seed, geometries))
+    reports = [replace(each, texture=texture) for each, texture in zip(reports, textures, strict=True)]
     comparisons = [compare(each, reports[0], formula, allowed) for each in reports[1:]]
+    if colours is not None:
+        comparisons = [compare_with_colours(reports[0], colours, formula, allowed, str(standard))]
+    if patch:
+        from nacre.plot import save_figure, texture_figure
+
+        save_figure(texture_figure([(each.name, each.pictures) for each in textures if each is not None]), patch)
+        common.note(patch)
     if output:
         if output.endswith(".html"):
             from nacre.analysis.html_report import figures
@@ -122,6 +150,61 @@ def report(
         click.echo(dump_json(reports, comparisons), nl=False)
     elif not output:
         click.echo(report_text(reports, comparisons), nl=False)
+
+
+def _texture(
+    is_asked: bool, patch: str | None, instrument: str | None, illuminant: str, observer: str, seed: int
+) -> Callable[[Material], Texture | None]:
+    """Return the function that computes a material's texture, or None without being asked."""
+    from nacre.analysis.texture import measure_texture, read_instrument
+    from nacre.core.files import check_writable
+
+    if instrument and not (is_asked or patch):
+        raise NacreError("--instrument needs --texture")
+    if patch is not None:
+        if Path(patch).suffix.lower() not in (".png", ".pdf", ".svg"):
+            raise NacreError(f"--texture-patch {patch}: the suffix must be .png, .pdf or .svg")
+        check_writable(patch)
+    tool = read_instrument(instrument)
+    method = "patch" if patch else "statistics"
+
+    def add(material: Material) -> Texture | None:
+        if not (is_asked or patch):
+            return None
+        return measure_texture(material, tool, method, illuminant, observer, seed)
+
+    return add
+
+
+def _standard(
+    path: str | None, recipes: tuple[str, ...], limits: tuple[str, ...], light: tuple[str, str]
+) -> dict[str, Any] | None:
+    """Return geometry -> CIELAB of a list, or None without one."""
+    if path is None:
+        if limits and len(recipes) < 2:
+            raise NacreError("--tolerance compares two recipes, or one with --standard; the first is the standard")
+        return None
+    from nacre.optimise.colour_list import read_colours
+
+    if len(recipes) > 1:
+        raise NacreError("--standard is compared with one recipe")
+    rows = read_colours(path, 1, light)
+    names = [row.name for row in rows]
+    for name in names:
+        if not name or names.count(name) > 1:
+            raise NacreError(f'{path}: each row needs its own geometry, such as 45as15; got "{name}"')
+    return {row.name: row.lab[0] for row in rows}
+
+
+def _with_standard(geometries: tuple[str, ...], colours: dict[str, Any] | None) -> tuple[str, ...]:
+    """Return the further geometries with those of a standard that no report has by itself."""
+    from nacre.measure.geometry import Geometry
+    from nacre.measure.instruments import ASPECULAR_DEG
+
+    named = [text.rpartition("=")[0] or text for text in geometries]
+    usual = [str(Geometry("aspecular", 45.0, angle)) for angle in ASPECULAR_DEG]
+    new = [label for label in colours or () if "as" in label and label not in (*usual, *named) and label[0].isdigit()]
+    return (*geometries, *new)
 
 
 def _limits(texts: tuple[str, ...]) -> dict[str, float]:
@@ -156,11 +239,13 @@ def _limits(texts: tuple[str, ...]) -> dict[str, float]:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-o", "output", default=None, metavar="FILE.json", help="Also write the numbers, as JSON.")
 @common.set_option
+@common.cluster_options
 @common.cache_option
 @common.jobs_option
 def tolerance(
     recipe: str, tolerances: tuple[str, ...], draws: int, limit: float, seed: int, illuminant: str,
     geometries: tuple[str, ...], samples: int | None, as_json: bool, output: str | None, changes: tuple[str, ...],
+    workers: Workers,
 ) -> None:  # fmt: skip
     """Compute colour variation, yield and ranked sensitivities from the manufacturing tolerances of RECIPE."""
     from nacre.analysis.tolerance import recipe_tolerances, run_tolerance, tolerance_document
@@ -176,7 +261,7 @@ def tolerance(
         task = bar.add_task("tolerance", total=draws, info="")
         result = run_tolerance(
             material, found, draws=draws, limit=limit, seed=seed, illuminant=illuminant, samples=samples,
-            geometries=geometries,
+            geometries=geometries, workers=workers,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )  # fmt: skip
     document = tolerance_document(result, found)
@@ -202,6 +287,9 @@ def tolerance(
     click.echo("  sensitivities (dE00 of one standard deviation, share of variance):")
     for path, change, share in result.sensitivities:
         click.echo(f"    {path:44s} {change:8.3f}  {100 * share:5.1f} %")
+    click.echo("  contributions of the sources:")
+    for source, change, share in result.contributions:
+        click.echo(f"    {source:44s} {change:8.3f}  {100 * share:5.1f} %")
 
 
 commands: dict[str, click.Command] = {"sweep": sweep, "report": report, "tolerance": tolerance}

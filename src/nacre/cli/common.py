@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import functools
 import io
 import math
 import os
@@ -99,20 +100,35 @@ def jobs_option(function: F) -> F:
     """Add `--jobs N`, which takes effect before numeric libraries are imported."""
     return click.option(
         "--jobs", type=int, metavar="N", is_eager=True, expose_value=False, callback=_jobs_callback,
-        help="Threads, or processes of a sweep; default: all cores.",
+        help="Threads, or processes of sweeps, tolerances and batches; default: all cores.",
     )(function)  # fmt: skip
 
 
-def cluster_options(function: F) -> F:
-    """Add `--cluster ADDRESS` and `--security FILE`; with `--jobs N` they choose where a command's work runs."""
-    for option in (
-        click.option("--security", default=None, metavar="FILE.toml",
-                     help="For a tls:// cluster: names the PEM files ca, cert and key."),
-        click.option("--cluster", default=None, metavar="tls://HOST:PORT",
-                     help="Compute on the workers of this Dask scheduler, not in processes of this machine."),
-    ):  # fmt: skip
-        function = option(function)
-    return function
+def cluster_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Add `--cluster ADDRESS` and `--security FILE`; the command gets them as `workers`.
+
+    `--jobs N` sets the number of worker processes of this machine.
+    """
+
+    @click.option(
+        "--cluster",
+        default=None,
+        metavar="tls://HOST:PORT",
+        help="Compute on the workers of this Dask scheduler, not in processes of this machine.",
+    )
+    @click.option(
+        "--security",
+        default=None,
+        metavar="FILE.toml",
+        help="For a tls:// cluster: names the PEM files ca, cert and key.",
+    )
+    @functools.wraps(function)
+    def command(*args: Any, cluster: str | None, security: str | None, **options: Any) -> None:
+        from nacre.core.jobs import Workers
+
+        function(*args, workers=Workers(None, cluster, security), **options)  # --jobs sets the process's default
+
+    return command  # fmt: skip
 
 
 def _no_cache_callback(ctx: click.Context, param: click.Parameter, value: bool) -> None:
@@ -225,7 +241,7 @@ def hold_closed_streams() -> None:
 
 
 def words(text: str | None) -> tuple[str, ...]:
-    """Return the words of an option, delimited by commas."""
+    """Return an option's words, delimited by commas."""
     return tuple(word.strip() for word in text.split(",")) if text else ()
 
 

@@ -34,8 +34,7 @@ TARGETS = ("png16", "tiff16", "stl", "gds", "oas", "csv", "npy", "sheet")
 @common.cache_option
 @common.jobs_option
 def design(
-    target: str, output: str | None, resume: bool, labs: str | None, as_json: bool, cluster: str | None,
-    security: str | None,
+    target: str, output: str | None, resume: bool, labs: str | None, as_json: bool, workers: Workers
 ) -> None:  # fmt: skip
     """Find a structure with the appearance of TARGET; the best solution so far is always on disk.
 
@@ -52,9 +51,9 @@ def design(
     if not folder.exists():
         check_writable(folder)
     if labs is not None:
-        _design_many(target, labs, folder, resume, as_json, Workers(None, cluster, security))
+        _design_many(target, labs, folder, resume, as_json, workers)
         return
-    if cluster is not None or security is not None:
+    if workers.cluster is not None or workers.security is not None:
         raise NacreError("--cluster: one design runs on this machine; a cluster serves --many")
     jobs = os.environ.get("NACRE_JOBS")
     with _Screen() as screen:
@@ -69,7 +68,7 @@ def design(
         raise KeyboardInterrupt
 
 
-def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bool, workers: Any) -> None:
+def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bool, workers: Workers) -> None:
     """Design for each row of a CSV and print the results."""
     from nacre.material.examples import resolve_recipe_path
     from nacre.optimise.batch import SUMMARY, TABLE, design_batch

@@ -188,4 +188,21 @@ def _terminal_width() -> int:
         return 120
 
 
-commands = {"doctor": doctor, "indices": indices, "cache": cache, "examples": examples}
+@click.command()
+@click.argument("recipes", metavar="[RECIPE]...", nargs=-1)
+@click.option("-o", "output", default="nacre-blender.zip", show_default=True, metavar="FILE.zip", help="The extension.")
+def blender(recipes: tuple[str, ...], output: str) -> None:
+    """Write the extension for Blender 4.2 and newer.
+
+    In Blender: Preferences, Get Extensions, Install from Disk. Each RECIPE is solved now and comes with the
+    extension, for machines without nacre.
+    """
+    from nacre.core.files import check_writable
+    from nacre.studio.blender import write_extension
+
+    check_writable(output)
+    write_extension(Path(output), recipes, lambda event: common.note(event["what"]))
+    common.note(output)
+
+
+commands = {"doctor": doctor, "indices": indices, "cache": cache, "examples": examples, "blender": blender}

@@ -109,7 +109,7 @@ SCENES = (
 @common.jobs_option
 def render(
     recipe: str, animate: str | None, frames: int, output: str | None, changes: tuple[str, ...], exposure: str,
-    **looks: Any,
+    **settings: Any,
 ) -> None:  # fmt: skip
     """Render a material on an object."""
     from nacre.core.files import check_writable, short_name
@@ -122,15 +122,15 @@ def render(
         what = "an animation" if animate else "a picture"
         raise NacreError(f"-o {path}: {what} is written as {', '.join(suffixes[:-1])} or {suffixes[-1]}")
     check_writable(path)
-    if looks["light_layers"] and path.suffix.lower() != ".exr":
+    if settings["light_layers"] and path.suffix.lower() != ".exr":
         raise NacreError(f"-o {path}: --light-layers are layers of an EXR; write .exr")
-    if looks["tone"] != "srgb" and path.suffix.lower() == ".exr":
+    if settings["tone"] != "srgb" and path.suffix.lower() == ".exr":
         raise NacreError(f"-o {path}: --tone is for pictures in sRGB; an EXR holds the light itself, without a curve")
-    if looks["layers"] and (animate or path.suffix.lower() != ".exr"):
-        raise NacreError(f"-o {path}: --layers {looks['layers']} are layers of an EXR; write .exr")
+    if settings["layers"] and (animate or path.suffix.lower() != ".exr"):
+        raise NacreError(f"-o {path}: --layers {settings['layers']} are layers of an EXR; write .exr")
     if animate:
-        del looks["light_layers"], looks["layers"]
-    options: dict[str, Any] = {**looks, "exposure": _exposure(exposure)}
+        del settings["light_layers"], settings["layers"]
+    options: dict[str, Any] = {**settings, "exposure": _exposure(exposure)}
     with leaving_at_once(STATUS_INTERRUPTED, STOPPED):
         _render(common.load_material(recipe, changes), path, animate, frames, options)
 

@@ -12,11 +12,12 @@ import numpy as np
 
 from nacre.cli import common
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.formats.export_formats import EXPORTS, FOLDER, export_remarks
+from nacre.formats.export_formats import EXPORTS, FOLDERS, export_remarks
 
 PLOT_KINDS = (
     "spectrum", "ribbon", "colour-map", "slice", "lobe", "chromaticity", "tracks",
     "field", "scattering", "structure", "platelet", "microscope", "ellipsometry", "mueller", "circular",
+    "michel-levy",
 )  # fmt: skip
 STEPS, TRACK_STEPS = {"colour-map": 61, "ribbon": 91, "spectrum": 6}, 11  # for a range without a step
 NO_DIRECTIONS = "is not an .npz file of numbers (wi[N,3], wo[N,3] and, if need be, uv[N,2])"
@@ -158,7 +159,7 @@ def _elements(matrices: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def _csv(
     wavelengths_nm: np.ndarray, angles_deg: np.ndarray, parts: dict[str, np.ndarray], polarisation: str = "both"
 ) -> str:
-    """Return the table of a spectrum; of polarised light it has a column that says so."""
+    """Return a spectrum's table; of polarised light it has a column that says so."""
     stated = [] if polarisation in ("both", "mueller") else [polarisation]
     lines = [",".join(["wavelength_nm", "angle_deg", *(["polarisation"] if stated else []), *parts])]
     for a, angle in enumerate(angles_deg):
@@ -353,18 +354,28 @@ def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, change
 @click.argument("recipe")
 @click.option("--to", "target", required=True, type=click.Choice(sorted(EXPORTS)))
 @click.option(
-    "-o", "output", default=None, metavar="FILE", help="Default: RECIPE with the format's suffix; lut: a folder."
+    "-o",
+    "output",
+    default=None,
+    metavar="FILE",
+    help="Default: RECIPE with the format's suffix; lut and three: a folder.",
 )
 @click.option("--angle-step-deg", type=click.FloatRange(0.5, 30), default=10.0, show_default=True, help="csv: grid.")
 @click.option("--wavelength-nm", type=float, default=None, help="zemax: one wavelength instead of XYZ.")
-@click.option("--illuminant", default=None, help="lut: the lamp that the colours are for.  [default: D65]")
+@click.option("--illuminant", default=None, help="lut, three: the lamp that the colours are for.  [default: D65]")
+@click.option(
+    "--mesh",
+    default=None,
+    metavar="FILE",
+    help="gltf: the object (.gltf, .glb, .obj, .ply, .stl).  [default: a sphere]",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print what was written and what was lost, as JSON.")
 @common.set_option
 @common.cache_option
 @common.jobs_option
 def export(
     recipe: str, target: str, output: str | None, angle_step_deg: float, wavelength_nm: float | None,
-    illuminant: str | None, as_json: bool, changes: tuple[str, ...],
+    illuminant: str | None, mesh: str | None, as_json: bool, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Write RECIPE in the format of another program and list the properties that it cannot hold."""
     from nacre.analysis.import_export import export_material
@@ -373,13 +384,18 @@ def export(
 
     path = Path(output) if output else Path(f"{short_name(recipe)}{EXPORTS[target]}")
     options: dict[str, Any] = {"angle_step_deg": angle_step_deg, "wavelength_nm": wavelength_nm}
-    if target == FOLDER:
+    if target in FOLDERS:
         check_folder(path)
         options |= {"illuminant": illuminant or "D65", "progress": lambda what: common.note(f"{what} ...")}
     else:
         if illuminant is not None:
-            raise NacreError(f"--illuminant {illuminant}: is for --to lut; {target} holds no colours of one lamp")
+            raise NacreError(
+                f"--illuminant {illuminant}: is for --to {', '.join(FOLDERS)}; {target} holds no colours of one lamp"
+            )
         check_writable(path)
+    if mesh is not None and target != "gltf":
+        raise NacreError(f"--mesh {mesh}: is for --to gltf; {target} holds no mesh")
+    options["mesh"] = mesh
     material = common.load_material(recipe, changes)
     facts = export_material(material, target, path, **options)
     if as_json:

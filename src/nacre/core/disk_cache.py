@@ -142,7 +142,7 @@ def cached_arrays(key: str) -> dict[str, NDArray[np.float64]] | None:
 def _load_arrays(path: Path) -> dict[str, NDArray[np.float64]]:
     import numpy as np
 
-    with np.load(path, allow_pickle=False) as stored:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
         return {name: np.asarray(stored[name], dtype=np.float64) for name in stored.files}
 
 

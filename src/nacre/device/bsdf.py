@@ -14,6 +14,7 @@ import mitsuba as mi
 
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.lobes.specular import AlignedSpecular
 from nacre.bsdf.registry import outside_lobe
 from nacre.bsdf.rgb import projected_to_rgb
 from nacre.bsdf.texture import place_formula
@@ -39,7 +40,7 @@ def make_bsdf(
 
     Args:
         bsdf: the material's lobes.
-        two_sided: give an opaque material the same appearance from behind instead of black; a transmitting one always
+        two_sided: give an opaque material the same appearance from behind rather than black; a transmitting one always
             has its own back side.
         properties: Mitsuba's properties, from the scene loader.
         object_frame: the object's position, for formulas in x, y and z.
@@ -77,7 +78,8 @@ def make_bsdf(
         if tables is None:
             logger.info("%s: reflects and transmits unpolarised light in polarised variants", bsdf)
         else:
-            polarisation = DevicePolarisation(tables)
+            is_of_azimuth = any(isinstance(lobe, AlignedSpecular) for lobe in lobes)
+            polarisation = DevicePolarisation(tables, is_of_azimuth)
             lobes = tuple(tables.refined(lobe) for lobe in lobes)
     plugins = [make_plugin(lobe) for lobe in lobes]
     cls = bsdf_class(mi.variant())

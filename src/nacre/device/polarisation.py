@@ -26,9 +26,15 @@ def scaled(matrix: Any, value: Any) -> Any:
 
 
 class DevicePolarisation:
-    """Normalised Mueller matrices of an interface, from its tables."""
+    """Normalised Mueller matrices of an interface, from its tables.
 
-    def __init__(self, tables: InterfacePolarisation) -> None:
+    Args:
+        tables: the tables.
+        is_of_azimuth: whether the lobes' values depend on the azimuth; otherwise they are means over it.
+    """
+
+    def __init__(self, tables: InterfacePolarisation, is_of_azimuth: bool = False) -> None:
+        self.is_of_azimuth = is_of_azimuth
         regions = [tables.reflected]
         starts = [0]
         for region in (tables.reflected_inside, tables.total, tables.transmitted, tables.transmitted_inside):
@@ -55,7 +61,7 @@ class DevicePolarisation:
     def matrix(self, ctx: Any, si: Any, wo: Any, facet: Facet, active: Any) -> Any:
         """Return the Mueller matrix in the implicit Stokes frames, relative to the unpolarised value.
 
-        An anisotropic interface is brighter at some azimuths than the value, which is their mean.
+        Where that is a mean over the azimuth, an anisotropic interface is brighter at some azimuths.
         """
         light, view = (wo, si.wi) if is_radiance(ctx) else (si.wi, wo)
         is_crossed = negated(facet.reflects) if is_radiance(ctx) else mi.Bool(False)
@@ -66,6 +72,10 @@ class DevicePolarisation:
         if self.is_isotropic:
             matrix = _without_conversion(*elements)
         else:
+            if self.is_of_azimuth:
+                first = elements[0]
+                scale = dr.select(first > DARKEST, dr.rcp(larger(first, DARKEST)), 0.0)
+                elements = [element * scale for element in elements]
             matrix = mi.Spectrum([elements[k : k + 4] for k in range(0, 16, 4)])
         return in_implicit_frames(matrix, light, view, facet.normal)
 

@@ -16,8 +16,10 @@ from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.texture import Texture
 from nacre.bsdf.texture_spec import NumberOrTexture, TextureSpec
 from nacre.core.arrays import Array
-from nacre.families.contract import EnergyDefect, Model, Traits, energy_defect
+from nacre.families.contract import EnergyDefect, Mixed, Model, Traits, energy_defect
 from nacre.recipe.model import RecipeContext, RecipeModel
+
+MASK_LEVELS = 8  # of a continuous mask, for texture
 
 
 class PartSpec(RecipeModel):
@@ -87,7 +89,7 @@ class BlendSpec(RecipeModel):
 
 
 @dataclass(frozen=True)
-class Blend(Model, EnergyDefect):
+class Blend(Model, EnergyDefect, Mixed):
     """Two materials, and the first one's share over the surface."""
 
     traits = Traits(noun="blend")
@@ -124,7 +126,7 @@ class Blend(Model, EnergyDefect):
         """Return the mean spectrum, weighted by the mask's mean over the surface; `seed` is for random walks.
 
         Raises:
-            NacreError: a material has no spectrum.
+            NacreError: a material lacks a spectrum.
         """
         share = self._share
         one = self.first.spectrum(theta_rad, wavelengths_nm, polarisation, seed=seed)
@@ -144,9 +146,26 @@ class Blend(Model, EnergyDefect):
     @property
     def _share(self) -> float:
         """The mask's mean over the surface."""
+        return float(self._masks().mean())
+
+    def _masks(self) -> Array:
         axis = (np.arange(64) + 0.5) / 64
-        uv = np.stack(np.meshgrid(axis, axis), axis=-1)
-        return float(self.mask(uv).mean())
+        return np.asarray(self.mask(np.stack(np.meshgrid(axis, axis), axis=-1)), dtype=float)
+
+    @property
+    def mixture(self) -> list[tuple[float, list[tuple[float, Model]]]]:
+        """Parts of the surface by their mask, in at most `MASK_LEVELS` steps."""
+        levels = np.sort(self._masks().ravel())
+        groups = np.unique(levels)
+        if len(groups) > MASK_LEVELS:
+            groups = np.array([part.mean() for part in np.array_split(levels, MASK_LEVELS)])
+            shares = np.full(MASK_LEVELS, 1.0 / MASK_LEVELS)
+        else:
+            shares = np.array([np.mean(levels == level) for level in groups])
+        return [
+            (float(share), [(float(m), self.first.model), (float(1.0 - m), self.second.model)])
+            for share, m in zip(shares, groups, strict=True)
+        ]
 
 
 __all__ = ["Blend", "BlendSpec"]

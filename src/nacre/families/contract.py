@@ -14,7 +14,7 @@ callers find them by `isinstance`, so that no code elsewhere depends on the fami
       ==================================
       substrate / base                         transmitted light leaves with wo_z < 0
 
-Both directions point away from the surface; angles of incidence are counted from z in the ambient.
+Both directions point away from the surface; incidence angles are counted from z in the ambient.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
+from nacre.bsdf.flakes import DiffuseFlakes, LitFlakes
 from nacre.bsdf.polarisation import InterfacePolarisation
 from nacre.bsdf.substrate import Strata as Strata  # one of the capabilities
 from nacre.core.arrays import Array
@@ -225,6 +226,53 @@ class Surrogate(abc.ABC):
         return None
 
 
+class SingleFlakes(Protocol):
+    """Flakes of a material at given wavelengths, one by one."""
+
+    def lit(self, theta_rad: float, lamp_rad: float, camera_rad: float) -> list[LitFlakes]:
+        """Return the flakes under a lamp at an angle from the normal, seen along the normal.
+
+        Args:
+            theta_rad: from the normal to the lamp, in the ambient.
+            lamp_rad, camera_rad: half angles of the cones to the lamp and to the entrance pupil of the camera.
+        """
+        ...
+
+    def diffuse(self) -> list[DiffuseFlakes]:
+        """Return the flakes under uniform diffuse light, seen along the normal."""
+        ...
+
+
+class ResolvedFlakes(abc.ABC):
+    """A material of flakes that a camera resolves, with sparkle and graininess."""
+
+    @abc.abstractmethod
+    def single_flakes(self, wavelengths_nm: Array, weights: Array) -> SingleFlakes:
+        """Return the flakes at given wavelengths.
+
+        Args:
+            wavelengths_nm: `[wavelength]`.
+            weights: `[wavelength]`, whose sum with a reflectance factor is the luminance factor.
+
+        Raises:
+            UnsupportedError: a flake has no size, or there is no flake.
+        """
+
+    @property
+    @abc.abstractmethod
+    def over_black(self) -> Model:
+        """The same flakes over a black base."""
+
+
+class Mixed(abc.ABC):
+    """A material made of others that share its surface."""
+
+    @property
+    @abc.abstractmethod
+    def mixture(self) -> list[tuple[float, list[tuple[float, Model]]]]:
+        """Parts of the surface: share of the surface, and the materials there with the factors on their Bsdfs."""
+
+
 class Draft(abc.ABC):
     """A material with a cheaper form for drafts."""
 
@@ -399,7 +447,7 @@ def values_at(model: Model, wi: Array, wo: Array, wavelengths_nm: Array) -> Arra
 
 
 def search_model(model: Model, memory: dict[Any, Any], is_rough: bool = False) -> Model:
-    """Return `SearchFidelity.search_model`, or the model itself if it has no cheaper form."""
+    """Return `SearchFidelity.search_model`, or the model itself if it lacks a cheaper form."""
     return model.search_model(memory, is_rough) if isinstance(model, SearchFidelity) else model
 
 

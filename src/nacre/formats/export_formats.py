@@ -12,9 +12,9 @@ from nacre.core.errors import UnsupportedError
 EXPORTS = {
     "rgl": ".bsdf", "merl": ".binary", "csv": ".csv", "zemax": ".bsdf", "gltf": ".gltf", "materialx": ".mtlx",
     "exr": ".exr", "nacre": ".nacre", "lut": "-lut", "tmat": ".tmat.h5", "astm": ".astm", "brdf-json": ".json",
-    "speos": ".brdf",
+    "speos": ".brdf", "three": "-three", "usd": ".usda",
 }  # fmt: skip
-FOLDER = "lut"  # this format is a folder
+FOLDERS = ("lut", "three")  # these formats are folders, with colours of one lamp
 FAMILY_FORMATS = ("tmat",)  # only some families write these (`OwnFormats`)
 
 
@@ -38,10 +38,12 @@ def export_remarks(facts: Mapping[str, Any]) -> list[str]:
     """
     lines = []
     if "residual_delta_e_2000" in facts:
-        film = facts["film"]
+        film, varied = facts["film"], facts.get("thickness_map")
+        size = f"{film['thickness_nm']:.1f}" if varied is None else f"{varied['low_nm']:.1f} to {varied['high_nm']:.1f}"
+        over = "the angles" if varied is None else "the angles and the thickness map"
         lines.append(
-            f"one film of {film['thickness_nm']:.1f} nm, n = {film['film_ior']:.3f}; "
-            f"dE00 {facts['residual_delta_e_2000']:.2f} on the mean of the angles"
+            f"one film of {size} nm, n = {film['film_ior']:.3f}; "
+            f"dE00 {facts['residual_delta_e_2000']:.2f} on the mean of {over}"
         )
     for name, error in facts.get("errors_dE00", {}).items():
         lines.append(

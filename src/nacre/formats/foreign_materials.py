@@ -16,12 +16,16 @@ from typing import Any
 
 import numpy as np
 
+from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import plain, why_unreadable
+from nacre.formats.gltf_pictures import green_channel
+from nacre.formats.materialx_nodes import Document, Number, surfaces
 from nacre.light import srgb_decode
 
 MAX_BYTES = 16 << 20
 GLB_MAGIC, GLB_JSON = b"glTF", b"JSON"
+THICKNESS_TEXTURE = "iridescenceThicknessTexture"
 IRIDESCENCE = "KHR_materials_iridescence"
 GLTF_READ = (IRIDESCENCE, "KHR_materials_ior", "KHR_materials_transmission")
 GLTF_BASE = ("baseColorFactor", "metallicFactor", "roughnessFactor")
@@ -43,6 +47,20 @@ SPACES: dict[str, tuple[Any, str | None]] = {
 
 
 @dataclass(frozen=True)
+class ThicknessMap:
+    """A thickness that varies over uv.
+
+    Attributes:
+        low_nm, high_nm: thickness where the image is 0 and 1.
+        image: `[row, column]`, the first row at the top (v = 1).
+    """
+
+    low_nm: float
+    high_nm: float
+    image: Array
+
+
+@dataclass(frozen=True)
 class ThinFilm:
     """A single thin film over a base.
 
@@ -57,6 +75,7 @@ class ThinFilm:
         not_read: names of unsupported properties in the file.
         weight: share of the surface with the film; 0: no film.
         remarks: sentences on values that were rounded or chosen.
+        thickness_map: in place of `thickness_nm`.
     """
 
     thickness_nm: float
@@ -69,6 +88,7 @@ class ThinFilm:
     not_read: tuple[str, ...] = ()
     weight: float = 1.0
     remarks: tuple[str, ...] = ()
+    thickness_map: ThicknessMap | None = None
 
 
 @dataclass(frozen=True)
@@ -160,7 +180,7 @@ def read_gltf(path: str | Path, name: str | None = None) -> ThinFilm:
             films = films or materials
             names = [str(m.get("name") or f"material {i}") for i, m in enumerate(films)]
             place, remarks = chosen(names, name, path)
-            return _gltf_film(films[place], remarks)
+            return _gltf_film(films[place], remarks, path, document)
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
     except (ValueError, TypeError, AttributeError, RecursionError, struct.error):
@@ -178,7 +198,7 @@ def _gltf_json(content: bytes) -> bytes:
     return content[20 : 20 + length]
 
 
-def _gltf_film(material: Mapping[str, Any], remarks: list[str]) -> ThinFilm:
+def _gltf_film(material: Mapping[str, Any], remarks: list[str], path: Path, document: Mapping[str, Any]) -> ThinFilm:
     extensions = material["extensions"]
     film, base = extensions[IRIDESCENCE], material.get("pbrMetallicRoughness", {})
     colour = [float(c) for c in base.get("baseColorFactor", [1, 1, 1, 1])]
@@ -188,12 +208,18 @@ def _gltf_film(material: Mapping[str, Any], remarks: list[str]) -> ThinFilm:
         float(film.get(f"iridescenceThickness{end}", default))
         for end, default in (("Minimum", 100.0), ("Maximum", 400.0))
     )
-    thickness = thickest
+    thickness, varied = thickest, None
     remarks = [*remarks, *rounded(metal, share, weight)]
-    if "iridescenceThicknessTexture" in film:
-        thickness = 0.5 * (thinnest + thickest)
-        remarks.append(f"the thickness texture varies from {thinnest:g} to {thickest:g} nm; {thickness:g} nm was taken")
     not_read = [key for part in (base, film, clear, material) for key in part if key.endswith("Texture")]
+    if THICKNESS_TEXTURE in film:
+        thickness = 0.5 * (thinnest + thickest)
+        image = green_channel(path, document, film[THICKNESS_TEXTURE])
+        if image is None:
+            said = f"varies from {thinnest:g} to {thickest:g} nm, but is not in the file or beside it; {thickness:g} nm"
+            remarks.append(f"the thickness texture {said} was taken")
+        else:
+            not_read.remove(THICKNESS_TEXTURE)
+            varied = ThicknessMap(thinnest, thickest, image)
     if metal < 0.5 and colour[:3] != [1.0, 1.0, 1.0]:
         not_read.append("baseColorFactor (light scattered or tinted below a dielectric surface)")
     if len(colour) > 3 and colour[3] < 1.0 or material.get("alphaMode", "OPAQUE") != "OPAQUE":
@@ -204,7 +230,7 @@ def _gltf_film(material: Mapping[str, Any], remarks: list[str]) -> ThinFilm:
     return ThinFilm(
         thickness, float(film.get("iridescenceIor", 1.3)), (colour[0], colour[1], colour[2]),
         float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5)), metal >= 0.5,
-        float(base.get("roughnessFactor", 1.0)) ** 2, share > 0, tuple(not_read), weight, tuple(remarks),
+        float(base.get("roughnessFactor", 1.0)) ** 2, share > 0, tuple(not_read), weight, tuple(remarks), varied,
     )  # fmt: skip
 
 
@@ -226,17 +252,33 @@ def read_materialx(path: str | Path, name: str | None = None) -> ThinFilm:
             # entities can expand to gigabytes and are not part of MaterialX
             raise NacreError(f"{path}: holds a document type declaration, which MaterialX does not use")
         root = ET.fromstring(text)
-        surfaces = [node for node in root.iter() if node.tag in SHADERS]
-        films = [node for node in surfaces if _has_film(node)]
+        followed = [_followed(node, Document(root, path)) for node in surfaces(root, tuple(SHADERS))]
+        films = [(node, numbers) for node, numbers in followed if _has_film(node)]
         if films:
-            names = [node.get("name") or node.tag for node in films]
+            names = [node.get("name") or node.tag for node, _ in films]
             place, remarks = chosen(names, name, path)
-            return _materialx_film(films[place], root.get("colorspace", ""), remarks)
+            return _materialx_film(*films[place], root.get("colorspace", ""), remarks)
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
     except (ET.ParseError, ValueError, UnicodeDecodeError):
         raise NacreError(f"{path}: is not a MaterialX document, or is damaged") from None
     raise NacreError(f"{path}: no {', '.join(SHADERS)} has a thin film")
+
+
+def _followed(node: ET.Element, document: Document) -> tuple[ET.Element, dict[str, Number]]:
+    """Return a shader with values for inputs connected to constants, and its inputs connected to images."""
+    made, images = ET.Element(node.tag, node.attrib), {}
+    for entry in node.findall("input"):
+        attributes = dict(entry.attrib)
+        if entry.get("value") is None:
+            found = document.number(entry) if entry.get("type") == "float" else None
+            text = document.text(entry) if found is None else repr(found.constant) if found.image is None else None
+            if text is not None:
+                attributes["value"] = text
+            elif found is not None:
+                images[str(entry.get("name"))] = found
+        ET.SubElement(made, "input", attributes)
+    return made, images
 
 
 def _has_film(node: ET.Element) -> bool:
@@ -246,9 +288,14 @@ def _has_film(node: ET.Element) -> bool:
     return entry is not None and (entry.get("value") is None or float(entry.get("value", "0")) > 0)
 
 
-def _materialx_film(node: ET.Element, space: str, remarks: list[str]) -> ThinFilm:
+def _materialx_film(node: ET.Element, images: Mapping[str, Number], space: str, remarks: list[str]) -> ThinFilm:
     shader, inputs = SHADERS[node.tag], {str(i.get("name")): i for i in node.findall("input")}
     connected = sorted(name for name, entry in inputs.items() if entry.get("value") is None)
+    key, default = shader.thickness
+    for name in sorted(set(images) & shader.names - {key}):
+        inputs[name] = ET.Element("input", name=name, value=repr(images[name].mean))
+        connected.remove(name)
+        remarks = [*remarks, f"{name} is a texture; its mean, {images[name].mean:.3g}, was taken"]
 
     def number(name: str | None, default: float) -> float:
         entry = inputs.get(name or "")
@@ -261,14 +308,18 @@ def _materialx_film(node: ET.Element, space: str, remarks: list[str]) -> ThinFil
     remarks = [*remarks, *rounded(metal, clear, weight)]
     rgb, said = _colour(inputs.get(shader.colour[0]), shader.colour[1], space)
     remarks += said
-    key, default = shader.thickness
     unit = inputs[key].get("unit", "") if key in inputs else ""
     if key in connected and default == 0.0:
         default = 300.0
     thickness = number(key, default) * (
         LENGTHS_NM.get(unit, shader.film_nm) if key not in connected else shader.film_nm
     )
-    if key in connected:
+    varied = None
+    if key in images:
+        low, high = (shader.film_nm * end for end in images[key].ends)
+        varied, thickness = ThicknessMap(low, high, np.asarray(images[key].image)), shader.film_nm * images[key].mean
+        connected.remove(key)
+    elif key in connected:
         remarks.append(f"{key} is given by a node; {thickness:g} nm was taken")
     not_read = connected + sorted(name for name in inputs if name not in shader.names and name not in connected)
     if metal < 0.5 and clear <= 0 and base > 0 and shader.colour[0] not in not_read:
@@ -280,7 +331,7 @@ def _materialx_film(node: ET.Element, space: str, remarks: list[str]) -> ThinFil
         rgb = (base * rgb[0], base * rgb[1], base * rgb[2])
     return ThinFilm(
         thickness, number(*shader.film_ior), rgb, number(*shader.ior), metal >= 0.5,
-        number(*shader.roughness) ** 2, clear > 0, tuple(not_read), weight, tuple(remarks),
+        number(*shader.roughness) ** 2, clear > 0, tuple(not_read), weight, tuple(remarks), varied,
     )  # fmt: skip
 
 

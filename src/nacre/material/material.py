@@ -6,12 +6,14 @@ animations use these paths for all families.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import dataclasses
 import functools
 import json
 import logging
 import pickle
+import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,9 +25,11 @@ from numpy.typing import ArrayLike, NDArray
 from nacre._version import __version__
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
+from nacre.bsdf.polarisation import InterfacePolarisation
 from nacre.bsdf.texture import refuse_place
+from nacre.core import disk_cache
 from nacre.core.arrays import Array, floats, wavelength_grid
-from nacre.core.disk_cache import cached
+from nacre.core.disk_cache import cache_arrays, cached, cached_arrays
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.core.files import DESIGN_RECIPE, named, read_text, short_name
 from nacre.core.memory import check_memory
@@ -67,6 +71,7 @@ STUDY_TABLES = (
     "ties",
     "instrument",
     "geometry",
+    "correlation",
 )  # of fits and tolerances; they do not change the optics
 
 
@@ -135,11 +140,23 @@ class Material:
             MaterialRangeError: an optical constant is not known at a wavelength.
         """
         bsdf = self._solved(wavelength_grid(wavelengths_nm), keep)
-        polarisation = None
+        polarisation = bsdf.polarisation
         if isinstance(self.model, Polarising):
-            polarisation = functools.partial(self.model.polarisation, bsdf.wavelengths_nm)
+            polarisation = functools.partial(self._polarisation, self.model, bsdf.wavelengths_nm)
         provenance = {**bsdf.provenance, **recipe_provenance(self)}
         return dataclasses.replace(bsdf, provenance=provenance, polarisation=polarisation)
+
+    def _polarisation(self, model: Polarising, wavelengths_nm: Array) -> InterfacePolarisation | None:
+        """Tabulate Mueller matrices; those of an anisotropic interface that take long are stored in the disk cache."""
+        key = fingerprint(self.fingerprint, {}, wavelengths_nm=wavelengths_nm, part="mueller")
+        if (stored := cached_arrays(key)) is not None:
+            with contextlib.suppress(ValueError, KeyError):  # damaged
+                return InterfacePolarisation.from_arrays(stored)
+        start = time.perf_counter()
+        tables = model.polarisation(wavelengths_nm)
+        if tables is not None and tables.response is None and time.perf_counter() - start > disk_cache.MIN_SOLVE_S:
+            cache_arrays(key, tables.arrays())
+        return tables
 
     def _solved(self, grid: NDArray[np.float64] | None, keep: bool = True) -> Bsdf:
         for warning in self.model.warnings:
@@ -198,7 +215,7 @@ class Material:
             azimuth_deg: azimuth of the direction towards the light, from u.
 
         Raises:
-            UnsupportedError: the material has no such spectrum, or a formula uses x, y or z, which exist in pictures.
+            UnsupportedError: the material lacks such a spectrum, or a formula uses x, y or z, which exist in pictures.
         """
         refuse_place(self.model, f"{self.context.source}: spectrum")
         grid = wavelength_grid(wavelengths_nm)
@@ -552,7 +569,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
 
 
 def read_recipe(data: Mapping[str, Any], context: RecipeContext) -> tuple[RecipeModel | None, RecipeContext]:
-    """Return the validated recipe and its context; None instead of the recipe if its numbers vary by nodes.
+    """Return the validated recipe and its context; None rather than the recipe if its numbers vary by nodes.
 
     Raises:
         RecipeError: naming file, key, value and what is allowed.

@@ -51,9 +51,9 @@ def evaluate_with_error(
     variance: Array | None = None
     for lobe in bsdf.lobes:
         if lobe.is_stochastic:
-            walked, share = unmasked(lobe, uv_array, wi_array.shape[:-1])
+            unmasked_lobe, share = unmasked(lobe, uv_array, wi_array.shape[:-1])
             values, error = _walks().evaluate_layered(
-                walked, wi_array, wo_array, samples=samples or DEFAULT_SAMPLES, seed=seed, uv=uv_array
+                unmasked_lobe, wi_array, wo_array, samples=samples or DEFAULT_SAMPLES, seed=seed, uv=uv_array
             )
             error = error * share[..., None]
             variance = error**2 if variance is None else variance + error**2
@@ -103,8 +103,8 @@ def hemispherical(
     """
     if not lobe.is_stochastic:
         return lobe.hemispherical(wi, uv, nodes)
-    walked, share = unmasked(lobe, uv, ())
-    reflected, transmitted = _walks().hemispherical_layered(walked, wi, samples=nodes * nodes, seed=seed, uv=uv)
+    unmasked_lobe, share = unmasked(lobe, uv, ())
+    reflected, transmitted = _walks().hemispherical_layered(unmasked_lobe, wi, samples=nodes * nodes, seed=seed, uv=uv)
     return reflected * share, transmitted * share
 
 

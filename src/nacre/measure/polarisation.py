@@ -9,6 +9,8 @@ import numpy as np
 from nacre.core.arrays import Array
 
 LEAST_POWER = 1e-12
+CROSSED_POSITIONS = 180
+MOST_RETARDANCE_NM, RETARDER_ERROR = 20_000.0, 0.1  # the error: of cos(2 pi retardance / wavelength), root mean square
 LEAST_DISSYMMETRY = 0.05  # of a selective reflection, at its peak
 
 
@@ -91,3 +93,40 @@ def selective_band(reflection: CircularReflection, wavelengths_nm: Array) -> Sel
         hand, float(wavelengths_nm[at]), float(wavelengths_nm[first]), float(wavelengths_nm[last]), float(own[at]),
         float(other[at]), float(abs(reflection.dissymmetry[at])),
     )  # fmt: skip
+
+
+def crossed_polarisers(matrices: Array) -> Array:
+    """Return the transmittance `[wavelength]` between crossed polarisers, turned to the brightest position.
+
+    The first polariser has passed its light already: a half-wave plate transmits 1.
+
+    Args:
+        matrices: `[wavelength, 4, 4]`.
+    """
+    azimuths = np.linspace(0.0, np.pi, CROSSED_POSITIONS, endpoint=False)
+    axes = np.stack([np.ones_like(azimuths), np.cos(azimuths), np.sin(azimuths), 0.0 * azimuths], axis=-1)
+    crossed = axes * np.array([1.0, -1.0, -1.0, 1.0])
+    passed = 0.5 * np.einsum("ai,lij,aj->al", crossed, matrices, axes)
+    found: Array = np.clip(passed[np.argmax(passed.mean(axis=1))], 0.0, None)
+    return found
+
+
+def retardance_nm(matrices: Array, wavelengths_nm: Array) -> float | None:
+    """Return the path difference of a linear retarder that explains its matrices best; None for other elements.
+
+    cos(2 pi retardance / wavelength) follows from the trace of a retarder's matrix at each wavelength; together the
+    wavelengths decide the order of interference.
+
+    Args:
+        matrices: `[wavelength, 4, 4]`, on ten or more wavelengths.
+        wavelengths_nm: `[wavelength]`.
+    """
+    power = matrices[:, 0, 0]
+    if len(power) < 10 or np.any(power <= LEAST_POWER):
+        return None
+    relative = matrices / power[:, None, None]
+    cos = 0.5 * (np.trace(relative, axis1=1, axis2=2) - 2.0)
+    trial = np.arange(0.0, MOST_RETARDANCE_NM, 1.0)
+    errors = np.mean((np.cos(2.0 * np.pi * trial[:, None] / wavelengths_nm) - cos) ** 2, axis=1)
+    best = int(np.argmin(errors))
+    return float(trial[best]) if errors[best] < RETARDER_ERROR**2 else None

@@ -28,6 +28,7 @@ from nacre.optimise.image.files import read_picture
 from nacre.optimise.merit import MeritFunction, Operand
 from nacre.optimise.spec import COLOURS, RANGES, LightSpec, TargetEntry
 from nacre.readers.curves import recipe_spectrum
+from nacre.readers.file_spec import FileSpec
 from nacre.recipe.model import RecipeContext, show_value
 
 GAP_STEPS = 3.0  # times a table's usual step: wider apart, two rows leave out what lies between them
@@ -141,10 +142,10 @@ def read_targets(
         RecipeError: naming the target and what is allowed; or two incompatible colours for one geometry.
     """
     check_light(light, context)
-    wants = tuple(_want(spec, f"{context.source}: target[{i}]", context, named) for i, spec in enumerate(specs))
-    _check_agreement(wants, light)
-    _check_picture(wants, light, context)
-    return wants
+    targets = tuple(_target(spec, f"{context.source}: target[{i}]", context, named) for i, spec in enumerate(specs))
+    _check_agreement(targets, light)
+    _check_picture(targets, light, context)
+    return targets
 
 
 def check_light(light: LightSpec, context: RecipeContext) -> None:
@@ -165,7 +166,7 @@ def check_light(light: LightSpec, context: RecipeContext) -> None:
         )
 
 
-def _want(spec: TargetEntry, key: str, context: RecipeContext, named: Mapping[str, Geometry] | None = None) -> Target:
+def _target(spec: TargetEntry, key: str, context: RecipeContext, named: Mapping[str, Geometry] | None = None) -> Target:
     if spec.geometry is None:
         raise RecipeError(f"{key}.directions: a picture over directions needs heights in [parameters]")
     at = replace(Geometry.read(spec.geometry, f"{key}.geometry", named), polarisation=spec.polarisation)
@@ -244,15 +245,15 @@ def _ranges(spec: TargetEntry, key: str) -> dict[str, tuple[float | None, float 
     return found
 
 
-def _spectrum(name: str, where: str, kind: str, context: RecipeContext) -> Array:
+def _spectrum(given: FileSpec, where: str, kind: str, context: RecipeContext) -> Array:
     """Return a target spectrum `[2, wavelength]`: nm and factors.
 
     Args:
         kind: of the geometry; light transmitted has a transmittance, other light a reflectance.
     """
-    said = f"{where} = {show_value(name)}"
+    said = f"{where} = {show_value(given.file)}"
     quantities = ("transmittance", "reflectance") if kind == "transmitted" else ("reflectance",)
-    table = recipe_spectrum(context, where.removeprefix(f"{context.source}: "), name, quantities)
+    table = recipe_spectrum(context, where.removeprefix(f"{context.source}: "), given, quantities)
     nm, values = np.round(table[:, 0], 3), table[:, 1]  # wavelengths of THz or eV are rounded in files
     low, high = float(nm[0]), float(nm[-1])
     if len(nm) < 2 or not LEAST_NM <= low < high <= MOST_NM:
@@ -270,39 +271,39 @@ def _spectrum(name: str, where: str, kind: str, context: RecipeContext) -> Array
     return np.ascontiguousarray([nm, np.maximum(values, 0.0)])
 
 
-def _check_agreement(wants: Sequence[Target], light: LightSpec) -> None:
+def _check_agreement(targets: Sequence[Target], light: LightSpec) -> None:
     """Refuse two colours for one geometry that are further apart than their tolerances."""
     white = white_xyz(light.illuminants[0], light.observer)
-    for i, want in enumerate(wants):
-        for other in wants[:i]:
-            mine, theirs = want.target_lab(white), other.target_lab(white)
-            if want.geometry != other.geometry or mine is None or theirs is None:
+    for i, target in enumerate(targets):
+        for other in targets[:i]:
+            mine, theirs = target.target_lab(white), other.target_lab(white)
+            if target.geometry != other.geometry or mine is None or theirs is None:
                 continue
             apart = float(delta_e_2000(theirs, mine))
-            if apart > want.tolerance + other.tolerance:
+            if apart > target.tolerance + other.tolerance:
                 raise RecipeError(
-                    f'{want.key} and {other.key.rpartition(" ")[2]} give two colours at "{want.geometry}", dE00 '
-                    f"{apart:.1f} apart; within {want.tolerance:g} and {other.tolerance:g} no answer has both"
+                    f'{target.key} and {other.key.rpartition(" ")[2]} give two colours at "{target.geometry}", dE00 '
+                    f"{apart:.1f} apart; within {target.tolerance:g} and {other.tolerance:g} no answer has both"
                 )
 
 
-def _check_picture(wants: Sequence[Target], light: LightSpec, context: RecipeContext) -> None:
+def _check_picture(targets: Sequence[Target], light: LightSpec, context: RecipeContext) -> None:
     """Refuse another target or lamp besides a picture."""
-    for want in wants:
-        if want.image is None:
+    for target in targets:
+        if target.image is None:
             continue
-        if len(wants) > 1 and any(other.image is None for other in wants):
-            raise RecipeError(f"{want.key}.image: a picture is the only target; remove the other {len(wants) - 1}")
+        if len(targets) > 1 and any(other.image is None for other in targets):
+            raise RecipeError(f"{target.key}.image: a picture is the only target; remove the other {len(targets) - 1}")
         if len(light.illuminants) > 1:
             lamps = show_value(light.illuminants)
             raise RecipeError(f"{context.source}: light.illuminants = {lamps}: a picture needs a single lamp")
 
 
 def merit_function(
-    wants: Sequence[Target], rows: Sequence[Geometry], light: LightSpec, wavelengths_nm: Array
+    targets: Sequence[Target], rows: Sequence[Geometry], light: LightSpec, wavelengths_nm: Array
 ) -> MeritFunction:
     """Return the merit function of all targets, for spectra `[..., row, wavelength]`."""
-    goals = [goal for want in wants for goal in want.goals(rows.index(want.geometry), wavelengths_nm)]
+    goals = [goal for target in targets for goal in target.goals(rows.index(target.geometry), wavelengths_nm)]
     return MeritFunction(goals, tuple(light.illuminants), light.observer, wavelengths_nm)
 
 

@@ -77,7 +77,7 @@ def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], so
 __all__ = ["check_limits", "total_thickness_nm"]
 
 
-# Reading a target of wants: file or dictionary in, everything checked out.
+# Reading a target: a file or dictionary becomes a checked task.
 
 LAYER_PATHS = ("layers", "substrate")
 OTHER = "other"  # in bounds by material: all that are not named
@@ -142,8 +142,8 @@ def is_design_task(data: Mapping[str, Any]) -> bool:
 
 def is_relief_task(data: Mapping[str, Any]) -> bool:
     """Whether a target file varies the heights of a relief, or has a picture over directions."""
-    free, wants = data.get("parameters"), data.get("target")
-    pictures = isinstance(wants, list) and any(isinstance(want, Mapping) and "directions" in want for want in wants)
+    free, targets = data.get("parameters"), data.get("target")
+    pictures = isinstance(targets, list) and any(isinstance(one, Mapping) and "directions" in one for one in targets)
     return pictures or (isinstance(free, Mapping) and "heights" in free)
 
 
@@ -351,7 +351,7 @@ def _check_geometries(target: DesignTask) -> None:
     for other in substrates(target.spec.layers)[1:] if target.spec.layers else ():
         tried.append(target.material.vary({"substrate": other}))
     rows = geometries_of(target.targets)
-    keys = [next(want.key for want in target.targets if want.geometry == at) + ".geometry" for at in rows]
+    keys = [next(one.key for one in target.targets if one.geometry == at) + ".geometry" for at in rows]
     check_answers(tried, rows, keys)
 
 

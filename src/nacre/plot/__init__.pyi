@@ -14,6 +14,7 @@ from .material import save_index as save_index
 from .material import save_material as save_material
 from .polarisation import circular_figure as circular_figure
 from .polarisation import ellipsometry_figure as ellipsometry_figure
+from .polarisation import michel_levy_figure as michel_levy_figure
 from .polarisation import mueller_figure as mueller_figure
 from .sheets import DesignSheet as DesignSheet
 from .sheets import Swatch as Swatch
@@ -33,6 +34,7 @@ from .style import save_figure as save_figure
 from .sweeps import gamut_figure as gamut_figure
 from .sweeps import parallel_figure as parallel_figure
 from .sweeps import sweep_map_figure as sweep_map_figure
+from .texture import texture_figure as texture_figure
 from .tracks import Track as Track
 from .tracks import angle_tracks as angle_tracks
 from .tracks import number_tracks as number_tracks

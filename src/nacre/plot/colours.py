@@ -168,7 +168,7 @@ def gamut_limits_figure(
         srgb, optimal: `[n, 3]` CIELAB, surface colours of both solids; their outlines are drawn.
         white: `[3]`, XYZ of the lamp's white.
         title: over the first panel; note: small print.
-        wanted: `[want, 3]` CIELAB, marked with crosses.
+        wanted: `[target, 3]` CIELAB, marked with crosses.
     """
     points, chroma_xy = np.atleast_2d(np.asarray(lab, float)), np.atleast_2d(np.asarray(xyy, float))
     colours = _shown(points, np.asarray(white, float))

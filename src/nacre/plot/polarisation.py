@@ -1,4 +1,4 @@
-"""Figures of polarised reflection: Psi and Delta, Mueller matrices, circular light."""
+"""Figures of polarised light: Psi and Delta, Mueller matrices, circular light, interference colours of retarders."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from nacre import light
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.measure.polarisation import circular_reflection, ellipsometric_angles
+from nacre.measure.polarisation import circular_reflection, crossed_polarisers, ellipsometric_angles, retardance_nm
 from nacre.plot import style
 
 if TYPE_CHECKING:
@@ -19,11 +20,13 @@ if TYPE_CHECKING:
 
 MAX_CURVES = 8
 CONVENTION = "Delta for exp(+i w t); (p, s, k) right-handed"
+MICHEL_LEVY_NM, THICKEST_UM = 2500.0, 50.0  # extent of the chart
+BIREFRINGENCES = (0.004, 0.008, 0.012, 0.02, 0.03, 0.05, 0.1, 0.2)
 CIRCULAR = "right circular: a right-handed screw in space at one time"
 
 
 def ellipsometry_figure(spectrum: Spectrum, title: str = "") -> Figure:
-    """Draw Psi and Delta over wavelength, one curve an angle of incidence.
+    """Draw Psi and Delta over wavelength, one curve an incidence angle.
 
     Raises:
         NacreError: the spectrum has no Mueller matrices.
@@ -92,15 +95,64 @@ def circular_figure(spectrum: Spectrum, title: str = "") -> Figure:
     return figure
 
 
+def michel_levy_figure(spectrum: Spectrum, title: str = "") -> Figure:
+    """Draw the interference colours of retarders between crossed polarisers, and mark the material's own.
+
+    The chart of Michel-Levy: colours under D65 over the retardance, lines of equal birefringence over the thickness.
+    The strip above it is the material's colour in transmitted light, turned to its brightest position; where it is a
+    retarder, a line marks its retardance.
+
+    Raises:
+        NacreError: the spectrum has no Mueller matrices of transmission, or does not span the visible range.
+    """
+    if spectrum.mueller_transmitted is None:
+        raise NacreError("the Michel-Levy chart is for transmitted light, of which there are no Mueller matrices")
+    lam = spectrum.wavelengths_nm
+    if not light.spans_colour(lam):
+        raise NacreError("the Michel-Levy chart needs wavelengths over the whole visible range")
+    matrices = spectrum.mueller_transmitted[0]
+    own, found = crossed_polarisers(matrices), retardance_nm(matrices, lam)
+    last = MICHEL_LEVY_NM if found is None else max(MICHEL_LEVY_NM, 1.1 * found)
+    retardances = np.linspace(0.0, last, 1001)
+    colours = light.spectrum_to_srgb(np.sin(np.pi * retardances[:, None] / lam) ** 2, lam)
+    with style.house_style():
+        figure = style.new_figure(style.SHEET_IN, 3.4)
+        upper, lower = figure.subplots(2, 1, height_ratios=(1, 7))
+        upper.imshow(light.spectrum_to_srgb(own, lam)[None, None], aspect="auto")
+        upper.set_xticks([])
+        upper.set_yticks([])
+        at = "" if found is None else f", retardance {found:.0f} nm"
+        style.panel_title(upper, f"Between crossed polarisers{': ' + title if title else ''}{at}")
+        lower.imshow(colours[None], extent=(0.0, last, 0.0, THICKEST_UM), aspect="auto", origin="lower")
+        for birefringence in BIREFRINGENCES:
+            end = min(last, birefringence * THICKEST_UM * 1000.0)
+            height = end / (birefringence * 1000.0)
+            lower.plot([0.0, end], [0.0, height], color="0.15", linewidth=0.6)
+            place, side = ((end, THICKEST_UM), "bottom") if end < last else ((last, height), "center")
+            lower.annotate(
+                f" {birefringence:g}", place, fontsize=6, va=side, ha="center" if end < last else "left", clip_on=False
+            )
+        if found is not None:
+            lower.axvline(found, color="black", linewidth=1.2, linestyle="--")
+        lower.set_xlim(0.0, last)
+        lower.set_ylim(0.0, THICKEST_UM)
+        lower.set_xlabel("Retardance (nm)")
+        lower.set_ylabel("Thickness (um)")
+        style.small_print(figure, "Colours under D65, of equal retardance at all wavelengths; lines: birefringence")
+    return figure
+
+
 FIGURES: Mapping[str, Callable[[Spectrum, str], Figure]] = {
     "ellipsometry": ellipsometry_figure,
     "mueller": mueller_figure,
     "circular": circular_figure,
+    "michel-levy": michel_levy_figure,
 }
 ANGLES_DEG: Mapping[str, tuple[float, ...]] = {
     "ellipsometry": (65.0, 70.0, 75.0),
     "mueller": (0.0, 30.0, 60.0),
     "circular": (0.0, 30.0, 60.0),
+    "michel-levy": (0.0,),
 }
 
 

@@ -57,12 +57,14 @@ WORDS: dict[str, str] = {
     "wn wavenr wavenumberaxis vagtal vågtal 波数 волновоечисло ramanshift",
     "frequency": "frequency freq frequenz frequence frecuencia frequenza frequencia opticalfrequency nu",
     "angular_frequency": "angularfrequency angfreq angularfreq omega kreisfrequenz pulsation circularfrequency",
-    "n": "refractiveindex refractiveindices refindex refrindex refrind indexofrefraction brechungsindex brechzahl "
+    "n": "屈折率 折射率 "
+    "refractiveindex refractiveindices refindex refrindex refrind indexofrefraction brechungsindex brechzahl "
     "brechungszahl indicederefraction indicedirifrazione indicederefraccion realindex realn ren nreal nre "
     "realrefractiveindex realpartofn realpartn refractiveindexn nrefractiveindex refractiveindexreal indexn nindex "
     "rin refractiveindexrealpart realpartofrefractiveindex realpartoftherefractiveindex nprime ior "
     "index_of_refraction",
-    "k": "kappa extinction extinctioncoefficient extinctioncoeff extcoeff extcoef extinctionk extinctioncoef "
+    "k": "消衰係数 消光系数 "
+    "kappa extinction extinctioncoefficient extinctioncoeff extcoeff extcoef extinctionk extinctioncoef "
     "extinctionindex extinktionskoeffizient extinktionskoeff extinktionskoeffizientk absorptionsindex "
     "absorptionindex imn imagn nimag nim kimag kimaginary imaginaryindex imaginaryn imaginaryrefractiveindex "
     "imaginarypartofn imagpartofn coefficientdextinction coefficientedextinction extinctioncoefficientk "
@@ -257,6 +259,8 @@ _IN_CELLS = {
     **_by_word({"unpolarised": "sp mean u both none natural random avg 0.5*(s+p) (s+p)/2 s+p"}),
 }
 _WITH_POLARISATION = re.compile(r"(R|T)[ _]?(s|p|TE|TM|S|P)")
+# Rs_45, Rp(60): an angle without its unit behind the polarisation
+_POLARISED_ANGLE = re.compile(r"(%?\s?[RT])[ _]?(s|p|TE|TM|S|P)[ _]?[\[(]?(\d{1,2}(?:\.\d+)?)[\])]?")
 _ANGLE = re.compile(r"@?\s*([-+]?\d+(?:[.,]\d+)?)\s*(?:°|º|deg|degrees?|grad)")
 _BRACKET = re.compile(r"[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
 _SUFFIX_UNIT = re.compile(
@@ -289,7 +293,7 @@ class Meaning:
         quantity: key of `WORDS`.
         unit: canonical unit, "" if none is stated.
         is_error: whether the column holds the standard error of the quantity; with `quantity` "" of the column before.
-        angle_deg: angle of incidence (of a colour: of the geometry) in the heading.
+        angle_deg: incidence angle (of a colour: of the geometry) in the heading.
         polarisation: "s", "p", "unpolarised", or "".
         mode: "specular", "diffuse", "total", or "".
         illuminant, observer: of a colour; the observer is "2" or "10".
@@ -334,6 +338,8 @@ def meanings(heading: str, unit: str = "") -> tuple[Meaning, ...]:
     text = re.sub(r"(?<=\w)('|\u2032)(?=\W|$)", " prime", text).strip("\"' ")
     if not text:
         return ()
+    if polarised := _POLARISED_ANGLE.fullmatch(text):
+        text = f"{polarised[1]}_{polarised[2]} ({polarised[3]}°)"
     if re.match(r"-\s?[^\W\d_]", text):
         return tuple(replace(meaning, is_negated=True) for meaning in meanings(text[1:].strip(), unit))
     bare = parse_unit(text)

@@ -185,9 +185,9 @@ def _check_headerless(table: TextTable, options: ReadOptions) -> None:
     # no clear material has so large an index
     is_negative = bool(np.nanmin(second) < 0.0 or np.any((second > CLEAR_INDEX) & (third < 0.5 * second)))
     if is_negative or (options.unit is not None and parse_unit(options.unit) == "eV"):
-        looks = "looks like a dielectric function" if is_negative else "may be n, k or a dielectric function"
+        reading = "looks like a dielectric function" if is_negative else "may be n, k or a dielectric function"
         raise AmbiguousFileError(
-            f"{table.path}: line {table.lines[0]}: no heading, and it {looks} in eV; name them, such as columns = "
+            f"{table.path}: line {table.lines[0]}: no heading, and it {reading} in eV; name them, such as columns = "
             '["energy_eV", "e1", "e2"] or ["energy_eV", "n", "k"]',
             "columns",
         )
@@ -326,7 +326,7 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
 
 
 def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
-    """Return the rows of a table; quantities at angles in the headings stand one angle after another."""
+    """Return a table's rows; quantities at angles in the headings stand one angle after another."""
     nm = columns.spectral_nm(options)
     if nm is None:
         raise NacreError(f"{columns.path}: no column of wavelengths; the columns are {columns.table.shown_headings}")

@@ -68,8 +68,25 @@ def decode(data: bytes) -> str:
     return text.replace("\x1a", "")
 
 
+# Windows-1252 decodes most Shift-JIS text without an error; these words decide
+_JAPANESE = re.compile("波長|波数|反射|透過|屈折|消衰|吸光|角度|入射|偏光|高さ|膜厚|測定|単位")
+
+
+def is_japanese(data: bytes) -> bool:
+    """Whether bytes that are no UTF-8 are Shift-JIS text with words of measurements."""
+    try:
+        return bool(_JAPANESE.search(data.decode("cp932")[:20_000]))
+    except UnicodeDecodeError:
+        return False
+
+
 def _decode_bytes(data: bytes) -> str:
-    for encoding in ("utf-8", "cp1252", "shift_jis"):
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError:
+        if is_japanese(data):
+            return data.decode("cp932")
+    for encoding in ("cp1252", "cp932"):
         try:
             return data.decode(encoding)
         except UnicodeDecodeError:
@@ -221,7 +238,7 @@ class TableFile:
     Attributes:
         tables: blocks in the order of the file.
         trailing: lines of text after the last block.
-        left_out: one sentence for each group of numbers that is no table.
+        left_out: one sentence for each group of numbers that is not a table.
     """
 
     tables: list[TextTable]
@@ -330,7 +347,7 @@ def rows(text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
-    """Return the cells of a line; quotes protect delimiters, and empty cells at the end are dropped."""
+    """Return a line's cells; quotes protect delimiters, and empty cells at the end are dropped."""
     if delimiter is None:
         cells = [cell.strip('"') for cell in _QUOTED_OR_WORD.findall(line)] if '"' in line else line.split()
     elif '"' in line:

@@ -1,4 +1,4 @@
-"""What a file of an unknown format looks like, and how to export text from an instrument's program."""
+"""Describe a file in an unknown format, and how to export text from an instrument's program."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ EXPORT = (
 
 
 def appearance(head: FileHead) -> str:
-    """Return what the content of a file looks like."""
+    """Return a description of a file's content."""
     for magic, what in _MAGIC:
         if head.data.startswith(magic):
             inner = next((more for mark, more in _HEAD_PARTS.items() if mark in head.data), None)

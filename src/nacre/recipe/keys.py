@@ -126,17 +126,17 @@ def find_key(roots: Sequence[type[RecipeModel]], path: str, source: str) -> tupl
         RecipeError: there is no such key; with a suggestion.
     """
     models: Sequence[type[RecipeModel]] = roots
-    walked, found = "", None
+    prefix, found = "", None
     for word in re.sub(r"\[\d*\]", "", path).split("."):
         # of alternative tables the first, the most common, comes last here
         keys = {key.name: key for model in reversed(models) for key in keys_of(model)}
         found = next((keys[way] for way in spellings(word) if way in keys), None)
         if found is None:
-            raise RecipeError(_unknown(word, keys, walked, roots, source))
+            raise RecipeError(_unknown(word, keys, prefix, roots, source))
         models = found.tables
-        walked = f"{walked}.{found.name}".lstrip(".") + ("[]" if found.is_list else "")
+        prefix = f"{prefix}.{found.name}".lstrip(".") + ("[]" if found.is_list else "")
     assert found is not None  # a split text has at least one word
-    return walked.removesuffix("[]"), found
+    return prefix.removesuffix("[]"), found
 
 
 def as_written(value: Any) -> Any:
@@ -231,8 +231,8 @@ def _unit(name: str) -> str:
     return UNITS.get(last, "") if stem else ""
 
 
-def _unknown(word: str, keys: Mapping[str, Key], walked: str, roots: Sequence[type[RecipeModel]], source: str) -> str:
-    where = f"{source}.{walked}".rstrip(".")
+def _unknown(word: str, keys: Mapping[str, Key], prefix: str, roots: Sequence[type[RecipeModel]], source: str) -> str:
+    where = f"{source}.{prefix}".rstrip(".")
     if not keys:
         return f"{where} holds no keys; {word} is not known"
     hint = did_you_mean(word, keys)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from nacre.core.errors import NacreError
 from nacre.families.contract import OwnFormats, fabrications
-from nacre.formats.export_formats import EXPORTS, FAMILY_FORMATS, FOLDER, export_remarks
+from nacre.formats.export_formats import EXPORTS, FAMILY_FORMATS, FOLDERS, export_remarks
 from nacre.formats.fabrication import SUFFIXES
 from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
@@ -187,7 +187,7 @@ def _export(material: Material, request: Mapping[str, Any], folder: Path, stem: 
     from nacre.analysis.import_export import export_material
 
     to, options = request["to"], dict(request["options"])
-    if to == FOLDER:
+    if to in FOLDERS:
         options["illuminant"] = request["lamp"]
     return export_remarks(export_material(material, to, folder / f"{stem}{EXPORTS[to]}", **options))
 

@@ -17,7 +17,7 @@ from nacre.bsdf.grids import direction, take_uniform
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.microfacet import Microfacet
-from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.polarisation import InterfacePolarisation, interface_polarisation
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import (
@@ -104,7 +104,7 @@ class Film(Model, Polarised):
         range_nm, step_nm: wavelength grid; default step: colours within 0.5 dE00.
     """
 
-    version = 2
+    version = 3
     traits = Traits(noun="film", default_parts=("specular_reflectance",), is_quick=True)
 
     ambient: OpticalConstant
@@ -152,11 +152,6 @@ class Film(Model, Polarised):
         """Whether a medium looks different from different azimuths."""
         media = [self.substrate, *(layer.material for layer in self.layers)]
         return any(isinstance(medium, AnisotropicConstant) and not medium.is_axial for medium in media)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """That the Bsdf is a mean over the azimuth, where it depends on that."""
-        return (AZIMUTH_NOTE,) if self.depends_on_azimuth else ()
 
     def transmits(self, wavelengths_nm: Array) -> bool:
         """Whether the substrate is transparent."""
@@ -274,6 +269,10 @@ class Film(Model, Polarised):
                 f'base.albedo = {self.base_albedo:g} does not show through the opaque substrate "{self.substrate.name}"'
             )
         response, notes = self._response(tables)
+        if isinstance(tables, AnisotropicTables) and not self._varying and tables.varies_visibly(self._middle_nm):
+            if self.surface.is_smooth and self.base_albedo == 0 and not response.flipped:
+                return Bsdf((AlignedSpecular(tables.over_azimuth(self._middle_nm), 0.0),), notes)
+            notes = {**notes, "warnings": [AZIMUTH_NOTE]}
         if self.ridges is not None:
             lobe = self.ridges.lobe(_from_the_front(response))
             lobes: list[Lobe] = [lobe]

@@ -142,7 +142,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         is_open = self.base.kind == "none"
         if not self.surface.is_smooth or (is_open and not self.base.surface.is_smooth):
             found = self._estimated(theta, lam) if self.quality == "fast" else None
-            return found or (self._walked(theta, lam, seed) if self._has_compiled_walk else None)
+            return found or (self._spectrum_by_walks(theta, lam, seed) if self._has_compiled_walk else None)
         parts = np.stack([slab.powers(cos) for slab in self._slabs(lam, 1)], axis=-1)
         return Spectrum(
             lam, np.degrees(theta), parts[0], parts[1] if is_open else None, parts[2], parts[3] if is_open else None
@@ -168,11 +168,11 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         known = all(each.is_smooth or (each.distribution == "ggx" and each.alpha_x == each.alpha_y) for each in rough)
         return known and (self.quality != "fast" or self.inapplicable_reason() is not None)
 
-    def _walked(self, theta: Array, lam: Array, seed: int) -> Spectrum:
+    def _spectrum_by_walks(self, theta: Array, lam: Array, seed: int) -> Spectrum:
         """Return the spectrum of rough faces, all diffuse; many angles are interpolated between a few."""
         is_open = self.base.kind == "none"
         last = np.radians(89.99)
-        walked = theta if len(theta) <= WALK_ANGLES else np.linspace(0.0, last, WALK_ANGLES)
+        nodes = theta if len(theta) <= WALK_ANGLES else np.linspace(0.0, last, WALK_ANGLES)
         index = float(self.composite.walk_index)
         found = [
             walk(
@@ -180,12 +180,12 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
                 float(np.cos(min(angle, last))), walkers=SPECTRUM_WALKERS, upper=Face.of(self.surface, index),
                 lower=Face.of(self.base.surface, index), seed=seed * WALK_ANGLES + i,
             )
-            for i, angle in enumerate(walked)
+            for i, angle in enumerate(nodes)
         ]  # fmt: skip
         back = np.stack([f.surface + f.reflected.sum(axis=0) for f in found])
         through = np.stack([f.transmitted for f in found])
-        if len(walked) < len(theta):
-            spread = spline_matrix(walked, np.minimum(theta, last))
+        if len(nodes) < len(theta):
+            spread = spline_matrix(nodes, np.minimum(theta, last))
             back, through = (np.clip(spread @ part, 0.0, 1.0) for part in (back, through))
         return Spectrum(lam, np.degrees(theta), None, None, back, through if is_open else None)
 
@@ -245,8 +245,8 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         lobes = (face_lobe(medium, self.surface), table)
         if not self.is_checked:
             return Bsdf(lobes)
-        walked = walk_error(table, medium, self.thickness_nm, self._albedo(lam), self.surface)
-        error = np.hypot(walked, interpolation_error(smooth, medium, slabs))
+        walk_deviation = walk_error(table, medium, self.thickness_nm, self._albedo(lam), self.surface)
+        error = np.hypot(walk_deviation, interpolation_error(smooth, medium, slabs))
         note = (
             f"noise-free form: error {100 * error.mean():.2f} % on average over wavelengths, at most "
             f"{100 * error.max():.2f} % (L2 of f cos: against transfer over all directions, and against the walk over "

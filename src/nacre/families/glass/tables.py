@@ -163,7 +163,7 @@ def walk_error(
             for i in range(2)
         ]  # fmt: skip
         # the product of two independent differences has no noise in the mean
-        first, second = (walked - ours for walked in walks)
+        first, second = (one - ours for one in walks)
         noise = np.sum((walks[0] - walks[1]) ** 2, axis=0) / 4
         error += np.maximum(np.sum(first * second, axis=0), 0.0) + (NOISE_SHARE**2) * noise
         size += np.sum(ours**2, axis=0)

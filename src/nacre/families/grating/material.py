@@ -21,8 +21,8 @@ from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Diffracting, Model, Pixels, Traits
 from nacre.families.grating.outlines import outlines
-from nacre.families.grating.tables import MAX_THETA, OrderTables, in_common, order_tables
 from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.periodic.order_tables import MAX_THETA, OrderTables, in_common, order_tables
 from nacre.matter.periodic.orders import Orders, coarse_orders, solve_orders
 from nacre.matter.periodic.slices import COARSE, Wall, sliced
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Shape

@@ -18,7 +18,7 @@ from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.substrate import Substrate
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.families.contract import EnergyDefect, Figure, Model, Strata, Surrogate, Traits
+from nacre.families.contract import EnergyDefect, Figure, Model, ResolvedFlakes, Strata, Surrogate, Traits
 from nacre.families.pearl.doubling import RELATIVE_ERROR
 from nacre.families.pearl.flake_normals import (
     COS_NODES,
@@ -29,6 +29,7 @@ from nacre.families.pearl.flake_normals import (
     optical_number,
     visible_weights,
 )
+from nacre.families.pearl.flake_texture import FlakeTexture
 from nacre.families.pearl.glints import Glints, glint_arrays
 from nacre.families.pearl.platelet import PUBLISHED, PlateletResponse, platelet_response
 from nacre.families.pearl.random_walk import energy_defect
@@ -49,7 +50,7 @@ MIN_DEVIATION = 1e-3  # smaller normal deviations would be a mirror; the narrowe
 
 
 @dataclass(frozen=True)
-class Pearl(Model, Strata, Surrogate, EnergyDefect):
+class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
     """Strata from the light inward, and the base.
 
     Attributes:
@@ -92,7 +93,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
                 found.append(f"strata[{i}]: {kinds} types of platelets work, but each slows rendering down")
             for j, flakes in enumerate(stratum.flakes):
                 if flakes.diameter_um is not None and (self.glints is None or i > 0):
-                    found.append(f"strata[{i}].platelets[{j}]: diameter_um has no effect without glints")
+                    found.append(f"strata[{i}].platelets[{j}]: diameter_um has no effect on pictures without glints")
                 if abs(flakes.normals.frame[2, 2]) < EDGE_ON:
                     found.append(f"strata[{i}].platelets[{j}]: the rotation turns the platelets nearly edge-on")
         return tuple(found)
@@ -220,6 +221,15 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect):
     def strata_at(self, wavelengths_nm: Array) -> Layered:
         """Return the layered lobe, at any quality."""
         return self._layered(wavelengths_nm)
+
+    def single_flakes(self, wavelengths_nm: Array, weights: Array) -> FlakeTexture:
+        """Return the flakes one by one, for sparkle and graininess."""
+        return FlakeTexture(self.strata, self.glints, wavelengths_nm, weights)
+
+    @property
+    def over_black(self) -> Pearl:
+        """The same strata over a black base, without glints, which do not change the mean."""
+        return replace(self, base=Substrate(albedo=0.0), glints=None)
 
     def surrogate_radiance(
         self, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False

@@ -202,15 +202,15 @@ def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 
     found = in_threads(chunk, [(turn, i) for turn in range(len(CHECK_DEG)) for i in range(CHUNKS)])
     error, noise, size = np.zeros(count), np.zeros(count), np.zeros(count)
     for turn in range(len(CHECK_DEG)):
-        walked = np.stack(found[turn * CHUNKS : (turn + 1) * CHUNKS])
+        reference = np.stack(found[turn * CHUNKS : (turn + 1) * CHUNKS])
         ours, surface, solid = _bins(table, float(np.radians(CHECK_DEG[turn])), spread)
         weight = np.where(solid > 0, 1.0 / np.maximum(solid, 1e-12), 0.0)[:, None]
-        difference = walked - ours
+        difference = reference - ours
         total = difference.sum(axis=0)
         squares = np.sum(difference**2, axis=0)
         # mean product between differences from two chunks
         error += np.sum(weight * (total**2 - squares), axis=0) / (CHUNKS * (CHUNKS - 1))
-        noise += np.sum(weight * walked.var(axis=0, ddof=1), axis=0) / CHUNKS
+        noise += np.sum(weight * reference.var(axis=0, ddof=1), axis=0) / CHUNKS
         size += np.sum(weight * (ours + surface[:, None]) ** 2, axis=0)
     size = np.maximum(size, 1e-30)
     return np.sqrt(np.maximum(error, 0.0) / size), np.sqrt(noise / size)

@@ -16,6 +16,7 @@ from nacre.core.errors import UnsupportedError
 from nacre.families.contract import DirectEvaluation, Draft, ExcessEnergy, Fabricable, Figure, Model, Traits
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.diffraction_orders import choose_sampling
+from nacre.families.relief.lines import lines_of
 from nacre.families.relief.plane_cut import Reflectance, local_response
 from nacre.families.relief.prefactor import Prefactor, coating_reflectance
 from nacre.families.relief.scan import Scan
@@ -34,6 +35,7 @@ LEAST_RESOLVED_DEG = 60.0  # a scan that resolves less scatter says so
 FLAT_NM = 0.05  # Sq below which a scan is a plane: less than an atom
 COARSE_BLURS = 3.0  # of the coherence window, that a scan's own width may blur
 FIGURE_POINTS = 1024
+WAY_OUT = 'model.optics = "vector" solves Maxwell\'s equations for heights of lines'
 STATISTICS = {
     "scan": 'statistics = "scan": the scan itself diffracts, since its heights are not random',
     "random": 'statistics = "random": random heights with the power spectral density of the scan',
@@ -53,6 +55,7 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         error: allowed relative error of sampling and interpolation.
         bounded: limit the albedo to Fresnel.
         ambient: medium above, with directions inside it; default: vacuum.
+        remark: why scalar theory was chosen, or empty.
     """
 
     traits = Traits(
@@ -70,6 +73,7 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
     error: float = 3e-3
     bounded: bool = True
     ambient: OpticalConstant | None = None
+    remark: str = ""
 
     @property
     def wavelengths_nm(self) -> Array:
@@ -119,7 +123,7 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         """Return the coherence window in the medium above, its index `[wavelength]`, and the coating's reflectance."""
         n = np.ones(len(grid)) if self.ambient is None else self.ambient.n_complex(grid).real
         # wavelengths and source angles are smaller inside a medium by its index
-        window = Coherence(self.coherence.width_in_wavelengths * self._index_above)
+        window = Coherence(self.coherence.width_in_wavelengths * self.index_above)
         return window, n, coating_reflectance(self.coating.n_complex(grid) / n)
 
     def __hash__(self) -> int:
@@ -141,8 +145,12 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
     def warnings(self) -> tuple[str, ...]:
         """Slopes too steep, or features too small, for scalar diffraction; what was done to a scan."""
         found = self.validity
-        lines: tuple[str, ...] = (found.line(),) if found.is_outside else ()
+        lines: tuple[str, ...] = (self.remark,) if self.remark else ()
+        if found.is_outside:
+            lines += (found.line(),)
         if not isinstance(self.tile, Scan):
+            if found.is_outside and lines_of(self.tile) is not None:
+                lines = (*lines[:-1], f"{lines[-1]}; {WAY_OUT}")
             return lines
         angle = self.tile.resolved_deg
         if angle < LEAST_RESOLVED_DEG and self.tile.sq_nm > FLAT_NM:
@@ -161,8 +169,8 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
     def validity(self) -> Validity:
         """The expected colour error."""
         if isinstance(self.tile, Scan):
-            return self.tile.validity(self._index_above)
-        return assess(self.tile, self._index_above)
+            return self.tile.validity(self.index_above)
+        return assess(self.tile, self.index_above)
 
     @property
     def surface_figures(self) -> Mapping[str, float]:
@@ -181,7 +189,8 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         return self.tile
 
     @property
-    def _index_above(self) -> float:
+    def index_above(self) -> float:
+        """Index of the medium above, at 550 nm."""
         return 1.0 if self.ambient is None else float(self.ambient.n_complex(np.array([INDEX_NM])).real[0])
 
     @property

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from nacre._version import __version__
 from nacre.formats.lut.table import Closure, LightTable, Picture
+from nacre.formats.usd import write_usd
 
 HEAD = """// {name}: colours for {illuminant}, by nacre {version}. Linear sRGB, over the angle of view{rows}.
 // Set `folder` to the folder of the EXR images, ending in a slash.
@@ -114,12 +115,20 @@ class Graph:
 
 
 def write_graph(path: Path, table: LightTable) -> None:
-    """Write the MaterialX graph: images over the view angle on standard scattering nodes, with relative paths.
+    """Write the MaterialX graph, and as `.usda` beside it; see `graph_document`.
 
     Raises:
-        OSError: the file cannot be written.
+        NacreError: the file cannot be written.
     """
+    root = graph_document(table)
+    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    write_usd(path.with_suffix(".usda"), root, f"{table.name}: colours for {table.illuminant}, by nacre {__version__}")
+
+
+def graph_document(table: LightTable) -> ET.Element:
+    """Return the MaterialX graph: images over the view angle on standard scattering nodes, with relative paths."""
     label = re.sub(r"\W+", "_", table.name, flags=re.ASCII).strip("_") or "material"
+    label = f"_{label}" if label[0].isdigit() else label
     root = ET.Element("materialx", version="1.39", colorspace="lin_rec709")
     text = f" {table.name}: colours for {table.illuminant} over the angle of view, by nacre {__version__} "
     root.append(ET.Comment(text.replace("--", "- -")))
@@ -151,7 +160,7 @@ def write_graph(path: Path, table: LightTable) -> None:
     material = ET.SubElement(root, "surfacematerial", name=label, type="material")
     ET.SubElement(material, "input", name="surfaceshader", type="surfaceshader", nodename=f"SR_{label}")
     ET.indent(root)
-    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    return root
 
 
 def _azimuth(graph: Graph, cosine: str, view: str) -> str:

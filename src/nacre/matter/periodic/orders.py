@@ -54,6 +54,7 @@ def solve_orders(
     azimuth_rad: float,
     wavelengths_nm: Array,
     tolerance: float | None = None,
+    is_strict: bool = True,
 ) -> Orders:
     """Solve all angles and wavelengths, in threads.
 
@@ -61,6 +62,7 @@ def solve_orders(
         stack_at: the structure at a wavelength in nm.
         azimuth_rad: of the direction to the light.
         tolerance: largest estimated error of an efficiency; default: by method.
+        is_strict: raise an error if the tolerance is not reached; otherwise return the best solution.
 
     Raises:
         NotConvergedError: the tolerance is out of reach.
@@ -70,7 +72,9 @@ def solve_orders(
     stacks = [stack_at(float(w)) for w in grid]
     cases = [(a, w) for a in range(len(angles)) for w in range(len(grid))]
     found = in_threads(
-        lambda case: cached_solution(stacks[case[1]], float(grid[case[1]]), float(angles[case[0]]), phi, tolerance),
+        lambda case: cached_solution(
+            stacks[case[1]], float(grid[case[1]]), float(angles[case[0]]), phi, tolerance, is_strict
+        ),
         cases,
     )
     return gathered(cases, found, angles, azimuth_rad, grid)
@@ -95,7 +99,7 @@ def cached_solution(
     is_strict: bool = True,
 ) -> OrderSolution:  # fmt: skip
     """Return `solve` of one case, stored on disk if it takes long."""
-    key = _key(stack, wavelength_nm, theta_rad, phi_rad, tolerance)
+    key = case_key(stack, wavelength_nm, theta_rad, phi_rad, tolerance)
     stored = cached_arrays(key) if key else None
     if stored is not None:
         return _unpacked(stored)
@@ -106,7 +110,8 @@ def cached_solution(
     return solution
 
 
-def _key(stack: PeriodicStack, *case: object) -> str:
+def case_key(stack: PeriodicStack, *case: object) -> str:
+    """Return the fingerprint of a structure and of further arguments, or nothing for one that is never stored."""
     if stack.profile is not None and not stack.profile.key:
         return ""
     layers = tuple(

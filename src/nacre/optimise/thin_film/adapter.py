@@ -229,7 +229,7 @@ def thin_film_search(target: DesignTask, seed: int) -> ThinFilmSearch | None:
     Raises:
         RecipeError: a stack is searched for targets that also depend on other quantities.
     """
-    others = [want for want in target.targets if not _in_engine(want.geometry)]
+    others = [one for one in target.targets if not _in_engine(one.geometry)]
     if target.spec.layers is not None:
         if others:
             raise RecipeError(
@@ -310,16 +310,16 @@ def _is_of_stack(number: Parameter) -> bool:
     return bool(_LAYER.match(number.path)) and not number.choices
 
 
-def engine_wavelengths(wants: Sequence[Target]) -> Array:
+def engine_wavelengths(targets: Sequence[Target]) -> Array:
     """Return the search wavelengths: those of colours, or of the spectra without colours.
 
     The final evaluation uses the wavelengths of a target spectrum, hence the search does too if there are enough.
     """
-    spectra = [want.spectrum for want in wants if want.spectrum is not None]
+    spectra = [one.spectrum for one in targets if one.spectrum is not None]
     if not spectra:
         return default_wavelengths_nm()
     low, high = min(float(s[0, 0]) for s in spectra), max(float(s[0, -1]) for s in spectra)
-    if len(spectra) < len(wants):
+    if len(spectra) < len(targets):
         grid = default_wavelengths_nm()
         return (
             np.union1d(grid, np.arange(np.floor(low), np.ceil(high) + STEP_NM, STEP_NM))

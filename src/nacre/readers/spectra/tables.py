@@ -61,6 +61,8 @@ def _confidence(lines: Sequence[str], block: Block) -> float:
     place = 0 if not names[0] and _is_axis(x) else _axis(names)
     if place is None or place >= block.table.shape[1] or any(_is_other(name) for name in names):
         return 0.0
+    if any(meaning.polarisation or meaning.angle_deg for name in names for meaning in meanings(name)):
+        return 0.0  # the table of the vocabulary reads angles and polarisations
     labels = [common.label_of(name) for name in names[place + 1 :] if name]
     if any(label is not None for label in labels):
         return HEADED
@@ -144,7 +146,7 @@ def _is_axis(x: Array) -> bool:
 
 
 def _plain_columns(table: Array) -> tuple[Array, Array | None] | None:
-    """Return values and uncertainties of a table without headings, or None if it is no spectrum.
+    """Return values and uncertainties of a table without headings, or None if it is not a spectrum.
 
     Three columns are a spectrum with its uncertainty if the second is at most 1.05 and the third at most 0.3 of it in
     each row: n below 1 with so small a k occurs in no tabulated material of the visible.

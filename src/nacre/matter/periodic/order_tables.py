@@ -1,22 +1,29 @@
-"""Orders of a grating over the direction of light, for its lobes."""
+"""Orders of a periodic structure over the direction of light, for lobes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import hashlib
+import time
+from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
+from nacre.core.disk_cache import cache_arrays, cached_arrays
 from nacre.core.parallel import in_threads
-from nacre.matter.periodic.orders import cached_solution
-from nacre.matter.periodic.solve import difference, method_of, solve_coarse
+from nacre.matter.periodic.orders import cached_solution, case_key
+from nacre.matter.periodic.solve import difference, method_of, size_count, solve_coarse
 from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle
 
 MAX_THETA = float(np.radians(89.5))  # light beyond is taken as here
 THETAS = {"lines": 16, "profile": 16, "rectangles": 10, "fourier": 10}  # nodes from 0 to 90 degrees
 AZIMUTHS = {"lines": 24, "profile": 24, "rectangles": 16, "fourier": 12}  # of a whole turn, a multiple of 4
+FEW = 12, 16  # nodes of tables whose size follows from an error: larger solutions, fewer of them
 CHECKS = 6  # directions at which the error is estimated
+PROBES = 4  # directions that set the size
+MIN_STORED_S = 2.0  # tables that take less are not stored
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,24 +47,52 @@ class OrderTables:
     error: float
 
 
-def order_tables(stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: float | None) -> OrderTables:
-    """Solve a grid of directions, in threads; symmetric directions once."""
+def order_tables(
+    stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: float | None, table_error: float | None = None
+) -> OrderTables:
+    """Solve a grid of directions, in threads; symmetric directions once.
+
+    Args:
+        tolerance: of the solutions with which the tables are compared.
+        table_error: error of an efficiency at a few directions that sets the size; None: the smallest size.
+    """
+    keys = [case_key(stack, wavelength) for stack, wavelength in zip(stacks, wavelengths_nm.tolist(), strict=True)]
+    key = "tables-" + hashlib.sha256(repr((keys, tolerance, table_error)).encode()).hexdigest() if all(keys) else ""
+    stored = cached_arrays(key) if key else None
+    if stored is not None:
+        return OrderTables(
+            stored["mirror"], stored["passed"], stored["reflected"].astype(np.float32),
+            stored["transmitted"].astype(np.float32), stored["orders"].astype(np.int64), stored["lattice"],
+            float(stored["error"]),
+        )  # fmt: skip
+    start = time.perf_counter()
+    made = _solved_tables(stacks, wavelengths_nm, tolerance, table_error)
+    if key and time.perf_counter() - start > MIN_STORED_S:
+        cache_arrays(key, {each.name: np.asarray(getattr(made, each.name)) for each in fields(made)})
+    return made
+
+
+def _solved_tables(
+    stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: float | None, table_error: float | None
+) -> OrderTables:
     stack = stacks[0]
     method = method_of(stack)
     if not _is_patterned(stack):
         thetas, azimuths = 64, 4
-    else:
+    elif table_error is None:
         thetas, azimuths = THETAS[method], AZIMUTHS[method]
+    else:
+        thetas, azimuths = FEW
     angles = np.minimum(np.linspace(0.0, 0.5 * np.pi, thetas), MAX_THETA)
     images = _images(stack)
     source = _sources(thetas, azimuths, images)
     own = [node for node, (first, _) in source.items() if node == first]
     cases = [(t, a, w) for t, a in own for w in range(len(wavelengths_nm))]
 
-    def work(case: tuple[int, int, int]) -> OrderSolution:
+    def work(case: tuple[int, int, int], step: int = 0) -> OrderSolution:
         t, a, w = case
         phi = 2.0 * np.pi * a / azimuths + np.pi
-        return solve_coarse(stacks[w], float(wavelengths_nm[w]), float(angles[t]), phi)
+        return solve_coarse(stacks[w], float(wavelengths_nm[w]), float(angles[t]), phi, step)
 
     def check(case: tuple[int, int, int]) -> OrderSolution:
         t, a, w = case
@@ -66,7 +101,14 @@ def order_tables(stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: 
             stacks[w], float(wavelengths_nm[w]), float(angles[t]), phi, tolerance, is_strict=False
         )  # fmt: skip
 
-    found = dict(zip(cases, in_threads(work, cases), strict=True))
+    step = 0
+    if table_error is not None and _is_patterned(stack):
+        probes = [(t, a, 0) for t, a in own[:: max(len(own) // PROBES, 1)]]  # the first wavelength needs most
+        for step in range(size_count(stack)):
+            pairs = zip(in_threads(check, probes), in_threads(partial(work, step=step), probes), strict=True)
+            if max(difference(*pair) for pair in pairs) <= table_error:
+                break
+    found = dict(zip(cases, in_threads(partial(work, step=step), cases), strict=True))
     numbers = {
         (int(m), int(n)) for s in found.values() for side in (s.reflected, s.transmitted) for m, n in side.numbers
     }

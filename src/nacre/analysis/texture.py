@@ -1,0 +1,406 @@
+"""Texture of effect coatings: sparkle under a small lamp at 15, 45 and 75 degrees, and graininess under diffuse light.
+
+The flakes of the recipe (size, slope, number, depth, and what lies above them) give both, from their statistics
+(`nacre.measure.sparkle`, `nacre.measure.graininess`) or from drawn patches as the camera sees them. The mean luminance
+is that of the material's Bsdf. Instruments of the market map such quantities to scales that are not public: without
+measured pairs the scale is relative. `calibration` holds such pairs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pydantic
+from pydantic import Field
+
+from nacre.bsdf import Bsdf
+from nacre.bsdf.grids import direction
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
+from nacre.core.files import read_text
+from nacre.families.contract import Mixed, Model, ResolvedFlakes, SingleFlakes
+from nacre.light import smooth_weights
+from nacre.material.material import Material
+from nacre.measure.evaluate import evaluate_with_error, hemispherical
+from nacre.measure.graininess import TILES, DiffuseArea, Graininess, graininess_patch, graininess_statistics
+from nacre.measure.sparkle import Area, Pixels, Sparkle, sparkle_patch, sparkle_statistics
+from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
+from nacre.recipe.toml import parse_toml
+
+ANGLES_DEG = (15.0, 45.0, 75.0)
+WAVELENGTHS_NM = np.arange(400.0, 701.0, 10.0)
+SAMPLES = 1 << 16  # random walks for a mean luminance
+HEMISPHERE_NODES = 160
+LEAST_PASSED = 1e-3  # transmittance of all flakes, below which the base is not seen
+NORMAL = np.array([0.0, 0.0, 1.0])
+METHODS = ("statistics", "patch")
+QUANTITIES = ("sparkle", "intensity", "area", "graininess")
+RELATIVE = "relative: not that of an instrument; give calibration = {...} with measured pairs"
+CALIBRATED = "calibrated by measured pairs"
+
+Degrees = Annotated[float, Field(gt=0.0, le=20.0)]
+Pair = tuple[float, float]
+
+
+class Instrument(RecipeModel):
+    """Lamp, camera and definition of sparkle; `calibration` maps this scale to that of an instrument.
+
+    Keys of `calibration` are `sparkle`, `intensity`, `area` (at all angles, or `sparkle_15` at one) and `graininess`;
+    values are pairs [relative, measured], at least one.
+    """
+
+    lamp_deg: Degrees = Field(default=2.0, description="angle that the lamp subtends", examples=[2])
+    camera_deg: Degrees = Field(
+        default=2.0, description="angle that the camera's entrance pupil subtends", examples=[2]
+    )
+    pixel_um: Annotated[float, Field(ge=2.0, le=1000.0)] = Field(
+        default=40.0, description="side of a pixel on the surface", examples=[40]
+    )
+    field_mm: Annotated[float, Field(ge=4.0, le=100.0)] = Field(
+        default=20.0, description="side of the field of view", examples=[20]
+    )
+    distance_mm: Annotated[float, Field(ge=100.0, le=10000.0)] = Field(
+        default=500.0, description="viewing distance of graininess", examples=[500]
+    )
+    threshold: Annotated[float, Field(ge=0.1, le=100.0)] = Field(
+        default=1.0, description="least contrast of a sparkling pixel to the mean", examples=[1]
+    )
+    dark: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
+        default=0.01, description="dark light added to the mean in contrasts, as luminance factor", examples=[0.01]
+    )
+    calibration: dict[str, tuple[Pair, ...]] = Field(
+        default_factory=dict, description="measured pairs [relative, measured]", examples=[{"sparkle_45": [[30, 5.2]]}]
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _check(self) -> Instrument:
+        names = [*QUANTITIES, *(f"{name}_{angle:g}" for name in QUANTITIES[:3] for angle in ANGLES_DEG)]
+        for name, pairs in self.calibration.items():
+            if name not in names:
+                raise ValueError(
+                    f"calibration.{name} is not known.{did_you_mean(name, names)} Known: {', '.join(names)}"
+                )
+            if not pairs or not all(math.isfinite(v) and v >= 0 for pair in pairs for v in pair):
+                given = show_value([list(pair) for pair in pairs])
+                raise ValueError(
+                    f"calibration.{name} = {given} is not allowed; write [[relative, measured]], from 0 up"
+                )
+            if max(pair[0] for pair in pairs) <= 0:
+                raise ValueError(f"calibration.{name} needs a relative value above 0")
+        if self.pixel_um * 64 > self.field_mm * 1e3:
+            raise ValueError(
+                f"pixel_um = {self.pixel_um:g} is not allowed; field_mm = {self.field_mm:g} should hold 64 or more"
+            )
+        return self
+
+
+def read_instrument(source: str | Path | Mapping[str, Any] | Instrument | None) -> Instrument:
+    """Return an instrument from a TOML file or a mapping; None is the default.
+
+    Raises:
+        RecipeError: the file cannot be read, or a key or value is not allowed.
+    """
+    if source is None:
+        return Instrument()
+    if isinstance(source, Instrument):
+        return source
+    if isinstance(source, Mapping):
+        return validate(Instrument, source, RecipeContext("instrument"))  # type: ignore[no-any-return]
+    text = read_text(Path(source), "instrument")
+    return validate(Instrument, parse_toml(text, str(source)), RecipeContext(str(source)))  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class Texture:
+    """Texture of one material.
+
+    Attributes:
+        name: of the recipe.
+        method: "statistics" or "patch".
+        sparkle: angle of the lamp in degrees -> sparkle.
+        graininess: under diffuse light.
+        luminance: angle -> mean luminance factor and its standard error; "diffuse" under diffuse light.
+        calibrated: quantity, such as "sparkle_45" -> value on the scale of the instrument.
+        extrapolated: calibrated quantities outside of their measured pairs.
+        instrument: lamp, camera and definitions.
+        images: of the patches, angle or "diffuse" -> luminance factors `[row, column]`; empty for "statistics".
+        seed: of the random numbers.
+    """
+
+    name: str
+    method: str
+    sparkle: dict[str, Sparkle]
+    graininess: Graininess
+    luminance: dict[str, tuple[float, float]]
+    calibrated: dict[str, float]
+    extrapolated: tuple[str, ...]
+    instrument: Instrument
+    images: dict[str, Array] = field(default_factory=dict, compare=False, repr=False)
+    seed: int = 0
+
+    @property
+    def pictures(self) -> dict[str, tuple[Array, float]]:
+        """Images of the patches with the lengths of their sides in mm, for `nacre.plot.texture_figure`."""
+        found = {}
+        for name, image in self.images.items():
+            tile = self.instrument.field_mm / math.sqrt(TILES)
+            found[name] = (image, tile if name == "diffuse" else image.shape[0] * self.instrument.pixel_um / 1e3)
+        return found
+
+    @property
+    def scale(self) -> str:
+        """Whether the scale is relative."""
+        return CALIBRATED if self.calibrated else RELATIVE
+
+
+def calibrate(pairs: Sequence[Pair], value: float) -> tuple[float, bool]:
+    """Return the instrument's value for a relative one, and whether it lies outside of the pairs.
+
+    The map is the monotone least-squares fit to the pairs (pooling of adjacent violators, Ayer et al. 1955), linear
+    between them, through the origin below the first, and proportional above the last.
+
+    Example:
+        >>> calibrate([(10.0, 2.0), (20.0, 6.0)], 15.0)
+        (4.0, False)
+    """
+    groups: list[list[float]] = []  # sum of y, count, and the x of the group's points
+    ordered: dict[float, list[float]] = {}
+    for x, y in sorted(pairs):
+        ordered.setdefault(x, []).append(y)
+    places: list[list[float]] = []
+    for x, values in ordered.items():
+        groups.append([sum(values), float(len(values))])
+        places.append([x])
+        while len(groups) > 1 and groups[-2][0] / groups[-2][1] > groups[-1][0] / groups[-1][1]:
+            total, count = groups.pop()
+            groups[-1][0] += total
+            groups[-1][1] += count
+            last = places.pop()
+            places[-1] += last
+    nodes = [(x, total / count) for xs, (total, count) in zip(places, groups, strict=True) for x in xs]
+    is_outside = not nodes[0][0] <= value <= nodes[-1][0]
+    if value > nodes[-1][0]:
+        return nodes[-1][1] * value / nodes[-1][0], is_outside
+    if nodes[0][0] > 0:
+        nodes.insert(0, (0.0, 0.0))
+    found = np.interp(value, [x for x, _ in nodes], [y for _, y in nodes])
+    return float(found), is_outside
+
+
+def measure_texture(
+    material: Material,
+    instrument: str | Path | Mapping[str, Any] | Instrument | None = None,
+    method: str = "statistics",
+    illuminant: str = "D65",
+    observer: str = "10deg",
+    seed: int = 0,
+) -> Texture:
+    """Compute sparkle and graininess of a pearl, or of a blend with pearls.
+
+    Args:
+        material: each of its flakes has a diameter.
+        instrument: lamp, camera and calibration, a TOML file or its keys; default: `Instrument()`.
+        method: "statistics", in closed form, or "patch", from drawn flakes.
+        illuminant, observer: of the luminance.
+        seed: of random walks and drawn flakes.
+
+    Raises:
+        UnsupportedError: the material lacks flakes, or their diameters.
+        RecipeError: the instrument has a key or value that is not allowed.
+    """
+    if method not in METHODS:
+        raise NacreError(f'method = "{method}" is not known; known: {", ".join(METHODS)}')
+    tool = read_instrument(instrument)
+    scene = _Scene(material, illuminant, observer, seed)
+    pixels = Pixels(tool.pixel_um, tool.field_mm, tool.threshold, tool.dark)
+    cones = (math.radians(tool.lamp_deg / 2), math.radians(tool.camera_deg / 2))
+    sparkle, luminance, images = {}, {}, {}
+    for number, angle in enumerate(ANGLES_DEG):
+        areas, error = scene.lit(math.radians(angle), *cones)
+        label = f"{angle:g}"
+        luminance[label] = (sum(area.share * area.mean for area in areas), error)
+        closed = sparkle_statistics(areas, pixels)
+        found = closed
+        if method == "patch":
+            found, images[label] = sparkle_patch(areas, pixels, 8 * seed + number)
+        sparkle[label] = _with_mean_error(found, closed, areas, pixels, error)
+    diffuse, mean = scene.diffuse()
+    luminance["diffuse"] = (mean, 0.0)
+    if method == "patch":
+        grain, images["diffuse"] = graininess_patch(diffuse, tool.distance_mm, tool.field_mm, 8 * seed + 7)
+    else:
+        grain = graininess_statistics(diffuse, tool.distance_mm)
+    plain = Texture(material.name, method, sparkle, grain, luminance, {}, (), tool, images, seed)
+    calibrated, outside = _calibrated(plain)
+    return replace(plain, calibrated=calibrated, extrapolated=outside)
+
+
+def _with_mean_error(found: Sparkle, closed: Sparkle, areas: Sequence[Area], pixels: Pixels, error: float) -> Sparkle:
+    """Add the effect of the error of the mean luminance to the standard errors."""
+    if error <= 0:
+        return found
+    moved = sparkle_statistics([replace(area, mean=area.mean + error) for area in areas], pixels)
+    names = ("intensity", "area", "grade")
+    changes = {
+        f"{name}_error": math.hypot(getattr(found, f"{name}_error"), getattr(moved, name) - getattr(closed, name))
+        for name in names
+    }
+    return replace(found, **changes)
+
+
+def _calibrated(texture: Texture) -> tuple[dict[str, float], tuple[str, ...]]:
+    values = {"graininess": texture.graininess.value}
+    for label, one in texture.sparkle.items():
+        values |= {f"sparkle_{label}": one.grade, f"intensity_{label}": one.intensity, f"area_{label}": one.area}
+    found, outside = {}, []
+    for name, value in values.items():
+        pairs = texture.instrument.calibration.get(name) or texture.instrument.calibration.get(name.rpartition("_")[0])
+        if pairs:
+            found[name], is_outside = calibrate(pairs, value)
+            outside += [name] if is_outside else []
+    return found, tuple(outside)
+
+
+class _Scene:
+    """A material's parts with their flakes and mean luminances."""
+
+    def __init__(self, material: Material, illuminant: str, observer: str, seed: int) -> None:
+        self.seed = seed
+        weights = smooth_weights(WAVELENGTHS_NM, illuminant, observer)[:, 1]
+        self.weights = weights / weights.sum()
+        self.places = _places(material.model, 1.0, 1.0)
+        self.flakes: dict[int, SingleFlakes] = {}
+        self.bsdfs: dict[int, Bsdf] = {}
+        for _, parts in self.places:
+            for _, model in parts:
+                if id(model) in self.bsdfs:
+                    continue
+                if isinstance(model, ResolvedFlakes):
+                    try:
+                        self.flakes[id(model)] = model.single_flakes(WAVELENGTHS_NM, self.weights)
+                    except UnsupportedError as error:
+                        raise UnsupportedError(f"{material.context.source}: {error}") from None
+                self.bsdfs[id(model)] = model.bsdf(WAVELENGTHS_NM)
+        if not self.flakes:
+            raise UnsupportedError(
+                f"{material.context.source}: a {material.model.traits.noun} has no flakes, and so no sparkle or "
+                "graininess; texture is known for pearls with platelets, and for blends with one"
+            )
+
+    def lit(self, theta_rad: float, lamp_rad: float, camera_rad: float) -> tuple[list[Area], float]:
+        """Return the areas under a lamp, and the standard error of their mean luminance."""
+        flakes = {key: single.lit(theta_rad, lamp_rad, camera_rad) for key, single in self.flakes.items()}
+        wi, wo = direction(theta_rad)[None], NORMAL[None]
+        means, errors = {}, {}
+        for key, bsdf in self.bsdfs.items():
+            values, error = evaluate_with_error(bsdf, wi, wo, samples=SAMPLES, seed=self.seed)
+            means[key] = float(np.pi * values[0] @ self.weights)
+            errors[key] = 0.0 if error is None else float(np.pi * error[0] @ self.weights)
+        areas, variance = [], 0.0
+        for share, parts in self.places:
+            found = tuple(one.scaled(factor) for factor, m in parts if factor > 0 for one in flakes.get(id(m), []))
+            areas.append(Area(share, found, sum(factor * means[id(m)] for factor, m in parts)))
+        for key, deviation in errors.items():
+            total = sum(share * factor for share, parts in self.places for factor, m in parts if id(m) == key)
+            variance += (total * deviation) ** 2
+        return areas, math.sqrt(variance)
+
+    def diffuse(self) -> tuple[list[tuple[float, DiffuseArea]], float]:
+        """Return the parts under diffuse light with the factors on their deviations, and the mean luminance."""
+        found: list[tuple[float, DiffuseArea]] = []
+        mean, made = 0.0, {}
+        for share, parts in self.places:
+            for factor, model in parts:
+                if factor <= 0:
+                    continue
+                if id(model) not in made:
+                    made[id(model)] = self._diffuse_part(model)
+                found.append((math.sqrt(share) * factor, made[id(model)]))
+                mean += share * factor * made[id(model)].mean
+        # variances are weighted by the squares; the means of the parts only enter by their sum
+        flakes = [(factor, area) for factor, area in found if area.flakes]
+        weighted = sum(factor * area.mean for factor, area in flakes)
+        rest = DiffuseArea((), mean - weighted)
+        return [*flakes, (1.0, rest)], mean
+
+    def _diffuse_part(self, model: Model) -> DiffuseArea:
+        mean = self._hemisphere(self.bsdfs[id(model)])
+        if id(model) not in self.flakes:
+            return DiffuseArea((), mean)
+        flakes = tuple(self.flakes[id(model)].diffuse())
+        assert isinstance(model, ResolvedFlakes)
+        from_base = mean - self._hemisphere(model.over_black.bsdf(WAVELENGTHS_NM))
+        passed = math.exp(-sum(f.coverage * (1.0 - _mean_transmittance(f.facing, f.transmittance)) for f in flakes))
+        base = min(max(from_base / passed, 0.0), 1.0) if passed > LEAST_PASSED else 0.0
+        return DiffuseArea(flakes, mean, base)
+
+    def _hemisphere(self, bsdf: Bsdf) -> float:
+        """Return the luminance factor under diffuse light along the normal: by reciprocity, the reflectance there."""
+        total = sum(
+            hemispherical(lobe, NORMAL, nodes=HEMISPHERE_NODES, seed=self.seed)[0] @ self.weights
+            for lobe in bsdf.lobes
+            if not lobe.is_delta
+        )
+        return float(total)
+
+
+def _mean_transmittance(facing: Array, transmittance: Array) -> float:
+    return float(np.mean(np.interp(facing, np.linspace(0.0, 1.0, len(transmittance)), transmittance)))
+
+
+def _places(model: Model, share: float, factor: float) -> list[tuple[float, list[tuple[float, Model]]]]:
+    """Return the parts of the surface with all nested mixtures resolved."""
+    if not isinstance(model, Mixed):
+        return [(share, [(factor, model)])]
+    found = []
+    for part, materials in model.mixture:
+        combined: list[tuple[float, list[tuple[float, Model]]]] = [(share * part, [])]
+        for one, other in materials:
+            if one <= 0:
+                continue
+            inner = _places(other, 1.0, factor * one)
+            combined = [(a * b, [*left, *right]) for a, left in combined for b, right in inner]
+        found += combined
+    return found
+
+
+def texture_rows(texture: Texture) -> list[tuple[str, str]]:
+    """Return the numbers of a texture with their names and units, as text."""
+    rows = []
+    for label, one in texture.sparkle.items():
+        luminance, error = texture.luminance[label]
+        at = f"at {label} degrees"
+        rows += [
+            (f"sparkle {at}", f"{one.grade:.4g} +- {one.grade_error:.2g}"),
+            (f"  intensity {at}", f"{one.intensity:.4g} +- {one.intensity_error:.2g}"),
+            (f"  area {at} (%)", f"{one.area:.4g} +- {one.area_error:.2g}"),
+            (f"  mean luminance {at}", f"{luminance:.4g} +- {error:.2g}"),
+        ]
+    rows.append(("graininess (%)", f"{texture.graininess.value:.4g} +- {texture.graininess.error:.2g}"))
+    rows.append(("  mean luminance, diffuse light", f"{texture.luminance['diffuse'][0]:.4g}"))
+    for name, value in texture.calibrated.items():
+        note = " (beyond the measured pairs)" if name in texture.extrapolated else ""
+        rows.append((f"{name.replace('_', ' at ')} by calibration", f"{value:.4g}{note}"))
+    method = "statistics of the flakes" if texture.method == "statistics" else "drawn patch"
+    rows += [("texture by", f"{method}"), ("scale of texture", texture.scale)]
+    return rows
+
+
+def texture_document(texture: Texture) -> dict[str, Any]:
+    """Return a texture as data for JSON, without images."""
+    return {
+        "method": texture.method,
+        "scale": "calibrated" if texture.calibrated else "relative",
+        "sparkle": {label: dict(one.__dict__) for label, one in texture.sparkle.items()},
+        "graininess": dict(texture.graininess.__dict__),
+        "luminance": {name: {"value": v, "error": e} for name, (v, e) in texture.luminance.items()},
+        "calibrated": texture.calibrated,
+        "extrapolated": list(texture.extrapolated),
+        "instrument": texture.instrument.model_dump(mode="json"),
+        "seed": texture.seed,
+    }

@@ -1,0 +1,259 @@
+"""A pearl's flakes one by one, for sparkle and graininess: number, size, slope, brightness and what lies above.
+
+Under a small lamp, light reflected by one flake with the normal slope s_j, the half vector's slope s in the resin and
+the kernel k has, with the cosines mu inside and the transmittances t of the interfaces (compare
+`nacre.bsdf.lobes.platelet_layer`),
+
+    f = t_i t_o (1 + |s|^2)^2 / (4 n^2 mu_i mu_o)  R k(s - s_j) T^m exp(-a z);
+
+its mean over the flakes is the analytic single scattering. m is the number of other flakes that light crosses on both
+ways, Poisson-distributed with a mean proportional to the depth, T their mean transmittance, a the absorption.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from nacre.bsdf.facet_distributions import fresnel
+from nacre.bsdf.flakes import DiffuseFlakes, LitFlakes, mean_square, radius_quantiles
+from nacre.bsdf.grids import direction
+from nacre.core.arrays import Array
+from nacre.core.errors import UnsupportedError
+from nacre.families.pearl.flake_normals import FlakeNormals, optical_number, orthonormal_basis
+from nacre.families.pearl.glints import DIFFRACTION, MIDDLE_UM, Glints, interface_bend
+from nacre.families.pearl.platelet import platelet_response
+from nacre.families.pearl.strata import Flakes, Stratum, dye_response
+
+DEPTH_NODES = 17
+COS_NODES = 257
+NORMALS = 32  # squared: visible normals in a mean
+FACING_NODES = 1025
+LEAST = 1e-3  # share of the brightest flake, below which crossings are not tabulated
+MOST_CROSSINGS = 200
+INDEX_NM = 550.0
+RESOLUTION = 0.51 / 2.3548  # standard deviation of an image point, half width at half maximum 0.51 wavelengths / NA
+
+
+def visible_normals(normals: FlakeNormals, w: Array, nodes: int = NORMALS) -> tuple[Array, float]:
+    """Return normals `[node^2, 3]` with the distribution of the area visible along `w[3]`, and that area.
+
+    The area is relative to the same flakes lying flat. With the root M of the SGGX matrix, m is along M y, with y
+    cosine-distributed about M w (Heitz et al. 2015, section 4).
+    """
+    root = normals.frame @ np.diag(normals.axes) @ normals.frame.T
+    axis = root @ w
+    area = float(np.linalg.norm(axis))
+    axis = axis / area
+    share, turn = np.meshgrid((np.arange(nodes) + 0.5) / nodes, (np.arange(nodes) + 0.5) / nodes * 2 * np.pi)
+    tangent, bitangent = orthonormal_basis(axis)
+    radius = np.sqrt(share)[..., None]
+    y = radius * (np.cos(turn)[..., None] * tangent + np.sin(turn)[..., None] * bitangent)
+    y = (y + np.sqrt(1.0 - share)[..., None] * axis).reshape(-1, 3)
+    m = y @ root
+    return m / np.linalg.norm(m, axis=1, keepdims=True), area
+
+
+class FlakeTexture:
+    """The flakes of a pearl at given wavelengths.
+
+    Args:
+        strata: of the pearl, from the light inward; each of their pigments has a diameter.
+        glints: spread of the diameters and flatness of the flakes, or None for the defaults.
+        wavelengths_nm: `[wavelength]`, vacuum.
+        weights: `[wavelength]`, whose sum with a reflectance factor is the luminance factor.
+
+    Raises:
+        UnsupportedError: a pigment has no diameter, or there is none.
+    """
+
+    def __init__(self, strata: Sequence[Stratum], glints: Glints | None, wavelengths_nm: Array, weights: Array) -> None:
+        self.strata, self.wavelengths_nm, self.weights = strata, wavelengths_nm, weights
+        for i, stratum in enumerate(strata):
+            for j, flakes in enumerate(stratum.flakes):
+                if flakes.diameter_um is None:
+                    raise UnsupportedError(f"strata[{i}].platelets[{j}].diameter_um is missing; texture needs it")
+        if not any(stratum.flakes for stratum in strata):
+            raise UnsupportedError("the pearl has no platelets, and so no texture")
+        self.scales = glints or Glints((1.0, 1.0))
+        at = np.array([INDEX_NM])
+        self.index = [float(stratum.resin.n_complex(at)[0].real) for stratum in strata]
+        self.absorption = [self._absorption(stratum) for stratum in strata]
+        cos = np.linspace(0.0, 1.0, COS_NODES)
+        self.cos = cos
+        self.tables = [
+            [platelet_response(f.platelet, s.resin.n_complex(wavelengths_nm).real, cos, wavelengths_nm).unpolarised()
+             for f in s.flakes]
+            for s in strata
+        ]  # fmt: skip
+
+    def _absorption(self, stratum: Stratum) -> Array:
+        lam = self.wavelengths_nm
+        n = stratum.resin.n_complex(lam)
+        found = 4 * np.pi * n.imag * stratum.thickness_nm / lam
+        if stratum.dye is not None:
+            found = found + dye_response(stratum.dye, n.real, stratum.thickness_nm, lam).extinction
+        return np.asarray(found)
+
+    def _number(self, stratum: Stratum, flakes: Flakes) -> float:
+        return optical_number(flakes.volume_fraction, stratum.thickness_nm, flakes.platelet.height_nm)
+
+    def _read(self, table: Array, cos: Array) -> Array:
+        at = np.clip(np.abs(cos), 0.0, 1.0) * (COS_NODES - 1)
+        low = np.minimum(at.astype(int), COS_NODES - 2)
+        part = (at - low)[..., None]
+        return np.asarray((1.0 - part) * table[low] + part * table[low + 1])
+
+    def _crossings(self, i: int, w: Array) -> tuple[float, Array]:
+        """Return the flakes crossed by light along `w[3]` in a stratum, and their optical thickness `[wavelength]`."""
+        stratum, met, depth = self.strata[i], 0.0, np.zeros(len(self.wavelengths_nm))
+        for flakes, (_, transmit) in zip(stratum.flakes, self.tables[i], strict=True):
+            m, area = visible_normals(flakes.normals, w)
+            count = self._number(stratum, flakes) * area / abs(w[2])
+            met += count
+            depth = depth + count * np.mean(1.0 - self._read(transmit, m @ w), axis=0)
+        return met, depth
+
+    def _inside(self, w: Array, i: int) -> tuple[Array, float]:
+        """Return a direction `[3]` refracted into a stratum, and the transmittance of all interfaces above it."""
+        passed, cos, outer = 1.0, float(w[2]), 1.0
+        for index in self.index[: i + 1]:
+            eta = index / outer
+            passed *= 1.0 - float(fresnel(np.array(cos), eta))
+            cos, outer = math.sqrt(max(1.0 - (1.0 - cos * cos) / (eta * eta), 0.0)), index
+        sine = w[:2] / self.index[i]
+        return np.array([*sine, math.sqrt(max(1.0 - float(sine @ sine), 1e-12))]), passed
+
+    def lit(self, theta_rad: float, lamp_rad: float, camera_rad: float) -> list[LitFlakes]:
+        """Return the flakes under a lamp at an angle from the normal, seen along the normal.
+
+        Args:
+            theta_rad: from the normal to the lamp, in the ambient.
+            lamp_rad, camera_rad: half angles of the cones to the lamp and to the entrance pupil of the camera.
+        """
+        wi, wo = direction(theta_rad), np.array([0.0, 0.0, 1.0])
+        found: list[LitFlakes] = []
+        above_um, above_depth = 0.0, np.zeros(len(self.wavelengths_nm))
+        for i, stratum in enumerate(self.strata):
+            (inner_i, passed_i), (inner_o, passed_o) = self._inside(wi, i), self._inside(wo, i)
+            ways = [self._crossings(i, inner) for inner in (inner_i, inner_o)]
+            slant = 1.0 / inner_i[2] + 1.0 / inner_o[2]
+            met = ways[0][0] + ways[1][0]
+            shade = 1.0 - (ways[0][1] + ways[1][1]) / met if met > 0 else np.ones(len(self.wavelengths_nm))
+            tall = self.index[i] * (inner_i[2] + inner_o[2])
+            half = (wi + wo)[:2] / tall
+            scale = passed_i * passed_o * (1.0 + float(half @ half)) ** 2 / (
+                4.0 * self.index[i] ** 2 * inner_i[2] * inner_o[2]
+            )  # fmt: skip
+            facing = math.sqrt(0.5 * (1.0 + float(inner_i @ inner_o)))
+            variance = self._variance(i, theta_rad, lamp_rad, camera_rad, tall)
+            reach_um = above_um + stratum.thickness_nm / 1e3 * _mean_depth(met * (1.0 - float(np.mean(shade))))
+            for flakes, (reflect, _) in zip(stratum.flakes, self.tables[i], strict=True):
+                spectrum = self.weights * np.pi * scale * self._read(reflect, np.array(facing)) * np.exp(-above_depth)
+                radii = radius_quantiles(float(flakes.diameter_um or 0.0), self.scales.diameter_spread)
+                found.append(LitFlakes(
+                    number=self._number(stratum, flakes) / (math.pi * mean_square(radii) * 1e-6),
+                    radii_um=radii,
+                    blur_um=self._blur_um(i, reach_um, camera_rad),
+                    half=half,
+                    variance=variance,
+                    diffraction_um=DIFFRACTION * MIDDLE_UM / self.index[i],
+                    density=_slope_density(flakes.normals),
+                    brightness=_brightness(spectrum, self.absorption[i] * slant, shade, met),
+                    crossings=met,
+                ))  # fmt: skip
+            above_um += stratum.thickness_nm / 1e3
+            above_depth = above_depth + ways[0][1] + ways[1][1] + self.absorption[i] * slant
+        return found
+
+    def _variance(self, i: int, theta_rad: float, lamp_rad: float, camera_rad: float, tall: float) -> Array:
+        """Return the variance of the slope between half vector and normal, without diffraction, `[2]`.
+
+        A cone of half angle a has the variance a^2 / 4 along each axis; a lamp at an angle is foreshortened.
+        """
+        bends = [
+            interface_bend(self._alpha(k), self.index[k] / (self.index[k - 1] if k else 1.0)) for k in range(i + 1)
+        ]
+        own = math.tan(math.radians(self.scales.flatness_deg)) ** 2 + sum(b * b for b in bends)
+        lamp = 0.25 * lamp_rad**2 * np.array([math.cos(theta_rad) ** 2, 1.0])
+        return np.asarray(own + (lamp + 0.25 * camera_rad**2) / tall**2)
+
+    def _alpha(self, i: int) -> float:
+        surface = self.strata[i].surface
+        return math.sqrt(max(surface.alpha_x * surface.alpha_y, 0.0))
+
+    def _blur_um(self, i: int, reach_um: float, camera_rad: float) -> float:
+        """Return the standard deviation of an image point on the surface.
+
+        By diffraction at the entrance pupil; by defocus, as the camera is focused on the outer surface; and by the
+        rough outer interface, which bends the light that comes from `reach_um` below.
+        """
+        pupil = RESOLUTION * MIDDLE_UM / math.sin(camera_rad)
+        defocus = 0.5 * reach_um * math.tan(camera_rad) / self.index[i]
+        bend = reach_um * interface_bend(self._alpha(0), self.index[0])
+        return math.hypot(pupil, defocus, bend)
+
+    def diffuse(self) -> list[DiffuseFlakes]:
+        """Return the flakes under uniform diffuse light, seen along the normal.
+
+        A flake reflects the light of one direction to the viewer; beyond the critical angle it reflects none.
+        """
+        found: list[DiffuseFlakes] = []
+        normal = np.array([0.0, 0.0, 1.0])
+        depth = np.linspace(0.0, 1.0, DEPTH_NODES)
+        tilt = np.arccos(self.cos)
+        above: Array = np.zeros((COS_NODES, len(self.wavelengths_nm)))
+        for i, stratum in enumerate(self.strata):
+            sine = np.sin(np.minimum(2.0 * tilt, np.pi / 2)) * self.index[i]
+            is_lit = (2.0 * tilt < np.pi / 2) & (sine < 1.0)
+            outside = [direction(float(np.arcsin(s))) if lit else normal for s, lit in zip(sine, is_lit, strict=True)]
+            inner, passed = zip(*(self._inside(w, i) for w in outside), strict=True)
+            _, view = self._inside(normal, i)
+            slant = np.array([1.0 / w[2] for w in inner])
+            coarse = np.linspace(0, COS_NODES - 1, 17).astype(int)
+            down = np.stack([self._crossings(i, inner[k])[1] for k in coarse])
+            crossed = np.stack([np.interp(np.arange(COS_NODES), coarse, row) for row in down.T], axis=1)
+            way = crossed + self.absorption[i] * (slant[:, None] + 1.0)
+            for flakes, (reflect, transmit) in zip(stratum.flakes, self.tables[i], strict=True):
+                m, area = visible_normals(flakes.normals, normal, 2 * NORMALS)
+                first = reflect * (is_lit * np.array(passed) * view)[:, None] * np.exp(-above) * self.weights
+                luminance = np.stack([np.sum(first * np.exp(-way * z), axis=1) for z in depth])
+                found.append(DiffuseFlakes(
+                    stratum=i,
+                    coverage=self._number(stratum, flakes) * area,
+                    radii_um=radius_quantiles(float(flakes.diameter_um or 0.0), self.scales.diameter_spread),
+                    facing=np.quantile(np.abs(m[:, 2]), np.linspace(0.0, 1.0, FACING_NODES)),
+                    luminance=luminance,
+                    transmittance=(transmit @ self.weights) / np.sum(self.weights),
+                ))  # fmt: skip
+            above = above + way
+        return found
+
+
+def _mean_depth(depth: float) -> float:
+    """Return the mean relative depth of visible flakes, weighted by exp(-depth z)."""
+    if depth < 1e-3:
+        return 0.5
+    return 1.0 / depth - 1.0 / math.expm1(min(depth, 500.0))
+
+
+def _slope_density(normals: FlakeNormals) -> Callable[[Array], Array]:
+    def density(slopes: Array) -> Array:
+        m = np.concatenate([slopes, np.ones((*slopes.shape[:-1], 1))], axis=-1)
+        length = np.linalg.norm(m, axis=-1, keepdims=True)
+        return np.asarray(normals.density(m / length) / length[..., 0] ** 4)
+
+    return density
+
+
+def _brightness(spectrum: Array, absorbed: Array, shade: Array, met: float) -> Array:
+    """Return the luminance times unit slope area `[depth, crossings]`."""
+    clear = float(np.max(shade))
+    most = met + 6.0 * math.sqrt(met) + 6.0
+    if clear < 1.0:
+        most = min(most, math.log(LEAST) / math.log(max(clear, 1e-9)) + 1.0)
+    powers = np.maximum(shade, 0.0)[:, None] ** np.arange(math.ceil(min(most, MOST_CROSSINGS)) + 1)
+    depth = np.linspace(0.0, 1.0, DEPTH_NODES)
+    return np.asarray((spectrum * np.exp(-np.outer(depth, absorbed))) @ powers)

@@ -1,0 +1,164 @@
+"""Reliefs of lines: heights that vary along one axis, as the structure of the rigorous solver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.special import erf
+
+from nacre.core.arrays import Array
+from nacre.families.relief.surface import FLAT_FROM_PERIODS, Tile
+from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Rectangle
+
+SAME = 1e-9  # of the range: heights nearer than this are equal
+STEEPEST = 20.0  # slope of a blurred wall above which it is solved as a vertical one
+MOST_LEVELS = 16  # of vertical walls
+FINE_NM, FINE_STEP = 50.0, 0.15  # features and steps over the range that are samples of a curve
+FINE_BLUR = 0.6  # of a feature, blur at which such steps vanish
+SMOOTH_BLUR = 0.3  # of a feature, blur above which walls need no mesh of their own
+WALL_WIDTH, NEAREST = 3.0, 0.45  # half width of a wall in blurs, at most in features: elements of its own
+SAMPLES = 32  # of a feature, at which the surface is searched for its range
+REACH = 9.0  # of a blurred wall, in its standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """One period across the lines.
+
+    Attributes:
+        heights_nm: `[feature]`.
+        feature_nm, blur_nm: width of a feature and standard deviation of its walls' blur.
+        along_x: whether the heights vary along x (the lines lie along y).
+    """
+
+    heights_nm: Array
+    feature_nm: float
+    blur_nm: float
+    along_x: bool
+
+    @property
+    def period_nm(self) -> float:
+        """The smallest period."""
+        return len(self.heights_nm) * self.feature_nm
+
+    @property
+    def jumps(self) -> list[tuple[float, float]]:
+        """Place in nm and height in nm of each wall before blur."""
+        steps = self.heights_nm - np.roll(self.heights_nm, 1)
+        return [(float(i * self.feature_nm), float(steps[i])) for i in np.flatnonzero(steps)]
+
+    @property
+    def effective_blur_nm(self) -> float:
+        """The blur, at least so large that the samples of a curve are no steps."""
+        highest = max((abs(step) for _, step in self.jumps), default=0.0)
+        is_curve = self.feature_nm <= FINE_NM and highest <= FINE_STEP * float(np.ptp(self.heights_nm))
+        return max(self.blur_nm, FINE_BLUR * self.feature_nm) if is_curve else self.blur_nm
+
+    @property
+    def has_steps(self) -> bool:
+        """Whether the blur is much narrower than the features."""
+        return self.effective_blur_nm < SMOOTH_BLUR * self.feature_nm
+
+    @property
+    def steepest(self) -> float:
+        """The largest slope of a single blurred wall."""
+        return max((abs(step) for _, step in self.jumps), default=0.0) / (np.sqrt(2.0 * np.pi) * self.effective_blur_nm)
+
+    @property
+    def has_walls(self) -> bool:
+        """Whether walls are so steep that they are solved as vertical ones."""
+        return self.steepest > STEEPEST and len(np.unique(self.heights_nm)) <= MOST_LEVELS
+
+    def profile(self) -> Profile:
+        """Return the blurred surface; elements end at its walls where these are narrower than the features."""
+        period, walls, blur = self.period_nm, self.jumps, self.effective_blur_nm
+        width = np.sqrt(2.0) * blur
+        images = np.arange(-1, 2) * period if REACH * blur < period else _images(blur, period)
+        start = float(self.heights_nm[-1])
+
+        def height(t: Array) -> Array:
+            x, total = np.asarray(t, dtype=float) * period, np.full(np.shape(t), start)
+            for place, step in walls:
+                for image in images:
+                    total += step * (0.5 + 0.5 * erf((x - place - image) / width) - (image < 0.0))
+            return total
+
+        def slope(t: Array) -> Array:
+            x, total = np.asarray(t, dtype=float) * period, np.zeros(np.shape(t))
+            for place, step in walls:
+                for image in images:
+                    total += step * np.exp(-(((x - place - image) / width) ** 2))
+            return np.asarray(total / (width * np.sqrt(np.pi)))
+
+        x = np.arange(SAMPLES * len(self.heights_nm) + 1) / (SAMPLES * len(self.heights_nm))
+        values = height(x)
+        top, depth = float(values.max()), float(np.ptp(values))
+        corners: tuple[float, ...] = ()
+        if self.has_steps:
+            aside = min(WALL_WIDTH * blur, NEAREST * self.feature_nm)
+            places = {(place + side) / period % 1.0 for place, _ in walls for side in (-aside, 0.0, aside)}
+            corners = tuple(sorted(places))
+        key = ("blurred", period, blur, *self.heights_nm.tolist())
+        if not corners:  # quicker by a spline, to some 1e-6 of the depth
+            spline = CubicSpline(x, np.append(values[:-1], values[0]), bc_type="periodic")
+            derivative = spline.derivative()
+            return Profile(
+                depth, (), lambda t: (spline(t) - top) / depth, lambda t: derivative(t) / depth, key
+            )  # fmt: skip
+        return Profile(
+            depth, corners, lambda t: (height(t) - top) / depth, lambda t: slope(t) * (period / depth), key
+        )  # fmt: skip
+
+    def layers(self, cover: complex, body: complex) -> tuple[PatternLayer, ...]:
+        """Return the steps between vertical walls, from the top down, of two permittivities."""
+        levels = np.unique(self.heights_nm)
+        count, centre = len(self.heights_nm), 0.5 * self.period_nm
+        found = []
+        for low, high in zip(levels[:-1], levels[1:], strict=True):
+            inside = self.heights_nm > 0.5 * (low + high)
+            starts = np.flatnonzero(inside & ~np.roll(inside, 1))
+            shapes = []
+            for start in starts:
+                length = int(np.argmin(np.roll(inside, -start)))
+                x_0 = start * self.feature_nm - centre
+                shapes.append((Rectangle(x_0, x_0 + length * self.feature_nm), body))
+            assert count > len(starts)
+            found.append(PatternLayer(float(high - low), cover, tuple(shapes)))
+        return tuple(reversed(found))
+
+    def stacks(self, cover: Array, body: NDArray[np.complex128]) -> list[PeriodicStack]:
+        """Return the structure for each index `[wavelength]` of the medium above (real) and of the body."""
+        cell = Cell(self.period_nm)
+        if np.ptp(self.heights_nm) == 0.0:
+            return [PeriodicStack(cell, float(n), (), complex(m)) for n, m in zip(cover, body, strict=True)]
+        if self.has_walls:
+            return [
+                PeriodicStack(cell, float(n), self.layers(complex(n) ** 2, complex(m) ** 2), complex(m))
+                for n, m in zip(cover, body, strict=True)
+            ]
+        profile = self.profile()
+        return [PeriodicStack(cell, float(n), (), complex(m), profile) for n, m in zip(cover, body, strict=True)]
+
+
+def lines_of(tile: Tile) -> Lines | None:
+    """Return a tile's lines, or None if its heights vary along both axes."""
+    heights = tile.heights_nm
+    tolerance = SAME * max(float(np.ptp(heights)), 1e-6)
+    for axis in (1, 0):
+        if np.all(np.ptp(heights, axis=axis) <= tolerance):
+            row = np.asarray(heights.take(0, axis=axis))
+            row = np.where(np.abs(row - np.roll(row, 1)) <= tolerance, np.roll(row, 1), row)
+            divisors = [d for d in range(1, len(row) + 1) if len(row) % d == 0]
+            period = next(d for d in divisors if np.allclose(row, np.roll(row, d), 0.0, tolerance))
+            row = row[:period] - row.min()
+            is_flat = tile.blur_nm > FLAT_FROM_PERIODS * period * tile.feature_nm
+            return Lines(np.zeros(1) if is_flat else row, tile.feature_nm, tile.blur_nm, axis == 1)
+    return None
+
+
+def _images(blur: float, period: float) -> Array:
+    count = int(np.ceil(REACH * blur / period)) + 1
+    return np.asarray(np.arange(-count, count + 1) * period, dtype=float)

@@ -1,0 +1,155 @@
+"""Reliefs by Maxwell's equations: the orders of a periodic surface, each as wide as the light's coherence has it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nacre.bsdf.bsdf import Bsdf, Spectrum
+from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
+from nacre.bsdf.texture import Texture, parse_formula
+from nacre.core.arrays import Array
+from nacre.core.errors import UnsupportedError
+from nacre.families.contract import Diffracting, Fabricable, Figure, Model, Traits
+from nacre.families.relief.lines import Lines
+from nacre.families.relief.material import Relief
+from nacre.matter.drawings import Drawer
+from nacre.matter.periodic.order_tables import MAX_THETA, order_tables
+from nacre.matter.periodic.orders import Orders, solve_orders
+from nacre.matter.periodic.solve import LARGEST_ERROR
+from nacre.matter.periodic.structure import NotConvergedError, PeriodicStack
+
+TABLE_ERROR = 1e-2  # of an efficiency in the tables over directions
+TOLERANCE = {True: 1e-3, False: 2e-4}  # of an efficiency, for narrow walls and for smooth curves
+QUARTER = 0.5 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class VectorRelief(Model, Diffracting, Fabricable):
+    """A relief of lines, solved rigorously.
+
+    Attributes:
+        scalar: the same relief in scalar theory, with the surface, coating and coherence.
+        lines: its period.
+        tolerance: largest estimated error of an efficiency; None: 2e-4, of narrow walls 1e-3.
+        reason: why this theory was chosen, or empty.
+    """
+
+    traits = Traits(noun="relief", default_geometry="45as15")
+
+    scalar: Relief
+    lines: Lines
+    tolerance: float | None = None
+    reason: str = ""
+
+    @property
+    def wavelengths_nm(self) -> Array:
+        """The grid of the scalar relief."""
+        return self.scalar.wavelengths_nm
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Why the theory was chosen, and whether the orders are narrower than the light's coherence asks for."""
+        lines: tuple[str, ...] = (self.reason,) if self.reason else ()
+        width, asked = self._width(float(self.wavelengths_nm[0])), self._coherence_width
+        if width < 0.99 * asked:
+            lines += (
+                f"orders of a period of {self.lines.period_nm / 1e3:.3g} um overlap in light of this coherence; "
+                f"pictures show them {asked / width:.2g} times narrower",
+            )
+        return lines
+
+    @property
+    def figures(self) -> Mapping[str, Figure]:
+        """The surface."""
+        return {"structure": self.scalar.figures["structure"]}
+
+    @property
+    def fabrications(self) -> Mapping[str, Drawer]:
+        """Those of the scalar relief."""
+        return self.scalar.fabrications
+
+    @property
+    def order_width_rad(self) -> float:
+        """Standard deviation of each order's direction, by the light's coherence."""
+        return self._coherence_width
+
+    def stacks(self, wavelengths_nm: Array) -> list[PeriodicStack]:
+        """Return the structure at wavelengths, x across the lines."""
+        body = self.scalar.coating.n_complex(wavelengths_nm)
+        ambient = self.scalar.ambient
+        cover = np.ones(len(wavelengths_nm)) if ambient is None else ambient.n_complex(wavelengths_nm).real
+        return self.lines.stacks(cover, body)
+
+    def diffraction_orders(self, theta_rad: Array, azimuth_rad: float, wavelengths_nm: Array | None) -> Orders:
+        """Return the reflected orders, (m, 0) across lines along y and (0, n) across lines along x.
+
+        Raises:
+            NotConvergedError: the error is above the tolerance; without one, above 2e-2.
+        """
+        lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        stacks = dict(zip(lam.tolist(), self.stacks(lam), strict=True))
+        turn = 0.0 if self.lines.along_x else QUARTER
+        is_strict = self.tolerance is not None
+        found = solve_orders(lambda w: stacks[w], theta_rad, azimuth_rad - turn, lam, self._tolerance, is_strict)
+        if not is_strict and float(found.error.max()) > LARGEST_ERROR:
+            raise NotConvergedError(
+                f"orders of the relief: error {found.error.max():.1e}; allowed: at most {LARGEST_ERROR:g}, by flatter "
+                'heights, more blur, or model.optics = "scalar"'
+            )
+        if self.lines.along_x:
+            return found
+
+        def turned(directions: Array) -> Array:
+            return np.stack([-directions[..., 1], directions[..., 0], directions[..., 2]], axis=-1)
+
+        return replace(
+            found, numbers=found.numbers[:, ::-1], azimuth_rad=azimuth_rad,
+            reflected_direction=turned(found.reflected_direction),
+            transmitted_direction=turned(found.transmitted_direction),
+        )  # fmt: skip
+
+    def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
+        """Solve the orders on a grid of directions; the zero order is as wide as the others.
+
+        Raises:
+            NotConvergedError: the period is too long for the shortest wavelength.
+        """
+        lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
+        table = order_tables(self.stacks(lam), lam, self._tolerance, TABLE_ERROR)
+        power = np.concatenate([table.mirror[:, :, None, :].astype(np.float32), table.reflected], axis=2)
+        orders = np.concatenate([np.zeros((1, 2), dtype=np.int64), table.orders])
+        width = self._width(float(lam[0]))
+        rotation = None if self.lines.along_x else Texture(QUARTER, QUARTER, formula=parse_formula(repr(QUARTER)))
+        lobe = OrdersLobe(lam, power, table.lattice, orders, width, rotation)
+        return Bsdf((lobe,), {"optics": "vector", "estimated_error": float(f"{table.error:.2g}")})
+
+    def spectrum(
+        self, theta_rad: Array, wavelengths_nm: Array | None = None, polarisation: str = "both", seed: int = 0
+    ) -> Spectrum:
+        """Return the sum of all orders as diffuse light, for light from azimuth 0.
+
+        Raises:
+            UnsupportedError: the polarisation is not known.
+        """
+        if polarisation not in ("s", "p", "both"):
+            raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use s, p or both')
+        theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
+        found = self.diffraction_orders(np.minimum(theta, MAX_THETA), 0.0, wavelengths_nm)
+        every = np.nan_to_num(found.reflected).sum(axis=2)
+        diffuse = {"s": every[..., 0], "p": every[..., 1]}.get(polarisation, every.mean(axis=-1))
+        return Spectrum(found.wavelengths_nm, np.degrees(theta), None, None, diffuse)
+
+    @property
+    def _tolerance(self) -> float:
+        return self.tolerance if self.tolerance is not None else TOLERANCE[self.lines.has_steps]
+
+    @property
+    def _coherence_width(self) -> float:
+        return self.scalar.coherence.blur / self.scalar.index_above
+
+    def _width(self, shortest_nm: float) -> float:
+        lattice = np.array([[1.0 / self.lines.period_nm, 0.0], [0.0, 0.0]])
+        return limited_width(self._coherence_width, lattice, shortest_nm)

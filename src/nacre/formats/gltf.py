@@ -1,0 +1,162 @@
+"""Write glTF files (.gltf with embedded buffers, .glb) of a thin film on a mesh.
+
+The number of `KHR_materials_iridescence` that varies is the thickness: a picture between minimum and maximum, in its
+green channel. glTF counts v downward.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.core.arrays import Array
+from nacre.core.files import atomic_path
+from nacre.formats.foreign_materials import GLB_JSON, GLB_MAGIC, ThicknessMap, ThinFilm
+
+FLOAT, UNSIGNED_INT = 5126, 5125
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+GLB_BINARY = b"BIN\0"
+RINGS, SEGMENTS = 48, 96
+
+
+@dataclass(frozen=True)
+class Part:
+    """Triangles: positions and unit normals `[N, 3]`, y up; uv `[N, 2]`, v up, or None; vertex indices `[M, 3]`."""
+
+    positions: Array
+    normals: Array
+    uv: Array | None
+    faces: NDArray[np.int64]
+
+
+def gltf_material(film: ThinFilm, name: str, thickness: ThicknessMap | None = None) -> dict[str, Any]:
+    """Return the glTF material of a thin film; texture 0 is its thickness map."""
+    iridescence: dict[str, Any] = {
+        "iridescenceFactor": film.weight, "iridescenceIor": film.film_ior,
+        "iridescenceThicknessMinimum": film.thickness_nm, "iridescenceThicknessMaximum": film.thickness_nm,
+    }  # fmt: skip
+    if thickness is not None:
+        iridescence |= {
+            "iridescenceThicknessMinimum": thickness.low_nm, "iridescenceThicknessMaximum": thickness.high_nm,
+            "iridescenceThicknessTexture": {"index": 0},
+        }  # fmt: skip
+    extensions: dict[str, Any] = {"KHR_materials_iridescence": iridescence}
+    if not film.is_metal:
+        extensions["KHR_materials_ior"] = {"ior": film.base_ior}
+    if film.transmits:
+        extensions["KHR_materials_transmission"] = {"transmissionFactor": 1.0}
+    return {
+        "name": name,
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [*film.base_rgb, 1.0],
+            "metallicFactor": 1.0 if film.is_metal else 0.0,
+            "roughnessFactor": float(np.sqrt(film.roughness)),
+        },
+        "extensions": extensions,
+    }
+
+
+def write_gltf(
+    path: str | Path, film: ThinFilm, name: str, provenance: dict[str, Any] | None = None,
+    parts: Sequence[Part] = (), thickness: ThicknessMap | None = None,
+) -> None:  # fmt: skip
+    """Write parts of a mesh, by default a sphere, with the material; binary if the suffix is `.glb`.
+
+    Args:
+        provenance: for `extras`.
+        thickness: in place of the film's own thickness.
+
+    Raises:
+        NacreError: the file cannot be written.
+    """
+    path, blob = Path(path), bytearray()
+    material = gltf_material(film, name, thickness)
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+
+    def view(content: bytes, **more: Any) -> int:
+        views.append({"buffer": 0, "byteOffset": len(blob), "byteLength": len(content), **more})
+        blob.extend(content + bytes(-len(content) % 4))
+        return len(views) - 1
+
+    def vectors(values: Array, *, is_bounded: bool = False) -> int:
+        single = np.ascontiguousarray(values, "<f4")
+        entry = {
+            "bufferView": view(single.tobytes(), target=ARRAY_BUFFER), "componentType": FLOAT, "count": len(single),
+            "type": f"VEC{single.shape[1]}",
+        }  # fmt: skip
+        if is_bounded:
+            entry |= {"min": single.min(axis=0).tolist(), "max": single.max(axis=0).tolist()}
+        accessors.append(entry)
+        return len(accessors) - 1
+
+    primitives = []
+    for part in parts or (sphere(),):
+        attributes = {"POSITION": vectors(part.positions, is_bounded=True), "NORMAL": vectors(part.normals)}
+        if part.uv is not None:
+            attributes["TEXCOORD_0"] = vectors(np.stack([part.uv[:, 0], 1.0 - part.uv[:, 1]], axis=1))
+        indices = np.ascontiguousarray(part.faces.reshape(-1), "<u4")
+        accessors.append({
+            "bufferView": view(indices.tobytes(), target=ELEMENT_ARRAY_BUFFER), "componentType": UNSIGNED_INT,
+            "count": indices.size, "type": "SCALAR",
+        })  # fmt: skip
+        primitives.append({"attributes": attributes, "indices": len(accessors) - 1, "material": 0})
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "nacre", "extras": provenance or {}},
+        "extensionsUsed": sorted(material["extensions"]), "scene": 0, "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "name": name}], "meshes": [{"primitives": primitives}], "materials": [material],
+        "accessors": accessors, "bufferViews": views,
+    }  # fmt: skip
+    if thickness is not None:
+        document |= {
+            "images": [{"bufferView": view(_picture(thickness)), "mimeType": "image/png", "name": "thickness"}],
+            "samplers": [{"magFilter": 9729, "minFilter": 9729, "wrapS": 10497, "wrapT": 10497}],
+            "textures": [{"source": 0, "sampler": 0}],
+        }  # fmt: skip
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(_encoded(document, bytes(blob), path.suffix.lower() == ".glb"))
+
+
+def _encoded(document: dict[str, Any], blob: bytes, is_binary: bool) -> bytes:
+    buffer: dict[str, Any] = {"byteLength": len(blob)}
+    if not is_binary:
+        buffer["uri"] = "data:application/octet-stream;base64," + base64.b64encode(blob).decode()
+    document["buffers"] = [buffer]
+    if not is_binary:
+        return json.dumps(document, indent=1).encode()
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), GLB_JSON) + text + struct.pack("<I4s", len(blob), GLB_BINARY) + blob
+    return struct.pack("<4sII", GLB_MAGIC, 2, 12 + len(chunks)) + chunks
+
+
+def _picture(thickness: ThicknessMap) -> bytes:
+    """Return a PNG with 8 bits; glTF reads green."""
+    from PIL import Image
+
+    grey = np.round(255 * np.clip(thickness.image, 0.0, 1.0)).astype(np.uint8)
+    stream = io.BytesIO()
+    Image.fromarray(np.repeat(grey[..., None], 3, axis=-1)).save(stream, "png", optimize=True)
+    return stream.getvalue()
+
+
+def sphere() -> Part:
+    """Return a unit sphere; u runs once around, v from the lower pole up."""
+    theta, phi = np.meshgrid(np.linspace(0, np.pi, RINGS + 1), np.linspace(0, 2 * np.pi, SEGMENTS + 1), indexing="ij")
+    points = np.stack([np.sin(theta) * np.cos(phi), np.cos(theta), -np.sin(theta) * np.sin(phi)], axis=-1)
+    uv = np.stack([phi / (2 * np.pi), 1.0 - theta / np.pi], axis=-1)
+    ring, segment = np.meshgrid(np.arange(RINGS), np.arange(SEGMENTS), indexing="ij")
+    a = ring * (SEGMENTS + 1) + segment
+    b = a + SEGMENTS + 1
+    faces = np.stack([a, b, a + 1, a + 1, b, b + 1], axis=-1).reshape(-1, 3)
+    points = points.reshape(-1, 3)
+    return Part(points, points, uv.reshape(-1, 2), faces)

@@ -1,0 +1,384 @@
+"""Sparkle of an effect coating: luminance of camera pixels, from the statistics of flakes or from a drawn patch.
+
+Luminous flakes are a Poisson process on the surface. The luminance of a pixel is a uniform part plus the sum over the
+flakes in it, that is, shot noise: with the measure M of the contributions x of single flakes, its characteristic
+function is exp(integral (exp(i w x) - 1) dM) (Campbell's theorem; Rice 1944). `sparkle_statistics` computes M by
+quadrature over size, slope, depth and position, and inverts the characteristic function by a Fourier transform.
+`sparkle_patch` draws flake after flake.
+
+A pixel sparkles if its luminance L exceeds the mean L0 by a contrast (L - L0) / (L0 + dark) > threshold. Its intensity
+is the luminance above the mean, relative to white, and not the contrast: an absorbing clear coat weakens spots and dims
+their surroundings even more. Luminous spots on a background, point spread, entrance pupil and diffuseness of the light
+are the ingredients of Ferrero et al., Opt. Express 21, 26812 (2013); scales of contrast are proposed by Ferrero et al.,
+Opt. Express 29, 7589 (2021). `dark` is the dark light of the generalised Weber law; "Visibility of sparkle in metallic
+paints", J. Opt. Soc. Am. A 32, 921 (2015), derives the visibility of sparkle from such thresholds.
+"""
+
+# mypy: allow-untyped-defs, allow-incomplete-defs
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nacre.bsdf.flakes import LitFlakes
+from nacre.core.arrays import Array
+from nacre.core.jit import compiled
+
+FARTHEST = 12.0  # squared distance from the half vector, in standard deviations, beyond which a flake is not luminous
+TURNS = 16
+GRID = 1 << 16
+RADII, SLOPES, PLACES, LEVELS, DEPTHS = 24, 64, 32, 64, 32  # quadrature
+FAINTEST = 1e-4  # share of the largest value, below which values have one common level
+MOST_FLAKES = 4_000_000  # drawn in one image
+BLOCKS = 8  # squared: blocks of the image that are left out in turn for the standard error
+UM2_PER_MM2 = 1e6
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """The camera's pixels and the definition of sparkle.
+
+    Attributes:
+        pixel_um: side of a pixel on the surface.
+        field_mm: side of the field.
+        threshold: least contrast of a sparkling pixel.
+        dark: dark light, as luminance factor.
+    """
+
+    pixel_um: float
+    field_mm: float
+    threshold: float
+    dark: float
+
+
+@dataclass(frozen=True)
+class Area:
+    """A part of the surface with the same flakes everywhere.
+
+    Attributes:
+        share: of the surface.
+        flakes: its pigments.
+        mean: its mean luminance.
+    """
+
+    share: float
+    flakes: tuple[LitFlakes, ...]
+    mean: float
+
+
+@dataclass(frozen=True)
+class Sparkle:
+    """Sparkle in one geometry.
+
+    Attributes:
+        intensity: mean luminance factor of sparkling pixels above that of the field; 0 without any.
+        area: share of sparkling pixels, in per cent.
+        grade: intensity times the square root of the sparkling share, the root mean square over the field of equal
+            spots; the product of both alone, their light, hardly depends on the size of the flakes.
+        intensity_error, area_error, grade_error: standard errors.
+    """
+
+    intensity: float
+    area: float
+    grade: float
+    intensity_error: float
+    area_error: float
+    grade_error: float
+
+
+@compiled(nogil=True)
+def _half_chord(x, radius):
+    return 0.5 * (x * math.sqrt(max(radius * radius - x * x, 0.0)) + radius * radius * math.asin(x / radius))
+
+
+@compiled(nogil=True)
+def _below(x, y, radius):
+    """Return the integral from 0 to x of y clipped to the disc, -h(x) <= y <= h(x)."""
+    reach = math.sqrt(max(radius * radius - y * y, 0.0)) if abs(y) < radius else 0.0
+    away = min(abs(x), radius)
+    total = abs(y) * min(away, reach)
+    if away > reach:
+        total += _half_chord(away, radius) - _half_chord(reach, radius)
+    return total if (x >= 0.0) == (y >= 0.0) else -total
+
+
+@compiled(nogil=True)
+def overlap(x0, x1, y0, y1, radius):
+    """Return the area of a disc about the origin inside the rectangle x0 < x1, y0 < y1."""
+    upper = _below(x1, y1, radius) - _below(x0, y1, radius)
+    lower = _below(x1, y0, radius) - _below(x0, y0, radius)
+    return max(upper - lower, 0.0)
+
+
+@compiled(nogil=True)
+def _pixel_shares(radius, side, places):
+    """Return the pixel area covered by a disc, for positions on a grid over one quadrant, and one position's area."""
+    span = 0.5 * side + radius
+    out = np.empty(places * places)
+    for i in range(places):
+        for j in range(places):
+            x, y = (i + 0.5) / places * span, (j + 0.5) / places * span
+            h = 0.5 * side
+            out[i * places + j] = overlap(x - h, x + h, y - h, y + h, radius)
+    return out, 4.0 * (span / places) ** 2
+
+
+@compiled(nogil=True)
+def _deposit(first, first_weight, second, second_weight, third, third_weight, step, out):
+    """Add the products of three distributions to a grid; each is split onto two nodes, so that its mean is kept."""
+    for a in range(first.size):
+        for b in range(second.size):
+            value, weight = first[a] * second[b] / step, first_weight[a] * second_weight[b]
+            for c in range(third.size):
+                at = min(value * third[c], out.size - 1.001)
+                low = int(at)
+                mass = weight * third_weight[c]
+                out[low] += mass * (1.0 - at + low)
+                out[low + 1] += mass * (at - low)
+
+
+@compiled(nogil=True)
+def _draw_discs(x, y, radius, light, image):
+    """Add discs of total light, in pixel units, to a periodic image; a pixel receives its share of each disc."""
+    rows, columns = image.shape
+    for n in range(x.size):
+        r = radius[n]
+        density = light[n] / (math.pi * r * r)
+        for i in range(int(math.floor(y[n] - r)), int(math.floor(y[n] + r)) + 1):
+            for j in range(int(math.floor(x[n] - r)), int(math.floor(x[n] + r)) + 1):
+                part = overlap(j - x[n], j + 1 - x[n], i - y[n], i + 1 - y[n], r)
+                image[i % rows, j % columns] += density * part
+
+
+def _levels(values: Array, weights: Array, count: int) -> tuple[Array, Array]:
+    """Return a distribution on a few levels, logarithmic bins each at its mean."""
+    flat, mass = values.ravel(), weights.ravel()
+    largest = float(flat.max())
+    if largest <= 0.0:
+        return np.zeros(1), np.array([mass.sum()])
+    place = np.log(np.maximum(flat, FAINTEST * largest) / (FAINTEST * largest)) / -math.log(FAINTEST)
+    bins = np.minimum((place * count).astype(int), count - 1)
+    total = np.bincount(bins, mass, count)
+    sums = np.bincount(bins, mass * flat, count)
+    held = total > 0
+    return np.asarray(sums[held] / total[held]), np.asarray(total[held], dtype=float)
+
+
+def _quantile(table: Array, share: Array) -> Array:
+    return np.asarray(np.interp(share, np.linspace(0.0, 1.0, len(table)), table))
+
+
+def _widths(flakes: LitFlakes, radii: Array) -> Array:
+    """Return the standard deviations of the slope `[radius, 2]`."""
+    diffraction = (flakes.diffraction_um / (2.0 * radii)) ** 2
+    return np.sqrt(flakes.variance + diffraction[:, None])
+
+
+def _spot_radii(flakes: LitFlakes, radii: Array) -> Array:
+    """Return the radii of discs with the second moments of blurred flakes."""
+    return np.sqrt(radii**2 + 4.0 * flakes.blur_um**2)
+
+
+def _brightness_levels(flakes: LitFlakes, effort: float) -> tuple[Array, Array]:
+    """Return brightness and probability over depth and crossings."""
+    depth = (np.arange(round(DEPTHS * effort)) + 0.5) / round(DEPTHS * effort)
+    table, crossed = flakes.brightness, np.arange(flakes.brightness.shape[1])
+    mean = flakes.crossings * depth[:, None]
+    from scipy.special import gammaln, xlogy
+
+    chance = np.exp(xlogy(crossed, mean) - mean - gammaln(crossed + 1.0)) / len(depth)
+    nodes = np.linspace(0.0, 1.0, len(table))
+    bright = np.stack([np.interp(depth, nodes, column) for column in table.T], axis=1)
+    return _levels(bright, chance, LEVELS)
+
+
+def _measure(flakes: LitFlakes, side_um: float, effort: float) -> tuple[list[tuple[Array, ...]], float]:
+    """Return the contributions of single flakes as products of three distributions for each size, and their largest."""
+    count = round(RADII * effort)
+    radii = _quantile(flakes.radii_um, (np.arange(count) + 0.5) / count)
+    bright, chance = _brightness_levels(flakes, effort)
+    slopes = round(SLOPES * effort)
+    q = (np.arange(slopes) + 0.5) / slopes * FARTHEST
+    turn = (np.arange(TURNS) + 0.5) * 2 * np.pi / TURNS
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    found: list[tuple[Array, ...]] = []
+    largest = 0.0
+    for radius, spot, width in zip(radii, _spot_radii(flakes, radii), _widths(flakes, radii), strict=True):
+        offset = np.sqrt(q)[:, None, None] * circle * width
+        ellipse = math.pi * float(width[0] * width[1]) * FARTHEST / slopes  # slope area of one node
+        seen = flakes.density(flakes.half + offset).mean(axis=1) * ellipse
+        kernel = np.exp(-0.5 * q) / (2.0 * math.pi * width[0] * width[1])
+        covered, place = _pixel_shares(float(spot), side_um, round(PLACES * effort))
+        share, at = _levels(covered / side_um**2 * (radius / spot) ** 2, np.full(covered.shape, place), LEVELS)
+        number = flakes.number / UM2_PER_MM2 / count
+        found.append((kernel, seen * number, bright, chance, share, at))
+        largest = max(largest, float(kernel.max() * bright.max() * share.max()))
+    return found, largest
+
+
+def _moments(parts: Sequence[tuple[Array, ...]]) -> tuple[float, float]:
+    """Return sum and sum of squares of the contributions to a pixel: the mean and the variance of its luminance."""
+    first = sum(float(np.prod([v @ w for v, w in zip(p[::2], p[1::2], strict=True)])) for p in parts)
+    second = sum(float(np.prod([v**2 @ w for v, w in zip(p[::2], p[1::2], strict=True)])) for p in parts)
+    return first, second
+
+
+def _tail(area: Area, field_mean: float, pixels: Pixels, effort: float) -> tuple[float, float]:
+    """Return the probability that a pixel sparkles, and the mean excess of such pixels times that probability."""
+    measured = [_measure(flakes, pixels.pixel_um, effort) for flakes in area.flakes]
+    parts = [part for found, _ in measured for part in found]
+    first, second = _moments(parts)
+    uniform = max(area.mean - first, 0.0)
+    largest = max((most for _, most in measured), default=0.0)
+    limit = field_mean + pixels.threshold * (field_mean + pixels.dark)
+    span = max(first + 12.0 * math.sqrt(second) + 2.0 * largest, 2.0 * (limit - uniform), 1e-12)
+    step = span / GRID
+    measure = np.zeros(GRID)
+    for part in parts:
+        _deposit(*part, step, measure)
+    measure[0] = 0.0
+    characteristic = np.exp(np.fft.rfft(measure) - measure.sum())
+    chance = np.maximum(np.fft.irfft(characteristic, GRID), 0.0)
+    # the probability of a node is spread over one step about it
+    low = uniform + (np.arange(GRID) - 0.5) * step
+    part_above = np.clip((low + step - limit) / step, 0.0, 1.0)
+    middle = np.maximum(low, limit) + 0.5 * part_above * step
+    above = chance * part_above
+    return float(above.sum()), float(np.sum(above * (middle - field_mean)))
+
+
+def uniform_part(area: Area, pixels: Pixels) -> float:
+    """Return the luminance of an area without its luminous flakes."""
+    parts = [part for flakes in area.flakes for part in _measure(flakes, pixels.pixel_um, 1.0)[0]]
+    return max(area.mean - _moments(parts)[0], 0.0)
+
+
+def _numbers(chance: float, excess: float) -> tuple[float, float, float]:
+    """Return intensity, area and grade from the share of sparkling pixels and their excess times that share."""
+    intensity = excess / chance if chance > 0 else 0.0
+    return intensity, 100.0 * chance, intensity * math.sqrt(chance)
+
+
+def sparkle_statistics(areas: Sequence[Area], pixels: Pixels) -> Sparkle:
+    """Return sparkle from the statistics of the flakes; its standard errors are those of the quadrature.
+
+    Args:
+        areas: parts of the surface, whose shares sum to 1.
+        pixels: the camera.
+    """
+    mean = sum(area.share * area.mean for area in areas)
+    found = []
+    for effort in (1.0, 0.5):
+        tails = np.array([_tail(area, mean, pixels, effort) for area in areas])
+        chance, excess = np.array([area.share for area in areas]) @ tails
+        found.append(_numbers(float(chance), float(excess)))
+    fine, coarse = found
+    return Sparkle(*fine, *(abs(a - b) for a, b in zip(fine, coarse, strict=True)))
+
+
+def _draw(flakes: LitFlakes, pixels: Pixels, image: Array, generator: np.random.Generator) -> None:
+    """Add the luminous flakes of one pigment to an image; candidates are thinned to their density."""
+    rows, columns = image.shape
+    grid = np.linspace(0.0, 1.0, 65)
+    radii = _quantile(flakes.radii_um, grid)
+    widths = _widths(flakes, radii)
+    ellipse = math.pi * FARTHEST * widths[:, 0] * widths[:, 1]
+    turn = np.linspace(0.0, 2 * np.pi, TURNS, endpoint=False)
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    reach = np.sqrt(np.linspace(0.0, FARTHEST, 24))[:, None, None, None] * circle[:, None] * widths
+    most = 1.3 * float(flakes.density(flakes.half + reach).max()) * float(ellipse.max())
+    surface = rows * columns * pixels.pixel_um**2 / UM2_PER_MM2
+    count = generator.poisson(flakes.number * surface * most)
+    for begin in range(0, count, MOST_FLAKES // 8):
+        size = min(MOST_FLAKES // 8, count - begin)
+        radius = _quantile(flakes.radii_um, generator.random(size))
+        width = _widths(flakes, radius)
+        away = FARTHEST * generator.random(size)
+        angle = 2 * np.pi * generator.random(size)
+        offset = np.sqrt(away)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1) * width
+        area = math.pi * FARTHEST * width[:, 0] * width[:, 1]
+        kept = generator.random(size) * most < flakes.density(flakes.half + offset) * area
+        radius, width, away = radius[kept], width[kept], away[kept]
+        depth = generator.random(len(radius))
+        crossed = generator.poisson(flakes.crossings * depth)
+        light = _read_brightness(flakes.brightness, depth, crossed)
+        light = light * np.exp(-0.5 * away) / (2.0 * math.pi * width[:, 0] * width[:, 1])
+        x, y = columns * generator.random(len(radius)), rows * generator.random(len(radius))
+        spot = _spot_radii(flakes, radius) / pixels.pixel_um
+        _draw_discs(x, y, spot, light * math.pi * (radius / pixels.pixel_um) ** 2, image)
+
+
+def _read_brightness(table: Array, depth: Array, crossed: NDArray[np.int64]) -> Array:
+    at = depth * (len(table) - 1)
+    low = np.minimum(at.astype(int), len(table) - 2)
+    column = np.minimum(crossed, table.shape[1] - 1)
+    found = table[low, column] + (at - low) * (table[low + 1, column] - table[low, column])
+    return np.where(crossed < table.shape[1], found, 0.0)
+
+
+def _candidates(area: Area) -> float:
+    """Return an upper estimate of the flakes to draw per mm2."""
+    total = 0.0
+    for flakes in area.flakes:
+        widths = _widths(flakes, flakes.radii_um)
+        ellipse = math.pi * FARTHEST * float((widths[:, 0] * widths[:, 1]).max())
+        total += 1.3 * flakes.number * ellipse * float(flakes.density(np.zeros(2)))
+    return total
+
+
+def sparkle_patch(areas: Sequence[Area], pixels: Pixels, seed: int = 0) -> tuple[Sparkle, Array]:
+    """Return sparkle from an image of drawn flakes, with standard errors over its blocks (jackknife), and the image.
+
+    The areas lie beside each other as stripes of the field. The field is made smaller where more than a few million
+    flakes would be drawn; the size of the image tells.
+
+    Returns:
+        sparkle, and luminance factors `[row, column]`.
+    """
+    generator = np.random.default_rng(seed)
+    side = pixels.field_mm
+    expected = sum(area.share * _candidates(area) for area in areas)
+    side = min(side, math.sqrt(4 * MOST_FLAKES / max(expected, 1e-9)))
+    count = max(BLOCKS, round(side * 1e3 / pixels.pixel_um) // BLOCKS * BLOCKS)
+    stripes = []
+    ends = np.round(np.cumsum([area.share for area in areas]) * count).astype(int)
+    for area, begin, end in zip(areas, [0, *ends[:-1]], ends, strict=True):
+        if end > begin:
+            image = np.full((end - begin, count), uniform_part(area, pixels))
+            for flakes in area.flakes:
+                _draw(flakes, pixels, image, generator)
+            stripes.append(image)
+    picture = np.concatenate(stripes)
+    return measure_image(picture, pixels), picture
+
+
+def measure_image(image: Array, pixels: Pixels) -> Sparkle:
+    """Return the sparkle of an image of luminance factors `[row, column]`; jackknife over its blocks."""
+    block = max(1, min(image.shape) // BLOCKS)
+    rows, columns = image.shape[0] // block, image.shape[1] // block
+    pieces = image[: rows * block, : columns * block].reshape(rows, block, columns, block).swapaxes(1, 2)
+    blocks = pieces.reshape(rows * columns, -1)
+    sums = blocks.sum(axis=1)
+    candidates = [np.sort(values[values > 0.5 * image.mean()]) for values in blocks]
+
+    def of(left: int | None) -> tuple[float, float]:
+        kept = [k for k in range(len(blocks)) if k != left]
+        pixels_kept = len(kept) * blocks.shape[1]
+        mean = float(sums[kept].sum()) / pixels_kept
+        limit = mean + pixels.threshold * (mean + pixels.dark)
+        number, light = 0, 0.0
+        for k in kept:
+            above = candidates[k][np.searchsorted(candidates[k], limit, side="right") :]
+            number, light = number + len(above), light + float(above.sum())
+        return number / pixels_kept, (light - number * mean) / pixels_kept
+
+    whole = _numbers(*of(None))
+    left_out = np.array([_numbers(*of(k)) for k in range(len(blocks))])
+    errors = math.sqrt(len(blocks) - 1.0) * left_out.std(axis=0)
+    least = (0.0, 100.0 / image.size, pixels.threshold * image.mean() / math.sqrt(image.size))  # of one sparkling pixel
+    return Sparkle(*whole, *(float(max(pair)) for pair in zip(errors, least, strict=True)))
