@@ -10,11 +10,13 @@ from .api import evaluate as evaluate
 from .api import export as export
 from .api import fabricate as fabricate
 from .api import fit as fit
+from .api import formulate as formulate
 from .api import gamut as gamut
 from .api import import_ as import_
 from .api import orders as orders
 from .api import read as read
 from .api import report as report
+from .api import runsheet as runsheet
 from .api import spectrum as spectrum
 from .api import sweep as sweep
 from .api import texture as texture

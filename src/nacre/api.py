@@ -20,6 +20,7 @@ from nacre.analysis.ellipsometry import EllipsometricResponse, compute_ellipsome
 from nacre.analysis.fit import Fit, fit_parameters, read_measurements, run_fit
 from nacre.analysis.import_export import export_material, import_material
 from nacre.analysis.report import Report, make_report
+from nacre.analysis.run_sheet import RunSheet, make_run_sheet
 from nacre.analysis.sweep import run_sweep
 from nacre.analysis.sweep_plan import load_sweep
 from nacre.analysis.texture import Instrument, Texture, measure_texture
@@ -42,6 +43,8 @@ from nacre.material.number_maps import number_maps
 from nacre.matter.drawings import DrawingRequest
 from nacre.matter.periodic.orders import Orders
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
+from nacre.optimise.formulation.formulate import Formulation, write_formulation
+from nacre.optimise.formulation.formulate import formulate as run_formulation
 from nacre.optimise.gamut import Gamut, find_gamut, parse_parameters
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import open_file
@@ -52,11 +55,13 @@ __all__ = [
     "export",
     "fabricate",
     "fit",
+    "formulate",
     "gamut",
     "import_",
     "orders",
     "read",
     "report",
+    "runsheet",
     "spectrum",
     "sweep",
     "diagnose",
@@ -113,7 +118,7 @@ def spectrum(
 
     Args:
         thing: a recipe, a file or a material.
-        angles_deg: angles of incidence in the ambient medium.
+        angles_deg: incidence angles in the ambient medium.
         wavelengths_nm: vacuum wavelengths; default: chosen by the material.
         polarisation: "s", "p", "both" (unpolarised), "left" or "right" (circular), or "mueller": unpolarised, with
             `mueller_reflected` and `mueller_transmitted`, `[angle, wavelength, 4, 4]`.
@@ -132,7 +137,7 @@ def orders(
     azimuth_deg: float = 0.0,
     wavelengths_nm: ArrayLike | None = None,
 ) -> Orders:
-    """Return the diffraction orders of a grating: efficiencies, Jones matrices and directions.
+    """Return a grating's diffraction orders: efficiencies, Jones matrices and directions.
 
     Args:
         thing: a material, or a path of a recipe, an example's name or a recipe's table.
@@ -154,7 +159,10 @@ def orders(
     material = as_material(thing)
     model = material.model
     if not isinstance(model, Diffracting):
-        raise UnsupportedError(f"{material.context.source}: a {model.traits.noun} has no orders; allowed: a grating")
+        raise UnsupportedError(
+            f"{material.context.source}: a {model.traits.noun} has no orders; allowed: a grating, a relief of lines "
+            'with model.optics = "vector"'
+        )
     grid = None if wavelengths_nm is None else np.atleast_1d(floats(wavelengths_nm, "wavelengths_nm"))
     theta = np.radians(np.atleast_1d(floats(angles_deg, "angles_deg")))
     if np.any(theta < 0.0) or np.any(theta >= 0.5 * np.pi):
@@ -177,12 +185,12 @@ def ellipsometry(
 
     Args:
         thing: a material or a path.
-        angles_deg: angles of incidence, above 0 and below 90.
+        angles_deg: incidence angles, above 0 and below 90.
         wavelengths_nm: default: chosen by the material.
         azimuth_deg: azimuth of the direction to the light, from u.
 
     Raises:
-        NacreError: the material has no stack, or an optical constant is not known at a wavelength.
+        NacreError: the material lacks a stack, or an optical constant is not known at a wavelength.
 
     Example:
         >>> wafer = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 2}]}
@@ -221,6 +229,33 @@ def report(
     return make_report(as_material(thing), illuminant, observer, samples, seed, geometries)
 
 
+def runsheet(
+    thing: MaterialLike,
+    wavelength_nm: float = 550.0,
+    angle_deg: float = 0.0,
+    quantity: str = "reflectance",
+    noise: float = 0.001,
+) -> RunSheet:
+    """Return the optical monitor signal of each layer of a film while it grows, with turning points and stop criteria.
+
+    Args:
+        thing: a material or a path.
+        wavelength_nm, angle_deg: of the monitor light.
+        quantity: "reflectance" or "transmittance" into the substrate.
+        noise: standard deviation of the signal.
+
+    Raises:
+        UnsupportedError: the material has no coherent stack.
+        NacreError: a value is not allowed.
+
+    Example:
+        >>> layer = {"material": {"n": 2.2}, "thickness_nm": 62.5}  # a quarter wave
+        >>> nacre.runsheet({"family": "film", "substrate": {"n": 1.52}, "layers": [layer]}, 550.0).layers[0].stop
+        'turning point'
+    """
+    return make_run_sheet(as_material(thing), wavelength_nm, angle_deg, quantity, noise)
+
+
 def texture(
     thing: MaterialLike,
     *,
@@ -242,7 +277,7 @@ def texture(
         seed: of random walks and drawn flakes.
 
     Raises:
-        NacreError: the material has no flakes, or one without `diameter_um`; the instrument is not valid.
+        NacreError: the material lacks flakes, or one lacks `diameter_um`; the instrument is not valid.
     """
     return measure_texture(as_material(thing), instrument, method, illuminant, observer, seed)
 
@@ -328,6 +363,31 @@ def fit(
         from nacre.analysis.fit_report import write_fit_page
 
         write_fit_page(report, found, measured, numbers)
+    return found
+
+
+def formulate(
+    target: str | Path | Mapping[str, Any],
+    out: str | Path | None = None,
+    progress: Callable[[int, int, float], None] | None = None,
+) -> Formulation:
+    """Match measured colours of an effect paint with pigments and a dye of a library.
+
+    Args:
+        target: TOML file with `library`, `recipe` and `[[target]]`, or a dictionary of these keys.
+        out: folder for the recipes and `formulation.json`; default: nothing is written.
+        progress: called with (done, all, best rms distance in tolerances) in each stage.
+
+    Raises:
+        RecipeError: the file or its library is not valid.
+        UnsupportedError: the paint has no noise-free model.
+        NacreError: the folder cannot be written.
+    """
+    if out is not None and not Path(out).exists():
+        check_writable(out)
+    found = run_formulation(target, progress)
+    if out is not None:
+        write_formulation(found, Path(out))
     return found
 
 
@@ -494,7 +554,7 @@ def fabricate(
         calibration: CSV of grey value and depth in um, for images, or "published" for the built-in curve; default:
             linear, 65,535 at the top and 0 at the deepest point of this relief. For maps: a CSV of machine setting
             and value (volts, nm), or a table from recipe paths to such files.
-        levels: number of heights of a mask; default: that of the relief, or 16. For maps: number of values.
+        levels: number of heights of a mask; default: that of the relief, or 16. For maps: value count.
         pixels_per_feature: pixels along a feature's side, for images.
         base_um: thickness of an STL's base.
         seed: of random positions; default: the recipe's.

@@ -91,7 +91,7 @@ def colour_measurement(path: Path) -> ColourData:
     """Read a list of colours whose names are geometries: `geometry, L*, a*, b*`.
 
     Raises:
-        NacreError: a row is no colour or has no name.
+        NacreError: a row is not a colour or has no name.
     """
     rows = read_colours(path, 1, LIGHT)
     for number, row in enumerate(rows, start=1):

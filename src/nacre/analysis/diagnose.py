@@ -189,7 +189,7 @@ def diagnose(
     noises = np.broadcast_to(np.asarray(noise, dtype=float), (len(observations),))
     if not observations or not np.all(noises > 0):
         raise NacreError("a diagnosis needs at least one observation, and noise above 0")
-    causes = components([each for each in tolerances if each.deviation > 0])
+    causes = components([each for each in tolerances if each.deviation != 0])
     if not causes:
         raise NacreError("a diagnosis needs at least one number with a tolerance above 0")
     material = material.with_parts_loaded(each.path for each in tolerances)

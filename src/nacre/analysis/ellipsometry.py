@@ -138,13 +138,13 @@ def compute_ellipsometry(
 
     Args:
         material: of a family with a stack.
-        angles_deg: angles of incidence, `[angle]`, above 0 and below 90.
+        angles_deg: incidence angles, `[angle]`, above 0 and below 90.
         wavelengths_nm: `[wavelength]`; default: chosen by the material.
         azimuth_deg: azimuth of the direction to the light, from u; default: that of the instrument.
         instrument: averages; default: the recipe's `[instrument]`.
 
     Raises:
-        UnsupportedError: the material has no specular stack.
+        UnsupportedError: the material lacks a specular stack.
         NacreError: an angle outside (0, 90), or an optical constant that is not known at a wavelength.
     """
     stack = specular_stack(material)

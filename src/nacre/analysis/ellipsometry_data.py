@@ -1,4 +1,4 @@
-"""Measured ellipsometry as data of a fit: N, C and S, which have no jump where Delta passes 360 degrees."""
+"""Measured ellipsometry as data of a fit: N, C and S, which lack a jump where Delta passes 360 degrees."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class EllipsometryData:
         return found
 
     def surrogate(self, model: Model) -> Array | None:
-        """Return None: a stack has no noise."""
+        """Return None: a stack lacks noise."""
         return None
 
     def noise_scale(self, weights: str) -> Array:

@@ -121,5 +121,5 @@ def checked_range(text: str | None) -> tuple[float, float] | None:
 
 
 def name_of(data: Data, path: str | Path) -> str:
-    """Return the file name of a measurement for tables."""
+    """Return a measurement's file name for tables."""
     return Path(getattr(data, "name", "") or path).name

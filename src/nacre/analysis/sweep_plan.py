@@ -284,7 +284,7 @@ class Measurement:
 
 
 def _part(spectrum: Spectrum, name: str) -> Array:
-    """Return a part of a spectrum, or zeros if the material has no such part."""
+    """Return a part of a spectrum, or zeros if the material lacks such a part."""
     values = spectrum.parts().get(name)
     return np.zeros((len(spectrum.angles_deg), len(spectrum.wavelengths_nm))) if values is None else values
 

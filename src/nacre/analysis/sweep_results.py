@@ -49,7 +49,7 @@ class SweepColours:
         xyz, lab: `[axis 0, axis 1, ..., angle, 3]` of a grid, `[point, angle, 3]` otherwise; NaN for missing points.
         illuminant, observer: of the colours.
         recipe: the recipe's text; source: the sweep's file name.
-        labels: names of the geometries instead of angles, which then are their numbers.
+        labels: names of the geometries rather than angles, which then are their numbers.
     """
 
     axes: tuple[SweepAxis, ...]
@@ -81,7 +81,7 @@ def read_sweep(path: str | Path, part: str | None = None) -> SweepColours:
         part: such as "diffuse_reflectance"; default: the brightest stored part.
 
     Raises:
-        NacreError: there is no such store or part, it is not a sweep, or it has no finished point.
+        NacreError: there is no such store or part, it is not a sweep, or it lacks a finished point.
     """
     path = Path(path)
     if not (path / "zarr.json").is_file():

@@ -210,7 +210,7 @@ def measure_texture(
         seed: of random walks and drawn flakes.
 
     Raises:
-        UnsupportedError: the material has no flakes, or flakes without a diameter.
+        UnsupportedError: the material lacks flakes, or their diameters.
         RecipeError: the instrument has a key or value that is not allowed.
     """
     if method not in METHODS:

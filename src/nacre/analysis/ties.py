@@ -102,7 +102,7 @@ def _parsed(path: str, text: Any, source: str) -> ast.expr:
 
 
 def _paths(node: ast.expr) -> set[str]:
-    """Return the paths of an expression.
+    """Return an expression's paths.
 
     Raises:
         ValueError: something else than paths, numbers and arithmetic.

@@ -43,6 +43,8 @@ class ToleranceResult:
         limit: dE00 limit for the yield.
         yield_share: draw share within the limit at every angle; `yield_interval`: its 95 % interval.
         sensitivities: (path or group, dE00 per standard deviation at the worst angle, variance share), largest first.
+        contributions: (source, dE00 per standard deviation at the worst angles, variance share) of the causes of one
+            source together, largest first.
         failed: draws that could not be computed; they count as outside the limit.
         clipped: path -> share of draws that were cut off at 0.
     """
@@ -59,6 +61,7 @@ class ToleranceResult:
     failed: int
     clipped: dict[str, float]
     labels: tuple[str, ...] = ()
+    contributions: tuple[tuple[str, float, float], ...] = ()
 
 
 def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tuple[Tolerance, ...]:
@@ -158,9 +161,20 @@ def run_tolerance(
         yield_share=good / draws,
         yield_interval=wilson_interval(good, draws),
         sensitivities=tuple((each.name, change, change**2 / variance) for each, change in ranked),
+        contributions=_contributions(causes, changes),
         clipped=drawn.clipped,
         failed=int(np.sum(np.isnan(delta).any(axis=1))),
     )
+
+
+def _contributions(causes: Sequence[Component], changes: Sequence[float]) -> tuple[tuple[str, float, float], ...]:
+    """Return the root of the summed variances of each source, and its share, largest first."""
+    variances: dict[str, float] = {}
+    for cause, change in zip(causes, changes, strict=True):
+        variances[cause.source] = variances.get(cause.source, 0.0) + change**2
+    total = sum(variances.values()) or 1.0
+    found = [(source, float(np.sqrt(variance)), variance / total) for source, variance in variances.items()]
+    return tuple(sorted(found, key=lambda each: -each[1]))
 
 
 @dataclass(frozen=True)
@@ -230,7 +244,7 @@ def _sensitivity(material: Material, cause: Component, measure: ColourProbe, nom
     if low == high:
         return 0.0
     # a number that ends at 0 moves by less than the full step
-    step = min((high[t.path] - low[t.path]) / t.standard_deviation for t in cause.tolerances if t.deviation > 0)
+    step = min((high[t.path] - low[t.path]) / t.standard_deviation for t in cause.tolerances if t.deviation != 0)
     below, above = (measure(material.vary(values)) for values in (low, high))
     return float(np.max(delta_e_2000(nominal, nominal + (above - below) / step)))
 
@@ -258,6 +272,10 @@ def tolerance_document(result: ToleranceResult, tolerances: tuple[Tolerance, ...
         "sensitivities": [
             {"path": path, "delta_e_of_one_deviation": change, "share_of_variance": share}
             for path, change, share in result.sensitivities
+        ],
+        "contributions": [
+            {"source": source, "delta_e_of_one_deviation": change, "share_of_variance": share}
+            for source, change, share in result.contributions
         ],
         "tolerances": [each.__dict__ for each in tolerances],
     }

@@ -86,7 +86,7 @@ def tabulate(
 
     Args:
         solve: maps coordinates `[point]` to values `[point, ...]`.
-        most: the largest number of nodes.
+        most: the largest node count.
         check: coordinates `[point]` at which the error is found.
         further: more of them for irregular nodes, which narrow features need.
         levels: the fewest and most uniform nodes are 2^level + 1.

@@ -33,7 +33,7 @@ def normal_density(distribution: str, m: Array, alpha_x: Array | float, alpha_y:
     """Return D(m), `[...]`, for unit normals `m` with shape `[..., 3]`; zero for m_z <= 0.
 
     For GGX, Beckmann and Blinn the integral of D m_z is 1. For Ashikhmin-Shirley, as in its source, the integral of
-    D is 1: constant sqrt((ex+1)(ey+1))/2pi instead of sqrt((ex+2)(ey+2))/2pi.
+    D is 1: constant sqrt((ex+1)(ey+1))/2pi rather than sqrt((ex+2)(ey+2))/2pi.
     """
     z = np.maximum(m[..., 2], 1e-12)
     slope2 = np.square(m[..., 0] / alpha_x) + np.square(m[..., 1] / alpha_y)

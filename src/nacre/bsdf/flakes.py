@@ -22,7 +22,7 @@ RADIUS_NODES = 65
 
 def radius_quantiles(diameter_um: float, spread: float, nodes: int = RADIUS_NODES) -> Array:
     """Return the radii in um at uniform quantiles of a log-normal diameter cut at two standard deviations, `[node]`."""
-    from scipy.special import ndtr, ndtri  # slow to import, and most materials have no flakes
+    from scipy.special import ndtr, ndtri  # slow to import, and most materials lack flakes
 
     low = float(ndtr(-CUT))
     return np.asarray(0.5 * diameter_um * np.exp(spread * ndtri(np.linspace(low, 1.0 - low, nodes))))

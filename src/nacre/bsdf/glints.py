@@ -43,7 +43,7 @@ def glint_species(
         width: width of a single flake's lobe, as a slope over the flakes' deviation.
         seed: hash seed, below 2^24.
     """
-    from scipy.special import ndtr, ndtri  # slow to import, and most materials have no flakes
+    from scipy.special import ndtr, ndtri  # slow to import, and most materials lack flakes
 
     low = float(ndtr(-CUT))
     radii_mm = 0.5e-3 * diameter_um * np.exp(spread * ndtri(np.linspace(low, 1.0 - low, NODES)))

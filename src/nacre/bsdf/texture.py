@@ -38,7 +38,7 @@ class Formula:
     """A parsed formula in u, v, x, y and z: nested tuples (operation, operand, ...), numbers and those names.
 
     Attributes:
-        text: the formula with values instead of the recipe's own names, readable without the recipe.
+        text: the formula with values rather than the recipe's own names, readable without the recipe.
         written: the author's text, for messages.
     """
 
@@ -74,7 +74,7 @@ class Formula:
         return _uses(self.tree, SURFACE)
 
     def with_holes(self) -> tuple[Formula, dict[str, float]]:
-        """Return the formula with placeholders instead of numbers, and the numbers.
+        """Return the formula with placeholders rather than numbers, and the numbers.
 
         Formulas that differ only in numbers then share one compiled kernel. Exponents stay, since integer exponents
         accept any base and others do not.
@@ -194,7 +194,7 @@ class Texture:
         formula: parsed formula, or unset.
         image: grey values in [0, 1], or unset; row 0 is v = 1 (the top of the picture), repeated outside [0, 1].
         low, high: the range; a formula is clipped to it, an image is scaled to it.
-        is_stepped: nearest-neighbour instead of bilinear interpolation of the image.
+        is_stepped: nearest-neighbour rather than bilinear interpolation of the image.
     """
 
     low: float
@@ -277,7 +277,7 @@ def at_the_middle(thing: Any) -> Any:
 
 
 def refuse_place(thing: Any, where: str = "") -> None:
-    """Refuse formulas in x, y and z outside pictures, which have no object.
+    """Refuse formulas in x, y and z outside pictures, which lack an object.
 
     Args:
         thing: see `place_formula`.

@@ -199,7 +199,7 @@ def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> N
     except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError):
         raise RecipeError(f'{where} = "{path.name}" is not a readable image') from None
     except OSError as error:
-        # Pillow's own errors about broken files have no errno
+        # Pillow's own errors about broken files lack an errno
         reason = why_unreadable(error) if error.errno else "is not a readable image"
         raise RecipeError(f'{where} = "{path.name}" {reason}') from None
     values = values / scale

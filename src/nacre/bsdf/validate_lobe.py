@@ -57,7 +57,7 @@ def _trial(lobe: Lobe) -> typing.Iterator[Any]:
 
 
 def check_fields(part: Any) -> None:
-    """Check the field types of a lobe, or of a part, against the class annotations.
+    """Check a lobe's field types, or of a part, against the class annotations.
 
     Raises:
         ValueError: names the field.

@@ -48,6 +48,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "report": ("nacre.cli.analysis", "Report colour, gloss, haze and flop as instruments measure them."),
     "tolerance": ("nacre.cli.analysis", "Compute colour variation and yield from manufacturing tolerances."),
     "diagnose": ("nacre.cli.diagnose", "Estimate what was off in a finished coating run."),
+    "formulate": ("nacre.cli.formulate", "Match an effect paint with pigments of a library."),
+    "runsheet": ("nacre.cli.run_sheet", "Print monitor signals and stop criteria of a coating run."),
     "sweep": ("nacre.cli.analysis", "Compute a material over many values of its numbers."),
     "indices": ("nacre.cli.machine", "Search and show optical constants."),
     "examples": ("nacre.cli.machine", "List the recipes that come with nacre, or copy them."),

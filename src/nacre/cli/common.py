@@ -241,7 +241,7 @@ def hold_closed_streams() -> None:
 
 
 def words(text: str | None) -> tuple[str, ...]:
-    """Return the words of an option, delimited by commas."""
+    """Return an option's words, delimited by commas."""
     return tuple(word.strip() for word in text.split(",")) if text else ()
 
 

@@ -29,6 +29,8 @@ OTHER_FILES = {
     "design": "nacre.optimise.spec:DesignSpec",
     "sweep": "nacre.analysis.sweep_plan:SweepSpec",
     "gallery": "nacre.cli.gallery:GallerySpec",
+    "formulation": "nacre.optimise.formulation.spec:FormulationSpec",
+    "pigments": "nacre.optimise.formulation.spec:LibrarySpec",
 }
 # forms that are used in many tables
 SHARED: dict[str, type[RecipeModel]] = {"index": IndexSpec, "anisotropic": AnisotropicSpec, "texture": TextureSpec}

@@ -338,7 +338,7 @@ def _from_pipe(descriptor: int, path: str) -> bytes:
     """Read a pipe up to its end or the size limit.
 
     Raises:
-        OSError: it has no writer, or the writer writes nothing for `PIPE_WAIT_S`.
+        OSError: it lacks a writer, or the writer writes nothing for `PIPE_WAIT_S`.
     """
     data, begun, has_writer = b"", time.monotonic(), False
     while len(data) <= MAX_TOML_BYTES:

@@ -40,7 +40,7 @@ def make_bsdf(
 
     Args:
         bsdf: the material's lobes.
-        two_sided: give an opaque material the same appearance from behind instead of black; a transmitting one always
+        two_sided: give an opaque material the same appearance from behind rather than black; a transmitting one always
             has its own back side.
         properties: Mitsuba's properties, from the scene loader.
         object_frame: the object's position, for formulas in x, y and z.

@@ -152,13 +152,13 @@ def smaller(a: Any, b: Any) -> Any:
 
 
 def opaque(value: float) -> Any:
-    """Return a Float as data instead of a literal: other values reuse the kernel."""
+    """Return a Float as data rather than a literal: other values reuse the kernel."""
     number = mi.Float(float(value))
     return dr.opaque(mi.Float, float(value)) if dr.is_jit_v(mi.Float) else number
 
 
 def opaque_int(value: int) -> Any:
-    """Return a UInt32 as data instead of a literal."""
+    """Return a UInt32 as data rather than a literal."""
     return dr.opaque(mi.UInt32, int(value)) if dr.is_jit_v(mi.Float) else int(value)
 
 
@@ -232,7 +232,7 @@ def read4(source: Any, index: Any, active: Any = True) -> Any:
 
 
 def flip_z(v: Any) -> Any:
-    """Return the mirror image of a direction at the surface."""
+    """Return a direction's mirror image at the surface."""
     return mi.Vector3f(v.x, v.y, -v.z)
 
 

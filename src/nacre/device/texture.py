@@ -123,7 +123,7 @@ class DeviceTexture:
         """Replace the range and image by another texture's.
 
         Raises:
-            UnsupportedError: another formula, or an image instead of a formula, which needs a new kernel.
+            UnsupportedError: another formula, or an image rather than a formula, which needs a new kernel.
         """
         if not self.fits(texture):
             raise UnsupportedError("another texture formula cannot be swapped in; build the scene again")

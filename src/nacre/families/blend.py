@@ -126,7 +126,7 @@ class Blend(Model, EnergyDefect, Mixed):
         """Return the mean spectrum, weighted by the mask's mean over the surface; `seed` is for random walks.
 
         Raises:
-            NacreError: a material has no spectrum.
+            NacreError: a material lacks a spectrum.
         """
         share = self._share
         one = self.first.spectrum(theta_rad, wavelengths_nm, polarisation, seed=seed)

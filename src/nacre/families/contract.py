@@ -14,7 +14,7 @@ callers find them by `isinstance`, so that no code elsewhere depends on the fami
       ==================================
       substrate / base                         transmitted light leaves with wo_z < 0
 
-Both directions point away from the surface; angles of incidence are counted from z in the ambient.
+Both directions point away from the surface; incidence angles are counted from z in the ambient.
 """
 
 from __future__ import annotations
@@ -447,7 +447,7 @@ def values_at(model: Model, wi: Array, wo: Array, wavelengths_nm: Array) -> Arra
 
 
 def search_model(model: Model, memory: dict[Any, Any], is_rough: bool = False) -> Model:
-    """Return `SearchFidelity.search_model`, or the model itself if it has no cheaper form."""
+    """Return `SearchFidelity.search_model`, or the model itself if it lacks a cheaper form."""
     return model.search_model(memory, is_rough) if isinstance(model, SearchFidelity) else model
 
 

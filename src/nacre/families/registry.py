@@ -36,7 +36,7 @@ def family_spec(family: object, source: str) -> type[RecipeModel]:
 
     Raises:
         RecipeError: the family is missing or unknown.
-        NacreError: two packages register this family, or the entry point is no recipe model.
+        NacreError: two packages register this family, or the entry point is not a recipe model.
     """
     known = ", ".join(FAMILIES)
     if family is None:

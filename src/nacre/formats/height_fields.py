@@ -1,6 +1,6 @@
 """Height fields as binary STL solids and 16-bit images.
 
-STL files have no unit; the header states um. Images are written row by row, since a wafer may exceed the memory: 50 mm
+STL files lack a unit; the header states um. Images are written row by row, since a wafer may exceed the memory: 50 mm
 x 50 mm at 1.6 um are 31,250 x 31,250 pixels, 2 GB. Libraries write PNG only as a whole, hence the own PNG writer.
 """
 

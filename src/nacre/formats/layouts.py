@@ -153,7 +153,7 @@ def write_layout(
     periods: tuple[int, int] | None = None,
     several: tuple[tuple[float, ...], NDArray[np.intp] | None] | None = None,
 ) -> int:
-    """Write particles as .gds or .oas; return the number of particles.
+    """Write particles as .gds or .oas; return the particle count.
 
     Args:
         path: ends in .gds or .oas.
@@ -161,8 +161,8 @@ def write_layout(
         radius_um: circle radius; with `square` half the side.
         box_um: period; required with `field_um` and `periods`.
         field_um: side of the field, filled by repeating the period; default: one period.
-        square: squares instead of circles.
-        periods: repetitions along x and y, instead of `field_um`.
+        square: squares rather than circles.
+        periods: repetitions along x and y, rather than `field_um`.
         several: radii in um of several particle types, each with its own cell, and the type of each point.
 
     Raises:

@@ -249,7 +249,7 @@ def _write_mask(
 
 
 def _distinct(one: NumberMap) -> Array:
-    """Return the distinct values of a map, merging those that differ only by rounding."""
+    """Return a map's distinct values, merging those that differ only by rounding."""
     values = np.unique(one.values)
     if len(values) < 2:
         return values

@@ -24,7 +24,7 @@ def delta_e_94(lab: ArrayLike, other: ArrayLike, is_textile: bool = False) -> Ar
 
     Args:
         lab, other: standard and sample; the formula is not symmetric.
-        is_textile: the constants for textiles (k_L = 2) instead of those for graphic arts.
+        is_textile: the constants for textiles (k_L = 2) rather than those for graphic arts.
     """
     k_lightness, k1, k2 = (2.0, 0.048, 0.014) if is_textile else (1.0, 0.045, 0.015)
     lightness, chroma, hue2, standard = _lightness_chroma_hue(lab, other)

@@ -24,7 +24,7 @@ LAB_KNEE = 6 / 29
 
 
 def xyz_to_xyy(xyz: ArrayLike) -> Array:
-    """Return chromaticities and luminance (x, y, Y); black takes (1/3, 1/3, 0) instead of 0/0.
+    """Return chromaticities and luminance (x, y, Y); black takes (1/3, 1/3, 0), not 0/0.
 
     Example:
         >>> xyz_to_xyy([0.9505, 1.0, 1.0888]).round(4).tolist()

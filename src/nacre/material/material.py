@@ -70,6 +70,7 @@ STUDY_TABLES = (
     "ties",
     "instrument",
     "geometry",
+    "correlation",
 )  # of fits and tolerances; they do not change the optics
 
 
@@ -213,7 +214,7 @@ class Material:
             azimuth_deg: azimuth of the direction towards the light, from u.
 
         Raises:
-            UnsupportedError: the material has no such spectrum, or a formula uses x, y or z, which exist in pictures.
+            UnsupportedError: the material lacks such a spectrum, or a formula uses x, y or z, which exist in pictures.
         """
         refuse_place(self.model, f"{self.context.source}: spectrum")
         grid = wavelength_grid(wavelengths_nm)
@@ -567,7 +568,7 @@ def material_from_data(data: Mapping[str, Any], context: RecipeContext) -> Mater
 
 
 def read_recipe(data: Mapping[str, Any], context: RecipeContext) -> tuple[RecipeModel | None, RecipeContext]:
-    """Return the validated recipe and its context; None instead of the recipe if its numbers vary by nodes.
+    """Return the validated recipe and its context; None rather than the recipe if its numbers vary by nodes.
 
     Raises:
         RecipeError: naming file, key, value and what is allowed.

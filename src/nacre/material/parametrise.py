@@ -185,7 +185,7 @@ def _locate(top: RecipeModel, keys: Keys, context: RecipeContext) -> _Place | No
 
 
 def _field_check(model: type[RecipeModel], field: str, context: RecipeContext) -> Callable[[Any], Any] | None:
-    """Return a function that validates one field of a table, or None if the table has no plain list of fields."""
+    """Return a function that validates one field of a table, or None if the table lacks a plain list of fields."""
     model.model_rebuild()  # resolves tables that are defined further down in their module
     schema: Any = model.__pydantic_core_schema__
     definitions: list[Any] = []

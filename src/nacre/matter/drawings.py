@@ -57,7 +57,7 @@ class Layout:
         xy_um: `[particle, 2]`, centres in one period.
         radius_um: circle radius.
         period_um: side length of the square period.
-        periods: number of periods along x and y.
+        periods: period count along x and y.
         facts: further data for the file beside it.
         stem: default file stem.
         radii_um: circle radius for each species of a mixture.

@@ -29,7 +29,7 @@ class Geometry:
 
     Attributes:
         kind: "specular", "transmitted", "diffuse", "hemispherical" or "aspecular".
-        theta_deg: angle of incidence.
+        theta_deg: incidence angle.
         aspecular_deg: angle of the viewer from the mirror direction, towards the light.
         azimuth_deg: of the viewer about the mirror direction: 180 in the plane of incidence towards the light, 0 away
             from it. In this notation of 12-angle instruments 45as60az125.3 is a viewer 45 degrees from the normal,
@@ -127,7 +127,7 @@ def named_geometries(entries: Any, where: str) -> dict[str, Geometry]:
 
 
 def spectrum_at(spectrum: Spectrum, geometry: Geometry) -> Array | None:
-    """Return the factor `[wavelength]` of a geometry that is not aspecular; None if the material has no such part."""
+    """Return the factor `[wavelength]` of a geometry that is not aspecular; None if the material lacks such a part."""
     row = int(np.argmin(np.abs(spectrum.angles_deg - geometry.theta_deg)))
     mirror, diffuse = spectrum.specular_reflectance, spectrum.diffuse_reflectance
     if geometry.kind == "hemispherical":

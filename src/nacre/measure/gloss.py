@@ -56,7 +56,7 @@ def find_gloss(bsdf: Bsdf, theta_rad: Array, spread: Array, samples: int | None 
 
 
 def fit_gloss(values_at: Callable[[Array, Array], Array], theta_rad: Array, spread: Array) -> Gloss | None:
-    """Return the rough mirror that fits a BSDF about the mirror direction, or None if it has no lobe there.
+    """Return the rough mirror that fits a BSDF about the mirror direction, or None if it lacks a lobe there.
 
     Without shadowing a microfacet lobe is f = R D(h) / (4 cos_i cos_o), and GGX falls with the tilt t of the half
     vector as D(t) / D(0) = (a^2 / (sin^2 t + a^2 cos^2 t))^2, D(0) = 1 / (pi a^2) (Walter et al. 2007, eq. 33).

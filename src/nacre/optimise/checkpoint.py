@@ -55,7 +55,7 @@ class Checkpointer:
 
     @classmethod
     def open(cls, folder: Path, fingerprint: str, resume: bool) -> Checkpointer:
-        """Return the checkpointer of a folder, with an earlier state if the search resumes.
+        """Return a folder's checkpointer, with an earlier state if the search resumes.
 
         Raises:
             RecipeError: the checkpoint belongs to another task.

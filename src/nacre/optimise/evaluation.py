@@ -147,7 +147,7 @@ def _noise(estimates: Sequence[Array], measured: Measurement, targets: Sequence[
 
 
 def results_of(measured: Measurement, targets: Sequence[Target], light: LightSpec) -> list[TargetResult]:
-    """Return the results of a measurement at `geometries_of(targets)`, by target and lamp."""
+    """Return a measurement's results at `geometries_of(targets)`, by target and lamp."""
     geometries, grid = geometries_of(targets), measured.wavelengths_nm
     found = []
     for target in targets:

@@ -30,7 +30,7 @@ class Measurement:
         wavelengths_nm: `[wavelength]`.
         factors: `[geometry, wavelength]`.
         error: standard error of the factors, in their shape; None without Monte Carlo.
-        missing: geometries at which the material has no signal at all, such as diffuse light of a mirror.
+        missing: geometries at which the material lacks any signal, such as diffuse light of a mirror.
     """
 
     wavelengths_nm: Array
@@ -132,7 +132,7 @@ def _spectrum(
 
 
 def search_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
-    """Return the wavelengths of a search: the material defaults, and the lines of the lamps.
+    """Return a search's wavelengths: the material defaults, and the lines of the lamps.
 
     Slow materials use the coarse grid of reports; the merit function interpolates it by splines.
     """
@@ -194,7 +194,7 @@ def check_answers(materials: Sequence[Material], geometries: Sequence[Geometry],
 
 
 def missing_geometries(material: Material, geometries: Sequence[Geometry]) -> frozenset[Geometry]:
-    """Return the geometries at which a material has no signal, without Monte Carlo.
+    """Return the geometries at which a material lacks signal, without Monte Carlo.
 
     Raises:
         NacreError: the material cannot be computed.

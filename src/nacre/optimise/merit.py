@@ -42,7 +42,7 @@ class Operand:
         row: index of the spectrum.
         kind: property.
         lab: colour target, CIELAB under every lamp, each against its own white (kind "colour").
-        xyz: colour target under the first lamp, Y = 1 for white, instead of `lab`.
+        xyz: colour target under the first lamp, Y = 1 for white, rather than `lab`.
         low, high: ends of a range; None if open. A hue needs both, in degrees, and runs upward from the first to the
             second, possibly through 0; 360 degrees or more allow every hue.
         reflectance: target spectrum on the wavelengths of the merit function (kind "spectrum"); NaN if unspecified.

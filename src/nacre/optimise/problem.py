@@ -82,7 +82,7 @@ class Budget:
 
 @dataclass(frozen=True)
 class Phase:
-    """A share of a budget: it ends at a number of evaluations or at a time."""
+    """A share of a budget: it ends at an evaluation count or at a time."""
 
     budget: Budget
     evaluations: float

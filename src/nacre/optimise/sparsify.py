@@ -126,7 +126,7 @@ def is_chosen(path: str, changes: Mapping[str, Any], parameters: Sequence[Parame
 
 
 def _moved(material: Material, data: Mapping[str, Any], table: str, paths: Sequence[str]) -> dict[str, str | None]:
-    """Return the new path of a table; entries of a list are recognised by everything that is not a parameter."""
+    """Return a table's new path; entries of a list are recognised by everything that is not a parameter."""
     source = material.context.source
     if not table.endswith("]"):
         holder, last = find_by_path(data, table, source)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,8 @@ from nacre.recipe.paths import expand_table
 DISTRIBUTIONS = ("gaussian", "uniform")
 
 
+TIED, INDEPENDENT = "tied", "independent"  # sources of deviations that name none
+LEAST_EIGENVALUE = -1e-9  # rounding of a correlation matrix that is singular
 BY_MATERIAL = "material"  # group: all layers of one material deviate together
 
 
@@ -31,6 +33,7 @@ class Tolerance:
         deviation: standard deviation (gaussian) or half width (uniform), in the number's unit.
         distribution: "gaussian" or "uniform".
         group: numbers of one group deviate together, by one random factor; "": independent of all others.
+        source: cause in the machine, by which contributions are summed; "": `TIED` or `INDEPENDENT`.
     """
 
     path: str
@@ -38,6 +41,7 @@ class Tolerance:
     deviation: float
     distribution: str = "gaussian"
     group: str = ""
+    source: str = ""
 
     @property
     def standard_deviation(self) -> float:
@@ -61,6 +65,11 @@ class Component:
     def distribution(self) -> str:
         """Distribution of the factor."""
         return self.tolerances[0].distribution
+
+    @property
+    def source(self) -> str:
+        """Cause in the machine."""
+        return self.tolerances[0].source or (TIED if self.tolerances[0].group else INDEPENDENT)
 
     def values(self, factor: float) -> dict[str, float]:
         """Return recipe values at a factor in standard deviations; numbers that are never negative end at 0."""
@@ -118,10 +127,76 @@ def read_tolerances(table: Any, material: Material, source: str, name: str = "to
         if not rows:
             raise RecipeError(f"{where} is an empty list")
         read += [_read(material, path, row, where) for row in rows]
+    read = _correlated(read, material, source)
     for component in components(read):
+        if len({each.source for each in component.tolerances}) > 1:
+            raise RecipeError(f'{source}: {name}: group "{component.name}" has two sources; use one')
         if len({each.distribution for each in component.tolerances}) > 1:
             raise RecipeError(f'{source}: {name}: group "{component.name}" has two distributions; use one')
     return tuple(read)
+
+
+def _correlated(read: list[Tolerance], material: Material, source: str) -> list[Tolerance]:
+    """Replace deviations with a correlation matrix by their independent modes, each one group.
+
+    The modes are the eigenvectors of the matrix: x_i = sigma_i sum_j V_ij sqrt(e_j) z_j has the correlation V e V^T.
+
+    Raises:
+        RecipeError: a path has no single gaussian tolerance, or the matrix is no correlation matrix.
+    """
+    entries = material.data.get("correlation", ())
+    if not isinstance(entries, list | tuple):
+        raise RecipeError(f"{source}: correlation = {show_value(entries)} should be a list of tables")
+    found = list(read)
+    for number, entry in enumerate(entries):
+        where = f"{source}: correlation[{number}]"
+        if (
+            not isinstance(entry, Mapping)
+            or set(entry) != {"of", "matrix"}
+            or not isinstance(entry["of"], list | tuple)
+        ):
+            raise RecipeError(f'{where} should be {{of = ["PATH", ...], matrix = [[1, 0.8], [0.8, 1]]}}')
+        paths = list(expand_table(material.data, {str(p): p for p in entry["of"]}, f"{where}.of"))
+        members = [[each for each in found if each.path == path] for path in paths]
+        for path, own in zip(paths, members, strict=True):
+            if len(own) != 1 or own[0].group or own[0].distribution != "gaussian":
+                raise RecipeError(f'{where}.of: "{path}" needs one gaussian tolerance without a group')
+        ordered = [own[0] for own in members]
+        modes = _modes(entry["matrix"], len(ordered), f"{where}.matrix")
+        found = [each for each in found if each.path not in paths]
+        for mode, column in enumerate(modes.T, start=1):
+            cause = ordered[0].source if len({each.source for each in ordered}) == 1 else ""
+            group = f"mode {mode} of correlation[{number}]"
+            found += [
+                replace(each, deviation=float(each.deviation * share), group=group, source=cause)
+                for each, share in zip(ordered, column, strict=True)
+                if share != 0.0
+            ]
+    return found
+
+
+def _modes(matrix: Any, size: int, where: str) -> Array:
+    """Return `V sqrt(e)`, `[number, mode]`, of a correlation matrix, largest mode first.
+
+    Raises:
+        RecipeError: it is not square, symmetric, positive semidefinite or has another diagonal than 1.
+    """
+    try:
+        values = np.array(matrix, dtype=float)
+    except (ValueError, TypeError):
+        values = np.zeros(0)
+    rules = (
+        ("should be numbers, {0} rows of {0}", lambda: values.shape == (size, size) and np.isfinite(values).all()),
+        ("should be symmetric", lambda: np.allclose(values, values.T)),
+        ("should have 1 on its diagonal", lambda: np.allclose(np.diag(values), 1.0)),
+        ("should be positive semidefinite", lambda: np.linalg.eigvalsh(values).min() >= LEAST_EIGENVALUE),
+    )
+    for rule, holds in rules:
+        if not holds():
+            raise RecipeError(f"{where} = {show_value(matrix)} {rule.format(size)}")
+    eigenvalues, vectors = np.linalg.eigh(values)
+    found: Array = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))[:, ::-1]
+    return found[:, eigenvalues[::-1] > -LEAST_EIGENVALUE]
 
 
 def _read(material: Material, path: str, value: Any, where: str) -> Tolerance:
@@ -134,13 +209,16 @@ def _read(material: Material, path: str, value: Any, where: str) -> Tolerance:
         raise RecipeError(f"{where} does not exist in the recipe")
     if isinstance(nominal, bool) or not isinstance(nominal, int | float):
         raise RecipeError(f"{where}: the recipe's value {show_value(nominal)} is not a number")
-    distribution, group = "gaussian", ""
+    distribution, group, cause = "gaussian", "", ""
     if isinstance(value, Mapping):
         known_only(value, ToleranceSpec, where)
         distribution = value.get("distribution", "gaussian")
         if distribution not in DISTRIBUTIONS:
             known = ", ".join(DISTRIBUTIONS)
             raise RecipeError(f"{where}.distribution = {show_value(distribution)}; known: {known}")
+        cause = value.get("source", "")
+        if not isinstance(cause, str):
+            raise RecipeError(f"{where}.source = {show_value(cause)} should be a word")
         group = _group(material, path, value.get("group", ""), where)
         value = value["deviation"] if "deviation" in value else f"{value['percent']}%"
     text = str(value).strip()
@@ -151,7 +229,7 @@ def _read(material: Material, path: str, value: Any, where: str) -> Tolerance:
     if not (np.isfinite(number) and number >= 0):
         raise RecipeError(f"{where} = {show_value(value)} should be a number >= 0 or a percentage")
     deviation = abs(nominal) * number / 100 if text.endswith("%") else number
-    return Tolerance(path, float(nominal), deviation, str(distribution), group)
+    return Tolerance(path, float(nominal), deviation, str(distribution), group, cause)
 
 
 def _group(material: Material, path: str, group: Any, where: str) -> str:

@@ -50,7 +50,7 @@ class Evaluator:
     def of(
         cls, material: Material, targets: Sequence[Target], light: LightSpec, seed: int, measured: Measurement | None
     ) -> Evaluator:
-        """Return the evaluator of a material.
+        """Return a material's evaluator.
 
         Args:
             measured: result of its final evaluation.
@@ -158,7 +158,7 @@ def _costs(evaluator: Evaluator, tolerances: Sequence[Tolerance]) -> list[dict[s
     """Return the effect of one standard deviation of each tolerance, largest first."""
     found: list[dict[str, Any]] = []
     for t in tolerances:
-        sigma = t.standard_deviation
+        sigma = abs(t.standard_deviation)
         found.append({"path": t.path, "deviation": sigma, "moves": evaluator.effect(t.path, t.nominal, sigma)})
     total = sum(entry["moves"] ** 2 for entry in found) or 1.0
     for entry in found:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from nacre.core.parallel import available_jobs, single_threaded_blas
 from nacre.picture.filters import Real, smooth
 
-# samples per pixel for AOVs with grain and AOV layers, and for AOVs without grain (8 instead of 4 lower a bubble's FLIP
+# samples per pixel for AOVs with grain and AOV layers, and for AOVs without grain (8, not 4, lower a bubble's FLIP
 # from 0.0279 to 0.0277 and cost one and a half picture samples)
 AOV_SPP, EVEN_AOV_SPP = 16, 8
 # XYZ -> linear Rec. 2020 (ITU-R BT.2020, white D65)

@@ -3,8 +3,8 @@
 Through clear surfaces and mirrors the albedo belongs to the surface seen, times the transmittance or reflectance; for
 lamps and sky it is their light, clipped at white. The AOVs therefore contain the picture's edges.
 
-At surfaces that both reflect and transmit, both paths are followed, later only the brighter one, instead of one random
-path. All pixels may then use equal random numbers, and most AOVs have no grain, whose removal would blur edges.
+At surfaces that both reflect and transmit, both paths are followed, later only the brighter one, rather than one random
+path. All pixels may then use equal random numbers, and most AOVs lack grain, whose removal would blur edges.
 """
 
 from __future__ import annotations

@@ -91,8 +91,8 @@ def render(material: Any, scene: str = "sphere", **options: Any) -> RenderResult
         noise: target for the median relative standard error over the pixels that see an object (all pixels if there are
             none). It is evaluated after certain passes, therefore one seed gives one picture. Default: 0.02, with at
             most 1,024 samples per pixel.
-        spp: instead of noise: samples per pixel.
-        seconds: instead of noise: time limit; the picture then depends on the machine.
+        spp: rather than noise: samples per pixel.
+        seconds: rather than noise: time limit; the picture then depends on the machine.
         seed: sample seed; on one machine and variant pictures agree up to the threads' summation order (about
             1e-7).
         quality: "reference" (random walk) or "fast" (noise-free), for pearls.

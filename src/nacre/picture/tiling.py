@@ -128,7 +128,7 @@ class TiledCamera:
 
 
 def divide(size: tuple[int, int], pixels: int, margin: int) -> tuple[int, list[Tile]]:
-    """Divide a picture of (width, height) into tiles; return their number of rows, and the tiles.
+    """Divide a picture of (width, height) into tiles; return their row count, and the tiles.
 
     Args:
         pixels: maximum per tile, except for a minimum of rows.

@@ -34,7 +34,7 @@ KINDS = (
 SPECTRUM_ANGLES_DEG = (0.0, 30.0, 60.0)
 LOBE_ANGLES_DEG = (10.0, 30.0, 60.0)
 TRACK_ANGLES_DEG = np.linspace(0.0, 85.0, 35)
-WALK_NODES = 46  # pixels along a side of a slice by random walks: 2,000 in total instead of 33,000
+WALK_NODES = 46  # pixels along a side of a slice by random walks: 2,000 in total rather than 33,000
 RIBBON_ANGLES_DEG = np.linspace(0.0, 89.0, 179)
 PLOT_SAMPLES = 1024  # minimum per pair of directions; figures with few pairs take more ...
 PLOT_WALKS = 1 << 16  # ... up to this total
@@ -61,7 +61,7 @@ def material_figure(
     Args:
         material: any material, its recipe's path, an example's name or a recipe's table.
         kind: a name in `KINDS`.
-        angles_deg: angles of incidence, for figures with such an axis.
+        angles_deg: incidence angles, for figures with such an axis.
         wavelengths_nm: ascending; default: chosen by the material, with the lines of a narrow-band lamp.
         illuminant: lamp.
         over: for `OVER_KINDS`, a parameter of the recipe by path and its values; default: the angle, for

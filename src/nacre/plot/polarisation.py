@@ -26,7 +26,7 @@ CIRCULAR = "right circular: a right-handed screw in space at one time"
 
 
 def ellipsometry_figure(spectrum: Spectrum, title: str = "") -> Figure:
-    """Draw Psi and Delta over wavelength, one curve an angle of incidence.
+    """Draw Psi and Delta over wavelength, one curve an incidence angle.
 
     Raises:
         NacreError: the spectrum has no Mueller matrices.

@@ -116,7 +116,7 @@ class DesignSheet:
 
 def design_figure(sheet: DesignSheet) -> Figure:
     """Draw a design's sheet: swatches asked and reached, ribbon over the angle, spectra, layers, sensitivity."""
-    rows = (min(len(sheet.swatches), MAX_SWATCHES) + 2) // 3  # spectra have no swatch
+    rows = (min(len(sheet.swatches), MAX_SWATCHES) + 2) // 3  # spectra lack a swatch
     colours, exposure, clipped = style.shown_colours(sheet.ribbon, sheet.wavelengths_nm, sheet.illuminant)
     with style.house_style():
         figure = style.new_figure(style.SHEET_IN, 3.9 + 0.42 * rows)

@@ -109,7 +109,7 @@ def _swatches(axes: Axes, inks: list[Any], colours: Array, angles_deg: Array, st
 def ribbon_figure(
     spectrum: Spectrum, illuminant: str = "D65", title: str = "", step_label: str = "Angle of incidence (degrees)"
 ) -> Figure:
-    """Draw colour over the angle of incidence as a ribbon, with lightness and chroma below.
+    """Draw colour over the incidence angle as a ribbon, with lightness and chroma below.
 
     Args:
         spectrum: at 2 angles or more, ascending; a degree apart looks smooth.

@@ -188,7 +188,7 @@ def _stack(data: Mapping[str, Any]) -> Figure:
 
 
 def platelet_figure(data: Mapping[str, Any], illuminant: str = "D65") -> Figure:
-    """Draw platelet colours over the angle of incidence: a pair of ribbons (reflected, transmitted) each.
+    """Draw platelet colours over the incidence angle: a pair of ribbons (reflected, transmitted) each.
 
     Args:
         data: `angles_deg[a]`; `wavelengths_nm[l]`; `reflectance[..., a, l]` and optional `transmittance[..., a, l]`,

@@ -118,7 +118,7 @@ def shown_colours(
 
 
 def remark(illuminant: str | None, exposure: float = 1.0, clipped: int = 0, total: int = 0) -> str:
-    """Return the small print: lamp, exposure, number of colours outside sRGB."""
+    """Return the small print: lamp, exposure, colour count outside sRGB."""
     adapted = "" if illuminant == "D65" else ", eye adapted to it"
     parts = [f"illuminant {illuminant}{adapted}"] if illuminant else []
     if exposure != 1.0:

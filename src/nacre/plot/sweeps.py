@@ -57,7 +57,7 @@ def gamut_figure(
     labels: Sequence[str] = (),
     tracks: bool = False,
 ) -> Figure:
-    """Draw the gamut of a sweep: a* over b*, and lightness over chroma.
+    """Draw a sweep's gamut: a* over b*, and lightness over chroma.
 
     Args:
         xyz: `[group, point, 3]`, Y = 1 for white; missing points are NaN. Each group (an angle) has its marker.

@@ -53,7 +53,7 @@ def angle_tracks(
 
     Args:
         bsdf: any.
-        angles_deg: difference angles, equal to the angle of incidence for gloss; default 5 to 70. The diffuse track
+        angles_deg: difference angles, equal to the incidence angle for gloss; default 5 to 70. The diffuse track
             uses those from 15 to 50.
         evaluate: replaces `bsdf.evaluate` for random walks.
 

@@ -48,7 +48,7 @@ def load_tables(path: Path) -> TableFile:
 
 
 def tables_of(text: str, path: Path) -> TableFile:
-    """Read the tables of a text."""
+    """Read a text's tables."""
     return _not_empty(path, parse_tables(text, path, knows))
 
 
@@ -130,7 +130,7 @@ class Columns:
         return found[0] if found else None
 
     def spectral_nm(self, options: ReadOptions) -> Floats | None:
-        """Return the vacuum wavelengths in nm, or None if the table has no spectral column.
+        """Return the vacuum wavelengths in nm, or None if the table lacks a spectral column.
 
         Raises:
             AmbiguousFileError: the unit is not stated, and the numbers leave several readings.
@@ -232,12 +232,12 @@ def interpret(
         table: the text table.
         wanted: quantities that the reader can use; spectral quantities included.
         options: the user's names of columns and headings to ignore.
-        headerless: quantities of a table without headings by its number of columns; "spectral" is a wavelength or
+        headerless: quantities of a table without headings by its column count; "spectral" is a wavelength or
             energy whose unit the numbers decide.
 
     Raises:
         AmbiguousFileError: no headings, or one that may state several quantities.
-        NacreError: an unknown heading, one that stands twice, or a cell that is no number.
+        NacreError: an unknown heading, one that stands twice, or a cell that is not a number.
     """
     path = table.path
     assumed: list[str] = []

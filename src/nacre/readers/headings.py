@@ -293,7 +293,7 @@ class Meaning:
         quantity: key of `WORDS`.
         unit: canonical unit, "" if none is stated.
         is_error: whether the column holds the standard error of the quantity; with `quantity` "" of the column before.
-        angle_deg: angle of incidence (of a colour: of the geometry) in the heading.
+        angle_deg: incidence angle (of a colour: of the geometry) in the heading.
         polarisation: "s", "p", "unpolarised", or "".
         mode: "specular", "diffuse", "total", or "".
         illuminant, observer: of a colour; the observer is "2" or "10".

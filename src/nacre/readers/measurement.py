@@ -23,7 +23,7 @@ class Measurement:
         format: identifier of the format in `registry.FORMATS`.
         kind: class of instrument or data.
         data: arrays by canonical name; the name ends with the unit (`wavelength_nm`, `angle_of_incidence_deg`,
-            `psi_deg`, `height_um`); dimensionless quantities have no unit (`reflectance`, `n`, `k`, `m12`). Arrays of a
+            `psi_deg`, `height_um`); dimensionless quantities lack a unit (`reflectance`, `n`, `k`, `m12`). Arrays of a
             table have equal lengths; a height map is one array [row, column], row 0 at the top of the picture.
         name: name of the sample, spectrum, channel or material in the file; empty if there is none.
         metadata: other statements of the file: instrument, date, white reference, illuminant, observer, polarisation,
@@ -49,7 +49,7 @@ class ReadOptions:
     Attributes:
         quantity: canonical name of the dependent quantity (`reflectance`, `transmittance`, `n`, `eps1`, ...).
         unit: unit of the abscissa (`nm`, `um`, `eV`, `1/cm`) or, for heights, of the heights.
-        angle_deg: angle of incidence.
+        angle_deg: incidence angle.
         delta_convention: sign of Delta: `positive` or `negative` (see `docs`).
         channel: channel of a file with several (heights, zones).
         spectrum: name or number of one spectrum, material or block.

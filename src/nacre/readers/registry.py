@@ -174,7 +174,7 @@ def recognise(path: str | Path) -> list[tuple[float, Format]]:
 
 
 def _confidence(entry: Format, head: FileHead) -> float:
-    """Return the confidence of a format; a head on which its recognition fails has another format."""
+    """Return a format's confidence; a head on which its recognition fails has another format."""
     try:
         return entry.sniff(head)
     except (NacreError, *_DAMAGE):
@@ -211,7 +211,7 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
     else:
         found = recognise(path)
         if found and found[0][0] <= POSSIBLE and options.expects is None and _MARKUP.match(head_of(path).text):
-            found = []  # XML or JSON of another program is no table
+            found = []  # XML or JSON of another program is not a table
         if not found and options.expects is not None and head_of(path).is_text:
             found = [(0.0, format_named("table"))]  # its error names what the caller needs
         if not found:

@@ -326,7 +326,7 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
 
 
 def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
-    """Return the rows of a table; quantities at angles in the headings stand one angle after another."""
+    """Return a table's rows; quantities at angles in the headings stand one angle after another."""
     nm = columns.spectral_nm(options)
     if nm is None:
         raise NacreError(f"{columns.path}: no column of wavelengths; the columns are {columns.table.shown_headings}")

@@ -238,7 +238,7 @@ class TableFile:
     Attributes:
         tables: blocks in the order of the file.
         trailing: lines of text after the last block.
-        left_out: one sentence for each group of numbers that is no table.
+        left_out: one sentence for each group of numbers that is not a table.
     """
 
     tables: list[TextTable]
@@ -347,7 +347,7 @@ def rows(text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def split(line: str, delimiter: str | None) -> list[str]:
-    """Return the cells of a line; quotes protect delimiters, and empty cells at the end are dropped."""
+    """Return a line's cells; quotes protect delimiters, and empty cells at the end are dropped."""
     if delimiter is None:
         cells = [cell.strip('"') for cell in _QUOTED_OR_WORD.findall(line)] if '"' in line else line.split()
     elif '"' in line:

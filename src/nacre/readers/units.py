@@ -121,7 +121,7 @@ def normal(text: str) -> str:
 
 
 def parse_unit(text: str) -> str | None:
-    """Return the canonical unit of a spelling, or None.
+    """Return a spelling's canonical unit, or None.
 
     Example:
         >>> [parse_unit(word) for word in ("µm", "cm^-1", "Microns", "Å", "%", "sample")]

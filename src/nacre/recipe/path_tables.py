@@ -65,6 +65,27 @@ class ToleranceSpec(RecipeModel):
         "material",
         examples=["run", "material"],
     )
+    source: str = pydantic.Field(
+        default="",
+        description="cause of the deviation in the machine, by which the report of `nacre tolerance` sums the "
+        "contributions: a word such as run to run, within a run, uniformity, index drift",
+        examples=["run to run", "uniformity"],
+    )
+
+
+class CorrelationSpec(RecipeModel):
+    """Correlated deviations of several numbers."""
+
+    forms: ClassVar[tuple[str, ...]] = (
+        '{of = ["layers[0].thickness_nm", "layers[1].thickness_nm"], matrix = [[1, 0.8], [0.8, 1]]}',
+    )
+
+    of: list[str] = pydantic.Field(
+        description="paths of numbers with a tolerance, with [*] for any index", examples=[["layers[*].thickness_nm"]]
+    )
+    matrix: list[list[float]] = pydantic.Field(
+        description="correlation matrix of their deviations, in this order", examples=[[[1, 0.8], [0.8, 1]]]
+    )
 
 
 class InstrumentSpec(RecipeModel):
@@ -131,6 +152,11 @@ class StudySpec(RecipeModel):
     instrument: InstrumentSpec = pydantic.Field(
         default=InstrumentSpec(),
         description="averages and offset of the ellipsometer, for fits and `nacre ellipsometry`",
+    )
+    correlation: list[CorrelationSpec] = pydantic.Field(
+        default=[],
+        description="correlation matrices of the deviations in [tolerance]",
+        examples=[[{"of": ["layers[*].thickness_nm"], "matrix": [[1, 0.8], [0.8, 1]]}]],
     )
     tolerance: Annotated[
         dict[str, Any],

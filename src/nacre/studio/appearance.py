@@ -262,7 +262,7 @@ def _split(parts: Mapping[str, Array], gloss: Gloss | None) -> tuple[Array, Arra
 
 
 def _drafted(material: Material) -> Material:
-    """Return the material with its family's draft model, or with one that has noise-free spectra instead of walks."""
+    """Return the material with its family's draft model, or with one that has noise-free spectra rather than walks."""
     if isinstance(material.model, contract.Draft):
         return replace(material, model=material.model.draft)
     near = contract.search_model(material.model, {})

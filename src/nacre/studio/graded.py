@@ -44,7 +44,7 @@ class Grades:
 
 
 def grades_of(material: Material) -> Grades | None:
-    """Return the grades of a material; None for a uniform one, or if more than two numbers vary."""
+    """Return a material's grades; None for a uniform one, or if more than two numbers vary."""
     found = list(_textures(material.data, ()))
     if not 1 <= len(found) <= MAX_VARYING:
         return None

@@ -40,7 +40,7 @@ class Layered(Lobe):
         wavelengths_nm: `[wavelength]`, ascending.
         index: `[stratum]`, real refractive index over the ambient's, one for all wavelengths.
         alpha: `[interface, 2]`, roughness along x and y; 0 is smooth.
-        is_beckmann: `[interface]`, Beckmann normals instead of GGX.
+        is_beckmann: `[interface]`, Beckmann normals rather than GGX.
         loss: `[interface, side, cos]` light fraction lost by single scattering at a rough interface, over uniform
             nodes in sqrt(cos), side 0 above; zeros without compensation; unset if all interfaces lack compensation.
         flake_stratum: `[kind]`, the stratum of each flake species, ascending.

@@ -6,7 +6,7 @@ impossible and is replaced by a comparison of `sample` with `eval`.
 
 `pdf` returns the proxy times a confidence factor for `sample`. Multiple importance sampling assumes exact values, but
 `eval` is one random walk, whose narrow flake lobe rarely contains the exit direction and then has a large value. The
-resulting coloured fireflies grow with the number of flakes; `sample` has no such peaks.
+resulting coloured fireflies grow with the flake count; `sample` has no such peaks.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from nacre.device.plugin import MIN_COS, LobePlugin, MakePlugin, flag, opaque
 from nacre.device.walk.strata import Strata
 from nacre.device.walk.walk import eval_walk, joint_walk, make_rng, sample_walk
 
-# Upper limit of the confidence factor 1 + number of flakes across the material. Measured with the power heuristic in
+# Upper limit of the confidence factor 1 + flake count across the material. Measured with the power heuristic in
 # the studio scene: best at 4 (bottle 2, 2.3 flakes), 16 (bottle 1, 24) and 64 (bottle 3, 59; 16 is nearly as good);
 # higher values add noise from small light sources, which `sample` seldom hits.
 MAX_CONFIDENCE = 20.0

@@ -56,7 +56,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
 
     Attributes:
         tables: names of the lobe's tables.
-        is_turned: whether values depend on both azimuths instead of only on their difference.
+        is_turned: whether values depend on both azimuths rather than only on their difference.
     """
 
     tables: ClassVar[tuple[str, ...]]
@@ -394,7 +394,7 @@ def tetrahedron(rows: list[Any], upper: Any, lower: Any, part: Any) -> list[tupl
     """Return the corners and weights of the point's tetrahedron in the two angles and the wavelength.
 
     From the lowest corner of the cell to the highest, coordinates increase one after the other, in the order of
-    decreasing fractions: four reads instead of three at each wavelength. At a wavelength node it is the triangle.
+    decreasing fractions: four reads rather than three at each wavelength. At a wavelength node it is the triangle.
 
     Args:
         rows: positions of the triangle's three corners, from lowest to highest, at the lower wavelength.

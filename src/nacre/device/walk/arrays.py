@@ -96,7 +96,7 @@ class _Lanes:
 
     def __init__(self, first: int, jobs: int, samples: int) -> None:
         lane = dr.arange(mi.UInt32, jobs * samples)
-        # data instead of literals: other sample counts reuse the kernel
+        # data rather than literals: other sample counts reuse the kernel
         self.job = lane // dr.opaque(mi.UInt32, samples)
         self.index = lane + dr.opaque(mi.UInt32, first * samples % (1 << 24))
 

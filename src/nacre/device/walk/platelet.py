@@ -50,7 +50,7 @@ class Flake:
 
     @staticmethod
     def of(strata: Strata, stratum: Any, row: list[Any], v: Any, slot: Any, active: Any) -> Flake:
-        """Return the flake of a slot; `v` is the backward light direction in its frame."""
+        """Return a slot's flake; `v` is the backward light direction in its frame."""
         axes = mi.Vector3f(row[1], row[2], row[3])
         stretched = axes * v
         return Flake(row, v, axes, stretched, dr.norm(stretched), strata.kind_at(stratum, slot, active), slot)

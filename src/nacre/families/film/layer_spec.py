@@ -266,7 +266,7 @@ def with_interface_layers(
         context: of the recipe, for messages.
 
     Raises:
-        RecipeError: a wrong number of values; an anisotropic or varying layer at a rough interface; a layer thinner
+        RecipeError: a wrong value count; an anisotropic or varying layer at a rough interface; a layer thinner
             than its interfaces.
     """
     key = "surface.interface_roughness_nm"

@@ -34,7 +34,7 @@ class Composite:
         matrix_k: added to the matrix's k by an absorber.
         absorber: an absorbing material and its share of the matrix, or None.
         mixing: "bruggeman" or "maxwell-garnett".
-        structure: S over q d instead of hard spheres, or None.
+        structure: S over q d rather than hard spheres, or None.
     """
 
     materials: tuple[OpticalConstant, ...]

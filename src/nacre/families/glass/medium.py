@@ -36,7 +36,7 @@ class Spheres:
         n_effective: `[wavelength]`.
         volume_fraction: filled by whole spheres.
         deviation_nm: standard deviation of the outer radius; core and shell scale together.
-        structure: S over q d instead of hard spheres, or None.
+        structure: S over q d rather than hard spheres, or None.
     """
 
     wavelengths_nm: Array

@@ -24,7 +24,7 @@ from nacre.core.jit import compiled
 from nacre.core.parallel import in_threads
 from nacre.families.glass.medium import Medium
 
-CHUNKS = 8  # sums are taken in this order, whatever the number of threads
+CHUNKS = 8  # sums are taken in this order, whatever the thread count
 OPEN_BASE = -1.0
 LOST, UP, DOWN = 0, 1, 2
 

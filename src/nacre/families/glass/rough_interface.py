@@ -41,7 +41,7 @@ class RoughInterface:
 
     @classmethod
     def behind(cls, surface: Roughness, medium: Medium) -> RoughInterface | None:
-        """Return the interface of a medium; None if it is smooth or index-matched."""
+        """Return a medium's interface; None if it is smooth or index-matched."""
         index = round(float(np.median(medium.index)), INDEX_DIGITS)
         return None if surface.is_smooth or index - 1 < MATCHED else _solve(surface, index)
 

@@ -52,7 +52,7 @@ class Platelet:
         thickness: its thickness over the flakes.
         upper: coatings on one side, outermost first.
         lower: coatings on the other side, outermost first; default: `upper`.
-        energy_balance: "conserving", or "published": R (1 - T) instead of R, as printed in Guillen et al. 2020, eqs. 17
+        energy_balance: "conserving", or "published": R (1 - T) for R, as printed in Guillen et al. 2020, eqs. 17
             and 18; R T is lost at each flake without absorption.
     """
 

@@ -8,7 +8,7 @@ the flight inside, e the exit inside, t the interface transmittances and n the i
 
     f = 1/n^2 < t_i t_o sum over collisions R D(h) / (4 sigma(d)) exp(-tau(e) depth) / e_z >.
 
-Single scattering by a platelet is excluded from both and integrated without a walk: over lattice points instead of
+Single scattering by a platelet is excluded from both and integrated without a walk: over lattice points rather than
 random ones, with the depth in closed form. `energy_defect` estimates the light that the "published" energy balance
 loses at platelets with any orientation, also over an open or a metallic base.
 """
@@ -51,7 +51,7 @@ from nacre.core.jit import compiled
 from nacre.core.parallel import in_threads
 from nacre.families.pearl.platelet import lost_share
 
-CHUNKS = 8  # summed in this order, for any number of threads
+CHUNKS = 8  # summed in this order, for any thread count
 ANY_ANGLE = np.array([0.0, 0.0, 0.0])  # stratified over the polar angle, at azimuth 0
 FROM_BASE = np.array([0.0, 0.0, -1.0])  # diffuse light that starts at the base
 DEFECT_WALKS = 32_768  # standard error 0.002

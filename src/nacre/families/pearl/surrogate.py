@@ -66,7 +66,7 @@ class PearlSurrogate:
 
         Args:
             wi, wo: `[pair, 3]`, above the surface.
-            is_fine: approximate by adding-doubling instead of two streams.
+            is_fine: approximate by adding-doubling rather than two streams.
         """
         medium = self.medium(COS_NODES)
         exact = self._first_order(medium, wi, wo, FACETS)

@@ -144,7 +144,7 @@ class Lines:
 
 
 def lines_of(tile: Tile) -> Lines | None:
-    """Return the lines of a tile, or None if its heights vary along both axes."""
+    """Return a tile's lines, or None if its heights vary along both axes."""
     heights = tile.heights_nm
     tolerance = SAME * max(float(np.ptp(heights)), 1e-6)
     for axis in (1, 0):

@@ -252,7 +252,7 @@ def plan_cut(
         geometry: directions and wavelengths.
         samples: surface samples along one side of the tile.
         period_nm: side of the tile.
-        height_range_nm: largest height difference, which sets the number of nodes.
+        height_range_nm: largest height difference, which sets the node count.
         coherence: coherence window.
         prefactor: see `brdf_factor`.
         reflectance: Fresnel reflectance of the coating; default: a perfect reflector.

@@ -107,7 +107,7 @@ class Scan:
 
     @functools.cached_property
     def height_range_nm(self) -> float:
-        """Height difference that sets the number of nodes over kappa."""
+        """Height difference that sets the node count over kappa."""
         span = float(np.ptp(self.heights_nm))
         return span if self.kind == "scan" else min(span, RANDOM_RANGE * self.sq_nm)
 
@@ -252,7 +252,7 @@ def _corners(shape: tuple[int, ...], side: int, most: int) -> list[tuple[int, in
 def _azimuthal_mean(near: Array) -> Array:
     """Return a covariance `[lag, lag]` about its middle that depends on the length of the lag only.
 
-    Cubic splines give the mean over azimuths at radii half a point apart. The corners, which have no whole circle,
+    Cubic splines give the mean over azimuths at radii half a point apart. The corners, which lack a whole circle,
     continue the largest one.
     """
     reach = near.shape[0] // 2

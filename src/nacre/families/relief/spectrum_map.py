@@ -88,7 +88,7 @@ def spectrum_map(
     error: float = 3e-3,
     bounded: bool = True,
 ) -> tuple[SpectrumMap, MapReport]:
-    """Compute the lobe of a relief.
+    """Compute a relief's lobe.
 
     Args:
         tile: one period, heights and process; or a scan, which has none.

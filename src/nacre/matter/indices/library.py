@@ -24,7 +24,7 @@ _AXIS = re.compile(r"-(o|e|alpha|beta|gamma|\u03b1|\u03b2|\u03b3)$")
 
 
 def index(material: str | complex | OpticalConstant | Mapping[str, Any] | IndexSpec) -> OpticalConstant:
-    """Return the optical constant of a material.
+    """Return a material's optical constant.
 
     Args:
         material: a material name ("Ag", "mica"; case is ignored), a database key ("main/Ag/Johnson"), a

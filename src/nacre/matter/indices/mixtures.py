@@ -59,7 +59,7 @@ class Mixture:
 def effective_permittivity(
     eps: ComplexArray, fractions: tuple[float, ...], model: str, depolarisation: tuple[float, ...] = SPHERE
 ) -> ComplexArray:
-    """Return the permittivity of a mixture.
+    """Return a mixture's permittivity.
 
     Args:
         eps: permittivities `[component, ...]`.

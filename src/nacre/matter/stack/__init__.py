@@ -1,1 +1,1 @@
-"""Stratified media: plane waves in stacks with any number of layers."""
+"""Stratified media: plane waves in stacks with any layer count."""

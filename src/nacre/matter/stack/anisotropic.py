@@ -125,7 +125,7 @@ def solve_anisotropic(
         layers: from the ambient to the substrate.
         substrate: relative permittivity: a number, `[wavelength]`, `[3, 3]` or `[wavelength, 3, 3]`.
         wavelengths_nm: vacuum wavelengths, `[wavelength]`.
-        theta_rad: angles of incidence in the ambient, below 90 degrees, `[angle]` or `[angle, wavelength]`.
+        theta_rad: incidence angles in the ambient, below 90 degrees, `[angle]` or `[angle, wavelength]`.
         azimuth_rad: angle of the plane of incidence (the direction x of propagation) from the x axis of the sample.
         absorption: compute the absorption of each layer.
         slice_share: share of the slices of helical layers; the error grows with its inverse fourth power.

@@ -378,7 +378,7 @@ def solve_stacks(stack, light, bottom, outputs, first, last):
         bottom: b = bottom a in the substrate, `[angle, wavelength, 2, 2]`.
         outputs: b = gamma a at the top `[angle, wavelength, 2, 2]`; a in the substrate = entering a at the top
             `[angle, wavelength, 2, 2]`; absorbed `[layer, angle, wavelength, 2, 2]`, Hermitian: flux lost in a layer
-            = a^H absorbed a (not computed if it has no layers).
+            = a^H absorbed a (not computed if it lacks layers).
     """
     tensors, thicknesses, turns, slices = stack
     k0, kx = light

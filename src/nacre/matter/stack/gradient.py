@@ -66,7 +66,7 @@ def pull_back(
         n: complex `[medium, wavelength]` or `[medium, 1]`, k >= 0, with a transparent ambient.
         thicknesses_nm: `[layer]`.
         wavelengths_nm: `[wavelength]`.
-        theta_rad: angles of incidence, `[angle]` or a number; or their cosines `cos_i`.
+        theta_rad: incidence angles, `[angle]` or a number; or their cosines `cos_i`.
         R_s, R_p, T_s, T_p: dL/dR_s and so on, each broadcast to `[angle, wavelength]`.
         index: also compute the derivatives in n, k and the cosines (twice the time).
 

@@ -138,14 +138,14 @@ def polarised_response(
     slice_share: float = 1.0,
     jobs: int | None = None,
 ) -> PolarisedResponse:
-    """Return the response of a stack to light from one azimuth.
+    """Return a stack's response to light from one azimuth.
 
     Args:
         ambient_index: real, `[wavelength]`.
         layers: from the light inward.
         substrate: permittivity, `[wavelength]` or `[wavelength, 3, 3]` in the frame (u, v, normal).
         wavelengths_nm: `[wavelength]`.
-        theta_rad: angles of incidence, `[angle]` or `[angle, wavelength]`, in [0, pi/2].
+        theta_rad: incidence angles, `[angle]` or `[angle, wavelength]`, in [0, pi/2].
         azimuth_rad: azimuth of the direction towards the light, from u to v.
         absorption: compute the absorption of each layer; only for coherent stacks.
         slice_share: share of the slices of helical layers, for a quicker answer with an error of some 1e-4.

@@ -30,14 +30,14 @@ def solve(
     absorption: bool = False,
     jobs: int | None = None,
 ) -> Response:
-    """Return amplitudes and powers of layered media at real angles of incidence.
+    """Return amplitudes and powers of layered media at real incidence angles.
 
     Args:
         n: complex refractive indices `[..., medium, wavelength]` (or `[..., medium, 1]`), ordered from ambient to
             substrate; leading axes are a batch.
         thicknesses_nm: `[..., layer]`, two shorter than the medium axis; leading axes broadcast with those of `n`.
         wavelengths_nm: `[wavelength]`, in vacuum.
-        theta_rad: angles of incidence in the ambient, 0 to pi/2, `[angle]` or a number.
+        theta_rad: incidence angles in the ambient, 0 to pi/2, `[angle]` or a number.
         cos_i: their cosines instead.
         absorption: also compute each layer's absorption, from the Poynting flux difference between its interfaces
             (slower: a second, scalar pass).
@@ -79,7 +79,7 @@ def powers(
     """Return R and T: `solve` without the amplitudes, faster and with a third of the memory.
 
     Args:
-        kappa: in-plane wavevectors kx / k0 instead of angles, real, `[angle]` or `[angle, wavelength]`, up to the
+        kappa: in-plane wavevectors kx / k0 rather than angles, real, `[angle]` or `[angle, wavelength]`, up to the
             ambient's index. One direction outside a dispersive medium has a different angle inside at each wavelength.
 
     Other arguments and errors as in `solve`.

@@ -224,7 +224,7 @@ class Stack:
         Coherent isotropic stacks use the isotropic kernel.
 
         Args:
-            theta_rad: angles of incidence in [0, pi/2].
+            theta_rad: incidence angles in [0, pi/2].
             wavelengths_nm: vacuum wavelengths.
             azimuth_rad: azimuth of the direction towards the light, from u.
             absorption: compute the absorption of each layer.
@@ -301,7 +301,7 @@ def jones(
     Args:
         stack: coherent layers.
         wavelengths_nm: `[wavelength]`.
-        angles_deg: angles of incidence in the ambient, `[angle]`.
+        angles_deg: incidence angles in the ambient, `[angle]`.
         azimuths_deg: azimuths of the direction towards the light, from u; a number, or `[azimuth]`.
         jobs: threads.
 

@@ -244,7 +244,7 @@ def spectra_and_gradients(tables, media, thicknesses, layers, substrate, with_gr
         tables: `StackTables`.
         media: indices of the layers' media in the tables, from the top, `[>= layers]`.
         thicknesses: `[>= layers]`, nm.
-        layers: number of layers; 0 is a bare substrate.
+        layers: layer count; 0 is a bare substrate.
         substrate: index of its medium.
         with_gradients: whether `gradients` is filled.
         w: memory from `scratch(layers or more)`.
@@ -254,7 +254,7 @@ def spectra_and_gradients(tables, media, thicknesses, layers, substrate, with_gr
     turns_r, turns_i, q_r, q_i = tables.turns_r, tables.turns_i, tables.q_r, tables.q_i
     rows, _, total = turns_r.shape
     size = _ROWS * SAMPLES
-    # slices instead of offsets: numba then excludes negative indices, and the loops vectorise
+    # slices rather than offsets: numba then excludes negative indices, and the loops vectorise
     g, a = w[layers * size : (layers + 1) * size], w[(layers + 1) * size : (layers + 2) * size]
     for start in range(0, total, SAMPLES):
         stop = min(start + SAMPLES, total)

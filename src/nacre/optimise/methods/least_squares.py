@@ -65,7 +65,7 @@ def minimise_residuals(
         residuals: of a point `[parameter]`; flat; large and finite if they cannot be computed.
         start: `[parameter]`, in the unit cube.
         step: relative finite-difference step, without `jacobian`.
-        max_nfev: number of steps.
+        max_nfev: step count.
         low, high: bounds.
         jacobian: replaces finite differences.
         tol: relative tolerance of point and loss.
@@ -197,7 +197,7 @@ class LeastSquaresOptions:
 class LeastSquaresSearch(Search):
     """Multistart least squares for any recipe and parameters.
 
-    Monte Carlo materials use the same seed for all candidates. Their number of samples grows once the targets are met,
+    Monte Carlo materials use the same seed for all candidates. Their sample count grows once the targets are met,
     until the noise is small.
     """
 
@@ -260,7 +260,7 @@ class LeastSquaresSearch(Search):
     def _increase_samples(self) -> bool:
         """Take four times the samples and refine anew, until the noise is small; return whether that was done.
 
-        In steps of four: another number of samples needs another kernel, which takes seconds to compile.
+        In steps of four: another sample count needs another kernel, which takes seconds to compile.
         """
         if self.samples is None or self.samples >= self.sufficient_samples:
             return False

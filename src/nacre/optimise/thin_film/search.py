@@ -311,7 +311,7 @@ def search(
     """Find stacks that meet the targets, best first.
 
     Ends if all operands are within a fifth of their tolerances, or with the budget. Solutions differ from each other in
-    material, order, layer count or by 20 % in a thickness. A seed gives the same result on any number of threads.
+    material, order, layer count or by 20 % in a thickness. A seed gives the same result on any thread count.
 
     Args:
         budget: evaluations are stacks begun; a number is a time limit in seconds.

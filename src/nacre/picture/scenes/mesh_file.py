@@ -80,7 +80,7 @@ def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
                 raise IndexError("OBJ counts vertices from 1")
             content = with_triangles(content)
         uv_white = _uv_white(path, content, suffix)
-        file = io.BytesIO(with_materials(content, suffix))  # bytes have no folder with other files
+        file = io.BytesIO(with_materials(content, suffix))  # bytes lack a folder with other files
         resolver = None if is_alone else Beside(str(path))
         read: Any = trimesh.load(file, file_type=suffix.removeprefix("."), resolver=resolver, process=False)
     else:

@@ -32,7 +32,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the pairs.
 
     Raises:
-        NacreError: the head or a row is invalid, or the number of rows contradicts NUM_POINTS.
+        NacreError: the head or a row is invalid, or the row count contradicts NUM_POINTS.
     """
     lines = read_text(path).splitlines()
     start = next((i for i, line in enumerate(lines) if _VARS.match(line)), None)

@@ -247,7 +247,7 @@ def _anisotropic(path: Path, lines: list[str]) -> list[Measurement]:
 
 
 def numbers_after_text(words: Iterator[str]) -> Array:
-    """Return a spectrum `[row, 2]`: a description (words), the number of rows, then wavelength and per cent."""
+    """Return a spectrum `[row, 2]`: a description (words), the row count, then wavelength and per cent."""
     word = next(words)
     while not word.isdigit():
         word = next(words)

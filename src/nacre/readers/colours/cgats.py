@@ -98,7 +98,7 @@ def _tables(path: Path, lines: list[str]) -> list[Table]:
     """Return the tables.
 
     Raises:
-        NacreError: a table has no END_DATA, or another number of rows than NUMBER_OF_SETS.
+        NacreError: a table lacks END_DATA, or another row count than NUMBER_OF_SETS.
     """
     tables = [Table()]
     place = "head"
@@ -167,7 +167,7 @@ def _cells(line: str, count: int) -> list[str]:
 
 
 def measurement_of(path: Path, table: Table) -> Measurement | None:
-    """Return the colours of a table, or None if it holds device values only."""
+    """Return a table's colours, or None if it holds device values only."""
     place = {name: at for at, name in enumerate(table.fields)}
     data: dict[str, Array] = {}
     used: set[str] = set()

@@ -15,7 +15,7 @@ from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
 CXF3 = "CxF3-core"
-USUAL_GRIDS = {36: 380.0, 31: 400.0}  # number of values -> first wavelength, nm, of X-Rite's instruments
+USUAL_GRIDS = {36: 380.0, 31: 400.0}  # value count -> first wavelength, nm, of X-Rite's instruments
 MAX_BYTES = 256 << 20
 
 
@@ -102,7 +102,7 @@ def _measurement(
 def _values(
     path: Path, node: Xml.Element, specifications: dict[str, Specification], left_out: dict[str, int]
 ) -> tuple[dict[str, list[float]], Specification, tuple[float, ...]]:
-    """Return the colours of an object by kind, their specification and the wavelengths of its spectrum."""
+    """Return an object's colours by kind, their specification and the wavelengths of its spectrum."""
     values: dict[str, list[float]] = {}
     light = Specification()
     grid: tuple[float, ...] = ()

@@ -39,7 +39,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read the colours and their names.
 
     Raises:
-        NacreError: a line is no colour, or a number is above 255.
+        NacreError: a line is not a colour, or a number is above 255.
     """
     text = read_text(path)
     joined = "\n".join(text.lines)

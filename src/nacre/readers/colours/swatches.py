@@ -21,7 +21,7 @@ _UNMANAGED = ("srgb", "lab")
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for the magic of .ase, or for the head of .aco with the size that its number of colours states."""
+    """Return 1 for the magic of .ase, or for the head of .aco with the size that its colour count states."""
     if head.data.startswith(ASE_MAGIC):
         return CERTAIN
     if len(head.data) < 14:

@@ -24,7 +24,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read n and k over the wavelength in nm.
 
     Raises:
-        NacreError: a row is damaged, the number of rows is not POINTS, or the numbers are no wavelengths, n and k.
+        NacreError: a row is damaged, the row count is not POINTS, or the numbers are no wavelengths, n and k.
     """
     rows: list[list[float]] = []
     points = ""

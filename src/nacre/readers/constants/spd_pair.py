@@ -1,6 +1,6 @@
 """Pairs of spectral files of Mitsuba and PBRT: `Au.eta.spd` with n and `Au.k.spd` with k over nm.
 
-One file without the other is no material: gold without k is a dielectric.
+One file without the other is not a material: gold without k is a dielectric.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     """Return the optical constants of one material.
 
     Raises:
-        NacreError: the units are not known, or the rows have another number of columns.
+        NacreError: the units are not known, or the rows have another column count.
     """
     text = load_text(path)
     stated, begin = _UNITS.search(text), _BEGIN.search(text)

@@ -56,7 +56,7 @@ def end_is_open(path: Path) -> tuple[str, ...]:
 
 
 def numbers(text: str) -> list[float] | None:
-    """Return the numbers of a line separated by blanks, tabs, commas or semicolons; None if a cell is no number.
+    """Return the numbers of a line separated by blanks, tabs, commas or semicolons; None if a cell is not a number.
 
     A comma is a decimal comma beside another separator and without points.
     """
@@ -281,7 +281,7 @@ def same_length(path: Path, rows: Sequence[tuple[int, list[float]]]) -> Array:
     """Return numbered rows as a table `[row, column]`.
 
     Raises:
-        NacreError: a row has another number of columns than the first, as the last row of a truncated file.
+        NacreError: a row has another column count than the first, as the last row of a truncated file.
     """
     if not rows:
         raise NacreError(f"{path}: contains no rows of data")

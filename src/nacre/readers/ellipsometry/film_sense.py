@@ -1,6 +1,6 @@
 """Text of the multi-wavelength ellipsometers FS-1 to FS-8 by Film Sense.
 
-`Film_Sense_Data`: counts and the angle of incidence (negative in the file), one row per LED with its wavelength in nm
+`Film_Sense_Data`: counts and the incidence angle (negative in the file), one row per LED with its wavelength in nm
 first, then one row per LED of N, C, S, P and intensity. `Film_Sense_Dyn_Data`: the same rows of LEDs, then a table over
 time with columns such as `Blue_N`, `Blue_C`, `Blue_S`. N = cos 2Psi, C = sin 2Psi cos Delta, S = sin 2Psi sin Delta.
 """

@@ -1,4 +1,4 @@
-"""Text exports of WVASE: wavelength, angle of incidence, Psi and Delta, with or without a heading.
+"""Text exports of WVASE: wavelength, incidence angle, Psi and Delta, with or without a heading.
 
 The heading is a unit and names (`nm aoi Psi Delta`); a blank may stand for a tab, the name of the angle may be missing,
 and `TRIG` says that the columns are tan Psi and cos Delta. Lines before the heading are comments.
@@ -59,7 +59,7 @@ def _heading(lines: list[str]) -> tuple[int, str, bool] | None:
 
 
 def _looks_like_psi_delta(table: np.ndarray) -> bool:
-    """Whether four unnamed columns are wavelength, a few angles of incidence, Psi and Delta."""
+    """Whether four unnamed columns are wavelength, a few incidence angles, Psi and Delta."""
     wavelength, angle, psi, delta = table.T
     if not (np.all((wavelength > 0.1) & (wavelength < 60_000)) and np.all((angle > 10) & (angle < 90))):
         return False

@@ -31,7 +31,7 @@ def sniff(head: FileHead) -> float:
 
 @reads
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read one map; h is the number of rows, w of columns."""
+    """Read one map; h is the row count, w the column count."""
     text = decoded(path.read_bytes())
     check_end(text, path)
     lines = text.splitlines()

@@ -41,7 +41,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
 
 
 def _holes(kind: np.dtype[Any], is_bcr: bool) -> list[float]:
-    """Return the values of a hole: the least of the type in ISO 25178-71, the largest in BCR-STM, which some mix."""
+    """Return a hole's values: the least of the type in ISO 25178-71, the largest in BCR-STM, which some mix."""
     if kind.kind == "f":
         return [float(np.finfo(kind).min), float(np.finfo(kind).max)]
     limits = np.iinfo(kind)

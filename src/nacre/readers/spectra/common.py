@@ -110,7 +110,7 @@ def read_text(path: Path) -> Text:
 
 
 def text_of(data: bytes) -> Text:
-    """Return the lines of a text; see `read_text`."""
+    """Return a text's lines; see `read_text`."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text, nul = data.decode("utf-16", errors="replace"), 0
     else:
@@ -169,7 +169,7 @@ def cells(line: str, mark: str | None) -> list[str]:
 
 
 def numeric_row(line: str, mark: str | None) -> list[float] | None:
-    """Return the numbers of a line (empty cells are NaN), or None if a cell is no number or the line is empty."""
+    """Return the numbers of a line (empty cells are NaN), or None if a cell is not a number or the line is empty."""
     found = cells(line, mark)
     comma = mark != "," or '"' in line
     values = [float("nan") if not cell else number(cell, comma) for cell in found]
@@ -282,7 +282,7 @@ def option_unit(path: Path, options: ReadOptions) -> str | None:
     """Return the unit that the options state.
 
     Raises:
-        NacreError: it is no unit of wavelength, energy or wavenumber.
+        NacreError: it is not a unit of wavelength, energy or wavenumber.
     """
     if options.unit is None:
         return None
@@ -298,7 +298,7 @@ def option_label(path: Path, options: ReadOptions) -> Label | None:
     """Return the quantity that the options state, such as `reflectance` or `reflectance (%)`.
 
     Raises:
-        NacreError: it is no quantity of a spectrum.
+        NacreError: it is not a quantity of a spectrum.
     """
     if options.quantity is None:
         return None
@@ -480,7 +480,7 @@ def check_count(path: Path, stated: float | str | None, got: int, what: str) -> 
     """Check that a file is complete.
 
     Raises:
-        NacreError: another number of points than the file states.
+        NacreError: another point count than the file states.
     """
     if stated is None:
         return

@@ -49,7 +49,7 @@ class Head:
 
 
 def sniff(head: FileHead) -> float:
-    """Return 0.6 if version, number of points and types of the axes are plausible."""
+    """Return 0.6 if version, point count and types of the axes are plausible."""
     if len(head.data) < 288 or head.data[1] not in (NEW_LITTLE, NEW_BIG, OLD) or head.is_text:
         return 0.0
     try:

@@ -44,7 +44,7 @@ def sniff(head: FileHead) -> float:
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read the spectra of a file; three linked blocks of counts give (sample - dark) / (reference - dark)."""
+    """Read a file's spectra; three linked blocks of counts give (sample - dark) / (reference - dark)."""
     found = [block for block in _blocks(common.read_text(path).lines) if block.table]
     if not found:
         raise NacreError(f"{path}: JCAMP-DX without XYDATA or XYPOINTS")
@@ -173,7 +173,7 @@ def _xy(path: Path, block: Block) -> tuple[Array, Array]:
     """Return abscissa and ordinate of a block, and check their number.
 
     Raises:
-        NacreError: a table of peaks, a damaged line, or another number of points than NPOINTS.
+        NacreError: a table of peaks, a damaged line, or another point count than NPOINTS.
     """
     if block.kind == "PEAKTABLE":
         raise NacreError(f"{path}: JCAMP-DX with a table of peaks, which is no spectrum")
@@ -239,7 +239,7 @@ def _ordinates(path: Path, lines: list[str]) -> list[float]:
     """Return the ordinates of (X++(Y..Y)) in the forms AFFN, PAC, SQZ, DIF and DUP (JCAMP-DX 4.24, sec. 5).
 
     Raises:
-        NacreError: a word is no number, or the check value of a line of differences disagrees.
+        NacreError: a word is not a number, or the check value of a line of differences disagrees.
     """
     values: list[float] = []
     check = False  # whether the first ordinate of the next line repeats the last of this one

@@ -52,7 +52,7 @@ class OleFile:
         return list(self._entries)
 
     def stream(self, name: str) -> bytes:
-        """Return the content of a stream.
+        """Return a stream's content.
 
         Raises:
             KeyError: there is none of this name.

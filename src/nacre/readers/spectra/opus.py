@@ -90,7 +90,7 @@ def _directory(path: Path, data: bytes) -> list[tuple[BlockType, bytes]]:
 
 
 def _parameters(raw: bytes) -> dict[str, int | float | str]:
-    """Return the parameters of a block: name, type (0 integer, 1 float, else text), size in words, value."""
+    """Return a block's parameters: name, type (0 integer, 1 float, else text), size in words, value."""
     found: dict[str, int | float | str] = {}
     at = 0
     while at + 8 <= len(raw):

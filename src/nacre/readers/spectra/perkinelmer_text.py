@@ -60,9 +60,9 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
 
 
 def _preamble(path: Path, lines: list[str]) -> tuple[str, str, str, int, dict[str, str]]:
-    """Return units of x and y, number of points, first line of the data, and metadata.
+    """Return units of x and y, point count, first line of the data, and metadata.
 
-    The lines below #GR are: unit of x, unit of y, scale, offset, first x, interval, number of points.
+    The lines below #GR are: unit of x, unit of y, scale, offset, first x, interval, point count.
     """
     if "#GR" not in lines or "#DATA" not in lines:
         raise NacreError(f"{path}: PerkinElmer ASCII without #GR or #DATA; the file is cut")

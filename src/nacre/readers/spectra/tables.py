@@ -146,7 +146,7 @@ def _is_axis(x: Array) -> bool:
 
 
 def _plain_columns(table: Array) -> tuple[Array, Array | None] | None:
-    """Return values and uncertainties of a table without headings, or None if it is no spectrum.
+    """Return values and uncertainties of a table without headings, or None if it is not a spectrum.
 
     Three columns are a spectrum with its uncertainty if the second is at most 1.05 and the third at most 0.3 of it in
     each row: n below 1 with so small a k occurs in no tabulated material of the visible.

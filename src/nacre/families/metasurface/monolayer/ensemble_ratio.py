@@ -168,7 +168,7 @@ class Pairs:
         phi: between their in-plane wavevectors.
         truth: |F|^2 / (n_s n_i) per sphere.
         model: the same by the model.
-        control: the model with the pattern's S deviation instead of S.
+        control: the model with the pattern's S deviation rather than S.
         level: mean squared model over the pairs with s and with i.
         left_bins, right_bins: angle bins for s and i, ascending.
     """

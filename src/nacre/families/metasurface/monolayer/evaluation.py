@@ -358,7 +358,7 @@ def _structure_at(structure: Structure, k: float, kappa_s: Array, kappa_i: Array
 def direct_values(layer: Monolayer, wi: Array, wo: Array) -> Array:
     """Return the diffuse BRDF for direction pairs above the surface, `[pair]`, 1/sr, unpolarised.
 
-    The balance uses quadrature nodes instead of the table nodes; values near grazing are not scaled to the incident
+    The balance uses quadrature nodes rather than the table nodes; values near grazing are not scaled to the incident
     power.
 
     Args:

@@ -147,7 +147,7 @@ def _banner(levels: Array) -> int:
 
 
 def _of_one_level(levels: Array, cores: NDArray[np.intp], whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which blobs have one level, `[blob]`: annotations have no noise.
+    """Return which blobs have one level, `[blob]`: annotations lack noise.
 
     Args:
         cores: `[row, column]`, blob numbers from 1 away from outlines, else 0.

@@ -230,7 +230,7 @@ def stack_contour(
         reach: the largest distance, times k.
         depth: contour depth, in k.
         steep_reach: distance, times k, up to which steep waves at its end matter.
-        quick: two thirds of the nodes; error 2e-5 (largest sum) instead of 1e-6, the maximum over 60 random
+        quick: two thirds of the nodes; error 2e-5 (largest sum) rather than 1e-6, the maximum over 60 random
             stacks.
     """
     far = (2 * order + 46) / (2 * surface.inner_wavenumber * surface.mirror_distance_nm(centre_nm))

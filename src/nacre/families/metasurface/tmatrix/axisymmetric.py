@@ -5,7 +5,7 @@ n = (tau, l); blocks for -m follow from the mirror plane through the axis, which
 The orthonormal basis with Condon-Shortley phases (tmat.h5 files, treams) differs by factors that depend only on m, so
 the blocks are the same in both.
 
-A tabulated sphere takes the sphere multipole order instead of all orders in the file. Beyond the file, Mie
+A tabulated sphere takes the sphere multipole order rather than all orders in the file. Beyond the file, Mie
 coefficients extend it if the file states radius and index and agrees with Mie theory.
 """
 

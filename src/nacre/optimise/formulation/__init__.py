@@ -1,0 +1,1 @@
+"""Formulation: pigments, dyes and concentrations of an effect paint from a library."""

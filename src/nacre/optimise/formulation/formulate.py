@@ -1,0 +1,604 @@
+"""Choose pigments, a dye and their concentrations for measured colours of an effect paint.
+
+All combinations of the library's ingredients are refined on a two-stream model of the paint; the best ones are
+corrected by the doubling method at their own point and refined again until they rest (space mapping: Bandler et
+al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)). Answers are evaluated by a random walk.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+from nacre.core.files import read_text, write_text
+from nacre.families.contract import Surrogate, surrogate_radiance
+from nacre.light import lamp_lines_nm, spectrum_to_xyz, with_lamp_lines
+from nacre.material.material import Material, material
+from nacre.measure.geometry import Geometry, aspecular_pairs, named_geometries
+from nacre.measure.wavelengths import WALK_NM
+from nacre.optimise.evaluation import geometries_of
+from nacre.optimise.formulation.spec import DyeSpec, FormulationSpec, LibrarySpec, PigmentSpec
+from nacre.optimise.merit import MeritFunction
+from nacre.optimise.methods.least_squares import minimise_residuals, sobol_points
+from nacre.optimise.methods.surrogate import Correction
+from nacre.optimise.solutions import RECIPE, folder_of, write_recipe
+from nacre.optimise.targets import Target, merit_function, read_targets
+from nacre.optimise.task import read_data
+from nacre.recipe.model import RecipeContext, validate
+from nacre.recipe.toml import parse_toml
+from nacre.recipe.units import LENGTH_UNITS_NM
+
+LEAST = 1e-4  # of the upper bound: a fraction of 0 is no recipe
+STARTS = 2  # of each combination
+SCOUT_STEPS, COARSE_STEPS, FINE_STEPS = 7, 25, 12  # of least squares
+SECOND = 10  # combinations refined on the two-stream model, for each answer
+CORRECTIONS, REST = 6, 2e-3  # largest number of space-mapping steps; a smaller move ends them
+FINALISTS = 4  # for each answer
+GOOD_RMS, EDGE, POLISH_STEPS = 0.1, 0.05, 15  # of the final least squares
+WALKS = 1 << 16
+BLACK, WHITE = 0.0, 0.8  # albedo of the contrast ratio's bases; ISO 6504-3 asks for at least 0.8 of the white
+HIDING = Geometry("aspecular", 45.0, 45.0)  # 45/0
+ADDITION_COST = 0.05  # residual, in tolerances, of an addition of the batch's own volume
+MOST_ADDED = 1.0  # of resin and of each ingredient, relative to the batch's own volume of it
+SCOUT_SHARE, SECOND_SHARE, THIRD_SHARE, FINE_SHARE = 0.35, 0.5, 0.7, 0.85  # of the time limit, at the end of stages
+MOST_COMBINATIONS = 5000
+SUMMARY = "formulation.json"
+
+
+@dataclass(frozen=True)
+class Ingredient:
+    """A pigment or a dye in a paint.
+
+    Attributes:
+        entry: of the library.
+        path: of its volume fraction in the recipe.
+    """
+
+    entry: PigmentSpec | DyeSpec
+    path: str
+
+    def fraction(self, unit: float) -> float:
+        """Return the volume fraction of a coordinate in [0, 1]."""
+        low, high = self.entry.volume_fraction
+        return float(max(low + (high - low) * unit, LEAST * high))
+
+    def unit(self, fraction: float) -> float:
+        """Return the coordinate of a volume fraction."""
+        low, high = self.entry.volume_fraction
+        return float(np.clip((fraction - low) / (high - low), 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Formula:
+    """An answer.
+
+    Attributes:
+        material: the recipe of the paint.
+        amounts: ingredient -> volume fraction of the dry stratum.
+        mass_shares: ingredient -> share of the mass of the dry paint.
+        cost_per_kg, cost_per_m2: of the dry stratum, in the library's currency.
+        de00: `[geometry]`, by the random walk; for a spectrum the rms in per cent.
+        lab: `[geometry, 3]` under the first lamp.
+        contrast_ratio: luminance at 45/0 over black, relative to that over white of albedo 0.8.
+        is_met: whether every target is within its tolerance.
+    """
+
+    material: Material
+    amounts: dict[str, float]
+    mass_shares: dict[str, float]
+    cost_per_kg: float
+    cost_per_m2: float
+    de00: Array
+    lab: Array
+    contrast_ratio: float
+    is_met: bool
+
+
+@dataclass(frozen=True)
+class Formulation:
+    """Result of `formulate`.
+
+    Attributes:
+        formulas: answers of different ingredients, nearest first.
+        labels: `[geometry]`.
+        combinations: number of combinations that were searched.
+        status: "done", "time" or "interrupted".
+        seconds: used.
+    """
+
+    formulas: tuple[Formula, ...]
+    labels: tuple[str, ...]
+    combinations: int
+    status: str
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Rematch:
+    """Additions that correct a batch.
+
+    Attributes:
+        batch: ingredient -> volume fraction, estimated from the batch's colours.
+        additions: ingredient or "resin" -> volume to add, per volume of the batch (dry).
+        amounts: volume fractions after the additions.
+        cost_per_kg_of_batch: of the additions.
+        de00_before, de00_after: `[geometry]`, by the noise-free model.
+    """
+
+    batch: dict[str, float]
+    additions: dict[str, float]
+    amounts: dict[str, float]
+    cost_per_kg_of_batch: float
+    de00_before: Array
+    de00_after: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A checked target file."""
+
+    spec: FormulationSpec
+    library: LibrarySpec
+    context: RecipeContext
+    folder: Path
+    targets: tuple[Target, ...]
+    geometries: tuple[Geometry, ...]
+    merit: MeritFunction
+    start: Material
+
+    @property
+    def thickness_um(self) -> float:
+        """Thickness of the stratum."""
+        stratum = self.start.data["strata"][0]
+        key = next(key for key in stratum if key.startswith("thickness_"))
+        return float(stratum[key]) * LENGTH_UNITS_NM[key.rpartition("_")[2]] / 1e3
+
+    def with_colours(self, labs: Mapping[str, Array]) -> Task:
+        """Return the task with other colours at its geometries, by label.
+
+        Raises:
+            NacreError: a geometry of the task lacks a colour.
+        """
+        targets = []
+        for target, label in zip(self.targets, self.labels, strict=True):
+            lab = labs.get(label, labs.get(str(target.geometry)))
+            if lab is None:
+                raise NacreError(f'the batch has no colour at "{label}"; it has {", ".join(labs)}')
+            targets.append(target.with_lab(lab))
+        merit = merit_function(targets, self.geometries, self.spec.light, self.merit.wavelengths_nm)
+        return replace(self, targets=tuple(targets), merit=merit)
+
+    def rms(self, factors: Array) -> float:
+        """Return the rms of the residuals, in tolerances."""
+        return float(np.sqrt(np.mean(np.asarray(self.merit.residuals(factors)) ** 2)))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Geometry of each target as the file names it."""
+        return tuple(str(entry.geometry) for entry in self.spec.target)
+
+
+def read_formulation(target: str | Path | Mapping[str, Any]) -> Task:
+    """Read and check a target file and its library.
+
+    Raises:
+        RecipeError: naming file, key, value and what is allowed.
+    """
+    data, context = read_data(target)
+    spec: FormulationSpec = validate(FormulationSpec, data, context)
+    source = context.source
+    folder, library = context.folder, spec.library
+    if isinstance(library, str):
+        path = context.path(library)
+        text = read_text(path, "library")
+        folder = path.parent.resolve()
+        library = validate(LibrarySpec, parse_toml(text, str(path)), RecipeContext(str(path), folder, text))
+    assert isinstance(library, LibrarySpec)
+    strata = spec.recipe.get("strata")
+    if spec.recipe.get("family") != "pearl" or not isinstance(strata, list) or len(strata) != 1:
+        raise RecipeError(f'{source}: recipe should be of family "pearl" with one stratum')
+    for key in ("platelets", "dye"):
+        if isinstance(strata[0], Mapping) and strata[0].get(key):
+            raise RecipeError(f"{source}: recipe.strata[0].{key}: pigments and dyes come from the library; remove it")
+    try:
+        start = material(spec.recipe, folder)
+    except NacreError as error:
+        raise RecipeError(f"{source}: recipe: {str(error).removeprefix('recipe: ')}") from None
+    named = named_geometries([entry.model_dump() for entry in spec.geometry], f"{source}: geometry")
+    targets = read_targets(spec.target, spec.light, context, named)
+    for each in targets:
+        if each.geometry.kind != "aspecular" or each.image is not None:
+            raise RecipeError(f'{each.key}.geometry = "{each.geometry}" is not aspecular; write such as "45as15"')
+    geometries = tuple(geometries_of(targets))
+    grid = _grid(spec)
+    merit = merit_function(targets, geometries, spec.light, grid)
+    task = Task(spec, library, context, folder, targets, geometries, merit, start)
+    for pigment in library.pigment:
+        _paint(task, [pigment], None)
+    for dye in library.dye:
+        if "radius_nm" in dye.dye:
+            raise RecipeError(
+                f'{source}: library: dye "{dye.name}" scatters (radius_nm); only dissolved dyes are possible'
+            )
+        _paint(task, [], dye)
+    return task
+
+
+def _grid(spec: FormulationSpec) -> Array:
+    grid = WALK_NM
+    for lamp in spec.light.illuminants:
+        grid = with_lamp_lines(grid, lamp) if len(lamp_lines_nm(lamp)) else grid
+    return np.asarray(grid)
+
+
+def _paint(task: Task, pigments: Sequence[PigmentSpec], dye: DyeSpec | None) -> _Paint:
+    """Return a paint of some ingredients.
+
+    Raises:
+        RecipeError: an ingredient is not valid.
+        UnsupportedError: the paint has no noise-free model.
+    """
+    data = {**task.start.data, "strata": [dict(task.start.data["strata"][0])]}
+    stratum = data["strata"][0]
+    ingredients = []
+    if pigments:
+        stratum["platelets"] = [
+            p.platelet | {"volume_fraction": p.volume_fraction[1] / len(pigments)} for p in pigments
+        ]
+        ingredients += [Ingredient(p, f"strata[0].platelets[{i}].volume_fraction") for i, p in enumerate(pigments)]
+    if dye is not None:
+        stratum["dye"] = dye.dye | {"volume_fraction": dye.volume_fraction[1]}
+        ingredients.append(Ingredient(dye, "strata[0].dye.volume_fraction"))
+    try:
+        made = material(data, task.folder)
+    except NacreError as error:
+        names = ", ".join(f'"{each.entry.name}"' for each in ingredients)
+        raise RecipeError(f"{task.context.source}: library: {names}: {str(error).removeprefix('recipe: ')}") from None
+    return _Paint(task, made, tuple(ingredients))
+
+
+@dataclass(frozen=True, eq=False)
+class _Paint:
+    """A paint of given ingredients; a point holds their coordinates in [0, 1]."""
+
+    task: Task
+    material: Material
+    ingredients: tuple[Ingredient, ...]
+    make: Callable[[Mapping[str, Any]], Material] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "make", self.material.parametrise([each.path for each in self.ingredients]))
+
+    def made(self, fractions: Sequence[float] | Array) -> Material:
+        """Return the recipe of volume fractions."""
+        return self.make({each.path: float(f) for each, f in zip(self.ingredients, fractions, strict=True)})
+
+    def fractions(self, point: Array) -> list[float]:
+        """Return the volume fractions of a point."""
+        return [each.fraction(float(unit)) for each, unit in zip(self.ingredients, point, strict=True)]
+
+    def factors(self, fractions: Sequence[float] | Array, is_fine: bool) -> tuple[Array, Array]:
+        """Return the exact and approximate part of the factors, `[geometry, wavelength]` each.
+
+        Raises:
+            UnsupportedError: the paint has no noise-free model.
+        """
+        model = self.made(fractions).model
+        grid = self.task.merit.wavelengths_nm
+        found = surrogate_radiance(model, *aspecular_pairs(self.task.geometries), grid, is_fine)
+        if found is None:
+            raise UnsupportedError(
+                f"{self.task.context.source}: recipe: this paint has no noise-free model, which a formulation needs: "
+                "an isotropic GGX or smooth interface and flakes without rotation and anisotropy"
+            )
+        return np.pi * found[0], np.pi * found[1]
+
+    def fit(self, start: Array, correction: Correction | None, steps: int) -> tuple[float, Array]:
+        """Return the rms distance in tolerances and the point of the nearest match of the two-stream model."""
+
+        def residuals(point: Array) -> Array:
+            exact, rest = self.factors(self.fractions(point), False)
+            seen = exact + rest if correction is None else correction.apply(exact, rest)
+            return np.asarray(self.task.merit.residuals(seen))
+
+        found = minimise_residuals(residuals, start, max_nfev=steps)
+        return float(np.sqrt(np.mean(residuals(found.point) ** 2))), found.point
+
+    def polished(self, start: Array) -> tuple[float, Array]:
+        """Return rms distance and point by space mapping, then by least squares of the doubling method if far."""
+        rms, point = self.corrected(start)
+        if rms < GOOD_RMS:
+            return rms, point
+
+        def residuals(at: Array) -> Array:
+            exact, rest = self.factors(self.fractions(at), True)
+            return np.asarray(self.task.merit.residuals(exact + rest))
+
+        inside = np.clip(point, EDGE, 1.0 - EDGE)  # an ingredient at a bound may come back
+        found = minimise_residuals(residuals, inside, max_nfev=POLISH_STEPS)
+        polished = float(np.sqrt(np.mean(residuals(found.point) ** 2)))
+        return min((rms, point), (polished, found.point), key=lambda pair: pair[0])
+
+    def corrected(self, start: Array, steps: int = CORRECTIONS) -> tuple[float, Array]:
+        """Return the rms distance of the doubling method, in tolerances, and its point, by steps of space mapping."""
+        best, best_point, point = np.inf, start, start
+        for _ in range(steps):
+            fractions = self.fractions(point)
+            exact, rest = self.factors(fractions, True)
+            rms = self.task.rms(exact + rest)
+            if rms < best:
+                best, best_point = rms, point
+            correction = Correction(rest, self.factors(fractions, False)[1])
+            moved = self.fit(point, correction, FINE_STEPS)[1]
+            if float(np.max(np.abs(moved - point))) < REST:
+                break
+            point = moved
+        return best, best_point
+
+
+def formulate(
+    target: str | Path | Mapping[str, Any] | Task, progress: Callable[[int, int, float], None] | None = None
+) -> Formulation:
+    """Match measured colours of a paint with ingredients from a library.
+
+    An interrupt ends the search; the combinations so far give the answers.
+
+    Args:
+        target: a TOML file as in `FormulationSpec`, a dictionary of its keys, or the result of `read_formulation`.
+        progress: called with (combinations done, all, best rms distance in tolerances).
+
+    Raises:
+        RecipeError: the file or its library is not valid.
+        UnsupportedError: the paint has no noise-free model.
+    """
+    task = target if isinstance(target, Task) else read_formulation(target)
+    return _Search(task, progress).run()
+
+
+class _Search:
+    """Successive refinement: every combination, the better ones, and the finalists by the doubling method."""
+
+    def __init__(self, task: Task, progress: Callable[[int, int, float], None] | None) -> None:
+        self.task, self.progress = task, progress
+        self.begun = time.monotonic()
+        self.status = "done"
+
+    def run(self) -> Formulation:
+        """Return the answers."""
+        solutions = self.task.spec.search.solutions
+        tried = self._stage(enumerate(_combinations(self.task)), self._scout, SCOUT_SHARE, 1)
+        count = len(tried)
+        plan = (
+            (SECOND * solutions, lambda found: (*found[1].fit(found[2], None, COARSE_STEPS), found[1]), SECOND_SHARE),
+            (FINALISTS * solutions, lambda found: (*found[1].corrected(found[2], 2), found[1]), THIRD_SHARE),
+            (2 * solutions, lambda found: (*found[1].polished(found[2]), found[1]), FINE_SHARE),
+        )
+        for most, refined, share in plan:
+            better = self._stage(tried[:most], refined, share, solutions)
+            tried = better or tried
+        formulas = [_formula(paint, paint.fractions(point)) for _, paint, point in tried[:solutions]]
+        ranked = tuple(sorted(formulas, key=lambda each: float(np.mean(each.de00))))
+        return Formulation(ranked, self.task.labels, count, self.status, time.monotonic() - self.begun)
+
+    def _scout(self, kind: tuple[int, tuple[tuple[PigmentSpec, ...], DyeSpec | None]]) -> tuple[float, Array, _Paint]:
+        number, (pigments, dye) = kind
+        paint = _paint(self.task, pigments, dye)
+        starts = sobol_points(len(paint.ingredients), STARTS, [self.task.spec.search.seed, number])
+        return (*min((paint.fit(start, None, SCOUT_STEPS) for start in starts), key=lambda pair: pair[0]), paint)
+
+    def _stage(
+        self, entries: Iterable[Any], refined: Callable[[Any], tuple[float, Array, _Paint]], share: float, least: int
+    ) -> list[tuple[float, _Paint, Array]]:
+        """Return refined combinations, best first, as far as the time goes; an interrupt ends the stage."""
+        waiting = list(entries)
+        found: list[tuple[float, _Paint, Array]] = []
+        if self.status == "interrupted":
+            return found
+        try:
+            for number, entry in enumerate(waiting, start=1):
+                if len(found) >= least and time.monotonic() - self.begun > share * self.task.spec.search.seconds:
+                    self.status = "time"
+                    break
+                rms, point, paint = refined(entry)
+                found.append((rms, paint, point))
+                if self.progress:
+                    self.progress(number, len(waiting), min(each[0] for each in found))
+        except KeyboardInterrupt:
+            if not found and share == SCOUT_SHARE:
+                raise
+            self.status = "interrupted"
+        return sorted(found, key=lambda each: each[0])
+
+
+def _combinations(task: Task) -> list[tuple[tuple[PigmentSpec, ...], DyeSpec | None]]:
+    """Return all sets of pigments with and without a dye."""
+    most = min(task.spec.search.max_pigments, len(task.library.pigment))
+    found = [
+        (chosen, dye)
+        for count in range(most, -1, -1)
+        for chosen in combinations(task.library.pigment, count)
+        for dye in (None, *task.library.dye)
+        if chosen or dye is not None
+    ]
+    if not found:
+        raise RecipeError(f"{task.context.source}: search.max_pigments = 0, and the library has no dye")
+    if len(found) > MOST_COMBINATIONS:
+        raise RecipeError(
+            f"{task.context.source}: the library gives {len(found)} combinations; at most {MOST_COMBINATIONS} are "
+            "allowed: shorten it or lower search.max_pigments"
+        )
+    return found
+
+
+def _formula(paint: _Paint, fractions: Sequence[float]) -> Formula:
+    """Evaluate an answer by a random walk, with its cost and its hiding power."""
+    task = paint.task
+    made = paint.made(fractions)
+    merit = task.merit
+    seen = np.pi * _reference(made, task)
+    names = [each.entry.name for each in paint.ingredients]
+    amounts = dict(zip(names, map(float, fractions), strict=True))
+    resin = task.library.resin
+    masses = {each.entry.name: amounts[each.entry.name] * each.entry.density_kg_l for each in paint.ingredients}
+    masses["resin"] = (1.0 - sum(amounts.values())) * resin.density_kg_l
+    density = sum(masses.values())
+    shares = {name: mass / density for name, mass in masses.items()}
+    prices = {each.entry.name: each.entry.cost_per_kg for each in paint.ingredients} | {"resin": resin.cost_per_kg}
+    cost = sum(prices[name] * share for name, share in shares.items())
+    distances = np.asarray(merit.distances(seen))
+    limits = np.array([merit.operands[index].tolerance for index, _ in merit.terms])
+    return Formula(
+        material=made,
+        amounts=amounts,
+        mass_shares=shares,
+        cost_per_kg=cost,
+        cost_per_m2=cost * density * task.thickness_um / 1e3,  # kg/l = kg/m2 for each mm
+        de00=distances,
+        lab=np.asarray(merit.labs(seen))[:, 0],
+        contrast_ratio=_contrast_ratio(made, task),
+        is_met=bool(np.all(distances <= limits)),
+    )
+
+
+def _reference(made: Material, task: Task) -> Array:
+    """Return the BRDF `[geometry, wavelength]` by a random walk, or by the doubling method if there is none."""
+    pairs, grid = aspecular_pairs(task.geometries), task.merit.wavelengths_nm
+    assert isinstance(made.model, Surrogate)  # as `factors` says
+    walked = made.model.estimate_radiance(*pairs, grid, WALKS, task.spec.search.seed)
+    if walked is not None:
+        return walked[0]
+    found = surrogate_radiance(made.model, *pairs, grid, True)
+    assert found is not None
+    return found[0] + found[1]
+
+
+def _contrast_ratio(made: Material, task: Task) -> float:
+    """Return the luminance over black divided by that over white, at 45/0."""
+    light = (task.spec.light.illuminants[0], task.spec.light.observer)
+    luminances = []
+    for albedo in (BLACK, WHITE):
+        found = surrogate_radiance(
+            made.vary({"base": {"albedo": albedo}}).model, *aspecular_pairs([HIDING]), task.merit.wavelengths_nm, True
+        )
+        assert found is not None
+        luminances.append(float(spectrum_to_xyz(found[0] + found[1], task.merit.wavelengths_nm, *light)[0, 1]))
+    return luminances[0] / luminances[1]
+
+
+def rematch(target: str | Path | Mapping[str, Any] | Task, amounts: Mapping[str, float], batch: Any) -> Rematch:
+    """Correct a batch by small additions.
+
+    The batch's volume fractions are estimated from its colours, from the intended ones; additions of its ingredients
+    and of resin then bring it to the target colours, with a small penalty on their volume.
+
+    Args:
+        target: as for `formulate`.
+        amounts: intended volume fractions by ingredient.
+        batch: geometry -> measured CIELAB `[3]`.
+
+    Raises:
+        NacreError: an ingredient is not in the library, or a geometry has no colour.
+    """
+    task = target if isinstance(target, Task) else read_formulation(target)
+    pigments = [entry for entry in task.library.pigment if entry.name in amounts]
+    dyes = [entry for entry in task.library.dye if entry.name in amounts]
+    known = [entry.name for entry in (*pigments, *dyes)]
+    for name in amounts:
+        if name not in known:
+            raise NacreError(f'"{name}" is not in the library of {task.context.source}')
+    if len(dyes) > 1 or not known:
+        raise NacreError("a batch has at least one ingredient and at most one dye")
+    dye = dyes[0] if dyes else None
+    seen = _paint(task.with_colours(batch), pigments, dye)
+    start = np.array([each.unit(amounts[each.entry.name]) for each in seen.ingredients])
+    made = np.array(seen.fractions(seen.corrected(start)[1]))
+    paint = _paint(task, pigments, dye)
+    exact, rest = paint.factors(made, True)
+    before = np.asarray(task.merit.distances(exact + rest))
+
+    def after(volumes: Array) -> Array:
+        return np.asarray((made + volumes[1:]) / (1.0 + volumes.sum()))
+
+    def added(unit: Array) -> Array:  # quadratic, for small additions; an ingredient at most doubles
+        return np.asarray(MOST_ADDED * np.concatenate([[1.0], made]) * unit**2)
+
+    unit = np.full(len(made) + 1, 0.1)
+    best: tuple[float, Array] = (np.inf, unit)
+    for _ in range(CORRECTIONS):
+        at = after(added(unit))
+        exact, rest = paint.factors(at, True)
+        penalty = ADDITION_COST * unit
+        loss = float(np.sum(np.asarray(task.merit.residuals(exact + rest)) ** 2) + penalty @ penalty)
+        if loss < best[0]:
+            best = (loss, unit)
+        correction = Correction(rest, paint.factors(at, False)[1])
+
+        def residuals(x: Array, correction: Correction = correction) -> Array:
+            found = correction.apply(*paint.factors(after(added(x)), False))
+            return np.concatenate([np.asarray(task.merit.residuals(found)), ADDITION_COST * x])
+
+        moved = minimise_residuals(residuals, unit, max_nfev=COARSE_STEPS).point
+        if float(np.max(np.abs(moved - unit))) < REST:
+            break
+        unit = moved
+    volumes = added(best[1])
+    names = [each.entry.name for each in paint.ingredients]
+    exact, rest = paint.factors(after(volumes), True)
+    resin = task.library.resin
+    densities = [resin.density_kg_l, *(each.entry.density_kg_l for each in paint.ingredients)]
+    prices = [resin.cost_per_kg, *(each.entry.cost_per_kg for each in paint.ingredients)]
+    mass = (1.0 - made.sum()) * resin.density_kg_l + float(made @ np.array(densities[1:]))
+    return Rematch(
+        batch=dict(zip(names, map(float, made), strict=True)),
+        additions=dict(zip(["resin", *names], map(float, volumes), strict=True)),
+        amounts=dict(zip(names, map(float, after(volumes)), strict=True)),
+        cost_per_kg_of_batch=float(np.sum(volumes * densities * np.array(prices))) / mass,
+        de00_before=before,
+        de00_after=np.asarray(task.merit.distances(exact + rest)),
+    )
+
+
+def formulation_document(found: Formulation) -> dict[str, Any]:
+    """Return the result as JSON data."""
+    return {
+        "status": found.status,
+        "seconds": round(found.seconds, 2),
+        "combinations": found.combinations,
+        "geometries": list(found.labels),
+        "formulas": [
+            {
+                "volume_fractions": each.amounts,
+                "mass_shares": each.mass_shares,
+                "cost_per_kg": each.cost_per_kg,
+                "cost_per_m2": each.cost_per_m2,
+                "de00": each.de00.tolist(),
+                "mean_de00": float(np.mean(each.de00)),
+                "lab": each.lab.tolist(),
+                "contrast_ratio": each.contrast_ratio,
+                "met": each.is_met,
+            }
+            for each in found.formulas
+        ],
+    }
+
+
+def write_formulation(found: Formulation, folder: Path) -> None:
+    """Write `formulation.json`, `recipe.toml` of the first answer, and `2/recipe.toml` and so on of the others.
+
+    Raises:
+        NacreError: the folder cannot be written or holds other files of these names.
+    """
+    if (folder / RECIPE).exists() and not (folder / SUMMARY).exists():
+        raise NacreError(f"{folder}: holds a {RECIPE} that is no formulation's; choose another folder with -o")
+    for number, each in enumerate(found.formulas, start=1):
+        write_recipe(folder_of(folder, number), each.material, {}, {}, each.material)
+    write_text(folder / SUMMARY, json.dumps(formulation_document(found), indent=1) + "\n")

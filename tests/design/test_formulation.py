@@ -1,0 +1,148 @@
+"""Formulation: the ingredients and concentrations of a hidden paint, its cost and hiding power, and a batch's drift."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.cli import run
+from nacre.core.errors import NacreError
+from nacre.families.contract import surrogate_radiance
+from nacre.measure.geometry import aspecular_pairs
+from nacre.optimise.formulation.formulate import Task, read_formulation, rematch
+from nacre.recipe.toml import dump_toml
+
+MICA = {"material": "mica", "thickness_nm": 400, "deviation_nm": 80}
+LIBRARY: dict[str, Any] = {
+    "resin": {"cost_per_kg": 4, "density_kg_l": 1.0},
+    "pigment": [
+        {
+            "name": "silver",
+            "volume_fraction": [0, 0.03],
+            "cost_per_kg": 45,
+            "density_kg_l": 2.5,
+            "platelet": {"coatings": [{"material": "Al", "thickness_nm": 60}]},
+        },
+        {
+            "name": "blue",
+            "volume_fraction": [0, 0.05],
+            "cost_per_kg": 80,
+            "density_kg_l": 3.0,
+            "platelet": {
+                "substrate": MICA,
+                "coatings": [{"material": "TiO2", "thickness_nm": 120, "deviation_nm": 5}],
+            },
+        },
+    ],
+    "dye": [
+        {
+            "name": "red",
+            "volume_fraction": [0, 0.02],
+            "cost_per_kg": 40,
+            "density_kg_l": 1.5,
+            "dye": {"material": "Fe2O3"},
+        }
+    ],
+}
+PAINT = {"family": "pearl", "base": {"albedo": 0.1}, "strata": [{"resin": {"n": 1.5}, "thickness_um": 40}]}
+GEOMETRIES = ("45as15", "45as25", "45as45", "45as110")
+TRUE = {"silver": 0.004, "blue": 0.02, "red": 0.004}
+
+
+def target(labs: Any = ((50, 0, 0),) * 4) -> dict[str, Any]:
+    rows = [{"geometry": at, "lab": list(map(float, lab)), "tolerance": 0.3} for at, lab in zip(GEOMETRIES, labs)]
+    return {"library": LIBRARY, "recipe": PAINT, "target": rows, "search": {"solutions": 1}}
+
+
+def colours(amounts: dict[str, float]) -> np.ndarray:
+    """Colours of the noise-free model of a paint, without the search's code."""
+    platelets = [
+        entry["platelet"] | {"volume_fraction": amounts[entry["name"]]}
+        for entry in LIBRARY["pigment"]
+        if entry["name"] in amounts
+    ]
+    dye = LIBRARY["dye"][0]["dye"] | {"volume_fraction": amounts["red"]}
+    made = nacre.material(PAINT | {"strata": [PAINT["strata"][0] | {"platelets": platelets, "dye": dye}]})
+    task: Task = read_formulation(target())
+    found = surrogate_radiance(made.model, *aspecular_pairs(task.geometries), task.merit.wavelengths_nm, True)
+    assert found is not None
+    return np.asarray(task.merit.labs(np.pi * (found[0] + found[1])))[:, 0]
+
+
+@pytest.mark.full
+def test_a_hidden_paint_is_found_with_its_cost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "pigments.toml").write_text(dump_toml(LIBRARY))
+    (tmp_path / "door.toml").write_text(dump_toml(target(colours(TRUE)) | {"library": "pigments.toml"}))
+    assert run(["formulate", str(tmp_path / "door.toml"), "-o", str(tmp_path / "door"), "--json"]) == 0
+    (best,) = json.loads(capsys.readouterr().out)["formulas"]
+    assert best["volume_fractions"] == pytest.approx(TRUE, rel=0.1)
+    assert best["mean_de00"] < 1.0
+    masses = {"silver": 2.5 * 0.004, "blue": 3.0 * 0.02, "red": 1.5 * 0.004, "resin": 1.0 * (1 - 0.028)}
+    prices = {"silver": 45, "blue": 80, "red": 40, "resin": 4}
+    mass = sum(masses.values())
+    cost = sum(prices[name] * masses[name] for name in masses) / mass
+    assert best["cost_per_kg"] == pytest.approx(cost, rel=0.1)
+    assert best["cost_per_m2"] == pytest.approx(cost * mass * 0.04, rel=0.1)  # 40 um: 0.04 l on each m2
+    assert 0.0 < best["contrast_ratio"] < 1.0
+    assert nacre.load(tmp_path / "door" / "recipe.toml").get("strata[0].dye.volume_fraction") == pytest.approx(
+        best["volume_fractions"]["red"]
+    )
+    assert run(["formulate", str(tmp_path / "door.toml"), "-o", str(tmp_path / "door")]) == 0  # a second time
+
+
+def test_a_weak_batch_is_corrected_by_additions() -> None:
+    batch = {"silver": 0.004, "blue": 0.016, "red": 0.004}
+    found = rematch(target(colours(TRUE)), TRUE, dict(zip(GEOMETRIES, colours(batch))))
+    assert found.batch == pytest.approx(batch, rel=0.05)
+    assert found.de00_after.mean() < 0.25 * found.de00_before.mean()
+    assert found.additions["blue"] == pytest.approx(0.004, rel=0.3)
+    assert min(found.additions.values()) >= 0.0
+
+
+def without(*path: Any) -> dict[str, Any]:
+    """Return a target with one bad value: (keys..., value)."""
+    changed: Any = json.loads(json.dumps(target()))
+    *keys, last, value = path
+    inner = changed
+    for key in keys:
+        inner = inner[key]
+    inner[last] = value
+    return changed
+
+
+BAD = [
+    ("library", "pigment", 0, "platelet", {}),
+    ("library", "pigment", 0, "volume_fraction", [0.03, 0.01]),
+    ("library", "pigment", 1, "name", "silver"),
+    ("library", "dye", 0, "dye", {"material": "TiO2", "radius_nm": 100}),
+    ("library", {}),
+    ("library", "nowhere.toml"),
+    ("recipe", {"family": "film", "substrate": "Al"}),
+    ("recipe", "strata", 0, "dye", {"material": "TiO2", "volume_fraction": 0.01}),
+    ("target", 0, "geometry", "specular 0"),
+]
+
+
+@pytest.mark.parametrize("path", BAD)
+def test_a_bad_file_is_refused(path: tuple[Any, ...]) -> None:
+    with pytest.raises(NacreError):
+        read_formulation(without(*path))
+
+
+def test_a_batch_needs_known_ingredients_and_all_colours() -> None:
+    labs = dict(zip(GEOMETRIES, colours(TRUE)))
+    with pytest.raises(NacreError):
+        rematch(target(), {"gold": 0.01}, labs)
+    with pytest.raises(NacreError):
+        rematch(target(), TRUE, {"45as15": labs["45as15"]})
+
+
+@pytest.mark.parametrize("extra", [["--batch", "x.csv"], ["--made", "x"], ["--batch", "x.csv", "--made", "nowhere"]])
+def test_a_bad_command_ends_with_status_2(extra: list[str], tmp_path: Path) -> None:
+    (tmp_path / "door.toml").write_text(dump_toml(target()))
+    assert run(["formulate", str(tmp_path / "door.toml"), *extra]) == 2
