@@ -96,7 +96,7 @@ class Material:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the recipe, not the model: worker processes build the model from it, once per recipe."""
         if self.context.ambient is not None:
-            raise UnsupportedError(f"{self.context.source}: a nested material cannot be pickled on its own")
+            raise TypeError(f"{self.context.source}: a nested material cannot be pickled on its own")
         if isinstance(self.model, StoredBsdf):
             return _load, (Path(self.context.source).resolve(), 0)
         c = self.context
