@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nacre.bsdf.tabulate import reflected_lab
+from nacre.bsdf.tabulate_anisotropic import SLICE_SHARE
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Figure
@@ -41,7 +42,7 @@ def field(
     margin = max(200.0, 0.2 * float(d.sum()))
     z = np.linspace(-margin, float(d.sum()) + margin, points)
     if film.is_anisotropic:
-        s, p = film.stack.polarised_field(float(np.radians(theta_deg)), lam, z[::2])
+        s, p = film.stack.polarised_field(float(np.radians(theta_deg)), lam, z[::2], slice_share=SLICE_SHARE)
         z = z[::2]
     else:
         profile = field_profile(film.stack.indices(lam), d, lam, np.array([np.radians(theta_deg)]), z)

@@ -222,6 +222,7 @@ def field_of_layers(
     theta_rad: float,
     azimuth_rad: float,
     depths_nm: ArrayLike,
+    slice_share: float = 1.0,
 ) -> Array:
     """Return |E|^2 relative to the incident wave at depths below the top of the stack, `[depth, wavelength, (p, s)]`.
 
@@ -233,6 +234,7 @@ def field_of_layers(
         theta_rad: angle of incidence.
         azimuth_rad: as for `solve_anisotropic`.
         depths_nm: from 0 to the thickness of all layers.
+        slice_share: as for `solve_anisotropic`.
     """
     waves, turn = np.atleast_1d(np.asarray(wavelengths_nm, float)), _about_z(-azimuth_rad)
     n0 = np.broadcast_to(np.real(ambient_index), (1, waves.size))
@@ -246,7 +248,7 @@ def field_of_layers(
 
     def solved(part: list[AnisotropicLayer], below: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         gamma, entering = np.empty(shape, complex), np.empty(shape, complex)
-        solve_stacks(_stack_arrays(part, turn, waves, 1.0), light, below, (gamma, entering, nothing), 0, 1)
+        solve_stacks(_stack_arrays(part, turn, waves, slice_share), light, below, (gamma, entering, nothing), 0, 1)
         return gamma, entering
 
     _, top = _reflection(solved(layers, bottom)[0], theta, n0)

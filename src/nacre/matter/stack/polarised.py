@@ -335,6 +335,7 @@ def polarised_field(
     theta_rad: float,
     azimuth_rad: float,
     z_nm: Array,
+    slice_share: float = 1.0,
 ) -> tuple[Array, Array]:
     """Return |E|^2 for s and p light, relative to the incident wave, each `[z, wavelength]`.
 
@@ -356,7 +357,9 @@ def polarised_field(
     padded = [PolarisedLayer(index**2 + 0j, above), *layers, PolarisedLayer(substrate, below)]
     turned, _ = anisotropic_layers([replace(e, permittivity=flipped(e.permittivity)) for e in padded])
     theta = min(theta_rad, 0.5 * np.pi - GRAZING)
-    found = field_of_layers(index, turned, flipped(substrate), wavelengths_nm, theta, np.pi - azimuth_rad, z + above)
+    found = field_of_layers(
+        index, turned, flipped(substrate), wavelengths_nm, theta, np.pi - azimuth_rad, z + above, slice_share
+    )
     return found[..., 1], found[..., 0]
 
 

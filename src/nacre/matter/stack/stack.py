@@ -217,7 +217,13 @@ class Stack:
         )
 
     def polarised_field(
-        self, theta_rad: float, wavelengths_nm: ArrayLike, z_nm: ArrayLike, azimuth_rad: float = 0.0
+        self,
+        theta_rad: float,
+        wavelengths_nm: ArrayLike,
+        z_nm: ArrayLike,
+        azimuth_rad: float = 0.0,
+        *,
+        slice_share: float = 1.0,
     ) -> tuple[Array, Array]:
         """Return |E|^2 for s and p light at depths below the first interface, each `[z, wavelength]`.
 
@@ -228,7 +234,7 @@ class Stack:
         ambient = clear_ambient(index_of(self.ambient, lam)).real
         z = np.atleast_1d(np.asarray(z_nm, dtype=float))
         below = permittivity_of(self.substrate, lam)
-        return polarised_field(ambient, self._polarised_layers(lam), below, lam, theta_rad, azimuth_rad, z)
+        return polarised_field(ambient, self._polarised_layers(lam), below, lam, theta_rad, azimuth_rad, z, slice_share)
 
     def _polarised_layers(self, lam: Array) -> list[PolarisedLayer]:
         return [
