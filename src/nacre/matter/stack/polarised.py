@@ -354,7 +354,11 @@ def polarised_field(
     total = sum(layer.thickness_nm for layer in layers)
     above, below = max(0.0, -float(z.min())), max(0.0, float(z.max()) - total)
     index = np.broadcast_to(ambient_index, wavelengths_nm.shape)
-    padded = [PolarisedLayer(index**2 + 0j, above), *layers, PolarisedLayer(substrate, below)]
+    padded = [
+        PolarisedLayer(np.asarray(index**2, dtype=np.complex128), above),
+        *layers,
+        PolarisedLayer(substrate, below),
+    ]
     turned, _ = anisotropic_layers([replace(e, permittivity=flipped(e.permittivity)) for e in padded])
     theta = min(theta_rad, 0.5 * np.pi - GRAZING)
     found = field_of_layers(
