@@ -307,3 +307,10 @@ def test_a_field_is_refused_for_a_spread_of_the_pitch() -> None:
     layer = {"material": medium, "thickness_nm": 900, "pitch_nm": 350, "pitch_deviation_nm": 10}
     with pytest.raises(NacreError):
         film(substrate=1.5, layers=[layer]).figure_data("field")
+
+
+def test_a_helix_thinner_than_a_slice_is_refused() -> None:
+    layer = {"material": TILTED, "thickness_nm": 0.5, "pitch_nm": 350}
+    with pytest.raises(NacreError):
+        film(substrate=1.5, layers=[layer])
+    film(substrate=1.5, layers=[{**layer, "thickness_nm": 6.0}])
