@@ -15,6 +15,7 @@ from PIL import Image
 
 import nacre
 from nacre.cli import run
+from nacre.core.errors import NacreError
 from nacre.recipe.toml import dump_toml
 
 FILM: dict[str, Any] = {
@@ -119,3 +120,17 @@ def test_a_thickness_picture_that_cannot_be_read_becomes_the_middle(
     middle = 0.5 * (film["iridescenceThicknessMinimum"] + film["iridescenceThicknessMaximum"])
     found = nacre.import_(tmp_path / "map.gltf", tmp_path / "again.toml")
     assert found.data["layers"][0]["thickness_nm"] == pytest.approx(middle)
+
+
+@pytest.mark.parametrize(("target", "name"), [("gltf", "x.glb"), ("materialx", "x.mtlx")])
+def test_a_share_of_film_is_written_as_factor_and_comes_back(target: str, name: str, tmp_path: Path) -> None:
+    bare = {**FILM, "layers": []}
+    blend = {"family": "blend", "mask": 0.25, "first": FILM, "second": bare}
+    facts = nacre.export(blend, target, tmp_path / name)
+    assert facts["film"]["weight"] == 0.25 and facts["residual_delta_e_2000"] < 1.0
+    again = nacre.import_(tmp_path / name, tmp_path / "again.toml")
+    assert again.data["family"] == "blend" and again.data["mask"] == pytest.approx(0.25)
+    seen = [m.spectrum([0.0], [450.0, 550.0, 650.0]).specular_reflectance for m in (nacre.material(blend), again)]
+    np.testing.assert_allclose(seen[1], seen[0], rtol=0.05)
+    with pytest.raises(NacreError):
+        nacre.export({**blend, "second": {**bare, "substrate": "Si"}}, target, tmp_path / f"y{name}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +11,11 @@ from laboratory_tables import VALUES, WAVELENGTHS, as_read, in_unit, is_right, l
 
 import nacre
 from nacre.analysis.fit import read_measurement
+from nacre.bsdf.substrate_spec import SubstrateSpec
 from nacre.cli import run
 from nacre.core.errors import NacreError
+from nacre.matter.indices.library import index
+from nacre.optimise.task import read_task
 from nacre.readers.columns import load_tables
 from nacre.readers.curves import Q_PER_UM, SHARE, STRUCTURE, THICKNESS_NM, X_UM, Y_UM, Axis, curve, spectrum
 from nacre.readers.headings import ERROR_WORDS, WORDS, meanings
@@ -19,6 +23,7 @@ from nacre.readers.measurement import AmbiguousFileError, ReadOptions
 from nacre.readers.registry import open_file
 from nacre.readers.text_table import decode, number
 from nacre.readers.units import parse_unit, spectral_units
+from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.toml import dump_toml
 
 LEAST_READ = 0.6  # of the generated tables; the others lack headings or units, or have unknown columns
@@ -332,3 +337,32 @@ def test_japanese_headings_are_read_in_their_encodings(tmp_path: Path, encoding:
     path.write_bytes("波長,屈折率,消衰係数\n400,1.5,0.1\n500,1.5,0.1\n600,1.4,0.1\n700,1.3,0.1\n".encode(encoding))
     (found,) = open_file(path)
     assert found.kind == "constants" and found.data["k"][0] == 0.1
+
+
+def test_a_file_in_a_recipe_may_state_its_unit_and_columns(tmp_path: Path) -> None:
+    """A base of a measured albedo: a bare table in um with a column of no use, or with an unknown heading."""
+    rows = [(nm, 0.2 + nm / 2000) for nm in range(360, 840, 10)]
+    (tmp_path / "um.csv").write_text("".join(f"{nm / 1000},{value},7\n" for nm, value in rows))
+    (tmp_path / "named.csv").write_text("nm,albedo,batch\n" + "".join(f"{nm},{value},7\n" for nm, value in rows))
+    context, medium = RecipeContext("r.toml", tmp_path), index("glass")
+
+    def albedo(**table: Any) -> Any:
+        return validate(SubstrateSpec, {"albedo": table}, context).build(context, medium).albedo
+
+    stated = {"file": "um.csv", "columns": ["wavelength_um", "albedo", "-"]}
+    for table in (stated, {"file": "named.csv", "ignore": ["batch"]}):
+        np.testing.assert_allclose(np.transpose(albedo(**table)), rows, rtol=1e-6)
+    for wrong in ({"file": "named.csv", "ignore": ["other"]}, {"file": "um.csv"}, {"file": "um.csv", "units": "um"}):
+        with pytest.raises(NacreError):
+            albedo(**wrong)
+
+
+def test_a_target_spectrum_may_leave_out_a_column(tmp_path: Path) -> None:
+    rows = "".join(f"{nm},{nm / 1000},{1 - nm / 1000}\n" for nm in range(400, 710, 10))
+    (tmp_path / "card.csv").write_text("wavelength (nm),batch,R\n" + rows)
+    recipe = {"family": "film", "substrate": "glass", "layers": [{"material": "TiO2", "thickness_nm": 100}]}
+    target = {"geometry": "specular 0", "spectrum": {"file": str(tmp_path / "card.csv"), "ignore": ["batch"]}}
+    data = {"recipe": recipe, "parameters": {"layers[0].thickness_nm": [10, 200]}, "target": [target]}
+    found = read_task(data).targets[0].spectrum
+    assert found is not None
+    np.testing.assert_allclose(found[1], 1 - found[0] / 1000, atol=1e-6)

@@ -91,10 +91,12 @@ def report_json(reports: list[Report], comparisons: Sequence[Comparison] = ()) -
     """Return one report, or several with their comparisons with the first, as data for JSON."""
     document: dict[str, Any] = {"reports": [_document(report) for report in reports]}
     if comparisons:
-        document["differences_to_first"] = [
+        key = "differences_to_standard" if comparisons[0].standard else "differences_to_first"
+        document[key] = [
             {
                 "name": found.name,
                 "formula": found.formula,
+                **({"geometries": list(found.labels["standard"])} if found.standard else {}),
                 **{name: _clean(values.tolist()) for name, values in found.tables.items()},
                 "passes": found.passes,
             }
@@ -171,7 +173,7 @@ def report_text(reports: list[Report], comparisons: Sequence[Comparison] = ()) -
             lines += [f"    travel in a*b*: {table.travel:.1f}", ""]
         lines += [f"  {name:34s} {value}" for name, value in report_numbers(report)] + [""]
     for found in comparisons:
-        lines.append(f"{found.formula} of {found.name} to {reports[0].name}")
+        lines.append(f"{found.formula} of {found.name} to {found.standard or reports[0].name}")
         for name, values in found.tables.items():
             row = "  ".join(f"{label}: {v:.2f}" for label, v in zip(found.labels[name], values, strict=True))
             lines.append(f"  {name:10s} {row}")

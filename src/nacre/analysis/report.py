@@ -323,6 +323,7 @@ class Comparison:
         tables: table name -> differences `[angle]`.
         labels: table name -> names of the geometries `[angle]`.
         limits: geometry -> largest accepted difference; geometries without a limit are not evaluated.
+        standard: file of the standard; "": the first report.
     """
 
     name: str
@@ -330,6 +331,7 @@ class Comparison:
     tables: dict[str, Array]
     labels: dict[str, tuple[str, ...]]
     limits: dict[str, float]
+    standard: str = ""
 
     @property
     def passes(self) -> dict[str, bool]:
@@ -353,6 +355,43 @@ def compare(
     both = {name: (standard.tables[name], table) for name, table in report.tables.items() if name in standard.tables}
     tables = {name: colour_difference(first.lab, second.lab, formula) for name, (first, second) in both.items()}
     labels = {name: second.labels for name, (_, second) in both.items()}
+    return Comparison(report.name, formula, tables, labels, _limits_of(labels, limits))
+
+
+def compare_with_colours(
+    report: Report,
+    colours: Mapping[str, Array],
+    formula: str = "ciede2000",
+    limits: Mapping[str, float] | None = None,
+    standard: str = "colours",
+) -> Comparison:
+    """Return the colour differences of a report from a list of colours.
+
+    Args:
+        colours: geometry of the report -> CIELAB `[3]` of the standard, for the report's illuminant and observer.
+        formula, limits: as for `compare`.
+        standard: name of the list.
+
+    Raises:
+        NacreError: a geometry of the list or of a limit is not in the report, or the formula is unknown.
+    """
+    seen = {label: lab for table in report.tables.values() for label, lab in zip(table.labels, table.lab, strict=True)}
+    for label in colours:
+        if label not in seen:
+            hint = did_you_mean(label, list(seen))
+            raise NacreError(f'{standard}: "{label}" names no geometry of the report.{hint} It has {", ".join(seen)}')
+    first, second = (np.array([table[label] for label in colours], dtype=float) for table in (colours, seen))
+    labels = {"standard": tuple(colours)}
+    differences = {"standard": colour_difference(first, second, formula)}
+    return Comparison(report.name, formula, differences, labels, _limits_of(labels, limits), standard)
+
+
+def _limits_of(labels: Mapping[str, tuple[str, ...]], limits: Mapping[str, float] | None) -> dict[str, float]:
+    """Return the limit of each geometry; "" stands for all others.
+
+    Raises:
+        NacreError: a limit's geometry is in no table.
+    """
     known = [label for row in labels.values() for label in row]
     limits = dict(limits or {})
     for name in limits:
@@ -362,4 +401,4 @@ def compare(
     general = limits.pop("", None)
     if general is not None:
         limits = dict.fromkeys(known, general) | limits
-    return Comparison(report.name, formula, tables, labels, limits)
+    return limits

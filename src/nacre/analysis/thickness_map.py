@@ -48,18 +48,9 @@ class ThicknessMapFit:
 
 
 def varying_axis(material: Material) -> ParameterAxis | None:
-    """Return the number that varies over the surface, or None.
-
-    Raises:
-        UnsupportedError: several vary.
-    """
+    """Return the number that varies over the surface; None if none or several do."""
     axes = {axis.name: axis for lobe in material.bsdf().lobes for axis in getattr(lobe, "parameters", ())}
-    if len(axes) > 1:
-        raise UnsupportedError(
-            f"{material.context.source}: {', '.join(axes)} vary over the surface, and a thickness map holds one; "
-            "--set the others"
-        )
-    return next(iter(axes.values()), None)
+    return next(iter(axes.values())) if len(axes) == 1 else None
 
 
 def fit_thickness_map(material: Material, axis: ParameterAxis) -> ThicknessMapFit:

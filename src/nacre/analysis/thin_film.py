@@ -7,6 +7,8 @@ spectral approximation of the renderer adds to the residual.
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +18,8 @@ from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.formats.thin_film import ThinFilm
-from nacre.light import delta_e_2000, spectrum_to_xyz, srgb_linear_to_xyz, xyz_to_lab, xyz_to_srgb_linear
-from nacre.material.material import Material
+from nacre.light import delta_e_2000, lab_to_xyz, spectrum_to_xyz, srgb_linear_to_xyz, xyz_to_lab, xyz_to_srgb_linear
+from nacre.material.material import Material, material_from_data
 from nacre.matter.stack.solve import powers
 
 ANGLES_DEG = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0])
@@ -43,11 +45,14 @@ class ThinFilmFit:
 
 
 def fit_thin_film(material: Material) -> ThinFilmFit:
-    """Fit one film to the specular colours of a material.
+    """Fit one film to the specular colours of a material; a blend of film and bare base is a share of the film.
 
     Raises:
         UnsupportedError: the material lacks a specular part, or is a blend.
     """
+    covered = covered_share(material)
+    if covered is not None:
+        return _fit_share(material, *covered)
     bsdf = material.bsdf()
     if any(isinstance(lobe, MaskedLobe) for lobe in bsdf.lobes):
         raise UnsupportedError(
@@ -68,6 +73,35 @@ def fit_thin_film(material: Material) -> ThinFilmFit:
     film, residual = candidates[1] if transmits else min(candidates, key=lambda c: float(c[1].mean()))
     film = ThinFilm(**{**film.__dict__, "roughness": _roughness(material)})
     return ThinFilmFit(film, ANGLES_DEG, residual, _lost(material, bsdf, film))
+
+
+def covered_share(material: Material) -> tuple[float, Material] | None:
+    """Return the share of a blend that a film covers, and the film, if the rest is its bare base; otherwise None."""
+    data = material.data
+    mask, first, second = (data.get(key) for key in ("mask", "first", "second"))
+    if data.get("family") != "blend" or not isinstance(mask, int | float) or isinstance(mask, bool):
+        return None
+    if not isinstance(first, Mapping) or not isinstance(second, Mapping) or first.get("family") != "film":
+        return None
+    film, bare = ({k: v for k, v in part.items() if k != "layers"} for part in (first, second))
+    if film != bare or second.get("layers") or not first.get("layers"):
+        return None
+    return float(mask), material_from_data(first, material.context)
+
+
+def _fit_share(material: Material, share: float, covering: Material) -> ThinFilmFit:
+    """Fit the film of a covered share, with the residual of the whole."""
+    fit = fit_thin_film(covering)
+    film = dataclasses.replace(fit.film, weight=share)
+    spectrum = material.spectrum(np.radians(ANGLES_DEG))
+    assert spectrum.specular_reflectance is not None
+    grid = spectrum.wavelengths_nm
+    target = xyz_to_lab(spectrum_to_xyz(spectrum.specular_reflectance, grid))
+    coated, bare = (
+        np.asarray(lab_to_xyz(film_lab(f, grid))) for f in (film, dataclasses.replace(film, thickness_nm=0.0))
+    )
+    residual = np.asarray(delta_e_2000(target, xyz_to_lab(share * coated + (1 - share) * bare)))
+    return ThinFilmFit(film, ANGLES_DEG, residual, fit.lost)
 
 
 def film_lab(film: ThinFilm, wavelengths_nm: Array) -> Array:

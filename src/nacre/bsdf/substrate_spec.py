@@ -15,6 +15,7 @@ from nacre.core.errors import RecipeError
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
 from nacre.readers.curves import recipe_spectrum
+from nacre.readers.file_spec import FileSpec
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 Share = Annotated[float, pydantic.Field(ge=0.0, le=1.0)]
@@ -37,14 +38,12 @@ Widths = Annotated[
 ]
 
 
-class AlbedoSpec(RecipeModel):
+class AlbedoSpec(FileSpec):
     """A coloured base: a file with two columns, wavelength in nm and albedo."""
 
+    noun: ClassVar[str] = "albedo"
+    shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ()
     forms: ClassVar[tuple[str, ...]] = ('{file = "albedo.csv"}',)
-
-    file: str = pydantic.Field(
-        description="a file with two columns: wavelength in nm and albedo", examples=["albedo.csv"]
-    )
 
 
 def _albedo_may_name_a_recipe(schema: dict[str, Any]) -> None:
@@ -121,7 +120,7 @@ class SubstrateSpec(RecipeModel):
         if self.recipe is not None:
             return _recipe_base(self.recipe, medium, context)
         if isinstance(self.albedo, AlbedoSpec):
-            table = recipe_spectrum(context, "base.albedo.file", self.albedo.file, ("albedo", "reflectance"))
+            table = recipe_spectrum(context, "base.albedo.file", self.albedo, ("albedo", "reflectance"))
             if not (np.all(np.diff(table[:, 0]) > 0) and np.all((table[:, 1] >= 0) & (table[:, 1] <= 1))):
                 rule = "must hold ascending nm and albedos in [0, 1]; head a column in per cent '%'"
                 raise context.fail("base.albedo.file", self.albedo.file, rule)

@@ -75,6 +75,10 @@ def sweep(sweep_file: str, output: str | None, workers: Workers) -> None:
     "--tolerance", "limits", multiple=True, metavar="[GEOMETRY=]VALUE",
     help="Largest accepted difference, such as 1.0 or 45as15=1.5; the report then states pass or fail.",
 )  # fmt: skip
+@click.option(
+    "--standard", default=None, metavar="COLOURS.csv",
+    help="List of colours as the standard of one recipe, in place of a first recipe: geometry, L*, a*, b*.",
+)  # fmt: skip
 @click.option("--texture", "has_texture", is_flag=True, help="Add sparkle and graininess of a coating with flakes.")
 @click.option(
     "--texture-patch", "patch", default=None, metavar="FILE.png",
@@ -91,20 +95,20 @@ def sweep(sweep_file: str, output: str | None, workers: Workers) -> None:
 @common.jobs_option
 def report(
     recipes: tuple[str, ...], illuminant: str, observer: str, samples: int | None, seed: int,
-    geometries: tuple[str, ...], formula: str, limits: tuple[str, ...], has_texture: bool, patch: str | None,
-    instrument: str | None, as_json: bool, output: str | None, changes: tuple[str, ...],
+    geometries: tuple[str, ...], formula: str, limits: tuple[str, ...], standard: str | None, has_texture: bool,
+    patch: str | None, instrument: str | None, as_json: bool, output: str | None, changes: tuple[str, ...],
 ) -> None:  # fmt: skip
     """Report colour, flop, gloss, haze and totals of one RECIPE, or of two side by side."""
     from nacre.analysis.html_report import dump_json, report_html, report_text
-    from nacre.analysis.report import compare, make_report, read_geometries
+    from nacre.analysis.report import compare, compare_with_colours, make_report, read_geometries
     from nacre.core.files import check_writable, write_text
     from nacre.core.parallel import on_progress
 
     if len(recipes) > 2:
         raise NacreError(f"report takes one recipe or two, not {len(recipes)}")
-    if limits and len(recipes) < 2:
-        raise NacreError("--tolerance compares two recipes; the first is the standard")
+    colours = _standard(standard, recipes, limits, (illuminant, observer))
     read_geometries(geometries)
+    geometries = _with_standard(geometries, colours)
     allowed = _limits(limits)
     add_texture = _texture(has_texture, patch, instrument, illuminant, observer, seed)
     if output:
@@ -126,6 +130,8 @@ def report(
                 reports.append(make_report(material, illuminant, observer, samples, seed, geometries))
     reports = [replace(each, texture=texture) for each, texture in zip(reports, textures, strict=True)]
     comparisons = [compare(each, reports[0], formula, allowed) for each in reports[1:]]
+    if colours is not None:
+        comparisons = [compare_with_colours(reports[0], colours, formula, allowed, str(standard))]
     if patch:
         from nacre.plot import save_figure, texture_figure
 
@@ -168,6 +174,37 @@ def _texture(
         return measure_texture(material, tool, method, illuminant, observer, seed)
 
     return add
+
+
+def _standard(
+    path: str | None, recipes: tuple[str, ...], limits: tuple[str, ...], light: tuple[str, str]
+) -> dict[str, Any] | None:
+    """Return geometry -> CIELAB of a list, or None without one."""
+    if path is None:
+        if limits and len(recipes) < 2:
+            raise NacreError("--tolerance compares two recipes, or one with --standard; the first is the standard")
+        return None
+    from nacre.optimise.colour_list import read_colours
+
+    if len(recipes) > 1:
+        raise NacreError("--standard is compared with one recipe")
+    rows = read_colours(path, 1, light)
+    names = [row.name for row in rows]
+    for name in names:
+        if not name or names.count(name) > 1:
+            raise NacreError(f'{path}: each row needs its own geometry, such as 45as15; got "{name}"')
+    return {row.name: row.lab[0] for row in rows}
+
+
+def _with_standard(geometries: tuple[str, ...], colours: dict[str, Any] | None) -> tuple[str, ...]:
+    """Return the further geometries with those of a standard that no report has by itself."""
+    from nacre.measure.geometry import Geometry
+    from nacre.measure.instruments import ASPECULAR_DEG
+
+    named = [text.rpartition("=")[0] or text for text in geometries]
+    usual = [str(Geometry("aspecular", 45.0, angle)) for angle in ASPECULAR_DEG]
+    new = [label for label in colours or () if "as" in label and label not in (*usual, *named) and label[0].isdigit()]
+    return (*geometries, *new)
 
 
 def _limits(texts: tuple[str, ...]) -> dict[str, float]:

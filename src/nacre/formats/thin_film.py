@@ -46,7 +46,7 @@ def materialx_document(film: ThinFilm, name: str, comment: str = "") -> ET.Eleme
         ("specular_ior", "float", f"{film.base_ior:.7g}"),
         ("specular_roughness", "float", f"{np.sqrt(film.roughness):.7g}"),
         ("transmission_weight", "float", "1" if film.transmits else "0"),
-        ("thin_film_weight", "float", "1"),
+        ("thin_film_weight", "float", f"{film.weight:.7g}"),
         ("thin_film_thickness", "float", f"{film.thickness_nm / 1000:.7g}"),
         ("thin_film_ior", "float", f"{film.film_ior:.7g}"),
     ]

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import pydantic
 
 from nacre.optimise.relief.target import TargetTable
+from nacre.readers.file_spec import FileSpec
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeModel
 from nacre.recipe.path_tables import GeometrySpec, ParameterSpec, ToleranceSpec
@@ -61,7 +62,7 @@ class TargetEntry(RecipeModel):
     xyy: Triple | None = pydantic.Field(
         default=None, description="x, y, Y under the first lamp, white has Y = 1", examples=[[0.48, 0.28, 0.12]]
     )
-    spectrum: str | None = pydantic.Field(
+    spectrum: FileSpec | None = pydantic.Field(
         default=None,
         description="CSV of wavelengths and target factors: nm and 0 to 1, or other units as in "
         "its heading; bands without rows (a step above 3 times the usual one) are not compared",

@@ -28,6 +28,7 @@ from nacre.optimise.image.files import read_picture
 from nacre.optimise.merit import MeritFunction, Operand
 from nacre.optimise.spec import COLOURS, RANGES, LightSpec, TargetEntry
 from nacre.readers.curves import recipe_spectrum
+from nacre.readers.file_spec import FileSpec
 from nacre.recipe.model import RecipeContext, show_value
 
 GAP_STEPS = 3.0  # times a table's usual step: wider apart, two rows leave out what lies between them
@@ -244,15 +245,15 @@ def _ranges(spec: TargetEntry, key: str) -> dict[str, tuple[float | None, float 
     return found
 
 
-def _spectrum(name: str, where: str, kind: str, context: RecipeContext) -> Array:
+def _spectrum(given: FileSpec, where: str, kind: str, context: RecipeContext) -> Array:
     """Return a target spectrum `[2, wavelength]`: nm and factors.
 
     Args:
         kind: of the geometry; light transmitted has a transmittance, other light a reflectance.
     """
-    said = f"{where} = {show_value(name)}"
+    said = f"{where} = {show_value(given.file)}"
     quantities = ("transmittance", "reflectance") if kind == "transmitted" else ("reflectance",)
-    table = recipe_spectrum(context, where.removeprefix(f"{context.source}: "), name, quantities)
+    table = recipe_spectrum(context, where.removeprefix(f"{context.source}: "), given, quantities)
     nm, values = np.round(table[:, 0], 3), table[:, 1]  # wavelengths of THz or eV are rounded in files
     low, high = float(nm[0]), float(nm[-1])
     if len(nm) < 2 or not LEAST_NM <= low < high <= MOST_NM:

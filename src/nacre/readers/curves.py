@@ -13,6 +13,7 @@ import numpy as np
 from nacre.core.errors import NacreError
 from nacre.light import spans_colour
 from nacre.readers.columns import Column, Columns, interpret, load_tables
+from nacre.readers.file_spec import FileSpec
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import open_file
 from nacre.readers.text_table import TextTable, number
@@ -167,33 +168,33 @@ def _chosen(path: Path, usable: list[tuple[Measurement, str]], options: ReadOpti
     return usable[chosen_block(path, options.spectrum, names)]
 
 
-def recipe_curve(context: RecipeContext, key: str, name: str, axes: Sequence[Axis]) -> Floats:
+def recipe_curve(context: RecipeContext, key: str, given: FileSpec, axes: Sequence[Axis]) -> Floats:
     """Return `[row, axis]` of a file that a recipe names; what was assumed is logged.
 
     Raises:
         RecipeError: with the key and the file's name.
     """
-    path = context.path(name)
+    path = context.path(given.file)
     try:
-        found, said = curve(path, axes)
+        found, said = curve(path, axes, given.options)
     except NacreError as error:
-        raise context.fail(key, name, _after(path, error)) from None
-    _log(context, name, said)
+        raise context.fail(key, given.file, _after(path, error)) from None
+    _log(context, given.file, said)
     return found
 
 
-def recipe_spectrum(context: RecipeContext, key: str, name: str, quantities: Sequence[str]) -> Floats:
+def recipe_spectrum(context: RecipeContext, key: str, given: FileSpec, quantities: Sequence[str]) -> Floats:
     """Return `[row, (nm, factor)]` of a file that a recipe names, ascending; what was assumed is logged.
 
     Raises:
         RecipeError: with the key and the file's name.
     """
-    path = context.path(name)
+    path = context.path(given.file)
     try:
-        nm, values, said = spectrum(path, quantities)
+        nm, values, said = spectrum(path, quantities, given.options)
     except NacreError as error:
-        raise context.fail(key, name, _after(path, error)) from None
-    _log(context, name, said)
+        raise context.fail(key, given.file, _after(path, error)) from None
+    _log(context, given.file, said)
     return np.stack([nm, values], axis=1)
 
 

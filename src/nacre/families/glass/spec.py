@@ -18,6 +18,7 @@ from nacre.families.glass.material import FastGlass, Glass, Layer
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
 from nacre.readers.curves import Q_PER_UM, STRUCTURE, recipe_curve
+from nacre.readers.file_spec import FileSpec
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 MAX_PACKING = 0.64  # random packing of equal spheres
@@ -196,7 +197,7 @@ class StructureSpec(RecipeModel):
     name: Literal["percus-yevick"] | None = Field(
         default=None, description="model of the order; alone it needs no table", examples=["percus-yevick"]
     )
-    sq: str | None = Field(
+    sq: FileSpec | None = Field(
         default=None,
         description="instead of name: a file of two columns, q in 1/um, ascending, and S(q)",
         examples=["s.csv"],
@@ -229,7 +230,7 @@ class StructureSpec(RecipeModel):
         table = recipe_curve(context, key, self.sq, (Q_PER_UM, STRUCTURE))
         q, s = table[:, 0] * 1e-3, table[:, 1]
         if len(q) < 4 or np.any(np.diff(q) <= 0) or q[0] < 0 or np.any(s < 0):
-            raise context.fail(key, self.sq, "must hold at least 4 rows of ascending q >= 0 in 1/um and S >= 0")
+            raise context.fail(key, self.sq.file, "must hold at least 4 rows of ascending q >= 0 in 1/um and S >= 0")
         d = 2 * outer_nm
         return lambda y: np.asarray(np.interp(y / d, q, s, right=1.0))
 

@@ -35,6 +35,7 @@ from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec, ambient_in
+from nacre.readers.file_spec import FileSpec
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 LEAST_COVERAGE = 1e-4
@@ -79,7 +80,7 @@ class StructureSpec(RecipeModel):
     width_um: Positive | None = pydantic.Field(
         default=None, description="width of the picture that points names", examples=[10]
     )
-    sq: str | None = pydantic.Field(
+    sq: FileSpec | None = pydantic.Field(
         default=None, description="in place of name: a file of the structure factor S(q)", examples=["s.csv"]
     )
     lattice: Literal["square", "hexagonal"] = pydantic.Field(

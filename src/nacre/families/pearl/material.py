@@ -228,8 +228,8 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
 
     @property
     def over_black(self) -> Pearl:
-        """The same strata over a black base."""
-        return replace(self, base=Substrate(albedo=0.0))
+        """The same strata over a black base, without glints, which do not change the mean."""
+        return replace(self, base=Substrate(albedo=0.0), glints=None)
 
     def surrogate_radiance(
         self, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False

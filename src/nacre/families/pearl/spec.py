@@ -21,6 +21,7 @@ from nacre.families.pearl.thickness import Thickness
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.spec import IndexSpec
 from nacre.readers.curves import SHARE, THICKNESS_NM, recipe_curve
+from nacre.readers.file_spec import FileSpec
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 MAX_STRATA = 8
@@ -64,7 +65,7 @@ class ThicknessKeys(RecipeModel):
     )
     min_nm: NotNegative = Field(default=0.0, description="lower bound of a truncated spread", examples=[80])
     max_nm: Positive | None = Field(default=None, description="upper bound of a truncated spread", examples=[160])
-    histogram: str | None = Field(
+    histogram: FileSpec | None = Field(
         default=None,
         description="instead of thickness_nm: a file of two columns: thickness in nm; fraction, per cent or count",
         examples=["thickness.csv"],

@@ -25,6 +25,7 @@ from nacre.matter.indices.spec import IndexSpec
 from nacre.optimise.relief import pictures
 from nacre.optimise.relief.merit import GAMMA, ColourWeights, Problem, View, default_weights, published_weights
 from nacre.readers.curves import recipe_spectrum
+from nacre.readers.file_spec import FileSpec
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
@@ -382,7 +383,7 @@ def _spectrum_colour(name: str, context: RecipeContext) -> Array:
     from nacre.light import spectrum_to_rgb_linear
 
     key = "target.colour.spectrum"
-    table = recipe_spectrum(context, key, name, ("reflectance",))
+    table = recipe_spectrum(context, key, FileSpec(file=name), ("reflectance",))
     if len(table) < 2 or (np.diff(table[:, 0]) <= 0).any():
         raise context.fail(key, name, "should contain two columns, ascending nm and reflectance")
     if table[:, 1].min() < 0.0 or table[:, 1].max() > MAX_REFLECTANCE:

@@ -22,6 +22,7 @@ from nacre.core.memory import check_memory
 from nacre.families.metasurface.monolayer.micrograph import find_particles, grey_levels
 from nacre.families.metasurface.monolayer.structure import RANGE_IN_DIAMETERS, Structure
 from nacre.readers.curves import Q_PER_UM, STRUCTURE, X_UM, Y_UM, recipe_curve
+from nacre.readers.file_spec import FileSpec
 from nacre.recipe.model import RecipeContext
 
 RSA_LIMIT = 0.535  # random sequential addition jams at 0.547
@@ -449,7 +450,7 @@ def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_
     """
     key = "monolayer.structure.points"
     if width_um is None:
-        xy_um = recipe_curve(context, key, name, (X_UM, Y_UM))
+        xy_um = recipe_curve(context, key, FileSpec(file=name), (X_UM, Y_UM))
     else:
         xy_um = _points_in_picture(context, name, width_um)
     _check_count(context, key, name, xy_um, "" if width_um is None else " in its middle square, which is what is taken")
@@ -512,7 +513,7 @@ def points_structure(pattern: Pattern, q_max_per_nm: float) -> Structure:
 
 
 def sq_structure(
-    context: RecipeContext, name: str, density_per_nm2: float, packing: float, q_max_per_nm: float
+    context: RecipeContext, given: FileSpec, density_per_nm2: float, packing: float, q_max_per_nm: float
 ) -> Structure:
     """Read S(q): q in 1/um and S, one pair per line; g(r) is its transform outside the least distance.
 
@@ -520,10 +521,10 @@ def sq_structure(
         RecipeError: the file is unusable.
     """
     key = "monolayer.structure.sq"
-    table = recipe_curve(context, key, name, (Q_PER_UM, STRUCTURE))
+    table = recipe_curve(context, key, given, (Q_PER_UM, STRUCTURE))
     q, s = table[:, 0] * 1e-3, table[:, 1]
     if len(q) < 4 or np.any(np.diff(q) <= 0) or q[0] < 0 or np.any(s < 0):
-        raise context.fail(key, name, "must hold at least 4 rows of ascending q >= 0 in 1/um and S >= 0")
+        raise context.fail(key, given.file, "must hold at least 4 rows of ascending q >= 0 in 1/um and S >= 0")
     a = float(np.sqrt(4 * packing / (np.pi * density_per_nm2)))
     step = 0.01 / a
     grid = np.asarray(np.arange(int(max(q[-1], q_max_per_nm) / step) + 2) * step, dtype=np.float64)
