@@ -159,7 +159,10 @@ def orders(
     material = as_material(thing)
     model = material.model
     if not isinstance(model, Diffracting):
-        raise UnsupportedError(f"{material.context.source}: a {model.traits.noun} has no orders; allowed: a grating")
+        raise UnsupportedError(
+            f"{material.context.source}: a {model.traits.noun} has no orders; allowed: a grating, a relief of lines "
+            'with model.optics = "vector"'
+        )
     grid = None if wavelengths_nm is None else np.atleast_1d(floats(wavelengths_nm, "wavelengths_nm"))
     theta = np.radians(np.atleast_1d(floats(angles_deg, "angles_deg")))
     if np.any(theta < 0.0) or np.any(theta >= 0.5 * np.pi):

@@ -158,7 +158,6 @@ def test_both_materials_have_the_colours_of_nacre(name: str, page: Page, tmp_pat
     wanted = np.pi * wi[:, 2:] * to_rgb(nacre.evaluate(material, wi, wo, uv=uv))
     for kind in ("shader", "node"):
         gap = difference(np.pi * drawn(page, kind, wi, wo, p), wanted)
-        print(name, kind, np.median(gap), gap.max())
         assert np.median(gap) <= MEDIAN and gap.max() <= WORST
 
 
@@ -175,7 +174,6 @@ def test_uniform_light_is_reflected_as_nacre_does(name: str, page: Page, tmp_pat
     wanted = spectrum_to_rgb_linear(sent, bsdf.wavelengths_nm)
     for kind in ("shader", "node"):
         gap = difference(drawn(page, kind, wo, wo, np.zeros(len(wo)), even=True), wanted)
-        print(name, kind, gap)
         assert gap.max() <= OF_EVEN_LIGHT
 
 

@@ -263,3 +263,54 @@ def test_a_film_whose_colour_hardly_depends_on_the_azimuth_has_the_mean() -> Non
 def test_impossible_films_are_refused(keys: dict[str, Any]) -> None:
     with pytest.raises(NacreError):
         film(**{"substrate": "Si", **keys})
+
+
+def test_fields_of_isotropic_layers_written_as_anisotropic_ones_are_those_of_the_isotropic_kernel() -> None:
+    from nacre.matter.stack.field import field_profile
+
+    def stack(medium: object) -> object:
+        layers = [{"material": medium, "thickness_nm": 200.0}, {"material": 1.4, "thickness_nm": 80.0}]
+        return film(substrate={"n": 0.2, "k": 3.0}, layers=layers).model.stack
+
+    waves, z = np.array([450.0, 600.0]), np.linspace(-150.0, 380.0, 31)
+    plain, tensor = stack(1.7), stack({"principal": [1.7, 1.7, 1.7], "euler_deg": [10, 20, 30]})
+    for theta in (0.0, 0.6, 1.2):
+        expected = field_profile(plain.indices(waves), np.array([200.0, 80.0]), waves, np.array([theta]), z)
+        s, p = tensor.polarised_field(theta, waves, z)
+        np.testing.assert_allclose(s, expected.s[:, 0], atol=1e-12)
+        np.testing.assert_allclose(p, expected.p[:, 0], atol=1e-12)
+
+
+def test_the_field_in_a_helix_explains_its_absorption() -> None:
+    """Power lost = k0 eps'' integral of |E|^2 / (n0 cos theta) where eps'' is the same along all axes."""
+    loss = 0.02
+    ordinary, extraordinary = (np.sqrt(n**2 + 1j * loss) for n in (1.5, 1.7))
+    medium = {
+        "ordinary": {"n": float(ordinary.real), "k": float(ordinary.imag)},
+        "extraordinary": {"n": float(extraordinary.real), "k": float(extraordinary.imag)},
+        "axis_polar_deg": 70,
+        "axis_azimuth_deg": 25,
+    }
+    layers = [{"material": medium, "thickness_nm": 900.0, "pitch_nm": 350.0, "handedness": "left"}]
+    stack = film(substrate=1.5, layers=layers, ambient={"n": 1.0}).model.stack
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    theta, waves = np.radians(40.0), np.array([560.0])
+    for azimuth in (0.0, 1.0):
+        s, p = stack.polarised_field(theta, waves, 450.0 * (nodes + 1.0), azimuth)
+        lost = [2 * np.pi / 560.0 * loss * 450.0 * np.sum(weights * f[:, 0]) / np.cos(theta) for f in (s, p)]
+        row = stack.polarised(theta, waves, azimuth, absorption=True).absorbed[0, 0, 0]
+        np.testing.assert_allclose(lost, [row[0] - row[1], row[0] + row[1]], rtol=1e-6)
+
+
+def test_a_field_is_refused_for_a_spread_of_the_pitch() -> None:
+    medium = {"ordinary": 1.5, "extraordinary": 1.7, "axis_polar_deg": 90}
+    layer = {"material": medium, "thickness_nm": 900, "pitch_nm": 350, "pitch_deviation_nm": 10}
+    with pytest.raises(NacreError):
+        film(substrate=1.5, layers=[layer]).figure_data("field")
+
+
+def test_a_helix_thinner_than_a_slice_is_refused() -> None:
+    layer = {"material": TILTED, "thickness_nm": 0.5, "pitch_nm": 350}
+    with pytest.raises(NacreError):
+        film(substrate=1.5, layers=[layer])
+    film(substrate=1.5, layers=[{**layer, "thickness_nm": 6.0}])

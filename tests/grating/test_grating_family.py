@@ -288,7 +288,7 @@ def test_draws_follow_the_density(mi: Any, name: str, view: tuple[float, float])
 def test_transmitted_orders_keep_their_light_both_ways(eta: float) -> None:
     lobe = orders_lobe(eta).lobes[0]
     assert isinstance(lobe, OrdersLobe) and lobe.transmits
-    grid = np.linspace(-1, 1, 1201)
+    grid = np.linspace(-1, 1, 601)
     x, y = np.meshgrid(grid, grid)
     inside = x**2 + y**2 < 1
     wo = np.stack([x[inside], y[inside], np.sqrt(1 - x[inside] ** 2 - y[inside] ** 2)], axis=-1)

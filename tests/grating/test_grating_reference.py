@@ -38,13 +38,16 @@ def test_orders_are_those_of_the_reference(i: int) -> None:
 @pytest.mark.full
 def test_all_orders_are_those_of_the_reference_and_errors_are_estimated() -> None:
     z = reference()
-    exceeded = 0
+    exceeded, crossed = 0, []
     for i in range(len(z["shape"])):
         found, bar = solved(i)
         efficiency, _ = differences(i, found)
         assert efficiency <= bar, (i, efficiency)
         exceeded += efficiency > float(found.error.max()) + REFERENCE_ERROR[str(z["case_class"][i])]
+        if str(z["case_class"][i]) in ("C", "D2"):  # two periods, without a margin for the reference
+            crossed.append(efficiency > float(found.error.max()))
     assert exceeded <= 0.05 * len(z["shape"])
+    assert sum(crossed) <= 0.05 * len(crossed)
 
 
 def test_a_published_metal_grating() -> None:

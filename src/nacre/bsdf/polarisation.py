@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 
@@ -91,7 +92,9 @@ class InterfacePolarisation:
         size, step = sum(0 if table is None else table.size for table in tables.values()), 1
         while self.reflected.shape[-1] == 4 and size > step * MOST_STORED and step < 8:
             step *= 2
-        single = {n: None if table is None else table[:, ::step].astype(np.float32) for n, table in tables.items()}
+        single: dict[str, Any] = {
+            n: None if table is None else table[:, ::step].astype(np.float32) for n, table in tables.items()
+        }
         return dataclasses.replace(self, **single, response=None)
 
     def arrays(self) -> dict[str, Array]:
@@ -125,7 +128,8 @@ class InterfacePolarisation:
         coarse = lobe.response.cos_outside
         if len(coarse) >= len(self.response.cos_outside) or not is_uniform(coarse):
             return lobe
-        return dataclasses.replace(lobe, response=self.response)
+        fine: Any = dataclasses.replace(cast("Any", lobe), response=self.response)
+        return cast("Lobe", fine)
 
 
 def interface_polarisation(tables: StackTables, thicknesses_nm: Array) -> InterfacePolarisation | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 
@@ -141,7 +142,8 @@ class AnisotropicTables(StackTables):
         parts = [self._at_azimuth(a).build(d, self.cos_nodes) for a in 2.0 * np.pi * np.arange(turn) / count]
         parts = [*parts * (count // turn), parts[0]]
         names = ("reflectance", "transmittance", "reflectance_inside", "total")
-        return dataclasses.replace(parts[0], **{name: np.stack([getattr(p, name) for p in parts]) for name in names})
+        tables: dict[str, Any] = {name: np.stack([getattr(p, name) for p in parts]) for name in names}
+        return dataclasses.replace(parts[0], **tables)
 
     def _at_azimuth(self, azimuth: float) -> AnisotropicTables:
         """Return the tables of one azimuth of the light outside; light from inside leaves towards it.

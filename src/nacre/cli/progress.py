@@ -13,7 +13,7 @@ from nacre.cli.common import one_line, say
 ASK_S = 60.0  # longer work needs confirmation on a terminal
 PACE_S = 30.0  # between lines without a terminal
 LONG_COMPILE_S = 1.0
-COMPILING = "compiling kernels for this machine; later runs reuse them"
+COMPILING = "compiling kernels for this machine, once, about 10 s on a free core; later runs reuse them"
 BUSY = 1.5  # ratio of wall time to time on free cores, above which both are reported
 
 

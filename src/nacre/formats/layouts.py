@@ -67,15 +67,20 @@ def write_levels(
             library.write_oas(str(temporary), compression_level=6)
 
 
-def add_array(cell: Any, of: Any, columns: int, rows: int, spacing: tuple[float, float]) -> None:
-    """Add references that repeat a cell, in arrays of at most `MAX_ARRAY` columns and rows."""
+def add_array(
+    cell: Any, of: Any, columns: int, rows: int, spacing: tuple[float, float], start: tuple[float, float] = (0.0, 0.0)
+) -> int:
+    """Add references that repeat a cell, in arrays of at most `MAX_ARRAY` columns and rows; return their number."""
     import gdstk
 
+    added = 0
     for x in range(0, columns, MAX_ARRAY):
         for y in range(0, rows, MAX_ARRAY):
             count = min(columns - x, MAX_ARRAY), min(rows - y, MAX_ARRAY)
-            origin = (x * spacing[0], y * spacing[1])
+            origin = (start[0] + x * spacing[0], start[1] + y * spacing[1])
             cell.add(gdstk.Reference(of, origin, columns=count[0], rows=count[1], spacing=spacing))
+            added += 1
+    return added
 
 
 def circle(radius_um: float, precision_m: float) -> Array:

@@ -54,12 +54,8 @@ def write_pixel_field(
     from_below = kinds[::-1].T  # [x, y], y up
     count = 0
     for kind, x, first, last in runs(from_below):
-        before = len(top.references)
-        add_array(top, made[kind], repeats, (last - first) * repeats, spacing)
         origin = (x * repeats * spacing[0], first * repeats * spacing[1])
-        for reference in top.references[before:]:
-            reference.origin = (reference.origin[0] + origin[0], reference.origin[1] + origin[1])
-            count += 1
+        count += add_array(top, made[kind], repeats, (last - first) * repeats, spacing, origin)
     with atomic_path(path) as temporary:
         if path.suffix.lower() == ".gds":
             library.write_gds(str(temporary))

@@ -12,7 +12,6 @@ import dataclasses
 import functools
 import json
 import logging
-import pickle
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -97,7 +96,7 @@ class Material:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the recipe, not the model: worker processes build the model from it, once per recipe."""
         if self.context.ambient is not None:
-            raise pickle.PicklingError(f"{self.context.source}: a nested material cannot be pickled on its own")
+            raise TypeError(f"{self.context.source}: a nested material cannot be pickled on its own")
         if isinstance(self.model, StoredBsdf):
             return _load, (Path(self.context.source).resolve(), 0)
         c = self.context

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,7 +36,8 @@ SIZES = 24
 TILES = 16  # periodic pieces of the field
 SAMPLES_PER_DIAMETER = 5.0
 MOST_SAMPLES = 1600  # along the side of a tile
-HIDDEN = 8.0  # optical thickness of flakes below which nothing is seen
+FINEST_UM = 10.0  # diameter of drawn flakes, far below what the eye resolves
+HIDDEN = 6.0  # optical thickness of flakes below which nothing is seen
 
 
 @dataclass(frozen=True)
@@ -178,6 +179,16 @@ def _cover(x, y, radius, light, transmit, passed, image):
                 passed[row, column] *= transmit[n]
 
 
+def _enlarged(area: DiffuseArea) -> tuple[DiffuseArea, float]:
+    """Return an area with flakes of `FINEST_UM` or more, and their enlargement.
+
+    The deviation of light that the eye does not resolve is proportional to the diameter.
+    """
+    least = min(2.0 * math.sqrt(mean_square(flakes.radii_um)) for flakes in area.flakes)
+    factor = max(FINEST_UM / least, 1.0)
+    return replace(area, flakes=tuple(replace(f, radii_um=f.radii_um * factor) for f in area.flakes)), factor
+
+
 def draw_tile(area: DiffuseArea, side_mm: float, generator: np.random.Generator) -> Array:
     """Return a periodic image of one tile, luminance factors `[row, column]`, without the veil."""
     least = min(2.0 * math.sqrt(mean_square(flakes.radii_um)) for flakes in area.flakes)
@@ -224,6 +235,8 @@ def graininess_patch(
 ) -> tuple[Graininess, Array]:
     """Return graininess from drawn tiles of the field, with the standard error over the tiles, and the first image.
 
+    Flakes finer than 10 um are drawn with 10 um; the deviation is reduced accordingly.
+
     Args:
         areas: as for `graininess_statistics`.
         distance_mm: viewing distance.
@@ -238,16 +251,17 @@ def graininess_patch(
         if not area.flakes:
             continue
         veil = veiled(area)
+        drawn, enlarged = _enlarged(area)
         filtered = []
         for tile in range(TILES):
-            image = draw_tile(area, side_mm, generator) + veil
+            image = draw_tile(drawn, side_mm, generator) + veil
             if tile == 0 and first.size == 1:
                 first = image
             f = np.fft.fftfreq(len(image), side_mm / len(image))
             kernel = eye_filter(np.hypot(f[:, None], f[None, : len(image) // 2 + 1]), distance_mm)
             filtered.append(np.fft.irfft2(np.fft.rfft2(image) * kernel, s=image.shape))
         level = float(np.mean([image.mean() for image in filtered]))
-        variances += factor**2 * np.array([np.mean((image - level) ** 2) for image in filtered])
+        variances += (factor / enlarged) ** 2 * np.array([np.mean((image - level) ** 2) for image in filtered])
     deviation = math.sqrt(float(variances.mean()))
     if mean <= 0 or deviation == 0:
         return Graininess(0.0, 0.0), first

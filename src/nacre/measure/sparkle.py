@@ -80,7 +80,8 @@ class Sparkle:
         area: share of sparkling pixels, in per cent.
         grade: intensity times the square root of the sparkling share, the root mean square over the field of equal
             spots; the product of both alone, their light, hardly depends on the size of the flakes.
-        intensity_error, area_error, grade_error: standard errors.
+        intensity_error, area_error, grade_error: standard errors; infinite for the intensity of an image without
+            sparkling pixels.
     """
 
     intensity: float
@@ -186,12 +187,13 @@ def _spot_radii(flakes: LitFlakes, radii: Array) -> Array:
 
 def _brightness_levels(flakes: LitFlakes, effort: float) -> tuple[Array, Array]:
     """Return brightness and probability over depth and crossings."""
-    depth = (np.arange(round(DEPTHS * effort)) + 0.5) / round(DEPTHS * effort)
+    share = (np.arange(round(DEPTHS * effort)) + 0.5) / round(DEPTHS * effort)
+    depth, weight = share**3, share**2 / np.sum(share**2)  # dense near the surface, where flakes are seen
     table, crossed = flakes.brightness, np.arange(flakes.brightness.shape[1])
     mean = flakes.crossings * depth[:, None]
     from scipy.special import gammaln, xlogy
 
-    chance = np.exp(xlogy(crossed, mean) - mean - gammaln(crossed + 1.0)) / len(depth)
+    chance = np.exp(xlogy(crossed, mean) - mean - gammaln(crossed + 1.0)) * weight[:, None]
     nodes = np.linspace(0.0, 1.0, len(table))
     bright = np.stack([np.interp(depth, nodes, column) for column in table.T], axis=1)
     return _levels(bright, chance, LEVELS)
@@ -343,7 +345,7 @@ def sparkle_patch(areas: Sequence[Area], pixels: Pixels, seed: int = 0) -> tuple
     generator = np.random.default_rng(seed)
     side = pixels.field_mm
     expected = sum(area.share * _candidates(area) for area in areas)
-    side = min(side, math.sqrt(4 * MOST_FLAKES / max(expected, 1e-9)))
+    side = min(side, math.sqrt(2 * MOST_FLAKES / max(expected, 1e-9)))
     count = max(BLOCKS, round(side * 1e3 / pixels.pixel_um) // BLOCKS * BLOCKS)
     stripes = []
     ends = np.round(np.cumsum([area.share for area in areas]) * count).astype(int)
@@ -380,5 +382,10 @@ def measure_image(image: Array, pixels: Pixels) -> Sparkle:
     whole = _numbers(*of(None))
     left_out = np.array([_numbers(*of(k)) for k in range(len(blocks))])
     errors = math.sqrt(len(blocks) - 1.0) * left_out.std(axis=0)
-    least = (0.0, 100.0 / image.size, pixels.threshold * image.mean() / math.sqrt(image.size))  # of one sparkling pixel
+    # of one sparkling pixel; without any, the intensity is not known
+    least = (
+        0.0 if whole[1] > 0 else math.inf,
+        100.0 / image.size,
+        pixels.threshold * image.mean() / math.sqrt(image.size),
+    )  # of one sparkling pixel
     return Sparkle(*whole, *(float(max(pair)) for pair in zip(errors, least, strict=True)))

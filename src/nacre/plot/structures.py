@@ -34,8 +34,8 @@ def field_figure(data: Mapping[str, Any]) -> Figure:
     waves = {"s": "s", "p": "p"} if "s" in data else {"intensity": ""}
     theta = float(np.asarray(data.get("theta_deg", 0.0)))
     fields = {label: style.need(data, "field", key)[0].reshape(len(z), len(nm)) for key, label in waves.items()}
-    if theta == 0.0 and len(fields) == 2:
-        fields = {"": fields["s"]}  # s and p are equal at normal incidence
+    if theta == 0.0 and len(fields) == 2 and np.allclose(fields["s"], fields["p"], rtol=1e-6):
+        fields = {"": fields["s"]}  # equal at normal incidence, but for anisotropic layers
     title = str(data.get("title", ""))
     with style.house_style():
         if len(nm) <= 3:

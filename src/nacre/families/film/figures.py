@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nacre.bsdf.tabulate import reflected_lab
+from nacre.bsdf.tabulate_anisotropic import SLICE_SHARE
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Figure
@@ -40,13 +41,18 @@ def field(
     d = film.stack.thicknesses_nm
     margin = max(200.0, 0.2 * float(d.sum()))
     z = np.linspace(-margin, float(d.sum()) + margin, points)
-    profile = field_profile(film.stack.indices(lam), d, lam, np.array([np.radians(theta_deg)]), z)
+    if film.is_anisotropic:
+        s, p = film.stack.polarised_field(float(np.radians(theta_deg)), lam, z[::2], slice_share=SLICE_SHARE)
+        z = z[::2]
+    else:
+        profile = field_profile(film.stack.indices(lam), d, lam, np.array([np.radians(theta_deg)]), z)
+        s, p = profile.s[:, 0], profile.p[:, 0]
     edges = np.concatenate([[0.0], np.cumsum(d)])
     return {
         "z_nm": z,
         "wavelengths_nm": lam,
-        "s": profile.s[:, 0],
-        "p": profile.p[:, 0],
+        "s": s,
+        "p": p,
         "interfaces_nm": edges,
         "names": np.array([medium.name for medium in _media(film)]),
         "theta_deg": np.array(theta_deg),

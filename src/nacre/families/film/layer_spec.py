@@ -22,6 +22,7 @@ from nacre.matter.stack.polarised import SPREAD_REACH, Helix
 from nacre.matter.stack.solve import powers
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
+SLICES_A_TURN = 64  # the fewest of a helix; see `nacre.matter.stack.anisotropic`
 MAX_LAYERS = 1000
 MAX_THICKNESS_NM = 1e8  # ten centimetres, for incoherent panes
 MAX_COHERENT_NM = 3e4  # fringes of 30 um need a resolution of 0.1 nm
@@ -102,6 +103,11 @@ class LayerSpec(RecipeModel):
         if self.incoherent:
             raise ValueError(".pitch_nm and incoherent exclude each other: a twisted layer acts by interference")
         least = min(self.pitch_nm, self.pitch_lower_nm or self.pitch_nm)
+        if isinstance(self.thickness_nm, int | float) and 0 < self.thickness_nm < least / SLICES_A_TURN:
+            raise ValueError(
+                f".thickness_nm = {self.thickness_nm:g} is thinner than a slice of the helix; it should be at least "
+                f"pitch_nm / {SLICES_A_TURN} = {least / SLICES_A_TURN:.3g}, or without pitch_nm"
+            )
         if self.pitch_deviation_nm * SPREAD_REACH >= least:
             raise ValueError(
                 f".pitch_deviation_nm = {self.pitch_deviation_nm:g} is too wide for a pitch of {least:g} nm; it should "

@@ -23,7 +23,7 @@ LARGEST_HALF = 65504.0
 STORED = ("facet", "loss", "exchange", "lobe", "map")
 THREE = ("core", "module", "tsl", "webgpu")  # files of three.js, with the names under which modules import them
 SPECIFIERS = {"core": "three/core", "module": "three", "tsl": "three/tsl", "webgpu": "three/webgpu"}
-OLDEST_THREE = "0.180.0"
+OLDEST_THREE = "0.187.0"  # the tested one
 
 
 def write_three(folder: str | Path, table: LightTable, even: Mapping[str, Picture], gloss_alpha: float) -> list[str]:

@@ -100,46 +100,58 @@ def _inside(basis: LineBasis, low: float, high: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SampledLayer:
-    """A layer on an even grid of the cell, `[u, v]`, and the normals of its walls.
+    """A layer by the Fourier series of its shapes, `[m, n]` of `series`.
 
     Attributes:
-        epsilon, inverse: mean permittivity, and mean of its inverse, of each cell of the grid.
-        normal_x, normal_y: unit vectors.
+        epsilon: of the ground.
+        values: permittivity of each shape.
+        shares: of each shape the function that is 1 inside.
+        normals: products x x, y y and x y of the faded normals of the walls.
     """
 
-    epsilon: Array
-    inverse: Array
-    normal_x: Array
-    normal_y: Array
+    epsilon: complex
+    values: tuple[complex, ...]
+    shares: tuple[Array, ...]
+    normals: tuple[Array, Array, Array]
 
 
-def fourier_permittivity(layer: SampledLayer, orders: Array, maps: tuple[Array, Array, Array]) -> Permittivity:
-    """Return the matrices for Fourier orders `[number, 2]`.
+def fourier_permittivity(layer: SampledLayer, orders: Array) -> Permittivity:
+    """Return the matrices for Fourier orders `[number, 2]`."""
+    difference = orders[:, None, :] - orders[None, :, :]
+    at = (difference[..., 0], difference[..., 1])
+    ground = np.eye(len(orders), dtype=complex)
+    along, inverse = layer.epsilon * ground, ground / layer.epsilon
+    for value, share in zip(layer.values, layer.shares, strict=True):
+        inside = share[at]
+        along = along + (value - layer.epsilon) * inside
+        inverse = inverse + (1.0 / value - 1.0 / layer.epsilon) * inside
+    gap = along - np.linalg.inv(inverse)
+    parts = []
+    for product in layer.normals:
+        weight = product[at]
+        parts.append(0.5 * (gap @ weight + weight @ gap))  # the symmetric product keeps energy and reciprocity
+    return Permittivity(along - parts[0], along - parts[1], along, -parts[2], -parts[2])
+
+
+def projected(epsilon: Permittivity, maps: tuple[Array, Array, Array]) -> Permittivity:
+    """Return the matrices between functions of one class of symmetry.
 
     Args:
         maps: `[number, function]` of E_x, E_y and E_z: the orders in each function.
     """
-    along = _toeplitz(layer.epsilon, orders)
-    gap = along - np.linalg.inv(_toeplitz(layer.inverse, orders))
-    parts = []
-    for product in (layer.normal_x**2, layer.normal_y**2, layer.normal_x * layer.normal_y):
-        weight = _toeplitz(product, orders)
-        parts.append(0.5 * (gap @ weight + weight @ gap))  # the symmetric product keeps energy and reciprocity
     x, y, z = maps
     return Permittivity(
-        x.T @ (along - parts[0]) @ x, y.T @ (along - parts[1]) @ y, z.T @ along @ z, -x.T @ parts[2] @ y,
-        -y.T @ parts[2] @ x,
-    )  # fmt: skip
+        x.T @ epsilon.xx @ x, y.T @ epsilon.yy @ y, z.T @ epsilon.zz @ z, x.T @ epsilon.xy @ y, y.T @ epsilon.yx @ x
+    )
 
 
-def _toeplitz(samples: Array, orders: Array) -> Array:
-    """Multiplication by a function given at the middles of an even grid about the origin."""
+def series(samples: Array) -> Array:
+    """Return the Fourier series of a function given at the middles of an even grid about the origin."""
     n = samples.shape
-    series = np.fft.fft2(np.fft.ifftshift(samples)) / samples.size
+    found = np.fft.fft2(np.fft.ifftshift(samples)) / samples.size
     # samples stand half a step beyond the nodes of the transform
     for axis in (0, 1):
         number = np.fft.fftfreq(n[axis], 1.0 / n[axis])
         shift = np.exp(-1j * np.pi * number / n[axis])
-        series = series * (shift[:, None] if axis == 0 else shift[None, :])
-    difference = orders[:, None, :] - orders[None, :, :]
-    return np.asarray(series[difference[..., 0], difference[..., 1]])
+        found = found * (shift[:, None] if axis == 0 else shift[None, :])
+    return np.asarray(found)

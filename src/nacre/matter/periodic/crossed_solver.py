@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from nacre.matter.periodic.crossed_modes import (
     Components,
+    Permittivity,
     SampledLayer,
     crossed_modes,
     fourier_permittivity,
+    projected,
     rectangle_permittivity,
+    series,
 )
 from nacre.matter.periodic.line_basis import Axis, LineBasis, assemble, line_basis, parity_axis, regions, whole_axis
 from nacre.matter.periodic.line_solver import incident_wave, is_patterned
@@ -206,23 +209,32 @@ def solve_fourier(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
     keep = np.hypot(vectors[:, 0], vectors[:, 1]) <= reach * (1.0 + 1e-9)
     orders = orders[keep]
     check_unknowns(2 * len(orders) // (1 + sum(np.abs(transverse) < SYMMETRIC)), k0)
-    layers = [sampled(layer, cell) if is_patterned(layer) else None for layer in stack.layers]
+    sampled_layers = [sampled(layer, cell) if is_patterned(layer) else None for layer in stack.layers]
     symmetric = tuple(
-        abs(first) < SYMMETRIC and cell.is_rectangular and all(_is_even_map(layer, axis) for layer in layers if layer)
+        abs(first) < SYMMETRIC
+        and cell.is_rectangular
+        and all(_is_even_series(layer, axis, 2 * count) for layer in sampled_layers if layer)
         for axis, first in enumerate(transverse)
     )
+    layers = [None if layer is None else fourier_permittivity(layer, orders) for layer in sampled_layers]
     answers = [
         _fourier_class(stack, k0, transverse, layers, orders, parities) for parities in _classes(symmetric)
     ]  # fmt: skip
     return _joined(stack, k0, theta_rad, phi_rad, answers, "fourier")
 
 
-def _is_even_map(layer: SampledLayer, axis: int) -> bool:
-    return bool(np.allclose(layer.epsilon, np.flip(layer.epsilon, axis), rtol=1e-9))
+def _is_even_series(layer: SampledLayer, axis: int, reach: int) -> bool:
+    """Whether the permittivity has a mirror symmetry, by its series up to an order."""
+    places = np.arange(-reach, reach + 1)
+    total = sum(
+        (value - layer.epsilon) * share[np.ix_(places, places)]
+        for value, share in zip(layer.values, layer.shares, strict=True)
+    )
+    return bool(np.allclose(total, np.flip(total, axis), rtol=0.0, atol=1e-9 * np.abs(total).max()))
 
 
 def _fourier_class(
-    stack: PeriodicStack, k0: float, transverse: Array, layers: list[SampledLayer | None], orders: Array,
+    stack: PeriodicStack, k0: float, transverse: Array, layers: list[Permittivity | None], orders: Array,
     parities: tuple[bool | None, bool | None],
 ) -> _Answer:  # fmt: skip
     places = {(int(m), int(n)): k for k, (m, n) in enumerate(orders)}
@@ -252,9 +264,9 @@ def _fourier_class(
     of = Components(vectors[:, 0], vectors[:, 1], kept_x, kept_y, kept_z)
     modes = [
         uniform_modes(layer.epsilon, of.alpha, of.beta, (of.x, of.y))
-        if grid is None
-        else crossed_modes(fourier_permittivity(grid, orders, (map_x, map_y, map_z)), of)
-        for layer, grid in zip(stack.layers, layers, strict=True)
+        if matrices is None
+        else crossed_modes(projected(matrices, (map_x, map_y, map_z)), of)
+        for layer, matrices in zip(stack.layers, layers, strict=True)
     ]
 
     def content(m: int, n: int) -> tuple[Array, Array]:
@@ -265,19 +277,14 @@ def _fourier_class(
 
 
 def sampled(layer: PatternLayer, cell: Cell) -> SampledLayer:
-    """Return a layer on an even grid of the lattice coordinates about the origin, with the normals of the walls.
+    """Return the series of a layer's shapes, and of the normals of their walls.
 
     The normals fade linearly from a wall to the middle of a shape and to the middle of the gap between shapes: a field
     of unit vectors would have singular points there, at which Fourier series converge slowly.
     """
     shapes = tuple(shape if isinstance(shape, Region) else box(shape) for shape, _ in layer.shapes)
-    shares, normal_x, normal_y = _geometry(tuple(_Keyed(shape.key, shape) for shape in shapes), cell)
-    epsilon = np.full((GRID, GRID), complex(layer.epsilon))
-    inverse: Array = 1.0 / epsilon
-    for share, (_, value) in zip(shares, layer.shapes, strict=True):
-        epsilon += (value - layer.epsilon) * share
-        inverse += (1.0 / value - 1.0 / layer.epsilon) * share
-    return SampledLayer(epsilon, inverse, normal_x, normal_y)
+    shares, normals = _geometry(tuple(_Keyed(shape.key, shape) for shape in shapes), cell)
+    return SampledLayer(complex(layer.epsilon), tuple(complex(e) for _, e in layer.shapes), shares, normals)
 
 
 @dataclass(frozen=True)
@@ -311,8 +318,10 @@ def periodic_distance(region: Region, cell: Cell, x: Array, y: Array) -> Array:
 
 
 @lru_cache(maxsize=24)
-def _geometry(shapes: tuple[_Keyed, ...], cell: Cell) -> tuple[list[Array], Array, Array]:
-    """Return the share of each shape in each grid cell, and the faded normals."""
+def _geometry(
+    shapes: tuple[_Keyed, ...], cell: Cell
+) -> tuple[tuple[Array, ...], tuple[Array, Array, Array]]:  # fmt: skip
+    """Return the series of each shape, and of the products x x, y y and x y of the faded normals."""
     assert cell.period_y is not None
     x, y = cell_grid(cell, GRID)
     step = np.sqrt(cell.period_x * cell.period_y * np.sin(cell.angle_rad)) / GRID
@@ -322,16 +331,19 @@ def _geometry(shapes: tuple[_Keyed, ...], cell: Cell) -> tuple[list[Array], Arra
     edge = np.concatenate([outside[0], outside[-1], outside[:, 0], outside[:, -1]])
     gap = max(float(np.min(edge)), 4.0 * step)
     normal_x, normal_y = np.zeros(x.shape), np.zeros(x.shape)
-    for shape, distance in zip(shapes, distances, strict=True):
+    for distance in distances:
         fade = np.where(distance < 0.0, 1.0 + distance / max(-float(distance.min()), step), 1.0 - distance / gap)
-        delta = 1e-2 * step
-        g_x = periodic_distance(shape.region, cell, x + delta, y) - periodic_distance(shape.region, cell, x - delta, y)
-        g_y = periodic_distance(shape.region, cell, x, y + delta) - periodic_distance(shape.region, cell, x, y - delta)
+        g_u, g_v = (np.roll(distance, -1, axis) - np.roll(distance, 1, axis) for axis in (0, 1))
+        # from the directions of the lattice to x and y
+        g_x = g_u / cell.period_x
+        g_y = (g_v / cell.period_y - g_x * np.cos(cell.angle_rad)) / np.sin(cell.angle_rad)
         length = np.maximum(np.hypot(g_x, g_y), 1e-300)
         use = np.abs(distance) <= nearest
         normal_x = np.where(use, np.clip(fade, 0.0, 1.0) * g_x / length, normal_x)
         normal_y = np.where(use, np.clip(fade, 0.0, 1.0) * g_y / length, normal_y)
-    return [np.clip(0.5 - d / step, 0.0, 1.0) for d in distances], normal_x, normal_y
+    products = (normal_x**2, normal_y**2, normal_x * normal_y)
+    first, second, third = (series(product) for product in products)
+    return tuple(series(np.clip(0.5 - d / step, 0.0, 1.0)) for d in distances), (first, second, third)
 
 
 def box(shape: Rectangle) -> Region:

@@ -7,10 +7,10 @@ Time factor exp(-i w t). Matrices are [out, in] in the order (p, s).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
@@ -53,6 +53,18 @@ class AnisotropicLayer:
             raise NacreError(f"pitch_nm = {self.pitch_nm} must be above 0")
         if self.handedness not in (1, -1):
             raise NacreError(f"handedness = {self.handedness} must be 1 (right) or -1 (left)")
+
+    @property
+    def total_turn(self) -> float:
+        """Rotation of the tensor from the upper to the lower face, rad."""
+        return 0.0 if self.pitch_nm is None else self.handedness * 2 * np.pi * self.thickness_nm / self.pitch_nm
+
+    def split(self, depth_nm: float) -> tuple[AnisotropicLayer, AnisotropicLayer]:
+        """Return the parts above and below a depth."""
+        upper = replace(self, thickness_nm=depth_nm)
+        turn = _about_z(upper.total_turn)
+        tensor = np.einsum("ij,...jk,lk->...il", turn, self.tensor, turn)
+        return upper, replace(self, tensor=tensor, thickness_nm=self.thickness_nm - depth_nm)
 
 
 @dataclass(frozen=True)
@@ -144,37 +156,23 @@ def solve_anisotropic(
     n0 = np.broadcast_to(np.real(ambient_index), (angles, count))
     theta = np.broadcast_to(theta if theta.ndim == 2 else theta[:, None], (angles, count))
     kx = np.ascontiguousarray(n0 * np.sin(theta))
-    tensors = np.empty((len(layers), count, 3, 3), complex)
-    for i, layer in enumerate(layers):
-        tensors[i] = np.einsum("ij,...jk,lk->...il", turn, layer.tensor, turn)
-    thicknesses = np.array([layer.thickness_nm for layer in layers], float)
-    turns = np.array(
-        [0.0 if e.pitch_nm is None else e.handedness * 2 * np.pi * e.thickness_nm / e.pitch_nm for e in layers]
-    )
-    slices = np.array([np.ceil(slice_share * _slices(layer, waves)) for layer in layers], dtype=np.int64)
+    stack = _stack_arrays(layers, turn, waves, slice_share)
+    slices = stack[3]
     bottom, modes = _substrate_reflection(np.asarray(substrate, complex), turn, kx, count)
     shape = (angles, count, 2, 2)
     gamma, entering = np.empty(shape, complex), np.empty(shape, complex)
     absorbed = np.empty((len(layers) if absorption else 0, *shape), complex)
     k0 = 2 * np.pi / waves
 
-    stack, light, outputs = (tensors, thicknesses, turns, slices), (k0, kx), (gamma, entering, absorbed)
+    light, outputs = (k0, kx), (gamma, entering, absorbed)
 
     def task(_start: int, _stop: int, first: int, last: int) -> None:
         solve_stacks(stack, light, bottom, outputs, first, last)
 
     work = int(angles * count * sum(20 + 40 * int(n) for n in slices))
     parallel_for(task, 1, angles, 100 * work, jobs)
-    # the ambient: columns p and s of the incident wave, then of the reflected one, as a and b
-    cosine, index = np.cos(theta)[..., None, None], n0[..., None, None]
-    zero, one = np.zeros_like(cosine), np.ones_like(cosine)
-    incident_e, incident_h = _columns(cosine, zero, zero, one), _columns(index, zero, zero, index * cosine)
-    reflected_e, reflected_h = _columns(-cosine, zero, zero, one), _columns(index, zero, zero, -index * cosine)
-    d_in, u_in = 0.5 * (incident_e + incident_h), 0.5 * (incident_e - incident_h)
-    d_out, u_out = 0.5 * (reflected_e + reflected_h), 0.5 * (reflected_e - reflected_h)
-    jones = np.asarray(-np.linalg.solve(u_out - gamma @ d_out, u_in - gamma @ d_in), dtype=complex)
-    top = d_in + d_out @ jones
-    scale = 1.0 / (index * cosine)
+    jones, top = _reflection(gamma, theta, n0)
+    scale = 1.0 / (n0 * np.cos(theta))[..., None, None]
     down: ComplexArray = entering @ top
     up: ComplexArray = bottom @ down
     transmitted: ComplexArray = scale * (_gram(down) - _gram(up))
@@ -183,6 +181,90 @@ def solve_anisotropic(
         jones_t = np.sqrt(scale) * (modes @ (down + up))
     found = scale * np.einsum("awji,lawjk,awkm->lawim", top.conj(), absorbed, top) if absorption else None
     return AnisotropicResponse(jones, transmitted, found, jones_t)
+
+
+def _stack_arrays(
+    layers: list[AnisotropicLayer], turn: Array, waves: Array, slice_share: float
+) -> tuple[ComplexArray, Array, Array, NDArray[np.int64]]:
+    """Return tensors in the frame of incidence, thicknesses, turns and slices; see `solve_stacks`."""
+    tensors = np.empty((len(layers), waves.size, 3, 3), complex)
+    for i, layer in enumerate(layers):
+        tensors[i] = np.einsum("ij,...jk,lk->...il", turn, layer.tensor, turn)
+    thicknesses = np.array([layer.thickness_nm for layer in layers], float)
+    turns = np.array([layer.total_turn for layer in layers])
+    slices = np.array([np.ceil(slice_share * _slices(layer, waves)) for layer in layers], dtype=np.int64)
+    return tensors, thicknesses, turns, slices
+
+
+def _reflection(gamma: ComplexArray, theta: Array, n0: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Return the Jones matrix of reflection, and a at the top for the incident waves p and s.
+
+    Args:
+        gamma: b = gamma a at the top, `[angle, wavelength, 2, 2]`.
+        theta, n0: incidence angles and indices of the ambient, `[angle, wavelength]`.
+    """
+    # columns p and s of the incident wave, then of the reflected one, as a and b
+    cosine, index = np.cos(theta)[..., None, None], n0[..., None, None]
+    zero, one = np.zeros_like(cosine), np.ones_like(cosine)
+    incident_e, incident_h = _columns(cosine, zero, zero, one), _columns(index, zero, zero, index * cosine)
+    reflected_e, reflected_h = _columns(-cosine, zero, zero, one), _columns(index, zero, zero, -index * cosine)
+    d_in, u_in = 0.5 * (incident_e + incident_h), 0.5 * (incident_e - incident_h)
+    d_out, u_out = 0.5 * (reflected_e + reflected_h), 0.5 * (reflected_e - reflected_h)
+    jones = np.asarray(-np.linalg.solve(u_out - gamma @ d_out, u_in - gamma @ d_in), dtype=complex)
+    return jones, d_in + d_out @ jones
+
+
+def field_of_layers(
+    ambient_index: ArrayLike,
+    layers: list[AnisotropicLayer],
+    substrate: ComplexArray,
+    wavelengths_nm: ArrayLike,
+    theta_rad: float,
+    azimuth_rad: float,
+    depths_nm: ArrayLike,
+    slice_share: float = 1.0,
+) -> Array:
+    """Return |E|^2 relative to the incident wave at depths below the top of the stack, `[depth, wavelength, (p, s)]`.
+
+    At each depth the stack is divided: the lower part is a reflector, below which the upper part is solved; this stays
+    finite in opaque layers.
+
+    Args:
+        ambient_index, layers, substrate, wavelengths_nm: as for `solve_anisotropic`.
+        theta_rad: angle of incidence.
+        azimuth_rad: as for `solve_anisotropic`.
+        depths_nm: from 0 to the thickness of all layers.
+        slice_share: as for `solve_anisotropic`.
+    """
+    waves, turn = np.atleast_1d(np.asarray(wavelengths_nm, float)), _about_z(-azimuth_rad)
+    n0 = np.broadcast_to(np.real(ambient_index), (1, waves.size))
+    theta = np.full_like(n0, theta_rad)
+    kx = np.ascontiguousarray(n0 * np.sin(theta))
+    light, (bottom, _) = (
+        (2 * np.pi / waves, kx),
+        _substrate_reflection(np.asarray(substrate, complex), turn, kx, waves.size),
+    )
+    shape, nothing = (1, waves.size, 2, 2), np.empty((0, 1, waves.size, 2, 2), complex)
+
+    def solved(part: list[AnisotropicLayer], below: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        gamma, entering = np.empty(shape, complex), np.empty(shape, complex)
+        solve_stacks(_stack_arrays(part, turn, waves, slice_share), light, below, (gamma, entering, nothing), 0, 1)
+        return gamma, entering
+
+    _, top = _reflection(solved(layers, bottom)[0], theta, n0)
+    ends = np.cumsum([layer.thickness_nm for layer in layers])
+    found = []
+    for depth in np.clip(np.asarray(depths_nm, float), 0.0, ends[-1]):
+        i = min(int(np.searchsorted(ends, depth, side="right")), len(layers) - 1)
+        upper, lower = layers[i].split(depth - (ends[i] - layers[i].thickness_nm))
+        gamma, _ = solved([lower, *layers[i + 1 :]], bottom)
+        down = solved([*layers[:i], upper], gamma)[1] @ top
+        e, h = down + gamma @ down, down - gamma @ down
+        eps = np.einsum("ij,...jk,lk->...il", turn, lower.tensor, turn)
+        eps = np.broadcast_to(eps, (waves.size, 3, 3))[None, ..., None]
+        normal = -(kx[..., None] * h[..., 0, :] + eps[..., 2, 0, :] * e[..., 0, :] + eps[..., 2, 1, :] * e[..., 1, :])
+        found.append(np.sum(np.abs(e) ** 2, axis=-2)[0] + np.abs(normal / eps[..., 2, 2, :])[0] ** 2)
+    return np.array(found)
 
 
 def _columns(a: Array, b: Array, c: Array, d: Array) -> Array:

@@ -327,6 +327,46 @@ def anisotropic_layers(layers: Sequence[PolarisedLayer]) -> tuple[list[Anisotrop
     return made, origin
 
 
+def polarised_field(
+    ambient_index: Array,
+    layers: Sequence[PolarisedLayer],
+    substrate: ComplexArray,
+    wavelengths_nm: Array,
+    theta_rad: float,
+    azimuth_rad: float,
+    z_nm: Array,
+    slice_share: float = 1.0,
+) -> tuple[Array, Array]:
+    """Return |E|^2 for s and p light, relative to the incident wave, each `[z, wavelength]`.
+
+    Args:
+        z_nm: depths below the first interface; negative in the ambient.
+        others: as for `polarised_response`, for one angle.
+
+    Raises:
+        NacreError: an incoherent layer or a spread of the pitch, whose fields do not add.
+    """
+    from nacre.matter.stack.anisotropic import field_of_layers  # imports numba
+
+    if any(layer.incoherent or (layer.helix is not None and layer.helix.deviation_nm > 0) for layer in layers):
+        raise NacreError("a stack with an incoherent layer or a spread of the pitch has no field profile")
+    z = np.asarray(z_nm, dtype=float)
+    total = sum(layer.thickness_nm for layer in layers)
+    above, below = max(0.0, -float(z.min())), max(0.0, float(z.max()) - total)
+    index = np.broadcast_to(ambient_index, wavelengths_nm.shape)
+    padded = [
+        PolarisedLayer(np.asarray(index**2, dtype=np.complex128), above),
+        *layers,
+        PolarisedLayer(substrate, below),
+    ]
+    turned, _ = anisotropic_layers([replace(e, permittivity=flipped(e.permittivity)) for e in padded])
+    theta = min(theta_rad, 0.5 * np.pi - GRAZING)
+    found = field_of_layers(
+        index, turned, flipped(substrate), wavelengths_nm, theta, np.pi - azimuth_rad, z + above, slice_share
+    )
+    return found[..., 1], found[..., 0]
+
+
 def _coherent(
     rays: _Rays, layers: Sequence[PolarisedLayer], substrate: ComplexArray, absorption: bool = False
 ) -> PolarisedResponse:

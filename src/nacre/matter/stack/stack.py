@@ -15,7 +15,14 @@ from nacre.matter.stack import solve as solver
 from nacre.matter.stack.incoherent import incoherent_absorption, incoherent_powers
 from nacre.matter.stack.inputs import Amplitudes, Powers, Response, check_thicknesses, clear_ambient
 from nacre.matter.stack.polarised import Helix as Helix
-from nacre.matter.stack.polarised import PolarisedLayer, PolarisedResponse, flipped, polarised_response, rotated
+from nacre.matter.stack.polarised import (
+    PolarisedLayer,
+    PolarisedResponse,
+    flipped,
+    polarised_field,
+    polarised_response,
+    rotated,
+)
 
 
 class HasIndex(Protocol):
@@ -209,6 +216,32 @@ class Stack:
             self.indices(wavelengths_nm), self.thicknesses_nm, wavelengths_nm, kappa=kappa, kz=kz, jobs=jobs
         )
 
+    def polarised_field(
+        self,
+        theta_rad: float,
+        wavelengths_nm: ArrayLike,
+        z_nm: ArrayLike,
+        azimuth_rad: float = 0.0,
+        *,
+        slice_share: float = 1.0,
+    ) -> tuple[Array, Array]:
+        """Return |E|^2 for s and p light at depths below the first interface, each `[z, wavelength]`.
+
+        Raises:
+            NacreError: an absorbing ambient, an incoherent layer, or a spread of the pitch.
+        """
+        lam = np.atleast_1d(np.asarray(wavelengths_nm, dtype=float))
+        ambient = clear_ambient(index_of(self.ambient, lam)).real
+        z = np.atleast_1d(np.asarray(z_nm, dtype=float))
+        below = permittivity_of(self.substrate, lam)
+        return polarised_field(ambient, self._polarised_layers(lam), below, lam, theta_rad, azimuth_rad, z, slice_share)
+
+    def _polarised_layers(self, lam: Array) -> list[PolarisedLayer]:
+        return [
+            PolarisedLayer(permittivity_of(e.material, lam), float(e.thickness_nm), e.incoherent, e.helix)
+            for e in self.layers
+        ]
+
     def polarised(
         self,
         theta_rad: ArrayLike,
@@ -243,10 +276,7 @@ class Stack:
             below = np.asarray(np.sqrt(below).real ** 2 + 0j)
         return polarised_response(
             clear_ambient(index_of(self.ambient, lam)).real,
-            [
-                PolarisedLayer(permittivity_of(e.material, lam), float(e.thickness_nm), e.incoherent, e.helix)
-                for e in self.layers
-            ],
+            self._polarised_layers(lam),
             below,
             lam,
             theta,

@@ -12,6 +12,8 @@ const ABOUT = {
   "export:zemax": "Scatter file of Zemax OpticStudio.",
   "export:gltf": "glTF with KHR_materials_iridescence: the best-fitting single film.",
   "export:materialx": "MaterialX: the best-fitting single film.",
+  "export:usd": "USD: the best-fitting single film, as a MaterialX network.",
+  "export:three": "three.js: materials for both renderers, with an example page.",
   "export:exr": "One slice over half and difference angle.",
   "export:nacre": "The solved material; it loads without its recipe.",
   "export:lut": "Tables of colour with GLSL, OSL, Blender and MaterialX readers, for the lamp chosen above.",
