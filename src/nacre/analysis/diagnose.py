@@ -81,7 +81,8 @@ class ColourObservation:
         geometry = Geometry.read(self.geometry, "geometry", recipe_geometries(material))
         if geometry.kind in ("diffuse", "hemispherical"):
             raise NacreError(f'geometry = "{self.geometry}" is not specular, transmitted or aspecular')
-        return geometry_colours(material, [geometry], self.illuminant, self.observer, samples, seed)[0]
+        colours = geometry_colours(material, [geometry], self.illuminant, self.observer, samples, seed)
+        return np.asarray(colours[0])
 
 
 @dataclass(frozen=True)

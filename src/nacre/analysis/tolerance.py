@@ -134,7 +134,7 @@ def run_tolerance(
     lab = np.full((draws, *nominal.shape), np.nan)
     total = draws + 2 * len(causes)
     trials = _Trials(material, tuple(values), measure)
-    drawn_values = np.stack(list(values.values()), axis=1)
+    drawn_values = list(np.stack(list(values.values()), axis=1))
     found = run_jobs(_measure_draw, trials, drawn_values, workers, start_workers_s=START_WORKERS_S)
     for done, (index, colours) in enumerate(found, start=1):
         if colours is not None:

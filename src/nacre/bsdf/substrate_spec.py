@@ -41,7 +41,7 @@ Widths = Annotated[
 class AlbedoSpec(FileSpec):
     """A coloured base: a file with two columns, wavelength in nm and albedo."""
 
-    noun: ClassVar[str] = "albedo"
+    noun: ClassVar[str] = ""  # used in one place
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ()
     forms: ClassVar[tuple[str, ...]] = ('{file = "albedo.csv"}',)
 

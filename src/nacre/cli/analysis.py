@@ -95,8 +95,8 @@ def sweep(sweep_file: str, output: str | None, workers: Workers) -> None:
 @common.jobs_option
 def report(
     recipes: tuple[str, ...], illuminant: str, observer: str, samples: int | None, seed: int,
-    geometries: tuple[str, ...], formula: str, limits: tuple[str, ...], standard: str | None, has_texture: bool,
-    patch: str | None, instrument: str | None, as_json: bool, output: str | None, changes: tuple[str, ...],
+    geometries: tuple[str, ...], formula: str, limits: tuple[str, ...], as_json: bool, output: str | None,
+    changes: tuple[str, ...], **more: Any,
 ) -> None:  # fmt: skip
     """Report colour, flop, gloss, haze and totals of one RECIPE, or of two side by side."""
     from nacre.analysis.html_report import dump_json, report_html, report_text
@@ -106,11 +106,11 @@ def report(
 
     if len(recipes) > 2:
         raise NacreError(f"report takes one recipe or two, not {len(recipes)}")
-    colours = _standard(standard, recipes, limits, (illuminant, observer))
+    colours = _standard(more["standard"], recipes, limits, (illuminant, observer))
     read_geometries(geometries)
     geometries = _with_standard(geometries, colours)
     allowed = _limits(limits)
-    add_texture = _texture(has_texture, patch, instrument, illuminant, observer, seed)
+    add_texture = _texture(more["has_texture"], more["patch"], more["instrument"], illuminant, observer, seed)
     if output:
         if Path(output).suffix not in (".txt", ".json", ".html"):
             raise NacreError(f"-o {output}: the suffix must be .txt, .json or .html")
@@ -131,12 +131,14 @@ def report(
     reports = [replace(each, texture=texture) for each, texture in zip(reports, textures, strict=True)]
     comparisons = [compare(each, reports[0], formula, allowed) for each in reports[1:]]
     if colours is not None:
-        comparisons = [compare_with_colours(reports[0], colours, formula, allowed, str(standard))]
-    if patch:
+        comparisons = [compare_with_colours(reports[0], colours, formula, allowed, str(more["standard"]))]
+    if more["patch"]:
         from nacre.plot import save_figure, texture_figure
 
-        save_figure(texture_figure([(each.name, each.pictures) for each in textures if each is not None]), patch)
-        common.note(patch)
+        save_figure(
+            texture_figure([(each.name, each.pictures) for each in textures if each is not None]), more["patch"]
+        )
+        common.note(more["patch"])
     if output:
         if output.endswith(".html"):
             from nacre.analysis.html_report import figures

@@ -210,16 +210,16 @@ def choose_nodes(colours: Callable[[float], Array], low: float, high: float, pat
             f"{path}: the material transmits light at only one of {low:g} and {high:g}, so the two cannot be "
             "blended; keep the number off that end with min or max"
         )
-    known: dict[tuple[float, float], float] = {}
+    differences: dict[tuple[float, float], float] = {}
     while True:
         for before, after in itertools.pairwise(nodes):
-            if (before, after) not in known:
+            if (before, after) not in differences:
                 middle = 0.5 * (before + after)
                 known[middle] = colours(middle)
                 blended = 0.5 * (known[before] + known[after])
                 difference = delta_e_2000(xyz_to_lab(blended), xyz_to_lab(known[middle]))
-                known[before, after] = float(np.max(difference))
-        errors = [known[pair] for pair in itertools.pairwise(nodes)]
+                differences[before, after] = float(np.max(difference))
+        errors = [differences[pair] for pair in itertools.pairwise(nodes)]
         worst = max(errors)
         if worst <= COLOUR_ERROR:
             return np.array(nodes), worst

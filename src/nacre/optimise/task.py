@@ -14,7 +14,6 @@ from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.core.files import read_text
 from nacre.material.material import Material, load, material
 from nacre.matter.indices.spec import IndexSpec
-from nacre.measure.colours import recipe_geometries
 from nacre.measure.geometry import Geometry, named_geometries
 from nacre.optimise.evaluation import geometries_of
 from nacre.optimise.image.validation import HOLOGRAM, check_hologram, check_picture_target, is_hologram
@@ -177,7 +176,7 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
     source = context.source
     base = _recipe(spec, context).with_parts_loaded([*spec.parameters, *spec.tolerance])
     refuse_place(base.model, f"{context.source}: recipe")
-    targets = read_targets(spec.target, spec.light, context, task_geometries(spec, base, context))
+    targets = read_targets(spec.target, spec.light, context, task_geometries(spec, base.data, context))
     if spec.layers is not None:
         check_layers(spec.layers, base, source)
         _check_total(spec, source)
@@ -221,14 +220,14 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
     return found
 
 
-def task_geometries(spec: DesignSpec, base: Material, context: RecipeContext) -> dict[str, Geometry]:
+def task_geometries(spec: DesignSpec, recipe: Mapping[str, Any], context: RecipeContext) -> dict[str, Geometry]:
     """Return the named geometries of a target file and its recipe.
 
     Raises:
         RecipeError: an entry is not a geometry, or a name occurs twice.
     """
     own = named_geometries([entry.model_dump() for entry in spec.geometry], f"{context.source}: geometry")
-    return recipe_geometries(base) | own
+    return named_geometries(recipe.get("geometry", ()), f"{context.source}: recipe.geometry") | own
 
 
 def _recipe(spec: DesignSpec, context: RecipeContext) -> Material:
