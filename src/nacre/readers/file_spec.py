@@ -41,7 +41,7 @@ class FileSpec(RecipeModel):
     @pydantic.model_validator(mode="before")
     @classmethod
     def _accept_name(cls, data: Any) -> Any:
-        if isinstance(data, str):
+        if isinstance(data, str) and cls.shorthands:
             return {"file": data}
         if not isinstance(data, Mapping | FileSpec):
             raise ValueError(f'= {show_value(data)} is no file; write "data.csv" or {{file = "data.csv", ...}}')
