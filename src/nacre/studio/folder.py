@@ -259,6 +259,20 @@ def read_recipe(recipe: Any, opened: OpenedFolder) -> dict[str, str]:
     return {"text": recipe["text"], "path": str(path), "fence": str(fence)}
 
 
+def read_choice(body: Mapping[str, Any], key: str, default: str | None, known: tuple[str, ...]) -> str | None:
+    """Return one of the known words from a request, or the default.
+
+    Raises:
+        NacreError: another value.
+    """
+    value = body.get(key)
+    if value is None:
+        return default
+    if not isinstance(value, str) or value not in known:
+        raise NacreError(f'{key} "{str(value)[:40]}" is not known; choose from {", ".join(known)}')
+    return value
+
+
 def read_number(value: Any, name: str, low: float, high: float) -> float:
     """Return a number within its limits.
 
