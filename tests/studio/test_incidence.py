@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_studio import ask
+from helpers_studio import PORT, ask, hear
 from numpy.typing import NDArray
 from PIL import Image
 from starlette.testclient import TestClient
@@ -33,15 +33,16 @@ handedness = "right"
 [wavelengths]
 step_nm = 20
 """
+SOCKET = f"ws://127.0.0.1:{PORT}/ws"
 SHOWN_DEG = [0.0, 30.0, 60.0]
 SINGLE = 1e-6  # the page's arrays are in single precision
 
 
 def answer(client: TestClient, text: str, **question: Any) -> dict[str, Any]:
-    with client.websocket_connect("ws://127.0.0.1:8123/ws") as socket:
+    with client.websocket_connect(SOCKET) as socket:
         found = ask(socket, 1, text=text, **question)
         while found.get("draft"):
-            found = ask(socket, 2, text=text, **question)
+            found = hear(socket)
     return found
 
 
@@ -83,7 +84,7 @@ def test_handedness_is_a_field_with_two_choices_and_exchanges_the_circular_spect
 
 
 def test_an_isotropic_film_ignores_azimuth_and_polarisation(client: TestClient) -> None:
-    with client.websocket_connect("ws://127.0.0.1:8123/ws") as socket:
+    with client.websocket_connect(SOCKET) as socket:
         plain, look = ask(socket, 1), ask(socket, 2, azimuth_deg=40, polarisation="left")
     assert look["incidence"] is None and "polarised" not in look
     np.testing.assert_array_equal(plain["mirror"], look["mirror"])
@@ -97,7 +98,7 @@ def test_an_isotropic_film_ignores_azimuth_and_polarisation(client: TestClient) 
     ],
 )
 def test_a_wrong_azimuth_or_polarisation_is_one_line(client: TestClient, wrong: dict[str, Any]) -> None:
-    with client.websocket_connect("ws://127.0.0.1:8123/ws") as socket:
+    with client.websocket_connect(SOCKET) as socket:
         found = ask(socket, 1, text=PLATE, **wrong)
         assert next(iter(wrong)) in found["error"] and found["text"] == PLATE
         assert "\n" not in found["error"] and len(found["error"]) < 200 and "Traceback" not in found["error"]

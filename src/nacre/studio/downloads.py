@@ -22,7 +22,7 @@ from nacre.material.material import Material
 from nacre.material.number_maps import number_maps
 from nacre.picture.polarisers import read_polariser
 from nacre.picture.scenes.catalogue import SCENE_NAMES
-from nacre.studio.folder import OpenedFolder, built, read_choice, read_lamp, read_number, read_recipe
+from nacre.studio.folder import OpenedFolder, built, read_choice, read_lamp, read_number, read_recipe, shown
 from nacre.studio.objects import OBJECTS
 from nacre.studio.subprocess_jobs import Emit
 from nacre.studio.surroundings import NAMES
@@ -111,9 +111,9 @@ def read_file(body: Mapping[str, Any], opened: OpenedFolder) -> dict[str, Any]:
     verb, to = body.get("verb", ""), body.get("to", "")
     known = {"export": EXPORTS, "fabricate": SUFFIXES | MAP_SUFFIXES, "picture": PICTURES}
     if not isinstance(verb, str) or verb not in known:
-        raise NacreError(f'verb "{str(verb)[:40]}" is not known; choose from {", ".join(known)}')
+        raise NacreError(f"verb {shown(verb)} is not known; choose from {', '.join(known)}")
     if not isinstance(to, str) or to not in known[verb]:
-        raise NacreError(f'{verb} to "{str(to)[:40]}" is not known; choose from {", ".join(known[verb])}')
+        raise NacreError(f"{verb} to {shown(to)} is not known; choose from {', '.join(known[verb])}")
     scene = read_choice(body, "scene", "sphere", SCENE_NAMES)
     light = read_choice(body, "light", None, NAMES)
     given = body.get("options", {})
