@@ -502,7 +502,8 @@ def read(path: str | Path, **options: Any) -> Measurement | list[Measurement]:
     Args:
         path: the file; the format is recognised by its content.
         options: what the file does not state, as fields of `nacre.readers.measurement.ReadOptions`: `quantity`, `unit`,
-            `angle_deg`, `delta_convention`, `channel`, `spectrum`, `pitch_um`, `columns`, `ignore`, `format`.
+            `angle_deg`, `delta_convention`, `channel`, `spectrum`, `pitch_um`, `columns`, `ignore`, `format`,
+            `wavelengths`.
 
     Raises:
         NacreError: unknown format, damaged contents, or an unknown option.
