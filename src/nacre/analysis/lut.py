@@ -344,7 +344,7 @@ def _smooth(values: Array) -> Array:
 
 
 def _lobe(material: Any, bsdf: Bsdf, to_rgb: ToRgb) -> tuple[Picture | None, tuple[str, ...]]:
-    """Return the lobe picture and descriptions of lost properties."""
+    """Return the texture of scattered light, if any, and descriptions of lost properties."""
     lost = ("GLSL: light that is scattered to the other side",) if bsdf.transmits else ()
     about = "scattered light, pi f 2 cos_i cos_o / (cos_i + cos_o), over half angle, difference angle and its azimuth"
     wi, wo = lobe_directions(*LOBE_SHAPE)

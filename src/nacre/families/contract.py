@@ -454,7 +454,7 @@ def search_model(model: Model, memory: dict[Any, Any], is_rough: bool = False) -
 def surrogate_radiance(
     model: Model, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
 ) -> tuple[Array, Array] | None:
-    """Return `Surrogate.surrogate_radiance` of a model that has it and no direct evaluation."""
+    """Return `Surrogate.surrogate_radiance`; None without a surrogate, or if single directions are quick."""
     if not isinstance(model, Surrogate) or is_direct(model):
         return None
     return model.surrogate_radiance(wi, wo, wavelengths_nm, is_fine)

@@ -203,7 +203,7 @@ def tile_of(heights: Heights, options: HeightOptions, context: RecipeContext) ->
     """
     values, pitch = heights.heights_um, heights.pitch_um
     if options.blur_um is None:
-        raise RecipeError(f"{context.source}: blur_um is missing; a period of sharp features needs it")
+        raise RecipeError(f"{context.source}: blur_um is missing; a period with sharp edges needs the process blur")
     if values.ndim != 2 or values.shape[0] != values.shape[1] or values.shape[0] < 1:
         raise context.fail("heights", options.name, f"has shape {list(values.shape)}; it should be square, n x n")
     if values.shape[0] > MAX_FEATURES:

@@ -79,7 +79,7 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
     for name in ("layers", "tolerance", "limits"):
         given = data.get(name)
         if given and not (name in KNOWN_IN and set(given) <= KNOWN_IN[name]):
-            raise RecipeError(f"{source}: {name}: is not known of a relief whose heights are sought")
+            raise RecipeError(f"{source}: [{name}] has keys that do not apply to a relief whose heights are optimised")
     places = [f"target[{i}].directions" for i, target in enumerate(spec.target) if target.directions]
     pictures = [target.directions for target in spec.target if target.directions]
     named = task_geometries(spec, recipe, context)

@@ -374,7 +374,7 @@ class SolvedBody(Body):
         return complex(self.core.n_complex(np.array([wavelength_nm]))[0])
 
     def exported_t_matrices(self, wavelengths_nm: Array) -> AxialTMatrices:
-        """Return the T-matrices at some wavelengths, with every azimuthal order, up to l = 10."""
+        """Return the T-matrices at the given wavelengths, with all azimuthal orders, up to degree 10."""
 
         def whole(wavelength_nm: float) -> ComplexArray:
             return truncated(self.azimuthal(wavelength_nm, EXPORTED_ORDER), EXPORTED_ORDER)
