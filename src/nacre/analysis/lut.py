@@ -301,7 +301,7 @@ def scatter_views(bsdf: Bsdf, to_rgb: ToRgb) -> tuple[Array, Array | None, Gloss
 
 
 def _powers(bsdf: Bsdf, directions: Array) -> Array:
-    """Return the power `[side, angle, wavelength]` on the side of the light and on the other side."""
+    """Return the power `[side, angle, wavelength]` on the light's side and on the other side."""
     found = [[hemispherical(lobe, w, nodes=PATHS if lobe.is_stochastic else NODES) for lobe in bsdf.lobes]
              for w in directions]  # fmt: skip
     return np.array([[sum(part[side] for part in parts) for parts in found] for side in (0, 1)])

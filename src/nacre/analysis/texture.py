@@ -125,7 +125,7 @@ class Texture:
         sparkle: angle of the lamp in degrees -> sparkle.
         graininess: under diffuse light.
         luminance: angle -> mean luminance factor and its standard error; "diffuse" under diffuse light.
-        calibrated: quantity, such as "sparkle_45" -> value on the scale of the instrument.
+        calibrated: quantity, such as "sparkle_45" -> value on the instrument's scale.
         extrapolated: calibrated quantities outside of their measured pairs.
         instrument: lamp, camera and definitions.
         images: of the patches, angle or "diffuse" -> luminance factors `[row, column]`; empty for "statistics".

@@ -347,7 +347,7 @@ class Pixels(abc.ABC):
 
     @abc.abstractmethod
     def pixel_polygons(self) -> list[tuple[int, Array]]:
-        """Return the layer and the corners `[corner, 2]` in nm of each shape, about the centre of the cell."""
+        """Return the layer and the corners `[corner, 2]` in nm of each shape, about the cell's centre."""
 
 
 class Fabricable(abc.ABC):
@@ -437,7 +437,7 @@ def figure_data(model: Model, name: str, **options: Any) -> dict[str, NDArray[An
 
 
 def is_direct(model: Model) -> bool:
-    """Whether a few directions take a small fraction of the time of the Bsdf, without noise."""
+    """Whether a few directions take a small fraction of the Bsdf's time, without noise."""
     return isinstance(model, DirectEvaluation) and model.is_direct
 
 

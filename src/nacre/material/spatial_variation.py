@@ -163,7 +163,7 @@ class Varying(Model):
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """The figures of the material at the surface centre."""
+        """The material's figures at the surface centre."""
         middle = np.array([0.5, 0.5])
         values = tuple(float(number.texture(middle)) for number in self.numbers)
         found: Mapping[str, Figure] = self.fixed(self._values(values)).model.figures

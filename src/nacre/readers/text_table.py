@@ -237,7 +237,7 @@ class TableFile:
     """All blocks of a text file.
 
     Attributes:
-        tables: blocks in the order of the file.
+        tables: blocks in the file's order.
         trailing: lines of text after the last block.
         left_out: one sentence for each group of numbers that is not a table.
     """

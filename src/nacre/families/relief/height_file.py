@@ -120,7 +120,7 @@ class HeightOptions:
                 "feature_um", self.feature_um, f"contradicts {path.name}, whose points are {own[0]:.4g} x {own[1]:.4g} "
                 "um apart; leave it out",
             )  # fmt: skip
-        # x along the rows of the picture, y upward
+        # x along the picture's rows, y upward
         heights = found.data["height_um"].T[:, ::-1]
         is_periodic = found.metadata.get("is_period", False) if self.periodic is None else self.periodic
         return Heights(heights, own, is_periodic, True, tuple(found.assumed))

@@ -1,7 +1,7 @@
 """Targets with free relief heights: translated to the gradient search over all heights.
 
 A target picture over directions is a view of that search; a target colour at one pair of directions is a small uniform
-view. The search works with display values under D65; the colours of the solution are then evaluated as for any family.
+view. The search works with display values under D65; the solution's colours are then evaluated as for any family.
 """
 
 from __future__ import annotations

@@ -267,7 +267,7 @@ class SolvedBody(Body):
     def reduced(self, wavelength_nm: float) -> tuple[float, float, complex, tuple[float, complex] | None, float]:
         """Return core radius and height, index, (thickness, index) of the shell, and edge radius.
 
-        Lengths are multiplied by the wavenumber of the ambient, indices divided by its index.
+        Lengths are multiplied by the ambient's wavenumber, indices divided by its index.
         """
 
         def relative(medium: OpticalConstant) -> complex:
