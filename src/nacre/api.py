@@ -248,7 +248,7 @@ def runsheet(
         noise: standard deviation of the signal.
 
     Raises:
-        UnsupportedError: the material has no coherent stack.
+        UnsupportedError: the material lacks a coherent stack.
         NacreError: a value is not allowed.
 
     Example:

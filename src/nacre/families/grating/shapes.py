@@ -153,7 +153,7 @@ class ShapeSpec(RecipeModel):
         return self.width_nm if self.length_nm is None and self.kind == "rectangle" else self.length_nm
 
     def wall(self, context: RecipeContext, key: str, thickness_nm: float) -> Wall:
-        """Return the section of the wall.
+        """Return the wall's section.
 
         Raises:
             RecipeError: the rounding is higher than the layer.
