@@ -112,7 +112,7 @@ def _opened(file: str, options: ReadOptions) -> list[Measurement]:
 
 
 def _asked(error: AmbiguousFileError, option: str) -> Any:
-    """Return the user's answer, in the type of the option."""
+    """Return the user's answer, in the option's type."""
     kind = click.Choice(error.choices) if error.choices else None
     answer = click.prompt(f"{error}\n{option}", type=kind, err=True)
     if error.option == "angle_deg":

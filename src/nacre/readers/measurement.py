@@ -24,7 +24,7 @@ class Measurement:
         kind: class of instrument or data.
         data: arrays by canonical name; the name ends with the unit (`wavelength_nm`, `angle_of_incidence_deg`,
             `psi_deg`, `height_um`); dimensionless quantities lack a unit (`reflectance`, `n`, `k`, `m12`). Arrays of a
-            table have equal lengths; a height map is one array [row, column], row 0 at the top of the picture.
+            table have equal lengths; a height map is one array [row, column], row 0 at the picture's top.
         name: name of the sample, spectrum, channel or material in the file; empty if there is none.
         metadata: other statements of the file: instrument, date, white reference, illuminant, observer, polarisation,
             `pitch_um`.

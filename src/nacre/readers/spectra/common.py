@@ -465,7 +465,7 @@ def choose(path: Path, found: Sequence[Measurement], options: ReadOptions) -> li
         named_so = [found[int(options.spectrum) - 1]]
     if not named_so:
         names = ", ".join(measurement.name or str(place) for place, measurement in enumerate(found, start=1))
-        raise NacreError(f'{path}: spectrum = "{options.spectrum}" is not in the file; allowed: {names[:400]}')
+        raise NacreError(f'{path}: spectrum = "{options.spectrum}" is not in the file, which holds {names[:400]}')
     return named_so
 
 
