@@ -225,7 +225,7 @@ async def save(request: Request) -> Response:
     body = await _body(request)
     name, text, known = (body.get(key) for key in ("name", "text", "version"))
     if not (isinstance(name, str) and isinstance(text, str) and isinstance(known, str)):
-        raise NacreError("saving takes name, text and version")
+        raise NacreError("to save, name, text and version must be strings")
     if len(text) > folder.MAX_TEXT:
         raise NacreError(f"{name[:80]}: a recipe of {len(text)} characters; at most {folder.MAX_TEXT} are saved")
     return JSONResponse({"name": name, "version": _studio(request).opened.save(name, text, known)})
