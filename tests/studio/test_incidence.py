@@ -90,6 +90,17 @@ def test_an_isotropic_film_ignores_azimuth_and_polarisation(client: TestClient) 
     np.testing.assert_array_equal(plain["mirror"], look["mirror"])
 
 
+def test_manufactured_materials_are_seen_from_the_same_azimuth(client: TestClient) -> None:
+    look = answer(client, PLATE, azimuth_deg=90)
+    body = {"text": PLATE, "name": "film.toml", "percent": 0, "draws": 4, "azimuth_deg": 90}
+    found = client.post("/api/tolerance", json=body)
+    last = next(event for event in map(json.loads, found.text.splitlines()[::-1]) if event["kind"] == "tolerance")
+    angles = np.array(last["angles"]).round().astype(int)
+    drawn = np.array(last["rgb"])[0]
+    np.testing.assert_allclose(drawn[angles < 85], look["mirror"][angles[angles < 85]], atol=1e-3)
+    assert client.post("/api/tolerance", json={**body, "azimuth_deg": "x"}).status_code == 422
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
