@@ -142,3 +142,48 @@ def test_stellarnet_asks_where_view_and_suffix_contradict_or_are_unknown(
         spectrum(path, ("reflectance",))
     (found,) = open_file(path, ReadOptions(quantity="counts"))
     np.testing.assert_allclose(found.data["counts"], FACTOR, rtol=1e-4)
+
+
+CARDS = {
+    "blanks": "wl red blue\n" + "".join(f"{um:.2f} {a:.3f} {1 - a:.3f}\n" for um, a in zip(UM, FACTOR, strict=True)),
+    "decimal commas": "Wavelength (um);red;blue\n"
+    + "".join(f"{um:.2f};{a:.3f};{1 - a:.3f}\n" for um, a in zip(UM, FACTOR, strict=True)).replace(".", ","),
+    "per cent of nm": "wavelength,red,blue\n"
+    + "".join(f"{1e3 * um:.0f},{100 * a:.1f},{100 - 100 * a:.1f}\n" for um, a in zip(UM, FACTOR, strict=True)),
+    "energies": "energy (eV),red,blue\n"
+    + "".join(f"{1.239841984 / um:.8f},{a:.3f},{1 - a:.3f}\n" for um, a in zip(UM, FACTOR, strict=True)),
+}
+
+
+@pytest.mark.parametrize("form", CARDS)
+def test_a_card_whose_columns_are_samples_takes_quantity_and_spectrum(tmp_path: Path, form: str) -> None:
+    path = tmp_path / "card.csv"
+    path.write_text(CARDS[form])
+    red, blue = open_file(path, ReadOptions(quantity="reflectance"))
+    assert (red.name, blue.name) == ("red", "blue")
+    np.testing.assert_allclose(red.data["wavelength_nm"], 1e3 * UM, rtol=1e-6)
+    np.testing.assert_allclose(red.data["reflectance"], FACTOR, rtol=1e-6)
+    nm, values, _ = spectrum(path, ("reflectance",), ReadOptions(spectrum="blue"))
+    np.testing.assert_allclose(nm, 1e3 * UM, rtol=1e-6)
+    np.testing.assert_allclose(values, 1 - FACTOR, rtol=1e-6)
+    for options in (ReadOptions(), ReadOptions(spectrum="grey")):  # a key needs one of them
+        with pytest.raises(NacreError):
+            spectrum(path, ("reflectance",), options)
+
+
+@pytest.mark.parametrize("heads", ["wl counts blue", "wl n blue", "wl blue pixel", "sample red blue"])
+def test_a_card_with_another_quantity_is_not_taken_for_samples(tmp_path: Path, heads: str) -> None:
+    path = tmp_path / "card.txt"
+    path.write_text(CARDS["blanks"].replace("wl red blue", heads))
+    with pytest.raises(NacreError):
+        spectrum(
+            path, ("reflectance",), ReadOptions(spectrum=heads.split()[1] if "blue pixel" not in heads else "pixel")
+        )
+
+
+def test_a_card_of_samples_asks_for_the_quantity(tmp_path: Path) -> None:
+    path = tmp_path / "card.txt"
+    path.write_text(CARDS["blanks"])
+    with pytest.raises(AmbiguousFileError) as caught:
+        open_file(path)
+    assert caught.value.option == "quantity"
