@@ -349,8 +349,8 @@ def _check_spectrum(path: Path, parts: Sequence[str], angles: Array, waves: Arra
     for part, each in zip(parts, values):
         if each.max() > MAX_RELATIVE:
             raise NacreError(
-                f"{path}: {part} = {each.max():g} is above {MAX_RELATIVE:g}; a share of the incident light; if it "
-                f"is in per cent, name the column {part}_percent"
+                f"{path}: {part} = {each.max():g} is above {MAX_RELATIVE:g}, the limit of a fraction of the incident "
+                f"light; if it is in per cent, name the column {part}_percent"
             )
         if each.min() < MIN_POWER:
             raise NacreError(f"{path}: {part} = {each.min():g} is below 0")

@@ -367,7 +367,7 @@ def compare_with_colours(
     limits: Mapping[str, float] | None = None,
     standard: str = "colours",
 ) -> Comparison:
-    """Return the colour differences of a report from a list of colours.
+    """Return a report's colour differences from a list of colours.
 
     Args:
         colours: geometry of the report -> CIELAB `[3]` of the standard, for the report's illuminant and observer.

@@ -93,7 +93,7 @@ def make_run_sheet(
         noise: standard deviation of the signal.
 
     Raises:
-        UnsupportedError: the material has no coherent stack.
+        UnsupportedError: the material lacks a coherent stack.
         NacreError: a value is not allowed, or an index is not known at the wavelength.
     """
     for name, value, is_valid, rule in (

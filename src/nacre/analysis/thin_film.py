@@ -190,7 +190,7 @@ def _lost(material: Material, bsdf: Bsdf, film: ThinFilm) -> tuple[str, ...]:
     if isinstance(layers, list) and len(layers) > 1:
         lost.append(f"{len(layers)} layers became one film")
     if film.is_metal:
-        lost.append("the base's complex index became a real one a colour channel")
+        lost.append("the base's complex index became one real index per colour channel")
     surface = material.data.get("surface", {})
     alpha = surface.get("roughness") if isinstance(surface, dict) else None
     if isinstance(alpha, list) and len(set(alpha)) > 1:

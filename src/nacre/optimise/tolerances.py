@@ -139,7 +139,7 @@ def read_tolerances(table: Any, material: Material, source: str, name: str = "to
 def _correlated(read: list[Tolerance], material: Material, source: str) -> list[Tolerance]:
     """Replace deviations with a correlation matrix by their independent modes, each one group.
 
-    The modes are the eigenvectors of the matrix: x_i = sigma_i sum_j V_ij sqrt(e_j) z_j has the correlation V e V^T.
+    The modes are the matrix's eigenvectors: x_i = sigma_i sum_j V_ij sqrt(e_j) z_j has the correlation V e V^T.
 
     Raises:
         RecipeError: a path has no single gaussian tolerance, or the matrix is no correlation matrix.

@@ -96,7 +96,7 @@ def solve(request: Mapping[str, Any], tell: Tell) -> None:
 
 
 def free_numbers(material: Material) -> list[dict[str, Any]]:
-    """Return the numbers of a recipe: path, value, and the range of a slider; at most `MAX_NUMBERS`."""
+    """Return a recipe's numbers: path, value, and the range of a slider; at most `MAX_NUMBERS`."""
     found = []
     for path, value in numbers_of(material.data).items():
         if path.startswith(NO_NUMBERS) or path.rpartition(".")[2] in NO_NUMBERS:
@@ -107,7 +107,7 @@ def free_numbers(material: Material) -> list[dict[str, Any]]:
 
 
 def slider_range(path: str, value: float) -> tuple[float, float]:
-    """Return the range of a slider: [0, 1] for shares, else from a quarter of the value to two and a half times it.
+    """Return a slider's range: [0, 1] for shares, else from a quarter of the value to two and a half times it.
 
     Example: `slider_range("layers[0].thickness_nm", 120.0)` is (30.0, 300.0).
     """
@@ -122,10 +122,10 @@ def slider_range(path: str, value: float) -> tuple[float, float]:
 def solved_table(
     material: Material, numbers: Sequence[Mapping[str, Any]], axis: str, progress: Callable[[str], None]
 ) -> tuple[LightTable, str]:
-    """Return the table of a material, with the number `axis` varying if a table can hold it, and that number's path.
+    """Return a material's table, with the number `axis` varying if a table can hold it, and that number's path.
 
     Raises:
-        RecipeError: `axis` is no number of the recipe.
+        RecipeError: `axis` is not a number of the recipe.
         UnsupportedError: a table cannot hold the material even without a varying number.
     """
     by_path = {number["path"]: number for number in numbers}

@@ -83,7 +83,7 @@ class Formula:
     """An answer.
 
     Attributes:
-        material: the recipe of the paint.
+        material: the paint's recipe.
         amounts: ingredient -> volume fraction of the dry stratum.
         mass_shares: ingredient -> share of the mass of the dry paint.
         cost_per_kg, cost_per_m2: of the dry stratum, in the library's currency.
@@ -291,7 +291,7 @@ class _Paint:
         return self.make({each.path: float(f) for each, f in zip(self.ingredients, fractions, strict=True)})
 
     def fractions(self, point: Array) -> list[float]:
-        """Return the volume fractions of a point."""
+        """Return a point's volume fractions."""
         return [each.fraction(float(unit)) for each, unit in zip(self.ingredients, point, strict=True)]
 
     def factors(self, fractions: Sequence[float] | Array, is_fine: bool) -> tuple[Array, Array]:

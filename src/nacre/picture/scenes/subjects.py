@@ -159,7 +159,7 @@ def stand_on_floor(surface: Mesh, scene: Scene) -> Mesh:
 
 
 def _lies(surface: Mesh) -> bool:
-    """Return whether a face that is seen from above lies in the plane of the floor, as of a coin or a sheet."""
+    """Return whether a face that is seen from above lies in the floor's plane, as of a coin or a sheet."""
     corners = surface.vertices[surface.faces]
     is_low = corners[..., 2].max(axis=1) < LIFT
     if not is_low.any():
