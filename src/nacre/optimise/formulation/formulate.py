@@ -223,11 +223,11 @@ def read_formulation(target: str | Path | Mapping[str, Any]) -> Task:
     grid = _grid(spec)
     merit = merit_function(targets, geometries, spec.light, grid)
     task = Task(spec, library, context, folder, targets, geometries, merit, start)
-    for entry in (*library.pigment, *library.dye):
-        optics = entry.platelet if isinstance(entry, PigmentSpec) else entry.dye
-        if "volume_fraction" in optics:
+    optics = [(each.name, each.platelet) for each in library.pigment] + [(each.name, each.dye) for each in library.dye]
+    for name, table in optics:
+        if "volume_fraction" in table:
             raise RecipeError(
-                f'{source}: library: "{entry.name}": the search chooses volume_fraction within the bounds of the '
+                f'{source}: library: "{name}": the search chooses volume_fraction within the bounds of the '
                 "ingredient; remove it from the optics"
             )
     for pigment in library.pigment:
