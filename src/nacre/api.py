@@ -43,7 +43,7 @@ from nacre.material.number_maps import number_maps
 from nacre.matter.drawings import DrawingRequest
 from nacre.matter.periodic.orders import Orders
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
-from nacre.optimise.formulation.formulate import Formulation, write_formulation
+from nacre.optimise.formulation.formulate import Formulation, check_answers, write_formulation
 from nacre.optimise.formulation.formulate import formulate as run_formulation
 from nacre.optimise.gamut import Gamut, find_gamut, parse_parameters
 from nacre.readers.measurement import Measurement, ReadOptions
@@ -386,8 +386,8 @@ def formulate(
         UnsupportedError: the paint has no noise-free model.
         NacreError: the folder cannot be written.
     """
-    if out is not None and not Path(out).exists():
-        check_writable(out)
+    if out is not None:
+        check_answers(Path(out))
     found = run_formulation(target, progress)
     if out is not None:
         write_formulation(found, Path(out))
@@ -505,7 +505,8 @@ def read(path: str | Path, **options: Any) -> Measurement | list[Measurement]:
     Args:
         path: the file; the format is recognised by its content.
         options: what the file does not state, as fields of `nacre.readers.measurement.ReadOptions`: `quantity`, `unit`,
-            `angle_deg`, `delta_convention`, `channel`, `spectrum`, `pitch_um`, `columns`, `ignore`, `format`.
+            `angle_deg`, `delta_convention`, `channel`, `spectrum`, `pitch_um`, `columns`, `ignore`, `format`,
+            `wavelengths`.
 
     Raises:
         NacreError: unknown format, damaged contents, or an unknown option.

@@ -102,7 +102,7 @@ def make_run_sheet(
         ("noise", noise, noise > 0, "above 0"),
     ):
         if not (np.isfinite(value) and is_valid):
-            raise NacreError(f"{name} = {value:g} should be {rule}")
+            raise NacreError(f"{name} = {value:g} should be finite and {rule}")
     if quantity not in QUANTITIES:
         raise NacreError(f'quantity = "{quantity}" is not known; choose one of {", ".join(QUANTITIES)}')
     if not isinstance(material.model, SpecularStack):

@@ -35,6 +35,7 @@ SIGNS = ("positive", "negative", "positive-shifted", "negative-shifted")
 @click.option("--spectrum", metavar="NAME", help="Name or number of one spectrum, material or block.")
 @click.option("--pitch-um", metavar="X[,Y]", help="Lateral distance of height samples.")
 @click.option("--columns", metavar="NAME,...", help="Names of the columns of a table without headings; - ignores one.")
+@click.option("--wavelengths", metavar="FILE", help="File of the wavelengths of a spectrum of the USGS library.")
 @click.option("--ignore", metavar="HEADING,...", help="Headings of columns to ignore.")
 def read(
     files: tuple[str, ...], as_json: bool, show: int, plot: str | None, output: str | None, format_id: str | None,

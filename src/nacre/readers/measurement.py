@@ -57,6 +57,7 @@ class ReadOptions:
         columns: canonical names of the columns of a table without headings; `-` ignores a column.
         ignore: headings of columns to ignore.
         format: identifier in `registry.FORMATS`; recognised from the content by default.
+        wavelengths: file of the wavelengths of a spectrum of the USGS library, which is one column.
         expects: kind that the caller needs; decides the columns of a table without headings.
         assumed_quantity: quantity of a table of two columns without headings, which the caller's key states.
     """
@@ -71,6 +72,7 @@ class ReadOptions:
     columns: tuple[str, ...] = ()
     ignore: tuple[str, ...] = ()
     format: str | None = None
+    wavelengths: str | None = None
     expects: Kind | None = None
     assumed_quantity: str | None = None
 

@@ -469,6 +469,13 @@ def choose(path: Path, found: Sequence[Measurement], options: ReadOptions) -> li
     return named_so
 
 
+def undecided(path: Path, said: str, options: ReadOptions) -> NacreError:
+    """Return the error for a quantity that a file does not state; a key that needs a reflectance does not decide it."""
+    if options.assumed_quantity is not None:
+        return NacreError(f"{path}: {said}; nacre read with --quantity shows it, and -o writes it with headings")
+    return AmbiguousFileError(f"{path}: {said}", "quantity", QUANTITIES)
+
+
 def ratio(sample: ArrayLike, dark: ArrayLike, reference: ArrayLike) -> Array:
     """Return (sample - dark) / (reference - dark); NaN where reference and dark are equal."""
     s, d, r = (np.asarray(values, dtype=float) for values in (sample, dark, reference))
