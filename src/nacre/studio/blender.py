@@ -25,7 +25,7 @@ from nacre.core.files import atomic_path
 from nacre.formats.lut.table import LightTable, angle_coordinate
 from nacre.formats.lut.write import template, write_table
 from nacre.light import clip_to_srgb, srgb_encode
-from nacre.material.examples import examples, find_example
+from nacre.material.examples import examples, resolve_recipe_path
 from nacre.material.material import Material, load
 from nacre.recipe.paths import numbers_of
 
@@ -68,7 +68,7 @@ def solve(request: Mapping[str, Any], tell: Tell) -> None:
     Raises:
         NacreError: the recipe is not valid, a table cannot hold it, or the folder cannot be written.
     """
-    path = find_example(str(request["recipe"])) or Path(str(request["recipe"]))
+    path = resolve_recipe_path(str(request["recipe"]))
     given = {str(name): float(value) for name, value in dict(request.get("numbers", {})).items()}
     material = load(path).vary(given)
     numbers = free_numbers(material)
@@ -181,6 +181,9 @@ def write_extension(path: Path, recipes: Sequence[str] = (), tell: Tell = lambda
     Raises:
         NacreError: a recipe cannot be solved, or the zip cannot be written.
     """
+    names = [Path(recipe).stem for recipe in recipes]
+    if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
+        raise NacreError(f'two recipes are called "{twice}"; allowed: file names that differ')
     with tempfile.TemporaryDirectory() as folder:
         held: dict[str, bytes] = {name: text.encode() for name, text in extension_files().items()}
         for recipe in recipes:

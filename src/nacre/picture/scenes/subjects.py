@@ -78,7 +78,8 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
         raise NacreError(f"shape {path}: {path.stat().st_size} bytes; a mesh has at most {MAX_MESH_BYTES}")
     check_memory(float(BYTES_PER_BYTE) * path.stat().st_size, f"shape {path}: read as a mesh, it")
     try:
-        parts = read_triangles(path, is_alone)
+        with np.errstate(invalid="ignore"):  # vertices that are not finite are refused below
+            parts = read_triangles(path, is_alone)
     except NacreError:
         raise
     except FileNotFoundError as error:
