@@ -43,7 +43,7 @@ from nacre.material.number_maps import number_maps
 from nacre.matter.drawings import DrawingRequest
 from nacre.matter.periodic.orders import Orders
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
-from nacre.optimise.formulation.formulate import Formulation, write_formulation
+from nacre.optimise.formulation.formulate import Formulation, check_answers, write_formulation
 from nacre.optimise.formulation.formulate import formulate as run_formulation
 from nacre.optimise.gamut import Gamut, find_gamut, parse_parameters
 from nacre.readers.measurement import Measurement, ReadOptions
@@ -164,12 +164,15 @@ def orders(
             'with model.optics = "vector"'
         )
     grid = None if wavelengths_nm is None else np.atleast_1d(floats(wavelengths_nm, "wavelengths_nm"))
+    if grid is not None and (grid.ndim != 1 or not grid.size or not np.all((grid > 0.0) & np.isfinite(grid))):
+        raise NacreError("wavelengths_nm must be a list of positive numbers, at least one")
     theta = np.radians(np.atleast_1d(floats(angles_deg, "angles_deg")))
-    if np.any(theta < 0.0) or np.any(theta >= 0.5 * np.pi):
-        raise NacreError("angles_deg must lie in [0, 90)")
-    if grid is not None and (np.any(grid <= 0.0) or not np.all(np.isfinite(grid))):
-        raise NacreError("wavelengths_nm must be positive")
-    return model.diffraction_orders(theta, float(np.radians(azimuth_deg)), grid)
+    if theta.ndim != 1 or not theta.size or not np.all((theta >= 0.0) & (theta < 0.5 * np.pi)):
+        raise NacreError("angles_deg must be a list of numbers in [0, 90), at least one")
+    azimuth = floats(azimuth_deg, "azimuth_deg")
+    if azimuth.ndim != 0 or not np.isfinite(azimuth):
+        raise NacreError("azimuth_deg must be one finite number")
+    return model.diffraction_orders(theta, float(np.radians(azimuth)), grid)
 
 
 def ellipsometry(
@@ -245,7 +248,7 @@ def runsheet(
         noise: standard deviation of the signal.
 
     Raises:
-        UnsupportedError: the material has no coherent stack.
+        UnsupportedError: the material lacks a coherent stack.
         NacreError: a value is not allowed.
 
     Example:
@@ -383,8 +386,8 @@ def formulate(
         UnsupportedError: the paint has no noise-free model.
         NacreError: the folder cannot be written.
     """
-    if out is not None and not Path(out).exists():
-        check_writable(out)
+    if out is not None:
+        check_answers(Path(out))
     found = run_formulation(target, progress)
     if out is not None:
         write_formulation(found, Path(out))
@@ -502,7 +505,8 @@ def read(path: str | Path, **options: Any) -> Measurement | list[Measurement]:
     Args:
         path: the file; the format is recognised by its content.
         options: what the file does not state, as fields of `nacre.readers.measurement.ReadOptions`: `quantity`, `unit`,
-            `angle_deg`, `delta_convention`, `channel`, `spectrum`, `pitch_um`, `columns`, `ignore`, `format`.
+            `angle_deg`, `delta_convention`, `channel`, `spectrum`, `pitch_um`, `columns`, `ignore`, `format`,
+            `wavelengths`.
 
     Raises:
         NacreError: unknown format, damaged contents, or an unknown option.

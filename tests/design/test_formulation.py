@@ -14,7 +14,15 @@ from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.families.contract import surrogate_radiance
 from nacre.measure.geometry import aspecular_pairs
-from nacre.optimise.formulation.formulate import Task, read_formulation, rematch
+from nacre.optimise.formulation.formulate import (
+    Formula,
+    Formulation,
+    Task,
+    check_answers,
+    read_formulation,
+    rematch,
+    write_formulation,
+)
 from nacre.recipe.toml import dump_toml
 
 MICA = {"material": "mica", "thickness_nm": 400, "deviation_nm": 80}
@@ -120,6 +128,14 @@ BAD = [
     ("library", "pigment", 0, "volume_fraction", [0.03, 0.01]),
     ("library", "pigment", 1, "name", "silver"),
     ("library", "dye", 0, "dye", {"material": "TiO2", "radius_nm": 100}),
+    (
+        "library",
+        "pigment",
+        0,
+        "platelet",
+        {"coatings": [{"material": "Al", "thickness_nm": 60}], "volume_fraction": 0.5},
+    ),
+    ("library", "dye", 0, "dye", {"material": "Fe2O3", "volume_fraction": 0.5}),
     ("library", {}),
     ("library", "nowhere.toml"),
     ("recipe", {"family": "film", "substrate": "Al"}),
@@ -146,3 +162,37 @@ def test_a_batch_needs_known_ingredients_and_all_colours() -> None:
 def test_a_bad_command_ends_with_status_2(extra: list[str], tmp_path: Path) -> None:
     (tmp_path / "door.toml").write_text(dump_toml(target()))
     assert run(["formulate", str(tmp_path / "door.toml"), *extra]) == 2
+
+
+def answers(count: int) -> Formulation:
+    """Return a result with `count` answers, without a search."""
+    made = nacre.material(PAINT)
+    one = Formula(made, {"red": 0.01}, {"red": 0.01}, 4.0, 0.2, np.zeros(4), np.zeros((4, 3)), 0.5, True)
+    return Formulation((one,) * count, GEOMETRIES, count, "done", 1.0)
+
+
+def test_fewer_answers_replace_more(tmp_path: Path) -> None:
+    write_formulation(answers(3), tmp_path / "door")
+    (tmp_path / "door" / "3" / "note.txt").write_text("of the user")
+    write_formulation(answers(1), tmp_path / "door")
+    files = {str(path.relative_to(tmp_path / "door")) for path in (tmp_path / "door").rglob("*")}
+    assert files == {"recipe.toml", "formulation.json", "3", "3/note.txt"}
+
+
+@pytest.mark.parametrize("taken", ["recipe.toml", "2/recipe.toml"])
+def test_a_folder_with_a_foreign_recipe_is_refused_before_the_search(
+    taken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def search(*_: Any) -> None:
+        raise AssertionError("the search began")
+
+    monkeypatch.setattr("nacre.optimise.formulation.formulate.formulate", search)
+    (tmp_path / "door.toml").write_text(dump_toml(target()))
+    own = tmp_path / "own" / taken
+    own.parent.mkdir(parents=True)
+    own.write_text("mine")
+    assert run(["formulate", str(tmp_path / "door.toml"), "-o", str(tmp_path / "own")]) == 2
+    assert own.read_text() == "mine"
+    assert not (tmp_path / "own" / "formulation.json").exists()
+    with pytest.raises(NacreError):
+        check_answers(tmp_path / "door.toml")  # a file

@@ -125,6 +125,14 @@ def test_an_axis_that_is_no_number_is_refused(oxide: Path, tmp_path: Path) -> No
         blender.solve({"recipe": str(oxide), "folder": str(tmp_path / "x"), "axis": "substrate"}, lambda event: None)
 
 
+def test_a_file_comes_before_the_example_of_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "copper.toml").write_text(OXIDE)
+    monkeypatch.chdir(tmp_path)
+    files = blender.write_extension(tmp_path / "a.zip", ["copper.toml"])
+    facts = json.loads(zipfile.ZipFile(tmp_path / "a.zip").read(next(f for f in files if f.endswith("material.json"))))
+    assert Path(facts["recipe"]) == tmp_path / "copper.toml"
+
+
 def test_the_command_writes_the_zip_and_refuses_what_a_table_cannot_hold(tmp_path: Path) -> None:
     path = tmp_path / "extension.zip"
     assert run(["blender", "-o", str(path)]) == 0
@@ -132,6 +140,10 @@ def test_the_command_writes_the_zip_and_refuses_what_a_table_cannot_hold(tmp_pat
     other = tmp_path / "other.zip"
     assert run(["blender", "relief/star", "-o", str(other)]) == 2
     assert run(["blender", "no-such-recipe", "-o", str(other)]) == 2
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "oxide.toml").write_text(OXIDE)
+    assert run(["blender", *(str(tmp_path / name / "oxide.toml") for name in ("a", "b")), "-o", str(other)]) == 2
     assert not other.exists()
     with pytest.raises(NacreError):
         blender.write_extension(tmp_path / "none" / "a.zip")

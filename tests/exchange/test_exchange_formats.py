@@ -325,3 +325,14 @@ def test_a_walk_cannot_be_tabulated_in_silence() -> None:
     with pytest.raises(UnsupportedError):
         slice_values(nacre.Bsdf((Walk(),)))  # type: ignore[arg-type]
     assert issubclass(UnsupportedError, NacreError)
+
+
+def test_the_zero_order_of_a_grating_is_not_lost() -> None:
+    from nacre.analysis import thin_film
+
+    flat = {"family": "grating", "substrate": "Al", "layers": [], "lattice": {"period_nm": 800}}
+    material = nacre.material(flat)
+    bsdf = material.bsdf([400.0, 550.0, 700.0])
+    assert bsdf.lobes[0].kind == "aligned-specular"
+    lost = thin_film._lost(material, bsdf, thin_film.ThinFilm(100.0, 1.5))
+    assert not any("aligned" in line for line in lost)

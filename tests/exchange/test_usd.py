@@ -103,3 +103,10 @@ def test_a_stage_holds_the_network_of_the_document(name: str, files: Any, librar
                 assert given.Get() == pytest.approx(float(str(entry.get("value"))), rel=1e-6)
             elif entry.get("type") == "filename":
                 assert (path.parent / given.Get().path).is_file()
+
+
+def test_a_binary_name_is_refused(tmp_path: Path) -> None:
+    for name in ("gold.usdc", "gold.usdz"):
+        with pytest.raises(nacre.NacreError):
+            nacre.export({"family": "film", **FILMS["gold"]}, "usd", tmp_path / name)
+    assert not list(tmp_path.iterdir())

@@ -116,6 +116,17 @@ def layers(*shapes: dict[str, Any]) -> dict[str, Any]:
         layers({"shape": "disc", "diameter_nm": 280, "sidewall_deg": 120}),
         layers({"shape": "disc", "diameter_nm": 140, "corner_radius_nm": 20}),
         layers({"shape": "rectangle", "width_nm": 140, "corner_radius_nm": 80}),
+        layers({"shape": "disc", "diameter_nm": 140, "width_nm": 90}),
+        layers({"shape": "line", "width_nm": 140, "length_nm": 90}),
+        layers({"shape": "line", "width_nm": 140, "rotation_deg": 30}),
+        layers({"shape": "disc", "diameter_nm": 140, "layer": 3}),
+        layers({"shape": "image", "file": "cell.png", "center_nm": [20, 0]}),
+        layers({"shape": "polygon", "points_nm": [[-50, 0], [50, 0], [0, 0]]}),
+        layers({"shape": "polygon", "points_nm": [[-50, -50], [50, 50], [0, 0]]}),
+        {"lattice": {"period_nm": 300, "kind": "square", "angle_deg": 75}},
+        {"layers": [], "profile": {"shape": "sinusoidal", "depth_nm": 100, "apex": 0.3}},
+        {"layers": [], "profile": {"shape": "triangle", "depth_nm": 100, "heights": "profile.csv"}},
+        {"layers": [], "profile": {"shape": "triangle", "depth_nm": 100, "apex": 0}},
         {"lattice": {"period_nm": 0}},
         {"lattice": {"period_nm": 1e9}},
         {"lattice": {"period_nm": 8000}},
@@ -143,6 +154,19 @@ def test_orders_that_do_not_converge_are_refused() -> None:
         nacre.orders(made, 0, 0, [450.0])
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"azimuth_deg": np.nan}, {"azimuth_deg": "east"}, {"azimuth_deg": [0, 30]},
+        {"angles_deg": np.nan}, {"angles_deg": []}, {"angles_deg": [[0, 1]]}, {"angles_deg": 90},
+        {"wavelengths_nm": []}, {"wavelengths_nm": [[500]]}, {"wavelengths_nm": np.nan},
+    ],
+)  # fmt: skip
+def test_wrong_arguments_of_orders_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(NacreError):
+        nacre.orders(compact_disc(), **wrong)
+
+
 def test_other_families_have_no_orders() -> None:
     with pytest.raises(UnsupportedError):
         nacre.orders({"family": "film", "substrate": "Si"}, 0, 0, [500.0])
@@ -166,6 +190,20 @@ def test_gds_cells_are_checked(tmp_path: Path) -> None:
     for wrong in (shape | {"cell": "NONE"}, shape | {"layer": 7}):
         with pytest.raises(RecipeError):
             made(wrong)
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.6])
+def test_a_broken_gds_is_refused_in_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], keep: float) -> None:
+    import gdstk
+
+    library = gdstk.Library()
+    library.new_cell("PIXEL").add(gdstk.rectangle((-0.07, -0.07), (0.07, 0.07), layer=1))
+    library.write_gds(tmp_path / "cell.gds")
+    data = (tmp_path / "cell.gds").read_bytes()
+    (tmp_path / "cell.gds").write_bytes(data[: int(keep * len(data))])
+    with pytest.raises(RecipeError):
+        nacre.material(DISC | layers({"gds": "cell.gds"}), tmp_path)
+    assert capfd.readouterr().err == ""
 
 
 def test_disorder_moves_light_from_orders_to_a_diffuse_part() -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import os
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -127,3 +129,28 @@ def until(page: Page, true: Callable[[], bool]) -> None:
 def memory_of(server: Server) -> float:
     status = Path(f"/proc/{server.process.pid}/statm")
     return float(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if status.exists() else 0.0
+
+
+def unpack(data: bytes) -> dict[str, Any]:
+    """Return the header of a packed appearance with its arrays by name."""
+    (length,) = struct.unpack_from("<I", data)
+    header: dict[str, Any] = json.loads(data[4 : 4 + length])
+    at = 4 + length
+    for name, shape in header["arrays"]:
+        count = int(np.prod(shape))
+        header[name] = np.frombuffer(data, "<f4", count, at).reshape(shape)
+        at += 4 * count
+    assert at == len(data)
+    return header
+
+
+def ask(socket: Any, seq: int, **question: Any) -> dict[str, Any]:
+    """Send a request of a page and return the answer."""
+    socket.send_text(json.dumps({"seq": seq, "name": "film.toml", "text": COMMENTED_FILM, **question}))
+    return hear(socket)
+
+
+def hear(socket: Any) -> dict[str, Any]:
+    """Return the next answer."""
+    message = socket.receive()
+    return unpack(message["bytes"]) if message.get("bytes") else json.loads(message["text"])

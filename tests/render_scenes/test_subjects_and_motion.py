@@ -470,10 +470,11 @@ PLY = (
     [
         ("a.obj", CORNERS + "f 1 2 9\n"), ("b.obj", CORNERS + "f 1 2 -9\n"), ("c.obj", CORNERS + "f 1 2 3\nf 0 1 2\n"),
         ("d.obj", CORNERS + "f 1 2 4000000000\n"), ("e.ply", PLY + "3 0 1 5\n"), ("f.ply", PLY + "3 0 1 -1\n"),
+        ("n.obj", CORNERS.replace("v 0 0 0", "v nan 0 0") + "f 1 2 3\n"),
         ("g.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n"),
     ],
 )  # fmt: skip
-def test_a_face_with_an_impossible_corner_is_refused(tmp_path: Path, name: str, text: str) -> None:
+def test_an_impossible_corner_is_refused(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(NacreError, match=name):
         read_mesh(tmp_path / name)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import struct
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers_studio import COMMENTED_FILM as FILM
+from helpers_studio import ask, hear
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
@@ -62,28 +62,6 @@ def stranger(folder: Path) -> Iterator[TestClient]:
         make_app(OpenedFolder.of(str(folder)), TOKEN, PORT), base_url=HERE, follow_redirects=False
     ) as client:
         yield client
-
-
-def unpack(data: bytes) -> dict[str, Any]:
-    (length,) = struct.unpack_from("<I", data)
-    header: dict[str, Any] = json.loads(data[4 : 4 + length])
-    at = 4 + length
-    for name, shape in header["arrays"]:
-        count = int(np.prod(shape))
-        header[name] = np.frombuffer(data, "<f4", count, at).reshape(shape)
-        at += 4 * count
-    assert at == len(data)
-    return header
-
-
-def ask(socket: Any, seq: int, **question: Any) -> dict[str, Any]:
-    socket.send_text(json.dumps({"seq": seq, "name": "film.toml", "text": FILM, **question}))
-    return hear(socket)
-
-
-def hear(socket: Any) -> dict[str, Any]:
-    message = socket.receive()
-    return unpack(message["bytes"]) if message.get("bytes") else json.loads(message["text"])
 
 
 PLACES = [

@@ -133,3 +133,14 @@ def test_a_bad_command_ends_with_status_2(extra: list[str], tmp_path: Path) -> N
     measured_ = ["--lab", "specular 5=50,0,0"] if extra[:1] == ["--noise"] else []
     noise = ["--lab-noise", "0"] if extra[:1] == ["--noise"] else []
     assert run(["diagnose", str(tmp_path / "ar.toml"), *extra, *measured_, *noise]) == 2
+
+
+@pytest.mark.parametrize(
+    "extra", [["--lab-noise", "nan"], ["--noise", "inf"], ["--range-nm", "900:1000"], ["--range-nm", "nan:1000"]]
+)
+def test_no_noise_and_an_empty_range_are_refused(extra: list[str], tmp_path: Path) -> None:
+    (tmp_path / "ar.toml").write_text(dump_toml(AR | {"tolerance": {"layers[*].thickness_nm": {"percent": 3}}}))
+    (tmp_path / "m.csv").write_text("wavelength_nm,specular_reflectance\n500,0.02\n550,0.03\n600,0.04\n")
+    command = ["diagnose", str(tmp_path / "m.csv"), str(tmp_path / "ar.toml"), "-o", str(tmp_path / "made.toml")]
+    assert run([*command, *extra]) == 2
+    assert not (tmp_path / "made.toml").exists()

@@ -78,6 +78,8 @@ BAD: list[Any] = [
     {"of": ALL, "matrix": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]},
     {"of": ALL, "matrix": "ones"},
     {"of": ["layers[1].material.n"], "matrix": [[1]]},
+    {"of": ["layers[0].thickness_nm", "layers[0].thickness_nm"], "matrix": [[1]]},
+    {"of": [], "matrix": []},
     {"of": ALL},
 ]
 

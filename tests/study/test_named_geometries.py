@@ -11,10 +11,12 @@ import pytest
 
 import nacre
 from nacre.analysis.colour_data import ColourData
+from nacre.analysis.report import read_geometries
 from nacre.analysis.sweep_plan import load_sweep
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.measure.colours import geometry_colours, recipe_geometries
+from nacre.measure.geometry import named_geometries
 from nacre.recipe.toml import dump_toml
 
 ROUGH: dict[str, Any] = {
@@ -38,6 +40,22 @@ def test_a_name_stands_for_its_geometry_in_a_report(sample: nacre.Material) -> N
     assert own is not None and stated.geometries is not None
     assert own.labels == stated.geometries.labels == ("door",)  # a report's further geometries are aspecular
     np.testing.assert_allclose(own.lab, stated.geometries.lab, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "is_valid"), [("45as25", False), ("specular 20", False), ("45as15az180", True)])
+def test_the_notation_of_another_geometry_is_no_name(name: str, is_valid: bool) -> None:
+    entries = [{"name": name, "at": "45as15"}]
+    if is_valid:
+        assert str(named_geometries(entries, "geometry")[name]) == "45as15"
+    else:
+        with pytest.raises(NacreError):
+            named_geometries(entries, "geometry")
+
+
+@pytest.mark.parametrize("text", ["=45as15", " =45as15", "side="])
+def test_a_geometry_of_a_report_needs_its_name_and_its_angles(text: str) -> None:
+    with pytest.raises(NacreError):
+        read_geometries([text])
 
 
 def test_names_do_not_change_the_material(sample: nacre.Material) -> None:

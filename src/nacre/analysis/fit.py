@@ -353,7 +353,7 @@ class _Problem:
         self._walk_means: Array | None = None  # `[seed, value]`, scaled results from independent walks at one point
 
     def values(self, point: Array) -> dict[str, Any]:
-        """Return the values of the free and of the tied numbers."""
+        """Return the values of the free and tied numbers."""
         return self._ties.values(values_at(self._free, point))
 
     def build(self, point: Array) -> Material:

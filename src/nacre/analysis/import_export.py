@@ -88,6 +88,8 @@ def export_material(
         from nacre.analysis.three import export_three
 
         return facts | export_three(material, path, illuminant, progress)
+    if target == "usd" and path.suffix.lower() in (".usdc", ".usdz"):
+        raise UnsupportedError(f"{path}: USD is written as text; allowed: a name that ends in .usda or .usd")
     if target in ("gltf", "materialx", "usd"):
         return facts | _export_film(material, target, path, None if mesh is None else Path(mesh))
     bsdf = material.bsdf()

@@ -301,7 +301,7 @@ def scatter_views(bsdf: Bsdf, to_rgb: ToRgb) -> tuple[Array, Array | None, Gloss
 
 
 def _powers(bsdf: Bsdf, directions: Array) -> Array:
-    """Return the power `[side, angle, wavelength]` on the side of the light and on the other side."""
+    """Return the power `[side, angle, wavelength]` on the light's side and on the other side."""
     found = [[hemispherical(lobe, w, nodes=PATHS if lobe.is_stochastic else NODES) for lobe in bsdf.lobes]
              for w in directions]  # fmt: skip
     return np.array([[sum(part[side] for part in parts) for parts in found] for side in (0, 1)])
@@ -344,7 +344,7 @@ def _smooth(values: Array) -> Array:
 
 
 def _lobe(material: Any, bsdf: Bsdf, to_rgb: ToRgb) -> tuple[Picture | None, tuple[str, ...]]:
-    """Return the lobe picture and descriptions of lost properties."""
+    """Return the texture of scattered light, if any, and descriptions of lost properties."""
     lost = ("GLSL: light that is scattered to the other side",) if bsdf.transmits else ()
     about = "scattered light, pi f 2 cos_i cos_o / (cos_i + cos_o), over half angle, difference angle and its azimuth"
     wi, wo = lobe_directions(*LOBE_SHAPE)

@@ -185,7 +185,7 @@ def spectrum_measurement(
         )
     for each in spectra:
         remarks += [*each.assumed, *each.left_out]
-    return _on_grid(path, series, tuple(dict.fromkeys(remarks)))
+    return _on_grid(path, series, tuple(dict.fromkeys(remarks)), range_nm)
 
 
 def _chosen(path: Path, spectra: list[Measurement], options: ReadOptions) -> list[Measurement]:
@@ -251,7 +251,9 @@ def _mode(stated: str) -> str:
     return next((mode for mode in ("diffuse", "total", "specular") if mode in words), "")
 
 
-def _on_grid(path: Path, series: Sequence[_Series], remarks: tuple[str, ...]) -> Measured:
+def _on_grid(
+    path: Path, series: Sequence[_Series], remarks: tuple[str, ...], range_nm: tuple[float, float] | None = None
+) -> Measured:
     """Return the series on the grid of all their angles and wavelengths.
 
     Raises:
@@ -261,6 +263,8 @@ def _on_grid(path: Path, series: Sequence[_Series], remarks: tuple[str, ...]) ->
     _check_modes(path, parts, remarks)
     all_nm = np.concatenate([one.wavelengths_nm for one in series])
     all_angles = np.concatenate([one.angles_deg for one in series])
+    if not all_nm.size and range_nm is not None:
+        raise NacreError(f"{path}: no measured value lies from {range_nm[0]:g} to {range_nm[1]:g} nm")
     if not all_nm.size or not np.isfinite(all_nm).all() or not np.isfinite(all_angles).all():
         raise NacreError(f"{path}: needs a wavelength, an angle and at least one measured value per row")
     waves, angles = np.unique(all_nm), np.unique(all_angles)
@@ -345,8 +349,8 @@ def _check_spectrum(path: Path, parts: Sequence[str], angles: Array, waves: Arra
     for part, each in zip(parts, values):
         if each.max() > MAX_RELATIVE:
             raise NacreError(
-                f"{path}: {part} = {each.max():g} is above {MAX_RELATIVE:g}; a share of the incident light; if it "
-                f"is in per cent, name the column {part}_percent"
+                f"{path}: {part} = {each.max():g} is above {MAX_RELATIVE:g}, the limit of a fraction of the incident "
+                f"light; if it is in per cent, name the column {part}_percent"
             )
         if each.min() < MIN_POWER:
             raise NacreError(f"{path}: {part} = {each.min():g} is below 0")

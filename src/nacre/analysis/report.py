@@ -217,7 +217,7 @@ def read_geometries(texts: Sequence[str]) -> dict[str, Geometry]:
     """Return aspecular geometries by name from "45as25az90" or "NAME=45as25az90".
 
     Raises:
-        RecipeError: another form, an angle behind the surface, or the same name twice.
+        RecipeError: another form, an angle behind the surface, an empty name, or the same name twice.
     """
     found: dict[str, Geometry] = {}
     for text in texts:
@@ -226,6 +226,8 @@ def read_geometries(texts: Sequence[str]) -> dict[str, Geometry]:
         if one.kind != "aspecular":
             raise RecipeError(f'geometry = "{text}" is not aspecular; write such as "45as25az90" or "door=45as25az90"')
         name = name.strip() if separator else str(one)
+        if not name:
+            raise RecipeError(f'geometry = "{text}" has an empty name; write such as "door=45as25az90"')
         if name in found:
             raise RecipeError(f'geometry = "{text}": the name {name} occurs twice')
         found[name] = one
@@ -365,7 +367,7 @@ def compare_with_colours(
     limits: Mapping[str, float] | None = None,
     standard: str = "colours",
 ) -> Comparison:
-    """Return the colour differences of a report from a list of colours.
+    """Return a report's colour differences from a list of colours.
 
     Args:
         colours: geometry of the report -> CIELAB `[3]` of the standard, for the report's illuminant and observer.

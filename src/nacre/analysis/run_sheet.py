@@ -93,7 +93,7 @@ def make_run_sheet(
         noise: standard deviation of the signal.
 
     Raises:
-        UnsupportedError: the material has no coherent stack.
+        UnsupportedError: the material lacks a coherent stack.
         NacreError: a value is not allowed, or an index is not known at the wavelength.
     """
     for name, value, is_valid, rule in (
@@ -102,7 +102,7 @@ def make_run_sheet(
         ("noise", noise, noise > 0, "above 0"),
     ):
         if not (np.isfinite(value) and is_valid):
-            raise NacreError(f"{name} = {value:g} should be {rule}")
+            raise NacreError(f"{name} = {value:g} should be finite and {rule}")
     if quantity not in QUANTITIES:
         raise NacreError(f'quantity = "{quantity}" is not known; choose one of {", ".join(QUANTITIES)}')
     if not isinstance(material.model, SpecularStack):

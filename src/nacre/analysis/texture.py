@@ -125,7 +125,7 @@ class Texture:
         sparkle: angle of the lamp in degrees -> sparkle.
         graininess: under diffuse light.
         luminance: angle -> mean luminance factor and its standard error; "diffuse" under diffuse light.
-        calibrated: quantity, such as "sparkle_45" -> value on the scale of the instrument.
+        calibrated: quantity, such as "sparkle_45" -> value on the instrument's scale.
         extrapolated: calibrated quantities outside of their measured pairs.
         instrument: lamp, camera and definitions.
         images: of the patches, angle or "diffuse" -> luminance factors `[row, column]`; empty for "statistics".
@@ -293,7 +293,7 @@ class _Scene:
             )
 
     def lit(self, theta_rad: float, lamp_rad: float, camera_rad: float) -> tuple[list[Area], float]:
-        """Return the areas under a lamp, and the standard error of their mean luminance."""
+        """Return the surface's parts with their flakes under a lamp, and the standard error of the mean luminance."""
         flakes = {key: single.lit(theta_rad, lamp_rad, camera_rad) for key, single in self.flakes.items()}
         wi, wo = direction(theta_rad)[None], NORMAL[None]
         means, errors = {}, {}
@@ -340,7 +340,7 @@ class _Scene:
         return DiffuseArea(flakes, mean, base)
 
     def _hemisphere(self, bsdf: Bsdf) -> float:
-        """Return the luminance factor under diffuse light along the normal: by reciprocity, the reflectance there."""
+        """Return the luminance factor along the normal under diffuse light: the hemispherical reflectance."""
         total = sum(
             hemispherical(lobe, NORMAL, nodes=HEMISPHERE_NODES, seed=self.seed)[0] @ self.weights
             for lobe in bsdf.lobes

@@ -1,7 +1,7 @@
 """The thickness map of one thin film for a material with a number that varies over the surface.
 
 Each value of the number has its own best thickness of the film; index and base are common. A picture holds any such
-function of the number, so the map is baked for the uv of the recipe.
+function of the number, so the map is baked for the recipe's uv.
 """
 
 from __future__ import annotations

@@ -25,6 +25,7 @@ from nacre.matter.stack.solve import powers
 ANGLES_DEG = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0])
 THICKNESSES_NM = np.concatenate([np.arange(0.0, 1000.0, 20.0), np.arange(1000.0, 2001.0, 40.0)])
 INDICES = np.arange(1.1, 2.71, 0.1)
+MIRRORS = ("specular", "aligned-specular", "microfacet")  # kinds of lobes that the film stands for
 LOWEST_INDEX, HIGHEST_INDEX = 1.0, 3.0
 MAX_F0 = 0.98
 
@@ -181,7 +182,7 @@ def _roughness(material: Material) -> float:
 def _lost(material: Material, bsdf: Bsdf, film: ThinFilm) -> tuple[str, ...]:
     """Return descriptions of the properties that the format cannot represent."""
     lost = []
-    others = dict.fromkeys(lobe.kind for lobe in bsdf.lobes if lobe.kind not in ("specular", "microfacet"))
+    others = dict.fromkeys(lobe.kind for lobe in bsdf.lobes if lobe.kind not in MIRRORS)
     if others:
         lost.append(f"scattered light is left out ({', '.join(others)})")
     if film.transmits:
@@ -190,7 +191,7 @@ def _lost(material: Material, bsdf: Bsdf, film: ThinFilm) -> tuple[str, ...]:
     if isinstance(layers, list) and len(layers) > 1:
         lost.append(f"{len(layers)} layers became one film")
     if film.is_metal:
-        lost.append("the base's complex index became a real one a colour channel")
+        lost.append("the base's complex index became one real index per colour channel")
     surface = material.data.get("surface", {})
     alpha = surface.get("roughness") if isinstance(surface, dict) else None
     if isinstance(alpha, list) and len(set(alpha)) > 1:

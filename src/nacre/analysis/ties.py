@@ -32,7 +32,7 @@ class Ties:
     fixed: Mapping[str, float]
 
     def values(self, free: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the values of the free and of the tied paths.
+        """Return the values of the free and tied paths.
 
         Raises:
             NacreError: a division by zero.

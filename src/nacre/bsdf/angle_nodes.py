@@ -20,14 +20,14 @@ UNITS = 2**FINEST_LEVEL  # nodes are whole numbers of 2^-FINEST_LEVEL
 UNIFORM_LEVELS = 7, 9
 FINE_ERROR = 1e-4  # of R and T, where 513 nodes suffice
 ALLOWED_ERROR = 1.5e-3  # midway between nodes, where more are needed
-CHECKED_ERROR = 2.5e-3  # at the angles of the check, which refine further
+CHECKED_ERROR = 2.5e-3  # at the check's angles, which refine further
 CHECK_ROUNDS = 12
 Solve = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
 class Tabulated:
-    """Values on nodes over angle, and the largest interpolation error at the angles of the check.
+    """Values on nodes over angle, and the largest interpolation error at the check's angles.
 
     Attributes:
         nodes: `[node]`, ascending from 0 to 1, uniform or dyadic.

@@ -23,7 +23,7 @@ class Bsdf:
     """A material's BSDF: a sum of lobes on one wavelength grid.
 
     Attributes:
-        lobes: the terms of the sum, all on the same wavelengths.
+        lobes: the sum's terms, all on the same wavelengths.
         provenance: recipe text, nacre version, seed, notes; stored with every output.
         polarisation: function that tabulates the Mueller matrices of the interface (or returns None), for polarised
             rendering.

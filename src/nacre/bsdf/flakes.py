@@ -2,7 +2,7 @@
 
 A flake is a disc with a normal of its own. Under a small lamp it is luminous if its normal lies near the half vector:
 its luminance is `brightness` times the density of the slope between half vector and normal, a Gaussian that contains
-the flatness and the diffraction of the flake, the angular spread of a rough interface, and the apertures of lamp and
+the flatness and the flake's diffraction, the angular spread of a rough interface, and the apertures of lamp and
 camera. Under diffuse light every flake is luminous, by its own reflectance, and covers what lies below it. Luminances
 are luminance factors: a perfect white diffuser under the same light has 1.
 """
@@ -72,7 +72,7 @@ class DiffuseFlakes:
 
     Attributes:
         stratum: index of their stratum, from the light inward.
-        coverage: projected area of the discs over the area of the surface.
+        coverage: projected area of the discs over the surface's area.
         radii_um: `[quantile]`, on uniform nodes.
         facing: `[quantile]`, cosine between normal and viewer, on uniform nodes.
         luminance: `[depth, cos]`, of a flake, on uniform nodes; it contains the way of the light to the flake and the

@@ -107,7 +107,7 @@ class InterfaceResponse:
 
     @property
     def nodes_beyond(self) -> Array:
-        """The nodes of `total`, `[x]`."""
+        """Nodes of `total`, `[x]`, from the critical angle (0) to grazing incidence (1)."""
         return np.linspace(0.0, 1.0, self.total.shape[-2]) if self.total_nodes is None else self.total_nodes
 
     def over_cosine(self, table: Array, cos: Array) -> Array:

@@ -160,7 +160,7 @@ class AnisotropicTables(StackTables):
         return self._absorbs_nothing or not self.transmits
 
     def _azimuths(self) -> Array:
-        """Return azimuths enough for the mean reflectance."""
+        """Return uniform azimuths whose mean reflectance has converged."""
         waves = self.wavelengths_nm
         self.wavelengths_nm = waves[:: max(len(waves) // PROBE_WAVELENGTHS, 1)]
         theta, before = np.arccos(PROBE_COSINES), None

@@ -192,7 +192,7 @@ class Texture:
 
     Attributes:
         formula: parsed formula, or unset.
-        image: grey values in [0, 1], or unset; row 0 is v = 1 (the top of the picture), repeated outside [0, 1].
+        image: grey values in [0, 1], or unset; row 0 is v = 1 (the picture's top), repeated outside [0, 1].
         low, high: the range; a formula is clipped to it, an image is scaled to it.
         is_stepped: nearest-neighbour rather than bilinear interpolation of the image.
     """

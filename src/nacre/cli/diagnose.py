@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import click
@@ -45,6 +46,9 @@ def diagnose(
     from nacre.readers.measurement import ReadOptions
 
     *measurements, recipe = files
+    for option, sigma in (("--noise", noise), ("--lab-noise", lab_noise)):
+        if not 0.0 < sigma < math.inf:
+            raise NacreError(f"{option} = {sigma:g} should be a finite number above 0")
     if not measurements and not labs:
         raise NacreError("nothing is measured; name a file of a spectrum before the recipe, or use --lab")
     if output is not None:

@@ -26,12 +26,15 @@ def formulate(
     target: str, output: str | None, batch: str | None, made: str | None, answer: int, as_json: bool
 ) -> None:  # fmt: skip
     """Choose pigments, a dye and concentrations from a library for the measured colours of TARGET."""
-    from nacre.core.files import check_room, check_writable
+    from nacre.optimise.formulation.formulate import (
+        check_answers,
+        formulation_document,
+        read_formulation,
+        write_formulation,
+    )
     from nacre.optimise.formulation.formulate import (
         formulate as run,
     )
-    from nacre.optimise.formulation.formulate import formulation_document, read_formulation, write_formulation
-    from nacre.optimise.solutions import NEED_BYTES
 
     if (batch is None) != (made is None):
         raise NacreError("--batch and --made belong together: the colours of a batch, and its formulation")
@@ -40,9 +43,7 @@ def formulate(
         _rematch(task, batch, Path(made), answer, as_json)
         return
     folder = Path(output or Path(target).stem)
-    if not folder.exists():
-        check_writable(folder)
-    check_room(folder, NEED_BYTES)
+    check_answers(folder)
     found = run(
         task, lambda done, total, best: common.note(f"{done} of {total}: rms {best:.3g}") if done == total else None
     )
@@ -59,12 +60,17 @@ def formulate(
 
 def _print(document: dict[str, Any]) -> None:
     for number, each in enumerate(document["formulas"], start=1):
-        parts = ", ".join(f"{name} {100 * share:.3g} %" for name, share in each["mass_shares"].items())
+        parts = ", ".join(f"{name} {_percent(share)} %" for name, share in each["mass_shares"].items())
         state = "within the tolerances" if each["met"] else "outside the tolerances"
         click.echo(f"{number}  dE00 mean {each['mean_de00']:.2f}, largest {max(each['de00']):.2f}, {state}")
         click.echo(f"   by mass, dry: {parts}")
         click.echo(f"   {each['cost_per_kg']:.2f} per kg, {each['cost_per_m2']:.3f} per m2; contrast ratio "
                    f"{100 * each['contrast_ratio']:.1f} %")  # fmt: skip
+
+
+def _percent(share: float) -> str:
+    """Return a share in per cent: three digits, or two decimals if that says more."""
+    return f"{100 * share:.2f}" if share >= 0.1 else f"{100 * share:.3g}"
 
 
 def _rematch(task: Any, batch: str, made: Path, answer: int, as_json: bool) -> None:

@@ -35,6 +35,7 @@ SIGNS = ("positive", "negative", "positive-shifted", "negative-shifted")
 @click.option("--spectrum", metavar="NAME", help="Name or number of one spectrum, material or block.")
 @click.option("--pitch-um", metavar="X[,Y]", help="Lateral distance of height samples.")
 @click.option("--columns", metavar="NAME,...", help="Names of the columns of a table without headings; - ignores one.")
+@click.option("--wavelengths", metavar="FILE", help="File of the wavelengths of a spectrum of the USGS library.")
 @click.option("--ignore", metavar="HEADING,...", help="Headings of columns to ignore.")
 def read(
     files: tuple[str, ...], as_json: bool, show: int, plot: str | None, output: str | None, format_id: str | None,
@@ -111,7 +112,7 @@ def _opened(file: str, options: ReadOptions) -> list[Measurement]:
 
 
 def _asked(error: AmbiguousFileError, option: str) -> Any:
-    """Return the user's answer, in the type of the option."""
+    """Return the user's answer, in the option's type."""
     kind = click.Choice(error.choices) if error.choices else None
     answer = click.prompt(f"{error}\n{option}", type=kind, err=True)
     if error.option == "angle_deg":

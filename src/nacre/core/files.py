@@ -373,7 +373,8 @@ def read_text(path: str | Path, what: str = "file") -> str:
             raise RecipeError(f"{path}: is larger than {MAX_TOML_BYTES} bytes, the most that a {what} may have")
         return data.decode("utf-8-sig")
     except IsADirectoryError:
-        raise RecipeError(f"{path}: is a folder, not a {what}") from None
+        article = "an" if what[:1] in "aeiou" else "a"
+        raise RecipeError(f"{path}: is a folder, not {article} {what}") from None
     except UnicodeDecodeError:
         raise RecipeError(f"{path}: is not UTF-8 text") from None
     except OSError as error:

@@ -42,7 +42,7 @@ def entry_points(group: str, own: Collection[str]) -> dict[str, EntryPoint]:
     found = _scan(group)
     for name in found:
         if name in own:
-            raise NacreError(f'entry point "{name}" of {group} ({_giver(found[name])}) is a name of nacre itself')
+            raise NacreError(f'entry point "{name}" of {group} ({_giver(found[name])}) has a name reserved for nacre')
     return found
 
 

@@ -104,7 +104,7 @@ def _folded(x: Any, top: float) -> Any:
 
 
 def _columns(chances: Array) -> Any:
-    """Return each row's alias table, `[row, column]`: the probability of the column in 16 bits, the alias above."""
+    """Return each row's alias table, `[row, column]`: the column's probability in 16 bits, the alias above."""
     rows, count = chances.shape
     words = np.empty((rows, count), dtype=np.uint32)
     for row in range(rows):

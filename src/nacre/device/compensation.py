@@ -18,7 +18,10 @@ MAX_SHARE = 0.95
 
 
 class Compensation:
-    """value = exchange[side_i, side_o] loss[side_i](wi) loss[side_o](wo), with cosine-weighted sampling."""
+    """Term that restores the energy lost by single scattering, sampled by the cosine.
+
+    f = exchange[side_i, side_o] loss[side_i](wi) loss[side_o](wo).
+    """
 
     def __init__(self, lobe: Microfacet) -> None:
         assert lobe.loss is not None and lobe.exchange is not None

@@ -80,7 +80,7 @@ class DevicePolarisation:
         return in_implicit_frames(matrix, light, view, facet.normal)
 
     def _corners(self, light: Any, normal: Any) -> list[tuple[Any, Any]]:
-        """Return the two nodes around the azimuth of the light in the facet's frame, with their weights."""
+        """Return the two nodes around the light's azimuth in the facet's frame, with their weights."""
         assert self.azimuths is not None
         up = dr.select(normal.z < 0.0, -normal, normal)
         shear = dr.rcp(1.0 + up.z)

@@ -101,7 +101,8 @@ class WavelengthAxis:
         above = read(self.nodes, node + 1, active)
         low = dr.minimum(dr.select(wavelength >= above, node + 1, node), self.max_low)
         start, end = read(self.nodes, low, active), read(self.nodes, low + 1, active)
-        return low, dr.clip((wavelength - start) / (end - start), 0.0, 1.0)
+        width = dr.select(active, end - start, 1.0)  # inactive lanes read zeros
+        return low, dr.clip((wavelength - start) / width, 0.0, 1.0)
 
 
 class DeviceTable:

@@ -347,7 +347,7 @@ class Pixels(abc.ABC):
 
     @abc.abstractmethod
     def pixel_polygons(self) -> list[tuple[int, Array]]:
-        """Return the layer and the corners `[corner, 2]` in nm of each shape, about the centre of the cell."""
+        """Return the layer and the corners `[corner, 2]` in nm of each shape, about the cell's centre."""
 
 
 class Fabricable(abc.ABC):
@@ -437,7 +437,7 @@ def figure_data(model: Model, name: str, **options: Any) -> dict[str, NDArray[An
 
 
 def is_direct(model: Model) -> bool:
-    """Whether a few directions take a small fraction of the time of the Bsdf, without noise."""
+    """Whether a few directions take a small fraction of the Bsdf's time, without noise."""
     return isinstance(model, DirectEvaluation) and model.is_direct
 
 
@@ -454,7 +454,7 @@ def search_model(model: Model, memory: dict[Any, Any], is_rough: bool = False) -
 def surrogate_radiance(
     model: Model, wi: Array, wo: Array, wavelengths_nm: Array, is_fine: bool = False
 ) -> tuple[Array, Array] | None:
-    """Return `Surrogate.surrogate_radiance` of a model that has it and no direct evaluation."""
+    """Return `Surrogate.surrogate_radiance`; None without a surrogate, or if single directions are quick."""
     if not isinstance(model, Surrogate) or is_direct(model):
         return None
     return model.surrogate_radiance(wi, wo, wavelengths_nm, is_fine)

@@ -57,7 +57,7 @@ class Measured(Model, ExcessEnergy):
 
     @property
     def wavelengths_nm(self) -> Array:
-        """The wavelengths of the measurement."""
+        """The measurement's wavelengths."""
         return self.stored.wavelengths_nm
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:

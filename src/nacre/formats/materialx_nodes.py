@@ -72,7 +72,7 @@ class Document:
         """Return the number of a float input, or None if its nodes are not supported.
 
         Args:
-            scope: the graph of the input; None: the document.
+            scope: the input's graph; None: the document.
         """
         found = self._follow(entry, scope, depth)
         if found is None:

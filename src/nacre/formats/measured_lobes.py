@@ -152,7 +152,7 @@ def _on_turns(
 
 
 def periodic_turns(turns_deg: Array) -> tuple[Array, NDArray[np.intp], list[str]]:
-    """Return nodes of a periodic table over the azimuth of the light, and remarks on the symmetry.
+    """Return nodes of a periodic table over the light's azimuth, and remarks on the symmetry.
 
     Azimuths that span less than 180 degrees repeat after 180 degrees, as on a brushed surface.
 

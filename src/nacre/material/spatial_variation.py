@@ -163,7 +163,7 @@ class Varying(Model):
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """The figures of the material at the surface centre."""
+        """The material's figures at the surface centre."""
         middle = np.array([0.5, 0.5])
         values = tuple(float(number.texture(middle)) for number in self.numbers)
         found: Mapping[str, Figure] = self.fixed(self._values(values)).model.figures
@@ -207,8 +207,8 @@ def choose_nodes(colours: Callable[[float], Array], low: float, high: float, pat
     known = {value: colours(value) for value in nodes}
     if known[low].shape != known[high].shape:
         raise UnsupportedError(
-            f"{path}: the material transmits light at only one of {low:g} and {high:g}, so the two cannot be "
-            "blended; keep the number off that end with min or max"
+            f"{path}: the material transmits light at one end of {low:g} to {high:g} and not at the other, so the "
+            "two cannot be blended; narrow the range with min or max"
         )
     differences: dict[tuple[float, float], float] = {}
     while True:

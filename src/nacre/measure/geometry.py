@@ -110,7 +110,8 @@ def named_geometries(entries: Any, where: str) -> dict[str, Geometry]:
     """Return geometries by name from a list of tables with `name` and `at`.
 
     Raises:
-        RecipeError: it is no such list, a geometry is not known, or a name occurs twice.
+        RecipeError: it is no such list, a geometry is not known, or a name occurs twice or is the notation of another
+            geometry.
     """
     if not isinstance(entries, Sequence) or isinstance(entries, str):
         raise RecipeError(f"{where} = {show_value(entries)} should be a list of tables: [[geometry]] with name and at")
@@ -122,8 +123,19 @@ def named_geometries(entries: Any, where: str) -> dict[str, Geometry]:
             raise RecipeError(f'{where}[{number}] = {show_value(entry)}: write name = "door" and at = "45as60az125.3"')
         if name.strip() in found:
             raise RecipeError(f'{where}[{number}].name = "{name}" occurs twice')
-        found[name.strip()] = Geometry.read(at, f"{where}[{number}].at")
+        one = Geometry.read(at, f"{where}[{number}].at")
+        if _is_another(name, one):
+            raise RecipeError(f'{where}[{number}].name = "{name}" is another geometry than at = "{at}"; choose a word')
+        found[name.strip()] = one
     return found
+
+
+def _is_another(name: str, geometry: Geometry) -> bool:
+    """Return whether a name is the notation of another geometry."""
+    try:
+        return Geometry.read(name, "name") != geometry
+    except RecipeError:
+        return False
 
 
 def spectrum_at(spectrum: Spectrum, geometry: Geometry) -> Array | None:

@@ -125,7 +125,7 @@ def two_point_moments(area: DiffuseArea, lag_um: Array, steps: int = STEPS) -> t
 def filtered_variance(area: DiffuseArea, distance_mm: float, steps: int = STEPS) -> float:
     """Return the variance of the luminance filtered by the eye.
 
-    It is the integral of covariance times the autocorrelation of the filter over the plane.
+    It is the integral of covariance times the filter's autocorrelation over the plane.
     """
     if not area.flakes:
         return 0.0

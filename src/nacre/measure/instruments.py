@@ -1,7 +1,7 @@
 """Measuring geometries of the coatings industry: aspecular angles, gloss and haze apertures.
 
 Light is incident at `theta_i` in the plane phi = 0. Aspecular angles are counted from the mirror direction towards the
-light: at 45 degrees incidence, 45 degrees aspecular is the normal, and 110 lies on the side of the light.
+light: at 45 degrees incidence, 45 degrees aspecular is the normal, and 110 lies on the light's side.
 """
 
 from __future__ import annotations

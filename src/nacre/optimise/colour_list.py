@@ -258,7 +258,7 @@ def _measurement(table: TextTable, group: _Group, names: list[str], light: tuple
 def _column(table: TextTable, place: int) -> Array:
     found = []
     for row, line in zip(table.rows, table.lines, strict=True):
-        value = number_of(row[place], table.decimal, table.grouping)
+        value = number_of(row[place], table.grouping)
         if row[place] == "":
             filled = sum(bool(cell) for cell in row)
             said = show_value(", ".join(cell for cell in row if cell))

@@ -223,10 +223,10 @@ def folder_of(out: Path, number: int) -> Path:
     return out if number == 1 else out / str(number)
 
 
-def clear_solutions(out: Path, keep: int) -> None:
-    """Remove the earlier solutions beyond the first `keep`."""
+def clear_solutions(out: Path, keep: int, summary: str = SUMMARY, key: str = "solutions") -> None:
+    """Remove the earlier solutions beyond the first `keep`; `summary` lists them under `key`."""
     try:
-        earlier = json.loads(plain(out / SUMMARY).read_text(encoding="utf-8"))["solutions"]
+        earlier = json.loads(plain(out / summary).read_text(encoding="utf-8"))[key]
     except (OSError, ValueError, KeyError, TypeError):
         return
     for number in range(keep + 1, len(earlier) + 1):

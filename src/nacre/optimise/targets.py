@@ -49,7 +49,7 @@ class Target:
 
     Attributes:
         geometry: where it is seen.
-        asked: the entry of the file as JSON data: {"colour": "#c2185b"}.
+        asked: the file's entry as JSON data: {"colour": "#c2185b"}.
         lab: `[3]`, target under every lamp, or None.
         xyz: `[3]`, target under the first lamp, or None.
         ranges: "hue", "chroma", "lightness" -> (low, high), None where open.

@@ -139,7 +139,7 @@ def read_tolerances(table: Any, material: Material, source: str, name: str = "to
 def _correlated(read: list[Tolerance], material: Material, source: str) -> list[Tolerance]:
     """Replace deviations with a correlation matrix by their independent modes, each one group.
 
-    The modes are the eigenvectors of the matrix: x_i = sigma_i sum_j V_ij sqrt(e_j) z_j has the correlation V e V^T.
+    The modes are the matrix's eigenvectors: x_i = sigma_i sum_j V_ij sqrt(e_j) z_j has the correlation V e V^T.
 
     Raises:
         RecipeError: a path has no single gaussian tolerance, or the matrix is no correlation matrix.
@@ -157,6 +157,8 @@ def _correlated(read: list[Tolerance], material: Material, source: str) -> list[
         ):
             raise RecipeError(f'{where} should be {{of = ["PATH", ...], matrix = [[1, 0.8], [0.8, 1]]}}')
         paths = list(expand_table(material.data, {str(p): p for p in entry["of"]}, f"{where}.of"))
+        if len(paths) < 2 or len(set(map(str, entry["of"]))) < len(entry["of"]):
+            raise RecipeError(f"{where}.of = {show_value(entry['of'])} should name two numbers or more, each once")
         members = [[each for each in found if each.path == path] for path in paths]
         for path, own in zip(paths, members, strict=True):
             if len(own) != 1 or own[0].group or own[0].distribution != "gaussian":

@@ -28,8 +28,8 @@ from nacre.picture.images import AUTO_LEVEL, Exposure, RenderResult, develop, en
 from nacre.picture.plugin import dr, mi
 
 BEAM_DEG = 10.0
-STEEPEST_DEG = 60.0  # incidence on a tilted tile; beyond, the edge of the screen is behind the tile
-HALF_WIDTH = 0.42  # relative to the distance of the screen: 23 degrees
+STEEPEST_DEG = 60.0  # incidence on a tilted tile; beyond, the screen's edge is behind the tile
+HALF_WIDTH = 0.42  # relative to the screen's distance: 23 degrees
 DEFAULT_SIZE = (640, 640)
 WAVELENGTH_STEP_NM = 5.0
 _BRIGHT_PERCENTILE = 99.5
@@ -61,9 +61,9 @@ def beam_direction(incidence_deg: float = BEAM_DEG) -> NDArray[np.float64]:
 def turned_directions(
     size: tuple[int, int], light_turn_deg: float, view_turn_deg: float
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
-    """Return directions to the pixels, the mask of the screen, and the direction of the beam, in the frame of the tile.
+    """Return directions to the pixels, the screen's mask, and the beam's direction, in the tile's frame.
 
-    The turn of the light rotates beam and screen about the normal of the tile; the pattern turns on the screen. The
+    The turn of the light rotates beam and screen about the tile's normal; the pattern turns on the screen. The
     turn of the view tilts the tile, which adds to the incidence of 10 degrees; the screen stays in the mirror
     direction.
 

@@ -3,7 +3,7 @@
 Mitsuba samples wavelengths by one broad peak at 538 nm, which leaves few for the narrow blue peak of Z: most noise of
 a blue wing was in Z. Here a quarter of the density follows the sum of the three colour-matching functions. With four
 wavelengths per path X, Y, Z and white are then estimated with less noise than by Mitsuba's density; a larger share
-would increase the noise of colourless light. The density is the response of the sensor, which the integrator divides
+would increase the noise of colourless light. The density is the sensor's response, which the integrator divides
 out.
 """
 
@@ -71,7 +71,7 @@ def divided(integrator: Any, response: Any) -> Any:
 
 
 class Divided(WrappedIntegrator):
-    """An integrator divided by the response of the sensor."""
+    """An integrator divided by the sensor's response."""
 
     def set_up(self, inner: Any, response: Any) -> None:
         self.inner, self.response = inner, response

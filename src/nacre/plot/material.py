@@ -161,7 +161,7 @@ def _over_a_number(
 def _common_spectra(
     made: Sequence[Material], theta_rad: Array, wavelengths_nm: ArrayLike | None, illuminant: str
 ) -> list[Spectrum]:
-    """Return spectra of several materials on a common grid: the finer grid of both ends, with the lines of the lamp."""
+    """Return spectra of several materials on a common grid: the finer grid of both ends, with the lamp's lines."""
     if wavelengths_nm is not None:
         return [one.spectrum(theta_rad, wavelengths_nm) for one in made]
     finer = max((made[0], made[-1]), key=lambda one: len(one.model.wavelengths_nm))

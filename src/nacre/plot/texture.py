@@ -21,7 +21,7 @@ def texture_figure(coatings: Sequence[tuple[str, Mapping[str, tuple[Array, float
 
     Args:
         coatings: name, and for each light ("15", "45", "75" degrees, "diffuse") the luminance factors `[row, column]`
-            and the side of the image in mm. White is four times the mean, under diffuse light twice the mean.
+            and the image's side in mm. White is four times the mean, under diffuse light twice the mean.
     """
     with style.house_style():
         columns = max(len(images) for _, images in coatings)

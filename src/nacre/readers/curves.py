@@ -81,7 +81,7 @@ def _check_cells(table: TextTable) -> None:
     if table.width != 2:
         return
     for row, line in zip(table.rows, table.lines):
-        values = [number(cell, table.decimal, table.grouping) for cell in row]
+        values = [number(cell, table.grouping) for cell in row]
         if None in values or row[1] == "":
             said = " ".join(row).strip()[:40]
             raise NacreError(f'{table.path}: holds "{said}" in line {line} where two numbers should stand')

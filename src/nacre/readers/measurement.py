@@ -24,7 +24,7 @@ class Measurement:
         kind: class of instrument or data.
         data: arrays by canonical name; the name ends with the unit (`wavelength_nm`, `angle_of_incidence_deg`,
             `psi_deg`, `height_um`); dimensionless quantities lack a unit (`reflectance`, `n`, `k`, `m12`). Arrays of a
-            table have equal lengths; a height map is one array [row, column], row 0 at the top of the picture.
+            table have equal lengths; a height map is one array [row, column], row 0 at the picture's top.
         name: name of the sample, spectrum, channel or material in the file; empty if there is none.
         metadata: other statements of the file: instrument, date, white reference, illuminant, observer, polarisation,
             `pitch_um`.
@@ -57,6 +57,7 @@ class ReadOptions:
         columns: canonical names of the columns of a table without headings; `-` ignores a column.
         ignore: headings of columns to ignore.
         format: identifier in `registry.FORMATS`; recognised from the content by default.
+        wavelengths: file of the wavelengths of a spectrum of the USGS library, which is one column.
         expects: kind that the caller needs; decides the columns of a table without headings.
         assumed_quantity: quantity of a table of two columns without headings, which the caller's key states.
     """
@@ -71,6 +72,7 @@ class ReadOptions:
     columns: tuple[str, ...] = ()
     ignore: tuple[str, ...] = ()
     format: str | None = None
+    wavelengths: str | None = None
     expects: Kind | None = None
     assumed_quantity: str | None = None
 

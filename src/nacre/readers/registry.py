@@ -79,7 +79,9 @@ FORMATS: tuple[Format, ...] = (
     Format("asd-text", "ASD ViewSpec text", "spectrum", "spectra.asd"),
     Format("licor-prn", "LI-COR LI-1800 .PRN", "spectrum", "spectra.licor"),
     Format("aster", "ASTER and ECOSTRESS spectral library", "spectrum", "spectra.aster"),
+    Format("stellarnet", "StellarNet SpectraWiz text (.SSM, .TRM, .ABS, .IRR)", "spectrum", "spectra.stellarnet"),
     Format("svc-sig", "Spectra Vista (.sig)", "spectrum", "spectra.svc"),
+    Format("usgs-splib", "USGS spectral library 7 (ASCII)", "spectrum", "spectra.usgs"),
     Format("woollam-intensity", "Woollam intensities (uR, uT, pR, sR)", "spectrum", "spectra.woollam_intensity"),
     Format("bruker-dpt", "Bruker data point table .dpt", "spectrum", "spectra.bruker_dpt"),
     Format("opus", "Bruker OPUS", "spectrum", "spectra.opus"),
@@ -228,6 +230,10 @@ def open_file(path: str | Path, options: ReadOptions | None = None) -> list[Meas
             table = format_named("table")
             has_usual_headings = import_module(f"nacre.readers.{table.module}").has_usual_headings
             entry = table if has_usual_headings(head_of(path)) else entry
+    if options.wavelengths is not None and entry.id != "usgs-splib":
+        raise NacreError(
+            f'{path}: wavelengths = "{options.wavelengths}" is for the USGS library; this is {entry.title}'
+        )
     try:
         measurements = entry.read(path, options)
     except NacreError:

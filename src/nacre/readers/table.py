@@ -25,6 +25,7 @@ from nacre.readers.ellipsometry.common import ellipsometry
 from nacre.readers.headings import SPECTRAL_QUANTITIES, meanings
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
 from nacre.readers.registry import POSSIBLE, FileHead
+from nacre.readers.spectra.tables import of_samples
 from nacre.readers.text_table import TextTable, decode
 from nacre.readers.units import UNITS, Floats, parse_unit
 
@@ -81,6 +82,9 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         NacreError: a heading that is not in the vocabulary, or numbers that contradict it.
     """
     file = load_tables(path)
+    samples = of_samples(file.tables[0], options) if len(file.tables) == 1 else None
+    if samples is not None:
+        return samples
     kinds = [kind_of(table, options) for table in file.tables]
     if all(kind == "constants" for kind in kinds):
         return constants_of(path, options, file.tables)

@@ -112,11 +112,12 @@ def load_text(path: Path, limit: int = MAX_BYTES) -> str:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
 
 
-def number(cell: str, decimal: str = ".", grouping: str = "") -> float | None:
-    """Return the number of a cell; NaN if it is missing, None if it is another text.
+def number(cell: str, grouping: str = "") -> float | None:
+    """Return the number in a cell; NaN if it is missing, None if it is another text.
+
+    Point and comma are both read as the decimal mark, unless one of them groups digits.
 
     Args:
-        decimal: mark of the table's fractions; the other of point and comma is also read unless it groups digits.
         grouping: mark between groups of three digits.
 
     Example:
@@ -182,7 +183,7 @@ class TextTable:
 
     def is_numeric(self, column: int) -> bool:
         """Whether all cells are numbers or missing, and at least one is a number."""
-        found = [number(cell, self.decimal, self.grouping) for cell in self.column_text(column)]
+        found = [number(cell, self.grouping) for cell in self.column_text(column)]
         return all(value is not None for value in found) and any(not math.isnan(value or 0.0) for value in found)
 
     def is_empty(self, column: int) -> bool:
@@ -206,7 +207,7 @@ class TextTable:
                     return quick
         values = np.empty(len(self.rows))
         for i, row in enumerate(self.rows):
-            value = number(row[column], self.decimal, self.grouping)
+            value = number(row[column], self.grouping)
             if value is None or math.isinf(value):
                 raise NacreError(
                     f'{self.path}: line {self.lines[i]}: "{row[column].strip()[:40]}" is not a finite number'
@@ -236,7 +237,7 @@ class TableFile:
     """All blocks of a text file.
 
     Attributes:
-        tables: blocks in the order of the file.
+        tables: blocks in the file's order.
         trailing: lines of text after the last block.
         left_out: one sentence for each group of numbers that is not a table.
     """

@@ -145,7 +145,7 @@ def wavelengths_of(file: h5py.File, count: int) -> tuple[Array, str, str]:
 
 
 def embedding_index(file: h5py.File, count: int) -> Array:
-    """Return the index of the embedding, `[wavelength]`.
+    """Return the embedding's index, `[wavelength]`.
 
     Raises:
         TMatrixFileError: absorbing, magnetic, chiral, or stated twice with different values.
@@ -243,7 +243,7 @@ def material_epsilon(file: h5py.File, count: int) -> ComplexArray | None:
 
 
 def shape_of(file: h5py.File) -> str:
-    """Return the name of the shape: an attribute of scatterer/geometry, or a text beside it."""
+    """Return the shape's name: an attribute of scatterer/geometry, or a text beside it."""
     stated = dataset(file, "scatterer/geometry/shape")
     group = file.get("scatterer/geometry")
     named = "" if group is None else attribute(group.attrs, "shape")

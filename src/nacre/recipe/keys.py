@@ -82,7 +82,7 @@ class Key:
 
 
 def keys_of(model: type[RecipeModel]) -> tuple[Key, ...]:
-    """Return the keys of one table, in the order of the model."""
+    """Return the keys of one table, in the model's order."""
     model.model_rebuild()  # resolves tables that are defined further down in their module
     return tuple(_key(field.alias or name, field) for name, field in model.model_fields.items())
 
@@ -172,7 +172,7 @@ def toml_lines(path: str, value: Any) -> list[str]:
     """Return a value as lines of TOML: inline if it fits one line, else under a header.
 
     Args:
-        path: keys from the top of the file, without brackets.
+        path: keys from the file's top, without brackets.
         value: the value.
 
     Example:

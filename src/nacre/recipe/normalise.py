@@ -53,7 +53,7 @@ def _copied(value: Any, source: str, key: str, depth: int, count: list[int]) -> 
             return value  # the check of the key reports it
         return _copied(value.tolist(), source, key, depth, count)
     if isinstance(value, str) and not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
-        raise RecipeError(f"{source}: {key[:60]} = {ascii(value):.60} is no Unicode text")
+        raise RecipeError(f"{source}: {key[:60]} = {ascii(value):.60} holds a lone surrogate, not valid Unicode")
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) >= LARGEST_WHOLE:
         raise RecipeError(
             f"{source}: {key[:60]} is a whole number of over 64 bits, about 2^{value.bit_length() - 1}; "

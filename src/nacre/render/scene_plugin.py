@@ -126,7 +126,7 @@ def _source(properties: Any) -> Bsdf:
     if given[0] != "bsdf":
         return load_bsdf(_resolved(value))
     if value not in _registered:
-        raise RecipeError(f'scene: bsdf = "{value}" was not registered, or its Bsdf object is gone')
+        raise RecipeError(f'scene: bsdf = "{value}" is not registered; register the Bsdf and hold a reference to it')
     return _registered[value]
 
 

@@ -36,6 +36,7 @@ from nacre.matter.indices.constant import OpticalConstant
 from nacre.measure.gloss import Gloss, find_gloss
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.studio.graded import Grades, grades_of, is_undrawn
+from nacre.studio.incidence import UNPOLARISED, Incidence, mixes_polarisations, spectrum_from
 from nacre.studio.latest_only_worker import SupersededError
 
 LAMPS = ("D65", "A", "F11")
@@ -48,6 +49,7 @@ RIDGE_ROUGHNESS = 0.5  # for the light fan of ridges
 DIFFUSE_NOTE = "Scattered light is drawn as diffuse; the rendered picture shows its lobes."
 GLOSS_NOTE = "Scattered light is drawn as a rough mirror of fitted width over a diffuse part; see the rendered picture."
 ALIGNED_NOTE = "Aligned particles are drawn as seen in the plane of u; the rendered picture includes the azimuth."
+AZIMUTH_NOTE = "An anisotropic film is drawn with light from one azimuth at every point of the object."
 HEIGHT_MAP_FORMAT = "stl"  # only height maps are fabricated in this format
 MAX_PROFILE_FEATURES = 160
 PARTS = ("specular_reflectance", "diffuse_reflectance")
@@ -136,6 +138,9 @@ class Appearance:
         grades: for a material that varies over the surface, its colours at the nodes `tables`
             `[part, node of the second range, node of the first, angle, 3]` (parts: mirror-like, glossy, diffuse,
             transmitted) and the `map` of the surface, see `nacre.studio.graded`.
+        incidence: azimuth of the light, and polarisation of the chart's spectra; None for a material that has no such
+            choice.
+        polarised: `[shown angle, wavelength]`, reflectance of polarised light, if that is selected.
         profile: for height maps `heights_um` along one line, its `length_um` and the map's `depth_um`.
     """
 
@@ -156,6 +161,8 @@ class Appearance:
     seconds: float
     profile: dict[str, Any] | None
     grades: dict[str, Any] | None = None
+    incidence: Incidence | None = None
+    polarised: Array | None = None
 
     def packed(self, **header: Any) -> bytes:
         """Return the appearance as bytes, see `pack`; `header` adds entries such as the request number."""
@@ -165,6 +172,7 @@ class Appearance:
             "spread": self.diffuse_rgb,
             "wavelengths": self.wavelengths_nm,
             "total": self.total,
+            **({} if self.polarised is None else {"polarised": self.polarised}),
             **({} if self.lobe is None else {"lobe": self.lobe}),
             **({} if self.transmitted_rgb is None else {"through": self.transmitted_rgb}),
             **({} if self.grades is None else {"grades": self.grades["tables"], "grade_map": self.grades["map"]}),
@@ -179,6 +187,7 @@ class Appearance:
             "notes": self.notes,
             "profile": self.profile,
             "stepped": bool(self.grades and self.grades["is_stepped"]),
+            "incidence": None if self.incidence is None else dataclasses.asdict(self.incidence),
             "seconds": round(self.seconds, 4),
             "shown_deg": SHOWN_DEG,
         }
@@ -194,12 +203,15 @@ def pack(header: Mapping[str, Any], arrays: Mapping[str, Array]) -> bytes:
     return struct.pack("<I", len(text)) + text + body
 
 
-def appearances(material: Material, illuminant: str, is_superseded: Callable[[], bool]) -> Iterator[Appearance]:
+def appearances(
+    material: Material, illuminant: str, is_superseded: Callable[[], bool], incidence: Incidence = UNPOLARISED
+) -> Iterator[Appearance]:
     """Yield the final appearance, after a draft if the material is slow.
 
     Args:
         illuminant: lamp, such as "D65".
         is_superseded: polled during a long solution.
+        incidence: of the light on a film that mixes polarisations; other materials ignore it.
 
     Raises:
         NacreError: the material cannot be solved.
@@ -210,18 +222,18 @@ def appearances(material: Material, illuminant: str, is_superseded: Callable[[],
         material = material.at_low_fidelity()  # an interactive page cannot wait minutes for an ensemble
     if not _is_quick(material):
         family = material.family
-        draft = _solve(_drafted(material), illuminant, is_superseded, draft_quality.of(family))
+        draft = _solve(_drafted(material), illuminant, is_superseded, draft_quality.of(family), incidence)
         draft_quality.update(family, draft.seconds)
         yield draft
         _check(is_superseded)
-        final = _solve(material, illuminant, is_superseded, FINAL)
+        final = _solve(material, illuminant, is_superseded, FINAL, incidence)
         grades = grades_of(material)
         if grades is not None:
             yield replace(final, is_draft=True)
-        yield _graded(final, grades, illuminant, is_superseded, DRAFTS[0])
+        yield _graded(final, grades, illuminant, is_superseded, DRAFTS[0], incidence)
     else:
-        found = _solve(material, illuminant, is_superseded, QUICK)
-        yield _graded(found, grades_of(material), illuminant, is_superseded, QUICK)
+        found = _solve(material, illuminant, is_superseded, QUICK, incidence)
+        yield _graded(found, grades_of(material), illuminant, is_superseded, QUICK, incidence)
 
 
 def _graded(
@@ -230,6 +242,7 @@ def _graded(
     illuminant: str,
     is_superseded: Callable[[], bool],
     quality: Quality,
+    incidence: Incidence,
 ) -> Appearance:
     """Return the appearance with its colours at the nodes of the numbers that vary over the surface."""
     if grades is None:
@@ -238,7 +251,7 @@ def _graded(
     rows = []
     for node in grades.materials:
         _check(is_superseded)
-        wavelengths, parts, gloss, _ = _spectra(node, quality, is_superseded)
+        wavelengths, parts, gloss, _ = _spectra(node, quality, is_superseded, incidence)
         rgb = [_rgb(part, wavelengths, illuminant, quality.angles_deg) for part in _split(parts, gloss)]
         transmitted = parts[TRANSMITTED_PARTS[0]]
         has_light = found.transmitted_rgb is not None
@@ -312,10 +325,16 @@ def _form(data: Any) -> str:
     return "0" if isinstance(data, int | float) and not isinstance(data, bool) else repr(data)
 
 
-def _solve(material: Material, illuminant: str, is_superseded: Callable[[], bool], quality: Quality) -> Appearance:
+def _solve(
+    material: Material,
+    illuminant: str,
+    is_superseded: Callable[[], bool],
+    quality: Quality,
+    incidence: Incidence,
+) -> Appearance:
     start = time.perf_counter()
     angles_deg, grid = quality.angles_deg, quality.wavelengths_nm
-    wavelengths, parts, gloss, bsdf = _spectra(material, quality, is_superseded)
+    wavelengths, parts, gloss, bsdf = _spectra(material, quality, is_superseded, incidence)
     if not light.spans_colour(wavelengths):
         raise NacreError(
             f"{material.context.source}: wavelengths from {wavelengths[0]:g} to {wavelengths[-1]:g} nm make no colour"
@@ -357,14 +376,25 @@ def _solve(material: Material, illuminant: str, is_superseded: Callable[[], bool
         notes=tuple(notes),
         seconds=time.perf_counter() - start,
         profile=_profile(material),
+        incidence=incidence if mixes_polarisations(material) else None,
+        polarised=_polarised(material, wavelengths, incidence),
     )
 
 
+def _polarised(material: Material, wavelengths: Array, incidence: Incidence) -> Array | None:
+    """Return the reflectance of the selected polarised light at `SHOWN_DEG`, `[shown angle, wavelength]`."""
+    if incidence.polarisation == "both" or not mixes_polarisations(material):
+        return None
+    found = spectrum_from(material, np.radians(SHOWN_DEG), wavelengths, incidence)
+    return None if found is None else np.nan_to_num(found.parts()[PARTS[0]])
+
+
 def _spectra(
-    material: Material, quality: Quality, is_superseded: Callable[[], bool]
+    material: Material, quality: Quality, is_superseded: Callable[[], bool], incidence: Incidence
 ) -> tuple[Array, dict[str, Array], Gloss | None, Bsdf | None]:
     """Return wavelengths, the parts `[angle, wavelength]` by name (zeros for absent ones), the glossy part, and the
     Bsdf if it had to be solved."""
+    unpolarised = replace(incidence, polarisation="both")
     model, theta, grid = material.model, np.radians(quality.angles_deg), quality.wavelengths_nm
     bands = [grid]
     if len(theta) < len(ANGLES_DEG) and grid is None:  # a slow solution is interruptible between bands
@@ -373,7 +403,7 @@ def _spectra(
     spectra, axis = [], 1  # concatenated along the wavelengths
     for band in bands:
         _check(is_superseded)
-        found = model.spectrum(theta, band, "both", 0)
+        found = spectrum_from(material, theta, band, unpolarised)
         if found is None:
             break
         spectra.append(found)
@@ -453,6 +483,8 @@ def _surface(material: Material) -> tuple[float, dict[str, Any], list[str]]:
         notes.append("The fan of light of the ridges is drawn as a rough mirror; the rendered picture shows its shape.")
     if _is_aligned(material):
         notes.append(ALIGNED_NOTE)
+    if mixes_polarisations(material):
+        notes.append(AZIMUTH_NOTE)
     if is_undrawn(material.data):
         notes.append("Roughness and directions that vary over the surface are drawn as at the surface's centre.")
     return alpha, facets, notes

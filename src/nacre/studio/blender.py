@@ -25,7 +25,7 @@ from nacre.core.files import atomic_path
 from nacre.formats.lut.table import LightTable, angle_coordinate
 from nacre.formats.lut.write import template, write_table
 from nacre.light import clip_to_srgb, srgb_encode
-from nacre.material.examples import examples, find_example
+from nacre.material.examples import examples, resolve_recipe_path
 from nacre.material.material import Material, load
 from nacre.recipe.paths import numbers_of
 
@@ -68,7 +68,7 @@ def solve(request: Mapping[str, Any], tell: Tell) -> None:
     Raises:
         NacreError: the recipe is not valid, a table cannot hold it, or the folder cannot be written.
     """
-    path = find_example(str(request["recipe"])) or Path(str(request["recipe"]))
+    path = resolve_recipe_path(str(request["recipe"]))
     given = {str(name): float(value) for name, value in dict(request.get("numbers", {})).items()}
     material = load(path).vary(given)
     numbers = free_numbers(material)
@@ -96,7 +96,7 @@ def solve(request: Mapping[str, Any], tell: Tell) -> None:
 
 
 def free_numbers(material: Material) -> list[dict[str, Any]]:
-    """Return the numbers of a recipe: path, value, and the range of a slider; at most `MAX_NUMBERS`."""
+    """Return a recipe's numbers: path, value, and the range of a slider; at most `MAX_NUMBERS`."""
     found = []
     for path, value in numbers_of(material.data).items():
         if path.startswith(NO_NUMBERS) or path.rpartition(".")[2] in NO_NUMBERS:
@@ -107,7 +107,7 @@ def free_numbers(material: Material) -> list[dict[str, Any]]:
 
 
 def slider_range(path: str, value: float) -> tuple[float, float]:
-    """Return the range of a slider: [0, 1] for shares, else from a quarter of the value to two and a half times it.
+    """Return a slider's range: [0, 1] for shares, else from a quarter of the value to two and a half times it.
 
     Example: `slider_range("layers[0].thickness_nm", 120.0)` is (30.0, 300.0).
     """
@@ -122,10 +122,10 @@ def slider_range(path: str, value: float) -> tuple[float, float]:
 def solved_table(
     material: Material, numbers: Sequence[Mapping[str, Any]], axis: str, progress: Callable[[str], None]
 ) -> tuple[LightTable, str]:
-    """Return the table of a material, with the number `axis` varying if a table can hold it, and that number's path.
+    """Return a material's table, with the number `axis` varying if a table can hold it, and that number's path.
 
     Raises:
-        RecipeError: `axis` is no number of the recipe.
+        RecipeError: `axis` is not a number of the recipe.
         UnsupportedError: a table cannot hold the material even without a varying number.
     """
     by_path = {number["path"]: number for number in numbers}
@@ -181,6 +181,9 @@ def write_extension(path: Path, recipes: Sequence[str] = (), tell: Tell = lambda
     Raises:
         NacreError: a recipe cannot be solved, or the zip cannot be written.
     """
+    names = [Path(recipe).stem for recipe in recipes]
+    if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
+        raise NacreError(f'two recipes are called "{twice}"; allowed: file names that differ')
     with tempfile.TemporaryDirectory() as folder:
         held: dict[str, bytes] = {name: text.encode() for name, text in extension_files().items()}
         for recipe in recipes:

@@ -33,6 +33,7 @@ from nacre.recipe.toml import dump_toml, parse_toml
 from nacre.studio.design_request import LENGTH, OBSERVER, THICKNESS, inlined, rounded, task_of
 from nacre.studio.edit import edited
 from nacre.studio.folder import built
+from nacre.studio.incidence import Incidence, spectrum_from
 from nacre.studio.subprocess_jobs import Emit
 
 WARM_UP_S = 0.05
@@ -275,9 +276,9 @@ def tolerance(request: Mapping[str, Any], emit: Emit) -> None:
     material = inlined(built(request["recipe"])).at_low_fidelity()
     tolerances = recipe_tolerances(material, tolerance_options(material, request["percent"]))
     start = time.monotonic()
-    lamp, draws = request["lamp"], request["draws"]
-    angles, grid = _sampling(material, lamp)
-    nominal = _reflected_xyz(material, angles, grid, lamp)
+    lamp, draws, incidence = request["lamp"], request["draws"], Incidence(request["azimuth_deg"])
+    angles, grid = _sampling(material, lamp, incidence)
+    nominal = _reflected_xyz(material, angles, grid, lamp, incidence)
     generator = np.random.default_rng(0)
     values = draw(tolerances, generator, draws).values
     found: list[Array] = []
@@ -294,7 +295,7 @@ def tolerance(request: Mapping[str, Any], emit: Emit) -> None:
     for i in range(draws):
         try:
             varied = material.vary({path: float(drawn[i]) for path, drawn in values.items()})
-            found.append(_reflected_xyz(varied, angles, grid, lamp))
+            found.append(_reflected_xyz(varied, angles, grid, lamp, incidence))
         except NacreError:
             failed += 1
         if time.monotonic() - start > SCATTER_S and len(found) >= MIN_DRAWS:
@@ -323,21 +324,21 @@ def tolerance_options(material: Material, percent: float) -> tuple[str, ...]:
     return tuple(f"{path}={percent:g}%" for path in paths if path not in own)
 
 
-def _sampling(material: Material, lamp: str) -> tuple[Array, Array | None]:
+def _sampling(material: Material, lamp: str, incidence: Incidence) -> tuple[Array, Array | None]:
     """Return angles and wavelengths: few for slow materials."""
     if not material.model.traits.is_quick:
         return COARSE_DEG, COARSE_NM
     for _ in range(2):  # the first trial may compile
         start = time.monotonic()
-        _reflected_xyz(material, FINE_DEG, None, lamp)
+        _reflected_xyz(material, FINE_DEG, None, lamp, incidence)
         duration = time.monotonic() - start
     return (FINE_DEG, None) if duration <= QUICK_S else (COARSE_DEG, COARSE_NM)
 
 
-def _reflected_xyz(material: Material, angles_deg: Array, grid: Array | None, lamp: str) -> Array:
+def _reflected_xyz(material: Material, angles_deg: Array, grid: Array | None, lamp: str, incidence: Incidence) -> Array:
     """Return XYZ of the total reflected light under the lamp, `[angle, 3]`."""
     theta = np.radians(angles_deg)
-    spectrum = material.model.spectrum(theta, grid, "both", 0)
+    spectrum = spectrum_from(material, theta, grid, incidence)
     if spectrum is None:
         spectrum = bsdf_spectrum(material.bsdf(grid), theta)
     parts = spectrum.parts()

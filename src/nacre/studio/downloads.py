@@ -20,8 +20,9 @@ from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
 from nacre.material.material import Material
 from nacre.material.number_maps import number_maps
+from nacre.picture.polarisers import read_polariser
 from nacre.picture.scenes.catalogue import SCENE_NAMES
-from nacre.studio.folder import OpenedFolder, built, read_lamp, read_number, read_recipe
+from nacre.studio.folder import OpenedFolder, built, read_choice, read_lamp, read_number, read_recipe, shown
 from nacre.studio.objects import OBJECTS
 from nacre.studio.subprocess_jobs import Emit
 from nacre.studio.surroundings import NAMES
@@ -102,7 +103,7 @@ def formats_of(material: Material) -> dict[str, list[str]]:
 
 
 def read_file(body: Mapping[str, Any], opened: OpenedFolder) -> dict[str, Any]:
-    """Return a validated file request: `recipe`, `verb`, `to`, `lamp`, `scene`, `light`, `options`.
+    """Return a validated file request: `recipe`, `verb`, `to`, `lamp`, `scene`, `light`, `polariser`, `options`.
 
     Raises:
         NacreError: a value is not allowed, or the recipe is outside the folder.
@@ -110,11 +111,11 @@ def read_file(body: Mapping[str, Any], opened: OpenedFolder) -> dict[str, Any]:
     verb, to = body.get("verb", ""), body.get("to", "")
     known = {"export": EXPORTS, "fabricate": SUFFIXES | MAP_SUFFIXES, "picture": PICTURES}
     if not isinstance(verb, str) or verb not in known:
-        raise NacreError(f'verb "{str(verb)[:40]}" is not known; choose from {", ".join(known)}')
+        raise NacreError(f"verb {shown(verb)} is not known; choose from {', '.join(known)}")
     if not isinstance(to, str) or to not in known[verb]:
-        raise NacreError(f'{verb} to "{str(to)[:40]}" is not known; choose from {", ".join(known[verb])}')
-    scene = _choice(body, "scene", "sphere", SCENE_NAMES)
-    light = _choice(body, "light", None, NAMES)
+        raise NacreError(f"{verb} to {shown(to)} is not known; choose from {', '.join(known[verb])}")
+    scene = read_choice(body, "scene", "sphere", SCENE_NAMES)
+    light = read_choice(body, "light", None, NAMES)
     given = body.get("options", {})
     if not isinstance(given, dict):
         raise NacreError("the options of a file are not a table")
@@ -130,17 +131,14 @@ def read_file(body: Mapping[str, Any], opened: OpenedFolder) -> dict[str, Any]:
         raise NacreError("an area has a width and a height in mm; give both, or neither")
     return {
         "recipe": read_recipe(body, opened), "verb": verb, "to": to, "lamp": read_lamp(body), "scene": scene,
-        "light": light, "options": options,
+        "light": light, "polariser": _polariser(body), "options": options,
     }  # fmt: skip
 
 
-def _choice(body: Mapping[str, Any], key: str, default: str | None, known: tuple[str, ...]) -> str | None:
-    value = body.get(key)
-    if value is None:
-        return default
-    if not isinstance(value, str) or value not in known:
-        raise NacreError(f'{key} "{str(value)[:40]}" is not known; choose from {", ".join(known)}')
-    return value
+def _polariser(body: Mapping[str, Any]) -> str | float | None:
+    """Return the filter before the camera: "left", "right", an angle in degrees, or None."""
+    value = body.get("polariser")
+    return None if value is None else read_polariser(str(value)[:40], "polariser")
 
 
 def make_file(request: Mapping[str, Any], emit: Emit) -> bytes:
@@ -210,7 +208,8 @@ def _picture(material: Material, request: Mapping[str, Any], folder: Path, stem:
     size = [options.pop(key, None) for key in ("width", "height")]
     result = render(
         material, scene, **_mesh_options(request), light=request["light"], illuminant=request["lamp"],
-        size=None if None in size else tuple(size), view=None if None in view or scene == "screen" else view,
+        polariser=request["polariser"], size=None if None in size else tuple(size),
+        view=None if None in view or scene == "screen" else view,
         output=folder / f"{stem}-{scene}{request['to']}", progress=False, **({} if scene == "screen" else options),
     )  # fmt: skip
     stats = result.stats
@@ -234,8 +233,9 @@ def read_picture(body: Mapping[str, Any], opened: OpenedFolder) -> dict[str, Any
     return {
         "recipe": read_recipe(body, opened),
         "lamp": read_lamp(body),
-        "scene": _choice(body, "scene", "sphere", SCENES),
-        "light": _choice(body, "light", "studio", NAMES),
+        "scene": read_choice(body, "scene", "sphere", SCENES),
+        "light": read_choice(body, "light", "studio", NAMES),
+        "polariser": _polariser(body),
         "size": int(read_number(body.get("size", 320), "size", *SIZES)),
         "seconds": read_number(body.get("seconds", 6), "seconds", *SECONDS),
     }
@@ -262,7 +262,8 @@ def render_picture(request: Mapping[str, Any], emit: Emit) -> None:
     exposure: Any = 0.0 if scene == "sphere" else "auto"
     result = render(
         material, scene, **_mesh_options(request), light=request["light"], illuminant=request["lamp"],
-        size=(side, side), seconds=request["seconds"], exposure=exposure, progress=progress, on_better=send,
+        polariser=request["polariser"], size=(side, side), seconds=request["seconds"], exposure=exposure,
+        progress=progress, on_better=send,
     )  # fmt: skip
     send(result, is_last=True)
 

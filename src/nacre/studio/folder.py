@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -233,6 +234,11 @@ def _has_family(path: Path) -> bool:
         return "family" in text  # invalid TOML is listed too: the page shows the mistake
 
 
+def shown(value: Any) -> str:
+    """Return a request's value for an error message: as JSON, in one line, ASCII, shortened."""
+    return json.dumps(value)[:40]
+
+
 def read_lamp(body: Mapping[str, Any]) -> str:
     """Return the requested lamp, by default D65.
 
@@ -241,7 +247,7 @@ def read_lamp(body: Mapping[str, Any]) -> str:
     """
     lamp = body.get("lamp", "D65")
     if not isinstance(lamp, str) or lamp not in ILLUMINANTS:
-        raise NacreError(f'lamp "{str(lamp)[:40]}" is not known')
+        raise NacreError(f"lamp {shown(lamp)} is not known")
     return lamp
 
 
@@ -259,6 +265,20 @@ def read_recipe(recipe: Any, opened: OpenedFolder) -> dict[str, str]:
     return {"text": recipe["text"], "path": str(path), "fence": str(fence)}
 
 
+def read_choice(body: Mapping[str, Any], key: str, default: str | None, known: tuple[str, ...]) -> str | None:
+    """Return one of the known words from a request, or the default.
+
+    Raises:
+        NacreError: another value.
+    """
+    value = body.get(key)
+    if value is None:
+        return default
+    if not isinstance(value, str) or value not in known:
+        raise NacreError(f"{key} {shown(value)} is not known; choose from {', '.join(known)}")
+    return value
+
+
 def read_number(value: Any, name: str, low: float, high: float) -> float:
     """Return a number within its limits.
 
@@ -266,7 +286,7 @@ def read_number(value: Any, name: str, low: float, high: float) -> float:
         NacreError: it is not a number, or is outside the limits.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise NacreError(f"{name} = {str(value)[:20]} is not allowed; it should be from {low:g} to {high:g}")
+        raise NacreError(f"{name} = {shown(value)} is not allowed; it should be from {low:g} to {high:g}")
     return float(value)
 
 

@@ -75,7 +75,7 @@ def grades_of(material: Material) -> Grades | None:
 
 
 def is_undrawn(data: Any) -> bool:
-    """Whether something varies over the surface that the grades leave out."""
+    """Whether a quantity varies over the surface but not in the preview."""
     return any(True for _ in _textures(data, (), of_colour=False)) or len(list(_textures(data, ()))) > MAX_VARYING
 
 

@@ -65,7 +65,7 @@ def _summary(measurement: Measurement, name: str) -> str:
 
 
 def _curves(measurement: Measurement) -> list[dict[str, Any]]:
-    """Return the measured factors over the visible range, thinned to the resolution of the page."""
+    """Return the measured factors over the visible range, thinned to the page's resolution."""
     if measurement.kind != "spectrum":
         return []
     nm = np.asarray(measurement.data["wavelength_nm"], dtype=float)
@@ -82,7 +82,7 @@ def _curves(measurement: Measurement) -> list[dict[str, Any]]:
 
 
 def _psi_delta(measurement: Measurement) -> list[dict[str, Any]]:
-    """Return Psi and Delta at angles spread over those of the file, thinned to the resolution of the page."""
+    """Return Psi and Delta at angles spread over those of the file, thinned to the page's resolution."""
     data = measurement.data
     if not {"psi_deg", "delta_deg", "wavelength_nm", "angle_of_incidence_deg"} <= set(data):
         return []

@@ -29,6 +29,7 @@ from nacre.studio.design_request import list_parameters, read_design
 from nacre.studio.downloads import formats_of, read_file, read_picture, read_report, unpacked
 from nacre.studio.edit import line_of
 from nacre.studio.form import family_form
+from nacre.studio.incidence import read_incidence
 from nacre.studio.measured import relief_recipe
 from nacre.studio.objects import OBJECTS, MeshStore, packed_object, read_upload
 from nacre.studio.session import MAX_MESSAGE, Session
@@ -225,7 +226,7 @@ async def save(request: Request) -> Response:
     body = await _body(request)
     name, text, known = (body.get(key) for key in ("name", "text", "version"))
     if not (isinstance(name, str) and isinstance(text, str) and isinstance(known, str)):
-        raise NacreError("saving takes name, text and version")
+        raise NacreError("to save, name, text and version must be strings")
     if len(text) > folder.MAX_TEXT:
         raise NacreError(f"{name[:80]}: a recipe of {len(text)} characters; at most {folder.MAX_TEXT} are saved")
     return JSONResponse({"name": name, "version": _studio(request).opened.save(name, text, known)})
@@ -377,6 +378,7 @@ def _question(name: str, body: Body, studio: Studio) -> dict[str, Any]:
         return {
             "recipe": folder.read_recipe(body, studio.opened),
             "lamp": folder.read_lamp(body),
+            "azimuth_deg": read_incidence(body).azimuth_deg,
             "percent": folder.read_number(body.get("percent", 2), "tolerance in %", 0.0, MAX_PERCENT),
             "draws": int(folder.read_number(body.get("draws", 64), "draws", *DRAWS)),
         }

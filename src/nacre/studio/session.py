@@ -24,6 +24,7 @@ from nacre.recipe.toml import parse_toml
 from nacre.studio.appearance import Appearance, appearances
 from nacre.studio.edit import edited, line_of
 from nacre.studio.folder import MAX_TEXT, OpenedFolder
+from nacre.studio.incidence import read_incidence
 from nacre.studio.latest_only_worker import LatestOnlyWorker
 from nacre.studio.measured import computed_psi_delta
 from nacre.studio.subprocess_jobs import failure_text
@@ -77,7 +78,8 @@ class Session:
         material = self._opened.material(request.text, request.name)
         header = {"seq": request.body["seq"], "text": request.text, "data": json_data(material.data)}
         lamp = str(request.body.get("lamp", "D65"))
-        for found in appearances(material, lamp if lamp in ILLUMINANTS else "D65", is_superseded):
+        lamp = lamp if lamp in ILLUMINANTS else "D65"
+        for found in appearances(material, lamp, is_superseded, read_incidence(request.body)):
             beside = (
                 {} if found.is_draft else {"psi_delta": computed_psi_delta(material, request.body.get("ellipsometry"))}
             )

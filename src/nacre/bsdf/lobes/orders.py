@@ -39,7 +39,7 @@ class OrdersLobe(Lobe):
     Attributes:
         wavelengths_nm: `[wavelength]`.
         power: `[*params, theta, azimuth, order, wavelength]`, float32, E: uniform nodes in theta from 0 to pi/2 and in
-            the azimuth of the light from 0 to 2 pi, both ends included; linear between. Without the zero order.
+            the light's azimuth from 0 to 2 pi, both ends included; linear between. Without the zero order.
         lattice: `[2, 2]` rows g_10 and g_01, in 1/nm (for lines g_01 is zero); at the first period of `parameters`.
         orders: `[order, 2]`, (m, n).
         width: w.

@@ -67,7 +67,7 @@ class SpectrumMap(Lobe):
         super().check()
         count = len(self.wavelengths_nm)
         if self.power.ndim != 4 or self.power.shape[3] != count or min(self.power.shape[:3]) < 3:
-            raise ValueError("power must be [psi_x, psi_y, xi, wavelength] with at least 3 nodes an axis")
+            raise ValueError("power must be [psi_x, psi_y, xi, wavelength] with at least 3 nodes on each axis")
         if self.reflectance.ndim != 2 or self.reflectance.shape[1] != count or len(self.reflectance) < 2:
             raise ValueError("reflectance must be [cosine, wavelength]")
         if self.guard.ndim != 3 or self.guard.shape[2] != count or len(self.guard) < 2:

@@ -117,7 +117,7 @@ class OrdersPlugin(LobePlugin[OrdersLobe]):
     def _mean_efficiency(
         self, w: Any, corners: list[tuple[Any, Any]], order: Any, low: Any, part: Any, active: Any
     ) -> Any:  # fmt: skip
-        """Interpolate between the nodes of the period."""
+        """Interpolate between the period's nodes."""
         values = [weight * self._efficiency(w, node, order, low, part, active) for node, weight in corners]
         return sum(values[1:], values[0])
 

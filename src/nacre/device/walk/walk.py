@@ -433,10 +433,10 @@ class Stepper:
 def connect_interface(
     strata: Strata, connection: Exit, v: Any, interface: Any, active: Any, first: Any, exits_above: Any
 ) -> Any:
-    """Return the contribution of a rough interface, as a vertex, to the exit for light from `v`.
+    """Return the light that a rough interface scatters to the exit, for light from `v`.
 
-    A crossing towards the exit belongs to the previous vertex, which was connected through this interface; it
-    counts here only without such a vertex (`first`).
+    The previous vertex was connected through this interface already, so transmission towards the exit counts only
+    if there is no previous vertex (`first`).
     """
     total = mi.UnpolarizedSpectrum(0.0)
     has_above, has_below = active & (interface > 0), active & (interface < strata.count)

@@ -368,7 +368,7 @@ class Film(Model, Polarised):
         """Return the transmission of a rough free film.
 
         Both interfaces are parallel, so every facet is a plane-parallel film without refraction: light goes straight
-        on, with the mean transmittance of the visible facets (for varying roughness: at the centre of the surface).
+        on, with the mean transmittance of the visible facets (for varying roughness: at the surface's centre).
         """
         passed = facet_transmittance(response, self.surface.distribution, *self._mean_alpha())
         zero = np.zeros_like(passed)

@@ -76,7 +76,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
 
     @property
     def wavelengths_nm(self) -> Array:
-        """Default grid: every 10 nm within the range of the base."""
+        """Default grid: every 10 nm within the base's range."""
         return self.base.known_in(default_wavelengths())
 
     @property

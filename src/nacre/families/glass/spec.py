@@ -219,7 +219,9 @@ class StructureSpec(RecipeModel):
         return self
 
     def build(self, context: RecipeContext, outer_nm: float, place: str = "") -> Callable[[Array], Array] | None:
-        """Return S over q d, or None for hard spheres; below the tabulated range its first value, above it 1.
+        """Return the structure factor S as a function of q d, d: outer diameter; None for hard spheres.
+
+        Below the tabulated range S has its first value, above it 1.
 
         Raises:
             RecipeError: the file is unusable.

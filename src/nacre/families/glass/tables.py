@@ -63,7 +63,7 @@ CHECK_DEG = (10.0, 40.0, 65.0)
 CHECK_BINS, CHECK_WALKERS, CHECK_BANDS = 10, 120_000, 8
 MIDPOINTS = (8, 24)  # in a bin, and in the half circle of azimuth
 CHECK_PAIRS = 300
-NOISE_SHARE = 0.6  # of the noise of the check, added to the stated error
+NOISE_SHARE = 0.6  # of the check's noise, added to the stated error
 
 
 def diffuse_table(medium: Medium, slabs: list[Slab]) -> TableLobe:

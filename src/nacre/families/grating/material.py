@@ -145,7 +145,7 @@ class Grating(Model, Diffracting, Pixels):
         return self.spread.angle_rad
 
     def diffraction_orders(self, theta_rad: Array, azimuth_rad: float, wavelengths_nm: Array | None) -> Orders:
-        """Return the orders for light from an azimuth in the frame of the surface."""
+        """Return the orders for light from an azimuth in the surface's frame."""
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         stacks = dict(zip(lam.tolist(), self.stacks(lam), strict=True))
         azimuth = azimuth_rad - np.radians(self.turn_deg)

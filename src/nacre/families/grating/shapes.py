@@ -34,6 +34,19 @@ SIZES = {
     "image": ("file",),
     "gds": ("gds",),
 }
+OWN = {
+    # key -> shapes that it describes
+    "width_nm": ("line", "rectangle", "ellipse", "cross"),
+    "length_nm": ("rectangle", "ellipse", "cross"),
+    "size_nm": ("rectangle", "ellipse", "cross"),
+    "diameter_nm": ("disc", "ring"),
+    "inner_diameter_nm": ("ring",),
+    "points_nm": ("polygon",),
+    "file": ("image",),
+    "gds": ("gds",),
+    "cell": ("gds",),
+    "layer": ("gds",),
+}
 MAX_PIXELS = 1024
 SAMPLES = 256  # a side, in the search for overlaps
 
@@ -96,6 +109,13 @@ class ShapeSpec(RecipeModel):
         kind = self.kind
         if kind is None:
             raise ValueError(f"shape is missing; allowed: {', '.join(KINDS)}")
+        for key in sorted(self.model_fields_set & set(OWN)):
+            if getattr(self, key) is not None and kind not in OWN[key]:
+                raise ValueError(f'{key} has no meaning for a shape "{kind}"; allowed: {", ".join(OWN[key])}')
+        if kind in ("line", "image") and self.rotation_deg != 0.0:
+            raise ValueError(f'rotation_deg has no meaning for a shape "{kind}"; allowed: orientation.turn_deg')
+        if kind == "image" and self.center_nm != (0.0, 0.0):
+            raise ValueError('center_nm has no meaning for a shape "image", which is the whole cell; remove it')
         if self.size_nm is not None and (self.width_nm is not None or self.length_nm is not None):
             raise ValueError("size_nm and width_nm, length_nm exclude each other; keep one")
         for key in SIZES[kind]:
@@ -133,7 +153,7 @@ class ShapeSpec(RecipeModel):
         return self.width_nm if self.length_nm is None and self.kind == "rectangle" else self.length_nm
 
     def wall(self, context: RecipeContext, key: str, thickness_nm: float) -> Wall:
-        """Return the section of the wall.
+        """Return the wall's section.
 
         Raises:
             RecipeError: the rounding is higher than the layer.
@@ -184,7 +204,7 @@ class ShapeSpec(RecipeModel):
             return [Region(_turned(_ellipse(0.5 * w, 0.5 * h), x, y, turn), ("ellipse", x, y, w, h, turn))]
         if kind == "image":
             return [self._image(context, key, cell)]
-        polygons = [np.array(self.points_nm)] if kind == "polygon" else None
+        polygons = [self._points(context, key)] if kind == "polygon" else None
         if kind == "rectangle":
             polygons = [0.5 * np.array([[-w, -h], [w, -h], [w, h], [-w, h]])]
         if kind == "cross":
@@ -197,6 +217,15 @@ class ShapeSpec(RecipeModel):
             corners = points @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [x, y]
             shapes.append(Region(_polygon(corners), ("polygon", corners.tobytes().hex())))
         return shapes
+
+    def _points(self, context: RecipeContext, key: str) -> Array:
+        points = np.array(self.points_nm)
+        distance = _polygon(points)
+        low, size = points.min(axis=0), np.ptp(points, axis=0)
+        at = low[:, None, None] + size[:, None, None] * np.stack(np.meshgrid(*[(np.arange(64) + 0.5) / 64] * 2))
+        if not size.all() or not (distance(at[0], at[1]) < 0.0).any():
+            raise context.fail(f"{key}.points_nm", points.tolist()[:4], "holds no area; allowed: corners not in a line")
+        return points
 
     def _image(self, context: RecipeContext, key: str, cell: Cell) -> Region:
         from scipy.ndimage import distance_transform_edt
@@ -237,11 +266,15 @@ class ShapeSpec(RecipeModel):
         path = context.path(self.gds)
         try:
             plain(path)
-            library = gdstk.read_gds(str(path))
+            data = path.read_bytes()
         except OSError as error:
             raise context.fail(f"{key}.gds", self.gds, why_unreadable(error)) from None
+        try:
+            if not _is_gds(data):  # the library prints errors of its own
+                raise ValueError
+            library = gdstk.read_gds(str(path))
         except Exception:
-            raise context.fail(f"{key}.gds", self.gds, "is not a GDS file") from None
+            raise context.fail(f"{key}.gds", self.gds, "is not a complete GDS file") from None
         names = {cell.name: cell for cell in library.cells}
         if self.cell is not None and self.cell not in names:
             raise context.fail(
@@ -258,6 +291,21 @@ class ShapeSpec(RecipeModel):
             raise context.fail(f"{key}.layer", self.layer, f"holds no polygons in cell {top[0].name}")
         merged = gdstk.boolean(polygons, [], "or", precision=1e-3 * library.precision / library.unit)
         return [np.asarray(p.points) * (library.unit / 1e-9) for p in merged]
+
+
+def _is_gds(data: bytes) -> bool:
+    """Return whether records, each two bytes of length, type and content, lead from HEADER to ENDLIB."""
+    if data[2:4] != b"\0\2":
+        return False
+    at = 0
+    while at + 4 <= len(data):
+        length = int.from_bytes(data[at : at + 2], "big")
+        if data[at + 2] == 4:
+            return True
+        if length < 4:
+            return False
+        at += length
+    return False
 
 
 def widest(shape: Shape, wall: Wall, thickness_nm: float) -> Shape:

@@ -26,6 +26,14 @@ MAX_CROSSED_NM = 5_000.0
 MIN_PERIOD_NM = 10.0
 MAX_RATIO = 4.0  # of a period that varies over the surface
 MAX_FLAT_SLOPE = 20.0  # steeper flanks than this are walls
+PROFILE_KEYS = {
+    # key -> profiles that it describes
+    "apex": ("triangle", "blazed"),
+    "top": ("trapezoid",),
+    "bottom": ("trapezoid",),
+    "heights": ("file",),
+    "file": ("file",),
+}
 
 Period = Annotated[float, Field(ge=MIN_PERIOD_NM, le=MAX_PERIOD_NM)]
 
@@ -75,6 +83,8 @@ class LatticeSpec(RecipeModel):
                 raise ValueError(f'kind = "{self.kind}" has one period; allowed: a single number in period_nm')
         elif self.kind == "line" and self.angle_deg is not None:
             raise ValueError("angle_deg has no meaning for lines; remove it")
+        if self.kind == "square" and self.angle_deg not in (None, 90.0):
+            raise ValueError(f'angle_deg = {self.angle_deg:g} does not fit kind = "square"; allowed: 90, or no kind')
         if self.kind == "hexagonal" and self.angle_deg not in (None, 60.0, 120.0):
             raise ValueError(f"angle_deg = {self.angle_deg:g} does not fit a hexagonal lattice; allowed: 60, 120")
         return self
@@ -128,6 +138,9 @@ class ProfileSpec(RecipeModel):
     @pydantic.model_validator(mode="after")
     def _has_its_numbers(self) -> ProfileSpec:
         is_file = self.shape == "file"
+        for key, shapes in PROFILE_KEYS.items():
+            if getattr(self, key) is not None and self.shape not in shapes:
+                raise ValueError(f'{key} has no meaning for shape = "{self.shape}"; allowed: {", ".join(shapes)}')
         if is_file and (self.heights or self.file) is None:
             raise ValueError('heights is missing; shape = "file" needs heights = "profile.csv"')
         if not is_file and self.depth_nm is None:
@@ -154,7 +167,6 @@ class ProfileSpec(RecipeModel):
         else:
             assert self.depth_nm is not None
             apex = self.apex if self.apex is not None else (0.9 if self.shape == "blazed" else 0.5)
-            made = profile_of(self.shape, self.depth_nm, apex, self.top or 0.0, self.bottom or 0.0)
             flank = {"sinusoidal": 0.3, "trapezoid": 0.5 * (1.0 - (self.top or 0) - (self.bottom or 0))}.get(
                 self.shape, min(apex, 1.0 - apex)
             )
@@ -169,6 +181,7 @@ class ProfileSpec(RecipeModel):
                     value,
                     f"makes a flank steeper than {MAX_FLAT_SLOPE:g}; allowed: flatter ones, or layers of lines",
                 )
+            made = profile_of(self.shape, self.depth_nm, apex, self.top or 0.0, self.bottom or 0.0)
         return made
 
 

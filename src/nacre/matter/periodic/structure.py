@@ -94,7 +94,7 @@ class PeriodicStack:
     """A periodic structure at one wavelength.
 
     Attributes:
-        cover: real index of the medium of the light.
+        cover: real index of the light's medium.
         layers: from the top down.
         substrate: complex index.
         refined: of a structure with sloping walls, which `layers` approximate by steps: returns it with more steps.

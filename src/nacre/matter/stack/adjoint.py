@@ -213,7 +213,7 @@ def _substrate_adjoints(layers: Any, count: int, a: Any, qs_bar: Any, w_bar: Any
         kz = sqrt_decaying(complex(kz2[last, 0, i], kz2[last, 1, i]))
         one_over = complex(iw[last, 0, i], iw[last, 1, i])
         w_bar[last, i] = -q_bar * kz * one_over * one_over
-        # at the critical angle the derivative of the root is infinite; 0 is returned, as in JAX
+        # at the critical angle the root's derivative is infinite; 0 is returned, as in JAX
         kz2_bar[last, i] = 0.0j if kz == 0.0 else 0.5 * q_bar * one_over / kz
 
 

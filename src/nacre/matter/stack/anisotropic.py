@@ -26,7 +26,7 @@ class AnisotropicLayer:
     """A homogeneous or helical layer.
 
     Attributes:
-        tensor: relative permittivity in the frame of the sample, symmetric, `[3, 3]` or `[wavelength, 3, 3]`.
+        tensor: relative permittivity in the sample's frame, symmetric, `[3, 3]` or `[wavelength, 3, 3]`.
         thickness_nm: thickness.
         pitch_nm: length of a full turn about the normal; None: homogeneous.
         handedness: +1: the tensor turns from x to y with growing z (a right-handed screw), -1: the reverse.
@@ -224,14 +224,14 @@ def field_of_layers(
     depths_nm: ArrayLike,
     slice_share: float = 1.0,
 ) -> Array:
-    """Return |E|^2 relative to the incident wave at depths below the top of the stack, `[depth, wavelength, (p, s)]`.
+    """Return |E|^2 relative to the incident wave at depths below the stack's top, `[depth, wavelength, (p, s)]`.
 
     At each depth the stack is divided: the lower part is a reflector, below which the upper part is solved; this stays
     finite in opaque layers.
 
     Args:
         ambient_index, layers, substrate, wavelengths_nm: as for `solve_anisotropic`.
-        theta_rad: angle of incidence.
+        theta_rad: incidence angle.
         azimuth_rad: as for `solve_anisotropic`.
         depths_nm: from 0 to the thickness of all layers.
         slice_share: as for `solve_anisotropic`.

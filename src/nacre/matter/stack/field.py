@@ -1,6 +1,6 @@
 """Absorption in each layer, and the field |E(z)|^2.
 
-Both use the fields of the recursion in `nacre.matter.stack.kernel`. At the top of layer j the tangential fields are
+Both use the recursion's fields in `nacre.matter.stack.kernel`. At the top of layer j the tangential fields are
 f = F u_j and g = F v_j with one factor F per stack, so the Poynting flux through that plane is Re(g f*) / Re(q_0).
 A layer absorbs the flux difference between its two interfaces.
 """

@@ -8,6 +8,7 @@ al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)). Answers are evaluated 
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,18 +20,18 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
-from nacre.core.files import read_text, write_text
+from nacre.core.files import check_room, check_writable, read_text, write_text
 from nacre.families.contract import Surrogate, surrogate_radiance
 from nacre.light import lamp_lines_nm, spectrum_to_xyz, with_lamp_lines
 from nacre.material.material import Material, material
 from nacre.measure.geometry import Geometry, aspecular_pairs, named_geometries
 from nacre.measure.wavelengths import WALK_NM
 from nacre.optimise.evaluation import geometries_of
-from nacre.optimise.formulation.spec import DyeSpec, FormulationSpec, LibrarySpec, PigmentSpec
+from nacre.optimise.formulation.spec import MOST_ANSWERS, DyeSpec, FormulationSpec, LibrarySpec, PigmentSpec
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.least_squares import minimise_residuals, sobol_points
 from nacre.optimise.methods.surrogate import Correction
-from nacre.optimise.solutions import RECIPE, folder_of, write_recipe
+from nacre.optimise.solutions import NEED_BYTES, RECIPE, clear_solutions, folder_of, write_recipe
 from nacre.optimise.targets import Target, merit_function, read_targets
 from nacre.optimise.task import read_data
 from nacre.recipe.model import RecipeContext, validate
@@ -82,7 +83,7 @@ class Formula:
     """An answer.
 
     Attributes:
-        material: the recipe of the paint.
+        material: the paint's recipe.
         amounts: ingredient -> volume fraction of the dry stratum.
         mass_shares: ingredient -> share of the mass of the dry paint.
         cost_per_kg, cost_per_m2: of the dry stratum, in the library's currency.
@@ -222,6 +223,13 @@ def read_formulation(target: str | Path | Mapping[str, Any]) -> Task:
     grid = _grid(spec)
     merit = merit_function(targets, geometries, spec.light, grid)
     task = Task(spec, library, context, folder, targets, geometries, merit, start)
+    optics = [(each.name, each.platelet) for each in library.pigment] + [(each.name, each.dye) for each in library.dye]
+    for name, table in optics:
+        if "volume_fraction" in table:
+            raise RecipeError(
+                f'{source}: library: "{name}": the search chooses volume_fraction within the bounds of the '
+                "ingredient; remove it from the optics"
+            )
     for pigment in library.pigment:
         _paint(task, [pigment], None)
     for dye in library.dye:
@@ -283,7 +291,7 @@ class _Paint:
         return self.make({each.path: float(f) for each, f in zip(self.ingredients, fractions, strict=True)})
 
     def fractions(self, point: Array) -> list[float]:
-        """Return the volume fractions of a point."""
+        """Return a point's volume fractions."""
         return [each.fraction(float(unit)) for each, unit in zip(self.ingredients, point, strict=True)]
 
     def factors(self, fractions: Sequence[float] | Array, is_fine: bool) -> tuple[Array, Array]:
@@ -591,14 +599,37 @@ def formulation_document(found: Formulation) -> dict[str, Any]:
     }
 
 
+def check_answers(folder: Path) -> None:
+    """Check, before a search, that its answers can be written to a folder.
+
+    Raises:
+        NacreError: the folder cannot be written, or holds a recipe that is no formulation's.
+    """
+    if not os.path.lexists(folder):
+        check_writable(folder)
+    check_room(folder, NEED_BYTES)
+    recipes = [folder_of(folder, number) / RECIPE for number in range(1, MOST_ANSWERS + 1)]
+    foreign = next((path for path in recipes if os.path.lexists(path)), None)
+    if foreign is not None and not (folder / SUMMARY).exists():
+        raise NacreError(
+            f"{folder}: holds a {foreign.relative_to(folder)} that is no formulation's; choose another folder with -o"
+        )
+    if folder.is_dir():
+        check_writable(folder / SUMMARY)
+
+
 def write_formulation(found: Formulation, folder: Path) -> None:
     """Write `formulation.json`, `recipe.toml` of the first answer, and `2/recipe.toml` and so on of the others.
+
+    Further answers of an earlier formulation in the folder are removed.
 
     Raises:
         NacreError: the folder cannot be written or holds other files of these names.
     """
-    if (folder / RECIPE).exists() and not (folder / SUMMARY).exists():
-        raise NacreError(f"{folder}: holds a {RECIPE} that is no formulation's; choose another folder with -o")
+    check_answers(folder)
+    document = formulation_document(found)
     for number, each in enumerate(found.formulas, start=1):
-        write_recipe(folder_of(folder, number), each.material, {}, {}, each.material)
-    write_text(folder / SUMMARY, json.dumps(formulation_document(found), indent=1) + "\n")
+        names = write_recipe(folder_of(folder, number), each.material, {}, {}, each.material)[1]
+        document["formulas"][number - 1]["files"] = names
+    clear_solutions(folder, len(found.formulas), SUMMARY, "formulas")
+    write_text(folder / SUMMARY, json.dumps(document, indent=1) + "\n")

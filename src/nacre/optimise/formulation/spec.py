@@ -11,6 +11,7 @@ from nacre.optimise.spec import LightSpec, TargetEntry
 from nacre.recipe.model import RecipeModel
 from nacre.recipe.path_tables import GeometrySpec
 
+MOST_ANSWERS = 20
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 Fraction = Annotated[float, pydantic.Field(ge=0.0, le=0.3)]
 
@@ -110,7 +111,7 @@ class FormulationSearch(RecipeModel):
     max_pigments: Annotated[int, pydantic.Field(ge=0, le=5)] = pydantic.Field(
         default=2, description="largest number of pigments of a paint, beside at most one dye"
     )
-    solutions: Annotated[int, pydantic.Field(ge=1, le=20)] = pydantic.Field(
+    solutions: Annotated[int, pydantic.Field(ge=1, le=MOST_ANSWERS)] = pydantic.Field(
         default=3, description="number of answers, of different ingredients"
     )
     seconds: Positive = pydantic.Field(default=120.0, description="time limit")

@@ -1,7 +1,7 @@
 """Targets with free relief heights: translated to the gradient search over all heights.
 
 A target picture over directions is a view of that search; a target colour at one pair of directions is a small uniform
-view. The search works with display values under D65; the colours of the solution are then evaluated as for any family.
+view. The search works with display values under D65; the solution's colours are then evaluated as for any family.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
     for name in ("layers", "tolerance", "limits"):
         given = data.get(name)
         if given and not (name in KNOWN_IN and set(given) <= KNOWN_IN[name]):
-            raise RecipeError(f"{source}: {name}: is not known of a relief whose heights are sought")
+            raise RecipeError(f"{source}: [{name}] has keys that do not apply to a relief whose heights are optimised")
     places = [f"target[{i}].directions" for i, target in enumerate(spec.target) if target.directions]
     pictures = [target.directions for target in spec.target if target.directions]
     named = task_geometries(spec, recipe, context)

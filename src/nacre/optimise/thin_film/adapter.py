@@ -154,7 +154,7 @@ class ThinFilmSearch(Search):
         return name
 
     def _given_layers(self) -> tuple[tuple[Slot, ...], list[str], list[str]]:
-        """Return the layers of the recipe as slots, with materials and substrates by name."""
+        """Return the recipe's layers as slots, with materials and substrates by name."""
         film, layers = _film(self.task.material), self.task.material.data.get("layers", [])
         free = {number.path: number for number in self.task.parameters}
         names: dict[str, None] = {}
@@ -177,7 +177,7 @@ class ThinFilmSearch(Search):
         return tuple(slots), list(names), [self._below(entry) for entry in below]
 
     def _media(self, names: Sequence[str], grid: Array) -> list[Medium]:
-        """Return the media with the indices of the recipe."""
+        """Return the media with the recipe's indices."""
         data = [{"material": self.entries[name], "thickness_nm": 1.0} for name in names]
         film = _film(self.task.material.vary({"layers": data}))
         found = []

@@ -427,7 +427,7 @@ def nearest(labs: Any, wanted: Any, metric: Any, scale: Any, best: Any, at: Any)
     Args:
         labs: `[k, term, 3]`.
         wanted: `[term, 3]`.
-        metric: `[term, 3, 3]`: its product with a difference has the length of the dE00.
+        metric: `[term, 3, 3]`: its product with a difference has the length of dE00.
         scale: `[term]`.
         best, at: outputs, squared distances and numbers of the nearest, ascending.
     """

@@ -68,7 +68,7 @@ def workspace(tables: StackTables, merit: CompiledMerit, layers: int) -> Workspa
 
 @compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 def _normal_equations(merit: Any, layers: int, p: float, s: Any) -> None:
-    """Fill J^T W J and J^T W r from the residuals of the workspace."""
+    """Fill J^T W J and J^T W r from the workspace's residuals."""
     worst = 1e-12
     for t in range(s.u.shape[0]):
         worst = max(worst, s.u[t])

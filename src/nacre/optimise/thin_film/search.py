@@ -334,7 +334,7 @@ def search(
 
 
 def default_evaluations(problem: StackProblem) -> float:
-    """Return a number of stacks whose evaluation takes about two minutes of one core, from the size of the problem."""
+    """Return a number of stacks whose evaluation takes about two minutes of one core, from the problem's size."""
     return float(np.clip(WORK / (problem.layers**1.2 * problem.merit.rows * len(problem.coarse_samples())), 1e4, 1e7))
 
 

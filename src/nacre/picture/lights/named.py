@@ -86,7 +86,7 @@ class Light:
         return replace(self, emitters=made)
 
     def among(self, others: Light) -> Light:
-        """Add other lights' bodies, switched off, and their place."""
+        """Return this light with the unlit lamp bodies of other lights, and with their surroundings."""
         own = [emitter["to_world"] for emitter in self.emitters.values() if _is_body(emitter)]
         bodies = {
             f"off_{name}": {**{k: v for k, v in emitter.items() if k != "emitter"}, "bsdf": BLACK}

@@ -34,7 +34,7 @@ class Triangles:
     """One part of a file.
 
     Attributes:
-        vertices, normals: `[N, 3]` in the coordinates of the scene.
+        vertices, normals: `[N, 3]` in the scene's coordinates.
         uv: `[N, 2]`, v up, or None.
         faces: `[M, 3]`.
     """
@@ -96,7 +96,7 @@ def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
 def _placed(read: Any) -> list[tuple[Any, NDArray[np.float64]]]:
     """Return the geometries of a file with their transforms `[4, 4]`.
 
-    `trimesh.Scene.dump` would lose the normals of the file.
+    `trimesh.Scene.dump` would lose the file's normals.
     """
     if not hasattr(read, "graph"):
         return [(read, np.eye(4))]

@@ -78,7 +78,8 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
         raise NacreError(f"shape {path}: {path.stat().st_size} bytes; a mesh has at most {MAX_MESH_BYTES}")
     check_memory(float(BYTES_PER_BYTE) * path.stat().st_size, f"shape {path}: read as a mesh, it")
     try:
-        parts = read_triangles(path, is_alone)
+        with np.errstate(invalid="ignore"):  # vertices that are not finite are refused below
+            parts = read_triangles(path, is_alone)
     except NacreError:
         raise
     except FileNotFoundError as error:
@@ -159,7 +160,7 @@ def stand_on_floor(surface: Mesh, scene: Scene) -> Mesh:
 
 
 def _lies(surface: Mesh) -> bool:
-    """Return whether a face that is seen from above lies in the plane of the floor, as of a coin or a sheet."""
+    """Return whether a face that is seen from above lies in the floor's plane, as of a coin or a sheet."""
     corners = surface.vertices[surface.faces]
     is_low = corners[..., 2].max(axis=1) < LIFT
     if not is_low.any():

@@ -97,7 +97,7 @@ def pair(right: Mesh) -> Mesh:
 # Butterfly with spread wings. On the wings v runs from the root to the margin along the veins and u across them,
 # therefore the ridges of a ridge grating run along the veins, as on a Morpho.
 
-# relative radius at which the coloured wing ends, reduction at the tip of the wing, and start of the printed margin
+# relative radius at which the coloured wing ends, reduction at the wing's tip, and start of the printed margin
 MARGIN, TIP, EDGE = 0.93, 0.15, 0.74
 _BUTTERFLY_Z = 0.06
 

@@ -1,6 +1,6 @@
 """Triangle meshes with analytic normals and uv coordinates, and builders for surfaces.
 
-z points up and the camera looks along +y. uv follows the parameters of the surface, therefore the tangents of an
+z points up and the camera looks along +y. uv follows the surface's parameters, therefore the tangents of an
 anisotropic material follow the shape.
 """
 

@@ -118,7 +118,7 @@ def bottle() -> Mesh:
 
 
 def bottle_cap() -> Mesh:
-    """The cap on the neck of the bottle."""
+    """The cap on the bottle's neck."""
     return revolve(_CAP, 200, 200)
 
 
@@ -188,7 +188,7 @@ def cuff() -> Mesh:
     half = np.pi - 0.5 * np.radians(_CUFF_GAP_DEG)
 
     def place(u: Array, across: Array, is_outside: bool) -> Array:
-        # the front is at phi = -90 degrees; the section of the band is an oval with round edges
+        # the front is at phi = -90 degrees; the band's section is an oval with round edges
         phi = -0.5 * np.pi + (2 * u - 1) * half
         angle = 0.5 * np.pi * np.clip(across, -1.2, 1.2)
         z = _CUFF_HALF_HEIGHT * np.sin(angle)

@@ -204,7 +204,7 @@ def _patch(
     place: Callable[[Array, Array], tuple[Array, Array]],
     cells: tuple[int, int],
 ) -> Mesh:
-    """A layer just above part of a sheet; `place` maps the unit square to the uv of the sheet."""
+    """A layer just above part of a sheet; `place` maps the unit square to the sheet's uv."""
     part = parametric(lambda a, b: sheet(*place(a, b), _GAP), *cells)
     return part.with_uv(np.stack(place(*part.uv.T), axis=1)).facing_up()
 

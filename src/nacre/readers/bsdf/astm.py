@@ -93,5 +93,5 @@ def _channels(path: Path, names: list[str]) -> tuple[str | None, Array | None, l
     if len(names) == 1:
         return None, None, ["the file names no wavelength; one value stands for all"]
     raise NacreError(
-        f"{path}: values {', '.join(names)[:80]} are neither one value, R,G,B, X,Y,Z nor wavelengths in nm"
+        f"{path}: the columns {', '.join(names)[:80]} are not known; allowed: one value, R,G,B, X,Y,Z, or wavelengths"
     )

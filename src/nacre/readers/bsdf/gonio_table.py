@@ -185,7 +185,7 @@ def _side(known: Heading) -> dict[str, object]:
 def _long(
     path: Path, known: Heading, table: Array, angles: Array, waves: Array, values: Array, assumed: list[str]
 ) -> Measurement:
-    """Return one row per direction pair and wavelength, in the order of the file."""
+    """Return one row per direction pair and wavelength, in the file's order."""
     made = as_measurement(path, "gonio", angles, None, values, {"pairs": len(np.unique(angles, axis=0))} | _side(known),
                           assumed=assumed)  # fmt: skip
     data = dict(made.data)

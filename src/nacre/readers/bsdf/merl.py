@@ -25,7 +25,7 @@ SIZE = 12 + 8 * 3 * SHAPE[0] * SHAPE[1] * SHAPE[2]
 
 
 def sniff(head: FileHead) -> float:
-    """Recognise the three sizes, or the size of the file."""
+    """Recognise the three sizes, or the file's size."""
     if len(head.data) < 12:
         return 0.0
     is_shape = tuple(np.frombuffer(head.data, "<i4", 3)) == SHAPE

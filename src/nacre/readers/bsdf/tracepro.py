@@ -1,6 +1,6 @@
 """TracePro surface properties as text: a table of coefficients, and `Table_BSDF_Data` with BRDF and BTDF.
 
-`ScatterBeta` is |beta - beta0|, the distance of the scattered from the specular direction in direction cosines;
+`ScatterBeta` is |beta - beta0|, the scattered's distance from the specular direction in direction cosines;
 `ScatterAzimuth` turns about the specular direction, 0 towards larger beta. Wavelengths are in um.
 """
 

@@ -22,7 +22,7 @@ SIZE = 8 * 3 * (len(THETA) * len(PHI)) ** 2
 
 
 def sniff(head: FileHead) -> float:
-    """Recognise the size of the file and numbers in its head; the format has no magic."""
+    """Recognise the file's size and numbers in its head; the format has no magic."""
     if head.size != SIZE or b"nacre" in head.data[:16]:
         return 0.0
     values = np.frombuffer(head.data[: len(head.data) // 8 * 8], "<f8")

@@ -53,7 +53,7 @@ class Table:
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for a first line of the kin with BEGIN_DATA_FORMAT, or for BEGIN_DATA_FORMAT alone."""
+    """Return 1 if a line begins with BEGIN_DATA, or if a short head begins with the name of a CGATS format."""
     first = next((line for line in head.lines if line.strip()), "")
     has_format = any(line.strip().upper().startswith("BEGIN_DATA") for line in head.lines)
     return CERTAIN if has_format or (_FIRST.match(first) and len(head.lines) < 40) else 0.0

@@ -69,7 +69,7 @@ def _is_remark(line: str) -> bool:
 
 
 def _rows(path: Path, lines: list[str]) -> tuple[list[tuple[list[float], str]], str]:
-    """Return the colours of .gpl or JASC-PAL (version, count, then rows) and the name of the palette."""
+    """Return the colours of .gpl or JASC-PAL (version, count, then rows) and the palette's name."""
     found: list[tuple[list[float], str]] = []
     name, stated = "", None
     has_alpha = any(re.match(r"\s*Channels\s*:\s*RGBA\s*$", line) for line in lines[:20])  # Aseprite

@@ -17,7 +17,7 @@ DERIVED = ("pseudo_eps1", "pseudo_eps2", "reflectance")
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for the headings of the command."""
+    """Return 1 for the command's headings."""
     return CERTAIN if head.lines and tuple(_names(head.lines[0])[: len(START)]) == START else 0.0
 
 

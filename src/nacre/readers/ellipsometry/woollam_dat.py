@@ -1,6 +1,6 @@
 """Data files (.dat) of the programs WVASE and CompleteEASE by J. A. Woollam.
 
-A comment, `VASEmethod[...]`, optional lines such as `Original[...]` or `Dynamic`, the unit of the abscissa, then rows
+A comment, `VASEmethod[...]`, optional lines such as `Original[...]` or `Dynamic`, the abscissa's unit, then rows
 of wavelength, incidence angle, Psi, Delta and their standard deviations, in CompleteEASE after the letter `E`. Rows
 after another word hold another quantity: `dPolE` depolarisation in per cent, `uR`, `sR`, `pR`, `uT`, `sT`, `pT` powers,
 `mmIJ` elements of the Mueller matrix. A further column is the time of a dynamic measurement.

@@ -16,7 +16,7 @@ SAME = 1.5e-7  # relative, for the marker of holes in single precision
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for the magic of the format."""
+    """Return 1 for the format's magic."""
     return CERTAIN if head.data.startswith(MAGIC) else 0.0
 
 

@@ -18,7 +18,7 @@ HEAD_BYTES, COMMENT, OFFSET = 512, 334, 474  # size of the head; places of the c
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for the magic of the format."""
+    """Return 1 for the format's magic."""
     return CERTAIN if head.data.startswith(MAGICS) else 0.0
 
 

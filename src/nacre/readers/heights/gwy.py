@@ -20,7 +20,7 @@ DEEPEST = 20
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for the magic of the format."""
+    """Return 1 for the format's magic."""
     return CERTAIN if head.data.startswith(MAGIC) else 0.0
 
 

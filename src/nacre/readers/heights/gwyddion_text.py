@@ -34,7 +34,7 @@ def _remarks(lines: list[str]) -> list[tuple[str, str]]:
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for remarks of which two are lengths, the size of the map."""
+    """Return 1 for remarks of which two are lengths, the map's size."""
     remarks = _remarks(decoded(head.data).splitlines()[:8])
     return CERTAIN if 3 <= len(remarks) <= 6 and sum(_is_length(v) for _, v in remarks) == 2 else 0.0
 

@@ -19,7 +19,7 @@ TIME_BYTES, UNIT_EXTRA = 9, 12
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for the magic of the format."""
+    """Return 1 for the format's magic."""
     return CERTAIN if head.data.startswith(MAGIC[:8]) else 0.0
 
 

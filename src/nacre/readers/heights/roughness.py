@@ -23,7 +23,7 @@ class Roughness:
 
     Attributes:
         tilt_deg: angle of the plane.
-        mean_um: height of the plane in the middle: the height of the stage.
+        mean_um: height of the plane in the middle: the stage's height.
         sq_um: root mean square height, Sq.
         sdq: root mean square gradient, Sdq, from neighbouring points.
         correlation_length_um: shortest lag at which the autocorrelation of the azimuthal mean falls to 1/e; None if it

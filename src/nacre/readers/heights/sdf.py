@@ -20,7 +20,7 @@ TYPES = {0: "u1", 1: "<u2", 2: "<u4", 3: "<f4", 4: "i1", 5: "<i2", 6: "<i4", 7: 
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for the magic of the format."""
+    """Return 1 for the format's magic."""
     return CERTAIN if head.data.lstrip().startswith(MAGIC) else 0.0
 
 
@@ -41,7 +41,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
 
 
 def _holes(kind: np.dtype[Any], is_bcr: bool) -> list[float]:
-    """Return a hole's values: the least of the type in ISO 25178-71, the largest in BCR-STM, which some mix."""
+    """Return a hole's values: the type's least in ISO 25178-71, the largest in BCR-STM, which some mix."""
     if kind.kind == "f":
         return [float(np.finfo(kind).min), float(np.finfo(kind).max)]
     limits = np.iinfo(kind)

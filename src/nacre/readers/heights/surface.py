@@ -191,7 +191,7 @@ def height_map(
     """Return the measurement of one map.
 
     Args:
-        heights_um: `[row, column]`, row 0 at the top of the picture; holes are NaN or masked.
+        heights_um: `[row, column]`, row 0 at the picture's top; holes are NaN or masked.
         pitch_um: distance of the points along a row and along a column.
         metadata: further statements of the file; figures of roughness, without the least-squares plane, join them.
 

@@ -70,7 +70,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
 
 
 def _matrix(path: Path, text: str, options: ReadOptions) -> Measurement:
-    """Read an ASCII matrix: lengths of its sides, then rows in the order of the picture."""
+    """Read an ASCII matrix: lengths of its sides, then rows in the picture's order."""
     check_end(text, path)
     fields: dict[str, str] = {}
     rows = []

@@ -18,7 +18,7 @@ INTENSITY, PHASE, SCALE, LATERAL, RESOLUTION, SIGN = 48, 64, 164, 184, 218, 232
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for the magics of the format."""
+    """Return 1 for the format's magics."""
     return CERTAIN if head.data.startswith(MAGICS) else 0.0
 
 

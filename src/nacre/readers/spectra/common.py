@@ -465,8 +465,15 @@ def choose(path: Path, found: Sequence[Measurement], options: ReadOptions) -> li
         named_so = [found[int(options.spectrum) - 1]]
     if not named_so:
         names = ", ".join(measurement.name or str(place) for place, measurement in enumerate(found, start=1))
-        raise NacreError(f'{path}: spectrum = "{options.spectrum}" is not in the file; allowed: {names[:400]}')
+        raise NacreError(f'{path}: spectrum = "{options.spectrum}" is not in the file, which holds {names[:400]}')
     return named_so
+
+
+def undecided(path: Path, said: str, options: ReadOptions) -> NacreError:
+    """Return the error for a quantity that a file does not state; a key that needs a reflectance does not decide it."""
+    if options.assumed_quantity is not None:
+        return NacreError(f"{path}: {said}; nacre read with --quantity shows it, and -o writes it with headings")
+    return AmbiguousFileError(f"{path}: {said}", "quantity", QUANTITIES)
 
 
 def ratio(sample: ArrayLike, dark: ArrayLike, reference: ArrayLike) -> Array:

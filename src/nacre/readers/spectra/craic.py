@@ -15,7 +15,7 @@ _SETTINGS = re.compile(r"SciMode\s*:|\bIT1\s*=.*\bObj\s*=")
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 if a quantity stands in the second line and the settings of the microscope in the third."""
+    """Return 1 if a quantity stands in the second line and the microscope's settings in the third."""
     lines = [line for line in head.lines[:8] if line.strip()]
     return CERTAIN if len(lines) > 3 and any(_SETTINGS.search(line) for line in lines[:4]) else 0.0
 

@@ -17,7 +17,7 @@ from nacre.readers.spectra.common import Label, Notes
 
 NEW_LITTLE, NEW_BIG, OLD = 0x4B, 0x4C, 0x4D
 _SIXTEEN_BIT, _MANY, _LABELLED, _OWN_X, _HAS_X = 1, 4, 32, 64, 128  # bits of the first byte
-_HEAD = "BBBbIddIBBBBI9s9sH32s130s30sII"  # to the offset of the log and the modifications
+_HEAD = "BBBbIddIBBBBI9s9sH32s130s30sII"  # to the log's offset and the modifications
 _SUB_HEAD = "BbHfffIIf4s"
 _OLD_HEAD = struct.Struct("<BBhfffBB")
 FLOATS = -128  # exponent of floating-point values

@@ -106,7 +106,7 @@ def _view(preamble: str) -> Label | None:
 
 
 def _label(path: Path, preamble: str, nm: np.ndarray, values: np.ndarray, is_processed: bool, notes: Notes) -> Label:
-    """Return the quantity of the processed values from the preamble, the name of the mode or the size of the values."""
+    """Return the quantity of the processed values from the preamble, the mode's name or the size of the values."""
     if "irradiance" in preamble.lower():
         return Label("irradiance", 1.0)
     if not is_processed or len(_NO.findall(preamble)) >= 2:

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.readers.headings import meanings
+from nacre.readers.columns import interpret
+from nacre.readers.headings import SPECTRAL_QUANTITIES, meanings
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import FileHead
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Block, Label, Notes
+from nacre.readers.text_table import TextTable
 
 HEADED, WIDE, PLAIN = 0.5, 0.4, 0.3
 OTHERS = ("n", "k", "eps1", "eps2", "alpha", "psi", "delta", "tan_psi", "cos_delta", "angle_of_incidence",
           "polarisation", "polariser", "theta_i", "theta_o", "radius", "thickness")  # fmt: skip
+COLOUR_WORDS = ("sr", "sg", "sb")  # "red" heads a column of RGB as well as a sample
 MIN_NM, MAX_NM = 150.0, 30000.0
 _WAVELENGTH = re.compile(
     r"^(wave ?length|wavelengths|wave|wl|wvl|lambda|λ|longueur d'onde|wellenl[äa]nge|longitud de onda|波長|"
@@ -104,6 +108,75 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         found_pairs = _pairs(path, text.lines, block, names, pairs, options, notes)
         return common.choose(path, found_pairs, options)
     return common.choose(path, _columns(path, common.complete(path, block), names, metadata, options, notes), options)
+
+
+def of_samples(table: TextTable, options: ReadOptions) -> list[Measurement] | None:
+    """Return the spectra of a table whose columns, after the wavelengths, have the names of samples.
+
+    The option `quantity` states the quantity of all; or the caller's key states it, and `spectrum` names a column.
+    None for another table, or where a heading may be a quantity.
+
+    Raises:
+        AmbiguousFileError: no quantity is stated, or the caller's key needs one of several columns.
+        NacreError: no column has the name, or no number stands in it.
+    """
+    if options.columns or not table.headings or not _is_spectral(table.headings[0], table.units[0]):
+        return None
+    names = [name for name in table.headings[1:] if name.strip() and name not in options.ignore]
+    if options.spectrum in names:
+        names = [options.spectrum] if options.spectrum is not None else names
+    samples = [place for place, name in enumerate(table.headings) if place and name in names]
+    if not samples or any(_is_quantity(table, place) for place in samples) or len(set(names)) < len(samples):
+        return None
+    label = common.label_of(options.quantity or "")
+    if label is not None and label.quantity not in common.QUANTITIES:
+        return None
+    if label is None and options.quantity is None and options.expects is None and len(samples) > 1:
+        said = f"{table.path}: the columns{_shown([(name, np.zeros(0)) for name in names])} have no quantity"
+        raise AmbiguousFileError(said, "quantity", common.QUANTITIES)
+    if label is None and options.assumed_quantity in common.QUANTITIES and options.expects == "spectrum":
+        if options.spectrum is None and len(samples) < 2:
+            return None  # the only heading is refused: it may name any quantity
+        if options.spectrum is None:
+            raise AmbiguousFileError(
+                f"{table.path}: holds {len(names)} columns without a quantity ({', '.join(names)[:120]}); choose one",
+                "spectrum", tuple(names),
+            )  # fmt: skip
+        label = Label(options.assumed_quantity or "")
+    if label is None:
+        return None
+    others = tuple(name for name in table.headings[1:] if name.strip())
+    columns = interpret(table, SPECTRAL_QUANTITIES, replace(options, ignore=others))
+    nm = columns.spectral_nm(options)
+    if nm is None:
+        return None
+    values = [table.column(place) for place in samples]
+    notes = Notes(list(columns.assumed))
+    stated = replace(options, quantity=options.quantity or label.quantity, unit=None)
+    labels = _labels(
+        table.path, nm, [(table.headings[place], one) for place, one in zip(samples, values)], stated, notes
+    )
+    found = [
+        _one(table.path, nm, one, "nm", own, table.headings[place], {}, replace(stated, quantity=None),
+             Notes(list(notes.assumed), list(notes.left_out)))
+        for place, one, own in zip(samples, values, labels, strict=True)
+    ]  # fmt: skip
+    return common.choose(table.path, found, options)
+
+
+def _is_spectral(heading: str, unit: str) -> bool:
+    """Whether a heading can only state wavelengths, energies or wavenumbers."""
+    found = {meaning.quantity for meaning in meanings(heading, unit)}
+    return bool(found) and found <= {*SPECTRAL_QUANTITIES, "spectral"}
+
+
+def _is_quantity(table: TextTable, place: int) -> bool:
+    """Whether a heading may state a quantity, an error or a unit, and not only the name of a sample."""
+    heading = table.headings[place]
+    known = {meaning.quantity for meaning in meanings(heading, table.units[place])} - {*COLOUR_WORDS}
+    return bool(known or common.label_of(heading) or table.units[place]) or bool(
+        _PIXEL.match(heading) or _BESIDE.search(heading)
+    )
 
 
 def _headings(lines: Sequence[str], block: Block) -> list[str]:

@@ -84,12 +84,15 @@ export function drawRibbon(canvas, text, look) {
   text.textContent = look.shown_deg.map((angle, i) => `${angle}°: ${look.swatches[0].hex[i]}`).join("   ");
 }
 
+// Reflectance in the chart: of polarised light, if that is selected.
+const reflectance = (look) => look.polarised ?? look.total;
+
 // `measured`: curves of a dropped file, drawn dotted.
 export function drawSpectrum(svg, look, other, measured = []) {
   const draw = curveDrawer(svg);
   clear(svg);
   const [left, right, top, bottom] = [26, 276, 6, 128], looks = other ? [other, look] : [look];
-  const x = (nm) => left + ((nm - 380) / 400) * (right - left), peak = Math.max(...looks.map(({ total }) => Math.max(...total)), ...measured.map(({ values }) => Math.max(...values)));
+  const x = (nm) => left + ((nm - 380) / 400) * (right - left), peak = Math.max(...looks.map((one) => Math.max(...reflectance(one))), ...measured.map(({ values }) => Math.max(...values)));
   const most = peak > 1.001 ? peak : [0.05, 0.1, 0.2, 0.5, 1].find((m) => peak <= m) ?? 1;
   const y = (value) => bottom - (value / most) * (bottom - top);
   for (const share of [0, 0.5, 1]) {
@@ -97,11 +100,12 @@ export function drawSpectrum(svg, look, other, measured = []) {
     add(svg, "text", { x: left - 4, y: y(share * most) + 3, "text-anchor": "end" }, Number((share * most).toPrecision(3)));
   }
   for (const nm of [400, 500, 600, 700]) add(svg, "text", { x: x(nm), y: bottom + 13, "text-anchor": "middle" }, `${nm}${nm === 700 ? " nm" : ""}`);
-  for (const { wavelengths: lam, total: values, shown_deg } of looks) {
+  for (const one of looks) {
+    const { wavelengths: lam, shown_deg } = one, values = reflectance(one);
     shown_deg.forEach((_, row) => {
       const points = [];
       for (let i = 0; i < lam.length; i++) if (lam[i] >= 380 && lam[i] <= 780) points.push([x(lam[i]), y(values[row * lam.length + i])]);
-      draw(points, looks.length > 1 && values === other.total, DASHES[row]);
+      draw(points, looks.length > 1 && one === other, DASHES[row]);
     });
   }
   for (const { nm, values } of measured) draw(nm.map((lam, i) => [x(lam), y(Math.max(values[i], 0))]), true, "1 2");

@@ -25,7 +25,7 @@ export const isStale = () => Boolean(stored) && ![stored.lamp, stored.failed].in
 export function question(seq, own) {
   if (!isStale() || recipe.edits.length) return own(seq);
   pending = { seq, lamp: $("lamp").value };
-  return { name: stored.name, text: stored.text, edits: [], lamp: pending.lamp };
+  return { name: stored.name, text: stored.text, edits: [], lamp: pending.lamp, ...stored.look.incidence };
 }
 
 // Handle an answer for B; the request of the recipe follows. Return whether it was one.

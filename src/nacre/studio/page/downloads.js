@@ -1,6 +1,7 @@
 // Downloads: exports, fabrication files and pictures, made by the server.
 
 import { $, api, app, ask, el, shortName, wholeText } from "./common.js";
+import { filterOf } from "./incidence.js";
 import { sceneOf } from "./objects.js";
 import { placeOf } from "./surroundings.js";
 
@@ -84,7 +85,7 @@ async function make(event) {
   event.preventDefault();
   making?.abort();
   const mine = (making = new AbortController()), [verb, to] = $("file-to").value.split(/:(.*)/s);
-  const question = { text: await wholeText(), name: app.recipe.name, verb, to, lamp: $("lamp").value, ...sceneOf($("file-scene")), options: options(), ...placeOf() };
+  const question = { text: await wholeText(), name: app.recipe.name, verb, to, lamp: $("lamp").value, ...sceneOf($("file-scene")), options: options(), ...placeOf(), ...(verb === "picture" && $("file-scene").value !== "screen" ? filterOf() : {}) };
   $("file-error").textContent = "";
   $("file-remarks").replaceChildren();
   $("file-state").textContent = "Creating the file; you may close this dialog and continue.";

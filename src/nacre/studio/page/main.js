@@ -7,6 +7,7 @@ import { updateTolerance, initTolerance } from "./tolerance.js";
 import { updateDesign, initDesign } from "./design.js";
 import { Form } from "./form.js";
 import { initDownloads } from "./downloads.js";
+import { incidenceOf, initIncidence } from "./incidence.js";
 import { listObjects, initObjects } from "./objects.js";
 import { drawPanels, panels } from "./panels.js";
 import { valueAt } from "./recipe.js";
@@ -91,7 +92,7 @@ function ellipsometryAsked() {
   return found.length ? { ellipsometry: { angles_deg: found.map((one) => one.angle_deg), range_nm: [Math.min(...nm), Math.max(...nm)] } } : {};
 }
 
-const own = (seq) => ({ ...recipe.question(seq), ...comparedLab(), ...ellipsometryAsked(), lamp: $("lamp").value });
+const own = (seq) => ({ ...recipe.question(seq), ...comparedLab(), ...ellipsometryAsked(), ...incidenceOf(), lamp: $("lamp").value });
 
 // ---- the recipe as form and TOML
 
@@ -183,6 +184,7 @@ function listen() {
   const click = (id, act) => $(id).addEventListener("click", act);
   initFiles({ setError, showRecipe, tab });
   initRendering();
+  initIncidence();
   initReport();
   initDownloads();
   initObjects();

@@ -6,6 +6,7 @@ import { scatterExtent, drawScatter } from "./tolerance.js";
 import { $, app, el } from "./common.js";
 import { other } from "./compare.js";
 import { drawStructure } from "./drawing.js";
+import { showIncidence } from "./incidence.js";
 
 const AFTER_MS = 20;                            // delay after the object
 const SHORTEST_MS = 300, LONGEST_MS = 500;      // between two updates during a drag, with and without pauses
@@ -34,6 +35,7 @@ export function drawPanels() {
   const look = app.lastGood, kept = other();
   if (!look) return;
   showNotes(look.notes);
+  showIncidence(look);
   drawRibbon($("ribbon"), $("ribbon-text"), look);
   $("ribbons").classList.toggle("two", Boolean(kept));
   if (kept) drawRibbon($("ribbon-b"), $("ribbon-b-text"), kept);

@@ -2,6 +2,7 @@
 
 import { $, app, shortName, wholeText } from "./common.js";
 import { listen } from "./event_stream.js";
+import { filterName, filterOf } from "./incidence.js";
 import { sceneName, sceneOf } from "./objects.js";
 import { lightOf } from "./surroundings.js";
 
@@ -23,11 +24,11 @@ export async function render() {
   $("render-progress").removeAttribute("value");
   $("render-state").textContent = "Starting; the page stays responsive.";
   try {
-    const body = { text: await wholeText(), name: app.recipe.name, lamp: $("lamp").value, ...sceneOf($("scene")), size: Number($("size").value), seconds: Number($("seconds").value), ...lightOf() };
+    const body = { text: await wholeText(), name: app.recipe.name, lamp: $("lamp").value, ...sceneOf($("scene")), size: Number($("size").value), seconds: Number($("seconds").value), ...lightOf(), ...filterOf() };
     if (mine !== rendering) return;
     of = body.text;
     shown = key();
-    const scene = sceneName($("scene")), what = `${scene}, ${body.light}, ${body.lamp}, ${body.size} px`;
+    const scene = sceneName($("scene")), what = `${scene}, ${body.light}, ${body.lamp}${filterName(body)}, ${body.size} px`;
     await listen("api/picture", body, mine.signal, (event) => {
       if (mine !== rendering) return;
       if (event.kind === "waiting") $("render-state").textContent = "Waiting for another picture";
@@ -49,7 +50,7 @@ function put({ png, spp, is_last: isLast }, scene, body, what) {
   const image = $("picture");
   image.src = png;
   image.dataset.spp = spp;
-  image.alt = `${scene} of ${shortName(body.name)} under ${body.lamp}, rendered by Mitsuba`;
+  image.alt = `${scene} of ${shortName(body.name)} under ${body.lamp}${filterName(body)}, rendered by Mitsuba`;
   image.hidden = false;
   $("render-state").textContent = isLast ? `${what}: ${spp} samples per pixel by Mitsuba 3, denoised. Recipe at the time of the request.` : `${what}: ${spp} samples per pixel so far${$("render-state").dataset.left ?? ""}`;
 }
@@ -69,13 +70,13 @@ function cancel() {
   $("render-state").textContent = "Cancelled.";
 }
 
-const key = () => [app.recipe.text, $("lamp").value, $("scene").value, $("surround").value].join("\n");
+const key = () => [app.recipe.text, $("lamp").value, $("scene").value, $("surround").value, JSON.stringify(filterOf())].join("\n");
 
 // Without a live preview: show the picture instead and render it after each change.
 export function replacePreview() {
   for (const id of ["exposure", "front"]) ($(id).closest("label") ?? $(id)).hidden = true;
   $("stage").prepend($("picture"));
-  for (const id of ["lamp", "object", "surround", "scene"]) $(id).addEventListener("change", restartRendering);
+  for (const id of ["lamp", "object", "surround", "scene", "filter", "filter-angle"]) $(id).addEventListener("change", restartRendering);
 }
 
 // After an edit: cancel the rendering and restart it after a pause.

@@ -7,7 +7,7 @@ import { listen } from "./event_stream.js";
 const RESTING_MS = 500, AT_DEG = [0, 30, 60], MOST_DOTS = 120;
 let scatter = null, scatterKey = "", message = "", sampling = null, timer = 0, redraw = () => {};
 
-const key = () => `${app.recipe.name}\n${app.recipe.text}\n${$("lamp").value}\n${$("percent").value}`;
+const key = () => `${app.recipe.name}\n${app.recipe.text}\n${$("lamp").value}\n${$("percent").value}\n${$("azimuth").value}`;
 
 // Interpolated colour `[3]` of one draw at an angle.
 function at(rgb, angles, angle) {
@@ -66,7 +66,7 @@ async function ask() {
     if (mine !== sampling) return;
     const requested = key();
     $("tolerance-text").textContent = "Sampling manufactured materials";
-    await listen("api/tolerance", { text, name: app.recipe.name, lamp: $("lamp").value, percent: $("percent").valueAsNumber }, mine.signal, (event) => {
+    await listen("api/tolerance", { text, name: app.recipe.name, lamp: $("lamp").value, percent: $("percent").valueAsNumber, azimuth_deg: Number($("azimuth").value) }, mine.signal, (event) => {
       if (event.kind !== "tolerance" || mine !== sampling) return;
       scatterKey = requested;
       show(event);

@@ -131,8 +131,8 @@ class DistantSheet:
     """Coupling sums over an endless uncorrelated layer beyond the window, for two heights.
 
     Attributes:
-        table: the total sums without plane waves, see `NeighbourTable`.
-        within: their part within the window, folded, `[pol, node, h, h']`, at Chebyshev nodes.
+        table: the sums over the whole layer without their plane-wave terms, see `NeighbourTable`.
+        within: part of these sums within the window, folded, `[pol, node, h, h']`, at Chebyshev nodes.
         largest: largest in-plane wavevector over k.
     """
 

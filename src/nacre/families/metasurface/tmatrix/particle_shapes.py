@@ -267,7 +267,7 @@ class SolvedBody(Body):
     def reduced(self, wavelength_nm: float) -> tuple[float, float, complex, tuple[float, complex] | None, float]:
         """Return core radius and height, index, (thickness, index) of the shell, and edge radius.
 
-        Lengths are multiplied by the wavenumber of the ambient, indices divided by its index.
+        Lengths are multiplied by the ambient's wavenumber, indices divided by its index.
         """
 
         def relative(medium: OpticalConstant) -> complex:
@@ -374,7 +374,7 @@ class SolvedBody(Body):
         return complex(self.core.n_complex(np.array([wavelength_nm]))[0])
 
     def exported_t_matrices(self, wavelengths_nm: Array) -> AxialTMatrices:
-        """Return the T-matrices at some wavelengths, with every azimuthal order, up to l = 10."""
+        """Return the T-matrices at the given wavelengths, with all azimuthal orders, up to degree 10."""
 
         def whole(wavelength_nm: float) -> ComplexArray:
             return truncated(self.azimuthal(wavelength_nm, EXPORTED_ORDER), EXPORTED_ORDER)
