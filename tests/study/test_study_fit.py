@@ -100,7 +100,7 @@ def test_values_above_one_are_used_as_measured_and_per_cent_are_refused(tmp_path
     ("text", "what"),
     [
         ("", "no data"),
-        ("a,b\n1,2\n", "neither"),
+        ("a,b\n1,2\n", "heading"),
         ("wavelength_nm,specular_reflectance\n500,x\n", "not a finite"),
         ("wavelength_nm,specular_reflectance\n500\n", "measured value"),
         ("wavelength_nm,specular_reflectance\n500,0.5,0.5\n", "3 cells, the header has 2"),

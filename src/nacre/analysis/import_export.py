@@ -88,8 +88,6 @@ def export_material(
         from nacre.analysis.three import export_three
 
         return facts | export_three(material, path, illuminant, progress)
-    if target == "usd" and path.suffix.lower() in (".usdc", ".usdz"):
-        raise UnsupportedError(f"{path}: USD is written as text; allowed: a name that ends in .usda or .usd")
     if target in ("gltf", "materialx", "usd"):
         return facts | _export_film(material, target, path, None if mesh is None else Path(mesh))
     bsdf = material.bsdf()
@@ -168,6 +166,8 @@ def _export_film(material: Material, target: str, path: Path, mesh: Path | None 
     from nacre.analysis.thickness_map import fit_thickness_map, varying_axis
     from nacre.analysis.thin_film import fit_thin_film
 
+    if target == "usd" and path.suffix.lower() in (".usdc", ".usdz"):
+        raise UnsupportedError(f"{path}: USD is written as text; allowed: a name that ends in .usda or .usd")
     parts = [] if mesh is None else _mesh_parts(mesh)
     axis = varying_axis(material) if target == "gltf" else None
     mapped = None if axis is None else fit_thickness_map(material, axis)
