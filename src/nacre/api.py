@@ -298,7 +298,7 @@ def tolerance(
             `workers=nacre.core.jobs.Workers(cluster="tcp://host:port")`.
 
     Raises:
-        NacreError: there is no tolerance, or one names no number of the recipe.
+        NacreError: there is no tolerance, or one names no recipe number.
     """
     material = as_material(thing)
     return run_tolerance(material, recipe_tolerances(material, tuple(tolerances)), draws=draws, limit=limit, **options)
@@ -322,7 +322,7 @@ def diagnose(
         options: further arguments of `nacre.analysis.diagnose.diagnose`.
 
     Raises:
-        NacreError: nothing is measured, or a tolerance names no number of the recipe.
+        NacreError: nothing is measured, or a tolerance names no recipe number.
     """
     material = as_material(thing)
     return run_diagnosis(material, recipe_tolerances(material, tuple(tolerances)), list(observations), noise, **options)

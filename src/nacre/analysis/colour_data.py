@@ -48,7 +48,7 @@ class ColourData:
         """Return the data with its geometries.
 
         Raises:
-            RecipeError: a label is no geometry and no name of the recipe.
+            RecipeError: a label is no geometry and no recipe name.
         """
         named = recipe_geometries(material)
         where = f"{self.name or 'colour'}: geometry"

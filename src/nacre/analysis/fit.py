@@ -477,7 +477,7 @@ class _Problem:
         Args:
             starts: number besides the recipe's own point.
             scouts: points of the sample per parameter.
-            turn: number of the sample; later ones are larger and leave out the recipe's own point.
+            turn: sample number; later ones are larger and leave out the recipe's own point.
         """
         nominal = nominal_point(self._free, self._material) if turn == 0 else None
         chosen = [] if nominal is None else [nominal]

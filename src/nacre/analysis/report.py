@@ -82,7 +82,7 @@ class Report:
     """The report of one material.
 
     Attributes:
-        name: name of the recipe.
+        name: recipe name.
         illuminant, observer: of all colours; flop index, gloss and haze use those of their standards.
         aspecular: colours at 45 degree incidence, at the standard aspecular angles.
         specular: colours of the mirror direction over incidence; None without a specular part.
@@ -320,7 +320,7 @@ class Comparison:
     """Colour differences of a report from a standard.
 
     Attributes:
-        name: name of the sample.
+        name: sample name.
         formula: key of `nacre.light.colour_differences.FORMULAS`.
         tables: table name -> differences `[angle]`.
         labels: table name -> names of the geometries `[angle]`.
@@ -372,7 +372,7 @@ def compare_with_colours(
     Args:
         colours: geometry of the report -> CIELAB `[3]` of the standard, for the report's illuminant and observer.
         formula, limits: as for `compare`.
-        standard: name of the list.
+        standard: list name.
 
     Raises:
         NacreError: a geometry of the list or of a limit is not in the report, or the formula is unknown.

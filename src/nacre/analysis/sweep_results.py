@@ -81,7 +81,7 @@ def read_sweep(path: str | Path, part: str | None = None) -> SweepColours:
         part: such as "diffuse_reflectance"; default: the brightest stored part.
 
     Raises:
-        NacreError: there is no such store or part, it is not a sweep, or it lacks a finished point.
+        NacreError: the store or part does not exist, it is not a sweep, or it lacks a finished point.
     """
     path = Path(path)
     if not (path / "zarr.json").is_file():

@@ -63,7 +63,7 @@ def write_drawing(drawing: Drawing, to: str, path: Path, source: str, options: H
         drawing: the layers, particles or heights that the material's family gave.
         to: a key of `SUFFIXES` that the family supports.
         path: output file.
-        source: name of the recipe.
+        source: recipe name.
         options: mostly for heights.
 
     Returns:

@@ -165,7 +165,7 @@ def read_gltf(path: str | Path, name: str | None = None) -> ThinFilm:
     """Read a material with a thin film from a .gltf or .glb file; the first with a factor above 0 by default.
 
     Args:
-        name: name of the material.
+        name: material name.
 
     Raises:
         NacreError: not glTF, or no material has `KHR_materials_iridescence`.

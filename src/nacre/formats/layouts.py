@@ -165,7 +165,7 @@ def write_layout(
         xy_um: `[point, 2]` centres within a period.
         radius_um: circle radius; with `square` half the side.
         box_um: period; required with `field_um` and `periods`.
-        field_um: side of the field, filled by repeating the period; default: one period.
+        field_um: field side, filled by repeating the period; default: one period.
         square: squares rather than circles.
         periods: repetitions along x and y, rather than `field_um`.
         several: radii in um of several particle types, each with its own cell, and the type of each point.

@@ -127,7 +127,7 @@ def write_number_maps(
         maps: file names of several maps contain the parameter's path.
         to: a name in `FORMATS`.
         path: output file.
-        source: name of the recipe.
+        source: recipe name.
         size_mm: width and height; default: 0.1 mm per pixel.
         calibration: a CSV of settings and values; for several maps a mapping from path to file.
         levels: levels of a mask; default: those of the map, or 16.

@@ -37,7 +37,7 @@ class _Place:
         below: keys from the field's raw value to the number, such as a list's index.
         raw: keys of the field's raw value in the recipe's dictionary.
         factor: from the path's unit to the field's unit; 1 if it is no length.
-        check: validates a value of the field.
+        check: validates a field value.
     """
 
     owner: Keys

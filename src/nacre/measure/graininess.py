@@ -240,7 +240,7 @@ def graininess_patch(
     Args:
         areas: as for `graininess_statistics`.
         distance_mm: viewing distance.
-        field_mm: side of the field, drawn as 16 periodic tiles.
+        field_mm: field side, drawn as 16 periodic tiles.
         seed: of the flakes.
     """
     generator = np.random.default_rng(seed)

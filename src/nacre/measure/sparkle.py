@@ -45,7 +45,7 @@ class Pixels:
 
     Attributes:
         pixel_um: side of a pixel on the surface.
-        field_mm: side of the field.
+        field_mm: field side.
         threshold: least contrast of a sparkling pixel.
         dark: dark light, as luminance factor.
     """

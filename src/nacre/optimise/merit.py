@@ -39,7 +39,7 @@ class Operand:
     """Target for one property of one spectrum.
 
     Attributes:
-        row: index of the spectrum.
+        row: spectrum index.
         kind: property.
         lab: colour target, CIELAB under every lamp, each against its own white (kind "colour").
         xyz: colour target under the first lamp, Y = 1 for white, rather than `lab`.

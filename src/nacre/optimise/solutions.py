@@ -179,7 +179,7 @@ def write_recipe(
 def _bring(
     data: Any, source: Path, reached: set[Path], target: Path, copied: list[str], path: str = ""
 ) -> dict[str, str]:
-    """Copy the files named in a recipe; return path -> name of the copy."""
+    """Copy the files named in a recipe; return path -> copy name."""
     if isinstance(data, Mapping):
         parts = [_bring(v, source, reached, target, copied, f"{path}.{k}".lstrip(".")) for k, v in data.items()]
     elif isinstance(data, list):

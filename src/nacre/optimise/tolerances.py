@@ -54,7 +54,7 @@ class Component:
     """An independent cause of variation: one number, or the common factor of a group.
 
     Attributes:
-        name: path, or name of the group.
+        name: path, or group name.
         tolerances: of the numbers that it changes.
     """
 

@@ -146,7 +146,7 @@ class Framing:
             view: the camera.
             radius: the subject's, about the target.
             points: `[N, 3]`, to be in the frame of a changed direction before magnification; None: no condition.
-            size: picture size of the frame.
+            size: of the picture's frame.
 
         Raises:
             NacreError: the camera would be below the floor.

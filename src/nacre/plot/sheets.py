@@ -88,7 +88,7 @@ class DesignSheet:
         wavelengths_nm: `[wavelength]`, of all spectra.
         curves: label -> factor `[wavelength]`.
         wanted: label -> wavelengths and factors `[2, n]` of target spectra.
-        ribbon_deg, ribbon: angles `[angle]` and factors `[angle, wavelength]`; ribbon_label: name of the angle.
+        ribbon_deg, ribbon: angles `[angle]` and factors `[angle, wavelength]`; ribbon_label: angle name.
         media: names from the light's side, ambient and substrate included; thicknesses_nm: one per layer; empty if
             the material is not a stack.
         numbers: lines of text that replace the stack.

@@ -16,7 +16,7 @@ def rule_of(error_type: str, context: Mapping[str, Any], given: Any, tables: Ite
     """Return the end of the sentence "it should ...".
 
     Args:
-        error_type: pydantic's name of the error.
+        error_type: pydantic's error name.
         context: numbers and names of the error.
         given: the value in the recipe.
         tables: table models of the recipe, for their example forms.

@@ -188,7 +188,7 @@ def with_options(table: Mapping[str, Any], options: Iterable[tuple[str, Any]], n
     """Return path -> entry of a table, overridden by a command's options, also by those with `[*]`.
 
     Args:
-        name: name of the option, for messages.
+        name: option name, for messages.
 
     Raises:
         RecipeError: a path is given twice.

@@ -20,7 +20,7 @@ def varying_numbers(data: Any, patterns: tuple[str, ...], path: str = "") -> dic
     """Return the textures and formulas of a recipe at paths that match a pattern: path -> table.
 
     Args:
-        patterns: such as `strata[].platelets[].volume_fraction`; lengths end in `_nm` for any unit of the recipe.
+        patterns: such as `strata[].platelets[].volume_fraction`; lengths end in `_nm` for any recipe unit.
     """
     if isinstance(data, list):
         inner = [varying_numbers(value, patterns, f"{path}[{i}]") for i, value in enumerate(data)]

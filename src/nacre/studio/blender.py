@@ -125,7 +125,7 @@ def solved_table(
     """Return a material's table, with the number `axis` varying if a table can hold it, and that number's path.
 
     Raises:
-        RecipeError: `axis` is not a number of the recipe.
+        RecipeError: `axis` is not a recipe number.
         UnsupportedError: a table cannot hold the material even without a varying number.
     """
     by_path = {number["path"]: number for number in numbers}

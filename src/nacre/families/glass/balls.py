@@ -116,7 +116,7 @@ def _deflect(dx, dy, dz, quantile):
 
 @compiled(nogil=True, fastmath=True)
 def _follow(b, c, ratio, depths, quantile):
-    """Follow light from its entry at impact `b` until it leaves: weight, cosine, height of the exit, absorbed share."""
+    """Follow light from its entry at impact `b` until it leaves: weight, cosine, exit height, absorbed share."""
     scatter, absorb = depths
     share, cos_t = reflected(c, ratio)
     carried, absorbed = 1.0 - share, 0.0

@@ -159,7 +159,7 @@ class Slab:
 
         Args:
             medium: turbid medium.
-            band: index of the wavelength.
+            band: wavelength index.
             thickness_nm: slab thickness.
             base: albedo of a diffuse base in contact; None: the ambient lies below.
             modes: Fourier modes; 1 is enough for powers.

@@ -250,8 +250,8 @@ def plan_cut(
 
     Args:
         geometry: directions and wavelengths.
-        samples: surface samples along one side of the tile.
-        period_nm: side of the tile.
+        samples: surface samples along one tile side.
+        period_nm: tile side.
         height_range_nm: largest height difference, which sets the node count.
         coherence: coherence window.
         prefactor: see `brdf_factor`.

@@ -60,7 +60,7 @@ class MapReport:
     Attributes:
         sampling: surface sampling.
         kappa_nodes: number of spectra.
-        xi_nodes, psi_nodes: size of the table.
+        xi_nodes, psi_nodes: table size.
         psi_error: relative L2 error of the psi grid; larger than allowed if memory limits the step.
         excess: `[angle]`, largest albedo over Fresnel before scaling, at 0, 30, 60, 75 and 85 degrees.
         statistics: of a scan, "scan", "random" or "isotropic".

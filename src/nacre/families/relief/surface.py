@@ -68,7 +68,7 @@ class Tile:
 
     @property
     def period_nm(self) -> float:
-        """Side of the tile."""
+        """Tile side."""
         return self.features * self.feature_nm
 
     @property

@@ -96,7 +96,7 @@ class _Answer:
 
     Attributes:
         up, down: (m, n) -> `[2, 2]`, (E_x, E_y) for each light.
-        unknowns: size of the eigenproblem.
+        unknowns: eigenproblem size.
     """
 
     up: dict[tuple[int, int], Array]

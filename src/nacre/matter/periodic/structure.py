@@ -142,7 +142,7 @@ class OrderSolution:
     Attributes:
         error: estimated largest error of an efficiency.
         unknowns: size of the eigenproblems.
-        method: name of the solver.
+        method: solver name.
     """
 
     reflected: OrderSet
@@ -192,7 +192,7 @@ def order_set(
 
     Args:
         tangential: `[order, 2, in]`, E_x and E_y.
-        incident: azimuth of the transverse part of the incident wave, its k_z / k0 (positive), and index of the cover.
+        incident: azimuth of the transverse part of the incident wave, its k_z / k0 (positive), and cover index.
     """
     azimuth, k_z_in, _ = incident
     length = np.hypot(transverse[:, 0], transverse[:, 1])

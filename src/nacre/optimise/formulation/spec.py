@@ -104,7 +104,7 @@ class LibrarySpec(RecipeModel):
 
 
 class FormulationSearch(RecipeModel):
-    """Size of the search."""
+    """Search size."""
 
     forms: ClassVar[tuple[str, ...]] = ("{solutions = 3, seconds = 60, max_pigments = 2}",)
 

@@ -55,7 +55,7 @@ def sheet(width: float, depth: float, thickness: float = 0.04) -> Mesh:
     rim = 0.12  # share of the parameter range for the quarter round
 
     def across(t: Array, extent: float) -> tuple[Array, Array]:
-        """Place along one side, and relative height of the rim, for t in [-1, 1]."""
+        """Place along one side, and relative rim height, for t in [-1, 1]."""
         angle = 0.5 * np.pi * np.maximum((np.abs(t) - (1 - rim)) / rim, 0.0)
         flat = np.minimum(np.abs(t) / (1 - rim), 1.0) * (extent - half)
         return np.sign(t) * (flat + half * np.sin(angle)), np.cos(angle)

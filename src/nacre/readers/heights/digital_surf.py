@@ -14,7 +14,7 @@ from nacre.readers.registry import CERTAIN, FileHead
 
 MAGICS = (b"DIGITAL SURF", b"DSCOMPRESSED")
 HEAD = struct.Struct("<12s4H30s30s5H8xH4iI3f" + "16s" * 9 + "3f3H")
-HEAD_BYTES, COMMENT, OFFSET = 512, 334, 474  # size of the head; places of the comment's length and the height offset
+HEAD_BYTES, COMMENT, OFFSET = 512, 334, 474  # head size; places of the comment's length and the height offset
 
 
 def sniff(head: FileHead) -> float:

@@ -171,7 +171,7 @@ def specular_tables(
 
     Args:
         above, below: functions of cosines that return R and T, or R, `[..., pol, angle]`.
-        index: relative index of the substrate.
+        index: relative substrate index.
     """
     safe = np.maximum(np.linspace(0.0, 1.0, SPECULAR_NODES), GRAZING_COS)
     reflected, passed = (0.5 * p.sum(axis=-2) for p in above(safe))
