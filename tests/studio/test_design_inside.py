@@ -53,7 +53,7 @@ def test_without_the_token_nothing_begins(folder: Path, place: str) -> None:
 NO_DESIGNS: list[tuple[dict[str, Any], str]] = [
     ({"seconds": 601}, "from 2 to 600"),
     ({"seconds": 0.5}, "from 2 to 600"),
-    ({"seconds": "long"}, "seconds = long"),
+    ({"seconds": "long"}, 'seconds = "long"'),
     ({"seconds": None}, "seconds"),
     ({"solutions": 100}, "from 1 to 6"),
     ({"targets": []}, "1 to 24 target colours"),
