@@ -39,7 +39,8 @@ def _docstrings(module: types.ModuleType) -> dict[str, str]:
 def test_the_examples_of_a_module_hold(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     module = importlib.import_module(name)
-    runner, parser = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE), doctest.DocTestParser()
+    runner = doctest.DocTestRunner(verbose=False, optionflags=doctest.NORMALIZE_WHITESPACE)
+    parser = doctest.DocTestParser()
     for owner, text in _docstrings(module).items():
         if ">>> " in text:
             names = {**vars(module), "nacre": nacre, "np": np}
