@@ -13,7 +13,7 @@ from nacre.analysis.report import SPECULAR_ANGLES_DEG
 from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
-from nacre.core.jobs import Workers, run_jobs
+from nacre.core.jobs import START_WORKERS_S, Workers, run_jobs
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
 from nacre.measure import instruments
@@ -25,7 +25,6 @@ from nacre.recipe.path_tables import by_path, with_options
 MAX_DRAWS = 1_000_000
 SENSITIVITY_STEP = 0.5  # central difference half step, in standard deviations
 LIGHT_DEG = 45.0
-START_WORKERS_S = 10.0  # of remaining work; a worker process takes 2 s to start
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ def cluster_options(function: Callable[..., None]) -> Callable[..., None]:
 
         function(*args, workers=Workers(None, cluster, security), **options)  # --jobs sets the process's default
 
-    return command  # fmt: skip
+    return command
 
 
 def _no_cache_callback(ctx: click.Context, param: click.Parameter, value: bool) -> None:

@@ -31,6 +31,7 @@ BATCH_SECONDS = 0.5
 MAX_BATCH = 256
 MAX_RESTARTS = 5  # of the worker processes without a result in between
 CONNECT_TIMEOUT_S = 10
+START_WORKERS_S = 10.0  # of remaining work, for callers whose work may be short; a worker process takes 2 s to start
 SECURITY_KEYS = ("ca", "cert", "key")
 
 

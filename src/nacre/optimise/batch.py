@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import check_room, read_text, write_text
-from nacre.core.jobs import Workers, run_jobs
+from nacre.core.jobs import START_WORKERS_S, Workers, run_jobs
 from nacre.optimise.colour_list import ColourRow, read_colours
 from nacre.optimise.evaluation import TargetResult, evaluate
 from nacre.optimise.run import (
@@ -37,7 +37,6 @@ from nacre.optimise.thin_film.adapter import thin_film_search_many
 
 TABLE, SUMMARY = "many.csv", "many.json"
 WRITE_INTERVAL_S = 2.0
-START_WORKERS_S = 10.0  # of remaining work; a worker process takes 2 s to start
 MAX_NAME_LENGTH = 60
 HEADINGS = "name folder L a b reached_L reached_a reached_b de00 geometry lamp met total_nm".split()
 
