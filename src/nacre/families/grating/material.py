@@ -23,7 +23,7 @@ from nacre.families.contract import Diffracting, Model, Pixels, Traits
 from nacre.families.grating.outlines import outlines
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.periodic.order_tables import MAX_THETA, OrderTables, in_common, order_tables
-from nacre.matter.periodic.orders import Orders, coarse_orders, solve_orders
+from nacre.matter.periodic.orders import Orders, check_polarisation, coarse_orders, solve_orders, summed
 from nacre.matter.periodic.slices import COARSE, Wall, sliced
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Shape
 
@@ -273,23 +273,17 @@ class Grating(Model, Diffracting, Pixels):
         Raises:
             UnsupportedError: the polarisation is not known.
         """
-        if polarisation not in ("s", "p", "both"):
-            raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use s, p or both')
+        check_polarisation(polarisation)
         theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
         found = self.diffraction_orders(np.minimum(theta, MAX_THETA), 0.0, wavelengths_nm)
         is_zero = np.all(found.numbers == 0, axis=1)
-
-        def part(efficiency: Array, chosen: Array) -> Array:
-            both = np.nan_to_num(efficiency[:, :, chosen]).sum(axis=2)
-            return np.asarray({"s": both[..., 0], "p": both[..., 1]}.get(polarisation, both.mean(axis=-1)))
-
         lam = found.wavelengths_nm
         transmits = is_transparent(self.substrate.n_complex(lam))
         return Spectrum(
             lam,
             np.degrees(theta),
-            part(found.reflected, is_zero),
-            part(found.transmitted, is_zero) if transmits else None,
-            part(found.reflected, ~is_zero),
-            part(found.transmitted, ~is_zero) if transmits else None,
+            summed(found.reflected[:, :, is_zero], polarisation),
+            summed(found.transmitted[:, :, is_zero], polarisation) if transmits else None,
+            summed(found.reflected[:, :, ~is_zero], polarisation),
+            summed(found.transmitted[:, :, ~is_zero], polarisation) if transmits else None,
         )

@@ -11,13 +11,12 @@ from nacre.bsdf.bsdf import Bsdf, Spectrum
 from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.core.arrays import Array
-from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Diffracting, Fabricable, Figure, Model, Traits
 from nacre.families.relief.lines import Lines
 from nacre.families.relief.material import Relief
 from nacre.matter.drawings import Drawer
 from nacre.matter.periodic.order_tables import MAX_THETA, order_tables
-from nacre.matter.periodic.orders import Orders, solve_orders
+from nacre.matter.periodic.orders import Orders, check_polarisation, solve_orders, summed
 from nacre.matter.periodic.solve import LARGEST_ERROR
 from nacre.matter.periodic.structure import NotConvergedError, PeriodicStack
 
@@ -134,12 +133,10 @@ class VectorRelief(Model, Diffracting, Fabricable):
         Raises:
             UnsupportedError: the polarisation is not known.
         """
-        if polarisation not in ("s", "p", "both"):
-            raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use s, p or both')
+        check_polarisation(polarisation)
         theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
         found = self.diffraction_orders(np.minimum(theta, MAX_THETA), 0.0, wavelengths_nm)
-        every = np.nan_to_num(found.reflected).sum(axis=2)
-        diffuse = {"s": every[..., 0], "p": every[..., 1]}.get(polarisation, every.mean(axis=-1))
+        diffuse = summed(found.reflected, polarisation)
         return Spectrum(found.wavelengths_nm, np.degrees(theta), None, None, diffuse)
 
     @property

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nacre.core.disk_cache import cache_arrays, cached_arrays
+from nacre.core.errors import UnsupportedError
 from nacre.core.parallel import in_threads
 from nacre.matter.periodic.solve import solve, solve_coarse
 from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Region
@@ -46,6 +47,22 @@ class Orders:
     reflected_direction: Array
     transmitted_direction: Array
     error: Array
+
+
+def check_polarisation(polarisation: str) -> None:
+    """Check the polarisation of a sum over orders.
+
+    Raises:
+        UnsupportedError: it is not known.
+    """
+    if polarisation not in ("s", "p", "both"):
+        raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use s, p or both')
+
+
+def summed(efficiency: Array, polarisation: str) -> Array:
+    """Return the sum `[angle, wavelength]` over orders of `[angle, wavelength, order, (s, p)]`; "both": the mean."""
+    both = np.nan_to_num(efficiency).sum(axis=2)
+    return np.asarray({"s": both[..., 0], "p": both[..., 1]}.get(polarisation, both.mean(axis=-1)))
 
 
 def solve_orders(
