@@ -59,11 +59,11 @@ def test_a_name_given_twice_or_taken_from_nacre_is_refused(monkeypatch: pytest.M
     monkeypatch.setattr("importlib.metadata.entry_points", installed)
     lazy._scan.cache_clear()
     try:
-        with pytest.raises(NacreError, match='"sand" of nacre.families is registered twice: by a.b:C and d.e:F'):
+        with pytest.raises(NacreError, match='"sand" of nacre.families .* a.b:C and d.e:F'):
             family_spec("sand", "here")
         monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [EntryPoint("film", "a.b:C", group)])
         lazy._scan.cache_clear()
-        with pytest.raises(NacreError, match='"film" of nacre.families .* is a name of nacre itself'):
+        with pytest.raises(NacreError, match='"film" of nacre.families'):
             family_names()
     finally:
         lazy._scan.cache_clear()

@@ -100,7 +100,7 @@ def test_targets_with_heights_or_pictures_are_relief_tasks():
         ({"target": [{"directions": PICTURE, "geometry": "30as15"}]}, "has directions and geometry; keep one"),
         ({"target": [{"colour": "#ffffff"}]}, "geometry is missing"),
         ({"tolerance": {"heights": "much"}}, 'tolerance.heights = "much" should be a percentage'),
-        ({"limits": {"max_total_nm": 3}}, "limits: is not known of a relief"),
+        ({"limits": {"max_total_nm": 3}}, "[limits]"),
     ],
 )
 def test_a_bad_relief_target_gives_one_line(changes, said):
