@@ -489,7 +489,7 @@ def _without_transmission(response: InterfaceResponse) -> InterfaceResponse:
 def _only_transmitting(response: InterfaceResponse, passed: Array) -> InterfaceResponse:
     """Return the response without reflection; `passed[*params, cos, wavelength]` is on uniform cosines."""
     zero, cos = np.zeros_like(passed), np.linspace(0.0, 1.0, passed.shape[-2])
-    tables = {"reflectance": zero, "reflectance_inside": zero, "transmittance": passed}
+    tables: dict[str, Any] = {"reflectance": zero, "reflectance_inside": zero, "transmittance": passed}
     return dataclasses.replace(response, cos_outside=cos, total_nodes=None, **tables)
 
 
