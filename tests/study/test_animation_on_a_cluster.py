@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,8 @@ from nacre.cli import run
 from nacre.core.jobs import Workers
 from nacre.render import animation
 
-FILM = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 200}]}
-SMALL = {"size": (16, 14), "spp": 2, "progress": False, "denoise": False}
+FILM: dict[str, Any] = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 200}]}
+SMALL: dict[str, Any] = {"size": (16, 14), "spp": 2, "progress": False, "denoise": False}
 
 pytestmark = pytest.mark.render
 
