@@ -13,7 +13,6 @@ from PIL import Image
 import nacre
 from nacre.cli import run
 from nacre.core.jobs import Workers
-from nacre.render import animation
 
 FILM: dict[str, Any] = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 200}]}
 SMALL: dict[str, Any] = {"size": (16, 14), "spp": 2, "progress": False, "denoise": False}
@@ -24,15 +23,15 @@ pytestmark = pytest.mark.render
 @pytest.mark.full
 def test_a_cluster_renders_the_frames_of_one_machine(tmp_path: Path) -> None:
     film, motion = nacre.material(FILM), "layers[0].thickness_nm=100:300"
-    here = animation.animate(film, motion, tmp_path / "here.gif", frames=3, **SMALL)
+    here = nacre.render.animate(film, motion, tmp_path / "here.gif", frames=3, **SMALL)
     with dask_over_tcp(tmp_path, 1) as address:
-        there = animation.animate(
+        there = nacre.render.animate(
             film, motion, tmp_path / "there.gif", frames=3, workers=Workers(cluster=address), **SMALL
         )
     assert there.path is not None and there.kept == 0
     for one, two in zip(here.frames, there.frames, strict=True):
         np.testing.assert_array_equal(np.asarray(Image.open(one)), np.asarray(Image.open(two)))
-    again = animation.animate(film, motion, tmp_path / "there.gif", frames=3, **SMALL)
+    again = nacre.render.animate(film, motion, tmp_path / "there.gif", frames=3, **SMALL)
     assert again.kept == 3  # the frames carry the key of this machine's frames
 
 
