@@ -43,7 +43,8 @@ _PER_CENT = re.compile(r"%|per ?cent|prozent|pour ?cent|por ?ciento")
 _FACTOR = re.compile(r"[\[(]\s*(?:1|0-1|-)\s*[\])]|factor\b|fraction")
 # functions of a reflectance, and scales that are not read
 _OTHER_SCALE = re.compile(
-    r"^1\s*-|\bdb\b|‰|per ?mill?e|\bpp[mt]\b|[x×*]\s*\d|\d\s*[x×*]|10\s*\^|\blog(?:10)?\b|\bln\b|\bsqrt\b|\bdelta\b|"
+    r"^1\s*-|\b[rt]\s*/\s*[a-z]|\bdb\b|‰|per ?mill?e|\bpp[mt]\b|"
+    r"[x×*]\s*\d|\d\s*[x×*]|10\s*\^|\blog(?:10)?\b|\bln\b|\bsqrt\b|\bdelta\b|"
     r"[δ∆]|deriv|\bchange\b|normali[sz]|\ba\.\s?u\b|\barb"
 )
 _POWER = re.compile(r"reflect|r[ée]fle[ck]|transmi|absorptance|(?<![a-z])[rt](?![a-z])|反射率|透過率")
