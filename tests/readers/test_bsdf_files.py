@@ -328,7 +328,8 @@ def test_astm_names_of_colours(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "type bsdf_data\nformat angles=deg\n10\t0\n0\t0\t.1\n",
+        "type bsdf_data\nformat angles=cosines bsdf=value\n10\t0\n0\t0\t.1\n",
+        "type bsdf_data\n10\t0\n0\t0\t.1\t2\n",
         "SphereMesh:\t2\t1\t0\t0\t360\t90\n1\t1\n",
         "Symmetry Asymmetric\nSpectralContent Monochrome\nScatterAzimuth 1\n0\nScatterRadial 1\n0\nDataBegin\nAOI 0\n",
     ],
@@ -337,6 +338,58 @@ def test_files_of_programs_that_are_not_read_are_refused(tmp_path: Path, text: s
     (tmp_path / "x.txt").write_text(text)
     with pytest.raises(NacreError):
         open_file(tmp_path / "x.txt")
+
+
+@pytest.mark.parametrize("mirror", [0.0, 180.0])
+def test_fred_has_its_mirror_direction_on_the_side_of_the_largest_values(tmp_path: Path, mirror: float) -> None:
+    rows = [(30, azimuth, 5.0 if azimuth == mirror else 0.1) for azimuth in (0.0, 90.0, 180.0)]
+    text = "30 0\n" + "".join(f"{t}\t{p}\t{v}\n" for t, p, v in rows)
+    (tmp_path / "a.txt").write_text(f"type bsdf_data\nformat angles=deg bsdf=value scale=2\n{text}")
+    (found,) = open_file(tmp_path / "a.txt")
+    peak = found.data["bsdf"].argmax()
+    assert (found.format, found.metadata["scatter"]) == ("fred", "brdf")
+    assert (found.data["phi_o_deg"][peak], found.data["bsdf"][peak]) == (180.0, 10.0)
+    turned = np.radians([[float(v) for v in row] for row in ([30, 0], [30, 90])])
+    lines = "\n".join(" ".join(f"{v:.9f}" for v in row) for row in turned)
+    (tmp_path / "b.txt").write_text(f"type bsdf_data\nformat angles=rad bsdf=value\n{lines} .5\n")
+    (found,) = open_file(tmp_path / "b.txt")
+    np.testing.assert_allclose([found.data[k][0] for k in ("theta_i_deg", "theta_o_deg", "phi_o_deg")], [30, 30, 90])
+
+
+def lighttools(channel: str, names: tuple[str, ...], content: str) -> str:
+    head = f"# made here\nSymmetry PlaneSymmetrical\nSpectralContent {content}\nScatterAzimuth 2\n90 270\n"
+    blocks = []
+    for side, scatter in (("Front", "BRDF"), ("Front", "BTDF")):
+        for aoi in (0, 30):
+            for k, name in enumerate(names):
+                rows = [[aoi + 10 * k + 100 * (scatter == "BTDF") + r + c for c in (0.1, 0.2)] for r in (1, 2)]
+                body = "\n".join("\t".join(f"{v:.1f}" for v in row) for row in rows)
+                blocks.append(
+                    f"AOI {aoi}\nPOI 0\nSide {side}\n{channel} {name}\nScatterType {scatter}\nTIS 0.5\n{body}"
+                )
+    return head + "ScatterRadial 2\n0 40\nDataBegin\n" + "\n".join(blocks) + "\nDataEnd\n"
+
+
+def test_lighttools_has_a_measurement_for_each_side_and_kind(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(lighttools("Wavelength", ("450", "550"), "Monochrome"))
+    reflected, transmitted = open_file(path)
+    assert [m.metadata["scatter"] for m in (reflected, transmitted)] == ["brdf", "btdf"]
+    data = reflected.data
+    at = (data["theta_i_deg"] == 30) & (data["theta_o_deg"] == 40) & (data["wavelength_nm"] == 550)
+    assert dict(zip(data["phi_o_deg"][at], data["bsdf"][at], strict=True)) == pytest.approx({0.0: 41.2, 180.0: 42.2})
+    assert set(transmitted.data["theta_o_deg"]) == {180.0, 140.0}
+    path.write_text(lighttools("TristimulusValue", ("TrisX", "TrisY", "TrisZ"), "XYZ"))
+    (colour, _) = open_file(path)
+    np.testing.assert_allclose(colour.data["bsdf_xyz"][0], [1.1, 11.1, 21.1])
+    for damaged in (
+        path.read_text()[:-40],
+        path.read_text().replace("TrisZ", "TrisY"),
+        path.read_text().replace("Front", "Left"),
+    ):
+        path.write_text(damaged)
+        with pytest.raises(NacreError):
+            open_file(path)
 
 
 def test_a_table_of_transmitted_scatter_says_so(tmp_path: Path) -> None:
