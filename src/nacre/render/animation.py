@@ -359,7 +359,7 @@ def _fingerprint(material: Any) -> str:
     return fingerprint(str(made), {}, numbers=numbers)
 
 
-PICTURE_VERSION = 1  # raise when pictures with the same settings change
+PICTURE_VERSION = 2  # raise when pictures with the same settings change
 
 
 def _frame_key(who: str, motion: Motion, value: float, settings: dict[str, Any]) -> str:
