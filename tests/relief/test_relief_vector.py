@@ -13,12 +13,14 @@ from validation.relief_rcwa import spectra_of, strong_errors, vector_efficiencie
 import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
+from nacre.families.relief.blocks import blocks_of
 from nacre.families.relief.lines import lines_of
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile
 from nacre.families.relief.vector import VectorRelief
 
 RECIPE = {"family": "relief", "heights": "heights.npy", "coherence": {"source_angle_deg": 0.5}, "coating": "Al"}
+MANY = np.random.default_rng(4).integers(0, 3, (8, 8)) * 0.06
 LINES = np.tile(np.repeat([0.0, 0.12], [5, 3])[:, None], (1, 8))
 
 
@@ -68,6 +70,42 @@ def test_the_smallest_period_is_solved() -> None:
     found = lines_of(Tile(np.tile(stripes, (32, 1)), 100.0, 1.0))
     assert found is not None and not found.along_x and found.period_nm == pytest.approx(800.0)
     assert lines_of(Tile(np.eye(8), 100.0, 1.0)) is None
+    tile = np.kron([[0.0, 120.0], [120.0, 0.0]], np.ones((2, 2)))
+    blocks = blocks_of(Tile(np.tile(tile, (2, 2)), 100.0, 1.0))
+    assert blocks.periods_nm == pytest.approx((400.0, 400.0)) and blocks.walls == (2, 2)
+
+
+def test_blocks_are_those_of_a_grating(tmp_path: Path) -> None:
+    """A pedestal with a tower aside, across the seam of the tile; light in no plane of symmetry."""
+    heights = np.zeros((6, 6))
+    heights[1:5, 2:5] = 0.08
+    heights[2:4, 2:4] = 0.14
+    shapes = [
+        {"shape": "rectangle", "material": "Al", "size_nm": size, "center_nm": centre}
+        for size, centre in (([200, 200], [0, 0]), ([400, 300], [0, 50]))
+    ]
+    layers = [
+        {"thickness_nm": t, "material": "air", "shapes": [s]} for t, s in zip((60, 80), shapes, strict=True)
+    ]  # fmt: skip
+    grating = {"family": "grating", "substrate": "Al", "lattice": {"period_nm": [600, 600]}, "layers": layers}
+    shifted = np.roll(heights, 3, axis=(0, 1))
+    ours, other = (nacre.orders(each, 10.0, 20.0, [550.0]) for each in (relief(tmp_path, shifted), grating))
+    assert np.array_equal(ours.numbers, other.numbers)
+    assert ours.reflected == pytest.approx(other.reflected, abs=1e-6, nan_ok=True)
+    assert float(ours.error.max()) < 2e-2
+
+
+def test_a_chequered_relief_sends_light_into_its_diagonals(tmp_path: Path) -> None:
+    chequered = np.kron([[0.0, 0.1], [0.1, 0.0]], np.ones((2, 2)))
+    material = relief(tmp_path, chequered, 0.2)
+    found = nacre.orders(material, 0.0, 0.0, [500.0])
+    values = np.nan_to_num(found.reflected.mean(axis=-1))[0, 0]
+    share = dict(zip(map(tuple, found.numbers.tolist()), values, strict=True))
+    # equal halves: orders of even m + n but (0, 0) vanish in the limit of flat steps
+    assert share[1, 1] == pytest.approx(share[-1, 1], abs=1e-6)
+    assert share[1, 1] > 0.05 > 5.0 * share.get((1, 0), 0.0)
+    total = sum(share.values())
+    assert 0.5 < total < 1.0
 
 
 @pytest.mark.parametrize("name", ["lamellar-18", "lamellar-25", "sinusoidal-31"])
@@ -104,7 +142,9 @@ def test_auto_says_which_optics_it_took(tmp_path: Path) -> None:
     flat = relief(tmp_path, 0.02 * LINES, 1.0, 0.3, **auto).model
     assert isinstance(flat, Relief) and any("scalar" in line for line in flat.warnings)
     crossed = relief(tmp_path, LINES + LINES.T, **auto).model
-    assert isinstance(crossed, Relief) and any("scalar" in line for line in crossed.warnings)
+    assert isinstance(crossed, VectorRelief) and any("vector" in line for line in crossed.warnings)
+    many = relief(tmp_path, MANY, **auto).model
+    assert isinstance(many, Relief) and any("scalar" in line and "walls" in line for line in many.warnings)
     # the warning of scalar theory names the other
     assert any("model.optics" in line for line in relief(tmp_path, model={}).model.warnings)
 
@@ -112,7 +152,9 @@ def test_auto_says_which_optics_it_took(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "heights, changes",
     [
-        (LINES + LINES.T, {}),
+        (MANY, {}),
+        (LINES + LINES.T, {"blur_um": 0.02}),
+        (np.kron([[0.0, 0.12], [0.12, 0.0]], np.ones((4, 4))), {"feature_um": 0.9}),
         (LINES, {"periodic": False, "blur_um": None}),
         (LINES, {"prefactor": "published"}),
         (LINES, {"feature_um": 2.0}),
