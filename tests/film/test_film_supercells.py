@@ -15,7 +15,7 @@ from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.families.film.supercells import SupercellFilm
 from nacre.light import delta_e_2000
-from nacre.matter.periodic.ridge_tables import ALONG, ridge_table, solved_case
+from nacre.matter.periodic.ridge_tables import ALONG, ridge_table, solved_case, solved_wavelengths
 from nacre.matter.periodic.solve import solve
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Rectangle
 from nacre.matter.periodic.supercell import RidgeStatistics, drawn_ridges, levels, reflected_fan
@@ -90,6 +90,12 @@ def test_layers_stand_on_the_drawn_heights() -> None:
     assert np.all(cell.widths_nm == 300.0)
 
 
+def test_ranges_share_their_solved_wavelengths() -> None:
+    assert solved_wavelengths(np.linspace(365.0, 830.0, 400)).tolist() == [365.0, *range(380, 821, 20), 830.0]
+    assert solved_wavelengths(np.linspace(380.0, 780.0, 400)).tolist() == list(range(380, 781, 20))
+    assert solved_wavelengths(np.array([450.0, 600.0])).tolist() == [450.0, 600.0]
+
+
 def test_a_table_keeps_what_was_solved() -> None:
     lam = np.array([450.0, 500.0, 550.0])
     solved = np.random.default_rng(0).uniform(0.0, 1.0, (len(ALONG), 5, 5, 3))
@@ -132,9 +138,9 @@ def test_bad_ridges_are_refused(changes: dict[str, Any], key: str) -> None:
     assert key in str(caught.value) and len(str(caught.value).splitlines()) == 1
 
 
-def test_metal_ridges_are_not_called_solved() -> None:
-    layers = [{"material": "Ag", "thickness_nm": 100}]
-    recipe = {"family": "film", "substrate": "Ag", "layers": layers}
+def test_ridges_that_need_more_orders_are_not_called_solved() -> None:
+    mirror = {"n": 1.0, "k": 40.0}
+    recipe = {"family": "film", "substrate": mirror, "layers": [{"material": mirror, "thickness_nm": 100}]}
     ridges = {"pitch_nm": 700, "width_nm": 300, "height_deviation_nm": 0, "optics": "vector", "count": 1, "draws": 1}
     with pytest.raises(NacreError):
         nacre.material({**recipe, "ridges": ridges}).bsdf(np.array([500.0, 600.0]))

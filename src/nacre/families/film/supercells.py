@@ -18,6 +18,7 @@ from nacre.light import delta_e_2000, white_xyz, xyz_to_lab, xyz_weights
 from nacre.matter.periodic.ridge_tables import (
     ALONG,
     RidgeCase,
+    even_wavelengths,
     ridge_table,
     solved_case,
     solved_wavelengths,
@@ -28,7 +29,6 @@ from nacre.matter.periodic.supercell import RidgeStatistics
 
 ALONG_NODES = 13
 VIEWS_DEG, HALF_VIEW_DEG = (0.0, 15.0, 30.0, 45.0, 60.0), 7.5  # at which the colour error is stated
-GRID_NM = 20.0
 COLOUR_NM = 400.0, 700.0  # range without which a colour has no meaning
 LARGEST_ERROR = 0.1  # share of the reflected light
 BRIGHTEST = 1.0 - 1e-6
@@ -42,9 +42,11 @@ class SupercellFilm(Film):
 
     @cached_property
     def wavelengths_nm(self) -> Array:
-        """Default grid, in steps of 20 nm."""
+        """Default grid, the solved wavelengths."""
         low, high = self.range_nm
-        step = GRID_NM if self.step_nm is None else self.step_nm
+        if self.step_nm is None:
+            return even_wavelengths(low, high)
+        step = self.step_nm
         return np.linspace(low, high, max(2, int(np.ceil((high - low) / step - 1e-9)) + 1))
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:

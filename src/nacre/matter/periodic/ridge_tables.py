@@ -41,11 +41,17 @@ class RidgeCase:
     draws: int
 
 
+def even_wavelengths(low_nm: float, high_nm: float) -> Array:
+    """Return the ends of a range and the multiples of 20 nm between, which other ranges share."""
+    between = STEP_NM * np.arange(np.floor(low_nm / STEP_NM) + 1.0, np.ceil(high_nm / STEP_NM))
+    return np.unique(np.concatenate([[low_nm], between, [high_nm]]))
+
+
 def solved_wavelengths(wavelengths_nm: Array) -> Array:
-    """Return the wavelengths that are solved for a grid: the grid itself, or steps of at most 20 nm."""
+    """Return the wavelengths that are solved for a grid: `even_wavelengths`, or the grid itself if it has fewer."""
     grid = np.asarray(wavelengths_nm, dtype=float)
-    count = max(2, int(np.ceil((grid[-1] - grid[0]) / STEP_NM - 1e-9)) + 1)
-    return grid if len(grid) <= count else np.linspace(grid[0], grid[-1], count)
+    even = even_wavelengths(float(grid[0]), float(grid[-1]))
+    return grid if len(grid) <= len(even) else even
 
 
 @lru_cache(maxsize=KEPT)
