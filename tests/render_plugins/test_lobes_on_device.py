@@ -75,10 +75,10 @@ def ridge(deviation_nm: float, **more: Any) -> Lobe:
 
 def ridge_table(**more: Any) -> Lobe:
     """Return a fan of ridges about the mirror direction and a second, weaker one."""
-    c = np.linspace(0.0, 1.0, 5)[:, None, None]
+    c = np.linspace(0.0, 1.0, 13)[:, None, None]
     s = np.linspace(-1.0, 1.0, 41)
     a, b = s[:, None], s[None, :]
-    power = (1.0 - 0.3 * c) * (0.6 * np.exp(-((a + b) ** 2) / 0.2) + 0.2 * np.exp(-((a - b) ** 2) / 0.05))
+    power = (1.0 - 0.2 * c) * (0.6 * np.exp(-((a + b) ** 2) / 0.2) + 0.2 * np.exp(-((a - b) ** 2) / 0.05))
     slope = np.linspace(1.0, 0.6, len(GRID))
     table = (power[..., None] * slope).astype(np.float32)
     return RidgeTable(GRID, 0.5 * (table + np.swapaxes(table, 1, 2)), 0.12, 0.8, **more)

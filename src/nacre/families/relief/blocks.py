@@ -87,21 +87,29 @@ class Blocks:
         return ""
 
     def layers(self, cover: complex, body: complex) -> tuple[PatternLayer, ...]:
-        """Return the steps between neighbouring heights, from the top down, of two permittivities."""
+        """Return the steps between neighbouring heights, from the top down, of two permittivities.
+
+        The origin is in the middle of the highest blocks: a mirror symmetry there saves time.
+        """
         values = np.unique(self.heights_nm)
-        centre = _centre(self.heights_nm == values[-1])
+        halves = np.kron(self.heights_nm, np.ones((2, 2)))
+        for axis in (0, 1):
+            halves = np.roll(halves, _to_middle((halves == values[-1]).any(axis=1 - axis)), axis)
+        middle, side = [0.5 * count for count in halves.shape], 0.5 * self.feature_nm
         found = []
         for low, high in zip(values[:-1], values[1:], strict=True):
-            shapes = tuple((self._placed(part, centre), body) for part in _rectangles(self.heights_nm > low))
+            shapes = tuple(
+                (
+                    Rectangle(
+                        (x_0 - middle[0]) * side, (x_1 - middle[0]) * side, (y_0 - middle[1]) * side,
+                        (y_1 - middle[1]) * side,
+                    ),
+                    body,
+                )
+                for x_0, x_1, y_0, y_1 in _rectangles(halves > low)
+            )  # fmt: skip
             found.append(PatternLayer(float(high - low), cover, shapes))
         return tuple(reversed(found))
-
-    def _placed(self, part: tuple[int, int, int, int], centre: tuple[float, float]) -> Rectangle:
-        x_0, x_1, y_0, y_1 = part
-        side = self.feature_nm
-        return Rectangle(
-            (x_0 - centre[0]) * side, (x_1 - centre[0]) * side, (y_0 - centre[1]) * side, (y_1 - centre[1]) * side
-        )
 
     def stacks(self, cover: Array, body: NDArray[np.complex128]) -> list[PeriodicStack]:
         """Return the structure for each index `[wavelength]` of the medium above (real) and of the body."""
@@ -112,13 +120,12 @@ class Blocks:
         ]
 
 
-def _centre(mask: Mask) -> tuple[float, float]:
-    """Return the middle of the smallest box, in features, that holds a mask: its mirror symmetry saves time."""
-    middles = []
-    for axis in (1, 0):
-        at = np.flatnonzero(mask.any(axis=axis))
-        middles.append(0.5 * (int(at[0]) + int(at[-1]) + 1))
-    return middles[0], middles[1]
+def _to_middle(occupied: Mask) -> int:
+    """Return the shift that brings the occupied places of a period to its middle, the longest gap to its ends."""
+    count = len(occupied)
+    gaps = [int(np.argmax(np.append(np.roll(occupied, -k), True))) for k in range(count)]
+    start = int(np.argmax(gaps))
+    return -start if gaps[start] == 0 else -(start + gaps[start] // 2)
 
 
 def _rectangles(mask: Mask) -> list[tuple[int, int, int, int]]:
