@@ -19,7 +19,7 @@ from nacre.bsdf.facet_distributions import exits, masking, normal_quadrature
 from nacre.bsdf.grids import direction, hemisphere_nodes, take_at
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.microfacet import Microfacet
-from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis, refuse_place
 from nacre.core.arrays import Array
@@ -487,7 +487,8 @@ def _refuse(bsdf: Bsdf) -> None:
             what = "roughness" if lobe.alpha_texture is not None else "rotation"
             raise UnsupportedError(f"surface.{what} varies over the surface, which a table does not hold; --set it")
     steady = tuple(lobe for lobe in scattering if not lobe.is_stochastic and not lobe.is_delta)
-    if steady and not is_isotropic(Bsdf(steady)):
+    is_turned = any(isinstance(lobe, AlignedSpecular) for lobe in bsdf.lobes)
+    if is_turned or (steady and not is_isotropic(Bsdf(steady))):
         raise UnsupportedError(
             "scatters light by the direction about the normal, as grooves and reliefs do; a table of half and "
             "difference angle cannot hold that (--to rgl or exr can)"
