@@ -15,8 +15,8 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[name] = "1"
 os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 
-import numpy as np
-from common import serve
+import numpy as np  # noqa: E402  # reads the number of threads above
+from common import serve  # noqa: E402
 
 SAMPLES = {1: 4096, 2: 256}  # of the cell along each period
 CODES = ("grcwa", "fmmax", "torcwa", "meent")
