@@ -118,7 +118,7 @@ def material_of(name: str) -> Any:
 
 
 def opened(page: Page, folder: Path) -> None:
-    """Open the example page from disk until it has drawn, in WebGL: without a screen a WebGPU canvas loses its device."""
+    """Open the example page from disk until it has drawn, in WebGL: a WebGPU canvas needs a screen."""
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.on("console", lambda line: errors.append(line.text) if line.type == "error" else None)

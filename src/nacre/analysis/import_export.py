@@ -436,9 +436,10 @@ def _on_own_nodes(source: Path, form: str) -> tuple[TableLobe, list[str]]:
 
     rgl = RglBsdf.read(source)
     if not rgl.is_isotropic:
-        raise UnsupportedError(
-            f"is anisotropic ({len(rgl.phi_i)} azimuths of the light), and a measured material is isotropic"
-        )
+        from nacre.formats.lobes import rgl_lobe
+
+        lobe, remarks = rgl_lobe(rgl)
+        return lobe, [*([RGB_REMARK] if rgl.wavelengths_nm is None else []), *remarks]
     wi, wo = directions_of("half", (90, 46, 24))
     values = rgl.evaluate(wi, wo)
     if rgl.wavelengths_nm is None:

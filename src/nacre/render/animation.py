@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.files import atomic_path, check_writable
+from nacre.core.files import atomic_path, check_writable, plain, why_unreadable
 from nacre.core.jobs import Workers, run_jobs
 from nacre.core.progress import ProgressCallback, progress_bar
 from nacre.material.material import Material, loaded
@@ -168,6 +168,7 @@ def animate(
     check_writable(path)
     folder = path.with_name(path.stem + "_frames")
     names = tuple(folder / f"frame_{index:04d}.png" for index in range(frames))
+    _check_frames(names)
 
     exposure = settings.pop("exposure", "auto")
     series = _Series.build(material, motion, frames, has_time, settings)
@@ -327,6 +328,21 @@ def _check(path: Path, frames: int, settings: dict[str, Any]) -> None:
         raise NacreError(f"animate does not take {', '.join(sorted(unknown))}")
     if read_background(settings.get("background", "scene")).is_clear:
         raise NacreError('background = "transparent": animations know no transparency; give a colour')
+
+
+def _check_frames(names: tuple[Path, ...]) -> None:
+    """Check that the frames are files or do not exist yet.
+
+    Raises:
+        NacreError: one is a folder, a device or a pipe.
+    """
+    for name in names:
+        try:
+            plain(name)
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise NacreError(f"{name}: {why_unreadable(error)}") from None
 
 
 @contextlib.contextmanager
