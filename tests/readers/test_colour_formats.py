@@ -284,3 +284,30 @@ def test_transmitted_light_is_named(tmp_path: Path) -> None:
     (card,) = open_file(written(tmp_path, text, "x.sp"))
     np.testing.assert_allclose(card.data["spectra"], [[0.6, 0.5]])
     assert len(card.assumed) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("name,L,C,h (rad)\ns,50,28.2843,5.497787\n", [50.0, 20.0, -20.0]),
+        ("name,L,C,h\ns,50,28.2843,-45\n", [50.0, 20.0, -20.0]),
+        ("name,X,Y,Z\ns,0.94811,1,1.07304\n", [100.0, 0.0, 0.0]),
+        ("name,hex\ns,FFFFFF\n", [100.0, 0.0, 0.0]),
+        ("name,hex\ns,#fff\n", [100.0, 0.0, 0.0]),
+        ("name,hex\ns,000000\n", [0.0, 0.0, 0.0]),
+    ],
+)
+def test_other_forms_of_a_colour_list(text: str, expected: list[float], tmp_path: Path) -> None:
+    path = tmp_path / "labs.csv"
+    path.write_text(text)
+    (row,) = read_colours(path, 1, ("D65", "10deg"))
+    np.testing.assert_allclose(row.lab[0], expected, atol=0.02)
+
+
+@pytest.mark.parametrize("cells", ["0.5,0.2,-0.2", "127,148,108", "90,128,128"])
+@pytest.mark.parametrize("heading", ["L,a,b\n", ""])
+def test_colours_from_0_to_1_or_of_8_bits_are_refused(cells: str, heading: str, tmp_path: Path) -> None:
+    path = tmp_path / "labs.csv"
+    path.write_text(f"{heading}{cells}\n")
+    with pytest.raises(NacreError, match="labs.csv"):
+        read_colours(path, 1, ("D65", "10deg"))

@@ -17,7 +17,7 @@ from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.compensation import compensate
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse, bare_base
-from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
 from nacre.bsdf.lobes.ridge import Ridge
 from nacre.bsdf.lobes.ridge_table import RidgeTable
 from nacre.bsdf.lobes.specular import Specular
@@ -66,6 +66,19 @@ def metal(distribution: str, x: float, y: float | None = None, **more: Any) -> L
 def glass(distribution: str, x: float, y: float | None = None, **more: Any) -> Lobe:
     """Return a rough coated glass."""
     return Microfacet(stack(*GLASS, True), distribution, x, x if y is None else y, **more)
+
+
+def aligned(transmits: bool, **more: Any) -> Lobe:
+    """Return a rough coated metal or glass whose R swings by 30 % over the azimuth, with a period of half a turn."""
+    response = stack(*GLASS, True) if transmits else stack(*METAL, False)
+    swing = 1.0 + 0.3 * np.cos(2.0 * np.linspace(0.0, 2.0 * np.pi, 17) + 0.4)[:, None, None]
+    cos = response.cos_outside[:, None]
+    share = np.minimum((1.0 - cos) / 0.4, 1.0)  # along the normal there is no azimuth
+    reflectance = response.reflectance * np.where(response.reflectance < 0.7, 1.0 + (swing - 1.0) * share, 1.0)
+    tables = {"reflectance": reflectance, "total": np.repeat(response.total[None], 17, axis=0)}
+    tables["transmittance"] = 1.0 - reflectance if transmits else np.zeros_like(reflectance)
+    tables["reflectance_inside"] = reflectance if transmits else np.zeros_like(reflectance)
+    return AlignedMicrofacet(dataclasses.replace(response, **tables), "ggx", 0.3, 0.3, **more)
 
 
 def ridge(deviation_nm: float, **more: Any) -> Lobe:
@@ -196,6 +209,8 @@ CASES: dict[str, Case] = {
     "rough free film": Case(
         lambda: (Microfacet(stack((1.0, 1.4, 1.0), (300.0,), True), "ggx", 0.3, 0.3),), BOTH[:3], 1.0
     ),
+    "rough anisotropic metal": Case(lambda: (aligned(False),)),
+    "rough anisotropic glass": Case(lambda: (aligned(True, rotation=ROTATION),), BOTH[::2], 1.5),
     "diffuse": Case(lambda: (bare_base(GRID, np.linspace(0.2, 0.9, len(GRID))),)),
     "diffuse under a film": Case(lambda: (under_film(),)),
     "irregular ridges": Case(lambda: (ridge(120.0),), width=0.4),

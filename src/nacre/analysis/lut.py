@@ -18,8 +18,8 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import exits, masking, normal_quadrature
 from nacre.bsdf.grids import direction, hemisphere_nodes, take_at
 from nacre.bsdf.lobes.masked import MaskedLobe
-from nacre.bsdf.lobes.microfacet import Microfacet
-from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
+from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis, refuse_place
 from nacre.core.arrays import Array
@@ -433,11 +433,15 @@ def _baked(material: Material, bsdf: Bsdf, light: Illuminant, progress: Progress
     def to_rgb(values: Array) -> Array:
         return np.asarray(weighted_sum(values, matrix))
 
+    lost: list[str] = []
+    if any(isinstance(lobe, AlignedMicrofacet | AlignedSpecular) for lobe in bsdf.lobes):
+        means = (e.mean() if isinstance(e, AlignedMicrofacet | AlignedSpecular) else e for e in bsdf.lobes)
+        bsdf = dataclasses.replace(bsdf, lobes=tuple(means))
+        lost.append("the azimuth of the light: reflection and transmission are means over it")
     _refuse(bsdf)
     pictures: dict[str, Picture] = {}
     closures: list[Closure] = []
     errors: dict[str, dict[str, float]] = {}
-    lost: list[str] = []
     facets, parameter = None, None
     interfaces = [lobe for lobe in bsdf.lobes if isinstance(lobe, Specular | Microfacet)]
     mirror = _walk_mirror(bsdf) if not interfaces else None

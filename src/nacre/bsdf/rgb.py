@@ -12,7 +12,8 @@ from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.light import spectrum_to_rgb_matrix
 
-LINEAR_KINDS = ("specular", "microfacet", "diffuse", "table", "aligned-specular")  # linear in their spectral tables
+# linear in their spectral tables
+LINEAR_KINDS = ("specular", "microfacet", "diffuse", "table", "aligned-specular", "aligned-microfacet")
 CHANNELS = np.array([1.0, 2.0, 3.0])  # in place of wavelengths: red, green, blue
 
 

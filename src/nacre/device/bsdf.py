@@ -14,6 +14,7 @@ import mitsuba as mi
 
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.lobes.microfacet import AlignedMicrofacet
 from nacre.bsdf.lobes.specular import AlignedSpecular
 from nacre.bsdf.registry import outside_lobe
 from nacre.bsdf.rgb import projected_to_rgb
@@ -78,7 +79,7 @@ def make_bsdf(
         if tables is None:
             logger.info("%s: reflects and transmits unpolarised light in polarised variants", bsdf)
         else:
-            is_of_azimuth = any(isinstance(lobe, AlignedSpecular) for lobe in lobes)
+            is_of_azimuth = any(isinstance(lobe, AlignedSpecular | AlignedMicrofacet) for lobe in lobes)
             polarisation = DevicePolarisation(tables, is_of_azimuth)
             lobes = tuple(tables.refined(lobe) for lobe in lobes)
     plugins = [make_plugin(lobe) for lobe in lobes]
@@ -116,6 +117,7 @@ PLUGINS: dict[str, str] = {
     # lobe kind -> "module:class", imported on first use
     "specular": "nacre.device.lobes.specular:SpecularPlugin",
     "microfacet": "nacre.device.lobes.microfacet:MicrofacetPlugin",
+    "aligned-microfacet": "nacre.device.lobes.microfacet:AlignedMicrofacetPlugin",
     "diffuse": "nacre.device.lobes.diffuse:DiffusePlugin",
     "ridge": "nacre.device.lobes.ridge:RidgePlugin",
     "ridge-table": "nacre.device.lobes.ridge_table:RidgeTablePlugin",
