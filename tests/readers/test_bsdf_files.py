@@ -15,6 +15,7 @@ from nacre.core.errors import NacreError, UnsupportedError
 from nacre.formats.gonio_csv import GonioData, gonio_data
 from nacre.formats.measured_files import write_astm, write_brdf_json, write_speos
 from nacre.formats.measured_lobes import measured_table
+from nacre.formats.rgl import RglBsdf, rgl_fields, write_tensor
 from nacre.readers.bsdf.zemax import read_zemax, scatter_direction
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
 from nacre.readers.registry import open_file
@@ -269,6 +270,37 @@ def test_a_brushed_metal_comes_back_with_its_values(tmp_path: Path) -> None:
     away = (data.angles_deg[:, 0] > 0) & (data.angles_deg[:, 2] > 0)
     assert len(np.unique(data.angles_deg[:, 1])) > 3
     np.testing.assert_allclose(bsdf.evaluate(data.wi, data.wo)[away], data.values[away], rtol=1e-6)
+
+
+def test_an_anisotropic_tensor_keeps_the_azimuth_of_the_light(tmp_path: Path) -> None:
+    surface = {"roughness": [0.25, 0.4]}
+    metal = nacre.material({"family": "film", "substrate": "Al", "layers": [], "surface": surface})
+    nm = np.array([450.0, 650.0])
+    fields = rgl_fields(metal.bsdf(nm), is_isotropic=False, resolution=12, theta_nodes=4, phi_nodes=9)
+    write_tensor(tmp_path / "a.bsdf", fields)
+    tensor = RglBsdf.read(tmp_path / "a.bsdf")
+    angles, values = tensor.samples()
+    away = (angles[:, 2] > 0.1) & (angles[:, 2] < 80)
+    light, viewer = (direction(*np.radians(angles[away, k : k + 2]).T) for k in (0, 2))
+    np.testing.assert_allclose(tensor.evaluate(light, viewer), values[away], rtol=1e-4, atol=1e-5)
+
+    # the metal has two mirror planes: a quarter of the azimuths holds all of it
+    for share in (2, 4):
+        some = fields["phi_i"] <= -np.pi + 2 * np.pi / share + 1e-6
+        part = {name: fields[name][some] for name in ("phi_i", "vndf", "spectra", "luminance")}
+        write_tensor(tmp_path / "b.bsdf", {**fields, **part})
+        off = np.abs(RglBsdf.read(tmp_path / "b.bsdf").evaluate(light, viewer) - values[away])
+        assert np.quantile(off, 0.98) < 1e-2 * values.max()
+
+    bsdf = nacre.import_(tmp_path / "a.bsdf", tmp_path / "x.toml").bsdf(nm)
+    theta = float(np.degrees(tensor.theta_i[1]))
+    peaks = []
+    for turn in (0.0, 90.0):
+        wi, wo = direction(np.radians(theta), np.radians(turn)), direction(np.radians(theta), np.radians(turn + 180.0))
+        np.testing.assert_allclose(bsdf.evaluate(wi, wo), tensor.evaluate(wi[None], wo[None])[0], rtol=1e-3)
+        across = direction(np.radians(theta + 15.0), np.radians(turn + 180.0))
+        peaks.append(float(bsdf.evaluate(wi, across)[0] / bsdf.evaluate(wi, wo)[0]))
+    assert abs(peaks[0] - peaks[1]) > 0.1  # the lobe is wider along the rougher axis
 
 
 def test_narrow_angles_ask_for_their_unit(tmp_path: Path) -> None:

@@ -172,6 +172,14 @@ def compressed_sur() -> bytes:
     return head.ljust(512, b"\0") + table + b"".join(packed)
 
 
+def gsf(unit: str = "m", title: str = "Topo") -> bytes:
+    head = (
+        f"Gwyddion Simple Field 1.0\nXRes = {COLUMNS}\nYRes = {ROWS}\nXReal = {COLUMNS * PITCH[0] * 1e-6}\n"
+        f"YReal = {ROWS * PITCH[1] * 1e-6}\nXYUnits = m\nZUnits = {unit}\nTitle = {title}\n"
+    ).encode()
+    return head + bytes(4 - len(head) % 4) + (NM * 1e-9).astype("<f4").tobytes()
+
+
 def datx(path: Path, unit: str = "NanoMeters") -> None:
     with h5py.File(path, "w") as file:
         values = NM.copy()
@@ -196,9 +204,10 @@ FILES: dict[str, Callable[[], bytes]] = {
     "bcr motorola": lambda: bcr(kind=">i2"), "bcr unicode": lambda: bcr("utf-16-le", "<f4"),
     "zygo-text xyz": zygo_xyz, "zygo-text ascii": zygo_ascii, "keyence": vk, "keyence vk3": lambda: vk("VK3_"),
     "keyence vk6": vk6, "keyence csv": vk_csv, "keyence comma": lambda: vk_csv(";"), "sur": compressed_sur,
+    "gsf": gsf, "gsf padded": lambda: gsf(title="Topog"),
 }  # fmt: skip
 SQUARE = ("zygo-text xyz", "zygo-text ascii", "keyence csv", "keyence comma")
-COMPLETE = ("keyence", "sur", "spip attocube", "spip nova")  # files without a hole
+COMPLETE = ("gsf", "keyence", "sur", "spip attocube", "spip nova")  # files without a hole
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -249,7 +258,11 @@ def test_the_unit_of_xyz_points_is_assumed_or_stated(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("data", "option"),
-    [(spip("", void=False), "unit"), (zygo_xyz().replace(f"{PITCH[0] * 1e-6}".encode(), b"0"), "pitch_um")],
+    [
+        (spip("", void=False), "unit"),
+        (gsf(""), "unit"),
+        (zygo_xyz().replace(f"{PITCH[0] * 1e-6}".encode(), b"0"), "pitch_um"),
+    ],
 )
 def test_what_a_head_lacks_is_asked_for(tmp_path: Path, data: bytes, option: str) -> None:
     path = tmp_path / "a.txt"
@@ -261,7 +274,12 @@ def test_what_a_head_lacks_is_asked_for(tmp_path: Path, data: bytes, option: str
 
 @pytest.mark.parametrize(
     "data",
-    [spip("# z-unit = V\n"), bcr().replace(b"zunit = nm", b"zunit = V "), vk_csv().replace(b'"Height"', b'"Light"', 1)],
+    [
+        spip("# z-unit = V\n"),
+        gsf("V"),
+        bcr().replace(b"zunit = nm", b"zunit = V "),
+        vk_csv().replace(b'"Height"', b'"Light"', 1),
+    ],
 )
 def test_maps_of_other_quantities_are_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "a.txt"

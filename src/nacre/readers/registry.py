@@ -143,6 +143,7 @@ FORMATS: tuple[Format, ...] = (
     Format("matrix", "matrix of heights without a head", "heights", "heights.matrix"),
     Format("bcr", "SPIP BCR-STM, BCRF", "heights", "heights.bcr"),
     Format("datx", "Zygo Mx (.datx)", "heights", "heights.datx"),
+    Format("gsf", "Gwyddion Simple Field (.gsf)", "heights", "heights.gsf"),
     Format("keyence", "Keyence VK (.vk3, .vk4, .vk6, .vk7, CSV)", "heights", "heights.keyence"),
     Format("spip", "text of SPIP, Attocube, NT-MDT Nova", "heights", "heights.spip"),
     Format("wyko", "Wyko Vision (.opd, .asc)", "heights", "heights.wyko"),

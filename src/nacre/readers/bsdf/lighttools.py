@@ -81,7 +81,8 @@ def _head(words: Iterator[str]) -> tuple[dict[str, str], Array, Array]:
 
 
 def _blocks(words: Iterator[str], rows: int, columns: int) -> list[_Block]:
-    blocks, block = [], _Block()
+    blocks: list[_Block] = []
+    block = _Block()
     for word in words:
         if word == "DataEnd":
             return blocks
@@ -122,7 +123,8 @@ def _one(
     theta_i, phi_i = (np.array(column)[:, None, None] for column in zip(*incidences, strict=True))
     polar = 180.0 - radial if scatter == "btdf" else radial
     pairs = pairs_of(theta_i, phi_i, polar[None, None, :], (azimuth[None, :, None] - LIGHT_AZIMUTH + phi_i) % 360.0)
-    waves, notes = None, ()
+    waves: Array | None = None
+    notes: tuple[str, ...] = ()
     if not is_xyz and all(names):
         waves, notes = wavelengths_in_nm(path, np.array(sorted(float(name) for name in names)), None)
     metadata = {"scatter": scatter, "side": side, "symmetry": head.get("Symmetry", ""),
