@@ -130,6 +130,20 @@ def test_isotropic_media_written_as_anisotropic_ones_change_nothing(polarisation
         np.testing.assert_allclose((two.parts() | two.matrices())[name], value, atol=ROUNDING)
 
 
+@pytest.mark.parametrize(("split", "bar"), [(0.0, ROUNDING), (1e-9, 2e-4)])
+def test_an_incoherent_pane_written_as_anisotropic_is_the_isotropic_one(split: float, bar: float) -> None:
+    """Nearly equal indices are averaged over thicknesses: the window's side lobes leave some 1e-5."""
+    tensor = {"principal": [1.7, 1.7 + split, 1.7], "euler_deg": [10, 20, 30]}
+    coat = {"material": 2.2, "thickness_nm": 100.0}
+
+    def spectrum(medium: Any) -> Any:
+        pane = {"material": medium, "thickness_nm": 3e5, "incoherent": True}
+        made = film(substrate=constant(0.2 + 3.0j), layers=[coat, pane])
+        return nacre.spectrum(made, [0.0, 30.0, 60.0], [450.0, 650.0], polarisation="s").specular_reflectance
+
+    np.testing.assert_allclose(spectrum(tensor), spectrum(1.7), atol=bar)
+
+
 def test_a_fast_axis_follows_the_azimuth_of_the_light() -> None:
     """Light polarised along the axis sees the extraordinary index, from either side of it."""
     medium = {"ordinary": 1.5, "extraordinary": 1.9, "axis_polar_deg": 90.0, "axis_azimuth_deg": 30.0}
