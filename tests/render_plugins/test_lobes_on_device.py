@@ -19,6 +19,7 @@ from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse, bare_base
 from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
 from nacre.bsdf.lobes.ridge import Ridge
+from nacre.bsdf.lobes.ridge_table import RidgeTable
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.registry import LOBES, lobe_kinds, outside_lobe
@@ -83,6 +84,17 @@ def aligned(transmits: bool, **more: Any) -> Lobe:
 def ridge(deviation_nm: float, **more: Any) -> Lobe:
     """Return a Morpho-like ridge lobe; its norm is a bound of the diffraction integral, not the sharpest one."""
     return Ridge(stack(*METAL, False), 700.0, 300.0, deviation_nm, 4, 0.15, 0.8, np.full(len(GRID), 1.6), **more)
+
+
+def ridge_table(**more: Any) -> Lobe:
+    """Return a fan of ridges about the mirror direction and a second, weaker one."""
+    c = np.linspace(0.0, 1.0, 13)[:, None, None]
+    s = np.linspace(-1.0, 1.0, 41)
+    a, b = s[:, None], s[None, :]
+    power = (1.0 - 0.2 * c) * (0.6 * np.exp(-((a + b) ** 2) / 0.2) + 0.2 * np.exp(-((a - b) ** 2) / 0.05))
+    slope = np.linspace(1.0, 0.6, len(GRID))
+    table = (power[..., None] * slope).astype(np.float32)
+    return RidgeTable(GRID, 0.5 * (table + np.swapaxes(table, 1, 2)), 0.12, 0.8, **more)
 
 
 def under_film() -> Lobe:
@@ -203,6 +215,10 @@ CASES: dict[str, Case] = {
     "diffuse under a film": Case(lambda: (under_film(),)),
     "irregular ridges": Case(lambda: (ridge(120.0),), width=0.4),
     "level ridges": Case(lambda: (ridge(0.0, rotation=ROTATION),), ((10.0, 0.0),), chi=(100, 32), width=0.4),
+    "ridges of a table": Case(lambda: (ridge_table(),), chi=(100, 32), width=0.4),
+    "turned ridges of a table": Case(
+        lambda: (ridge_table(rotation=ROTATION),), ((10.0, 0.0),), chi=(100, 32), width=0.4
+    ),
     "table": Case(lambda: (table("direction"),), width=0.5),
     "matt table": Case(lambda: (matt_table(),), width=0.5),
     "half-angle table": Case(lambda: (table("half"),), width=0.5),

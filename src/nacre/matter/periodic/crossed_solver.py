@@ -47,18 +47,10 @@ def solve_rectangles(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad:
     transverse, _, _ = incident_wave(stack, theta_rad, phi_rad)
     cell = stack.cell
     assert cell.period_y is not None
-    boxes = [shape for layer in stack.layers for shape, _ in layer.shapes if isinstance(shape, Rectangle)]
-    walls = ([x for b in boxes for x in (b.x_0, b.x_1)], [_bounded(y, cell) for b in boxes for y in (b.y_0, b.y_1)])
-    index = max(
-        [stack.reach, *(np.sqrt(complex(e)).real for layer in stack.layers for _, e in layer.shapes)]
-    )  # fmt: skip
+    boxes = _boxes(stack)
     bases: list[LineBasis] = []
-    for positions, period, first in zip(walls, (cell.period_x, cell.period_y), transverse, strict=True):
-        starts, _ = regions(period, np.array(positions))
-        edges = np.append(starts, starts[0] + period) * k0
-        turns = 0.5 * np.diff(edges) * index
-        least = degree if len(starts) <= 3 else max(degree - 2, 3)
-        degrees = tuple(int(np.ceil(max(least, 0.5 * t + least - 2))) for t in turns)
+    elements = zip(_elements(stack, k0, degree), (cell.period_x, cell.period_y), transverse, strict=True)
+    for (edges, degrees), period, first in elements:
         bases.append(line_basis(assemble(period * k0, edges, degrees), float(first), 1.001 * stack.reach))
     symmetric = tuple(
         abs(first) < SYMMETRIC and all(_is_even(b, axis) for b in boxes) for axis, first in enumerate(transverse)
@@ -71,6 +63,38 @@ def solve_rectangles(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad:
         )
         answers.append(_rectangle_class(stack, k0, transverse, (axes[0], axes[1])))
     return _joined(stack, k0, theta_rad, phi_rad, answers, "rectangles")
+
+
+def _boxes(stack: PeriodicStack) -> list[Rectangle]:
+    return [shape for layer in stack.layers for shape, _ in layer.shapes if isinstance(shape, Rectangle)]
+
+
+def _elements(stack: PeriodicStack, k0: float, degree: int) -> list[tuple[Array, tuple[int, ...]]]:
+    """Return the edges (over k0) and the degrees of the elements along x and along y."""
+    cell, boxes = stack.cell, _boxes(stack)
+    assert cell.period_y is not None
+    walls = ([x for b in boxes for x in (b.x_0, b.x_1)], [_bounded(y, cell) for b in boxes for y in (b.y_0, b.y_1)])
+    index = max(
+        [stack.reach, *(np.sqrt(complex(e)).real for layer in stack.layers for _, e in layer.shapes)]
+    )  # fmt: skip
+    found = []
+    for positions, period in zip(walls, (cell.period_x, cell.period_y), strict=True):
+        starts, _ = regions(period, np.array(positions))
+        edges = np.append(starts, starts[0] + period) * k0
+        turns = 0.5 * np.diff(edges) * index
+        least = degree if len(starts) <= 3 else max(degree - 2, 3)
+        found.append((edges, tuple(int(np.ceil(max(least, 0.5 * t + least - 2))) for t in turns)))
+    return found
+
+
+def rectangle_unknowns(stack: PeriodicStack, wavelength_nm: float, step: int) -> int:
+    """Return the number of unknowns of layers of rectangles, for light without a mirror symmetry.
+
+    Args:
+        step: number of the size, 0 for the smallest.
+    """
+    along_x, along_y = _elements(stack, 2.0 * np.pi / wavelength_nm, RECTANGLE_STEPS[step])
+    return 2 * sum(along_x[1]) * sum(along_y[1])
 
 
 def _is_even(box: Rectangle, axis: int) -> bool:

@@ -241,6 +241,13 @@ class SearchTable(RecipeModel):
         default=((0.0, 0.0),), description="directions of the light, each [theta, phi]"
     )
 
+    refine: Literal["vector"] | None = Field(
+        default=None,
+        description="improve the found heights by Maxwell's equations, in the second half of the time: for tiles of "
+        "few features and a short period",
+        examples=["vector"],
+    )
+
     @pydantic.model_validator(mode="after")
     def _levels_are_two_or_more(self) -> SearchTable:
         if self.levels == 1:
