@@ -294,6 +294,27 @@ def check_room(folder: str | Path, need: int) -> None:
         raise NacreError(f"{path}: the folder {place} cannot be written: {left}")
 
 
+@contextlib.contextmanager
+def output_folder(path: str | Path) -> Iterator[None]:
+    """Make a folder and its parents for the block; those that are new and stay empty are removed again.
+
+    Raises:
+        NacreError: it cannot be made.
+    """
+    folder = named(path)
+    new = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
+    try:
+        yield
+    finally:
+        for each in new:
+            with contextlib.suppress(OSError):  # not empty
+                each.rmdir()
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write UTF-8 text atomically.
 

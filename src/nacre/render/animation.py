@@ -10,7 +10,7 @@ import contextlib
 import hashlib
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.files import atomic_path, check_writable, plain, why_unreadable
+from nacre.core.files import atomic_path, check_writable, output_folder, plain, why_unreadable
 from nacre.core.jobs import Workers, run_jobs
 from nacre.core.progress import ProgressCallback, progress_bar
 from nacre.material.material import Material, loaded
@@ -172,7 +172,7 @@ def animate(
 
     exposure = settings.pop("exposure", "auto")
     series = _Series.build(material, motion, frames, has_time, settings)
-    with _folder_of_frames(folder), progress_bar("animating", progress) as report:
+    with output_folder(folder), progress_bar("animating", progress) as report:
         run = _Run(series, names, report)
         # the first frame sets the exposure of the others
         if run.finish(range(1), exposure, Workers(jobs=1)) and run.finish(range(1, frames), run.stops, workers):
@@ -345,26 +345,6 @@ def _check_frames(names: tuple[Path, ...]) -> None:
             raise NacreError(f"{name}: {why_unreadable(error)}") from None
 
 
-@contextlib.contextmanager
-def _folder_of_frames(folder: Path) -> Iterator[None]:
-    """Make the folder, and remove it again if it stays empty.
-
-    Raises:
-        NacreError: it cannot be made.
-    """
-    is_new = not folder.exists()
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
-    try:
-        yield
-    finally:
-        if is_new:
-            with contextlib.suppress(OSError):  # not empty
-                folder.rmdir()
-
-
 def _fingerprint(material: Any) -> str:
     """Return a material's fingerprint, or a hash for a Mitsuba BSDF."""
     if hasattr(material, "fingerprint"):
@@ -379,7 +359,7 @@ def _fingerprint(material: Any) -> str:
     return fingerprint(str(made), {}, numbers=numbers)
 
 
-PICTURE_VERSION = 1  # raise when pictures with the same settings change
+PICTURE_VERSION = 2  # raise when pictures with the same settings change
 
 
 def _frame_key(who: str, motion: Motion, value: float, settings: dict[str, Any]) -> str:
