@@ -155,7 +155,7 @@ def test_a_cut_out_object_stands_on_nothing_or_on_the_colour(tmp_path: Path) -> 
     painted = nacre.render(GREY, background="#3040c0", **QUICK).srgb8
     assert painted.shape == (40, 40, 3) and tuple(painted[0, 0]) == (0x30, 0x40, 0xC0)
     assert clear.stats["background"] == "transparent"
-    with pytest.raises(NacreError, match="JPEG knows no transparency"):
+    with pytest.raises(NacreError, match="JPEG"):
         nacre.render(GREY, background="transparent", output=tmp_path / "b.jpg", **QUICK)
     assert not (tmp_path / "b.jpg").exists()
 

@@ -107,9 +107,10 @@ SCENES = (
 @common.set_option
 @common.cache_option
 @common.jobs_option
+@common.cluster_options
 def render(
     recipe: str, animate: str | None, frames: int, output: str | None, changes: tuple[str, ...], exposure: str,
-    **settings: Any,
+    workers: Any, **settings: Any,
 ) -> None:  # fmt: skip
     """Render a material on an object."""
     from nacre.core.files import check_writable, short_name
@@ -130,6 +131,9 @@ def render(
         raise NacreError(f"-o {path}: --layers {settings['layers']} are layers of an EXR; write .exr")
     if animate:
         del settings["light_layers"], settings["layers"]
+        settings["workers"] = workers
+    elif workers != type(workers)():
+        raise NacreError("--cluster: one picture is rendered on this machine; a cluster serves --animate")
     options: dict[str, Any] = {**settings, "exposure": _exposure(exposure)}
     with leaving_at_once(STATUS_INTERRUPTED, STOPPED):
         _render(common.load_material(recipe, changes), path, animate, frames, options)

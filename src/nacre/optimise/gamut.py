@@ -65,7 +65,7 @@ Light = tuple[str, str]  # illuminant and observer
 
 @dataclass(frozen=True, eq=False)
 class Gamut:
-    """TargetResult colours.
+    """Colours that a family reaches within bounds.
 
     Attributes:
         geometry: measurement geometry.

@@ -267,7 +267,7 @@ def check_output(path: Path, background: Background) -> None:
     if suffix not in STILL_SUFFIXES:
         raise NacreError(f"{path}: pictures are written as {spoken_suffixes()}")
     if suffix in OPAQUE_SUFFIXES and background.is_clear:
-        raise NacreError(f"{path}: a JPEG knows no transparency; write .png, .webp or .exr")
+        raise NacreError(f"{path}: a JPEG has no transparency; write .png, .webp or .exr")
 
 
 def check_size(size: tuple[int, int] | str | None) -> tuple[int, int] | None:

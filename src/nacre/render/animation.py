@@ -10,20 +10,22 @@ import contextlib
 import hashlib
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.files import atomic_path, check_writable
+from nacre.core.files import atomic_path, check_writable, output_folder, plain, why_unreadable
+from nacre.core.jobs import Workers, run_jobs
 from nacre.core.progress import ProgressCallback, progress_bar
 from nacre.material.material import Material, loaded
 from nacre.picture import interrupt
 from nacre.picture.denoise import inapplicable_reason
-from nacre.picture.images import read_provenance
+from nacre.picture.images import read_provenance, write_picture
 from nacre.picture.lights.light_mixture import read_lamps
 from nacre.picture.options import KEYWORDS, read_background
 from nacre.picture.picture import render, resolve_material
@@ -126,6 +128,7 @@ def animate(
     output: str | Path,
     *,
     frames: int = 48,
+    workers: Workers | None = None,
     progress: bool | ProgressCallback | None = None,
     **settings: Any,
 ) -> Animation:
@@ -137,11 +140,13 @@ def animate(
             material may use the time `t`, which runs from 0 to 1, or over "t=A:B".
         output: .gif or .mp4; a folder beside it, with "_frames" after its name, contains the frames.
         frames: frame count.
+        workers: a cluster that renders all frames but the first; it must be able to read the files of `scene` and
+            `shape`. Without a cluster, this process renders frame after frame, each with all threads.
         progress: as for `render`, by frames.
         settings: other keywords of `render`. "auto" exposure uses the first frame.
 
     Raises:
-        NacreError: a bad motion, count, suffix or folder, or any error from `render`.
+        NacreError: a bad motion, count, suffix or folder, a cluster that fails, or any error from `render`.
     """
     asked_motion = motion
     if isinstance(motion, str):
@@ -150,55 +155,162 @@ def animate(
         motion = Motion("value", float(motion[0]), float(motion[1]))
     material = loaded(material)
     path = Path(output)
+    workers = replace(workers or Workers(), jobs=1)
+    workers.check()
     _check(path, frames, settings)
     if isinstance(material, Material):
         material = material.inlined()  # formulas in parts may use the time
     has_time = uses_time(getattr(material, "data", None))
     if motion.name in ("time", TIME_PATH) and not has_time:
         raise NacreError(f'animate = "{asked_motion}": no formula of the material uses the time t')
-    is_fixed = not (motion.is_parameter or has_time)
-    material_at = None if is_fixed else _material_at(material, motion, has_time, frames)
     if str(settings.get("scene", "")).lower().endswith(".xml") and motion.name in TURNS:
         raise UnsupportedError("animate: a Mitsuba scene keeps its own light and camera; only a parameter can move")
     check_writable(path)
     folder = path.with_name(path.stem + "_frames")
     names = tuple(folder / f"frame_{index:04d}.png" for index in range(frames))
+    _check_frames(names)
 
     exposure = settings.pop("exposure", "auto")
-    asked, who = settings, ""
-    if material_at is None:
-        who = _fingerprint(material)
-        material, _ = resolve_material(material, settings.get("quality"), settings.get("components", "sum"))
-        settings = {**settings, "quality": None, "components": "sum"}
-    kept, begun = 0, time.monotonic()
-    with _folder_of_frames(folder), progress_bar("animating", progress) as report:
-        for index, name in enumerate(names):
-            value = motion.at(index, frames)
-            subject = material if material_at is None else material_at(index, value)
-            key = _frame_key(who or _fingerprint(subject), motion, value, {**asked, "exposure": exposure})
-            old = _finished(name)
-            if old.get("frame_key") == key:
-                kept += 1
-                stops = float(old["exposure_stops"])
-            else:
-                turn: dict[str, Any] = {f"{motion.name}_turn_deg": value} if motion.name in TURNS else {}
-                try:
-                    result = render(subject, **settings, exposure=exposure, progress=False, **turn)
-                except KeyboardInterrupt:
-                    result = None
-                if result is None or result.stats["interrupted"]:
-                    return Animation(None, names[:index], kept, True)
-                stops = float(result.stats["exposure_stops"])
-                moving = {"frame_key": key, "motion": motion.name, "value": value, "frame": index}
-                pixels = hashlib.sha256(result.srgb8.tobytes()).hexdigest()
-                replace(result, stats={**result.stats, **moving, "pixels": pixels}).save(name)
-                if interrupt.came_late() and index + 1 < frames:
-                    return Animation(None, names[: index + 1], kept, True)
-            exposure = stops if index == 0 else exposure
-            made = index + 1 - kept  # kept frames take no time
-            report(index + 1, frames, (time.monotonic() - begun) / max(made, 1) * (frames - index - 1))
-    join(names, path)
-    return Animation(path, names, kept, False)
+    series = _Series.build(material, motion, frames, has_time, settings)
+    with output_folder(folder), progress_bar("animating", progress) as report:
+        run = _Run(series, names, report)
+        # the first frame sets the exposure of the others
+        if run.finish(range(1), exposure, Workers(jobs=1)) and run.finish(range(1, frames), run.stops, workers):
+            join(names, path)
+            return Animation(path, names, run.kept, False)
+    return Animation(None, tuple(name for name in names if name in run.finished), run.kept, True)
+
+
+@dataclass(frozen=True)
+class _Series:
+    """An animation's material and settings, for this process and for a cluster.
+
+    Attributes:
+        settings: for `render`, as given.
+        fixed: fingerprint of a material that does not vary; empty if it varies.
+    """
+
+    material: Any
+    motion: Motion
+    frames: int
+    has_time: bool
+    settings: Mapping[str, Any]
+    fixed: str
+
+    @classmethod
+    def build(cls, material: Any, motion: Motion, frames: int, has_time: bool, settings: Mapping[str, Any]) -> _Series:
+        """Build the series.
+
+        Raises:
+            UnsupportedError: the material cannot vary.
+        """
+        if not (motion.is_parameter or has_time):
+            return cls(material, motion, frames, has_time, settings, _fingerprint(material))
+        if hasattr(material, "vary"):
+            material = material.at_low_fidelity()
+        elif not callable(material):
+            raise UnsupportedError(f"animate: {motion.name} cannot move; the material was not built from a recipe")
+        return cls(material, motion, frames, has_time, settings, "")
+
+    def value(self, index: int) -> float:
+        """The motion's value in a frame."""
+        return self.motion.at(index, self.frames)
+
+    def subject(self, index: int) -> Any:
+        """The material in a frame."""
+        if self.fixed:
+            return self.material
+        if not hasattr(self.material, "vary"):
+            return self.material(self.value(index))
+        moved = {self.motion.name: self.value(index)} if self.motion.is_parameter else {}
+        timed = {TIME_PATH: self.motion.time(index, self.frames)} if self.has_time else {}
+        return self.material.vary({**timed, **moved})
+
+    def key(self, index: int, exposure: Any) -> str:
+        """A frame's fingerprint."""
+        who = self.fixed or _fingerprint(self.subject(index))
+        return _frame_key(who, self.motion, self.value(index), {**self.settings, "exposure": exposure})
+
+    def resolved(self) -> _Series:
+        """A series that renders a fixed material without solving it again for every frame."""
+        if not self.fixed:
+            return self
+        quality, components = self.settings.get("quality"), self.settings.get("components", "sum")
+        bsdf, _ = resolve_material(self.material, quality, components)
+        return replace(self, material=bsdf, settings={**self.settings, "quality": None, "components": "sum"})
+
+
+def _render_frame(series: _Series, item: tuple[int, Any]) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+    """Render frame `item[0]` at exposure `item[1]`; return its sRGB pixels and its provenance."""
+    index, exposure = item
+    motion = series.motion
+    turn: dict[str, Any] = {f"{motion.name}_turn_deg": series.value(index)} if motion.name in TURNS else {}
+    result = render(series.subject(index), **series.settings, exposure=exposure, progress=False, **turn)
+    return result.srgb8, dict(result.stats)
+
+
+class _Run:
+    """Renders the frames that are missing, and writes each once it is finished.
+
+    Attributes:
+        finished: files of frames with equal settings, in the order of completion.
+        kept: frames of an earlier run.
+        stops: exposure of the first frame.
+    """
+
+    def __init__(self, series: _Series, names: tuple[Path, ...], report: ProgressCallback) -> None:
+        self.finished: list[Path] = []
+        self.kept = 0
+        self.stops = 0.0
+        self._series, self._names, self._report = series, names, report
+        self._begun = time.monotonic()
+
+    def finish(self, part: range, exposure: Any, workers: Workers) -> bool:
+        """Render the missing frames of a part; return False after an interrupt.
+
+        Raises:
+            NacreError: an error from `render`, or a cluster that fails.
+        """
+        keys = {index: self._series.key(index, exposure) for index in part}
+        missing = [index for index in part if not self._is_kept(index, keys[index])]
+        if not missing:
+            return True
+        series = self._series if workers.cluster else self._series.resolved()
+        items = [(index, exposure) for index in missing]
+        try:
+            for number, (pixels, stats) in run_jobs(_render_frame, series, items, workers):
+                if stats["interrupted"]:
+                    return False
+                self._write(missing[number], keys[missing[number]], pixels, stats)
+                if interrupt.came_late() and len(self.finished) < len(self._names):
+                    return False
+        except KeyboardInterrupt:
+            return False
+        return True
+
+    def _is_kept(self, index: int, key: str) -> bool:
+        """Whether an earlier run wrote this frame; note it."""
+        name = self._names[index]
+        old = _finished(name)
+        if old.get("frame_key") != key:
+            return False
+        self.finished.append(name)
+        self.kept += 1
+        self.stops = float(old["exposure_stops"]) if index == 0 else self.stops
+        self._report(len(self.finished), len(self._names), 0.0)
+        return True
+
+    def _write(self, index: int, key: str, pixels: NDArray[np.uint8], stats: dict[str, Any]) -> None:
+        """Write a frame with its provenance, and report the progress."""
+        value, total = self._series.value(index), len(self._names)
+        moving = {"frame_key": key, "motion": self._series.motion.name, "value": value, "frame": index}
+        digest = hashlib.sha256(pixels.tobytes()).hexdigest()
+        write_picture(self._names[index], pixels, {**stats, **moving, "pixels": digest})
+        self.finished.append(self._names[index])
+        self.stops = float(stats["exposure_stops"]) if index == 0 else self.stops
+        made = len(self.finished) - self.kept  # kept frames take no time
+        left = (time.monotonic() - self._begun) / made * (total - len(self.finished))
+        self._report(len(self.finished), total, left)
 
 
 def _check(path: Path, frames: int, settings: dict[str, Any]) -> None:
@@ -218,45 +330,19 @@ def _check(path: Path, frames: int, settings: dict[str, Any]) -> None:
         raise NacreError('background = "transparent": animations know no transparency; give a colour')
 
 
-@contextlib.contextmanager
-def _folder_of_frames(folder: Path) -> Iterator[None]:
-    """Make the folder, and remove it again if it stays empty.
+def _check_frames(names: tuple[Path, ...]) -> None:
+    """Check that the frames are files or do not exist yet.
 
     Raises:
-        NacreError: it cannot be made.
+        NacreError: one is a folder, a device or a pipe.
     """
-    is_new = not folder.exists()
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
-    try:
-        yield
-    finally:
-        if is_new:
-            with contextlib.suppress(OSError):  # not empty
-                folder.rmdir()
-
-
-def _material_at(material: Any, motion: Motion, has_time: bool, frames: int) -> Callable[[int, float], Any]:
-    """Return the function from frame number and value to the material.
-
-    Raises:
-        UnsupportedError: the material cannot vary.
-    """
-    if hasattr(material, "vary"):
-        material = material.at_low_fidelity()
-
-        def changed(index: int, value: float) -> Any:
-            moved = {motion.name: value} if motion.is_parameter else {}
-            timed = {TIME_PATH: motion.time(index, frames)} if has_time else {}
-            return material.vary({**timed, **moved})
-
-        return changed
-    if not callable(material):
-        raise UnsupportedError(f"animate: {motion.name} cannot move; the material was not built from a recipe")
-    function: Callable[[float], Any] = material
-    return lambda index, value: function(value)
+    for name in names:
+        try:
+            plain(name)
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise NacreError(f"{name}: {why_unreadable(error)}") from None
 
 
 def _fingerprint(material: Any) -> str:
@@ -273,7 +359,7 @@ def _fingerprint(material: Any) -> str:
     return fingerprint(str(made), {}, numbers=numbers)
 
 
-PICTURE_VERSION = 1  # raise when pictures with the same settings change
+PICTURE_VERSION = 2  # raise when pictures with the same settings change
 
 
 def _frame_key(who: str, motion: Motion, value: float, settings: dict[str, Any]) -> str:

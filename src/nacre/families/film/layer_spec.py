@@ -49,7 +49,8 @@ Thickness = Annotated[
     pydantic.Discriminator(texture_or_number),
     pydantic.BeforeValidator(_thickness),
 ]
-Pitch = Annotated[float, Field(gt=0.0, le=1e6)]
+# nm; a helix of molecules does not turn within less than one of them
+Pitch = Annotated[float, Field(ge=1.0, le=1e6)]
 
 
 class LayerSpec(RecipeModel):
@@ -295,7 +296,7 @@ def with_interface_layers(
             mixed = OpticalConstant(name, Mixture(pair, (0.5, 0.5)), "a rough interface")  # type: ignore[arg-type]
             made.append(FilmLayer(mixed, depths[i], path=key))
         if i < len(layers):
-            made.append(_thinned(layers[i], 0.5 * (depths[i] + depths[i + 1]), context))
+            made.append(_thinned(layers[i], 0.5 * (depths[i] + depths[i + 1]), roughness_nm, context))
     return made
 
 
@@ -303,7 +304,7 @@ def _is_slice(one: FilmLayer, other: FilmLayer) -> bool:
     return one.path == other.path and "graded" in one.material.source and "graded" in other.material.source
 
 
-def _thinned(layer: FilmLayer, loss_nm: float, context: RecipeContext) -> FilmLayer:
+def _thinned(layer: FilmLayer, loss_nm: float, given: float | tuple[float, ...], context: RecipeContext) -> FilmLayer:
     if loss_nm == 0.0:
         return layer
     if isinstance(layer.thickness_nm, Texture):
@@ -312,7 +313,7 @@ def _thinned(layer: FilmLayer, loss_nm: float, context: RecipeContext) -> FilmLa
         )
     if layer.thickness_nm < loss_nm:
         raise context.fail(
-            "surface.interface_roughness_nm", 2 * loss_nm, f"is wider than {layer.path} of {layer.thickness_nm:g} nm, "
+            "surface.interface_roughness_nm", given, f"is wider than {layer.path} of {layer.thickness_nm:g} nm, "
             "from which the interfaces take half of their thickness",
         )  # fmt: skip
     return FilmLayer(layer.material, layer.thickness_nm - loss_nm, layer.incoherent, layer.helix, layer.path)

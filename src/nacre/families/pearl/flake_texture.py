@@ -85,7 +85,7 @@ class FlakeTexture:
         self.cos = cos
         self.tables = [
             [platelet_response(f.platelet, s.resin.n_complex(wavelengths_nm).real, cos, wavelengths_nm).unpolarised()
-             for f in s.flakes]
+             for f in s.kinds]
             for s in strata
         ]  # fmt: skip
 
@@ -109,7 +109,7 @@ class FlakeTexture:
     def _crossings(self, i: int, w: Array) -> tuple[float, Array]:
         """Return the flakes crossed by light along `w[3]` in a stratum, and their optical thickness `[wavelength]`."""
         stratum, met, depth = self.strata[i], 0.0, np.zeros(len(self.wavelengths_nm))
-        for flakes, (_, transmit) in zip(stratum.flakes, self.tables[i], strict=True):
+        for flakes, (_, transmit) in zip(stratum.kinds, self.tables[i], strict=True):
             m, area = visible_normals(flakes.normals, w)
             count = self._number(stratum, flakes) * area / abs(w[2])
             met += count
@@ -150,7 +150,7 @@ class FlakeTexture:
             facing = math.sqrt(0.5 * (1.0 + float(inner_i @ inner_o)))
             variance = self._variance(i, theta_rad, lamp_rad, camera_rad, tall)
             reach_um = above_um + stratum.thickness_nm / 1e3 * _mean_depth(met * (1.0 - float(np.mean(shade))))
-            for flakes, (reflect, _) in zip(stratum.flakes, self.tables[i], strict=True):
+            for flakes, (reflect, _) in zip(stratum.kinds, self.tables[i], strict=True):
                 spectrum = self.weights * np.pi * scale * self._read(reflect, np.array(facing)) * np.exp(-above_depth)
                 radii = radius_quantiles(float(flakes.diameter_um or 0.0), self.scales.diameter_spread)
                 found.append(LitFlakes(
@@ -216,7 +216,7 @@ class FlakeTexture:
             down = np.stack([self._crossings(i, inner[k])[1] for k in coarse])
             crossed = np.stack([np.interp(np.arange(COS_NODES), coarse, row) for row in down.T], axis=1)
             way = crossed + self.absorption[i] * (slant[:, None] + 1.0)
-            for flakes, (reflect, transmit) in zip(stratum.flakes, self.tables[i], strict=True):
+            for flakes, (reflect, transmit) in zip(stratum.kinds, self.tables[i], strict=True):
                 m, area = visible_normals(flakes.normals, normal, 2 * NORMALS)
                 first = reflect * (is_lit * np.array(passed) * view)[:, None] * np.exp(-above) * self.weights
                 luminance = np.stack([np.sum(first * np.exp(-way * z), axis=1) for z in depth])

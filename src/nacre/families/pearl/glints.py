@@ -64,7 +64,7 @@ def glint_arrays(
     alpha = math.sqrt(max(stratum.surface.alpha_x * stratum.surface.alpha_y, 0.0))
     bend = interface_bend(alpha, index)
     found = []
-    for k, flakes in enumerate(stratum.flakes):
+    for k, flakes in enumerate(stratum.kinds):
         assert flakes.diameter_um is not None
         diffraction = DIFFRACTION * MIDDLE_UM / (index * flakes.diameter_um)
         own = math.hypot(math.tan(math.radians(glints.flatness_deg)), diffraction, bend)

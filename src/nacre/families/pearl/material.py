@@ -88,7 +88,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
         """Remarks on valid settings with surprising effects."""
         found = []
         for i, stratum in enumerate(self.strata):
-            kinds = len(stratum.flakes)
+            kinds = len(stratum.kinds)
             if kinds > 8:
                 found.append(f"strata[{i}]: {kinds} types of platelets work, but each slows rendering down")
             for j, flakes in enumerate(stratum.flakes):
@@ -99,8 +99,8 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
         return tuple(found)
 
     def platelet_tables(self, wavelengths_nm: Array) -> Array:
-        """R and T for all pigments, `[kind, cos, wavelength, 2]`, on uniform sqrt(cos) nodes."""
-        kinds = [(stratum, flakes) for stratum in self.strata for flakes in stratum.flakes]
+        """R and T for all distinct pigments, `[kind, cos, wavelength, 2]`, on uniform sqrt(cos) nodes."""
+        kinds = [(stratum, flakes) for stratum in self.strata for flakes in stratum.kinds]
         count = COS_NODES
         responses = [_response(stratum, flakes, count, wavelengths_nm) for stratum, flakes in kinds]
         coarse = wavelengths_nm[:: max(1, len(wavelengths_nm) // 8)]
@@ -166,9 +166,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
 
         A warning states the reason if the loss cannot be computed.
         """
-        published = np.array(
-            [f.platelet.energy_balance == PUBLISHED for s in self.strata for f in s.flakes], dtype=bool
-        )
+        published = np.array([f.platelet.energy_balance == PUBLISHED for s in self.strata for f in s.kinds], dtype=bool)
         if not published.any():
             return None
         reason = self.inapplicable_reason(DEFECT)
@@ -182,7 +180,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
         """Return the layered lobe, with glints."""
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         response = self.platelet_tables(lam)
-        kinds = [(i, stratum, flakes) for i, stratum in enumerate(self.strata) for flakes in stratum.flakes]
+        kinds = [(i, stratum, flakes) for i, stratum in enumerate(self.strata) for flakes in stratum.kinds]
         extinctions = []
         for (_, _, flakes), table in zip(kinds, response, strict=True):
             weights = visible_weights(flakes.normals, table.shape[0])

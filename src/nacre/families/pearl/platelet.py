@@ -65,6 +65,16 @@ class Platelet:
     energy_balance: str = CONSERVING
 
     @property
+    def key(self) -> tuple[object, ...]:
+        """Hashable field values; a material counts by its index, not by its name."""
+        layers = [
+            (self.substrate, self.thickness),
+            *((c.material, c.thickness) for c in (*self.upper, *(self.lower or ()))),
+        ]
+        values = tuple((material.model, material.extrapolate, thickness.key) for material, thickness in layers)
+        return (values, len(self.upper), self.lower is None, self.energy_balance)
+
+    @property
     def is_symmetric(self) -> bool:
         """Whether both sides carry the same coatings."""
         return self.lower is None

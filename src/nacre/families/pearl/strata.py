@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,6 +38,11 @@ class Flakes:
     normals: FlakeNormals
     diameter_um: float | None = None
 
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Hashable field values without the volume fraction."""
+        return (*self.platelet.key, self.normals.deviation.tobytes(), self.normals.frame.tobytes(), self.diameter_um)
+
 
 @dataclass(frozen=True)
 class Stratum:
@@ -46,6 +53,16 @@ class Stratum:
     surface: Roughness = Roughness()
     flakes: tuple[Flakes, ...] = ()
     dye: Dye | None = None
+
+    @cached_property
+    def kinds(self) -> tuple[Flakes, ...]:
+        """The pigments, equal ones joined: a pigment entered in two parts then draws the same random walks."""
+        found: dict[tuple[object, ...], list[Flakes]] = {}
+        for flakes in self.flakes:
+            found.setdefault(flakes.key, []).append(flakes)
+        return tuple(
+            replace(same[0], volume_fraction=math.fsum(f.volume_fraction for f in same)) for same in found.values()
+        )
 
 
 PHASE_NODES = 181  # uniform in cos

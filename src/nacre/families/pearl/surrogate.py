@@ -107,11 +107,11 @@ class PearlSurrogate:
     def medium(self, nodes: int) -> Medium:
         """Return the arrays for the compiled loops; recent pigment tables are cached."""
         stratum = self.stratum
-        tables = [_pigment(stratum, flakes, nodes, self.wavelengths_nm.tobytes()) for flakes in stratum.flakes]
+        tables = [_pigment(stratum, flakes, nodes, self.wavelengths_nm.tobytes()) for flakes in stratum.kinds]
         empty = np.zeros((0, 2, len(self.wavelengths_nm)), np.float32)
         reflect, transmit, extinct = (np.stack([t[i] for t in tables]) if tables else empty for i in range(3))
-        number = [optical_number(f.volume_fraction, stratum.thickness_nm, f.platelet.height_nm) for f in stratum.flakes]
-        sigma = [float(f.normals.deviation[0]) for f in stratum.flakes]
+        number = [optical_number(f.volume_fraction, stratum.thickness_nm, f.platelet.height_nm) for f in stratum.kinds]
+        sigma = [float(f.normals.deviation[0]) for f in stratum.kinds]
         alpha = float(stratum.surface.alpha_x)
         return Medium(
             self.index, alpha, np.array(number), np.array(sigma), reflect, transmit, extinct, self.absorb

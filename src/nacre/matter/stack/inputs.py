@@ -11,21 +11,25 @@ r_s, r_p, t_s, t_p.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
+from nacre.core.jit import is_spared
 from nacre.core.parallel import parallel_for
+from nacre.matter.stack.roots import decaying_root
 
 MIN_INDEX = 1e-6  # below 1e-7, 1/n^4 loses a layer's phase in double precision
 LARGEST_INDEX = 1e6  # its cube stays far from overflow
 CLEAR_K = 1e-4  # an ambient with smaller absorption counts as clear
 GRAZING_COS = 1e-12  # smaller cosines count as exactly 90 degrees, with R = 1 and T = 0
 FEW_WAVELENGTHS = 16  # the kernel runs along the wavelengths; shorter axes are joined with the angles
+CALL_WORK = 2000  # of a stack in NumPy, in points times interfaces
 GATHER_LIMIT = 1_000_000  # limit of complex values copied for joined axes
 
 
@@ -183,7 +187,7 @@ def _normal(
             return _owned(cosine.reshape(1, -1, 1), np.complex128), True, cosine.shape
         # absorbing ambient: a real in-plane wavevector, with a constant amplitude along the surface
         kz2 = n0[:, None, :] ** 2 - (n0.real[:, None, :] ** 2) * (1.0 - cosine.reshape(1, -1, 1) ** 2)
-        return _owned(_decaying_root(kz2), np.complex128), False, cosine.shape
+        return _owned(decaying_root(kz2), np.complex128), False, cosine.shape
     waves = np.asarray(kappa if kz is None else kz, dtype=np.complex128)
     if waves.ndim > 2 or (waves.ndim == 2 and waves.shape[1] not in (1, count)):
         raise NacreError(f"kappa or kz must have the shape [angle] or [angle, {count}], not {list(waves.shape)}")
@@ -194,21 +198,8 @@ def _normal(
         raise NacreError("powers need a real kappa up to the ambient's index; evanescent waves carry no power")
     grid = waves.reshape(1, -1, 1) if waves.ndim < 2 else waves[None]
     if kz is None:
-        grid = _decaying_root(n[:, 0][:, None, :] ** 2 - grid**2)
+        grid = decaying_root(n[:, 0][:, None, :] ** 2 - grid**2)
     return _owned(grid, np.complex128), False, waves.shape[:1]
-
-
-def _decaying_root(z: ComplexArray) -> ComplexArray:
-    """Return the square root with Im >= 0, and Re >= 0 if Im = 0."""
-    w = np.sqrt(z)
-    return np.where((w.imag < 0) | ((w.imag == 0) & (w.real < 0)), -w, w)
-
-
-def normal_component(n2: ComplexArray, n02: ComplexArray, kz0sq: ComplexArray) -> ComplexArray:
-    """Return kz / k0 in a medium with squared index `n2`: the wave that travels or decays."""
-    z = n2 - n02 + kz0sq
-    rounding = 1e-15 * (np.abs(n2.imag) + np.abs(n02.imag) + np.abs(kz0sq.imag))
-    return _decaying_root(np.where(np.abs(z.imag) <= rounding, z.real, z))
 
 
 def check_indices(n: ComplexArray) -> None:
@@ -275,18 +266,18 @@ def _owned(array: ArrayLike, dtype: Any) -> NDArray[Any]:
 def run_kernel(
     stack: StackArrays, with_amplitudes: bool, with_powers: bool, jobs: int | None
 ) -> tuple[ComplexArray, Array]:
-    from nacre.matter.stack.kernel import solve_range
-
     shape = stack.shape
     joined = _join_axes(stack)
     batch, angles, count = joined.shape
+    work = batch * angles * count * (joined.n.shape[1] - 1)
+    solve_range = _solver(work + batch * CALL_WORK)
     amplitude = np.empty((4, batch if with_amplitudes else 0, angles, count), dtype=np.complex128)
     power = np.empty((4, batch if with_powers else 0, angles, count))
 
     def task(start: int, stop: int, first: int, last: int) -> None:
         solve_range(*joined.kernel_arrays, start, stop, first, last, amplitude, power)
 
-    parallel_for(task, batch, angles, batch * angles * count * (joined.n.shape[1] - 1), jobs)
+    parallel_for(task, batch, angles, work, jobs)
     full = (4, *stack.batch, *stack.angle_shape, shape[2])
     if with_amplitudes:
         # the kernel's t_p is the H-field ratio; E = H k / (w eps): a factor n_0 / n_s
@@ -296,6 +287,17 @@ def run_kernel(
     if with_powers:
         power = power.reshape(full)
     return amplitude, power
+
+
+def _solver(work: int) -> Callable[..., None]:
+    """Return the kernel, or its form in NumPy for the first small work of a command."""
+    if is_spared(work):
+        from nacre.matter.stack.uncompiled import solve_range as in_numpy
+
+        return in_numpy
+    from nacre.matter.stack.kernel import solve_range
+
+    return cast(Callable[..., None], solve_range)
 
 
 def part_of(stack: StackArrays, n: ComplexArray, thicknesses_nm: Array, normal: ComplexArray) -> StackArrays:

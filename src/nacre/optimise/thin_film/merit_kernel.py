@@ -32,7 +32,7 @@ class CompiledMerit(NamedTuple):
         kind, row, lamp: `[term]`.
         lab: `[term, 3]`.
         low, high: `[term]`, infinite where open.
-        scale, weight: `[term]`, weight / within, and the weight: a scaled distance above it is out of tolerance.
+        scale, weight: `[term]`, weight / tolerance, and the weight: a scaled distance above it is out of tolerance.
         wanted: `[term, wavelength]`, of spectra; negative if unspecified.
         residuals: `[1]`, their number.
     """
