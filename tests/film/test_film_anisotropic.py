@@ -249,6 +249,18 @@ def test_a_film_whose_colour_hardly_depends_on_the_azimuth_has_the_mean() -> Non
         {"layers": [{"material": {"principal": [1.5, 1.6, 1.7], "euler_deg": [1, 2]}, "thickness_nm": 100}]},
         {"layers": [{"material": {"ordinary": 1.5}, "thickness_nm": 100}]},
         {"layers": [{"material": {"ordinary": 1.5, "extraordinary": 1.6}, "thickness_nm": 100, "pitch_nm": 0}]},
+        {"layers": [{"material": {"ordinary": 1.5, "extraordinary": 1.6}, "thickness_nm": 100, "pitch_nm": 0.01}]},
+        {"layers": [{"material": {"ordinary": 1.5, "extraordinary": 1.6}, "thickness_nm": 100, "pitch_nm": 1.9}]},
+        {
+            "layers": [
+                {
+                    "material": {"ordinary": 1.5, "extraordinary": 1.6},
+                    "thickness_nm": 100,
+                    "pitch_nm": 300,
+                    "pitch_lower_nm": 0.01,
+                }
+            ]
+        },
         {"layers": [{"material": {"ordinary": 1.5, "extraordinary": 1.6}, "thickness_nm": 100, "handedness": "left"}]},
         {"layers": [{"material": 1.5, "thickness_nm": 100, "pitch_nm": 300}]},
         {"ambient": {"principal": [1.0, 1.0, 1.0]}},

@@ -22,6 +22,7 @@ from nacre.matter.stack.polarised import SPREAD_REACH, Helix
 from nacre.matter.stack.solve import powers
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
+MAX_PITCH_NM = 1e6
 SLICES_A_TURN = 64  # the fewest of a helix; see `nacre.matter.stack.anisotropic`
 MAX_LAYERS = 1000
 MAX_THICKNESS_NM = 1e8  # ten centimetres, for incoherent panes
@@ -49,7 +50,19 @@ Thickness = Annotated[
     pydantic.Discriminator(texture_or_number),
     pydantic.BeforeValidator(_thickness),
 ]
-Pitch = Annotated[float, Field(gt=0.0, le=1e6)]
+LEAST_PITCH_NM = 2.0  # four molecules of 0.5 nm a turn: fewer have no axes that turn continuously
+
+
+def _pitch(value: Any) -> Any:
+    if isinstance(value, int | float) and not LEAST_PITCH_NM <= value <= MAX_PITCH_NM:
+        raise ValueError(
+            f"= {value:g} is not allowed; it should be from {LEAST_PITCH_NM:g} to {MAX_PITCH_NM:g} nm: a helix has several "
+            "molecules in a turn"
+        )
+    return value
+
+
+Pitch = Annotated[float, Field(ge=LEAST_PITCH_NM, le=MAX_PITCH_NM), pydantic.BeforeValidator(_pitch)]
 
 
 class LayerSpec(RecipeModel):
