@@ -56,8 +56,8 @@ LEAST_PITCH_NM = 2.0  # four molecules of 0.5 nm a turn: fewer have no axes that
 def _pitch(value: Any) -> Any:
     if isinstance(value, int | float) and not LEAST_PITCH_NM <= value <= MAX_PITCH_NM:
         raise ValueError(
-            f"= {value:g} is not allowed; it should be from {LEAST_PITCH_NM:g} to {MAX_PITCH_NM:g} nm: a helix has several "
-            "molecules in a turn"
+            f"= {value:g} is not allowed; it should be from {LEAST_PITCH_NM:g} to {MAX_PITCH_NM:g} nm: a helix has "
+            "several molecules in a turn"
         )
     return value
 

@@ -262,7 +262,9 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         )
         logger.info("%s", note)
         largest = min(incidence_error(lobes, medium, slabs, self.surface), 1.0)
-        return Bsdf(lobes, {"notes": [note], "angle_table": {"angles": THETA_NODES, "largest_error": round(largest, 6)}})
+        return Bsdf(
+            lobes, {"notes": [note], "angle_table": {"angles": THETA_NODES, "largest_error": round(largest, 6)}}
+        )
 
     def _layered(self, lam: Array, is_own_grid: bool, is_in_air: bool = True) -> Layered:
         """Return the layered lobe: the glass enters as a scattering dye."""

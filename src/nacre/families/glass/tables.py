@@ -88,8 +88,8 @@ def diffuse_table(medium: Medium, slabs: list[Slab]) -> TableLobe:
 def behind_rough(table: TableLobe, medium: Medium, slabs: list[Slab], surface: Roughness) -> TableLobe:
     """Put the light of `diffuse_table` behind a rough face; see `RoughInterface`.
 
-    A smooth face lets no light in at grazing incidence, a rough one does. There the light below the face is extrapolated
-    from the last two nodes before.
+    A smooth face lets no light in at grazing incidence, a rough one does. There the light below the face is
+    extrapolated from the last two nodes before.
     """
     interface = RoughInterface.behind(surface, medium)
     if interface is None:
