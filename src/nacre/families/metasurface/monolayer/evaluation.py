@@ -33,8 +33,8 @@ HARMONICS = 8  # harmonics in the tables; higher ones are below 0.3 % of the lar
 LOW_OPAQUE = 48  # angles above a thin opaque structure
 LOW_CLEAR = (32, 24, 16)  # thin and on a clear substrate: above, below within and beyond the critical angle
 MOST_NODES = 257  # of the specular tables
-FINE_ERROR = 1e-3  # of R and T, where 65 nodes suffice
-CHECKED_ANGLES = 90
+ACCEPTED = (2e-3, 2e-3)  # error of R and T, below which 65 nodes suffice or intervals are not halved
+CHECKED_ANGLES = 30
 GRAZING_COS = 1e-3  # replaces 0, at which the monolayer wave diverges
 SCALING_STEPS = 200
 
@@ -187,10 +187,10 @@ class SpecularTables:
             return np.stack(in_threads(column, layers, jobs), axis=-1)
 
         angles = (np.arange(CHECKED_ANGLES) + 0.5) / CHECKED_ANGLES
-        above = tabulate_nodes(outside, MOST_NODES, np.cos(np.pi / 2 * angles), angles[:0], (6, 7), FINE_ERROR)
+        above = tabulate_nodes(outside, MOST_NODES, np.cos(np.pi / 2 * angles), angles[:0], (6, 7), *ACCEPTED)
         if not (transmits and eta > 1.0):
             return cls(above.nodes, np.zeros(0), above.values, np.zeros((0, len(layers))), above.error)
-        below = tabulate_nodes(beyond, MOST_NODES, angles[::2], angles[:0], (4, 5), FINE_ERROR)
+        below = tabulate_nodes(beyond, MOST_NODES, angles[::2], angles[:0], (4, 5), *ACCEPTED)
         return cls(above.nodes, below.nodes, above.values, below.values, max(above.error, below.error))
 
 
