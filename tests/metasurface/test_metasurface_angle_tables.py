@@ -65,4 +65,4 @@ def test_fringes_of_a_thick_film_get_more_nodes_than_a_bare_substrate() -> None:
     bare = recipe(2)
     thick = bare | {"layers": [{"material": "SiO2", "thickness_nm": 2500.0}]}
     counts = [nacre.material(d).model.bsdf(LAM).provenance["angle_table"]["cosines"] for d in (bare, thick)]
-    assert counts[0] < 129 < counts[1]
+    assert counts[0] < counts[1]
