@@ -194,11 +194,11 @@ class SpecularTables:
         return cls(above.nodes, below.nodes, above.values, below.values, max(above.error, below.error))
 
 
-def solve_wavelength(layer: Monolayer, grids: Grids, eta: float, tables: SpecularTables, band: int) -> WavelengthResult:
+def solve_wavelength(layer: Monolayer, grids: Grids, eta: float, solved: SpecularTables, band: int) -> WavelengthResult:
     """Solve one wavelength on all angles: diffuse tables scaled to energy <= 1 with the specular ones."""
     index = layer.surface.index_below
-    specular = tables.at(band)
-    nodes = tables.cosines, tables.beyond
+    specular = solved.at(band)
+    nodes = solved.cosines, solved.beyond
     sides = [(layer.illuminate(np.cos(grids.above.nodes)), grids.above.weights)]
     if grids.below is not None:
         sides.append((layer.illuminate(np.cos(grids.below.nodes), True), grids.below.weights))
