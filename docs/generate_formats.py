@@ -13,6 +13,13 @@ REAL_FILES = {
     "woollam-dat": 1, "woollam-intensity": 1, "woollam-mat": 1, "woollam-text": 4, "wsxm": 1, "xyz": 1, "zemax": 1,
     "zemax-coating": 1,
 }  # fmt: skip
+# format -> further files of public source packages that were read, or refused for the right reason, in a trial of
+# November 2026; the JCAMP-DX spectra agree with the package jcamp, the others were compared with their text or program
+TRIED = {
+    "accurion": 4, "cgats": 1, "grams-spc": 24, "gwy": 1, "ibw": 12, "jasco-jws": 3, "jcamp": 144, "jpk": 2, "lamp": 5,
+    "nexus-dispersion": 6, "nexus-ellipsometry": 5, "opus": 1, "perkinelmer-sp": 2, "spectraray": 3,
+    "spectrum-table": 15, "topostats": 2, "woollam-dat": 5, "woollam-mat": 1, "woollam-text": 17, "wsxm": 4,
+}  # fmt: skip
 # format -> how nacre writes it
 WRITTEN = {
     "rgl": "`nacre export --to rgl`", "merl": "`nacre export --to merl`", "zemax": "`nacre export --to zemax`",
@@ -35,14 +42,21 @@ def page() -> str:
         "# File formats", "",
         "Formats that `nacre read`, recipes, targets and fits recognise by content. *Real files* counts files of instruments "
         "and programs with an independent reading, which the tests read or refuse by name; small files of the same form are "
-        "tested for each format. {doc}`/howto/read` says how to read and how to add a format.", "",
+        "tested for each format. *Further files* were tried once and are not in the tests: public source packages contain them. "
+        "{doc}`/howto/read` says how to read and how to add a format.", "",
     ]  # fmt: skip
     for kind, title in KINDS.items():
         entries = [entry for entry in FORMATS if entry.kind == kind]
         if entries:
-            lines += [f"## {title}", "", "| format | `--format` | written by | real files |", "|---|---|---|---|"]
+            lines += [
+                f"## {title}",
+                "",
+                "| format | `--format` | written by | real files | further files |",
+                "|---|---|---|---|---|",
+            ]
             for entry in sorted(entries, key=lambda entry: entry.title.lower()):
                 count = REAL_FILES.get(entry.id, 0)
-                lines.append(f"| {entry.title} | `{entry.id}` | {WRITTEN.get(entry.id, '')} | {count or ''} |")
+                cells = entry.title, f"`{entry.id}`", WRITTEN.get(entry.id, ""), count or "", TRIED.get(entry.id, "")
+                lines.append(f"| {' | '.join(str(cell) for cell in cells)} |")
             lines.append("")
     return "\n".join(lines)

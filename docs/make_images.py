@@ -8,6 +8,7 @@ They are committed, so that the documentation builds in minutes; make them anew 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import subprocess
 import sys
 import tempfile
@@ -186,6 +187,37 @@ def make_afm(scratch: Path) -> Path:
     return _beside(Image.fromarray(np.uint8(255 * grey)).convert("RGB"), recipe, IMAGES / "afm.jpg")
 
 
+def make_feather(scratch: Path) -> Path:
+    """Draw the measured spectrum of the tutorial and that of its fitted film, and render the film beside them."""
+    import matplotlib
+
+    matplotlib.use("agg")
+    from matplotlib import pyplot
+
+    from nacre.cli import run
+
+    page = (Path(__file__).parent / "howto" / "feather.md").read_text(encoding="utf-8")
+    with contextlib.chdir(scratch):
+        Path("barbule.toml").write_text(page.split("```toml\n")[1].split("```")[0], encoding="utf-8")
+        exec(compile(page.split("```python\n")[1].split("```")[0], "feather.md", "exec"), {})  # the page's own
+        if run(["fit", "feather.txt", "barbule.toml", "-o", "fitted.toml"]):
+            raise SystemExit("the fit of the page failed")
+        measured = nacre.read("feather.txt")
+        fitted = nacre.load("fitted.toml")
+        nm = np.arange(380.0, 781.0, 2.0)
+        computed = 100 * nacre.spectrum(fitted, 0.0, nm).parts()["specular_reflectance"][0]
+        figure, axes = pyplot.subplots(figsize=(4.2, 4.2), dpi=PANEL[1] / 4.2, layout="constrained")
+        axes.plot(
+            measured.data["wavelength_nm"], 100 * measured.data["reflectance"], ".", color="0.6", ms=3, label="file"
+        )
+        axes.plot(nm, computed, "-", color="C3", lw=1.2, label="fitted film")
+        axes.set(xlim=(300, 800), ylim=(0, 25), xlabel="wavelength (nm)", ylabel="reflectance (%)")
+        axes.legend(frameon=False)
+        figure.savefig("feather.png")
+        pyplot.close(figure)
+        return _beside(Image.open("feather.png").convert("RGB"), Path("fitted.toml"), IMAGES / "feather.jpg")
+
+
 def _run_page(name: str, made: str, scratch: Path) -> Path:
     """Run the program of a page, which writes the file `made`, in `scratch`; return the page's recipe there."""
     page = (Path(__file__).parent / "howto" / f"{name}.md").read_text(encoding="utf-8")
@@ -238,6 +270,8 @@ def main(names: list[str], demo: Path | None = None) -> None:
         make_sem(scratch)
     if not names or "afm" in names:
         make_afm(scratch)
+    if not names or "feather" in names:
+        make_feather(scratch)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
@@ -11,7 +12,9 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from PIL import Image
+from tools import release
 
 from nacre import __version__
 from nacre.device import llvm
@@ -74,6 +77,21 @@ def installed(wheel: Path) -> Path:
     apart = ["--no-index", "--no-deps", "--ignore-installed", "--prefix", str(target)]
     subprocess.run([sys.executable, *PIP, "install", *apart, str(wheel)], **QUIET)
     return target
+
+
+def test_the_conda_recipe_has_the_digest_of_the_sdist(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sdist = tmp_path / "nacre-2.0.1.tar.gz"
+    sdist.write_bytes(b"packed")
+    recipe = yaml.safe_load(release.conda_recipe(sdist))
+    assert recipe["context"]["version"] == "2.0.1"
+    assert recipe["source"]["sha256"] == hashlib.sha256(b"packed").hexdigest()
+    kept = yaml.safe_load((ROOT / "packaging" / "conda" / "recipe.yaml").read_text())
+    assert {**recipe, "context": 0, "source": 0} == {**kept, "context": 0, "source": 0}
+    (tmp_path / "packaging" / "conda").mkdir(parents=True)
+    (tmp_path / "packaging" / "conda" / "recipe.yaml").write_text('context:\n  version: "1"\n')
+    monkeypatch.setattr(release, "ROOT", tmp_path)
+    with pytest.raises(SystemExit):
+        release.conda_recipe(sdist)
 
 
 def run_installed(installed: Path, code: str) -> str:

@@ -1,8 +1,9 @@
 """Build the sdist and the wheel of the committed tree twice, check them, and install both into empty environments.
 
-`python -m tools.release [--sizes] [--out dist]`: writes the two files and `release.json` with their hashes, sizes, the
-Pythons that were run and those that were not, and with --sizes the megabytes of each extra. Fails if both builds
-differ, a check complains, the wheel is above 15 MB, or an installed command does not succeed.
+`python -m tools.release [--sizes] [--out dist]`: writes the two files, the recipe for conda-forge with the sdist's
+digest, and `release.json` with hashes, sizes, the Pythons that were run and those that were not, and with --sizes the
+megabytes of each extra. Fails if both builds differ, a check complains, the wheel is above 15 MB, or
+an installed command does not succeed.
 """
 
 from __future__ import annotations
@@ -148,6 +149,21 @@ def check_installed(python: str, package: Path, commands: Sequence[str]) -> dict
         return taken
 
 
+def conda_recipe(sdist: Path) -> str:
+    """Return the recipe for conda-forge with the version and the digest of an sdist.
+
+    Raises:
+        SystemExit: the recipe has no place for one of them, or needs something else than the package.
+    """
+    text = (ROOT / "packaging" / "conda" / "recipe.yaml").read_text(encoding="utf-8")
+    values = {"version": sdist.name.removeprefix("nacre-").removesuffix(".tar.gz"), "sha256": sha256(sdist)}
+    for key, value in values.items():
+        text, count = re.subn(rf'^(  {key}: )".*"$', rf'\g<1>"{value}"', text, flags=re.MULTILINE)
+        if count != 1:
+            raise SystemExit(f"release: packaging/conda/recipe.yaml has {count} lines of {key}; it needs one")
+    return text
+
+
 def extra_sizes(wheel: Path) -> dict[str, float]:
     """Return the megabytes of the core and what each extra adds."""
     sizes: dict[str, float] = {}
@@ -181,6 +197,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         call([tools.parent / "check-wheel-contents", wheel])
         out.mkdir(parents=True, exist_ok=True)
         made = [Path(shutil.copy2(path, out)) for path in first]
+    sdist = next(path for path in made if path.name.endswith(".tar.gz"))
+    (out / "recipe.yaml").write_text(conda_recipe(sdist), encoding="utf-8")
     wheel = out / wheel.name
     size = round(wheel.stat().st_size / 1e6, 2)
     if size > MAX_WHEEL_MB:

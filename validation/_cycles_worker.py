@@ -1,7 +1,8 @@
 """Render a sphere in Cycles with the material that a folder's `blender.py` builds; runs in bpy's own environment.
 
 `python _cycles_worker.py JOB.json`: mesh (npz: vertices, normals, uv, faces), folder, light ("white" or the path of a
-float EXR in Blender's equirectangular form), size, samples, shader ("nodes" or "osl"), output (EXR).
+float EXR in Blender's equirectangular form), size, samples, shader ("nodes", "osl", or "extension" with `zip`, the
+extension that holds the solved material `name`), output (EXR).
 """
 
 from __future__ import annotations
@@ -9,12 +10,18 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+import os
 import sys
 from pathlib import Path
 from typing import Any
 
-import bpy
-import numpy as np
+JOB = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
+if JOB["shader"] == "extension":
+    os.environ["BLENDER_USER_RESOURCES"] = JOB["user"]  # read when bpy is imported
+    Path(JOB["user"], "extensions").mkdir(parents=True, exist_ok=True)
+
+import bpy  # noqa: E402
+import numpy as np  # noqa: E402
 
 
 def load_mesh(path: str) -> Any:
@@ -66,6 +73,20 @@ def material(job: dict[str, Any]) -> Any:
     return made
 
 
+def install(job: dict[str, Any]) -> None:
+    """Install the extension's zip into an empty user folder, as "Install from Disk" does."""
+    bpy.ops.extensions.package_install_files(filepath=job["zip"], repo="user_default", enable_on_install=True)
+
+
+def assign(job: dict[str, Any], thing: Any) -> None:
+    """Put a material on an object by the extension's own operator; end with its error if it reports one."""
+    bpy.context.view_layer.objects.active = thing
+    thing.select_set(True)
+    bpy.ops.nacre.assign(path=job["name"])
+    if not thing.active_material or thing.active_material.node_tree.nodes["nacre"].type != "GROUP":
+        raise SystemExit("the extension assigned no node group")
+
+
 def surround(scene: Any, light: str) -> None:
     """Light the scene: evenly white, or by a picture."""
     world = bpy.data.worlds.new("world")
@@ -82,9 +103,8 @@ def surround(scene: Any, light: str) -> None:
     tree.links.new(node.outputs["Color"], back.inputs["Color"])
 
 
-def main(path: str) -> None:
+def main(job: dict[str, Any]) -> None:
     """Do the job."""
-    job = json.loads(Path(path).read_text(encoding="utf-8"))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
@@ -98,7 +118,12 @@ def main(path: str) -> None:
     for name in ("max", "glossy", "transmission", "diffuse", "transparent_max"):
         setattr(cycles, f"{name}_bounces", 64)
     cycles.pixel_filter_type = "BOX"
-    load_mesh(job["mesh"]).data.materials.append(material(job))
+    thing = load_mesh(job["mesh"])
+    if job["shader"] == "extension":
+        install(job)
+        assign(job, thing)
+    else:
+        thing.data.materials.append(material(job))
     surround(scene, job["light"])
     camera = bpy.data.cameras.new("camera")
     camera.angle = math.radians(job["fov_deg"])
@@ -116,4 +141,4 @@ def main(path: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(JOB)

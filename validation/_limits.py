@@ -114,6 +114,7 @@ LIMITS: dict[str, tuple[tuple[str, str], ...]] = {
         ("hard disks", "statistics of the Monte Carlo; the closed form's own error of 0.02 at the highest packing"),
         ("slabs", "statistics: standard errors of the walk"),
     ),
+    "tools_blender_extension": (("white", "dE00 1 is just noticeable"), ("", "stated")),
     "tools_tables_in_cycles": (("white", "dE00 1 is just noticeable"), ("", "stated")),
 }
 

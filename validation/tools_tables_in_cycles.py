@@ -8,10 +8,12 @@ is a mean dE00 of 1; under the studio's light, where the shape of the lobe count
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
 import venv
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +49,9 @@ RINGS = 96
 
 
 def python() -> Path | None:
-    """Return the Python of bpy's environment, made if need be; None where bpy cannot be had."""
+    """Return the Python of bpy's environment, made if need be, or of NACRE_BPY_PYTHON; None: bpy cannot be had."""
+    if given := os.environ.get("NACRE_BPY_PYTHON"):
+        return Path(given)
     found = VENV / "bin" / "python"
     if not (VENV / "ready").exists():
         venv.create(VENV, with_pip=True, clear=True)
@@ -98,8 +102,10 @@ def mitsuba_picture(name: str, mesh: dict[str, Array], light: Any, samples: int)
     return np.asarray(xyz_to_srgb_linear(total))
 
 
-def cycles_picture(exe: Path, folder: Path, work: Path, light: str, shader: str, samples: int) -> Array:
-    """Render in Cycles."""
+def cycles_picture(
+    exe: Path, folder: Path, work: Path, light: str, shader: str, samples: int, extra: Mapping[str, str] | None = None
+) -> Array:
+    """Render in Cycles; `extra` goes into the worker's job."""
     import OpenEXR
 
     output = work / "cycles.exr"
@@ -107,6 +113,7 @@ def cycles_picture(exe: Path, folder: Path, work: Path, light: str, shader: str,
     job = {
         "mesh": str(work / "ball.npz"), "folder": str(folder), "light": light, "size": SIZE, "samples": samples,
         "shader": shader, "output": str(output), "distance": DISTANCE, "fov_deg": FOV_DEG,
+        **(extra or {}),
     }  # fmt: skip
     (work / "job.json").write_text(json.dumps(job), encoding="utf-8")
     done = subprocess.run([str(exe), str(WORKER), str(work / "job.json")], capture_output=True, text=True)

@@ -19,6 +19,7 @@ from nacre.bsdf.file import HEADER, VERSION
 from nacre.bsdf.lobes.diffuse import Diffuse, bare_base
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.monolayer import Harmonic
+from nacre.bsdf.lobes.ridge_table import RidgeTable
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.core.errors import NacreError
@@ -36,6 +37,7 @@ def bsdf() -> Bsdf:
         compensate(Microfacet(dielectric(1.5, 33), "ggx", 0.2, 0.4, rotation=image)),
         Microfacet(mirror(), "blinn", 1.0, 1.0, alpha_texture=image),
         Ridges(700, 300, 120).lobe(mirror()),
+        RidgeTable(WAVELENGTHS, np.full((2, 3, 3, 3), 0.25, dtype=np.float32), 0.07, 0.9, rotation=image),
         varying,
         bare_base(WAVELENGTHS, np.array([0.1, 0.2, 0.3])),
     )
@@ -96,6 +98,7 @@ def test_the_header_says_what_is_inside(stored: Path) -> None:
         "microfacet",
         "microfacet",
         "ridge",
+        "ridge-table",
         "diffuse",
         "diffuse",
     ]

@@ -180,6 +180,13 @@ def _complete_nacre(path: Path) -> None:
     Bsdf.load(path)
 
 
+def _complete_zip(path: Path) -> None:
+    import zipfile
+
+    with zipfile.ZipFile(path) as archive:
+        assert archive.namelist() and archive.testzip() is None
+
+
 def _ends_with(ending: str) -> Callable[[Path], None]:
     def check(path: Path) -> None:
         assert path.read_text(encoding="utf-8").rstrip().endswith(ending)
@@ -191,7 +198,7 @@ COMPLETE: Mapping[str, Callable[[Path], None]] = {
     ".json": _complete_json, ".gltf": _complete_json, ".png": _complete_picture, ".gif": _complete_picture,
     ".tif": _complete_picture, ".exr": _complete_exr, ".npz": _complete_arrays, ".npy": _complete_arrays,
     ".toml": _complete_toml, ".nacre": _complete_nacre, ".html": _ends_with("</html>"),
-    ".mtlx": _ends_with("</materialx>"),
+    ".zip": _complete_zip, ".mtlx": _ends_with("</materialx>"),
 }  # fmt: skip
 
 

@@ -53,6 +53,11 @@ blur_um = 0.6
 [coherence]
 sigma = 1.5
 """
+GRATING = """family = "grating"
+substrate = "Al"
+profile = {shape = "sinusoidal", depth_nm = 60}
+lattice = {period_nm = 800}
+"""
 SWEEP = """recipe = "smooth.toml"
 [axes]
 "layers[0].thickness_nm" = {start = 100, stop = 200, count = 600}
@@ -122,6 +127,14 @@ CASES = {
                  "-o", "out.toml"), "out.toml", 5),
     "gamut": Case(("gamut", "smooth.toml", "--parameter", "layers[0].thickness_nm=50:400", "-o", "out.json"),
                   "out.json", 5),
+    "orders": Case(("orders", "grating.toml", "--wavelengths-nm", "450,600", "-o", "out.csv"), "out.csv", 3),
+    "ellipsometry": Case(("ellipsometry", "smooth.toml", "-o", "out.csv"), "out.csv", 3),
+    "runsheet": Case(("runsheet", "smooth.toml", "-o", "out.json"), "out.json", 3),
+    "diagnose": Case(("diagnose", "measured-spectrum.csv", "film.toml", "-o", "out.toml"), "out.toml", 3),
+    "export-usd": Case(("export", "smooth.toml", "--to", "usd", "-o", "out.usda"), "out.usda", 3),
+    "export-materialx": Case(("export", "smooth.toml", "--to", "materialx", "-o", "out.mtlx"), "out.mtlx", 3),
+    "export-nacre": Case(("export", "film.toml", "--to", "nacre", "-o", "out.nacre"), "out.nacre", 3),
+    "blender": Case(("blender", "-o", "out.zip"), "out.zip", 3),
     "indices": Case(("indices", "show", "Au", "-o", "out.png"), "out.png", 4),
     "render-png": Case(("render", "film.toml", "--size", "48x48", "--spp", "4", "-o", "out.png"), "out.png", 5),
     "render-exr": Case(("render", "film.toml", "--size", "48x48", "--spp", "4", "-o", "out.exr"), "out.exr", 4),
@@ -139,7 +152,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what the commands read."""
     folder = tmp_path_factory.mktemp("inputs")
     texts = {"film": FILM, "smooth": SMOOTH, "meta": METASURFACE, "relief": RELIEF, "sweep": SWEEP, "target": TARGET}
-    texts["many"] = MANY
+    texts |= {"many": MANY, "grating": GRATING}
     for name, text in texts.items():
         (folder / f"{name}.toml").write_text(text)
     np.save(folder / "heights.npy", np.random.default_rng(1).random((24, 24)) * 0.3)

@@ -96,6 +96,11 @@ def test_a_spectrum_is_a_colour(tmp_path: Path) -> None:
     nm = np.arange(380, 781, 5)
     np.savetxt(tmp_path / "red.csv", np.stack([nm, (nm > 600) * 1.0], axis=1), delimiter=",")
     target = built(tmp_path, 'kind = "uniform"\ncolour = {spectrum = "red.csv"}\nrange = 0.2')[0]
+    rows = np.stack([nm * 1e-3, (nm > 600) * 1.0, nm], axis=1)
+    np.savetxt(tmp_path / "red.txt", rows)
+    stated = '{file = "red.txt", unit = "um", columns = ["wavelength", "reflectance", "-"]}'
+    same = built(tmp_path, f'kind = "uniform"\ncolour = {{spectrum = {stated}}}\nrange = 0.2')[0]
+    np.testing.assert_allclose(same, target, atol=1e-6)
     assert target[0, 0, 0] > 0.7 > target[0, 0, 1]
 
 

@@ -6,7 +6,6 @@
 import json
 import os
 import sys
-import time
 
 ZIP, FOLDER, RECIPE = sys.argv[1:4]
 os.environ["BLENDER_USER_RESOURCES"] = os.path.join(FOLDER, "user")
@@ -60,6 +59,8 @@ bpy.ops.object.select_all(action="DESELECT")
 ball.select_set(True)
 
 # what comes with the extension needs no nacre
+kept = os.environ.pop("NACRE_PYTHON")
+os.environ["PATH"] = ""
 own = extension.built_in()
 found["built_in"] = [entry["name"] for entry in own]
 found["assign"] = attempt(bpy.ops.nacre.assign, path=own[0]["path"])
@@ -69,25 +70,38 @@ found["group"] = [node.node_tree.bl_idname, [socket.name for socket in node.inpu
 axis = next(one for one in material.nacre.numbers if one.is_axis)
 found["axis"] = [axis.name, axis.low, axis.high]
 found["before"] = render(os.path.join(FOLDER, "before.png"))
-started = time.perf_counter()
 axis.value = axis.high
 found["after"] = render(os.path.join(FOLDER, "after.png"), samples=4)
-found["slider_s"] = time.perf_counter() - started
 found["input"] = node.inputs[axis.name].default_value
 axis.value = 10.0 * axis.high
 found["clamped"] = axis.value
 found["no_recipe"] = attempt(bpy.ops.nacre.solve)
 
 # without nacre: one line with the command
-kept = os.environ.pop("NACRE_PYTHON")
-os.environ["PATH"] = ""
 found["absent"] = attempt(bpy.ops.nacre.assign, path=RECIPE)
 os.environ["NACRE_PYTHON"] = kept
+
+# a job that is cancelled
+extension.running["error"] = ""
+job = extension.Job("library", {"folders": []}, lambda result: None)
+job.cancel()
+found["cancel"] = [job.step(wait=60.0), extension.running["error"], job.process.wait(60) != 0]
 
 # a recipe of one's own, by nacre
 scene.nacre.folder = os.path.dirname(RECIPE)
 found["refresh"] = attempt(bpy.ops.nacre.refresh)
 found["listed"] = [entry["name"] for entry in extension.entries()]
+with open(os.path.join(extension.cache_folder(), "library.json"), "w") as file:
+    json.dump(
+        [
+            {"name": "oxide", "family": "film", "about": "", "path": RECIPE},
+            {"name": "star", "family": "relief", "about": "", "path": "relief/star"},
+        ],
+        file,
+    )
+found["thumbnails"] = attempt(bpy.ops.nacre.thumbnails)
+found["sizes"] = [os.path.getsize(extension.thumbnail_file(entry)) for entry in extension.entries()]
+found["items"] = [item[0] for item in extension.library_items(None, None)]
 found["assign_own"] = attempt(bpy.ops.nacre.assign, path=RECIPE)
 material = ball.active_material
 found["own_numbers"] = {one.name: [one.value, one.is_axis] for one in material.nacre.numbers}

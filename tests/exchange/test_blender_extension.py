@@ -28,7 +28,6 @@ layers = [{material = "TiO2-film", thickness_nm = 120}]
 roughness = 0.15
 """
 BPY = Path(os.environ.get("NACRE_BPY_PYTHON", ROOT / ".venv-cycles" / "bin" / "python"))
-VIEWPORT_S = 1.0  # bar of the issue: a changed number to the changed image, 256 px on the CPU
 
 
 @pytest.fixture
@@ -112,6 +111,21 @@ def test_a_job_ends_with_the_error_of_a_bad_number_and_writes_nothing(oxide: Pat
     assert not folder.exists()
 
 
+def test_a_brushed_film_keeps_its_azimuth_and_has_no_axis() -> None:
+    material = nacre.load("morpho-film")
+    table, axis = blender.solved_table(material, blender.free_numbers(material), "auto", lambda what: None)
+    assert axis == "" and {picture.rows for picture in table.pictures.values()} >= {"azimuth"}
+
+
+def test_thumbnails_are_written_and_stay_empty_for_what_a_table_cannot_hold(oxide: Path, tmp_path: Path) -> None:
+    names = [str(oxide), "relief/star", "no-such-recipe"]
+    request = {"recipes": [{"recipe": one, "file": str(tmp_path / "t" / f"{i}.png")} for i, one in enumerate(names)]}
+    told = events("thumbnails", request)
+    assert [event["kind"] for event in told] == ["progress"] * 3 + ["done"]
+    assert np.asarray(Image.open(tmp_path / "t" / "0.png")).shape == (128, 128, 4)
+    assert [(tmp_path / "t" / f"{i}.png").stat().st_size for i in (1, 2)] == [0, 0]
+
+
 def test_the_library_lists_examples_and_own_recipes_and_names_broken_ones(oxide: Path, tmp_path: Path) -> None:
     (tmp_path / "broken.toml").write_text("family = ")
     found = json.loads(blender.library({"folders": [str(tmp_path)]}, lambda event: None))
@@ -173,7 +187,11 @@ def test_the_extension_installs_assigns_changes_renders_and_bakes_in_blender(oxi
     assert found["input"] == found["clamped"] == pytest.approx(300.0)
     assert "nacre" in found["no_recipe"] or found["no_recipe"]
     assert "pip install nacre" in found["absent"]
+    assert found["cancel"] == [True, "cancelled", True]
     assert {"soap", "oxide"} <= set(found["listed"])
+    assert found["thumbnails"] == ""
+    assert [size > 0 for size in found["sizes"]] == [True, True, False]  # the zip's, made here, and a relief
+    assert found["items"] == ["oxide", str(recipe), "relief/star"]
     assert found["own_numbers"]["layers[0].thickness_nm"] == [120.0, True]
     assert found["solved"] == pytest.approx(0.4) and found["thumbnail"] and found["kept"]
     assert "surface.roughness" in found["refused"]

@@ -132,5 +132,54 @@ def test_a_share_of_film_is_written_as_factor_and_comes_back(target: str, name: 
     assert again.data["family"] == "blend" and again.data["mask"] == pytest.approx(0.25)
     seen = [m.spectrum([0.0], [450.0, 550.0, 650.0]).specular_reflectance for m in (nacre.material(blend), again)]
     np.testing.assert_allclose(seen[1], seen[0], rtol=0.05)
+    other = {**blend, "second": {**bare, "substrate": "Si"}}
+    if target == "materialx":  # which has no order of surfaces
+        with pytest.raises(NacreError):
+            nacre.export(other, target, tmp_path / f"y{name}")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(path.read_text())
+    return found
+
+
+def test_a_blend_lies_as_two_films_over_each_other_with_its_mask_as_alpha(tmp_path: Path) -> None:
+    second = {**FILM, "substrate": "Ti", "surface": {"roughness": 0.3}}
+    mask = {"formula": "v", "min": 0, "max": 1}
+    facts = nacre.export(
+        {"family": "blend", "mask": mask, "first": FILM, "second": second}, "gltf", tmp_path / "b.gltf"
+    )
+    alone = [nacre.export(part, "gltf", tmp_path / f"{i}.gltf") for i, part in enumerate((FILM, second))]
+    document = read_json(tmp_path / "b.gltf")
+    under, over = document["materials"]
+    assert "alphaMode" not in under and over["alphaMode"] == "BLEND"
+    for held, apart in zip(
+        (over, under), (read_json(tmp_path / f"{i}.gltf")["materials"][0] for i in (0, 1)), strict=True
+    ):
+        assert held["extensions"] == apart["extensions"]
+        assert held["pbrMetallicRoughness"]["roughnessFactor"] == apart["pbrMetallicRoughness"]["roughnessFactor"]
+    first, last = document["meshes"][0]["primitives"]
+    assert (first["material"], last["material"]) == (0, 1)
+    assert first["attributes"] == last["attributes"] and first["indices"] == last["indices"]
+    view = document["bufferViews"][document["images"][0]["bufferView"]]
+    blob = base64.b64decode(document["buffers"][0]["uri"].partition(",")[2])
+    picture = (
+        np.asarray(Image.open(io.BytesIO(blob[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]))) / 255
+    )
+    rows = (np.arange(len(picture))[::-1] + 0.5) / len(picture)  # the first row is at the top
+    assert over["pbrMetallicRoughness"]["baseColorTexture"] == {"index": 0} and np.all(picture[..., :3] == 1)
+    assert np.abs(picture[..., 3] - rows[:, None]).max() <= 0.5 / 255 + 1e-9
+    assert [part["mean_share"] for part in facts["parts"]] == pytest.approx([0.5, 0.5])
+    mean = np.mean([one["residual_delta_e_2000"] for one in alone])
+    assert facts["residual_delta_e_2000"] == pytest.approx(mean, abs=1e-6) and facts["lost"]
+
+
+def test_a_constant_share_is_the_alpha_of_the_upper_film_and_a_relief_is_refused(tmp_path: Path) -> None:
+    blend = {"family": "blend", "mask": 0.3, "first": FILM, "second": {**FILM, "substrate": "Ti"}}
+    nacre.export(blend, "gltf", tmp_path / "b.gltf", mesh=box(tmp_path / "box.obj"))
+    document = read_json(tmp_path / "b.gltf")
+    assert document["materials"][1]["pbrMetallicRoughness"]["baseColorFactor"][3] == pytest.approx(0.3)
+    assert "images" not in document and document["accessors"][0]["max"] == pytest.approx([0.5, 1.0, 1.5])
     with pytest.raises(NacreError):
-        nacre.export({**blend, "second": {**bare, "substrate": "Si"}}, target, tmp_path / f"y{name}")
+        nacre.export({**blend, "second": {"family": "blend", **blend}}, "gltf", tmp_path / "nested.gltf")
+    assert not (tmp_path / "nested.gltf").exists()

@@ -215,3 +215,13 @@ def test_bad_folders_and_lamps_are_refused_before_any_work(tmp_path: Path, capsy
 def test_a_blend_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UnsupportedError, match="export each by itself"):
         nacre.export(nacre.material(BLEND), "lut", tmp_path / "t")
+
+
+def test_a_grating_is_refused(tmp_path: Path) -> None:
+    made = {
+        "family": "grating", "substrate": "Al", "profile": {"shape": "sinusoidal", "depth_nm": 80},
+        "lattice": {"period_nm": 800}, "wavelengths": {"min_nm": 400, "max_nm": 700, "step_nm": 150},
+    }  # fmt: skip
+    with pytest.raises(UnsupportedError):
+        nacre.export(made, "lut", tmp_path / "t")
+    assert not (tmp_path / "t").exists()

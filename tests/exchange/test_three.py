@@ -43,19 +43,25 @@ MATERIALS: dict[str, Any] = {
     },
     "pearl": "pearl/bottle3",
 }  # fmt: skip
+KINDS = ("shader", "node", "gpu")  # ShaderMaterial; NodeMaterial in WebGL 2; NodeMaterial in WebGPU
+# WebGPU drawn by the CPU
+GPU_FLAGS = ["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--enable-features=Vulkan,WebGPU"]
 QUICK = ("brushed and varying",)
 DRAW = """async ([kind, pairs, even]) => {
-  const THREE = await import(kind === 'node' ? 'three/webgpu' : 'three');
+  const isNode = kind !== 'shader';
+  const THREE = await import(isNode ? 'three/webgpu' : 'three');
   const { NacreMaterial, NacreEnvironment } = await import('nacre/material.js');
   const { NacreNodeMaterial } = await import('nacre/node-material.js');
   const options = { tangents: true, unclipped: true };
-  const material = kind === 'node' ? new NacreNodeMaterial(options) : new NacreMaterial(options);
+  const material = isNode ? new NacreNodeMaterial(options) : new NacreMaterial(options);
   material.transparent = false;
   material.blending = THREE.NoBlending;
-  const renderer = kind === 'node' ? new THREE.WebGPURenderer({ forceWebGL: true }) : new THREE.WebGLRenderer();
-  if (kind === 'node') await renderer.init();
+  const forceWebGL = kind === 'node';
+  const renderer = isNode ? new THREE.WebGPURenderer({ forceWebGL }) : new THREE.WebGLRenderer();
+  if (isNode) await renderer.init();
+  if (isNode && !!renderer.backend.isWebGPUBackend === forceWebGL) throw new Error('another backend than asked');
   renderer.autoClear = false;
-  const Target = kind === 'node' ? THREE.RenderTarget : THREE.WebGLRenderTarget;
+  const Target = isNode ? THREE.RenderTarget : THREE.WebGLRenderTarget;
   const aim = new Target(pairs.length, 1, { type: THREE.FloatType, depthBuffer: false });
   const scene = new THREE.Scene(), camera = new THREE.OrthographicCamera(-1, 1, 1, -1, 0.1, 10);
   camera.position.z = 5;
@@ -88,7 +94,7 @@ DRAW = """async ([kind, pairs, even]) => {
     renderer.render(scene, camera);
   }
   let out;
-  if (kind === 'node') out = await renderer.readRenderTargetPixelsAsync(aim, 0, 0, pairs.length, 1);
+  if (isNode) out = await renderer.readRenderTargetPixelsAsync(aim, 0, 0, pairs.length, 1);
   else { out = new Float32Array(4 * pairs.length); renderer.readRenderTargetPixels(aim, 0, 0, pairs.length, 1, out); }
   renderer.dispose();
   return Array.from(out);
@@ -99,7 +105,7 @@ DRAW = """async ([kind, pairs, even]) => {
 def page() -> Iterator[Page]:
     path = find_chromium()
     with sync_playwright() as play:
-        running = play.chromium.launch(executable_path=path, args=FLAGS, timeout=PATIENCE_MS)
+        running = play.chromium.launch(executable_path=path, args=[*FLAGS, *GPU_FLAGS], timeout=PATIENCE_MS)
         page = running.new_page(viewport={"width": 64, "height": 48})
         page.set_default_timeout(PATIENCE_MS)
         yield page
@@ -112,11 +118,11 @@ def material_of(name: str) -> Any:
 
 
 def opened(page: Page, folder: Path) -> None:
-    """Open the example page from disk until it has drawn."""
+    """Open the example page from disk until it has drawn, in WebGL: a WebGPU canvas needs a screen."""
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.on("console", lambda line: errors.append(line.text) if line.type == "error" else None)
-    page.goto((folder / "index.html").resolve().as_uri())
+    page.goto((folder / "index.html").resolve().as_uri() + "?webgl")
     page.wait_for_function("document.body.dataset.drawn || document.getElementById('error').textContent")
     assert errors == [] and page.text_content("#error") == ""
 
@@ -156,7 +162,7 @@ def test_both_materials_have_the_colours_of_nacre(name: str, page: Page, tmp_pat
     to_rgb = lambda values: spectrum_to_rgb_linear(values, bsdf.wavelengths_nm)
     uv = np.stack([p, 0 * p + 0.3], axis=-1)
     wanted = np.pi * wi[:, 2:] * to_rgb(nacre.evaluate(material, wi, wo, uv=uv))
-    for kind in ("shader", "node"):
+    for kind in KINDS:
         gap = difference(np.pi * drawn(page, kind, wi, wo, p), wanted)
         assert np.median(gap) <= MEDIAN and gap.max() <= WORST
 
@@ -172,7 +178,7 @@ def test_uniform_light_is_reflected_as_nacre_does(name: str, page: Page, tmp_pat
     mirror = bsdf.specular(np.arccos(wo[:, 2])).reflectance
     sent = [sum(hemispherical(lobe, w)[0] for lobe in bsdf.lobes if not lobe.is_delta) for w in wo] + mirror
     wanted = spectrum_to_rgb_linear(sent, bsdf.wavelengths_nm)
-    for kind in ("shader", "node"):
+    for kind in KINDS:
         gap = difference(drawn(page, kind, wo, wo, np.zeros(len(wo)), even=True), wanted)
         assert gap.max() <= OF_EVEN_LIGHT
 

@@ -97,6 +97,17 @@ def test_five_hundred_lossless_gratings_keep_energy() -> None:
     assert max(energy_defect(seed) for seed in range(24, 500)) <= 1e-8
 
 
+def test_films_over_a_profile_keep_energy() -> None:
+    made = {
+        "family": "grating", "substrate": {"n": 2.04}, "lattice": {"period_nm": 1100},
+        "profile": {"shape": "blazed", "depth_nm": 310, "apex": 0.9},
+        "layers": [{"thickness_nm": 200, "material": {"n": 2.9}}, {"thickness_nm": 60, "material": {"n": 1.5}}],
+    }  # fmt: skip
+    found = nacre.orders(made, 42.0, 90.0, [444.0])
+    total = np.nansum(found.reflected, axis=2) + np.nansum(found.transmitted, axis=2)
+    assert np.abs(total - 1.0).max() <= 1e-8
+
+
 def test_two_periods_keep_energy() -> None:
     layer = {"thickness_nm": 120, "material": "air"}
     for shape in ({"shape": "rectangle", "width_nm": 150}, {"shape": "disc", "diameter_nm": 200}):

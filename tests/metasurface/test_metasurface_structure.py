@@ -7,7 +7,7 @@ import pytest
 from helpers_metasurface import reference
 from scipy.special import j0, j1
 
-from nacre.core.errors import NacreError
+from nacre.core.errors import NacreError, RecipeError
 from nacre.families.metasurface.monolayer import arrangement
 from nacre.families.metasurface.monolayer.arrangement import points_pattern
 from nacre.families.metasurface.monolayer.structure import (
@@ -17,6 +17,8 @@ from nacre.families.metasurface.monolayer.structure import (
     baus_colot_scale,
     hard_disk_structure,
 )
+from nacre.families.metasurface.spec import StructureSpec
+from nacre.readers.file_spec import FileSpec
 from nacre.recipe.model import RecipeContext
 
 MONTE_CARLO_BAR = 0.02
@@ -174,6 +176,21 @@ def test_a_list_of_points_is_read_by_its_heading_and_decimal_mark(form: str, tmp
     (tmp_path / "xy.csv").write_text("\n".join(lines))
     pattern = points_pattern(RecipeContext("r.toml", tmp_path), "xy.csv", 100.0)
     np.testing.assert_allclose(pattern.xy_nm, 1e3 * xy, atol=0.1)
+
+
+def test_a_table_says_what_a_list_of_points_lacks(tmp_path: Path) -> None:
+    """Columns without headings, with one that is no position, in nm."""
+    xy = np.stack(np.meshgrid(np.arange(8) * 0.5, np.arange(8) * 0.5), axis=-1).reshape(-1, 2)
+    np.savetxt(tmp_path / "xy.txt", np.column_stack([np.arange(len(xy)), 1e3 * xy]), fmt="%.1f")
+    context = RecipeContext("r.toml", tmp_path)
+    given = FileSpec(file="xy.txt", columns=("-", "x", "y"), unit="nm")
+    np.testing.assert_allclose(points_pattern(context, given, 100.0).xy_nm, 1e3 * xy, atol=0.1)
+    for unit in ("eV", "parsec"):
+        with pytest.raises(RecipeError):
+            points_pattern(context, FileSpec(file="xy.txt", columns=("-", "x", "y"), unit=unit), 100.0)
+    structure = StructureSpec(points={"file": "xy.txt", "unit": "nm"})  # type: ignore[arg-type]
+    assert structure.points is not None and structure.points.options.unit == "nm"
+    assert StructureSpec(points="xy.csv") == StructureSpec(points={"file": "xy.csv"})  # type: ignore[arg-type]
 
 
 WORDS = {

@@ -15,6 +15,7 @@ from nacre.core.errors import NacreError, UnsupportedError
 from nacre.formats.gonio_csv import GonioData, gonio_data
 from nacre.formats.measured_files import write_astm, write_brdf_json, write_speos
 from nacre.formats.measured_lobes import measured_table
+from nacre.formats.rgl import RglBsdf, rgl_fields, write_tensor
 from nacre.readers.bsdf.zemax import read_zemax, scatter_direction
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
 from nacre.readers.registry import open_file
@@ -271,6 +272,37 @@ def test_a_brushed_metal_comes_back_with_its_values(tmp_path: Path) -> None:
     np.testing.assert_allclose(bsdf.evaluate(data.wi, data.wo)[away], data.values[away], rtol=1e-6)
 
 
+def test_an_anisotropic_tensor_keeps_the_azimuth_of_the_light(tmp_path: Path) -> None:
+    surface = {"roughness": [0.25, 0.4]}
+    metal = nacre.material({"family": "film", "substrate": "Al", "layers": [], "surface": surface})
+    nm = np.array([450.0, 650.0])
+    fields = rgl_fields(metal.bsdf(nm), is_isotropic=False, resolution=12, theta_nodes=4, phi_nodes=9)
+    write_tensor(tmp_path / "a.bsdf", fields)
+    tensor = RglBsdf.read(tmp_path / "a.bsdf")
+    angles, values = tensor.samples()
+    away = (angles[:, 2] > 0.1) & (angles[:, 2] < 80)
+    light, viewer = (direction(*np.radians(angles[away, k : k + 2]).T) for k in (0, 2))
+    np.testing.assert_allclose(tensor.evaluate(light, viewer), values[away], rtol=1e-4, atol=1e-5)
+
+    # the metal has two mirror planes: a quarter of the azimuths holds all of it
+    for share in (2, 4):
+        some = fields["phi_i"] <= -np.pi + 2 * np.pi / share + 1e-6
+        part = {name: fields[name][some] for name in ("phi_i", "vndf", "spectra", "luminance")}
+        write_tensor(tmp_path / "b.bsdf", {**fields, **part})
+        off = np.abs(RglBsdf.read(tmp_path / "b.bsdf").evaluate(light, viewer) - values[away])
+        assert np.quantile(off, 0.98) < 1e-2 * values.max()
+
+    bsdf = nacre.import_(tmp_path / "a.bsdf", tmp_path / "x.toml").bsdf(nm)
+    theta = float(np.degrees(tensor.theta_i[1]))
+    peaks = []
+    for turn in (0.0, 90.0):
+        wi, wo = direction(np.radians(theta), np.radians(turn)), direction(np.radians(theta), np.radians(turn + 180.0))
+        np.testing.assert_allclose(bsdf.evaluate(wi, wo), tensor.evaluate(wi[None], wo[None])[0], rtol=1e-3)
+        across = direction(np.radians(theta + 15.0), np.radians(turn + 180.0))
+        peaks.append(float(bsdf.evaluate(wi, across)[0] / bsdf.evaluate(wi, wo)[0]))
+    assert abs(peaks[0] - peaks[1]) > 0.1  # the lobe is wider along the rougher axis
+
+
 def test_narrow_angles_ask_for_their_unit(tmp_path: Path) -> None:
     path = tmp_path / "x.csv"
     rows = [f"{i},0,{o},{p},550,0.1" for i in (0.1, 0.5, 1.0) for o in (0.1, 0.5, 1.0) for p in (0, 1.5, 3)]
@@ -328,7 +360,8 @@ def test_astm_names_of_colours(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "type bsdf_data\nformat angles=deg\n10\t0\n0\t0\t.1\n",
+        "type bsdf_data\nformat angles=cosines bsdf=value\n10\t0\n0\t0\t.1\n",
+        "type bsdf_data\n10\t0\n0\t0\t.1\t2\n",
         "SphereMesh:\t2\t1\t0\t0\t360\t90\n1\t1\n",
         "Symmetry Asymmetric\nSpectralContent Monochrome\nScatterAzimuth 1\n0\nScatterRadial 1\n0\nDataBegin\nAOI 0\n",
     ],
@@ -337,6 +370,58 @@ def test_files_of_programs_that_are_not_read_are_refused(tmp_path: Path, text: s
     (tmp_path / "x.txt").write_text(text)
     with pytest.raises(NacreError):
         open_file(tmp_path / "x.txt")
+
+
+@pytest.mark.parametrize("mirror", [0.0, 180.0])
+def test_fred_has_its_mirror_direction_on_the_side_of_the_largest_values(tmp_path: Path, mirror: float) -> None:
+    rows = [(30, azimuth, 5.0 if azimuth == mirror else 0.1) for azimuth in (0.0, 90.0, 180.0)]
+    text = "30 0\n" + "".join(f"{t}\t{p}\t{v}\n" for t, p, v in rows)
+    (tmp_path / "a.txt").write_text(f"type bsdf_data\nformat angles=deg bsdf=value scale=2\n{text}")
+    (found,) = open_file(tmp_path / "a.txt")
+    peak = found.data["bsdf"].argmax()
+    assert (found.format, found.metadata["scatter"]) == ("fred", "brdf")
+    assert (found.data["phi_o_deg"][peak], found.data["bsdf"][peak]) == (180.0, 10.0)
+    turned = np.radians([[float(v) for v in row] for row in ([30, 0], [30, 90])])
+    lines = "\n".join(" ".join(f"{v:.9f}" for v in row) for row in turned)
+    (tmp_path / "b.txt").write_text(f"type bsdf_data\nformat angles=rad bsdf=value\n{lines} .5\n")
+    (found,) = open_file(tmp_path / "b.txt")
+    np.testing.assert_allclose([found.data[k][0] for k in ("theta_i_deg", "theta_o_deg", "phi_o_deg")], [30, 30, 90])
+
+
+def lighttools(channel: str, names: tuple[str, ...], content: str) -> str:
+    head = f"# made here\nSymmetry PlaneSymmetrical\nSpectralContent {content}\nScatterAzimuth 2\n90 270\n"
+    blocks = []
+    for side, scatter in (("Front", "BRDF"), ("Front", "BTDF")):
+        for aoi in (0, 30):
+            for k, name in enumerate(names):
+                rows = [[aoi + 10 * k + 100 * (scatter == "BTDF") + r + c for c in (0.1, 0.2)] for r in (1, 2)]
+                body = "\n".join("\t".join(f"{v:.1f}" for v in row) for row in rows)
+                blocks.append(
+                    f"AOI {aoi}\nPOI 0\nSide {side}\n{channel} {name}\nScatterType {scatter}\nTIS 0.5\n{body}"
+                )
+    return head + "ScatterRadial 2\n0 40\nDataBegin\n" + "\n".join(blocks) + "\nDataEnd\n"
+
+
+def test_lighttools_has_a_measurement_for_each_side_and_kind(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(lighttools("Wavelength", ("450", "550"), "Monochrome"))
+    reflected, transmitted = open_file(path)
+    assert [m.metadata["scatter"] for m in (reflected, transmitted)] == ["brdf", "btdf"]
+    data = reflected.data
+    at = (data["theta_i_deg"] == 30) & (data["theta_o_deg"] == 40) & (data["wavelength_nm"] == 550)
+    assert dict(zip(data["phi_o_deg"][at], data["bsdf"][at], strict=True)) == pytest.approx({0.0: 41.2, 180.0: 42.2})
+    assert set(transmitted.data["theta_o_deg"]) == {180.0, 140.0}
+    path.write_text(lighttools("TristimulusValue", ("TrisX", "TrisY", "TrisZ"), "XYZ"))
+    (colour, _) = open_file(path)
+    np.testing.assert_allclose(colour.data["bsdf_xyz"][0], [1.1, 11.1, 21.1])
+    for damaged in (
+        path.read_text()[:-40],
+        path.read_text().replace("TrisZ", "TrisY"),
+        path.read_text().replace("Front", "Left"),
+    ):
+        path.write_text(damaged)
+        with pytest.raises(NacreError):
+            open_file(path)
 
 
 def test_a_table_of_transmitted_scatter_says_so(tmp_path: Path) -> None:

@@ -284,3 +284,50 @@ def test_transmitted_light_is_named(tmp_path: Path) -> None:
     (card,) = open_file(written(tmp_path, text, "x.sp"))
     np.testing.assert_allclose(card.data["spectra"], [[0.6, 0.5]])
     assert len(card.assumed) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("name,L,C,h (rad)\ns,50,28.2843,5.497787\n", [50.0, 20.0, -20.0]),
+        ("name,L,C,h\ns,50,28.2843,-45\n", [50.0, 20.0, -20.0]),
+        ("name,X,Y,Z\ns,0.94811,1,1.07304\n", [100.0, 0.0, 0.0]),
+        ("name,hex\ns,FFFFFF\n", [100.0, 0.0, 0.0]),
+        ("name,hex\ns,#fff\n", [100.0, 0.0, 0.0]),
+        ("name,hex\ns,000000\n", [0.0, 0.0, 0.0]),
+    ],
+)
+def test_other_forms_of_a_colour_list(text: str, expected: list[float], tmp_path: Path) -> None:
+    path = tmp_path / "labs.csv"
+    path.write_text(text)
+    (row,) = read_colours(path, 1, ("D65", "10deg"))
+    np.testing.assert_allclose(row.lab[0], expected, atol=0.02)
+
+
+@pytest.mark.parametrize("cells", ["0.5,0.2,-0.2", "127,148,108", "90,128,128"])
+@pytest.mark.parametrize("heading", ["L,a,b\n", ""])
+def test_colours_from_0_to_1_or_of_8_bits_are_refused(cells: str, heading: str, tmp_path: Path) -> None:
+    path = tmp_path / "labs.csv"
+    path.write_text(f"{heading}{cells}\n")
+    with pytest.raises(NacreError, match="labs.csv"):
+        read_colours(path, 1, ("D65", "10deg"))
+
+
+@pytest.mark.parametrize(
+    ("text", "light"),
+    [
+        ("Name\tIlluminant/Observer\tL*\ta*\tb*\nred\tD50/10°\t40,5\t50,2\t20,3\n", ("D50", "10deg")),
+        ("Name,Illuminant,L*,a*,b*\nred,D65 10 Deg,40.5,50.2,20.3\n", ("D65", "10deg")),
+        ("Name,L,a,b,Illuminant,Observer\nred,40.5,50.2,20.3,A,2\n", ("A", "2deg")),
+        ("Name,L,C,h,Illuminant,Observer\nred,40.5,54.14822,22.01747,D65,1964\n", ("D65", "10deg")),
+    ],
+)
+def test_columns_state_illuminant_and_observer(tmp_path: Path, text: str, light: tuple[str, str]) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(text, encoding="utf-8")
+    (found,) = open_file(path)
+    assert (found.metadata["illuminant"], found.metadata["observer"]) == light
+    assert [float(found.data[k][0]) for k in "Lab"] == pytest.approx([40.5, 50.2, 20.3], abs=1e-3)
+    path.write_text(text + text.splitlines()[1].replace(light[0], "C") + "\n", encoding="utf-8")
+    with pytest.raises(NacreError):
+        open_file(path)

@@ -13,12 +13,17 @@ from validation.relief_rcwa import spectra_of, strong_errors, vector_efficiencie
 import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
+from nacre.families.relief.blocks import blocks_of
 from nacre.families.relief.lines import lines_of
 from nacre.families.relief.material import Relief
 from nacre.families.relief.surface import Tile
 from nacre.families.relief.vector import VectorRelief
 
 RECIPE = {"family": "relief", "heights": "heights.npy", "coherence": {"source_angle_deg": 0.5}, "coating": "Al"}
+PILLAR = np.zeros((8, 8))
+PILLAR[3:7, 3:7] = 0.12
+ROUGH = {"optics": "vector", "tolerance": 0.1}
+MANY = np.random.default_rng(4).integers(0, 3, (8, 8)) * 0.06
 LINES = np.tile(np.repeat([0.0, 0.12], [5, 3])[:, None], (1, 8))
 
 
@@ -68,6 +73,46 @@ def test_the_smallest_period_is_solved() -> None:
     found = lines_of(Tile(np.tile(stripes, (32, 1)), 100.0, 1.0))
     assert found is not None and not found.along_x and found.period_nm == pytest.approx(800.0)
     assert lines_of(Tile(np.eye(8), 100.0, 1.0)) is None
+    tile = np.kron([[0.0, 120.0], [120.0, 0.0]], np.ones((2, 2)))
+    blocks = blocks_of(Tile(np.tile(tile, (2, 2)), 100.0, 1.0))
+    assert blocks.periods_nm == pytest.approx((400.0, 400.0)) and blocks.walls == (2, 2)
+
+
+def test_blocks_are_those_of_a_grating(tmp_path: Path) -> None:
+    """A pedestal with a tower on its left half, across the seam of the tile."""
+    heights = np.zeros((4, 4))
+    heights[1:3, 1:3] = 0.08
+    heights[1, 1:3] = 0.14
+    tower, pedestal = (
+        {"shape": "rectangle", "material": "Al", "size_nm": size, "center_nm": centre}
+        for size, centre in (([150, 300], [0, 0]), ([300, 300], [75, 0]))
+    )
+    layers = [
+        {"thickness_nm": 60, "material": "air", "shapes": [tower]},
+        {"thickness_nm": 80, "material": "air", "shapes": [pedestal]},
+    ]
+    grating = {
+        "family": "grating", "substrate": "Al", "lattice": {"period_nm": [600, 600]}, "layers": layers,
+        "model": {"tolerance": 0.1},
+    }  # fmt: skip
+    shifted = relief(tmp_path, np.roll(heights, 2, axis=(0, 1)), 0.15, model=ROUGH)
+    ours, other = (nacre.orders(each, 10.0, 0.0, [550.0]) for each in (shifted, grating))
+    assert np.array_equal(ours.numbers, other.numbers)
+    assert ours.reflected == pytest.approx(other.reflected, abs=1e-6, nan_ok=True)
+    assert np.nanmax(ours.reflected) > 0.2 and float(ours.error.max()) <= 0.1
+
+
+def test_a_chequered_relief_sends_light_into_its_diagonals(tmp_path: Path) -> None:
+    chequered = np.kron([[0.0, 0.1], [0.1, 0.0]], np.ones((2, 2)))
+    material = relief(tmp_path, chequered, 0.2, model=ROUGH)
+    found = nacre.orders(material, 0.0, 0.0, [500.0])
+    values = np.nan_to_num(found.reflected.mean(axis=-1))[0, 0]
+    share = dict(zip(map(tuple, found.numbers.tolist()), values, strict=True))
+    # equal halves: only orders of odd m and n are lit in the limit of flat steps
+    assert share[1, 1] == pytest.approx(share[-1, 1], abs=1e-6)
+    assert share[1, 1] > 0.05 > 5.0 * share.get((1, 0), 0.0)
+    total = sum(share.values())
+    assert 0.5 < total < 1.0
 
 
 @pytest.mark.parametrize("name", ["lamellar-18", "lamellar-25", "sinusoidal-31"])
@@ -103,8 +148,10 @@ def test_auto_says_which_optics_it_took(tmp_path: Path) -> None:
     assert isinstance(steep, VectorRelief) and any("vector" in line for line in steep.warnings)
     flat = relief(tmp_path, 0.02 * LINES, 1.0, 0.3, **auto).model
     assert isinstance(flat, Relief) and any("scalar" in line for line in flat.warnings)
-    crossed = relief(tmp_path, LINES + LINES.T, **auto).model
-    assert isinstance(crossed, Relief) and any("scalar" in line for line in crossed.warnings)
+    crossed = relief(tmp_path, PILLAR, 0.06, **auto).model
+    assert isinstance(crossed, VectorRelief) and any("vector" in line for line in crossed.warnings)
+    many = relief(tmp_path, MANY, **auto).model
+    assert isinstance(many, Relief) and any("scalar" in line and "walls" in line for line in many.warnings)
     # the warning of scalar theory names the other
     assert any("model.optics" in line for line in relief(tmp_path, model={}).model.warnings)
 
@@ -112,7 +159,9 @@ def test_auto_says_which_optics_it_took(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "heights, changes",
     [
-        (LINES + LINES.T, {}),
+        (MANY, {}),
+        (LINES + LINES.T, {"blur_um": 0.02}),
+        (np.kron([[0.0, 0.12], [0.12, 0.0]], np.ones((4, 4))), {"feature_um": 0.9}),
         (LINES, {"periodic": False, "blur_um": None}),
         (LINES, {"prefactor": "published"}),
         (LINES, {"feature_um": 2.0}),

@@ -17,8 +17,9 @@ from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.compensation import compensate
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse, bare_base
-from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
 from nacre.bsdf.lobes.ridge import Ridge
+from nacre.bsdf.lobes.ridge_table import RidgeTable
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.registry import LOBES, lobe_kinds, outside_lobe
@@ -67,9 +68,33 @@ def glass(distribution: str, x: float, y: float | None = None, **more: Any) -> L
     return Microfacet(stack(*GLASS, True), distribution, x, x if y is None else y, **more)
 
 
+def aligned(transmits: bool, **more: Any) -> Lobe:
+    """Return a rough coated metal or glass whose R swings by 30 % over the azimuth, with a period of half a turn."""
+    response = stack(*GLASS, True) if transmits else stack(*METAL, False)
+    swing = 1.0 + 0.3 * np.cos(2.0 * np.linspace(0.0, 2.0 * np.pi, 17) + 0.4)[:, None, None]
+    cos = response.cos_outside[:, None]
+    share = np.minimum((1.0 - cos) / 0.4, 1.0)  # along the normal there is no azimuth
+    reflectance = response.reflectance * np.where(response.reflectance < 0.7, 1.0 + (swing - 1.0) * share, 1.0)
+    tables = {"reflectance": reflectance, "total": np.repeat(response.total[None], 17, axis=0)}
+    tables["transmittance"] = 1.0 - reflectance if transmits else np.zeros_like(reflectance)
+    tables["reflectance_inside"] = reflectance if transmits else np.zeros_like(reflectance)
+    return AlignedMicrofacet(dataclasses.replace(response, **tables), "ggx", 0.3, 0.3, **more)
+
+
 def ridge(deviation_nm: float, **more: Any) -> Lobe:
     """Return a Morpho-like ridge lobe; its norm is a bound of the diffraction integral, not the sharpest one."""
     return Ridge(stack(*METAL, False), 700.0, 300.0, deviation_nm, 4, 0.15, 0.8, np.full(len(GRID), 1.6), **more)
+
+
+def ridge_table(**more: Any) -> Lobe:
+    """Return a fan of ridges about the mirror direction and a second, weaker one."""
+    c = np.linspace(0.0, 1.0, 13)[:, None, None]
+    s = np.linspace(-1.0, 1.0, 41)
+    a, b = s[:, None], s[None, :]
+    power = (1.0 - 0.2 * c) * (0.6 * np.exp(-((a + b) ** 2) / 0.2) + 0.2 * np.exp(-((a - b) ** 2) / 0.05))
+    slope = np.linspace(1.0, 0.6, len(GRID))
+    table = (power[..., None] * slope).astype(np.float32)
+    return RidgeTable(GRID, 0.5 * (table + np.swapaxes(table, 1, 2)), 0.12, 0.8, **more)
 
 
 def under_film() -> Lobe:
@@ -184,10 +209,16 @@ CASES: dict[str, Case] = {
     "rough free film": Case(
         lambda: (Microfacet(stack((1.0, 1.4, 1.0), (300.0,), True), "ggx", 0.3, 0.3),), BOTH[:3], 1.0
     ),
+    "rough anisotropic metal": Case(lambda: (aligned(False),)),
+    "rough anisotropic glass": Case(lambda: (aligned(True, rotation=ROTATION),), BOTH[::2], 1.5),
     "diffuse": Case(lambda: (bare_base(GRID, np.linspace(0.2, 0.9, len(GRID))),)),
     "diffuse under a film": Case(lambda: (under_film(),)),
     "irregular ridges": Case(lambda: (ridge(120.0),), width=0.4),
     "level ridges": Case(lambda: (ridge(0.0, rotation=ROTATION),), ((10.0, 0.0),), chi=(100, 32), width=0.4),
+    "ridges of a table": Case(lambda: (ridge_table(),), chi=(100, 32), width=0.4),
+    "turned ridges of a table": Case(
+        lambda: (ridge_table(rotation=ROTATION),), ((10.0, 0.0),), chi=(100, 32), width=0.4
+    ),
     "table": Case(lambda: (table("direction"),), width=0.5),
     "matt table": Case(lambda: (matt_table(),), width=0.5),
     "half-angle table": Case(lambda: (table("half"),), width=0.5),

@@ -155,7 +155,8 @@ def exact_jones(n0: float, layers: list[tuple[Any, float]], substrate: Any, wave
                 mpmath.re(vectors[0, i] * mpmath.conj(vectors[1, i]) + vectors[2, i] * mpmath.conj(vectors[3, i]))
                 for i in range(4)
             ]
-            down = sorted(range(4), key=lambda i: -flux[i])[:2]
+            clear = [i for i in range(4) if abs(mpmath.im(values[i])) <= mpmath.mpf(10) ** -100]
+            down += sorted(clear, key=lambda i: -flux[i])[: 2 - len(down)]
         psi = mpmath.matrix(4, 2)
         for column, i in enumerate(down):
             for row in range(4):
@@ -198,6 +199,8 @@ TILTED = principal_tensor([1.5, 1.6, 1.8], [20, 40, 60])
 METAL = principal_tensor([0.2 + 3.4j, 0.25 + 3.2j, 0.2 + 3.0j], [10, 30, 0])
 NEARLY_ISOTROPIC = principal_tensor([1.6, 1.6 + 1e-9, 1.6 - 1e-9], [13, 29, 71])
 RARE = principal_tensor([1.3, 1.4, 1.45], [30, 50, 10])
+# both waves along z are one: e_xy = +-i (e_xx - e_yy) / 2, without a second eigenvector (Voigt 1902)
+VOIGT = np.array([[2.556316 + 0.44j, 0.143j, 0], [0.143j, 2.270316 + 0.44j, 0], [0, 0, 2.5 + 0.3j]])
 EXTREMES = {
     "1 mm": (1.0, [(TILTED, 1e6)], np.eye(3) * 2.3, 0.6),
     "opaque metal": (1.0, [(TILTED, 300.0), (METAL, 5000.0)], np.eye(3) * 2.3, 0.9),
@@ -208,6 +211,10 @@ EXTREMES = {
     "cut-off in a layer": (1.5, [(np.eye(3) * 1.44, 900.0)], np.eye(3) * 2.25, float(np.arcsin(1.2 / 1.5))),
     "near cut-off in a layer": (1.5, [(principal_tensor([1.2, 1.2, 1.3], [0, 50, 0]), 900.0)], np.eye(3) * 2.25, 0.93),
     "total reflection at a tilted substrate": (1.8, [(TILTED, 150.0)], RARE, 1.3),
+    "one evanescent mode in the substrate": (2.0, [(TILTED, 150.0)], principal_tensor([1.4, 1.4, 1.6]), 0.8),
+    "Voigt wave in a layer": (1.0, [(VOIGT, 900.0)], np.eye(3) * 2.3, 0.0),
+    "Voigt wave in the substrate": (1.0, [(TILTED, 150.0)], VOIGT, 0.0),
+    "nearly a Voigt wave in the substrate": (1.0, [(VOIGT, 150.0)], VOIGT, 1e-6),
     "zero thickness": (1.0, [(TILTED, 0.0)], np.eye(3) * 2.3, 1.0),
 }  # fmt: skip
 

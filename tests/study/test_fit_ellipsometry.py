@@ -105,6 +105,7 @@ def test_tied_numbers_follow_one() -> None:
         ("layers[0].thickness_nm=__import__('os')",),
         ("layers[0].thickness_nm",),
         ("substrate=layers[0].thickness_nm",),
+        ("layers[0].thickness_nm=layers[1].thickness_nm / 0",),
     ],
 )
 def test_wrong_ties_are_refused(ties: tuple[str, ...]) -> None:
@@ -211,6 +212,37 @@ def test_a_missing_angle_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixt
     assert run([*arguments, "--angle-deg", "70"]) == 0
     with pytest.raises(NacreError):
         read_measurements([])
+
+
+SILICA_30 = 'layers = [{material = "SiO2", thickness_nm = 30}, {material = "TiO2-film", thickness_nm = 30}]'
+TWISTED = "layers = [{material = {ordinary = 1.5, extraordinary = 1.7, axis_polar_deg = 90}, thickness_nm = 90, %s}]"
+SECOND = ("--parameter", "layers[1].thickness_nm=10:50")
+TENSOR = "layers = [{material = {principal = [1.5, 1.6, %s], euler_deg = %s}, thickness_nm = 100}]"
+
+
+@pytest.mark.parametrize(
+    ("lines", "options"),
+    [
+        (SILICA_30, (*SECOND, "--tie", "layers[0].thickness_nm=layers[0].thickness_nm + 1")),
+        (f"{SILICA_30}\n[ties]\n'layers[0].thickness_nm' = 'layers[0].thickness_nm'", SECOND),
+        (f"{SILICA_30}\n[surface]\ninterface_roughness_nm = 50", ()),
+        (TWISTED % "pitch_nm = 0", ()),
+        (TWISTED % "pitch_nm = 0.01", ()),
+        (TENSOR % ("{n = 1.7, k = -0.1}", "[0, 0, 0]"), ()),
+        (TENSOR % ("1.7", "[0, nan, 0]"), ()),
+        (TENSOR % ("1.7", "[0, 1]"), ()),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_line(
+    lines: str, options: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = write_table(tmp_path / "t.csv", 1.0, (70.0,), {"family": "film", "substrate": "Au"})
+    recipe, fitted_file = tmp_path / "r.toml", tmp_path / "f.toml"
+    recipe.write_text(f'family = "film"\nsubstrate = "Si"\n{lines}\n')
+    assert run(["fit", str(table), str(recipe), "-o", str(fitted_file), *options]) == 2
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1 and "r.toml" in errors[0]
+    assert not fitted_file.exists()
 
 
 SILICON, SILICA = "main/Si/Aspnes", "main/SiO2/Malitson"

@@ -292,7 +292,13 @@ def run_fit(
         if starts == 0 or is_good or not problem.has_orders:
             break
     if not minima:
-        raise NacreError(f"{material.context.source}: the recipe cannot be computed anywhere in its bounds")
+        source = material.context.source
+        if problem.is_computed:
+            raise NacreError(
+                f"{source}: the measured values are far from all that the recipe reaches in its bounds; check the unit "
+                "of the measurement, such as per cent for fractions, and the bounds"
+            )
+        raise NacreError(f"{source}: the recipe cannot be computed anywhere in its bounds")
     minima.sort(key=lambda each: each.loss)
     minima[0] = best_minimum = problem.corrected(minima[0])
     if progress and problem.is_corrected:
@@ -347,6 +353,7 @@ class _Problem:
         self._make = material.parametrise([path for path in paths if not path.startswith(INSTRUMENT)])
         self._samples, self._seed = samples, seed
         self.evaluations = 0
+        self.is_computed = False  # at any point
         self._scale = measured.noise_scale(weights)
         self._correction: Array | float = 0.0  # random walk minus surrogate
         self.is_corrected = False
@@ -378,6 +385,7 @@ class _Problem:
                 values = surrogate + self._correction
         except NacreError:
             return np.full(self._measured.values.size, PENALTY_RESIDUAL)
+        self.is_computed = True
         return np.asarray(((values - self._measured.values) / self._scale).ravel())
 
     def _loss(self, point: Array) -> float:

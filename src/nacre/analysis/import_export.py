@@ -15,6 +15,7 @@ from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, plain, why_unreadable, write_text
+from nacre.families.blend import Blend
 from nacre.families.contract import OwnFormats
 from nacre.formats.foreign_materials import ThicknessMap, read_gltf, read_materialx
 from nacre.formats.gonio_csv import MAX_VALUE, GonioData, gonio_data, write_gonio_csv
@@ -33,6 +34,12 @@ MAX_F0 = 0.96  # a real index of 98; a perfect mirror would need an infinite one
 ENERGY_ANGLES_DEG = (0.0, 30.0, 60.0)
 MOST_ENERGY = 4.0  # measurements exceed 1 by tens of per cent
 ROUNDING = 1e-6  # of the largest value
+BLEND_PIXELS, LARGEST_MAP = 512, 4096  # pixels per side of a formula's share; most pixels of an image's
+LOST_OF_MESH = "the mesh file's own materials, nodes and animations: its triangles became one object"
+LOST_OF_BLEND = (
+    "one surface: the first material lies over the second as the same triangles with alpha, for renderers that "
+    "composite in order; the share has 8 bits"
+)
 OF_VALUES = ("rgl", "merl", "zemax", "csv", "exr", "astm", "brdf-json", "speos")  # formats that evaluate the Bsdf
 IMPORTS = (
     "goniometer tables, MERL, RGL tensor, Zemax, ASTM E1392, Speos, SSDD, TracePro, ALTA, UTIA, BRDF JSON, glTF, "
@@ -164,11 +171,13 @@ def _export_table(material: Material, folder: Path, illuminant: str, progress: C
 def _export_film(material: Material, target: str, path: Path, mesh: Path | None = None) -> dict[str, Any]:
     """Write the best-fitting thin film; in glTF on a mesh, with a thickness map if a number varies."""
     from nacre.analysis.thickness_map import fit_thickness_map, varying_axis
-    from nacre.analysis.thin_film import fit_thin_film
+    from nacre.analysis.thin_film import covered_share, fit_thin_film
 
     if target == "usd" and path.suffix.lower() in (".usdc", ".usdz"):
         raise UnsupportedError(f"{path}: USD is written as text; allowed: a name that ends in .usda or .usd")
     parts = [] if mesh is None else _mesh_parts(mesh)
+    if target == "gltf" and isinstance(material.model, Blend) and covered_share(material) is None:
+        return _export_blend(material, material.model, path, parts)
     axis = varying_axis(material) if target == "gltf" else None
     mapped = None if axis is None else fit_thickness_map(material, axis)
     fit = mapped.fit if mapped else fit_thin_film(material)
@@ -203,7 +212,43 @@ def _export_film(material: Material, target: str, path: Path, mesh: Path | None 
 
         write_materialx(path, fit.film, material.name, comment)
     if mesh is not None:
-        facts["lost"].append("the mesh file's own materials, nodes and animations: its triangles became one object")
+        facts["lost"].append(LOST_OF_MESH)
+    return facts
+
+
+def _export_blend(material: Material, blend: Blend, path: Path, parts: list[Any]) -> dict[str, Any]:
+    """Write the best-fitting film of each material of a blend, the first one over the second by its share.
+
+    Raises:
+        UnsupportedError: no film represents one of them, or one is a blend.
+    """
+    from nacre.analysis.thin_film import fit_thin_film
+    from nacre.formats.gltf import Cover, write_gltf
+
+    over, under = (fit_thin_film(part) for part in (blend.first, blend.second))
+    mask = blend.mask
+    share: Any = float(mask.low)
+    if mask.low != mask.high:
+        rows, columns = (
+            (BLEND_PIXELS, BLEND_PIXELS) if mask.image is None else np.minimum(mask.image.shape, LARGEST_MAP)
+        )
+        u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
+        share = np.asarray(mask(np.stack([u, v], axis=-1)), dtype=float)
+    mean = float(np.mean(share))
+    residual = mean * over.mean_residual + (1.0 - mean) * under.mean_residual
+    named = zip((blend.first, blend.second), (over, under), (mean, 1.0 - mean), strict=True)
+    facts = {
+        "parts": [
+            {"name": part.name, "mean_share": weight, "film": dict(fit.film.__dict__),
+             "residual_delta_e_2000": fit.mean_residual, "lost": list(fit.lost)}
+            for part, fit, weight in named
+        ],
+        "lost": [*dict.fromkeys((*over.lost, *under.lost)), LOST_OF_BLEND, *([LOST_OF_MESH] if parts else [])],
+        "residual_delta_e_2000": residual,
+    }  # fmt: skip
+    provenance = {"nacre": __version__, "recipe": material.text, "residual_delta_e_2000": residual}
+    cover = Cover(over.film, blend.first.name, share)
+    write_gltf(path, under.film, blend.second.name, provenance, parts, cover=cover)
     return facts
 
 
@@ -391,9 +436,10 @@ def _on_own_nodes(source: Path, form: str) -> tuple[TableLobe, list[str]]:
 
     rgl = RglBsdf.read(source)
     if not rgl.is_isotropic:
-        raise UnsupportedError(
-            f"is anisotropic ({len(rgl.phi_i)} azimuths of the light), and a measured material is isotropic"
-        )
+        from nacre.formats.lobes import rgl_lobe
+
+        lobe, remarks = rgl_lobe(rgl)
+        return lobe, [*([RGB_REMARK] if rgl.wavelengths_nm is None else []), *remarks]
     wi, wo = directions_of("half", (90, 46, 24))
     values = rgl.evaluate(wi, wo)
     if rgl.wavelengths_nm is None:

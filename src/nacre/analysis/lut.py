@@ -18,8 +18,8 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import exits, masking, normal_quadrature
 from nacre.bsdf.grids import direction, hemisphere_nodes, take_at
 from nacre.bsdf.lobes.masked import MaskedLobe
-from nacre.bsdf.lobes.microfacet import Microfacet
-from nacre.bsdf.lobes.specular import Specular
+from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
+from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis, refuse_place
 from nacre.core.arrays import Array
@@ -419,8 +419,9 @@ def make_table(material: Material, lamp: str = "D65", progress: Progress = lambd
     refuse_place(material.model, f"{source}: export")
     light = illuminant(lamp)
     progress("solving the material")
-    bsdf = colour_bsdf(material, light.name)
     try:
+        _refuse_early(material)
+        bsdf = colour_bsdf(material, light.name)
         return _baked(material, bsdf, light, progress)
     except UnsupportedError as error:
         text = str(error)
@@ -433,11 +434,14 @@ def _baked(material: Material, bsdf: Bsdf, light: Illuminant, progress: Progress
     def to_rgb(values: Array) -> Array:
         return np.asarray(weighted_sum(values, matrix))
 
+    lost: list[str] = []
+    if any(isinstance(lobe, AlignedMicrofacet | AlignedSpecular) for lobe in bsdf.lobes):
+        bsdf = _without_azimuth(bsdf)
+        lost.append("the azimuth of the light: reflection and transmission are means over it")
     _refuse(bsdf)
     pictures: dict[str, Picture] = {}
     closures: list[Closure] = []
     errors: dict[str, dict[str, float]] = {}
-    lost: list[str] = []
     facets, parameter = None, None
     interfaces = [lobe for lobe in bsdf.lobes if isinstance(lobe, Specular | Microfacet)]
     mirror = _walk_mirror(bsdf) if not interfaces else None
@@ -463,6 +467,23 @@ def _baked(material: Material, bsdf: Bsdf, light: Illuminant, progress: Progress
     return LightTable(
         material.name, light.name, pictures, tuple(closures), facets, parameter, errors, tuple(lost), provenance
     )
+
+
+def _without_azimuth(bsdf: Bsdf) -> Bsdf:
+    """Return a Bsdf with the means over the azimuth of its aligned lobes."""
+    means = (e.mean() if isinstance(e, AlignedMicrofacet | AlignedSpecular) else e for e in bsdf.lobes)
+    return dataclasses.replace(bsdf, lobes=tuple(means))
+
+
+def _refuse_early(material: Material) -> None:
+    """Check the lobes at one wavelength, before the material is solved at all of them.
+
+    Raises:
+        UnsupportedError: tables cannot represent them.
+    """
+    grid = material.model.wavelengths_nm
+    middle = grid[len(grid) // 2 : len(grid) // 2 + 1]
+    _refuse(_without_azimuth(material.at_low_fidelity(is_reported=True).bsdf(middle)))
 
 
 def _refuse(bsdf: Bsdf) -> None:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from nacre._version import __version__
 from nacre.analysis.sweep_plan import Sweep, SweepSpec, load_sweep, measurement_from, point_seed
 from nacre.core.errors import NacreError
-from nacre.core.files import check_writable, temporary_prefix
+from nacre.core.files import check_writable, plain, temporary_prefix
 from nacre.core.jobs import Workers, run_jobs
 from nacre.core.packages import require
 from nacre.material.material import Material, material
@@ -90,14 +90,14 @@ class Store:
         for leftover in path.rglob("*.partial"):  # of a killed run; never renamed
             with contextlib.suppress(OSError):
                 leftover.unlink()
-        import zarr
-
-        if zarr.open_group(str(path), mode="r+").attrs.get("fingerprint") != sweep.fingerprint:
+        if _fingerprint_of(path) != sweep.fingerprint:
             raise NacreError(
                 f"{path}: holds another sweep, or its recipe, a file that this names, or the optics of nacre have "
                 "changed since; choose another -o, or remove it to start again"
             )
-        self._trailing = {name: len(shape) for name, (_, shape) in sweep.measurement.layout().items()}
+        layout = sweep.measurement.layout()
+        self._trailing = {name: len(shape) for name, (_, shape) in layout.items()}
+        self._bytes = {name: 8 * int(np.prod(shape)) for name, (_, shape) in layout.items()}
 
     @classmethod
     def open(cls, path: Path, sweep: Sweep) -> Store:
@@ -110,11 +110,18 @@ class Store:
             _create(path, sweep)
         elif not (path / "zarr.json").exists():
             raise NacreError(f"{path}: exists and is not a sweep; choose another -o")
+        else:
+            store = cls(path, sweep)
+            _restore(path, sweep)
+            return store
         return cls(path, sweep)
 
     def missing(self) -> list[int]:
-        """Return the numbers of unfinished points, failed ones included."""
-        return [int(i) for i in np.flatnonzero(self._status() != DONE)]
+        """Return the numbers of unfinished points, failed and damaged ones included."""
+        is_done = self._status() == DONE
+        for name, size in self._bytes.items():
+            is_done &= self._sizes(name) == size
+        return [int(i) for i in np.flatnonzero(~is_done)]
 
     def counts(self) -> tuple[int, int]:
         """Return the numbers of finished and of failed points."""
@@ -154,24 +161,95 @@ class Store:
     def _status(self) -> NDArray[np.uint8]:
         """Return the status of every point, flat."""
         status = np.full(int(np.prod(self._shape)), MISSING, dtype=np.uint8)
-        for entry in os.scandir(self.path / "status"):
-            head, *parts = entry.name.split(KEY_SEPARATOR)
-            if head != "c" or len(parts) != len(self._shape) or not all(part.isdigit() for part in parts):
-                continue
-            indices = tuple(int(part) for part in parts)
+        for number, entry in self._chunks("status"):
             content = Path(entry.path).read_bytes()
-            if len(content) == 1 and all(i < n for i, n in zip(indices, self._shape)):
-                status[np.ravel_multi_index(indices, self._shape)] = content[0]
+            if len(content) == 1:
+                status[number] = content[0]
         return status
+
+    def _sizes(self, name: str) -> NDArray[np.int64]:
+        """Return the file size of every point's chunk, flat; -1 if it is missing."""
+        sizes = np.full(int(np.prod(self._shape)), -1, dtype=np.int64)
+        for number, entry in self._chunks(name):
+            sizes[number] = entry.stat().st_size
+        return sizes
+
+    def _chunks(self, name: str) -> Iterator[tuple[int, os.DirEntry[str]]]:
+        """Yield the point number and the file of each stored chunk of an array.
+
+        Raises:
+            NacreError: the folder of the array is missing or cannot be read.
+        """
+        rank = len(self._shape)
+        try:
+            for entry in os.scandir(self.path / name):
+                head, *parts = entry.name.split(KEY_SEPARATOR)
+                places, more = parts[:rank], parts[rank:]
+                is_chunk = head == "c" and len(places) == rank and all(part.isdigit() for part in places)
+                if not is_chunk or more != ["0"] * self._trailing.get(name, 0) or not entry.is_file():
+                    continue
+                indices = tuple(int(part) for part in places)
+                if all(i < n for i, n in zip(indices, self._shape)):
+                    yield int(np.ravel_multi_index(indices, self._shape)), entry
+        except OSError as error:
+            raise _damaged(self.path, error) from None
+
+
+def _damaged(path: Path, error: Exception) -> NacreError:
+    return NacreError(
+        f"{path}: cannot be read as a sweep ({type(error).__name__}); choose another -o, or remove it to start again"
+    )
+
+
+def _fingerprint_of(path: Path) -> str:
+    """Return the fingerprint in a store.
+
+    Raises:
+        NacreError: the store cannot be read.
+    """
+    try:
+        return str(json.loads(plain(path / "zarr.json").read_bytes())["attributes"]["fingerprint"])
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise _damaged(path, error) from None
+
+
+def _restore(path: Path, sweep: Sweep) -> None:
+    """Write damaged or missing metadata and coordinates of a store again; its values stay.
+
+    Raises:
+        NacreError: a file cannot be written.
+    """
+    with _empty_store(path, sweep) as fresh:
+        for file in [each for each in fresh.rglob("*") if each.is_file() and each != fresh / "zarr.json"]:
+            place = path / file.relative_to(fresh)
+            try:
+                is_same = plain(place).read_bytes() == file.read_bytes()
+            except OSError:
+                is_same = False
+            if not is_same:
+                place.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(file, place)
 
 
 def _create(path: Path, sweep: Sweep) -> None:
     """Make an empty store beside `path` and give it its name when it is whole."""
+    check_writable(path)
+    with _empty_store(path, sweep) as temporary:
+        os.replace(temporary, path)
+
+
+@contextlib.contextmanager
+def _empty_store(path: Path, sweep: Sweep) -> Iterator[Path]:
+    """Yield an empty store in a temporary folder beside `path`.
+
+    Raises:
+        NacreError: the folder cannot be written.
+    """
     import zarr
 
-    folder = check_writable(path)
-    temporary = Path(tempfile.mkdtemp(prefix=temporary_prefix(path), dir=folder))
+    temporary = path
     try:
+        temporary = Path(tempfile.mkdtemp(prefix=temporary_prefix(path), dir=path.parent))
         group = zarr.open_group(str(temporary), mode="w")
         points, measurement = sweep.points, sweep.measurement
         axis_names = [_dimension(axis.path) for axis in points.axes] if points.mode == "grid" else ["point"]
@@ -206,11 +284,12 @@ def _create(path: Path, sweep: Sweep) -> None:
             dimension_names=axis_names, compressors=None, chunk_key_encoding=flat,
         )  # fmt: skip
         status.attrs["meaning"] = "0 missing, 1 done, 2 failed (see the .errors.jsonl file beside the folder)"
-        os.replace(temporary, path)
+        yield temporary
     except OSError as error:
         raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        if temporary != path:
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _dimension(path: str) -> str:

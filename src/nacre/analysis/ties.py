@@ -73,7 +73,15 @@ def read_ties(material: Material, free: Iterable[str], options: tuple[str, ...] 
         for used in _paths(expression):
             if used not in moving and used not in parsed:
                 fixed[used] = _number(material, used, f"ties.{path}")
-    return Ties(_ordered(parsed, source), fixed)
+    tied = Ties(_ordered(parsed, source), fixed)
+    moved = {used for expression in parsed.values() for used in _paths(expression)} & moving
+    try:
+        tied.values({path: _number(material, path, "ties") for path in moved})
+    except RecipeError:
+        raise
+    except NacreError as error:
+        raise RecipeError(f"{source}: {error}") from None
+    return tied
 
 
 def _number(material: Material, path: str, where: str) -> float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nacre.bsdf.facet_distributions import (
     Roughness,
@@ -21,8 +22,8 @@ from nacre.bsdf.facet_distributions import (
     smith_masking,
     visible_normals,
 )
-from nacre.bsdf.grids import cell, node_coordinate, take_uniform
-from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.grids import cell, direction, node_coordinate, take_uniform
+from nacre.bsdf.lobes.microfacet import Microfacet, local_azimuth
 from nacre.bsdf.response import InterfaceResponse
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
@@ -120,6 +121,33 @@ def facet_transmittance(
     return np.asarray(values.min(axis=0))
 
 
+def aligned_transmittance(
+    response: InterfaceResponse, distribution: str, alpha_x: float, alpha_y: float, nodes: int = 33
+) -> Array:
+    """Return `facet_transmittance` of an anisotropic film, `[azimuth, cos, wavelength]`, for light from each azimuth.
+
+    Args:
+        response: tables over the azimuth, as of `AlignedSpecular`.
+    """
+    own, turns = response.cos_outside, len(response.transmittance) - 1
+    passed = response.transmittance[:-1].reshape(turns * len(own), -1)
+    cosines = np.maximum(np.linspace(0.0, 1.0, nodes), SMALLEST_COSINE)
+    spread = np.empty((turns + 1, nodes, turns * len(own)))
+    for i, j in np.ndindex(turns, nodes):
+        w = direction(np.arccos(cosines[j]), 2.0 * np.pi * i / turns)
+        m, weight = visible_normals(distribution, w, alpha_x, alpha_y, FACET_NODES // 2)
+        weight = weight / max(weight.sum(), 1.0)
+        place = np.mod(local_azimuth(w, m) / (2.0 * np.pi), 1.0) * turns
+        low, share = np.floor(place).astype(np.intp), place - np.floor(place)
+        cos = np.clip(m @ w, 0.0, 1.0)
+        spread[i, j] = sum(
+            _histogram(cos, part, own, (low + step) % turns, turns)
+            for step, part in ((0, weight * (1.0 - share)), (1, weight * share))
+        )
+    spread[turns] = spread[0]
+    return np.asarray(spread @ passed)
+
+
 def _loss_directions(lobe: Microfacet) -> tuple[Array, tuple[int, int]]:
     ratio = max(lobe.alpha_x, lobe.alpha_y) / min(lobe.alpha_x, lobe.alpha_y)
     azimuths = 1 if ratio == 1.0 else int(min(4 * np.ceil(ratio) + 1, MOST_AZIMUTH_NODES))
@@ -178,10 +206,11 @@ def _albedo(
     return np.array(rows)
 
 
-def _histogram(cos: Array, weight: Array, nodes: Array) -> Array:
-    """Return the weights at cosines distributed over nodes by linear interpolation, `[node]`."""
+def _histogram(cos: Array, weight: Array, nodes: Array, row: NDArray[np.intp] | int = 0, rows: int = 1) -> Array:
+    """Return the weights at cosines distributed over nodes by linear interpolation, `[row * node]`."""
     size = len(nodes)
     low, fraction = cell(node_coordinate(nodes, cos), size)
+    low, size = low + row * size, rows * size
     counts = np.bincount(low, weight * (1 - fraction), size) + np.bincount(low + 1, weight * fraction, size)
     return np.asarray(counts)
 

@@ -20,8 +20,10 @@ LOBES: dict[str, str] = {
     # kind -> "module:class", imported on first use
     "specular": "nacre.bsdf.lobes.specular:Specular",
     "microfacet": "nacre.bsdf.lobes.microfacet:Microfacet",
+    "aligned-microfacet": "nacre.bsdf.lobes.microfacet:AlignedMicrofacet",
     "diffuse": "nacre.bsdf.lobes.diffuse:Diffuse",
     "ridge": "nacre.bsdf.lobes.ridge:Ridge",
+    "ridge-table": "nacre.bsdf.lobes.ridge_table:RidgeTable",
     "table": "nacre.bsdf.lobes.table:TableLobe",
     "harmonic": "nacre.bsdf.lobes.monolayer:Harmonic",
     "aligned": "nacre.bsdf.lobes.monolayer:Aligned",

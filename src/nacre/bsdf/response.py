@@ -7,6 +7,7 @@ square-root kink at the critical angle costs up to 655 %. Beyond the critical an
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -20,6 +21,7 @@ from nacre.bsdf.texture import ParameterAxis
 from nacre.core.arrays import Array
 
 ROUNDING = 1e-9  # largest rounding below 0
+TABLES = ("reflectance", "transmittance", "reflectance_inside", "total")
 FINEST_LEVEL = 16  # smallest interval of irregular nodes over angle: 2^-16
 
 
@@ -174,6 +176,27 @@ class InterfaceResponse:
             beyond = take_at(self.total, self.nodes_beyond, 2.0 / np.pi * np.arccos(cos), -2)
             inside[0] = inside[0] + np.einsum("c,...cl->...l", 2 * weights * mu * self.cos_critical, beyond)
         return outside[0], outside[1], inside[0], inside[1]
+
+
+def check_over_azimuth(response: InterfaceResponse) -> None:
+    """Check tables with the azimuth as leading axis: uniform nodes from 0 to 2 pi, both included.
+
+    Raises:
+        ValueError: names the inconsistent table.
+    """
+    counts = {getattr(response, name).shape[0] for name in TABLES}
+    dimensions = {getattr(response, name).ndim for name in TABLES}
+    if dimensions != {3} or len(counts) != 1 or len(response.reflectance) < 2 or response.parameters:
+        raise ValueError("an aligned interface needs two or more azimuths, equal for all its tables")
+    if response.flipped:
+        raise ValueError("an aligned interface is flipped")
+    for node in range(len(response.reflectance)):
+        dataclasses.replace(response, **{name: getattr(response, name)[node] for name in TABLES}).check()
+
+
+def mean_over_azimuth(response: InterfaceResponse) -> InterfaceResponse:
+    """Return the tables of `check_over_azimuth` averaged over the azimuth."""
+    return dataclasses.replace(response, **{name: getattr(response, name)[:-1].mean(axis=0) for name in TABLES})
 
 
 class ResponseLobe(Lobe):

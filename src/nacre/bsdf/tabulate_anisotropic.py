@@ -179,9 +179,13 @@ class AnisotropicTables(StackTables):
         """Tabulate on uniform cosines, and return the largest difference of R from the solution at a few angles."""
         d = np.asarray(thicknesses_nm, dtype=float)
         response = self.build(d, self.cos_nodes)
-        exact = self.outside(d, CHECKED_COSINES)[0]
+        return response, self.error_of(response, d)
+
+    def error_of(self, response: InterfaceResponse, thicknesses_nm: Array) -> float:
+        """Return the largest difference of R in tables of the mean over the azimuth from the solution."""
+        exact = self.outside(np.asarray(thicknesses_nm, dtype=float), CHECKED_COSINES)[0]
         found = response.lookup(CHECKED_COSINES, np.full(len(CHECKED_COSINES), self.flipped))[0]
-        return response, float(np.max(np.abs(found - exact)))
+        return float(np.max(np.abs(found - exact)))
 
     def with_parameters(
         self, thicknesses_nm: Array, parameters: tuple[ParameterAxis, ...]

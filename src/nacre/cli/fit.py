@@ -89,12 +89,12 @@ def fit(
     stated = {name: options.pop(name) for name in names}
     stated |= {name: common.words(options.pop(name)) for name in ("columns", "ignore")}
     measured = read_measurements(measurements, ReadOptions(**stated), checked_range(range_nm), colours)
-    for part in parts_of(measured):
-        for remark in getattr(part, "remarks", ()):
-            common.note(f"{getattr(part, 'name', '')}: {remark}")
     material = common.load_material(recipe)
     numbers = fit_parameters(material, parameters)
     tied = read_ties(material, [number.path for number in numbers], ties)
+    for part in parts_of(measured):
+        for remark in getattr(part, "remarks", ()):
+            common.note(f"{getattr(part, 'name', '')}: {remark}")
     result = run_fit(
         material, measured, numbers, ties=tied,
         progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"), **options,

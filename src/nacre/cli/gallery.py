@@ -228,7 +228,7 @@ def _row(folder: Path, out: Path, spec: RowSpec, is_quick: bool) -> Item:
         parts = []
         for recipe in spec.recipes:
             bsdf = _solved(folder, out, recipe, spec.quality)
-            look = {"scene": spec.scene}
+            look: dict[str, Any] = {"scene": spec.scene}
             part = path.with_name(f"{spec.name}-parts") / f"{Path(recipe).stem}.mp4"
             part.parent.mkdir(exist_ok=True)
             made = animate(

@@ -29,6 +29,7 @@ OFF = "off"  # value of the variable that disables the cache
 MAX_BYTES = 2_000_000_000
 MIN_SOLVE_S = 0.5  # results that are solved faster are not stored
 MATERIAL, ARRAYS = ".nacre", ".npz"
+KEY = "entry"  # array with the key of an entry, which a renamed file lacks
 
 
 def cache_folder() -> Path | None:
@@ -134,16 +135,23 @@ def cached(
 
 
 def cached_arrays(key: str) -> dict[str, NDArray[np.float64]] | None:
-    """Return the arrays stored under a fingerprint, or None if they are absent or damaged."""
+    """Return the arrays stored under a fingerprint, or None if they are absent, damaged or another entry's."""
     folder = _private_folder()
-    return None if folder is None else _read(folder / f"{key}{ARRAYS}", _load_arrays)
+    return None if folder is None else _read(folder / f"{key}{ARRAYS}", lambda path: _load_arrays(path, key))
 
 
-def _load_arrays(path: Path) -> dict[str, NDArray[np.float64]]:
+def _load_arrays(path: Path, key: str) -> dict[str, NDArray[np.float64]]:
+    """Return the arrays of one entry.
+
+    Raises:
+        ValueError: the entry belongs to another key.
+    """
     import numpy as np
 
     with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-        return {name: np.asarray(stored[name], dtype=np.float64) for name in stored.files}
+        if str(stored[KEY]) != key:
+            raise ValueError(f"{path}: belongs to another key")
+        return {name: np.asarray(stored[name], dtype=np.float64) for name in stored.files if name != KEY}
 
 
 def cache_arrays(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
@@ -155,7 +163,7 @@ def cache_arrays(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
         return
     with contextlib.suppress(NacreError, OSError):
         with atomic_path(folder / f"{key}{ARRAYS}") as temporary, temporary.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
+            np.savez(file, allow_pickle=False, **{KEY: np.array(key)}, **arrays)
         _evict(folder)
 
 

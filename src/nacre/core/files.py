@@ -124,7 +124,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     try:
         yield temporary
         if is_special:
-            with temporary.open("rb") as source, open(path, "wb", opener=_open_as_it_is) as sink:
+            with temporary.open("rb") as source, open(path, "wb", opener=_open_with_reader) as sink:
                 shutil.copyfileobj(source, sink)
             return
         temporary.replace(path)
@@ -167,8 +167,27 @@ def reraise_as_oserror() -> Iterator[None]:
         raise OSError(errno.EIO, said[-1] if said else "the writer failed") from error
 
 
-def _open_as_it_is(path: str, flags: int) -> int:
-    return os.open(path, os.O_WRONLY)  # neither created nor truncated
+def _open_with_reader(path: str, flags: int) -> int:
+    """Open a device, or a pipe once a program reads it; neither is created or truncated.
+
+    Raises:
+        OSError: no program reads the pipe within `PIPE_WAIT_S`.
+    """
+    if not stat.S_ISFIFO(os.stat(path).st_mode):
+        return os.open(path, os.O_WRONLY)
+    until = time.monotonic() + PIPE_WAIT_S
+    while True:
+        try:
+            descriptor = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
+        except OSError as error:
+            if error.errno != errno.ENXIO:
+                raise
+            if time.monotonic() > until:
+                raise OSError(errno.ENXIO, "is a pipe that no program reads") from None
+            time.sleep(0.01)
+        else:
+            os.set_blocking(descriptor, True)
+            return descriptor
 
 
 def _is_special(path: str | Path) -> bool:
@@ -273,6 +292,27 @@ def check_room(folder: str | Path, need: int) -> None:
     if 0 < disk.total and disk.free < need:
         left = f"{disk.free / 1e6:.1f} MB are left on its disk, and {need / 1e6:.0f} MB are needed"
         raise NacreError(f"{path}: the folder {place} cannot be written: {left}")
+
+
+@contextlib.contextmanager
+def output_folder(path: str | Path) -> Iterator[None]:
+    """Make a folder and its parents for the block; those that are new and stay empty are removed again.
+
+    Raises:
+        NacreError: it cannot be made.
+    """
+    folder = named(path)
+    new = [each for each in (folder, *folder.parents) if not os.path.lexists(each)]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
+    try:
+        yield
+    finally:
+        for each in new:
+            with contextlib.suppress(OSError):  # not empty
+                each.rmdir()
 
 
 def write_text(path: str | Path, text: str) -> None:

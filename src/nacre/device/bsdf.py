@@ -14,6 +14,7 @@ import mitsuba as mi
 
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.lobes.microfacet import AlignedMicrofacet
 from nacre.bsdf.lobes.specular import AlignedSpecular
 from nacre.bsdf.registry import outside_lobe
 from nacre.bsdf.rgb import projected_to_rgb
@@ -76,15 +77,21 @@ def make_bsdf(
     if mi.is_polarized:
         tables = bsdf.polarisation() if bsdf.polarisation is not None else None
         if tables is None:
-            logger.info("%s: reflects and transmits unpolarised light in polarised variants", bsdf)
+            _say_unpolarised(", ".join(dict.fromkeys(lobe.kind for lobe in lobes)))
         else:
-            is_of_azimuth = any(isinstance(lobe, AlignedSpecular) for lobe in lobes)
+            is_of_azimuth = any(isinstance(lobe, AlignedSpecular | AlignedMicrofacet) for lobe in lobes)
             polarisation = DevicePolarisation(tables, is_of_azimuth)
             lobes = tuple(tables.refined(lobe) for lobe in lobes)
     plugins = [make_plugin(lobe) for lobe in lobes]
     cls = bsdf_class(mi.variant())
     properties = mi.Properties() if properties is None else properties
     return cls(properties, plugins, two_sided and not bsdf.transmits, space, polarisation)
+
+
+@functools.cache
+def _say_unpolarised(kinds: str) -> None:
+    """State once that a material has no Mueller matrices."""
+    logger.warning("a material of %s reflects and transmits unpolarised light in polarised pictures", kinds)
 
 
 @functools.cache
@@ -116,8 +123,10 @@ PLUGINS: dict[str, str] = {
     # lobe kind -> "module:class", imported on first use
     "specular": "nacre.device.lobes.specular:SpecularPlugin",
     "microfacet": "nacre.device.lobes.microfacet:MicrofacetPlugin",
+    "aligned-microfacet": "nacre.device.lobes.microfacet:AlignedMicrofacetPlugin",
     "diffuse": "nacre.device.lobes.diffuse:DiffusePlugin",
     "ridge": "nacre.device.lobes.ridge:RidgePlugin",
+    "ridge-table": "nacre.device.lobes.ridge_table:RidgeTablePlugin",
     "table": "nacre.device.lobes.table:TablePlugin",
     "harmonic": "nacre.device.lobes.monolayer:HarmonicPlugin",
     "aligned": "nacre.device.lobes.monolayer:AlignedPlugin",

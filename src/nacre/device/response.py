@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.response import InterfaceResponse, dyadic_levels, is_uniform
 from nacre.core.errors import UnsupportedError
-from nacre.device.plugin import larger, opaque, opaque_int, smaller
+from nacre.device.plugin import UniformNodes, larger, opaque, opaque_int, smaller
 from nacre.device.tables import DeviceTable, Located, WavelengthAxis
 from nacre.device.texture import DeviceParameters
 
@@ -183,6 +183,31 @@ class DeviceResponse:
         low = smaller(dr.floor(position), dr.select(is_beyond, self.beyond_max_low, self.max_low))
         start = dr.select(is_beyond, self.beyond_row, dr.select(inside, self.inside_row, 0.0))
         return mi.UInt32(low + start), position - low
+
+
+class Azimuths:
+    """Azimuth nodes, in place of texture-driven parameters.
+
+    Args:
+        count: number of nodes from 0 to 2 pi, both included.
+        rotation_rad: rotation of the tables about the normal.
+    """
+
+    def __init__(self, count: int, rotation_rad: float = 0.0) -> None:
+        self.update(count, rotation_rad)
+
+    def update(self, count: int, rotation_rad: float = 0.0) -> None:
+        """Replace the data."""
+        self.nodes = UniformNodes(count)
+        self.rotation = opaque(rotation_rad / (2.0 * math.pi))
+
+    def corners(self, si: Any, active: Any = True) -> list[tuple[Any, Any]]:
+        """Return `(node, weight)` for the two nodes around the azimuth of `si.wi`, or of the exit if from inside."""
+        turns = dr.atan2(si.wi.y, si.wi.x) * (0.5 * dr.inv_pi) - self.rotation
+        turns = turns + dr.select(si.wi.z < 0.0, 0.5, 0.0)
+        last = self.nodes.last
+        low, part = self.nodes.cell(smaller((turns - dr.floor(turns)) * last, last))
+        return [(low, 1.0 - part), (low + 1, part)]
 
 
 class DyadicIntervals:

@@ -37,7 +37,13 @@ def export_remarks(facts: Mapping[str, Any]) -> list[str]:
         facts: from `nacre.analysis.import_export.export_material`.
     """
     lines = []
-    if "residual_delta_e_2000" in facts:
+    for part in facts.get("parts", ()):
+        lines.append(
+            f"{part['name']}, {100 * part['mean_share']:.0f} % of the surface: one film of "
+            f"{part['film']['thickness_nm']:.1f} nm, n = {part['film']['film_ior']:.3f}; "
+            f"dE00 {part['residual_delta_e_2000']:.2f} on the mean of the angles"
+        )
+    if "film" in facts:
         film, varied = facts["film"], facts.get("thickness_map")
         size = f"{film['thickness_nm']:.1f}" if varied is None else f"{varied['low_nm']:.1f} to {varied['high_nm']:.1f}"
         over = "the angles" if varied is None else "the angles and the thickness map"

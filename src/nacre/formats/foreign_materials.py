@@ -175,7 +175,7 @@ def read_gltf(path: str | Path, name: str | None = None) -> ThinFilm:
         document = json.loads(_gltf_json(plain(path).read_bytes()))
         materials = [m for m in document.get("materials", []) if IRIDESCENCE in m.get("extensions", {})]
         if materials:
-            weights = [float(m["extensions"][IRIDESCENCE].get("iridescenceFactor", 0.0)) for m in materials]
+            weights = [_number(m["extensions"][IRIDESCENCE], "iridescenceFactor", 0.0) for m in materials]
             films = [m for m, w in zip(materials, weights, strict=True) if w > 0] if name is None else []
             films = films or materials
             names = [str(m.get("name") or f"material {i}") for i, m in enumerate(films)]
@@ -198,17 +198,32 @@ def _gltf_json(content: bytes) -> bytes:
     return content[20 : 20 + length]
 
 
+def _number(part: Mapping[str, Any], key: str, default: float) -> float:
+    """Return a number of the JSON.
+
+    Raises:
+        TypeError: a text or another type.
+    """
+    value = part.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(key)
+    return float(value)
+
+
 def _gltf_film(material: Mapping[str, Any], remarks: list[str], path: Path, document: Mapping[str, Any]) -> ThinFilm:
     extensions = material["extensions"]
     film, base = extensions[IRIDESCENCE], material.get("pbrMetallicRoughness", {})
     colour = [float(c) for c in base.get("baseColorFactor", [1, 1, 1, 1])]
     metal, clear = float(base.get("metallicFactor", 1.0)), extensions.get("KHR_materials_transmission", {})
-    share, weight = float(clear.get("transmissionFactor", 0.0)), float(film.get("iridescenceFactor", 0.0))
+    share, weight = float(clear.get("transmissionFactor", 0.0)), _number(film, "iridescenceFactor", 0.0)
     thinnest, thickest = (
-        float(film.get(f"iridescenceThickness{end}", default))
+        _number(film, f"iridescenceThickness{end}", default)
         for end, default in (("Minimum", 100.0), ("Maximum", 400.0))
     )
     thickness, varied = thickest, None
+    film_ior = _number(film, "iridescenceIor", 1.3)
+    if not film_ior >= 1.0:
+        raise NacreError(f"{path}: iridescenceIor = {film_ior:g} is not allowed; glTF has indices from 1")
     remarks = [*remarks, *rounded(metal, share, weight)]
     not_read = [key for part in (base, film, clear, material) for key in part if key.endswith("Texture")]
     if THICKNESS_TEXTURE in film:
@@ -228,7 +243,7 @@ def _gltf_film(material: Mapping[str, Any], remarks: list[str], path: Path, docu
         not_read.append("emissiveFactor")
     not_read += [key for key in extensions if key not in GLTF_READ]
     return ThinFilm(
-        thickness, float(film.get("iridescenceIor", 1.3)), (colour[0], colour[1], colour[2]),
+        thickness, film_ior, (colour[0], colour[1], colour[2]),
         float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5)), metal >= 0.5,
         float(base.get("roughnessFactor", 1.0)) ** 2, share > 0, tuple(not_read), weight, tuple(remarks), varied,
     )  # fmt: skip
@@ -260,8 +275,10 @@ def read_materialx(path: str | Path, name: str | None = None) -> ThinFilm:
             return _materialx_film(*films[place], root.get("colorspace", ""), remarks)
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
-    except (ET.ParseError, ValueError, UnicodeDecodeError):
+    except (ET.ParseError, UnicodeDecodeError):
         raise NacreError(f"{path}: is not a MaterialX document, or is damaged") from None
+    except ValueError as error:
+        raise NacreError(f"{path}: a value of its shader is not a number ({str(error)[:60]})") from None
     raise NacreError(f"{path}: no {', '.join(SHADERS)} has a thin film")
 
 

@@ -29,6 +29,15 @@ RINGS, SEGMENTS = 48, 96
 
 
 @dataclass(frozen=True)
+class Cover:
+    """A second film that covers a share of the surface: a number, or `[row, column]` in [0, 1] with row 0 at v = 0."""
+
+    film: ThinFilm
+    name: str
+    share: float | Array
+
+
+@dataclass(frozen=True)
 class Part:
     """Triangles: positions and unit normals `[N, 3]`, y up; uv `[N, 2]`, v up, or None; vertex indices `[M, 3]`."""
 
@@ -67,19 +76,23 @@ def gltf_material(film: ThinFilm, name: str, thickness: ThicknessMap | None = No
 
 def write_gltf(
     path: str | Path, film: ThinFilm, name: str, provenance: dict[str, Any] | None = None,
-    parts: Sequence[Part] = (), thickness: ThicknessMap | None = None,
+    parts: Sequence[Part] = (), thickness: ThicknessMap | None = None, cover: Cover | None = None,
 ) -> None:  # fmt: skip
     """Write parts of a mesh, by default a sphere, with the material; binary if the suffix is `.glb`.
 
     Args:
         provenance: for `extras`.
         thickness: in place of the film's own thickness.
+        cover: a film that covers a share of this one, in place of a thickness map. The triangles are written a second
+            time with its material, whose alpha is the share: "over" compositing of coverage is the blend's own sum.
 
     Raises:
         NacreError: the file cannot be written.
     """
     path, blob = Path(path), bytearray()
-    material = gltf_material(film, name, thickness)
+    materials = [gltf_material(film, name, thickness)]
+    if cover is not None:
+        materials.append(_covering(cover))
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
 
@@ -110,15 +123,25 @@ def write_gltf(
             "count": indices.size, "type": "SCALAR",
         })  # fmt: skip
         primitives.append({"attributes": attributes, "indices": len(accessors) - 1, "material": 0})
+        if cover is not None:  # after the opaque film
+            primitives.append({**primitives[-1], "material": 1})
+    used = sorted({name for one in materials for name in one["extensions"]})
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "nacre", "extras": provenance or {}},
-        "extensionsUsed": sorted(material["extensions"]), "scene": 0, "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": name}], "meshes": [{"primitives": primitives}], "materials": [material],
+        "extensionsUsed": used, "scene": 0, "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "name": name}], "meshes": [{"primitives": primitives}], "materials": materials,
         "accessors": accessors, "bufferViews": views,
     }  # fmt: skip
+    pixels = None
     if thickness is not None:
+        pixels = _png(np.repeat(thickness.image[..., None], 3, axis=-1))
+    elif cover is not None and not isinstance(cover.share, float):
+        share = cover.share[::-1]
+        pixels = _png(np.stack([np.ones_like(share)] * 3 + [share], axis=-1))
+    if pixels is not None:
+        title = "thickness" if thickness is not None else "share"
         document |= {
-            "images": [{"bufferView": view(_picture(thickness)), "mimeType": "image/png", "name": "thickness"}],
+            "images": [{"bufferView": view(pixels), "mimeType": "image/png", "name": title}],
             "samplers": [{"magFilter": 9729, "minFilter": 9729, "wrapS": 10497, "wrapT": 10497}],
             "textures": [{"source": 0, "sampler": 0}],
         }  # fmt: skip
@@ -139,13 +162,23 @@ def _encoded(document: dict[str, Any], blob: bytes, is_binary: bool) -> bytes:
     return struct.pack("<4sII", GLB_MAGIC, 2, 12 + len(chunks)) + chunks
 
 
-def _picture(thickness: ThicknessMap) -> bytes:
-    """Return a PNG with 8 bits; glTF reads green."""
+def _covering(cover: Cover) -> dict[str, Any]:
+    """Return the material of a cover; texture 0 is its share."""
+    material = {**gltf_material(cover.film, cover.name), "alphaMode": "BLEND"}
+    base = material["pbrMetallicRoughness"]
+    if isinstance(cover.share, float):
+        base["baseColorFactor"][3] = cover.share
+    else:
+        base["baseColorTexture"] = {"index": 0}
+    return material
+
+
+def _png(values: Array) -> bytes:
+    """Return a PNG with 8 bits of `[row, column, channel]` from 0 to 1."""
     from PIL import Image
 
-    grey = np.round(255 * np.clip(thickness.image, 0.0, 1.0)).astype(np.uint8)
     stream = io.BytesIO()
-    Image.fromarray(np.repeat(grey[..., None], 3, axis=-1)).save(stream, "png", optimize=True)
+    Image.fromarray(np.round(255 * np.clip(values, 0.0, 1.0)).astype(np.uint8)).save(stream, "png", optimize=True)
     return stream.getvalue()
 
 

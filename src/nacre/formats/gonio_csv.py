@@ -92,7 +92,8 @@ def gonio_data(measured: Measurement) -> tuple[GonioData, list[str]]:
         raise UnsupportedError(f"{measured.path}: cannot become a material: {why}")
     if measured.metadata.get("scatter") == "btdf":
         raise UnsupportedError(
-            f"{measured.path}: is a BTDF (transmitted scatter); a measured material holds the reflected part only"
+            f"{measured.path}: is a BTDF (transmitted scatter), and a measured material reflects only; a material that "
+            'transmits: family = "glass" with a rough surface; the values as a table: nacre read FILE -o scatter.csv'
         )
     angles = np.stack([data[name] for name in DEGREES], axis=-1)
     colour = next((key for key in COLOURS.values() if key in data), None)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from nacre.bsdf import Bsdf
+from nacre.bsdf.grids import direction
+from nacre.bsdf.lobes.orders import OrdersLobe
 from nacre.bsdf.lobes.table import TableLobe
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
@@ -16,6 +20,11 @@ from nacre.formats.measured_lobes import measured_table as gonio_table
 from nacre.formats.measured_lobes import rgb_basis as rgb_basis
 from nacre.formats.zemax import ZemaxBsdf
 from nacre.light import default_wavelengths, xyz_to_srgb_linear
+from nacre.readers.bsdf.rgl import RglBsdf
+from nacre.readers.bsdf.zemax import scatter_direction
+
+RGL_TURNS, RGL_INCIDENCES, RGL_RADIALS, RGL_AZIMUTHS, RGL_WAVELENGTHS = 24, 18, 48, 33, 48
+MAX_COMPARED = 20_000
 
 __all__ = [
     "delta_lost",
@@ -25,14 +34,18 @@ __all__ = [
     "lost_parts",
     "merl_lobe",
     "rgb_basis",
+    "rgl_lobe",
     "zemax_lobe",
 ]
 
 
 def is_isotropic(bsdf: Bsdf) -> bool:
-    """Whether the values are invariant under rotation about the normal, tested at a few pairs."""
-    from nacre.bsdf.grids import direction
+    """Whether the values are invariant under rotation about the normal, tested at a few pairs.
 
+    The lobes of orders of a grating are too narrow for this test and are never invariant.
+    """
+    if any(isinstance(lobe, OrdersLobe) for lobe in bsdf.lobes):
+        return False
     theta_i, theta_o, dphi = (np.radians(v) for v in ([20.0, 50.0, 70.0], [35.0, 45.0, 60.0], [180.0, 150.0, 90.0]))
     values = [
         bsdf.evaluate(direction(theta_i, turn), direction(theta_o, dphi + turn)) for turn in np.radians([0, 31, 77, 90])
@@ -86,7 +99,10 @@ def zemax_lobe(table: ZemaxBsdf) -> TableLobe:
         UnsupportedError: the table has transmitted scatter.
     """
     if table.scatter_type != "BRDF":
-        raise UnsupportedError(f"a Zemax {table.scatter_type} is not imported; only BRDF is")
+        raise UnsupportedError(
+            f"a Zemax {table.scatter_type} is transmitted scatter, and a measured material reflects only; "
+            'a material that transmits: family = "glass"; the values: nacre read FILE -o scatter.csv'
+        )
     values, turn = table.values[:, None], None
     if table.rotated is not None:
         spread = np.ptp(table.rotated, axis=1).max() / max(float(table.rotated.max()), 1e-30)
@@ -115,6 +131,59 @@ def zemax_lobe(table: ZemaxBsdf) -> TableLobe:
         np.ones((1, len(wavelengths))) if is_grey else rgb_basis(wavelengths), "specular",
         nodes[0], nodes[1], nodes[2], is_signed, turn,
     )  # fmt: skip
+
+
+def rgl_lobe(table: RglBsdf) -> tuple[TableLobe, list[str]]:
+    """Return the table of an anisotropic RGL measurement about the mirror direction, and remarks on its error.
+
+    The format's samples lie elsewhere at each azimuth of the light; the table has common nodes: the measured
+    incidences, radial angles that are dense near the mirror direction, and at most 48 of the wavelengths.
+    """
+    repeats = max(1, round(2 * np.pi / max(float(np.ptp(table.phi_i)), 1e-6)))
+    turns = np.linspace(0.0, 1.0, min(RGL_TURNS, (len(table.phi_i) - 1) * repeats) + 1)
+    some = np.unique(np.round(np.linspace(0, len(table.theta_i) - 1, min(RGL_INCIDENCES, len(table.theta_i)))))
+    incidence = table.theta_i[some.astype(int)]
+    radial, azimuth = 180.0 * np.linspace(0.0, 1.0, RGL_RADIALS) ** 2, np.linspace(-180.0, 180.0, RGL_AZIMUTHS)
+    channel = np.arange(table.values.shape[2])
+    channel = channel[:: -(-len(channel) // RGL_WAVELENGTHS)]
+    part = replace(table, values=table.values[:, :, channel])
+    nodes = np.meshgrid(np.degrees(incidence), radial, azimuth, indexing="ij")
+    wo = scatter_direction(nodes[0], nodes[2], nodes[1])
+    values = []
+    for turn in 2 * np.pi * turns:
+        rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
+        # a light along the normal keeps the azimuth of its node
+        wi = direction(np.maximum(np.radians(nodes[0]), 1e-4), np.full(nodes[0].shape, turn))
+        values.append(part.evaluate(wi, wo @ rotation.T).astype(np.float32))
+    if table.wavelengths_nm is None:
+        wavelengths, basis = default_wavelengths(), rgb_basis(default_wavelengths())
+    else:
+        wavelengths = table.wavelengths_nm[channel]
+        basis = np.eye(len(wavelengths))
+    lobe = TableLobe(
+        wavelengths, np.stack(values), basis, "specular", np.radians(nodes[0][:, 0, 0]) / (np.pi / 2), radial / 180.0,
+        (azimuth + 180.0) / 360.0, True, turns,
+    )  # fmt: skip
+    return lobe, [f"{len(table.phi_i)} azimuths of the light: the sample is anisotropic", _table_error(lobe, part)]
+
+
+def _table_error(lobe: TableLobe, table: RglBsdf) -> str:
+    """Return a remark on the deviation from the measured samples, as a share of the largest of their incidence."""
+    angles, values = table.samples()
+    some = slice(None, None, max(1, len(angles) // MAX_COMPARED))
+    angles, values = np.radians(angles[some]), values[some]
+    wi, wo = direction(angles[:, 0], angles[:, 1]), direction(angles[:, 2], angles[:, 3])
+    found = lobe.evaluate(wi, wo)
+    if table.wavelengths_nm is None:
+        values = np.maximum(values @ lobe.basis, 0.0)
+    light = np.unique(np.round(angles[:, :2], 6), axis=0, return_inverse=True)[1].ravel()
+    peak = np.zeros(light.max() + 1)
+    np.maximum.at(peak, light, values.max(axis=1))
+    off = np.abs(found - values).max(axis=1) / np.maximum(peak[light], 1e-30)
+    return (
+        f"at the measured directions the table differs by {100 * np.median(off):.2g} % (median) and "
+        f"{100 * np.quantile(off, 0.99):.2g} % (99 of 100) of the largest value at the same incidence"
+    )
 
 
 def _two_nodes(axes: list[Array], values: Array) -> tuple[list[Array], Array]:

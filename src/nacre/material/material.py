@@ -14,7 +14,7 @@ import json
 import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -60,6 +60,7 @@ logger = logging.getLogger("nacre")
 
 MAX_EXCESS = 1e-3  # relative to the incident light; larger sums of reflectance and transmittance are reported
 MAX_NESTED_RECIPES = 8
+ENTRY = "entry"  # in the provenance of a cached Bsdf: its key, by which a renamed file is found
 OF_OUTER = object()  # default of a nested recipe's ambient: that of the outer recipe
 BYTES_PER_VALUE = 160  # per angle and wavelength: amplitudes and powers of two polarisations, and the stored parts
 MANY_ANGLES = 1000  # from here on the memory of the material's own wavelengths is checked
@@ -166,7 +167,7 @@ class Material:
         if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
             return self.model.bsdf(grid)  # solved already, or part of another material, which is cached as a whole
         key = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
-        found = cached(key, lambda: self.model.bsdf(grid), Bsdf.load, _save_unpacked if keep else _discard)
+        found = cached(key, lambda: self.model.bsdf(grid), _load_entry, _save_entry if keep else _discard)
         for warning in found.provenance.get("warnings", ()):
             _warn_once(self.context.source, warning)
         return found
@@ -221,6 +222,8 @@ class Material:
         theta = np.atleast_1d(floats(theta_rad, "angles"))
         if theta.ndim != 1 or not theta.size or not np.all((theta >= 0) & (theta <= np.pi / 2 + 1e-12)):
             raise UnsupportedError("angles must be a number or a list of at least one, from 0 to 90 degrees (pi/2)")
+        if not np.isfinite(azimuth_deg):
+            raise UnsupportedError(f"azimuth_deg = {azimuth_deg} is not finite")
         if polarisation not in POLARISATIONS:
             raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use {", ".join(POLARISATIONS)}')
         if grid is not None or len(theta) >= MANY_ANGLES:
@@ -380,8 +383,21 @@ class Material:
         return material_html(self)
 
 
-def _save_unpacked(bsdf: Bsdf, path: Path) -> None:
-    bsdf.save(path, is_packed=False)  # packing a film's tables takes as long as solving them
+def _save_entry(bsdf: Bsdf, path: Path) -> None:
+    """Write an entry of the disk cache with its key; unpacked, since packing a film takes as long as solving it."""
+    replace(bsdf, provenance={**bsdf.provenance, ENTRY: path.stem}).save(path, is_packed=False)
+
+
+def _load_entry(path: Path) -> Bsdf:
+    """Read an entry of the disk cache.
+
+    Raises:
+        NacreError: it is damaged, or belongs to another key.
+    """
+    found = Bsdf.load(path)
+    if found.provenance.get(ENTRY) != path.stem:
+        raise NacreError(f"{path}: belongs to another key")
+    return replace(found, provenance={key: value for key, value in found.provenance.items() if key != ENTRY})
 
 
 def _discard(bsdf: Bsdf, path: Path) -> None:

@@ -12,6 +12,8 @@ from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.core.arrays import Array
 from nacre.measure.evaluate import hemispherical
 
+UPWARD = np.array([0.0, 0.0, 1.0])
+
 
 def directional_hemispherical(bsdf: Bsdf, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
     """Return the power that leaves on the side of `wi` and on the other side, delta parts included.
@@ -58,8 +60,8 @@ def bsdf_spectrum(
     bases: list[Diffuse] = []
     for lobe in bsdf.lobes:
         if isinstance(lobe, Microfacet):
-            flipped = np.full(theta.shape, lobe.response.flipped)
-            more = lobe.response.lookup(np.cos(theta), flipped, uv)
+            w = lobe.local_frame(direction(theta), uv)
+            more = lobe.facet_powers(w, np.broadcast_to(UPWARD, w.shape), uv)
             reflected, transmitted = reflected + more[0], transmitted + more[1]
         elif isinstance(lobe, Diffuse) and lobe.under_smooth is not None:
             bases.append(lobe)

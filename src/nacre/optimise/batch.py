@@ -34,6 +34,7 @@ from nacre.optimise.run import (
 from nacre.optimise.solutions import NEED_BYTES, RECIPE, Solution, write_recipe
 from nacre.optimise.task import DesignTask, is_relief_task, palette_name, read_data, read_task, total_thickness_nm
 from nacre.optimise.thin_film.adapter import thin_film_search_many
+from nacre.recipe.fingerprint import file_digest
 
 TABLE, SUMMARY = "many.csv", "many.json"
 WRITE_INTERVAL_S = 2.0
@@ -283,7 +284,10 @@ class _BatchFolder:
         path, files = write_recipe(place, start, changes, tolerance_of(task, solution), solution.material)
         written = replace(solution, recipe=path, facts={**solution.facts, "files": files})
         row = self.colours[number]
-        document = {"name": row.name, "folder": self.names[number], "lab": row.lab.tolist(), "met": solution.is_met}
+        document = {
+            "name": row.name, "folder": self.names[number], "lab": row.lab.tolist(), "met": solution.is_met,
+            "recipe_digest": file_digest(path),
+        }  # fmt: skip
         self._documents[number] = document | document_of(written, task)
         if time.monotonic() - self._last > WRITE_INTERVAL_S:
             self.write("running")
@@ -306,6 +310,8 @@ class _BatchFolder:
         facts = {key: one[key] for key in ("sensitivity", "total_nm", "files") if one.get(key)}
         facts |= {"yield": one["yield_details"]} if one.get("yield_details") else {}
         path = self.folder / self.names[number] / RECIPE
+        if one.get("recipe_digest", "") not in ("", file_digest(path)):
+            raise ValueError(f"{path}: is not the recipe of the summary")
         return Solution(path, self.task.material.vary(one["changes"]), one["changes"], results, facts)
 
     def write(self, status: str) -> None:

@@ -26,13 +26,19 @@ from nacre.readers.registry import POSSIBLE, open_file, recognise
 from nacre.readers.table import srgb_of_hex
 from nacre.readers.text_table import TextTable, decode, find_delimiter, parse_tables, split
 from nacre.readers.text_table import number as number_of
+from nacre.readers.units import UNITS
 from nacre.recipe.model import show_value
 
 logger = logging.getLogger("nacre")
+MOST_UNIT_Y = 1.1  # up to which XYZ are relative to 1 for white, not 100
+LEAST_OF_8_BITS = 90.0  # a* and b* of all colours above it are values of 8 bits, of which 128 is neutral
 MAX_ROWS, MAX_BYTES = 100_000, 64 << 20
 DEFAULT_LIGHT = ("D65", "2deg")
 FORMS = ({"L", "a", "b"}, {"L", "C", "hue"}, {"X", "Y", "Z"}, {"hex"})
 COORDINATES = ("L", "a", "b", "C", "hue", "X", "Y", "Z", "hex", "hunter_L", "hunter_a", "hunter_b")
+
+
+_HEX = re.compile(r"[0-9a-fA-F]{6}|[0-9a-fA-F]{3}")
 
 
 @dataclass(frozen=True)
@@ -119,6 +125,9 @@ def _file_rows(path: Path, targets: int, light: tuple[str, str] | None, geometri
         raise NacreError(f"{path}: is larger than {MAX_BYTES >> 20} MiB")
     try:
         text = decode(data)
+        named_hex = _hex_rows(path, list(_cells(text)), targets, light or DEFAULT_LIGHT)
+        if named_hex:
+            return named_hex
         table = _headed(path, text)
         lines = [] if table is not None else list(_cells(text))
     except (UnicodeDecodeError, csv.Error):
@@ -135,7 +144,48 @@ def _file_rows(path: Path, targets: int, light: tuple[str, str] | None, geometri
             raise RecipeError(f"{where}: heading {show_value(', '.join(heading))} does not name L, a, b")
     if not lines:
         raise NacreError(f"{path}: contains no colours; write one per line: L, a, b, or name, L, a, b")
-    return [_row(cells, targets, f"{path}: line {number}") for number, cells in lines]
+    rows = [_row(cells, targets, f"{path}: line {number}") for number, cells in lines]
+    _check_scale(np.concatenate([row.lab for row in rows]), path)
+    return rows
+
+
+def _check_scale(lab: Array, path: Path) -> None:
+    """Check that numbers are CIELAB and no other scale of it.
+
+    Raises:
+        RecipeError: all colours have the range of Lab from 0 to 1, or of 8 bits.
+    """
+    if not len(lab):
+        return
+    if 0.0 < lab[:, 0].max() <= 1.0 and np.abs(lab[:, 1:]).max() <= 1.0:
+        raise RecipeError(
+            f"{path}: L* is at most 1 in all rows, almost black; L* runs from 0 to 100, a* and b* likewise"
+        )
+    if lab[:, 1:].min() >= LEAST_OF_8_BITS:
+        raise RecipeError(
+            f"{path}: a* and b* are at least {LEAST_OF_8_BITS:g} in all rows; values of 8 bits, whose neutral is 128, "
+            "are not read: L* = 100/255 of the first, a* and b* are the others less 128"
+        )
+
+
+def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, light: tuple[str, str]) -> list[ColourRow]:
+    """Return sRGB colours under a heading "hex", also without # or of three digits; empty for another list."""
+    heading = lines[0][1] if lines else []
+    places = [i for i, cell in enumerate(heading) if any(each.quantity == "hex" for each in meanings(cell))]
+    if len(places) != 1 or any(len(cells) <= places[0] for _, cells in lines):
+        return []
+    cells = [row[places[0]].lstrip("#") for _, row in lines[1:]]
+    if not cells or not all(_HEX.fullmatch(cell) for cell in cells):
+        return []
+    digits = [cell if len(cell) == 6 else "".join(2 * digit for digit in cell) for cell in cells]
+    name = next((i for i, cell in enumerate(heading) if any(each.quantity == "name" for each in meanings(cell))), None)
+    names = [row[name] if name is not None else "" for _, row in lines[1:]]
+    data = {"srgb": np.array([srgb_of_hex(path, f"#{each}") for each in digits])}
+    metadata = {"illuminant": light[0], "observer": light[1], "names": names}
+    _, lab, said = named_lab(path, [Measurement(path, "table", "colours", data, "", metadata)], *light)
+    if said:
+        logger.warning("%s: %s", path, "; ".join(said))
+    return [ColourRow(one, np.repeat(each[None], targets, axis=0)) for one, each in zip(names, lab, strict=True)]
 
 
 def _names_colours(heading: Sequence[str]) -> bool:
@@ -164,6 +214,8 @@ def _rows_of_table(
         _, lab, said = named_lab(table.path, [measurement], *(light or _light_of(measurement)))
         if said:
             logger.warning("%s: %s", table.path, "; ".join(said))
+        if "L" in group.places:
+            _check_scale(lab, table.path)
         for line, colour in zip(table.lines, lab, strict=True):
             plausible(colour, f"{table.path}: line {line}", colour.round(6).tolist())
         labs.append(lab)
@@ -173,10 +225,11 @@ def _rows_of_table(
 
 @dataclass(frozen=True)
 class _Group:
-    """Columns of one colour: place by quantity, and what the headings say of all of them."""
+    """Columns of one colour: place by quantity, what the headings say of all of them, and the unit of the hue."""
 
     places: dict[str, int]
     meaning: Meaning
+    hue_unit: str = ""
 
 
 def _groups(table: TextTable) -> tuple[int | None, list[_Group]]:
@@ -203,8 +256,14 @@ def _groups(table: TextTable) -> tuple[int | None, list[_Group]]:
         if colour.quantity in group:
             raise RecipeError(f"{where}: {show_value(heading)} stands twice; name the angle of each, as in L*(15 deg)")
         group[colour.quantity] = (place, colour)
-    groups = [_Group({q: place for q, (place, _) in group.items()}, next(iter(group.values()))[1])
-              for group in found.values() if any(form <= set(group) for form in FORMS)]  # fmt: skip
+    groups = [
+        _Group(
+            {q: place for q, (place, _) in group.items()},
+            next(iter(group.values()))[1],
+            group["hue"][1].unit if "hue" in group else "",
+        )
+        for group in found.values() if any(form <= set(group) for form in FORMS)
+    ]  # fmt: skip
     if not groups or len(groups) < len(found):
         shown = show_value(", ".join(table.headings))
         more = "; Hunter Lab is not read" if any("hunter" in q for group in found.values() for q in group) else ""
@@ -249,9 +308,13 @@ def _measurement(table: TextTable, group: _Group, names: list[str], light: tuple
         return Measurement(table.path, "table", "colours", data, "", metadata)
     columns = {quantity: _column(table, place) for quantity, place in group.places.items()}
     if "C" in columns and "a" not in columns:
-        lab = np.asarray(lch_to_lab(np.stack([columns["L"], columns["C"], columns["hue"]], axis=-1)))
+        hue = columns["hue"] * (1.0 if group.hue_unit in ("", "deg") else UNITS[group.hue_unit][1])
+        lab = np.asarray(lch_to_lab(np.stack([columns["L"], columns["C"], hue], axis=-1)))
         columns = {"L": lab[:, 0], "a": lab[:, 1], "b": lab[:, 2]}
     keep = "Lab" if "a" in columns else "XYZ"
+    if keep == "XYZ" and len(columns["Y"]) and 0.0 < columns["Y"].max() <= MOST_UNIT_Y:
+        columns = {quantity: 100.0 * values for quantity, values in columns.items()}
+        logger.warning("%s: Y of white = 1, because no Y is above %g", table.path, MOST_UNIT_Y)
     return Measurement(table.path, "table", "colours", {letter: columns[letter] for letter in keep}, "", metadata)
 
 

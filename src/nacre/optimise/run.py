@@ -14,7 +14,7 @@ import numpy as np
 
 from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
-from nacre.core.files import read_text, write_text
+from nacre.core.files import output_folder, read_text, write_text
 from nacre.families.contract import is_direct, method_overrides
 from nacre.material.material import Material
 from nacre.optimise.checkpoint import Checkpointer
@@ -101,26 +101,23 @@ def run(
     previous_best = _previous_best(folder) if checkpointer.solutions else None
     is_picture = task.targets[0].image is not None
     search = None if is_picture else choose_search(task, spec.seed + RESUMED_SEED * (checkpointer.runs - 1))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
-    if search is None:
-        from nacre.optimise.image.design import design_picture
-        from nacre.optimise.image.hologram import design_hologram
+    with output_folder(folder):
+        if search is None:
+            from nacre.optimise.image.design import design_picture
+            from nacre.optimise.image.hologram import design_hologram
 
-        if is_hologram(task.material, task.parameters):
-            return design_hologram(task, folder, begun)
-        return design_picture(task, folder, begun, progress)
-    writer = _Writer(task, folder, begun, checkpointer, progress)
-    result = search.run(budget_of(task, search, time.monotonic() - begun), writer.update, checkpointer.solutions)
-    if not result.solutions and result.status == "interrupted":
-        raise KeyboardInterrupt  # before there was a solution
-    if not result.solutions:
-        raise RecipeError(f"{task.context.source}: the recipe cannot be computed anywhere in its bounds")
-    claim(folder)
-    checkpointer.update([changes for _, changes in result.solutions])
-    return _finish(task, result, previous_best, writer)
+            if is_hologram(task.material, task.parameters):
+                return design_hologram(task, folder, begun)
+            return design_picture(task, folder, begun, progress)
+        writer = _Writer(task, folder, begun, checkpointer, progress)
+        result = search.run(budget_of(task, search, time.monotonic() - begun), writer.update, checkpointer.solutions)
+        if not result.solutions and result.status == "interrupted":
+            raise KeyboardInterrupt  # before there was a solution
+        if not result.solutions:
+            raise RecipeError(f"{task.context.source}: the recipe cannot be computed anywhere in its bounds")
+        claim(folder)
+        checkpointer.update([changes for _, changes in result.solutions])
+        return _finish(task, result, previous_best, writer)
 
 
 def choose_search(task: DesignTask, seed: int) -> Search:

@@ -24,7 +24,7 @@ MAX_SHARP = 3  # specular events per path; 5 take half as long again without ben
 MAX_SPLITS = 3  # events at which both paths are followed
 # lobes whose BSDF sampling weights are about constant, and lobes whose weights draw faint lines, which disturb less
 # than grain
-EVEN, LINED = [("microfacet",), ("diffuse",)], [("ridge",)]
+EVEN, LINED = [("microfacet",), ("diffuse",)], [("ridge",), ("ridge-table",)]
 
 
 @dataclass(frozen=True)

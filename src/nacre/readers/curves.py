@@ -17,7 +17,7 @@ from nacre.readers.file_spec import FileSpec
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import open_file
 from nacre.readers.text_table import TextTable, number
-from nacre.readers.units import UNITS, Floats
+from nacre.readers.units import UNITS, Floats, parse_unit
 
 if TYPE_CHECKING:
     from nacre.recipe.model import RecipeContext
@@ -68,7 +68,7 @@ def curve(path: Path, axes: Sequence[Axis], options: ReadOptions | None = None) 
     wanted = {quantity for axis in axes for quantity in axis.quantities}
     _check_cells(tables[0])
     columns = interpret(tables[0], wanted, options, {len(axes): names})
-    found = np.stack([_converted(columns, axis) for axis in axes], axis=1)
+    found = np.stack([_converted(columns, axis, options.unit) for axis in axes], axis=1)
     if not np.isfinite(found).all():
         line = columns.table.lines[int(np.flatnonzero(~np.isfinite(found).all(axis=1))[0])]
         raise NacreError(f"{path}: must hold finite numbers; line {line} does not")
@@ -87,13 +87,20 @@ def _check_cells(table: TextTable) -> None:
             raise NacreError(f'{table.path}: holds "{said}" in line {line} where two numbers should stand')
 
 
-def _converted(columns: Columns, axis: Axis) -> Floats:
+def _converted(columns: Columns, axis: Axis, stated: str | None) -> Floats:
     column = columns.one(*axis.quantities)
     if column is None:
         raise NacreError(f"{columns.path}: no column {axis.label}; the columns are {columns.table.shown_headings}")
     if not axis.unit:
         return column.factors()
-    return in_unit(columns, column, axis.unit)
+    if stated is None or column.unit:
+        return in_unit(columns, column, axis.unit)
+    unit = parse_unit(stated)
+    if unit is None or UNITS[unit][0] != UNITS[axis.unit][0]:
+        allowed = [name for name, (kind, _) in UNITS.items() if kind == UNITS[axis.unit][0]]
+        name = axis.label.partition(" (")[0]
+        raise NacreError(f'{columns.path}: unit = "{stated}" is no unit of {name}; allowed: {", ".join(allowed)}')
+    return in_unit(columns, replace(column, meaning=replace(column.meaning, unit=unit)), axis.unit)
 
 
 def in_unit(columns: Columns, column: Column, unit: str) -> Floats:

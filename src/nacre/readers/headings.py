@@ -42,6 +42,8 @@ DIMENSIONS = {
     "voltage": "voltage",
     "irradiance": "irradiance",
 }
+NUMBER_UNITS = ("1", "arbitrary")
+ABSOLUTE = ("reflectance", "transmittance", "absorptance", "albedo", "n", "k", "eps1", "eps2", "alpha")  # scaled
 SPECTRAL_QUANTITIES = ("wavelength", "energy", "wavenumber", "frequency", "angular_frequency")
 
 # words are compared in lower case without accents, blanks and punctuation; Greek letters are spelt out
@@ -186,6 +188,8 @@ SYMBOLS: dict[str, tuple[str, ...]] = {
     "t": ("time", "thickness"),
     "S": ("structure_factor", "ncs_s"),
     "s": (),
+    "Is": ("ncs_s",),
+    "Ic": ("ncs_c",),
     "L": ("L",),
     "l": ("L", "wavelength"),
     "a": ("a",),
@@ -395,7 +399,7 @@ def _qualified(content: str, base: Meaning) -> Meaning | None:
     unit = parse_unit(content)
     is_lamp = content.upper() in ("A", "C", "E")
     if unit is not None and not (content in ("s", "p") or (is_lamp and content != "A")):
-        return replace(base, unit=unit) if base.unit in ("", unit) or unit == "1" else None
+        return replace(base, unit=unit) if base.unit in ("", unit) or unit in NUMBER_UNITS else None
     for part in [p for p in re.split(r"[,;/|]|\s{2,}|\s(?![\d.]*\s?(?:°|deg))", content) if p.strip()]:
         stated = _qualifier(part.strip(), base)
         if stated is None:
@@ -568,12 +572,14 @@ def _checked(found: tuple[Meaning, ...]) -> tuple[Meaning, ...]:
                 meaning = replace(meaning, unit="", illuminant="A")
         wanted = DIMENSIONS.get(meaning.quantity)
         unit = meaning.unit
-        if unit and unit != "1" and wanted != UNITS[unit][0]:
+        if unit == "arbitrary" and meaning.quantity in ABSOLUTE:
+            continue
+        if unit and unit not in NUMBER_UNITS and wanted != UNITS[unit][0]:
             stated = _of_other_dimension(meaning)
             if stated is not None:
                 kept.append(stated)
             continue
-        if unit == "1":
+        if unit in NUMBER_UNITS:
             if wanted is not None and wanted != "number":
                 continue
             meaning = replace(meaning, unit="")

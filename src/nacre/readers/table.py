@@ -24,6 +24,7 @@ from nacre.readers.constants.convert import constants
 from nacre.readers.ellipsometry.common import ellipsometry
 from nacre.readers.headings import SPECTRAL_QUANTITIES, meanings
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
+from nacre.readers.preamble import read_preamble
 from nacre.readers.registry import POSSIBLE, FileHead
 from nacre.readers.spectra.tables import of_samples
 from nacre.readers.text_table import TextTable, decode
@@ -304,8 +305,15 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
             f"{table.path}: no column with at least one measured value of reflectance or transmittance; the "
             f"columns are {table.shown_headings}"
         )
+    above = read_preamble(table.titles)
+    stated_angle = above.angle_deg if angle is None and all(key[1] is None for key in groups) else None
+    stated_word = above.polarisation if words is None and not any(key[0] for key in groups) else ""
+    if stated_angle is not None or stated_word:
+        columns.assumed.append(f"angle or polarisation from {' and '.join(map(repr, above.lines))}")
     found = []
-    for (polarisation, angle_deg, mode), members in groups.items():
+    for (of_heading, angle_of_heading, mode), members in groups.items():
+        polarisation = of_heading or stated_word
+        angle_deg = stated_angle if angle_of_heading is None else angle_of_heading
         data = {"wavelength_nm": nm, **shared}
         data |= {c.meaning.quantity + ("_error" if c.meaning.is_error else ""): c.factors() for c in members}
         stated = {"polarisation": polarisation, "angle_of_incidence_deg": angle_deg, "mode": mode}

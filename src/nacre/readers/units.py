@@ -45,6 +45,7 @@ UNITS: dict[str, tuple[str, float]] = {
     "rad": ("angle", 180.0 / np.pi),
     "mrad": ("angle", 0.18 / np.pi),
     "1": ("number", 1.0),
+    "arbitrary": ("number", 1.0),  # of unknown scale
     "%": ("number", 0.01),
     "counts": ("counts", 1.0),
     "px": ("pixels", 1.0),
@@ -89,7 +90,8 @@ _SPELLINGS = {
     "deg": "deg degree degrees ° grad degs º grados degrés gradi gr",
     "rad": "rad radian radians radiant",
     "mrad": "mrad",
-    "1": "1 - -- none unitless dimensionless a.u. au arb.units arb. arb arbitrary ratio factor fraction abs.",
+    "1": "1 - -- none unitless dimensionless ratio factor fraction abs.",
+    "arbitrary": "a.u. au arb.units arb.unit arb.u. arb. arb arbitrary arbitraryunits arbitraryunit w.e. u.a.",
     "%": "% percent per-cent percents pct prozent pourcent percentage porcentaje procent",
     "counts": "counts count cts dn adc digitalnumbers",
     "px": "px pixel pixels pix pixl",

@@ -10,7 +10,7 @@ import contextlib
 import hashlib
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.files import atomic_path, check_writable
+from nacre.core.files import atomic_path, check_writable, output_folder, plain, why_unreadable
 from nacre.core.jobs import Workers, run_jobs
 from nacre.core.progress import ProgressCallback, progress_bar
 from nacre.material.material import Material, loaded
@@ -168,10 +168,11 @@ def animate(
     check_writable(path)
     folder = path.with_name(path.stem + "_frames")
     names = tuple(folder / f"frame_{index:04d}.png" for index in range(frames))
+    _check_frames(names)
 
     exposure = settings.pop("exposure", "auto")
     series = _Series.build(material, motion, frames, has_time, settings)
-    with _folder_of_frames(folder), progress_bar("animating", progress) as report:
+    with output_folder(folder), progress_bar("animating", progress) as report:
         run = _Run(series, names, report)
         # the first frame sets the exposure of the others
         if run.finish(range(1), exposure, Workers(jobs=1)) and run.finish(range(1, frames), run.stops, workers):
@@ -329,24 +330,19 @@ def _check(path: Path, frames: int, settings: dict[str, Any]) -> None:
         raise NacreError('background = "transparent": animations know no transparency; give a colour')
 
 
-@contextlib.contextmanager
-def _folder_of_frames(folder: Path) -> Iterator[None]:
-    """Make the folder, and remove it again if it stays empty.
+def _check_frames(names: tuple[Path, ...]) -> None:
+    """Check that the frames are files or do not exist yet.
 
     Raises:
-        NacreError: it cannot be made.
+        NacreError: one is a folder, a device or a pipe.
     """
-    is_new = not folder.exists()
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise NacreError(f"{folder}: cannot be made: {error.strerror}") from None
-    try:
-        yield
-    finally:
-        if is_new:
-            with contextlib.suppress(OSError):  # not empty
-                folder.rmdir()
+    for name in names:
+        try:
+            plain(name)
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise NacreError(f"{name}: {why_unreadable(error)}") from None
 
 
 def _fingerprint(material: Any) -> str:
@@ -363,7 +359,7 @@ def _fingerprint(material: Any) -> str:
     return fingerprint(str(made), {}, numbers=numbers)
 
 
-PICTURE_VERSION = 1  # raise when pictures with the same settings change
+PICTURE_VERSION = 2  # raise when pictures with the same settings change
 
 
 def _frame_key(who: str, motion: Motion, value: float, settings: dict[str, Any]) -> str:

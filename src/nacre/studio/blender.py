@@ -7,6 +7,7 @@ line, and reads progress as JSON lines. A solved material is a folder: `table` (
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import tempfile
@@ -19,7 +20,8 @@ import numpy as np
 from PIL import Image
 
 from nacre._version import __version__
-from nacre.analysis.lut import make_table
+from nacre.analysis.lut import make_table, over_azimuth
+from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import atomic_path
 from nacre.formats.lut.table import LightTable, angle_coordinate
@@ -57,12 +59,30 @@ def library(request: Mapping[str, Any], tell: Tell) -> bytes:
     return json.dumps(found).encode()
 
 
+def thumbnails(request: Mapping[str, Any], tell: Tell) -> None:
+    """Write the thumbnail of each recipe in `request["recipes"]`, a list of `recipe` and `file`.
+
+    The file of a recipe that a table cannot hold stays empty, so that it is not tried again.
+    """
+    wanted = list(request["recipes"])
+    for count, one in enumerate(wanted, 1):
+        recipe, file = str(one["recipe"]), Path(one["file"])
+        tell({"kind": "progress", "what": f"thumbnail {count} of {len(wanted)}: {Path(recipe).stem}"})
+        buffer = io.BytesIO()
+        with contextlib.suppress(NacreError):
+            thumbnail(make_table(load(recipe))).save(buffer, "PNG")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_path(file) as temporary:
+            temporary.write_bytes(buffer.getvalue())
+
+
 def solve(request: Mapping[str, Any], tell: Tell) -> None:
     """Solve a recipe for Blender and write its folder.
 
     Args:
         request: `recipe` (a path or the name of an example), `folder`, `numbers` (path -> value), and `axis`: the
-            path of the number that is the vertical axis of the table, "auto" (the first thickness of a film), or "".
+            path of the number that is the vertical axis of the table, "auto" (the first thickness of a film that is not
+            brushed), or "".
         tell: called with {"kind": "progress", "what": ...}.
 
     Raises:
@@ -131,6 +151,8 @@ def solved_table(
     by_path = {number["path"]: number for number in numbers}
     if axis == "auto":
         axis = next((path for path in by_path if path.endswith("thickness_nm")), "")
+        if axis and any(isinstance(lobe, Microfacet) and over_azimuth(lobe) for lobe in material.bsdf().lobes):
+            axis = ""  # a table varies over the azimuth of a brushed film, or over a number
     if not axis:
         return make_table(material, progress=progress), ""
     if axis not in by_path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,7 +11,13 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.facet_distributions import DISTRIBUTIONS, exits, masking, normal_density, normal_quadrature
 from nacre.bsdf.grids import interpolate, product_rule
-from nacre.bsdf.response import InterfaceResponse, ResponseLobe, parameter_coordinates
+from nacre.bsdf.response import (
+    InterfaceResponse,
+    ResponseLobe,
+    check_over_azimuth,
+    mean_over_azimuth,
+    parameter_coordinates,
+)
 from nacre.bsdf.texture import Texture
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
@@ -65,7 +72,7 @@ class Microfacet(ResponseLobe):
         Raises:
             ValueError: names the inconsistent table.
         """
-        self.response.check()
+        self._check_response()
         if self.distribution not in DISTRIBUTIONS:
             raise ValueError(f'distribution "{self.distribution}" is not one of {", ".join(DISTRIBUTIONS)}')
         if not (0 < self.alpha_x <= 1 and 0 < self.alpha_y <= 1):
@@ -79,6 +86,9 @@ class Microfacet(ResponseLobe):
                 raise ValueError(f"loss has the shape {self.loss.shape}")
             if self.exchange.shape != (*lead, sides, sides, count):
                 raise ValueError(f"exchange has the shape {self.exchange.shape}")
+
+    def _check_response(self) -> None:
+        self.response.check()
 
     @property
     def transmits(self) -> bool:
@@ -100,6 +110,16 @@ class Microfacet(ResponseLobe):
         factor = 1.0 if self.alpha_texture is None else self.alpha_texture(_where(uv, shape))
         return self.alpha_x * factor, self.alpha_y * factor
 
+    def facet_powers(self, w: Array, h: Array, uv: Array | None = None) -> tuple[Array, Array]:
+        """Return R and T `[..., wavelength]` of facets.
+
+        Args:
+            w: `[..., 3]` directions to the light, in the roughness frame.
+            h: `[..., 3]` facet normals, h_z >= 0.
+            uv: `[..., 2]`, only for textures.
+        """
+        return self.response.lookup(np.abs(np.sum(w * h, axis=-1)), w[..., 2] < 0, uv)
+
     def evaluate(self, wi: Array, wo: Array, uv: Array | None = None) -> Array:
         """Return the value `[..., wavelength]` in 1/sr, light arriving along `wi` and leaving along `wo`."""
         wi, wo = np.broadcast_arrays(np.asarray(wi, dtype=float), np.asarray(wo, dtype=float))
@@ -120,7 +140,7 @@ class Microfacet(ResponseLobe):
         cosines = np.where(grazing, 1.0, np.abs(cos_i * cos_o))
         spread = normal_density(self.distribution, h, alpha_x, alpha_y)
         spread = spread * masking(self.distribution, wi, wo, h, alpha_x, alpha_y) / cosines
-        reflected, transmitted = self.response.lookup(np.abs(i_h), inside_i, uv)
+        reflected, transmitted = self.facet_powers(wi, h, uv)
         value = reflected * (0.25 * spread)[..., None]
         if self.transmits:
             stretch = np.square(n_i[..., 0] * i_h + n_o[..., 0] * o_h)
@@ -145,7 +165,8 @@ class Microfacet(ResponseLobe):
         seen = m @ w > 0
         m, measure = m[seen], measure[seen]
         w_m = m @ w
-        reflected, transmitted = self.response.lookup(w_m, np.full(w_m.shape, inside), uv)
+        side = np.array([-1.0, -1.0, 1.0]) if inside else np.ones(3)  # w and m are mirrored
+        reflected, transmitted = self.facet_powers(np.broadcast_to(-side * w if inside else w, m.shape), side * m, uv)
         back, through = exits(
             w, m, 1.0 if not self.transmits else 1 / self.response.eta if inside else self.response.eta
         )
@@ -200,6 +221,56 @@ class Microfacet(ResponseLobe):
         t = np.where(x2 + y2 > 1e-20, x2 / np.maximum(x2 + y2, 1e-20), 0.5)
         shape = self.loss.shape
         return interpolate(self.loss[side], (s * (shape[1] - 1), t * (shape[2] - 1)))
+
+
+@dataclass(frozen=True)
+class AlignedMicrofacet(Microfacet):
+    """Facets of an anisotropic film: as `Microfacet`, with powers that depend on the azimuth.
+
+    The azimuth is that of the light in the facet's frame, which the smallest rotation carries from the surface's frame,
+    relative to u. The roughness axis may turn; the film's axes do not. The reflectance of unpolarised light is equal
+    for opposite azimuths and a transmittance holds for both senses of a path, so the values are reciprocal.
+
+    Attributes:
+        response: the tables, as of `AlignedSpecular`.
+        loss, exchange: of the mean over the azimuth.
+    """
+
+    kind: ClassVar[str] = "aligned-microfacet"
+
+    @property
+    def azimuths(self) -> int:
+        """Number of azimuth nodes."""
+        return len(self.response.reflectance)
+
+    def _check_response(self) -> None:
+        check_over_azimuth(self.response)
+
+    def facet_powers(self, w: Array, h: Array, uv: Array | None = None) -> tuple[Array, Array]:
+        """Return R and T `[..., wavelength]` of facets; see `Microfacet.facet_powers`."""
+        inside = w[..., 2] < 0
+        phi = local_azimuth(w, h) + np.where(inside, np.pi, 0.0)
+        if self.rotation is not None:
+            phi = phi + self.rotation(_where(uv, phi.shape))
+        place = np.mod(phi / (2.0 * np.pi), 1.0) * (self.azimuths - 1)
+        return self.response.lookup_at(np.sum(w * h, axis=-1), inside, (place,))
+
+    def mean(self) -> Microfacet:
+        """Return the lobe with the means over the azimuth."""
+        own = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return Microfacet(**{**own, "response": mean_over_azimuth(self.response)})
+
+
+def local_azimuth(w: Array, h: Array) -> Array:
+    """Return the azimuths `[...]` of directions in facet frames, rad.
+
+    Args:
+        w: `[..., 3]` directions.
+        h: `[..., 3]` unit normals, h_z > -1; the smallest rotation carries the z axis to each.
+    """
+    x, y = w[..., 0], w[..., 1]
+    along = w[..., 2] + (x * h[..., 0] + y * h[..., 1]) / (1.0 + h[..., 2])
+    return np.asarray(np.arctan2(y - h[..., 1] * along, x - h[..., 0] * along))
 
 
 def _where(uv: Array | None, shape: tuple[int, ...]) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -111,6 +112,15 @@ class Ridge(ResponseLobe):
             wo = np.stack([cos * across - sin * along, sin * across + cos * along, z], axis=-1)
             total = total + weight @ self.evaluate(np.broadcast_to(wi, wo.shape), wo, uv)
         return total * (spread[1] - spread[0]), nothing
+
+    def thinned(self, step: int) -> Ridge:
+        """Return the lobe at every `step`-th wavelength."""
+        tables = {
+            name: getattr(self.response, name)[..., ::step]
+            for name in ("reflectance", "transmittance", "reflectance_inside", "total")
+        }
+        response = dataclasses.replace(self.response, wavelengths_nm=self.wavelengths_nm[::step], **tables)
+        return dataclasses.replace(self, norm=self.norm[::step], response=response)
 
 
 def chord(along: float, count: int) -> tuple[Array, Array]:

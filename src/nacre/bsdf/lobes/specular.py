@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from nacre.bsdf.lobe import SpecularResponse
-from nacre.bsdf.response import InterfaceResponse, ResponseLobe
+from nacre.bsdf.response import InterfaceResponse, ResponseLobe, check_over_azimuth, mean_over_azimuth
 from nacre.core.arrays import Array
 
 
@@ -73,21 +72,18 @@ class AlignedSpecular(InterfaceLobe):
         return len(self.response.reflectance)
 
     def check(self) -> None:
-        """Check the tables; see `InterfaceResponse.check`.
+        """Check the tables.
 
         Raises:
             ValueError: names the inconsistent table.
         """
-        tables = ("reflectance", "transmittance", "reflectance_inside", "total")
-        counts = {getattr(self.response, name).shape[0] for name in tables}
-        dimensions = {getattr(self.response, name).ndim for name in tables}
-        if dimensions != {3} or len(counts) != 1 or self.azimuths < 2 or self.response.parameters:
-            raise ValueError("an aligned interface needs two or more azimuths, equal for all its tables")
-        if self.response.flipped or not np.isfinite(self.rotation):
-            raise ValueError("an aligned interface is flipped, or its rotation is not finite")
-        for node in range(self.azimuths):
-            rows = {name: getattr(self.response, name)[node] for name in tables}
-            dataclasses.replace(self.response, **rows).check()
+        check_over_azimuth(self.response)
+        if not np.isfinite(self.rotation):
+            raise ValueError("the rotation of an aligned interface is not finite")
+
+    def mean(self) -> Specular:
+        """Return the lobe with the means over the azimuth."""
+        return Specular(mean_over_azimuth(self.response))
 
     def specular(self, cos_i: Array, uv: Array | None = None) -> SpecularResponse:
         """Return reflectance and transmittance for light from azimuth 0; see `specular_at`."""

@@ -6,12 +6,13 @@ invariant under x, y -> -x, -y), with the tables of the other side.
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, cast
 
 import drjit as dr
 import mitsuba as mi
 
-from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
 from nacre.core.errors import UnsupportedError
 from nacre.device.compensation import Compensation
 from nacre.device.facet_distributions import Facets, facets_class
@@ -27,7 +28,7 @@ from nacre.device.plugin import (
     rotated_frame,
     set_transmission,
 )
-from nacre.device.response import DeviceResponse
+from nacre.device.response import Azimuths, DeviceResponse
 from nacre.device.texture import DeviceTexture
 
 
@@ -37,7 +38,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
     kind = "microfacet"
 
     def __init__(self, lobe: Microfacet) -> None:
-        self.response = DeviceResponse(lobe.response)
+        self.response = self._respond(lobe)
         self.facets = facets_class(lobe.distribution)
         self.is_isotropic = lobe.alpha_x == lobe.alpha_y
         self.refracts = lobe.transmits
@@ -52,6 +53,14 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         self.components = (flag("GlossyReflection", *kinds),)
         if self.refracts:
             self.components += (flag("GlossyTransmission", *kinds),)
+
+    def _respond(self, lobe: Microfacet) -> DeviceResponse:
+        """Return the tables on the device."""
+        return DeviceResponse(lobe.response)
+
+    def _lit(self, si: Any, wi: Any, m: Any, active: Any) -> Any:
+        """Return the interaction that the tables are read for: `wi` from above and the facet normal `m`."""
+        return si
 
     def _set_alpha(self, lobe: Microfacet) -> None:
         self.alpha_x = replaced(self.alpha_x, opaque(lobe.alpha_x))
@@ -112,12 +121,12 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         spread = facets.spread(wi, m, wi_m)
         wo = dr.fma(m, 2.0 * wi_m, -wi)
         if not self.refracts:
-            reflected, _ = self.response.look_up(wi_m, inside, si, active)
+            reflected, _ = self.response.look_up(wi_m, inside, self._lit(si, wi, m, active), active)
             good = active & (wo.z > MIN_COS)
             weight = reflected * facets.weight(wi, wo, m, wi_m, wi_m)
             return wo, mi.Bool(True), weight & good, dr.select(good, 0.25 * spread, 0.0)
 
-        share, amount = self.response.split(wi_m, inside, si, active)
+        share, amount = self.response.split(wi_m, inside, self._lit(si, wi, m, active), active)
         share = self._share(share, enabled)
         reflects = sample1 < share
         eta = self._eta(inside)
@@ -166,7 +175,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
             active = active & (wo.z > MIN_COS) & enabled[0]
             h = dr.normalize(wi + wo)
             wi_h = dr.dot(wi, h)
-            reflected, _ = self.response.look_up(wi_h, inside, si, active)
+            reflected, _ = self.response.look_up(wi_h, inside, self._lit(si, wi, h, active), active)
             pdf = dr.select(active, 0.25 * facets.spread(wi, h, wi_h), 0.0)
             return reflected * (facets.weight(wi, wo, h, wi_h, wi_h) * pdf) & active, pdf
 
@@ -178,7 +187,7 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
         active = active & (dr.abs(wo.z) > MIN_COS) & (wi_h > 0.0) & (wo_h * wo.z > 0.0)
         if not all(enabled):
             active = active & dr.select(reflects, mi.Bool(enabled[0]), mi.Bool(enabled[1]))
-        share, amount = self.response.split(wi_h, inside, si, active)
+        share, amount = self.response.split(wi_h, inside, self._lit(si, wi, h, active), active)
         share = self._share(share, enabled)
         chance = dr.select(reflects, share, 1.0 - share)
         stretch = dr.square(dr.fma(eta, wo_h, wi_h))
@@ -212,7 +221,8 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the smooth interface's albedo at the ray's angle."""
         wi, _, inside = self._from_above(self._frame(si, active)(si.wi, True))
-        reflected, transmitted = self.response.look_up(wi.z, inside, si, active)
+        lit = self._lit(si, wi, mi.Vector3f(0.0, 0.0, 1.0), active)
+        reflected, transmitted = self.response.look_up(wi.z, inside, lit, active)
         total = dr.mean(reflected + transmitted if self.refracts else reflected)
         return total if self.response.transmits else dr.select(inside, 0.0, total)
 
@@ -279,3 +289,45 @@ class MicrofacetPlugin(LobePlugin[Microfacet]):
     def parameters_changed(self) -> None:
         """Repack the tables."""
         self.response.table.repack()
+
+
+@dataclass
+class LitFacet:
+    """A facet in place of an interaction, for reading tables over the azimuth.
+
+    Attributes:
+        wavelengths: of the ray.
+        wi: the direction to the light in the facet's frame, turned back to the surface's x axis; only x and y count.
+    """
+
+    wavelengths: Any
+    wi: Any
+
+
+class AlignedMicrofacetPlugin(MicrofacetPlugin):
+    """Rough reflection and refraction that depend on the azimuth in each facet's frame."""
+
+    kind = "aligned-microfacet"
+
+    def __init__(self, lobe: Microfacet) -> None:
+        super().__init__(lobe)
+        self.components = tuple(word | flag("Anisotropic") for word in self.components)
+
+    def _respond(self, lobe: Microfacet) -> DeviceResponse:
+        self.azimuths = Azimuths(cast("AlignedMicrofacet", lobe).azimuths)
+        return DeviceResponse(lobe.response, self.azimuths)
+
+    def _lit(self, si: Any, wi: Any, m: Any, active: Any) -> Any:
+        # directions from below are inverted at the origin: their azimuth is that of the exit from inside
+        along = wi.z + (wi.x * m.x + wi.y * m.y) * dr.rcp(1.0 + m.z)
+        local = mi.Vector3f(wi.x - m.x * along, wi.y - m.y * along, 1.0)
+        return LitFacet(si.wavelengths, self._frame(si, active)(local, False))
+
+    def update(self, lobe: Microfacet) -> None:
+        """Replace tables and widths.
+
+        Raises:
+            UnsupportedError: the structure differs.
+        """
+        super().update(lobe)
+        self.azimuths.update(cast("AlignedMicrofacet", lobe).azimuths)

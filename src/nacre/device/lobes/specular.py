@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-import math
 from typing import Any, TypeVar
 
 import drjit as dr
@@ -14,15 +13,12 @@ from nacre.device.plugin import (
     MIN_COS,
     Facet,
     LobePlugin,
-    UniformNodes,
     flag,
     flip_z,
     is_radiance,
     larger,
-    opaque,
-    smaller,
 )
-from nacre.device.response import DeviceResponse, share_reflected
+from nacre.device.response import Azimuths, DeviceResponse, share_reflected
 
 AnyInterface = TypeVar("AnyInterface", bound=InterfaceLobe)
 
@@ -131,26 +127,6 @@ class SpecularPlugin(InterfacePlugin[Specular]):
         return DeviceResponse(lobe.response)
 
 
-class Azimuths:
-    """Azimuth nodes, in place of texture-driven parameters."""
-
-    def __init__(self, lobe: AlignedSpecular) -> None:
-        self.update(lobe)
-
-    def update(self, lobe: AlignedSpecular) -> None:
-        """Replace the data by another lobe's."""
-        self.nodes = UniformNodes(lobe.azimuths)
-        self.rotation = opaque(lobe.rotation / (2.0 * math.pi))
-
-    def corners(self, si: Any, active: Any = True) -> list[tuple[Any, Any]]:
-        """Return `(node, weight)` for the two nodes around the azimuth of `si.wi`, or of the exit if from inside."""
-        turns = dr.atan2(si.wi.y, si.wi.x) * (0.5 * dr.inv_pi) - self.rotation
-        turns = turns + dr.select(si.wi.z < 0.0, 0.5, 0.0)
-        last = self.nodes.last
-        low, part = self.nodes.cell(smaller((turns - dr.floor(turns)) * last, last))
-        return [(low, 1.0 - part), (low + 1, part)]
-
-
 class AlignedSpecularPlugin(InterfacePlugin[AlignedSpecular]):
     """Mirror reflection, and refraction by one index, depending on the azimuth."""
 
@@ -161,7 +137,7 @@ class AlignedSpecularPlugin(InterfacePlugin[AlignedSpecular]):
         self.components = tuple(word | flag("Anisotropic") for word in self.components)
 
     def _respond(self, lobe: AlignedSpecular) -> DeviceResponse:
-        self.azimuths = Azimuths(lobe)
+        self.azimuths = Azimuths(lobe.azimuths, lobe.rotation)
         return DeviceResponse(lobe.response, self.azimuths)
 
     def update(self, lobe: AlignedSpecular) -> None:
@@ -171,4 +147,4 @@ class AlignedSpecularPlugin(InterfacePlugin[AlignedSpecular]):
             UnsupportedError: the structure differs.
         """
         super().update(lobe)
-        self.azimuths.update(lobe)
+        self.azimuths.update(lobe.azimuths, lobe.rotation)

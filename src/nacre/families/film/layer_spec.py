@@ -22,7 +22,6 @@ from nacre.matter.stack.polarised import SPREAD_REACH, Helix
 from nacre.matter.stack.solve import powers
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value
 
-MAX_PITCH_NM = 1e6
 SLICES_A_TURN = 64  # the fewest of a helix; see `nacre.matter.stack.anisotropic`
 MAX_LAYERS = 1000
 MAX_THICKNESS_NM = 1e8  # ten centimetres, for incoherent panes
@@ -50,19 +49,8 @@ Thickness = Annotated[
     pydantic.Discriminator(texture_or_number),
     pydantic.BeforeValidator(_thickness),
 ]
-LEAST_PITCH_NM = 2.0  # four molecules of 0.5 nm a turn: fewer have no axes that turn continuously
-
-
-def _pitch(value: Any) -> Any:
-    if isinstance(value, int | float) and not LEAST_PITCH_NM <= value <= MAX_PITCH_NM:
-        raise ValueError(
-            f"= {value:g} is not allowed; it should be from {LEAST_PITCH_NM:g} to {MAX_PITCH_NM:g} nm: a helix has "
-            "several molecules in a turn"
-        )
-    return value
-
-
-Pitch = Annotated[float, Field(ge=LEAST_PITCH_NM, le=MAX_PITCH_NM), pydantic.BeforeValidator(_pitch)]
+# nm; a helix of molecules does not turn within less than one of them
+Pitch = Annotated[float, Field(ge=1.0, le=1e6)]
 
 
 class LayerSpec(RecipeModel):
@@ -308,7 +296,7 @@ def with_interface_layers(
             mixed = OpticalConstant(name, Mixture(pair, (0.5, 0.5)), "a rough interface")  # type: ignore[arg-type]
             made.append(FilmLayer(mixed, depths[i], path=key))
         if i < len(layers):
-            made.append(_thinned(layers[i], 0.5 * (depths[i] + depths[i + 1]), context))
+            made.append(_thinned(layers[i], 0.5 * (depths[i] + depths[i + 1]), roughness_nm, context))
     return made
 
 
@@ -316,7 +304,7 @@ def _is_slice(one: FilmLayer, other: FilmLayer) -> bool:
     return one.path == other.path and "graded" in one.material.source and "graded" in other.material.source
 
 
-def _thinned(layer: FilmLayer, loss_nm: float, context: RecipeContext) -> FilmLayer:
+def _thinned(layer: FilmLayer, loss_nm: float, given: float | tuple[float, ...], context: RecipeContext) -> FilmLayer:
     if loss_nm == 0.0:
         return layer
     if isinstance(layer.thickness_nm, Texture):
@@ -325,7 +313,7 @@ def _thinned(layer: FilmLayer, loss_nm: float, context: RecipeContext) -> FilmLa
         )
     if layer.thickness_nm < loss_nm:
         raise context.fail(
-            "surface.interface_roughness_nm", 2 * loss_nm, f"is wider than {layer.path} of {layer.thickness_nm:g} nm, "
+            "surface.interface_roughness_nm", given, f"is wider than {layer.path} of {layer.thickness_nm:g} nm, "
             "from which the interfaces take half of their thickness",
         )  # fmt: skip
     return FilmLayer(layer.material, layer.thickness_nm - loss_nm, layer.incoherent, layer.helix, layer.path)

@@ -5,21 +5,21 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
-from nacre.bsdf.compensation import compensate, facet_transmittance
+from nacre.bsdf.compensation import aligned_transmittance, compensate, facet_transmittance
 from nacre.bsdf.facet_distributions import SMOOTH_BELOW, Roughness
 from nacre.bsdf.grids import direction, take_uniform
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse
-from nacre.bsdf.lobes.microfacet import Microfacet
+from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
 from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.polarisation import InterfacePolarisation, interface_polarisation
-from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.response import InterfaceResponse, mean_over_azimuth
 from nacre.bsdf.tabulate import (
     COLOUR_ERROR,
     COS_NODES_VARYING,
@@ -104,7 +104,7 @@ class Film(Model, Polarised):
         range_nm, step_nm: wavelength grid; default step: colours within 0.5 dE00.
     """
 
-    version = 3
+    version = 4
     traits = Traits(noun="film", default_parts=("specular_reflectance",), is_quick=True)
 
     ambient: OpticalConstant
@@ -268,10 +268,11 @@ class Film(Model, Polarised):
             raise UnsupportedError(
                 f'base.albedo = {self.base_albedo:g} does not show through the opaque substrate "{self.substrate.name}"'
             )
+        varies_visibly = isinstance(tables, AnisotropicTables) and tables.varies_visibly(self._middle_nm)
+        if varies_visibly and not (self._varying or self.base_albedo > 0 or tables.flipped):
+            return self._aligned(cast("AnisotropicTables", tables))
         response, notes = self._response(tables)
-        if isinstance(tables, AnisotropicTables) and not self._varying and tables.varies_visibly(self._middle_nm):
-            if self.surface.is_smooth and self.base_albedo == 0 and not response.flipped:
-                return Bsdf((AlignedSpecular(tables.over_azimuth(self._middle_nm), 0.0),), notes)
+        if varies_visibly:
             notes = {**notes, "warnings": [AZIMUTH_NOTE]}
         if self.ridges is not None:
             lobe = self.ridges.lobe(_from_the_front(response))
@@ -285,6 +286,22 @@ class Film(Model, Polarised):
             if response.transmits and response.eta == 1.0 and not self.surface.is_smooth:
                 lobes.append(self._straight_through(response))
         return Bsdf(tuple(lobes), notes)
+
+    def _aligned(self, tables: AnisotropicTables) -> Bsdf:
+        """Return the lobes of a film whose reflectance depends on the azimuth."""
+        d = self._middle_nm
+        over = tables.over_azimuth(d)
+        mean = mean_over_azimuth(over)
+        notes = {"angle_table": _stated(mean, tables.error_of(mean, d))}
+        if self.surface.is_smooth:
+            return Bsdf((AlignedSpecular(over, 0.0),), notes)
+        rough = self._surface_lobe(mean)
+        own = {field.name: getattr(rough, field.name) for field in dataclasses.fields(cast("Microfacet", rough))}
+        if not over.transmits or over.eta > 1.0:
+            return Bsdf((AlignedMicrofacet(**{**own, "response": over}),), notes)
+        passed = aligned_transmittance(over, self.surface.distribution, *self._mean_alpha())
+        through = AlignedSpecular(_only_transmitting(over, passed), 0.0)
+        return Bsdf((AlignedMicrofacet(**{**own, "response": _without_transmission(over)}), through), notes)
 
     def polarisation(self, wavelengths_nm: Array | None = None) -> InterfacePolarisation | None:
         """Tabulate the Mueller matrices of the film.
@@ -346,9 +363,7 @@ class Film(Model, Polarised):
         if self.surface.is_smooth:
             return Specular(response)
         if response.transmits and response.eta == 1.0:
-            response = dataclasses.replace(
-                response, transmittance=np.zeros_like(response.transmittance), transmits=False
-            )
+            response = _without_transmission(response)
         surface = self.surface
         lobe = Microfacet(
             response,
@@ -371,17 +386,7 @@ class Film(Model, Polarised):
         on, with the mean transmittance of the visible facets (for varying roughness: at the surface's centre).
         """
         passed = facet_transmittance(response, self.surface.distribution, *self._mean_alpha())
-        zero = np.zeros_like(passed)
-        return Specular(
-            dataclasses.replace(
-                response,
-                cos_outside=np.linspace(0.0, 1.0, passed.shape[-2]),
-                reflectance=zero,
-                reflectance_inside=zero,
-                transmittance=passed,
-                total_nodes=None,
-            )
-        )
+        return Specular(_only_transmitting(response, passed))
 
     def _base(self, response: InterfaceResponse) -> Diffuse:
         """Return the diffuse base below the film, with multiple reflections between both."""
@@ -475,6 +480,17 @@ class Film(Model, Polarised):
             mueller_reflected=None if matrices is None else matrices.mueller_reflected,
             mueller_transmitted=None if matrices is None or transmitted is None else matrices.mueller_transmitted,
         )
+
+
+def _without_transmission(response: InterfaceResponse) -> InterfaceResponse:
+    return dataclasses.replace(response, transmittance=np.zeros_like(response.transmittance), transmits=False)
+
+
+def _only_transmitting(response: InterfaceResponse, passed: Array) -> InterfaceResponse:
+    """Return the response without reflection; `passed[*params, cos, wavelength]` is on uniform cosines."""
+    zero, cos = np.zeros_like(passed), np.linspace(0.0, 1.0, passed.shape[-2])
+    tables: dict[str, Any] = {"reflectance": zero, "reflectance_inside": zero, "transmittance": passed}
+    return dataclasses.replace(response, cos_outside=cos, total_nodes=None, **tables)
 
 
 def _stated(response: InterfaceResponse, error: float) -> dict[str, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.ridge import Ridge, chord, gaussian, ridge_interference
+from nacre.bsdf.lobes.ridge_table import RidgeTable
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import Texture
 from nacre.core.arrays import Array
@@ -30,6 +30,9 @@ class Ridges:
         along_deviation_deg: standard deviation of the spread along the ridges, degrees at normal incidence.
         fill: area fraction of the ridges.
         rotation: direction across the ridges in rad; default: along x.
+        optics: "scalar", or "vector" for supercells of `count` ridges.
+        width_deviation_nm, shift_deviation_nm: standard deviations of the widths and of the places across; vector only.
+        draws: supercells; vector only.
     """
 
     pitch_nm: float
@@ -39,6 +42,10 @@ class Ridges:
     along_deviation_deg: float = 4.0
     fill: float = 1.0
     rotation: Texture | None = None
+    optics: str = "scalar"
+    width_deviation_nm: float = 0.0
+    shift_deviation_nm: float = 0.0
+    draws: int = 20
 
     @property
     def spread_along(self) -> float:
@@ -98,7 +105,7 @@ class Ridges:
         return np.asarray(np.interp(grid, lam, largest)) * SAFETY
 
 
-def remainder(lobe: Ridge, albedo: Array, nodes: int = 9) -> Diffuse:
+def remainder(lobe: Ridge | RidgeTable, albedo: Array, nodes: int = 9) -> Diffuse:
     """Return a reciprocal diffuse base for the light not reflected by the ridges.
 
     Its entry is 1 - E(cos), with E the larger of the ridges' albedos across and along, which conserves energy.
@@ -108,18 +115,7 @@ def remainder(lobe: Ridge, albedo: Array, nodes: int = 9) -> Diffuse:
     """
     lam = lobe.wavelengths_nm
     step = _stride(lam)
-    coarse = dataclasses.replace(
-        lobe,
-        norm=lobe.norm[::step],
-        response=dataclasses.replace(
-            lobe.response,
-            wavelengths_nm=lam[::step],
-            **{
-                name: getattr(lobe.response, name)[..., ::step]
-                for name in ("reflectance", "transmittance", "reflectance_inside", "total")
-            },
-        ),
-    )
+    coarse = lobe.thinned(step)
     cos = np.linspace(0.0, 1.0, nodes)
     entry = np.empty((nodes, len(lam)))
     start = 0.0 if lobe.rotation is None else float(lobe.rotation(np.array([0.5, 0.5])))

@@ -29,6 +29,7 @@ from nacre.families.film.layer_spec import (
 from nacre.families.film.layer_table import layer_sheet
 from nacre.families.film.material import Film
 from nacre.families.film.ridges import Ridges
+from nacre.families.film.supercells import SupercellFilm
 from nacre.matter.drawings import Drawer
 from nacre.matter.indices.anisotropic_spec import AnisotropicSpec, MediumSpec
 from nacre.matter.indices.spec import IndexSpec, ambient_in
@@ -47,6 +48,14 @@ MORPHO: dict[str, Any] = {
     + [{"material": CUTICLE, "thickness_nm": 35.0}],
     "ridges": {"pitch_nm": 700.0, "width_nm": 300.0, "height_deviation_nm": 120.0},
 }
+# the same wing for supercells, whose ridges cover 300 of 700 nm: lamellae of their full thickness
+MORPHO_SUPERCELLS: dict[str, Any] = {
+    "layers": [{"material": CUTICLE, "thickness_nm": 70.0}, {"material": "air", "thickness_nm": 155.0}] * 8
+    + [{"material": CUTICLE, "thickness_nm": 70.0}],
+    "ridges": {"count": 5},
+}
+MOST_RIDGES = 10  # in a supercell
+SUPERCELL_KEYS = "width_deviation_nm", "shift_deviation_nm", "draws"
 
 
 def _unit(value: Any) -> Any:
@@ -172,11 +181,35 @@ class RidgesSpec(RecipeModel):
     rotation_deg: NumberOrTexture = Field(
         default=0.0, description="rotation of the ridges in the surface", examples=[45, {"formula": "360*u"}]
     )
+    optics: Literal["scalar", "vector"] = Field(
+        default="scalar",
+        description="the stack's reflectance times scalar diffraction; or Maxwell's equations in supercells of `count` "
+        "ridges, of isotropic layers on pedestals of the substrate",
+    )
+    width_deviation_nm: Annotated[float, Field(ge=0.0, le=1e4)] = Field(
+        default=0.0, description="of vector optics: standard deviation of the ridges' widths", examples=[30]
+    )
+    shift_deviation_nm: Annotated[float, Field(ge=0.0, le=1e4)] = Field(
+        default=0.0,
+        description="of vector optics: standard deviation of the ridges' places across; neighbours stay apart",
+        examples=[50],
+    )
+    draws: Annotated[int, Field(ge=1, le=1000)] = Field(
+        default=20, description="of vector optics: number of supercells, over which the light is averaged"
+    )
 
     @pydantic.model_validator(mode="after")
     def _width_fits(self) -> RidgesSpec:
         if self.width_nm > self.pitch_nm:
             raise ValueError(f"width_nm = {self.width_nm:g} is larger than pitch_nm = {self.pitch_nm:g}")
+        if self.optics == "scalar":
+            for key in SUPERCELL_KEYS:
+                if key in self.model_fields_set:
+                    raise ValueError(f'{key} = {getattr(self, key):g} is of optics = "vector"; remove it')
+        elif self.count > MOST_RIDGES:
+            raise ValueError(
+                f'count = {self.count} is too many for optics = "vector"; allowed: 1 to {MOST_RIDGES} ridges'
+            )
         return self
 
     def build(self, context: RecipeContext) -> Ridges:
@@ -189,6 +222,10 @@ class RidgesSpec(RecipeModel):
             along_deviation_deg=self.along_deviation_deg,
             fill=self.fill,
             rotation=angle_texture(self.rotation_deg, context, "ridges.rotation_deg"),
+            optics=self.optics,
+            width_deviation_nm=self.width_deviation_nm,
+            shift_deviation_nm=self.shift_deviation_nm,
+            draws=self.draws,
         )
 
 
@@ -237,6 +274,11 @@ class FilmModel(Film, Fabricable):
         return {"sheet": lambda request: layer_sheet(self)}
 
 
+@dataclass(frozen=True)
+class SupercellModel(SupercellFilm, FilmModel):
+    """A film in ridges solved by supercells, with the figures and the layer table of a film."""
+
+
 class FilmSpec(RecipeModel):
     """Layers on a substrate, smooth, rough or in ridges; `preset = "morpho"` gives default values."""
 
@@ -281,11 +323,14 @@ class FilmSpec(RecipeModel):
     def _fill_preset(cls, data: Any) -> Any:
         if isinstance(data, Mapping) and data.get("preset") == "morpho":
             ridges = data.get("ridges")
-            filled = {**MORPHO, **data}
+            is_vector = isinstance(ridges, Mapping) and ridges.get("optics") == "vector"
+            preset = {**MORPHO, "layers": MORPHO_SUPERCELLS["layers"]} if is_vector else MORPHO
+            filled = {**preset, **data}
             if isinstance(ridges, Mapping):
+                own = {**MORPHO["ridges"], **MORPHO_SUPERCELLS["ridges"]} if is_vector else MORPHO["ridges"]
                 # a length in any unit replaces the preset's
-                given = {str(key).rpartition("_")[0] for key in ridges}
-                kept = {k: v for k, v in MORPHO["ridges"].items() if k.rpartition("_")[0] not in given}
+                given = {str(key).rpartition("_")[0] or str(key) for key in ridges}
+                kept = {k: v for k, v in own.items() if (k.rpartition("_")[0] or k) not in given}
                 filled["ridges"] = {**kept, **ridges}
             return filled
         return data
@@ -310,6 +355,11 @@ class FilmSpec(RecipeModel):
         media = (self.substrate, *(layer.material for layer in plain.values()))
         if self.ridges is not None and any(isinstance(medium, AnisotropicSpec) for medium in media):
             raise ValueError("ridges hold isotropic layers only; remove the ridges, or give the mean index")
+        if self.ridges is not None and self.ridges.optics == "vector":
+            for path, layer in plain.items():
+                if layer.incoherent or isinstance(layer.thickness_nm, TextureSpec):
+                    what = "incoherent = true" if layer.incoherent else "thickness_nm is a texture, which"
+                    raise ValueError(f'{path}.{what} is not allowed in ridges with optics = "vector"')
         return self
 
     def build(self, context: RecipeContext) -> FilmModel:
@@ -325,7 +375,8 @@ class FilmSpec(RecipeModel):
             raise context.fail("layers", f"{len(layers)} layers", f"are too many; at most {MAX_LAYERS}")
         if np.any(self.surface.interface_roughness_nm):
             layers = with_interface_layers(layers, (ambient, substrate), self.surface.interface_roughness_nm, context)
-        return FilmModel(
+        is_vector = self.ridges is not None and self.ridges.optics == "vector"
+        return (SupercellModel if is_vector else FilmModel)(
             ambient=ambient,
             layers=tuple(layers),
             substrate=substrate,

@@ -71,10 +71,10 @@ class StructureSpec(RecipeModel):
     name: Literal["hard-disk", "rsa", "poisson-disk", "lattice"] | None = pydantic.Field(
         default=None, description="type of order; a bare name needs no table", examples=["lattice"]
     )
-    points: str | None = pydantic.Field(
+    points: FileSpec | None = pydantic.Field(
         default=None,
-        description="in place of name: a file of the particles' positions in um, or a picture of particles (png, tif, "
-        "jpg, bmp) that width_um goes with",
+        description="in place of name: a file of the particles' positions, in um unless it or `unit` says else, or a "
+        "picture of particles (png, tif, jpg, bmp) that width_um goes with",
         examples=["xy.csv"],
     )
     width_um: Positive | None = pydantic.Field(
@@ -122,9 +122,9 @@ class StructureSpec(RecipeModel):
                 of = "arrangements that are drawn at random" if key == "seed" else 'name = "lattice"'
                 what = f'name = "{self.name}"' if self.name else given[0]
                 raise ValueError(f"gives {key}, which {what} does not have; it is of {of}")
-        shown = self.points is not None and is_picture(self.points)
-        if shown and self.width_um is None:
-            raise ValueError(f'names a picture, points = "{self.points}", and not how wide it is; give width_um')
+        shown = self.points is not None and is_picture(self.points.file)
+        if self.points is not None and shown and self.width_um is None:
+            raise ValueError(f'names a picture, points = "{self.points.file}", and not how wide it is; give width_um')
         if not shown and self.width_um is not None:
             raise ValueError(f"gives width_um, which is of a picture; points should name one ({', '.join(SUFFIXES)})")
         return self
@@ -162,9 +162,11 @@ class MonolayerSpec(RecipeModel):
     def _one_density(self) -> MonolayerSpec:
         if (self.coverage is None) == (self.density_per_um2 is None) and self.structure.points is None:
             raise ValueError("needs either coverage or density_per_um2")
-        for key in ("coverage", "density_per_um2", "packing") if self.structure.points is not None else ():
-            if getattr(self, key) is not None:
-                raise ValueError(f'gives {key} and points = "{self.structure.points}", which says it; leave {key} out')
+        for key in ("coverage", "density_per_um2", "packing"):
+            if self.structure.points is not None and getattr(self, key) is not None:
+                raise ValueError(
+                    f'gives {key} and points = "{self.structure.points.file}", which says it; leave {key} out'
+                )
         if self.coverage is not None and self.coverage >= 0.9:
             raise ValueError(
                 f"coverage = {self.coverage:g} is not allowed; it should be below 0.9, and at most 0.7 of hard disks"
@@ -387,7 +389,7 @@ class MetasurfaceSpec(RecipeModel):
         if spec.points is not None:
             pattern = points_pattern(context, spec.points, 2 * outer_nm, spec.width_um)
             measured = points_structure(pattern, q_max)
-            self._clear(context, "monolayer.structure.points", spec.points, measured.diameter_nm, reach_nm)
+            self._clear(context, "monolayer.structure.points", spec.points.file, measured.diameter_nm, reach_nm)
             return measured, pattern
         if layer.coverage is not None:
             density = layer.coverage / (np.pi * mean_nm**2)

@@ -21,6 +21,8 @@ FINE_BLUR = 0.6  # of a feature, blur at which such steps vanish
 SMOOTH_BLUR = 0.3  # of a feature, blur above which walls need no mesh of their own
 WALL_WIDTH, NEAREST = 3.0, 0.45  # half width of a wall in blurs, at most in features: elements of its own
 SAMPLES = 32  # of a feature, at which the surface is searched for its range
+MAX_PERIOD_NM = 12_000.0
+MAX_WALLS = 12  # of lines that are neither vertical nor smooth
 REACH = 9.0  # of a blurred wall, in its standard deviations
 
 
@@ -43,6 +45,11 @@ class Lines:
     def period_nm(self) -> float:
         """The smallest period."""
         return len(self.heights_nm) * self.feature_nm
+
+    @property
+    def lattice(self) -> Array:
+        """Wave vector of the order (1, 0) over 2 pi, in 1/nm, x across the lines; the other is zero."""
+        return np.array([[1.0 / self.period_nm, 0.0], [0.0, 0.0]])
 
     @property
     def jumps(self) -> list[tuple[float, float]]:
@@ -71,6 +78,22 @@ class Lines:
     def has_walls(self) -> bool:
         """Whether walls are so steep that they are solved as vertical ones."""
         return self.steepest > STEEPEST and len(np.unique(self.heights_nm)) <= MOST_LEVELS
+
+    @property
+    def noun(self) -> str:
+        """Name in messages."""
+        return "lines"
+
+    @property
+    def obstacle(self) -> str:
+        """Why the lines cannot be solved by Maxwell's equations, or nothing."""
+        if self.period_nm > MAX_PERIOD_NM:
+            return f"the period is {self.period_nm / 1e3:.3g} um"
+        if self.has_steps and not self.has_walls and len(self.jumps) > MAX_WALLS:
+            return f"a period has {len(self.jumps)} walls, more than {MAX_WALLS}"
+        if self.steepest > STEEPEST and not self.has_walls:
+            return f"walls of more than {MOST_LEVELS} heights are steeper than {STEEPEST:g}"
+        return ""
 
     def profile(self) -> Profile:
         """Return the blurred surface; elements end at its walls where these are narrower than the features."""

@@ -14,9 +14,10 @@ from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.grids import direction
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import DirectEvaluation, Draft, ExcessEnergy, Fabricable, Figure, Model, Traits
+from nacre.families.relief.blocks import Blocks, blocks_of
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.diffraction_orders import choose_sampling
-from nacre.families.relief.lines import lines_of
+from nacre.families.relief.lines import Lines, lines_of
 from nacre.families.relief.plane_cut import Reflectance, local_response
 from nacre.families.relief.prefactor import Prefactor, coating_reflectance
 from nacre.families.relief.scan import Scan
@@ -25,6 +26,7 @@ from nacre.families.relief.surface import Array, Tile, slopes
 from nacre.families.relief.validity import Validity, assess
 from nacre.matter.drawings import Drawer, DrawingRequest, HeightMap
 from nacre.matter.indices.constant import OpticalConstant
+from nacre.matter.periodic.structure import MAX_UNKNOWNS
 
 # a blurred diffraction line passes within lambda / 10: 30 nm resolve the spectra
 WAVELENGTH_COUNT = 17
@@ -35,7 +37,7 @@ LEAST_RESOLVED_DEG = 60.0  # a scan that resolves less scatter says so
 FLAT_NM = 0.05  # Sq below which a scan is a plane: less than an atom
 COARSE_BLURS = 3.0  # of the coherence window, that a scan's own width may blur
 FIGURE_POINTS = 1024
-WAY_OUT = 'model.optics = "vector" solves Maxwell\'s equations for heights of lines'
+WAY_OUT = 'model.optics = "vector" solves Maxwell\'s equations for these'
 STATISTICS = {
     "scan": 'statistics = "scan": the scan itself diffracts, since its heights are not random',
     "random": 'statistics = "random": random heights with the power spectral density of the scan',
@@ -149,8 +151,8 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         if found.is_outside:
             lines += (found.line(),)
         if not isinstance(self.tile, Scan):
-            if found.is_outside and lines_of(self.tile) is not None:
-                lines = (*lines[:-1], f"{lines[-1]}; {WAY_OUT}")
+            if found.is_outside and self.pattern is not None and not self.vector_obstacle(MAX_UNKNOWNS):
+                lines = (*lines[:-1], f"{lines[-1]}; {WAY_OUT} {self.pattern.noun}")
             return lines
         angle = self.tile.resolved_deg
         if angle < LEAST_RESOLVED_DEG and self.tile.sq_nm > FLAT_NM:
@@ -164,6 +166,21 @@ class Relief(Model, DirectEvaluation, Draft, Fabricable, ExcessEnergy):
         if self.tile.statistics is None and self.tile.sq_nm > FLAT_NM:
             lines += (STATISTICS[self.tile.kind],)
         return self.tile.remarks + lines
+
+    @functools.cached_property
+    def pattern(self) -> Lines | Blocks | None:
+        """The smallest period, for vector optics; a scan has none."""
+        return None if isinstance(self.tile, Scan) else lines_of(self.tile) or blocks_of(self.tile)
+
+    def vector_obstacle(self, most: int) -> str:
+        """Return why the relief cannot be solved by Maxwell's equations with `most` unknowns, or nothing."""
+        if self.pattern is None:
+            return "a scan has no period"
+        if isinstance(self.pattern, Lines):
+            return self.pattern.obstacle
+        shortest = self.wavelengths_nm[:1]
+        index = complex(self.coating.n_complex(shortest)[0]) / self.index_above
+        return self.pattern.obstacle(index, float(shortest[0]) / self.index_above, most)
 
     @functools.cached_property
     def validity(self) -> Validity:

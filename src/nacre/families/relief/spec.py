@@ -11,15 +11,14 @@ from pydantic import Field
 from nacre.core.errors import RecipeError
 from nacre.families.relief.coherence import CoherenceSpec
 from nacre.families.relief.height_file import MAX_HEIGHT_UM, HeightOptions, scan_of, tile_of
-from nacre.families.relief.lines import MOST_LEVELS, STEEPEST, Lines, lines_of
+from nacre.families.relief.lines import MAX_PERIOD_NM
 from nacre.families.relief.material import Relief
-from nacre.families.relief.surface import Tile
 from nacre.families.relief.vector import VectorRelief
 from nacre.matter.indices.spec import IndexSpec
+from nacre.matter.periodic.structure import MAX_UNKNOWNS
 from nacre.recipe.model import RecipeContext, RecipeModel
 
-MAX_PERIOD_NM = 12_000.0  # of vector optics
-MAX_WALLS = 12
+AUTO_UNKNOWNS = 800  # of blocks, up to which `auto` takes vector optics: some seconds for each direction
 
 
 class ReliefModelSpec(RecipeModel):
@@ -29,13 +28,13 @@ class ReliefModelSpec(RecipeModel):
 
     optics: Literal["scalar", "vector", "auto"] = Field(
         default="scalar",
-        description="scalar diffraction; Maxwell's equations, for heights that vary along one axis; or the latter "
-        "where scalar theory is not valid",
+        description="scalar diffraction; Maxwell's equations, for heights that vary along one axis and for few blocks "
+        "with vertical walls; or the latter where scalar theory is not valid",
     )
     tolerance: Annotated[float, Field(ge=1e-6, le=0.1)] | None = Field(
         default=None,
         description="of vector optics: largest estimated error of an order's efficiency; default: 2e-4, of narrow "
-        "walls 1e-3",
+        "walls 1e-3, of blocks 4e-3",
         examples=[1e-3],
     )
 
@@ -139,36 +138,22 @@ class ReliefSpec(RecipeModel):
             if self.model.tolerance is not None:
                 raise context.fail("model.tolerance", self.model.tolerance, 'is of model.optics = "vector"; remove it')
             return scalar
-        lines = lines_of(scalar.tile) if isinstance(scalar.tile, Tile) else None
-        obstacle = _obstacle(scalar, lines)
-        if self.model.optics == "auto":
-            if lines is None or obstacle:
+        pattern = scalar.pattern
+        is_auto = self.model.optics == "auto"
+        obstacle = scalar.vector_obstacle(AUTO_UNKNOWNS if is_auto else MAX_UNKNOWNS)
+        if is_auto:
+            if pattern is None or obstacle:
                 return replace(scalar, remark=f'optics = "scalar": {obstacle}')
             if not scalar.validity.is_outside:
                 return replace(scalar, remark='optics = "scalar": it is valid for this relief')
-            reason = 'optics = "vector": scalar diffraction is not valid for these lines'
-            return VectorRelief(scalar, lines, self.model.tolerance, reason)
-        if lines is None or obstacle:
+            reason = f'optics = "vector": scalar diffraction is not valid for these {pattern.noun}'
+            return VectorRelief(scalar, pattern, self.model.tolerance, reason)
+        if pattern is None or obstacle:
             raise context.fail(
                 "model.optics", "vector", f"does not fit: {obstacle}; allowed: a period of heights that vary along "
-                f"one axis, up to {MAX_PERIOD_NM / 1e3:g} um, or scalar",
+                f"one axis, up to {MAX_PERIOD_NM / 1e3:g} um, few blocks with vertical walls, or scalar",
             )  # fmt: skip
         for key in ("prefactor", "bounded", "accuracy"):
             if key in self.model_fields_set:
                 raise context.fail(key, getattr(self, key), 'is of scalar theory; remove it or model.optics = "vector"')
-        return VectorRelief(scalar, lines, self.model.tolerance)
-
-
-def _obstacle(scalar: Relief, lines: Lines | None) -> str:
-    """Return why a relief cannot be solved by Maxwell's equations, or nothing."""
-    if not isinstance(scalar.tile, Tile):
-        return "a scan has no period"
-    if lines is None:
-        return "the heights vary along x and y"
-    if lines.period_nm > MAX_PERIOD_NM:
-        return f"the period is {lines.period_nm / 1e3:.3g} um"
-    if lines.has_steps and not lines.has_walls and len(lines.jumps) > MAX_WALLS:
-        return f"a period has {len(lines.jumps)} walls, more than {MAX_WALLS}"
-    if lines.steepest > STEEPEST and not lines.has_walls:
-        return f"walls of more than {MOST_LEVELS} heights are steeper than {STEEPEST:g}"
-    return ""
+        return VectorRelief(scalar, pattern, self.model.tolerance)

@@ -12,6 +12,7 @@ from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.core.arrays import Array
 from nacre.families.contract import Diffracting, Fabricable, Figure, Model, Traits
+from nacre.families.relief.blocks import Blocks
 from nacre.families.relief.lines import Lines
 from nacre.families.relief.material import Relief
 from nacre.matter.drawings import Drawer
@@ -22,24 +23,25 @@ from nacre.matter.periodic.structure import NotConvergedError, PeriodicStack
 
 TABLE_ERROR = 1e-2  # of an efficiency in the tables over directions
 TOLERANCE = {True: 1e-3, False: 2e-4}  # of an efficiency, for narrow walls and for smooth curves
+BLOCKS_TOLERANCE = 4e-3
 QUARTER = 0.5 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
 class VectorRelief(Model, Diffracting, Fabricable):
-    """A relief of lines, solved rigorously.
+    """A relief of lines or of blocks, solved rigorously.
 
     Attributes:
         scalar: the same relief in scalar theory, with the surface, coating and coherence.
-        lines: its period.
-        tolerance: largest estimated error of an efficiency; None: 2e-4, of narrow walls 1e-3.
+        pattern: its period.
+        tolerance: largest estimated error of an efficiency; None: 2e-4, of narrow walls 1e-3, of blocks 4e-3.
         reason: why this theory was chosen, or empty.
     """
 
     traits = Traits(noun="relief", default_geometry="45as15")
 
     scalar: Relief
-    lines: Lines
+    pattern: Lines | Blocks
     tolerance: float | None = None
     reason: str = ""
 
@@ -55,7 +57,7 @@ class VectorRelief(Model, Diffracting, Fabricable):
         width, asked = self._width(float(self.wavelengths_nm[0])), self._coherence_width
         if width < 0.99 * asked:
             lines += (
-                f"orders of a period of {self.lines.period_nm / 1e3:.3g} um overlap in light of this coherence; "
+                f"orders of a period of {self.pattern.period_nm / 1e3:.3g} um overlap in light of this coherence; "
                 f"pictures show them {asked / width:.2g} times narrower",
             )
         return lines
@@ -76,21 +78,21 @@ class VectorRelief(Model, Diffracting, Fabricable):
         return self._coherence_width
 
     def stacks(self, wavelengths_nm: Array) -> list[PeriodicStack]:
-        """Return the structure at wavelengths, x across the lines."""
+        """Return the structure at wavelengths; of lines with x across them."""
         body = self.scalar.coating.n_complex(wavelengths_nm)
         ambient = self.scalar.ambient
         cover = np.ones(len(wavelengths_nm)) if ambient is None else ambient.n_complex(wavelengths_nm).real
-        return self.lines.stacks(cover, body)
+        return self.pattern.stacks(cover, body)
 
     def diffraction_orders(self, theta_rad: Array, azimuth_rad: float, wavelengths_nm: Array | None) -> Orders:
-        """Return the reflected orders, (m, 0) across lines along y and (0, n) across lines along x.
+        """Return the reflected orders: (m, n), of lines along y (m, 0), of lines along x (0, n).
 
         Raises:
             NotConvergedError: the error is above the tolerance; without one, above 2e-2.
         """
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         stacks = dict(zip(lam.tolist(), self.stacks(lam), strict=True))
-        turn = 0.0 if self.lines.along_x else QUARTER
+        turn = QUARTER if self._is_turned else 0.0
         is_strict = self.tolerance is not None
         found = solve_orders(lambda w: stacks[w], theta_rad, azimuth_rad - turn, lam, self._tolerance, is_strict)
         if not is_strict and float(found.error.max()) > LARGEST_ERROR:
@@ -98,7 +100,7 @@ class VectorRelief(Model, Diffracting, Fabricable):
                 f"orders of the relief: error {found.error.max():.1e}; allowed: at most {LARGEST_ERROR:g}, by flatter "
                 'heights, more blur, or model.optics = "scalar"'
             )
-        if self.lines.along_x:
+        if not self._is_turned:
             return found
 
         def turned(directions: Array) -> Array:
@@ -121,7 +123,7 @@ class VectorRelief(Model, Diffracting, Fabricable):
         power = np.concatenate([table.mirror[:, :, None, :].astype(np.float32), table.reflected], axis=2)
         orders = np.concatenate([np.zeros((1, 2), dtype=np.int64), table.orders])
         width = self._width(float(lam[0]))
-        rotation = None if self.lines.along_x else Texture(QUARTER, QUARTER, formula=parse_formula(repr(QUARTER)))
+        rotation = Texture(QUARTER, QUARTER, formula=parse_formula(repr(QUARTER))) if self._is_turned else None
         lobe = OrdersLobe(lam, power, table.lattice, orders, width, rotation)
         return Bsdf((lobe,), {"optics": "vector", "estimated_error": float(f"{table.error:.2g}")})
 
@@ -140,13 +142,19 @@ class VectorRelief(Model, Diffracting, Fabricable):
         return Spectrum(found.wavelengths_nm, np.degrees(theta), None, None, diffuse)
 
     @property
+    def _is_turned(self) -> bool:
+        """Whether the lines lie along x."""
+        return isinstance(self.pattern, Lines) and not self.pattern.along_x
+
+    @property
     def _tolerance(self) -> float:
-        return self.tolerance if self.tolerance is not None else TOLERANCE[self.lines.has_steps]
+        if self.tolerance is not None:
+            return self.tolerance
+        return BLOCKS_TOLERANCE if isinstance(self.pattern, Blocks) else TOLERANCE[self.pattern.has_steps]
 
     @property
     def _coherence_width(self) -> float:
         return self.scalar.coherence.blur / self.scalar.index_above
 
     def _width(self, shortest_nm: float) -> float:
-        lattice = np.array([[1.0 / self.lines.period_nm, 0.0], [0.0, 0.0]])
-        return limited_width(self._coherence_width, lattice, shortest_nm)
+        return limited_width(self._coherence_width, self.pattern.lattice, shortest_nm)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array, ComplexArray
+from nacre.core.errors import NacreError
 from nacre.matter.indices.constant import Extrapolation, OpticalConstant
 
 
@@ -29,6 +30,17 @@ class AnisotropicConstant:
     euler_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     name: str = "anisotropic"
     source: str = "given in the recipe"
+
+    def __post_init__(self) -> None:
+        """Check that the angles describe a rotation.
+
+        Raises:
+            NacreError: another count than three, or an angle that is not finite.
+        """
+        if len(self.euler_deg) != 3 or not np.all(np.isfinite(self.euler_deg)):
+            raise NacreError(
+                f"{self.name}: euler_deg = {self.euler_deg} is not a rotation; allowed: three finite angles"
+            )
 
     @classmethod
     def uniaxial(

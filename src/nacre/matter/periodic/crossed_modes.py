@@ -1,4 +1,4 @@
-"""Modes of a layer that is periodic in two directions.
+"""Layers that are periodic in two directions.
 
 The transverse fields obey gamma E = P H and gamma H = Q E (Li, J. Opt. Soc. Am. A 14, 2758 (1997)). Two bases serve:
 
@@ -13,11 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from nacre.matter.periodic.line_basis import Axis, LineBasis
-from nacre.matter.periodic.scattering_matrix import Modes, dense_modes, outgoing_root
+from nacre.matter.periodic.scattering_matrix import Slab, slab
 from nacre.matter.periodic.types import Array
 
 
@@ -48,11 +47,15 @@ class Permittivity:
     yx: Array
 
 
-def crossed_modes(epsilon: Permittivity, of: Components) -> Modes:
-    """Solve the eigenproblem of a layer."""
+def crossed_slab(epsilon: Permittivity, of: Components, depth: float) -> Slab:
+    """Return a patterned layer.
+
+    Args:
+        depth: thickness times k0.
+    """
     size = len(of.alpha)
     alpha, beta = of.alpha[:, None], of.beta[:, None]
-    inverse = np.zeros((size, size), dtype=complex)
+    inverse = np.zeros((size, size), dtype=epsilon.zz.dtype)
     inverse[np.ix_(of.z, of.z)] = np.linalg.inv(epsilon.zz)
     xx, xy, yx, yy = np.ix_(of.x, of.x), np.ix_(of.x, of.y), np.ix_(of.y, of.x), np.ix_(of.y, of.y)
     one, mixed = np.eye(size), np.diag(of.alpha * of.beta)
@@ -68,9 +71,7 @@ def crossed_modes(epsilon: Permittivity, of: Components) -> Modes:
             [epsilon.xx - np.diag(of.beta[of.x] ** 2), epsilon.xy + mixed[xy]],
         ]
     )
-    squared, electric = scipy.linalg.eig(p @ q, check_finite=False)
-    gamma = outgoing_root(np.where(np.abs(squared) < 1e-12, 1e-12, squared))
-    return dense_modes(gamma, electric, q @ electric / gamma)
+    return slab(p, q, depth)
 
 
 def rectangle_permittivity(
@@ -99,50 +100,42 @@ def _inside(basis: LineBasis, low: float, high: float) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class SampledLayer:
-    """A layer by the Fourier series of its shapes, `[m, n]` of `series`.
+class PatternMatrices:
+    """Multiplication by the functions that describe the shapes, between the functions of the components of a field.
 
     Attributes:
-        epsilon: of the ground.
-        values: permittivity of each shape.
-        shares: of each shape the function that is 1 inside.
-        normals: products x x, y y and x y of the faded normals of the walls.
+        inside: of each shape, multiplication by the function that is 1 inside: for E_x, E_y and E_z.
+        xx, yy, xy: multiplication by the products of the faded normals of the walls.
     """
 
-    epsilon: complex
-    values: tuple[complex, ...]
-    shares: tuple[Array, ...]
-    normals: tuple[Array, Array, Array]
+    inside: tuple[tuple[Array, Array, Array], ...]
+    xx: Array
+    yy: Array
+    xy: Array
 
 
-def fourier_permittivity(layer: SampledLayer, orders: Array) -> Permittivity:
-    """Return the matrices for Fourier orders `[number, 2]`."""
-    difference = orders[:, None, :] - orders[None, :, :]
-    at = (difference[..., 0], difference[..., 1])
-    ground = np.eye(len(orders), dtype=complex)
-    along, inverse = layer.epsilon * ground, ground / layer.epsilon
-    for value, share in zip(layer.values, layer.shares, strict=True):
-        inside = share[at]
-        along = along + (value - layer.epsilon) * inside
-        inverse = inverse + (1.0 / value - 1.0 / layer.epsilon) * inside
-    gap = along - np.linalg.inv(inverse)
-    parts = []
-    for product in layer.normals:
-        weight = product[at]
-        parts.append(0.5 * (gap @ weight + weight @ gap))  # the symmetric product keeps energy and reciprocity
-    return Permittivity(along - parts[0], along - parts[1], along, -parts[2], -parts[2])
+def pattern_permittivity(
+    ground: complex | float, values: tuple[complex | float, ...], pattern: PatternMatrices
+) -> Permittivity:
+    """Return the matrices for a ground and for the shapes' permittivities."""
+    along, gaps = [], []
+    for component in range(3):
+        one = np.eye(len(pattern.inside[0][component]))
+        total, inverse = ground * one, one / ground
+        for value, inside in zip(values, pattern.inside, strict=True):
+            total = total + (value - ground) * inside[component]
+            inverse = inverse + (1.0 / value - 1.0 / ground) * inside[component]
+        along.append(total)
+        if component < 2:
+            gaps.append(total - np.linalg.inv(inverse))
 
+    def both(first: Array, weight: Array, second: Array) -> Array:
+        return 0.5 * (first @ weight + weight @ second)  # the symmetric product keeps energy and reciprocity
 
-def projected(epsilon: Permittivity, maps: tuple[Array, Array, Array]) -> Permittivity:
-    """Return the matrices between functions of one class of symmetry.
-
-    Args:
-        maps: `[number, function]` of E_x, E_y and E_z: the orders in each function.
-    """
-    x, y, z = maps
-    return Permittivity(
-        x.T @ epsilon.xx @ x, y.T @ epsilon.yy @ y, z.T @ epsilon.zz @ z, x.T @ epsilon.xy @ y, y.T @ epsilon.yx @ x
-    )
+    x, y = gaps
+    mixed = -both(x, pattern.xy, y)
+    yx = -both(y, pattern.xy.conj().T, x)
+    return Permittivity(along[0] - both(x, pattern.xx, x), along[1] - both(y, pattern.yy, y), along[2], mixed, yx)
 
 
 def series(samples: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -11,17 +11,15 @@ from numpy.typing import NDArray
 
 from nacre.matter.periodic.crossed_modes import (
     Components,
-    Permittivity,
-    SampledLayer,
-    crossed_modes,
-    fourier_permittivity,
-    projected,
+    PatternMatrices,
+    crossed_slab,
+    pattern_permittivity,
     rectangle_permittivity,
     series,
 )
 from nacre.matter.periodic.line_basis import Axis, LineBasis, assemble, line_basis, parity_axis, regions, whole_axis
 from nacre.matter.periodic.line_solver import incident_wave, is_patterned
-from nacre.matter.periodic.scattering_matrix import Modes, scatter, uniform_modes
+from nacre.matter.periodic.scattering_matrix import Modes, Slab, scatter, uniform_modes
 from nacre.matter.periodic.structure import (
     Cell,
     OrderSet,
@@ -40,6 +38,7 @@ from nacre.matter.periodic.types import Array
 RECTANGLE_STEPS = (6, 8, 10, 12)  # degrees
 FOURIER_STEPS = (7, 9, 10, 11, 12, 13)  # radii of the circle of orders
 GRID = 512
+ROUNDING = 1e-13  # of matrices whose elements are below 1
 SYMMETRIC = 1e-9  # smaller transverse wave numbers keep a mirror symmetry
 
 
@@ -48,18 +47,10 @@ def solve_rectangles(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad:
     transverse, _, _ = incident_wave(stack, theta_rad, phi_rad)
     cell = stack.cell
     assert cell.period_y is not None
-    boxes = [shape for layer in stack.layers for shape, _ in layer.shapes if isinstance(shape, Rectangle)]
-    walls = ([x for b in boxes for x in (b.x_0, b.x_1)], [_bounded(y, cell) for b in boxes for y in (b.y_0, b.y_1)])
-    index = max(
-        [stack.reach, *(np.sqrt(complex(e)).real for layer in stack.layers for _, e in layer.shapes)]
-    )  # fmt: skip
+    boxes = _boxes(stack)
     bases: list[LineBasis] = []
-    for positions, period, first in zip(walls, (cell.period_x, cell.period_y), transverse, strict=True):
-        starts, _ = regions(period, np.array(positions))
-        edges = np.append(starts, starts[0] + period) * k0
-        turns = 0.5 * np.diff(edges) * index
-        least = degree if len(starts) <= 3 else max(degree - 2, 3)
-        degrees = tuple(int(np.ceil(max(least, 0.5 * t + least - 2))) for t in turns)
+    elements = zip(_elements(stack, k0, degree), (cell.period_x, cell.period_y), transverse, strict=True)
+    for (edges, degrees), period, first in elements:
         bases.append(line_basis(assemble(period * k0, edges, degrees), float(first), 1.001 * stack.reach))
     symmetric = tuple(
         abs(first) < SYMMETRIC and all(_is_even(b, axis) for b in boxes) for axis, first in enumerate(transverse)
@@ -72,6 +63,38 @@ def solve_rectangles(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad:
         )
         answers.append(_rectangle_class(stack, k0, transverse, (axes[0], axes[1])))
     return _joined(stack, k0, theta_rad, phi_rad, answers, "rectangles")
+
+
+def _boxes(stack: PeriodicStack) -> list[Rectangle]:
+    return [shape for layer in stack.layers for shape, _ in layer.shapes if isinstance(shape, Rectangle)]
+
+
+def _elements(stack: PeriodicStack, k0: float, degree: int) -> list[tuple[Array, tuple[int, ...]]]:
+    """Return the edges (over k0) and the degrees of the elements along x and along y."""
+    cell, boxes = stack.cell, _boxes(stack)
+    assert cell.period_y is not None
+    walls = ([x for b in boxes for x in (b.x_0, b.x_1)], [_bounded(y, cell) for b in boxes for y in (b.y_0, b.y_1)])
+    index = max(
+        [stack.reach, *(np.sqrt(complex(e)).real for layer in stack.layers for _, e in layer.shapes)]
+    )  # fmt: skip
+    found = []
+    for positions, period in zip(walls, (cell.period_x, cell.period_y), strict=True):
+        starts, _ = regions(period, np.array(positions))
+        edges = np.append(starts, starts[0] + period) * k0
+        turns = 0.5 * np.diff(edges) * index
+        least = degree if len(starts) <= 3 else max(degree - 2, 3)
+        found.append((edges, tuple(int(np.ceil(max(least, 0.5 * t + least - 2))) for t in turns)))
+    return found
+
+
+def rectangle_unknowns(stack: PeriodicStack, wavelength_nm: float, step: int) -> int:
+    """Return the number of unknowns of layers of rectangles, for light without a mirror symmetry.
+
+    Args:
+        step: number of the size, 0 for the smallest.
+    """
+    along_x, along_y = _elements(stack, 2.0 * np.pi / wavelength_nm, RECTANGLE_STEPS[step])
+    return 2 * sum(along_x[1]) * sum(along_y[1])
 
 
 def _is_even(box: Rectangle, axis: int) -> bool:
@@ -117,7 +140,7 @@ def _rectangle_class(stack: PeriodicStack, k0: float, transverse: Array, axes: t
         both(x.with_c, y.with_c),
     )  # fmt: skip
     check_unknowns(len(of.x) + len(of.y), k0)
-    modes: list[Modes] = []
+    modes: list[Modes | Slab] = []
     for layer in stack.layers:
         if not is_patterned(layer):
             modes.append(uniform_modes(layer.epsilon, of.alpha, of.beta, (of.x, of.y)))
@@ -127,7 +150,7 @@ def _rectangle_class(stack: PeriodicStack, k0: float, transverse: Array, axes: t
             for s, epsilon in layer.shapes
             if isinstance(s, Rectangle)
         ]
-        modes.append(crossed_modes(rectangle_permittivity(axes, of, layer.epsilon, found), of))
+        modes.append(crossed_slab(rectangle_permittivity(axes, of, layer.epsilon, found), of, layer.thickness_nm * k0))
     rows_x = {int(m): k for k, m in enumerate(x.basis.numbers[: x.basis.resolved])}
     rows_y = {int(n): k for k, n in enumerate(y.basis.numbers[: y.basis.resolved])}
 
@@ -142,7 +165,7 @@ def _rectangle_class(stack: PeriodicStack, k0: float, transverse: Array, axes: t
 
 
 def _solved(
-    stack: PeriodicStack, k0: float, transverse: Array, of: Components, modes: list[Modes],
+    stack: PeriodicStack, k0: float, transverse: Array, of: Components, modes: Sequence[Modes | Slab],
     content: Callable[[int, int], tuple[Array, Array]],
 ) -> _Answer:  # fmt: skip
     """Join the layers for light with E_x = 1 and with E_y = 1 in order (0, 0), and read the orders."""
@@ -209,42 +232,66 @@ def solve_fourier(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
     keep = np.hypot(vectors[:, 0], vectors[:, 1]) <= reach * (1.0 + 1e-9)
     orders = orders[keep]
     check_unknowns(2 * len(orders) // (1 + sum(np.abs(transverse) < SYMMETRIC)), k0)
-    sampled_layers = [sampled(layer, cell) if is_patterned(layer) else None for layer in stack.layers]
+    layers = [_regions(layer) if is_patterned(layer) else None for layer in stack.layers]
     symmetric = tuple(
         abs(first) < SYMMETRIC
         and cell.is_rectangular
-        and all(_is_even_series(layer, axis, 2 * count) for layer in sampled_layers if layer)
+        and all(
+            _is_even_series(layer, shapes, cell, axis, 2 * count)
+            for layer, shapes in zip(stack.layers, layers, strict=True)
+            if shapes
+        )
         for axis, first in enumerate(transverse)
     )
-    layers = [None if layer is None else fourier_permittivity(layer, orders) for layer in sampled_layers]
     answers = [
         _fourier_class(stack, k0, transverse, layers, orders, parities) for parities in _classes(symmetric)
     ]  # fmt: skip
     return _joined(stack, k0, theta_rad, phi_rad, answers, "fourier")
 
 
-def _is_even_series(layer: SampledLayer, axis: int, reach: int) -> bool:
+def _regions(layer: PatternLayer) -> tuple[_Keyed, ...]:
+    regions = (shape if isinstance(shape, Region) else box(shape) for shape, _ in layer.shapes)
+    return tuple(_Keyed(region.key, region) for region in regions)
+
+
+def _is_even_series(layer: PatternLayer, shapes: tuple[_Keyed, ...], cell: Cell, axis: int, reach: int) -> bool:
     """Whether the permittivity has a mirror symmetry, by its series up to an order."""
     places = np.arange(-reach, reach + 1)
     total = sum(
-        (value - layer.epsilon) * share[np.ix_(places, places)]
-        for value, share in zip(layer.values, layer.shares, strict=True)
+        (epsilon - layer.epsilon) * share[np.ix_(places, places)]
+        for (_, epsilon), share in zip(layer.shapes, _geometry(shapes, cell)[0], strict=True)
     )
     return bool(np.allclose(total, np.flip(total, axis), rtol=0.0, atol=1e-9 * np.abs(total).max()))
 
 
-def _fourier_class(
-    stack: PeriodicStack, k0: float, transverse: Array, layers: list[Permittivity | None], orders: Array,
-    parities: tuple[bool | None, bool | None],
-) -> _Answer:  # fmt: skip
-    places = {(int(m), int(n)): k for k, (m, n) in enumerate(orders)}
+@dataclass(frozen=True, eq=False)
+class _Functions:
+    """Combinations of Fourier orders of one class of symmetry.
+
+    Attributes:
+        places: (m, n) -> row of the maps.
+        numbers: `[function, 2]`, one order of each.
+        maps: of E_x, E_y and E_z, `[order, function of the component]`.
+        kept: the functions that each component has.
+    """
+
+    places: dict[tuple[int, int], int]
+    numbers: Array
+    maps: tuple[Array, Array, Array]
+    kept: tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]
+
+
+Parities = tuple[bool | None, bool | None]
+
+
+@lru_cache(maxsize=8)
+def _functions(orders: tuple[tuple[int, int], ...], parities: Parities) -> _Functions:
+    places = {order: k for k, order in enumerate(orders)}
     own = [
         (m, n) for m, n in places if (parities[0] is None or m >= 0) and (parities[1] is None or n >= 0)
     ]  # fmt: skip
-    vectors = stack.cell.wave_vectors(np.array(own)) / k0 + transverse
 
     def combined(x_even: bool | None, y_even: bool | None) -> tuple[Array, NDArray[np.intp]]:
-        """Return the functions `[order, function]` of one component, and their numbers."""
         columns, kept = [], []
         for k, (m, n) in enumerate(own):
             if (x_even is False and m == 0) or (y_even is False and n == 0):
@@ -260,31 +307,64 @@ def _fourier_class(
 
     x, y = parities  # of E_z
     flip_x, flip_y = (None if x is None else not x), (None if y is None else not y)
-    (map_x, kept_x), (map_y, kept_y), (map_z, kept_z) = combined(flip_x, y), combined(x, flip_y), combined(x, y)
-    of = Components(vectors[:, 0], vectors[:, 1], kept_x, kept_y, kept_z)
-    modes = [
-        uniform_modes(layer.epsilon, of.alpha, of.beta, (of.x, of.y))
-        if matrices is None
-        else crossed_modes(projected(matrices, (map_x, map_y, map_z)), of)
-        for layer, matrices in zip(stack.layers, layers, strict=True)
-    ]
-
-    def content(m: int, n: int) -> tuple[Array, Array]:
-        at = places.get((m, n))
-        return (np.zeros(len(kept_x)), np.zeros(len(kept_y))) if at is None else (map_x[at], map_y[at])
-
-    return _solved(stack, k0, transverse, of, modes, content)
+    made = [combined(flip_x, y), combined(x, flip_y), combined(x, y)]
+    return _Functions(
+        places, np.array(own), (made[0][0], made[1][0], made[2][0]), (made[0][1], made[1][1], made[2][1])
+    )  # fmt: skip
 
 
-def sampled(layer: PatternLayer, cell: Cell) -> SampledLayer:
-    """Return the series of a layer's shapes, and of the normals of their walls.
+@lru_cache(maxsize=6)
+def _pattern(
+    shapes: tuple[_Keyed, ...], cell: Cell, orders: tuple[tuple[int, int], ...], parities: Parities
+) -> PatternMatrices:  # fmt: skip
+    """Return the matrices of a layer's shapes, which do not depend on the wavelength.
 
     The normals fade linearly from a wall to the middle of a shape and to the middle of the gap between shapes: a field
     of unit vectors would have singular points there, at which Fourier series converge slowly.
     """
-    shapes = tuple(shape if isinstance(shape, Region) else box(shape) for shape, _ in layer.shapes)
-    shares, normals = _geometry(tuple(_Keyed(shape.key, shape) for shape in shapes), cell)
-    return SampledLayer(complex(layer.epsilon), tuple(complex(e) for _, e in layer.shapes), shares, normals)
+    x, y, z = _functions(orders, parities).maps
+    numbers = np.array(orders)
+    difference = numbers[:, None, :] - numbers[None, :, :]
+    at = (difference[..., 0], difference[..., 1])
+
+    def between(left: Array, table: Array, right: Array) -> Array:
+        matrix = left.T @ table[at] @ right if parities != (None, None) else table[at]
+        is_real = np.abs(matrix.imag).max(initial=0.0) <= ROUNDING
+        return np.asarray(matrix.real if is_real else matrix)
+
+    shares, (xx, yy, xy) = _geometry(shapes, cell)
+    inside = tuple((between(x, share, x), between(y, share, y), between(z, share, z)) for share in shares)
+    return PatternMatrices(inside, between(x, xx, x), between(y, yy, y), between(x, xy, y))
+
+
+def _fourier_class(
+    stack: PeriodicStack, k0: float, transverse: Array, layers: list[tuple[_Keyed, ...] | None], orders: Array,
+    parities: Parities,
+) -> _Answer:  # fmt: skip
+    key = tuple((int(m), int(n)) for m, n in orders)
+    functions = _functions(key, parities)
+    vectors = stack.cell.wave_vectors(functions.numbers) / k0 + transverse
+    of = Components(vectors[:, 0], vectors[:, 1], *functions.kept)
+    modes: list[Modes | Slab] = []
+    for layer, shapes in zip(stack.layers, layers, strict=True):
+        if shapes is None:
+            modes.append(uniform_modes(layer.epsilon, of.alpha, of.beta, (of.x, of.y)))
+            continue
+        values = tuple(_plain(epsilon) for _, epsilon in layer.shapes)
+        matrices = pattern_permittivity(_plain(layer.epsilon), values, _pattern(shapes, stack.cell, key, parities))
+        modes.append(crossed_slab(matrices, of, layer.thickness_nm * k0))
+    map_x, map_y, _ = functions.maps
+
+    def content(m: int, n: int) -> tuple[Array, Array]:
+        at = functions.places.get((m, n))
+        return (np.zeros(len(of.x)), np.zeros(len(of.y))) if at is None else (map_x[at], map_y[at])
+
+    return _solved(stack, k0, transverse, of, modes, content)
+
+
+def _plain(value: complex) -> complex | float:
+    """Return a number without loss as a real one: real matrices take a third of the time."""
+    return value.real if complex(value).imag == 0.0 else value
 
 
 @dataclass(frozen=True)

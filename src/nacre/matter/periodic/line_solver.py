@@ -18,11 +18,11 @@ from nacre.matter.periodic.line_basis import (
 from nacre.matter.periodic.profile_coordinates import (
     Ports,
     aligned,
+    lossless_amplitudes,
     operators,
     profile_modes,
     scatter_profile,
     state,
-    unitary_amplitudes,
 )
 from nacre.matter.periodic.scattering_matrix import Modes, scatter, uniform_modes
 from nacre.matter.periodic.structure import (
@@ -198,8 +198,7 @@ def solve_profile(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
     wave[zero], wave[size + zero] = _axial(cosine, sine, -k_z, stack.cover)[0]
     cover_states = state(up_field, up_flux, cover, k_y, parts), state(in_field, in_flux, cover, k_y, parts)
     substrate_down = state(out_field, out_flux, substrate, k_y, parts)
-    amplitudes_up, amplitudes_down = scatter_profile(cover_states, films, substrate_down, wave)
-    if stack.is_clear and not films and substrate.imag == 0.0:
+    if stack.is_clear and all(np.imag(value) == 0.0 for value in (*numbers, substrate)):
         _, _, beta_back, shape_back = plane_waves(stack.substrate.real, 1.0)
         back_field, back_flux, back_at = aligned(
             below.up, below.up_field, below.up_flux, shape_back, beta_back, parts.mass
@@ -211,7 +210,11 @@ def solve_profile(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
             Ports(cover_states[0], up_at, _power(up_field, up_flux, up_at), cover, k_y),
             Ports(substrate_down, out_at, _power(out_field, out_flux, out_at), substrate, k_y),
         ]  # fmt: skip
-        amplitudes_up, amplitudes_down = unitary_amplitudes(ports, wave, (amplitudes_up, amplitudes_down))
+        amplitudes_up, amplitudes_down = lossless_amplitudes(ports, films, wave)
+    else:
+        amplitudes_up, amplitudes_down = scatter_profile(
+            cover_states, films, substrate_down, wave, np.zeros((4 * size, wave.shape[1]))
+        )  # fmt: skip
     incident_power = _power(in_field, in_flux, np.array([zero]))[0]
 
     def side(

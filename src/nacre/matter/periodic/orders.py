@@ -16,7 +16,7 @@ from nacre.matter.periodic.solve import solve, solve_coarse
 from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Region
 from nacre.matter.periodic.types import Array
 
-VERSION = 4  # raised when numbers change, which invalidates stored solutions
+VERSION = 5  # raised when numbers change, which invalidates stored solutions
 MIN_STORED_S = 0.2  # solutions that take less are not stored
 
 
@@ -148,6 +148,20 @@ def _packed(solution: OrderSolution) -> dict[str, Array]:
             f"{name}_imag": side.jones.imag, f"{name}_efficiency": side.efficiency,
         }  # fmt: skip
     return arrays
+
+
+def packed_solutions(solutions: list[OrderSolution]) -> dict[str, Array]:
+    """Return many solutions as arrays to store."""
+    return {f"{k}-{name}": array for k, each in enumerate(solutions) for name, array in _packed(each).items()}
+
+
+def unpacked_solutions(arrays: dict[str, Array]) -> list[OrderSolution]:
+    """Return the solutions of `packed_solutions`, in their order."""
+    parts: dict[int, dict[str, Array]] = {}
+    for name, array in arrays.items():
+        number, _, own = name.partition("-")
+        parts.setdefault(int(number), {})[own] = array
+    return [_unpacked(parts[k]) for k in range(len(parts))]
 
 
 def _unpacked(arrays: dict[str, Array]) -> OrderSolution:

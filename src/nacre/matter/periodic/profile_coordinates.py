@@ -140,6 +140,7 @@ def scatter_profile(
     films: list[tuple[Array, Array, Array, Array]],
     substrate_down: Array,
     incident: Array,
+    from_below: Array,
 ) -> tuple[Array, Array]:
     """Return the amplitudes up in the cover and down in the substrate.
 
@@ -149,20 +150,23 @@ def scatter_profile(
             to its upper face, and down.
         substrate_down: states of the modes down.
         incident: `[mode, case]`, of the modes down in the cover.
+        from_below: `[4 functions, case]`, states of the waves that come up in the substrate.
     """
-    below, passed = substrate_down, []
+    below, source = substrate_down, from_below
+    passed: list[tuple[Array, Array, Array]] = []
     for up, down, decay_up, decay_down in reversed(films):
-        found = np.linalg.solve(np.hstack([up, -below]), -down)
+        found = np.linalg.solve(np.hstack([up, -below]), np.hstack([-down, source]))
         size = up.shape[1]
-        passed.append((found[size:], decay_down))
-        reflected = decay_up[:, None] * found[:size] * decay_down
-        below = up @ reflected + down
+        answer, added = found[:, :size], found[:, size:]
+        passed.append((answer[size:], added[size:], decay_down))
+        below = up @ (decay_up[:, None] * answer[:size] * decay_down) + down
+        source = up @ (decay_up[:, None] * added[:size])
     up, down = cover
     size = up.shape[1]
-    found = np.linalg.solve(np.hstack([up, -below]), -down @ incident)
+    found = np.linalg.solve(np.hstack([up, -below]), source - down @ incident)
     amplitudes = found[size:]
-    for transmit, decay_down in reversed(passed):
-        amplitudes = transmit @ (decay_down[:, None] * amplitudes)
+    for transmit, added, decay_down in reversed(passed):
+        amplitudes = transmit @ (decay_down[:, None] * amplitudes) + added
     return found[:size], amplitudes
 
 
@@ -196,7 +200,9 @@ class Ports:
         return np.asarray(np.sqrt(both / transverse))
 
 
-def unitary_amplitudes(ports: list[Ports], incident: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
+def lossless_amplitudes(
+    ports: list[Ports], films: list[tuple[Array, Array, Array, Array]], incident: Array
+) -> tuple[Array, Array]:
     """Return the amplitudes of plane waves from the unitary matrix nearest to the scattering matrix.
 
     Without loss the scattering matrix between the plane waves of both sides is unitary; deep profiles lose that to
@@ -204,20 +210,23 @@ def unitary_amplitudes(ports: list[Ports], incident: Array, found: tuple[Array, 
 
     Args:
         ports: waves in from the cover and from the substrate, and out to the cover and to the substrate.
+        films: as for `scatter_profile`.
         incident: `[mode, case]`, of the modes down in the cover.
-        found: amplitudes up and down, whose other entries are kept.
     """
     first, second, up, down = ports
-    right = np.hstack([-first.states[:, first.columns], second.states[:, second.columns]])
-    solved = np.linalg.solve(np.hstack([up.states, -down.states]), right)
-    size = up.states.shape[1]
+    count = len(first.columns)
+    downward = np.zeros((len(incident), count + len(second.columns)))
+    downward[first.columns, np.arange(count)] = 1.0
+    upward = np.zeros((len(second.states), downward.shape[1]), dtype=complex)
+    upward[:, count:] = second.states[:, second.columns]
+    above, below = scatter_profile((up.states, first.states), films, down.states, downward, upward)
     out_scale = np.concatenate([up.scale, down.scale])
     in_scale = np.concatenate([first.scale, second.scale])
-    raw = np.vstack([solved[:size][up.columns], solved[size:][down.columns]])
+    raw = np.vstack([above[up.columns], below[down.columns]])
     left, _, other = np.linalg.svd(out_scale[:, None] * raw / in_scale)
     exact = (left @ other) * in_scale / out_scale[:, None]
-    waves = exact[:, : len(first.columns)] @ incident[first.columns]
-    amplitudes_up, amplitudes_down = found[0].copy(), found[1].copy()
+    waves = exact[:, :count] @ incident[first.columns]
+    amplitudes_up, amplitudes_down = np.zeros(incident.shape, dtype=complex), np.zeros(incident.shape, dtype=complex)
     amplitudes_up[up.columns] = waves[: len(up.columns)]
     amplitudes_down[down.columns] = waves[len(up.columns) :]
     return amplitudes_up, amplitudes_down

@@ -1,15 +1,16 @@
-"""Waves through layers: modes of each layer joined by a reflection matrix carried from the substrate upward.
+"""Waves through layers: modes or symmetric states of each layer, joined from the substrate upward.
 
 Fields along the layers are vectors of E = (E_x, E_y) and H = (H_x, H_y), in units of E. The modes of a layer that go
 up are the columns of `W` (for E) and `V` (for H) with phase exp(i gamma z); those that go down have the same E and -H.
 Only decaying exponentials occur, so layers may be of any depth (Moharam et al., J. Opt. Soc. Am. A 12, 1077 (1995); Li,
-ibid. 13, 1024 (1996)).
+ibid. 13, 1024 (1996)). A `Slab` has the states that are even and odd about its middle in place of modes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.linalg
@@ -17,6 +18,7 @@ import scipy.linalg
 from nacre.matter.periodic.types import Array
 
 Solver = Callable[[Array], Array]
+FRACTION_REACH = 6.0  # of |u|: the fraction of tan(sqrt u) / sqrt u is exact to 1e-12 of it there
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,20 +80,67 @@ def _same(vectors: Array) -> Array:
     return vectors
 
 
-def dense_modes(gamma: Array, electric: Array, magnetic: Array) -> Modes:
-    """Return modes from their full matrices."""
-    e_factors, h_factors = scipy.linalg.lu_factor(electric), scipy.linalg.lu_factor(magnetic)
-    return Modes(
-        gamma,
-        lambda b: scipy.linalg.lu_solve(e_factors, b, check_finite=False),
-        lambda b: scipy.linalg.lu_solve(h_factors, b, check_finite=False),
-        lambda b: electric @ b,
-        lambda b: magnetic @ b,
+@dataclass(frozen=True, eq=False)
+class Slab:
+    """A layer by its two symmetric states about its middle, without modes.
+
+    Attributes:
+        even: H at the upper face over E there, where E is even and H odd.
+        odd: E at the upper face over H there, where E is odd and H even.
+    """
+
+    even: Array
+    odd: Array
+
+
+def slab(p: Array, q: Array, depth: float) -> Slab:
+    """Return a layer in which dE/dz = i P H and dH/dz = i Q E.
+
+    With A = P Q and half the depth h, the even state has H = i Q T E and the odd one E = i T P H, where
+    T = tan(h sqrt A) / sqrt A. This function of the matrix needs products and solutions only, which take a third of
+    the time of the eigenvectors of A, and it keeps the symmetry of P and Q, thus energy and reciprocity.
+
+    Args:
+        depth: thickness times k0.
+    """
+    half = 0.5 * depth
+    tangent = half * tangent_over_root(half**2 * (p @ q))
+    return Slab(1j * (q @ tangent), 1j * (tangent @ p))
+
+
+@lru_cache(maxsize=1)
+def _tangent_fraction() -> tuple[Array, Array]:
+    """Return numerator and denominator, by ascending powers of u, of the fraction u/(1 - u/(3 - ... u/21)) over u."""
+    above, below = [np.zeros(6), np.zeros(6)], [np.zeros(6), np.zeros(6)]
+    above[0][0] = below[1][0] = 1.0  # terms -1 and 0: 1 / 0 and 0 / 1
+    for n in range(1, 12):
+        for terms in (above, below):
+            previous = np.roll(terms[0], 1) * -1.0 if n > 1 else terms[0]
+            terms[:] = [terms[1], (2 * n - 1) * terms[1] + previous]
+    return above[1] / below[1][0], below[1] / below[1][0]
+
+
+def tangent_over_root(u: Array) -> Array:
+    """Return tan(sqrt u) / sqrt u of a matrix, by a continued fraction and f(4 u) = f(u) / (1 - u f(u)^2)."""
+    squared = u @ u
+    size = min(float(np.linalg.norm(u, 1)), float(np.sqrt(np.linalg.norm(squared, 1))))
+    doublings = int(np.ceil(np.log(max(size / FRACTION_REACH, 1.0)) / np.log(4.0)))
+    scale = 0.25**doublings
+    one, u, squared = np.eye(len(u)), scale * u, scale**2 * squared
+    cubed = squared @ u
+    above, below = (
+        c[0] * one + c[1] * u + c[2] * squared + cubed @ (c[3] * one + c[4] * u + c[5] * squared)
+        for c in _tangent_fraction()
     )
+    found = np.linalg.solve(below, above)
+    for _ in range(doublings):
+        found = np.linalg.solve(one - (u @ found) @ found, found)
+        u = 4.0 * u
+    return np.asarray(found)
 
 
 def scatter(
-    cover: Modes, layers: list[Modes], depths: list[float], substrate: Modes, incident: Array
+    cover: Modes, layers: Sequence[Modes | Slab], depths: list[float], substrate: Modes, incident: Array
 ) -> tuple[Array, Array]:
     """Return the E amplitudes (in modes) of the waves up in the cover and down in the substrate.
 
@@ -101,24 +150,51 @@ def scatter(
         incident: `[mode, case]` amplitudes of the waves that come down in the cover, at its lower face.
     """
     identity = np.eye(len(cover.gamma), dtype=complex)
-    down: list[tuple[Array, Array]] = []
-    below = substrate
-    plus, minus = identity, -identity  # (1 + R) and (R - 1) at the top of the medium below
-    for modes, depth in zip(reversed(layers), reversed(depths), strict=True):
-        a = modes.solve_e(below.apply_e(plus))
-        b = modes.solve_h(below.apply_h(minus))
-        factors = scipy.linalg.lu_factor((a - b).T, check_finite=False)
-        reflected = scipy.linalg.lu_solve(factors, (a + b).T, check_finite=False).T
-        decay = np.exp(1j * modes.gamma * depth)
-        down.append((factors, decay))
-        reflected = decay[:, None] * reflected * decay
-        plus, minus = reflected + identity, reflected - identity
-        below = modes
-    a = cover.solve_e(below.apply_e(plus))
-    b = cover.solve_h(below.apply_h(minus))
+    down: list[Solver] = []
+    # E and H at the top of the medium below, for unit amplitudes in it
+    electric, magnetic = substrate.apply_e(identity), -substrate.apply_h(identity)
+    for layer, depth in zip(reversed(layers), reversed(depths), strict=True):
+        if isinstance(layer, Slab):
+            electric, magnetic, downward = _through_slab(layer, electric, magnetic)
+        else:
+            electric, magnetic, downward = _through_modes(layer, depth, electric, magnetic)
+        down.append(downward)
+    a, b = cover.solve_e(electric), cover.solve_h(magnetic)
     amplitudes = np.linalg.solve(a - b, 2.0 * incident)
     upward = 0.5 * ((a + b) @ amplitudes)
-    for factors, decay in reversed(down):
-        # trans=1: the factors are those of the transposed matrix
-        amplitudes = scipy.linalg.lu_solve(factors, 2.0 * decay[:, None] * amplitudes, trans=1, check_finite=False)
+    for downward in reversed(down):
+        amplitudes = downward(amplitudes)
     return upward, amplitudes
+
+
+def _through_modes(modes: Modes, depth: float, electric: Array, magnetic: Array) -> tuple[Array, Array, Solver]:
+    """Return E and H at the top of a layer for unit waves down there, and how these continue below."""
+    a, b = modes.solve_e(electric), modes.solve_h(magnetic)
+    factors = scipy.linalg.lu_factor((a - b).T, check_finite=False)
+    reflected = scipy.linalg.lu_solve(factors, (a + b).T, check_finite=False).T
+    decay = np.exp(1j * modes.gamma * depth)
+    reflected = decay[:, None] * reflected * decay
+    identity = np.eye(len(decay))
+
+    def downward(amplitudes: Array) -> Array:
+        # trans=1: the factors are those of the transposed matrix
+        waves = 2.0 * decay[:, None] * amplitudes
+        return np.asarray(scipy.linalg.lu_solve(factors, waves, trans=1, check_finite=False))
+
+    return modes.apply_e(reflected + identity), modes.apply_h(reflected - identity), downward
+
+
+def _through_slab(layer: Slab, electric: Array, magnetic: Array) -> tuple[Array, Array, Solver]:
+    """Return E and H at the top of a layer for unit even states E, and how these continue below."""
+    factors = scipy.linalg.lu_factor(electric, check_finite=False)
+    # H = Y E at the lower face
+    admittance = scipy.linalg.lu_solve(factors, magnetic.T, trans=1, check_finite=False).T
+    identity = np.eye(len(electric))
+    odd = np.linalg.solve(identity + admittance @ layer.odd, layer.even + admittance)  # H of the odd state
+    opposed = layer.odd @ odd
+
+    def downward(amplitudes: Array) -> Array:
+        lower = amplitudes - opposed @ amplitudes
+        return np.asarray(scipy.linalg.lu_solve(factors, lower, check_finite=False))
+
+    return identity + opposed, layer.even + odd, downward

@@ -10,7 +10,7 @@ import numpy as np
 from nacre.core.errors import NacreError
 from nacre.matter.periodic.types import Array
 
-MAX_UNKNOWNS = 1500  # of one eigenproblem: half a minute
+MAX_UNKNOWNS = 1500  # of one system: some ten seconds
 CLEAR_K = 1e-6  # a substrate with a smaller k transmits orders
 
 
@@ -141,7 +141,7 @@ class OrderSolution:
 
     Attributes:
         error: estimated largest error of an efficiency.
-        unknowns: size of the eigenproblems.
+        unknowns: size of the systems.
         method: solver name.
     """
 
@@ -157,7 +157,7 @@ class NotConvergedError(NacreError):
 
 
 def check_unknowns(count: int, k0: float) -> None:
-    """Refuse an eigenproblem that is too large.
+    """Refuse a system that is too large.
 
     Raises:
         NotConvergedError: naming the size.

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.parallel import parallel_for
-from nacre.matter.stack.anisotropic_kernel import solve_stacks
+from nacre.matter.stack.anisotropic_kernel import SEPARATION, solve_stacks
 from nacre.matter.stack.solve import mueller
 
 FEWEST_SLICES = 32  # of half a turn of a helix
@@ -307,8 +307,15 @@ def _substrate_reflection(
     values, vectors = np.linalg.eig(d)
     flux = np.real(vectors[..., 0, :] * vectors[..., 1, :].conj() + vectors[..., 2, :] * vectors[..., 3, :].conj())
     decays = np.abs(values.imag) > 1e-9 * np.abs(values)
-    order = np.argsort(-np.where(decays, np.sign(values.imag) * 2.0, np.sign(flux)), axis=-1, kind="stable")[..., :2]
-    down = np.take_along_axis(vectors, order[..., None, :], axis=-1)
+    order = np.argsort(-np.where(decays, np.sign(values.imag) * 2.0, np.sign(flux)), axis=-1, kind="stable")
+    down = np.take_along_axis(vectors, order[..., None, :2], axis=-1)
+    sorted_values = np.take_along_axis(values, order, axis=-1)
+    apart = sorted_values[..., :2, None] - sorted_values[..., None, 2:]
+    is_apart = np.abs(apart.prod(axis=(-2, -1))) > SEPARATION * np.abs(values).max(axis=-1) ** 4
+    # D^2 - s D + p of the upward modes maps onto the downward ones, which may lack two eigenvectors (Voigt waves)
+    s, p = sorted_values[..., 2:].sum(axis=-1), sorted_values[..., 2:].prod(axis=-1)
+    onto = d @ d - s[..., None, None] * d + p[..., None, None] * np.eye(4)
+    down = np.where(is_apart[..., None, None], onto @ np.array([[1, 0], [1, 0], [0, 1], [0, 1]]), down)
     e, h = down[..., [0, 2], :], down[..., [1, 3], :]
     return (e - h) @ np.linalg.inv(e + h), None
 

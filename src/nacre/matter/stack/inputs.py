@@ -11,14 +11,16 @@ r_s, r_p, t_s, t_p.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
+from nacre.core.jit import is_spared
 from nacre.core.parallel import parallel_for
 
 MIN_INDEX = 1e-6  # below 1e-7, 1/n^4 loses a layer's phase in double precision
@@ -26,6 +28,7 @@ LARGEST_INDEX = 1e6  # its cube stays far from overflow
 CLEAR_K = 1e-4  # an ambient with smaller absorption counts as clear
 GRAZING_COS = 1e-12  # smaller cosines count as exactly 90 degrees, with R = 1 and T = 0
 FEW_WAVELENGTHS = 16  # the kernel runs along the wavelengths; shorter axes are joined with the angles
+CALL_WORK = 2000  # of a stack in NumPy, in points times interfaces
 GATHER_LIMIT = 1_000_000  # limit of complex values copied for joined axes
 
 
@@ -275,18 +278,18 @@ def _owned(array: ArrayLike, dtype: Any) -> NDArray[Any]:
 def run_kernel(
     stack: StackArrays, with_amplitudes: bool, with_powers: bool, jobs: int | None
 ) -> tuple[ComplexArray, Array]:
-    from nacre.matter.stack.kernel import solve_range
-
     shape = stack.shape
     joined = _join_axes(stack)
     batch, angles, count = joined.shape
+    work = batch * angles * count * (joined.n.shape[1] - 1)
+    solve_range = _solver(work + batch * CALL_WORK)
     amplitude = np.empty((4, batch if with_amplitudes else 0, angles, count), dtype=np.complex128)
     power = np.empty((4, batch if with_powers else 0, angles, count))
 
     def task(start: int, stop: int, first: int, last: int) -> None:
         solve_range(*joined.kernel_arrays, start, stop, first, last, amplitude, power)
 
-    parallel_for(task, batch, angles, batch * angles * count * (joined.n.shape[1] - 1), jobs)
+    parallel_for(task, batch, angles, work, jobs)
     full = (4, *stack.batch, *stack.angle_shape, shape[2])
     if with_amplitudes:
         # the kernel's t_p is the H-field ratio; E = H k / (w eps): a factor n_0 / n_s
@@ -296,6 +299,17 @@ def run_kernel(
     if with_powers:
         power = power.reshape(full)
     return amplitude, power
+
+
+def _solver(work: int) -> Callable[..., None]:
+    """Return the kernel, or its form in NumPy for the first small work of a command."""
+    if is_spared(work):
+        from nacre.matter.stack.uncompiled import solve_range as in_numpy
+
+        return in_numpy
+    from nacre.matter.stack.kernel import solve_range
+
+    return cast(Callable[..., None], solve_range)
 
 
 def part_of(stack: StackArrays, n: ComplexArray, thicknesses_nm: Array, normal: ComplexArray) -> StackArrays:

@@ -20,6 +20,7 @@ from nacre.core.files import atomic_path, read_text, write_text
 from nacre.core.parallel import available_jobs, single_threaded_blas
 from nacre.optimise.checkpoint import Checkpointer, unreadable
 from nacre.optimise.relief.merit import ConvergedMeasurement, Evaluator, Problem, exact_losses, measure_design
+from nacre.optimise.relief.refine import check_refinable, refine
 from nacre.optimise.relief.report import write_preview, write_report
 from nacre.optimise.relief.search import Candidate, Progress, Search
 from nacre.optimise.relief.target import TargetSpec
@@ -31,6 +32,7 @@ from nacre.recipe.toml import dump_toml, parse_toml
 # reserved from the time limit for the final measurement and the report
 FINAL_SHARE, FINAL_MAX_S = 0.15, 3.0
 MIN_SEARCH_SHARE = 0.25  # relative to the time limit
+SEARCH_SHARE = 0.5  # of the time, before a vector refinement
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,9 @@ def design(
     """
     start_time = time.monotonic() if start_time is None else start_time
     problem = spec.build(context) if problem is None else problem
+    coating = spec.coating.build(context) if spec.search.refine else None
+    if coating is not None:
+        check_refinable(problem, coating, context)
     folder = Path(out_dir)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -141,14 +146,23 @@ def design(
     if limit is not None:
         reserved_s = evaluation_s + min(FINAL_SHARE * limit, FINAL_MAX_S) + time.monotonic() - start_time
         limit = max(limit - reserved_s, MIN_SEARCH_SHARE * limit)
+    if coating is not None and limit is not None:
+        limit *= SEARCH_SHARE
     best = search.run(limit, update)
     _save(search, checkpointer)
-    final_start = time.monotonic()
     heights_nm = best * problem.height_max_nm
+    refined = None
+    if coating is not None and search.stop_reason != "interrupted":
+        refined = refine(problem, heights_nm, coating, limit)
+    if refined is not None:
+        heights_nm, best = refined.heights_nm, refined.heights_nm / problem.height_max_nm
+    final_start = time.monotonic()
     with single_threaded_blas():
         measured = measure_design(problem, heights_nm, workers)
     search.seconds += time.monotonic() - final_start
     summary = output.write(best, search.stop_reason or "done", measured)
+    if refined is not None:
+        summary["vector"] = refined.summary
     if evaluate is not None:
         summary |= evaluate(folder, summary)
     with single_threaded_blas():
@@ -212,7 +226,7 @@ class _Output:
 
 def _recipe_text(spec: TargetSpec) -> str:
     coating = spec.coating.model_dump(exclude_none=True, exclude_defaults=True)
-    data = {
+    data: dict[str, Any] = {
         "family": "relief",
         "heights": "height.npy",
         "periodic": True,
@@ -222,6 +236,9 @@ def _recipe_text(spec: TargetSpec) -> str:
         "prefactor": spec.chosen_prefactor,
         "coherence": spec.coherence.model_dump(exclude_none=True),
     }
+    if spec.search.refine is not None:
+        del data["prefactor"]  # of scalar theory
+        data["model"] = {"optics": spec.search.refine}
     return dump_toml(data)
 
 

@@ -51,7 +51,7 @@ VISIBLE_THRESHOLD = 1e-3  # target values below this may lie beyond the horizon
 
 
 class ColourSource(RecipeModel):
-    """Colour from a file: an image over the slice, or a reflectance spectrum (CSV: nm, value)."""
+    """Colour from a file: an image over the slice, or a reflectance spectrum."""
 
     one_of: ClassVar[tuple[str, ...]] = ("image", "spectrum")
     forms: ClassVar[tuple[str, ...]] = ('{image = "colours.png"}', '{spectrum = "reflectance.csv"}')
@@ -59,9 +59,9 @@ class ColourSource(RecipeModel):
     image: str | None = Field(
         default=None, description="an image of the colours over the slice", examples=["colours.png"]
     )
-    spectrum: str | None = Field(
+    spectrum: FileSpec | None = Field(
         default=None,
-        description="a CSV of wavelength in nm and reflectance; its colour under D65 is used",
+        description="a file of a reflectance spectrum, or a table of the file and what it lacks; its colour under D65",
         examples=["reflectance.csv"],
     )
 
@@ -241,6 +241,13 @@ class SearchTable(RecipeModel):
         default=((0.0, 0.0),), description="directions of the light, each [theta, phi]"
     )
 
+    refine: Literal["vector"] | None = Field(
+        default=None,
+        description="improve the found heights by Maxwell's equations, in the second half of the time: for tiles of "
+        "few features and a short period",
+        examples=["vector"],
+    )
+
     @pydantic.model_validator(mode="after")
     def _levels_are_two_or_more(self) -> SearchTable:
         if self.levels == 1:
@@ -378,12 +385,12 @@ def _incidence(theta_deg: float, phi_deg: float, context: RecipeContext) -> Arra
     return direction(math.radians(theta_deg), math.radians(phi_deg))
 
 
-def _spectrum_colour(name: str, context: RecipeContext) -> Array:
+def _spectrum_colour(given: FileSpec, context: RecipeContext) -> Array:
     """Return a reflectance spectrum's display-referred colour under D65."""
     from nacre.light import spectrum_to_rgb_linear
 
     key = "target.colour.spectrum"
-    table = recipe_spectrum(context, key, FileSpec(file=name), ("reflectance",))
+    table, name = recipe_spectrum(context, key, given, ("reflectance",)), given.file
     if len(table) < 2 or (np.diff(table[:, 0]) <= 0).any():
         raise context.fail(key, name, "should contain two columns, ascending nm and reflectance")
     if table[:, 1].min() < 0.0 or table[:, 1].max() > MAX_REFLECTANCE:

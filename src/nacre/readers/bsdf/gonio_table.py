@@ -47,6 +47,7 @@ NAMES = {
 }  # fmt: skip
 UNITS = {"deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "rad": "rad", "radian": "rad", "radians": "rad"}
 WAVE_UNITS = ("nm", "um", "µm", "μm")
+LONGEST = 200  # characters of a heading
 _BRACKET = re.compile(r"[\[(]([^\])]*)[\])]")
 _WAVE = re.compile(r"(?:[a-z_]*?[ _]?)?(\d+(?:\.\d+)?)\s*(nm|um|µm|μm)?")
 _COLOUR = re.compile(r"bsdf(rgb|xyz)[012]|[rgb]|[xyz]")
@@ -138,7 +139,7 @@ def heading(cells: Sequence[str]) -> Heading:
 
 def _name_and_unit(cell: str) -> tuple[str, str]:
     """Return the letters of a heading without its unit, and the unit."""
-    text = cell.strip().lower()
+    text = cell.strip().lower()[:LONGEST]
     bracket = _BRACKET.search(text)
     unit = bracket[1].strip() if bracket else ""
     text = _BRACKET.sub("", text)

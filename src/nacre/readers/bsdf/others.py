@@ -10,13 +10,7 @@ from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
 LENGTH = 8000  # characters that hold the angles of a head
-PROGRAMS = {
-    "FRED": re.compile(r"^\s*type\s+bsdf_data\b", re.IGNORECASE | re.MULTILINE),
-    "LightTools": re.compile(
-        r"^\s*SphereMesh:\s*\d|\A(?!.*SampleRotation).*^\s*ScatterAzimuth\s+\d.*^\s*ScatterRadial\s+\d",
-        re.MULTILINE | re.DOTALL,
-    ),
-}
+PROGRAMS = {"LightTools (mesh of intensity)": re.compile(r"^[^\S\n]*SphereMesh:\s*\d", re.MULTILINE)}
 
 
 def sniff(head: FileHead) -> float:

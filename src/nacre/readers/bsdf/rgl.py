@@ -222,7 +222,10 @@ class RglBsdf:
         return cls(waves if is_spectral else None, theta, phi, ndf, sigma, warps, values, bool(fields["jacobian"][0]))
 
     def evaluate(self, wi: Array, wo: Array) -> Array:
-        """Return f (without the cosine), `[..., wavelength or channel]`, zero below the horizon (isotropic)."""
+        """Return f (without the cosine), `[..., wavelength or channel]`, zero below the horizon.
+
+        Azimuths of the light that span a half or a quarter of the circle repeat by rotation or by reflections.
+        """
         shape = np.broadcast_shapes(wi.shape, wo.shape)
         wi, wo = (np.broadcast_to(w, shape).reshape(-1, 3) for w in (wi, wo))
         up = (wi[:, 2] > 1e-4) & (wo[:, 2] > 1e-4)
@@ -230,31 +233,53 @@ class RglBsdf:
         values[up] = self._above(wi[up], wo[up])
         return values.reshape(*shape[:-1], -1)
 
+    def _reduced(self, wi: Array, wo: Array) -> tuple[Array, Array]:
+        """Turn or reflect both directions so that the light's azimuth lies among the measured ones."""
+        repeats = int(round(2 * np.pi / max(float(np.ptp(self.phi_i)), 1e-6)))
+        if self.is_isotropic or repeats not in (2, 4):
+            return wi, wo
+        low = self.phi_i[0] < -1e-6 and self.phi_i[-1] < 1e-6  # measured at negative azimuths
+        sides = [np.where(wi[:, k] < 0, -1.0, 1.0) for k in (0, 1)]
+        wanted = np.sign(np.cos(self.phi_i.mean())), -1.0 if low else 1.0
+        sign_y = sides[1] * wanted[1]
+        sign_x = sides[0] * wanted[0] if repeats == 4 else sign_y
+        signs = np.stack([sign_x, sign_y, np.ones_like(sign_x)], axis=-1)
+        return wi * signs, wo * signs
+
     def _above(self, wi: Array, wo: Array) -> Array:
+        wi, wo = self._reduced(wi, wo)
         m = wi + wo
         m /= np.linalg.norm(m, axis=-1, keepdims=True)
         theta_i, theta_m = np.arccos(np.clip(wi[:, 2], -1, 1)), np.arccos(np.clip(m[:, 2], -1, 1))
         phi_i, phi_m = np.arctan2(wi[:, 1], wi[:, 0]), np.arctan2(m[:, 1], m[:, 0])
         u_m = np.sqrt(theta_m * 2 / np.pi)
-        v_m = np.mod((phi_m - phi_i + np.pi) / (2 * np.pi), 1.0)
-        place = np.clip(np.interp(theta_i, self.theta_i, np.arange(len(self.theta_i))), 0, len(self.theta_i) - 1)
-        low = np.minimum(place.astype(int), len(self.theta_i) - 2)
-        share = place - low
+        v_m = np.mod((phi_m - (phi_i if self.is_isotropic else 0.0) + np.pi) / (2 * np.pi), 1.0)
+        low, share = _place(theta_i, self.theta_i)
+        turn, turned = (np.zeros_like(low), np.zeros_like(share)) if self.is_isotropic else self._turn(phi_i)
         total = np.zeros((len(wi), self.values.shape[2]))
-        for node in np.unique(low):
-            some = low == node
-            x = _mix(
-                self.warps[0][node].invert(u_m[some], v_m[some]),
-                self.warps[0][node + 1].invert(u_m[some], v_m[some]),
-                share[some],
-            )
-            here, there = (_fetch(self.values[0, n], *x) for n in (node, node + 1))
-            total[some] = here * (1 - share[some])[:, None] + there * share[some][:, None]
+        for p, t in np.unique(np.stack([turn, low]), axis=1).T:
+            some = (turn == p) & (low == t)
+            corners = [
+                (a, b, (turned[some] if a > p else 1 - turned[some]) * (share[some] if b > t else 1 - share[some]))
+                for a in ((p,) if self.is_isotropic else (p, p + 1))
+                for b in (t, t + 1)
+            ]
+            x = [np.zeros(int(some.sum())), np.zeros(int(some.sum()))]
+            for a, b, weight in corners:
+                for axis, position in enumerate(self.warps[a][b].invert(u_m[some], v_m[some])):
+                    x[axis] += weight * position
+            total[some] = sum(weight[:, None] * _fetch(self.values[a, b], x[0], x[1]) for a, b, weight in corners)
         if self.has_jacobian:
-            u_i, v_i = np.sqrt(theta_i * 2 / np.pi), np.full_like(theta_i, 0.5)
+            v_i = np.full_like(theta_i, 0.5) if self.is_isotropic else (phi_i + np.pi) / (2 * np.pi)
+            u_i = np.sqrt(theta_i * 2 / np.pi)
             scale = _fetch(self.ndf[None], u_m, v_m)[:, 0] / (4 * _fetch(self.sigma[None], u_i, v_i)[:, 0])
             total *= scale[:, None]
         return np.asarray(total / wo[:, 2:3])
+
+    def _turn(self, phi_i: Array) -> tuple[NDArray[np.intp], Array]:
+        """Return the measured azimuth below each of the light, and the share of the next one."""
+        middle = 0.5 * (self.phi_i[0] + self.phi_i[-1])
+        return _place(middle + np.mod(phi_i - middle + np.pi, 2 * np.pi) - np.pi, self.phi_i)
 
     def samples(self) -> tuple[Array, Array]:
         """Return the measured direction pairs `[pair, 4]` in degrees and their values `[pair, channel]`."""
@@ -283,8 +308,11 @@ class RglBsdf:
         return np.concatenate(angles), np.concatenate(values)
 
 
-def _mix(a: tuple[Array, Array], b: tuple[Array, Array], share: Array) -> tuple[Array, Array]:
-    return a[0] * (1 - share) + b[0] * share, a[1] * (1 - share) + b[1] * share
+def _place(x: Array, nodes: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the node below each x, and the share of the next one; values beyond the ends are held."""
+    place = np.interp(x, nodes, np.arange(len(nodes)))
+    low = np.minimum(place.astype(int), len(nodes) - 2)
+    return low, place - low
 
 
 def _fetch(tables: Array, x: Array, y: Array) -> Array:

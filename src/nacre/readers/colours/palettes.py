@@ -17,6 +17,7 @@ _ALPHA = re.compile(r"\s*(\d{1,3}\s+\d{1,3}\s+\d{1,3})\s+(\d{1,3})(?=\s|$)")
 _HEX = re.compile(
     r"\s*(?:(?P<name>[^#;,\t]*?)[\s,;:\t]+)?(?P<mark>#|0x)?(?P<hex>[0-9A-Fa-f]{6}|[0-9A-Fa-f]{8})(?:[\s,;:]+(?P<after>\S.*))?\s*$"
 )
+LONGEST = 300  # characters of a line
 _SOC = re.compile(r"<draw:color\b([^>]*)/?>")
 _ATTRIBUTE = re.compile(r'draw:(name|color)\s*=\s*"([^"]*)"')
 
@@ -27,8 +28,8 @@ def sniff(head: FileHead) -> float:
     if first.startswith(("GIMP Palette", "JASC-PAL")) or "<draw:color " in head.text:
         return CERTAIN
     lines = [line for line in head.lines[:200] if line.strip() and not _is_remark(line)]
-    if not head.is_text or not lines or head.size > 1 << 22:
-        return 0.0
+    if not head.is_text or not lines or head.size > 1 << 22 or max(map(len, lines)) > LONGEST:
+        return 0.0  # the search for a name is cubic in a line's blanks
     whole = lines[:-1] if head.size > len(head.data) else lines
     matches = [_HEX.fullmatch(line) for line in whole]
     is_hex = all(matches) and any(match["mark"] or re.search("[A-Fa-f]", match["hex"]) for match in matches if match)
@@ -52,7 +53,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         format_id = "gpl"
     else:
         lines = [line for line in text.lines if line.strip() and not _is_remark(line)]
-        matches = [_HEX.fullmatch(line) for line in lines]
+        matches = [_HEX.fullmatch(line) if len(line) <= LONGEST else None for line in lines]
         if not all(matches):
             bad = next(line for line, match in zip(lines, matches, strict=True) if not match)
             raise NacreError(f'{path}: "{bad.strip()[:40]}" is no hexadecimal colour')

@@ -18,8 +18,8 @@ from nacre.readers.text_table import load_text
 from nacre.readers.units import SPECTRAL, UNITS, parse_unit
 
 QUANTITIES = {"NK": ("n", "k"), "E1E2": ("eps1", "eps2"), "N": ("n",)}
-_UNITS = re.compile(r"^\s*Units\s*=\s*([^,\s]+)\s*,\s*(\w+)", re.IGNORECASE | re.MULTILINE)
-_BEGIN = re.compile(r"^\s*Begin of array.*$", re.IGNORECASE | re.MULTILINE)
+_UNITS = re.compile(r"^[^\S\n]*Units\s*=\s*([^,\s]+)\s*,\s*(\w+)", re.IGNORECASE | re.MULTILINE)
+_BEGIN = re.compile(r"^[^\S\n]*Begin of array.*$", re.IGNORECASE | re.MULTILINE)
 
 
 def sniff(head: FileHead) -> float:

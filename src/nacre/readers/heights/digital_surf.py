@@ -1,14 +1,15 @@
-"""Digital Surf .sur files of MountainsMap, uncompressed."""
+"""Digital Surf .sur files of MountainsMap; compressed ones hold streams of deflate below a table of their sizes."""
 
 from __future__ import annotations
 
 import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
 
 from nacre.core.errors import NacreError
-from nacre.readers.heights.surface import array, height_map, length_um, reads
+from nacre.readers.heights.surface import array, check_shape, height_map, length_um, reads
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
@@ -26,8 +27,6 @@ def sniff(head: FileHead) -> float:
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; z = raw step + offset, with holes at the lowest raw value less 2."""
     data = path.read_bytes()
-    if data.startswith(MAGICS[1]):
-        raise NacreError(f"{path}: is a compressed .sur; save it uncompressed, or export it as .sdf")
     v = HEAD.unpack_from(data)
     instrument = v[6].decode("latin-1").strip(" \0")
     special, bits, low = v[10], v[12], v[13]
@@ -39,7 +38,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         raise ValueError(f"points of {bits} bits")
     comment, private = struct.unpack_from("<2H", data, COMMENT)
     (offset,) = struct.unpack_from("<f", data, OFFSET)
-    raw = array(data, "<i2" if bits == 16 else "<i4", (rows, columns), HEAD_BYTES + comment + private)
+    start = HEAD_BYTES + comment + private
+    check_shape((rows, columns))
+    if data.startswith(MAGICS[1]):
+        data, start = _inflated(data, start, rows * columns * bits // 8), 0
+    raw = array(data, "<i2" if bits == 16 else "<i4", (rows, columns), start)
     heights = raw.astype(float)
     if special == 1:
         heights[raw == low - 2] = np.nan
@@ -51,3 +54,20 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     heights = heights[:, ::-1] if inversion == 2 else heights[::-1] if inversion == 3 else heights
     facts = {"instrument": instrument, "height_offset_um": offset * z}
     return [height_map(path, "sur", heights, (step_x * x, step_y * y), metadata=facts)]
+
+
+def _inflated(data: bytes, start: int, expected: int) -> bytes:
+    """Return the heights of a compressed file: a count, pairs of raw and stored sizes, then the streams.
+
+    Raises:
+        ValueError: the sizes do not give the heights of the head.
+    """
+    (count,) = struct.unpack_from("<I", data, start)
+    sizes = struct.unpack_from(f"<{2 * min(count, 65536)}I", data, start + 4)
+    if sum(sizes[::2]) != expected:
+        raise ValueError(f"its streams hold {sum(sizes[::2])} bytes, and its heights need {expected}")
+    at, parts = start + 4 + 8 * count, []
+    for raw, stored in zip(sizes[::2], sizes[1::2], strict=True):
+        parts.append(zlib.decompressobj().decompress(data[at : at + stored], raw))
+        at += stored
+    return b"".join(parts)

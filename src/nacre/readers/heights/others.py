@@ -10,11 +10,7 @@ from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
 PROGRAMS = {
-    "Wyko, Vision (ASCII)": re.compile(r"\s*Wyko ASCII Data File"),
-    "Zygo (XYZ)": re.compile(r"\s*Zygo (XYZ|ASCII) Data File"),
-    "SPIP (ASCII)": re.compile(r"\s*#\s*File Format\s*=\s*ASCII"),
     "Shimadzu SPM": re.compile(r"\s*Shimadzu SPM File Format"),
-    "Keyence (CSV)": re.compile(r'(?s)\s*"?Measure(ment|d) date.{0,2000}"?XY Calibration'),
     "Esri (ASCII grid)": re.compile(r"(?i)\s*ncols\s+\d+\s+nrows\s+\d+"),
 }
 

@@ -42,6 +42,8 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         if b"<!DOCTYPE" in text or b"<!ENTITY" in text:
             raise ValueError("its head defines entities")
         root = ElementTree.fromstring(text)
+        for element in root.iter():  # some writers put the records into the namespace of the standard
+            element.tag = element.tag.rpartition("}")[2]
 
         def value(place: str, default: str | None = None) -> str:
             found = root.find(place)

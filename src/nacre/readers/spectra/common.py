@@ -41,6 +41,14 @@ _QUANTITIES: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
 )  # fmt: skip
 _PER_CENT = re.compile(r"%|per ?cent|prozent|pour ?cent|por ?ciento")
 _FACTOR = re.compile(r"[\[(]\s*(?:1|0-1|-)\s*[\])]|factor\b|fraction")
+# functions of a reflectance, and scales that are not read
+_OTHER_SCALE = re.compile(
+    r"^1\s*-|\b[rt]\s*/\s*[a-z]|\bdb\b|‰|per ?mill?e|\bpp[mt]\b|"
+    r"[x×*]\s*\d|\d\s*[x×*]|10\s*\^|\blog(?:10)?\b|\bln\b|\bsqrt\b|\bdelta\b|"
+    r"[δ∆]|deriv|\bchange\b|normali[sz]|\ba\.\s?u\b|\barb"
+)
+_POWER = re.compile(r"reflect|r[ée]fle[ck]|transmi|absorptance|(?<![a-z])[rt](?![a-z])|反射率|透過率")
+_LOG_INVERSE = re.compile(r"log\s*\(?\s*1\s*/\s*[rt]")  # absorbance
 _UNITS: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
     (unit, re.compile(pattern))
     for unit, pattern in (
@@ -252,10 +260,23 @@ def label_of(text: str) -> Label | None:
     for name, pattern in _QUANTITIES:
         if pattern.search(low):
             if name in ("reflectance", "transmittance", "absorptance"):
+                if has_other_scale(text):
+                    return None
                 is_per_cent = bool(_PER_CENT.search(low))
                 return Label(name, 0.01 if is_per_cent else 1.0 if _FACTOR.search(low) else None)
             return Label(name, 1.0)
     return None
+
+
+def has_other_scale(text: str) -> bool:
+    """Whether a heading states a function of R or T, or a scale that is not read.
+
+    Example:
+        >>> [has_other_scale(text) for text in ("Reflectance (dB)", "1-R", "R (a.u.)", "R (%)", "delta", "log(1/R)")]
+        [True, True, True, False, False, False]
+    """
+    low = " ".join(text.strip().strip('"').lower().replace("_", " ").split())
+    return bool(_OTHER_SCALE.search(low)) and bool(_POWER.search(low)) and not _LOG_INVERSE.search(low)
 
 
 def unit_named(text: str) -> str | None:

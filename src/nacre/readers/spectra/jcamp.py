@@ -243,7 +243,8 @@ def _ordinates(path: Path, lines: list[str]) -> list[float]:
     """
     values: list[float] = []
     check = False  # whether the first ordinate of the next line repeats the last of this one
-    for line in filter(str.strip, lines):
+    rows = [line for line in lines if line.strip()]
+    for number, line in enumerate(rows, start=1):
         tokens = _TOKEN.findall(line)
         if re.sub(r"[\s,;]", "", line) != "".join(tokens):
             raise NacreError(f'{path}: "{line.strip()[:60]}" is not in a form of JCAMP-DX')
@@ -263,7 +264,9 @@ def _ordinates(path: Path, lines: list[str]) -> list[float]:
             difference = None
             value = float("nan") if token == "?" else float(_SQZ[lead] + token[1:] if lead in _SQZ else token)
             if is_first and check:
-                if values[-1] != value:
+                # some programs end the table with a line of one zero in place of the check value
+                is_end = number == len(rows) and len(tokens) == 2 and value == 0.0
+                if values[-1] != value and not is_end:
                     raise NacreError(f"{path}: a check value of its differences is {value:g}, not {values[-1]:g}")
             else:
                 values.append(value)

@@ -14,6 +14,7 @@ from nacre.core.errors import NacreError
 from nacre.readers.columns import interpret
 from nacre.readers.headings import SPECTRAL_QUANTITIES, meanings
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.preamble import read_preamble, with_preamble
 from nacre.readers.registry import FileHead
 from nacre.readers.spectra import common
 from nacre.readers.spectra.common import Block, Label, Notes
@@ -105,9 +106,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     axes = [place for place, name in enumerate(names) if _WAVELENGTH.search(name)]
     pairs = [place for place in axes if place + 1 not in axes]
     if len(pairs) > 1:
-        found_pairs = _pairs(path, text.lines, block, names, pairs, options, notes)
-        return common.choose(path, found_pairs, options)
-    return common.choose(path, _columns(path, common.complete(path, block), names, metadata, options, notes), options)
+        found_spectra = _pairs(path, text.lines, block, names, pairs, options, notes)
+    else:
+        found_spectra = _columns(path, common.complete(path, block), names, metadata, options, notes)
+    above = read_preamble(text.lines[: block.start])
+    return common.choose(path, [with_preamble(each, above) for each in found_spectra], options)
 
 
 def of_samples(table: TextTable, options: ReadOptions) -> list[Measurement] | None:
@@ -353,6 +356,14 @@ def _labels(
     A dark sample in per cent has values below 1 beside brighter ones in the same table.
     """
     stated = common.option_label(path, options)
+    scaled = next((heading for heading, _ in columns if common.has_other_scale(heading)), None)
+    if stated is None and scaled is not None:
+        raise AmbiguousFileError(
+            f'{path}: "{scaled[:40]}" is another function or scale of a reflectance, or is in arbitrary units; convert '
+            "it, or state the quantity of the numbers as they are",
+            "quantity",
+            common.QUANTITIES,
+        )
     labels = [stated or common.label_of(heading) or Label("") for heading, _ in columns]
     labels = [Label("") if label.quantity == "error" else label for label in labels]
     if any(not label.quantity for label in labels):  # one letter among names of samples is a name

@@ -287,7 +287,10 @@ def _read(key: str) -> tuple[Ratio, Array] | None:
         return None
     errors = stored.pop("errors")
     blocks = {}
-    for name, values in stored.items():
-        a, b, c, d = (int(part) for part in name.split("-"))
-        blocks[(a, b, c, d)] = values
+    try:
+        for name, values in stored.items():
+            a, b, c, d = (int(part) for part in name.split("-"))
+            blocks[(a, b, c, d)] = values
+    except ValueError:  # a damaged entry is solved again
+        return None
     return Ratio(blocks), errors

@@ -437,20 +437,24 @@ def jittered_structure(
     return measured_structure("lattice", pattern, a, q_max_per_nm)
 
 
-def points_pattern(context: RecipeContext, name: str, diameter_nm: float, width_um: float | None = None) -> Pattern:
+def points_pattern(
+    context: RecipeContext, given: FileSpec | str, diameter_nm: float, width_um: float | None = None
+) -> Pattern:
     """Read points as one square period: a list with x and y in um per line, or a picture.
 
     The middle square is used if the area is not square.
 
     Args:
+        given: the file, or its name.
         width_um: picture width.
 
     Raises:
         RecipeError: the file is unusable, or particles overlap.
     """
-    key = "monolayer.structure.points"
+    given = FileSpec(file=given) if isinstance(given, str) else given
+    key, name = "monolayer.structure.points", given.file
     if width_um is None:
-        xy_um = recipe_curve(context, key, FileSpec(file=name), (X_UM, Y_UM))
+        xy_um = recipe_curve(context, key, given, (X_UM, Y_UM))
     else:
         xy_um = _points_in_picture(context, name, width_um)
     _check_count(context, key, name, xy_um, "" if width_um is None else " in its middle square, which is what is taken")

@@ -1,0 +1,259 @@
+"""Gratings: efficiencies against grcwa, fmmax, torcwa and meent at equal error, materials, candidates, and the plugin.
+
+Efficiencies: R and T of the zero order for s and p light at 15 degrees, 16 wavelengths from 400 to 700 nm, one thread.
+Each code takes its smallest size that differs from the truth (the finest size of nacre) by no more than the allowed
+error at probe wavelengths; its time there counts, times 16. A code that does not reach the error within its ladder of
+sizes is named; so is one that is not installed.
+Materials: 16 wavelengths over all directions. The table is compared with solutions at directions between its nodes, by
+the colours of the zero order and of the other reflected orders under D65.
+Prediction (before the first run): lines of metal 30 x, lines of silicon 10 x, pillars 3 x (products of matrices in
+place of eigenvectors took a third of the time there); 15 CPU s for a material of lines, 300 for pillars; 0.6 CPU s for
+a candidate along the normal and at 8 degrees; plugin 0.4 x roughconductor.
+Outcome: see RESULTS.md.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import sys
+import tempfile
+from typing import Any
+
+import numpy as np
+from bench_render_plugins import ALPHA, SIZE, SPP, scene
+from common import Row, Worker, interleaved, parser, report, timed
+
+import nacre
+from nacre.bsdf.grids import interpolate
+from nacre.core.parallel import single_threaded_blas
+from nacre.light import spectrum_to_xyz, xyz_to_lab
+from nacre.light.colour_differences import delta_e_2000
+from nacre.matter.periodic.order_tables import AZIMUTHS, THETAS, order_tables
+from nacre.matter.periodic.solve import difference, size_count, solve, solve_coarse
+from nacre.render import make_bsdf, use_variant
+
+WAVELENGTHS_NM = np.linspace(400.0, 700.0, 16)
+PROBES = (1, 8, 14)
+THETA_DEG = 15.0
+LADDERS = {
+    # orders to each side (in two periods: radius of a circle for grcwa and fmmax, side of a square for the others)
+    1: (10, 20, 40, 80, 160, 240), 2: (4, 5, 6, 7, 8, 9, 10),
+}  # fmt: skip
+CASES = {
+    # name -> material, height of a pillar, thickness, period, allowed error, bar
+    "lines of aluminium": ("Al", None, 100.0, 400.0, 1.5e-3, 20.0),
+    "lines of silicon": ("Si", None, 120.0, 400.0, 3e-4, 10.0),
+    "pillars of silicon": ("Si", 150.0, 120.0, 300.0, 4e-3, 2.0),
+}
+LONGEST_S = 60.0  # CPU seconds of one solution, above which a code's ladder ends
+DIRECTIONS = 24
+
+
+def recipe(name: str) -> dict[str, Any]:
+    """Return the grating of a case."""
+    material, height, thickness, period, _, _ = CASES[name]
+    shape = {"shape": "line"} if height is None else {"shape": "rectangle", "length_nm": height}
+    shape |= {"width_nm": 0.5 * period, "material": material}
+    return {
+        "family": "grating", "substrate": {"n": 1.5}, "lattice": {"period_nm": period},
+        "layers": [{"thickness_nm": thickness, "material": "air", "shapes": [shape]}],
+        "wavelengths": {"min_nm": 400, "max_nm": 700, "step_nm": 20},
+    }  # fmt: skip
+
+
+def zero_order(solution: Any) -> np.ndarray:
+    """Return R s, T s, R p, T p of the zero order."""
+    both = solution.reflected, solution.transmitted
+    sides = [side.efficiency[np.all(side.numbers == 0, axis=1)][0] for side in both]
+    return np.array([sides[0][0], sides[1][0], sides[0][1], sides[1][1]])
+
+
+def speed(name: str, worker: Worker | None, codes: list[str]) -> Row:
+    """Compare the time at equal error with the fastest code."""
+    _, height, thickness, period, allowed, bar = CASES[name]
+    stacks = nacre.load(recipe(name)).model.stacks(WAVELENGTHS_NM)
+    theta = float(np.radians(THETA_DEG))
+
+    def ours(k: int, step: int) -> Any:
+        return solve_coarse(stacks[k], float(WAVELENGTHS_NM[k]), theta, 0.0, step)
+
+    with single_threaded_blas():
+        finest = [solve(stacks[k], float(WAVELENGTHS_NM[k]), theta, 0.0, 1e-7, is_strict=False) for k in PROBES]
+        truth = np.array([zero_order(each) for each in finest])
+        step = next(
+            s for s in range(size_count(stacks[0]))
+            if max(difference(ours(k, s), each) for k, each in zip(PROBES, finest, strict=True)) <= allowed
+        )  # fmt: skip
+        own = min(timed(lambda: [ours(k, step) for k in range(len(stacks))])[1] for _ in range(3))
+    cases = [
+        {
+            "period": period, "width": 0.5 * period, "height": height, "depth": thickness, "substrate": 1.5,
+            "theta": theta, "wavelength": float(WAVELENGTHS_NM[k]),
+            "epsilon": [stacks[k].layers[0].shapes[0][1].real, stacks[k].layers[0].shapes[0][1].imag],
+        }
+        for k in PROBES
+    ]  # fmt: skip
+    times: dict[str, float] = {}
+    notes = []
+    for code in codes:
+        assert worker is not None
+        for size in LADDERS[1 if height is None else 2]:
+            answer = worker.ask("solve", code=code, cases=cases, size=size)
+            error = float(np.abs(np.array(answer["values"]) - truth).max())
+            if error <= allowed:
+                times[code] = len(WAVELENGTHS_NM) * answer["cpu"]
+                notes.append(f"{code} {times[code]:.2f} s with {size}")
+                break
+            if answer["cpu"] > LONGEST_S:
+                break
+        if code not in times:
+            notes.append(f"{code} {error:.1e} with {size}")
+    note = f"nacre {own:.3f} CPU s; {'; '.join(notes)}; error {allowed:g}"
+    if not times:
+        return Row(f"{name}, 16 wavelengths: no other code reaches the error; nacre", own, "CPU s", note=note)
+    fastest = min(times, key=times.__getitem__)
+    return Row(f"{name}, 16 wavelengths: faster than {fastest}", times[fastest] / own, "x", bar, note=note)
+
+
+def table_rows(name: str, count: int, bar: float | None) -> list[Row]:
+    """Measure a material of lines and the colours between the nodes of its table."""
+    model = nacre.load(recipe(name)).model
+    stacks = model.stacks(WAVELENGTHS_NM)
+    tables: list[Any] = []
+    spent = timed(lambda: tables.append(order_tables(stacks, WAVELENGTHS_NM, None)))[1]
+    table = tables[0]
+    generator = np.random.default_rng(40)
+    theta = np.arccos(np.sqrt(generator.uniform(0.03, 1.0, count)))
+    azimuth = generator.uniform(0.0, 2.0 * np.pi, count)
+    exact = np.zeros((2, count, len(WAVELENGTHS_NM)))
+    with single_threaded_blas():
+        for d in range(count):
+            for w, wavelength in enumerate(WAVELENGTHS_NM):
+                side = solve_coarse(stacks[w], float(wavelength), theta[d], azimuth[d] + np.pi).reflected
+                is_zero = side.numbers[:, 0] == 0
+                mean = side.efficiency.mean(axis=1)
+                exact[:, d, w] = mean[is_zero].sum(), mean[~is_zero].sum()
+    at = theta / (0.5 * np.pi) * (table.mirror.shape[0] - 1), azimuth / (2.0 * np.pi) * (table.mirror.shape[1] - 1)
+    found = np.stack([interpolate(table.mirror, at), interpolate(table.reflected.sum(axis=2), at)])
+    labs = [xyz_to_lab(spectrum_to_xyz(np.maximum(part, 0.0), WAVELENGTHS_NM)) for part in (exact, found)]
+    errors = delta_e_2000(*labs)
+    note = f"dE00 between nodes: zero order {np.median(errors[0]):.2f}, others {np.median(errors[1]):.2f} (median)"
+    return [
+        Row(f"material, {name}, 16 wavelengths", spent, "CPU s", bar, False, note),
+        Row(f"material, {name}: dE00 of the zero order and of the others between nodes, 90th percentile",
+            float(np.quantile(errors, 0.9)), "dE00", 0.5, False, f"{count} directions"),
+    ]  # fmt: skip
+
+
+def pillar_material(count: int) -> Row:
+    """Estimate the material of pillars from a few directions."""
+    name = "pillars of silicon"
+    stacks = nacre.load(recipe(name)).model.stacks(WAVELENGTHS_NM)
+    generator = np.random.default_rng(41)
+
+    def some() -> None:
+        with single_threaded_blas():
+            for _ in range(count):
+                theta, azimuth = generator.uniform(0.0, 1.5), generator.uniform(0.0, 6.0)
+                for w, wavelength in enumerate(WAVELENGTHS_NM):
+                    solve_coarse(stacks[w], float(wavelength), theta, azimuth)
+
+    directions = THETAS["rectangles"] * (AZIMUTHS["rectangles"] // 4 + 1)
+    spent = timed(some)[1] * directions / count
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    note = f"from {count} of {directions} directions; this process had {memory:.1f} GB"
+    return Row(f"material, {name}, 16 wavelengths", spent, "CPU s", 1200.0, False, note)
+
+
+def candidates() -> list[Row]:
+    """Time the zero order of a disc as a search does."""
+    disc = {"shape": "disc", "material": "Si", "diameter_nm": 140}
+    made = {
+        "family": "grating", "substrate": "glass", "lattice": {"period_nm": 300},
+        "layers": [
+            {"thickness_nm": 130, "material": "air", "shapes": [disc]}, {"thickness_nm": 50, "material": "SiO2"},
+        ],
+    }  # fmt: skip
+    stacks = nacre.load(made).model.stacks(WAVELENGTHS_NM)
+    rows = []
+    for degrees in (0.0, 8.0):
+
+        def run(theta: float = float(np.radians(degrees))) -> None:
+            with single_threaded_blas():
+                for w, wavelength in enumerate(WAVELENGTHS_NM):
+                    solve_coarse(stacks[w], float(wavelength), theta, 0.0)
+
+        run()
+        spent = min(timed(run)[1] for _ in range(3))
+        rows.append(Row(f"candidate with a disc at {degrees:g} degrees, 16 wavelengths", spent, "CPU s", 1.0, False))
+    return rows
+
+
+def plugin(repeats: int) -> Row:
+    """Compare the plugin with Mitsuba's rough conductor."""
+    mi = use_variant("llvm_ad_spectral")
+    import drjit as dr
+
+    grooves = {
+        "family": "grating", "substrate": "Al", "lattice": {"period_nm": 1600},
+        "profile": {"shape": "sinusoidal", "depth_nm": 120},
+        "wavelengths": {"min_nm": 400, "max_nm": 700, "step_nm": 50},
+    }  # fmt: skip
+    bsdfs = {
+        "roughconductor": {"type": "roughconductor", "material": "Al", "alpha": ALPHA, "distribution": "ggx"},
+        "grating": make_bsdf(nacre.material(grooves).bsdf()),
+    }
+    scenes = {name: scene(mi, bsdf) for name, bsdf in bsdfs.items()}
+    seeds = iter(range(10**6))
+
+    def render(name: str) -> None:
+        dr.eval(mi.render(scenes[name], spp=SPP, seed=next(seeds)))
+        dr.sync_thread()
+
+    times = interleaved({name: (lambda name=name: timed(lambda: render(name))) for name in scenes}, repeats)
+    peer, own = times["roughconductor"], times["grating"]
+    note = f"{peer.median_wall / own.median_wall:.2f} x by the clock; sphere, {SIZE}^2, {SPP} samples a pixel"
+    return Row("plugin / roughconductor", peer.median_cpu / own.median_cpu, "x", 0.3, note=note)
+
+
+def peers() -> tuple[Worker | None, dict[str, str], str]:
+    """Return the worker, the installed codes with their versions, and a line about those that are missing."""
+    try:
+        worker = Worker("peer_gratings.py")
+    except SystemExit as error:
+        return None, {}, f"no other code is timed: {error}"
+    found = worker.ask("versions")
+    missing = [name for name, version in found.items() if version is None]
+    return worker, {k: v for k, v in found.items() if v}, f"not installed: {', '.join(missing)}" if missing else ""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmark; 0 if the bars are reached."""
+    options = parser(__doc__, repeats=5)
+    options.add_argument("--only", choices=("speed", "tables", "candidates", "plugin"), help="one part")
+    chosen = options.parse_args(arguments)
+    parts = (chosen.only,) if chosen.only else ("speed", "tables", "candidates", "plugin")
+    rows: list[Row] = []
+    notes: dict[str, str] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["NACRE_CACHE"] = folder  # nothing is taken from an earlier run
+        if "speed" in parts:
+            worker, codes, missing = peers()
+            notes |= {"codes": ", ".join(f"{k} {v}" for k, v in codes.items())}
+            notes |= {"missing": missing} if missing else {}
+            rows += [speed(name, worker, list(codes)) for name in CASES]
+        if "tables" in parts:
+            rows += table_rows("lines of aluminium", DIRECTIONS, 20.0) + table_rows(
+                "lines of silicon", DIRECTIONS, 20.0
+            )
+            rows.append(pillar_material(6))
+        if "candidates" in parts:
+            rows += candidates()
+        if "plugin" in parts:
+            rows.append(plugin(chosen.repeats))
+    return report("gratings: efficiencies, materials, candidates, plugin", rows, chosen.json, notes)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

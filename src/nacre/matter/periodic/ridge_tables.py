@@ -1,0 +1,152 @@
+"""Mean reflection of supercells of ridges over the directions of light and viewer, for a lobe."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from nacre.core.disk_cache import cache_arrays, cached_arrays
+from nacre.core.parallel import in_threads
+from nacre.matter.periodic.supercell import Fan, RidgeStatistics, drawn_ridges, reflected_fan
+from nacre.matter.periodic.types import Array
+
+VERSION = 1
+ALONG = 0.0, 0.5, 0.85  # components along the ridges that are solved
+SINES = 41  # nodes in a and b
+STEP_NM = 20.0  # longest step of the solved wavelengths
+BEYOND = 0.05  # relative distance outside the solved range from which a solution loses weight
+KEPT = 192  # solutions held in memory
+
+
+@dataclass(frozen=True)
+class RidgeCase:
+    """Supercells at one wavelength.
+
+    Attributes:
+        statistics: distribution of the ridges.
+        layers_nm, layer_index: of each ridge, from the light inward.
+        cover, substrate: index above and between the ridges, and of the membrane and the pedestals.
+        draws: number of supercells.
+    """
+
+    statistics: RidgeStatistics
+    layers_nm: tuple[float, ...]
+    layer_index: tuple[complex, ...]
+    cover: float
+    substrate: complex
+    wavelength_nm: float
+    draws: int
+
+
+def even_wavelengths(low_nm: float, high_nm: float) -> Array:
+    """Return the ends of a range and the multiples of 20 nm between, which other ranges share."""
+    between = STEP_NM * np.arange(np.floor(low_nm / STEP_NM) + 1.0, np.ceil(high_nm / STEP_NM))
+    return np.unique(np.concatenate([[low_nm], between, [high_nm]]))
+
+
+def solved_wavelengths(wavelengths_nm: Array) -> Array:
+    """Return the wavelengths that are solved for a grid: `even_wavelengths`, or the grid itself if it has fewer."""
+    grid = np.asarray(wavelengths_nm, dtype=float)
+    even = even_wavelengths(float(grid[0]), float(grid[-1]))
+    return grid if len(grid) <= len(even) else even
+
+
+@lru_cache(maxsize=KEPT)
+def solved_case(case: RidgeCase, along: float) -> tuple[Array, Array]:
+    """Return the mean over all draws, and each draw for light from b = 0; stored on disk.
+
+    Args:
+        along: component of the direction of light along the ridges.
+
+    Returns:
+        D `[a, b]` and `[draw, b]`; see `nacre.bsdf.lobes.ridge_table`.
+    """
+    key = "ridges-" + hashlib.sha256(repr((VERSION, SINES, case, along)).encode()).hexdigest()
+    stored = cached_arrays(key)
+    if stored is not None:
+        return stored["mean"], stored["rows"]
+
+    def work(draw: int) -> Array:
+        fan = reflected_fan(
+            drawn_ridges(case.statistics, draw), np.array(case.layers_nm), np.array(case.layer_index), case.cover,
+            case.substrate, case.wavelength_nm, along,
+        )  # fmt: skip
+        return _on_nodes(fan, case, along)
+
+    found = np.array(in_threads(work, range(case.draws)))
+    mean, rows = found.mean(axis=0), found[:, SINES // 2]
+    cache_arrays(key, {"mean": mean, "rows": rows})
+    return mean, rows
+
+
+def truncation_error(case: RidgeCase) -> float:
+    """Return the share of the light along the normal that moves between orders with half as many again solved."""
+    cell = drawn_ridges(case.statistics, 0)
+    few, many = (
+        reflected_fan(
+            cell, np.array(case.layers_nm), np.array(case.layer_index), case.cover, case.substrate,
+            case.wavelength_nm, 0.0, more,
+        ).power
+        for more in (1.0, 1.5)
+    )  # fmt: skip
+    middle = few.shape[0] // 2
+    moved = float(np.abs(few[:, middle] - many[:, middle]).sum())
+    return moved / max(float(many[:, middle].sum()), 1e-6)
+
+
+def _on_nodes(fan: Fan, case: RidgeCase, along: float) -> Array:
+    """Interpolate one supercell to the nodes in a and b; the mirror image across the ridges is as likely."""
+    chord = np.sqrt(1.0 - along**2)
+    step = case.wavelength_nm / (case.statistics.period_nm * case.cover * chord)
+    sines = fan.sines / chord
+    nodes = np.linspace(-1.0, 1.0, SINES)
+    place = np.clip(np.interp(nodes, sines, np.arange(len(sines))), 0.0, len(sines) - 1.0)
+    low = np.minimum(place.astype(int), max(len(sines) - 2, 0))
+    weight = np.zeros((SINES, len(sines)))
+    weight[np.arange(SINES), low] = 1.0 - (place - low)
+    if len(sines) > 1:
+        weight[np.arange(SINES), low + 1] = place - low
+    density = weight @ fan.power[:, ::-1] @ weight.T / step
+    density = 0.5 * (density + density.T)
+    return np.maximum(0.5 * (density + density[::-1, ::-1]), 0.0)
+
+
+def ridge_table(solved: Array, wavelengths_nm: Array, nodes: int) -> Array:
+    """Return D `[c, a, b, wavelength]` over uniform nodes in c from 0 to 1.
+
+    Directions with equal wavelength over sqrt(1 - c^2) have equal phases across the layers. D is interpolated linearly
+    in c^2 between solutions at this ratio.
+
+    Args:
+        solved: `[along, a, b, wavelength]` at `ALONG`.
+    """
+    grid = np.asarray(wavelengths_nm, dtype=float)
+    own = np.array(ALONG)
+    ratios = grid[None] / np.sqrt(1.0 - own**2)[:, None]  # [along, wavelength]
+    flat = solved.reshape(len(own), -1, len(grid))
+    table = np.empty((nodes, *solved.shape[1:]))
+    for k, c in enumerate(np.linspace(0.0, 1.0, nodes)):
+        wanted = grid / np.sqrt(1.0 - min(c, 0.97) ** 2)
+        at = np.interp(c**2, own**2, np.arange(len(own)))
+        low = min(int(at), len(own) - 2)
+        parts = [_at_ratio(flat[i], ratios[i], wanted) for i in (low, low + 1)]
+        # a solution that ends short of the ratio leaves the light to the other
+        near, far = (np.exp(-np.square(_beyond(ratios[i], wanted) / BEYOND)) + 1e-12 for i in (low, low + 1))
+        lower, upper = (1.0 - (at - low)) * near, (at - low) * far
+        table[k] = ((parts[0] * lower + parts[1] * upper) / (lower + upper)).reshape(solved.shape[1:])
+    return table
+
+
+def _beyond(ratios: Array, wanted: Array) -> Array:
+    """Return how far ratios lie outside a range, relative."""
+    return np.asarray(np.maximum(wanted / ratios[-1], ratios[0] / wanted).clip(1.0) - 1.0)
+
+
+def _at_ratio(values: Array, ratios: Array, wanted: Array) -> Array:
+    place = np.interp(wanted, ratios, np.arange(len(ratios)))
+    low = np.minimum(place.astype(int), max(len(ratios) - 2, 0))
+    high = np.minimum(low + 1, len(ratios) - 1)
+    return np.asarray(values[:, low] * (1.0 - (place - low)) + values[:, high] * (place - low))

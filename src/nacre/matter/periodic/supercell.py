@@ -1,0 +1,252 @@
+"""Supercells of ridges: columns of layers, of random heights, widths and places, solved for all directions at once.
+
+Between two neighbouring faces the permittivity depends on x alone (inverse rule: Li, J. Opt. Soc. Am. A 13, 1870
+(1996)). With the transverse fields E = (E_x, E_y) and G = (H_y, -H_x) of all orders, lengths in 1/k0 and the wave
+number b along the ridges,
+
+    E' = i P G,  G' = i Q E,
+    P = [[1 - a h a, -b a h], [-b h a, 1 - b^2 h]],  Q = [[t - b^2, b a], [b a, e - a^2]],
+
+where a holds the wave numbers of the orders, e multiplies by the permittivity, h is its inverse and t the inverse of
+1/permittivity. The admittance Y, G = Y E, is carried from the substrate upward by power series of cos and sin of
+sqrt(P Q) times the thickness: faces of several ridges lie so close that this is cheaper than eigenmodes. For b = 0 the
+x and y components decouple. One solution holds the reflection of all incident orders.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nacre.matter.periodic.types import Array
+
+REACH = 1.0  # longest step times the largest wave number
+MORE_ORDERS = 1.65, 3  # orders to each side over the period in wavelengths, and beyond
+GRAZING = 0.03  # orders with a smaller cosine are left out
+STEEPEST = 3.0  # deviations in standard deviations; larger ones are drawn again
+
+
+@dataclass(frozen=True)
+class RidgeStatistics:
+    """Ridges along y and the standard deviations of their Gaussian distributions, all in nm.
+
+    Attributes:
+        count: ridges in a supercell.
+        height_deviation_nm, width_deviation_nm, shift_deviation_nm: of the height, the width and the place across.
+    """
+
+    pitch_nm: float
+    width_nm: float
+    count: int
+    height_deviation_nm: float = 0.0
+    width_deviation_nm: float = 0.0
+    shift_deviation_nm: float = 0.0
+
+    @property
+    def period_nm(self) -> float:
+        """Width of a supercell."""
+        return self.count * self.pitch_nm
+
+
+@dataclass(frozen=True)
+class Ridges:
+    """The ridges of one supercell.
+
+    Attributes:
+        heights_nm: `[ridge]`, of the pedestals above the membrane.
+        widths_nm, centres_nm: `[ridge]`, the centres across the ridges.
+        period_nm: width of the supercell.
+    """
+
+    heights_nm: Array
+    widths_nm: Array
+    centres_nm: Array
+    period_nm: float
+
+
+def drawn_ridges(statistics: RidgeStatistics, draw: int) -> Ridges:
+    """Return the supercell of one draw; widths stay above zero and neighbours apart."""
+    count, pitch = statistics.count, statistics.pitch_nm
+    random = np.random.default_rng([draw, count])
+    height, width, shift = (_normal(random, count) for _ in range(3))
+    widths = np.clip(statistics.width_nm + statistics.width_deviation_nm * width, 0.05 * pitch, pitch)
+    aside = 0.5 * (pitch - widths)
+    places = np.clip(statistics.shift_deviation_nm * shift, -aside, aside)
+    return Ridges(
+        statistics.height_deviation_nm * (STEEPEST + height).round(3), widths,
+        (np.arange(count) + 0.5) * pitch + places, statistics.period_nm,
+    )  # fmt: skip
+
+
+def _normal(random: np.random.Generator, count: int) -> Array:
+    """Return `count` normal numbers within three standard deviations."""
+    found: list[float] = []
+    while len(found) < count:
+        value = float(random.normal())
+        if abs(value) < STEEPEST:
+            found.append(value)
+    return np.array(found)
+
+
+def levels(ridges: Ridges, layers_nm: Array) -> tuple[Array, Array]:
+    """Return the thicknesses `[level]` in nm, from the membrane up, and the layer in each ridge `[level, ridge]`.
+
+    Args:
+        layers_nm: thicknesses `[layer]` of the layers of each ridge, from the light inward.
+
+    The number of layers denotes the pedestal, -1 the medium above.
+    """
+    tops = np.concatenate([[0.0], np.cumsum(layers_nm)])
+    faces = ridges.heights_nm[:, None] + tops[-1] - tops  # [ridge, face], from the top down
+    every = np.unique(np.concatenate([[0.0], faces.ravel()]).round(6))
+    every = every[np.append(True, np.diff(every) > 1e-6)]
+    middle = 0.5 * (every[1:] + every[:-1])
+    above = np.sum(middle[:, None, None] < faces, axis=2)  # faces above this level
+    return np.diff(every), above - 1
+
+
+@dataclass(frozen=True)
+class Fan:
+    """Reflection of unpolarised light by one supercell.
+
+    Attributes:
+        sines: `[order]` of the orders in the medium above, over its index.
+        power: `[out, in]`: share of the light along `in` that leaves along `out`, both wave vectors as of outgoing
+            light: light arrives from the direction with the sine `-sines[in]`.
+    """
+
+    sines: Array
+    power: Array
+
+
+def reflected_fan(
+    ridges: Ridges, layers_nm: Array, layer_index: Array, cover: float, substrate: complex, wavelength_nm: float,
+    sine_along: float, more: float = 1.0,
+) -> Fan:  # fmt: skip
+    """Return the reflection of all orders.
+
+    Args:
+        layers_nm, layer_index: `[layer]`, thicknesses and complex indices of the layers of a ridge, from the light
+            inward.
+        cover: index of the medium above and between the ridges.
+        substrate: complex index of the membrane and the pedestals.
+        sine_along: component of the incident direction along the ridges.
+        more: factor on the number of orders.
+    """
+    most = int(more * (MORE_ORDERS[0] * cover * ridges.period_nm / wavelength_nm + MORE_ORDERS[1]))
+    numbers = np.arange(-most, most + 1)
+    alpha, beta = numbers * wavelength_nm / ridges.period_nm, cover * sine_along
+    depths, filled = levels(ridges, layers_nm)
+    epsilon = np.append(np.asarray(layer_index, dtype=complex), substrate) ** 2
+    media = _Media(ridges, numbers, epsilon, cover**2)
+    parts = [(False,), (True,)] if beta == 0.0 else [(False, True)]
+    keep = 1.0 - (alpha / cover) ** 2 - sine_along**2 > GRAZING**2
+    amplitudes = np.zeros((2, int(keep.sum()), 2, int(keep.sum())), dtype=complex)
+    for kept in parts:
+        found = _reflection(media, depths * (2.0 * np.pi / wavelength_nm), filled, alpha, beta, substrate**2, kept)
+        size, some = len(alpha), np.flatnonzero(keep)
+        for i, out in enumerate(kept):
+            for j, into in enumerate(kept):
+                block = found[i * size : (i + 1) * size, j * size : (j + 1) * size]
+                amplitudes[int(out), :, int(into)] = block[np.ix_(some, some)]
+    return Fan(alpha[keep] / cover, _unpolarised(amplitudes, alpha[keep] / cover, sine_along))
+
+
+class _Media:
+    """Matrices of the permittivity in a level."""
+
+    def __init__(self, ridges: Ridges, numbers: Array, epsilon: Array, cover: float) -> None:
+        span = np.arange(numbers[0] - numbers[-1], numbers[-1] - numbers[0] + 1)
+        share = (ridges.widths_nm / ridges.period_nm)[:, None]
+        phase = np.exp(-2j * np.pi * span * (ridges.centres_nm / ridges.period_nm)[:, None])
+        self.series = share * np.sinc(span * share) * phase  # [ridge, span], of an indicator of each ridge
+        self.size = len(numbers)
+        self.at = numbers[:, None] - numbers[None, :] + self.size - 1
+        self.epsilon, self.cover = epsilon, cover
+
+    def matrix(self, filled: Array, is_inverse: bool) -> Array:
+        """Return the Toeplitz matrix of the permittivity, or of its inverse, for the layer in each ridge."""
+        values = np.append(self.epsilon, self.cover)[filled]  # -1: the medium above
+        values, outside = (1.0 / values, 1.0 / self.cover) if is_inverse else (values, self.cover)
+        series = (values - outside) @ self.series
+        series[self.size - 1] += outside
+        return np.asarray(series[self.at].astype(np.complex64))
+
+
+def _uniform(epsilon: complex, alpha: Array, beta: float, kept: tuple[bool, ...]) -> Array:
+    """Return the admittance of waves that leave a homogeneous medium upward (or decay)."""
+    gamma = np.sqrt(epsilon - alpha.astype(complex) ** 2 - beta**2)
+    gamma = np.where(np.abs(gamma) < 1e-6, 1e-6, np.where(gamma.imag < 0.0, -gamma, gamma))
+    xx, xy, yy = (epsilon - beta**2) / gamma, beta * alpha / gamma, (epsilon - alpha**2) / gamma
+    if len(kept) == 1:
+        return np.diag(yy if kept[0] else xx)
+    return np.block([[np.diag(xx), np.diag(xy)], [np.diag(xy), np.diag(yy)]])
+
+
+def _reflection(
+    media: _Media, depths: Array, filled: Array, alpha: Array, beta: float, substrate: complex, kept: tuple[bool, ...]
+) -> Array:  # fmt: skip
+    """Return the matrix from incident to reflected E; `kept`: of E_x (False), of E_y (True), or of both."""
+    y = -_uniform(substrate, alpha, beta, kept).astype(np.complex64)
+    steps: dict[tuple[float, tuple[int, ...]], tuple[tuple[Array, ...], int]] = {}
+    for depth, layers in zip(depths.tolist(), filled, strict=True):
+        key = (round(depth, 6), tuple(layers.tolist()))
+        if key not in steps:
+            steps[key] = _step(media, layers, depth, alpha, beta, kept)
+        (cosine, up, down, other), count = steps[key]
+        for _ in range(count):
+            y = np.linalg.solve((cosine + up @ y).T, (down + other @ y).T).T
+    above = _uniform(media.cover, alpha, beta, kept)
+    return np.asarray(np.linalg.solve(above - y, above + y))
+
+
+def _step(
+    media: _Media, layers: Array, depth: float, alpha: Array, beta: float, kept: tuple[bool, ...]
+) -> tuple[tuple[Array, ...], int]:  # fmt: skip
+    """Return the matrices of one step: E = cosine E + up G, G = down E + other G; and the number of steps."""
+    one = np.eye(media.size, dtype=np.complex64)
+    a = alpha.astype(np.float32)
+    fastest = float(np.sqrt(np.abs(np.append(media.epsilon, media.cover)[layers]).max() + alpha.max() ** 2))
+    count = max(1, int(np.ceil(depth * fastest / REACH)))
+    phase = np.float32(depth / count)
+    epsilon = media.matrix(layers, False)
+    if kept == (True,):  # P = 1
+        q = epsilon - np.diag(a**2)
+        cosine, sine = _series(phase**2 * q)
+        return (cosine, 1j * phase * sine, 1j * phase * (q @ sine), cosine), count
+    inverse = np.linalg.inv(epsilon)
+    across = np.linalg.inv(media.matrix(layers, True))
+    p, q = one - a[:, None] * inverse * a, across
+    if len(kept) == 2:
+        b, half = np.float32(beta), np.diag(np.float32(beta) * a).astype(np.complex64)
+        p = np.block([[p, -b * (a[:, None] * inverse)], [-b * (inverse * a), one - b**2 * inverse]])
+        q = np.block([[across - b**2 * one, half], [half, epsilon - np.diag(a**2)]])
+    cosine, sine = _series(phase**2 * (p @ q))
+    other, _ = _series(phase**2 * (q @ p))
+    return (cosine, 1j * phase * (sine @ p), 1j * phase * (q @ sine), other), count
+
+
+def _series(x: Array) -> tuple[Array, Array]:
+    """Return cos and sin(r) / r of the root r of a matrix, to 3e-6 for roots up to 1."""
+    one = np.eye(len(x), dtype=np.complex64)
+    square = x @ x
+    cube = x @ square
+    cosine = one - x / 2 + square / 24 - cube / 720
+    return cosine, one - x / 6 + square / 120 - cube / 5040
+
+
+def _unpolarised(amplitudes: Array, sines: Array, sine_along: float) -> Array:
+    """Return the mean over s and p of the reflected power, `[out, in]`.
+
+    Args:
+        amplitudes: `[component, out, component, in]` of E_x and E_y.
+    """
+    cosine = np.sqrt(1.0 - sines**2 - sine_along**2)
+    length = np.hypot(sines, sine_along)
+    safe = np.where(length < 1e-12, 1.0, length)
+    c, s = np.where(length < 1e-12, 1.0, sines / safe), sine_along / safe
+    ways_in = np.stack([np.stack([-s, c]), np.stack([c, s]) * cosine])  # [polarisation, component, in], unit E
+    ways_out = np.stack([np.stack([-s, c]), np.stack([c, s]) / cosine])
+    fields = np.einsum("pam,ambn,qbn->pmqn", ways_out, amplitudes, ways_in)
+    return np.asarray(0.5 * np.sum(np.abs(fields) ** 2, axis=(0, 2)) * cosine[:, None] / cosine)
