@@ -51,8 +51,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser(__doc__, repeats=3).parse_args(arguments)
     found = interleaved({name: lambda words=words: first(words) for name, words in COMMANDS.items()}, options.repeats)
     rows = [
-        Row(f"nacre {' '.join(COMMANDS[name])}", times.median_cpu, "CPU s", PICTURE_BAR_S if name == "picture" else None,
-            higher_is_better=False, note=f"{times.median_wall:.1f} s by the clock")
+        Row(f"nacre {' '.join(COMMANDS[name])}", times.median_cpu, "CPU s",
+            PICTURE_BAR_S if name == "picture" else None, higher_is_better=False,
+            note=f"{times.median_wall:.1f} s by the clock")
         for name, times in found.items()
     ]  # fmt: skip
     return report("first_picture: whole processes, nothing compiled", rows, options.json)
