@@ -15,6 +15,7 @@ from nacre.bsdf.lobes.orders import OrdersLobe
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.cli import run
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+from nacre.matter.periodic import order_tables
 
 LINES = {"shape": "line", "material": {"n": 1.5}, "width_nm": 800}
 DISC: dict[str, Any] = {
@@ -357,3 +358,34 @@ def test_a_material_is_stored_and_loaded(tmp_path: Path) -> None:
     again = Bsdf.load(tmp_path / "orders.nacre")
     light, eye = pairs(5)
     assert np.array_equal(again.evaluate(light, eye), orders_lobe().evaluate(light, eye))
+
+
+def test_an_interrupted_table_resumes_at_the_next_angle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NACRE_CACHE", str(tmp_path))
+    monkeypatch.setattr(order_tables, "MIN_STORED_S", 0.0)
+    made = {
+        "family": "grating", "substrate": "Al", "profile": {"shape": "sinusoidal", "depth_nm": 80},
+        "lattice": {"period_nm": 600},
+    }  # fmt: skip
+    lam = np.array([600.0])
+    stacks = nacre.load(made).model.stacks(lam)
+    solve, solved = order_tables.solve_coarse, []
+
+    def counted(*case: Any) -> Any:
+        if len(solved) == 120:
+            raise KeyboardInterrupt
+        solved.append(case)
+        return solve(*case)
+
+    monkeypatch.setattr(order_tables, "solve_coarse", counted)
+    with pytest.raises(KeyboardInterrupt):
+        order_tables.order_tables(stacks, lam, None)
+    solved.clear()
+    resumed = order_tables.order_tables(stacks, lam, None)
+    nodes = order_tables.THETAS["profile"] * (order_tables.AZIMUTHS["profile"] // 4 + 1)
+    assert len(solved) < nodes - 80  # at most one angle of each thread is solved again
+    monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "other"))
+    monkeypatch.setattr(order_tables, "solve_coarse", solve)
+    whole = order_tables.order_tables(stacks, lam, None)
+    assert np.array_equal(resumed.reflected, whole.reflected)
+    assert np.array_equal(resumed.mirror, whole.mirror)

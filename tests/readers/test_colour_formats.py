@@ -311,3 +311,23 @@ def test_colours_from_0_to_1_or_of_8_bits_are_refused(cells: str, heading: str, 
     path.write_text(f"{heading}{cells}\n")
     with pytest.raises(NacreError, match="labs.csv"):
         read_colours(path, 1, ("D65", "10deg"))
+
+
+@pytest.mark.parametrize(
+    ("text", "light"),
+    [
+        ("Name\tIlluminant/Observer\tL*\ta*\tb*\nred\tD50/10°\t40,5\t50,2\t20,3\n", ("D50", "10deg")),
+        ("Name,Illuminant,L*,a*,b*\nred,D65 10 Deg,40.5,50.2,20.3\n", ("D65", "10deg")),
+        ("Name,L,a,b,Illuminant,Observer\nred,40.5,50.2,20.3,A,2\n", ("A", "2deg")),
+        ("Name,L,C,h,Illuminant,Observer\nred,40.5,54.14822,22.01747,D65,1964\n", ("D65", "10deg")),
+    ],
+)
+def test_columns_state_illuminant_and_observer(tmp_path: Path, text: str, light: tuple[str, str]) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(text, encoding="utf-8")
+    (found,) = open_file(path)
+    assert (found.metadata["illuminant"], found.metadata["observer"]) == light
+    assert [float(found.data[k][0]) for k in "Lab"] == pytest.approx([40.5, 50.2, 20.3], abs=1e-3)
+    path.write_text(text + text.splitlines()[1].replace(light[0], "C") + "\n", encoding="utf-8")
+    with pytest.raises(NacreError):
+        open_file(path)

@@ -71,6 +71,13 @@ def test_decimal_commas_are_read(tmp_path: Path) -> None:
     )
 
 
+def test_accurion_with_decimal_commas_and_intensities_of_a_modulator(tmp_path: Path) -> None:
+    found = first(written(tmp_path, ACCURION.replace(".", ",")))
+    assert row(found, 0, *BASIC) == [658.0, 50.0, 31.5, 170.5]
+    found = first(written(tmp_path, "Wavelength (nm);AOI (deg);Is;Ic\n400;70;0,63;-0,11\n500;70;0,6;-0,2\n"))
+    assert row(found, 0, "ncs_s", "ncs_c") == [0.63, -0.11]
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "latin-1"])
 def test_woollam_data(tmp_path: Path, encoding: str) -> None:
     found = open_file(written(tmp_path, WOOLLAM, encoding=encoding))

@@ -316,3 +316,29 @@ def test_records_of_x3p_in_a_namespace_are_read(tmp_path: Path) -> None:
         archive.writestr("bindata/data.bin", (HEIGHTS * 1e-6).astype("<f8").tobytes())
     (found,) = open_file(tmp_path / "a.x3p")
     np.testing.assert_allclose(found.data["height_um"], HEIGHTS)
+
+
+def points(form: str, mark: str = "\t") -> str:
+    places = ((row, column) for row in range(ROWS) for column in range(COLUMNS))
+    cells = ((column * PITCH[0], row * PITCH[1], NM[row, column]) for row, column in places)
+    return form + "".join(mark.join(f"{cell:.4f}" for cell in each) + "\n" for each in cells)
+
+
+@pytest.mark.parametrize("form", ["X\tY\tZ\nµm\tµm\tnm\n", "# x[µm] y[µm] z[nm]\n", "x (um)\ty (um)\theight (nm)\n"])
+def test_units_of_points_stand_in_or_below_the_heading(tmp_path: Path, form: str) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text(points(form), encoding="utf-8")
+    (found,) = open_file(path)
+    assert found.format == "xyz"
+    np.testing.assert_allclose(found.data["height_um"], HEIGHTS)
+    np.testing.assert_allclose(found.metadata["pitch_um"], PITCH)
+
+
+def test_surface_data_with_decimal_commas(tmp_path: Path) -> None:
+    head = f"NumPoints = {COLUMNS}\nNumProfiles = {ROWS}\nXscale = {PITCH[0] * 1e-6}\n"
+    head += f"Yscale = {PITCH[1] * 1e-6}\nZscale = 2.0E-9\nZresolution = -1\nCompression = 0\nDataType = 3\n*\n"
+    path = tmp_path / "a.sdf"
+    path.write_text("aBCR-1.0\n" + (head + rows_of(NM / 2, form="{:.2f}") + "*\n").replace(".", ","))
+    (found,) = open_file(path)
+    np.testing.assert_allclose(found.data["height_um"], HEIGHTS)
+    np.testing.assert_allclose(found.metadata["pitch_um"], PITCH)

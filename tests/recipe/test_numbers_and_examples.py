@@ -175,7 +175,7 @@ def test_all_files_of_the_examples_are_in_the_wheel() -> None:
     patterns = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
     shipped = {path for globs in patterns.values() for pattern in globs for path in root.glob(pattern)}
     there = {path for path in (root / "examples").rglob("*") if path.is_file() and "__pycache__" not in path.parts}
-    assert {path.name for path in there - shipped} <= {"feather.py", "mosaic.py", "photograph.py"}
+    assert {path.name for path in there - shipped} <= {"feather.py", "foils.py", "mosaic.py", "photograph.py"}
 
 
 def test_a_file_of_ones_own_comes_before_an_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

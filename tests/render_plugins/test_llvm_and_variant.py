@@ -391,6 +391,8 @@ for recipe in (
     {"family": "film", "substrate": "Al", "layers": [{"material": "TiO2", "thickness_nm": 120}],
      "surface": {"roughness": 0.2}},
     {"family": "film", "substrate": {"n": 1.5}, "base": {"albedo": 0.5}},
+    {"family": "blend", "mask": 0.4, "first": {"family": "film", "substrate": "Au", "surface": {"roughness": 0.1}},
+     "second": {"family": "film", "substrate": "Si"}},
 ):
     print(*picture("llvm_ad_rgb", recipe), *picture("llvm_ad_spectral", recipe))
 """
@@ -400,7 +402,7 @@ for recipe in (
 def test_an_rgb_variant_shows_the_colours_of_the_spectral_one() -> None:
     done = python(RGB_AGAINST_SPECTRAL, dict(os.environ))
     assert done.returncode == 0, done.stderr
-    for line in done.stdout.splitlines()[-3:]:
+    for line in done.stdout.splitlines()[-4:]:
         rgb, spectral = np.array(line.split(), dtype=float).reshape(2, 3)
         # one bounce: the projection is exact; noise of 65,000 samples with 4 wavelengths each
         np.testing.assert_allclose(rgb, spectral, rtol=0.02, atol=0.003)

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from nacre.bsdf.bsdf import Bsdf
+from nacre.bsdf.lobe import Lobe
+from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.light import spectrum_to_rgb_matrix
@@ -26,13 +28,22 @@ def projected_to_rgb(bsdf: Bsdf) -> Bsdf:
     Raises:
         UnsupportedError: a lobe is not linear in its spectra, such as a random walk.
     """
-    for lobe in bsdf.lobes:
-        if lobe.kind not in LINEAR_KINDS:
-            raise UnsupportedError(
-                f'a lobe of kind "{lobe.kind}" cannot be projected to RGB; use a spectral variant of Mitsuba'
-            )
     matrix = spectrum_to_rgb_matrix(bsdf.wavelengths_nm)
-    return dataclasses.replace(bsdf, lobes=tuple(_projected(lobe, matrix) for lobe in bsdf.lobes), polarisation=None)
+    return dataclasses.replace(
+        bsdf, lobes=tuple(_projected_lobe(lobe, matrix) for lobe in bsdf.lobes), polarisation=None
+    )
+
+
+def _projected_lobe(lobe: Lobe, matrix: Array) -> Lobe:
+    if isinstance(lobe, MaskedLobe):  # a share of a lobe is as linear as the lobe
+        inner = _projected_lobe(lobe.inner, matrix)
+        return dataclasses.replace(lobe, wavelengths_nm=CHANNELS, inner=inner)
+    if lobe.kind not in LINEAR_KINDS:
+        raise UnsupportedError(
+            f'a lobe of kind "{lobe.kind}" cannot be projected to RGB; use a spectral variant of Mitsuba'
+        )
+    found: Lobe = _projected(lobe, matrix)
+    return found
 
 
 def _projected(thing: Any, matrix: Array) -> Any:

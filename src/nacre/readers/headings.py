@@ -188,6 +188,8 @@ SYMBOLS: dict[str, tuple[str, ...]] = {
     "t": ("time", "thickness"),
     "S": ("structure_factor", "ncs_s"),
     "s": (),
+    "Is": ("ncs_s",),
+    "Ic": ("ncs_c",),
     "L": ("L",),
     "l": ("L", "wavelength"),
     "a": ("a",),

@@ -184,7 +184,10 @@ class Grating(Model, Diffracting, Pixels):
         tables = in_common(
             [order_tables(replace(self, cell=cell).stacks(lam), lam, self.tolerance) for cell in cells]
         )  # fmt: skip
-        notes = {"estimated_error": float(f"{max(t.error for t in tables):.2g}")}
+        notes = {
+            "estimated_error": float(f"{max(t.error for t in tables):.2g}"),
+            "interpolation_error": float(f"{max(t.between for t in tables):.2g}"),
+        }
         axes: tuple[ParameterAxis, ...] = ()
         if self.period is not None and len(cells) > 1:
             axes = (ParameterAxis("lattice.period_nm", np.array(self.period.nodes), self.period.texture),)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
 
@@ -11,17 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
-from nacre.core.disk_cache import cache_arrays, cached_arrays
+from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
 from nacre.core.parallel import in_threads
-from nacre.matter.periodic.orders import cached_solution, case_key
+from nacre.matter.periodic.orders import cached_solution, case_key, packed_solutions, unpacked_solutions
 from nacre.matter.periodic.solve import difference, method_of, size_count, solve_coarse
 from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle
 
 MAX_THETA = float(np.radians(89.5))  # light beyond is taken as here
 THETAS = {"lines": 16, "profile": 16, "rectangles": 10, "fourier": 10}  # nodes from 0 to 90 degrees
-AZIMUTHS = {"lines": 24, "profile": 24, "rectangles": 16, "fourier": 12}  # of a whole turn, a multiple of 4
+AZIMUTHS = {"lines": 48, "profile": 48, "rectangles": 16, "fourier": 12}  # of a whole turn, a multiple of 4
 FEW = 12, 16  # nodes of tables whose size follows from an error: larger solutions, fewer of them
 CHECKS = 6  # directions at which the error is estimated
+BETWEEN, BETWEEN_SEED = 6, 40  # directions at which the error between nodes is found
 PROBES = 4  # directions that set the size
 MIN_STORED_S = 2.0  # tables that take less are not stored
 
@@ -35,7 +38,8 @@ class OrderTables:
         reflected, transmitted: `[theta, azimuth, order, wavelength]`, the other orders.
         orders: `[order, 2]`.
         lattice: `[2, 2]`, their wave vectors over 2 pi, in 1/nm.
-        error: largest estimated error.
+        error: largest estimated error of an efficiency at the nodes.
+        between: largest error found between the nodes, at a few directions.
     """
 
     mirror: Array
@@ -45,6 +49,7 @@ class OrderTables:
     orders: NDArray[np.int64]
     lattice: Array
     error: float
+    between: float
 
 
 def order_tables(
@@ -63,17 +68,19 @@ def order_tables(
         return OrderTables(
             stored["mirror"], stored["passed"], stored["reflected"].astype(np.float32),
             stored["transmitted"].astype(np.float32), stored["orders"].astype(np.int64), stored["lattice"],
-            float(stored["error"]),
+            float(stored["error"]), float(stored["between"]),
         )  # fmt: skip
     start = time.perf_counter()
-    made = _solved_tables(stacks, wavelengths_nm, tolerance, table_error)
+    made = _solved_tables(stacks, wavelengths_nm, tolerance, table_error, key)
     if key and time.perf_counter() - start > MIN_STORED_S:
         cache_arrays(key, {each.name: np.asarray(getattr(made, each.name)) for each in fields(made)})
+        steps, thetas = range(size_count(stacks[0])), range(len(made.mirror))
+        drop_arrays(f"{key}-{step}-{t}" for step in steps for t in thetas)
     return made
 
 
 def _solved_tables(
-    stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: float | None, table_error: float | None
+    stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: float | None, table_error: float | None, key: str
 ) -> OrderTables:
     stack = stacks[0]
     method = method_of(stack)
@@ -108,7 +115,7 @@ def _solved_tables(
             pairs = zip(in_threads(check, probes), in_threads(partial(work, step=step), probes), strict=True)
             if max(difference(*pair) for pair in pairs) <= table_error:
                 break
-    found = dict(zip(cases, in_threads(partial(work, step=step), cases), strict=True))
+    found = _solved_rows(partial(work, step=step), cases, f"{key}-{step}" if key else "")
     numbers = {
         (int(m), int(n)) for s in found.values() for side in (s.reflected, s.transmitted) for m, n in side.numbers
     }
@@ -141,7 +148,66 @@ def _solved_tables(
     for (t, a, w), better in zip(some, in_threads(check, some), strict=True):
         error = max(error, difference(found[t, a, w], better))
     numbered = np.array(every, dtype=np.int64).reshape(-1, 2)
-    return OrderTables(mirror, passed, reflected, transmitted, numbered, lattice, error)
+    made = OrderTables(mirror, passed, reflected, transmitted, numbered, lattice, error, 0.0)
+    return replace(made, between=_between(made, stacks, wavelengths_nm, step)) if some else made
+
+
+def _solved_rows(
+    work: Callable[[tuple[int, int, int]], OrderSolution], cases: list[tuple[int, int, int]], key: str
+) -> dict[tuple[int, int, int], OrderSolution]:
+    """Solve all cases; each angle of incidence is stored once complete, so that an interrupted table resumes there."""
+    rows: dict[int, list[tuple[int, int, int]]] = {}
+    for case in cases:
+        rows.setdefault(case[0], []).append(case)
+    found: dict[tuple[int, int, int], OrderSolution] = {}
+    for t, row in rows.items():
+        stored = cached_arrays(f"{key}-{t}") if key else None
+        if stored is not None:
+            found |= zip(row, unpacked_solutions(stored), strict=True)
+    lock = threading.Lock()
+    seconds = dict.fromkeys(rows, 0.0)
+
+    def kept(case: tuple[int, int, int]) -> None:
+        start = time.perf_counter()
+        solution = work(case)
+        with lock:
+            found[case] = solution
+            t = case[0]
+            seconds[t] += time.perf_counter() - start
+            is_complete = all(each in found for each in rows[t])
+            if key and is_complete and seconds[t] > MIN_STORED_S:
+                cache_arrays(f"{key}-{t}", packed_solutions([found[each] for each in rows[t]]))
+
+    in_threads(kept, [case for case in cases if case not in found])
+    return found
+
+
+def _between(tables: OrderTables, stacks: list[PeriodicStack], wavelengths_nm: Array, step: int) -> float:
+    """Return the largest error of a reflected efficiency at a few directions in the middle of four nodes."""
+    thetas, azimuths = tables.mirror.shape[0] - 1, tables.mirror.shape[1] - 1
+    generator = np.random.default_rng(BETWEEN_SEED)
+    t = generator.integers(0, max(int(0.85 * thetas), 1), BETWEEN)  # to 76 degrees
+    a = generator.integers(0, azimuths, BETWEEN)
+    cases = [(k, w) for k in range(BETWEEN) for w in range(0, len(wavelengths_nm), max(len(wavelengths_nm) // 2, 1))]
+
+    def solved(case: tuple[int, int]) -> OrderSolution:
+        k, w = case
+        theta, phi = 0.5 * np.pi * (t[k] + 0.5) / thetas, 2.0 * np.pi * (a[k] + 0.5) / azimuths + np.pi
+        return solve_coarse(stacks[w], float(wavelengths_nm[w]), float(theta), float(phi), step)
+
+    mirror, others = (
+        np.mean([part[t + i, a + j] for i in (0, 1) for j in (0, 1)], axis=0)
+        for part in (tables.mirror, tables.reflected)
+    )
+    worst = 0.0
+    for (k, w), solution in zip(cases, in_threads(solved, cases), strict=True):
+        exact = np.zeros(len(tables.orders))
+        for number, value in zip(solution.reflected.numbers, solution.reflected.efficiency.mean(axis=1), strict=True):
+            if not number.any():
+                worst = max(worst, abs(float(value - mirror[k, w])))
+            exact[np.all(tables.orders == number, axis=1)] = value
+        worst = max(worst, float(np.abs(exact - others[k, :, w]).max(initial=0.0)))
+    return worst
 
 
 def in_common(tables: list[OrderTables]) -> list[OrderTables]:

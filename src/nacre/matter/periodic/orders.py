@@ -150,6 +150,20 @@ def _packed(solution: OrderSolution) -> dict[str, Array]:
     return arrays
 
 
+def packed_solutions(solutions: list[OrderSolution]) -> dict[str, Array]:
+    """Return many solutions as arrays to store."""
+    return {f"{k}-{name}": array for k, each in enumerate(solutions) for name, array in _packed(each).items()}
+
+
+def unpacked_solutions(arrays: dict[str, Array]) -> list[OrderSolution]:
+    """Return the solutions of `packed_solutions`, in their order."""
+    parts: dict[int, dict[str, Array]] = {}
+    for name, array in arrays.items():
+        number, _, own = name.partition("-")
+        parts.setdefault(int(number), {})[own] = array
+    return [_unpacked(parts[k]) for k in range(len(parts))]
+
+
 def _unpacked(arrays: dict[str, Array]) -> OrderSolution:
     sides = [
         OrderSet(

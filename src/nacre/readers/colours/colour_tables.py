@@ -1,4 +1,8 @@
-"""Delimited tables of colours with x, y, Y, with R, G, B, or with the field names of CGATS but without its head."""
+"""Delimited tables of colours without a head of CGATS.
+
+Headings are x, y, Y, or R, G, B, or L*, a*, b* (L*, C*, h) beside columns of illuminant and observer, or the field
+names of CGATS.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ import numpy as np
 
 from nacre.core.errors import NacreError
 from nacre.readers.colours.cgats import Table, measurement_of
-from nacre.readers.colours.common import SRGB, colours
+from nacre.readers.colours.common import SRGB, colours, illuminant_in
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import LIKELY, FileHead
 from nacre.readers.spectra.common import number, read_text
@@ -21,6 +25,10 @@ NAMES = {"name": "SAMPLE_NAME", "patch": "SAMPLE_NAME", "colour": "SAMPLE_NAME",
          "colourname": "SAMPLE_NAME", "colorname": "SAMPLE_NAME", "samplename": "SAMPLE_NAME", "id": "SAMPLE_ID",
          "no": "SAMPLE_ID", "nr": "SAMPLE_ID", "number": "SAMPLE_ID", "index": "SAMPLE_ID", "sampleid": "SAMPLE_ID",
          "sample": "SAMPLE_ID"}  # fmt: skip
+LAB = {"l": "LAB_L", "a": "LAB_A", "b": "LAB_B", "c": "LAB_C", "h": "LAB_H"}
+LIGHTS = {"illuminant": "ILLUMINANT", "illum": "ILLUMINANT", "lightsource": "ILLUMINANT", "observer": "OBSERVER",
+          "observerangle": "OBSERVER", "obs": "OBSERVER", "illuminantobserver": "BOTH", "illobs": "BOTH"}  # fmt: skip
+OBSERVER_BEHIND = re.compile(r"[\s/,]+(?:2|10)\b|19(?:31|64)")
 FACTOR_LIMIT = 1.1  # above the Y of any reflecting sample with a white of 1
 
 
@@ -44,7 +52,10 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     for row in rows:
         if len(row) != len(fields):
             raise NacreError(f'{path}: the row "{" ".join(row)[:60]}" has {len(row)} cells for {len(fields)} headings')
-    found = measurement_of(path, Table({}, fields, rows, ended=True))
+    light = _light(path, fields, rows)
+    kept = [place for place, field in enumerate(fields) if field not in LIGHTS.values()]
+    fields, rows = [fields[place] for place in kept], [[row[place] for place in kept] for row in rows]
+    found = measurement_of(path, Table(light, fields, rows, ended=True))
     if found is None:
         return [_rgb(path, fields, rows)]
     if "XYY_CAPY" in fields and float(found.data["Y"].max()) <= FACTOR_LIMIT:
@@ -80,11 +91,40 @@ def _fields(cells: list[str]) -> list[str] | None:
     named = [NAMES.get(word) for word in words]
     if all(cells.count(letter) == 1 for letter in XYY):
         return [XYY.get(cell) or name or f"OTHER_{cell}" for cell, name in zip(cells, named, strict=True)]
+    polar = [LAB.get(word) for word in words]
+    is_lab = sorted(filter(None, polar)) in (["LAB_A", "LAB_B", "LAB_L"], ["LAB_C", "LAB_H", "LAB_L"])
+    if is_lab and any(word in LIGHTS for word in words):
+        known = [a or LIGHTS.get(word) or b for a, word, b in zip(polar, words, named, strict=True)]
+        return [field or f"OTHER_{cell}" for field, cell in zip(known, cells, strict=True)]
     colour = [RGB.get(word) for word in words]
     is_rgb = sorted(filter(None, colour)) == ["RGB_B", "RGB_G", "RGB_R"]
     if is_rgb and all(a or b for a, b in zip(colour, named, strict=True)) and len(set(named)) > len(named) - 3:
         return [a or str(b) for a, b in zip(colour, named, strict=True)]
     return None
+
+
+def _light(path: Path, fields: list[str], rows: list[list[str]]) -> dict[str, str]:
+    """Return illuminant and observer of columns that hold the same in every row.
+
+    Raises:
+        NacreError: rows have different ones.
+    """
+    found: dict[str, str] = {}
+    for place, field in enumerate(fields):
+        if field in LIGHTS.values():
+            texts = {row[place] for row in rows}
+            if len(texts) > 1:
+                shown = ", ".join(sorted(texts)[:4])
+                raise NacreError(
+                    f"{path}: the rows are for different illuminants or observers: {shown}; split the file"
+                )
+            text = "".join(texts)
+            # "D65/10" in the column of the illuminant states both
+            if field != "OBSERVER" and illuminant_in(text):
+                found["ILLUMINANT"] = text
+            if field == "OBSERVER" or (OBSERVER_BEHIND.search(text) and "OBSERVER" not in found):
+                found["OBSERVER"] = text
+    return found
 
 
 def _rgb(path: Path, fields: list[str], rows: list[list[str]]) -> Measurement:

@@ -73,7 +73,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
 
 def _number(cell: str) -> float:
     try:
-        return float(cell)
+        return float(cell.replace(",", "."))  # German exports have decimal commas
     except ValueError:
         return np.nan
 

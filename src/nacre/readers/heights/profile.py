@@ -21,6 +21,7 @@ HEADING = re.compile(
 DEEPER = re.compile(
     r"^\W*(lateral|scan length)\b[^,;\t]{0,12}[,;\t]\W*(raw|total profile|profile|height)\b", re.IGNORECASE
 )
+THREE = re.compile(r"\s*[-+.\d]\S*[\s,;]+[-+.\d]\S*[\s,;]+[-+.\dN]\S*\s*$")  # points x y z
 LARGEST_M = 0.01  # a length in metres below 1 cm: no abscissa of a spectrum begins at 0 and ends there
 
 
@@ -29,7 +30,7 @@ def sniff(head: FileHead) -> float:
     if b"\0" in head.data[:4096]:
         return 0.0
     lines = [line for line in decoded(head.data).splitlines() if line.strip()]
-    if lines and HEADING.match(lines[0]):
+    if lines and HEADING.match(lines[0]) and not THREE.match(lines[1] if len(lines) > 1 else ""):
         return LIKELY
     if any(DEEPER.match(line) for line in lines[1:100]):
         return LIKELY

@@ -29,7 +29,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read one map; scales are in m."""
     data = path.read_bytes().lstrip()
     values, fields = _binary(data) if data[:1] == b"b" else _ascii(data, path)
-    scale = [float(fields[name]) for name in ("Xscale", "Yscale", "Zscale")]
+    scale = [float(str(fields[name]).replace(",", ".")) for name in ("Xscale", "Yscale", "Zscale")]
     if int(fields.get("Compression", 0)) != 0:
         raise NacreError(f"{path}: is compressed; export it without compression")
     if not scale[2] > 0:
