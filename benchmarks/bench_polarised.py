@@ -8,10 +8,9 @@ Mueller elements.
 from __future__ import annotations
 
 import sys
-import time
 
-from bench_render_plugins import ALPHA, film, scene
-from common import Row, interleaved, parser, report, timed
+from bench_render_plugins import ALPHA, film, race
+from common import Row, parser, report
 
 from nacre.render import use_variant
 
@@ -23,29 +22,12 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark; 0 if the bar is reached."""
     options = parser(__doc__, repeats=7).parse_args(arguments)
     mi = use_variant("llvm_ad_spectral_polarized")
-    import drjit as dr
-
     contestants = {
         "roughconductor ggx": {"type": "roughconductor", "material": "Al", "alpha": ALPHA, "distribution": "ggx"},
         "film on Al, ggx": film("Al", "SiO2", 300.0, "ggx"),
     }
-    scenes = {name: scene(mi, bsdf) for name, bsdf in contestants.items()}
-    seeds = iter(range(10**6))
-
-    def render(name: str) -> None:
-        dr.eval(mi.render(scenes[name], spp=SPP, seed=next(seeds)))
-        dr.sync_thread()
-
-    first: dict[str, float] = {}
-
-    def run(name: str) -> tuple[float, float]:
-        start = time.perf_counter()
-        result = timed(lambda: render(name))
-        first.setdefault(name, time.perf_counter() - start)
-        return result
-
-    times = interleaved({name: (lambda name=name: run(name)) for name in scenes}, options.repeats)
-    peer, ours = (times[name] for name in scenes)
+    times, first = race(mi, contestants, SPP, options.repeats)
+    peer, ours = (times[name] for name in contestants)
     ratio, by_clock = peer.median_cpu / ours.median_cpu, peer.median_wall / ours.median_wall
     rows = [Row("film / roughconductor", ratio, "x", LEAST_RATIO, note=f"{by_clock:.2f} x by the clock")]
     for name, spent in times.items():

@@ -49,12 +49,31 @@ def scene(mi: Any, bsdf: Any) -> Any:
     )
 
 
+def race(mi: Any, contestants: dict[str, Any], spp: int, repeats: int) -> tuple[dict[str, Any], dict[str, float]]:
+    """Render the sphere with each BSDF in turn; return the times, and the seconds of each first picture."""
+    import drjit as dr
+
+    scenes = {name: scene(mi, bsdf) for name, bsdf in contestants.items()}
+    first: dict[str, float] = {}
+    seeds = iter(range(10**6))
+
+    def render(name: str) -> None:
+        dr.eval(mi.render(scenes[name], spp=spp, seed=next(seeds)))
+        dr.sync_thread()
+
+    def run(name: str) -> tuple[float, float]:
+        start = time.perf_counter()
+        result = timed(lambda: render(name))
+        first.setdefault(name, time.perf_counter() - start)
+        return result
+
+    return interleaved({name: (lambda name=name: run(name)) for name in scenes}, repeats), first
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the benchmark; 0 if the bars are reached."""
     options = parser(__doc__, repeats=9).parse_args(arguments)
     mi = use_variant("llvm_ad_spectral")
-    import drjit as dr
-
     conductor = {"type": "roughconductor", "material": "Al", "alpha": ALPHA}
     dielectric = {"type": "roughdielectric", "int_ior": "bk7", "ext_ior": "air", "alpha": ALPHA}
     contestants = {
@@ -70,21 +89,7 @@ def main(arguments: list[str] | None = None) -> int:
         "roughdielectric beckmann": {**dielectric, "distribution": "beckmann"},
         "film on glass, beckmann": film("BK7", "TiO2", 100.0, "beckmann"),
     }
-    scenes = {name: scene(mi, bsdf) for name, bsdf in contestants.items()}
-    first: dict[str, float] = {}
-    seeds = iter(range(10**6))
-
-    def render(name: str) -> None:
-        dr.eval(mi.render(scenes[name], spp=SPP, seed=next(seeds)))
-        dr.sync_thread()
-
-    def run(name: str) -> tuple[float, float]:
-        start = time.perf_counter()
-        result = timed(lambda: render(name))
-        first.setdefault(name, time.perf_counter() - start)
-        return result
-
-    times = interleaved({name: (lambda name=name: run(name)) for name in scenes}, options.repeats)
+    times, first = race(mi, contestants, SPP, options.repeats)
     rows = []
     for ours, peer, bar in (
         ("film on Al, ggx", "roughconductor ggx", 0.9),

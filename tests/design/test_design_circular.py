@@ -81,3 +81,52 @@ def test_psi_and_delta_of_a_bare_wafer_are_those_of_its_fresnel_coefficients() -
     psi, delta = ellipsometric_angles(nacre.spectrum(made, 70.0, [632.8], "mueller").mueller_reflected)
     assert psi[0, 0] == pytest.approx(np.degrees(np.arctan(abs(rho))), abs=1e-9)
     assert delta[0, 0] == pytest.approx(np.degrees(-np.angle(rho)) % 360, abs=1e-9)
+
+
+PITCH, AXIS, FRACTION = (
+    "layers[0].pitch_nm",
+    "layers[0].material.axis_azimuth_deg",
+    "layers[0].material.volume_fractions[0]",
+)
+TWISTED = "{material = {ordinary = 1.5, extraordinary = 1.7, axis_polar_deg = 90}, thickness_nm = 1400, pitch_nm = 380}"
+TILTED = (
+    "{material = {ordinary = 1.5, extraordinary = 1.9, axis_polar_deg = 60, axis_azimuth_deg = 10}, thickness_nm = 400}"
+)
+MIXED = """{material = {mix = ["TiO2", "air"], volume_fractions = [0.4]}, thickness_nm = 120},
+    {repeat = 2, layers = [{material = "TiO2", thickness_nm = 60}, {material = "SiO2", thickness_nm = 90}]}"""
+ANSWERS = {
+    "pitch under circular light": (TWISTED, {PITCH: (345.0, [300, 420], 1.0)}, [(0, "right"), (0, "left")]),
+    "axis": (TILTED, {AXIS: (35.0, [0, 90], 0.5)}, [(45, "s"), (45, "left")]),
+    "mixture and repeats": (
+        MIXED, {FRACTION: (0.7, [0.2, 0.9], 0.01), "layers[1].repeat": (4, [1, 5], 0.0)}, [(8, "both")],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", ANSWERS)
+def test_a_design_finds_the_numbers_behind_a_spectrum(name: str, tmp_path: Any) -> None:
+    layers, numbers, rows = ANSWERS[name]
+    recipe = tmp_path / "film.toml"
+    recipe.write_text(f'family = "film"\nsubstrate = "Si"\nlayers = [{layers}]\nwavelengths = {{step_nm = 20}}\n')
+    made, waves = (
+        nacre.load(recipe).vary({path: truth for path, (truth, _, _) in numbers.items()}),
+        np.arange(400.0, 701.0, 20.0),
+    )
+    bounds = ", ".join(f'"{path}" = {ends}' for path, (_, ends, _) in numbers.items())
+    lines = ['recipe = "film.toml"', f"parameters = {{{bounds}}}", "search = {evaluations = 600, seconds = 600}"]
+    for number, (theta, state) in enumerate(rows):
+        factors = nacre.spectrum(made, float(theta), waves, state).specular_reflectance[0]
+        table = "".join(f"{w:g},{r:.8f}\n" for w, r in zip(waves, factors, strict=True))
+        (tmp_path / f"{number}.csv").write_text("wavelength_nm,reflectance\n" + table)
+        lines += [
+            "[[target]]",
+            f'geometry = "specular {theta}"',
+            f'polarisation = "{state}"',
+            f'spectrum = "{number}.csv"',
+        ]
+    (tmp_path / "target.toml").write_text("\n".join(lines) + "\n")
+    nacre.design(tmp_path / "target.toml", tmp_path / "out")
+    best = nacre.load(tmp_path / "out" / "recipe.toml")
+    for path, (truth, _, error) in numbers.items():
+        assert best.get(path) == pytest.approx(truth, abs=error)

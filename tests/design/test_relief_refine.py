@@ -33,6 +33,7 @@ resolution = 8
 [search]
 seconds = 2
 starts = 2
+levels = 2
 refine = "vector"
 """
 

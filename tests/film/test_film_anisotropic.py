@@ -375,3 +375,11 @@ def test_a_helix_thinner_than_a_slice_is_refused() -> None:
     with pytest.raises(NacreError):
         film(substrate=1.5, layers=[layer])
     film(substrate=1.5, layers=[{**layer, "thickness_nm": 6.0}])
+
+
+def test_an_azimuth_that_is_not_finite_is_refused() -> None:
+    made = film(substrate=1.5, layers=[{"material": TILTED, "thickness_nm": 300.0}])
+    with pytest.raises(NacreError):
+        nacre.spectrum(made, 30.0, [500.0], "mueller", azimuth_deg=nan)
+    with pytest.raises(NacreError):
+        nacre.ellipsometry(made, [70.0], [500.0], nan)

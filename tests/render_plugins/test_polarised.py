@@ -140,8 +140,13 @@ def test_stokes_vectors_of_random_films_are_those_of_their_amplitudes(polarised:
             assert abs(np.hypot(matrix[2, 2, 1], matrix[2, 3, 1]) - abs(cross)) < 1e-4
 
 
-def test_a_diffuse_lobe_depolarises(polarised: Any) -> None:
-    bsdf = film({"substrate": {"n": 1.5}, "base": {"albedo": 0.5}})
+def test_a_diffuse_lobe_depolarises_and_says_so_once(polarised: Any, caplog: pytest.LogCaptureFixture) -> None:
+    from nacre.device.bsdf import _say_unpolarised
+
+    _say_unpolarised.cache_clear()
+    for _ in range(2):
+        bsdf = film({"substrate": {"n": 1.5}, "base": {"albedo": 0.5}})
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
     wi, wo = directions(np.random.default_rng(4), 2)
     found = np.array(bsdf.eval(mi.BSDFContext(), interaction(wi), mi.Vector3f(*[float(x) for x in wo])))
     assert found[0, 0].min() > 0.0

@@ -155,6 +155,8 @@ def compute_ellipsometry(
     waves = np.asarray(material.model.wavelengths_nm if grid is None else grid, dtype=float)
     used = instrument_of(material) if instrument is None else instrument
     azimuth = used.azimuth_deg if azimuth_deg is None else azimuth_deg
+    if not np.isfinite(azimuth):
+        raise NacreError(f"azimuth_deg = {azimuth} is not finite")
     return EllipsometricResponse(waves, angles, averaged_mueller(stack, angles, waves, azimuth, used))
 
 

@@ -77,7 +77,7 @@ def make_bsdf(
     if mi.is_polarized:
         tables = bsdf.polarisation() if bsdf.polarisation is not None else None
         if tables is None:
-            logger.info("%s: reflects and transmits unpolarised light in polarised variants", bsdf)
+            _say_unpolarised(", ".join(dict.fromkeys(lobe.kind for lobe in lobes)))
         else:
             is_of_azimuth = any(isinstance(lobe, AlignedSpecular | AlignedMicrofacet) for lobe in lobes)
             polarisation = DevicePolarisation(tables, is_of_azimuth)
@@ -86,6 +86,12 @@ def make_bsdf(
     cls = bsdf_class(mi.variant())
     properties = mi.Properties() if properties is None else properties
     return cls(properties, plugins, two_sided and not bsdf.transmits, space, polarisation)
+
+
+@functools.cache
+def _say_unpolarised(kinds: str) -> None:
+    """State once that a material has no Mueller matrices."""
+    logger.warning("a material of %s reflects and transmits unpolarised light in polarised pictures", kinds)
 
 
 @functools.cache

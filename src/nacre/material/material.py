@@ -222,6 +222,8 @@ class Material:
         theta = np.atleast_1d(floats(theta_rad, "angles"))
         if theta.ndim != 1 or not theta.size or not np.all((theta >= 0) & (theta <= np.pi / 2 + 1e-12)):
             raise UnsupportedError("angles must be a number or a list of at least one, from 0 to 90 degrees (pi/2)")
+        if not np.isfinite(azimuth_deg):
+            raise UnsupportedError(f"azimuth_deg = {azimuth_deg} is not finite")
         if polarisation not in POLARISATIONS:
             raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use {", ".join(POLARISATIONS)}')
         if grid is not None or len(theta) >= MANY_ANGLES:

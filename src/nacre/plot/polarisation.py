@@ -63,7 +63,7 @@ def mueller_figure(spectrum: Spectrum, title: str = "") -> Figure:
                 is_first = i == j == 0
                 _curves(axes, spectrum, (matrices if is_first else relative)[..., i, j], has_key=is_first)
                 axes.set_ylim(*((0.0, 1.0) if is_first else (-1.05, 1.05)))
-                axes.tick_params(labelbottom=i == 3, labelleft=j == 0)
+                axes.tick_params(labelbottom=i == 3, labelleft=j == 0 or 4 * i + j == 1)
                 style.panel_title(axes, "R" if is_first else f"m{i + 1}{j + 1}")
                 if i == 3:
                     axes.set_xlabel("Wavelength (nm)")

@@ -55,12 +55,15 @@ class RidgeTablePlugin(LobePlugin[RidgeTable]):
         self.cells = sines - 1  # part of the kernel: it sets the number of search steps
         self.sine_count, self.wave_count = opaque_int(sines), opaque_int(waves)
         self.spread, self.fill = opaque(lobe.spread_along), opaque(lobe.fill)
-        # probability of each cell between two exits, cumulated: [c, a, wavelength, cell]
-        share = np.moveaxis(0.5 * (power[:, :, 1:] + power[:, :, :-1]).astype(float), 3, 2)
-        total = share.sum(axis=-1, keepdims=True)
-        share = (1.0 - UNIFORM_SHARE) * share / np.maximum(total, 1e-12) + UNIFORM_SHARE / self.cells
-        share /= share.sum(axis=-1, keepdims=True)
-        self.cumulated = device_array(np.cumsum(share, axis=-1))
+        # density at the exits' nodes and probability of each cell between them, cumulated: [c, a, wavelength, exit]
+        rows = np.moveaxis(power, 3, 2).astype(float)
+        total = 0.5 * (rows[..., 1:] + rows[..., :-1]).sum(axis=-1, keepdims=True)
+        is_dark = total < 1e-12
+        shape = np.where(is_dark, 1.0, rows / np.where(is_dark, 1.0, total) * self.cells)
+        density = ((1.0 - UNIFORM_SHARE) * shape + UNIFORM_SHARE) / self.cells
+        share = 0.5 * (density[..., 1:] + density[..., :-1])
+        self.density = device_array(density)
+        self.cumulated = device_array(np.cumsum(share, axis=-1) / share.sum(axis=-1, keepdims=True))
         self.albedo = device_array(lobe.fill * total.mean(axis=(2, 3)) * (2.0 / self.cells))
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
@@ -77,12 +80,17 @@ class RidgeTablePlugin(LobePlugin[RidgeTable]):
         low, part = where.low[0], where.fraction[0]
         for i in range(1, lines):
             low, part = dr.select(pick == i, where.low[i], low), dr.select(pick == i, where.fraction[i], part)
-        start = self._row(wi.x / chord, c, low, part)
+        row = self._row(wi.x / chord, c, low, part)
+        start = row * mi.UInt32(self.cells)
         drawn = dr.clip(sample2[0], 0.0, 0.9999999)
         cell = dr.binary_search(0, self.cells - 1, lambda i: read(self.cumulated, start + mi.UInt32(i), active) < drawn)
         cell = mi.UInt32(cell)
-        first, last = self._bounds(start, cell, active)
-        place = dr.clip((drawn - first) / dr.maximum(last - first, 1e-12), 0.0, 1.0)
+        first = dr.select(cell > 0, read(self.cumulated, start + dr.maximum(cell, 1) - 1, active), 0.0)
+        last = read(self.cumulated, start + cell, active)
+        rest = dr.clip((drawn - first) / dr.maximum(last - first, 1e-12), 0.0, 1.0)
+        # a linear density in the cell, by inversion
+        p_0, p_1 = self._ends(row, cell, active)
+        place = rest * (p_0 + p_1) / (p_0 + dr.safe_sqrt(dr.lerp(p_0 * p_0, p_1 * p_1, rest)))
         x = ((mi.Float(cell) + place) / self.half - 1.0) * chord
         cos2 = 1.0 - x * x - y * y
         active = active & (cos2 > MIN_COS)
@@ -122,8 +130,8 @@ class RidgeTablePlugin(LobePlugin[RidgeTable]):
                     rows.append(dr.lerp(ends[0], ends[1], f_b))
                 planes.append(dr.lerp(rows[0], rows[1], f_a))
             value[line] = dr.lerp(planes[0], planes[1], f_c)
-            first, last = self._bounds(self._row(a, c, low, part), j, active)
-            density = density + (last - first) / lines
+            p_0, p_1 = self._ends(self._row(a, c, low, part), j, active)
+            density = density + dr.lerp(p_0, p_1, f_b) / lines
         return value * (self.fill * gauss) & active, dr.select(active, density * self.half * gauss, 0.0)
 
     def _node(self, a: Any, c: Any) -> Any:
@@ -132,15 +140,13 @@ class RidgeTablePlugin(LobePlugin[RidgeTable]):
         return k * self.sine_count + mi.UInt32(dr.round((dr.clip(a, -1.0, 1.0) + 1.0) * self.half))
 
     def _row(self, a: Any, c: Any, low: Any, part: Any) -> Any:
-        """Return the start of the cumulated cells at the nearest node and wavelength."""
-        wave = low + dr.select(part > 0.5, mi.UInt32(1), 0)
-        return (self._node(a, c) * self.wave_count + wave) * mi.UInt32(self.cells)
+        """Return the number of the nearest node and wavelength."""
+        return self._node(a, c) * self.wave_count + low + dr.select(part > 0.5, mi.UInt32(1), 0)
 
-    def _bounds(self, start: Any, cell: Any, active: Any) -> tuple[Any, Any]:
-        """Return the cumulated probability before and after a cell."""
-        last = read(self.cumulated, start + cell, active)
-        first = dr.select(cell > 0, read(self.cumulated, start + dr.maximum(cell, 1) - 1, active), 0.0)
-        return first, last
+    def _ends(self, row: Any, cell: Any, active: Any) -> tuple[Any, Any]:
+        """Return the density at both ends of a cell."""
+        at = row * self.sine_count + cell
+        return read(self.density, at, active), read(self.density, at + 1, active)
 
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the reflected light, averaged over wavelengths, at the nearest node."""

@@ -303,7 +303,10 @@ class IndexSpec(RecipeModel):
             raise ValueError(f"mixes {count} materials with {got}; give one of each, or leave the last one out")
         total = sum(fractions)
         if total > 1.0 + FRACTION_ERROR or (len(fractions) == count and total < 1.0 - FRACTION_ERROR):
-            raise ValueError(f".volume_fractions = {list(fractions)} have the sum {total:g}; it should be 1")
+            raise ValueError(
+                f".volume_fractions = {list(fractions)} have the sum {total:g}; it should be 1; leave out the last one "
+                "to make it the rest"
+            )
         factors = self.depolarisation
         if isinstance(factors, tuple) and abs(sum(factors) - 1.0) > FRACTION_ERROR:
             raise ValueError(f".depolarisation = {list(factors)} has the sum {sum(factors):g}; it should be 1")

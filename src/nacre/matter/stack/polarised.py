@@ -271,7 +271,9 @@ def _blurred(
     fringes, per_fringe = (many[0 if is_alone else 1] for many in (FRINGES, FRINGE_STEPS))
     steps = np.arange(1, fringes * per_fringe)
     turn = 2.0 * np.pi * steps / (fringes * per_fringe)
-    window = sum(c * np.cos(k * turn) for k, c in enumerate(BLACKMAN_HARRIS)) if is_alone else 1.0 - np.cos(turn)
+    hann: Array = 1.0 - np.cos(turn)
+    terms = np.cos(np.arange(len(BLACKMAN_HARRIS))[:, None] * turn)
+    window = np.asarray(BLACKMAN_HARRIS) @ terms if is_alone else hann
     shifts = (steps / per_fringe - 0.5 * fringes) * fringe
     made = []
     for w, shift in zip(window / window.sum(), shifts, strict=True):
