@@ -95,7 +95,8 @@ def meent(case: dict[str, Any], size: int) -> list[float]:
 
     is_line = case["height"] is None
     step = SAMPLES[1 if is_line else 2] // 64
-    index = np.sqrt(_cell(case)[::step, :: 1 if is_line else step]).T[None]  # the series of its edges is exact
+    # n - ik in this code; the series of the edges is exact
+    index = np.sqrt(_cell(case)[::step, :: 1 if is_line else step]).conj().T[None]
     found = []
     for polarisation in (0, 1):
         azimuth = {} if is_line else {"phi": 0.0}

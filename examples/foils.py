@@ -17,10 +17,10 @@ import numpy as np
 RECIPES = Path(__file__).resolve().parent / "grating"
 PICTURES = {
     # name -> recipe, mesh, further options
-    "compact-disc": ("compact-disc", "disc", ("--zoom", "1.5")),
-    "gift-paper": ("gift-paper", "card", ("--zoom", "1.3")),
-    "two-channel-patch": ("two-channel-patch", "card", ("--zoom", "1.3")),
-    "two-channel-patch-turned": ("two-channel-patch", "card", ("--zoom", "1.3", "--turn", "90")),
+    "compact-disc": ("compact-disc", "disc", ("--zoom", "1.15")),
+    "gift-paper": ("gift-paper", "card", ("--zoom", "1.15")),
+    "two-channel-patch": ("two-channel-patch", "card", ("--zoom", "1.15")),
+    "two-channel-patch-turned": ("two-channel-patch", "card", ("--zoom", "1.15", "--turn", "90")),
 }
 
 
@@ -47,7 +47,7 @@ def main(arguments: list[str] | None = None) -> None:
     options.folder.mkdir(exist_ok=True)
     write_ring(options.folder / "disc.obj", 0.25, 128)
     write_ring(options.folder / "card.obj", 1e-4, 4)
-    size, spp = ("96x72", "4") if options.quick else ("480x360", "96")
+    size, spp = ("96x96", "4") if options.quick else ("384x384", "96")
     for name, (recipe, mesh, further) in PICTURES.items():
         command = [
             sys.executable, "-m", "nacre", "render", str(RECIPES / f"{recipe}.toml"), "--scene", "panel", "--shape",

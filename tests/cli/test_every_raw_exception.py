@@ -435,3 +435,18 @@ def test_a_scene_of_impossible_numbers_is_refused(
     assert run(["render", str(film), "--scene", "s.xml", "--spp", "1", "-o", "x.png"]) == 2
     said = capfd.readouterr().err
     assert words in said and said.count("\n") == 1, said
+
+
+def test_an_obj_with_tabs_is_read(tmp_path: Path) -> None:
+    from nacre.picture.scenes.subjects import read_mesh
+
+    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n"
+    (tmp_path / "tabs.obj").write_text(text.replace(" ", "\t"))
+    assert len(read_mesh(tmp_path / "tabs.obj").faces) == 2
+
+
+def test_a_refused_file_is_shown_as_in_a_recipe() -> None:
+    from nacre.readers.file_spec import FileSpec
+    from nacre.recipe.model import show_value
+
+    assert show_value(FileSpec(file="h.csv")) == '{file = "h.csv"}'

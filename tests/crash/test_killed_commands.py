@@ -131,7 +131,6 @@ CASES = {
     "ellipsometry": Case(("ellipsometry", "smooth.toml", "-o", "out.csv"), "out.csv", 3),
     "runsheet": Case(("runsheet", "smooth.toml", "-o", "out.json"), "out.json", 3),
     "diagnose": Case(("diagnose", "measured-spectrum.csv", "film.toml", "-o", "out.toml"), "out.toml", 3),
-    "export-usd": Case(("export", "smooth.toml", "--to", "usd", "-o", "out.usda"), "out.usda", 3),
     "export-materialx": Case(("export", "smooth.toml", "--to", "materialx", "-o", "out.mtlx"), "out.mtlx", 3),
     "export-nacre": Case(("export", "film.toml", "--to", "nacre", "-o", "out.nacre"), "out.nacre", 3),
     "blender": Case(("blender", "-o", "out.zip"), "out.zip", 3),

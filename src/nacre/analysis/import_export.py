@@ -15,8 +15,7 @@ from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, plain, why_unreadable, write_text
-from nacre.families.blend import Blend
-from nacre.families.contract import OwnFormats
+from nacre.families.contract import Masked, OwnFormats
 from nacre.formats.foreign_materials import ThicknessMap, read_gltf, read_materialx
 from nacre.formats.gonio_csv import MAX_VALUE, GonioData, gonio_data, write_gonio_csv
 from nacre.formats.half_angle_tables import merl_table, read_merl_filled, write_merl
@@ -176,7 +175,7 @@ def _export_film(material: Material, target: str, path: Path, mesh: Path | None 
     if target == "usd" and path.suffix.lower() in (".usdc", ".usdz"):
         raise UnsupportedError(f"{path}: USD is written as text; allowed: a name that ends in .usda or .usd")
     parts = [] if mesh is None else _mesh_parts(mesh)
-    if target == "gltf" and isinstance(material.model, Blend) and covered_share(material) is None:
+    if target == "gltf" and isinstance(material.model, Masked) and covered_share(material) is None:
         return _export_blend(material, material.model, path, parts)
     axis = varying_axis(material) if target == "gltf" else None
     mapped = None if axis is None else fit_thickness_map(material, axis)
@@ -216,7 +215,7 @@ def _export_film(material: Material, target: str, path: Path, mesh: Path | None 
     return facts
 
 
-def _export_blend(material: Material, blend: Blend, path: Path, parts: list[Any]) -> dict[str, Any]:
+def _export_blend(material: Material, blend: Masked, path: Path, parts: list[Any]) -> dict[str, Any]:
     """Write the best-fitting film of each material of a blend, the first one over the second by its share.
 
     Raises:

@@ -44,7 +44,7 @@ class _Nodes:
     """Solved nodes in ascending order."""
 
     def __init__(self, solve: Solve, level: int) -> None:
-        self.solve = solve
+        self.solve, self.few_error = solve, FINE_ERROR
         self.at = np.arange(0, UNITS + 1, UNITS >> level)
         self.values = solve(self.at / UNITS)
 
@@ -77,6 +77,7 @@ def tabulate(
     further: Array,
     levels: tuple[int, int] = UNIFORM_LEVELS,
     fine_error: float = FINE_ERROR,
+    few_error: float = FINE_ERROR,
 ) -> Tabulated:
     """Return values on nodes over [0, 1], refined until linear interpolation is exact enough.
 
@@ -91,6 +92,7 @@ def tabulate(
         further: more of them for irregular nodes, which narrow features need.
         levels: the fewest and most uniform nodes are 2^level + 1.
         fine_error: accepted with fewer than the most uniform nodes.
+        few_error: the limit at midpoints while there are fewer than 512 nodes.
     """
     first, last = levels
     nodes = _Nodes(solve, first)
@@ -106,6 +108,7 @@ def tabulate(
             nodes.insert(middle, values)
             if level == last - 1:
                 return nodes.result(float(nodes.errors(check, exact).max()))
+    nodes.few_error = few_error
     _bisect(nodes, middle, values, error, most)
     if len(further):
         check, exact = np.concatenate([check, further]), np.concatenate([exact, solve(further)])
@@ -115,7 +118,7 @@ def tabulate(
 def _bisect(nodes: _Nodes, middle: NDArray[np.intp], values: Array, error: Array, most: int) -> None:
     """Halve intervals by the errors at their midpoints, worst first."""
     while len(middle):
-        limit = FINE_ERROR if len(nodes.at) < 2 ** UNIFORM_LEVELS[1] else ALLOWED_ERROR
+        limit = nodes.few_error if len(nodes.at) < 2 ** UNIFORM_LEVELS[1] else ALLOWED_ERROR
         order = np.argsort(-error)
         chosen = order[error[order] > limit][: most - len(nodes.at)]
         if not len(chosen):

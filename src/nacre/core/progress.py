@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 
+FIRST_PASS = "the first pass loads or compiles kernels"
 SMOOTHING = 0.3  # weight of the newest estimate of the time left
 # done passes, all passes, seconds left
 ProgressCallback = Callable[[int, int, float], None]
@@ -60,7 +61,7 @@ def progress_bar(title: str, wanted: bool | ProgressCallback | None) -> Iterator
 
     columns = (TextColumn(title), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[left]}"))
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title, total=1, left="")
+        task = bar.add_task(title, total=1, left=FIRST_PASS)
 
         def show(done: int, total: int, seconds_left: float) -> None:
             # the first pass compiles: its time says little about the others
@@ -84,7 +85,7 @@ def _notebook_bar(title: str) -> Iterator[ProgressCallback]:
     def bar(done: int, total: int, words: str) -> HTML:
         return HTML(f'<progress value="{done}" max="{max(total, 1)}"></progress> <small>{html.escape(words)}</small>')
 
-    handle = display(bar(0, 1, title), display_id=True)
+    handle = display(bar(0, 1, f"{title}, {FIRST_PASS}"), display_id=True)
 
     def show(done: int, total: int, seconds_left: float) -> None:
         handle.update(bar(done, total, f"{title}, about {duration(seconds_left)} left" if 1 < done < total else title))

@@ -369,6 +369,15 @@ class OwnFormats(abc.ABC):
 
 
 @runtime_checkable
+class Masked(Protocol):
+    """A model of two materials, the first one over the second by a mask over the surface."""
+
+    first: Any
+    second: Any
+    mask: Any
+
+
+@runtime_checkable
 class RoughSurface(Protocol):
     """A model with a rough upper surface (`nacre.bsdf.facet_distributions.Roughness`)."""
 

@@ -154,7 +154,9 @@ class RecipeContext:
 
 
 def show_value(value: object) -> str:
-    """Return a value as TOML, shortened for messages."""
+    """Return a value as TOML, shortened for messages; a table without the defaults of its keys."""
+    if isinstance(value, pydantic.BaseModel):
+        value = value.model_dump(exclude_defaults=True)
     if isinstance(value, str):
         text = f'"{value}"'
     elif isinstance(value, bool):

@@ -25,8 +25,16 @@ from nacre.families.glass.figures import colour_map, scattering, structure
 from nacre.families.glass.medium import Medium
 from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_pairs, with_one_index
 from nacre.families.glass.random_walk import Face, walk
-from nacre.families.glass.rough_interface import RoughInterface
-from nacre.families.glass.tables import behind_rough, diffuse_table, face_lobe, interpolation_error, walk_error
+from nacre.families.glass.rough_interface import GRAZING, RoughInterface
+from nacre.families.glass.tables import (
+    THETA_NODES,
+    behind_rough,
+    diffuse_table,
+    face_lobe,
+    incidence_error,
+    interpolation_error,
+    walk_error,
+)
 from nacre.light import default_wavelengths
 from nacre.light.tristimulus import spline_matrix
 
@@ -156,8 +164,8 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
         if interface is None:
             return None
         cos = np.cos(np.minimum(theta, np.pi / 2))
-        slabs = self._slabs(lam, 1)
-        entered = np.stack([slab.powers(cos)[2] * interface.internal_factor(slab) for slab in slabs], axis=-1)
+        slabs, oblique = self._slabs(lam, 1), np.maximum(cos, GRAZING)
+        entered = np.stack([slab.powers(oblique)[2] * interface.internal_factor(slab) for slab in slabs], axis=-1)
         changed = (interface.over_smooth(cos) * interface.escape)[:, None]
         return Spectrum(lam, np.degrees(theta), None, None, interface.mirrored(cos)[:, None] + changed * entered, None)
 
@@ -253,7 +261,10 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
             "the polar angle)"
         )
         logger.info("%s", note)
-        return Bsdf(lobes, {"notes": [note]})
+        largest = min(incidence_error(lobes, medium, slabs, self.surface), 1.0)
+        return Bsdf(
+            lobes, {"notes": [note], "angle_table": {"angles": THETA_NODES, "largest_error": round(largest, 6)}}
+        )
 
     def _layered(self, lam: Array, is_own_grid: bool, is_in_air: bool = True) -> Layered:
         """Return the layered lobe: the glass enters as a scattering dye."""

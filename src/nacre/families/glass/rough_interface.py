@@ -45,11 +45,14 @@ class RoughInterface:
         index = round(float(np.median(medium.index)), INDEX_DIGITS)
         return None if surface.is_smooth or index - 1 < MATCHED else _solve(surface, index)
 
+    def entering(self, cos: Array) -> Array:
+        """Return the transmittance from the ambient."""
+        return np.asarray(np.interp(np.sqrt(cos), np.linspace(0.0, 1.0, len(self.through)), self.through))
+
     def over_smooth(self, cos: Array) -> Array:
         """Return the transmittance over that of a smooth face."""
         at = np.maximum(cos, GRAZING)
-        through = np.interp(np.sqrt(at), np.linspace(0.0, 1.0, len(self.through)), self.through)
-        return np.asarray(through / (1 - face(at, self.index)))
+        return self.entering(at) / (1 - face(at, self.index))
 
     def mirrored(self, cos: Array) -> Array:
         """Return the directional-hemispherical reflectance of the face."""

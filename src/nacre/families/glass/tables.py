@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.facet_distributions import Roughness
+from nacre.bsdf.grids import cell
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
@@ -64,6 +65,9 @@ CHECK_BINS, CHECK_WALKERS, CHECK_BANDS = 10, 120_000, 8
 MIDPOINTS = (8, 24)  # in a bin, and in the half circle of azimuth
 CHECK_PAIRS = 300
 NOISE_SHARE = 0.6  # of the check's noise, added to the stated error
+BETWEEN = np.array([0.25, 0.5, 0.75])  # angles within a cell at which the table over incidence is checked
+FACE_DEG = (0.0, 15.0, 30.0, 45.0, 55.0, 65.0, 72.0, 78.0, 83.0, 86.5, 89.0)  # incidences for a rough face
+ERROR_MARGIN = 2.0  # of the stated error: the check has a hundred angles
 
 
 def diffuse_table(medium: Medium, slabs: list[Slab]) -> TableLobe:
@@ -82,13 +86,22 @@ def diffuse_table(medium: Medium, slabs: list[Slab]) -> TableLobe:
 
 
 def behind_rough(table: TableLobe, medium: Medium, slabs: list[Slab], surface: Roughness) -> TableLobe:
-    """Put the light of `diffuse_table` behind a rough face; see `RoughInterface`."""
+    """Put the light of `diffuse_table` behind a rough face; see `RoughInterface`.
+
+    A smooth face lets no light in at grazing incidence, a rough one does. There the light below the face is
+    extrapolated from the last two nodes before.
+    """
     interface = RoughInterface.behind(surface, medium)
     if interface is None:
         return table
-    share = interface.over_smooth(np.cos(np.linspace(0, np.pi / 2, THETA_NODES)))
+    cos = np.cos(np.linspace(0, np.pi / 2, THETA_NODES))
     kept = np.array([interface.internal_factor(slab) for slab in slabs])
-    return replace(table, values=table.values * kept * share[:, None, None, None] * share[:, None, None])
+    entered = np.append(1 - face(cos[:-1], interface.index), 1.0)
+    below = table.values / entered[:, None, None, None] / entered[:, None, None]
+    below[-1] = np.maximum(2 * below[-2] - below[-3], 0.0)
+    below[:, -1] = np.maximum(2 * below[:, -2] - below[:, -3], 0.0)
+    share = interface.entering(np.append(cos[:-1], 0.0))
+    return replace(table, values=below * kept * share[:, None, None, None] * share[:, None, None])
 
 
 def face_lobe(medium: Medium, surface: Roughness) -> Lobe:
@@ -124,6 +137,45 @@ def interpolation_error(table: TableLobe, medium: Medium, slabs: list[Slab]) -> 
     # exits are drawn by the cosine, which leaves one factor of its square
     weight = wo[:, 2:]
     return np.asarray(np.sqrt(np.sum(weight * difference**2, axis=0) / np.sum(weight * exact**2, axis=0)))
+
+
+def incidence_error(lobes: tuple[Lobe, TableLobe], medium: Medium, slabs: list[Slab], surface: Roughness) -> float:
+    """Return the largest error of the reflectance over incidence between the nodes, absolute, with a margin.
+
+    The table is linear in the angle of incidence, the smooth face in its cosine. The exact reflectance is that of
+    transfer, behind a rough face with the factors of `RoughInterface`.
+
+    Args:
+        lobes: face and table, as in a Bsdf.
+        medium, slabs, surface: as for `behind_rough`.
+    """
+    front, table = lobes
+    theta = np.linspace(0, np.pi / 2, THETA_NODES)
+    at = ((np.arange(THETA_NODES - 1)[:, None] + BETWEEN) * theta[1]).ravel()
+    cos = np.cos(at)
+    ends = 0.5 * (table.values[:, :, 0] + table.values[:, :, -1])
+    mean = (table.values.sum(axis=2) - ends) / (AZIMUTH_NODES - 1)
+    nodes = np.einsum("o,iol->il", table_weights(theta), mean)
+    low, share = cell(at / theta[1], THETA_NODES)
+    found = nodes[low] * (1 - share)[:, None] + nodes[low + 1] * share[:, None]
+    exact = np.stack([slab.powers(cos)[2] for slab in slabs], axis=-1)
+    interface = RoughInterface.behind(surface, medium)
+    if interface is not None:
+        kept = np.array([interface.internal_factor(slab) for slab in slabs])
+        exact = exact * (interface.over_smooth(cos) * interface.escape)[:, None] * kept
+    return ERROR_MARGIN * (float(np.max(np.abs(found - exact))) + _face_error(front, medium, interface))
+
+
+def _face_error(front: Lobe, medium: Medium, interface: RoughInterface | None) -> float:
+    """Return the largest error of the face's reflectance over incidence."""
+    if interface is None:
+        cos = (np.arange(FACE_NODES - 1) + 0.5) / (FACE_NODES - 1)
+        exact = np.stack([face(cos, max(float(n), 1.0)) for n in medium.index], axis=1)
+        mirrored = front.specular(cos).reflectance if front.is_delta else exact
+        return float(np.max(np.abs(mirrored - exact)))
+    theta = np.radians(FACE_DEG)
+    found = [front.hemispherical(np.array([np.sin(t), 0.0, np.cos(t)]))[0] for t in theta]
+    return float(np.max(np.abs(np.stack(found) - interface.mirrored(np.cos(theta))[:, None])))
 
 
 def _checked(medium: Medium) -> NDArray[np.intp]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import math
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from nacre.bsdf.angle_nodes import response_error
 from nacre.bsdf.bsdf import Bsdf, Spectrum
+from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.response import ResponseLobe
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
@@ -65,6 +67,12 @@ LOW_WAVELENGTHS = 1.65  # total height over wavelength that 64 angles resolve: 6
 REPORTED_EXCESS = 0.01  # energy excess above which a warning is logged
 SAME_INDEX = 1e-3
 MAX_CACHED_GRIDS = 4  # wavelength grids with a cached ensemble
+ERROR_MARGIN = 2.0  # of the stated error of tables: the check has a few angles
+CHECKED_DEG, CHECKED_BANDS = (20.0, 52.0, 74.0, 84.0, 88.5), 2
+CHECK_NODES = 32
+PER_WAVELENGTH = {"wavelengths_nm", "wavenumbers", "index_below", "table"} | {
+    side + kind for side in ("above", "below", "across") for kind in ("", "_free")
+}
 FEW_ANGLES, LEAST_COS = 48, 0.05  # direct evaluation: angle count and smallest cosine
 FEW_ALIGNED_ANGLES = 24  # the same for aligned particles, at all azimuths
 INSIDE = (
@@ -414,8 +422,9 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             lobes, excess = tabulate_aligned(
                 lam, lambda w: self._aligned(layer(w)), self.structure, aligned_grids(grids), eta, self._turn_rad
             )
+            error = math.nan  # estimated from the finished table
         else:
-            lobes, excess = tabulate(lam, layer, self.structure, grids, eta)
+            lobes, excess, error = tabulate(lam, layer, self.structure, grids, eta)
         notes: dict[str, Any] = {
             "energy_excess": round(excess, 6),
             "coverage": self.coverage,
@@ -431,11 +440,28 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             notes["ensemble"] = refinement.notes
         notes |= non_sphere_notes(self.all_species) | self._convergence.notes
         self._convergence.report(self.body is not None)
-        for lobe in lobes:
-            if isinstance(lobe, ResponseLobe):
-                error = round(response_error(lobe.response), 6)
-                notes["angle_table"] = {"cosines": len(lobe.response.cos_outside), "largest_error": error}
+        specular = lobes[0]
+        assert isinstance(specular, ResponseLobe)
+        error = response_error(specular.response) if math.isnan(error) else error
+        largest = min(ERROR_MARGIN * (error + self._diffuse_error(lobes[1], layer)), 1.0)
+        notes["angle_table"] = {"cosines": len(specular.response.cos_outside), "largest_error": round(largest, 6)}
         return Bsdf(lobes, notes)
+
+    def _diffuse_error(self, lobe: Lobe, layer: Callable[[float], Monolayer]) -> float:
+        """Return the largest error of diffuse R or T of a table, at a few incidences and wavelengths."""
+        bands = np.unique(np.linspace(0, len(lobe.wavelengths_nm) - 1, CHECKED_BANDS).astype(int))
+        few = _at_bands(lobe, bands)
+        theta = np.radians(CHECKED_DEG)
+        cos = np.cos(theta)
+        exact = []
+        for wavelength in few.wavelengths_nm:
+            parts = (0.5 * part.sum(axis=0) for part in self.powers(cos, float(wavelength), layer(float(wavelength))))
+            r, t, up, down = parts
+            if self.correction != "none":
+                up, down, _ = limit_to_incident_power(r + t, up, down)
+            exact.append(np.stack([up, down if self.transmits else np.zeros_like(down)]))
+        found = [few.hemispherical(np.array([np.sin(a), 0.0, np.cos(a)]), nodes=CHECK_NODES) for a in theta]
+        return float(np.max(np.abs(np.transpose(np.array(found), (1, 0, 2)) - np.stack(exact, axis=-1))))
 
     def _warn(self) -> None:
         for line in rotation_warnings(self.all_species):
@@ -551,3 +577,10 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         term = diffuse_term(layer, sides, 1)
         at = slice(mu.size, mu.size + cos.size)
         return reflected, passed, term.above[:, at] / cos, term.below[:, at] / cos
+
+
+def _at_bands(lobe: Lobe, bands: Array) -> Any:
+    """Return a diffuse lobe at some of its wavelengths."""
+    names = {field.name for field in dataclasses.fields(lobe)} & PER_WAVELENGTH  # type: ignore[arg-type]
+    tables = {name: np.ascontiguousarray(getattr(lobe, name)[..., bands]) for name in names}
+    return dataclasses.replace(lobe, **tables)  # type: ignore[type-var]

@@ -35,7 +35,7 @@ from nacre.families.pearl.platelet import PUBLISHED, PlateletResponse, platelet_
 from nacre.families.pearl.random_walk import energy_defect
 from nacre.families.pearl.strata import DyeResponse, Flakes, Stratum, dye_response
 from nacre.families.pearl.surrogate import BASE_LOBES_ALBEDO, PearlSurrogate
-from nacre.families.pearl.tables import bake
+from nacre.families.pearl.tables import bake, largest_power_error
 from nacre.light import default_wavelengths
 from nacre.matter.indices.constant import OpticalConstant
 
@@ -121,11 +121,14 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
         """
         lobe = self._layered(wavelengths_nm)
         notes = list(self.notes)
+        stated: dict[str, Any] = {}
         found: Lobe = lobe
         if self.quality == "fast":
             reason = self.inapplicable_reason(TABLES)
             if reason is None:
                 found = baked = bake(lobe)
+                error = largest_power_error(lobe, baked)
+                stated = {"angle_table": {"angles": baked.flakes.shape[1], "largest_error": round(error, 6)}}
                 notes.append(
                     f"noise-free form: error {100 * baked.error.mean():.2f} % on average over wavelengths, at most "
                     f"{100 * baked.error.max():.2f} % (L2 of f cos, three incidences, against the walk)"
@@ -134,7 +137,7 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
             else:
                 notes.append(f'quality = "fast" was not possible, since {reason}; this is "reference"')
                 logger.warning('quality = "fast" is not possible, since %s; "reference" is used', reason)
-        return Bsdf((found,), {"notes": notes} if notes else {})
+        return Bsdf((found,), {"notes": notes, **stated} if notes else {})
 
     def inapplicable_reason(self, method: str) -> str | None:
         """Return why a method does not apply to this pearl, or None.

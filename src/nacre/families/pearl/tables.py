@@ -51,6 +51,8 @@ CHECK_BINS = np.array([20, 6])  # size and azimuth of q
 MIDPOINTS = np.array([12, 6])  # within a bin
 CHECK_DEG = (10.0, 40.0, 65.0)
 CHECK_WALKS, CHECK_SINGLES = 300_000, 1_000_000
+POWER_DEG, POWER_WALKS = (0.0, 30.0, 55.0, 75.0, 85.0), 120_000  # incidences of the reflectance's check
+ERROR_MARGIN = 2.0  # of its stated error
 TABLE_ROUGHNESS = 0.1  # expected relative second difference between nodes
 
 
@@ -62,11 +64,55 @@ def bake(lobe: Layered, effort: float = 1.0, seed: int = 1) -> PlateletLayer:
         effort: factor on all walk numbers.
         seed: for the walks.
     """
-    # light in dense strata costs more, and its table is smoother
-    effort = effort * min(1.0, FULL_EFFORT_NUMBER / max(float(np.sum(lobe.flake_number)), 1e-9))
+    effort = _limited(lobe, effort)
     table = tables(lobe, effort, seed)
     error, noise = check(lobe, table, effort, seed + 77)
     return dataclasses.replace(table, error=np.sqrt(error**2 + (NOISE_SHARE * noise) ** 2))
+
+
+def largest_power_error(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 177) -> float:
+    """Return the largest error of the reflectance found at a few incidences, absolute, with a margin."""
+    found, noise = power_difference(lobe, table, np.radians(POWER_DEG), _limited(lobe, effort), seed)
+    return min(ERROR_MARGIN * float(np.max(np.maximum(np.abs(found), noise))), 1.0)
+
+
+def _limited(lobe: Layered, effort: float) -> float:
+    """Return the effort for a lobe: light in dense strata costs more, and its table is smoother."""
+    return effort * min(1.0, FULL_EFFORT_NUMBER / max(float(np.sum(lobe.flake_number)), 1e-9))
+
+
+def power_difference(
+    lobe: Layered, table: PlateletLayer, theta_rad: Array, effort: float = 1.0, seed: int = 177
+) -> tuple[Array, Array]:
+    """Return the reflectance of independent walks less that of a table, and its noise, each `[angle, wavelength]`.
+
+    Args:
+        lobe, table: the same pearl.
+        theta_rad: `[angle]`, incidences.
+        effort: factor on the walks.
+        seed: of the walks.
+    """
+    medium = Medium.of(lobe)
+    spread, count = _spread(medium), len(lobe.wavelengths_nm)
+    shifts = np.random.default_rng(seed).random((len(theta_rad), CHUNKS, 7))
+    albedo = np.ascontiguousarray(lobe.base_reflectance[0])
+    walks, singles = (max(1, int(n * effort / CHUNKS)) for n in (POWER_WALKS, POWER_WALKS))
+
+    def chunk(job: tuple[int, int]) -> Array:
+        turn, i = job
+        theta = float(theta_rad[turn])
+        light = np.array([np.sin(theta), 0.0, np.cos(theta)])
+        many, one = np.zeros((2, int(np.prod(CHECK_BINS)), count))
+        tally = Tally(spread, CHECK_BINS, many, np.zeros((1, count)))
+        walk(seed * 1000 + 8 * turn + i, walks, light, medium, albedo, tally, NO_VIEWERS, np.zeros((0, count)))
+        if len(medium.number):
+            tally_single_scattering(0, singles, shifts[turn, i], light, medium, spread, CHECK_BINS, one)
+        return np.asarray((many / walks + one / singles).sum(axis=0))
+
+    jobs = [(turn, i) for turn in range(len(theta_rad)) for i in range(CHUNKS)]
+    parts = np.array(in_threads(chunk, jobs)).reshape(len(theta_rad), CHUNKS, count)
+    ours = np.stack([_bins(table, float(theta), spread)[0].sum(axis=0) for theta in theta_rad])
+    return parts.mean(axis=1) - ours, parts.std(axis=1, ddof=1) / np.sqrt(CHUNKS)
 
 
 def tables(lobe: Layered, effort: float = 1.0, seed: int = 1) -> PlateletLayer:

@@ -137,9 +137,11 @@ class OpticalConstant:
         )
         if is_bad.any():
             at = float(np.ravel(wavelengths)[np.flatnonzero(np.ravel(is_bad))[0]])
+            is_table = names_file(self.source)
+            check = "rows of the file" if is_table else "coefficients (they are for the wavelength in um)"
             raise NacreError(
                 f'"{self.name}" has no usable refractive index at {at:g} nm: |n + ik| must lie between {MIN_INDEX:g} '
-                f"and {MAX_INDEX:g}; check the coefficients (they are for the wavelength in um)"
+                f"and {MAX_INDEX:g}; check the {check}"
             )
         if (values.imag < 0.0).any():
             at = float(np.ravel(wavelengths)[np.flatnonzero(np.ravel(values.imag) < 0.0)[0]])

@@ -22,6 +22,7 @@ from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
 from nacre.core.jit import is_spared
 from nacre.core.parallel import parallel_for
+from nacre.matter.stack.roots import decaying_root
 
 MIN_INDEX = 1e-6  # below 1e-7, 1/n^4 loses a layer's phase in double precision
 LARGEST_INDEX = 1e6  # its cube stays far from overflow
@@ -186,7 +187,7 @@ def _normal(
             return _owned(cosine.reshape(1, -1, 1), np.complex128), True, cosine.shape
         # absorbing ambient: a real in-plane wavevector, with a constant amplitude along the surface
         kz2 = n0[:, None, :] ** 2 - (n0.real[:, None, :] ** 2) * (1.0 - cosine.reshape(1, -1, 1) ** 2)
-        return _owned(_decaying_root(kz2), np.complex128), False, cosine.shape
+        return _owned(decaying_root(kz2), np.complex128), False, cosine.shape
     waves = np.asarray(kappa if kz is None else kz, dtype=np.complex128)
     if waves.ndim > 2 or (waves.ndim == 2 and waves.shape[1] not in (1, count)):
         raise NacreError(f"kappa or kz must have the shape [angle] or [angle, {count}], not {list(waves.shape)}")
@@ -197,21 +198,8 @@ def _normal(
         raise NacreError("powers need a real kappa up to the ambient's index; evanescent waves carry no power")
     grid = waves.reshape(1, -1, 1) if waves.ndim < 2 else waves[None]
     if kz is None:
-        grid = _decaying_root(n[:, 0][:, None, :] ** 2 - grid**2)
+        grid = decaying_root(n[:, 0][:, None, :] ** 2 - grid**2)
     return _owned(grid, np.complex128), False, waves.shape[:1]
-
-
-def _decaying_root(z: ComplexArray) -> ComplexArray:
-    """Return the square root with Im >= 0, and Re >= 0 if Im = 0."""
-    w = np.sqrt(z)
-    return np.where((w.imag < 0) | ((w.imag == 0) & (w.real < 0)), -w, w)
-
-
-def normal_component(n2: ComplexArray, n02: ComplexArray, kz0sq: ComplexArray) -> ComplexArray:
-    """Return kz / k0 in a medium with squared index `n2`: the wave that travels or decays."""
-    z = n2 - n02 + kz0sq
-    rounding = 1e-15 * (np.abs(n2.imag) + np.abs(n02.imag) + np.abs(kz0sq.imag))
-    return _decaying_root(np.where(np.abs(z.imag) <= rounding, z.real, z))
 
 
 def check_indices(n: ComplexArray) -> None:

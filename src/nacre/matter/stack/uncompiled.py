@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
-from nacre.matter.stack.inputs import normal_component
+from nacre.matter.stack.roots import normal_component
 
 RESCALE_EVERY = 16  # layers, as in the kernel
 SMALL_PHASE = 1e-8  # below this |2ix| (e^z - 1) / z is 1 + z/2 to rounding

@@ -78,7 +78,7 @@ def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
         if suffix == ".obj":
             if _CORNER_ZERO.search(content):
                 raise IndexError("OBJ counts vertices from 1")
-            content = with_triangles(content)
+            content = with_triangles(content.replace(b"\t", b" "))
         uv_white = _uv_white(path, content, suffix)
         file = io.BytesIO(with_materials(content, suffix))  # bytes lack a folder with other files
         resolver = None if is_alone else Beside(str(path))

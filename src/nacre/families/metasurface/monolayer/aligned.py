@@ -34,6 +34,7 @@ from nacre.families.metasurface.monolayer.diffuse import (
 from nacre.families.metasurface.monolayer.evaluation import (
     ABOVE_NODES,
     BELOW_NODES,
+    GRAZING_COS,
     HARMONICS,
     Grids,
     column,
@@ -43,7 +44,6 @@ from nacre.families.metasurface.monolayer.evaluation import (
     interface_response,
     lobe_axes,
     specular_at_nodes,
-    specular_tables,
 )
 from nacre.families.metasurface.monolayer.monolayer import Monolayer
 from nacre.families.metasurface.monolayer.qca import neighbour_sums_at
@@ -333,6 +333,7 @@ def _factors(flow: Array, totals: Array, weights: Array, is_below: NDArray[np.bo
 
 
 NO_ENSEMBLE = "aligned particles have no ensemble, so the error of their mean field is not measured"
+NODES = np.linspace(0.0, 1.0, 129), np.linspace(0.0, 1.0, 33)  # of the specular tables, below and beyond
 SPECULAR_STEPS = 72  # specular table azimuths; the interpolation error is 0.4 % of the variation
 LEFT_OUT = 5e-4  # relative rms for all omitted Fourier terms in f
 MOST_TERMS = 48
@@ -404,12 +405,38 @@ def _curvature(table: ComplexArray, grids: Grids, half: NDArray[np.int64]) -> Co
     return second + np.swapaxes(along(np.swapaxes(along(table, 1), 0, 1), 1), 0, 1)
 
 
+def _specular_tables(
+    above: Callable[[Array], tuple[Array, Array]],
+    below: Callable[[Array], Array],
+    grids: Grids,
+    eta: float,
+    index: float,
+) -> tuple[Array, Array, Array, Array]:
+    """Return unpolarised R, T, R from inside and R beyond the critical angle, `[..., node]`.
+
+    Args:
+        above, below: functions of cosines that return R and T, or R, `[..., pol, angle]`.
+        index: relative substrate index.
+    """
+    safe = np.maximum(NODES[0], GRAZING_COS)
+    reflected, passed = (0.5 * p.sum(axis=-2) for p in above(safe))
+    inside, total = np.zeros_like(reflected), np.zeros((*reflected.shape[:-1], 0))
+    if grids.below is not None:
+        inside = 0.5 * below(np.sqrt(1 - (1 - safe**2) / index**2)).sum(axis=-2)
+        if eta > 1.0:
+            # cos_inside/cos_critical = cos(pi x/2), without the two singular ends
+            x = np.clip(NODES[1], 1e-3, 1 - 1e-3)
+            total = 0.5 * below(np.cos(np.pi / 2 * x) * np.sqrt(1 - 1 / index**2)).sum(axis=-2)
+    r, t, inside, total = (np.clip(t, 0.0, 1.0) for t in (reflected, passed, inside, total))
+    return r, t, inside, total
+
+
 def solve_aligned(layer: AlignedLayer, grids: Grids, eta: float, count: int = AZIMUTHS) -> AlignedResult:
     """Solve one wavelength on all angles and azimuths, scaled to energy <= 1."""
     waves = azimuth_nodes(count) + np.pi
     index = layer.mean.surface.index_below
     # tables are by exit direction, opposite to the incidence from inside
-    tables = specular_tables(
+    tables = _specular_tables(
         lambda cosines: layer.specular_above(cosines, waves),
         lambda cosines: layer.specular_below(cosines, waves + np.pi),
         grids,
@@ -420,7 +447,7 @@ def solve_aligned(layer: AlignedLayer, grids: Grids, eta: float, count: int = AZ
     if grids.below is not None:
         sides.append((light_of(layer, np.cos(grids.below.nodes), True, count), grids.below.weights))
     term = aligned_term(layer, sides)
-    delta = np.stack([specular_at_nodes(grids, eta, *(t[row] for t in tables)) for row in range(count)], axis=1)
+    delta = np.stack([specular_at_nodes(grids, eta, NODES, *(t[row] for t in tables)) for row in range(count)], axis=1)
     n_above = grids.above.size
     if grids.below is not None:
         delta[n_above:] = np.roll(delta[n_above:], count // 2, axis=1)
@@ -466,7 +493,9 @@ def tabulate_aligned(
     values, orders = np.ascontiguousarray(series[:, chosen]), series_orders()[chosen].astype(float)
     k, index, step, s = lobe_axes(surfaces, structure, grids)
     lobe = Aligned(wavelengths_nm, values, orders, *grids.counts, eta, turn_rad, k, index, step, s)
-    response = interface_response(results, wavelengths_nm, grids, eta)
+    response = interface_response(
+        results, wavelengths_nm, grids, eta, (NODES[0], NODES[1][: results[0].total.shape[-1]])
+    )
     return (AlignedSpecular(response, turn_rad), lobe), max(r.excess for r in results)
 
 

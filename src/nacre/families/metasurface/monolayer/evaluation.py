@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.grids import take_uniform
+from nacre.bsdf.angle_nodes import tabulate as tabulate_nodes
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.monolayer import Harmonic, PolarGrid, pack_triangle
 from nacre.bsdf.lobes.specular import Specular
-from nacre.bsdf.response import InterfaceResponse
+from nacre.bsdf.response import InterfaceResponse, is_uniform
 from nacre.core.arrays import Array
 from nacre.core.parallel import in_threads
 from nacre.families.metasurface.monolayer.diffuse import HARMONICS as HARMONICS_few
@@ -32,8 +32,9 @@ from nacre.families.metasurface.tmatrix.substrate import Substrate
 HARMONICS = 8  # harmonics in the tables; higher ones are below 0.3 % of the largest value
 LOW_OPAQUE = 48  # angles above a thin opaque structure
 LOW_CLEAR = (32, 24, 16)  # thin and on a clear substrate: above, below within and beyond the critical angle
-SPECULAR_NODES = 129
-TOTAL_NODES = 33
+MOST_NODES = 257  # of the specular tables
+ACCEPTED = (2e-3, 2e-3)  # error of R and T, below which 65 nodes suffice or intervals are not halved
+CHECKED_ANGLES = 30
 GRAZING_COS = 1e-3  # replaces 0, at which the monolayer wave diverges
 SCALING_STEPS = 200
 
@@ -134,15 +135,75 @@ class WavelengthResult:
     excess: float
 
 
-def solve_wavelength(layer: Monolayer, grids: Grids, eta: float) -> WavelengthResult:
-    """Solve one wavelength on all angles: specular tables, and diffuse tables scaled to energy <= 1."""
+@dataclass(frozen=True)
+class SpecularTables:
+    """Coherent powers of all wavelengths on nodes over angle that follow the optics; see `nacre.bsdf.angle_nodes`.
+
+    Attributes:
+        cosines: `[node]`, outside.
+        beyond: `[x]`, nodes beyond the critical angle.
+        sides: `[node, 3, wavelength]`, R, T and R from inside.
+        total: `[x, wavelength]`, R from inside beyond the critical angle.
+        error: the largest interpolation error found.
+    """
+
+    cosines: Array
+    beyond: Array
+    sides: Array
+    total: Array
+    error: float
+
+    def at(self, band: int) -> tuple[Array, Array, Array, Array]:
+        """Return R, T, R from inside and R beyond the critical angle at one wavelength, each `[node]`."""
+        sides = np.clip(self.sides[:, :, band], 0.0, 1.0)
+        return sides[:, 0], sides[:, 1], sides[:, 2], np.clip(self.total[:, band], 0.0, 1.0)
+
+    @classmethod
+    def solve(cls, layers: Sequence[Monolayer], grids: Grids, eta: float, jobs: int | None = None) -> SpecularTables:
+        """Tabulate on uniform nodes where these are exact enough, and otherwise on dyadic ones."""
+        transmits = grids.below is not None
+
+        def outside(cos: Array) -> Array:
+            safe = np.maximum(cos, GRAZING_COS)
+
+            def column(layer: Monolayer) -> Array:
+                r, t = (0.5 * p.sum(axis=-2) for p in layer.specular_above(safe))
+                inside = np.zeros_like(r)
+                if transmits:
+                    inner = np.sqrt(1 - (1 - safe**2) / layer.surface.index_below**2)
+                    inside = 0.5 * layer.specular_below(inner).sum(axis=-2)
+                return np.stack([r, t, inside], axis=-1)
+
+            return np.stack(in_threads(column, layers, jobs), axis=-1)
+
+        def beyond(x: Array) -> Array:
+            # cos_inside/cos_critical = cos(pi x/2), without the two singular ends
+            part = np.cos(np.pi / 2 * np.clip(x, 1e-3, 1 - 1e-3))
+
+            def column(layer: Monolayer) -> Array:
+                inner = part * np.sqrt(1 - 1 / layer.surface.index_below**2)
+                return np.asarray(0.5 * layer.specular_below(inner).sum(axis=-2))
+
+            return np.stack(in_threads(column, layers, jobs), axis=-1)
+
+        angles = (np.arange(CHECKED_ANGLES) + 0.5) / CHECKED_ANGLES
+        above = tabulate_nodes(outside, MOST_NODES, np.cos(np.pi / 2 * angles), angles[:0], (6, 7), *ACCEPTED)
+        if not (transmits and eta > 1.0):
+            return cls(above.nodes, np.zeros(0), above.values, np.zeros((0, len(layers))), above.error)
+        below = tabulate_nodes(beyond, MOST_NODES, angles[::2], angles[:0], (4, 5), *ACCEPTED)
+        return cls(above.nodes, below.nodes, above.values, below.values, max(above.error, below.error))
+
+
+def solve_wavelength(layer: Monolayer, grids: Grids, eta: float, solved: SpecularTables, band: int) -> WavelengthResult:
+    """Solve one wavelength on all angles: diffuse tables scaled to energy <= 1 with the specular ones."""
     index = layer.surface.index_below
-    specular = specular_tables(layer.specular_above, layer.specular_below, grids, eta, index)
+    specular = solved.at(band)
+    nodes = solved.cosines, solved.beyond
     sides = [(layer.illuminate(np.cos(grids.above.nodes)), grids.above.weights)]
     if grids.below is not None:
         sides.append((layer.illuminate(np.cos(grids.below.nodes), True), grids.below.weights))
     term = diffuse_term(layer, sides, HARMONICS)
-    scale, excess = _energy_scale(term, sides, specular_at_nodes(grids, eta, *specular), index)
+    scale, excess = _energy_scale(term, sides, specular_at_nodes(grids, eta, nodes, *specular), index)
     n_above = grids.above.size
     dispersion = index / eta if grids.below is not None else 1.0
     all_cos = np.concatenate([lit.cosines for lit, _ in sides])
@@ -160,43 +221,30 @@ def solve_wavelength(layer: Monolayer, grids: Grids, eta: float) -> WavelengthRe
     return WavelengthResult(*specular, *tables[0], tables[1], excess)
 
 
-def specular_tables(
-    above: Callable[[Array], tuple[Array, Array]],
-    below: Callable[[Array], Array],
+def specular_at_nodes(
     grids: Grids,
     eta: float,
-    index: float,
-) -> tuple[Array, Array, Array, Array]:
-    """Return unpolarised R, T, R from inside and R beyond the critical angle, `[..., node]`.
+    nodes: tuple[Array, Array],
+    reflected: Array,
+    passed: Array,
+    inside: Array,
+    total: Array,
+) -> Array:
+    """R + T from the stored specular tables at the diffuse grid angles, `[angle]`.
 
     Args:
-        above, below: functions of cosines that return R and T, or R, `[..., pol, angle]`.
-        index: relative substrate index.
+        nodes: cosines outside, and coordinates beyond the critical angle, of the tables.
     """
-    safe = np.maximum(np.linspace(0.0, 1.0, SPECULAR_NODES), GRAZING_COS)
-    reflected, passed = (0.5 * p.sum(axis=-2) for p in above(safe))
-    inside, total = np.zeros_like(reflected), np.zeros((*reflected.shape[:-1], 0))
-    if grids.below is not None:
-        inside = 0.5 * below(np.sqrt(1 - (1 - safe**2) / index**2)).sum(axis=-2)
-        if eta > 1.0:
-            # cos_inside/cos_critical = cos(pi x/2), without the two singular ends
-            x = np.clip(np.linspace(0.0, 1.0, TOTAL_NODES), 1e-3, 1 - 1e-3)
-            total = 0.5 * below(np.cos(np.pi / 2 * x) * np.sqrt(1 - 1 / index**2)).sum(axis=-2)
-    r, t, inside, total = (np.clip(t, 0.0, 1.0) for t in (reflected, passed, inside, total))
-    return r, t, inside, total
-
-
-def specular_at_nodes(grids: Grids, eta: float, reflected: Array, passed: Array, inside: Array, total: Array) -> Array:
-    """R + T from the stored specular tables at the diffuse grid angles, `[angle]`."""
-    out = take_uniform((reflected + passed)[:, None], np.cos(grids.above.nodes), 0)[:, 0]
+    cosines, beyond_critical = nodes
+    out = np.interp(np.cos(grids.above.nodes), cosines, reflected + passed)
     if grids.below is None:
         return out
     theta = grids.below.nodes
     outer = 1 - (eta * np.sin(theta)) ** 2
-    below = take_uniform((inside + passed)[:, None], np.sqrt(np.maximum(outer, 0.0)), 0)[:, 0]
+    below = np.interp(np.sqrt(np.maximum(outer, 0.0)), cosines, inside + passed)
     if eta > 1.0:
         ratio = np.clip(np.cos(theta) / np.sqrt(1 - 1 / eta**2), 0.0, 1.0)
-        beyond = take_uniform(total[:, None], 2 / np.pi * np.arccos(ratio), 0)[:, 0]
+        beyond = np.interp(2 / np.pi * np.arccos(ratio), beyond_critical, total)
         below = np.where(outer < 0, beyond, below)
     return np.concatenate([out, below])
 
@@ -240,14 +288,18 @@ def tabulate(
     grids: Grids,
     eta: float,
     jobs: int | None = None,
-) -> tuple[tuple[Lobe, ...], float]:
-    """Solve all wavelengths in parallel; return the two lobes and the largest raw energy excess over 1."""
+) -> tuple[tuple[Lobe, ...], float, float]:
+    """Solve all wavelengths in parallel.
 
-    def work(wavelength: float) -> tuple[WavelengthResult, Substrate]:
-        layer = monolayer(float(wavelength))
-        return solve_wavelength(layer, grids, eta), layer.surface
-
-    results, surfaces = zip(*in_threads(work, wavelengths_nm, jobs))
+    Returns:
+        the two lobes, the largest raw energy excess over 1, and the largest interpolation error of the specular one.
+    """
+    layers = in_threads(lambda wavelength: monolayer(float(wavelength)), wavelengths_nm, jobs)
+    tables = SpecularTables.solve(layers, grids, eta, jobs)
+    results = in_threads(
+        lambda band: solve_wavelength(layers[band], grids, eta, tables, band), range(len(layers)), jobs
+    )
+    surfaces = [layer.surface for layer in layers]
 
     def free(i: int) -> NDArray:
         parts = np.stack([r.free[i] for r in results], axis=-1)
@@ -258,8 +310,8 @@ def tabulate(
     harmonic = Harmonic(
         wavelengths_nm, above, below, across, free(0), free(1), free(2), *grids.counts, eta, k, index, step, s
     )
-    specular = Specular(interface_response(results, wavelengths_nm, grids, eta))
-    return (specular, harmonic), max(r.excess for r in results)
+    specular = Specular(interface_response(results, wavelengths_nm, grids, eta, (tables.cosines, tables.beyond)))
+    return (specular, harmonic), max(r.excess for r in results), tables.error
 
 
 def column(results: Sequence[Any], name: str) -> NDArray:
@@ -267,12 +319,16 @@ def column(results: Sequence[Any], name: str) -> NDArray:
     return np.stack([getattr(r, name) for r in results], axis=-1)
 
 
-def interface_response(results: Sequence[Any], wavelengths_nm: Array, grids: Grids, eta: float) -> InterfaceResponse:
-    """Return the specular tables from all wavelengths."""
+def interface_response(
+    results: Sequence[Any], wavelengths_nm: Array, grids: Grids, eta: float, nodes: tuple[Array, Array]
+) -> InterfaceResponse:
+    """Return the specular tables from all wavelengths, on nodes as for `specular_at_nodes`."""
     names = ("reflectance", "transmittance", "reflectance_inside", "total")
     r, t, inside, total = (column(results, name) for name in names)
-    cosines = np.linspace(0.0, 1.0, SPECULAR_NODES)
-    return InterfaceResponse(wavelengths_nm, cosines, r, t, inside, total, eta, grids.below is not None)
+    cosines, beyond = nodes
+    kept = None if not len(beyond) or is_uniform(beyond) else beyond
+    transmits = grids.below is not None
+    return InterfaceResponse(wavelengths_nm, cosines, r, t, inside, total, eta, transmits, total_nodes=kept)
 
 
 def lobe_axes(surfaces: Sequence[Substrate], structure: Structure, grids: Grids) -> tuple[Array, Array, float, Array]:
