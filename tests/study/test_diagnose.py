@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,11 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.analysis.diagnose import ColourObservation, SpectrumObservation, diagnose
+from nacre.analysis.diagnose import ColourObservation, SpectrumObservation, _Likelihood, diagnose
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.material.material import Material
-from nacre.optimise.tolerances import draw, read_tolerances
+from nacre.optimise.tolerances import components, draw, read_tolerances
 from nacre.recipe.toml import dump_toml
 
 GRID_NM = np.arange(400.0, 781.0, 5.0)
@@ -39,9 +40,11 @@ def coating(recipe: dict[str, Any], percent: float, group: str = "") -> tuple[Ma
     return material, read_tolerances({"layers[*].thickness_nm": entry}, material, "test")
 
 
-def measured(sample: Material, rng: np.random.Generator, angle: float = 0.0, p: str = "both") -> SpectrumObservation:
+def measured(
+    sample: Material, rng: np.random.Generator, angle: float = 0.0, p: str = "both", noise: float = NOISE
+) -> SpectrumObservation:
     empty = SpectrumObservation(GRID_NM, np.zeros(len(GRID_NM)), angle, p)
-    noisy = empty.model(sample, None, 0) + NOISE * rng.standard_normal(len(GRID_NM))
+    noisy = empty.model(sample, None, 0) + noise * rng.standard_normal(len(GRID_NM))
     return SpectrumObservation(GRID_NM, noisy, angle, p)
 
 
@@ -144,3 +147,68 @@ def test_no_noise_and_an_empty_range_are_refused(extra: list[str], tmp_path: Pat
     command = ["diagnose", str(tmp_path / "m.csv"), str(tmp_path / "ar.toml"), "-o", str(tmp_path / "made.toml")]
     assert run([*command, *extra]) == 2
     assert not (tmp_path / "made.toml").exists()
+
+
+def mirror(percent: float) -> tuple[Material, tuple]:
+    """26 quarter-wave layers between equal media: seen from both sides nearly alike."""
+    pair = ({"material": {"n": n}, "thickness_nm": 550.0 / 4.0 / n} for n in (2.35, 1.46))
+    return coating({"family": "film", "substrate": "air", "layers": list(pair) * 13}, percent)
+
+
+def runs(seed: int, layers: Sequence[int]) -> list[tuple[Any, Any, str]]:
+    """Diagnose mirrors of which a layer is 3 % off, from the normal alone and with s and p at 45 degrees."""
+    material, tolerances = mirror(3.0)
+    rng = np.random.default_rng(seed)
+    found = []
+    for layer in layers:
+        path = f"layers[{layer}].thickness_nm"
+        sample = material.vary({path: material.get(path) * (1.0 + 0.03 * rng.choice([-1, 1]))})
+        normal = measured(sample, rng, noise=0.003)
+        oblique = [measured(sample, rng, 45.0, p, noise=0.003) for p in "sp"]
+        both = (diagnose(material, tolerances, seen, 0.003) for seen in ([normal], [normal, *oblique]))
+        found.append((*both, path))
+    return found
+
+
+def test_a_mirror_of_26_layers_needs_oblique_light() -> None:
+    """The outermost layers differ by 0.3 standard deviations of the noise from the normal, and by 5 with 45 degrees."""
+    for normal, oblique, path in runs(1, [12]):
+        assert normal.verdict == "ambiguous"
+        assert normal.advice == "Add s and p at 45 degrees."
+        assert (oblique.verdict, oblique.suspects[0].name) == ("one cause", path)
+
+
+@pytest.mark.full
+def test_probabilities_of_causes_are_calibrated_for_a_mirror() -> None:
+    """The share of right answers is the mean of their stated probabilities, within three standard errors."""
+    found = runs(2, np.random.default_rng(3).integers(0, 26, 25))
+    for number, least in ((0, 0.0), (1, 0.95)):
+        stated = np.array([each[number].suspects[0].probability for each in found])
+        right = np.mean([each[number].suspects[0].name == each[2] for each in found])
+        error = np.sqrt(np.mean(stated * (1.0 - stated)) / len(found))
+        assert abs(right - stated.mean()) <= 3.0 * error + 1.0 / len(found)
+        assert right >= least
+
+
+def test_thicknesses_are_solved_at_once_with_the_same_values() -> None:
+    material, tolerances = coating(AR, 3.0, "material")
+    seen = [measured(material, np.random.default_rng(0), angle, p) for angle, p in ((0.0, "both"), (45.0, "p"))]
+    likelihood = _Likelihood(material, components(tolerances), seen, np.full(2, NOISE), None, 0)
+    assert likelihood._batch(seen) is not None
+    factors = np.array([[0.7, -1.2], [3.0, 0.1]])
+    for row, values in zip(factors, likelihood.predict(factors, seen)):
+        exact = np.concatenate([each.model(likelihood.material(row), None, 0) for each in seen])
+        assert values == pytest.approx(exact, abs=1e-12)
+
+
+def test_a_film_whose_index_drifts_is_not_taken_for_thicknesses() -> None:
+    material = nacre.material(AR)
+    tolerances = read_tolerances({"layers[0].material.n": 0.01}, material, "test")
+    seen = [measured(material, np.random.default_rng(0))]
+    likelihood = _Likelihood(material, components(tolerances), seen, np.full(1, NOISE), None, 0)
+    assert likelihood._batch(seen) is None
+    result = diagnose(
+        material, tolerances, [measured(material.vary({"layers[0].material.n": 1.40}), np.random.default_rng(0))], NOISE
+    )
+    best, path = result.suspects[0], "layers[0].material.n"
+    assert abs(best.changes[path] - 0.02) < 4.0 * best.errors[path]

@@ -14,14 +14,17 @@ from itertools import combinations
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.optimize import least_squares, minimize_scalar
+from scipy.optimize import least_squares
+from scipy.special import ndtri
 
+from nacre.analysis.stack_batch import StackBatch, stack_batch
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.material.material import Material
 from nacre.measure.colours import geometry_colours, recipe_geometries
 from nacre.measure.geometry import Geometry
-from nacre.optimise.tolerances import Component, Tolerance, components
+from nacre.optimise.methods.least_squares import sobol_points
+from nacre.optimise.tolerances import Component, Tolerance, components, values_at
 
 SCAN = np.linspace(-4.0, 4.0, 17)  # of a single cause, in prior standard deviations
 STEP = 1e-3  # finite difference, in prior standard deviations
@@ -30,6 +33,9 @@ LEAST_PROBABILITY = 0.02  # of the causes that are listed
 DETERMINED = 0.5  # largest posterior width, relative to the prior, of a determined cause
 SEPARATED = 9.0  # squared distance of two predictions, in units of the noise, that tells causes apart
 MAX_STEPS = 40
+RESTING = 1e-6  # a smaller step of a single cause ends its search
+SCREENED, MOST_SCREENED = 8, 128  # draws of the prior for each cause, and in all, before Gauss-Newton
+STARTS = 2  # of Gauss-Newton from these draws
 EXCESS = 4.0  # standard deviations of chi-squared above its mean at which a hypothesis is rejected
 FURTHER_DEG = (45.0, 60.0, 30.0)  # angles of suggested measurements
 
@@ -264,6 +270,7 @@ class _Likelihood:
         self.samples, self.seed = samples, seed
         self.points = sum(np.size(each.values) for each in observations)
         self._make = material.parametrise(t.path for cause in causes for t in cause.tolerances)
+        self._batches: dict[tuple[int, ...], StackBatch | None] = {}
 
     @property
     def largest_chi2(self) -> float:
@@ -272,23 +279,33 @@ class _Likelihood:
 
     def material(self, factors: Array) -> Material:
         """Return the recipe with all causes at their factors."""
-        values: dict[str, float] = {}
-        nominal = {t.path: t.nominal for cause in self.causes for t in cause.tolerances}
-        for cause, factor in zip(self.causes, factors, strict=True):
-            for path, value in cause.values(float(factor)).items():
-                values[path] = values.get(path, nominal[path]) + value - nominal[path]
-        return self._make({path: max(v, 0.0) if nominal[path] >= 0 else v for path, v in values.items()})
+        found = values_at(self.causes, np.atleast_2d(factors))
+        return self._make({path: float(column[0]) for path, column in found.items()})
 
-    def predict(self, factors: Array, observations: Sequence[Observation]) -> list[Array]:
-        """Return the simulated values of observations."""
-        made = self.material(factors)
-        return [np.ravel(each.model(made, self.samples, self.seed)) for each in observations]
+    def predict(self, factors: Array, observations: Sequence[Observation]) -> Array:
+        """Return the simulated values of observations, `[point, value]`, at factors `[point, cause]`."""
+        batch = self._batch(observations)
+        if batch is not None:
+            return batch.values(values_at(self.causes, factors))
+        return np.stack([self._simulated(self.material(row), observations) for row in factors])
+
+    def _simulated(self, made: Material, observations: Sequence[Observation]) -> Array:
+        return np.concatenate([np.ravel(each.model(made, self.samples, self.seed)) for each in observations])
+
+    def _batch(self, observations: Sequence[Observation]) -> StackBatch | None:
+        """Return the stacks of all points at once, if thicknesses of a smooth film alone deviate."""
+        key = tuple(map(id, observations))
+        if key not in self._batches:
+            self._batches[key] = stack_batch(self._make, self.causes, observations, self._simulated)
+        return self._batches[key]
 
     def residual(self, factors: Array) -> Array:
-        """Return the normalised residuals `[value]`."""
-        found = self.predict(factors, self.observations)
-        rows = zip(found, self.observations, self.noises, strict=True)
-        return np.concatenate([(value - np.ravel(each.values)) / noise for value, each, noise in rows])
+        """Return the normalised residuals `[value]`, or `[point, value]` of factors `[point, cause]`."""
+        found = self.predict(np.atleast_2d(factors), self.observations)
+        measured = np.concatenate([np.ravel(each.values) for each in self.observations])
+        noise = np.repeat(self.noises, [np.size(each.values) for each in self.observations])
+        rows: Array = (found - measured) / noise
+        return rows if np.ndim(factors) == 2 else rows[0]
 
     def chi2(self, factors: Array) -> float:
         """Return chi-squared of the measurement, without the prior."""
@@ -307,36 +324,61 @@ class _Likelihood:
 
 def _central_differences(function: Callable[[Array], Array], factors: Array) -> Array:
     """Return the derivatives of a function of the factors, `[value, cause]`."""
-    rows = [function(factors + step) - function(factors - step) for step in STEP * np.eye(len(factors))]
-    return np.stack(rows, axis=1) / (2.0 * STEP)
+    steps = STEP * np.eye(len(factors))
+    found = function(np.concatenate([factors + steps, factors - steps]))
+    return np.asarray(found[: len(factors)] - found[len(factors) :]).T / (2.0 * STEP)
 
 
 def _single(likelihood: _Likelihood, number: int) -> tuple[float, Suspect]:
-    """Return the log evidence of one cause as the only one, and its estimate; the probability is set later."""
+    """Return the log evidence of one cause as the only one, and its estimate; the probability is set later.
 
-    def cost(factor: float) -> float:
-        return likelihood.chi2(likelihood.along(number, factor)) + factor**2
+    Gauss-Newton with halved steps, from the best of the scan.
+    """
 
-    scanned = [cost(factor) for factor in SCAN]
-    start = SCAN[int(np.argmin(scanned))]
-    step = SCAN[1] - SCAN[0]
-    found = minimize_scalar(cost, bounds=(start - step, start + step), method="bounded", options={"xatol": 1e-6})
-    factor = float(found.x)
-    at = likelihood.along(number, factor)
-    ahead, behind = (likelihood.residual(likelihood.along(number, factor + step)) for step in (STEP, -STEP))
-    slope = (ahead - behind) / (2.0 * STEP)
-    width = float(1.0 / np.sqrt(slope @ slope + 1.0))
+    def at(factor: float) -> tuple[float, float, float]:
+        """Return the cost, and its first and second derivative by Gauss-Newton, halved."""
+        line = np.zeros((3, len(likelihood.causes)))
+        line[:, number] = factor, factor + STEP, factor - STEP
+        residual, ahead, behind = likelihood.residual(line)
+        slope = (ahead - behind) / (2.0 * STEP)
+        return float(residual @ residual) + factor**2, float(slope @ residual) + factor, float(slope @ slope) + 1.0
+
+    line = np.zeros((len(SCAN), len(likelihood.causes)))
+    line[:, number] = SCAN
+    start = float(SCAN[int(np.argmin(np.sum(likelihood.residual(line) ** 2, axis=1) + SCAN**2))])
+    reach = float(SCAN[1] - SCAN[0])
+    factor, (cost, first, second) = start, at(start)
+    step = -first / second
+    for _ in range(MAX_STEPS):
+        trial = float(np.clip(factor + step, start - reach, start + reach))
+        if abs(trial - factor) < RESTING:
+            break
+        found = at(trial)
+        if found[0] <= cost:
+            factor, (cost, first, second) = trial, found
+            step = -first / second
+        else:
+            step *= 0.5
+    width = float(1.0 / np.sqrt(second))
     cause = likelihood.causes[number]
     changes = {t.path: cause.values(factor)[t.path] - t.nominal for t in cause.tolerances}
     errors = {t.path: width * t.standard_deviation for t in cause.tolerances}
-    suspect = Suspect(cause.name, 0.0, factor, width, changes, errors, likelihood.chi2(at))
-    return -0.5 * float(found.fun) + float(np.log(width)), suspect
+    suspect = Suspect(cause.name, 0.0, factor, width, changes, errors, cost - factor**2)
+    return -0.5 * cost + float(np.log(width)), suspect
 
 
 def _all_causes(likelihood: _Likelihood, best: Suspect) -> tuple[Array, Array, float]:
-    """Return the maximum a posteriori of all factors, their covariance, and chi-squared there."""
+    """Return the maximum a posteriori of all factors, their covariance, and chi-squared there.
+
+    Gauss-Newton starts from the recipe, from the best single cause and from the best draws of the prior: colours
+    repeat over thickness, so that the cost has several minima.
+    """
     count = len(likelihood.causes)
+    unit = sobol_points(count, min(SCREENED * count, MOST_SCREENED), likelihood.seed)
+    drawn = ndtri(np.clip(unit, 1e-3, 1.0 - 1e-3))
+    costs = np.sum(likelihood.residual(drawn) ** 2, axis=1) + np.sum(drawn**2, axis=1)
     starts = [np.zeros(count), likelihood.along(likelihood.names.index(best.name), best.factor)]
+    starts += list(drawn[np.argsort(costs)[:STARTS]])
     found = min(
         (
             least_squares(
@@ -360,7 +402,7 @@ def _advice(likelihood: _Likelihood, suspects: Sequence[Suspect]) -> str:
     at = [likelihood.along(likelihood.names.index(each.name), each.factor) for each in likely]
 
     def separates(pair: Sequence[SpectrumObservation], noise: float) -> bool:
-        seen = [np.concatenate(likelihood.predict(factors, pair)) for factors in at]
+        seen = likelihood.predict(np.array(at), pair)
         return min(float(np.sum((a - b) ** 2)) / noise**2 for a, b in combinations(seen, 2)) > SEPARATED
 
     return _first_pair(likelihood, separates)
@@ -371,7 +413,7 @@ def _advice_for_all(likelihood: _Likelihood, factors: Array, covariance: Array) 
     open_ = int(np.sum(np.sqrt(np.diag(covariance)) >= DETERMINED))
 
     def determines(pair: Sequence[SpectrumObservation], noise: float) -> bool:
-        slope = _central_differences(lambda at: np.concatenate(likelihood.predict(at, pair)) / noise, factors)
+        slope = _central_differences(lambda at: likelihood.predict(at, pair) / noise, factors)
         together = np.linalg.inv(np.linalg.inv(covariance) + slope.T @ slope)
         return int(np.sum(np.sqrt(np.diag(together)) >= DETERMINED)) < open_
 

@@ -64,6 +64,11 @@ def _print(document: dict[str, Any]) -> None:
         state = "within the tolerances" if each["met"] else "outside the tolerances"
         click.echo(f"{number}  dE00 mean {each['mean_de00']:.2f}, largest {max(each['de00']):.2f}, {state}")
         click.echo(f"   by mass, dry: {parts}")
+        errors = each["volume_fraction_errors"]
+        volumes = [
+            f"{name} {_percent(v)} +- {100 * errors[name]:.2g} %" for name, v in each["volume_fractions"].items()
+        ]
+        click.echo(f"   by volume, dry: {', '.join(volumes)}")
         click.echo(f"   {each['cost_per_kg']:.2f} per kg, {each['cost_per_m2']:.3f} per m2; contrast ratio "
                    f"{100 * each['contrast_ratio']:.1f} %")  # fmt: skip
 

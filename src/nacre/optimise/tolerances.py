@@ -85,6 +85,22 @@ def components(tolerances: Sequence[Tolerance]) -> tuple[Component, ...]:
     return tuple(Component(name, tuple(members)) for (_, name), members in found.items())
 
 
+def values_at(causes: Sequence[Component], factors: Array) -> dict[str, Array]:
+    """Return path -> values `[point]` of causes at factors `[point, cause]` in standard deviations, added and cut."""
+    moved: dict[str, Array] = {}
+    nominal = {each.path: each.nominal for cause in causes for each in cause.tolerances}
+    for cause, column in zip(causes, np.asarray(factors, dtype=float).T, strict=True):
+        for each in cause.tolerances:
+            change = each.standard_deviation * column
+            if each.nominal >= 0:
+                change = np.maximum(change, -each.nominal)
+            moved[each.path] = moved.get(each.path, 0.0) + change
+    return {
+        path: np.maximum(nominal[path] + change, 0.0) if nominal[path] >= 0 else nominal[path] + change
+        for path, change in moved.items()
+    }
+
+
 @dataclass(frozen=True)
 class Draws:
     """Random values: path -> `[draw]`, and the share of draws of each path that were cut off at 0."""

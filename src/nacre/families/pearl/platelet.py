@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 logger = logging.getLogger("nacre")
 
 CONSERVING, PUBLISHED = "conserving", "published"
+SMOOTHER = 13.0  # spread of the substrate over that of the coating
+NEGLIGIBLE = 1e-9  # weight of a coating thickness, far in the tails
 LADDER = tuple(8 * 2**i for i in range(7))  # panels with 16 points: 128 ... 8192 nodes
 GRAZING = 1e-9  # cosine below which R = 1, T = 0 is the limit
 MAX_COATING_SETS = 4096  # coating thickness combinations in an average
@@ -171,8 +173,12 @@ def _coating_sets(platelet: Platelet, wavelengths_nm: Array) -> list[tuple[float
     """Combine the thickness nodes for all varying coatings: (weight, upper thicknesses, lower thicknesses)."""
     choices = []
     coatings = (*platelet.upper, *(platelet.lower or ()))
-    # 10 panels with 16 nodes: error 1e-8 up to 84 degrees; the nodes for two varying coatings multiply
-    panels = 10 if sum(not c.thickness.is_fixed for c in coatings) == 1 else 4
+    # 8 panels with 16 nodes: error 1e-8 up to 84 degrees; the nodes for two varying coatings multiply. A spread of the
+    # substrate above that of the coating smooths the resonances near grazing: 6 panels then have an error of 1e-6
+    spreads = [(c.thickness.deviation_nm, c.thickness) for c in coatings if not c.thickness.is_fixed]
+    varying = [np.inf if thickness.edges_nm is not None else width for width, thickness in spreads]
+    is_smooth = not platelet.thickness.is_fixed and sum(varying) * SMOOTHER <= platelet.thickness.deviation_nm
+    panels = 4 if len(varying) > 1 else 6 if is_smooth else 8
     for coating in coatings:
         thickness = coating.thickness
         if thickness.is_fixed:
@@ -183,7 +189,7 @@ def _coating_sets(platelet: Platelet, wavelengths_nm: Array) -> list[tuple[float
         index = float(np.max(np.abs(coating.material.n_complex(wavelengths_nm))))
         phase = 4 * np.pi * index * (high - low) / float(wavelengths_nm[0])
         nodes, weights = thickness.nodes(max(panels, int(np.ceil(phase / 4.0))))
-        choices.append(list(zip(weights.tolist(), nodes.tolist(), strict=True)))
+        choices.append([pair for pair in zip(weights.tolist(), nodes.tolist(), strict=True) if pair[0] > NEGLIGIBLE])
     if np.prod([float(len(c)) for c in choices]) > MAX_COATING_SETS:
         raise NacreError("the coatings vary too much or too many of them vary; at most one or two should")
     combined = []

@@ -52,6 +52,8 @@ ADDITION_COST = 0.05  # residual, in tolerances, of an addition of the batch's o
 MOST_ADDED = 1.0  # of resin and of each ingredient, relative to the batch's own volume of it
 SCOUT_SHARE, SECOND_SHARE, THIRD_SHARE, FINE_SHARE = 0.35, 0.5, 0.7, 0.85  # of the time limit, at the end of stages
 MOST_COMBINATIONS = 5000
+COLOUR_NOISE = 0.2  # of measured L*, a* and b*: repeatability of a good spectrophotometer
+RELATIVE_STEP = 0.02  # of a volume fraction, for derivatives
 SUMMARY = "formulation.json"
 
 
@@ -85,6 +87,8 @@ class Formula:
     Attributes:
         material: the paint's recipe.
         amounts: ingredient -> volume fraction of the dry stratum.
+        amount_errors: its standard error for colours measured within `COLOUR_NOISE`; large if the paint hides its
+            base, because the colours then fix the ratios only.
         mass_shares: ingredient -> share of the mass of the dry paint.
         cost_per_kg, cost_per_m2: of the dry stratum, in the library's currency.
         de00: `[geometry]`, by the random walk; for a spectrum the rms in per cent.
@@ -102,6 +106,7 @@ class Formula:
     lab: Array
     contrast_ratio: float
     is_met: bool
+    amount_errors: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -474,7 +479,26 @@ def _formula(paint: _Paint, fractions: Sequence[float]) -> Formula:
         lab=np.asarray(merit.labs(seen))[:, 0],
         contrast_ratio=_contrast_ratio(made, task),
         is_met=bool(np.all(distances <= limits)),
+        amount_errors=dict(zip(names, map(float, _amount_errors(paint, fractions)), strict=True)),
     )
+
+
+def _amount_errors(paint: _Paint, fractions: Sequence[float]) -> Array:
+    """Return the standard errors of the volume fractions `[ingredient]`, from the Fisher information of the colours.
+
+    The prior is uniform within the bounds of the library.
+    """
+
+    def labs(at: Array) -> Array:
+        return np.ravel(paint.task.merit.labs(sum(paint.factors(at, True))))
+
+    centre = np.asarray(fractions, dtype=float)
+    steps = RELATIVE_STEP * centre
+    columns = [(labs(centre + step) - labs(centre)) / step.sum() for step in np.diag(steps)]
+    slopes = np.stack(columns, axis=1) / COLOUR_NOISE
+    widths = np.array([high - low for low, high in (each.entry.volume_fraction for each in paint.ingredients)])
+    information = slopes.T @ slopes + np.diag(12.0 / widths**2)
+    return np.sqrt(np.diag(np.linalg.inv(information)))
 
 
 def _reference(made: Material, task: Task) -> Array:
@@ -585,6 +609,7 @@ def formulation_document(found: Formulation) -> dict[str, Any]:
         "formulas": [
             {
                 "volume_fractions": each.amounts,
+                "volume_fraction_errors": each.amount_errors,
                 "mass_shares": each.mass_shares,
                 "cost_per_kg": each.cost_per_kg,
                 "cost_per_m2": each.cost_per_m2,
