@@ -83,23 +83,14 @@ def test_psi_and_delta_of_a_bare_wafer_are_those_of_its_fresnel_coefficients() -
     assert delta[0, 0] == pytest.approx(np.degrees(-np.angle(rho)) % 360, abs=1e-9)
 
 
-PITCH, AXIS, FRACTION = (
-    "layers[0].pitch_nm",
-    "layers[0].material.axis_azimuth_deg",
-    "layers[0].material.volume_fractions[0]",
-)
+PITCH, AXIS = "layers[0].pitch_nm", "layers[0].material.axis_azimuth_deg"
 TWISTED = "{material = {ordinary = 1.5, extraordinary = 1.7, axis_polar_deg = 90}, thickness_nm = 1400, pitch_nm = 380}"
 TILTED = (
     "{material = {ordinary = 1.5, extraordinary = 1.9, axis_polar_deg = 60, axis_azimuth_deg = 10}, thickness_nm = 400}"
 )
-MIXED = """{material = {mix = ["TiO2", "air"], volume_fractions = [0.4]}, thickness_nm = 120},
-    {repeat = 2, layers = [{material = "TiO2", thickness_nm = 60}, {material = "SiO2", thickness_nm = 90}]}"""
 ANSWERS = {
     "pitch under circular light": (TWISTED, {PITCH: (345.0, [300, 420], 1.0)}, [(0, "right"), (0, "left")]),
     "axis": (TILTED, {AXIS: (35.0, [0, 90], 0.5)}, [(45, "s"), (45, "left")]),
-    "mixture and repeats": (
-        MIXED, {FRACTION: (0.7, [0.2, 0.9], 0.01), "layers[1].repeat": (4, [1, 5], 0.0)}, [(8, "both")],
-    ),
 }  # fmt: skip
 
 
