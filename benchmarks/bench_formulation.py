@@ -4,7 +4,8 @@ The colours are those of a random walk with seeds of its own; the search knows n
 number. Library: six pigments and two dyes, 65 combinations. Bars: mean dE00 at most 1 for 18 of 20, all concentrations
 within 10 % for 15, and 120 s by the clock each. Paints that hide their base have colours that fix the ratios of the
 ingredients only; the stated standard errors then exceed 10 %.
-Outcome: see RESULTS.md.
+Outcome, on a machine shared with ten other processes, in two parts: mean dE00 at most 0.21 for 20 of 20, concentrations
+within 10 % for 17 of 20, 15 to 40 CPU s each.
 """
 
 from __future__ import annotations
