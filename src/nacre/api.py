@@ -95,7 +95,7 @@ def evaluate(
     """Return the non-delta BSDF, `[..., wavelength]`, in 1/sr, without the cosine.
 
     Args:
-        thing: a material, a Bsdf, or a path of a recipe or `.nacre` file, an example's name or a recipe's table.
+        thing: a material, a Bsdf, or a recipe path or `.nacre` file, an example's name or a recipe's table.
         wi: unit vectors to the light, `[..., 3]`, in the local frame (z is the normal).
         wo: unit vectors to the viewer, `[..., 3]`; on the other side of the surface: the radiance BTDF.
         uv: surface coordinates `[..., 2]` for materials that vary over the surface; default: (0.5, 0.5).
@@ -140,7 +140,7 @@ def orders(
     """Return a grating's diffraction orders: efficiencies, Jones matrices and directions.
 
     Args:
-        thing: a material, or a path of a recipe, an example's name or a recipe's table.
+        thing: a material, or a recipe path, an example's name or a recipe's table.
         angles_deg: of incidence in the ambient.
         azimuth_deg: of the direction to the light, from x (across the lines) towards y.
         wavelengths_nm: default: the material's own.
@@ -216,7 +216,7 @@ def report(
     """Measure a material in the standard geometries: Lab at 15 to 110 degrees, flop, gloss, haze, totals.
 
     Args:
-        thing: a material, or a path of a recipe, `.nacre` file or design folder, an example's name or a recipe's
+        thing: a material, or a recipe path, `.nacre` file or design folder, an example's name or a recipe's
             table.
         illuminant, observer: of the colours.
         samples, seed: of random walks.
@@ -245,7 +245,7 @@ def runsheet(
         thing: a material or a path.
         wavelength_nm, angle_deg: of the monitor light.
         quantity: "reflectance" or "transmittance" into the substrate.
-        noise: standard deviation of the signal.
+        noise: the signal's standard deviation.
 
     Raises:
         UnsupportedError: the material lacks a coherent stack.
@@ -273,7 +273,7 @@ def texture(
     The scale is relative unless the instrument's `calibration` holds measured pairs.
 
     Args:
-        thing: a material, or a path of a recipe, an example's name or a recipe's table.
+        thing: a material, or a recipe path, an example's name or a recipe's table.
         instrument: lamp, camera and calibration: a TOML file, or its keys as a table.
         method: "statistics", in closed form, or "patch", from drawn flakes; then `images` holds the camera's pictures.
         illuminant, observer: of the luminance.
@@ -311,7 +311,7 @@ def diagnose(
     tolerances: Iterable[str] = (),
     **options: Any,
 ) -> Diagnosis:
-    """Estimate which numbers of a recipe were off in a finished run.
+    """Estimate which recipe numbers were off in a finished run.
 
     Args:
         thing: a material or a path: the recipe as intended.
@@ -550,7 +550,7 @@ def fabricate(
     """Write a fabrication file and, except for a layer table, a JSON that describes it.
 
     Args:
-        source: a material, its model, or a path of a recipe or design folder.
+        source: a material, its model, or a recipe path or design folder.
         to: relief: "png16", "tiff16", "stl", "gds", "oas" or "csv"; metasurface: "gds", "oas", "csv" or "sheet"; film:
             "sheet"; numbers from images, of any family: "png16", "tiff16", "npy", "csv", "gds" or "oas", a file each.
         path: output; default: name and format's suffix, in the design folder or the current one.

@@ -1,4 +1,4 @@
-"""CIELAB colours at several geometries as data of a fit or a diagnosis."""
+"""CIELAB colours at several geometries as fit data or a diagnosis."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def stated_colours(stated: Mapping[str, Sequence[float]]) -> ColourData:
 
 
 def colour_measurement(path: Path) -> ColourData:
-    """Read a list of colours whose names are geometries: `geometry, L*, a*, b*`.
+    """Read a colour list whose names are geometries: `geometry, L*, a*, b*`.
 
     Raises:
         NacreError: a row is not a colour or has no name.

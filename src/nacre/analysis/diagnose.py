@@ -180,7 +180,7 @@ def diagnose(
     samples: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Diagnosis:
-    """Estimate which numbers of a recipe deviate, from measurements of a finished sample.
+    """Estimate which recipe numbers deviate, from measurements of a finished sample.
 
     Args:
         material: the recipe as intended.

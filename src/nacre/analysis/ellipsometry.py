@@ -47,7 +47,7 @@ class EllipsometricResponse:
     Attributes:
         wavelengths_nm: `[wavelength]`.
         angles_deg: `[angle]`.
-        mueller: Mueller matrices of reflection `[angle, wavelength, 4, 4]`, in power units, over (I, Q, U, V) with
+        mueller: Mueller reflection matrices `[angle, wavelength, 4, 4]`, in power units, over (I, Q, U, V) with
             Q = I_p - I_s, U = I_45 - I_135, V > 0 for right circular light.
     """
 

@@ -1,4 +1,4 @@
-"""Measured ellipsometry as data of a fit: N, C and S, which lack a jump where Delta passes 360 degrees."""
+"""Measured ellipsometry as fit data: N, C and S, which lack a jump where Delta passes 360 degrees."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class EllipsometryData:
         values: measured, `[quantity, row]`.
         errors: standard errors, shaped as `values`; None if the file states none.
         is_normalised: whether the values belong to the polarised part: N^2 + C^2 + S^2 = 1.
-        is_sign_stated: whether the user has stated the sign of Delta.
+        is_sign_stated: whether the user has stated the Delta sign.
         remarks: what the reader has assumed.
     """
 
@@ -48,7 +48,7 @@ class EllipsometryData:
     remarks: tuple[str, ...] = ()
 
     def with_other_sign(self) -> EllipsometryData:
-        """Return the data with the opposite sign of Delta."""
+        """Return the data with the opposite Delta sign."""
         turned = self.values * np.array([1.0, 1.0, -1.0])[:, None]
         return replace(self, values=turned)
 
@@ -145,12 +145,12 @@ def ellipsometry_data(
     time: str | None = None,
     is_sign_stated: bool = False,
 ) -> EllipsometryData:
-    """Return a measurement as data of a fit.
+    """Return a measurement as fit data.
 
     Args:
         range_nm: rows outside are ignored.
         time: number of the time in a dynamic measurement, 1 for the first.
-        is_sign_stated: whether the user has stated the sign of Delta.
+        is_sign_stated: whether the user has stated the Delta sign.
 
     Raises:
         NacreError: no rows in the range, or no Psi and Delta.

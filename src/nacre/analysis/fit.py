@@ -65,7 +65,7 @@ UNIT_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
 FAR_RMS, MOST_TURNS = 0.1, 4  # relative rms from which further samples are drawn for starts
 REWEIGHTINGS = 2  # of several measurements
 INSTRUMENT = "instrument."
-POOR_RMS, BETTER = 0.03, 0.7  # relative rms of a fit that suggests a wrong sign of Delta, and the gain by the other
+POOR_RMS, BETTER = 0.03, 0.7  # relative rms of a fit that suggests a wrong Delta sign, and the gain by the other
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def read_measurements(
     range_nm: tuple[float, float] | None = None,
     colours: Mapping[str, Sequence[float]] | None = None,
 ) -> Data:
-    """Read the measurements of one sample: files of ellipsometers, spectrometers and goniometers, and colours.
+    """Read the measurements of one sample: ellipsometer files, spectrometers and goniometers, and colours.
 
     Args:
         colours: geometry -> CIELAB under D65 with the 10 degree observer.
@@ -158,7 +158,7 @@ def read_measurement(
 ) -> Data:
     """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, a gonio CSV, or an instrument's file.
 
-    A list of colours holds CIELAB (D65, 10 degree observer) at the geometries that their names state.
+    A colour list holds CIELAB (D65, 10 degree observer) at the geometries that their names state.
 
     Spectrum columns may be in per cent and wavelengths in um, as their headings say. Rows without a measured value
     are ignored.
@@ -197,9 +197,9 @@ def _one_of(path: Path, found: Sequence[Measurement], options: ReadOptions) -> M
 
 
 def other_sign(found: Fit, measured: Data, free: tuple[Parameter, ...], ties: Ties | None = None) -> float | None:
-    """Return the relative rms of a fit with the other sign of Delta if it agrees much better; else None.
+    """Return the relative rms of a fit with the other Delta sign if it agrees much better; else None.
 
-    Only for one file of N, C and S whose sign of Delta the user has not stated, and a fit that does not agree.
+    Only for one file of N, C and S whose Delta sign the user has not stated, and a fit that does not agree.
     """
     if not isinstance(measured, EllipsometryData) or measured.is_sign_stated or len(measured.quantities) != 3:
         return None

@@ -1,4 +1,4 @@
-"""Spectra over angle and polarisation, and BSDF values, as data of a fit."""
+"""Spectra over angle and polarisation, and BSDF values, as fit data."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ class _Series:
 
 
 def gonio_measurement(path: Path, found: Measurement) -> Measured:
-    """Return BSDF values; pairs of directions with a missing value are left out.
+    """Return BSDF values; direction pairs with a missing value are left out.
 
     Raises:
         NacreError: no pair has all values.

@@ -54,7 +54,7 @@ class ColourTable:
     Attributes:
         what: title.
         angles_deg: `[angle]`: incidence, aspecular angle, or for named geometries the viewer's angle from the normal.
-        labels: `[angle]` names of the geometries, such as "45as15".
+        labels: `[angle]` geometry names, such as "45as15".
         xyz, lab: `[angle, 3]`.
         hex: swatches.
     """
@@ -323,7 +323,7 @@ class Comparison:
         name: sample name.
         formula: key of `nacre.light.colour_differences.FORMULAS`.
         tables: table name -> differences `[angle]`.
-        labels: table name -> names of the geometries `[angle]`.
+        labels: table name -> geometry names `[angle]`.
         limits: geometry -> largest accepted difference; geometries without a limit are not evaluated.
         standard: file of the standard; "": the first report.
     """
@@ -367,7 +367,7 @@ def compare_with_colours(
     limits: Mapping[str, float] | None = None,
     standard: str = "colours",
 ) -> Comparison:
-    """Return a report's colour differences from a list of colours.
+    """Return a report's colour differences from a colour list.
 
     Args:
         colours: geometry of the report -> CIELAB `[3]` of the standard, for the report's illuminant and observer.

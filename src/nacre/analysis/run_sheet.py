@@ -66,7 +66,7 @@ class RunSheet:
     Attributes:
         name: of the recipe.
         quantity: "reflectance" or "transmittance"; wavelength_nm, angle_deg: of the monitor.
-        noise: standard deviation of the signal.
+        noise: the signal's standard deviation.
         layers: in order of deposition.
     """
 
@@ -90,7 +90,7 @@ def make_run_sheet(
     Args:
         wavelength_nm, angle_deg: of the monitor light, which is unpolarised.
         quantity: "reflectance" or "transmittance" (into the substrate).
-        noise: standard deviation of the signal.
+        noise: the signal's standard deviation.
 
     Raises:
         UnsupportedError: the material lacks a coherent stack.
@@ -212,7 +212,7 @@ def run_sheet_text(sheet: RunSheet) -> str:
 
 
 def run_sheet_csv(sheet: RunSheet) -> str:
-    """Return the curves: number, layer, material, thickness of the layer and of all, signal."""
+    """Return the curves: number, layer, material, layer thickness and of all, signal."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(["number", "layer", "material", "grown_nm", "total_nm", sheet.quantity])

@@ -318,7 +318,7 @@ def run_sweep(
     progress: Progress | None = None,
     report: Callable[[str], None] = logger.warning,
 ) -> tuple[int, int]:
-    """Compute the missing points of a sweep and return the numbers of finished and failed points.
+    """Compute the missing sweep points and return the numbers of finished and failed points.
 
     Args:
         sweep: from `load_sweep`.

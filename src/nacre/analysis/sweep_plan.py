@@ -96,7 +96,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Points:
-    """The numbered points of a sweep; the last axis of a grid varies fastest.
+    """The numbered sweep points; the last axis of a grid varies fastest.
 
     Attributes:
         axes: the varied numbers.

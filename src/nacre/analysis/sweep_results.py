@@ -49,7 +49,7 @@ class SweepColours:
         xyz, lab: `[axis 0, axis 1, ..., angle, 3]` of a grid, `[point, angle, 3]` otherwise; NaN for missing points.
         illuminant, observer: of the colours.
         recipe: the recipe's text; source: the sweep's file name.
-        labels: names of the geometries rather than angles, which then are their numbers.
+        labels: geometry names rather than angles, which then are their numbers.
     """
 
     axes: tuple[SweepAxis, ...]

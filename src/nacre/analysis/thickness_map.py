@@ -1,6 +1,6 @@
 """The thickness map of one thin film for a material with a number that varies over the surface.
 
-Each value of the number has its own best thickness of the film; index and base are common. A picture holds any such
+Each value of the number has its own best film thickness; index and base are common. A picture holds any such
 function of the number, so the map is baked for the recipe's uv.
 """
 

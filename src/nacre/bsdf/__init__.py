@@ -1,4 +1,4 @@
-"""The BSDF: a sum of lobes, independent of the material family."""
+"""The BSDF: a lobe sum, independent of the material family."""
 
 from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.lobe import Lobe, SpecularResponse

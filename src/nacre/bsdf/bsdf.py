@@ -1,4 +1,4 @@
-"""The `Bsdf` (a sum of lobes on one wavelength grid) and the `Spectrum` of a spectrophotometer."""
+"""The `Bsdf` (a lobe sum on one wavelength grid) and the `Spectrum` of a spectrophotometer."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from nacre.recipe.fingerprint import fingerprint
 
 @dataclass(frozen=True)
 class Bsdf:
-    """A material's BSDF: a sum of lobes on one wavelength grid.
+    """A material's BSDF: a lobe sum on one wavelength grid.
 
     Attributes:
         lobes: the sum's terms, all on the same wavelengths.
         provenance: recipe text, nacre version, seed, notes; stored with every output.
-        polarisation: function that tabulates the Mueller matrices of the interface (or returns None), for polarised
+        polarisation: function that tabulates the Mueller interface matrices (or returns None), for polarised
             rendering.
     """
 

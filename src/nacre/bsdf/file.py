@@ -60,7 +60,7 @@ def write_lobes(
 
     Args:
         is_packed: deflate, which makes tables 10 % or more smaller and takes ten times as long.
-        polarisation: Mueller matrices of the interface; stored in single precision.
+        polarisation: Mueller interface matrices; stored in single precision.
 
     Raises:
         NacreError: the folder is not writable, or a lobe contains an unsupported value.

@@ -1,6 +1,6 @@
 """The lobe interface between optics and everything that plots, stores or renders a material.
 
-A `Bsdf` is a sum of lobes. A lobe is a frozen set of arrays with named axes: `evaluate` interpolates them with NumPy,
+A `Bsdf` is a lobe sum. A lobe is a frozen set of arrays with named axes: `evaluate` interpolates them with NumPy,
 the lobe's Mitsuba plugin in `nacre.device` does the same with Dr.Jit ("on the device").
 
 Local frame: z is the surface normal, `wi` points to the light, `wo` to the viewer, both away from the surface.

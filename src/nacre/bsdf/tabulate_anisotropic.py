@@ -18,7 +18,7 @@ from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack.stack import Medium, Stack, permittivity_of
 
 COS_NODES = 65
-COS_NODES_SPREAD = 33  # a spread of the pitch averages the fringes out
+COS_NODES_SPREAD = 33  # a pitch spread averages the fringes out
 SLICE_SHARE = 0.25  # of helices; the error grows to some 3e-4
 LOSSLESS_K = 1e-9
 AZIMUTHS = (3, 5, 9, 17)  # odd: even counts repeat the same values, as half a turn changes little
@@ -146,7 +146,7 @@ class AnisotropicTables(StackTables):
         return dataclasses.replace(parts[0], **tables)
 
     def _at_azimuth(self, azimuth: float) -> AnisotropicTables:
-        """Return the tables of one azimuth of the light outside; light from inside leaves towards it.
+        """Return the tables of one light azimuth outside; light from inside leaves towards it.
 
         A stack lit from below is turned about u, which reverses the azimuth.
         """

@@ -63,7 +63,7 @@ def fit(
     files: tuple[str, ...], parameters: tuple[str, ...], ties: tuple[str, ...], as_json: bool, residual: str | None,
     page: str | None, output: str | None, range_nm: str | None, labs: tuple[str, ...], **options: Any,
 ) -> None:  # fmt: skip
-    """Fit parameters of RECIPE to each MEASUREMENT: files of ellipsometers, spectra, gonio CSV, colours.
+    """Fit parameters of RECIPE to each MEASUREMENT: ellipsometer files, spectra, gonio CSV, colours.
 
     Several measurements are of one sample; each is weighted by its own residual.
     """

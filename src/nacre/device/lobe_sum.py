@@ -247,7 +247,7 @@ def bsdf_class(variant: str) -> type:
     """Define the BSDF class for a variant, since Mitsuba's base class depends on the variant."""
 
     class NacreBSDF(mi.BSDF):
-        """A sum of lobes."""
+        """A lobe sum."""
 
         def __init__(
             self,

@@ -1,7 +1,7 @@
 """The interface of the lobes' Mitsuba plugins, and their common tools.
 
 A `LobePlugin` is plain Python, built after the Mitsuba variant is set. One Mitsuba BSDF (`lobe_sum.py`) holds one or
-several plugins: a sum of lobes then needs only one virtual call, and two-sidedness, component masks and mixing are
+several plugins: a lobe sum then needs only one virtual call, and two-sidedness, component masks and mixing are
 implemented once.
 
 Roles: Mitsuba's `si.wi` points to the camera in radiance transport and to the light in importance transport. A

@@ -189,7 +189,7 @@ class Azimuths:
     """Azimuth nodes, in place of texture-driven parameters.
 
     Args:
-        count: number of nodes from 0 to 2 pi, both included.
+        count: node count from 0 to 2 pi, both included.
         rotation_rad: rotation of the tables about the normal.
     """
 

@@ -1,1 +1,1 @@
-"""The families of materials: from the keys of a recipe over the physics to a Bsdf."""
+"""The families of materials: from the recipe keys over the physics to a Bsdf."""

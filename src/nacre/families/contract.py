@@ -173,7 +173,7 @@ class ExcessEnergy(abc.ABC):
 
 
 class DirectEvaluation(abc.ABC):
-    """A material that can be evaluated at single pairs of directions without a whole Bsdf.
+    """A material that can be evaluated at single direction pairs without a whole Bsdf.
 
     Attributes:
         is_direct: a few directions take a small fraction of the time of `bsdf`; searches evaluate only these.
@@ -220,7 +220,7 @@ class Surrogate(abc.ABC):
         Args:
             wi, wo: `[pair, 3]`, above the surface.
             wavelengths_nm: `[wavelength]`.
-            walks: for each direction of light.
+            walks: for each light direction.
             seed: another seed gives independent noise.
         """
         return None
@@ -413,7 +413,7 @@ class Polarising(Protocol):
     """A model with Mueller matrices for polarised rendering."""
 
     def polarisation(self, wavelengths_nm: Array | None = None) -> InterfacePolarisation | None:
-        """Tabulate the Mueller matrices of the interface; None: it is rendered as depolarising."""
+        """Tabulate the Mueller interface matrices; None: it is rendered as depolarising."""
         ...
 
 

@@ -65,7 +65,7 @@ def delta_lost(bsdf: Bsdf) -> list[str]:
 
 
 def gonio_grid(bsdf: Bsdf, step_deg: float) -> GonioData:
-    """Evaluate a Bsdf on a regular grid of directions, on both sides if it transmits.
+    """Evaluate a Bsdf on a regular direction grid, on both sides if it transmits.
 
     Raises:
         UnsupportedError: nothing but deltas, or a stochastic lobe.
@@ -76,7 +76,7 @@ def gonio_grid(bsdf: Bsdf, step_deg: float) -> GonioData:
     phi_i = np.zeros(1) if is_isotropic(bsdf) else np.arange(0.0, 180.0, max(step_deg, 15.0))
     phi_o = np.arange(0.0, 360.0, step_deg)
     grids = list(np.meshgrid(theta, phi_i, theta_out, phi_o, indexing="ij"))
-    grids[3] = (grids[3] + grids[1]) % 360.0  # the same azimuth differences for each azimuth of the light
+    grids[3] = (grids[3] + grids[1]) % 360.0  # the same azimuth differences for each light azimuth
     data = GonioData(np.stack([g.ravel() for g in grids], axis=-1), bsdf.wavelengths_nm, np.zeros((0, 0)))
     return GonioData(data.angles_deg, bsdf.wavelengths_nm, bsdf.evaluate(data.wi, data.wo))
 
@@ -136,7 +136,7 @@ def zemax_lobe(table: ZemaxBsdf) -> TableLobe:
 def rgl_lobe(table: RglBsdf) -> tuple[TableLobe, list[str]]:
     """Return the table of an anisotropic RGL measurement about the mirror direction, and remarks on its error.
 
-    The format's samples lie elsewhere at each azimuth of the light; the table has common nodes: the measured
+    The format's samples lie elsewhere at each light azimuth; the table has common nodes: the measured
     incidences, radial angles that are dense near the mirror direction, and at most 48 of the wavelengths.
     """
     repeats = max(1, round(2 * np.pi / max(float(np.ptp(table.phi_i)), 1e-6)))

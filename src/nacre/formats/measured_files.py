@@ -68,7 +68,7 @@ def write_speos(path: str | Path, data: GonioData, comment: str = "") -> None:
     """Write a Speos complete scattering file (`.brdf`) as text: azimuth 0 is the mirror side.
 
     Args:
-        data: a full grid at one azimuth of the light.
+        data: a full grid at one light azimuth.
 
     Raises:
         UnsupportedError: the directions form no such grid.

@@ -20,7 +20,7 @@ MIN_PAIRS = 4
 SCATTERED_NODES = (46, 46, 37)  # theta_i, theta_o, dphi of directions that form no grid
 MIN_FILLED = 0.5  # share of a grid's nodes that must be measured
 EQUAL = 1e-6  # relative spread of rounding
-ANISOTROPIC = 0.1  # relative spread between azimuths of the light beyond which data are anisotropic
+ANISOTROPIC = 0.1  # relative spread between light azimuths beyond which data are anisotropic
 NOISE = 0.01  # negative values up to this share of the maximum, and of the sum, are noise
 DIGITS = 6  # of angles in degrees
 HALF_NODES = (60, 60, 5)
@@ -50,7 +50,7 @@ def checked(values: Array, name: str) -> tuple[Array, list[str]]:
 def measured_table(data: GonioData, name: str, law: str | None = None) -> tuple[TableLobe, list[str]]:
     """Return the table of a reflection measurement, and remarks.
 
-    A grid of directions keeps its nodes and values and is interpolated linearly in theta_i, theta_o and the azimuth
+    A direction grid keeps its nodes and values and is interpolated linearly in theta_i, theta_o and the azimuth
     difference; missing nodes are filled from their neighbours. Other sets of directions are interpolated from nearest
     neighbours on a fixed grid.
 
@@ -99,7 +99,7 @@ def measured_table(data: GonioData, name: str, law: str | None = None) -> tuple[
 
 
 def _spread_over_turns(points: Array, values: Array) -> float:
-    """Return the typical relative difference of values between azimuths of the light; 0 for one azimuth."""
+    """Return the typical relative difference of values between light azimuths; 0 for one azimuth."""
     if len(np.unique(points[:, 3] % 360.0)) < 2:
         return 0.0
     mean = np.nanmean(values, axis=1)
@@ -123,7 +123,7 @@ def _spread_words(points: Array, spread: float) -> str:
 def _on_turns(
     points: Array, values: Array, wavelengths_nm: Array, name: str, remarks: list[str]
 ) -> tuple[TableLobe, list[str]]:
-    """Return the table of an anisotropic sample: one grid an azimuth of the light.
+    """Return the table of an anisotropic sample: one grid per light azimuth.
 
     Raises:
         UnsupportedError: the azimuths have different grids of directions.

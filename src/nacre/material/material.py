@@ -362,7 +362,7 @@ class Material:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """All numbers of the recipe by their paths: candidates for the parameters of fits and designs."""
+        """All recipe numbers by their paths: candidates for the parameters of fits and designs."""
         return numbers_of({key: value for key, value in self.data.items() if key not in STUDY_TABLES})
 
     def layers(self) -> tuple[list[str], list[float]]:

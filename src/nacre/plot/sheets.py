@@ -91,7 +91,7 @@ class DesignSheet:
         ribbon_deg, ribbon: angles `[angle]` and factors `[angle, wavelength]`; ribbon_label: angle name.
         media: names from the light's side, ambient and substrate included; thicknesses_nm: one per layer; empty if
             the material is not a stack.
-        numbers: lines of text that replace the stack.
+        numbers: text lines that replace the stack.
         bars: (path, value) pairs, the largest first; bars_title: their meaning.
         illuminant: lamp of the ribbon.
         words: names of the left and the right half of a swatch; the first also names target curves.

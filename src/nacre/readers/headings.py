@@ -329,7 +329,7 @@ def meanings(heading: str, unit: str = "") -> tuple[Meaning, ...]:
 
     Args:
         heading: text of the file.
-        unit: canonical unit from a row of units.
+        unit: canonical unit from a unit row.
 
     Example:
         >>> [meaning.quantity for meaning in meanings("Wellenlänge / µm")], meanings("Wellenlänge / µm")[0].unit

@@ -50,11 +50,11 @@ class ReadOptions:
         quantity: canonical name of the dependent quantity (`reflectance`, `transmittance`, `n`, `eps1`, ...).
         unit: unit of the abscissa (`nm`, `um`, `eV`, `1/cm`) or, for heights, of the heights.
         angle_deg: incidence angle.
-        delta_convention: sign of Delta: `positive` or `negative` (see `docs`).
+        delta_convention: Delta sign: `positive` or `negative` (see `docs`).
         channel: channel of a file with several (heights, zones).
         spectrum: name or number of one spectrum, material or block.
         pitch_um: lateral distance of height samples, (x, y).
-        columns: canonical names of the columns of a table without headings; `-` ignores a column.
+        columns: canonical column names of a table without headings; `-` ignores a column.
         ignore: headings of columns to ignore.
         format: identifier in `registry.FORMATS`; recognised from the content by default.
         wavelengths: file of the wavelengths of a spectrum of the USGS library, which is one column.

@@ -1,4 +1,4 @@
-"""Angle of incidence and polarisation in the lines above a table, such as "AOI = 45 deg" or "s-polarized"."""
+"""Incidence angle and polarisation in the lines above a table, such as "AOI = 45 deg" or "s-polarized"."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Preamble:
     """What the lines above a table state.
 
     Attributes:
-        angle_deg: angle of incidence; None if not stated.
+        angle_deg: incidence angle; None if not stated.
         polarisation: "s", "p", "unpolarised", or "".
         lines: the lines that state them.
     """
@@ -39,7 +39,7 @@ class Preamble:
 
 
 def read_preamble(titles: Sequence[str]) -> Preamble:
-    """Return the angle of incidence and the polarisation that lines above a table state.
+    """Return the incidence angle and the polarisation that lines above a table state.
 
     Lines that contradict each other state neither.
 

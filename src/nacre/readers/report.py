@@ -72,7 +72,7 @@ def points(measurement: Measurement) -> int:
 
 
 def lines(measurement: Measurement, title: str, show: int = 0) -> list[str]:
-    """Return a measurement's description as lines of text."""
+    """Return a measurement's description as text lines."""
     found = describe(measurement, show)
     name = f' "{measurement.name}"' if measurement.name else ""
     shown = [f"{measurement.path}:{name} {measurement.kind}, {found['points']} points; format: {title}"]

@@ -152,10 +152,10 @@ class TextTable:
     Attributes:
         path: the file.
         headings: one per column; empty if there is no line of headings.
-        units: of a row of units or of the cells themselves; "" where there is none.
+        units: of a unit row or of the cells themselves; "" where there is none.
         rows: the cells of each row, as text.
         lines: line number of each row.
-        titles: lines of text and remarks between the previous block and this one, headings excluded.
+        titles: text lines and remarks between the previous block and this one, headings excluded.
         delimiter: None for blanks.
         decimal, grouping: marks of the numbers, see `number`.
         heading_line: line number of the headings; 0 without.
@@ -238,7 +238,7 @@ class TableFile:
 
     Attributes:
         tables: blocks in the file's order.
-        trailing: lines of text after the last block.
+        trailing: text lines after the last block.
         left_out: one sentence for each group of numbers that is not a table.
     """
 
@@ -524,7 +524,7 @@ def _without_brackets(cell: str) -> str:
 
 
 def unit_of(cell: str) -> str:
-    """Return the canonical unit of a cell of a row of units; "" if there is none.
+    """Return the canonical unit of a cell of a unit row; "" if there is none.
 
     Example:
         >>> unit_of("[nm]"), unit_of("[% transmittance]"), unit_of("")
@@ -637,7 +637,7 @@ def _find_headings(
 ) -> tuple[list[str], list[str], int, set[int]]:
     """Return headings, units, the line of the headings, and the lines used.
 
-    The nearest line above the rows that fits is taken: a line of text, or a remark that names columns. A row of units
+    The nearest line above the rows that fits is taken: a line of text, or a remark that names columns. A unit row
     may lie between.
     """
     units: list[str] = []

@@ -1,6 +1,6 @@
 """Fingerprints: hashes of a recipe, the content of its files, the versions of its models, and options.
 
-Stored results (points of a sweep, frames, solved optics, search states) carry the fingerprint of their input and are
+Stored results (sweep points, frames, solved optics, search states) carry the fingerprint of their input and are
 used only while it is the same. A change of code that changes no numbers changes no fingerprint. Raise `Model.version`
 when the numbers of one family change, and `OPTICS_VERSION` when those of the shared optics (`matter`, `bsdf`, `light`,
 `measure`), or intermediate results that a family caches, change.

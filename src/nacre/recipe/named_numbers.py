@@ -1,4 +1,4 @@
-"""Named numbers of a recipe: `[numbers] drain = 0.4` and the time `t` may be used in every formula.
+"""Named recipe numbers: `[numbers] drain = 0.4` and the time `t` may be used in every formula.
 
 `nacre.bsdf.texture` evaluates formulas; only the names in their text are handled here.
 """

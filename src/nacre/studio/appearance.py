@@ -138,7 +138,7 @@ class Appearance:
         grades: for a material that varies over the surface, its colours at the nodes `tables`
             `[part, node of the second range, node of the first, angle, 3]` (parts: mirror-like, glossy, diffuse,
             transmitted) and the `map` of the surface, see `nacre.studio.graded`.
-        incidence: azimuth of the light, and polarisation of the chart's spectra; None for a material without such
+        incidence: light azimuth, and polarisation of the chart's spectra; None for a material without such
             choice.
         polarised: `[shown angle, wavelength]`, reflectance of polarised light, if that is selected.
         profile: for height maps `heights_um` along one line, its `length_um` and the map's `depth_um`.

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 MAX_RECIPES = 2  # in a report
 MAX_FILE = 96 << 20  # bytes; the command is unlimited
-KINDS = ("aspecular", "specular", "geometries")  # tables of colours in a report
+KINDS = ("aspecular", "specular", "geometries")  # colour tables in a report
 MAX_REMARKS = 30
 PICTURES = (".png", ".jpg", ".webp", ".exr", ".spectral.exr")
 # option -> type, lowest and highest value

@@ -1,4 +1,4 @@
-"""Files of instruments that are dropped on the page: measured data beside the computed ones, and reliefs from scans."""
+"""Instrument files that are dropped on the page: measured data beside the computed ones, and reliefs from scans."""
 
 from __future__ import annotations
 

@@ -286,7 +286,7 @@ async def mesh(request: Request) -> Response:
 
 
 async def measurement(request: Request) -> Response:
-    """Answer what a dropped file of an instrument contains."""
+    """Answer what a dropped instrument file contains."""
     return Response((await _dropped(request, "measurement_job"))[1], media_type="application/json")
 
 

@@ -46,7 +46,7 @@ class PolarGrid:
 
     @property
     def size(self) -> int:
-        """Number of nodes."""
+        """Node count."""
         return self.count + self.beyond
 
     @property

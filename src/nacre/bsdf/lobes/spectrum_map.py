@@ -238,7 +238,7 @@ def albedo_shares(power: Any, psi_step: float, xi_first: float, xi_step: float, 
         power: `[psi, psi, xi, wavelength]`, psi centred on 0.
         psi_step, xi_first, xi_step: node positions.
         reflectance: `[cosine, wavelength]`.
-        ring_cosines: cosine of incidence for each ring.
+        ring_cosines: incidence cosine for each ring.
         cosines, azimuths: guard nodes; azimuths is a multiple of 8.
     """
     rings = len(ring_cosines)

@@ -44,7 +44,7 @@ class TableLobe(Lobe):
             first and the last are held.
         is_signed: whether c distinguishes the sides of the plane of incidence: c = (azimuth + pi)/(2 pi); the azimuth
             runs from the light to the viewer, counter-clockwise from above ("direction"), or as in Zemax files.
-        nodes_turn: azimuths of the light over 2 pi, ascending, for an anisotropic sample; then values have the shape
+        nodes_turn: light azimuths over 2 pi, ascending, for an anisotropic sample; then values have the shape
             `[turn, a, b, c, channel]`.
     """
 

@@ -2,7 +2,7 @@
 
 Look-up time is bound by cache lines, then by arithmetic. The harmonics of an angle pair at one wavelength are
 therefore packed in two or four words (`packed_series`), next to those of the next wavelength. S is read at each
-wavelength's exact |q|. Directions are drawn from a coarse table of exits (`bilinear_sampling`). For aligned particles
+wavelength's exact |q|. Directions are drawn from a coarse exit table (`bilinear_sampling`). For aligned particles
 this table depends only on the azimuth difference and is averaged over the rotation; the weights contain the rest.
 """
 
@@ -52,7 +52,7 @@ AnyMonolayer = TypeVar("AnyMonolayer", bound=MonolayerLobe)
 
 
 class MonolayerPlugin(LobePlugin[AnyMonolayer]):
-    """Common part of both monolayer plugins: polar angles, S, and sampling from a table of exits.
+    """Common part of both monolayer plugins: polar angles, S, and sampling from an exit table.
 
     Attributes:
         tables: names of the lobe's tables.
@@ -120,7 +120,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         return np.asarray(lobe.evaluate(light, eye).mean(axis=-1))
 
     def _shape(self, lobe: AnyMonolayer) -> list[tuple[int, ...]]:
-        """Return the shapes of the tables, which are constant in updates."""
+        """Return the table shapes, which are constant in updates."""
         return [getattr(lobe, name).shape for name in self.tables]
 
     def _set(self, lobe: AnyMonolayer) -> None:
@@ -184,7 +184,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         self.view_max = opaque(views - 2)
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Draw from the table of exits; a broad lobe cosine-weighted."""
+        """Draw from the exit table; a broad lobe cosine-weighted."""
         active = active & self._visible(si.wi)
         if self.is_broad:
             wo = mi.warp.square_to_cosine_hemisphere(sample2)
@@ -203,7 +203,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         return bs, (value * dr.rcp(larger(pdf, 1e-20))) & (active & (pdf > 0.0))
 
     def _drawn(self, si: Any, sample1: Any, sample2: Any, active: Any) -> tuple[Any, tuple[Any, Any, Any]]:
-        """Return a direction from the table of exits, and its table coordinates."""
+        """Return a direction from the exit table, and its table coordinates."""
         row, part = self._view(si.wi)
         face, square, turn, rest = self.exits.sample(row, part, sample1, sample2, active)
         azimuth = dr.select(rest < 0.5, -turn, turn) * math.pi
@@ -331,7 +331,7 @@ class MonolayerPlugin(LobePlugin[AnyMonolayer]):
         """Replace the data by another monolayer's.
 
         Raises:
-            UnsupportedError: the shapes of the tables differ.
+            UnsupportedError: the table shapes differ.
         """
         if _has_constant_index(lobe) != self.has_constant_index:
             raise UnsupportedError("only one of the ambients is dispersive; build the scene again")
@@ -453,7 +453,7 @@ def thinned_rows(lobe: Any, tables: tuple[str, ...]) -> dict[str, Any]:
     return {name: np.ascontiguousarray(getattr(lobe, name)[..., ::step]) for name in names}
 
 
-TURNS = 8  # light azimuths in the average for the table of exits
+TURNS = 8  # light azimuths in the average for the exit table
 
 
 class AlignedPlugin(MonolayerPlugin[Aligned]):
@@ -522,7 +522,7 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         """Replace the data by another monolayer's.
 
         Raises:
-            UnsupportedError: the shapes of the tables, or the terms of the series, differ.
+            UnsupportedError: the table shapes, or the terms of the series, differ.
         """
         if not np.array_equal(np.rint(lobe.orders), self.orders):
             raise UnsupportedError("the azimuthal series changed its terms; build the scene again")

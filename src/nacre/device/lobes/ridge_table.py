@@ -135,7 +135,7 @@ class RidgeTablePlugin(LobePlugin[RidgeTable]):
         return value * (self.fill * gauss) & active, dr.select(active, density * self.half * gauss, 0.0)
 
     def _node(self, a: Any, c: Any) -> Any:
-        """Return the number of the node nearest to a direction of light."""
+        """Return the number of the node nearest to a light direction."""
         k = mi.UInt32(dr.round(dr.clip(c, 0.0, 1.0) * self.along_nodes.last))
         return k * self.sine_count + mi.UInt32(dr.round((dr.clip(a, -1.0, 1.0) + 1.0) * self.half))
 

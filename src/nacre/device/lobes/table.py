@@ -1,4 +1,4 @@
-"""Tabulated BRDFs on the device: multilinear look-up, sampled from a table of exits for each incidence.
+"""Tabulated BRDFs on the device: multilinear look-up, sampled from an exit table for each incidence.
 
 Nearly Lambertian tables use cosine-weighted sampling instead, at half the cost and equal noise.
 """
@@ -34,7 +34,7 @@ COSINE_SHARE = 0.1  # of the samples: covers all directions and bounds the weigh
 BROAD = 1.05  # mean square weight below which cosine-weighted sampling is as good; 1 for a Lambertian surface
 VIEW_NODES, EXIT_NODES, AZIMUTH_NODES = 48, 96, 96
 MAX_TABLE_VALUES = 1 << 27
-TURNS = 8  # azimuths of the light over which the density of an anisotropic table is averaged
+TURNS = 8  # light azimuths over which the density of an anisotropic table is averaged
 
 
 class TablePlugin(LobePlugin[TableLobe]):
@@ -111,7 +111,7 @@ class TablePlugin(LobePlugin[TableLobe]):
         self.view_top, self.view_max = opaque(VIEW_NODES - 1), opaque(VIEW_NODES - 2)
 
     def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Draw from the table of exits or cosine-weighted; a broad lobe always cosine-weighted."""
+        """Draw from the exit table or cosine-weighted; a broad lobe always cosine-weighted."""
         active = active & enabled[0] & (si.wi.z > MIN_COS)
         wo = mi.warp.square_to_cosine_hemisphere(sample2)
         if not self.is_broad:
@@ -120,7 +120,7 @@ class TablePlugin(LobePlugin[TableLobe]):
         return glossy_sample(wo, value, pdf, active)
 
     def _drawn(self, si: Any, sample1: Any, sample2: Any, cosine: Any, active: Any) -> Any:
-        """Return a direction from the table of exits, or `cosine` with probability `COSINE_SHARE`."""
+        """Return a direction from the exit table, or `cosine` with probability `COSINE_SHARE`."""
         by_cosine = sample1 < COSINE_SHARE
         rest = dr.clip((sample1 - COSINE_SHARE) / (1.0 - COSINE_SHARE), 0.0, 1.0)
         place, _ = self.exits.sample(sample2, [_view(si.wi)], active)

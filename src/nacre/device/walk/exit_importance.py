@@ -25,7 +25,7 @@ class Importance:
     """Importance in each stratum, for the two directions connected by mirror reflections.
 
     Attributes:
-        up_direction, down_direction: per stratum, unit direction of travel.
+        up_direction, down_direction: per stratum, unit travel direction.
         up, down: per stratum, importance of upward travel at its top, downward travel at its bottom; None if zero.
         up_extinction, down_extinction: per stratum, optical thickness of the stratum along the direction.
     """
@@ -90,7 +90,7 @@ def _inward(strata: Strata, rng: Any, wo: Any, downward: bool, active: Any) -> t
     """Trace the exit direction inward from the top (or the bottom).
 
     Returns:
-        the direction of travel towards the exit in each stratum; the transmitted fraction at each inner interface
+        the travel direction towards the exit in each stratum; the transmitted fraction at each inner interface
         (by interface number); the transmitted fraction at the outer one.
     """
     count = strata.count

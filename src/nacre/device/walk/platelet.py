@@ -19,7 +19,7 @@ FULL = 4.0  # summed initial throughput of the four wavelengths
 
 @dataclass
 class Walker:
-    """State of a random walk: direction of travel, stratum, depth in it, throughput of each wavelength.
+    """State of a random walk: travel direction, stratum, depth in it, throughput of each wavelength.
 
     With glints `turn` describes the scattering so far: unscattered, by one flake of the uppermost stratum (with its
     normal in its own frame and its species), or other; without glints it is empty.
@@ -71,7 +71,7 @@ class Flake:
         return h, dr.select(length > 1e-6, density, 0.0)
 
     def turned(self, strata: Strata, m: Any, v_m: Any) -> Any:
-        """Return the direction of travel after reflection by a normal."""
+        """Return the travel direction after reflection by a normal."""
         return dr.normalize(strata.from_flake(self.row, dr.fma(m, 2 * v_m, -self.v)))
 
 

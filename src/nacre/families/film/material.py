@@ -167,7 +167,7 @@ class Film(Model, Polarised):
             return _grid(low, high, self.step_nm)
         grid = default_wavelengths(self._optical_thickness_nm())
         step = float(grid[1] - grid[0])
-        if self.is_anisotropic:  # too costly to compare colours; a spread of the pitch smooths the spectra
+        if self.is_anisotropic:  # too costly to compare colours; a pitch spread smooths the spectra
             has_spread = any(e.helix is not None and e.helix.deviation_nm > 0 for e in self.layers)
             return _grid(low, high, max(step, SPREAD_STEP_NM) if has_spread else step)
         finer = [s for s in STEPS_NM if s < step * 0.999][:3]

@@ -316,7 +316,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
 
 @dataclass(frozen=True)
 class FastGlass(Glass, DirectEvaluation):
-    """A photonic glass with a noise-free form, evaluated directly at pairs of directions."""
+    """A photonic glass with a noise-free form, evaluated directly at direction pairs."""
 
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
         """Return the light at pairs by radiative transfer."""

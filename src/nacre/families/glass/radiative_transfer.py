@@ -298,7 +298,7 @@ def brdf_table(medium: Medium, band: int, slab: Slab, theta: Array, dphi: Array)
 
 
 def brdf_pairs(medium: Medium, band: int, slab: Slab, wi: Array, wo: Array) -> Array:
-    """Return the diffuse BRDF at one wavelength for pairs of directions `[pair, 3]` above the surface, `[pair]`."""
+    """Return the diffuse BRDF at one wavelength for direction pairs `[pair, 3]` above the surface, `[pair]`."""
     cos_i, cos_o = np.clip(wi[:, 2], 0.0, 1.0), np.clip(wo[:, 2], 0.0, 1.0)
     cross = wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0]
     dphi = np.arctan2(cross, wi[:, 0] * wo[:, 0] + wi[:, 1] * wo[:, 1])

@@ -100,7 +100,7 @@ def walk(
         medium: of the slab.
         thickness_nm: of the slab.
         base: `[wavelength]`, albedo of a diffuse base in contact; None: the ambient lies below.
-        cos_i: cosine of incidence in the ambient, above 0.
+        cos_i: incidence cosine in the ambient, above 0.
         walkers: for each wavelength.
         upper, lower: faces of the slab, the lower one of an open slab.
         bins: of the exit cosine.

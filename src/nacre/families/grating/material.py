@@ -93,7 +93,7 @@ class Grating(Model, Diffracting, Pixels):
         cell: the lattice; where the period varies, that of the middle of the surface.
         turn_deg: angle from u to the direction across the lines; `turn`: a texture in its place.
         period: unset for a single one.
-        tolerance: largest estimated error of an efficiency; None: by method.
+        tolerance: largest estimated efficiency error; None: by method.
         is_coarse: solve once at the smallest size, for searches among many similar materials.
     """
 
@@ -175,7 +175,7 @@ class Grating(Model, Diffracting, Pixels):
         ]
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
-        """Solve the orders on a grid of directions: the zero order is a mirror, the others form a lobe.
+        """Solve the orders on a direction grid: the zero order is a mirror, the others form a lobe.
 
         Transmitted orders form another lobe, which passes light of both sides. Light from behind is not reflected.
         """

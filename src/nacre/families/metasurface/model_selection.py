@@ -1,4 +1,4 @@
-"""Model selection: the mean field within its measured range of validity, else an ensemble.
+"""Model selection: the mean field within its measured validity range, else an ensemble.
 
 `mean_field_errors.toml` holds the mean-field error for every system compared with multi-sphere solutions.
 """

@@ -1,4 +1,4 @@
-"""Heights of a recipe from arrays, images and files of instruments: units, orientation, holes, tilt, periodicity."""
+"""Heights of a recipe from arrays, images and instrument files: units, orientation, holes, tilt, periodicity."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Heights:
 
     Attributes:
         heights_um: `[x, y]`; holes are NaN.
-        pitch_um: distance of the points along x and y.
+        pitch_um: point distance along x and y.
         is_periodic: whether they are one period.
         is_instrument: whether an instrument wrote them.
         remarks: what was assumed.
@@ -58,7 +58,7 @@ class Heights:
 
 @dataclass(frozen=True)
 class HeightOptions:
-    """Keys of a recipe about its heights; see `ReliefSpec`."""
+    """Recipe keys about its heights; see `ReliefSpec`."""
 
     name: str
     feature_um: float | None

@@ -41,7 +41,7 @@ def chebyshev_nodes(low: float, high: float, count: int) -> Array:
 
 
 def node_count(height_range_nm: float, low: float, high: float, error: float) -> int:
-    """Return the number of nodes that interpolates |c|^2 on [low, high] within `error`.
+    """Return the node count that interpolates |c|^2 on [low, high] within `error`.
 
     A line's power is a positive mixture of exp(2 pi i kappa (h - h')), so the fastest one bounds the error: twice the
     tail of its Chebyshev series, with Bessel functions J_k(a) as coefficients, a = pi h (high - low).

@@ -20,7 +20,7 @@ def fresnel_reflectance(cos_d: Array, n: NDArray[np.complex128], n_ambient: floa
     """Return the unpolarised power reflectance `[..., wavelength]` of an opaque medium.
 
     Args:
-        cos_d: cosines of incidence, `[...]`.
+        cos_d: incidence cosines, `[...]`.
         n: complex index n + ik `[wavelength]`, k >= 0.
         n_ambient: index outside.
 
@@ -71,5 +71,5 @@ def brdf_factor(u: Array, v: Array, cos_i: Array, cos_o: Array, prefactor: Prefa
 
 
 def difference_cosine(u: Array, v: Array, xi: Array) -> Array:
-    """Return cos(theta_d) = |w_i + w_o| / 2, the cosine of incidence for Fresnel reflection."""
+    """Return cos(theta_d) = |w_i + w_o| / 2, the incidence cosine for Fresnel reflection."""
     return np.minimum(0.5 * np.sqrt(u**2 + v**2 + xi**2), 1.0)

@@ -35,7 +35,7 @@ LAG_WIDTHS = 6.5  # largest lag: exp(-lag^2 / (4 s^2)) is 3e-5
 DENSE_WIDTHS = 12.5  # period from which the lines are closer than the smoothing is wide
 RMS_STEP = 1.0  # rad between neighbouring samples, rms: the Nyquist frequency is three deviations of the spectrum
 MAX_UPSAMPLING = 8
-SAMPLES_OF_ALL_NODES = 3e8  # limits the number of windows
+SAMPLES_OF_ALL_NODES = 3e8  # limits the window count
 MAX_WINDOWS = 64
 # a random surface: nearly normal heights, no repetition in the autocovariance, at least so many independent cells
 MOST_SKEWNESS, MOST_EXCESS, MOST_REPETITION, LEAST_CELLS = 0.5, 1.0, 0.3, 100
@@ -54,7 +54,7 @@ class ScanLines:
         period_nm: reciprocal distance of the lines.
         held: highest line.
         power: kappa in 1/nm -> mirror share |m|^2, and powers `[2 held + 1, 2 held + 1]` of the scatter.
-        windows: number of windows.
+        windows: window count.
         noise: relative standard deviation of the scatter in one direction, from the number of independent windows.
         upsampling: samples per point along each axis.
         bytes_per_node: memory of one evaluation.
@@ -75,7 +75,7 @@ class Scan:
 
     Attributes:
         heights_nm: `[x, y]`, without holes and without the least-squares plane.
-        pitch_nm: distance of the points.
+        pitch_nm: point distance.
         tilt: slopes (x, y) of the plane, if the light is to see it.
         statistics: "scan", "random", "isotropic", or None for the choice by `suggested`.
         figures: Sq and others, for reports.
@@ -127,7 +127,7 @@ class Scan:
             width_nm: largest standard deviation s of the coherence window.
             kappa_max: largest xi / lambda, 1/nm.
             highest_per_nm: highest spatial frequency.
-            nodes: number of kappa that will be asked for, which limits the number of windows.
+            nodes: number of kappa that will be asked for, which limits the window count.
         """
         step = 2.0 * np.pi * kappa_max * max(self.slopes) * self.pitch_nm
         upsampling = int(np.clip(np.ceil(step / RMS_STEP), 1, MAX_UPSAMPLING))
@@ -222,7 +222,7 @@ class Scan:
         return ScanLines(period * pitch, held, power, 1, noise, upsampling, 32.0 * period**2)
 
     def validity(self, wavelength_scale: float = 1.0) -> Validity:
-        """Return the range of validity of a sinusoid with the same Sq and mean distance of crossings."""
+        """Return the validity range of a sinusoid with the same Sq and mean distance of crossings."""
         side = int(np.sqrt(MAX_POINTS))
         part = self.heights_nm[:side, :side]
         depth = 2.0 * np.sqrt(2.0) * self.sq_nm

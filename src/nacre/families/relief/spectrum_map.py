@@ -126,7 +126,7 @@ def map_values(
     error: float = 3e-3,
     bounded: bool = True,
 ) -> Array:
-    """Return the lobe of `spectrum_map` at pairs of directions, `[pair, wavelength]`, in 1/sr.
+    """Return the lobe of `spectrum_map` at direction pairs, `[pair, wavelength]`, in 1/sr.
 
     Only the nodes around these pairs are computed, and the coarse ones for the energy bound: equal to the full lobe up
     to single-precision rounding.
@@ -447,7 +447,7 @@ def _apply(shares: NDArray[np.float32], guard: Array) -> Array:
 
 
 def _guard_rings() -> Array:
-    """Return the cosines of incidence for the bound: the guard's nodes and their midpoints in t."""
+    """Return the incidence cosines for the bound: the guard's nodes and their midpoints in t."""
     t = np.linspace(0.0, 1.0, 2 * GUARD_COSINES - 1)
     # the albedo at grazing is a limit
     return np.maximum(t**2, LEAST_GUARDED_COSINE)

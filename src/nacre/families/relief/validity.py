@@ -19,7 +19,7 @@ SAMPLES_PER_FEATURE = 8
 # and smoothness by log10 slope times these; the last is a margin for 95 of 100 gratings
 COEFFICIENTS = (1.2707, 0.6210, -0.3622, 0.6342, -0.0663, 0.6126, 0.3658)
 SINUSOID = np.pi / np.sqrt(8.0)  # rms over mean absolute slope of a sinusoid
-# dE00 above which a relief is outside the range of validity
+# dE00 above which a relief is outside the validity range
 OUTSIDE_DE00 = 10.0
 
 
@@ -41,7 +41,7 @@ class Validity:
 
     @property
     def is_outside(self) -> bool:
-        """Whether the relief is outside the range of validity."""
+        """Whether the relief is outside the validity range."""
         return self.de00 > OUTSIDE_DE00
 
     def line(self) -> str:
@@ -92,7 +92,7 @@ def assess(tile: Tile, wavelength_scale: float = 1.0) -> Validity:
 def mean_feature_nm(surface: Array, pitch_nm: float) -> tuple[float, int]:
     """Return the shorter mean distance between crossings of the middle height along x or y, and that axis.
 
-    Half a period of a grating: the mean width of its ridges and grooves. Lines without crossings are skipped.
+    Half a grating period: the mean width of its ridges and grooves. Lines without crossings are skipped.
     """
     above = surface > 0.5 * (surface.max() + surface.min())
     lines = [np.mean(above != np.roll(above, 1, axis=axis), axis=axis) for axis in (0, 1)]

@@ -34,7 +34,7 @@ class VectorRelief(Model, Diffracting, Fabricable):
     Attributes:
         scalar: the same relief in scalar theory, with the surface, coating and coherence.
         pattern: its period.
-        tolerance: largest estimated error of an efficiency; None: 2e-4, of narrow walls 1e-3, of blocks 4e-3.
+        tolerance: largest estimated efficiency error; None: 2e-4, of narrow walls 1e-3, of blocks 4e-3.
         reason: why this theory was chosen, or empty.
     """
 
@@ -113,7 +113,7 @@ class VectorRelief(Model, Diffracting, Fabricable):
         )  # fmt: skip
 
     def bsdf(self, wavelengths_nm: Array | None = None) -> Bsdf:
-        """Solve the orders on a grid of directions; the zero order is as wide as the others.
+        """Solve the orders on a direction grid; the zero order is as wide as the others.
 
         Raises:
             NotConvergedError: the period is too long for the shortest wavelength.

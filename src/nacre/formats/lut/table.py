@@ -142,7 +142,7 @@ def column_angles(columns: int) -> Array:
 
 
 def lobe_coordinates(wi: Array, wo: Array) -> tuple[Array, Array, Array]:
-    """Return x, y and the slice, each in [0, 1], for pairs of directions `[..., 3]` above the surface.
+    """Return x, y and the slice, each in [0, 1], for direction pairs `[..., 3]` above the surface.
 
     x is the square root of half angle / 90 degrees, which resolves narrow lobes; y the difference angle relative to its
     maximum above the surface; the slice the difference azimuth, within 90 degrees by reciprocity and mirror symmetry.

@@ -3,8 +3,8 @@
 The transverse fields obey gamma E = P H and gamma H = Q E (Li, J. Opt. Soc. Am. A 14, 2758 (1997)). Two bases serve:
 
 * rectangles with sides along x and y: tensor products of the piecewise polynomials of `line_basis`, discontinuous for
-  E_x along x and for E_y along y (edge elements on a mesh that knows the walls; no rule of factorisation is needed);
-* other shapes: Fourier series in a circle of orders, whose rule of factorisation follows the normals of the walls
+  E_x along x and for E_y along y (edge elements on a mesh that knows the walls; no factorisation rule is needed);
+* other shapes: Fourier series in a circle of orders, whose factorisation rule follows the normals of the walls
   (Popov and Neviere, J. Opt. Soc. Am. A 18, 2886 (2001); Schuster et al., ibid. 24, 2880 (2007)).
 """
 
@@ -22,7 +22,7 @@ from nacre.matter.periodic.types import Array
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """The functions in which the components of a field are expanded, of one class of symmetry.
+    """The functions in which the components of a field are expanded, of one symmetry class.
 
     Attributes:
         alpha, beta: `[function]` wave numbers over k0.

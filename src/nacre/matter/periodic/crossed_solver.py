@@ -115,7 +115,7 @@ def _classes(symmetric: tuple[bool, ...]) -> list[tuple[bool | None, bool | None
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
-    """Tangential fields of orders for light with E_x = 1 and with E_y = 1: a class of symmetry has one of the two.
+    """Tangential fields of orders for light with E_x = 1 and with E_y = 1: a symmetry class has one of the two.
 
     Attributes:
         up, down: (m, n) -> `[2, 2]`, (E_x, E_y) for each light.
@@ -266,7 +266,7 @@ def _is_even_series(layer: PatternLayer, shapes: tuple[_Keyed, ...], cell: Cell,
 
 @dataclass(frozen=True, eq=False)
 class _Functions:
-    """Combinations of Fourier orders of one class of symmetry.
+    """Combinations of Fourier orders of one symmetry class.
 
     Attributes:
         places: (m, n) -> row of the maps.

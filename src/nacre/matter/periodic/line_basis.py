@@ -2,7 +2,7 @@
 
 E_y, E_z and H_x are continuous across a wall and take continuous polynomials; E_x and H_y take discontinuous ones of
 one degree less, which contain the derivatives of the first. Multiplication by a permittivity that is constant in each
-element maps the second space to itself, so the basis needs no rule of factorisation. The mesh is graded towards the
+element maps the second space to itself, so the basis needs no factorisation rule. The mesh is graded towards the
 walls, whose edges are singular, and the degree grows away from them (hp finite elements).
 
 The basis functions are then combined to the discrete plane waves exp(i alpha_m x) and their orthogonal complement. In

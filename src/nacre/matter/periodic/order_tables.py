@@ -1,4 +1,4 @@
-"""Orders of a periodic structure over the direction of light, for lobes."""
+"""Orders of a periodic structure over the light direction, for lobes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class OrderTables:
         reflected, transmitted: `[theta, azimuth, order, wavelength]`, the other orders.
         orders: `[order, 2]`.
         lattice: `[2, 2]`, their wave vectors over 2 pi, in 1/nm.
-        error: largest estimated error of an efficiency at the nodes.
+        error: largest estimated efficiency error at the nodes.
         between: largest error found between the nodes, at a few directions.
     """
 
@@ -55,11 +55,11 @@ class OrderTables:
 def order_tables(
     stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: float | None, table_error: float | None = None
 ) -> OrderTables:
-    """Solve a grid of directions, in threads; symmetric directions once.
+    """Solve a direction grid, in threads; symmetric directions once.
 
     Args:
         tolerance: of the solutions with which the tables are compared.
-        table_error: error of an efficiency at a few directions that sets the size; None: the smallest size.
+        table_error: efficiency error at a few directions that sets the size; None: the smallest size.
     """
     keys = [case_key(stack, wavelength) for stack, wavelength in zip(stacks, wavelengths_nm.tolist(), strict=True)]
     key = "tables-" + hashlib.sha256(repr((keys, tolerance, table_error)).encode()).hexdigest() if all(keys) else ""
@@ -155,7 +155,7 @@ def _solved_tables(
 def _solved_rows(
     work: Callable[[tuple[int, int, int]], OrderSolution], cases: list[tuple[int, int, int]], key: str
 ) -> dict[tuple[int, int, int], OrderSolution]:
-    """Solve all cases; each angle of incidence is stored once complete, so that an interrupted table resumes there."""
+    """Solve all cases; each incidence angle is stored once complete, so that an interrupted table resumes there."""
     rows: dict[int, list[tuple[int, int, int]]] = {}
     for case in cases:
         rows.setdefault(case[0], []).append(case)

@@ -33,7 +33,7 @@ class Orders:
             order.
         reflected_jones, transmitted_jones: `[angle, wavelength, order, out, in]`.
         reflected_direction, transmitted_direction: `[angle, wavelength, order, 3]`, wave vectors over k0.
-        error: `[angle, wavelength]`, estimated largest error of an efficiency.
+        error: `[angle, wavelength]`, estimated largest efficiency error.
     """
 
     numbers: Array
@@ -78,7 +78,7 @@ def solve_orders(
     Args:
         stack_at: the structure at a wavelength in nm.
         azimuth_rad: of the direction to the light.
-        tolerance: largest estimated error of an efficiency; default: by method.
+        tolerance: largest estimated efficiency error; default: by method.
         is_strict: raise an error if the tolerance is not reached; otherwise return the best solution.
 
     Raises:

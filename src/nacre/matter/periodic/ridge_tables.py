@@ -59,7 +59,7 @@ def solved_case(case: RidgeCase, along: float) -> tuple[Array, Array]:
     """Return the mean over all draws, and each draw for light from b = 0; stored on disk.
 
     Args:
-        along: component of the direction of light along the ridges.
+        along: component of the light direction along the ridges.
 
     Returns:
         D `[a, b]` and `[draw, b]`; see `nacre.bsdf.lobes.ridge_table`.

@@ -168,7 +168,7 @@ def scatter(
 
 
 def _through_modes(modes: Modes, depth: float, electric: Array, magnetic: Array) -> tuple[Array, Array, Solver]:
-    """Return E and H at the top of a layer for unit waves down there, and how these continue below."""
+    """Return E and H at the layer top for unit waves down there, and how these continue below."""
     a, b = modes.solve_e(electric), modes.solve_h(magnetic)
     factors = scipy.linalg.lu_factor((a - b).T, check_finite=False)
     reflected = scipy.linalg.lu_solve(factors, (a + b).T, check_finite=False).T
@@ -185,7 +185,7 @@ def _through_modes(modes: Modes, depth: float, electric: Array, magnetic: Array)
 
 
 def _through_slab(layer: Slab, electric: Array, magnetic: Array) -> tuple[Array, Array, Solver]:
-    """Return E and H at the top of a layer for unit even states E, and how these continue below."""
+    """Return E and H at the layer top for unit even states E, and how these continue below."""
     factors = scipy.linalg.lu_factor(electric, check_finite=False)
     # H = Y E at the lower face
     admittance = scipy.linalg.lu_solve(factors, magnetic.T, trans=1, check_finite=False).T

@@ -79,7 +79,7 @@ def solve(
     Args:
         theta_rad: incidence angle in the cover.
         phi_rad: azimuth of the transverse part of the incident wave vector.
-        tolerance: largest estimated error of an efficiency; default: by method.
+        tolerance: largest estimated efficiency error; default: by method.
         is_strict: raise an error if the tolerance is not reached; otherwise return the best solution.
 
     Raises:

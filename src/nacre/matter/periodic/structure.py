@@ -140,7 +140,7 @@ class OrderSolution:
     """All orders for one incident wave.
 
     Attributes:
-        error: estimated largest error of an efficiency.
+        error: estimated largest efficiency error.
         unknowns: size of the systems.
         method: solver name.
     """

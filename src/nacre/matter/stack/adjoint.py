@@ -91,7 +91,7 @@ def _up(layer: Any, count: int, below: Any, top: Any, size: Any, rescales: bool)
 # reassociation of the sum lets the loop vectorise
 @compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 def _down(layer: Any, k0: Any, count: int, top: Any, size: Any, a: Any) -> float:
-    """Carry the adjoint `a` from the top of a layer to its bottom; return dL/dd."""
+    """Carry the adjoint `a` from the layer top to its bottom; return dL/dd."""
     w, iw, kz2, c, m = layer
     d_bar = 0.0
     for i in range(count):

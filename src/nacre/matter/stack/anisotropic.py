@@ -1,6 +1,6 @@
 """Stacks of anisotropic and helical layers: Jones and Mueller matrices, transmission, absorption per layer.
 
-Frame of incidence: z points into the stack, x lies in the plane of incidence, y = s; light arrives along
+Incidence frame: z points into the stack, x lies in the plane of incidence, y = s; light arrives along
 (sin t, 0, cos t). Every wave has a right-handed triad (p, s, k), with s = y: at normal incidence r_pp = -r_ss.
 Time factor exp(-i w t). Matrices are [out, in] in the order (p, s).
 """
@@ -95,7 +95,7 @@ class AnisotropicResponse:
 
     @property
     def mueller_reflected(self) -> Array:
-        """Mueller matrices of reflection, `[angle, wavelength, 4, 4]`."""
+        """Mueller reflection matrices, `[angle, wavelength, 4, 4]`."""
         return mueller(self.jones_reflected)
 
 
@@ -186,7 +186,7 @@ def solve_anisotropic(
 def _stack_arrays(
     layers: list[AnisotropicLayer], turn: Array, waves: Array, slice_share: float
 ) -> tuple[ComplexArray, Array, Array, NDArray[np.int64]]:
-    """Return tensors in the frame of incidence, thicknesses, turns and slices; see `solve_stacks`."""
+    """Return tensors in the incidence frame, thicknesses, turns and slices; see `solve_stacks`."""
     tensors = np.empty((len(layers), waves.size, 3, 3), complex)
     for i, layer in enumerate(layers):
         tensors[i] = np.einsum("ij,...jk,lk->...il", turn, layer.tensor, turn)

@@ -99,7 +99,7 @@ def joined(t1, r1, u1, s1, t2, r2, u2, s2):
 
 @compiled(nogil=True)
 def generator(eps, kx, factor, out):
-    """Write `factor` D in the basis (a, b) to `out[4, 4]`; `eps[3, 3]` is symmetric, in the frame of incidence."""
+    """Write `factor` D in the basis (a, b) to `out[4, 4]`; `eps[3, 3]` is symmetric, in the incidence frame."""
     over = 1.0 / eps[2, 2]
     d11 = -kx * eps[2, 0] * over
     d12 = 1.0 - kx * kx * over
@@ -205,7 +205,7 @@ def helix_slice(eps, kx, phase, start, turn, tensor, work):
     """Return the scattering matrix of a slice in which the tensor turns by `turn`, by a fourth-order Magnus step.
 
     Args:
-        eps: the tensor at angle 0, in the frame of incidence.
+        eps: the tensor at angle 0, in the incidence frame.
         phase: i k0 h of the slice.
         start: angle at its upper face.
         tensor: scratch `[3, 3]`.
@@ -371,7 +371,7 @@ def solve_stacks(stack, light, bottom, outputs, first, last):
     """Solve a stack at angles `first` to `last` - 1 and all wavelengths.
 
     Args:
-        stack: tensors `[layer, wavelength, 3, 3]` in the frame of incidence (of a helical layer at its upper face),
+        stack: tensors `[layer, wavelength, 3, 3]` in the incidence frame (of a helical layer at its upper face),
             thicknesses `[layer]` in nm, turns `[layer]` (total rotation of a helical layer, rad; 0: homogeneous), and
             slices of half a turn of a helix `[layer]`.
         light: vacuum wave numbers k0 `[wavelength]`, 1/nm, and in-plane wave numbers over k0 `[angle, wavelength]`.

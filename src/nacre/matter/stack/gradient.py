@@ -5,7 +5,7 @@ usual case in design and fitting, this is several times faster than a solver in 
 XLA operation.
 
 The recursion of `nacre.matter.stack.kernel` carries y = (u, v) from the substrate upward, y_top = M y_bottom with
-M = exp(-i k0 d A), A = [[0, w], [kz^2 / w, 0]], w = 1 (s) or n^2 (p). If dL = Re(a . dy) at the top of a layer, then
+M = exp(-i k0 d A), A = [[0, w], [kz^2 / w, 0]], w = 1 (s) or n^2 (p). If dL = Re(a . dy) at the layer top, then
 
     dL/dd = Re(-i k0 (a_u w v + a_v u kz^2 / w)) with y at the top, and a_bottom = M^T a.
 
@@ -38,7 +38,7 @@ class StackGradient:
     Attributes:
         thicknesses_nm: `[layer]`, per nm.
         n, k: `[medium, wavelength]`, in the real and the imaginary part of the indices; optional.
-        cos_i: `[angle]`, in the cosines of incidence; optional.
+        cos_i: `[angle]`, in the incidence cosines; optional.
     """
 
     thicknesses_nm: Array

@@ -183,7 +183,7 @@ def _robust_layer(w: Any, count: int, l0: int, wavelengths: Any, thickness: floa
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _wavevector(w: Any, count: int, l0: int, n02r: Any, n02i: Any) -> int:
-    """Fill the layer's kz and 1/|kz|^2; return the number of points with a small kz."""
+    """Fill the layer's kz and 1/|kz|^2; return the point count with a small kz."""
     small = 0
     for i in range(count):
         zr = w[_NR + i] - n02r[l0 + i] + w[_ZR + i]
@@ -205,7 +205,7 @@ def _wavevector(w: Any, count: int, l0: int, n02r: Any, n02i: Any) -> int:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _lossless_wavevector(w: Any, count: int, l0: int, n02r: Any) -> int:
-    """As `_wavevector` for real media; return the number of points with a small or imaginary kz."""
+    """As `_wavevector` for real media; return the point count with a small or imaginary kz."""
     small = 0
     for i in range(count):
         zr = w[_NR + i] - n02r[l0 + i] + w[_ZR + i]

@@ -283,7 +283,7 @@ def _blurred(
 
 
 def _grouped(rays: _Rays, layers: list[PolarisedLayer], substrate: ComplexArray, absorption: bool) -> PolarisedResponse:
-    """Return the response of layers in the frame of incidence, isotropic incoherent ones among them."""
+    """Return the response of layers in the incidence frame, isotropic incoherent ones among them."""
     place = next((i for i, layer in enumerate(layers) if layer.incoherent), None)
     if place is None:
         return _coherent(rays, layers, substrate, absorption)
@@ -366,7 +366,7 @@ def polarised_field(
         others: as for `polarised_response`, for one angle.
 
     Raises:
-        NacreError: an incoherent layer or a spread of the pitch, whose fields do not add.
+        NacreError: an incoherent layer or a pitch spread, whose fields do not add.
     """
     from nacre.matter.stack.anisotropic import field_of_layers  # imports numba
 

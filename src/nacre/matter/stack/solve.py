@@ -132,7 +132,7 @@ def jones_transmission(response: Response) -> ComplexArray:
     """Return the transmission Jones matrix in power units, `[..., angle, wavelength, 2, 2]`.
 
     The amplitudes t carry the factor sqrt(Re q_s / Re q_0): squared moduli are transmittances, and the Mueller
-    matrices of reflection and transmission together conserve energy.
+    reflection matrices and transmission together conserve energy.
     """
     return _diagonal(_in_power_units(response.t_p, response.T_p), _in_power_units(response.t_s, response.T_s))
 

@@ -186,7 +186,7 @@ class Stack:
         With incoherent layers R + T + A = 1 holds if they absorb little over a wavelength.
 
         Raises:
-            NacreError: an anisotropic stack with incoherent layers or a spread of the pitch.
+            NacreError: an anisotropic stack with incoherent layers or a pitch spread.
         """
         if not self.is_isotropic:
             lost = self.polarised(theta_rad, wavelengths_nm, absorption=True, jobs=jobs).absorbed
@@ -228,7 +228,7 @@ class Stack:
         """Return |E|^2 for s and p light at depths below the first interface, each `[z, wavelength]`.
 
         Raises:
-            NacreError: an absorbing ambient, an incoherent layer, or a spread of the pitch.
+            NacreError: an absorbing ambient, an incoherent layer, or a pitch spread.
         """
         lam = np.atleast_1d(np.asarray(wavelengths_nm, dtype=float))
         ambient = clear_ambient(index_of(self.ambient, lam)).real
@@ -265,7 +265,7 @@ class Stack:
             jobs: threads.
 
         Raises:
-            NacreError: an absorbing ambient; absorption of a stack with incoherent layers or a spread of the pitch.
+            NacreError: an absorbing ambient; absorption of a stack with incoherent layers or a pitch spread.
         """
         lam = np.atleast_1d(np.asarray(wavelengths_nm, dtype=float))
         theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
@@ -323,7 +323,7 @@ def jones(
     *,
     jobs: int | None = None,
 ) -> tuple[ComplexArray, ComplexArray | None]:
-    """Return the Jones matrices of reflection and transmission, `[out, in]` over (p, s).
+    """Return the Jones reflection matrices and transmission, `[out, in]` over (p, s).
 
     Isotropic stacks use the isotropic kernel, others the anisotropic one. Frames and signs: (p, s, k) is right-handed
     for each wave, time factor exp(-i w t), r_pp = -r_ss at normal incidence.
@@ -340,7 +340,7 @@ def jones(
         `[angle, wavelength, 2, 2]`, with `azimuth` first for a list of azimuths.
 
     Raises:
-        NacreError: an incoherent layer or a spread of the pitch, for which only Mueller matrices exist.
+        NacreError: an incoherent layer or a pitch spread, for which only Mueller matrices exist.
 
     Example:
         >>> film = Stack(1.0, [Layer(1.33, 300.0)], 1.0)

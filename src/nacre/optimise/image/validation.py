@@ -19,7 +19,7 @@ MAX_CHANNELS = 2  # pictures of a hologram
 
 
 def is_hologram(base: Material, parameters: Sequence[Parameter]) -> bool:
-    """Whether a picture is to be made of the turn and the period of a grating."""
+    """Whether a picture is to be made of the turn and the grating period."""
     return isinstance(base.model, Diffracting) and {p.path for p in parameters} == {PERIOD, TURN}
 
 

@@ -88,7 +88,7 @@ def refine(
     Args:
         heights_nm: `[x, y]`, in [0, `problem.height_max_nm`].
         seconds: time limit; the picture of the given heights is solved in any case.
-        progress: called with the number of evaluations and the best objective.
+        progress: called with the evaluation count and the best objective.
 
     Raises:
         NacreError: the heights cannot be solved.

@@ -452,7 +452,7 @@ def label(x: float, y: float) -> Mesh:
 
 
 def label_print(lines: tuple[str, ...], bar: float) -> Array:
-    """Reflectance `[row, column]` of the label, first row at the top: lines of text and a bar of length `bar`."""
+    """Reflectance `[row, column]` of the label, first row at the top: text lines and a bar of length `bar`."""
     scale = _LABEL_ROWS / LABEL_HEIGHT
     left, low = 70, _LABEL_ROWS - 84
     right = left + int(bar * scale)

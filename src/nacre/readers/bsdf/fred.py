@@ -1,6 +1,6 @@
 """FRED tabulated scatter: `type bsdf_data`, a line `format`, then blocks of scattered directions.
 
-A line of two numbers begins a block with the polar angle and azimuth of incidence; lines of three numbers hold polar
+A line of two numbers begins a block with the polar angle and incidence azimuth; lines of three numbers hold polar
 angle, azimuth and value. The file does not say on which side its mirror direction lies: the largest values decide.
 """
 

@@ -1,6 +1,6 @@
 """LightTools BSDF text: common scatter angles, then blocks by incidence, side, kind of scatter and channel.
 
-Angles are polar angles from the normal and azimuths in degrees; the light of a file without azimuths of incidence
+Angles are polar angles from the normal and azimuths in degrees; the light of a file without incidence azimuths
 comes from azimuth 90. Source: the reader of libbsdf (Kimura, MPL 2.0).
 """
 

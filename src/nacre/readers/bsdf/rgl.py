@@ -224,7 +224,7 @@ class RglBsdf:
     def evaluate(self, wi: Array, wo: Array) -> Array:
         """Return f (without the cosine), `[..., wavelength or channel]`, zero below the horizon.
 
-        Azimuths of the light that span a half or a quarter of the circle repeat by rotation or by reflections.
+        Light azimuths that span a half or a quarter of the circle repeat by rotation or by reflections.
         """
         shape = np.broadcast_shapes(wi.shape, wo.shape)
         wi, wo = (np.broadcast_to(w, shape).reshape(-1, 3) for w in (wi, wo))

@@ -1,4 +1,4 @@
-"""Delimited tables of colours without a head of CGATS.
+"""Delimited colour tables without a head of CGATS.
 
 Headings are x, y, Y, or R, G, B, or L*, a*, b* (L*, C*, h) beside columns of illuminant and observer, or the field
 names of CGATS.

@@ -1,1 +1,1 @@
-"""Readers for files of ellipsometers: one module per format."""
+"""Readers for ellipsometer files: one module per format."""

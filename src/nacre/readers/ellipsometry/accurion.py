@@ -1,6 +1,6 @@
 """Text of the imaging ellipsometers EP3 and EP4 by Accurion (Park Systems).
 
-A heading and a line of units, both after `#`; columns by name, Delta before Psi. Zones 1 to 4 repeat a measurement and
+A heading and a unit line, both after `#`; columns by name, Delta before Psi. Zones 1 to 4 repeat a measurement and
 are averaged, zone 0 is the instrument's own mean, zone 5 a spread. Regions of interest, places and times are data
 sets of their own.
 """

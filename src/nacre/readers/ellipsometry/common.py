@@ -33,7 +33,7 @@ UNITS = {
     "1/cm": "1/cm", "cm-1": "1/cm", "cm^-1": "1/cm",
 }  # fmt: skip
 MOST_MUELLER = 1.05  # |m_ij| / m11 of a passive sample is at most 1, here with noise
-SIGN_FLOOR = 0.02  # |sin 2Psi sin Delta| below which the sign of Delta has no effect within the noise
+SIGN_FLOOR = 0.02  # |sin 2Psi sin Delta| below which the Delta sign has no effect within the noise
 AGREEMENT = 0.05  # of the pseudo-dielectric functions of a bare surface at several angles, relative
 
 
@@ -186,7 +186,7 @@ def ellipsometry(
 
     Raises:
         NacreError: values that the quantity cannot have.
-        AmbiguousFileError: no angle, or an undecided sign of Delta.
+        AmbiguousFileError: no angle, or an undecided Delta sign.
     """
     data = {key: np.asarray(value, dtype=float) for key, value in columns.items()}
     notes = [*assumed, *(() if is_binary else end_is_open(path))]

@@ -26,7 +26,7 @@ def sniff(head: FileHead) -> float:
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Return tan Psi and cos Delta with Psi and Delta; the sign of Delta is unknown.
+    """Return tan Psi and cos Delta with Psi and Delta; the Delta sign is unknown.
 
     Raises:
         NacreError: rows that are not three numbers, or impossible values.

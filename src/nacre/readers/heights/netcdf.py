@@ -58,7 +58,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
 
 
 def _pitch_um(axis: Any, name: str, count: int) -> float | None:
-    """Return the distance of points from the length of the axis or its positions."""
+    """Return the point distance from the length of the axis or its positions."""
     unit = None if axis is None else length_um(_unit(axis))
     if axis is None or unit is None:
         return None

@@ -94,7 +94,7 @@ def roughness(heights_um: NDArray[Any], pitch_um: tuple[float, float]) -> Roughn
 
     Args:
         heights_um: `[row, column]`; holes are NaN.
-        pitch_um: distance of points along a row, and along a column.
+        pitch_um: point distance along a row, and along a column.
     """
     fitted = plane(heights_um)
     flat = without_plane(heights_um, fitted)

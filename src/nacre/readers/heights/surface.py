@@ -192,7 +192,7 @@ def height_map(
 
     Args:
         heights_um: `[row, column]`, row 0 at the picture's top; holes are NaN or masked.
-        pitch_um: distance of the points along a row and along a column.
+        pitch_um: point distance along a row and along a column.
         metadata: further statements of the file; figures of roughness, without the least-squares plane, join them.
 
     Raises:
@@ -220,7 +220,7 @@ def height_map(
 
 
 def check_pitch(pitch_um: tuple[float, float]) -> None:
-    """Refuse a distance of points that no instrument has.
+    """Refuse a point distance that no instrument has.
 
     Raises:
         ValueError: not between 1 pm and 1 m.

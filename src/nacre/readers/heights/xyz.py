@@ -28,7 +28,7 @@ def _parts(text: str) -> tuple[str, list[str]]:
         line = lines.pop(0)
         cells = re.split(r"[\s,;]+", line.strip(" \t#"))
         are_units = bool(heading) and len(cells) == 3 and all(length_um(cell) is not None for cell in cells)
-        # a line of units below the names
+        # a unit line below the names
         heading = f"{heading} {' '.join(f'({cell})' for cell in cells)}" if are_units else line
     return heading, lines
 

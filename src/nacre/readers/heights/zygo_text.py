@@ -30,7 +30,7 @@ def sniff(head: FileHead) -> float:
 
 @reads
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read one map; the distance of points may be missing.
+    """Read one map; the point distance may be missing.
 
     Raises:
         AmbiguousFileError: the file states no distance of its points.

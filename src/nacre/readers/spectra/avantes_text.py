@@ -1,4 +1,4 @@
-"""Avantes AvaSoft text: a heading, a line of units, and cells with semicolons (or tabs)."""
+"""Avantes AvaSoft text: a heading, a unit line, and cells with semicolons (or tabs)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ROLES = (("sample", r"sampl|scope|mess|échant|muestr|campion"), ("dark", r"dar
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 if a line of units begins with `[nm];` below AvaSoft's own heading or preamble."""
+    """Return 1 if a unit line begins with `[nm];` below AvaSoft's own heading or preamble."""
     lines = [line.replace("\0", "") for line in head.lines[:60]]
     place = next((number for number, line in enumerate(lines) if _UNITS.match(line)), None)
     if place is None:

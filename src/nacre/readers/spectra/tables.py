@@ -1,4 +1,4 @@
-"""Tables of spectra: pairs of columns (Cary), wavelengths down or across, without headings, with uncertainties."""
+"""Spectral tables: pairs of columns (Cary), wavelengths down or across, without headings, with uncertainties."""
 
 from __future__ import annotations
 
