@@ -22,7 +22,7 @@ from nacre.optimise.tolerances import Component, values_at
 
 PARTS = {"specular_reflectance": "both", "specular_reflectance_s": "s", "specular_reflectance_p": "p"}
 PARTS |= {"total_reflectance": "both", "total_reflectance_s": "s", "total_reflectance_p": "p"}
-EXACT = 1e-9  # difference of the two computations, absolute
+EXACT = 1e-9  # absolute difference between the two computations
 PROBE = 1.5  # standard deviations at which they are compared
 
 
@@ -44,7 +44,7 @@ class StackBatch:
         thicknesses_nm: `[layer]`, of the recipe.
         slopes: path -> derivative of the thicknesses `[layer]` with respect to a number of the recipe.
         nominal: path -> the recipe's number.
-        rows: spectra in the order of the values.
+        rows: spectra in the values' order.
     """
 
     thicknesses_nm: Array
@@ -135,7 +135,7 @@ def _rows(observations: Sequence[Any], stack: Stack) -> tuple[_Row, ...] | None:
 
 
 def _asked(observation: Any) -> list[tuple[float, str]] | None:
-    """Return angle in degrees and polarisation of each spectrum of an observation."""
+    """Return angle in degrees and polarisation for each spectrum in an observation."""
     angle = getattr(observation, "angle_deg", None)
     if angle is not None:
         is_known = not observation.is_transmitted and observation.polarisation in PARTS.values()

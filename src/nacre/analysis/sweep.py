@@ -117,7 +117,7 @@ class Store:
         return cls(path, sweep)
 
     def missing(self) -> list[int]:
-        """Return the numbers of unfinished points, failed and damaged ones included."""
+        """Return the unfinished points' numbers, failed and damaged ones included."""
         is_done = self._status() == DONE
         for name, size in self._bytes.items():
             is_done &= self._sizes(name) == size
@@ -175,7 +175,7 @@ class Store:
         return sizes
 
     def _chunks(self, name: str) -> Iterator[tuple[int, os.DirEntry[str]]]:
-        """Yield the point number and the file of each stored chunk of an array.
+        """Yield point number and file for each stored chunk in an array.
 
         Raises:
             NacreError: the folder of the array is missing or cannot be read.

@@ -195,7 +195,7 @@ def check_over_azimuth(response: InterfaceResponse) -> None:
 
 
 def mean_over_azimuth(response: InterfaceResponse) -> InterfaceResponse:
-    """Return the tables of `check_over_azimuth` averaged over the azimuth."""
+    """Return `check_over_azimuth` tables averaged over the azimuth."""
     return dataclasses.replace(response, **{name: getattr(response, name)[:-1].mean(axis=0) for name in TABLES})
 
 

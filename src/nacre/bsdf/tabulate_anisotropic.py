@@ -182,7 +182,7 @@ class AnisotropicTables(StackTables):
         return response, self.error_of(response, d)
 
     def error_of(self, response: InterfaceResponse, thicknesses_nm: Array) -> float:
-        """Return the largest difference of R in tables of the mean over the azimuth from the solution."""
+        """Return the largest error in R for tables averaged over the azimuth."""
         exact = self.outside(np.asarray(thicknesses_nm, dtype=float), CHECKED_COSINES)[0]
         found = response.lookup(CHECKED_COSINES, np.full(len(CHECKED_COSINES), self.flipped))[0]
         return float(np.max(np.abs(found - exact)))

@@ -28,7 +28,7 @@ def check_memory(asked_bytes: float, what: str, advice: str = "") -> None:
     Args:
         asked_bytes: estimated peak memory.
         what: the key and value, or the file, that determines the size; starts the message.
-        advice: remedy at the end of the message.
+        advice: remedy at the message's end.
 
     Raises:
         UnsupportedError: the limit is exceeded.

@@ -1,4 +1,4 @@
-"""Ridges solved rigorously: the light that leaves across them, tabulated over the directions of light and viewer."""
+"""Ridges solved rigorously: the light that leaves across them, tabulated over light and view directions."""
 
 from __future__ import annotations
 

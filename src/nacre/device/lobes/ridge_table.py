@@ -140,7 +140,7 @@ class RidgeTablePlugin(LobePlugin[RidgeTable]):
         return k * self.sine_count + mi.UInt32(dr.round((dr.clip(a, -1.0, 1.0) + 1.0) * self.half))
 
     def _row(self, a: Any, c: Any, low: Any, part: Any) -> Any:
-        """Return the number of the nearest node and wavelength."""
+        """Return the nearest node and wavelength, as numbers."""
         return self._node(a, c) * self.wave_count + low + dr.select(part > 0.5, mi.UInt32(1), 0)
 
     def _ends(self, row: Any, cell: Any, active: Any) -> tuple[Any, Any]:

@@ -110,7 +110,7 @@ class SupercellFilm(Film):
 
 
 def _brightest(table: Array) -> Array:
-    """Return the largest share of light that leaves from any direction, `[wavelength]`."""
+    """Return the largest share that leaves from any direction, `[wavelength]`."""
     return np.asarray(np.trapezoid(table, dx=2.0 / (table.shape[2] - 1), axis=2).max(axis=(0, 1)))
 
 

@@ -1,7 +1,7 @@
 """Spheres in a matrix: materials, structure and effective index (Bruggeman, Maxwell Garnett).
 
 One index n_e represents the whole composite in three places: as the medium around each sphere (Mie), in the scattering
-vector, and at the faces of the layer (Fresnel, refraction).
+vector, and at the layer's faces (Fresnel, refraction).
 """
 
 from __future__ import annotations

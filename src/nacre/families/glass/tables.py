@@ -140,7 +140,7 @@ def interpolation_error(table: TableLobe, medium: Medium, slabs: list[Slab]) -> 
 
 
 def incidence_error(lobes: tuple[Lobe, TableLobe], medium: Medium, slabs: list[Slab], surface: Roughness) -> float:
-    """Return the largest error of the reflectance over incidence between the nodes, absolute, with a margin.
+    """Return the largest reflectance error over incidence between the nodes, absolute, with a margin.
 
     The table is linear in the incidence angle, the smooth face in its cosine. The exact reflectance is that of
     transfer, behind a rough face with the factors of `RoughInterface`.

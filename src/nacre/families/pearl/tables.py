@@ -71,7 +71,7 @@ def bake(lobe: Layered, effort: float = 1.0, seed: int = 1) -> PlateletLayer:
 
 
 def largest_power_error(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 177) -> float:
-    """Return the largest error of the reflectance found at a few incidences, absolute, with a margin."""
+    """Return the largest reflectance error found at a few incidences, absolute, with a margin."""
     found, noise = power_difference(lobe, table, np.radians(POWER_DEG), _limited(lobe, effort), seed)
     return min(ERROR_MARGIN * float(np.max(np.maximum(np.abs(found), noise))), 1.0)
 

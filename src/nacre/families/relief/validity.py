@@ -76,7 +76,7 @@ def largest_depth_nm(feature_nm: float) -> float:
 
 
 def assess(tile: Tile, wavelength_scale: float = 1.0) -> Validity:
-    """Return the validity for a tile; `wavelength_scale` is the index of the medium above."""
+    """Return the validity for a tile; `wavelength_scale` is the ambient's index."""
     surface = tile.surface_nm(SAMPLES_PER_FEATURE)
     depth = float(np.ptp(surface))
     if depth < 1e-6 * tile.feature_nm:

@@ -209,7 +209,7 @@ def names_file(name: str) -> bool:
 
 
 def unknown_material(name: str) -> str:
-    """Return the end of the message for an unknown name: the nearest names and the search command."""
+    """Return the message's end for an unknown name: the nearest names and the search command."""
     if number := written_as_number("n", name):
         return f"is text; a constant index stands without quotes: {number.rpartition(' ')[2]}"
     if names_file(name):

@@ -69,7 +69,7 @@ def _store(
     row: int, q0: ComplexArray, q_end: Array, field: list[ComplexArray], phase: ComplexArray, scale: Array,
     amplitudes: ComplexArray, powers: Array,
 ) -> None:  # fmt: skip
-    """Write r and t, R and T of one polarisation from the fields at the top."""
+    """Write r and t, R and T for one polarisation from the fields at the top."""
     u, v = field
     below = q0 * u + v
     is_matched = below == 0.0  # grazing incidence on a matched stack: undisturbed wave

@@ -23,7 +23,7 @@ STEEP_DEG, NEAR_DEG, CONTRAST = 15.0, 60.0, 1.5  # of incidence; of azimuth; of 
 
 
 def sniff(head: FileHead) -> float:
-    """Recognise the line of the type."""
+    """Recognise the type line."""
     return CERTAIN if FIRST.search(head.text[:8000]) else 0.0
 
 

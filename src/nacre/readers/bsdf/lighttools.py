@@ -1,4 +1,4 @@
-"""LightTools BSDF text: common scatter angles, then blocks by incidence, side, kind of scatter and channel.
+"""LightTools BSDF text: common scatter angles, then blocks by incidence, side, scatter type and channel.
 
 Angles are polar angles from the normal and azimuths in degrees; the light of a file without incidence azimuths
 comes from azimuth 90. Source: the reader of libbsdf (Kimura, MPL 2.0).
@@ -34,7 +34,7 @@ class _Block:
 
     @property
     def series(self) -> tuple[str, str]:
-        """Side and kind of scatter."""
+        """Side and scatter type."""
         return self.head.get("Side", "front"), self.head.get("ScatterType", "brdf")
 
 
@@ -45,7 +45,7 @@ def sniff(head: FileHead) -> float:
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read one measurement per side and kind of scatter.
+    """Read one measurement per side and scatter type.
 
     Raises:
         NacreError: the file is damaged, or blocks are missing.
@@ -105,7 +105,7 @@ def _one(
     path: Path, series: tuple[str, str], blocks: list[_Block], axes: tuple[Array, Array], head: dict[str, str],
     is_xyz: bool,
 ) -> Measurement:  # fmt: skip
-    """Return the measurement of one side and kind of scatter; channels are wavelengths or X, Y, Z."""
+    """Return the measurement for one side and scatter type; channels are wavelengths or X, Y, Z."""
     side, scatter = series
     azimuth, radial = axes
     incidences = sorted({(float(b.head.get("AOI", 0)), float(b.head.get("POI", 0))) for b in blocks})

@@ -104,7 +104,7 @@ def _fields(cells: list[str]) -> list[str] | None:
 
 
 def _light(path: Path, fields: list[str], rows: list[list[str]]) -> dict[str, str]:
-    """Return illuminant and observer of columns that hold the same in every row.
+    """Return illuminant and observer from columns that hold the same in every row.
 
     Raises:
         NacreError: rows have different ones.
@@ -119,7 +119,7 @@ def _light(path: Path, fields: list[str], rows: list[list[str]]) -> dict[str, st
                     f"{path}: the rows are for different illuminants or observers: {shown}; split the file"
                 )
             text = "".join(texts)
-            # "D65/10" in the column of the illuminant states both
+            # "D65/10" in the illuminant column states both
             if field != "OBSERVER" and illuminant_in(text):
                 found["ILLUMINANT"] = text
             if field == "OBSERVER" or (OBSERVER_BEHIND.search(text) and "OBSERVER" not in found):

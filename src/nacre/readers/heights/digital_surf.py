@@ -57,7 +57,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
 
 
 def _inflated(data: bytes, start: int, expected: int) -> bytes:
-    """Return the heights of a compressed file: a count, pairs of raw and stored sizes, then the streams.
+    """Return a compressed file's heights: a count, pairs of raw and stored sizes, then the streams.
 
     Raises:
         ValueError: the sizes do not give the heights of the head.

@@ -49,7 +49,7 @@ def _is_length(text: str) -> bool:
 
 @reads
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read the maps of all blocks; remarks are taken by their order, since Gwyddion translates their names.
+    """Read all blocks' maps; remarks are taken by their order, since Gwyddion translates their names.
 
     Raises:
         AmbiguousFileError: a block names no unit of its values.
@@ -81,7 +81,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
 
 
 def _blocks(lines: list[str]) -> list[list[str]]:
-    """Split a file of several exports: each begins with a remark below a row of numbers."""
+    """Split a file with several exports: each begins with a remark below a row of numbers."""
     blocks: list[list[str]] = [[]]
     was_row = False
     for line in lines:

@@ -40,7 +40,7 @@ def sniff(head: FileHead) -> float:
 
 @reads
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read the maps of a binary file, or the one of a CSV file."""
+    """Read a binary file's maps, or a CSV file's one."""
     data = path.read_bytes()
     if data.startswith(ZIPPED):
         with zipfile.ZipFile(io.BytesIO(data)) as archive:

@@ -32,13 +32,13 @@ START = re.compile(r"\s*#?\s*Start of Data\s*:?\s*$", re.IGNORECASE)
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for the first line of one of the programs."""
+    """Return 1 for a first line that one of the programs writes."""
     return CERTAIN if FIRST.match(head.text[:200].lstrip("\ufeff")) else 0.0
 
 
 @reads
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read one map, and the mask of void points that may follow it.
+    """Read one map, and the mask for void points that may follow it.
 
     Raises:
         AmbiguousFileError: the file names no unit of its heights, or no lengths.
@@ -62,7 +62,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
 
 
 def _parts(text: str) -> tuple[dict[str, str], list[str]]:
-    """Return the keys of the head in lower case, and the rows of numbers."""
+    """Return the head's keys in lower case, and the number rows."""
     keys: dict[str, str] = {}
     lines = text.lstrip("\ufeff").splitlines()
     for place, line in enumerate(lines):

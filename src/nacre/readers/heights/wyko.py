@@ -28,13 +28,13 @@ HOLES = {2: 32766.0, 4: 1e38}  # from this value
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for the directory of a binary file, or the first line of an ASCII file."""
+    """Return 1 for a binary file's directory, or an ASCII file's first line."""
     return CERTAIN if head.data.startswith(MAGIC) or TEXT.match(head.text[:200]) else 0.0
 
 
 @reads
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read the maps of heights; other arrays, as intensities, are left out."""
+    """Read the height maps; other arrays, as intensities, are left out."""
     data = path.read_bytes()
     if data.startswith(MAGIC):
         fields, arrays = _binary(data)
@@ -62,7 +62,7 @@ def _name(raw: bytes) -> str:
 
 
 def _binary(data: bytes) -> tuple[dict[str, float], dict[str, Array]]:
-    """Return the numbers of the blocks by name, and the arrays `[column, row from the bottom]`."""
+    """Return the blocks' numbers by name, and the arrays `[column, row from the bottom]`."""
     _, _, size, _ = BLOCK.unpack_from(data, 2)
     at = 2 + size
     fields: dict[str, float] = {}

@@ -24,7 +24,7 @@ SCALE, WAVELENGTH, OBLIQUITY, CAMERA = 1, 2, 4, 6  # places in line 8
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for the first line of either format."""
+    """Return 1 for either format's first line."""
     return CERTAIN if FIRST.match(head.text[:100].lstrip("\ufeff")) else 0.0
 
 
