@@ -12,12 +12,14 @@ import time
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.bsdf.bsdf import Bsdf
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, check_writable, output_folder, plain, why_unreadable
 from nacre.core.jobs import Workers, run_jobs
@@ -174,8 +176,11 @@ def animate(
     series = _Series.build(material, motion, frames, has_time, settings)
     with output_folder(folder), progress_bar("animating", progress) as report:
         run = _Run(series, names, report)
-        # the first frame sets the exposure of the others
-        if run.finish(range(1), exposure, Workers(jobs=1)) and run.finish(range(1, frames), run.stops, workers):
+        is_whole = run.finish(range(1), exposure, Workers(jobs=1))  # sets the exposure of the others
+        step = frames if workers.cluster else 1
+        for start in range(1, frames, step):
+            is_whole = is_whole and run.finish(range(start, min(start + step, frames)), run.stops, workers)
+        if is_whole:
             join(names, path)
             return Animation(path, names, run.kept, False)
     return Animation(None, tuple(name for name in names if name in run.finished), run.kept, True)
@@ -226,26 +231,18 @@ class _Series:
         timed = {TIME_PATH: self.motion.time(index, self.frames)} if self.has_time else {}
         return self.material.vary({**timed, **moved})
 
-    def key(self, index: int, exposure: Any) -> str:
+    def key(self, index: int, subject: Any, exposure: Any) -> str:
         """A frame's fingerprint."""
-        who = self.fixed or _fingerprint(self.subject(index))
+        who = self.fixed or _fingerprint(subject)
         return _frame_key(who, self.motion, self.value(index), {**self.settings, "exposure": exposure})
 
-    def resolved(self) -> _Series:
-        """A series that renders a fixed material without solving it again for every frame."""
-        if not self.fixed:
-            return self
-        quality, components = self.settings.get("quality"), self.settings.get("components", "sum")
-        bsdf, _ = resolve_material(self.material, quality, components)
-        return replace(self, material=bsdf, settings={**self.settings, "quality": None, "components": "sum"})
 
-
-def _render_frame(series: _Series, item: tuple[int, Any]) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-    """Render frame `item[0]` at exposure `item[1]`; return its sRGB pixels and its provenance."""
-    index, exposure = item
+def _render_frame(series: _Series, item: tuple[int, Any, Any]) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+    """Render the frame (index, subject, exposure); return its sRGB pixels and its provenance."""
+    index, subject, exposure = item
     motion = series.motion
     turn: dict[str, Any] = {f"{motion.name}_turn_deg": series.value(index)} if motion.name in TURNS else {}
-    result = render(series.subject(index), **series.settings, exposure=exposure, progress=False, **turn)
+    result = render(subject, **series.settings, exposure=exposure, progress=False, **turn)
     return result.srgb8, dict(result.stats)
 
 
@@ -265,23 +262,37 @@ class _Run:
         self._series, self._names, self._report = series, names, report
         self._begun = time.monotonic()
 
+    @cached_property
+    def _resolved(self) -> _Series:
+        """The series with a fixed material solved once for all frames."""
+        series = self._series
+        if not series.fixed:
+            return series
+        quality, components = series.settings.get("quality"), series.settings.get("components", "sum")
+        bsdf, _ = resolve_material(series.material, quality, components)
+        return replace(series, material=bsdf, settings={**series.settings, "quality": None, "components": "sum"})
+
     def finish(self, part: range, exposure: Any, workers: Workers) -> bool:
         """Render the missing frames of a part; return False after an interrupt.
 
         Raises:
             NacreError: an error from `render`, or a cluster that fails.
         """
-        keys = {index: self._series.key(index, exposure) for index in part}
-        missing = [index for index in part if not self._is_kept(index, keys[index])]
-        if not missing:
-            return True
-        series = self._series if workers.cluster else self._series.resolved()
-        items = [(index, exposure) for index in missing]
+        series = self._series if workers.cluster else self._resolved
+        keys, items = {}, []
+        for index in part:
+            subject = self._series.subject(index)
+            keys[index] = self._series.key(index, subject, exposure)
+            if not self._is_kept(index, keys[index]):
+                items.append((index, series.material if series.fixed else subject, exposure))
+        if workers.cluster and not all(isinstance(subject, Material | Bsdf | Mapping) for _, subject, _ in items):
+            raise UnsupportedError("animate: a cluster renders nacre materials and tables, not this object")
         try:
-            for number, (pixels, stats) in run_jobs(_render_frame, series, items, workers):
+            for number, (pixels, stats) in run_jobs(_render_frame, replace(series, material=None), items, workers):
                 if stats["interrupted"]:
                     return False
-                self._write(missing[number], keys[missing[number]], pixels, stats)
+                index = items[number][0]
+                self._write(index, keys[index], pixels, stats)
                 if interrupt.came_late() and len(self.finished) < len(self._names):
                     return False
         except KeyboardInterrupt:
