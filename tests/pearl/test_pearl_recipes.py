@@ -145,7 +145,8 @@ def test_flakes_on_edge_work_with_a_note():
 
 def test_more_than_eight_kinds_work_with_a_note():
     flake = {**GOOD["strata"][0]["platelets"][0], "volume_fraction": 0.01}
-    bsdf = material(changed("strata.0.platelets", [flake] * 9)).bsdf(COARSE)
+    flakes = [{**flake, "normal_deviation": 0.05 + 0.01 * k} for k in range(9)]
+    bsdf = material(changed("strata.0.platelets", flakes)).bsdf(COARSE)
     assert bsdf.lobes[0].kinds == 9 and "9 types" in bsdf.provenance["notes"][0]
 
 
