@@ -34,6 +34,9 @@ RECIPROCITY_TOLERANCE = 1e-4  # single precision at both ends
 WEIGHT_TOLERANCE = 2e-3  # of 99.9 % of the draws; narrow combs round at the per-mille level
 CHI_SQUARE_LEVEL = 0.01  # the issue's bar, after Sidak
 CHI_SQUARE_DOUBT = 0.5  # of a count's standard deviation: what the integral of a cell may be unsure of
+EDGE_DOUBT = (
+    1.0  # where the density ends within the hemisphere: a few of 270 cells, so chi-squared grows by less than 1 %
+)
 FURNACE_TOP = 1.002  # the issue's bar
 GRID = np.arange(360.0, 831.0, 10.0)
 
@@ -93,6 +96,7 @@ def ridge_table(**more: Any) -> Lobe:
     a, b = s[:, None], s[None, :]
     power = (1.0 - 0.2 * c) * (0.6 * np.exp(-((a + b) ** 2) / 0.2) + 0.2 * np.exp(-((a - b) ** 2) / 0.05))
     slope = np.linspace(1.0, 0.6, len(GRID))
+    power = power * np.sqrt((1.0 - a**2) * (1.0 - b**2))  # no light leaves along the surface
     table = (power[..., None] * slope).astype(np.float32)
     return RidgeTable(GRID, 0.5 * (table + np.swapaxes(table, 1, 2)), 0.12, 0.8, **more)
 
@@ -161,6 +165,7 @@ class Case:
         is_continuous: False: delta only.
         width: slopes of the facets about which half of the light directions are drawn.
         conserves: False: a sum of parts that know nothing of each other may give back more than comes in.
+        has_edge: the density ends within the hemisphere, which quadrature resolves slowly.
     """
 
     make: Callable[[], tuple[Lobe, ...]]
@@ -170,6 +175,7 @@ class Case:
     is_continuous: bool = True
     width: float = 0.3
     conserves: bool = True
+    has_edge: bool = False
 
 
 BOTH = ((25.0, 40.0), (72.0, 200.0), (160.0, 10.0), (118.0, 100.0))
@@ -215,9 +221,9 @@ CASES: dict[str, Case] = {
     "diffuse under a film": Case(lambda: (under_film(),)),
     "irregular ridges": Case(lambda: (ridge(120.0),), width=0.4),
     "level ridges": Case(lambda: (ridge(0.0, rotation=ROTATION),), ((10.0, 0.0),), chi=(100, 32), width=0.4),
-    "ridges of a table": Case(lambda: (ridge_table(),), chi=(100, 32), width=0.4),
+    "ridges of a table": Case(lambda: (ridge_table(),), chi=(100, 32), width=0.4, has_edge=True),
     "turned ridges of a table": Case(
-        lambda: (ridge_table(rotation=ROTATION),), ((10.0, 0.0),), chi=(100, 32), width=0.4
+        lambda: (ridge_table(rotation=ROTATION),), ((10.0, 0.0),), chi=(100, 32), width=0.4, has_edge=True
     ),
     "table": Case(lambda: (table("direction"),), width=0.5),
     "matt table": Case(lambda: (matt_table(),), width=0.5),
@@ -338,9 +344,10 @@ def test_draws_follow_the_density_from_the_normal_to_87_degrees(mi: Any, name: s
     from adaptive_chi_square import lobe_chi_square
 
     trials = len(CONTINUOUS) * len(STEEP_TO_GRAZING_DEG)
+    doubt = EDGE_DOUBT if CASES[name].has_edge else CHI_SQUARE_DOUBT
     for theta in STEEP_TO_GRAZING_DEG:
         outcome = lobe_chi_square(bsdf_of(name), theta, 40.0, samples=400_000, uv=(0.3, 0.6))
-        assert outcome.passes(CHI_SQUARE_LEVEL, trials) and outcome.doubt < CHI_SQUARE_DOUBT, (theta, outcome)
+        assert outcome.passes(CHI_SQUARE_LEVEL, trials) and outcome.doubt < doubt, (theta, outcome)
 
 
 def test_only_a_matt_table_is_drawn_by_the_cosine(mi: Any) -> None:

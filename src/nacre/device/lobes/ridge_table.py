@@ -1,7 +1,8 @@
 """Tabulated ridges on the device: the sine along them from a Gaussian, the sine across from the table.
 
 Sampling draws one of the ray's wavelengths, then a cell between two exits of the table, at its node nearest to the
-light and the wavelength, with cos_o d omega_o = ds_x ds_y. The density averages over the wavelengths.
+light and the wavelength, with cos_o d omega_o = ds_x ds_y. The density averages over the wavelengths. The node is that
+of the mirrored sine along the ridges, so the density is continuous over the exits.
 """
 
 from __future__ import annotations
@@ -73,14 +74,14 @@ class RidgeTablePlugin(LobePlugin[RidgeTable]):
         active = active & enabled[0] & (wi.z > MIN_COS)
         along = self.spread * (math.sqrt(2.0) * dr.erfinv(dr.clip(2.0 * sample2[1] - 1.0, -0.999999, 0.999999)))
         y = along - wi.y
-        c, chord = _along(wi.y, y)
+        _, chord = _along(wi.y, y)
         lines = dr.size_v(mi.UnpolarizedSpectrum)
         pick = dr.minimum(dr.floor(sample1 * lines), lines - 1.0)
         where = self.axis.locate(si.wavelengths, active)
         low, part = where.low[0], where.fraction[0]
         for i in range(1, lines):
             low, part = dr.select(pick == i, where.low[i], low), dr.select(pick == i, where.fraction[i], part)
-        row = self._row(wi.x / chord, c, low, part)
+        row = self._node(wi) * self.wave_count + _nearest(low, part)
         start = row * mi.UInt32(self.cells)
         drawn = dr.clip(sample2[0], 0.0, 0.9999999)
         cell = dr.binary_search(0, self.cells - 1, lambda i: read(self.cumulated, start + mi.UInt32(i), active) < drawn)
@@ -115,6 +116,7 @@ class RidgeTablePlugin(LobePlugin[RidgeTable]):
         i, f_a = self.sine_nodes.cell((dr.clip(a, -1.0, 1.0) + 1.0) * self.half)
         j, f_b = self.sine_nodes.cell((dr.clip(b, -1.0, 1.0) + 1.0) * self.half)
         start = k * self.strides[0] + i * self.strides[1] + j * self.strides[2]
+        node = self._node(wi) * self.wave_count
         value, density = mi.UnpolarizedSpectrum(0.0), mi.Float(0.0)
         lines = dr.size_v(mi.UnpolarizedSpectrum)
         for line in range(lines):
@@ -130,18 +132,15 @@ class RidgeTablePlugin(LobePlugin[RidgeTable]):
                     rows.append(dr.lerp(ends[0], ends[1], f_b))
                 planes.append(dr.lerp(rows[0], rows[1], f_a))
             value[line] = dr.lerp(planes[0], planes[1], f_c)
-            p_0, p_1 = self._ends(self._row(a, c, low, part), j, active)
+            p_0, p_1 = self._ends(node + _nearest(low, part), j, active)
             density = density + dr.lerp(p_0, p_1, f_b) / lines
         return value * (self.fill * gauss) & active, dr.select(active, density * self.half * gauss, 0.0)
 
-    def _node(self, a: Any, c: Any) -> Any:
-        """Return the number of the node nearest to a light direction."""
-        k = mi.UInt32(dr.round(dr.clip(c, 0.0, 1.0) * self.along_nodes.last))
-        return k * self.sine_count + mi.UInt32(dr.round((dr.clip(a, -1.0, 1.0) + 1.0) * self.half))
-
-    def _row(self, a: Any, c: Any, low: Any, part: Any) -> Any:
-        """Return the nearest node and wavelength, as numbers."""
-        return self._node(a, c) * self.wave_count + low + dr.select(part > 0.5, mi.UInt32(1), 0)
+    def _node(self, wi: Any) -> Any:
+        """Return the number of the node nearest to a light direction, for light mirrored along the ridges."""
+        c, chord = _along(wi.y, -wi.y)
+        k = mi.UInt32(dr.round(c * self.along_nodes.last))
+        return k * self.sine_count + mi.UInt32(dr.round((dr.clip(wi.x / chord, -1.0, 1.0) + 1.0) * self.half))
 
     def _ends(self, row: Any, cell: Any, active: Any) -> tuple[Any, Any]:
         """Return the density at both ends of a cell."""
@@ -151,8 +150,7 @@ class RidgeTablePlugin(LobePlugin[RidgeTable]):
     def choice_weight(self, si: Any, active: Any) -> Any:
         """Return the reflected light, averaged over wavelengths, at the nearest node."""
         wi = rotated_frame(self.rotation, si, active)(si.wi, True)
-        c, chord = _along(wi.y, -wi.y)
-        return dr.select(wi.z > 0.0, read(self.albedo, self._node(wi.x / chord, c), active), 0.0)
+        return dr.select(wi.z > 0.0, read(self.albedo, self._node(wi), active), 0.0)
 
     def update(self, lobe: RidgeTable) -> None:
         """Replace the data.
@@ -174,3 +172,8 @@ def _along(y_i: Any, y_o: Any) -> tuple[Any, Any]:
     """Return c and sqrt(1 - c^2)."""
     c = dr.minimum(0.5 * dr.abs(y_i - y_o), 1.0)
     return c, dr.sqrt(dr.maximum(1.0 - c * c, LEAST_CHORD**2))
+
+
+def _nearest(low: Any, part: Any) -> Any:
+    """Return the nearer of a wavelength cell's two nodes."""
+    return low + dr.select(part > 0.5, mi.UInt32(1), 0)
