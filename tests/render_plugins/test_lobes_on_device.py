@@ -34,9 +34,7 @@ RECIPROCITY_TOLERANCE = 1e-4  # single precision at both ends
 WEIGHT_TOLERANCE = 2e-3  # of 99.9 % of the draws; narrow combs round at the per-mille level
 CHI_SQUARE_LEVEL = 0.01  # the bar, after Sidak
 CHI_SQUARE_DOUBT = 0.5  # of a count's standard deviation: what the integral of a cell may be unsure of
-EDGE_DOUBT = 2.0  # where the density ends within the hemisphere; its few cells then add at most 4 each to a chi-squared of 270
-    1.0  # where the density ends within the hemisphere: a few of 270 cells, so chi-squared grows by less than 1 %
-)
+EDGE_DOUBT = 2.0  # where the density ends within the hemisphere: a few cells add at most 4 to a chi-squared of 270
 FURNACE_TOP = 1.002  # the bar
 GRID = np.arange(360.0, 831.0, 10.0)
 
