@@ -58,7 +58,7 @@ def test_a_shallow_relief_looks_the_same_by_both_theories() -> None:
     assert found == pytest.approx(found.reshape(21, 21, 3)[:, ::-1].reshape(-1, 3), abs=1e-9)
 
 
-@pytest.mark.parametrize("levels", [0, 6])
+@pytest.mark.parametrize("levels", [0, 6, 126])
 def test_heights_move_towards_the_target(levels: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The picture of this stand-in is that of the target at heights of 60 and 20."""
     asked = problem(2, levels=levels)

@@ -225,3 +225,10 @@ def test_a_grating_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UnsupportedError):
         nacre.export(made, "lut", tmp_path / "t")
     assert not (tmp_path / "t").exists()
+
+
+def test_a_compiled_film_is_exported_as_its_recipe(tmp_path: Path) -> None:
+    film = nacre.material(FILMS["opaque"])
+    film.bsdf(np.arange(380.0, 781.0, 20.0)).save(tmp_path / "film.nacre")
+    nacre.export(nacre.load(tmp_path / "film.nacre"), "lut", tmp_path / "t")
+    assert manifest(tmp_path / "t")

@@ -11,7 +11,7 @@ from numpy import nan
 
 import nacre
 from nacre.bsdf.grids import direction
-from nacre.core.errors import NacreError
+from nacre.core.errors import NacreError, UnsupportedError
 from nacre.measure.spectrum import directional_hemispherical
 
 REFERENCE = Path(__file__).resolve().parents[3] / "shared" / "reference" / "anisotropic" / "anisotropic_open.npz"
@@ -383,3 +383,17 @@ def test_an_azimuth_that_is_not_finite_is_refused() -> None:
         nacre.spectrum(made, 30.0, [500.0], "mueller", azimuth_deg=nan)
     with pytest.raises(NacreError):
         nacre.ellipsometry(made, [70.0], [500.0], nan)
+
+
+def test_a_rough_anisotropic_film_is_a_mirror_part_of_pictures() -> None:
+    from nacre.picture.picture import resolve_material
+
+    layer = {
+        "material": {"ordinary": {"n": 1.5}, "extraordinary": {"n": 2.2}, "axis_polar_deg": 90},
+        "thickness_nm": 300,
+    }
+    film = nacre.material({"family": "film", "substrate": "Ag", "layers": [layer], "surface": {"roughness": 0.2}})
+    bsdf, _ = resolve_material(film.bsdf(np.array([450.0, 550.0, 650.0])), None, "specular")
+    assert [lobe.kind for lobe in bsdf.lobes] == ["aligned-microfacet"]
+    with pytest.raises(UnsupportedError):
+        resolve_material(bsdf, None, "diffuse")

@@ -12,7 +12,7 @@ import nacre
 from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.ridge_table import RidgeTable
 from nacre.cli import run
-from nacre.core.errors import NacreError
+from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.film.supercells import SupercellFilm
 from nacre.light import delta_e_2000
 from nacre.matter.periodic.ridge_tables import ALONG, ridge_table, solved_case, solved_wavelengths
@@ -172,3 +172,10 @@ def test_the_wing_is_that_of_its_supercells() -> None:
     away = delta_e_2000(colours(views, views[0]), colours(found, views[0]))
     assert np.all(away <= LIMIT_DE00), away
     assert ours.half_deg(BLUE) == pytest.approx(fan.half_deg(BLUE), abs=LIMIT_DEG)
+
+
+def test_a_base_below_an_opaque_substrate_is_refused() -> None:
+    film = {"family": "film", "preset": "morpho", "substrate": "Ag", "base": {"albedo": 0.3}}
+    for optics in ("scalar", "vector"):
+        with pytest.raises(UnsupportedError, match="base.albedo"):
+            nacre.material({**film, "ridges": {"optics": optics}}).bsdf(np.array([550.0]))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from nacre.core.errors import NacreError
+from nacre.readers.measurement import ReadOptions
 from nacre.readers.preamble import read_preamble
 from nacre.readers.registry import open_file
 
@@ -23,6 +24,9 @@ from nacre.readers.registry import open_file
         (["theta,0.5 rad"], np.degrees(0.5), ""),
         (["Temperature at 25 deg C", "Polarizer angle: 90"], None, ""),
         (["AOI = 45", "AOI = 60"], None, ""),
+        (["Polarizer at 45 deg, integrating sphere"], None, ""),
+        (["film's polarisation study, sample rotated at 30 deg"], None, ""),
+        (["sample rotated by 90 deg, incidence 8 deg"], 8.0, ""),
     ],
 )
 def test_lines_above_a_table(lines: list[str], angle_deg: float | None, polarisation: str) -> None:
@@ -48,6 +52,21 @@ def test_a_heading_takes_precedence_over_the_lines_above(tmp_path: Path) -> None
     path.write_text("AOI: 45 deg\n" + rows("wavelength (nm),Rs 60°"))
     (found,) = open_file(path)
     assert found.metadata["angle_of_incidence_deg"] == 60.0 and found.metadata["polarisation"] == "s"
+
+
+@pytest.mark.parametrize("heading", ["wavelength (nm),R", "wavelength (nm),Reflectance (%)"])
+def test_an_angle_of_the_user_takes_precedence(heading: str, tmp_path: Path) -> None:
+    path = tmp_path / "m.csv"
+    path.write_text("AOI: 45 deg\n" + rows(heading))
+    (found,) = open_file(path, ReadOptions(angle_deg=8.0))
+    assert found.metadata.get("angle_of_incidence_deg", 8.0) == 8.0
+
+
+@pytest.mark.parametrize("heading", ["50x objective reflectance (%)", "reflectance mix 2"])
+def test_a_magnification_is_no_scale(heading: str, tmp_path: Path) -> None:
+    path = tmp_path / "m.csv"
+    path.write_text(rows(f"wavelength (nm),{heading}"))
+    assert "reflectance" in open_file(path)[0].data
 
 
 @pytest.mark.parametrize("heading", ["wavelength (nm),R", "wavelength (nm),Rs"])

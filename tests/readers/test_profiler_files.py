@@ -342,3 +342,11 @@ def test_surface_data_with_decimal_commas(tmp_path: Path) -> None:
     (found,) = open_file(path)
     np.testing.assert_allclose(found.data["height_um"], HEIGHTS)
     np.testing.assert_allclose(found.metadata["pitch_um"], PITCH)
+
+
+def test_a_keyence_table_without_calibration_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "k.csv"
+    path.write_text('"Measure date","2020"\n"Output image data","Height"\n"XY Calibration"\n"Unit","um"\n1,2\n3,4\n')
+    with pytest.raises(NacreError) as caught:
+        open_file(path)
+    assert "k.csv" in str(caught.value) and "\n" not in str(caught.value)

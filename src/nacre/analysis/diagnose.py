@@ -270,7 +270,8 @@ class _Likelihood:
         self.samples, self.seed = samples, seed
         self.points = sum(np.size(each.values) for each in observations)
         self._make = material.parametrise(t.path for cause in causes for t in cause.tolerances)
-        self._batches: dict[tuple[int, ...], StackBatch | None] = {}
+        # with the observations, so that no other object takes their ids
+        self._batches: dict[tuple[int, ...], tuple[tuple[Observation, ...], StackBatch | None]] = {}
 
     @property
     def largest_chi2(self) -> float:
@@ -296,8 +297,9 @@ class _Likelihood:
         """Return the stacks of all points at once, if thicknesses of a smooth film alone deviate."""
         key = tuple(map(id, observations))
         if key not in self._batches:
-            self._batches[key] = stack_batch(self._make, self.causes, observations, self._simulated)
-        return self._batches[key]
+            found = stack_batch(self._make, self.causes, observations, self._simulated)
+            self._batches[key] = tuple(observations), found
+        return self._batches[key][1]
 
     def residual(self, factors: Array) -> Array:
         """Return the normalised residuals `[value]`, or `[point, value]` of factors `[point, cause]`."""

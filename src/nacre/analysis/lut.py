@@ -41,7 +41,7 @@ from nacre.formats.lut.write import as_png
 from nacre.light import delta_e_2000, spectrum_to_rgb_matrix, srgb_linear_to_xyz, xyz_to_lab
 from nacre.light.tables import Illuminant, illuminant
 from nacre.light.tristimulus import weighted_sum
-from nacre.material.material import Material
+from nacre.material.material import Material, StoredBsdf
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
 from nacre.measure.gloss import Gloss, find_gloss
 from nacre.measure.wavelengths import colour_bsdf
@@ -481,6 +481,8 @@ def _refuse_early(material: Material) -> None:
     Raises:
         UnsupportedError: tables cannot represent them.
     """
+    if isinstance(material.model, StoredBsdf):  # solved already, on its own wavelengths
+        return
     grid = material.model.wavelengths_nm
     middle = grid[len(grid) // 2 : len(grid) // 2 + 1]
     _refuse(_without_azimuth(material.at_low_fidelity(is_reported=True).bsdf(middle)))

@@ -97,7 +97,7 @@ def may_be_stored(folder: Path, name: str) -> bool:
     The file may be of another version. Numba itself is not imported.
     """
     given = os.environ.get("NUMBA_CACHE_DIR")
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser(), "numba")
+    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "numba")
     return any(
         any(place.rglob(f"{name}-*.nbi")) for place in ([Path(given)] if given else [folder / "__pycache__", home])
     )

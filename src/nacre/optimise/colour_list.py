@@ -126,6 +126,8 @@ def _file_rows(path: Path, targets: int, light: tuple[str, str] | None, geometri
     try:
         text = decode(data)
         named_hex = _hex_rows(path, list(_cells(text)), targets, light or DEFAULT_LIGHT)
+        if len(named_hex) > MAX_ROWS:
+            raise NacreError(f"{path}: contains {len(named_hex)} rows; at most {MAX_ROWS} are allowed")
         if named_hex:
             return named_hex
         table = _headed(path, text)

@@ -45,7 +45,7 @@ from nacre.picture.polarisers import STOKES
 from nacre.picture.scenes.catalogue import scene as find_scene
 from nacre.recipe.fingerprint import file_stamp
 
-MIRROR_KINDS = ("specular", "microfacet")
+MIRROR_KINDS = ("specular", "microfacet", "aligned-specular", "aligned-microfacet")
 CACHED_SCENES = 3
 
 _P = ParamSpec("_P")

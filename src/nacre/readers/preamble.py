@@ -20,7 +20,11 @@ _AT_ANGLE = re.compile(
     rf"|{_DEGREES}\s*(?:\baoi\b|angle of incidence|incidence)",
     re.IGNORECASE,
 )
-_POLARISED = re.compile(r"\b(s|p|TE|TM|un)[-\s]?(?:pol(?:\.|\b)|polari[sz](?:ed|ation))")
+_OTHER_ANGLE = re.compile(
+    r"polari[sz]er|analy[sz]er|azimuth|rotat|turned|detect|view|collect|retarder|plate", re.IGNORECASE
+)
+_INCIDENCE = re.compile(r"aoi|inciden|einfall", re.IGNORECASE)
+_POLARISED = re.compile(r"(?<!['’])\b(s|p|TE|TM|un)[-\s]?(?:pol(?:\.|\b)|polari[sz](?:ed|ation))")
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,11 @@ def _angles(text: str) -> list[float]:
         if value and "angle_of_incidence" in stated:
             angle, unit = float(value[1].replace(",", ".")), value[2] or stated["angle_of_incidence"] or "deg"
             return [float(np.degrees(angle)) if unit.startswith("rad") else angle]
-    return [float((found[1] or found[2]).replace(",", ".")) for found in _AT_ANGLE.finditer(text)]
+    return [
+        float((found[1] or found[2]).replace(",", "."))
+        for found in _AT_ANGLE.finditer(text)
+        if _INCIDENCE.search(found[0]) or not _OTHER_ANGLE.search(text[: found.start()])
+    ]
 
 
 def _polarisations(text: str) -> list[str]:

@@ -306,7 +306,8 @@ def spectra(table: TextTable, options: ReadOptions) -> list[Measurement]:
             f"columns are {table.shown_headings}"
         )
     above = read_preamble(table.titles)
-    stated_angle = above.angle_deg if angle is None and all(key[1] is None for key in groups) else None
+    is_open = angle is None and options.angle_deg is None and all(key[1] is None for key in groups)
+    stated_angle = above.angle_deg if is_open else None
     stated_word = above.polarisation if words is None and not any(key[0] for key in groups) else ""
     if stated_angle is not None or stated_word:
         columns.assumed.append(f"angle or polarisation from {' and '.join(map(repr, above.lines))}")

@@ -151,7 +151,8 @@ def solved_table(
     by_path = {number["path"]: number for number in numbers}
     if axis == "auto":
         axis = next((path for path in by_path if path.endswith("thickness_nm")), "")
-        if axis and any(isinstance(lobe, Microfacet) and over_azimuth(lobe) for lobe in material.bsdf().lobes):
+        is_film = material.data.get("family") == "film"  # others have no brushed interface, and are slow to solve
+        if axis and is_film and any(isinstance(e, Microfacet) and over_azimuth(e) for e in material.bsdf().lobes):
             axis = ""  # a table varies over the azimuth of a brushed film, or over a number
     if not axis:
         return make_table(material, progress=progress), ""

@@ -159,6 +159,17 @@ class Film(Model, Polarised):
             return is_transparent(self.substrate.indices(wavelengths_nm))
         return is_transparent(self.substrate.n_complex(wavelengths_nm))
 
+    def _refuse_hidden_base(self, transmits: bool) -> None:
+        """Check that a diffuse base lies below a transparent substrate.
+
+        Raises:
+            UnsupportedError: the substrate hides it.
+        """
+        if self.base_albedo > 0 and not transmits:
+            raise UnsupportedError(
+                f'base.albedo = {self.base_albedo:g} does not show through the opaque substrate "{self.substrate.name}"'
+            )
+
     @cached_property
     def wavelengths_nm(self) -> Array:
         """Default grid: the step follows the optical thickness, and is halved until colours converge."""
@@ -264,10 +275,7 @@ class Film(Model, Polarised):
         """
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         tables = self.tables(lam)
-        if self.base_albedo > 0 and not tables.transmits:
-            raise UnsupportedError(
-                f'base.albedo = {self.base_albedo:g} does not show through the opaque substrate "{self.substrate.name}"'
-            )
+        self._refuse_hidden_base(tables.transmits)
         varies_visibly = isinstance(tables, AnisotropicTables) and tables.varies_visibly(self._middle_nm)
         if varies_visibly and not (self._varying or self.base_albedo > 0 or tables.flipped):
             return self._aligned(cast("AnisotropicTables", tables))

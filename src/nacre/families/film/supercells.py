@@ -55,9 +55,11 @@ class SupercellFilm(Film):
         Raises:
             MaterialRangeError: an optical constant is not known at a wavelength.
             NotConvergedError: the layers need more orders than are solved, as metals do.
+            UnsupportedError: an opaque substrate hides the diffuse base.
         """
         lam = self.wavelengths_nm if wavelengths_nm is None else np.asarray(wavelengths_nm, dtype=float)
         assert self.ridges is not None
+        self._refuse_hidden_base(self.transmits(lam))
         grid = solved_wavelengths(lam)
         cases = self.cases(grid)
         worst = truncation_error(cases[len(cases) // 2])

@@ -107,7 +107,7 @@ def refine(
     first = exact_losses(rgb, problem.target, problem.intensity_scale)
     count, step = 1, FIRST_STEP * top if grid is None else float(grid[1])
     try:
-        while step >= LAST_STEP * top:
+        while grid is not None or step >= LAST_STEP * top:  # on levels it ends when none improves
             improved = False
             for k, sign in ((k, sign) for k in range(len(values)) for sign in (1.0, -1.0)):
                 if seconds is not None and time.monotonic() - start > seconds:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import logging
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -28,6 +29,8 @@ from nacre.optimise.solutions import claim
 from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, validate
 from nacre.recipe.toml import dump_toml, parse_toml
+
+logger = logging.getLogger("nacre")
 
 # reserved from the time limit for the final measurement and the report
 FINAL_SHARE, FINAL_MAX_S = 0.15, 3.0
@@ -153,7 +156,10 @@ def design(
     heights_nm = best * problem.height_max_nm
     refined = None
     if coating is not None and search.stop_reason != "interrupted":
-        refined = refine(problem, heights_nm, coating, limit)
+        try:
+            refined = refine(problem, heights_nm, coating, limit)
+        except (NacreError, KeyboardInterrupt) as error:  # the scalar design stays
+            logger.warning("%s: not refined: %s", folder, error or "interrupted")
     if refined is not None:
         heights_nm, best = refined.heights_nm, refined.heights_nm / problem.height_max_nm
     final_start = time.monotonic()

@@ -71,7 +71,9 @@ def _csv(path: Path, text: str) -> Measurement:
     kind = next((value[0] for key, value in keys.items() if key.startswith("output")), "Height")
     if "height" not in kind.lower():
         raise NacreError(f"{path}: is a CSV file of Keyence with {kind[:30]}, no heights")
-    calibration = next(value for key, value in keys.items() if CALIBRATION.match(key))
+    calibration = next((value for key, value in keys.items() if CALIBRATION.match(key)), [])
+    if not calibration:
+        raise ValueError("its head lacks the values of XY Calibration")
     lateral = length_um((calibration[1] if len(calibration) > 1 else "").split("/")[0])
     vertical = length_um(next((value[0] for key, value in keys.items() if key == "unit"), ""))
     if lateral is None or vertical is None:

@@ -44,8 +44,8 @@ _FACTOR = re.compile(r"[\[(]\s*(?:1|0-1|-)\s*[\])]|factor\b|fraction")
 # functions of a reflectance, and scales that are not read
 _OTHER_SCALE = re.compile(
     r"^1\s*-|\b[rt]\s*/\s*[a-z]|\bdb\b|‰|per ?mill?e|\bpp[mt]\b|"
-    r"[x×*]\s*\d|\d\s*[x×*]|10\s*\^|\blog(?:10)?\b|\bln\b|\bsqrt\b|\bdelta\b|"
-    r"[δ∆]|deriv|\bchange\b|normali[sz]|\ba\.\s?u\b|\barb"
+    r"(?:^|[^a-z])[x×*]\s*10+\b|[a-z]\s*[×*]\s*10+\b|\b10+\s*[x×*]\s*[rt]|10\s*\^|\blog(?:10)?\b|\bln\b|\bsqrt\b|"
+    r"\bdelta\b|[δ∆]|deriv|\bchange\b|normali[sz]|\ba\.\s?u\b|\barb(?:\b|itr)"
 )
 _POWER = re.compile(r"reflect|r[ée]fle[ck]|transmi|absorptance|(?<![a-z])[rt](?![a-z])|反射率|透過率")
 _LOG_INVERSE = re.compile(r"log\s*\(?\s*1\s*/\s*[rt]")  # absorbance

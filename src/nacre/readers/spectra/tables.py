@@ -110,6 +110,8 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     else:
         found_spectra = _columns(path, common.complete(path, block), names, metadata, options, notes)
     above = read_preamble(text.lines[: block.start])
+    if options.angle_deg is not None:  # the user's statement precedes
+        above = replace(above, angle_deg=None)
     return common.choose(path, [with_preamble(each, above) for each in found_spectra], options)
 
 
