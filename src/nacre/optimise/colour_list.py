@@ -169,7 +169,7 @@ def _check_scale(lab: Array, path: Path) -> None:
 
 
 def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, light: tuple[str, str]) -> list[ColourRow]:
-    """Return sRGB colours under a heading "hex", also without # or of three digits; empty for another list."""
+    """Return the colours in a column "hex", with or without #, three or six digits; empty if there is none."""
     heading = lines[0][1] if lines else []
     places = [i for i, cell in enumerate(heading) if any(each.quantity == "hex" for each in meanings(cell))]
     if len(places) != 1 or any(len(cells) <= places[0] for _, cells in lines):
