@@ -40,9 +40,10 @@ def page() -> str:
 
     lines = [
         "# File formats", "",
-        "Formats that `nacre read`, recipes, targets and fits recognise by content. *Real files* counts files of instruments "
-        "and programs with an independent reading, which the tests read or refuse by name; small files of the same form are "
-        "tested for each format. *Further files* were tried once and are not in the tests: public source packages contain them. "
+        "Formats that `nacre read`, recipes, targets and fits recognise by content. *Real files* counts files of "
+        "instruments and programs with an independent reading, which the tests read or refuse by name; small files of "
+        "the same form are tested for each format. *Further files* were tried once and are not in the tests: public "
+        "source packages contain them. "
         "{doc}`/howto/read` says how to read and how to add a format.", "",
     ]  # fmt: skip
     for kind, title in KINDS.items():

@@ -1,8 +1,8 @@
 """What `model.correction = "auto"` stands on: the mean field of discs, spheroids and mixtures against the ensemble.
 
-The solutions are nacre's own (endless patterns of 130 particles of order 2), which are set against another code's in
-`metasurface_ensembles`. The distance is that of the physics note, section 10.9: relative L2 over the viewing angle, the
-mean over incidences and polarisations, of light sent up. Where "auto" takes the mean field it must be within the bar.
+The solutions are nacre's own (periodic patterns of 130 particles, multipoles to order 2); `metasurface_ensembles`
+compares them with another code. The error is the relative L2 error over the viewing angle of the light scattered
+upward, averaged over incidences and polarisations. If "auto" selects the mean field, its error must be within the bar.
 """
 
 from __future__ import annotations

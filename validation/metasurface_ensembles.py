@@ -1,11 +1,11 @@
 """The ensemble inside a metasurface against multi-sphere solutions of another code, and against itself doubled.
 
-The solutions (shared reference, systems B-F: silver and silicon, on glass and on oxide, coverage .1 and .2, packing .1
-to .5) have spheres of order 2, 30 patterns. The distance is that of the physics note, section 10.9.
+The solutions (shared reference, systems B-F: silver and silicon, on glass and on oxide, coverage 0.1 and 0.2, packing
+0.1 to 0.5) have multipoles to order 2 and 30 patterns. The error is a relative L2 error over the viewing angle.
 
-They are of discs in free surroundings, of 130 to 151 spheres, whose edges send out more near grazing than an endless
-layer has to give: by some 3.3 / sqrt(spheres) in C at 75 degrees, which is no error of either. So they are met in two
-ratio_directions: by the endless layer, and like for like, by as many spheres as each of them has.
+The reference solves finite circular clusters of 130 to 151 spheres. Their edges radiate more near grazing than an
+infinite layer does, by about 3.3 / sqrt(spheres) in C at 75 degrees, which is an error in neither code. Therefore they
+are compared in two ways: with the infinite layer, and with clusters of the same number of spheres.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Mixtures: the mean field with one pair correlation for both kinds, against multi-sphere solutions of real mixtures.
 
-Balanced as it is by default, and with the light that neighbours pass on (the ladder).
+The mean field has the default energy balance, and for comparison multiple scattering between neighbours (the ladder).
 
-The solutions are nacre's own (endless patterns of 130 spheres of order 2), whose pairs at unlike heights are tested
-against another code. They in turn are set against discs of 130 spheres in free surroundings, solved without any model.
-The distance is that of the physics note, section 10.9: relative L2 over the viewing angle, the mean over incidences and
-polarisations, of light sent up.
+The solutions are nacre's own (periodic patterns of 130 spheres, multipoles to order 2); the coupling of two spheres at
+different heights is tested against another code. They are also compared with direct solutions of finite circular
+clusters of 130 spheres. The error is the relative L2 error over the viewing angle of the light scattered upward,
+averaged over incidences and polarisations.
 """
 
 from __future__ import annotations

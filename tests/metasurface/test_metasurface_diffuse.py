@@ -89,7 +89,7 @@ def test_lossless_monolayers_lose_no_light(substrate, packing):
 
 @pytest.mark.parametrize("packing", [0.1, 0.5])
 def test_absorption_closes_the_energy_of_a_lossy_layer(packing):
-    """The absorbed power from the multipoles themselves, note section 10.12."""
+    """The absorbed power is computed from the multipoles themselves."""
     layer = monolayer(450.0, 75.0, 0.05 + 2.6j, 1.0, 0.1, packing, lmax=4)
     theta = np.array([0.0, 0.5, 0.96, 1.3])
     total, _ = _solved(layer, theta)

@@ -130,7 +130,7 @@ def test_fresnel_is_that_of_aluminium() -> None:
     n = index("Al").n_complex(np.array([550.0]))
     values = fresnel_reflectance(np.cos(np.radians([0, 30, 45, 60, 75])), n)[:, 0]
     assert 0.90 < values[0] < 0.93
-    # the changes with angle of the physics note, section 11.2, which took another table of n and k
+    # relative changes with the angle, computed from another table of n and k
     assert np.allclose(100 * (values[1:] / values[0] - 1), [-0.1, -0.4, -1.6, -4.7], atol=0.3)
     glass = fresnel_reflectance(np.array([1.0]), np.array([1.5 + 0j]))
     assert abs(glass[0, 0] - 0.04) < EXACT

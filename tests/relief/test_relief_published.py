@@ -15,7 +15,7 @@ from nacre.optimise.relief.target import TargetSpec
 from nacre.recipe.model import RecipeContext, validate
 
 ROOT = Path(__file__).resolve().parents[2]
-CHECK_VALUES = {0: 0.01064, 3: 0.02983, 7: 0.05224, 12: 0.05660, 15: 0.03572, 17: 0.2399}  # note, section 11.6
+CHECK_VALUES = {0: 0.01064, 3: 0.02983, 7: 0.05224, 12: 0.05660, 15: 0.03572, 17: 0.2399}
 
 
 def script(folder: str, name: str) -> ModuleType:

@@ -123,7 +123,7 @@ class EllipsometryData:
         ]
 
     def mse(self, residual: Array, parameters: int) -> float:
-        """Return sqrt(sum(residual^2) / (values - parameters)) / 0.001, the figure of ellipsometer programs."""
+        """Return sqrt(sum(residual^2) / (values - parameters)) / 0.001, which ellipsometer programs call MSE."""
         freedom = max(1, residual.size - parameters)
         return float(np.sqrt(np.sum(residual**2) / freedom) / MSE_UNIT)
 

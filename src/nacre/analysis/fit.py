@@ -90,10 +90,11 @@ class FittedPart:
     """Agreement with one file.
 
     Attributes:
-        name, kind: of the measurement.
+        name, kind: name and kind of the measurement.
         rms: root mean square of the residual.
-        relative_rms: relative to the measured rms.
-        mse: mean squared error of N, C, S as ellipsometer programs state it (unit 0.001); None for other data.
+        relative_rms: rms divided by the root mean square of the measured values.
+        mse: root mean squared error in N, C and S divided by 0.001, which ellipsometer programs call MSE; None for
+            other data.
     """
 
     name: str

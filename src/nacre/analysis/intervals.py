@@ -101,7 +101,7 @@ def profile_interval(residuals: Residuals, end: LocalMinimum, index: int, half_w
 
 
 def _crossing(loss: Callable[[float], float], centre: float, sign: float, half_width: float, limit: float) -> float:
-    """Return where a loss passes its limit on one side of the minimum, or the bound."""
+    """Return the point on one side of the minimum at which the loss reaches its limit, at most the bound."""
     bound = 1.0 if sign > 0 else 0.0
     inside, outside = centre, None
     step = min(max(half_width, 1e-6), 0.5)

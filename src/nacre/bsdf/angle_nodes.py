@@ -173,7 +173,7 @@ def _curvature_error(nodes: _Nodes) -> float:
 
 
 def response_error(response: InterfaceResponse) -> float:
-    """Return the same estimate for an interface that was tabulated elsewhere: the largest error of R or T."""
+    """Estimate the largest interpolation error in R or T for a tabulated interface, from second differences."""
     width = np.rint(np.diff(response.cos_outside) * UNITS)
     tables = (response.reflectance, response.transmittance, response.reflectance_inside)
     return max(_second_difference_error(width, np.moveaxis(table, -2, 0)) for table in tables)

@@ -177,7 +177,9 @@ def _albedo(
     """Return the single-bounce directional albedo `[direction, 1 or wavelength]` from one side.
 
     Args:
-        tables: R, T outside and R, T inside `[cos, wavelength]`; default: perfectly reflecting facets.
+        directions: `[direction, 3]`, unit vectors to the light.
+        tables: facet R, T from outside and R, T from inside, `[cos, wavelength]`; default: perfectly reflecting facets.
+        inside: whether the light comes from inside the medium.
     """
     response = lobe.response
     nodes = FACET_NODES if lobe.alpha_x == lobe.alpha_y else FACET_NODES_ANISOTROPIC

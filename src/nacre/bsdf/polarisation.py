@@ -84,9 +84,9 @@ class InterfacePolarisation:
             raise ValueError("eta or the transmitted part is inconsistent")
 
     def compact(self) -> InterfacePolarisation:
-        """Return the tables in single precision, as the renderer has them, without the refined powers.
+        """Return the tables for storage: single precision as in the renderer, without the refined R and T.
 
-        Tables of isotropic interfaces have every second, fourth or eighth cosine if they are large.
+        Large tables for isotropic interfaces are thinned to every second, fourth or eighth cosine.
         """
         tables = {name: getattr(self, name) for name in REGIONS}
         size, step = sum(0 if table is None else table.size for table in tables.values()), 1

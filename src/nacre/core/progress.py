@@ -72,7 +72,7 @@ def progress_bar(title: str, wanted: bool | ProgressCallback | None) -> Iterator
 
 
 def _is_notebook() -> bool:
-    """Whether this process is a notebook's kernel, without importing anything of its."""
+    """Whether this process is the kernel of a notebook; IPython is not imported for the test."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     return type(shell).__name__ == "ZMQInteractiveShell"

@@ -38,13 +38,16 @@ class BilinearDensity:
         self.rows, self.size = rows, (faces, height, width)
 
     def sample(self, row: Any, part: Any, number: Any, square: Any, active: Any) -> tuple[Any, Any, Any, Any]:
-        """Return the face, x and y in [0, 1], and the unused part of `number`, again uniform to some bits.
+        """Draw a unit square and a point in it.
+
+        Returns the index of the square, x and y in [0, 1], and a uniform number that is made from the unused bits of
+        `number`, with lower precision.
 
         Args:
-            row: the lower row, at most `rows - 2`.
-            part: fraction above it, in [0, 1].
-            number: uniform.
-            square: two uniform numbers.
+            row: the lower of the two mixed rows, at most `rows - 2`.
+            part: weight of the upper row, in [0, 1].
+            number: uniform in [0, 1), for the square and the node.
+            square: two uniform numbers, for the point about the node.
             active: mask.
         """
         faces, height, width = self.size

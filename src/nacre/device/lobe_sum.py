@@ -27,7 +27,7 @@ def update_lobes(target: Any, lobes: Sequence[Lobe]) -> None:
         UnsupportedError: number, kinds or shapes of the lobes differ: build the scene again.
     """
     if [lobe.kind for lobe in lobes] != [plugin.kind for plugin in target.plugins]:
-        raise UnsupportedError("the material's lobes changed in number or kind; build the scene again")
+        raise UnsupportedError("the number or kind of the material's lobes changed; build the scene again")
     for plugin, lobe in zip(target.plugins, lobes, strict=True):
         plugin.update(lobe)
 

@@ -16,11 +16,11 @@ from nacre.device.plugin import aligned, opaque
 
 
 class PackedSeries:
-    """A table `[row, number, wavelength]` as words `[row, wavelength, packet, word]`.
+    """Series coefficients `[row, number, wavelength]`, packed in integers `[row, wavelength, packet, word]`.
 
     Attributes:
         words: 32-bit words per packet.
-        units: unit of each number, a factor on its harmonic.
+        units: quantisation step of each coefficient; its harmonic is multiplied by it.
     """
 
     def __init__(self, rows: NDArray[np.float32], packets: int) -> None:

@@ -186,7 +186,7 @@ class DeviceParameters:
         """
         sizes = tuple(len(axis.values) for axis in parameters)
         if [n > 1 for n in sizes] != [n > 1 for n in self.sizes]:
-            raise UnsupportedError("the texture-driven parameters changed in number; build the scene again")
+            raise UnsupportedError("the number of texture-driven parameters changed; build the scene again")
         self.sizes = sizes
         for device, axis in zip(self.textures, parameters, strict=True):
             device.update(axis.texture)

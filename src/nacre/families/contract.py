@@ -183,9 +183,9 @@ class DirectEvaluation(abc.ABC):
 
     @abc.abstractmethod
     def values_at(self, wi: Array, wo: Array, wavelengths_nm: Array) -> Array | None:
-        """Return the value of `bsdf` at pairs `[pair, 3]`, `[pair, wavelength]`, without delta lobes.
+        """Evaluate `bsdf` at direction pairs `[pair, 3]`, without delta lobes; return `[pair, wavelength]`.
 
-        None for pairs that need the whole Bsdf.
+        None if any pair can only be evaluated with the whole Bsdf.
         """
 
 

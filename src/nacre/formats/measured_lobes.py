@@ -123,7 +123,7 @@ def _spread_words(points: Array, spread: float) -> str:
 def _on_turns(
     points: Array, values: Array, wavelengths_nm: Array, name: str, remarks: list[str]
 ) -> tuple[TableLobe, list[str]]:
-    """Return the table of an anisotropic sample: one grid per light azimuth.
+    """Return the table for an anisotropic sample: one direction grid per azimuth of incidence.
 
     Raises:
         UnsupportedError: the azimuths have different grids of directions.

@@ -261,7 +261,12 @@ def uniform_part(area: Area, pixels: Pixels) -> float:
 
 
 def _numbers(chance: float, excess: float) -> tuple[float, float, float]:
-    """Return intensity, area and grade from the share of sparkling pixels and their excess times that share."""
+    """Return the intensity, the area in percent and the grade of sparkle.
+
+    Args:
+        chance: fraction of pixels that sparkle.
+        excess: their mean luminance above the field, times `chance`.
+    """
     intensity = excess / chance if chance > 0 else 0.0
     return intensity, 100.0 * chance, intensity * math.sqrt(chance)
 

@@ -152,26 +152,26 @@ def _file_rows(path: Path, targets: int, light: tuple[str, str] | None, geometri
 
 
 def _check_scale(lab: Array, path: Path) -> None:
-    """Check that numbers are CIELAB and no other scale of it.
+    """Check that the numbers are CIELAB in the usual scale.
 
     Raises:
-        RecipeError: all colours have the range of Lab from 0 to 1, or of 8 bits.
+        RecipeError: all colours lie in the range that CIELAB has when scaled to 0..1 or to 8 bits.
     """
     if not len(lab):
         return
     if 0.0 < lab[:, 0].max() <= 1.0 and np.abs(lab[:, 1:]).max() <= 1.0:
         raise RecipeError(
-            f"{path}: L* is at most 1 in all rows, almost black; L* runs from 0 to 100, a* and b* likewise"
+            f"{path}: all numbers are at most 1, almost black; give L* from 0 to 100, a* and b* in the same scale"
         )
     if lab[:, 1:].min() >= LEAST_OF_8_BITS:
         raise RecipeError(
-            f"{path}: a* and b* are at least {LEAST_OF_8_BITS:g} in all rows; values of 8 bits, whose neutral is 128, "
-            "are not read: L* = 100/255 of the first, a* and b* are the others less 128"
+            f"{path}: a* and b* are at least {LEAST_OF_8_BITS:g} in all rows, as in 8-bit CIELAB; multiply the first "
+            "number by 100/255 and subtract 128 from the other two"
         )
 
 
 def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, light: tuple[str, str]) -> list[ColourRow]:
-    """Return sRGB colours under a heading "hex", also without # or of three digits; empty for another list."""
+    """Return the colours in a column "hex", with or without #, three or six digits; empty if there is none."""
     heading = lines[0][1] if lines else []
     places = [i for i, cell in enumerate(heading) if any(each.quantity == "hex" for each in meanings(cell))]
     if len(places) != 1 or any(len(cells) <= places[0] for _, cells in lines):

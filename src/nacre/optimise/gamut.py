@@ -402,7 +402,7 @@ def srgb_colours(illuminant: str, observer: str) -> Array:
 
 @functools.lru_cache(maxsize=16)
 def srgb_limits(illuminant: str, observer: str) -> Array:
-    """Return sRGB surface colours, adapted to the lamp, CIELAB `[n, 3]`."""
+    """Return points on the boundary of the sRGB gamut, adapted to the illuminant, in CIELAB `[n, 3]`."""
     face = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 33) ** 2.2] * 2), axis=-1).reshape(-1, 2)
     faces = [np.insert(face, axis, end, axis=1) for axis in range(3) for end in (0.0, 1.0)]
     return _srgb_to_lab(np.concatenate(faces), white_xyz(illuminant, observer))

@@ -86,8 +86,8 @@ class Target:
         """Return the operands of the merit function.
 
         Args:
-            row: index of the geometry among the spectra.
-            wavelengths_nm: of the spectra.
+            row: index of the spectrum at this target's geometry.
+            wavelengths_nm: common to all spectra.
         """
         often: dict[str, Any] = {"tolerance": self.tolerance, "weight": self.weight}
         if self.spectrum is not None:

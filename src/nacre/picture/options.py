@@ -83,7 +83,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Lighting:
-    """Lights, their white, turn and polarisation; `lamps` are read from `light`."""
+    """Lights, white point, rotation about the object and polarisation; `lamps` is parsed from `light`."""
 
     light: str | Sequence[str] | None = None
     light_layers: bool = False
@@ -100,7 +100,7 @@ class Lighting:
 
 @dataclass(frozen=True)
 class Sampling:
-    """Stopping rule, seed, and the rendered material components; `until` is the stopping rule."""
+    """Stopping rule, seed, quality and rendered components; `until` is built from `spp`, `noise` and `seconds`."""
 
     spp: int | None = None
     noise: float | None = None

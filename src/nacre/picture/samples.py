@@ -110,9 +110,10 @@ class ContinuedSampler(Plugin):
         return _point(*self._next(of_pixel))
 
     def several_2d(self, many: Any) -> Callable[[Any], Any]:
-        """Return a function from a number below `many` to a point; replaces one `next_2d`.
+        """Return a function that maps an index below `many` to a point in the unit square.
 
-        All samples in a pixel have points from one Sobol run.
+        It takes one dimension, as `next_2d` does. The points for all samples in a pixel are consecutive in one Sobol
+        sequence.
         """
         key = _hashed(_hashed(self.key, self.dimension), many)
         self.dimension = self.dimension + 1

@@ -26,7 +26,7 @@ CIRCULAR = "right circular: a right-handed screw in space at one time"
 
 
 def ellipsometry_figure(spectrum: Spectrum, title: str = "") -> Figure:
-    """Draw Psi and Delta over wavelength, one curve an incidence angle.
+    """Draw Psi and Delta over wavelength, one curve per angle of incidence.
 
     Raises:
         NacreError: the spectrum has no Mueller matrices.

@@ -191,10 +191,10 @@ def recipe_curve(context: RecipeContext, key: str, given: FileSpec, axes: Sequen
 
 
 def recipe_spectrum(context: RecipeContext, key: str, given: FileSpec, quantities: Sequence[str]) -> Floats:
-    """Return `[row, (nm, factor)]` of a file that a recipe names, ascending; what was assumed is logged.
+    """Read a spectrum file that a recipe names, `[row, (nm, factor)]`, ascending; log all assumptions.
 
     Raises:
-        RecipeError: with the key and the file's name.
+        RecipeError: the file cannot be read; the message contains the key and the file name.
     """
     path = context.path(given.file)
     try:

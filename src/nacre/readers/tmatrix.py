@@ -206,10 +206,10 @@ def _rows_of_text(values: NDArray[Any], count: int) -> list[Any]:
 
 
 def check_centre(file: h5py.File) -> None:
-    """Refuse expansions about several centres or about another centre than the particle's.
+    """Refuse expansions about several centres, or about a point other than the particle's centre.
 
     Raises:
-        TMatrixFileError: there are.
+        TMatrixFileError: the file contains such an expansion.
     """
     for name in ("position_index", "index"):
         several = dataset(file, f"modes/{name}")

@@ -140,7 +140,7 @@ def find_key(roots: Sequence[type[RecipeModel]], path: str, source: str) -> tupl
 
 
 def as_written(value: Any) -> Any:
-    """Return a default in the form of a recipe: a model as a table of its given keys, or as its single value."""
+    """Return a default as it is written in a recipe: a model as a table with its set keys, or as its short form."""
     if isinstance(value, pydantic.BaseModel):
         given = {key: as_written(getattr(value, key)) for key in value.model_fields_set}
         is_bare = list(given) in (["name"], ["n"]) and isinstance(value, RecipeModel) and value.shorthands

@@ -33,7 +33,7 @@ from nacre.device.texture import DeviceTexture
 
 
 class MicrofacetPlugin(LobePlugin[Microfacet]):
-    """Rough reflection, rough refraction if the interface transmits, and light exchanged between facets."""
+    """Rough reflection, rough refraction if the interface transmits, and multiple scattering between facets."""
 
     kind = "microfacet"
 

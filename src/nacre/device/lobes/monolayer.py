@@ -483,7 +483,11 @@ class AlignedPlugin(MonolayerPlugin[Aligned]):
         return total / (2 * TURNS)
 
     def _waves(self, one: list[tuple[Any, Any]], two: list[tuple[Any, Any]]) -> list[Any]:
-        """Return each term's cosine or sine from the multiples of both directions' azimuths."""
+        """Return cos or sin(a phi_1 + b phi_2) for each term (a, b) in `orders`, by the addition theorems.
+
+        Args:
+            one, two: cosine and sine at each multiple of the azimuth of the first and second direction.
+        """
         found = []
         for a, b, is_sine in self.orders.tolist():
             (cos_a, sin_a), (cos_b, sin_b) = one[abs(a)], two[abs(b)]

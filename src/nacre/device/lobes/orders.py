@@ -272,9 +272,9 @@ class OrdersPlugin(LobePlugin[OrdersLobe]):
             UnsupportedError: the rotation texture appeared or vanished, or tables changed shape.
         """
         if (lobe.rotation is None) != (self.rotation is None) or lobe.transmits != self.transmits:
-            raise UnsupportedError("the rotation of the orders appeared, or their side changed; build the scene again")
+            raise UnsupportedError("the orders gained or lost a texture or transmission; build the scene again")
         if lobe.power.shape != self.shape:
-            raise UnsupportedError("the orders changed in number; build the scene again")
+            raise UnsupportedError("the number of orders changed; build the scene again")
         self.parameters.update(lobe.parameters)
         self.axis.update(lobe.wavelengths_nm)
         if self.rotation is not None and lobe.rotation is not None:

@@ -134,7 +134,13 @@ def two_numbers(rng: Any, active: Any) -> tuple[Any, Any]:
 
 
 def one_of(values: tuple[Any, ...], weights: Any, left: Any) -> tuple[Any, ...]:
-    """Return each value at one of the four wavelengths, drawn by weights with `left`, uniform up to their sum."""
+    """Choose one wavelength with probability proportional to its weight; return all values there.
+
+    Args:
+        values: quantities at each wavelength.
+        weights: one per wavelength.
+        left: random number, uniform in [0, sum of weights).
+    """
     left = left - weights[0]
     found = tuple(value[0] for value in values)
     for k in range(1, dr.size_v(mi.UnpolarizedSpectrum)):

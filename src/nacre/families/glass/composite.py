@@ -119,7 +119,7 @@ class Filling(Protocol):
 
 @dataclass(frozen=True)
 class EffectiveDispersion:
-    """The real effective index as an optical constant: the medium around a base."""
+    """Optical constant of a lossless medium with the modulus of the effective index, as the ambient of a base."""
 
     composite: Filling
 
@@ -129,7 +129,7 @@ class EffectiveDispersion:
         return self.composite.range_nm
 
     def __call__(self, wavelengths_nm: Array) -> ComplexArray:
-        """Return n + 0i."""
+        """Return |n + ik| + 0i."""
         flat = np.ravel(wavelengths_nm)
         found = np.abs(self.composite.effective_index(flat)) + 0j
         return np.asarray(found.reshape(np.shape(wavelengths_nm)))

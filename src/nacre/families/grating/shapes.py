@@ -52,7 +52,7 @@ SAMPLES = 256  # a side, in the search for overlaps
 
 
 class ShapeSpec(RecipeModel):
-    """A shape in the cell, of one material through the whole layer; the cell's centre is (0, 0)."""
+    """A shape in the unit cell, one material over the full layer height; coordinates start at the cell's centre."""
 
     forms: ClassVar[tuple[str, ...]] = (
         '{shape = "line", material = "Ag", width_nm = 120}',

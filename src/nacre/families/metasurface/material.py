@@ -554,12 +554,12 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
     def powers(
         self, cosines: ArrayLike, wavelength_nm: float, layer: Monolayer | None = None
     ) -> tuple[Array, Array, Array, Array]:
-        """Specular R and T, diffuse R and T for light from above, each `[pol, angle]`, raw (not scaled to 1).
+        """Specular R and T, diffuse R and T for light from above, each `[pol, angle]`, not rescaled to energy 1.
 
         Args:
-            cosines: `[angle]`, incident.
+            cosines: `[angle]`, cosines of the angles of incidence.
             wavelength_nm: in vacuum.
-            layer: the monolayer there; default the mean field.
+            layer: the solved monolayer at this wavelength; by default it is solved in the mean field.
         """
         cos = np.maximum(np.atleast_1d(np.asarray(cosines, dtype=float)), np.cos(np.radians(89.9)))
         layer = self.monolayer(wavelength_nm) if layer is None else layer

@@ -95,13 +95,13 @@ class Medium(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """Table for light that leaves after more than one reflection.
+    """Histogram for light that leaves after more than one reflection.
 
     Attributes:
         spread: coordinate scale for `nacre.bsdf.lobes.platelet_layer.place`.
-        shape: nodes for hat functions, or check bins for size and azimuth of q.
-        table: `[cell, wavelength]`; empty: not tallied.
-        base: `[cos, wavelength]`, light on an absorbing base by incidence cosine.
+        shape: node counts for hat functions, or bin counts over length and azimuth of q for the check.
+        table: `[cell, wavelength]`; if empty, this light is not recorded.
+        base: `[cos, wavelength]`, light that reaches an absorbing base, for each incidence cosine.
     """
 
     spread: float

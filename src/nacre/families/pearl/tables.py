@@ -263,9 +263,10 @@ def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 
 
 
 def _bins(table: PlateletLayer, theta: float, spread: float) -> tuple[Array, Array, Array]:
-    """Return flake and base power, surface power, and solid angle for the check's bins, by midpoints.
+    """Integrate the table over the check's bins with the midpoint rule.
 
-    In the plane of q, a solid angle times its cosine is an area.
+    Returns the power from flakes and base, the power reflected at the surface, and the solid angle, for each bin. An
+    area in the plane of q is a solid angle times its cosine.
     """
     rings, turns = CHECK_BINS * MIDPOINTS
     scale = np.arcsinh(2.0 / spread)

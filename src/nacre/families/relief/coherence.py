@@ -1,7 +1,7 @@
 """Spatial coherence: the coherence window, given by sigma or the angular size of the light source.
 
 The window is a Gaussian of standard deviation s = `width_in_wavelengths` x lambda. Its spectrum smooths the
-diffraction lines by the same angle at every wavelength (physics/relief.md, sections 2, 3 and 11.3).
+diffraction lines by the same angle at every wavelength (physics/relief.md, "From heights to light").
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ A periodic relief reflects into lines m/P; line (m, n) carries |c[m, n]|^2 with 
 exp(-2 pi i kappa H). For few lines the transform is pruned: a real product with a cosine/sine basis along each axis
 (half the work of a complex one, any sampling). For many lines it is an FFT, with the same numbers to rounding.
 
-A wall with a phase step above about 5 rad between neighbouring samples causes aliasing (physics/relief.md, section
-11.4): the rule gives a first sampling, and the comparison of two samplings decides.
+A wall with a phase step above about 5 rad between neighbouring samples causes aliasing. `STEP_FOR_ERROR` gives a first
+sampling, and the comparison of two samplings decides.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class LineBasis:
 
 
 def line_basis(samples: int, highest: int, dtype: Any = np.float64) -> LineBasis:
-    """Build the basis; `highest` is limited by the sampling (samples / 2 - 1)."""
+    """Build the basis; orders above the Nyquist limit, (samples - 1) // 2, are dropped."""
     highest = min(highest, max((samples - 1) // 2, 0))
     # integer phases make the argument of the cosine exact for any line
     turns = (np.arange(highest + 1)[:, None] * np.arange(samples)[None, :]) % samples
@@ -171,7 +171,7 @@ def is_fft_cheaper(samples: int, highest: int) -> bool:
     return 2 * highest + 1 > FFT_LINES * np.log2(max(samples, 2))
 
 
-# phase steps, rad, and their measured errors (section 11.4); interpolated in log error
+# phase steps, rad, and their measured errors, interpolated in log error
 STEP_FOR_ERROR = ((1e-6, 1.6), (1e-4, 3.0), (1e-3, 4.4), (1e-2, 6.0))
 GROWTH = 1.5  # of the sampling, for a check
 MAX_SAMPLES = 16384  # along one side; 2 GiB of complex field in single precision

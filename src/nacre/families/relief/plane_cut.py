@@ -1,9 +1,9 @@
 """BRDF on a grid of half-vector sums for all wavelengths, its gradient, and the local response of a tile.
 
-<|A|^2>(u, v) is the power of the diffraction lines smoothed by a Gaussian (physics/relief.md, section 3): a product of
-two small matrices with the array of lines. Height and direction enter the phase only by kappa = xi / lambda, and the
-power of a line is entire in kappa with bandwidth 2 pi h, h the height range: a few Chebyshev nodes serve all
-wavelengths and directions (section 4).
+<|A|^2>(u, v) is the power of the diffraction lines smoothed by a Gaussian (physics/relief.md, "From heights to light"):
+a product of two small matrices with the array of lines. Height and direction enter the phase only by
+kappa = xi / lambda. The power of a line is an entire function of kappa with bandwidth 2 pi h, h the height range:
+a few Chebyshev nodes serve all wavelengths and directions.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Factors of the relief's BRDF that do not depend on the heights: directions, obliquity, coating reflectance.
 
-With psi = w_i + w_o: (u, v) its lateral part, xi its normal part. The relief's power spectrum depends on
-(u, v, xi, lambda). Every facet reflects at cos(theta_d) = w_i . h, equal for both directions, hence reciprocal
-(physics/relief.md, section 11.2).
+psi = w_i + w_o has the lateral part (u, v) and the normal part xi. The relief's power spectrum depends on
+(u, v, xi, lambda). The coating reflectance is taken at the angle of the facet, cos(theta_d) = w_i . h with the half
+vector h. It is equal for both directions, so the BRDF is reciprocal (physics/relief.md, "Prefactor").
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def brdf_factor(u: Array, v: Array, cos_i: Array, cos_o: Array, prefactor: Prefa
     """Return the factor from <|A|^2> / lambda^2 to the BRDF in 1/sr.
 
     "published" is C1 = xi^2 / (4 cos_i cos_o); "kirchhoff" restores the obliquity 1/cos^4 of the half-vector's angle,
-    with which smooth reliefs conserve energy (physics/relief.md, section 11.1). Both are reciprocal.
+    with which smooth reliefs conserve energy (physics/relief.md, "Prefactor"). Both are reciprocal.
     """
     cos_i, cos_o = np.maximum(cos_i, LEAST_COSINE), np.maximum(cos_o, LEAST_COSINE)
     xi = cos_i + cos_o

@@ -1,4 +1,4 @@
-"""Four-dimensional lobe of a tile (physics/relief.md, section 4) and its energy bound.
+"""Four-dimensional lobe of a tile (physics/relief.md, "From heights to light") and its energy bound.
 
 The spectra at a few kappa nodes are interpolated to every (xi, wavelength). On the psi grid a quadratic B-spline is
 part of the Gaussian smoothing: its coefficients are smoothed by a narrower Gaussian with corrected fourth and sixth

@@ -23,8 +23,8 @@ FLAT_FROM_PERIODS = 3.0
 def blur_matrix(features: int, samples_per_feature: int, blur_over_feature: float) -> Array:
     """Return `B[sample, feature]`, mapping feature heights to surface samples along one axis.
 
-    A feature of unit height, blurred by a periodic Gaussian, is a difference of error functions
-    (physics/relief.md, section 1). Rows sum to 1. Samples lie at (i + 1/2) / samples_per_feature features.
+    A feature of unit height, blurred by a periodic Gaussian, is a difference of error functions. Rows sum to 1.
+    Samples lie at (i + 1/2) / samples_per_feature features.
 
     Args:
         features: n, the number of features along the axis.

@@ -90,11 +90,11 @@ def regions(period: float, walls: Array) -> tuple[Array, Array]:
 
 
 def line_mesh(period: float, walls: Array, wave_numbers: Array, level: int) -> LineMesh:
-    """Return the mesh for walls, graded towards each and refined by `level` (0, 1, 2, ...).
+    """Return a mesh for one period, graded towards each wall and refined by `level` (0, 1, 2, ...).
 
     Args:
-        walls: `[region]`, of `regions`.
-        wave_numbers: `[region]`, the largest real wave number of the fields in each, which sets the degree.
+        walls: `[region]`, the lower end of each region, from `regions`.
+        wave_numbers: `[region]`, largest real wave number of the fields in the region; it sets the polynomial degree.
     """
     return _mesh(float(period), tuple(walls), tuple(np.round(wave_numbers, 9)), level)
 
@@ -282,9 +282,10 @@ def whole_axis(basis: LineBasis) -> Axis:
 
 
 def parity_axis(basis: LineBasis, is_even: bool) -> Axis:
-    """Return the functions whose continuous ones are even, or odd, about 0; mesh and Bloch phase allow it.
+    """Return the symmetric part of a basis: continuous functions even (or odd) about 0, discontinuous ones opposite.
 
-    The singular vectors of the derivative between the two spaces pair cos(alpha x) with sin(alpha x).
+    The mesh must be symmetric about 0, and the Bloch wave number 0. The derivative maps one space to the other; its
+    singular vectors pair cos(alpha x) with sin(alpha x).
     """
     reflected_c, reflected_d = _reflections(basis)
     sign = 1.0 if is_even else -1.0

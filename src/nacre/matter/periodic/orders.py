@@ -60,7 +60,10 @@ def check_polarisation(polarisation: str) -> None:
 
 
 def summed(efficiency: Array, polarisation: str) -> Array:
-    """Return the sum `[angle, wavelength]` over orders of `[angle, wavelength, order, (s, p)]`; "both": the mean."""
+    """Sum efficiencies `[angle, wavelength, order, (s, p)]` over orders to `[angle, wavelength]`.
+
+    `polarisation` is "s", "p", or "both" for the mean over s and p.
+    """
     both = np.nan_to_num(efficiency).sum(axis=2)
     return np.asarray({"s": both[..., 0], "p": both[..., 1]}.get(polarisation, both.mean(axis=-1)))
 
@@ -178,7 +181,10 @@ def _unpacked(arrays: dict[str, Array]) -> OrderSolution:
 def gathered(
     cases: list[tuple[int, int]], found: list[OrderSolution], angles: Array, azimuth_rad: float, grid: Array
 ) -> Orders:  # fmt: skip
-    """Return the solutions of `(angle, wavelength)` cases as arrays over the union of their orders."""
+    """Return the solutions as arrays `[angle, wavelength, order]` over all orders in any of them.
+
+    Missing orders are NaN. `cases` contains the angle and wavelength index for each solution.
+    """
     every = sorted({(int(m), int(n)) for s in found for side in (s.reflected, s.transmitted) for m, n in side.numbers})
     place = {number: k for k, number in enumerate(every)}
     shape = (len(angles), len(grid), len(every))

@@ -1,4 +1,7 @@
-"""Solve a periodic structure to a stated error: the choice of method, and of its size by two truncations."""
+"""Solve a periodic structure to a stated error.
+
+The structure determines the method. Two truncations estimate the error, and the finer one is raised until it suffices.
+"""
 
 from __future__ import annotations
 

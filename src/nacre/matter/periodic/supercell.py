@@ -124,7 +124,7 @@ def reflected_fan(
     ridges: Ridges, layers_nm: Array, layer_index: Array, cover: float, substrate: complex, wavelength_nm: float,
     sine_along: float, more: float = 1.0,
 ) -> Fan:  # fmt: skip
-    """Return the reflection of all orders.
+    """Return the reflectance from each diffraction order into each other one.
 
     Args:
         layers_nm, layer_index: `[layer]`, thicknesses and complex indices of the layers of a ridge, from the light

@@ -354,7 +354,7 @@ def _exponent(m):
 
 @compiled(nogil=True)
 def _exp(mean, difference, rest, factor):
-    """Return exp(factor m) of a 2 x 2 matrix m in the form of `_exponent`."""
+    """Return exp(factor m) for a 2 x 2 matrix m, given by its three parts from `_exponent`."""
     x, y = factor * mean, factor * difference
     if abs(y) < 0.02:
         e, y2 = np.exp(x), y * y

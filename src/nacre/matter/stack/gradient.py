@@ -1,8 +1,8 @@
 """Gradients of any loss of R and T in thicknesses, indices and angles: the adjoint of the stack solver.
 
-The loss gradient in R and T is short; an adjoint numba kernel carries it back through the stack. For one stack, the
-usual case in design and fitting, this is several times faster than a solver in JAX, which pays a start-up cost for each
-XLA operation.
+The caller gives the gradient in R and T; an adjoint numba kernel propagates it back through the stack. For one stack,
+the usual case in design and fitting, this is several times faster than a solver in JAX, which pays a start-up cost for
+each XLA operation.
 
 The recursion of `nacre.matter.stack.kernel` carries y = (u, v) from the substrate upward, y_top = M y_bottom with
 M = exp(-i k0 d A), A = [[0, w], [kz^2 / w, 0]], w = 1 (s) or n^2 (p). If dL = Re(a . dy) at the layer top, then

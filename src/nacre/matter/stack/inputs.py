@@ -93,7 +93,7 @@ def power_array(stack: StackArrays, jobs: int | None = None) -> Array:
 
 
 def with_thicknesses(stack: StackArrays, thicknesses_nm: ArrayLike) -> StackArrays:
-    """Return the arrays with other thicknesses `[layer]`, for loops over thicknesses; errors as `prepare`."""
+    """Return the arrays with other thicknesses `[layer]`, checked as in `prepare`; for loops over thicknesses."""
     d = _owned(np.atleast_1d(np.asarray(thicknesses_nm, dtype=np.float64))[None], np.float64)
     if stack.batch or d.shape != (1, stack.n.shape[1] - 2):
         raise NacreError(f"thicknesses_nm must have the shape [{stack.n.shape[1] - 2}], not {list(d.shape[1:])}")

@@ -31,7 +31,7 @@ def write_pixels(folder: Path, material: Material, maps: Sequence[ParameterMap])
     values = np.clip(values, [m.low for m in maps], [m.high for m in maps])
     kinds, index = np.unique(values.reshape(-1, len(maps)), axis=0, return_inverse=True)
     if len(kinds) > MAX_KINDS:
-        raise UnsupportedError(f"the picture needs {len(kinds)} kinds of pixels; at most {MAX_KINDS} are drawn")
+        raise UnsupportedError(f"the picture needs {len(kinds)} different pixels; a layout holds at most {MAX_KINDS}")
     cells, pitches = [], set()
     for row in kinds:
         model = material.vary({m.path: float(v) for m, v in zip(maps, row, strict=True)}).model

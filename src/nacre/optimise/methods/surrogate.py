@@ -317,7 +317,10 @@ class SurrogateSearch(Search):
         return spectra if np.all(np.isfinite(spectra)) else None
 
     def _rms(self, point: Array) -> float:
-        """Return the rms of weight x distance / tolerance by the surrogate, which ranks poor points better."""
+        """Return the surrogate's rms of weight x distance / tolerance over all targets.
+
+        Far from the targets it ranks points better than the objective, which is the worst of them.
+        """
         distances = self._distances(point)
         return PENALTY if distances is None else float(np.sqrt(np.mean((distances * self._merit.scale) ** 2)))
 

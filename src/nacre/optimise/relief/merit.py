@@ -1,7 +1,7 @@
 """Relief merit function: loss between simulated pictures and targets, with its gradient.
 
 Linear colours are multiplied by an intensity scale, raised to 1/2.2 and compared with display-referred targets; the
-loss is the mean square over pixels and channels (physics/relief.md, sections 7 and 11.8).
+loss is the mean square over pixels and channels (physics/relief.md, "Design").
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MAX_SAMPLES = 8192
 
 # the published sampling: 8 midpoints between 420 and 680 nm
 PUBLISHED_WAVELENGTHS_NM = 420.0 + 260.0 * (np.arange(8) + 0.5) / 8
-# published normal-incidence aluminium reflectance (physics/relief.md, section 5)
+# published normal-incidence aluminium reflectance
 PUBLISHED_ALUMINIUM = np.array([0.92272, 0.92042, 0.91842, 0.91635, 0.91442, 0.91111, 0.90800, 0.90336])
 PUBLISHED_XYZ_TO_RGB = np.array(
     [[3.240479, -1.537150, -0.498535], [-0.969256, 1.875991, 0.041556], [0.055648, -0.204043, 1.057311]]

@@ -1,7 +1,7 @@
 """Target pictures over slice directions: published shapes, images and colours, display-referred.
 
 Directions are half-vector sums (u, v) = (w_i + w_o)_xy; u runs along array axis 0. Shapes and their default widths are
-the published ones (physics/relief.md, sections 7 and 11.6).
+the published ones.
 """
 
 from __future__ import annotations
@@ -137,7 +137,10 @@ def _on_black(image: Image) -> Image:
 
 
 def picture_on_directions(picture: Array, u: Array, v: Array, image_scale: float) -> Array:
-    """Sample a picture bilinearly at half vectors (u, v)/2, `[x, y, 3]`; rows run along x; 0 outside."""
+    """Sample a picture bilinearly at half vectors (u, v)/2, `[x, y, 3]`; 0 outside.
+
+    The row index increases with u, the column index with v.
+    """
     from scipy.ndimage import map_coordinates
 
     half_width = HALF_VECTOR_PER_SCALE * image_scale

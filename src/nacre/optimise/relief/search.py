@@ -1,6 +1,6 @@
 """Multistart gradient search for relief heights: successive refinement, robust optimisation, perturbed restarts.
 
-Bounded L-BFGS-B on the feature heights (physics/relief.md, section 10). The budget is a fixed stage list with a
+Bounded L-BFGS-B on the feature heights (physics/relief.md, "Design"). The budget is a fixed stage list with a
 fixed iteration count each; a seed gives the same design on any machine; a time limit only cuts the list
 short. Starts run in parallel threads and do not share state, so the thread count does not change the result.
 """
@@ -21,7 +21,7 @@ from nacre.core.arrays import Array
 from nacre.core.parallel import single_threaded_blas
 from nacre.optimise.relief.merit import Evaluator, Problem
 
-# random start ranges, relative to the allowed range, about its middle (section 11.9)
+# random start ranges, relative to the allowed range, about its middle
 AMPLITUDES = (0.5, 0.25, 1.0, 0.12)
 NOISE_DRAWS = 6
 CORRECTIONS = 20  # L-BFGS-B memory

@@ -144,7 +144,7 @@ def components(l1: float, a1: float, b1: float, l2: float, a2: float, b2: float)
 
 @compiled(error_model="numpy")
 def _parts(merit: Any, t: int, l: float, a: float, b: float) -> tuple[float, float, float]:
-    """Return the components of the colour difference from the target; of a range, from its nearest colour."""
+    """Return the components of the colour difference from a target colour, or from the nearest colour in a range."""
     kind, low, high = merit.kind[t], merit.low[t], merit.high[t]
     wl, wa, wb = merit.lab[t, 0], merit.lab[t, 1], merit.lab[t, 2]
     if kind == LIGHTNESS:

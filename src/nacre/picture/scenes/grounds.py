@@ -120,7 +120,7 @@ def acrylic() -> dict[str, Any]:
 
 
 def museum_board() -> dict[str, Any]:
-    """White paper-covered foam board for insects, for uv in lengths."""
+    """White paper-covered foam board on which insects are pinned, for uv in lengths."""
     shape, side = (512, 512), 3.0
     pulp = 0.6 * noise(shape, (1.0, 1.0), _SEED + 60) + 0.5 * noise(shape, (6.0, 6.0), _SEED + 61)
     pulp += 0.5 * noise(shape, (40.0, 40.0), _SEED + 62)

@@ -1,7 +1,7 @@
 """TracePro surface properties as text: a table of coefficients, and `Table_BSDF_Data` with BRDF and BTDF.
 
-`ScatterBeta` is |beta - beta0|, the scattered's distance from the specular direction in direction cosines;
-`ScatterAzimuth` turns about the specular direction, 0 towards larger beta. Wavelengths are in um.
+`ScatterBeta` is |beta - beta0|, the distance between scattered and specular direction in direction cosines.
+`ScatterAzimuth` is the azimuth about the specular direction, 0 towards larger beta. Wavelengths are in um.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
 
 
 def _described(path: Path) -> float | None:
-    """Return the side of a feature in um in the description beside the file."""
+    """Return `feature_um`, the feature size, from the JSON description beside the file, if it exists."""
     try:
         with path.with_name(path.name + ".json").open("rb") as file:
             return float(json.loads(file.read(1 << 20))["feature_um"])

@@ -19,16 +19,16 @@ FILL_STEPS = 200
 
 @dataclass(frozen=True)
 class Roughness:
-    """Figures of a map after its least-squares plane is removed.
+    """Roughness parameters of a height map (ISO 25178-2), relative to its least-squares plane.
 
     Attributes:
-        tilt_deg: angle of the plane.
-        mean_um: height of the plane in the middle: the stage's height.
+        tilt_deg: angle between the plane and the horizontal.
+        mean_um: height of the plane at the centre of the map, an offset that depends on the stage.
         sq_um: root mean square height, Sq.
         sdq: root mean square gradient, Sdq, from neighbouring points.
-        correlation_length_um: shortest lag at which the autocorrelation of the azimuthal mean falls to 1/e; None if it
-            does not within half the map.
-        peak_to_valley_um: Sz.
+        correlation_length_um: shortest lag at which the azimuthally averaged autocorrelation falls to 1/e; None if it
+            stays above 1/e up to half the map.
+        peak_to_valley_um: maximum height, Sz.
     """
 
     tilt_deg: float
@@ -39,7 +39,7 @@ class Roughness:
     peak_to_valley_um: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures by name."""
+        """Return the parameters by name."""
         return asdict(self)
 
 
@@ -61,7 +61,7 @@ def plane(heights: NDArray[Any]) -> tuple[float, float, float]:
 
 
 def without_plane(heights: NDArray[Any], fitted: tuple[float, float, float]) -> Array:
-    """Return heights above a plane of `plane`."""
+    """Return heights above a plane fitted by `plane`."""
     rows, columns = heights.shape
     r = np.arange(rows) - 0.5 * (rows - 1)
     c = np.arange(columns) - 0.5 * (columns - 1)
@@ -125,7 +125,7 @@ def autocovariance(flat: Array) -> Array:
 
 
 def correlation_length_um(flat: Array, pitch_um: tuple[float, float]) -> float | None:
-    """Return the lag at which the azimuthal mean of the autocorrelation falls to 1/e."""
+    """Return the lag at which the azimuthally averaged autocorrelation falls to 1/e."""
     side = int(np.sqrt(MAX_POINTS))
     part = flat[: min(flat.shape[0], side), : min(flat.shape[1], side)]
     part = part - np.nanmean(part)

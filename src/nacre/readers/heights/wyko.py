@@ -34,7 +34,7 @@ def sniff(head: FileHead) -> float:
 
 @reads
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
-    """Read the height maps; other arrays, as intensities, are left out."""
+    """Read the height maps; other arrays, such as intensities, are left out."""
     data = path.read_bytes()
     if data.startswith(MAGIC):
         fields, arrays = _binary(data)

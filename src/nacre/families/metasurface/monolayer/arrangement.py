@@ -68,7 +68,10 @@ def _free(grid, wrap, ix, iy, x, y, box):  # type: ignore[no-untyped-def]  # num
 
 @compiled(nogil=True)
 def _add(count, box, cells, seed, start, shrink, tries, xy):  # type: ignore[no-untyped-def]  # numba
-    """Throw darts, with a least distance from `start` to 1 by `shrink` after `tries` failures; return the count."""
+    """Place random points that keep a least distance; write them to `xy` and return their count.
+
+    The distance begins at `start` and is multiplied by `shrink`, down to 1, after `tries` failures in a row.
+    """
     np.random.seed(seed)  # noqa: NPY002  # numba knows the generator of its own thread only
     side = box / cells
     grid = np.full((cells, cells, 2), -1.0)
@@ -162,7 +165,10 @@ def _check_packing(packing: float, limit: float, name: str = "") -> None:
 def _throw_darts(
     count: int, packing: float, seed: int, failure: str, start: float = 1.0, shrink: float = 1.0, tries: int = 4_000_000
 ) -> tuple[Array, float, int]:
-    """Return points in units of the least distance, with the box and its cells; see `_add`."""
+    """Return points in units of the least distance, the side of the box, and its number of cells per side.
+
+    `start`, `shrink` and `tries` are those of `_add`; `failure` begins the error message.
+    """
     box, cells = _frame(count, packing)
     xy = np.empty((count, 2))
     placed = _add(count, box, cells, seed, start, shrink, tries, xy)
