@@ -206,9 +206,10 @@ def test_rounded_shares_are_named(case: Any, brought: Any, name: str, words: str
 @pytest.mark.full
 def test_a_blend_is_not_exported_as_one_film(case: Any, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(case("P-gltf-blend"))
-    for to in ("gltf", "materialx"):
-        with pytest.raises(UnsupportedError, match="mask"):
+    for to, named in (("gltf", "second"), ("materialx", "mask")):
+        with pytest.raises(UnsupportedError, match=named):
             nacre.export("sticker.toml", to, tmp_path / f"x.{to}")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.render

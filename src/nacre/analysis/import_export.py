@@ -224,7 +224,13 @@ def _export_blend(material: Material, blend: Masked, path: Path, parts: list[Any
     from nacre.analysis.thin_film import fit_thin_film
     from nacre.formats.gltf import Cover, write_gltf
 
-    over, under = (fit_thin_film(part) for part in (blend.first, blend.second))
+    fits = []
+    for name, part in (("first", blend.first), ("second", blend.second)):
+        try:
+            fits.append(fit_thin_film(part))
+        except UnsupportedError as error:
+            raise UnsupportedError(f"the part {name} of the blend: {error}; export the other part alone") from None
+    over, under = fits
     mask = blend.mask
     share: Any = float(mask.low)
     if mask.low != mask.high:
