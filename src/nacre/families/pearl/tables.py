@@ -92,25 +92,8 @@ def power_difference(
         effort: factor on the walks.
         seed: of the walks.
     """
-    medium = Medium.of(lobe)
-    spread, count = _spread(medium), len(lobe.wavelengths_nm)
-    shifts = np.random.default_rng(seed).random((len(theta_rad), CHUNKS, 7))
-    albedo = np.ascontiguousarray(lobe.base_reflectance[0])
-    walks, singles = (max(1, int(n * effort / CHUNKS)) for n in (POWER_WALKS, POWER_WALKS))
-
-    def chunk(job: tuple[int, int]) -> Array:
-        turn, i = job
-        theta = float(theta_rad[turn])
-        light = np.array([np.sin(theta), 0.0, np.cos(theta)])
-        many, one = np.zeros((2, int(np.prod(CHECK_BINS)), count))
-        tally = Tally(spread, CHECK_BINS, many, np.zeros((1, count)))
-        walk(seed * 1000 + 8 * turn + i, walks, light, medium, albedo, tally, NO_VIEWERS, np.zeros((0, count)))
-        if len(medium.number):
-            tally_single_scattering(0, singles, shifts[turn, i], light, medium, spread, CHECK_BINS, one)
-        return np.asarray((many / walks + one / singles).sum(axis=0))
-
-    jobs = [(turn, i) for turn in range(len(theta_rad)) for i in range(CHUNKS)]
-    parts = np.array(in_threads(chunk, jobs)).reshape(len(theta_rad), CHUNKS, count)
+    spread = _spread(Medium.of(lobe))
+    parts = _independent_walks(lobe, theta_rad, (POWER_WALKS, POWER_WALKS), effort, seed).sum(axis=2)
     ours = np.stack([_bins(table, float(theta), spread)[0].sum(axis=0) for theta in theta_rad])
     return parts.mean(axis=1) - ours, parts.std(axis=1, ddof=1) / np.sqrt(CHUNKS)
 
@@ -228,28 +211,11 @@ def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 
         `(error, noise)`, each `[wavelength]`: relative L2 difference in f cos over all exits at three incidences,
         averaged over bins, without the walks' noise; and that noise.
     """
-    medium = Medium.of(lobe)
-    spread, count = _spread(medium), len(lobe.wavelengths_nm)
-    shifts = np.random.default_rng(seed).random((len(CHECK_DEG), CHUNKS, 7))
-    albedo = np.ascontiguousarray(lobe.base_reflectance[0])
-    walks, singles = (int(n * effort / CHUNKS) for n in (CHECK_WALKS, CHECK_SINGLES))
-
-    def chunk(job: tuple[int, int]) -> Array:
-        turn, i = job
-        theta = float(np.radians(CHECK_DEG[turn]))
-        light = np.array([np.sin(theta), 0.0, np.cos(theta)])
-        many, one = np.zeros((2, int(np.prod(CHECK_BINS)), count))
-        tally = Tally(spread, CHECK_BINS, many, np.zeros((1, count)))
-        walk(seed * 1000 + 8 * turn + i, walks, light, medium, albedo, tally, NO_VIEWERS, np.zeros((0, count)))
-        if len(medium.number):
-            tally_single_scattering(0, singles, shifts[turn, i], light, medium, spread, CHECK_BINS, one)
-        return np.asarray(many / walks + one / singles)
-
-    found = in_threads(chunk, [(turn, i) for turn in range(len(CHECK_DEG)) for i in range(CHUNKS)])
+    spread, count, theta_rad = _spread(Medium.of(lobe)), len(lobe.wavelengths_nm), np.radians(CHECK_DEG)
+    found = _independent_walks(lobe, theta_rad, (CHECK_WALKS, CHECK_SINGLES), effort, seed)
     error, noise, size = np.zeros(count), np.zeros(count), np.zeros(count)
-    for turn in range(len(CHECK_DEG)):
-        reference = np.stack(found[turn * CHUNKS : (turn + 1) * CHUNKS])
-        ours, surface, solid = _bins(table, float(np.radians(CHECK_DEG[turn])), spread)
+    for theta, reference in zip(theta_rad, found, strict=True):
+        ours, surface, solid = _bins(table, float(theta), spread)
         weight = np.where(solid > 0, 1.0 / np.maximum(solid, 1e-12), 0.0)[:, None]
         difference = reference - ours
         total = difference.sum(axis=0)
@@ -260,6 +226,34 @@ def check(lobe: Layered, table: PlateletLayer, effort: float = 1.0, seed: int = 
         size += np.sum(weight * (ours + surface[:, None]) ** 2, axis=0)
     size = np.maximum(size, 1e-30)
     return np.sqrt(np.maximum(error, 0.0) / size), np.sqrt(noise / size)
+
+
+def _independent_walks(lobe: Layered, theta_rad: Array, numbers: tuple[int, int], effort: float, seed: int) -> Array:
+    """Return f cos of random walks integrated over bins of exits, `[angle, chunk, bin, wavelength]`.
+
+    Args:
+        numbers: walks, and samples of single scattering, in all chunks of an incidence.
+        effort: factor on both numbers.
+    """
+    medium = Medium.of(lobe)
+    spread, count = _spread(medium), len(lobe.wavelengths_nm)
+    shifts = np.random.default_rng(seed).random((len(theta_rad), CHUNKS, 7))
+    albedo = np.ascontiguousarray(lobe.base_reflectance[0])
+    walks, singles = (max(1, int(n * effort / CHUNKS)) for n in numbers)
+
+    def chunk(job: tuple[int, int]) -> Array:
+        turn, i = job
+        theta = float(theta_rad[turn])
+        light = np.array([np.sin(theta), 0.0, np.cos(theta)])
+        many, one = np.zeros((2, int(np.prod(CHECK_BINS)), count))
+        tally = Tally(spread, CHECK_BINS, many, np.zeros((1, count)))
+        walk(seed * 1000 + 8 * turn + i, walks, light, medium, albedo, tally, NO_VIEWERS, np.zeros((0, count)))
+        if len(medium.number):
+            tally_single_scattering(0, singles, shifts[turn, i], light, medium, spread, CHECK_BINS, one)
+        return np.asarray(many / walks + one / singles)
+
+    jobs = [(turn, i) for turn in range(len(theta_rad)) for i in range(CHUNKS)]
+    return np.array(in_threads(chunk, jobs)).reshape(len(theta_rad), CHUNKS, -1, count)
 
 
 def _bins(table: PlateletLayer, theta: float, spread: float) -> tuple[Array, Array, Array]:
