@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.grids import interpolate, node_coordinate, take_at
 from nacre.bsdf.lobe import Lobe
-from nacre.bsdf.texture import ParameterAxis
+from nacre.bsdf.texture import ParameterAxis, places
 from nacre.core.arrays import Array
 
 ROUNDING = 1e-9  # largest rounding below 0
@@ -293,5 +293,5 @@ def parameter_coordinates(
     """
     if not parameters:
         return ()
-    where = np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(np.asarray(uv, dtype=float), (*shape, 2))
+    where = places(uv, shape)
     return tuple(axis.coordinate(axis.texture(where)) for axis in parameters)

@@ -249,6 +249,11 @@ def _bilinear(image: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.
     return np.asarray(top * (1 - fy) + bottom * fy)
 
 
+def places(uv: Array | None, shape: tuple[int, ...]) -> Array:
+    """Return places on the surface, `uv` broadcast to `[*shape, 2]`; the default is the middle of the surface."""
+    return np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(np.asarray(uv, dtype=float), (*shape, 2))
+
+
 def place_formula(thing: Any) -> str | None:
     """Return a formula in x, y or z within a texture, a Bsdf, a model or tables of them, if any."""
     if thing is None or isinstance(thing, str | int | float | complex | np.ndarray) or hasattr(thing, "n_complex"):

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import abc
 import logging
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
@@ -248,6 +249,11 @@ def unit_azimuth(w: Any) -> tuple[Any, Any]:
     flat = w.x * w.x + w.y * w.y
     inverse = dr.rsqrt(larger(flat, 1e-20))
     return dr.select(flat > 1e-14, w.x * inverse, 1.0), dr.select(flat > 1e-14, w.y * inverse, 0.0)
+
+
+def normal_number(uniform: Any) -> Any:
+    """Return a standard normal number by inversion, cut at 4.9 standard deviations."""
+    return math.sqrt(2.0) * dr.erfinv(dr.clip(2.0 * uniform - 1.0, -0.999999, 0.999999))
 
 
 def glossy_sample(wo: Any, value: Any, pdf: Any, active: Any) -> tuple[Any, Any]:

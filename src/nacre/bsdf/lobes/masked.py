@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from nacre.bsdf.lobe import Lobe, SpecularResponse, specular_at
-from nacre.bsdf.texture import Texture
+from nacre.bsdf.texture import Texture, places
 from nacre.core.arrays import Array
 
 
@@ -79,8 +79,7 @@ class MaskedLobe(Lobe):
 
     def share(self, uv: Array | None, shape: tuple[int, ...]) -> Array:
         """Return the weight at uv, `shape`; the default uv is the middle of the surface."""
-        place = np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(uv, (*shape, 2))
-        value = self.mask(place)
+        value = self.mask(places(uv, shape))
         if self.nodes is not None:
             return hat(value, self.nodes, self.node)
         return 1.0 - value if self.inverted else value

@@ -18,7 +18,7 @@ from nacre.bsdf.response import (
     mean_over_azimuth,
     parameter_coordinates,
 )
-from nacre.bsdf.texture import Texture
+from nacre.bsdf.texture import Texture, places
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 
@@ -101,13 +101,13 @@ class Microfacet(ResponseLobe):
             w = w * np.array([1.0, 1.0, -1.0])
         if self.rotation is None:
             return w
-        angle = self.rotation(_where(uv, w.shape[:-1]))
+        angle = self.rotation(places(uv, w.shape[:-1]))
         cos, sin = np.cos(angle), np.sin(angle)
         x, y = w[..., 0], w[..., 1]
         return np.stack([cos * x + sin * y, cos * y - sin * x, w[..., 2]], axis=-1)
 
     def _widths(self, uv: Array | None, shape: tuple[int, ...]) -> tuple[Array | float, Array | float]:
-        factor = 1.0 if self.alpha_texture is None else self.alpha_texture(_where(uv, shape))
+        factor = 1.0 if self.alpha_texture is None else self.alpha_texture(places(uv, shape))
         return self.alpha_x * factor, self.alpha_y * factor
 
     def facet_powers(self, w: Array, h: Array, uv: Array | None = None) -> tuple[Array, Array]:
@@ -251,7 +251,7 @@ class AlignedMicrofacet(Microfacet):
         inside = w[..., 2] < 0
         phi = local_azimuth(w, h) + np.where(inside, np.pi, 0.0)
         if self.rotation is not None:
-            phi = phi + self.rotation(_where(uv, phi.shape))
+            phi = phi + self.rotation(places(uv, phi.shape))
         place = np.mod(phi / (2.0 * np.pi), 1.0) * (self.azimuths - 1)
         return self.response.lookup_at(np.sum(w * h, axis=-1), inside, (place,))
 
@@ -271,8 +271,3 @@ def local_azimuth(w: Array, h: Array) -> Array:
     x, y = w[..., 0], w[..., 1]
     along = w[..., 2] + (x * h[..., 0] + y * h[..., 1]) / (1.0 + h[..., 2])
     return np.asarray(np.arctan2(y - h[..., 1] * along, x - h[..., 0] * along))
-
-
-def _where(uv: Array | None, shape: tuple[int, ...]) -> Array:
-    """Broadcast `uv` to `shape`; the default is the middle of the surface."""
-    return np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(np.asarray(uv, dtype=float), (*shape, 2))

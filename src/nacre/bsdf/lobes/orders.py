@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nacre.bsdf.grids import interpolate
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.response import check_parameters
-from nacre.bsdf.texture import ParameterAxis, Texture
+from nacre.bsdf.texture import ParameterAxis, Texture, places
 from nacre.core.arrays import Array
 
 MAX_OVERLAP = 0.12  # largest angular width over the distance of neighbouring orders
@@ -109,8 +109,7 @@ class OrdersLobe(Lobe):
     def _rotated(self, w: Array, uv: Array | None) -> Array:
         if self.rotation is None:
             return w
-        at = np.full((*w.shape[:-1], 2), 0.5) if uv is None else np.broadcast_to(uv, (*w.shape[:-1], 2))
-        angle = self.rotation(np.asarray(at, dtype=float))
+        angle = self.rotation(places(uv, w.shape[:-1]))
         c, s = np.cos(angle), np.sin(angle)
         return np.stack([c * w[..., 0] + s * w[..., 1], c * w[..., 1] - s * w[..., 0], w[..., 2]], axis=-1)
 
@@ -119,8 +118,7 @@ class OrdersLobe(Lobe):
         if not self.parameters:
             return np.ones(shape), ()
         axis = self.parameters[0]
-        at = np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(np.asarray(uv, dtype=float), (*shape, 2))
-        period = axis.texture(at)
+        period = axis.texture(places(uv, shape))
         return period / float(axis.values[0]), (axis.coordinate(period),)
 
     def efficiencies(self, w: Array, coordinates: tuple[Array, ...] = ()) -> Array:

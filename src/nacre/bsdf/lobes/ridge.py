@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from nacre.bsdf.response import InterfaceResponse, ResponseLobe
-from nacre.bsdf.texture import Texture
+from nacre.bsdf.texture import Texture, places
 from nacre.core.arrays import Array
 
 
@@ -77,8 +77,7 @@ class Ridge(ResponseLobe):
         cos_h = 0.5 * length  # wi.h = |wi + wo|/2 for unit vectors
         across, along = psi[..., 0], psi[..., 1]
         if self.rotation is not None:
-            uv_at = np.full((*across.shape, 2), 0.5) if uv is None else np.broadcast_to(uv, (*across.shape, 2))
-            angle = self.rotation(np.asarray(uv_at, dtype=float))
+            angle = self.rotation(places(uv, across.shape))
             cos, sin = np.cos(angle), np.sin(angle)
             across, along = cos * across + sin * along, cos * along - sin * across
         reflected, _ = self.response.lookup(cos_h, np.zeros(cos_h.shape, dtype=bool), uv)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nacre.bsdf.grids import interpolate
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.ridge import gaussian
-from nacre.bsdf.texture import Texture
+from nacre.bsdf.texture import Texture, places
 from nacre.core.arrays import Array
 
 LEAST_CHORD = 1e-3  # lower limit of sqrt(1 - c^2)
@@ -81,8 +81,7 @@ class RidgeTable(Lobe):
     def _angle(self, uv: Array | None, shape: tuple[int, ...]) -> Array:
         if self.rotation is None:
             return np.zeros(shape)
-        at = np.full((*shape, 2), 0.5) if uv is None else np.broadcast_to(uv, (*shape, 2))
-        return np.asarray(self.rotation(np.asarray(at, dtype=float)), dtype=float)
+        return np.asarray(self.rotation(places(uv, shape)), dtype=float)
 
     def hemispherical(self, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
         """Integrate over all exits, for light along one `wi[3]`, in sines: cos_o d(omega_o) = ds_x ds_y."""

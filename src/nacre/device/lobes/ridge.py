@@ -25,6 +25,7 @@ from nacre.device.plugin import (
     device_array,
     flag,
     glossy_sample,
+    normal_number,
     opaque,
     read,
     replaced,
@@ -79,7 +80,7 @@ class RidgePlugin(LobePlugin[Ridge]):
         wi = frame(si.wi, True)
         active = active & enabled[0] & (wi.z > MIN_COS)
         # along: a normal number by inversion
-        along = self.spread * (math.sqrt(2.0) * dr.erfinv(dr.clip(2.0 * sample2[1] - 1.0, -0.999999, 0.999999)))
+        along = self.spread * normal_number(sample2[1])
         sy = along - wi.y
         limit = dr.sqrt(dr.maximum(1.0 - sy * sy, 0.0))
         active = active & (limit > MIN_COS)

@@ -23,6 +23,7 @@ from nacre.device.plugin import (
     device_array,
     flag,
     glossy_sample,
+    normal_number,
     opaque,
     opaque_int,
     read,
@@ -72,7 +73,7 @@ class RidgeTablePlugin(LobePlugin[RidgeTable]):
         frame = rotated_frame(self.rotation, si, active)
         wi = frame(si.wi, True)
         active = active & enabled[0] & (wi.z > MIN_COS)
-        along = self.spread * (math.sqrt(2.0) * dr.erfinv(dr.clip(2.0 * sample2[1] - 1.0, -0.999999, 0.999999)))
+        along = self.spread * normal_number(sample2[1])
         y = along - wi.y
         _, chord = _along(wi.y, y)
         lines = dr.size_v(mi.UnpolarizedSpectrum)
