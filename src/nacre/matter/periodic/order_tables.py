@@ -16,7 +16,7 @@ from nacre.core.arrays import Array
 from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
 from nacre.core.parallel import in_threads
 from nacre.matter.periodic.orders import cached_solution, case_key, packed_solutions, unpacked_solutions
-from nacre.matter.periodic.solve import difference, method_of, size_count, solve_coarse
+from nacre.matter.periodic.solve import difference, method_of, size_count, solve_many
 from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle
 
 MAX_THETA = float(np.radians(89.5))  # light beyond is taken as here
@@ -96,26 +96,25 @@ def _solved_tables(
     own = [node for node, (first, _) in source.items() if node == first]
     cases = [(t, a, w) for t, a in own for w in range(len(wavelengths_nm))]
 
-    def work(case: tuple[int, int, int], step: int = 0) -> OrderSolution:
+    def wave(case: tuple[int, int, int]) -> tuple[PeriodicStack, float, float, float]:
         t, a, w = case
-        phi = 2.0 * np.pi * a / azimuths + np.pi
-        return solve_coarse(stacks[w], float(wavelengths_nm[w]), float(angles[t]), phi, step)
+        return stacks[w], float(wavelengths_nm[w]), float(angles[t]), 2.0 * np.pi * a / azimuths + np.pi
+
+    def work(part: list[tuple[int, int, int]], step: int = 0) -> list[OrderSolution]:
+        return solve_many([wave(case) for case in part], step)
 
     def check(case: tuple[int, int, int]) -> OrderSolution:
-        t, a, w = case
-        phi = 2.0 * np.pi * a / azimuths + np.pi
-        return cached_solution(
-            stacks[w], float(wavelengths_nm[w]), float(angles[t]), phi, tolerance, is_strict=False
-        )  # fmt: skip
+        return cached_solution(*wave(case), tolerance, is_strict=False)
 
     step = 0
     if table_error is not None and _is_patterned(stack):
         probes = [(t, a, 0) for t, a in own[:: max(len(own) // PROBES, 1)]]  # the first wavelength needs most
         for step in range(size_count(stack)):
-            pairs = zip(in_threads(check, probes), in_threads(partial(work, step=step), probes), strict=True)
+            pairs = zip(in_threads(check, probes), work(probes, step), strict=True)
             if max(difference(*pair) for pair in pairs) <= table_error:
                 break
-    found = _solved_rows(partial(work, step=step), cases, f"{key}-{step}" if key else "")
+    batch = len(own) if method == "lines" and step == 0 else 1
+    found = _solved_rows(partial(work, step=step), cases, batch, f"{key}-{step}" if key else "")
     numbers = {
         (int(m), int(n)) for s in found.values() for side in (s.reflected, s.transmitted) for m, n in side.numbers
     }
@@ -153,9 +152,13 @@ def _solved_tables(
 
 
 def _solved_rows(
-    work: Callable[[tuple[int, int, int]], OrderSolution], cases: list[tuple[int, int, int]], key: str
-) -> dict[tuple[int, int, int], OrderSolution]:
-    """Solve all cases; each incidence angle is stored once complete, so that an interrupted table resumes there."""
+    work: Callable[[list[tuple[int, int, int]]], list[OrderSolution]], cases: list[tuple[int, int, int]], batch: int,
+    key: str,
+) -> dict[tuple[int, int, int], OrderSolution]:  # fmt: skip
+    """Solve all cases, up to `batch` azimuths at once.
+
+    Each incidence angle is stored once complete, so that an interrupted table resumes there.
+    """
     rows: dict[int, list[tuple[int, int, int]]] = {}
     for case in cases:
         rows.setdefault(case[0], []).append(case)
@@ -167,18 +170,22 @@ def _solved_rows(
     lock = threading.Lock()
     seconds = dict.fromkeys(rows, 0.0)
 
-    def kept(case: tuple[int, int, int]) -> None:
+    def kept(part: list[tuple[int, int, int]]) -> None:
         start = time.perf_counter()
-        solution = work(case)
+        solutions = work(part)
         with lock:
-            found[case] = solution
-            t = case[0]
+            found.update(zip(part, solutions, strict=True))
+            t = part[0][0]
             seconds[t] += time.perf_counter() - start
             is_complete = all(each in found for each in rows[t])
             if key and is_complete and seconds[t] > MIN_STORED_S:
                 cache_arrays(f"{key}-{t}", packed_solutions([found[each] for each in rows[t]]))
 
-    in_threads(kept, [case for case in cases if case not in found])
+    alike: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
+    for t, a, w in cases:
+        if (t, a, w) not in found:
+            alike.setdefault((t, w), []).append((t, a, w))
+    in_threads(kept, [part[k : k + batch] for part in alike.values() for k in range(0, len(part), batch)])
     return found
 
 
@@ -193,7 +200,7 @@ def _between(tables: OrderTables, stacks: list[PeriodicStack], wavelengths_nm: A
     def solved(case: tuple[int, int]) -> OrderSolution:
         k, w = case
         theta, phi = 0.5 * np.pi * (t[k] + 0.5) / thetas, 2.0 * np.pi * (a[k] + 0.5) / azimuths + np.pi
-        return solve_coarse(stacks[w], float(wavelengths_nm[w]), float(theta), float(phi), step)
+        return solve_many([(stacks[w], float(wavelengths_nm[w]), float(theta), float(phi))], step)[0]
 
     mirror, others = (
         np.mean([part[t + i, a + j] for i in (0, 1) for j in (0, 1)], axis=0)
