@@ -18,6 +18,7 @@ import scipy.linalg
 from nacre.matter.periodic.types import Array
 
 Solver = Callable[[Array], Array]
+SHORT_RULE = 3  # doublings
 FRACTION_REACH = 16.0  # of |u|: the fraction of tan(sqrt u) / sqrt u is exact to 1e-8 there; energy holds anyhow
 
 
@@ -123,8 +124,8 @@ def _tangent_fraction() -> tuple[Array, Array]:
 def tangent_over_root(u: Array) -> Array:
     """Return tan(sqrt u) / sqrt u of matrices `[..., n, n]`, by a continued fraction and doubling.
 
-    A thin slab of e'' = -u e is doubled by its reflectance and transmittance between resistive media, since these
-    neither have poles nor grow; the short rule f(4 u) = f / (1 - u f^2) loses all digits after some six doublings.
+    The rule f(4 u) = f / (1 - u f^2) loses all digits after some six doublings. If more than three are needed, a thin
+    slab of e'' = -u e is doubled by its reflectance and transmittance between resistive media, which remain below 1.
     """
     squared = u @ u
     norms = [np.abs(each).sum(axis=-2).max(axis=-1) for each in (u, squared)]
@@ -137,6 +138,12 @@ def tangent_over_root(u: Array) -> Array:
         c[0] * one + c[1] * u + c[2] * squared + cubed @ (c[3] * one + c[4] * u + c[5] * squared)
         for c in _tangent_fraction()
     )
+    if doublings <= SHORT_RULE:
+        found = np.linalg.solve(below, above)
+        for _ in range(doublings):
+            found = np.linalg.solve(one - (u @ found) @ found, found)
+            u = 4.0 * u
+        return np.asarray(found)
     thin = 0.5**doublings
     even, odd = (1j / thin) * (u @ above), (1j * thin) * above
     # reflectances of the even and of the odd state, whose mean and half difference are those of the slab
