@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nacre.analysis.report import ColourTable, Comparison, Report
-from nacre.analysis.texture import texture_document, texture_rows
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.errors import UnsupportedError
 from nacre.core.html import render_page
 from nacre.material.material import Material
+from nacre.measure.texture import texture_document, texture_rows
 from nacre.measure.wavelengths import colour_spectrum
 from nacre.plot.html import data_uri
 

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from nacre._version import __version__
-from nacre.analysis.texture import Texture
 from nacre.bsdf import Bsdf
 from nacre.bsdf.grids import direction
 from nacre.bsdf.texture import refuse_place
@@ -36,6 +35,7 @@ from nacre.measure.colours import recipe_geometries
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
 from nacre.measure.geometry import Geometry, aspecular_pairs
 from nacre.measure.polarisation import SelectiveBand, circular_reflection, selective_band
+from nacre.measure.texture import Texture
 from nacre.measure.wavelengths import colour_bsdf
 
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)

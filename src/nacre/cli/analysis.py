@@ -16,8 +16,8 @@ from nacre.core.errors import NacreError
 from nacre.core.jobs import Workers
 
 if TYPE_CHECKING:
-    from nacre.analysis.texture import Texture
     from nacre.material.material import Material
+    from nacre.measure.texture import Texture
 
 
 def _progress_bar(description: str) -> Any:
@@ -158,8 +158,8 @@ def _texture(
     is_asked: bool, patch: str | None, instrument: str | None, illuminant: str, observer: str, seed: int
 ) -> Callable[[Material], Texture | None]:
     """Return the function that computes a material's texture, or None without being asked."""
-    from nacre.analysis.texture import measure_texture, read_instrument
     from nacre.core.files import check_writable
+    from nacre.measure.texture import measure_texture, read_instrument
 
     if instrument and not (is_asked or patch):
         raise NacreError("--instrument needs --texture")

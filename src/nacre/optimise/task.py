@@ -176,7 +176,8 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
     source = context.source
     base = _recipe(spec, context).with_parts_loaded([*spec.parameters, *spec.tolerance])
     refuse_place(base.model, f"{context.source}: recipe")
-    targets = read_targets(spec.target, spec.light, context, task_geometries(spec, base.data, context))
+    named = task_geometries(spec, base.data, context)
+    targets = read_targets(spec.target, spec.light, context, named, spec.instrument)
     if spec.layers is not None:
         check_layers(spec.layers, base, source)
         _check_total(spec, source)
@@ -350,7 +351,8 @@ def _check_geometries(target: DesignTask) -> None:
     for other in substrates(target.spec.layers)[1:] if target.spec.layers else ():
         tried.append(target.material.vary({"substrate": other}))
     rows = geometries_of(target.targets)
-    keys = [next(one.key for one in target.targets if one.geometry == at) + ".geometry" for at in rows]
+    firsts = [next(one for one in target.targets if one.geometry == at) for at in rows]
+    keys = [f"{one.key}.{'geometry' if one.texture is None else 'quantity'}" for one in firsts]
     check_answers(tried, rows, keys)
 
 
