@@ -69,7 +69,8 @@ def sweep(sweep_file: str, output: str | None, workers: Workers) -> None:
 )  # fmt: skip
 @click.option(
     "--formula", default="ciede2000", show_default=True, metavar="NAME",
-    help="Colour difference to the first recipe: cie76, cie94, cie94-textiles, cmc(1:1), cmc(2:1), ciede2000, din99o.",
+    help="Colour difference to the first recipe: cie76, cie94, cie94-textiles, cmc(1:1), cmc(2:1), ciede2000, din99o, "
+    "din6175-2 (effect paints, aspecular geometries).",
 )  # fmt: skip
 @click.option(
     "--tolerance", "limits", multiple=True, metavar="[GEOMETRY=]VALUE",
@@ -103,6 +104,7 @@ def report(
     from nacre.analysis.report import compare, compare_with_colours, make_report, read_geometries
     from nacre.core.files import check_writable, write_text
     from nacre.core.parallel import on_progress
+    from nacre.light.colour_differences import check_formula
 
     if len(recipes) > 2:
         raise NacreError(f"report takes one recipe or two, not {len(recipes)}")
@@ -110,6 +112,7 @@ def report(
     read_geometries(geometries)
     geometries = _with_standard(geometries, colours)
     allowed = _limits(limits)
+    check_formula(formula)
     add_texture = _texture(more["has_texture"], more["patch"], more["instrument"], illuminant, observer, seed)
     if output:
         if Path(output).suffix not in (".txt", ".json", ".html"):

@@ -63,6 +63,8 @@ def _print(document: dict[str, Any]) -> None:
         parts = ", ".join(f"{name} {_percent(share)} %" for name, share in each["mass_shares"].items())
         state = "within the tolerances" if each["met"] else "outside the tolerances"
         click.echo(f"{number}  dE00 mean {each['mean_de00']:.2f}, largest {max(each['de00']):.2f}, {state}")
+        for name, one in each["texture"].items():
+            click.echo(f"   {name} {one['value']:.4g}, {one['off_percent']:.2g} % off")
         click.echo(f"   by mass, dry: {parts}")
         errors = each["volume_fraction_errors"]
         volumes = [

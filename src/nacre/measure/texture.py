@@ -129,7 +129,7 @@ class TextureQuantity(Geometry):
         """
         if name not in QUANTITY_NAMES:
             hint = did_you_mean(name, QUANTITY_NAMES)
-            raise RecipeError(f'{where} = {show_value(name)} is not known.{hint} Known: {", ".join(QUANTITY_NAMES)}')
+            raise RecipeError(f"{where} = {show_value(name)} is not known.{hint} Known: {', '.join(QUANTITY_NAMES)}")
         kind, _, angle = name.partition("_")
         return cls(kind, float(angle or 0.0), instrument=instrument, light=light)
 

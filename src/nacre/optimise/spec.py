@@ -108,7 +108,7 @@ class TargetEntry(RecipeModel):
     )
     value: Positive | str | Bounds | None = pydantic.Field(
         default=None,
-        description="of quantity: the number, a bound such as \">=1.5\", or both ends of a range",
+        description='of quantity: the number, a bound such as ">=1.5", or both ends of a range',
         examples=[1.2],
     )
     tolerance: Positive = pydantic.Field(

@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar
 
 import pydantic
 
+from nacre.measure.texture import Instrument
 from nacre.optimise.spec import LightSpec, TargetEntry
 from nacre.recipe.model import RecipeModel
 from nacre.recipe.path_tables import GeometrySpec
@@ -137,7 +138,12 @@ class FormulationSpec(RecipeModel):
         examples=[{"family": "pearl", "strata": [{"resin": {"n": 1.5}, "thickness_um": 40}]}],
     )
     target: Annotated[list[TargetEntry], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
-        description="measured colours at aspecular geometries"
+        description="measured colours at aspecular geometries, and measured texture"
+    )
+    instrument: str | Instrument = pydantic.Field(
+        default=Instrument(),
+        description="lamp, camera and calibration of texture targets, a file or its keys",
+        examples=["instrument.toml"],
     )
     geometry: list[GeometrySpec] = pydantic.Field(
         default=[], description="geometries by name", examples=[[{"name": "door", "at": "45as60az125.3"}]]
