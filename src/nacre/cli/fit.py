@@ -16,8 +16,6 @@ from nacre.families.contract import method_overrides
 if TYPE_CHECKING:
     from nacre.analysis.fit import Fit
 
-HIGH_CORRELATION = 0.9
-
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, metavar="MEASUREMENT... RECIPE")

@@ -78,7 +78,6 @@ __all__ = ["check_limits", "total_thickness_nm"]
 
 # Reading a target: a file or dictionary becomes a checked task.
 
-LAYER_PATHS = ("layers", "substrate")
 OTHER = "other"  # in bounds by material: all that are not named
 
 
