@@ -37,6 +37,3 @@ def _images(data: Any, path: str = "") -> Iterator[tuple[str, Mapping[str, Any]]
             return
         for key, value in data.items():
             yield from _images(value, f"{path}.{key}" if path else str(key))
-
-
-__all__ = ["number_maps"]

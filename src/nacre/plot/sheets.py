@@ -306,6 +306,3 @@ def _bare(axes: Axes, title: str) -> None:
     for side in axes.spines.values():
         side.set_visible(False)
     style.panel_title(axes, title)
-
-
-__all__ = ["PictureSheet", "picture_figure"]

@@ -78,6 +78,3 @@ def file_stamp(path: str | Path | None) -> tuple[tuple[str, int, int], ...]:
             found[real(file)] = (str(real(file)), status.st_mtime_ns, status.st_size)
             todo += named_files(file)
     return tuple(found[file] for file in sorted(found))
-
-
-__all__ = ["file_digest", "file_stamp", "fingerprint"]

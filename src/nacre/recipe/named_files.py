@@ -112,6 +112,3 @@ def _quoted(path: Path) -> set[Path]:
     # match from every quote to the next, since an apostrophe in a comment opens no string
     quoted = {name for q in "\"'" for name in re.findall(f"(?={q}([^{q}\0\n]{{1,255}}){q})", text)}
     return _joined({path.parent}, quoted | {unquote(name) for name in quoted if "%" in name})
-
-
-__all__ = ["named_files"]

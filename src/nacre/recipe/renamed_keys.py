@@ -32,6 +32,3 @@ def renamed_hint(key: str, allowed: Iterable[str]) -> str:
     known = set(allowed)
     found = next((name for name in RENAMED.get(key, ()) if name in known), None)
     return f' It is now called "{found}".' if found else ""
-
-
-__all__ = ["RENAMED", "renamed_hint"]
