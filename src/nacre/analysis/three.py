@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from nacre.analysis.lut import STEEPEST, ClosureLoss, azimuths, make_table
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
 from nacre.formats.lut.table import Closure, LightTable, Picture, column_angles
 from nacre.formats.lut.three import write_three

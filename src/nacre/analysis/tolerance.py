@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from nacre.analysis.report import SPECULAR_ANGLES_DEG
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.jobs import START_WORKERS_S, Workers, run_jobs
 from nacre.light import delta_e_2000

@@ -7,12 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.core.directions import direction as direction
-from nacre.core.interpolation import cell as cell
-from nacre.core.interpolation import interpolate as interpolate
-from nacre.core.interpolation import node_coordinate as node_coordinate
-from nacre.core.interpolation import take_at as take_at
-from nacre.core.interpolation import take_uniform as take_uniform
 
 
 def hemisphere_nodes(nodes: int = 64) -> tuple[Array, Array]:

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.orders import OrdersLobe
 from nacre.bsdf.lobes.table import TableLobe
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
 from nacre.formats.export_formats import refuse_unsuitable
 from nacre.formats.gonio_csv import GonioData

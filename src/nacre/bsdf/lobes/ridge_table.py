@@ -8,11 +8,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.grids import interpolate
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.ridge import gaussian
 from nacre.bsdf.texture import Texture, places
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, interpolate
 
 LEAST_CHORD = 1e-3  # lower limit of sqrt(1 - c^2)
 
