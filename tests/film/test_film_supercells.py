@@ -9,7 +9,7 @@ import pytest
 from validation.film_morpho_rcwa import BLUE, WAVELENGTHS_NM, Fan, colours, read_cells, rigorous_fan
 
 import nacre
-from nacre.bsdf.lobes.ridge_table import RidgeTable
+from nacre.bsdf.lobes.ridge import RidgeTable
 from nacre.cli import run
 from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError

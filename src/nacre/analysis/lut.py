@@ -16,7 +16,7 @@ import numpy as np
 from nacre._version import __version__
 from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import exits, masking, normal_quadrature
-from nacre.bsdf.grids import hemisphere_nodes
+from nacre.bsdf.lobe import hemisphere_nodes
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
 from nacre.bsdf.lobes.specular import AlignedSpecular, Specular

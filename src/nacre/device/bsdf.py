@@ -130,7 +130,7 @@ PLUGINS: dict[str, str] = {
     "aligned-microfacet": "nacre.device.lobes.microfacet:AlignedMicrofacetPlugin",
     "diffuse": "nacre.device.lobes.diffuse:DiffusePlugin",
     "ridge": "nacre.device.lobes.ridge:RidgePlugin",
-    "ridge-table": "nacre.device.lobes.ridge_table:RidgeTablePlugin",
+    "ridge-table": "nacre.device.lobes.ridge:RidgeTablePlugin",
     "table": "nacre.device.lobes.table:TablePlugin",
     "harmonic": "nacre.device.lobes.monolayer:HarmonicPlugin",
     "aligned": "nacre.device.lobes.monolayer:AlignedPlugin",

@@ -24,7 +24,6 @@ from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Figure, Model, Traits
 from nacre.formats.number_maps import NumberMap
 from nacre.light import delta_e_2000, spans_colour, xyz_to_lab
-from nacre.material.material import Material
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.instruments import aspecular_direction
 from nacre.recipe.model import RecipeContext, validate
@@ -234,8 +233,11 @@ def choose_nodes(colours: Callable[[float], Array], low: float, high: float, pat
         nodes.insert(at + 1, 0.5 * (nodes[at] + nodes[at + 1]))
 
 
-def number_maps(material: Material) -> list[NumberMap]:
+def number_maps(material: Any) -> list[NumberMap]:
     """Return a map for every number of a recipe that an image gives; formulas are omitted.
+
+    Args:
+        material: anything with `data` and `context`.
 
     Raises:
         RecipeError: an image cannot be read.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.facet_distributions import DISTRIBUTIONS, exits, masking, normal_density, normal_quadrature
-from nacre.bsdf.grids import product_rule
+from nacre.bsdf.lobe import product_rule
 from nacre.bsdf.response import (
     InterfaceResponse,
     ResponseLobe,

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nacre.bsdf.lobes.diffuse import Diffuse
-from nacre.bsdf.lobes.ridge import Ridge, chord, gaussian, ridge_interference
-from nacre.bsdf.lobes.ridge_table import RidgeTable
+from nacre.bsdf.lobes.ridge import Ridge, RidgeTable, chord, gaussian, ridge_interference
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import Texture
 from nacre.core.arrays import Array, direction
