@@ -333,6 +333,3 @@ def read_security(path: str | Path) -> Any:
         tls_client_cert=str(named["cert"]),
         tls_client_key=str(named["key"]),
     )
-
-
-__all__ = ["SINGLE_THREADED", "Workers", "in_workers", "on_cluster", "read_security", "run_jobs"]

@@ -51,7 +51,6 @@ HEADERLESS: dict[Kind, dict[int, tuple[str, ...]]] = {
     "colours": {3: ("L", "a", "b"), 4: ("name", "L", "a", "b")},
 }
 CLEAR_INDEX = 7.5
-CHROMATIC = ("L", "a", "b", "C", "hue", "X", "Y", "Z", "hunter_L", "hunter_a", "hunter_b")
 
 
 def sniff(head: FileHead) -> float:
