@@ -124,6 +124,3 @@ def with_preamble(measurement: Measurement, above: Preamble) -> Measurement:
         return measurement
     said = f"angle or polarisation from {' and '.join(map(repr, above.lines))}"
     return replace(measurement, metadata={**measurement.metadata, **new}, assumed=(*measurement.assumed, said))
-
-
-__all__ = ["Preamble", "light_above", "read_preamble", "with_preamble"]

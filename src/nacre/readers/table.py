@@ -54,7 +54,6 @@ HEADERLESS: dict[Kind, dict[int, tuple[str, ...]]] = {
 LEAST_OF_MAP = 8  # rows and columns of numbers that may be a height map
 DEVICE_COLOURS = {"hsv": "HSV", "hsb": "HSB", "hsl": "HSL", "hsi": "HSI", "cmyk": "CMYK"}
 CLEAR_INDEX = 7.5
-CHROMATIC = ("L", "a", "b", "C", "hue", "X", "Y", "Z", "hunter_L", "hunter_a", "hunter_b")
 
 
 def sniff(head: FileHead) -> float:

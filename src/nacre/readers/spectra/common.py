@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -565,8 +565,3 @@ def check_count(path: Path, stated: float | str | None, got: int, what: str) -> 
         return
     if expected != got:
         raise NacreError(f"{path}: {what} states {expected} points, and {got} are there; the file is cut or damaged")
-
-
-def iterate_words(text: str) -> Iterator[str]:
-    """Yield the words of a text in lower case."""
-    yield from re.findall(r"[a-zà-ÿ]+", text.lower())
