@@ -14,7 +14,7 @@ from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.material.material import as_material
 from nacre.measure.texture import QUANTITY_NAMES, TextureQuantity, measure_texture, read_instrument, texture_values
-from nacre.optimise.formulation.formulate import _paint, formulate, read_formulation
+from nacre.optimise.formulation import _paint, formulate, read_formulation
 from nacre.optimise.merit import MeritFunction, Operand
 from nacre.optimise.task import read_task
 from nacre.recipe.toml import dump_toml

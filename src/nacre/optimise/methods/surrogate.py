@@ -572,13 +572,3 @@ def is_applicable(task: DesignTask) -> bool:
         return surrogate_factors(task.material, geometries_of(task.targets), grid, False) is not None
     except NacreError:
         return False
-
-
-__all__ = [
-    "Correction",
-    "SurrogateError",
-    "SurrogateOptions",
-    "SurrogateSearch",
-    "is_applicable",
-    "wavelength_subset",
-]
