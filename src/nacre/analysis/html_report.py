@@ -15,7 +15,7 @@ from nacre.bsdf.bsdf import Spectrum
 from nacre.core.errors import UnsupportedError
 from nacre.core.html import render_page
 from nacre.material.material import Material
-from nacre.measure.wavelengths import colour_spectrum
+from nacre.measure.colours import colour_spectrum
 from nacre.plot.html import data_uri
 
 if TYPE_CHECKING:
