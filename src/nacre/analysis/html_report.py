@@ -15,8 +15,8 @@ from nacre.core.errors import UnsupportedError
 from nacre.core.html import render_page
 from nacre.light.colour_differences import DIN_6175
 from nacre.material.material import Material
+from nacre.measure.colours import colour_spectrum
 from nacre.measure.texture import texture_document, texture_rows
-from nacre.measure.wavelengths import colour_spectrum
 from nacre.plot.html import data_uri
 
 if TYPE_CHECKING:

@@ -30,13 +30,12 @@ from nacre.light import (
 )
 from nacre.light.colour_differences import DIN_6175
 from nacre.material.material import Material
-from nacre.measure import instruments as geometry
-from nacre.measure.colours import recipe_geometries
+from nacre.measure import geometry
+from nacre.measure.colours import colour_bsdf, recipe_geometries
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
 from nacre.measure.geometry import Geometry, aspecular_pairs
 from nacre.measure.polarisation import SelectiveBand, circular_reflection, selective_band
 from nacre.measure.texture import Texture
-from nacre.measure.wavelengths import colour_bsdf
 
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 FLOP_FACTOR, FLOP_POWER, FLOP_BASE = 2.69, 1.11, 0.86  # Alman's flop index

@@ -204,8 +204,7 @@ def _standard(
 
 def _with_standard(geometries: tuple[str, ...], colours: dict[str, Any] | None) -> tuple[str, ...]:
     """Return the further geometries with those of a standard that no report has by itself."""
-    from nacre.measure.geometry import Geometry
-    from nacre.measure.instruments import ASPECULAR_DEG
+    from nacre.measure.geometry import ASPECULAR_DEG, Geometry
 
     named = [text.rpartition("=")[0] or text for text in geometries]
     usual = [str(Geometry("aspecular", 45.0, angle)) for angle in ASPECULAR_DEG]

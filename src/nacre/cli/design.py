@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from nacre.cli import common
-from nacre.cli.progress import COMPILING, LONG_COMPILE_S
+from nacre.cli.common import COMPILING, LONG_COMPILE_S
 from nacre.core.errors import NacreError
 from nacre.core.jobs import Workers
 

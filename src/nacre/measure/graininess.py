@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nacre.bsdf.flakes import DiffuseFlakes, mean_square
+from nacre.bsdf.glints import DiffuseFlakes, mean_square
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.flakes import LitFlakes
+from nacre.bsdf.glints import LitFlakes
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
 

@@ -28,9 +28,9 @@ from nacre.core.files import check_room, check_writable, read_text, write_text
 from nacre.families.contract import Surrogate, surrogate_radiance
 from nacre.light import lamp_lines_nm, spectrum_to_xyz, with_lamp_lines
 from nacre.material.material import Material, material
+from nacre.measure.colours import WALK_NM
 from nacre.measure.geometry import Geometry, aspecular_pairs, named_geometries
 from nacre.measure.texture import Fidelity, Instrument, TextureQuantity, texture_values
-from nacre.measure.wavelengths import WALK_NM
 from nacre.optimise.evaluation import geometries_of
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.least_squares import minimise_residuals, sobol_points
@@ -39,10 +39,9 @@ from nacre.optimise.solutions import NEED_BYTES, RECIPE, clear_solutions, folder
 from nacre.optimise.spec import LightSpec, TargetEntry
 from nacre.optimise.targets import Target, merit_function, read_targets
 from nacre.optimise.task import read_data
-from nacre.recipe.model import RecipeContext, RecipeModel, validate
+from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, RecipeModel, validate
 from nacre.recipe.path_tables import GeometrySpec
 from nacre.recipe.toml import parse_toml
-from nacre.recipe.units import LENGTH_UNITS_NM
 
 LEAST_TEXTURE, TEXTURE_STEP = 1e-9, 0.05  # relative step of a volume fraction for derivatives of texture
 MOST_ANSWERS = 20

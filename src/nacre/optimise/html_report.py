@@ -21,8 +21,8 @@ from nacre.measure.texture import TextureQuantity
 from nacre.optimise.evaluation import TargetResult, geometries_of
 from nacre.optimise.gamut import MIN_POINTS, gamut_chart, gamut_svg, target_gamut
 from nacre.optimise.measurement import evaluation_wavelengths, search_wavelengths, simulate_measurement
+from nacre.optimise.parameters import is_chosen
 from nacre.optimise.solutions import Solution
-from nacre.optimise.sparsify import is_chosen
 from nacre.optimise.task import DesignTask
 from nacre.optimise.yield_analysis import RMS_OF_1_PERCENT
 from nacre.plot.html import DPI, data_uri

@@ -23,10 +23,9 @@ from nacre.optimise.spec import DesignSpec, LayersSpec
 from nacre.optimise.targets import Target, read_targets
 from nacre.optimise.tolerances import read_tolerances
 from nacre.recipe.fingerprint import fingerprint
-from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
+from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, RecipeModel, show_value, validate
 from nacre.recipe.path_tables import by_path
 from nacre.recipe.toml import parse_toml
-from nacre.recipe.units import LENGTH_UNITS_NM
 
 
 def total_thickness_nm(material: Material) -> float:

@@ -19,7 +19,7 @@ from threading import Lock
 import numpy as np
 
 from nacre.bsdf.facet_distributions import fresnel
-from nacre.bsdf.flakes import DiffuseFlakes, LitFlakes, mean_square, radius_quantiles
+from nacre.bsdf.glints import DiffuseFlakes, LitFlakes, mean_square, radius_quantiles
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
 from nacre.families.pearl.flake_normals import FlakeNormals, optical_number, orthonormal_basis

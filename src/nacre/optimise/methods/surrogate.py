@@ -29,8 +29,8 @@ from nacre.optimise.measurement import surrogate_factors
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.least_squares import is_distinct, refine
 from nacre.optimise.methods.local_minima import BasinHopping
+from nacre.optimise.parameters import count_tables, draws
 from nacre.optimise.problem import PENALTY, STOP_TOL, Budget, Changes, OnProgress, Phase, Problem, Result, Search
-from nacre.optimise.sparsify import count_tables, draws
 from nacre.optimise.task import DesignTask
 from nacre.recipe.paths import is_within
 
