@@ -1,8 +1,9 @@
-"""Gratings on flat objects under a lamp: a compact disc, gift paper, and a security patch in both positions.
+"""Gratings on flat objects: a compact disc, gift paper, a security patch in both positions, silicon pixels, a moth-eye.
 
     python examples/foils.py [FOLDER] [--quick]
 
-Writes disc.obj and card.obj, whose uv is their place in the plane, and the four pictures.
+Writes disc.obj and card.obj, whose uv is their place in the plane, and the six pictures. The silicon pixels take some
+five minutes of processor time, once.
 """
 
 from __future__ import annotations
@@ -15,13 +16,19 @@ from pathlib import Path
 import numpy as np
 
 RECIPES = Path(__file__).resolve().parent / "grating"
+TABLE = ("--scene", "butterfly", "--light", "interior")  # on a table, in a room by day
+BLACK = ("--scene", "cuff", "--light", "studio", "--view", "0,60", "--zoom", "1.05")  # black acrylic, soft boxes
 PICTURES = {
     # name -> recipe, mesh, further options
-    "compact-disc": ("compact-disc", "disc", ("--zoom", "1.15")),
-    "gift-paper": ("gift-paper", "card", ("--zoom", "1.15")),
-    "two-channel-patch": ("two-channel-patch", "card", ("--zoom", "1.15")),
-    "two-channel-patch-turned": ("two-channel-patch", "card", ("--zoom", "1.15", "--turn", "90")),
-}
+    "compact-disc": ("compact-disc", "disc", (*TABLE, "--view", "15,38", "--zoom", "1.35")),
+    "gift-paper": ("gift-paper", "card", (*TABLE, "--view", "15,40", "--zoom", "1.6")),
+    "two-channel-patch": ("two-channel-patch", "card", (*TABLE, "--view", "0,40", "--zoom", "1.45")),
+    "two-channel-patch-turned": (
+        "two-channel-patch", "card", (*TABLE, "--view", "0,40", "--zoom", "1.45", "--turn", "90")
+    ),
+    "silicon-painting": ("silicon-painting", "card", BLACK),
+    "moth-eye": ("moth-eye-pane", "card", BLACK),
+}  # fmt: skip
 
 
 def write_ring(path: Path, inner: float, sides: int) -> None:
@@ -47,12 +54,12 @@ def main(arguments: list[str] | None = None) -> None:
     options.folder.mkdir(exist_ok=True)
     write_ring(options.folder / "disc.obj", 0.25, 128)
     write_ring(options.folder / "card.obj", 1e-4, 4)
-    size, spp = ("96x96", "4") if options.quick else ("384x384", "96")
+    size, spp = ("96x72", "4") if options.quick else ("384x288", "64")
     for name, (recipe, mesh, further) in PICTURES.items():
         command = [
-            sys.executable, "-m", "nacre", "render", str(RECIPES / f"{recipe}.toml"), "--scene", "panel", "--shape",
-            str(options.folder / f"{mesh}.obj"), "--up", "z", "--light", "line", "--view", "0,40", "--background",
-            "#101012", "--size", size, "--spp", spp, *further, "-o", str(options.folder / f"{name}.png"),
+            sys.executable, "-m", "nacre", "render", str(RECIPES / f"{recipe}.toml"), "--shape",
+            str(options.folder / f"{mesh}.obj"), "--up", "z", "--size", size, "--spp", spp, *further,
+            "-o", str(options.folder / f"{name}.png"),
         ]  # fmt: skip
         subprocess.run(command, check=True)
 
