@@ -13,6 +13,7 @@ from nacre.core.interpolation import interpolate as interpolate
 from nacre.core.interpolation import node_coordinate as node_coordinate
 from nacre.core.interpolation import take_at as take_at
 from nacre.core.interpolation import take_uniform as take_uniform
+from nacre.core.quadrature import gauss_legendre
 
 
 def hemisphere_nodes(nodes: int = 64) -> tuple[Array, Array]:
@@ -20,7 +21,7 @@ def hemisphere_nodes(nodes: int = 64) -> tuple[Array, Array]:
 
     Gauss-Legendre in sin^2(theta), where the cosine-weighted measure is uniform; the weights sum to pi.
     """
-    x, weight = np.polynomial.legendre.leggauss(nodes)
+    x, weight = gauss_legendre(nodes)
     sin2 = 0.5 * (x + 1.0)
     phi = (np.arange(nodes) + 0.5) * (2.0 * np.pi / nodes)
     sin2, phi = np.meshgrid(sin2, phi, indexing="ij")

@@ -13,6 +13,7 @@ import numpy as np
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.bsdf.grids import direction
 from nacre.core.arrays import Array
+from nacre.core.quadrature import gauss_legendre
 
 STANDARD_LIGHT = ("C", "2deg")  # for gloss and haze: ISO 2813, ASTM D523, E430 and D1003
 FLOP_LIGHT = ("D65", "10deg")  # ASTM E2194, with the angles of Alman's index
@@ -68,7 +69,7 @@ def transmission_cone(half_angle_deg: float, nodes: int = 24, turns: int = 12) -
         half_angle_deg: half angle of the cone.
         nodes: polar angles, denser near the axis, for narrow lobes; turns: azimuths.
     """
-    x, weight = np.polynomial.legendre.leggauss(nodes)
+    x, weight = gauss_legendre(nodes)
     t, half = 0.5 * (x + 1.0), np.radians(half_angle_deg)
     theta, step = half * t**3, half * 1.5 * t**2 * weight
     phi = (np.arange(turns) + 0.5) * (2.0 * np.pi / turns)
@@ -82,7 +83,7 @@ def _graded(half: float, nodes: int) -> tuple[Array, Array]:
 
     The cubic map of a Gauss rule is some 20 times finer at the centre than at the rim.
     """
-    x, w = np.polynomial.legendre.leggauss(nodes)
+    x, w = gauss_legendre(nodes)
     shape = 0.05 * x + 0.95 * x**3
     slope = 0.05 + 2.85 * x**2
     return half * shape, half * w * slope
