@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from nacre.analysis.lut import STEEPEST, ClosureLoss, azimuths, make_table
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
 from nacre.formats.lut.table import Closure, LightTable, Picture, column_angles
 from nacre.formats.lut.three import write_three
@@ -37,8 +36,8 @@ def export_three(material: Material, folder: Path, illuminant: str, progress: Ca
             "shader needs; export a lut, whose colours over the angle of view three.js can use"
         )
     progress("colours under uniform light")
-    even, alpha = even_pictures(table)
-    files = write_three(folder, table, even, alpha)
+    even, alphas = even_pictures(table)
+    files = write_three(folder, table, even, alphas)
     lost = [part.replace("GLSL: ", "") for part in table.lost]
     if "through" in even:
         lost.append("the colour of the light that passes: what lies behind is seen through the mean of its channels")
@@ -50,22 +49,23 @@ def export_three(material: Material, folder: Path, illuminant: str, progress: Ca
     }  # fmt: skip
 
 
-def even_pictures(table: LightTable) -> tuple[dict[str, Picture], float]:
-    """Return colours under uniform light over the angle of view, a band for each side, and the roughness of "gloss".
+def even_pictures(table: LightTable) -> tuple[dict[str, Picture], tuple[float, ...]]:
+    """Return colours under uniform light over the angle of view, and the roughness of each band of "gloss".
 
-    "albedo": all reflected light; "through": directly transmitted light; "gloss" and "spread": scattered light about
-    the mirror direction and in all directions. A closure's colour times the energy of the white closure is what the
-    material sends (`nacre.analysis.lut.rough_view`).
+    "albedo": all reflected light; "through": directly transmitted light; "spread": scattered light in all directions,
+    each with a band for each side; "gloss": about the mirror direction, with a band for each width. A closure's colour
+    times the energy of the white closure is what the material sends (`nacre.analysis.lut.rough_view`).
     """
     sums: dict[str, list[Array | None]] = {}
     rows_over = {picture.rows for picture in table.pictures.values() if picture.rows}
     rows = rows_over.pop() if rows_over else ""
-    alpha = 0.0
+    alphas: list[float] = []
+    gloss: list[Array] = []
     for closure in table.closures:
         names = ["albedo"] if closure.kind in REFLECTED else ["through"] if closure.kind in PASSED else []
-        if closure.front == "gloss":
-            names.append("gloss")
-            alpha = closure.alpha[0]
+        if closure.front is not None and closure.front.startswith("gloss"):
+            alphas.append(closure.alpha[0])
+            gloss.append(np.asarray(_even(table, closure, closure.front, rows)))
         if closure.kind == "diffuse":
             names.append("spread")
         for name in names:
@@ -73,7 +73,7 @@ def even_pictures(table: LightTable) -> tuple[dict[str, Picture], float]:
                 _added(old, _even(table, closure, side, rows))
                 for old, side in zip(sums.get(name, [None, None]), (closure.front, closure.behind), strict=True)
             ]
-    found = {}
+    found = {"gloss": Picture(np.stack(gloss), "gloss under uniform light", rows=rows)} if gloss else {}
     for name, (front, behind) in sums.items():
         bands = [part for part in (front, behind) if part is not None]
         if not bands or max(float(band.max()) for band in bands) <= 0.0:
@@ -83,7 +83,7 @@ def even_pictures(table: LightTable) -> tuple[dict[str, Picture], float]:
         count = max(len(band) for band in bands)
         values = np.stack([np.broadcast_to(band, (count, *band.shape[1:])) for band in bands])
         found[name] = Picture(values, f"{name} under uniform light", rows=rows)
-    return found, alpha
+    return found, tuple(alphas)
 
 
 def _added(old: Array | None, new: Array | None) -> Array | None:

@@ -22,10 +22,9 @@ from nacre.bsdf.facet_distributions import (
     smith_masking,
     visible_normals,
 )
-from nacre.bsdf.grids import cell, direction, node_coordinate, take_uniform
 from nacre.bsdf.lobes.microfacet import Microfacet, local_azimuth
 from nacre.bsdf.response import InterfaceResponse
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, cell, direction, node_coordinate, take_uniform
 from nacre.core.errors import UnsupportedError
 from nacre.core.quadrature import gauss_legendre
 

@@ -6,7 +6,7 @@ import base64
 import gzip
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,22 +26,24 @@ SPECIFIERS = {"core": "three/core", "module": "three", "tsl": "three/tsl", "webg
 OLDEST_THREE = "0.187.0"  # the tested one
 
 
-def write_three(folder: str | Path, table: LightTable, even: Mapping[str, Picture], gloss_alpha: float) -> list[str]:
+def write_three(
+    folder: str | Path, table: LightTable, even: Mapping[str, Picture], gloss_alphas: Sequence[float]
+) -> list[str]:
     """Write the package atomically; return the names of its files.
 
     Args:
         folder: new, empty, or with an earlier package.
         table: from `nacre.analysis.lut.make_table`.
-        even: pictures over the angle of view under uniform light: "albedo", "gloss", "spread" and "through", with a
-            band for each side.
-        gloss_alpha: GGX roughness of "gloss".
+        even: pictures over the angle of view under uniform light: "albedo", "spread" and "through", with a band for
+            each side, and "gloss", with a band for each roughness.
+        gloss_alphas: GGX roughness of each band of "gloss".
 
     Raises:
         NacreError: the folder contains other files or cannot be written.
     """
     path = check_folder(folder)
     pictures = {name: table.pictures[name] for name in STORED if name in table.pictures} | dict(even)
-    texts = _modules(table, pictures, gloss_alpha)
+    texts = _modules(table, pictures, gloss_alphas)
     texts["index.html"] = _page(table, texts)
     texts["LICENSE-three.txt"] = _vendored("LICENSE")
     with new_folder(path) as made:
@@ -52,7 +54,7 @@ def write_three(folder: str | Path, table: LightTable, even: Mapping[str, Pictur
     return [*sorted(texts), MANIFEST]
 
 
-def _modules(table: LightTable, pictures: Mapping[str, Picture], gloss_alpha: float) -> dict[str, str]:
+def _modules(table: LightTable, pictures: Mapping[str, Picture], gloss_alphas: Sequence[float]) -> dict[str, str]:
     """Return the package's modules, types and package file by name."""
     document = description(table)
     facets = document["facets"]
@@ -61,7 +63,8 @@ def _modules(table: LightTable, pictures: Mapping[str, Picture], gloss_alpha: fl
     held: dict[str, Any] = {key: document[key] for key in ("name", "illuminant", "facets", "parameter", "lost")}
     held |= {
         "errors_dE00": document["errors_dE00"], "is_two_sided": is_two_sided, "rows_azimuth": rows_azimuth,
-        "gloss_alpha": gloss_alpha, "pictures": {name: _half(name, picture) for name, picture in pictures.items()},
+        "gloss_alphas": list(gloss_alphas),
+        "pictures": {name: _half(name, picture) for name, picture in pictures.items()},
     }  # fmt: skip
     defines = [f"#define NACRE_SAMPLES {SAMPLES}.0"]
     defines += [
@@ -70,7 +73,9 @@ def _modules(table: LightTable, pictures: Mapping[str, Picture], gloss_alpha: fl
         if name in pictures
     ]
     if "gloss" in pictures:
-        defines.append(f"#define NACRE_GLOSS {gloss_alpha:.9g}")
+        widths = ", ".join(f"{alpha:.9g}" for alpha in gloss_alphas)
+        defines.append(f"#define NACRE_GLOSS {len(gloss_alphas)}")
+        defines.append(f"#define NACRE_GLOSS_ALPHAS float[NACRE_GLOSS]({widths})")
     flags = {
         "MAP": "map" in pictures, "ONE_SIDED": not is_two_sided, "ROWS_AZIMUTH": rows_azimuth,
         "BRUSHED": facets is not None and facets["alpha"][0] != facets["alpha"][1],

@@ -165,15 +165,19 @@ vec3 nacreSurroundings(NacreSurface s) {
   }
 #endif
 #ifdef NACRE_GLOSS
-  vec3 light = vec3(0.0);
-  float weight = 0.0;
-  for (int i = 0; i < int(NACRE_SAMPLES); i ++) {
-    vec3 m = nacreVisible(up, vec2(NACRE_GLOSS), nacrePoint(i)), wi = reflect(-up, m);
-    if (wi.z <= 0.0) continue;
-    light += nacreIncoming(s, vec3(wi.xy, turn * wi.z), nacreVisibleDensity(up, m, vec2(NACRE_GLOSS)));
-    weight += 1.0;
+  float alphas[NACRE_GLOSS] = NACRE_GLOSS_ALPHAS;
+  for (int k = 0; k < NACRE_GLOSS; k ++) {
+    vec3 light = vec3(0.0);
+    float weight = 0.0;
+    for (int i = 0; i < int(NACRE_SAMPLES); i ++) {
+      vec3 m = nacreVisible(up, vec2(alphas[k]), nacrePoint(i)), wi = reflect(-up, m);
+      if (wi.z <= 0.0) continue;
+      light += nacreIncoming(s, vec3(wi.xy, turn * wi.z), nacreVisibleDensity(up, m, vec2(alphas[k])));
+      weight += 1.0;
+    }
+    vec3 colour = nacreColour(nacreGloss, abs(s.wo.z), s.row, float(k), float(NACRE_GLOSS));
+    sum += light / max(weight, 1.0) * colour * (turn > 0.0 ? 1.0 : 0.0);
   }
-  sum += light / max(weight, 1.0) * nacreView(nacreGloss, s, 1.0) * (turn > 0.0 ? 1.0 : 0.0);
 #endif
 #ifdef NACRE_SPREAD_BANDS
   sum += nacreIrradianceAt(s) / NACRE_PI * nacreView(nacreSpread, s, NACRE_SPREAD_BANDS);

@@ -9,7 +9,7 @@ import { TABLE, position, textures } from './table.js';
 
 export { NacreEnvironment, TABLE };
 
-const { facets, pictures, gloss_alpha: glossAlpha } = TABLE;
+const { facets, pictures, gloss_alphas: glossAlphas } = TABLE;
 const SAMPLES = @SAMPLES@;
 const isRough = !!facets && facets.alpha[0] > 0;
 const isBent = !!facets && facets.transmits && !facets.straight;
@@ -264,10 +264,10 @@ export class NacreNodeMaterial extends NodeMaterial {
           sum.addAssign(f.mul(wi.z).div(density).mul(incoming(turn(wi), density)).div(SAMPLES));
         });
       }
-      if (pictures.gloss) {
+      for (const [k, alpha] of glossAlphas.entries()) {
         const total = vec3(0).toVar(), weight = float(0).toVar();
-        sampled(vec2(glossAlpha, glossAlpha), (wi, density) => { total.addAssign(incoming(turn(wi), density)); weight.addAssign(1); });
-        sum.addAssign(total.div(max(weight, 1)).mul(this.tables.view('gloss', abs(wo.z), row, float(0))).mul(max(flip, 0)));
+        sampled(vec2(alpha, alpha), (wi, density) => { total.addAssign(incoming(turn(wi), density)); weight.addAssign(1); });
+        sum.addAssign(total.div(max(weight, 1)).mul(this.tables.view('gloss', abs(wo.z), row, float(k))).mul(max(flip, 0)));
       }
       if (pictures.spread) {
         const d = toWorld(vec3(0, 0, flip)).toVar(), c = uniformArray(light.irradiance, 'vec3');
