@@ -374,6 +374,7 @@ def test_a_scene_in_a_mono_variant_is_refused(tmp_path: Path) -> None:
     assert done.returncode != 0 and "this is llvm_ad_mono." in done.stderr
 
 
+RGB_RECIPES = 5
 RGB_AGAINST_SPECTRAL = """
 import nacre, nacre.render, numpy as np, mitsuba as mi
 def picture(variant, recipe):
@@ -393,6 +394,10 @@ for recipe in (
     {"family": "film", "substrate": {"n": 1.5}, "base": {"albedo": 0.5}},
     {"family": "blend", "mask": 0.4, "first": {"family": "film", "substrate": "Au", "surface": {"roughness": 0.1}},
      "second": {"family": "film", "substrate": "Si"}},
+    {"family": "pearl", "quality": "fast", "base": {"albedo": 0.6}, "strata": [
+        {"resin": {"n": 1.5}, "thickness_um": 100, "roughness": 0.2, "platelets": [
+            {"volume_fraction": 0.05, "substrate": {"material": "mica", "thickness_nm": 300}, "normal_deviation": 0.1,
+             "coatings": [{"material": "TiO2", "thickness_nm": 60}]}]}]},
 ):
     print(*picture("llvm_ad_rgb", recipe), *picture("llvm_ad_spectral", recipe))
 """
@@ -402,7 +407,7 @@ for recipe in (
 def test_an_rgb_variant_shows_the_colours_of_the_spectral_one() -> None:
     done = python(RGB_AGAINST_SPECTRAL, dict(os.environ))
     assert done.returncode == 0, done.stderr
-    for line in done.stdout.splitlines()[-4:]:
+    for line in done.stdout.splitlines()[-RGB_RECIPES:]:
         rgb, spectral = np.array(line.split(), dtype=float).reshape(2, 3)
         # one bounce: the projection is exact; noise of 65,000 samples with 4 wavelengths each
         np.testing.assert_allclose(rgb, spectral, rtol=0.02, atol=0.003)
