@@ -377,7 +377,7 @@ def test_a_scene_in_a_mono_variant_is_refused(tmp_path: Path) -> None:
 RGB_RECIPES = 5
 RGB_AGAINST_SPECTRAL = """
 import nacre, nacre.render, numpy as np, mitsuba as mi
-def picture(variant, recipe):
+def picture(variant, bsdf):
     mi.set_variant(variant)
     from nacre.device.bsdf import make_bsdf
     white = {"type": "rgb", "value": 1.0} if "rgb" in variant else {"type": "d65"}
@@ -385,7 +385,7 @@ def picture(variant, recipe):
               "film": {"type": "hdrfilm", "width": 16, "height": 16}}
     scene = mi.load_dict({"type": "scene", "integrator": {"type": "path", "max_depth": 2}, "sensor": camera,
                           "light": {"type": "constant", "radiance": white},
-                          "object": {"type": "rectangle", "bsdf": make_bsdf(nacre.material(recipe).bsdf())}})
+                          "object": {"type": "rectangle", "bsdf": make_bsdf(bsdf)}})
     return np.array(mi.render(scene, spp=256)).mean((0, 1))
 for recipe in (
     {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 300}]},
@@ -399,7 +399,8 @@ for recipe in (
             {"volume_fraction": 0.05, "substrate": {"material": "mica", "thickness_nm": 300}, "normal_deviation": 0.1,
              "coatings": [{"material": "TiO2", "thickness_nm": 60}]}]}]},
 ):
-    print(*picture("llvm_ad_rgb", recipe), *picture("llvm_ad_spectral", recipe))
+    bsdf = nacre.material(recipe).bsdf()
+    print(*picture("llvm_ad_rgb", bsdf), *picture("llvm_ad_spectral", bsdf))
 """
 
 
