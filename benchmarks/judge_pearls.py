@@ -11,7 +11,7 @@ from common import serve
 from scipy.interpolate import CubicSpline
 
 import nacre
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab, xyz_weights
 from nacre.measure.evaluate import DEFAULT_SAMPLES, evaluate_with_error
 from nacre.measure.instruments import ASPECULAR_DEG, aspecular_direction

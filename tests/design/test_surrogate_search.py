@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.grids import direction
 from nacre.cli import run
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
 from nacre.measure.instruments import aspecular_direction

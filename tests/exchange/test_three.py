@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from playwright.sync_api import Page, sync_playwright
 
 import nacre
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, spectrum_to_rgb_linear, srgb_linear_to_xyz, xyz_to_lab
 from nacre.measure.evaluate import hemispherical

@@ -12,11 +12,11 @@ from validation._metasurface_helpers import plane_waves
 
 import nacre
 from nacre.bsdf.bsdf import Bsdf
-from nacre.bsdf.grids import direction
 from nacre.bsdf.lobe import SpecularResponse
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.monolayer import PolarGrid
 from nacre.bsdf.texture import Texture
+from nacre.core.arrays import direction
 from nacre.families.metasurface.ensemble.multisphere import Coupling
 from nacre.families.metasurface.monolayer import aligned as aligned_compile
 from nacre.families.metasurface.monolayer.aligned import (

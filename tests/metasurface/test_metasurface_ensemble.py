@@ -12,7 +12,7 @@ from validation.metasurface_ensembles import light
 from nacre.bsdf import Bsdf
 from nacre.core.errors import NacreError
 from nacre.core.progress import on_progress
-from nacre.families.metasurface import model_selection
+from nacre.families.metasurface import material as model_selection
 from nacre.families.metasurface.ensemble import interpolation
 from nacre.families.metasurface.ensemble.ensemble import ANGLES, Ensemble, same_order
 from nacre.families.metasurface.ensemble.supercells import orders, supercells, with_species

@@ -10,7 +10,7 @@ import pytest
 
 import nacre
 from nacre.bsdf.facet_distributions import fresnel
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.families.pearl import doubling, surrogate
 from nacre.families.pearl.random_walk import Medium
 from nacre.measure.instruments import ASPECULAR_DEG, aspecular_direction

@@ -13,7 +13,7 @@ import pytest
 
 import nacre
 from nacre.bsdf.facet_distributions import fresnel
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.families.pearl import surrogate
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.instruments import ASPECULAR_DEG, aspecular_direction

@@ -14,8 +14,8 @@ import pytest
 import nacre
 from nacre.analysis import texture as texture_module
 from nacre.analysis.texture import Instrument, calibrate, measure_texture
-from nacre.bsdf.grids import direction
 from nacre.cli import run
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.families.pearl.flake_normals import FlakeNormals, rotation_matrix
 from nacre.families.pearl.flake_texture import visible_normals

@@ -12,7 +12,7 @@ import pytest
 from scipy.special import gammaln
 
 import nacre
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.scan import Scan, suggested

@@ -11,7 +11,7 @@ import pytest
 import nacre
 from nacre import plot
 from nacre.analysis.tolerance import ColourProbe
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.instruments import aspecular_direction

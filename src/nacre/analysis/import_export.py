@@ -10,9 +10,9 @@ import numpy as np
 
 from nacre._version import __version__
 from nacre.bsdf import Bsdf
-from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.texture import refuse_place
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, plain, why_unreadable, write_text
 from nacre.families.contract import Masked, OwnFormats

@@ -16,13 +16,13 @@ import numpy as np
 from nacre._version import __version__
 from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import exits, masking, normal_quadrature
-from nacre.bsdf.grids import direction, hemisphere_nodes, take_at
+from nacre.bsdf.lobe import hemisphere_nodes
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
 from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import ParameterAxis, Texture, refuse_place
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction, take_at
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.formats.lobes import is_isotropic
 from nacre.formats.lut.table import (  # fmt: skip

@@ -16,9 +16,8 @@ import numpy as np
 from nacre._version import __version__
 from nacre.analysis.texture import Texture
 from nacre.bsdf import Bsdf
-from nacre.bsdf.grids import direction
 from nacre.bsdf.texture import refuse_place
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.families.contract import Polarised, energy_defect
 from nacre.light import (

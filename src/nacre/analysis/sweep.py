@@ -27,7 +27,7 @@ from nacre.analysis.sweep_plan import Sweep, SweepSpec, load_sweep, measurement_
 from nacre.core.errors import NacreError
 from nacre.core.files import check_writable, plain, temporary_prefix
 from nacre.core.jobs import Workers, run_jobs
-from nacre.core.packages import require
+from nacre.core.lazy import require
 from nacre.material.material import Material, material
 
 logger = logging.getLogger("nacre")

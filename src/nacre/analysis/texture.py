@@ -19,8 +19,7 @@ import pydantic
 from pydantic import Field
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import read_text
 from nacre.families.contract import Mixed, Model, ResolvedFlakes, SingleFlakes

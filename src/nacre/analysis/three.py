@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from nacre.analysis.lut import STEEPEST, ClosureLoss, azimuths, make_table, over_uv
-from nacre.bsdf.grids import direction
 from nacre.bsdf.texture import Texture
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Masked
 from nacre.formats.lut.table import Closure, LightTable, Picture, column_angles

@@ -22,10 +22,9 @@ from nacre.bsdf.facet_distributions import (
     smith_masking,
     visible_normals,
 )
-from nacre.bsdf.grids import cell, direction, node_coordinate, take_uniform
 from nacre.bsdf.lobes.microfacet import Microfacet, local_azimuth
 from nacre.bsdf.response import InterfaceResponse
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, cell, direction, node_coordinate, take_uniform
 from nacre.core.errors import UnsupportedError
 
 LOSS_NODES = 41  # over sqrt(cos): 3e-4 of energy at alpha 0.1 ... 1

@@ -15,10 +15,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.grids import interpolate, node_coordinate, take_at
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.texture import ParameterAxis, places
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, interpolate, node_coordinate, take_at
 
 ROUNDING = 1e-9  # largest rounding below 0
 TABLES = ("reflectance", "transmittance", "reflectance_inside", "total")

@@ -10,7 +10,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import click
@@ -114,7 +114,7 @@ def cluster_options(function: Callable[..., None]) -> Callable[..., None]:
         "--cluster",
         default=None,
         metavar="tls://HOST:PORT",
-        help="Compute on the workers of this Dask scheduler, not in processes of this machine.",
+        help="Compute on the workers of this Dask scheduler, not on this machine.",
     )
     @click.option(
         "--security",
@@ -129,6 +129,25 @@ def cluster_options(function: Callable[..., None]) -> Callable[..., None]:
         function(*args, workers=Workers(None, cluster, security), **options)  # --jobs sets the process's default
 
     return command
+
+
+@contextlib.contextmanager
+def solving_on(workers: Any, material: Any) -> Iterator[None]:
+    """Solve a grating's orders on the cluster of `cluster_options`.
+
+    Raises:
+        NacreError: the material has no orders, or the options do not suit the cluster.
+    """
+    from nacre.core.jobs import on_cluster
+    from nacre.families.contract import Diffracting
+
+    if workers.cluster is not None and not isinstance(material.model, Diffracting):
+        noun = material.model.traits.noun
+        raise NacreError(
+            f"--cluster: a {noun} is solved on this machine; a cluster serves the orders of gratings, and --animate"
+        )
+    with on_cluster(workers):
+        yield
 
 
 def _no_cache_callback(ctx: click.Context, param: click.Parameter, value: bool) -> None:

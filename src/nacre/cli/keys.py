@@ -30,8 +30,8 @@ OTHER_FILES = {
     "design": "nacre.optimise.spec:DesignSpec",
     "sweep": "nacre.analysis.sweep_plan:SweepSpec",
     "gallery": "nacre.cli.gallery:GallerySpec",
-    "formulation": "nacre.optimise.formulation.spec:FormulationSpec",
-    "pigments": "nacre.optimise.formulation.spec:LibrarySpec",
+    "formulation": "nacre.optimise.formulation:FormulationSpec",
+    "pigments": "nacre.optimise.formulation:LibrarySpec",
     "instrument": "nacre.analysis.texture:Instrument",
 }
 # forms that are used in many tables

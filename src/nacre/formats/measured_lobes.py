@@ -316,7 +316,7 @@ def _by_half_angle(
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
     from nacre.bsdf.lobes.table import half_difference
-    from nacre.core.directions import direction
+    from nacre.core.arrays import direction
 
     wi = direction(np.radians(points[:, 0]), np.zeros(len(points)))
     wo = direction(np.radians(points[:, 1]), np.radians(points[:, 2]))

@@ -263,6 +263,3 @@ def _set_copied(data: dict[str, Any], path: str, value: Any, source: str) -> Non
         for way in spellings(last):
             holder.pop(way, None)
     holder[last] = value
-
-
-__all__ = ["Parametrisation"]

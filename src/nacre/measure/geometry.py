@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from nacre.bsdf.bsdf import Spectrum
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import RecipeError, did_you_mean
 from nacre.measure.instruments import aspecular_direction
 from nacre.recipe.model import show_value

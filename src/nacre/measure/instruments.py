@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nacre.bsdf.facet_distributions import fresnel
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 
 STANDARD_LIGHT = ("C", "2deg")  # for gloss and haze: ISO 2813, ASTM D523, E430 and D1003
 FLOP_LIGHT = ("D65", "10deg")  # ASTM E2194, with the angles of Alman's index

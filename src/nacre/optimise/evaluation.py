@@ -220,15 +220,3 @@ def objective(results: Sequence[TargetResult]) -> float:
 def rank(objective: float, tables: int) -> tuple[float, int, float]:
     """Return the solution sort key: of good ones those with fewer tables come first."""
     return (0.0, tables, objective) if objective <= EQUAL_OBJECTIVE else (1.0, 0, objective)
-
-
-__all__ = [
-    "TargetResult",
-    "evaluate",
-    "geometries_of",
-    "lab_hex",
-    "nearest_in_ranges",
-    "objective",
-    "rank",
-    "results_of",
-]

@@ -223,12 +223,3 @@ def missing_geometries(material: Material, geometries: Sequence[Geometry]) -> fr
 def _probe(material: Material) -> Any:
     grid = np.asarray(material.model.wavelengths_nm)
     return grid[:: max(1, len(grid) // 3)]
-
-
-__all__ = [
-    "Measurement",
-    "check_answers",
-    "evaluation_wavelengths",
-    "search_wavelengths",
-    "simulate_measurement",
-]

@@ -307,18 +307,3 @@ class Search(abc.ABC):
         if is_better:
             self.best, self.best_changes = objective, changes
         self.report(is_better)
-
-
-__all__ = [
-    "PENALTY",
-    "STOP_TOL",
-    "Archive",
-    "Budget",
-    "BudgetExhausted",
-    "Changes",
-    "OnProgress",
-    "Phase",
-    "Problem",
-    "Result",
-    "Search",
-]

@@ -398,18 +398,3 @@ def document_of(solution: Solution, task: DesignTask) -> dict[str, Any]:
         "total_nm": solution.facts.get("total_nm"),
         "files": solution.facts.get("files", []),
     }
-
-
-__all__ = [
-    "Design",
-    "DesignProgress",
-    "Solution",
-    "budget_of",
-    "choose_search",
-    "document_of",
-    "evaluate_solution",
-    "outcome",
-    "run",
-    "tolerance_of",
-    "with_method_overrides",
-]

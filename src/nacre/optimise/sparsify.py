@@ -153,6 +153,3 @@ def _without(entry: Any, paths: Sequence[str]) -> Any:
 
 def _indices(path: str) -> list[int]:
     return [int(n[1:-1]) for n in _INDEX.findall(path)]
-
-
-__all__ = ["changes_of", "count_tables", "draws", "is_chosen", "removable_tables", "values_of"]

@@ -305,6 +305,3 @@ def merit_function(
     """Return the merit function of all targets, for spectra `[..., row, wavelength]`."""
     goals = [goal for target in targets for goal in target.goals(rows.index(target.geometry), wavelengths_nm)]
     return MeritFunction(goals, tuple(light.illuminants), light.observer, wavelengths_nm)
-
-
-__all__ = ["Target", "merit_function", "plausible", "read_targets", "srgb_to_lab"]

@@ -78,7 +78,6 @@ __all__ = ["check_limits", "total_thickness_nm"]
 
 # Reading a target: a file or dictionary becomes a checked task.
 
-LAYER_PATHS = ("layers", "substrate")
 OTHER = "other"  # in bounds by material: all that are not named
 
 
@@ -352,15 +351,3 @@ def _check_geometries(target: DesignTask) -> None:
     rows = geometries_of(target.targets)
     keys = [next(one.key for one in target.targets if one.geometry == at) + ".geometry" for at in rows]
     check_answers(tried, rows, keys)
-
-
-__all__ = [
-    "DesignTask",
-    "bounds_of",
-    "is_design_task",
-    "is_relief_task",
-    "palette_name",
-    "read_data",
-    "read_task",
-    "substrates",
-]

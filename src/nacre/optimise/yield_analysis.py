@@ -193,6 +193,3 @@ def sensitivity(
         if time.monotonic() - begun > seconds and evaluator.at_once([path], np.array([[value]])) is None:
             break
     return sorted(found, key=lambda entry: -entry[unit])
-
-
-__all__ = ["RMS_OF_1_PERCENT", "Evaluator", "sensitivity", "yield_of"]

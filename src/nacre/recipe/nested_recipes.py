@@ -83,6 +83,3 @@ def _moved(value: Any, folder: Path) -> Any:
     if isinstance(value, str) and Path(value).suffix and not Path(value).is_absolute() and (folder / value).is_file():
         return str((folder / value).resolve())
     return value
-
-
-__all__ = ["open_all", "open_parts"]

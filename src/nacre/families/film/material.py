@@ -13,7 +13,6 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.compensation import aligned_transmittance, compensate, facet_transmittance
 from nacre.bsdf.facet_distributions import SMOOTH_BELOW, Roughness
-from nacre.bsdf.grids import direction, take_uniform
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
@@ -31,7 +30,7 @@ from nacre.bsdf.tabulate import (
 )
 from nacre.bsdf.tabulate_anisotropic import AnisotropicTables
 from nacre.bsdf.texture import ParameterAxis, Texture
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction, take_uniform
 from nacre.core.errors import UnsupportedError
 from nacre.core.memory import check_memory
 from nacre.families.contract import Model, Polarised, Traits

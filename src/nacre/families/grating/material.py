@@ -9,7 +9,6 @@ import numpy as np
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
-from nacre.bsdf.grids import interpolate, take_uniform
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
@@ -17,7 +16,7 @@ from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import is_transparent
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, interpolate, take_uniform
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Diffracting, Model, Pixels, Traits
 from nacre.families.grating.outlines import outlines

@@ -19,8 +19,7 @@ import numpy as np
 
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.bsdf.flakes import DiffuseFlakes, LitFlakes, mean_square, radius_quantiles
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
 from nacre.families.pearl.flake_normals import FlakeNormals, optical_number, orthonormal_basis
 from nacre.families.pearl.glints import DIFFRACTION, MIDDLE_UM, Glints, interface_bend

@@ -566,13 +566,3 @@ def is_applicable(task: DesignTask) -> bool:
         return surrogate_radiance(task.material.model, wi, wo, grid[:: max(len(grid) // 3, 1)]) is not None
     except NacreError:
         return False
-
-
-__all__ = [
-    "Correction",
-    "SurrogateError",
-    "SurrogateOptions",
-    "SurrogateSearch",
-    "is_applicable",
-    "wavelength_subset",
-]

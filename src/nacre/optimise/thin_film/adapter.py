@@ -390,6 +390,3 @@ def interrupt_flag() -> Iterator[Callable[[], bool]]:
         yield seen.is_set
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-__all__ = ["ThinFilmSearch", "drawn_factors", "is_plain", "stack_factors", "thin_film_search", "thin_film_search_many"]
