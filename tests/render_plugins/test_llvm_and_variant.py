@@ -374,7 +374,7 @@ def test_a_scene_in_a_mono_variant_is_refused(tmp_path: Path) -> None:
     assert done.returncode != 0 and "this is llvm_ad_mono." in done.stderr
 
 
-RGB_RECIPES = 5
+RGB_RECIPES = 4
 RGB_AGAINST_SPECTRAL = """
 import nacre, nacre.render, numpy as np, mitsuba as mi
 def picture(variant, bsdf):
@@ -394,10 +394,6 @@ for recipe in (
     {"family": "film", "substrate": {"n": 1.5}, "base": {"albedo": 0.5}},
     {"family": "blend", "mask": 0.4, "first": {"family": "film", "substrate": "Au", "surface": {"roughness": 0.1}},
      "second": {"family": "film", "substrate": "Si"}},
-    {"family": "pearl", "quality": "fast", "base": {"albedo": 0.6}, "strata": [
-        {"resin": {"n": 1.5}, "thickness_um": 100, "roughness": 0.2, "platelets": [
-            {"volume_fraction": 0.05, "substrate": {"material": "mica", "thickness_nm": 300}, "normal_deviation": 0.1,
-             "coatings": [{"material": "TiO2", "thickness_nm": 60}]}]}]},
 ):
     bsdf = nacre.material(recipe).bsdf()
     print(*picture("llvm_ad_rgb", bsdf), *picture("llvm_ad_spectral", bsdf))
@@ -412,3 +408,35 @@ def test_an_rgb_variant_shows_the_colours_of_the_spectral_one() -> None:
         rgb, spectral = np.array(line.split(), dtype=float).reshape(2, 3)
         # one bounce: the projection is exact; noise of 65,000 samples with 4 wavelengths each
         np.testing.assert_allclose(rgb, spectral, rtol=0.02, atol=0.003)
+
+
+RGB_TABLE = """
+import nacre, numpy as np
+from nacre.core.arrays import direction
+from nacre.device.bsdf import projected_to_rgb
+from nacre.light import spectrum_to_rgb_matrix
+pearl = {"family": "pearl", "quality": "fast", "base": {"albedo": 0.6}, "strata": [
+    {"resin": {"n": 1.5}, "thickness_um": 100, "roughness": 0.2, "platelets": [
+        {"volume_fraction": 0.05, "substrate": {"material": "mica", "thickness_nm": 300}, "normal_deviation": 0.1,
+         "coatings": [{"material": "TiO2", "thickness_nm": 60}]}]}]}
+bsdf = nacre.material(pearl).bsdf(np.linspace(400.0, 700.0, 13))
+random = np.random.default_rng(2)
+wi, wo = (direction(np.arccos(random.uniform(0.3, 1.0, 400)), random.uniform(0, 2 * np.pi, 400)) for _ in "io")
+wanted = np.maximum(bsdf.evaluate(wi, wo) @ spectrum_to_rgb_matrix(bsdf.wavelengths_nm), 0.0)
+found = projected_to_rgb(bsdf).evaluate(wi, wo)
+print(np.abs(found - wanted).max() / wanted.max(), np.median(np.abs(found / wanted - 1.0)))
+walk = nacre.material({**pearl, "quality": "reference"}).bsdf(np.linspace(400.0, 700.0, 13))
+try:
+    projected_to_rgb(walk)
+except nacre.NacreError as error:
+    print(type(error).__name__)
+"""
+
+
+@pytest.mark.render
+def test_a_lobe_that_is_not_linear_is_projected_as_a_table() -> None:
+    done = python(RGB_TABLE, dict(os.environ))
+    assert done.returncode == 0, done.stderr
+    numbers, refused = done.stdout.splitlines()[-2:]
+    worst, median = map(float, numbers.split())
+    assert worst < 0.03 and median < 0.01 and refused == "UnsupportedError"

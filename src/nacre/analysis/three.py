@@ -38,7 +38,7 @@ def export_three(material: Material, folder: Path, illuminant: str, progress: Ca
     lost = []
     for name, one in (("first", material.model.first), ("second", material.model.second)):
         try:
-            made, missing = _part(one, illuminant, lambda what, name=name: progress(f"{name}: {what}"))
+            made, missing = _part(one, illuminant, _named(progress, name))
         except UnsupportedError as error:
             raise UnsupportedError(f"the part {name} of the blend: {error}; export the other part alone") from None
         parts.append(made)
@@ -50,6 +50,10 @@ def export_three(material: Material, folder: Path, illuminant: str, progress: Ca
         "errors_dE00": {f"{name}: {what}": error for name, part in zip(("first", "second"), parts, strict=True)
                         for what, error in _errors(part).items()},
     }  # fmt: skip
+
+
+def _named(progress: Callable[[str], None], name: str) -> Callable[[str], None]:
+    return lambda what: progress(f"{name}: {what}")
 
 
 def _errors(part: ThreePart) -> dict[str, dict[str, float]]:
