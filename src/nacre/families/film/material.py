@@ -37,7 +37,7 @@ from nacre.core.quadrature import gauss_legendre
 from nacre.families.contract import Model, Polarised, Traits
 from nacre.families.film.ridges import Ridges, remainder
 from nacre.light import default_wavelengths, delta_e_2000
-from nacre.light.wavelengths import STEPS_NM
+from nacre.light.tables import STEPS_NM
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack.polarised import Helix, PolarisedResponse
