@@ -14,6 +14,6 @@ def test_rules_integrate_polynomials_and_waves(count: int) -> None:
     assert np.all(np.diff(x) > 0) and np.all(weight > 0)
     for power in (0, 2, 4):
         assert weight @ x**power == pytest.approx(2 / (power + 1), rel=1e-12)
-    if count > 3:  # half a wave a node is resolved
-        wave = 0.5 * np.pi * count
+    if count > 3:  # four nodes a period and more
+        wave = 0.5 * count
         assert weight @ np.cos(wave * x) == pytest.approx(2 * np.sin(wave) / wave, abs=1e-12)
