@@ -23,9 +23,8 @@ from nacre.core.files import read_text
 from nacre.core.memory import check_memory
 from nacre.light import lab_to_xyz, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material, load
-from nacre.measure.colours import geometry_colours, recipe_geometries
+from nacre.measure.colours import colour_spectrum, geometry_colours, recipe_geometries
 from nacre.measure.geometry import Geometry
-from nacre.measure.wavelengths import colour_spectrum
 from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate

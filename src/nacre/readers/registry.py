@@ -60,7 +60,6 @@ FORMATS: tuple[Format, ...] = (
     Format("merl", "MERL BRDF", "bsdf", "bsdf.merl"),
     Format("fred", "FRED tabulated scatter", "bsdf", "bsdf.fred"),
     Format("lighttools", "LightTools BSDF", "bsdf", "bsdf.lighttools"),
-    Format("other-bsdf", "LightTools mesh of intensity (refused)", "bsdf", "bsdf.others"),
     Format("rgl", "RGL tensor BSDF", "bsdf", "bsdf.rgl"),
     Format("speos", "Speos scattering or BSDF", "bsdf", "bsdf.speos"),
     Format("ssdd", "SSDD", "bsdf", "bsdf.ssdd"),
@@ -86,6 +85,7 @@ FORMATS: tuple[Format, ...] = (
     Format("usgs-splib", "USGS spectral library 7 (ASCII)", "spectrum", "spectra.usgs"),
     Format("woollam-intensity", "Woollam intensities (uR, uT, pR, sR)", "spectrum", "spectra.woollam_intensity"),
     Format("bruker-dpt", "Bruker data point table .dpt", "spectrum", "spectra.bruker_dpt"),
+    Format("qtx", "Datacolor QTX", "spectrum", "spectra.qtx"),
     Format("opus", "Bruker OPUS", "spectrum", "spectra.opus"),
     Format("grams-spc", "Galactic GRAMS .spc", "spectrum", "spectra.grams_spc"),
     Format(
@@ -121,6 +121,7 @@ FORMATS: tuple[Format, ...] = (
     Format("woollam-text", "Woollam WVASE text export", "ellipsometry", "ellipsometry.woollam_text"),
     Format("nacre-table", "orders, layer sheets, many designs, number maps of nacre (CSV)", "table", "own_tables"),
     Format("table", "text table", "table", "table"),
+    Format("other", "ABg, IES, AGF, Shimadzu SPM, Esri and Surfer grids, meshes (refused)", "table", "others"),
     Format("tmatrix", "T-matrix (.tmat.h5)", "tmatrix", "tmatrix"),
     Format("nacre-heights", "heights of nacre fabricate (CSV)", "heights", "heights.own_csv"),
     Format("sdf", "ISO 25178-71 surface data (.sdf), ASCII and binary", "heights", "heights.sdf"),
@@ -148,7 +149,6 @@ FORMATS: tuple[Format, ...] = (
     Format("spip", "text of SPIP, Attocube, NT-MDT Nova", "heights", "heights.spip"),
     Format("wyko", "Wyko Vision (.opd, .asc)", "heights", "heights.wyko"),
     Format("zygo-text", "Zygo MetroPro text (XYZ, ASCII)", "heights", "heights.zygo_text"),
-    Format("other-heights", "Shimadzu SPM, Esri grid (refused)", "heights", "heights.others"),
     Format("profile", "line profile (refused)", "heights", "heights.profile"),
 )
 
