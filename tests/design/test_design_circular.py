@@ -9,6 +9,7 @@ import pytest
 
 import nacre
 from nacre.core.errors import RecipeError
+from nacre.measure.colours import geometry_colours
 from nacre.measure.geometry import Geometry
 from nacre.measure.polarisation import circular_reflection, ellipsometric_angles, selective_band
 from nacre.optimise.measurement import simulate_measurement
@@ -88,9 +89,15 @@ TWISTED = "{material = {ordinary = 1.5, extraordinary = 1.7, axis_polar_deg = 90
 TILTED = (
     "{material = {ordinary = 1.5, extraordinary = 1.9, axis_polar_deg = 60, axis_azimuth_deg = 10}, thickness_nm = 400}"
 )
+GROUP = (
+    "{repeat = 2, layers = [{material = {mix = ['TiO2', 'air'], volume_fractions = [0.4]}, thickness_nm = 70}, "
+    "{material = 'SiO2', thickness_nm = 95}]}"
+)
+REPEATS, FRACTION = "layers[0].repeat", "layers[0].layers[0].material.volume_fractions[0]"
 ANSWERS = {
     "pitch under circular light": (TWISTED, {PITCH: (345.0, [300, 420], 1.0)}, [(0, "right"), (0, "left")]),
     "axis": (TILTED, {AXIS: (35.0, [0, 90], 0.5)}, [(45, "s"), (45, "left")]),
+    "repeats and fraction": (GROUP, {REPEATS: (4, [1, 6], 0), FRACTION: (0.7, [0.2, 0.9], 0.005)}, [(0, "both")]),
 }  # fmt: skip
 
 
@@ -121,3 +128,19 @@ def test_a_design_finds_the_numbers_behind_a_spectrum(name: str, tmp_path: Any) 
     best = nacre.load(tmp_path / "out" / "recipe.toml")
     for path, (truth, _, error) in numbers.items():
         assert best.get(path) == pytest.approx(truth, abs=error)
+
+
+@pytest.mark.full
+def test_a_colour_of_circular_light_determines_the_pitch(tmp_path: Any) -> None:
+    left = TWISTED.replace("pitch_nm = 380", 'pitch_nm = 380, handedness = "left"')
+    (tmp_path / "film.toml").write_text(f'family = "film"\nsubstrate = "Si"\nlayers = [{left}]\n')
+    made = nacre.load(tmp_path / "film.toml").vary({PITCH: 345.0})
+    row = Geometry("specular", 0.0, polarisation="left")
+    lab = [round(float(value), 4) for value in geometry_colours(made, [row])[0]]
+    (tmp_path / "target.toml").write_text(
+        f'recipe = "film.toml"\nparameters = {{"{PITCH}" = [320, 390]}}\n'
+        "search = {evaluations = 80, seconds = 600}\n"
+        f'[[target]]\ngeometry = "specular 0"\npolarisation = "left"\nlab = {lab}\n'
+    )
+    nacre.design(tmp_path / "target.toml", tmp_path / "out")
+    assert nacre.load(tmp_path / "out" / "recipe.toml").get(PITCH) == pytest.approx(345.0, abs=1.0)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from helpers_bsdf import reciprocity_error
 
-from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
+from nacre.core.arrays import direction
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import figure_data
 from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab

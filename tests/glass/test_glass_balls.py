@@ -149,7 +149,7 @@ def test_a_binder_that_absorbs_does_so_between_the_balls() -> None:
 
 @pytest.mark.render
 def test_the_walk_of_the_renderer_agrees_with_transfer() -> None:
-    from nacre.bsdf.grids import direction
+    from nacre.core.arrays import direction
     from nacre.measure.evaluate import evaluate_with_error
 
     material = nacre.material(paint(0.3))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import nacre
 from nacre.analysis.tolerance import recipe_tolerances, run_tolerance
-from nacre.core.errors import NacreError
+from nacre.core.errors import NacreError, RecipeError
+from nacre.light import delta_e_2000
 from nacre.optimise.tolerances import draw, read_tolerances
 
 FILM = {
@@ -105,3 +108,47 @@ def test_draws_below_zero_are_counted() -> None:
 def test_a_bad_group_is_refused(table: dict) -> None:
     with pytest.raises(NacreError):
         read_tolerances(table, nacre.material(MIRROR), "test")
+
+
+PLATE = {"ordinary": 1.5, "extraordinary": 1.9, "axis_polar_deg": 90.0, "axis_azimuth_deg": 0.0}
+TWISTED = {"material": PLATE, "thickness_nm": 800.0, "pitch_nm": 350.0}
+
+
+def anisotropic(layer: dict[str, Any]) -> nacre.Material:
+    return nacre.material({"family": "film", "substrate": "Si", "layers": [layer]})
+
+
+def test_the_sensitivity_to_a_pitch_is_the_change_of_the_colour() -> None:
+    made, pitch = anisotropic(TWISTED), "layers[0].pitch_nm"
+    found = run_tolerance(made, recipe_tolerances(made, (f"{pitch}=0.5",)), draws=40, geometries=("specular 20",))
+    moved = [
+        run_tolerance(each, recipe_tolerances(each, (f"{pitch}=0.5",)), draws=1, geometries=("specular 20",))
+        for each in (made.vary({pitch: value}) for value in (349.5, 350.5))
+    ]
+    expected = 0.5 * delta_e_2000(*(each.nominal_lab[0] for each in moved))
+    assert found.sensitivities[0][1] == pytest.approx(float(expected), rel=0.05)
+    spread = np.sqrt(np.mean(found.delta_e**2))
+    assert spread == pytest.approx(found.sensitivities[0][1], rel=0.35)  # 40 draws: 11 % is one standard error
+
+
+def test_the_spread_of_an_axis_at_a_symmetric_angle_is_found() -> None:
+    made = anisotropic({"material": PLATE, "thickness_nm": 400.0})
+    read = recipe_tolerances(made, ("layers[0].material.axis_polar_deg=4",))
+    found = run_tolerance(made, read, draws=200, geometries=("specular 0",))
+    spread = np.sqrt(np.mean(delta_e_2000(found.lab.mean(axis=0), found.lab) ** 2))
+    assert found.sensitivities[0][1] == pytest.approx(float(spread), rel=0.4)  # of x^2: 200 draws give 13 %
+
+
+def test_an_angle_of_zero_deviates_to_both_sides_and_a_thickness_does_not() -> None:
+    made = anisotropic({"material": PLATE, "thickness_nm": 0.0})
+    axis, thickness = "layers[0].material.axis_azimuth_deg", "layers[0].thickness_nm"
+    values = draw(recipe_tolerances(made, (f"{axis}=5", f"{thickness}=5")), np.random.default_rng(0), 100).values
+    assert 30 < np.sum(values[axis] < 0) < 70
+    assert values[thickness].min() == 0.0
+
+
+def test_a_number_of_repeats_has_no_tolerance() -> None:
+    made = anisotropic({"repeat": 3, "layers": [{"material": "TiO2", "thickness_nm": 60}]})
+    with pytest.raises(RecipeError):
+        recipe_tolerances(made, ("layers[0].repeat=1",))
+    assert recipe_tolerances(made, ("layers[0].layers[0].thickness_nm=1",))[0].nominal == 60.0

@@ -16,13 +16,13 @@ import numpy as np
 from nacre._version import __version__
 from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import exits, masking, normal_quadrature
-from nacre.bsdf.grids import direction, hemisphere_nodes, take_at
+from nacre.bsdf.lobe import hemisphere_nodes
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
 from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
-from nacre.bsdf.texture import ParameterAxis, refuse_place
-from nacre.core.arrays import Array
+from nacre.bsdf.texture import ParameterAxis, Texture, refuse_place
+from nacre.core.arrays import Array, direction, take_at
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.formats.lobes import is_isotropic
 from nacre.formats.lut.table import (  # fmt: skip
@@ -42,9 +42,9 @@ from nacre.light import delta_e_2000, spectrum_to_rgb_matrix, srgb_linear_to_xyz
 from nacre.light.tables import Illuminant, illuminant
 from nacre.light.tristimulus import weighted_sum
 from nacre.material.material import Material, StoredBsdf
+from nacre.measure.colours import colour_bsdf
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
-from nacre.measure.gloss import Gloss, find_gloss
-from nacre.measure.wavelengths import colour_bsdf
+from nacre.measure.gloss import Gloss, find_gloss, fit_lobes
 
 COLUMNS = 256
 ROUGH_COLUMNS = 91  # columns of the smooth colours averaged over facets
@@ -276,10 +276,9 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Scatter:
-    """Views of scattered light `[column, 3]` by the closure's name, and the lobe."""
+    """Views of scattered light `[column, 3]` by the closure's name, and the lobe; `gloss` has one view per width."""
 
-    gloss: Array | None
-    gloss_alpha: float
+    gloss: tuple[tuple[float, Array], ...]
     spread: Array
     through: Array | None
     behind: Array | None
@@ -287,17 +286,24 @@ class Scatter:
     lost: tuple[str, ...]
 
 
-def scatter_views(bsdf: Bsdf, to_rgb: ToRgb) -> tuple[Array, Array | None, Gloss | None]:
-    """Return colours over `VIEW_DEG` of reflected and transmitted scattered light, and the glossy part of the former.
+def _mirrors(bsdf: Bsdf, steady: Bsdf | None, powers: Array, to_rgb: ToRgb) -> list[Gloss]:
+    """Return the glossy part of scattered light in three channels, over `VIEW_DEG`, as factors of white mirrors.
 
     Args:
-        bsdf: scattering lobes only.
+        steady: the same material without noise, if it has such a form.
+        powers: scattered reflectance `[angle, wavelength]`.
     """
     theta = np.radians(VIEW_DEG)
-    powers = _powers(bsdf, direction(theta, 0.0))
-    gloss = find_gloss(bsdf, theta, powers[0])
-    through = to_rgb(powers[1]) if bsdf.transmits else None
-    return to_rgb(powers[0]), through, gloss
+    if steady is not None:
+        return fit_lobes(
+            lambda wi, wo: np.maximum(to_rgb(steady.evaluate(wi, wo)), 0.0), theta, np.maximum(to_rgb(powers), 0.0)
+        )
+    found = find_gloss(bsdf, theta, powers)
+    if found is None:
+        return []
+    closure = ClosureLoss("ggx", (found.alpha, found.alpha))
+    kept = np.array([closure.kept(direction(t, 0.0))[0] for t in theta])
+    return [Gloss(found.alpha, to_rgb(found.reflectance) / np.maximum(kept, 0.05)[:, None])]
 
 
 def _powers(bsdf: Bsdf, directions: Array) -> Array:
@@ -315,24 +321,20 @@ def make_scatter(material: Any, bsdf: Bsdf, to_rgb: ToRgb, progress: Progress) -
         to_rgb: converts spectra on its wavelengths.
     """
     progress("scattered light over the angle of view")
-    total, through, gloss = scatter_views(bsdf, to_rgb)
-    glossy = None
-    spread = total
-    if gloss is not None:
-        part = to_rgb(gloss.reflectance)
-        spread = total - part
+    powers = _powers(bsdf, direction(np.radians(VIEW_DEG), 0.0))
+    steady = _noiseless(material, bsdf) if any(lobe.is_stochastic for lobe in bsdf.lobes) else bsdf
+    spread, glossy = to_rgb(powers[0]), []
+    for gloss in _mirrors(bsdf, steady, powers[0], to_rgb):
         closure = ClosureLoss("ggx", (gloss.alpha, gloss.alpha))
         kept = np.array([closure.kept(direction(t, 0.0))[0] for t in np.radians(VIEW_DEG)])
-        glossy = _smooth(part / np.maximum(kept, 0.05)[:, None])
-    behind = None
-    if through is not None:
-        behind = to_rgb(_powers(bsdf, direction(np.pi - np.radians(VIEW_DEG), 0.0)))
+        spread = spread - gloss.reflectance * kept[:, None]
+        glossy.append((gloss.alpha, _smooth(gloss.reflectance)))
+    sides: tuple[Array | None, Array | None] = (None, None)
+    if bsdf.transmits:
+        below = to_rgb(_powers(bsdf, direction(np.pi - np.radians(VIEW_DEG), 0.0)))
+        sides = _smooth(to_rgb(powers[1])), np.stack([_smooth(side) for side in below])
     progress("scattered light over half and difference angles")
-    lobe, lost = _lobe(material, bsdf, to_rgb)
-    return Scatter(
-        glossy, 0.0 if gloss is None else gloss.alpha, _smooth(spread), None if through is None else _smooth(through),
-        None if behind is None else np.stack([_smooth(side) for side in behind]), lobe, lost,
-    )  # fmt: skip
+    return Scatter(tuple(glossy), _smooth(spread), *sides, *_lobe(steady, bsdf.transmits, to_rgb))
 
 
 def _smooth(values: Array) -> Array:
@@ -343,24 +345,21 @@ def _smooth(values: Array) -> Array:
     return np.asarray(PchipInterpolator(np.radians(VIEW_DEG), values, axis=0)(np.minimum(angles, np.radians(88.0))))
 
 
-def _lobe(material: Any, bsdf: Bsdf, to_rgb: ToRgb) -> tuple[Picture | None, tuple[str, ...]]:
-    """Return the texture of scattered light, if any, and descriptions of lost properties."""
-    lost = ("GLSL: light that is scattered to the other side",) if bsdf.transmits else ()
+def _lobe(steady: Bsdf | None, transmits: bool, to_rgb: ToRgb) -> tuple[Picture | None, tuple[str, ...]]:
+    """Return the texture of scattered light without noise, if any, and descriptions of lost properties."""
+    lost = ("GLSL: light that is scattered to the other side",) if transmits else ()
     about = "scattered light, pi f 2 cos_i cos_o / (cos_i + cos_o), over half angle, difference angle and its azimuth"
-    wi, wo = lobe_directions(*LOBE_SHAPE)
-    weight = np.pi * lobe_weight(wi, wo)[..., None]
-    if not any(lobe.is_stochastic for lobe in bsdf.lobes):
-        return Picture(_evaluated(bsdf, wi, wo, to_rgb) * weight, about), lost
-    steady = _noiseless(material, bsdf.wavelengths_nm)
     if steady is None:
         return None, (*lost, "GLSL: scattered light, a random walk whose recipe has no form without noise")
+    wi, wo = lobe_directions(*LOBE_SHAPE)
+    weight = np.pi * lobe_weight(wi, wo)[..., None]
     return Picture(_evaluated(steady, wi, wo, to_rgb) * weight, about), lost
 
 
-def _noiseless(material: Any, wavelengths_nm: Array) -> Bsdf | None:
+def _noiseless(material: Any, bsdf: Bsdf) -> Bsdf | None:
     """Return the noise-free form of a random walk, if its recipe has an isotropic one."""
     try:
-        found: Bsdf = material.vary({"quality": "fast"}).bsdf(wavelengths_nm)
+        found: Bsdf = material.vary({"quality": "fast"}).bsdf(bsdf.wavelengths_nm)
     except NacreError:
         return None
     lobes = tuple(lobe for lobe in found.lobes if not lobe.is_delta)
@@ -525,10 +524,15 @@ def _walk_mirror(bsdf: Bsdf) -> Array | None:
 
 def map_over_uv(axis: ParameterAxis) -> Array:
     """Return a number's map over uv `[row, column]`, from 0 to 1; the first row is v = 0."""
-    image = axis.texture.image
+    return axis.coordinate(over_uv(axis.texture)) / max(len(axis.values) - 1, 1)
+
+
+def over_uv(texture: Texture) -> Array:
+    """Return a texture's values over uv `[row, column]`; the first row is v = 0."""
+    image = texture.image
     rows, columns = (MAP_SIZE, MAP_SIZE) if image is None else np.minimum(image.shape, LARGEST_MAP)
     u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
-    return axis.coordinate(axis.texture(np.stack([u, v], axis=-1))) / max(len(axis.values) - 1, 1)
+    return np.asarray(texture(np.stack([u, v], axis=-1)), dtype=float)
 
 
 def _bake_interface(
@@ -654,9 +658,10 @@ def _add_scatter(scatter: Scatter, pictures: dict[str, Picture], closures: list[
     """Add the pictures and closures of scattered light."""
     views = "colour over the angle of view of "
     behind = (None, None) if scatter.behind is None else ("spread-behind", "translucent-behind")
-    if scatter.gloss is not None:
-        pictures["gloss"] = view_picture(scatter.gloss, views + "the lobe about the mirror direction")
-        closures.append(Closure("glossy", "gloss", alpha=(scatter.gloss_alpha, scatter.gloss_alpha)))
+    for count, (alpha, colours) in enumerate(scatter.gloss, 1):
+        name = "gloss" if count == 1 else f"gloss-{count}"
+        pictures[name] = view_picture(colours, f"{views}the lobe of roughness {alpha:.2g} about the mirror direction")
+        closures.append(Closure("glossy", name, alpha=(alpha, alpha)))
     pictures["spread"] = view_picture(scatter.spread, views + "light that leaves on all sides")
     closures.append(Closure("diffuse", "spread", behind[0]))
     if scatter.through is not None and scatter.behind is not None:
@@ -677,13 +682,14 @@ def _scatter_errors(bsdf: Bsdf, scatter: Scatter, to_rgb: Callable[[Array], Arra
     """Compare scattered light with nacre under one lamp at direction pairs."""
     theta = np.radians(CHECKED_DEG)
     back = [sum(hemispherical(lobe, w, nodes=PATHS, seed=1)[0] for lobe in bsdf.lobes) for w in direction(theta, 0.0)]
-    alpha = max(scatter.gloss_alpha, 1e-3)
-    kept = np.array([ClosureLoss("ggx", (alpha, alpha)).kept(w)[0] for w in direction(theta, 0.0)])
     x = angle_coordinate(np.cos(theta))
 
+    def glossy(alpha: float, colours: Array) -> Array:
+        kept = np.array([ClosureLoss("ggx", (alpha, alpha)).kept(w)[0] for w in direction(theta, 0.0)])
+        return np.asarray(view_picture(colours).at(x, 0.0 * x) * kept[:, None])
+
     def even(held: Picture) -> Array:
-        glossy = 0.0 if scatter.gloss is None else view_picture(scatter.gloss).at(x, 0.0 * x) * kept[:, None]
-        return held.at(x, 0.0 * x) + glossy
+        return np.asarray(sum((glossy(*part) for part in scatter.gloss), held.at(x, 0.0 * x)))
 
     title = "scattered light under even light, by angle of view"
     found = {title: compared(view_picture(scatter.spread), even, to_rgb(np.array(back)))}

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from nacre.analysis.lut import STEEPEST, ClosureLoss, azimuths, make_table
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.analysis.lut import STEEPEST, ClosureLoss, azimuths, make_table, over_uv
+from nacre.bsdf.texture import Texture
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
+from nacre.families.contract import Masked
 from nacre.formats.lut.table import Closure, LightTable, Picture, column_angles
-from nacre.formats.lut.three import write_three
+from nacre.formats.lut.three import Share, ThreePart, write_three
 from nacre.formats.lut.write import check_folder
 from nacre.material.material import Material
 
@@ -29,6 +30,38 @@ def export_three(material: Material, folder: Path, illuminant: str, progress: Ca
         NacreError: the folder cannot be written.
     """
     check_folder(folder)
+    if not isinstance(material.model, Masked):
+        part, lost = _part(material, illuminant, progress)
+        files = write_three(folder, material.name, [part], lost)
+        return {"illuminant": part.table.illuminant, "lost": lost, "files": files, "errors_dE00": _errors(part)}
+    parts: list[ThreePart] = []
+    lost = []
+    for name, one in (("first", material.model.first), ("second", material.model.second)):
+        try:
+            made, missing = _part(one, illuminant, _named(progress, name))
+        except UnsupportedError as error:
+            raise UnsupportedError(f"the part {name} of the blend: {error}; export the other part alone") from None
+        parts.append(made)
+        lost += [what for what in missing if what not in lost]
+    share = _share(material.model.mask)
+    files = write_three(folder, material.name, parts, lost, share)
+    return {
+        "illuminant": parts[0].table.illuminant, "lost": lost, "files": files, "mean_share": share.mean,
+        "errors_dE00": {f"{name}: {what}": error for name, part in zip(("first", "second"), parts, strict=True)
+                        for what, error in _errors(part).items()},
+    }  # fmt: skip
+
+
+def _named(progress: Callable[[str], None], name: str) -> Callable[[str], None]:
+    return lambda what: progress(f"{name}: {what}")
+
+
+def _errors(part: ThreePart) -> dict[str, dict[str, float]]:
+    return {what: dict(values) for what, values in part.table.errors.items()}
+
+
+def _part(material: Material, illuminant: str, progress: Callable[[str], None]) -> tuple[ThreePart, list[str]]:
+    """Return a material's table with its colours under uniform light, and the lost properties."""
     table = make_table(material, illuminant, progress)
     scatters = any(closure.kind == "diffuse" for closure in table.closures)
     if scatters and "lobe" not in table.pictures:
@@ -37,35 +70,40 @@ def export_three(material: Material, folder: Path, illuminant: str, progress: Ca
             "shader needs; export a lut, whose colours over the angle of view three.js can use"
         )
     progress("colours under uniform light")
-    even, alpha = even_pictures(table)
-    files = write_three(folder, table, even, alpha)
+    even, alphas = even_pictures(table)
     lost = [part.replace("GLSL: ", "") for part in table.lost]
     if "through" in even:
         lost.append("the colour of the light that passes: what lies behind is seen through the mean of its channels")
     if table.facets is not None and table.facets.alpha[0] == 0:
         lost.append("highlights of point lights: a smooth surface reflects the light from all around only")
-    return {
-        "illuminant": table.illuminant, "lost": lost, "files": files,
-        "errors_dE00": {what: dict(values) for what, values in table.errors.items()},
-    }  # fmt: skip
+    return ThreePart(table, even, alphas), lost
 
 
-def even_pictures(table: LightTable) -> tuple[dict[str, Picture], float]:
-    """Return colours under uniform light over the angle of view, a band for each side, and the roughness of "gloss".
+def _share(mask: Texture) -> Share:
+    """Return the share of a blend's first material."""
+    if mask.low == mask.high:
+        return Share(float(mask.low))
+    values = over_uv(mask)
+    return Share(float(np.mean(values)), values)
 
-    "albedo": all reflected light; "through": directly transmitted light; "gloss" and "spread": scattered light about
-    the mirror direction and in all directions. A closure's colour times the energy of the white closure is what the
-    material sends (`nacre.analysis.lut.rough_view`).
+
+def even_pictures(table: LightTable) -> tuple[dict[str, Picture], tuple[float, ...]]:
+    """Return colours under uniform light over the angle of view, and the roughness of each band of "gloss".
+
+    "albedo": all reflected light; "through": directly transmitted light; "spread": scattered light in all directions,
+    each with a band for each side; "gloss": about the mirror direction, with a band for each width. A closure's colour
+    times the energy of the white closure is what the material sends (`nacre.analysis.lut.rough_view`).
     """
     sums: dict[str, list[Array | None]] = {}
     rows_over = {picture.rows for picture in table.pictures.values() if picture.rows}
     rows = rows_over.pop() if rows_over else ""
-    alpha = 0.0
+    alphas: list[float] = []
+    gloss: list[Array] = []
     for closure in table.closures:
         names = ["albedo"] if closure.kind in REFLECTED else ["through"] if closure.kind in PASSED else []
-        if closure.front == "gloss":
-            names.append("gloss")
-            alpha = closure.alpha[0]
+        if closure.front is not None and closure.front.startswith("gloss"):
+            alphas.append(closure.alpha[0])
+            gloss.append(np.asarray(_even(table, closure, closure.front, rows)))
         if closure.kind == "diffuse":
             names.append("spread")
         for name in names:
@@ -73,7 +111,7 @@ def even_pictures(table: LightTable) -> tuple[dict[str, Picture], float]:
                 _added(old, _even(table, closure, side, rows))
                 for old, side in zip(sums.get(name, [None, None]), (closure.front, closure.behind), strict=True)
             ]
-    found = {}
+    found = {"gloss": Picture(np.stack(gloss), "gloss under uniform light", rows=rows)} if gloss else {}
     for name, (front, behind) in sums.items():
         bands = [part for part in (front, behind) if part is not None]
         if not bands or max(float(band.max()) for band in bands) <= 0.0:
@@ -83,7 +121,7 @@ def even_pictures(table: LightTable) -> tuple[dict[str, Picture], float]:
         count = max(len(band) for band in bands)
         values = np.stack([np.broadcast_to(band, (count, *band.shape[1:])) for band in bands])
         found[name] = Picture(values, f"{name} under uniform light", rows=rows)
-    return found, alpha
+    return found, tuple(alphas)
 
 
 def _added(old: Array | None, new: Array | None) -> Array | None:

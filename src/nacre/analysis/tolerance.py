@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from nacre.analysis.report import SPECULAR_ANGLES_DEG
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.jobs import START_WORKERS_S, Workers, run_jobs
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
-from nacre.measure import instruments
+from nacre.measure import geometry as instruments
 from nacre.measure.colours import geometry_colours, recipe_geometries
 from nacre.measure.geometry import Geometry
 from nacre.optimise.tolerances import Component, Tolerance, components, draw, read_tolerances, wilson_interval
@@ -238,14 +237,21 @@ class ColourProbe:
 
 
 def _sensitivity(material: Material, cause: Component, measure: ColourProbe, nominal: Array) -> float:
-    """Return the dE00 per standard deviation at the worst angle, from a central difference."""
+    """Return the dE00 per standard deviation at the worst angle, from a central difference and the curvature.
+
+    For y = a x + c x^2 and normal x, the variance is a^2 + 2 c^2: an axis at a symmetric angle has a = 0.
+    """
     low, high = cause.values(-SENSITIVITY_STEP), cause.values(SENSITIVITY_STEP)
     if low == high:
         return 0.0
     # a number that ends at 0 moves by less than the full step
     step = min((high[t.path] - low[t.path]) / t.standard_deviation for t in cause.tolerances if t.deviation != 0)
     below, above = (measure(material.vary(values)) for values in (low, high))
-    return float(np.max(delta_e_2000(nominal, nominal + (above - below) / step)))
+    changes = [delta_e_2000(nominal, nominal + (above - below) / step)]
+    if np.isclose(step, 2 * SENSITIVITY_STEP):
+        bend = (above + below - 2 * nominal) / (2 * SENSITIVITY_STEP**2)
+        changes.append(delta_e_2000(nominal, nominal + np.sqrt(2.0) * bend))
+    return float(np.max(np.linalg.norm(changes, axis=0)))
 
 
 def tolerance_document(result: ToleranceResult, tolerances: tuple[Tolerance, ...]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.core.errors import RecipeError
+from nacre.core.errors import NacreError, RecipeError
 from nacre.material.material import Material
 from nacre.recipe.model import show_value
 from nacre.recipe.path_tables import ToleranceSpec, by_path, known_only
@@ -20,6 +20,7 @@ DISTRIBUTIONS = ("gaussian", "uniform")
 
 TIED, INDEPENDENT = "tied", "independent"  # sources of deviations that name none
 LEAST_EIGENVALUE = -1e-9  # rounding of a correlation matrix that is singular
+FAR, SMALL = 10.0, 1e-3  # in deviations: values that no draw leaves; a step below 0 that tests the sign
 BY_MATERIAL = "material"  # group: all layers of one material deviate together
 
 
@@ -34,6 +35,7 @@ class Tolerance:
         distribution: "gaussian" or "uniform".
         group: numbers of one group deviate together, by one random factor; "": independent of all others.
         source: cause in the machine, by which contributions are summed; "": `TIED` or `INDEPENDENT`.
+        is_signed: whether the recipe allows values below 0, such as angles; other values end at 0.
     """
 
     path: str
@@ -42,6 +44,7 @@ class Tolerance:
     distribution: str = "gaussian"
     group: str = ""
     source: str = ""
+    is_signed: bool = False
 
     @property
     def standard_deviation(self) -> float:
@@ -74,7 +77,7 @@ class Component:
     def values(self, factor: float) -> dict[str, float]:
         """Return recipe values at a factor in standard deviations; numbers that are never negative end at 0."""
         moved = {t.path: t.nominal + factor * t.standard_deviation for t in self.tolerances}
-        return {t.path: max(moved[t.path], 0.0) if t.nominal >= 0 else moved[t.path] for t in self.tolerances}
+        return {t.path: moved[t.path] if t.is_signed else max(moved[t.path], 0.0) for t in self.tolerances}
 
 
 def components(tolerances: Sequence[Tolerance]) -> tuple[Component, ...]:
@@ -88,15 +91,15 @@ def components(tolerances: Sequence[Tolerance]) -> tuple[Component, ...]:
 def values_at(causes: Sequence[Component], factors: Array) -> dict[str, Array]:
     """Return path -> values `[point]` of causes at factors `[point, cause]` in standard deviations, added and cut."""
     moved: dict[str, Array] = {}
-    nominal = {each.path: each.nominal for cause in causes for each in cause.tolerances}
+    numbers = {each.path: each for cause in causes for each in cause.tolerances}
     for cause, column in zip(causes, np.asarray(factors, dtype=float).T, strict=True):
         for each in cause.tolerances:
             change = each.standard_deviation * column
-            if each.nominal >= 0:
+            if not each.is_signed:
                 change = np.maximum(change, -each.nominal)
             moved[each.path] = moved.get(each.path, 0.0) + change
     return {
-        path: np.maximum(nominal[path] + change, 0.0) if nominal[path] >= 0 else nominal[path] + change
+        path: np.maximum(numbers[path].nominal + change, -np.inf if numbers[path].is_signed else 0.0)
         for path, change in moved.items()
     }
 
@@ -110,15 +113,15 @@ class Draws:
 
 
 def draw(tolerances: Sequence[Tolerance], generator: np.random.Generator, count: int) -> Draws:
-    """Draw values; the deviations of a number's tolerances add. Numbers with a nominal value >= 0 are clipped at 0."""
+    """Draw values; the deviations of a number's tolerances add. Numbers that are not signed are clipped at 0."""
     values: dict[str, Array] = {}
-    nominal = {each.path: each.nominal for each in tolerances}
+    signed = {each.path for each in tolerances if each.is_signed}
     for component in components(tolerances):
         is_uniform = component.distribution == "uniform"
         unit = generator.uniform(-1, 1, count) if is_uniform else generator.standard_normal(count)
         for each in component.tolerances:
             values[each.path] = values.get(each.path, each.nominal) + each.deviation * unit
-    negative = {path: value < 0.0 for path, value in values.items() if nominal[path] >= 0}
+    negative = {path: value < 0.0 for path, value in values.items() if path not in signed}
     clipped = {path: float(np.mean(rows)) for path, rows in negative.items() if rows.any()}
     return Draws({path: np.where(negative.get(path, False), 0.0, v) for path, v in values.items()}, clipped)
 
@@ -247,7 +250,18 @@ def _read(material: Material, path: str, value: Any, where: str) -> Tolerance:
     if not (np.isfinite(number) and number >= 0):
         raise RecipeError(f"{where} = {show_value(value)} should be a number >= 0 or a percentage")
     deviation = abs(nominal) * number / 100 if text.endswith("%") else number
-    return Tolerance(path, float(nominal), deviation, str(distribution), group, cause)
+    is_signed = nominal < 0 or nominal < FAR * deviation and _allows(material, path, -SMALL * deviation)
+    if isinstance(nominal, int) and not _allows(material, path, nominal + 0.5) and _allows(material, path, nominal + 1):
+        raise RecipeError(f"{where}: a whole number has no tolerance; sweep it instead")
+    return Tolerance(path, float(nominal), deviation, str(distribution), group, cause, is_signed)
+
+
+def _allows(material: Material, path: str, value: float) -> bool:
+    try:
+        material.vary({path: value})
+    except NacreError:
+        return False
+    return True
 
 
 def _group(material: Material, path: str, group: Any, where: str) -> str:

@@ -325,6 +325,8 @@ def find_delimiter(lines: Sequence[str]) -> str | None:
     for mark in (";", "\t", ",", None):
         found = [(len(cells), _numeric_share(cells)) for line in sample if len(cells := split(line, mark)) > 1]
         widths = Counter(width for width, share in found if share >= 0.5)
+        if not widths:  # names beside a colour such as #4a90d0
+            widths = Counter(len(cells) for line in sample if _has_colour(cells := split(line, mark)))
         if not widths:
             continue
         modal = widths.most_common(1)[0][0]
@@ -447,7 +449,14 @@ def _begins_with_names(found: Sequence[_Line], first_is_text: bool | None, knows
 
 
 def _is_data(cells: Sequence[str]) -> bool:
+    if _has_colour(cells):
+        return True
     return bool(cells) and _numeric_share(cells) >= 0.5 and any(_is_number(cell) for cell in cells)
+
+
+def _has_colour(cells: Sequence[str]) -> bool:
+    """Whether one of several cells is a colour such as #4a90d0."""
+    return len(cells) > 1 and any(len(cell) == 7 and _HEX.fullmatch(cell) for cell in cells)
 
 
 def _without_trailing_remark(text: str, delimiter: str | None) -> str:
@@ -646,8 +655,9 @@ def _find_headings(
         text = line.text.strip()
         if line.is_remark:
             text = text.lstrip("#%!;*/'").strip()
+        empty = text.count(delimiter) if delimiter else 0  # "nm,," states the unit of the first column
         unit_cells = next(
-            (c for c in _splits(text, delimiter, width) if len(c) >= min(width, 2) and _is_unit_row(c)), None
+            (c for c in _splits(text, delimiter, width) if len(c) + empty >= min(width, 2) and _is_unit_row(c)), None
         )
         if (
             unit_cells is not None

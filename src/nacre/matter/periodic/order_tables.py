@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
-from nacre.core.parallel import in_threads
+from nacre.core.jobs import in_workers
 from nacre.matter.periodic.line_tables import azimuth_nodes
 from nacre.matter.periodic.orders import cached_solution, case_key, packed_solutions, unpacked_solutions
 from nacre.matter.periodic.solve import difference, method_of, size_count, solve_many
@@ -122,7 +122,7 @@ def _solved_tables(
         # the first wavelength needs most
         probes = [case for case in cases if case[2] == 0][:: max(len(own) * thetas // PROBES, 1)]
         for step in range(size_count(stack)):
-            pairs = zip(in_threads(check, probes), work(probes, step), strict=True)
+            pairs = zip(in_workers(check, probes), work(probes, step), strict=True)
             if max(difference(*pair) for pair in pairs) <= table_error:
                 break
     batch = max(map(len, places.values())) if method == "lines" and step == 0 else 1
@@ -146,7 +146,7 @@ def _solved_tables(
     # the error of the coarse solutions, at a few directions
     some = cases[:: max(len(cases) // CHECKS, 1)] if is_patterned else []
     error = 0.0
-    for case, better in zip(some, in_threads(check, some), strict=True):
+    for case, better in zip(some, in_workers(check, some), strict=True):
         error = max(error, difference(found[case], better))
     numbered = np.array([number for number in every if number != (0, 0)], dtype=np.int64).reshape(-1, 2)
     made = OrderTables(mirror, passed, reflected, transmitted, numbered, lattice, error, 0.0)
@@ -192,25 +192,27 @@ def _solved_rows(
         stored = cached_arrays(f"{key}-{t}") if key else None
         if stored is not None:
             found |= zip(row, unpacked_solutions(stored), strict=True)
-    lock = threading.Lock()
-    seconds = dict.fromkeys(rows, 0.0)
-
-    def kept(part: list[tuple[int, int, int]]) -> None:
-        start = time.perf_counter()
-        solutions = work(part)
-        with lock:
-            found.update(zip(part, solutions, strict=True))
-            t = part[0][0]
-            seconds[t] += time.perf_counter() - start
-            is_complete = all(each in found for each in rows[t])
-            if key and is_complete and seconds[t] > MIN_STORED_S:
-                cache_arrays(f"{key}-{t}", packed_solutions([found[each] for each in rows[t]]))
-
     alike: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
     for t, a, w in cases:
         if (t, a, w) not in found:
             alike.setdefault((t, w), []).append((t, a, w))
-    in_threads(kept, [part[k : k + batch] for part in alike.values() for k in range(0, len(part), batch)])
+    parts = [row[k : k + batch] for row in alike.values() for k in range(0, len(row), batch)]
+    left = Counter(part[0][0] for part in parts)
+    seconds = dict.fromkeys(rows, 0.0)
+
+    def timed(part: list[tuple[int, int, int]]) -> tuple[list[OrderSolution], float]:
+        start = time.perf_counter()
+        return work(part), time.perf_counter() - start
+
+    def keep(part: list[tuple[int, int, int]], result: tuple[list[OrderSolution], float]) -> None:
+        t = part[0][0]
+        found.update(zip(part, result[0], strict=True))
+        seconds[t] += result[1]
+        left[t] -= 1
+        if key and not left[t] and seconds[t] > MIN_STORED_S:
+            cache_arrays(f"{key}-{t}", packed_solutions([found[each] for each in rows[t]]))
+
+    in_workers(timed, parts, keep)
     return found
 
 
@@ -232,7 +234,7 @@ def _between(tables: OrderTables, stacks: list[PeriodicStack], wavelengths_nm: A
         for part in (tables.mirror, tables.reflected)
     )
     worst = 0.0
-    for (k, w), solution in zip(cases, in_threads(solved, cases), strict=True):
+    for (k, w), solution in zip(cases, in_workers(solved, cases), strict=True):
         exact = np.zeros(len(tables.orders))
         for number, value in zip(solution.reflected.numbers, solution.reflected.efficiency.mean(axis=1), strict=True):
             if not number.any():
