@@ -21,7 +21,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from nacre.matter.periodic.line_basis import LineMesh, assemble, gauss, gauss_values, regions
+from nacre.core.quadrature import gauss_legendre
+from nacre.matter.periodic.line_basis import LineMesh, assemble, gauss_values, regions
 from nacre.matter.periodic.scattering_matrix import outgoing_root, scatter, tangent_over_root, uniform_modes
 from nacre.matter.periodic.structure import (
     OrderSet,
@@ -211,7 +212,7 @@ def _fixed(mesh: LineMesh, half: int) -> tuple[Array, Array, Array, Array, Array
         mass[k][np.ix_(here, here)] = mesh.mass[k]
         slope[row : row + degree, here] = mesh.slopes[k]
         order = degree // 2 + 6 + int(0.5 * np.pi * h * half) + 2
-        x, w = gauss(order)
+        x, w = gauss_legendre(order)
         wide = np.zeros((nodes, order))
         wide[here] = gauss_values(degree, order)[0] * (0.5 * h * w)
         points.append(mesh.edges[k] + 0.5 * h * (x + 1.0))
