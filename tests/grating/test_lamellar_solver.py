@@ -18,7 +18,8 @@ Wave = tuple[PeriodicStack, float, float, float]
 
 
 def wave(made: dict[str, Any], wavelength_nm: float, theta_deg: float, phi_deg: float) -> Wave:
-    stack = nacre.load(made).model.stacks(np.array([wavelength_nm]))[0]
+    model: Any = nacre.load(made).model
+    stack = model.stacks(np.array([wavelength_nm]))[0]
     return stack, wavelength_nm, float(np.radians(theta_deg)), float(np.radians(phi_deg))
 
 

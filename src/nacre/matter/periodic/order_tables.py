@@ -21,7 +21,7 @@ from nacre.matter.periodic.solve import difference, method_of, size_count, solve
 from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Rectangle
 
 MAX_THETA = float(np.radians(89.5))  # light beyond is taken as here
-THETAS = {"lines": 30, "profile": 16, "rectangles": 10, "fourier": 10}  # nodes from 0 to 90 degrees
+THETAS = {"lines": 24, "profile": 16, "rectangles": 10, "fourier": 10}  # nodes from 0 to 90 degrees
 AZIMUTHS = {"lines": 288, "profile": 48, "rectangles": 16, "fourier": 12}  # of a whole turn, a multiple of 4
 FEW = 12, 16  # nodes of tables whose size follows from an error: larger solutions, fewer of them
 CHECKS = 6  # directions at which the error is estimated
