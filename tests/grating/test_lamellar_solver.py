@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,20 @@ import pytest
 from helpers_grating import recipe, reference
 
 import nacre
+from nacre.core.parallel import single_threaded_blas
 from nacre.matter.periodic.lamellar_solver import solve_lamellar
 from nacre.matter.periodic.scattering_matrix import tangent_over_root
 from nacre.matter.periodic.solve import difference, solve_coarse, solve_many
 from nacre.matter.periodic.structure import Cell, OrderSolution, PatternLayer, PeriodicStack, Rectangle
 
 Wave = tuple[PeriodicStack, float, float, float]
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Solve as the product does: matrices are too small for several threads."""
+    with single_threaded_blas():
+        yield
 
 
 def wave(made: dict[str, Any], wavelength_nm: float, theta_deg: float, phi_deg: float) -> Wave:
