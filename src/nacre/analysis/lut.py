@@ -681,7 +681,7 @@ def _scatter_errors(bsdf: Bsdf, scatter: Scatter, to_rgb: Callable[[Array], Arra
 
     def glossy(alpha: float, colours: Array) -> Array:
         kept = np.array([ClosureLoss("ggx", (alpha, alpha)).kept(w)[0] for w in direction(theta, 0.0)])
-        return view_picture(colours).at(x, 0.0 * x) * kept[:, None]
+        return np.asarray(view_picture(colours).at(x, 0.0 * x) * kept[:, None])
 
     def even(held: Picture) -> Array:
         return np.asarray(sum((glossy(*part) for part in scatter.gloss), held.at(x, 0.0 * x)))

@@ -3,7 +3,8 @@
 The library of pigments and dyes and the paint to match are files. All combinations of the library's ingredients are
 refined on a two-stream model of the paint; the best ones are corrected by the doubling method at their own point and
 refined again until they rest (space mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
-Answers are evaluated by a random walk."""
+Answers are evaluated by a random walk.
+"""
 
 from __future__ import annotations
 

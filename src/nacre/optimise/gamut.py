@@ -37,8 +37,7 @@ from nacre.material.material import Material
 from nacre.matter.stack.solve import powers
 from nacre.measure.colours import recipe_geometries
 from nacre.measure.geometry import Geometry
-from nacre.optimise.evaluation import lab_hex
-from nacre.optimise.measurement import check_answers, search_wavelengths, simulate_measurement
+from nacre.optimise.evaluation import check_answers, lab_hex, search_wavelengths, simulate_measurement
 from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import check_light

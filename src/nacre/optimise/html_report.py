@@ -17,9 +17,14 @@ from nacre.families.contract import is_direct
 from nacre.light import lamp_lines_nm, white_xyz
 from nacre.material.material import Material
 from nacre.measure.geometry import Geometry
-from nacre.optimise.evaluation import TargetResult, geometries_of
+from nacre.optimise.evaluation import (
+    TargetResult,
+    evaluation_wavelengths,
+    geometries_of,
+    search_wavelengths,
+    simulate_measurement,
+)
 from nacre.optimise.gamut import MIN_POINTS, gamut_chart, gamut_svg, target_gamut
-from nacre.optimise.measurement import evaluation_wavelengths, search_wavelengths, simulate_measurement
 from nacre.optimise.parameters import is_chosen
 from nacre.optimise.solutions import Solution
 from nacre.optimise.task import DesignTask

@@ -15,9 +15,8 @@ from nacre.core.files import read_text
 from nacre.material.material import Material, load, material
 from nacre.matter.indices.spec import IndexSpec
 from nacre.measure.geometry import Geometry, named_geometries
-from nacre.optimise.evaluation import geometries_of
+from nacre.optimise.evaluation import check_answers, geometries_of
 from nacre.optimise.image.validation import HOLOGRAM, check_hologram, check_picture_target, is_hologram
-from nacre.optimise.measurement import check_answers
 from nacre.optimise.parameters import Parameter, read_parameters, values_at
 from nacre.optimise.spec import DesignSpec, LayersSpec
 from nacre.optimise.targets import Target, read_targets

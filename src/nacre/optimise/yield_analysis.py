@@ -15,8 +15,7 @@ from nacre.families.contract import surrogate_radiance
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
 from nacre.measure.geometry import Geometry, aspecular_pairs
-from nacre.optimise.evaluation import geometries_of
-from nacre.optimise.measurement import Measurement, search_wavelengths, simulate_measurement
+from nacre.optimise.evaluation import Measurement, geometries_of, search_wavelengths, simulate_measurement
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.surrogate import Correction
 from nacre.optimise.spec import LightSpec
