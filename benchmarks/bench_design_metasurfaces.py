@@ -33,7 +33,7 @@ from common import Kept, Row, Worker, report, run_clock_by_cpu, searcher, within
 import nacre
 from nacre.core.errors import NacreError
 from nacre.measure.geometry import Geometry
-from nacre.optimise.evaluation import simulate_measurement
+from nacre.optimise.measurement import simulate_measurement
 
 WANTS = [f"{kind} {angle}" for kind in ("specular", "diffuse") for angle in (0, 30, 60)]
 FREE = {

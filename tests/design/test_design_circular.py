@@ -12,7 +12,7 @@ from nacre.core.errors import RecipeError
 from nacre.measure.colours import geometry_colours
 from nacre.measure.geometry import Geometry
 from nacre.measure.polarisation import circular_reflection, ellipsometric_angles, selective_band
-from nacre.optimise.evaluation import simulate_measurement
+from nacre.optimise.measurement import simulate_measurement
 from nacre.optimise.parameters import read_parameters
 
 MEDIUM = {"ordinary": 1.5, "extraordinary": 1.7, "axis_polar_deg": 90.0}

@@ -9,7 +9,8 @@ import pytest
 import nacre
 from nacre.light import spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.measure.geometry import Geometry
-from nacre.optimise.evaluation import evaluate, simulate_measurement
+from nacre.optimise.evaluation import evaluate
+from nacre.optimise.measurement import simulate_measurement
 from nacre.optimise.methods.broyden import Descent, gauss_newton_step
 from nacre.optimise.methods.successive_halving import SuccessiveHalvingSearch
 from nacre.optimise.problem import Budget

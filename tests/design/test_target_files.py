@@ -14,7 +14,8 @@ from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, lab_to_lch, lch_to_lab, white_xyz, xyz_to_lab
 from nacre.measure.geometry import Geometry
-from nacre.optimise.evaluation import nearest_in_ranges, simulate_measurement
+from nacre.optimise.evaluation import nearest_in_ranges
+from nacre.optimise.measurement import simulate_measurement
 from nacre.optimise.spec import LightSpec, TargetEntry
 from nacre.optimise.targets import read_targets, srgb_to_lab
 from nacre.optimise.task import read_task

@@ -21,7 +21,7 @@ from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
 from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
-from nacre.bsdf.texture import ParameterAxis, refuse_place
+from nacre.bsdf.texture import ParameterAxis, Texture, refuse_place
 from nacre.core.arrays import Array, direction, take_at
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.formats.lobes import is_isotropic
@@ -524,10 +524,15 @@ def _walk_mirror(bsdf: Bsdf) -> Array | None:
 
 def map_over_uv(axis: ParameterAxis) -> Array:
     """Return a number's map over uv `[row, column]`, from 0 to 1; the first row is v = 0."""
-    image = axis.texture.image
+    return axis.coordinate(over_uv(axis.texture)) / max(len(axis.values) - 1, 1)
+
+
+def over_uv(texture: Texture) -> Array:
+    """Return a texture's values over uv `[row, column]`; the first row is v = 0."""
+    image = texture.image
     rows, columns = (MAP_SIZE, MAP_SIZE) if image is None else np.minimum(image.shape, LARGEST_MAP)
     u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
-    return axis.coordinate(axis.texture(np.stack([u, v], axis=-1))) / max(len(axis.values) - 1, 1)
+    return np.asarray(texture(np.stack([u, v], axis=-1)), dtype=float)
 
 
 def _bake_interface(

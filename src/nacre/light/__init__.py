@@ -19,6 +19,7 @@ from nacre.light.colour_differences import delta_e_2000 as delta_e_2000
 from nacre.light.colour_differences import delta_e_2000_components as delta_e_2000_components
 from nacre.light.colour_differences import delta_e_cmc as delta_e_cmc
 from nacre.light.colour_differences import delta_e_din99o as delta_e_din99o
+from nacre.light.colour_differences import delta_e_din6175 as delta_e_din6175
 from nacre.light.colour_differences import lab_to_din99o as lab_to_din99o
 from nacre.light.display import Clipped as Clipped
 from nacre.light.display import clip_to_srgb as clip_to_srgb

@@ -1,7 +1,4 @@
-"""Final evaluation of a solution with the reference model of the material, independent of the search.
-
-Measurements are simulated at the target's geometries as reflectance factors, 1 for a perfect white.
-"""
+"""Final evaluation of a solution with the reference model of the material, independent of the search."""
 
 from __future__ import annotations
 
@@ -12,237 +9,25 @@ from typing import Any
 
 import numpy as np
 
-from nacre.bsdf.bsdf import Bsdf, Spectrum
 from nacre.core.arrays import Array
-from nacre.core.errors import RecipeError, UnsupportedError
-from nacre.families.contract import is_direct, search_model, values_at
+from nacre.families.contract import is_direct
 from nacre.light import (
-    default_wavelengths,
     delta_e_2000,
     lab_to_lch,
     lab_to_xyz,
-    lamp_lines_nm,
     lch_to_lab,
     smooth_weights,
-    spans_colour,
     swatch_hex,
     white_xyz,
-    with_lamp_lines,
     xyz_to_lab,
 )
 from nacre.material.material import Material
-from nacre.measure.colours import WALK_NM
-from nacre.measure.evaluate import evaluate_with_error
-from nacre.measure.geometry import Geometry, aspecular_pairs, spectrum_at
-from nacre.measure.spectrum import bsdf_spectrum
+from nacre.measure.geometry import Geometry
+from nacre.measure.texture import TextureQuantity
+from nacre.optimise.measurement import Measurement, evaluation_wavelengths, search_wavelengths, simulate_measurement
+from nacre.optimise.merit import texture_deviation
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import Target
-
-EVALUATION_STEP_NM = 1.0
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """Simulated measurement.
-
-    Attributes:
-        wavelengths_nm: `[wavelength]`.
-        factors: `[geometry, wavelength]`.
-        error: standard error of the factors, in their shape; None without Monte Carlo.
-        missing: geometries at which the material lacks any signal, such as diffuse light of a mirror.
-    """
-
-    wavelengths_nm: Array
-    factors: Array
-    error: Array | None
-    missing: frozenset[Geometry]
-
-
-def simulate_measurement(
-    material: Material,
-    geometries: Sequence[Geometry],
-    wavelengths_nm: Array | None = None,
-    *,
-    samples: int | None = None,
-    seed: int = 0,
-    memory: dict[Any, Any] | None = None,
-    is_rough: bool = False,
-) -> Measurement:
-    """Simulate a measurement of a material.
-
-    Specular and transmitted factors agree with `nacre spectrum`, aspecular ones with `nacre report`.
-
-    Args:
-        wavelengths_nm: ascending; default: the material defaults.
-        samples, seed: of Monte Carlo estimates.
-        memory: cache of a search, shared by its candidates; they are then evaluated at the required directions only,
-            if the family can. None: the reference model.
-        is_rough: with a cache, whether a ranking is sufficient.
-
-    Raises:
-        NacreError: the material cannot be computed.
-    """
-    if memory is not None:
-        material = replace(material, model=search_model(material.model, memory, is_rough))
-    model = material.model
-    asked = [geometry for geometry in geometries if geometry.kind != "aspecular"]
-    rows = [row for row, geometry in enumerate(geometries) if geometry.kind == "aspecular"]
-    wi, wo = aspecular_pairs([geometries[row] for row in rows])
-    few = None
-    if rows and memory is not None and wavelengths_nm is not None:
-        few = values_at(model, wi, wo, wavelengths_nm)
-    bsdf: Bsdf | None = None
-    if rows and few is None:
-        bsdf = model.bsdf(wavelengths_nm)
-        wavelengths_nm = bsdf.wavelengths_nm
-    spectra, bsdf = _spectra(material, asked, wavelengths_nm, bsdf, seed)
-    grid = next(iter(spectra.values())).wavelengths_nm if spectra else np.asarray(wavelengths_nm)
-    factors = np.zeros((len(geometries), len(grid)))
-    error: Array | None = None
-    missing = []
-    for row, geometry in enumerate(geometries):
-        if geometry.kind == "aspecular":
-            continue
-        value = spectrum_at(spectra[geometry.polarisation], geometry)
-        if value is None:
-            missing.append(geometry)
-        else:
-            factors[row] = value
-    if few is not None:
-        factors[rows] = np.pi * few
-    elif rows:
-        assert bsdf is not None
-        if all(lobe.is_delta for lobe in bsdf.lobes):
-            missing += [geometries[row] for row in rows]
-        values, deviation = evaluate_with_error(bsdf, wi, wo, samples=samples, seed=seed)
-        factors[rows] = np.pi * values
-        if deviation is not None:
-            error = np.zeros_like(factors)
-            error[rows] = np.pi * deviation
-    return Measurement(grid, factors, error, frozenset(missing))
-
-
-def _spectra(
-    material: Material, geometries: Sequence[Geometry], wavelengths_nm: Array | None, bsdf: Bsdf | None, seed: int
-) -> tuple[dict[str, Spectrum], Bsdf | None]:
-    """Return the spectra of each polarisation at the angles of its geometries."""
-    found: dict[str, Spectrum] = {}
-    for state in sorted({at.polarisation for at in geometries}):
-        rows = [at for at in geometries if at.polarisation == state]
-        if state == "both":
-            found[state], bsdf = _spectrum(material, rows, wavelengths_nm, bsdf, seed)
-        else:
-            angles = np.unique([at.theta_deg for at in rows])
-            found[state] = material.spectrum(np.radians(angles), wavelengths_nm, state, seed=seed)
-    return found, bsdf
-
-
-def _spectrum(
-    material: Material, geometries: Sequence[Geometry], wavelengths_nm: Array | None, bsdf: Bsdf | None, seed: int
-) -> tuple[Spectrum, Bsdf | None]:
-    """Return the spectrum at the angles; diffuse light is integrated only if required."""
-    angles = np.unique([geometry.theta_deg for geometry in geometries])
-    found = material.model.spectrum(np.radians(angles), wavelengths_nm, "both", seed)
-    if found is not None:
-        return found, bsdf
-    bsdf = material.model.bsdf(wavelengths_nm) if bsdf is None else bsdf
-    wants_diffuse = any(geometry.kind in ("diffuse", "hemispherical") for geometry in geometries)
-    return bsdf_spectrum(bsdf, np.radians(angles), seed=seed, diffuse=wants_diffuse), bsdf
-
-
-def search_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
-    """Return a search's wavelengths: the material defaults, and the lines of the lamps.
-
-    Slow materials use the coarse grid of reports; the merit function interpolates it by splines.
-    """
-    grid = material.model.wavelengths_nm
-    if not material.model.traits.is_quick:
-        coarse = WALK_NM[(WALK_NM >= grid[0]) & (WALK_NM <= grid[-1])]
-        grid = coarse if len(coarse) < len(grid) and spans_colour(coarse) else grid
-    return _with_lines(grid, lamps)
-
-
-def evaluation_wavelengths(material: Material, lamps: Sequence[str]) -> Array:
-    """Return the final evaluation wavelengths: steps of 1 nm for quick materials, else the material defaults."""
-    own = _with_lines(material.model.wavelengths_nm, lamps)
-    return np.union1d(own, default_wavelengths(step_nm=EVALUATION_STEP_NM)) if material.model.traits.is_quick else own
-
-
-def _with_lines(grid: Array, lamps: Sequence[str]) -> Array:
-    for lamp in lamps:
-        if len(lamp_lines_nm(lamp)):
-            grid = with_lamp_lines(grid, lamp)
-    return np.asarray(grid)
-
-
-def why_missing(material: Material, geometry: Geometry) -> str:
-    """Return the reason for a missing signal."""
-    noun = material.model.traits.noun
-    return {
-        "specular": f"this {noun} has no specular reflection",
-        "transmitted": f"this {noun} has no specular transmission",
-        "diffuse": f"this {noun} has no diffuse reflection",
-        "hemispherical": f"this {noun} reflects nothing",
-        "aspecular": f"this {noun} reflects into the mirror direction only",
-    }[geometry.kind]
-
-
-def check_answers(materials: Sequence[Material], geometries: Sequence[Geometry], where: Sequence[str]) -> None:
-    """Refuse a geometry at which all of some materials lack a signal.
-
-    Args:
-        materials: the recipe and variants of it.
-        where: file and key of each geometry, for messages.
-
-    Raises:
-        RecipeError: naming the target.
-        NacreError: the first material cannot be computed.
-    """
-    open_: set[Geometry] = set(geometries)
-    for number, material in enumerate(materials):
-        try:
-            open_ &= missing_geometries(material, geometries)
-        except UnsupportedError as error:
-            if number == 0:
-                raise RecipeError(f"{where[0]}: {error}") from None
-        if not open_:
-            return
-    for geometry, place in zip(geometries, where, strict=True):
-        if geometry in open_:
-            raise RecipeError(f'{place} = "{geometry}" is not possible: {why_missing(materials[0], geometry)}')
-
-
-def missing_geometries(material: Material, geometries: Sequence[Geometry]) -> frozenset[Geometry]:
-    """Return the geometries at which a material lacks signal, without Monte Carlo.
-
-    Raises:
-        NacreError: the material cannot be computed.
-    """
-    probe = _probe(material)
-    if material.model.traits.is_quick:
-        return simulate_measurement(material, geometries, probe).missing
-    asked = [geometry for geometry in geometries if geometry.kind != "aspecular"]
-    angles = np.radians([geometry.theta_deg for geometry in asked])
-    found = material.model.spectrum(angles, probe, "both", 0) if asked else None
-    missing = [geometry for geometry in asked if found is not None and spectrum_at(found, geometry) is None]
-    if found is None:
-        bsdf = material.model.bsdf(probe)
-        spreads = any(not lobe.is_delta for lobe in bsdf.lobes)
-        missing += [geometry for geometry in geometries if geometry.kind in ("aspecular", "diffuse") and not spreads]
-        if asked:
-            mirror = bsdf_spectrum(bsdf, angles, diffuse=False)
-            missing += [
-                geometry
-                for geometry in asked
-                if geometry.kind in ("specular", "transmitted") and spectrum_at(mirror, geometry) is None
-            ]
-    return frozenset(missing)
-
-
-def _probe(material: Material) -> Any:
-    grid = np.asarray(material.model.wavelengths_nm)
-    return grid[:: max(1, len(grid) // 3)]
-
 
 SEED_OFFSET = 0x5EED  # the Monte Carlo seeds differ from those of the search
 MAX_NOISE = 0.1  # in tolerances
@@ -258,11 +43,12 @@ class TargetResult:
 
     Attributes:
         target: the target.
-        lamp: name; None for a spectrum.
-        lab: `[3]`, colour reached; None for a spectrum.
-        target_lab: `[3]`, target colour, or the nearest one of a range; None for a spectrum.
-        distance: dE00, or a spectrum rms in per cent.
+        lamp: name; None for a spectrum and for texture.
+        lab: `[3]`, colour reached; None for a spectrum and for texture.
+        target_lab: `[3]`, target colour, or the nearest one of a range; None for a spectrum and for texture.
+        distance: dE00, a spectrum rms in per cent, or the deviation of texture in per cent.
         noise: Monte Carlo standard error of the distance.
+        number: number of texture that is reached.
     """
 
     target: Target
@@ -271,6 +57,7 @@ class TargetResult:
     target_lab: Array | None
     distance: float
     noise: float = 0.0
+    number: float | None = None
 
     @property
     def scaled(self) -> float:
@@ -282,10 +69,19 @@ class TargetResult:
         """Whether the distance is within the tolerance."""
         return self.distance <= self.target.tolerance
 
+    @property
+    def distance_text(self) -> str:
+        """Distance with its unit."""
+        if self.number is not None:
+            return f"{self.distance:.2g} % off, {self.number:.4g}"
+        return f"{self.distance:.2g} % rms" if self.lamp is None else f"dE00 {self.distance:.2f}"
+
     def document(self, observer: str) -> dict[str, Any]:
         """Return the result as JSON data."""
         found: dict[str, Any] = {"geometry": str(self.target.geometry), "lamp": self.lamp, "asked": self.target.asked}
-        if self.lab is None or self.lamp is None:
+        if self.number is not None:
+            found |= {"reached": {str(self.target.geometry): self.number}, "de00": None, "off_percent": self.distance}
+        elif self.lab is None or self.lamp is None:
             found |= {"reached": None, "de00": None, "rms_percent": self.distance}
         else:
             white = white_xyz(self.lamp, observer)
@@ -329,6 +125,8 @@ def evaluate(
             measured = simulate_measurement(material, geometries, fine, seed=seed)
         return results_of(measured, targets, light), measured
     estimates = [measured.factors]
+    texture = [row for row, geometry in enumerate(geometries) if isinstance(geometry, TextureQuantity)]
+    spectral = [row for row in range(len(geometries)) if row not in texture]
     while True:
         mean = replace(measured, factors=np.mean(estimates, axis=0))
         results = results_of(mean, targets, light)
@@ -339,8 +137,10 @@ def evaluate(
             if is_quiet or len(estimates) >= MAX_ESTIMATES or time.monotonic() - begun > seconds:
                 return results, mean
         for _ in range(max(1, len(estimates) // 2)):
-            more = simulate_measurement(material, geometries, grid, seed=seed + len(estimates))
-            estimates.append(more.factors)
+            factors = measured.factors.copy()
+            rows = [geometries[row] for row in spectral]
+            factors[spectral] = simulate_measurement(material, rows, grid, seed=seed + len(estimates)).factors
+            estimates.append(factors)
 
 
 def geometries_of(targets: Sequence[Target]) -> list[Geometry]:
@@ -371,6 +171,11 @@ def results_of(measured: Measurement, targets: Sequence[Target], light: LightSpe
         factors = measured.factors[geometries.index(target.geometry)]
         if target.spectrum is not None:
             found.append(TargetResult(target, None, None, None, _rms(grid, factors, target.spectrum)))
+            continue
+        if target.texture is not None:
+            number = float(factors.mean())
+            off = float(abs(texture_deviation(*target.texture, number)))
+            found.append(TargetResult(target, None, None, None, off, number=number))
             continue
         for lamp in light.illuminants[:1] if target.xyz is not None else light.illuminants:
             white = white_xyz(lamp, light.observer)

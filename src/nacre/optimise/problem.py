@@ -17,7 +17,8 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.material.material import Material
-from nacre.optimise.evaluation import Measurement, geometries_of, search_wavelengths, simulate_measurement
+from nacre.optimise.evaluation import geometries_of
+from nacre.optimise.measurement import Measurement, search_wavelengths, simulate_measurement
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.parameters import changes_of, point_of, removable_tables, values_of
 from nacre.optimise.solutions import are_alike

@@ -337,8 +337,7 @@ def outcome(solutions: Sequence[Solution], status: str, seconds: float | None = 
     """
     best = solutions[0]
     worst = best.worst
-    unit = " % rms" if worst.lamp is None else ""
-    distance = f"{worst.distance:.2g}{unit}" if worst.lamp is None else f"dE00 {worst.distance:.2f}"
+    distance = worst.distance_text
     lamp = f" under {worst.lamp}" if worst.lamp is not None else ""
     where = f'"{worst.target.geometry}"{lamp}'
     if status == "met":

@@ -15,8 +15,9 @@ from nacre.core.files import read_text
 from nacre.material.material import Material, load, material
 from nacre.matter.indices.spec import IndexSpec
 from nacre.measure.geometry import Geometry, named_geometries
-from nacre.optimise.evaluation import check_answers, geometries_of
+from nacre.optimise.evaluation import geometries_of
 from nacre.optimise.image.validation import HOLOGRAM, check_hologram, check_picture_target, is_hologram
+from nacre.optimise.measurement import check_answers
 from nacre.optimise.parameters import Parameter, read_parameters, values_at
 from nacre.optimise.spec import DesignSpec, LayersSpec
 from nacre.optimise.targets import Target, read_targets
@@ -173,7 +174,8 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
     source = context.source
     base = _recipe(spec, context).with_parts_loaded([*spec.parameters, *spec.tolerance])
     refuse_place(base.model, f"{context.source}: recipe")
-    targets = read_targets(spec.target, spec.light, context, task_geometries(spec, base.data, context))
+    named = task_geometries(spec, base.data, context)
+    targets = read_targets(spec.target, spec.light, context, named, spec.instrument)
     if spec.layers is not None:
         check_layers(spec.layers, base, source)
         _check_total(spec, source)
@@ -347,5 +349,6 @@ def _check_geometries(target: DesignTask) -> None:
     for other in substrates(target.spec.layers)[1:] if target.spec.layers else ():
         tried.append(target.material.vary({"substrate": other}))
     rows = geometries_of(target.targets)
-    keys = [next(one.key for one in target.targets if one.geometry == at) + ".geometry" for at in rows]
+    firsts = [next(one for one in target.targets if one.geometry == at) for at in rows]
+    keys = [f"{one.key}.{'geometry' if one.texture is None else 'quantity'}" for one in firsts]
     check_answers(tried, rows, keys)

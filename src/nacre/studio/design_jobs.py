@@ -17,17 +17,9 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.material.material import Material
 from nacre.measure.spectrum import bsdf_spectrum
-from nacre.optimise.evaluation import (
-    TargetResult,
-    evaluate,
-    geometries_of,
-    lab_hex,
-    nearest_in_ranges,
-    results_of,
-    search_wavelengths,
-    simulate_measurement,
-)
+from nacre.optimise.evaluation import TargetResult, evaluate, geometries_of, lab_hex, nearest_in_ranges, results_of
 from nacre.optimise.gamut import find_gamut, optimal_limits, srgb_limits
+from nacre.optimise.measurement import search_wavelengths, simulate_measurement
 from nacre.optimise.parameters import point_of, values_at
 from nacre.optimise.problem import Budget
 from nacre.optimise.run import choose_search, outcome

@@ -90,18 +90,26 @@ def new_folder(path: Path) -> Iterator[Path]:
         made.mkdir()
     except OSError as error:
         raise NacreError(f"{path}: the folder {parent} cannot be written: {error.strerror}") from None
+    old: Path | None = None
     try:
         yield made
-        old = Path(tempfile.mkdtemp(prefix=temporary_prefix(path), dir=parent)) if path.exists() else None
-        if old is not None:
+        if path.exists():
+            old = Path(tempfile.mkdtemp(prefix=temporary_prefix(path), dir=parent))
             path.rename(old / "old")
-        made.rename(path)
-        if old is not None:
-            shutil.rmtree(old, ignore_errors=True)
+        try:
+            made.rename(path)
+        except OSError:  # another program holds a file of the folder open (Windows)
+            if old is not None:
+                moved, old = old, None  # never removed while it holds the former folder
+                (moved / "old").rename(path)
+                moved.rmdir()
+            raise
     except OSError as error:
         raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
-        shutil.rmtree(made, ignore_errors=True)
+        for place in (made, old):
+            if place is not None:
+                shutil.rmtree(place, ignore_errors=True)
 
 
 def write_table(folder: str | Path, table: LightTable) -> tuple[Path, ...]:

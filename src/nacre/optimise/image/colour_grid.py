@@ -17,7 +17,7 @@ from nacre.core.errors import RecipeError
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
 from nacre.material.material import Material
 from nacre.measure.geometry import Geometry
-from nacre.optimise.evaluation import evaluation_wavelengths, search_wavelengths, simulate_measurement
+from nacre.optimise.measurement import evaluation_wavelengths, search_wavelengths, simulate_measurement
 from nacre.optimise.merit import smooth_weights
 from nacre.optimise.parameters import Parameter, values_at
 from nacre.optimise.thin_film.adapter import drawn_factors

@@ -19,7 +19,7 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.light import lamp_lines_nm, with_lamp_lines
-from nacre.optimise.evaluation import evaluation_wavelengths
+from nacre.optimise.measurement import evaluation_wavelengths
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.broyden import Descent, descend
 from nacre.optimise.methods.least_squares import is_distinct, reweighted

@@ -26,7 +26,8 @@ from nacre.families.relief.surface import Tile, largest_depth_nm
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, lab_to_xyz, white_xyz, xyz_to_srgb_linear
 from nacre.material.material import load
 from nacre.measure.geometry import aspecular_pairs
-from nacre.optimise.evaluation import evaluation_wavelengths, geometries_of, results_of, simulate_measurement
+from nacre.optimise.evaluation import geometries_of, results_of
+from nacre.optimise.measurement import evaluation_wavelengths, simulate_measurement
 from nacre.optimise.relief.merit import GAMMA, Problem, View, default_weights
 from nacre.optimise.relief.run import DesignResult, design
 from nacre.optimise.relief.target import LARGEST_TILE_FEATURES, TargetSpec
