@@ -258,7 +258,7 @@ def test_a_killed_export_leaves_the_old_folder_or_the_new_one(
     assert differing
     killed = 0
     for _ in range(MOST_ATTEMPTS):
-        if killed == 4:
+        if killed == 3:
             break
         is_killed = warm.kill(new, folder, chance, seconds)
         now = contents(folder)
@@ -267,7 +267,7 @@ def test_a_killed_export_leaves_the_old_folder_or_the_new_one(
         if now != before:
             warm.run(old, folder)
         killed += is_killed
-    assert killed == 4
+    assert killed == 3
     warm.run(new, folder)
     assert names(folder) == names(reference)
 
@@ -294,16 +294,14 @@ def test_killed_copies_of_examples_go_on(warm: Forker, inputs: Path, tmp_path: P
 def test_a_killed_formulation_blocks_no_other(warm: Forker, inputs: Path, tmp_path: Path) -> None:
     chance, arguments = random.Random(9), ["formulate", "paint.toml", "-o", "out"]
     reference, folder = fresh(inputs, tmp_path / "reference"), fresh(inputs, tmp_path / "killed")
-    warm.run(arguments, reference)
-    shutil.rmtree(reference / "out")
     seconds, killed = warm.run(arguments, reference), 0
     for _ in range(MOST_ATTEMPTS):
-        if killed == 4:
+        if killed == 2:
             break
         before = contents(folder)
         killed += warm.kill(arguments, folder, chance, seconds)
         check_after_kill(folder, reference, before)
-    assert killed == 4
+    assert killed == 2
     shutil.rmtree(folder / "out", ignore_errors=True)  # as if killed while the answers were written
     shutil.copytree(reference / "out", folder / "out")
     summary = folder / "out" / "formulation.json"

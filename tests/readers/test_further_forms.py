@@ -9,6 +9,7 @@ import pytest
 
 from nacre.core.errors import NacreError
 from nacre.optimise.colour_list import read_colours
+from nacre.readers.heights.maps import read_map
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
 from nacre.readers.registry import open_file
 
@@ -60,9 +61,11 @@ def test_ratios_of_kubelka_and_munk_are_named(tmp_path: Path) -> None:
 
 
 def test_headings_that_are_angles(tmp_path: Path) -> None:
-    found = open_file(written(tmp_path, "s.csv", "Wavelength (nm),0°,15°,45 deg\n" + rows(0.3, 0.4, 0.5)))
-    assert [each.metadata["angle_of_incidence_deg"] for each in found] == [0.0, 15.0, 45.0]
-    np.testing.assert_allclose(found[2].data["reflectance"][0], 0.504)
+    path = written(tmp_path, "s.csv", "Wavelength (nm),0°,15°,45 deg\n" + rows(0.3, 0.4, 0.5))
+    for options in (ReadOptions(), ReadOptions(expects="spectrum", assumed_quantity="reflectance")):  # of a fit
+        found = open_file(path, options)
+        assert [each.metadata["angle_of_incidence_deg"] for each in found] == [0.0, 15.0, 45.0]
+        np.testing.assert_allclose(found[2].data["reflectance"][0], 0.504)
 
 
 def test_a_report_of_a_coating_in_two_polarisations(tmp_path: Path) -> None:
@@ -203,6 +206,11 @@ def test_coordinates_around_a_matrix_of_heights(corner: str, tmp_path: Path) -> 
     ],
 )
 def test_files_of_other_programs_are_refused(text: str, tmp_path: Path) -> None:
-    with pytest.raises(NacreError) as raised:
-        open_file(written(tmp_path, "f.txt", text))
-    assert not isinstance(raised.value, AmbiguousFileError)
+    path = written(tmp_path, "f.txt", text)
+    said = set()
+    for read in (open_file, read_map, lambda each: read_colours(each, 1)):
+        with pytest.raises(NacreError) as raised:
+            read(path)
+        assert not isinstance(raised.value, AmbiguousFileError)
+        said.add(str(raised.value))
+    assert len(said) == 1  # the same cause wherever the file stands
