@@ -651,6 +651,7 @@ def _find_headings(
     """
     units: list[str] = []
     used: set[int] = set()
+    is_apart = False  # whether a number stands between the line and the rows
     for line in reversed(above[-6:]):
         text = line.text.strip()
         if line.is_remark:
@@ -668,6 +669,9 @@ def _find_headings(
             units, used = [unit_of(cell) for cell in unit_cells], {line.number}
             continue
         cells = _heading_cells(text, delimiter, width, knows, units, is_remark=line.is_remark)
+        if cells is not None and is_apart and not all(knows(cell, "") for cell in cells):
+            break  # "Number of Zones" above its number
+        is_apart = is_apart or line.is_data
         if cells is not None:
             return cells, units, line.number, used | {line.number}
         if not line.is_remark and not _is_mark(text):
