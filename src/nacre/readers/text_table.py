@@ -550,6 +550,8 @@ def _table(
         for line in data:
             line.cells = line.cells[1:]
     width = max(len(line.cells) for line in data)
+    while len(data) > 2 and width > 2 and len(data[0].cells) == 1 and (delimiter or " ") not in data[0].text.strip():
+        above, data = [*above, data[0]], data[1:]  # a number of the preamble, such as a count
     headings, units, heading_line, used = _find_headings(above, width, delimiter, knows)
     if headings and len(headings) < width:
         extra = next(line for line in data if len(line.cells) > len(headings))
