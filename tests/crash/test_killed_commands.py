@@ -425,7 +425,7 @@ def test_a_killed_design_has_its_best_on_disk_and_goes_on(warm: Forker, inputs: 
 def test_killed_designs_of_many_colours_go_on(by: signal.Signals, warm: Forker, inputs: Path, tmp_path: Path) -> None:
     """Whatever the moment: the next run accepts the folder, and finished colours keep their solutions."""
     chance = random.Random(int(by))
-    colours = np.random.default_rng(1).uniform([30, -40, -40], [80, 40, 40], (150, 3))
+    colours = np.random.default_rng(1).uniform([30, -40, -40], [80, 40, 40], (75, 3))
     arguments = ["design", "many.toml", "--many", "colours.csv", "-o", "out"]
     reference, folder = fresh(inputs, tmp_path / "reference"), fresh(inputs, tmp_path / "killed")
     for place in (reference, folder):

@@ -186,7 +186,7 @@ def test_a_folder_with_a_foreign_recipe_is_refused_before_the_search(
     def search(*_: Any) -> None:
         raise AssertionError("the search began")
 
-    monkeypatch.setattr("nacre.optimise.formulation", search)
+    monkeypatch.setattr("nacre.optimise.formulation.formulate", search)
     (tmp_path / "door.toml").write_text(dump_toml(target()))
     own = tmp_path / "own" / taken
     own.parent.mkdir(parents=True)

@@ -18,8 +18,15 @@ from typing import Any
 import click
 
 from nacre._version import __version__
-from nacre.cli.common import STATUS_BAD_INPUT, STATUS_INTERRUPTED, STOPPED, hold_closed_streams, say
-from nacre.cli.progress import compile_listener, listener
+from nacre.cli.common import (
+    STATUS_BAD_INPUT,
+    STATUS_INTERRUPTED,
+    STOPPED,
+    compile_listener,
+    hold_closed_streams,
+    listener,
+    say,
+)
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.jit import may_be_stored, on_compile, spare_compilation
 from nacre.core.lazy import missing_line

@@ -17,8 +17,8 @@ from nacre.core.errors import NacreError
 from nacre.core.jobs import Workers
 
 if TYPE_CHECKING:
-    from nacre.analysis.texture import Texture
     from nacre.material.material import Material
+    from nacre.measure.texture import Texture
 
 
 def _progress_bar(description: str) -> Any:
@@ -70,7 +70,8 @@ def sweep(sweep_file: str, output: str | None, workers: Workers) -> None:
 )  # fmt: skip
 @click.option(
     "--formula", default="ciede2000", show_default=True, metavar="NAME",
-    help="Colour difference to the first recipe: cie76, cie94, cie94-textiles, cmc(1:1), cmc(2:1), ciede2000, din99o.",
+    help="Colour difference to the first recipe: cie76, cie94, cie94-textiles, cmc(1:1), cmc(2:1), ciede2000, din99o, "
+    "din6175-2 (effect paints, aspecular geometries).",
 )  # fmt: skip
 @click.option(
     "--tolerance", "limits", multiple=True, metavar="[GEOMETRY=]VALUE",
@@ -104,6 +105,7 @@ def report(
     from nacre.analysis.report import compare, compare_with_colours, make_report, read_geometries
     from nacre.core.files import check_writable, write_text
     from nacre.core.parallel import on_progress
+    from nacre.light.colour_differences import check_formula
 
     if len(recipes) > 2:
         raise NacreError(f"report takes one recipe or two, not {len(recipes)}")
@@ -111,6 +113,7 @@ def report(
     read_geometries(geometries)
     geometries = _with_standard(geometries, colours)
     allowed = _limits(limits)
+    check_formula(formula)
     add_texture = _texture(more["has_texture"], more["patch"], more["instrument"], illuminant, observer, seed)
     if output:
         if Path(output).suffix not in (".txt", ".json", ".html"):
@@ -159,8 +162,8 @@ def _texture(
     is_asked: bool, patch: str | None, instrument: str | None, illuminant: str, observer: str, seed: int
 ) -> Callable[[Material], Texture | None]:
     """Return the function that computes a material's texture, or None without being asked."""
-    from nacre.analysis.texture import measure_texture, read_instrument
     from nacre.core.files import check_writable
+    from nacre.measure.texture import measure_texture, read_instrument
 
     if instrument and not (is_asked or patch):
         raise NacreError("--instrument needs --texture")
@@ -201,8 +204,7 @@ def _standard(
 
 def _with_standard(geometries: tuple[str, ...], colours: dict[str, Any] | None) -> tuple[str, ...]:
     """Return the further geometries with those of a standard that no report has by itself."""
-    from nacre.measure.geometry import Geometry
-    from nacre.measure.instruments import ASPECULAR_DEG
+    from nacre.measure.geometry import ASPECULAR_DEG, Geometry
 
     named = [text.rpartition("=")[0] or text for text in geometries]
     usual = [str(Geometry("aspecular", 45.0, angle)) for angle in ASPECULAR_DEG]

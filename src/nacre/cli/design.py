@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from nacre.cli import common
-from nacre.cli.progress import COMPILING, LONG_COMPILE_S
+from nacre.cli.common import COMPILING, LONG_COMPILE_S
 from nacre.core.errors import NacreError
 from nacre.core.jobs import Workers
 
@@ -126,8 +126,7 @@ def _print_solutions(result: Any, as_json: bool) -> None:
             made = "" if share is None else f", yield {100 * share:.0f} %"
             total = solution.facts.get("total_nm")
             thick = "" if total is None else f", {total:.0f} nm in all"
-            distance = f"{worst.distance:.2f}" + (" % rms" if worst.lamp is None else "")
-            click.echo(f"  {number}  {'dE00 ' if worst.lamp else ''}{distance} at {worst.target.geometry}{thick}{made}"
+            click.echo(f"  {number}  {worst.distance_text} at {worst.target.geometry}{thick}{made}"
                        f"   {solution.recipe.parent}")  # fmt: skip
     written = "report.html; " if (result.folder / "report.html").is_file() else ""
     common.note(f"{result.folder}: {written}nacre render {result.folder}; nacre report {result.folder}")
@@ -390,6 +389,8 @@ def _print(document: dict[str, Any]) -> None:
         parts = ", ".join(f"{name} {_percent(share)} %" for name, share in each["mass_shares"].items())
         state = "within the tolerances" if each["met"] else "outside the tolerances"
         click.echo(f"{number}  dE00 mean {each['mean_de00']:.2f}, largest {max(each['de00']):.2f}, {state}")
+        for name, one in each["texture"].items():
+            click.echo(f"   {name} {one['value']:.4g}, {one['off_percent']:.2g} % off")
         click.echo(f"   by mass, dry: {parts}")
         errors = each["volume_fraction_errors"]
         volumes = [

@@ -32,7 +32,7 @@ OTHER_FILES = {
     "gallery": "nacre.cli.gallery:GallerySpec",
     "formulation": "nacre.optimise.formulation:FormulationSpec",
     "pigments": "nacre.optimise.formulation:LibrarySpec",
-    "instrument": "nacre.analysis.texture:Instrument",
+    "instrument": "nacre.measure.texture:Instrument",
 }
 # forms that are used in many tables
 SHARED: dict[str, type[RecipeModel]] = {

@@ -51,10 +51,8 @@ from nacre.measure.spectrum import bsdf_spectrum
 from nacre.recipe.fingerprint import file_digest, fingerprint
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
 from nacre.recipe.named_numbers import named_numbers, refuse_new_number
-from nacre.recipe.nested_recipes import open_all, open_parts
-from nacre.recipe.normalise import plain_data
 from nacre.recipe.paths import NUMBERS, find_by_path, numbers_of, set_by_path, varying_numbers
-from nacre.recipe.toml import dump_toml, parse_toml
+from nacre.recipe.toml import dump_toml, open_all, open_parts, parse_toml, plain_data
 
 logger = logging.getLogger("nacre")
 

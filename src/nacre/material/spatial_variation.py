@@ -25,9 +25,8 @@ from nacre.families.contract import Figure, Model, Traits
 from nacre.formats.number_maps import NumberMap
 from nacre.light import delta_e_2000, spans_colour, xyz_to_lab
 from nacre.measure.evaluate import evaluate_with_error
-from nacre.measure.instruments import aspecular_direction
-from nacre.recipe.model import RecipeContext, validate
-from nacre.recipe.units import LENGTH_UNITS_NM
+from nacre.measure.geometry import aspecular_direction
+from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, validate
 
 MAX_NUMBERS = 2
 MAX_NODES = 9  # each adds a set of lobes to every kernel

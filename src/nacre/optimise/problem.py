@@ -20,9 +20,8 @@ from nacre.material.material import Material
 from nacre.optimise.evaluation import geometries_of
 from nacre.optimise.measurement import Measurement, search_wavelengths, simulate_measurement
 from nacre.optimise.merit import MeritFunction
-from nacre.optimise.parameters import point_of
+from nacre.optimise.parameters import changes_of, point_of, removable_tables, values_of
 from nacre.optimise.solutions import are_alike
-from nacre.optimise.sparsify import changes_of, removable_tables, values_of
 from nacre.optimise.targets import merit_function
 from nacre.optimise.task import DesignTask, total_thickness_nm
 

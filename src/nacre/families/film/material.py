@@ -33,10 +33,11 @@ from nacre.bsdf.texture import ParameterAxis, Texture
 from nacre.core.arrays import Array, direction, take_uniform
 from nacre.core.errors import UnsupportedError
 from nacre.core.memory import check_memory
+from nacre.core.quadrature import gauss_legendre
 from nacre.families.contract import Model, Polarised, Traits
 from nacre.families.film.ridges import Ridges, remainder
 from nacre.light import default_wavelengths, delta_e_2000
-from nacre.light.wavelengths import STEPS_NM
+from nacre.light.tables import STEPS_NM
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.indices.crystal import AnisotropicConstant
 from nacre.matter.stack.polarised import Helix, PolarisedResponse
@@ -525,7 +526,7 @@ def _with_column(d: Array, i: int, values: Array) -> Array:
 
 def _cosine_mean(table: Array) -> Array:
     """Return twice the integral of mu times the linear interpolant of `[*params, mu, wavelength]`."""
-    x, weight = np.polynomial.legendre.leggauss(128)
+    x, weight = gauss_legendre(128)
     mu, weight = 0.5 * (x + 1.0), 0.5 * weight
     return np.asarray(np.einsum("q,...ql->...l", 2.0 * weight * mu, take_uniform(table, mu, -2)))
 

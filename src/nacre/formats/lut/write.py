@@ -104,16 +104,28 @@ def new_folder(path: Path) -> Iterator[Path]:
         made.mkdir()
     except OSError as error:
         raise NacreError(f"{path}: the folder {parent} cannot be written: {error.strerror}") from None
+    old: Path | None = None
     try:
         yield made
-        if path.exists() and not _exchanged(made, path):
-            path.rename(Path(tempfile.mkdtemp(prefix=temporary_prefix(path), dir=parent)) / "old")
-        if not path.exists():
+        if path.exists() and _exchanged(made, path):
+            return
+        if path.exists():
+            old = Path(tempfile.mkdtemp(prefix=temporary_prefix(path), dir=parent))
+            path.rename(old / "old")
+        try:
             made.rename(path)
+        except OSError:  # another program holds a file of the folder open (Windows)
+            if old is not None:
+                moved, old = old, None  # never removed while it holds the former folder
+                (moved / "old").rename(path)
+                moved.rmdir()
+            raise
     except OSError as error:
         raise NacreError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
-        shutil.rmtree(made, ignore_errors=True)
+        for place in (made, old):
+            if place is not None:
+                shutil.rmtree(place, ignore_errors=True)
 
 
 def write_table(folder: str | Path, table: LightTable) -> tuple[Path, ...]:

@@ -18,7 +18,7 @@ from nacre.core.errors import NacreError, did_you_mean
 from nacre.light import table_wavelengths_nm
 from nacre.picture.camera import View
 from nacre.picture.filters import noise
-from nacre.picture.lights.environment_plugin import spectrum_texture
+from nacre.picture.lights.emitter_plugins import spectrum_texture
 from nacre.picture.lights.environments import WOOD, edge, peak
 from nacre.picture.plugin import mi
 from nacre.picture.shapes import backdrop
