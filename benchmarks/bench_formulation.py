@@ -23,7 +23,7 @@ import nacre
 from benchmarks.common import Row, parser, report, timed
 from nacre.families.contract import Surrogate
 from nacre.measure.geometry import aspecular_pairs
-from nacre.optimise.formulation.formulate import Formula, formulate, read_formulation
+from nacre.optimise.formulation import Formula, formulate, read_formulation
 
 PAINTS = 20
 GEOMETRIES = ("45as-15", "45as15", "45as25", "45as45", "45as75", "45as110")

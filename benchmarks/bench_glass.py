@@ -18,7 +18,7 @@ from bench_render_plugins import ALPHA, SIZE, SPP, scene
 from common import Row, interleaved, parser, report, timed
 
 import nacre
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.families.glass.composite import bruggeman
 from nacre.families.glass.medium import Medium, Spheres, solve_medium
 from nacre.families.glass.random_walk import walk

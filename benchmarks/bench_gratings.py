@@ -25,7 +25,7 @@ from bench_render_plugins import ALPHA, SIZE, SPP, scene
 from common import Row, Worker, interleaved, parser, report, timed
 
 import nacre
-from nacre.bsdf.grids import interpolate
+from nacre.core.arrays import interpolate
 from nacre.core.parallel import single_threaded_blas
 from nacre.light import spectrum_to_xyz, xyz_to_lab
 from nacre.light.colour_differences import delta_e_2000

@@ -11,10 +11,10 @@ from common import serve
 from scipy.interpolate import CubicSpline
 
 import nacre
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab, xyz_weights
 from nacre.measure.evaluate import DEFAULT_SAMPLES, evaluate_with_error
-from nacre.measure.instruments import ASPECULAR_DEG, aspecular_direction
+from nacre.measure.geometry import ASPECULAR_DEG, aspecular_direction
 
 TIMES, QUARTERS, QUIET_DE00, MOST_ROUNDS = 16, 4, 0.1, 12
 # flakes of spread thickness have no fringe finer than a spline over 20 nm: off by 0.1 dE00 at most from steps of 5 nm

@@ -29,7 +29,7 @@ from nacre.material.examples import examples_folder
 from nacre.material.material import load
 from nacre.picture import picture as pictures
 from nacre.picture.camera import Framing
-from nacre.picture.lights.light_mixture import read_lamps
+from nacre.picture.lights.emitter_plugins import read_lamps
 from nacre.picture.options import Subject
 from nacre.picture.passes import Frame, RenderSettings, Until, render_passes
 from nacre.picture.scenes.catalogue import scene as find_scene

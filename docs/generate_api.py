@@ -11,7 +11,7 @@ from typing import Any
 MODULES = ("nacre", "nacre.light", "nacre.matter", "nacre.matter.stack.gradient",
            "nacre.bsdf", "nacre.render", "nacre.plot", "nacre.design", "nacre.studio", "nacre.studio.notebook",
            "nacre.analysis.fit", "nacre.analysis.ellipsometry", "nacre.analysis.report",
-           "nacre.analysis.texture", "nacre.analysis.tolerance",
+           "nacre.measure.texture", "nacre.analysis.tolerance",
            "nacre.analysis.sweep")  # fmt: skip
 SECTIONS = ("Args", "Returns", "Raises", "Attributes", "Example", "Yields", "Note")
 

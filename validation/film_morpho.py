@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from validation._film import canvas, film, hue_name, picture, reflectance, show, srgb
 from validation._rows import finish, row
 

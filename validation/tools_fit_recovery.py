@@ -16,10 +16,9 @@ from matplotlib import pyplot
 
 import nacre
 from nacre.analysis.fit import Fit, Measured, fit_parameters, run_fit
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.formats.gonio_csv import GonioData
-from nacre.measure import instruments as geometry
+from nacre.measure import geometry
 from nacre.measure.evaluate import evaluate_with_error
 
 NOISE = 0.01

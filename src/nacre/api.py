@@ -23,7 +23,6 @@ from nacre.analysis.report import Report, make_report
 from nacre.analysis.run_sheet import RunSheet, make_run_sheet
 from nacre.analysis.sweep import run_sweep
 from nacre.analysis.sweep_plan import load_sweep
-from nacre.analysis.texture import Instrument, Texture, measure_texture
 from nacre.analysis.ties import read_ties
 from nacre.analysis.tolerance import ToleranceResult, recipe_tolerances, run_tolerance
 from nacre.bsdf import Bsdf
@@ -39,12 +38,13 @@ from nacre.formats.number_maps import FORMATS as MAP_FORMATS
 from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
 from nacre.formats.number_maps import NumberMap, write_number_maps
 from nacre.material.material import Material, MaterialLike, as_material, load, loaded
-from nacre.material.number_maps import number_maps
+from nacre.material.spatial_variation import number_maps
 from nacre.matter.drawings import DrawingRequest
 from nacre.matter.periodic.orders import Orders
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
-from nacre.optimise.formulation.formulate import Formulation, check_answers, write_formulation
-from nacre.optimise.formulation.formulate import formulate as run_formulation
+from nacre.measure.texture import Instrument, Texture, measure_texture
+from nacre.optimise.formulation import Formulation, check_answers, write_formulation
+from nacre.optimise.formulation import formulate as run_formulation
 from nacre.optimise.gamut import Gamut, find_gamut, parse_parameters
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import open_file

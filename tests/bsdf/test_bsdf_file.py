@@ -19,7 +19,7 @@ from nacre.bsdf.file import HEADER, VERSION
 from nacre.bsdf.lobes.diffuse import Diffuse, bare_base
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.monolayer import Harmonic
-from nacre.bsdf.lobes.ridge_table import RidgeTable
+from nacre.bsdf.lobes.ridge import RidgeTable
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.core.errors import NacreError

@@ -11,12 +11,13 @@ from helpers_bsdf import dielectric, metal, mirror, random_directions, reciproci
 from nacre.bsdf import Bsdf
 from nacre.bsdf.compensation import compensate, facet_transmittance
 from nacre.bsdf.facet_distributions import DISTRIBUTIONS, normal_density, smith_masking, visible_normals
-from nacre.bsdf.grids import direction, hemisphere_nodes, product_rule
+from nacre.bsdf.lobe import hemisphere_nodes, product_rule
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import StackTables
 from nacre.bsdf.texture import Texture, parse_formula
+from nacre.core.arrays import direction
 from nacre.core.errors import UnsupportedError
 from nacre.measure.spectrum import directional_hemispherical
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from helpers_bsdf import WAVELENGTHS, dielectric, fresnel
 
-from nacre.bsdf.grids import interpolate, take_uniform
 from nacre.bsdf.tabulate import StackTables, is_transparent
+from nacre.core.arrays import interpolate, take_uniform
 
 TABLE_ERROR = 2e-4  # of R and T between nodes; `TABLE_ERROR` of tabulate, with room for the last refinement
 

@@ -3,7 +3,7 @@
 import click
 import pytest
 
-from nacre.cli import progress, run
+from nacre.cli import common, run
 from nacre.core import parallel
 
 
@@ -20,8 +20,8 @@ def asked(monkeypatch):
     [(True, 200.0, False, 1), (True, 200.0, True, 0), (True, 5.0, False, 0), (False, 200.0, False, 0)],
 )
 def test_a_person_is_asked_before_minutes(monkeypatch, capsys, asked, terminal, seconds, yes, questions):
-    monkeypatch.setattr(progress, "_is_terminal", lambda: terminal)
-    progress.listener(yes)("a.toml: 24 patterns: about 3 minutes", seconds)
+    monkeypatch.setattr(common, "_is_terminal", lambda: terminal)
+    common.listener(yes)("a.toml: 24 patterns: about 3 minutes", seconds)
     assert len(asked) == questions
     assert "about 3 minutes" in capsys.readouterr().err
 
@@ -53,14 +53,14 @@ def test_where_no_terminal_is_minutes_of_work_tell_how_far_they_are_in_lines_of_
 ):
     """On a machine that gives it a fifth of its cores, also how long the rest takes of free ones."""
     clock = iter(range(0, 1000, 10))  # each look at the clock finds it ten seconds on
-    monkeypatch.setattr(progress, "_is_terminal", lambda: False)
-    monkeypatch.setattr(progress, "PACE_S", pace)
+    monkeypatch.setattr(common, "_is_terminal", lambda: False)
+    monkeypatch.setattr(common, "PACE_S", pace)
     looks = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: looks.append(float(next(clock))) or looks[-1])
-    monkeypatch.setattr(progress.time, "process_time", lambda: 2 * share * looks[-1])
+    monkeypatch.setattr(common.time, "monotonic", lambda: looks.append(float(next(clock))) or looks[-1])
+    monkeypatch.setattr(common.time, "process_time", lambda: 2 * share * looks[-1])
     monkeypatch.setattr(parallel, "available_jobs", lambda: 2)
     watchers = list(parallel._progress_listeners)
-    progress.listener(False)("a.toml: 10 patterns: about 3 minutes", seconds)
+    common.listener(False)("a.toml: 10 patterns: about 3 minutes", seconds)
     for done in range(1, 11):
         for tell in list(parallel._progress_listeners):
             tell(done, 10)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from nacre.core.errors import MachineError
-from nacre.core.packages import SERVES, missing_line, require
+from nacre.core.lazy import SERVES, missing_line, require
 
 # a package that is not installed: `import` and `find_spec` both answer as for an absent one
 HIDE = "import sys\nsys.modules.update(dict.fromkeys({names!r}))\n"

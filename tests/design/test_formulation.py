@@ -14,7 +14,7 @@ from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.families.contract import surrogate_radiance
 from nacre.measure.geometry import aspecular_pairs
-from nacre.optimise.formulation.formulate import (
+from nacre.optimise.formulation import (
     Formula,
     Formulation,
     Task,
@@ -186,7 +186,7 @@ def test_a_folder_with_a_foreign_recipe_is_refused_before_the_search(
     def search(*_: Any) -> None:
         raise AssertionError("the search began")
 
-    monkeypatch.setattr("nacre.optimise.formulation.formulate.formulate", search)
+    monkeypatch.setattr("nacre.optimise.formulation.formulate", search)
     (tmp_path / "door.toml").write_text(dump_toml(target()))
     own = tmp_path / "own" / taken
     own.parent.mkdir(parents=True)

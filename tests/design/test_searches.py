@@ -22,8 +22,8 @@ from nacre.optimise.evaluation import evaluate, geometries_of
 from nacre.optimise.methods.least_squares import LeastSquaresSearch
 from nacre.optimise.parameters import Parameter
 from nacre.optimise.problem import Problem
-from nacre.optimise.run import DesignProgress, budget_of, choose_search
-from nacre.optimise.solutions import are_alike
+from nacre.optimise.run import budget_of, choose_search
+from nacre.optimise.solutions import DesignProgress, are_alike
 from nacre.optimise.task import read_task
 from nacre.optimise.thin_film.adapter import ThinFilmSearch, stack_factors
 

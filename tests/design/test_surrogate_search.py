@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.grids import direction
 from nacre.cli import run
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, white_xyz, xyz_to_lab
-from nacre.measure.instruments import aspecular_direction
+from nacre.measure.geometry import aspecular_direction
 from nacre.optimise.evaluation import evaluate
 from nacre.optimise.merit import smooth_weights
 from nacre.optimise.methods.surrogate import SurrogateSearch
+from nacre.optimise.parameters import changes_of, is_chosen, removable_tables, values_of
 from nacre.optimise.problem import Budget
 from nacre.optimise.run import choose_search
-from nacre.optimise.sparsify import changes_of, is_chosen, removable_tables, values_of
 from nacre.optimise.task import read_task
 from nacre.optimise.yield_analysis import sensitivity
 from nacre.recipe.paths import numbers_of

@@ -15,7 +15,8 @@ from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.formats.gonio_csv import read_gonio_csv, write_gonio_csv
 from nacre.formats.half_angle_tables import SHAPE, read_merl, slice_values, write_merl, write_slice
-from nacre.formats.lobes import gonio_grid, gonio_table, merl_lobe, rgb_basis
+from nacre.formats.lobes import gonio_grid, merl_lobe
+from nacre.formats.measured_lobes import measured_table, rgb_basis
 from nacre.formats.rgl import RglBsdf, Warp, read_tensor, rgl_fields, write_tensor
 from nacre.formats.thin_film import ThinFilm, read_gltf, read_materialx, write_gltf, write_materialx
 from nacre.formats.zemax import read_zemax, scatter_direction, write_zemax, zemax_table
@@ -284,7 +285,7 @@ def test_scattered_directions_become_a_table_too(film: nacre.Bsdf) -> None:
     angles = np.stack([generator.uniform(0, 80, 400), np.zeros(400), generator.uniform(0, 80, 400),
                        generator.uniform(0, 360, 400)], axis=-1)  # fmt: skip
     data = GonioData(angles, film.wavelengths_nm, np.ones((400, len(film.wavelengths_nm))))
-    lobe, remarks = gonio_table(data, "x")
+    lobe, remarks = measured_table(data, "x")
     assert remarks
     np.testing.assert_allclose(lobe.values, 1.0)
 

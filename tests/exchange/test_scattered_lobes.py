@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 import nacre
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.measure.gloss import ALPHAS, fit_gloss, fit_lobes
 
 Values = NDArray[np.float64]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from playwright.sync_api import Page, sync_playwright
 
 import nacre
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, spectrum_to_rgb_linear, srgb_linear_to_xyz, xyz_to_lab
 from nacre.measure.evaluate import hemispherical
@@ -26,6 +26,20 @@ OF_EVEN_LIGHT = 1.0  # dE00: of 32 facets for one whole lobe
 PATIENCE_MS = 240e3  # a processor draws, beside other work
 LAYERS = [{"material": "TiO2", "thickness_nm": 90}, {"material": "SiO2", "thickness_nm": 140}]
 VARYING = {"formula": "20 + 220*u", "min": 20, "max": 240}
+PEARL = {
+    "family": "pearl", "quality": "fast", "base": {"albedo": 0.6},
+    "strata": [
+        {
+            "resin": {"n": 1.575}, "thickness_um": 150, "roughness": 0.1,
+            "platelets": [
+                {
+                    "volume_fraction": 0.1, "substrate": {"material": "SiO2", "thickness_nm": 80},
+                    "coatings": [{"material": "TiO2", "thickness_nm": 85}], "normal_deviation": 0.02,
+                }
+            ],
+        }
+    ],
+}  # fmt: skip
 MATERIALS: dict[str, Any] = {
     "rough film": {"family": "film", "substrate": "Si", "layers": LAYERS, "surface": {"roughness": 0.3}},
     "brushed and varying": {
@@ -42,6 +56,18 @@ MATERIALS: dict[str, Any] = {
         "particle": {"material": "Ag", "radius_nm": 60}, "monolayer": {"coverage": 0.1, "packing": 0.3},
     },
     "pearl": "pearl/bottle3",
+    "blend of films": {
+        "family": "blend", "mask": {"formula": "0.1 + 0.8*u", "min": 0, "max": 1},
+        "first": {"family": "film", "substrate": "Si", "layers": LAYERS, "surface": {"roughness": [0.1, 0.3]}},
+        "second": {
+            "family": "film", "substrate": "Ti", "layers": [{"material": "TiO2-film", "thickness_nm": VARYING}],
+            "surface": {"roughness": 0.25, "distribution": "beckmann"},
+        },
+    },
+    "blend of a film and a pearl": {
+        "family": "blend", "mask": 0.3, "second": PEARL,
+        "first": {"family": "film", "substrate": "Ag", "layers": LAYERS, "surface": {"roughness": 0.3}},
+    },
 }  # fmt: skip
 KINDS = ("shader", "node", "gpu")  # ShaderMaterial; NodeMaterial in WebGL 2; NodeMaterial in WebGPU
 # WebGPU drawn by the CPU

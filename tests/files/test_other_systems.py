@@ -16,6 +16,7 @@ from nacre import __version__
 from nacre.core import files, memory, parallel
 from nacre.core.errors import NacreError
 from nacre.device import doctor
+from nacre.formats.lut.write import new_folder
 from nacre.picture import interrupt
 from nacre.studio.subprocess_jobs import SubprocessJob
 
@@ -56,6 +57,26 @@ def test_a_target_that_another_program_holds_open_is_refused_and_nothing_is_left
     with pytest.raises(NacreError), files.atomic_path(target) as temporary:
         temporary.write_text("new")
     assert target.read_text() == "old" and list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("refused", ["former", "new"])
+def test_a_folder_that_another_program_holds_open_stays_as_it_was(
+    refused: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    folder, rename = tmp_path / "table", Path.rename
+    folder.mkdir()
+    (folder / "a.txt").write_text("old")
+
+    def held(self: Path, target: Path) -> Path:
+        if self == folder if refused == "former" else self.name.startswith("."):
+            raise PermissionError(13, "The process cannot access the file", str(target))
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", held)
+    monkeypatch.setattr("nacre.formats.lut.write._exchanged", lambda one, other: False)  # not on that system
+    with pytest.raises(NacreError), new_folder(folder) as made:
+        (made / "a.txt").write_text("new")
+    assert (folder / "a.txt").read_text() == "old" and list(tmp_path.iterdir()) == [folder]
 
 
 def test_a_stop_interrupts_a_job_also_where_a_signal_would_end_the_process() -> None:

@@ -10,7 +10,7 @@ import pytest
 from numpy import nan
 
 import nacre
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.measure.spectrum import directional_hemispherical
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from helpers_bsdf import reciprocity_error
 
-from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
+from nacre.core.arrays import direction
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import figure_data
 from nacre.light import delta_e_2000, spectrum_to_xyz, xyz_to_lab
@@ -55,9 +55,9 @@ def test_a_smooth_clear_film_loses_nothing(recipe: dict) -> None:
 
 @pytest.mark.parametrize("distribution", ["ggx", "beckmann", "blinn", "ashikhmin-shirley"])
 @pytest.mark.parametrize("recipe", [GLASS, FREE, {**GLASS, "base": {"albedo": 1.0}}, {**GLASS, "ambient": {"n": 1.7}}])
-@pytest.mark.parametrize("compensate", [False, True])
-def test_a_rough_film_never_makes_light(distribution: str, recipe: dict, compensate: bool) -> None:
-    surface = {"distribution": distribution, "roughness": [0.2, 0.35], "compensate": compensate}
+def test_a_rough_film_never_makes_light(distribution: str, recipe: dict) -> None:
+    """Without compensation it gives back less."""
+    surface = {"distribution": distribution, "roughness": [0.2, 0.35], "compensate": True}
     assert np.max(both_sides(film(**recipe, surface=surface).bsdf(LAM))) <= FURNACE_LIMIT
 
 

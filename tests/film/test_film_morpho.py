@@ -9,7 +9,7 @@ import pytest
 from helpers_bsdf import reciprocity_error
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.material.material import material
 from nacre.measure.spectrum import directional_hemispherical
 

@@ -9,9 +9,9 @@ import pytest
 from validation.film_morpho_rcwa import BLUE, WAVELENGTHS_NM, Fan, colours, read_cells, rigorous_fan
 
 import nacre
-from nacre.bsdf.grids import direction
-from nacre.bsdf.lobes.ridge_table import RidgeTable
+from nacre.bsdf.lobes.ridge import RidgeTable
 from nacre.cli import run
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.film.supercells import SupercellFilm
 from nacre.light import delta_e_2000

@@ -9,9 +9,8 @@ import pytest
 from helpers_glass import plain_spheres
 
 import nacre
-from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.layered import Layered
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.families.contract import is_direct
 from nacre.families.glass.medium import solve_medium
 from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_table

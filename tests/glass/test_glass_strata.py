@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.core.errors import RecipeError
 from nacre.measure.evaluate import evaluate_with_error
 

@@ -207,6 +207,30 @@ def test_a_broken_gds_is_refused_in_one_line(tmp_path: Path, capfd: pytest.Captu
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize("unit_m", [1e-12, 1e-3])
+def test_a_gds_whose_unit_does_not_fit_the_cell_is_refused(tmp_path: Path, unit_m: float) -> None:
+    import gdstk
+
+    library = gdstk.Library(unit=unit_m, precision=unit_m / 1000)
+    library.new_cell("PIXEL").add(gdstk.rectangle((-0.07, -0.07), (0.07, 0.07), layer=1))
+    library.write_gds(tmp_path / "cell.gds")
+    with pytest.raises(RecipeError):
+        nacre.material(DISC | layers({"gds": "cell.gds"}), tmp_path)
+
+
+@pytest.mark.parametrize(("span", "is_allowed"), [(600.0, True), (580.0, True), (300.0, False), (0.6, False)])
+def test_a_table_of_heights_spans_the_period(tmp_path: Path, span: float, is_allowed: bool) -> None:
+    x = np.linspace(0.0, span, 31)
+    np.savetxt(tmp_path / "heights.csv", np.column_stack([x, 40 * np.cos(2 * np.pi * x / 600)]), delimiter=",")
+    made = {"family": "grating", "substrate": "Al", "lattice": {"period_nm": 600}}
+    made["profile"] = {"shape": "file", "heights": "heights.csv"}
+    if is_allowed:
+        assert nacre.material(made, tmp_path).model.profile.depth_nm == pytest.approx(80.0, abs=0.2)
+        return
+    with pytest.raises(RecipeError):
+        nacre.material(made, tmp_path)
+
+
 def test_disorder_moves_light_from_orders_to_a_diffuse_part() -> None:
     lam = np.array([500.0, 600.0])
     wi = np.array([0.0, 0.0, 1.0])

@@ -158,6 +158,30 @@ def test_din99o_has_the_scales_of_the_standard() -> None:
         assert abs(np.degrees(np.arctan2(moved[2], moved[1]) - np.arctan2(step[2], step[1]))) < 1e-6
 
 
+def test_din6175_weighs_greys_and_chromatic_colours_by_angle() -> None:
+    """At 45 degrees S_L = 0.15 sqrt(L) + 0.7; a and b of greys count with 1 / 0.7."""
+    found = light.delta_e_din6175([[64.0, 0.0, 0.0]] * 2, [[64.0, 0.7, 0.0], [64.0, 0.0, 1.4]], 45.0)
+    np.testing.assert_allclose(found, [1.0, 2.0], rtol=1e-3)
+    step = light.delta_e_din6175([50.0, 0.0, 0.0], [50.0 * 1.0201, 0.0, 0.0], [15.0, 45.0, 110.0])
+    weights = 0.15 * np.sqrt(50.0 * 1.01) + 31.5 / np.array([15.0, 45.0, 110.0])
+    np.testing.assert_allclose(step, 50.0 * 0.0201 / weights, rtol=1e-6)
+    # far from grey, lightness 49 and chroma 64 at 45 degrees: S_C = 3.84 - 2.45 + 0.9333, S_H = 1.12 - 1.4 + 1.1667
+    chroma = light.delta_e_din6175([49.0, 63.0, 0.0], [49.0, 65.0, 0.0], 45.0)
+    hue = light.delta_e_din6175(*light.lch_to_lab([[49.0, 64.0, 0.0], [49.0, 64.0, 2.0]]), -45.0)
+    np.testing.assert_allclose(chroma, 2.0 / (0.48 * (63 * 65) ** 0.25 - 2.45 + 42 / 45), rtol=1e-6)
+    np.testing.assert_allclose(hue, 128.0 * np.sin(np.radians(1.0)) / (1.12 - 1.4 + 21 / 45 + 0.7), rtol=1e-6)
+    assert light.colour_difference([50, 0, 0], [51, 0, 0], "din6175-2", 45.0) == pytest.approx(
+        float(light.delta_e_din6175([51, 0, 0], [50, 0, 0], 45.0))
+    )
+
+
+@pytest.mark.parametrize(("formula", "angle"), [("audi2000", 45.0), ("DIN 6175-1", 45.0), ("din6175-2", None),
+                                                ("din6175-2", 0.0)])  # fmt: skip
+def test_a_formula_without_a_basis_is_refused(formula: str, angle: float | None) -> None:
+    with pytest.raises(NacreError):
+        light.colour_difference([50, 0, 0], [51, 0, 0], formula, angle)
+
+
 def test_an_unknown_difference_formula_is_refused() -> None:
     with pytest.raises(NacreError):
         light.colour_difference([50, 0, 0], [51, 0, 0], "ciede2001")

@@ -254,7 +254,7 @@ def test_the_examples_of_the_docstrings_hold():
 
 @pytest.mark.parametrize("illuminant", ["D65", "F2", "F11"])
 def test_the_few_wavelengths_of_a_walk_keep_the_colour_of_a_pigment_with_fringes(illuminant):
-    from nacre.measure.wavelengths import WALK_NM
+    from nacre.measure.colours import WALK_NM
 
     fine = np.arange(380.0, 781.0)
     grid = light.with_lamp_lines(WALK_NM, illuminant)

@@ -10,9 +10,9 @@ import pytest
 
 import nacre
 from nacre.bsdf import Bsdf
-from nacre.bsdf.grids import direction
 from nacre.bsdf.packed_series import ROUNDING, encode
 from nacre.cli import run
+from nacre.core.arrays import direction
 from nacre.material.material import material
 from nacre.measure.spectrum import bsdf_spectrum
 

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.families.metasurface.material import MetasurfaceWarning
 from nacre.families.metasurface.monolayer.diffuse import diffuse_term
 from nacre.families.metasurface.monolayer.evaluation import direct_powers, direct_values

@@ -206,7 +206,7 @@ def test_numbers_that_share_a_word_are_rounded_to_half_of_their_last_bit(trials,
     """Also those with others below them in their word, which are a part of what is read; dark rows as finely."""
     import mitsuba as mi
 
-    from nacre.device.packed_series import PackedSeries
+    from nacre.device.lobes.monolayer import PackedSeries
 
     generator = np.random.default_rng(3)
     sizes = fall ** np.arange(8.0)

@@ -13,10 +13,10 @@ import pytest
 
 import nacre
 from nacre.bsdf.facet_distributions import fresnel
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.families.pearl import surrogate
 from nacre.measure.evaluate import evaluate_with_error
-from nacre.measure.instruments import ASPECULAR_DEG, aspecular_direction
+from nacre.measure.geometry import ASPECULAR_DEG, aspecular_direction
 
 NM = np.array([440.0, 500.0, 560.0, 640.0])
 WI = np.repeat(direction(np.radians([45.0])), len(ASPECULAR_DEG), axis=0)

@@ -12,7 +12,7 @@ from helpers_pearl import direction, dissolved_dye, layered_lobe, lossless_flake
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import fresnel, visible_normals
-from nacre.bsdf.grids import hemisphere_nodes
+from nacre.bsdf.lobe import hemisphere_nodes
 from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.random_walk import sample_facet
 from nacre.families.pearl.tables import bake, check, tables

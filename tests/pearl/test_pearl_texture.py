@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.analysis import texture as texture_module
-from nacre.analysis.texture import Instrument, calibrate, measure_texture
-from nacre.bsdf.grids import direction
 from nacre.cli import run
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
 from nacre.families.pearl.flake_normals import FlakeNormals, rotation_matrix
 from nacre.families.pearl.flake_texture import visible_normals
 from nacre.material.material import as_material
+from nacre.measure import texture as texture_module
 from nacre.measure.graininess import DiffuseArea, graininess_patch, graininess_statistics, two_point_moments
 from nacre.measure.sparkle import Area, Pixels, measure_image, overlap, sparkle_patch, sparkle_statistics, uniform_part
+from nacre.measure.texture import Instrument, calibrate, measure_texture
 
 PIXELS = Pixels(pixel_um=40.0, field_mm=20.0, threshold=1.0, dark=0.01)
 CONE_RAD = math.radians(1.0)

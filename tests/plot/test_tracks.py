@@ -8,7 +8,7 @@ from nacre.cli import main
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.light import smooth_weights, spectrum_to_xyz, xyz_to_lab
 from nacre.material.material import material
-from nacre.measure.wavelengths import WALK_NM, solve_coarse_walk
+from nacre.measure.colours import WALK_NM, solve_coarse_walk
 from nacre.plot.material import plot_walk
 
 NM = np.arange(400.0, 701.0, 20.0)

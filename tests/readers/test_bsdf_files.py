@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.core.directions import direction
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.formats.gonio_csv import GonioData, gonio_data
 from nacre.formats.measured_files import write_astm, write_brdf_json, write_speos

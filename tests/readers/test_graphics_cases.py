@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.core.directions import direction
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
 
 CASES = Path(__file__).parents[2] / ".." / "shared" / "cases"

@@ -493,6 +493,6 @@ def test_the_shared_files_are_read_as_their_readings_say() -> None:
 )
 def test_text_of_other_programs_is_refused_by_name(tmp_path: Path, text: str) -> None:
     path = _file(tmp_path / "x.txt", text.encode())
-    assert recognise(path)[0][1].id == "other-heights"
+    assert recognise(path)[0][1].id == "other"
     with pytest.raises(NacreError):
         open_file(path)

@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline
 import nacre
 from nacre.bsdf import Bsdf
 from nacre.core.errors import NacreError
-from nacre.measure.wavelengths import colour_bsdf
+from nacre.measure.colours import colour_bsdf
 from nacre.recipe.toml import dump_toml
 
 COUNT = int(os.environ.get("NACRE_ASKED_RECIPES", "30"))

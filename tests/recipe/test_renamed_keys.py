@@ -4,9 +4,8 @@ import pytest
 
 import nacre
 from nacre.core.errors import RecipeError
-from nacre.recipe.model import RecipeContext, RecipeModel, validate
+from nacre.recipe.model import RENAMED, RecipeContext, RecipeModel, renamed_hint, validate
 from nacre.recipe.path_tables import ToleranceSpec, known_only
-from nacre.recipe.renamed_keys import RENAMED, renamed_hint
 
 
 class Inner(RecipeModel):

@@ -11,7 +11,7 @@ from PIL import Image
 
 import nacre
 from nacre.bsdf.bsdf import Bsdf
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.material import DRAFT_ERROR, Relief

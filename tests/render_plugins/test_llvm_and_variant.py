@@ -374,9 +374,10 @@ def test_a_scene_in_a_mono_variant_is_refused(tmp_path: Path) -> None:
     assert done.returncode != 0 and "this is llvm_ad_mono." in done.stderr
 
 
+RGB_RECIPES = 4
 RGB_AGAINST_SPECTRAL = """
 import nacre, nacre.render, numpy as np, mitsuba as mi
-def picture(variant, recipe):
+def picture(variant, bsdf):
     mi.set_variant(variant)
     from nacre.device.bsdf import make_bsdf
     white = {"type": "rgb", "value": 1.0} if "rgb" in variant else {"type": "d65"}
@@ -384,7 +385,7 @@ def picture(variant, recipe):
               "film": {"type": "hdrfilm", "width": 16, "height": 16}}
     scene = mi.load_dict({"type": "scene", "integrator": {"type": "path", "max_depth": 2}, "sensor": camera,
                           "light": {"type": "constant", "radiance": white},
-                          "object": {"type": "rectangle", "bsdf": make_bsdf(nacre.material(recipe).bsdf())}})
+                          "object": {"type": "rectangle", "bsdf": make_bsdf(bsdf)}})
     return np.array(mi.render(scene, spp=256)).mean((0, 1))
 for recipe in (
     {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 300}]},
@@ -394,7 +395,8 @@ for recipe in (
     {"family": "blend", "mask": 0.4, "first": {"family": "film", "substrate": "Au", "surface": {"roughness": 0.1}},
      "second": {"family": "film", "substrate": "Si"}},
 ):
-    print(*picture("llvm_ad_rgb", recipe), *picture("llvm_ad_spectral", recipe))
+    bsdf = nacre.material(recipe).bsdf()
+    print(*picture("llvm_ad_rgb", bsdf), *picture("llvm_ad_spectral", bsdf))
 """
 
 
@@ -402,7 +404,39 @@ for recipe in (
 def test_an_rgb_variant_shows_the_colours_of_the_spectral_one() -> None:
     done = python(RGB_AGAINST_SPECTRAL, dict(os.environ))
     assert done.returncode == 0, done.stderr
-    for line in done.stdout.splitlines()[-4:]:
+    for line in done.stdout.splitlines()[-RGB_RECIPES:]:
         rgb, spectral = np.array(line.split(), dtype=float).reshape(2, 3)
         # one bounce: the projection is exact; noise of 65,000 samples with 4 wavelengths each
         np.testing.assert_allclose(rgb, spectral, rtol=0.02, atol=0.003)
+
+
+RGB_TABLE = """
+import nacre, numpy as np
+from nacre.core.arrays import direction
+from nacre.device.bsdf import projected_to_rgb
+from nacre.light import spectrum_to_rgb_matrix
+pearl = {"family": "pearl", "quality": "fast", "base": {"albedo": 0.6}, "strata": [
+    {"resin": {"n": 1.5}, "thickness_um": 100, "roughness": 0.2, "platelets": [
+        {"volume_fraction": 0.05, "substrate": {"material": "mica", "thickness_nm": 300}, "normal_deviation": 0.1,
+         "coatings": [{"material": "TiO2", "thickness_nm": 60}]}]}]}
+bsdf = nacre.material(pearl).bsdf(np.linspace(400.0, 700.0, 13))
+random = np.random.default_rng(2)
+wi, wo = (direction(np.arccos(random.uniform(0.3, 1.0, 400)), random.uniform(0, 2 * np.pi, 400)) for _ in "io")
+wanted = np.maximum(bsdf.evaluate(wi, wo) @ spectrum_to_rgb_matrix(bsdf.wavelengths_nm), 0.0)
+found = projected_to_rgb(bsdf).evaluate(wi, wo)
+print(np.abs(found - wanted).max() / wanted.max(), np.median(np.abs(found / wanted - 1.0)))
+walk = nacre.material({**pearl, "quality": "reference"}).bsdf(np.linspace(400.0, 700.0, 13))
+try:
+    projected_to_rgb(walk)
+except nacre.NacreError as error:
+    print(type(error).__name__)
+"""
+
+
+@pytest.mark.render
+def test_a_lobe_that_is_not_linear_is_projected_as_a_table() -> None:
+    done = python(RGB_TABLE, dict(os.environ))
+    assert done.returncode == 0, done.stderr
+    numbers, refused = done.stdout.splitlines()[-2:]
+    worst, median = map(float, numbers.split())
+    assert worst < 0.03 and median < 0.01 and refused == "UnsupportedError"

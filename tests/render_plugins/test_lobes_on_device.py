@@ -18,8 +18,7 @@ from nacre.bsdf.compensation import compensate
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse, bare_base
 from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
-from nacre.bsdf.lobes.ridge import Ridge
-from nacre.bsdf.lobes.ridge_table import RidgeTable
+from nacre.bsdf.lobes.ridge import Ridge, RidgeTable
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.registry import LOBES, lobe_kinds, outside_lobe

@@ -98,7 +98,7 @@ def _floor_xyz(light_emitters: dict, reflectance: object, spp: int = 1024) -> np
 @pytest.mark.render
 @pytest.mark.parametrize("turn_deg", [0.0, 77.0])
 def test_the_environment_light_gives_the_irradiance_of_its_map(turn_deg: float) -> None:
-    from nacre.picture.lights.environment_plugin import make_environment
+    from nacre.picture.lights.emitter_plugins import make_environment
 
     environment = studio(rows=ROWS)
     xyz = _floor_xyz({"light": make_environment(environment, 1.0, turn_deg)}, 1.0)
@@ -113,7 +113,7 @@ def test_a_light_that_is_told_its_turn_shines_from_there(name: str, tmp_path: Pa
     import OpenEXR
 
     from nacre.device.variant import use_variant
-    from nacre.picture.lights.light_mixture import Lamp
+    from nacre.picture.lights.emitter_plugins import Lamp
     from nacre.picture.lights.named import make_lights
 
     mi = use_variant()
@@ -143,7 +143,7 @@ def test_a_light_that_is_told_its_turn_shines_from_there(name: str, tmp_path: Pa
 def test_light_sampling_agrees_with_looking() -> None:
     """Next event estimation of a lit floor equals the radiance found by chance alone."""
     from nacre.device.variant import use_variant
-    from nacre.picture.lights.environment_plugin import make_environment
+    from nacre.picture.lights.emitter_plugins import make_environment
 
     mi = use_variant()
     import drjit as dr
@@ -172,7 +172,7 @@ def test_light_sampling_agrees_with_looking() -> None:
 @pytest.mark.parametrize("light", ["D65", "A", "F11"])
 def test_a_narrow_reflectance_keeps_its_colour_under_any_lamp(light: str) -> None:
     """Spectral end to end: XYZ from Mitsuba equal the integral over the lamp's own spectrum."""
-    from nacre.picture.lights.environment_plugin import make_environment, spectrum_texture
+    from nacre.picture.lights.emitter_plugins import make_environment, spectrum_texture
 
     grid = table_wavelengths_nm()
     reflectance = 0.05 + 0.9 * np.exp(-(((grid - 545.0) / 8.0) ** 2))
@@ -197,7 +197,7 @@ def test_lights_are_scaled_to_white_paper_of_luminance_0_6(name: str) -> None:
 def test_no_light_is_drawn_from_beyond_what_stands_in_its_way(light: str) -> None:
     """A floor within a black ball gets none, however far away the ball is; without the ball it is lit."""
     from nacre.device.variant import use_variant
-    from nacre.picture.lights.light_mixture import read_lamps
+    from nacre.picture.lights.emitter_plugins import read_lamps
     from nacre.picture.lights.named import make_lights
 
     mi = use_variant()

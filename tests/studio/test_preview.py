@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.formats.lut.table import lobe_directions, lobe_weight
 from nacre.light import spectrum_to_rgb_linear, spectrum_to_xyz
 from nacre.picture.lights.environments import studio

@@ -11,11 +11,11 @@ import pytest
 import nacre
 from nacre import plot
 from nacre.analysis.tolerance import ColourProbe
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
+from nacre.measure.colours import colour_bsdf, colour_spectrum, colour_values
 from nacre.measure.evaluate import evaluate_with_error
-from nacre.measure.instruments import aspecular_direction
-from nacre.measure.wavelengths import colour_bsdf, colour_spectrum, colour_values
+from nacre.measure.geometry import aspecular_direction
 
 LAMP = "F11"
 BAR = 0.5  # dE00, as promised for sweeps and reports

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.analysis.colour_data import ColourData
+from nacre.analysis.fit_data import ColourData
 from nacre.analysis.report import read_geometries
 from nacre.analysis.sweep_plan import load_sweep
 from nacre.cli import run

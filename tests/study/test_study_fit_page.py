@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.bsdf.grids import direction
 from nacre.cli import run
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError
 
 FILM = 'family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 280}]\n'

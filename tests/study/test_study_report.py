@@ -18,7 +18,7 @@ from nacre.analysis.html_report import dump_json, report_html, report_text, trav
 from nacre.analysis.report import compare, flop_index, gloss, make_report, transmission_haze
 from nacre.core.errors import NacreError
 from nacre.light import spectrum_to_xyz
-from nacre.measure import instruments as geometry
+from nacre.measure import geometry
 
 GLASS = {"family": "film", "substrate": {"n": geometry.GLOSS_BLACK_GLASS_INDEX, "k": 1e-6}}
 GRID_NM = np.arange(400.0, 701.0, 50.0)

@@ -22,7 +22,7 @@ from nacre.core.errors import NacreError
 from nacre.core.jobs import Workers
 from nacre.light import delta_e_2000, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import load, material
-from nacre.measure.wavelengths import colour_bsdf, colour_spectrum
+from nacre.measure.colours import colour_bsdf, colour_spectrum
 
 ACROSS_PROCESSES = 1e-12  # the same code on the same machine; a sum may be ordered differently
 KILLS = 20

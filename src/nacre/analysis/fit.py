@@ -25,9 +25,17 @@ from typing import Any
 import numpy as np
 
 from nacre.analysis import intervals as ci
-from nacre.analysis.colour_data import ColourData, colour_measurement, stated_colours
 from nacre.analysis.ellipsometry_data import EllipsometryData, ellipsometry_data
-from nacre.analysis.fit_data import Data, Joint, joined, name_of, parts_of
+from nacre.analysis.fit_data import (
+    ColourData,
+    Data,
+    Joint,
+    colour_measurement,
+    joined,
+    name_of,
+    parts_of,
+    stated_colours,
+)
 from nacre.analysis.measured import Measured, gonio_measurement, spectrum_measurement
 from nacre.analysis.ties import Ties, read_ties
 from nacre.core.arrays import Array

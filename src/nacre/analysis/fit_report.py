@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from nacre.analysis.colour_data import ColourData
 from nacre.analysis.ellipsometry_data import EllipsometryData
 from nacre.analysis.fit import Fit, Measured, is_at_bound
-from nacre.analysis.fit_data import Data, Joint, parts_of
+from nacre.analysis.fit_data import ColourData, Data, Joint, parts_of
 from nacre.analysis.measured import POLARISED
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nacre.analysis.report import ColourTable, Comparison, Report
-from nacre.analysis.texture import texture_document, texture_rows
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.errors import UnsupportedError
 from nacre.core.html import render_page
+from nacre.light.colour_differences import DIN_6175
 from nacre.material.material import Material
-from nacre.measure.wavelengths import colour_spectrum
+from nacre.measure.colours import colour_spectrum
+from nacre.measure.texture import texture_document, texture_rows
 from nacre.plot.html import data_uri
 
 if TYPE_CHECKING:
@@ -177,6 +178,8 @@ def report_text(reports: list[Report], comparisons: Sequence[Comparison] = ()) -
         for name, values in found.tables.items():
             row = "  ".join(f"{label}: {v:.2f}" for label, v in zip(found.labels[name], values, strict=True))
             lines.append(f"  {name:10s} {row}")
+            if found.formula == DIN_6175:
+                lines.append(f"  {'':10s} mean {np.mean(values):.2f}, largest {np.max(values):.2f}")
         lines += [f"  {line}" for line in _verdict(found)]
     return "\n".join(lines).rstrip() + "\n"
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from nacre._version import __version__
 from nacre.bsdf import Bsdf
-from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.table import TableLobe, directions_of
 from nacre.bsdf.texture import refuse_place
+from nacre.core.arrays import direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path, plain, why_unreadable, write_text
 from nacre.families.contract import Masked, OwnFormats
@@ -33,7 +33,6 @@ MAX_F0 = 0.96  # a real index of 98; a perfect mirror would need an infinite one
 ENERGY_ANGLES_DEG = (0.0, 30.0, 60.0)
 MOST_ENERGY = 4.0  # measurements exceed 1 by tens of per cent
 ROUNDING = 1e-6  # of the largest value
-BLEND_PIXELS, LARGEST_MAP = 512, 4096  # pixels per side of a formula's share; most pixels of an image's
 LOST_OF_MESH = "the mesh file's own materials, nodes and animations: its triangles became one object"
 LOST_OF_BLEND = (
     "one surface: the first material lies over the second as the same triangles with alpha, for renderers that "
@@ -221,6 +220,7 @@ def _export_blend(material: Material, blend: Masked, path: Path, parts: list[Any
     Raises:
         UnsupportedError: no film represents one of them, or one is a blend.
     """
+    from nacre.analysis.lut import over_uv
     from nacre.analysis.thin_film import fit_thin_film
     from nacre.formats.gltf import Cover, write_gltf
 
@@ -234,11 +234,7 @@ def _export_blend(material: Material, blend: Masked, path: Path, parts: list[Any
     mask = blend.mask
     share: Any = float(mask.low)
     if mask.low != mask.high:
-        rows, columns = (
-            (BLEND_PIXELS, BLEND_PIXELS) if mask.image is None else np.minimum(mask.image.shape, LARGEST_MAP)
-        )
-        u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
-        share = np.asarray(mask(np.stack([u, v], axis=-1)), dtype=float)
+        share = over_uv(mask)
     mean = float(np.mean(share))
     residual = mean * over.mean_residual + (1.0 - mean) * under.mean_residual
     named = zip((blend.first, blend.second), (over, under), (mean, 1.0 - mean), strict=True)

@@ -16,13 +16,13 @@ import numpy as np
 from nacre._version import __version__
 from nacre.bsdf import Bsdf
 from nacre.bsdf.facet_distributions import exits, masking, normal_quadrature
-from nacre.bsdf.grids import direction, hemisphere_nodes, take_at
+from nacre.bsdf.lobe import hemisphere_nodes
 from nacre.bsdf.lobes.masked import MaskedLobe
 from nacre.bsdf.lobes.microfacet import AlignedMicrofacet, Microfacet
 from nacre.bsdf.lobes.specular import AlignedSpecular, Specular
 from nacre.bsdf.response import InterfaceResponse
-from nacre.bsdf.texture import ParameterAxis, refuse_place
-from nacre.core.arrays import Array
+from nacre.bsdf.texture import ParameterAxis, Texture, refuse_place
+from nacre.core.arrays import Array, direction, take_at
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.formats.lobes import is_isotropic
 from nacre.formats.lut.table import (  # fmt: skip
@@ -42,9 +42,9 @@ from nacre.light import delta_e_2000, spectrum_to_rgb_matrix, srgb_linear_to_xyz
 from nacre.light.tables import Illuminant, illuminant
 from nacre.light.tristimulus import weighted_sum
 from nacre.material.material import Material, StoredBsdf
+from nacre.measure.colours import colour_bsdf
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
 from nacre.measure.gloss import Gloss, find_gloss, fit_lobes
-from nacre.measure.wavelengths import colour_bsdf
 
 COLUMNS = 256
 ROUGH_COLUMNS = 91  # columns of the smooth colours averaged over facets
@@ -524,10 +524,15 @@ def _walk_mirror(bsdf: Bsdf) -> Array | None:
 
 def map_over_uv(axis: ParameterAxis) -> Array:
     """Return a number's map over uv `[row, column]`, from 0 to 1; the first row is v = 0."""
-    image = axis.texture.image
+    return axis.coordinate(over_uv(axis.texture)) / max(len(axis.values) - 1, 1)
+
+
+def over_uv(texture: Texture) -> Array:
+    """Return a texture's values over uv `[row, column]`; the first row is v = 0."""
+    image = texture.image
     rows, columns = (MAP_SIZE, MAP_SIZE) if image is None else np.minimum(image.shape, LARGEST_MAP)
     u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
-    return axis.coordinate(axis.texture(np.stack([u, v], axis=-1))) / max(len(axis.values) - 1, 1)
+    return np.asarray(texture(np.stack([u, v], axis=-1)), dtype=float)
 
 
 def _bake_interface(
@@ -681,10 +686,10 @@ def _scatter_errors(bsdf: Bsdf, scatter: Scatter, to_rgb: Callable[[Array], Arra
 
     def glossy(alpha: float, colours: Array) -> Array:
         kept = np.array([ClosureLoss("ggx", (alpha, alpha)).kept(w)[0] for w in direction(theta, 0.0)])
-        return view_picture(colours).at(x, 0.0 * x) * kept[:, None]
+        return np.asarray(view_picture(colours).at(x, 0.0 * x) * kept[:, None])
 
     def even(held: Picture) -> Array:
-        return sum((glossy(*part) for part in scatter.gloss), held.at(x, 0.0 * x))
+        return np.asarray(sum((glossy(*part) for part in scatter.gloss), held.at(x, 0.0 * x)))
 
     title = "scattered light under even light, by angle of view"
     found = {title: compared(view_picture(scatter.spread), even, to_rgb(np.array(back)))}

@@ -8,17 +8,15 @@ as colours over the incidence angle.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from nacre._version import __version__
-from nacre.analysis.texture import Texture
 from nacre.bsdf import Bsdf
-from nacre.bsdf.grids import direction
 from nacre.bsdf.texture import refuse_place
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.families.contract import Polarised, energy_defect
 from nacre.light import (
@@ -30,13 +28,14 @@ from nacre.light import (
     white_xyz,
     xyz_to_lab,
 )
+from nacre.light.colour_differences import DIN_6175
 from nacre.material.material import Material
-from nacre.measure import instruments as geometry
-from nacre.measure.colours import recipe_geometries
+from nacre.measure import geometry
+from nacre.measure.colours import colour_bsdf, recipe_geometries
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
 from nacre.measure.geometry import Geometry, aspecular_pairs
 from nacre.measure.polarisation import SelectiveBand, circular_reflection, selective_band
-from nacre.measure.wavelengths import colour_bsdf
+from nacre.measure.texture import Texture
 
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 FLOP_FACTOR, FLOP_POWER, FLOP_BASE = 2.69, 1.11, 0.86  # Alman's flop index
@@ -57,6 +56,7 @@ class ColourTable:
         labels: `[angle]` geometry names, such as "45as15".
         xyz, lab: `[angle, 3]`.
         hex: swatches.
+        aspecular_deg: `[angle]`; None for the mirror direction.
     """
 
     what: str
@@ -65,6 +65,7 @@ class ColourTable:
     xyz: Array
     lab: Array
     hex: tuple[str, ...]
+    aspecular_deg: Array | None = None
 
     @property
     def lch(self) -> Array:
@@ -158,6 +159,7 @@ def make_report(
     aspecular = colour_table(
         "aspecular, 45 degree incidence", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *light, labels
     )
+    aspecular = replace(aspecular, aspecular_deg=aspecular.angles_deg)
     mirror = bsdf.specular(np.radians(SPECULAR_ANGLES_DEG)).reflectance
     spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm)
     parts = {name: _luminous(value, spectrum.wavelengths_nm, *light) for name, value in spectrum.parts().items()}
@@ -178,8 +180,11 @@ def make_report(
         specular=colour_table("mirror direction", SPECULAR_ANGLES_DEG, mirror, bsdf, *light)
         if mirror.max() > MIRROR_THRESHOLD
         else None,
-        geometries=colour_table(
-            "further geometries", [g.view_deg for g in named.values()], np.pi * further, bsdf, *light, tuple(named)
+        geometries=replace(
+            colour_table(
+                "further geometries", [g.view_deg for g in named.values()], np.pi * further, bsdf, *light, tuple(named)
+            ),
+            aspecular_deg=np.array([g.aspecular_deg for g in named.values()]),
         )
         if named
         else None,
@@ -321,7 +326,7 @@ class Comparison:
 
     Attributes:
         name: sample name.
-        formula: key of `nacre.light.colour_differences.FORMULAS`.
+        formula: of `nacre.light.colour_difference`.
         tables: table name -> differences `[angle]`.
         labels: table name -> geometry names `[angle]`.
         limits: geometry -> largest accepted difference; geometries without a limit are not evaluated.
@@ -348,14 +353,20 @@ def compare(
     """Return a report's colour differences from a standard.
 
     Args:
-        formula: key of `nacre.light.colour_differences.FORMULAS`; the standard is the formula's first colour.
+        formula: of `nacre.light.colour_difference`; the standard is its first colour. "din6175-2" compares aspecular
+            geometries only.
         limits: geometry ("45as15", "specular 45", a name) -> largest accepted difference; "" holds for all others.
 
     Raises:
         NacreError: the formula is unknown, or a limit's geometry is in no table.
     """
     both = {name: (standard.tables[name], table) for name, table in report.tables.items() if name in standard.tables}
-    tables = {name: colour_difference(first.lab, second.lab, formula) for name, (first, second) in both.items()}
+    if formula == DIN_6175:
+        both = {name: pair for name, pair in both.items() if pair[1].aspecular_deg is not None}
+    tables = {
+        name: colour_difference(first.lab, second.lab, formula, second.aspecular_deg)
+        for name, (first, second) in both.items()
+    }
     labels = {name: second.labels for name, (_, second) in both.items()}
     return Comparison(report.name, formula, tables, labels, _limits_of(labels, limits))
 
@@ -378,13 +389,23 @@ def compare_with_colours(
         NacreError: a geometry of the list or of a limit is not in the report, or the formula is unknown.
     """
     seen = {label: lab for table in report.tables.values() for label, lab in zip(table.labels, table.lab, strict=True)}
+    angles = {
+        label: angle
+        for table in report.tables.values()
+        if table.aspecular_deg is not None
+        for label, angle in zip(table.labels, table.aspecular_deg, strict=True)
+    }
     for label in colours:
         if label not in seen:
             hint = did_you_mean(label, list(seen))
             raise NacreError(f'{standard}: "{label}" names no geometry of the report.{hint} It has {", ".join(seen)}')
     first, second = (np.array([table[label] for label in colours], dtype=float) for table in (colours, seen))
     labels = {"standard": tuple(colours)}
-    differences = {"standard": colour_difference(first, second, formula)}
+    mirror = next((label for label in colours if label not in angles), None)
+    if formula == DIN_6175 and mirror is not None:
+        raise NacreError(f'{standard}: "{mirror}" is not aspecular, as formula = "{formula}" needs')
+    at = np.array([angles[label] for label in colours]) if mirror is None else None
+    differences = {"standard": colour_difference(first, second, formula, at)}
     return Comparison(report.name, formula, differences, labels, _limits_of(labels, limits), standard)
 
 

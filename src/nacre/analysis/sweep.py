@@ -27,7 +27,7 @@ from nacre.analysis.sweep_plan import Sweep, SweepSpec, load_sweep, measurement_
 from nacre.core.errors import NacreError
 from nacre.core.files import check_writable, plain, temporary_prefix
 from nacre.core.jobs import Workers, run_jobs
-from nacre.core.packages import require
+from nacre.core.lazy import require
 from nacre.material.material import Material, material
 
 logger = logging.getLogger("nacre")
@@ -268,6 +268,8 @@ def _empty_store(path: Path, sweep: Sweep) -> Iterator[Path]:
         _coordinate(group, "angle_deg", list(measurement.angles_deg), ["angle_deg"])
         if measurement.geometries:
             _coordinate(group, "geometry", [name for name, _ in measurement.geometries], ["geometry"])
+        if measurement.texture:
+            _coordinate(group, "quantity", list(measurement.texture), ["quantity"])
         _coordinate(group, "lab", ["L*", "a*", "b*"], ["lab"])
         _coordinate(group, "xyz", ["X", "Y", "Z"], ["xyz"])
         if measurement.wavelengths_nm is not None:

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from nacre.analysis.lut import STEEPEST, ClosureLoss, azimuths, make_table
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.analysis.lut import STEEPEST, ClosureLoss, azimuths, make_table, over_uv
+from nacre.bsdf.texture import Texture
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
+from nacre.families.contract import Masked
 from nacre.formats.lut.table import Closure, LightTable, Picture, column_angles
-from nacre.formats.lut.three import write_three
+from nacre.formats.lut.three import Share, ThreePart, write_three
 from nacre.formats.lut.write import check_folder
 from nacre.material.material import Material
 
@@ -29,6 +30,38 @@ def export_three(material: Material, folder: Path, illuminant: str, progress: Ca
         NacreError: the folder cannot be written.
     """
     check_folder(folder)
+    if not isinstance(material.model, Masked):
+        part, lost = _part(material, illuminant, progress)
+        files = write_three(folder, material.name, [part], lost)
+        return {"illuminant": part.table.illuminant, "lost": lost, "files": files, "errors_dE00": _errors(part)}
+    parts: list[ThreePart] = []
+    lost = []
+    for name, one in (("first", material.model.first), ("second", material.model.second)):
+        try:
+            made, missing = _part(one, illuminant, _named(progress, name))
+        except UnsupportedError as error:
+            raise UnsupportedError(f"the part {name} of the blend: {error}; export the other part alone") from None
+        parts.append(made)
+        lost += [what for what in missing if what not in lost]
+    share = _share(material.model.mask)
+    files = write_three(folder, material.name, parts, lost, share)
+    return {
+        "illuminant": parts[0].table.illuminant, "lost": lost, "files": files, "mean_share": share.mean,
+        "errors_dE00": {f"{name}: {what}": error for name, part in zip(("first", "second"), parts, strict=True)
+                        for what, error in _errors(part).items()},
+    }  # fmt: skip
+
+
+def _named(progress: Callable[[str], None], name: str) -> Callable[[str], None]:
+    return lambda what: progress(f"{name}: {what}")
+
+
+def _errors(part: ThreePart) -> dict[str, dict[str, float]]:
+    return {what: dict(values) for what, values in part.table.errors.items()}
+
+
+def _part(material: Material, illuminant: str, progress: Callable[[str], None]) -> tuple[ThreePart, list[str]]:
+    """Return a material's table with its colours under uniform light, and the lost properties."""
     table = make_table(material, illuminant, progress)
     scatters = any(closure.kind == "diffuse" for closure in table.closures)
     if scatters and "lobe" not in table.pictures:
@@ -38,16 +71,20 @@ def export_three(material: Material, folder: Path, illuminant: str, progress: Ca
         )
     progress("colours under uniform light")
     even, alphas = even_pictures(table)
-    files = write_three(folder, table, even, alphas)
     lost = [part.replace("GLSL: ", "") for part in table.lost]
     if "through" in even:
         lost.append("the colour of the light that passes: what lies behind is seen through the mean of its channels")
     if table.facets is not None and table.facets.alpha[0] == 0:
         lost.append("highlights of point lights: a smooth surface reflects the light from all around only")
-    return {
-        "illuminant": table.illuminant, "lost": lost, "files": files,
-        "errors_dE00": {what: dict(values) for what, values in table.errors.items()},
-    }  # fmt: skip
+    return ThreePart(table, even, alphas), lost
+
+
+def _share(mask: Texture) -> Share:
+    """Return the share of a blend's first material."""
+    if mask.low == mask.high:
+        return Share(float(mask.low))
+    values = over_uv(mask)
+    return Share(float(np.mean(values)), values)
 
 
 def even_pictures(table: LightTable) -> tuple[dict[str, Picture], tuple[float, ...]]:

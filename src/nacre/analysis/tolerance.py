@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from nacre.analysis.report import SPECULAR_ANGLES_DEG
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.jobs import START_WORKERS_S, Workers, run_jobs
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
-from nacre.measure import instruments
+from nacre.measure import geometry as instruments
 from nacre.measure.colours import geometry_colours, recipe_geometries
 from nacre.measure.geometry import Geometry
 from nacre.optimise.tolerances import Component, Tolerance, components, draw, read_tolerances, wilson_interval

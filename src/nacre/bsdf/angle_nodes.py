@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.grids import interpolate, node_coordinate
 from nacre.bsdf.response import FINEST_LEVEL, InterfaceResponse
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, interpolate, node_coordinate
 
 UNITS = 2**FINEST_LEVEL  # nodes are whole numbers of 2^-FINEST_LEVEL
 UNIFORM_LEVELS = 7, 9

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nacre.bsdf.file import describe_lobes, read_lobes, write_lobes
 from nacre.bsdf.lobe import Lobe, SpecularResponse, specular_at
 from nacre.bsdf.polarisation import InterfacePolarisation
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.recipe.fingerprint import fingerprint
 
 
@@ -139,3 +139,18 @@ class Spectrum:
         return all(b is None if a is None else b is not None and np.array_equal(a, b) for a, b in pairs)
 
     __hash__ = None  # type: ignore[assignment]  # arrays can be written to
+
+
+def is_isotropic(bsdf: Bsdf) -> bool:
+    """Whether the values are invariant under rotation about the normal, tested at a few pairs.
+
+    The lobes of orders of a grating are too narrow for this test and are never invariant.
+    """
+    if any(lobe.kind == "orders" for lobe in bsdf.lobes):
+        return False
+    theta_i, theta_o, dphi = (np.radians(v) for v in ([20.0, 50.0, 70.0], [35.0, 45.0, 60.0], [180.0, 150.0, 90.0]))
+    values = [
+        bsdf.evaluate(direction(theta_i, turn), direction(theta_o, dphi + turn)) for turn in np.radians([0, 31, 77, 90])
+    ]
+    scale = max(float(np.max(values)), 1e-30)
+    return bool(np.ptp(np.stack(values), axis=0).max() <= 1e-4 * scale)

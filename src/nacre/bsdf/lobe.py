@@ -1,4 +1,4 @@
-"""The lobe interface between optics and everything that plots, stores or renders a material.
+"""The lobe interface between optics and everything that plots, stores or renders a material, and quadrature over exits.
 
 A `Bsdf` is a lobe sum. A lobe is a frozen set of arrays with named axes: `evaluate` interpolates them with NumPy,
 the lobe's Mitsuba plugin in `nacre.device` does the same with Dr.Jit ("on the device").
@@ -10,13 +10,39 @@ Values are unpolarised, in 1/sr, without the cosine; wavelength is the last axis
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from nacre.bsdf.grids import product_rule
 from nacre.core.arrays import Array
+
+
+def hemisphere_nodes(nodes: int = 64) -> tuple[Array, Array]:
+    """Return upper-hemisphere directions and weights cos(theta) d(omega): `[nodes*nodes, 3]`, `[nodes*nodes]`.
+
+    Gauss-Legendre in sin^2(theta), where the cosine-weighted measure is uniform; the weights sum to pi.
+    """
+    x, weight = np.polynomial.legendre.leggauss(nodes)
+    sin2 = 0.5 * (x + 1.0)
+    phi = (np.arange(nodes) + 0.5) * (2.0 * np.pi / nodes)
+    sin2, phi = np.meshgrid(sin2, phi, indexing="ij")
+    wo = np.stack([np.sqrt(sin2) * np.cos(phi), np.sqrt(sin2) * np.sin(phi), np.sqrt(1.0 - sin2)], axis=-1)
+    return wo.reshape(-1, 3), np.repeat(0.5 * weight * np.pi / nodes, nodes)
+
+
+def product_rule(value: Callable[[Array], Array], wi: Array, nodes: int, transmits: bool) -> tuple[Array, Array]:
+    """Integrate `value(wo)` `[exit, wavelength]` times the cosine over both hemispheres.
+
+    Returns:
+        `(same side as wi, other side)`, each `[wavelength]`.
+    """
+    wo, weight = hemisphere_nodes(nodes)
+    side = np.array([1.0, 1.0, 1.0 if wi[2] >= 0 else -1.0])
+    same = weight @ value(wo * side)
+    other = weight @ value(wo * side * np.array([1.0, 1.0, -1.0])) if transmits else np.zeros_like(same)
+    return same, other
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ LOBES: dict[str, str] = {
     "aligned-microfacet": "nacre.bsdf.lobes.microfacet:AlignedMicrofacet",
     "diffuse": "nacre.bsdf.lobes.diffuse:Diffuse",
     "ridge": "nacre.bsdf.lobes.ridge:Ridge",
-    "ridge-table": "nacre.bsdf.lobes.ridge_table:RidgeTable",
+    "ridge-table": "nacre.bsdf.lobes.ridge:RidgeTable",
     "table": "nacre.bsdf.lobes.table:TableLobe",
     "harmonic": "nacre.bsdf.lobes.monolayer:Harmonic",
     "aligned": "nacre.bsdf.lobes.monolayer:Aligned",

@@ -18,11 +18,18 @@ from typing import Any
 import click
 
 from nacre._version import __version__
-from nacre.cli.common import STATUS_BAD_INPUT, STATUS_INTERRUPTED, STOPPED, hold_closed_streams, say
-from nacre.cli.progress import compile_listener, listener
+from nacre.cli.common import (
+    STATUS_BAD_INPUT,
+    STATUS_INTERRUPTED,
+    STOPPED,
+    compile_listener,
+    hold_closed_streams,
+    listener,
+    say,
+)
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.jit import may_be_stored, on_compile, spare_compilation
-from nacre.core.packages import missing_line
+from nacre.core.lazy import missing_line
 from nacre.core.progress import on_progress
 
 GARBAGE_AFTER = 50_000  # new container objects
@@ -36,7 +43,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "render": ("nacre.cli.render", "Render a material on an object."),
     "spectrum": ("nacre.cli.show", "Print reflectance and transmittance over angle and wavelength."),
     "orders": ("nacre.cli.show", "Print the diffraction orders of a grating."),
-    "ellipsometry": ("nacre.cli.ellipsometry", "Print Psi, Delta and Mueller matrices over angle and wavelength."),
+    "ellipsometry": ("nacre.cli.analysis", "Print Psi, Delta and Mueller matrices over angle and wavelength."),
     "evaluate": ("nacre.cli.show", "Evaluate the BSDF for given directions."),
     "plot": ("nacre.cli.show", "Draw a figure of a material."),
     "compile": ("nacre.cli.show", "Solve a recipe once and store the result as a .nacre file."),
@@ -51,9 +58,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "studio": ("nacre.cli.render", "Open a live page on a recipe, on this machine only."),
     "report": ("nacre.cli.analysis", "Report colour, gloss, haze and flop as instruments measure them."),
     "tolerance": ("nacre.cli.analysis", "Compute colour variation and yield from manufacturing tolerances."),
-    "diagnose": ("nacre.cli.diagnose", "Estimate what was off in a finished coating run."),
-    "formulate": ("nacre.cli.formulate", "Match an effect paint with pigments of a library."),
-    "runsheet": ("nacre.cli.run_sheet", "Print monitor signals and stop criteria of a coating run."),
+    "diagnose": ("nacre.cli.fit", "Estimate what was off in a finished coating run."),
+    "formulate": ("nacre.cli.design", "Match an effect paint with pigments of a library."),
+    "runsheet": ("nacre.cli.analysis", "Print monitor signals and stop criteria of a coating run."),
     "sweep": ("nacre.cli.analysis", "Compute a material over many values of its numbers."),
     "indices": ("nacre.cli.machine", "Search and show optical constants."),
     "examples": ("nacre.cli.machine", "List the recipes that come with nacre, or copy them."),

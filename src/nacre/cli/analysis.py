@@ -1,4 +1,4 @@
-"""Commands that analyse a material: sweep, report, tolerance."""
+"""Commands that analyse a material: sweep, report, tolerance, runsheet, ellipsometry."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from nacre.cli import common
 from nacre.core.errors import NacreError
 from nacre.core.jobs import Workers
 
 if TYPE_CHECKING:
-    from nacre.analysis.texture import Texture
     from nacre.material.material import Material
+    from nacre.measure.texture import Texture
 
 
 def _progress_bar(description: str) -> Any:
@@ -69,7 +70,8 @@ def sweep(sweep_file: str, output: str | None, workers: Workers) -> None:
 )  # fmt: skip
 @click.option(
     "--formula", default="ciede2000", show_default=True, metavar="NAME",
-    help="Colour difference to the first recipe: cie76, cie94, cie94-textiles, cmc(1:1), cmc(2:1), ciede2000, din99o.",
+    help="Colour difference to the first recipe: cie76, cie94, cie94-textiles, cmc(1:1), cmc(2:1), ciede2000, din99o, "
+    "din6175-2 (effect paints, aspecular geometries).",
 )  # fmt: skip
 @click.option(
     "--tolerance", "limits", multiple=True, metavar="[GEOMETRY=]VALUE",
@@ -103,6 +105,7 @@ def report(
     from nacre.analysis.report import compare, compare_with_colours, make_report, read_geometries
     from nacre.core.files import check_writable, write_text
     from nacre.core.parallel import on_progress
+    from nacre.light.colour_differences import check_formula
 
     if len(recipes) > 2:
         raise NacreError(f"report takes one recipe or two, not {len(recipes)}")
@@ -110,6 +113,7 @@ def report(
     read_geometries(geometries)
     geometries = _with_standard(geometries, colours)
     allowed = _limits(limits)
+    check_formula(formula)
     add_texture = _texture(more["has_texture"], more["patch"], more["instrument"], illuminant, observer, seed)
     if output:
         if Path(output).suffix not in (".txt", ".json", ".html"):
@@ -158,8 +162,8 @@ def _texture(
     is_asked: bool, patch: str | None, instrument: str | None, illuminant: str, observer: str, seed: int
 ) -> Callable[[Material], Texture | None]:
     """Return the function that computes a material's texture, or None without being asked."""
-    from nacre.analysis.texture import measure_texture, read_instrument
     from nacre.core.files import check_writable
+    from nacre.measure.texture import measure_texture, read_instrument
 
     if instrument and not (is_asked or patch):
         raise NacreError("--instrument needs --texture")
@@ -200,8 +204,7 @@ def _standard(
 
 def _with_standard(geometries: tuple[str, ...], colours: dict[str, Any] | None) -> tuple[str, ...]:
     """Return the further geometries with those of a standard that no report has by itself."""
-    from nacre.measure.geometry import Geometry
-    from nacre.measure.instruments import ASPECULAR_DEG
+    from nacre.measure.geometry import ASPECULAR_DEG, Geometry
 
     named = [text.rpartition("=")[0] or text for text in geometries]
     usual = [str(Geometry("aspecular", 45.0, angle)) for angle in ASPECULAR_DEG]
@@ -294,4 +297,117 @@ def tolerance(
         click.echo(f"    {source:44s} {change:8.3f}  {100 * share:5.1f} %")
 
 
-commands: dict[str, click.Command] = {"sweep": sweep, "report": report, "tolerance": tolerance}
+SUFFIXES = (".txt", ".csv", ".json", ".png", ".pdf", ".svg")
+
+
+@click.command()
+@click.argument("recipe")
+@click.option("--wavelength-nm", type=float, default=550.0, show_default=True, help="Wavelength of the monitor.")
+@click.option("--angle-deg", type=float, default=0.0, show_default=True, help="Angle of incidence of its light.")
+@click.option("--quantity", type=click.Choice(["reflectance", "transmittance"]), default="reflectance",
+              show_default=True, help="Signal of the monitor.")  # fmt: skip
+@click.option("--noise", type=float, default=0.001, show_default=True, help="Standard deviation of the signal.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("-o", "outputs", multiple=True, metavar="FILE",
+              help="Table (.txt), curves (.csv), both (.json), figure (.png, .pdf, .svg); several times.")  # fmt: skip
+@common.set_option
+def runsheet(
+    recipe: str, wavelength_nm: float, angle_deg: float, quantity: str, noise: float, as_json: bool,
+    outputs: tuple[str, ...], changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Print the optical monitor signal, turning points and stop criterion of each layer of RECIPE."""
+    from nacre.analysis.run_sheet import make_run_sheet, run_sheet_csv, run_sheet_document, run_sheet_text
+    from nacre.core.files import check_writable, write_text
+
+    for output in outputs:
+        if Path(output).suffix not in SUFFIXES:
+            raise NacreError(f"-o {output}: the suffix must be one of {', '.join(SUFFIXES)}")
+        check_writable(output)
+    material = common.load_material(recipe, changes)
+    sheet = make_run_sheet(material, wavelength_nm, angle_deg, quantity, noise)
+    document = run_sheet_document(sheet)
+    for output in outputs:
+        texts = {".txt": run_sheet_text, ".csv": run_sheet_csv}
+        suffix = Path(output).suffix
+        if suffix == ".json":
+            write_text(output, json.dumps(document, indent=1) + "\n")
+        elif suffix in texts:
+            write_text(output, texts[suffix](sheet))
+        else:
+            from nacre.plot import save_figure
+            from nacre.plot.sheets import run_sheet_figure
+
+            curves = [(each.material, each.grown_nm, each.signal, each.turning_nm, each.turning_signal)
+                      for each in sheet.layers]  # fmt: skip
+            label = f"{quantity.capitalize()} at {wavelength_nm:g} nm (%)"
+            save_figure(run_sheet_figure(curves, label, material.name), output, {"recipe": material.text})
+        common.note(output)
+    if as_json:
+        click.echo(json.dumps(document))
+    elif not outputs:
+        click.echo(run_sheet_text(sheet), nl=False)
+
+
+DEFAULT_ANGLES = "65,70,75"
+
+
+@click.command()
+@click.argument("recipe")
+@click.option("--angles-deg", default=DEFAULT_ANGLES, show_default=True, help="Incidence, such as 65,70,75 or 50:80:5.")
+@click.option("--wavelengths-nm", default=None, help="Such as 400:800:5; default: chosen by the material.")
+@click.option("--azimuth-deg", type=float, default=None, help="Azimuth of the direction to the light, from u.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, with the conventions.")
+@click.option("-o", "output", metavar="FILE.csv", help="Write CSV (or JSON, by the suffix) to a file.")
+@common.set_option
+@common.jobs_option
+def ellipsometry(
+    recipe: str, angles_deg: str, wavelengths_nm: str | None, azimuth_deg: float | None, as_json: bool,
+    output: str | None, changes: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Print what an ellipsometer measures of RECIPE: Psi, Delta, N C S, Mueller matrix, pseudo-dielectric function.
+
+    Delta: r_p / r_s = tan(Psi) exp(i Delta) for fields exp(+i w t), r_p = -r_s at normal incidence, so that a bare
+    metal or wafer has Delta between 0 and 180 degrees, as in the programs of Woollam, Sentech, Accurion, Film Sense and
+    Horiba (Is = S, Ic = C). The recipe's [instrument] table averages over bandwidth, cone and thickness spread.
+    """
+    from nacre.analysis.ellipsometry import compute_ellipsometry, ellipsometry_document
+    from nacre.core.files import check_writable, write_text
+    from nacre.material.material import recipe_provenance
+
+    if output:
+        if Path(output).suffix not in (".csv", ".json"):
+            raise NacreError(f"-o {output}: the suffix must be .csv or .json")
+        check_writable(output)
+    angles, grid = common.angles(angles_deg), common.wavelengths(wavelengths_nm)
+    material = common.load_material(recipe, changes)
+    found = compute_ellipsometry(material, angles, grid, azimuth_deg)
+    if output and output.endswith(".csv") or not output and not as_json:
+        text = _csv(found.wavelengths_nm, found.angles_deg, found.columns())
+    document = None
+    if as_json or output and output.endswith(".json"):
+        document = json.dumps({**ellipsometry_document(found), "provenance": recipe_provenance(material)})
+    if output:
+        write_text(output, text if output.endswith(".csv") else f"{document}\n")
+        common.note(output)
+    if as_json:
+        click.echo(document)
+    elif not output:
+        click.echo(text, nl=False)
+
+
+def _csv(wavelengths_nm: np.ndarray, angles_deg: np.ndarray, columns: dict[str, np.ndarray]) -> str:
+    lines = ["wavelength_nm,angle_of_incidence_deg," + ",".join(columns)]
+    for a, angle in enumerate(angles_deg):
+        for w, wavelength in enumerate(wavelengths_nm):
+            values = ",".join(f"{value[a, w]:.9g}" for value in columns.values())
+            lines.append(f"{wavelength:.9g},{angle:.9g},{values}")
+    return "\n".join(lines) + "\n"
+
+
+commands: dict[str, click.Command] = {
+    "sweep": sweep,
+    "report": report,
+    "tolerance": tolerance,
+    "runsheet": runsheet,
+    "ellipsometry": ellipsometry,
+}

@@ -30,9 +30,9 @@ OTHER_FILES = {
     "design": "nacre.optimise.spec:DesignSpec",
     "sweep": "nacre.analysis.sweep_plan:SweepSpec",
     "gallery": "nacre.cli.gallery:GallerySpec",
-    "formulation": "nacre.optimise.formulation.spec:FormulationSpec",
-    "pigments": "nacre.optimise.formulation.spec:LibrarySpec",
-    "instrument": "nacre.analysis.texture:Instrument",
+    "formulation": "nacre.optimise.formulation:FormulationSpec",
+    "pigments": "nacre.optimise.formulation:LibrarySpec",
+    "instrument": "nacre.measure.texture:Instrument",
 }
 # forms that are used in many tables
 SHARED: dict[str, type[RecipeModel]] = {

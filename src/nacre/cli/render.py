@@ -132,11 +132,12 @@ def render(
     if animate:
         del settings["light_layers"], settings["layers"]
         settings["workers"] = workers
-    elif workers != type(workers)():
-        raise NacreError("--cluster: one picture is rendered on this machine; a cluster serves --animate")
+        workers = type(workers)()
     options: dict[str, Any] = {**settings, "exposure": _exposure(exposure)}
     with leaving_at_once(STATUS_INTERRUPTED, STOPPED):
-        _render(common.load_material(recipe, changes), path, animate, frames, options)
+        material = common.load_material(recipe, changes)
+        with common.solving_on(workers, material):
+            _render(material, path, animate, frames, options)
 
 
 def _render(material: Any, path: Path, animate: str | None, frames: int, options: dict[str, Any]) -> None:

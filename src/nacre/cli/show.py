@@ -41,9 +41,10 @@ SWEEP_KINDS = ("gamut", "colour-map", "parallel")
 @common.set_option
 @common.cache_option
 @common.jobs_option
+@common.cluster_options
 def spectrum(
     recipe: str, angles_deg: str, wavelengths_nm: str | None, polarisation: str, azimuth_deg: float, as_json: bool,
-    output: str | None, changes: tuple[str, ...],
+    output: str | None, changes: tuple[str, ...], workers: Any,
 ) -> None:  # fmt: skip
     """Print reflectance and transmittance of RECIPE over angle and wavelength."""
     from nacre.core.files import check_writable
@@ -56,7 +57,8 @@ def spectrum(
     angles = common.angles(angles_deg)
     grid = common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
-    result = material.spectrum(np.radians(angles), grid, polarisation, azimuth_deg=azimuth_deg)
+    with common.solving_on(workers, material):
+        result = material.spectrum(np.radians(angles), grid, polarisation, azimuth_deg=azimuth_deg)
     parts = result.parts()
     document: dict[str, Any] = {
         "wavelengths_nm": result.wavelengths_nm.tolist(),
@@ -80,9 +82,10 @@ def spectrum(
 @common.set_option
 @common.cache_option
 @common.jobs_option
+@common.cluster_options
 def orders(
     recipe: str, angles_deg: str, azimuth_deg: float, wavelengths_nm: str | None, as_json: bool, output: str | None,
-    changes: tuple[str, ...],
+    changes: tuple[str, ...], workers: Any,
 ) -> None:  # fmt: skip
     """Print the efficiencies of the diffraction orders of RECIPE, for s and p polarised light."""
     from nacre import api
@@ -99,7 +102,8 @@ def orders(
     if angles.max() >= 90:
         raise NacreError(f'--angles-deg = "{angles_deg}" must lie in [0, 90)')
     material = common.load_material(recipe, changes)
-    found = api.orders(material, angles, azimuth_deg, common.wavelengths(wavelengths_nm))
+    with common.solving_on(workers, material):
+        found = api.orders(material, angles, azimuth_deg, common.wavelengths(wavelengths_nm))
     document = {
         "wavelengths_nm": found.wavelengths_nm.tolist(),
         "angles_deg": angles.tolist(),
@@ -332,7 +336,10 @@ def _over(text: str | None, kind: str) -> tuple[str, np.ndarray] | None:
 @common.set_option
 @common.cache_option
 @common.jobs_option
-def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, changes: tuple[str, ...]) -> None:
+@common.cluster_options
+def compile_(
+    recipe: str, wavelengths_nm: str | None, output: str | None, changes: tuple[str, ...], workers: Any
+) -> None:
     """Solve RECIPE and store its BSDF for repeated rendering."""
     from nacre.core.files import check_writable, short_name
 
@@ -343,7 +350,8 @@ def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, change
     if path.exists() and Path(recipe).exists() and path.samefile(recipe):
         raise UnsupportedError(f"{recipe}: is compiled already")
     material = common.load_material(recipe, changes)
-    solved = material.bsdf(common.wavelengths(wavelengths_nm))
+    with common.solving_on(workers, material):
+        solved = material.bsdf(common.wavelengths(wavelengths_nm))
     solved.save(path)
     for remark in solved.provenance.get("notes", ()):
         common.note(remark)
@@ -373,9 +381,10 @@ def compile_(recipe: str, wavelengths_nm: str | None, output: str | None, change
 @common.set_option
 @common.cache_option
 @common.jobs_option
+@common.cluster_options
 def export(
     recipe: str, target: str, output: str | None, angle_step_deg: float, wavelength_nm: float | None,
-    illuminant: str | None, mesh: str | None, as_json: bool, changes: tuple[str, ...],
+    illuminant: str | None, mesh: str | None, as_json: bool, changes: tuple[str, ...], workers: Any,
 ) -> None:  # fmt: skip
     """Write RECIPE in the format of another program and list the properties that it cannot hold."""
     from nacre.analysis.import_export import export_material
@@ -397,7 +406,8 @@ def export(
         raise NacreError(f"--mesh {mesh}: is for --to gltf; {target} holds no mesh")
     options["mesh"] = mesh
     material = common.load_material(recipe, changes)
-    facts = export_material(material, target, path, **options)
+    with common.solving_on(workers, material):
+        facts = export_material(material, target, path, **options)
     if as_json:
         click.echo(json.dumps(facts))
         return

@@ -1,4 +1,4 @@
-"""Array types and the conversion of arguments to them."""
+"""Arrays: types, conversion of arguments, unit vectors, linear interpolation on nodes."""
 
 from __future__ import annotations
 
@@ -41,3 +41,75 @@ def wavelength_grid(value: ArrayLike | None) -> Array | None:
     if np.any(np.diff(grid) <= 0):
         raise NacreError("wavelengths_nm must be ascending, each given once")
     return grid
+
+
+def direction(theta_rad: Array | float, phi_rad: Array | float = 0.0) -> Array:
+    """Return unit vectors `[..., 3]` at polar angle `theta_rad` from +z and azimuth `phi_rad` from +x."""
+    theta, phi = np.broadcast_arrays(np.asarray(theta_rad, dtype=float), np.asarray(phi_rad, dtype=float))
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def from_half_difference(theta_half: Array, theta_diff: Array, phi_diff: Array) -> tuple[Array, Array]:
+    """Return (wi, wo) from half and difference angles, with the half vector in the plane phi = 0."""
+    sin_d, cos_d = np.sin(theta_diff), np.cos(theta_diff)
+    d = np.stack([sin_d * np.cos(phi_diff), sin_d * np.sin(phi_diff), cos_d], axis=-1)
+    sin_h, cos_h = np.sin(theta_half), np.cos(theta_half)
+    wi = np.stack([cos_h * d[..., 0] + sin_h * d[..., 2], d[..., 1], -sin_h * d[..., 0] + cos_h * d[..., 2]], axis=-1)
+    h = np.stack([sin_h, np.zeros_like(sin_h), cos_h], axis=-1)
+    return wi, 2 * np.sum(wi * h, axis=-1, keepdims=True) * h - wi
+
+
+def angles_deg(vectors: Array) -> Array:
+    """Return polar angle and azimuth (0 to 360) in degrees, `[..., 2]`, of unit vectors `[..., 3]`."""
+    theta = np.degrees(np.arctan2(np.hypot(vectors[..., 0], vectors[..., 1]), vectors[..., 2]))
+    return np.stack([theta, np.degrees(np.arctan2(vectors[..., 1], vectors[..., 0])) % 360.0], axis=-1)
+
+
+def cell(position: ArrayLike, nodes: int) -> tuple[NDArray[np.intp], Array]:
+    """Return the lower node and the upper node's weight, at positions in node units, clamped to the axis.
+
+    The last node belongs to the last cell; an axis with one node gives weight 0 for the missing upper node.
+    """
+    clamped = np.clip(np.asarray(position, dtype=float), 0.0, nodes - 1.0)
+    low = np.minimum(clamped.astype(np.intp), max(nodes - 2, 0))
+    return low, clamped - low
+
+
+def take_uniform(table: Array, unit: Array, axis: int) -> Array:
+    """Interpolate along one axis with uniform nodes on [0, 1], at positions `[n]`."""
+    size = table.shape[axis]
+    low, share = cell(np.clip(unit, 0.0, 1.0) * (size - 1), size)
+    shape = [1] * table.ndim
+    shape[axis] = -1
+    share = share.reshape(shape)
+    high = np.minimum(low + 1, size - 1)
+    return np.asarray(np.take(table, low, axis) * (1 - share) + np.take(table, high, axis) * share)
+
+
+def node_coordinate(nodes: Array, values: ArrayLike) -> Array:
+    """Return positions in node units (0 at the first node) of values on ascending, possibly irregular nodes."""
+    return np.asarray(np.interp(np.asarray(values, dtype=float), nodes, np.arange(len(nodes), dtype=float)))
+
+
+def take_at(table: Array, nodes: Array, values: Array, axis: int) -> Array:
+    """Interpolate along one axis with ascending nodes, at values `[n]`."""
+    return take_uniform(table, node_coordinate(nodes, values) / max(len(nodes) - 1, 1), axis)
+
+
+def interpolate(table: NDArray[np.floating], coordinates: tuple[ArrayLike, ...]) -> Array:
+    """Interpolate multilinearly over the leading axes of `table`, at node coordinates of equal shape `[...]`.
+
+    Coordinates are clamped to the axis; the result has the trailing axes: `[..., wavelength]`.
+    """
+    sizes = table.shape[: len(coordinates)]
+    cells = [cell(coordinate, size) for coordinate, size in zip(coordinates, sizes, strict=True)]
+    shape = np.shape(coordinates[0])
+    total = np.zeros((*shape, *table.shape[len(coordinates) :]))
+    for corner in range(2 ** len(coordinates)):
+        index, weight = [], np.ones(shape)
+        for axis, (low, share) in enumerate(cells):
+            up = (corner >> axis) & 1
+            index.append(np.minimum(low + up, sizes[axis] - 1))
+            weight = weight * (share if up else 1.0 - share)
+        total += weight[(..., *[None] * (table.ndim - len(sizes)))] * table[tuple(index)]
+    return total

@@ -22,7 +22,7 @@ from typing import Any
 
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import read_text
-from nacre.core.parallel import available_jobs
+from nacre.core.parallel import available_jobs, in_threads, notify_progress, single_threaded_blas
 
 Task = Callable[[Any, Any], Any]  # (shared, item) -> result; a function of a module, so that workers can import it
 SINGLE_THREADED = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "NACRE_JOBS")}
@@ -61,6 +61,52 @@ class Workers:
             if self.cluster is None:
                 raise NacreError(f"--security {self.security}: belongs to --cluster; local workers open no port")
             read_security(self.security)
+
+
+_cluster: list[Workers] = []
+
+
+@contextlib.contextmanager
+def on_cluster(workers: Workers) -> Iterator[None]:
+    """Compute `in_workers` on a cluster; without one, in threads."""
+    workers.check()
+    if workers.cluster is None:
+        yield
+        return
+    _cluster.append(workers)
+    try:
+        yield
+    finally:
+        _cluster.pop()
+
+
+def in_workers(
+    work: Callable[[Any], Any], items: Sequence[Any], keep: Callable[[Any, Any], None] | None = None
+) -> list[Any]:
+    """Return `work(item)` for all items, in order: in threads, or on the cluster of `on_cluster`.
+
+    Args:
+        work: a pure function; a cluster receives it with all that it captures.
+        keep: called in this thread with an item and its result as soon as both are known, to store them.
+
+    Raises:
+        NacreError: the cluster cannot be reached.
+    """
+    if not _cluster:
+        return in_threads(work, items, keep=keep)
+    found: list[Any] = [None] * len(items)
+    for done, (number, result) in enumerate(run_jobs(_apply, work, items, _cluster[-1]), start=1):
+        found[number] = result
+        if keep is not None:
+            keep(items[number], result)
+        notify_progress(done, len(items))
+    return found
+
+
+def _apply(work: Callable[[Any], Any], item: Any) -> Any:
+    """Run in a worker, with single-threaded BLAS as `in_threads` has it."""
+    with single_threaded_blas():
+        return work(item)
 
 
 def run_jobs(
@@ -287,6 +333,3 @@ def read_security(path: str | Path) -> Any:
         tls_client_cert=str(named["cert"]),
         tls_client_key=str(named["key"]),
     )
-
-
-__all__ = ["SINGLE_THREADED", "Workers", "read_security", "run_jobs"]

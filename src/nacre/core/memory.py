@@ -88,6 +88,3 @@ def shown_bytes(amount: float) -> str:
             return f"{amount:.3g} {unit}"
         amount /= 1024.0
     return f"{amount:.3g} TiB"
-
-
-__all__ = ["check_memory", "machine_memory", "memory_limit", "shown_bytes"]

@@ -27,21 +27,34 @@ def available_jobs() -> int:
         return os.cpu_count() or 1
 
 
-def in_threads(work: Callable[[Item], Result], items: Iterable[Item], jobs: int | None = None) -> list[Result]:
+def in_threads(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    jobs: int | None = None,
+    keep: Callable[[Item, Result], None] | None = None,
+) -> list[Result]:
     """Return `work(item)` for all items, in order, computed in threads with single-threaded BLAS.
 
     Args:
         work: releases the interpreter lock for most of its time.
         jobs: threads; default: `available_jobs()`.
+        keep: called in this thread with each item and its result, in order.
     """
     every = list(items)
     with single_threaded_blas(), ThreadPoolExecutor(jobs or available_jobs()) as pool:
-        results = []
+        results: list[Result] = []
         for result in pool.map(work, every):
+            if keep is not None:
+                keep(every[len(results)], result)
             results.append(result)
-            for listener in list(_progress_listeners):
-                listener(len(results), len(every))
+            notify_progress(len(results), len(every))
     return results
+
+
+def notify_progress(done: int, total: int) -> None:
+    """Call all progress listeners."""
+    for listener in list(_progress_listeners):
+        listener(done, total)
 
 
 _progress_listeners: list[Callable[[int, int], None]] = []

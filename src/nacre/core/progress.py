@@ -125,6 +125,3 @@ def duration(seconds: float) -> str:
     if seconds < 100:
         return f"{max(seconds, 1.0):.0f} seconds"
     return f"{seconds / 60:.0f} minutes" if seconds < 6000 else f"{seconds / 3600:.1f} hours"
-
-
-__all__ = ["Clock", "ProgressCallback", "announce", "duration", "on_progress", "progress_bar", "silent"]

@@ -12,7 +12,7 @@ from nacre.core.lazy import make_callable
 _PLACES = {
     "DesignResult": "nacre.optimise.relief.run",
     "design": "nacre.optimise.relief.run",
-    "Design": "nacre.optimise.run",
+    "Design": "nacre.optimise.solutions",
     "Solution": "nacre.optimise.solutions",
     "many": "nacre.optimise.batch",
 }

@@ -264,6 +264,21 @@ def glossy_sample(wo: Any, value: Any, pdf: Any, active: Any) -> tuple[Any, Any]
     return bs, (value / dr.maximum(pdf, 1e-20)) & (active & (pdf > 0.0))
 
 
+def pick_line(number: Any) -> tuple[Any, Any]:
+    """Choose one of the ray's wavelengths by a uniform number; return its position and a new uniform number."""
+    lines = dr.size_v(mi.UnpolarizedSpectrum)
+    line = dr.minimum(dr.floor(number * lines), lines - 1.0)
+    return line, number * lines - line
+
+
+def of_line(values: Any, line: Any) -> Any:
+    """Return the value of a chosen wavelength."""
+    found = values[0]
+    for i in range(1, dr.size_v(mi.UnpolarizedSpectrum)):
+        found = dr.select(line == i, values[i], found)
+    return found
+
+
 def set_transmission(bs: Any, reflects: Any, eta: Any) -> None:
     """Complete a sample that is a glossy reflection or a glossy transmission with relative index `eta`."""
     transmission = mi.UInt32(int(mi.BSDFFlags.GlossyTransmission))

@@ -166,6 +166,3 @@ class Blend(Model, EnergyDefect, Mixed):
             (float(share), [(float(m), self.first.model), (float(1.0 - m), self.second.model)])
             for share, m in zip(shares, groups, strict=True)
         ]
-
-
-__all__ = ["Blend", "BlendSpec"]

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
-from nacre.bsdf.flakes import DiffuseFlakes, LitFlakes
+from nacre.bsdf.glints import DiffuseFlakes, LitFlakes
 from nacre.bsdf.polarisation import InterfacePolarisation
 from nacre.bsdf.substrate import Strata as Strata  # one of the capabilities
 from nacre.core.arrays import Array

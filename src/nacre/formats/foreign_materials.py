@@ -28,7 +28,6 @@ GLB_MAGIC, GLB_JSON = b"glTF", b"JSON"
 THICKNESS_TEXTURE = "iridescenceThicknessTexture"
 IRIDESCENCE = "KHR_materials_iridescence"
 GLTF_READ = (IRIDESCENCE, "KHR_materials_ior", "KHR_materials_transmission")
-GLTF_BASE = ("baseColorFactor", "metallicFactor", "roughnessFactor")
 LENGTHS_NM = {"nanometer": 1.0, "micron": 1e3, "micrometer": 1e3, "millimeter": 1e6, "centimeter": 1e7, "meter": 1e9}
 # to linear Rec. 709 (D65); ACES white by Bradford's transform
 MATRICES = {

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.core.files import atomic_path
 from nacre.light import xyz_to_srgb_linear

@@ -7,17 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.grids import direction
-from nacre.bsdf.lobes.orders import OrdersLobe
+from nacre.bsdf.bsdf import is_isotropic as is_isotropic
 from nacre.bsdf.lobes.table import TableLobe
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
 from nacre.formats.export_formats import refuse_unsuitable
 from nacre.formats.gonio_csv import GonioData
 from nacre.formats.half_angle_tables import SHAPE
-from nacre.formats.measured_lobes import ANISOTROPIC, periodic_turns
-from nacre.formats.measured_lobes import measured_table as gonio_table
-from nacre.formats.measured_lobes import rgb_basis as rgb_basis
+from nacre.formats.measured_lobes import ANISOTROPIC, periodic_turns, rgb_basis
 from nacre.formats.zemax import ZemaxBsdf
 from nacre.light import default_wavelengths, xyz_to_srgb_linear
 from nacre.readers.bsdf.rgl import RglBsdf
@@ -25,33 +22,6 @@ from nacre.readers.bsdf.zemax import scatter_direction
 
 RGL_TURNS, RGL_INCIDENCES, RGL_RADIALS, RGL_AZIMUTHS, RGL_WAVELENGTHS = 24, 18, 48, 33, 48
 MAX_COMPARED = 20_000
-
-__all__ = [
-    "delta_lost",
-    "gonio_grid",
-    "gonio_table",
-    "is_isotropic",
-    "lost_parts",
-    "merl_lobe",
-    "rgb_basis",
-    "rgl_lobe",
-    "zemax_lobe",
-]
-
-
-def is_isotropic(bsdf: Bsdf) -> bool:
-    """Whether the values are invariant under rotation about the normal, tested at a few pairs.
-
-    The lobes of orders of a grating are too narrow for this test and are never invariant.
-    """
-    if any(isinstance(lobe, OrdersLobe) for lobe in bsdf.lobes):
-        return False
-    theta_i, theta_o, dphi = (np.radians(v) for v in ([20.0, 50.0, 70.0], [35.0, 45.0, 60.0], [180.0, 150.0, 90.0]))
-    values = [
-        bsdf.evaluate(direction(theta_i, turn), direction(theta_o, dphi + turn)) for turn in np.radians([0, 31, 77, 90])
-    ]
-    scale = max(float(np.max(values)), 1e-30)
-    return bool(np.ptp(np.stack(values), axis=0).max() <= 1e-4 * scale)
 
 
 def lost_parts(bsdf: Bsdf) -> list[str]:

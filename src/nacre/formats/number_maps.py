@@ -255,6 +255,3 @@ def _distinct(one: NumberMap) -> Array:
         return values
     starts = np.concatenate([[0], np.flatnonzero(np.diff(values) > SAME_LEVEL * (one.high - one.low)) + 1])
     return np.array([part.mean() for part in np.split(values, starts[1:])])
-
-
-__all__ = ["DEFAULT_PIXEL_UM", "FORMATS", "SUFFIXES", "NumberMap", "ProcessCurve", "read_process", "write_number_maps"]

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.files import atomic_path
 from nacre.formats.export_formats import refuse_unsuitable
 from nacre.readers.bsdf.rgl import MAGIC, TYPES, Warp

@@ -19,6 +19,7 @@ from nacre.light.colour_differences import delta_e_2000 as delta_e_2000
 from nacre.light.colour_differences import delta_e_2000_components as delta_e_2000_components
 from nacre.light.colour_differences import delta_e_cmc as delta_e_cmc
 from nacre.light.colour_differences import delta_e_din99o as delta_e_din99o
+from nacre.light.colour_differences import delta_e_din6175 as delta_e_din6175
 from nacre.light.colour_differences import lab_to_din99o as lab_to_din99o
 from nacre.light.display import Clipped as Clipped
 from nacre.light.display import clip_to_srgb as clip_to_srgb
@@ -41,7 +42,10 @@ from nacre.light.spaces import xyz_to_srgb_linear as xyz_to_srgb_linear
 from nacre.light.spaces import xyz_to_xyy as xyz_to_xyy
 from nacre.light.tables import ILLUMINANTS as ILLUMINANTS
 from nacre.light.tables import OBSERVERS as OBSERVERS
+from nacre.light.tables import WAVELENGTH_RANGE_NM as WAVELENGTH_RANGE_NM
 from nacre.light.tables import Illuminant as Illuminant
+from nacre.light.tables import colour_step_nm as colour_step_nm
+from nacre.light.tables import default_wavelengths as default_wavelengths
 from nacre.light.tables import illuminant as illuminant
 from nacre.light.tables import observer as observer
 from nacre.light.tables import table_wavelengths_nm as table_wavelengths_nm
@@ -52,6 +56,3 @@ from nacre.light.tristimulus import spectrum_to_xyz as spectrum_to_xyz
 from nacre.light.tristimulus import white_xyz as white_xyz
 from nacre.light.tristimulus import with_lamp_lines as with_lamp_lines
 from nacre.light.tristimulus import xyz_weights as xyz_weights
-from nacre.light.wavelengths import WAVELENGTH_RANGE_NM as WAVELENGTH_RANGE_NM
-from nacre.light.wavelengths import colour_step_nm as colour_step_nm
-from nacre.light.wavelengths import default_wavelengths as default_wavelengths

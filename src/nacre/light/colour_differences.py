@@ -1,4 +1,4 @@
-"""Colour-difference formulas of CIELAB colours: CIE76, CIE94, CMC(l:c), CIEDE2000 and DIN99o."""
+"""Colour-difference formulas of CIELAB colours: CIE76, CIE94, CMC(l:c), CIEDE2000, DIN99o and DIN 6175-2."""
 
 from __future__ import annotations
 
@@ -11,6 +11,13 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.light.spaces import lab_to_lch
 
+DIN_6175 = "din6175-2"
+LEAST_ASPECULAR_DEG = 10.0  # of DIN 6175-2, whose weights grow as 1 / angle
+UNVERIFIED = "its coefficients are not verified against a public text"
+REFUSED = {
+    "audi2000": f'{UNVERIFIED}; "{DIN_6175}" also weights by angle, lightness and chroma',
+    "din6175-1": f'it is for uniform colours, and {UNVERIFIED}; "ciede2000" or "cmc(2:1)" suit those',
+}
 CHROMA_LIMIT_7 = 25.0**7  # of CIEDE2000's correction for near-neutral colours
 
 
@@ -116,6 +123,42 @@ def lab_to_din99o(lab: ArrayLike) -> Array:
     return np.stack([303.67 * np.log1p(0.0039 * light), chroma * np.cos(hue), chroma * np.sin(hue)], axis=-1)
 
 
+def delta_e_din6175(lab: ArrayLike, other: ArrayLike, aspecular_deg: ArrayLike) -> Array:
+    """Return the effective difference of DIN 6175-2 (2001), `[...]`, for effect paints at aspecular angles.
+
+    With the geometric means L and C of lightness and chroma and the aspecular angle g in degrees, the weights are
+    S_L = 0.15 sqrt(L) + 31.5 / g, S_C = max(0.7, 0.48 sqrt(C) - 0.35 sqrt(L) + 42 / g),
+    S_H = max(0.7, 0.14 sqrt(C) - 0.20 sqrt(L) + 21 / g + 0.7), S_a = S_b = 0.7. Greys are compared by L, a, b and
+    chromatic colours by L, C, H; between them a sigmoid in C mixes both. All customer factors are 1.
+
+    Args:
+        lab, other: standard and sample `[..., 3]`; the formula is symmetric.
+        aspecular_deg: `[...]`; its sign has no effect.
+
+    Raises:
+        NacreError: an angle is below 10 degrees.
+    """
+    angle = np.abs(np.asarray(aspecular_deg, dtype=float))
+    if np.any(angle < LEAST_ASPECULAR_DEG):
+        raise NacreError(
+            f'formula = "{DIN_6175}" holds from {LEAST_ASPECULAR_DEG:g} degrees off the mirror direction; got '
+            f"{float(angle.min()):g}"
+        )
+    base, sample = np.broadcast_arrays(np.asarray(lab, dtype=float), np.asarray(other, dtype=float))
+    lightness, chroma, hue2, standard = _lightness_chroma_hue(base, sample)
+    mean_l = np.sqrt(np.maximum(base[..., 0] * sample[..., 0], 0.0))
+    mean_c = np.sqrt(standard[..., 1] * (standard[..., 1] + chroma))
+    root_l, root_c = np.sqrt(mean_l), np.sqrt(mean_c)
+    light2 = (lightness / (0.15 * root_l + 31.5 / angle)) ** 2
+    s_chroma = np.maximum(0.7, 0.48 * root_c - 0.35 * root_l + 42.0 / angle)
+    s_hue = np.maximum(0.7, 0.14 * root_c - 0.20 * root_l + 21.0 / angle + 0.7)
+    grey = np.sqrt(light2 + np.sum((sample - base)[..., 1:] ** 2, axis=-1) / 0.7**2)
+    chromatic = np.sqrt(light2 + (chroma / s_chroma) ** 2 + hue2 / s_hue**2)
+    middle = 10.0 + 8.0 / (1.0 + np.exp(27.0 - mean_l))
+    share = 1.0 / (1.0 + np.exp(np.clip(mean_c - middle, -50.0, 50.0)))
+    return np.asarray(share * grey + (1.0 - share) * chromatic)
+
+
 # name of a tolerance formula -> difference of samples from a standard
 FORMULAS: dict[str, Callable[[ArrayLike, ArrayLike], Array]] = {
     "cie76": delta_e_76,
@@ -128,16 +171,37 @@ FORMULAS: dict[str, Callable[[ArrayLike, ArrayLike], Array]] = {
 }
 
 
-def colour_difference(lab: ArrayLike, other: ArrayLike, formula: str = "ciede2000") -> Array:
-    """Return the difference `[...]` of colours from a standard `lab` by a named formula of `FORMULAS`.
+def colour_difference(
+    lab: ArrayLike, other: ArrayLike, formula: str = "ciede2000", aspecular_deg: ArrayLike | None = None
+) -> Array:
+    """Return the difference `[...]` of colours from a standard `lab` by a formula of `FORMULAS`, or "din6175-2".
+
+    Args:
+        aspecular_deg: `[...]`, for "din6175-2" only.
 
     Raises:
-        NacreError: the formula is unknown.
+        NacreError: the formula is unknown, or lacks its angles.
     """
-    if formula not in FORMULAS:
-        hint = did_you_mean(formula, FORMULAS)
-        raise NacreError(f'formula = "{formula}" is unknown.{hint} Allowed: {", ".join(FORMULAS)}')
+    check_formula(formula)
+    if formula == DIN_6175:
+        if aspecular_deg is None:
+            raise NacreError(f'formula = "{formula}" needs aspecular angles')
+        return delta_e_din6175(lab, other, aspecular_deg)
     return np.asarray(FORMULAS[formula](lab, other))
+
+
+def check_formula(formula: str) -> None:
+    """Refuse an unknown formula.
+
+    Raises:
+        NacreError: naming the allowed ones.
+    """
+    known = (*FORMULAS, DIN_6175)
+    name = formula.lower().replace(" ", "")
+    if name in REFUSED:
+        raise NacreError(f'formula = "{formula}" is not available: {REFUSED[name]}')
+    if formula not in known:
+        raise NacreError(f'formula = "{formula}" is unknown.{did_you_mean(formula, known)} Allowed: {", ".join(known)}')
 
 
 def _lightness_chroma_hue(lab: ArrayLike, other: ArrayLike) -> tuple[Array, Array, Array, Array]:

@@ -51,10 +51,8 @@ from nacre.measure.spectrum import bsdf_spectrum
 from nacre.recipe.fingerprint import file_digest, fingerprint
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
 from nacre.recipe.named_numbers import named_numbers, refuse_new_number
-from nacre.recipe.nested_recipes import open_all, open_parts
-from nacre.recipe.normalise import plain_data
 from nacre.recipe.paths import NUMBERS, find_by_path, numbers_of, set_by_path, varying_numbers
-from nacre.recipe.toml import dump_toml, parse_toml
+from nacre.recipe.toml import dump_toml, open_all, open_parts, parse_toml, plain_data
 
 logger = logging.getLogger("nacre")
 
@@ -165,9 +163,10 @@ class Material:
             traits = self.model.traits
             check_memory(float(traits.bytes_per_wavelength) * grid.size, f"a {traits.noun} at {grid.size} wavelengths")
         if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
-            return self.model.bsdf(grid)  # solved already, or part of another material, which is cached as a whole
-        key = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
-        found = cached(key, lambda: self.model.bsdf(grid), _load_entry, _save_entry if keep else _discard)
+            found = self.model.bsdf(grid)  # solved already, or part of another material, which is cached as a whole
+        else:
+            key = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
+            found = cached(key, lambda: self.model.bsdf(grid), _load_entry, _save_entry if keep else _discard)
         for warning in found.provenance.get("warnings", ()):
             _warn_once(self.context.source, warning)
         return found

@@ -19,8 +19,8 @@ from pydantic_core import SchemaValidator, core_schema
 from nacre.core.errors import NacreError, RecipeError
 from nacre.recipe.model import RecipeContext, RecipeModel, Snapshot, length_factor, scale_length, spellings
 from nacre.recipe.named_numbers import refuse_new_number
-from nacre.recipe.normalise import plain_data
 from nacre.recipe.paths import NUMBERS, find_by_path, path_keys, set_by_path
+from nacre.recipe.toml import plain_data
 
 Keys = tuple[Any, ...]  # of a place in nested tables and lists
 Reader = Callable[[Mapping[str, Any], RecipeContext], tuple[RecipeModel | None, RecipeContext]]
@@ -263,6 +263,3 @@ def _set_copied(data: dict[str, Any], path: str, value: Any, source: str) -> Non
         for way in spellings(last):
             holder.pop(way, None)
     holder[last] = value
-
-
-__all__ = ["Parametrisation"]

@@ -15,18 +15,18 @@ import numpy as np
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
-from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.masked import MaskedLobe, hat
 from nacre.bsdf.tabulate import comparison_xyz
 from nacre.bsdf.texture import Texture
-from nacre.bsdf.texture_spec import TextureSpec
-from nacre.core.arrays import Array
+from nacre.bsdf.texture_spec import TextureSpec, read_grey
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import Figure, Model, Traits
+from nacre.formats.number_maps import NumberMap
 from nacre.light import delta_e_2000, spans_colour, xyz_to_lab
 from nacre.measure.evaluate import evaluate_with_error
-from nacre.measure.instruments import aspecular_direction
-from nacre.recipe.model import RecipeContext, validate
+from nacre.measure.geometry import aspecular_direction
+from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, validate
 
 MAX_NUMBERS = 2
 MAX_NODES = 9  # each adds a set of lobes to every kernel
@@ -230,3 +230,34 @@ def choose_nodes(colours: Callable[[float], Array], low: float, high: float, pat
             )
         at = errors.index(worst)
         nodes.insert(at + 1, 0.5 * (nodes[at] + nodes[at + 1]))
+
+
+def number_maps(material: Any) -> list[NumberMap]:
+    """Return a map for every number of a recipe that an image gives; formulas are omitted.
+
+    Args:
+        material: anything with `data` and `context`.
+
+    Raises:
+        RecipeError: an image cannot be read.
+    """
+    found = []
+    for path, table in _images(material.data):
+        grey = read_grey(material.context.path(table["texture"]), f"{material.context.source}: {path}.texture")
+        factor = LENGTH_UNITS_NM.get(path.rpartition("_")[2], 0.0)
+        low, high = (float(table[end]) * (factor or 1.0) for end in ("min", "max"))
+        found.append(NumberMap(path, low + (high - low) * grey, low, high, "nm" if factor else ""))
+    return found
+
+
+def _images(data: Any, path: str = "") -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield the path and the table of every image with a range."""
+    if isinstance(data, list | tuple):
+        for i, value in enumerate(data):
+            yield from _images(value, f"{path}[{i}]")
+    elif isinstance(data, Mapping):
+        if isinstance(data.get("texture"), str) and {"min", "max"} <= set(data):
+            yield path, data
+            return
+        for key, value in data.items():
+            yield from _images(value, f"{path}.{key}" if path else str(key))

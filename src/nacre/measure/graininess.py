@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nacre.bsdf.flakes import DiffuseFlakes, mean_square
+from nacre.bsdf.glints import DiffuseFlakes, mean_square
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
 
@@ -147,18 +147,22 @@ def veiled(area: DiffuseArea) -> float:
     return max(area.mean - two_point_moments(area, np.zeros(1))[0], 0.0)
 
 
-def graininess_statistics(areas: Sequence[tuple[float, DiffuseArea]], distance_mm: float) -> Graininess:
+def graininess_statistics(
+    areas: Sequence[tuple[float, DiffuseArea]], distance_mm: float, is_fine: bool = True
+) -> Graininess:
     """Return graininess from the statistics of the flakes; its error is that of the integration.
 
     Args:
         areas: each with the factor on its luminance, whose squares weight the variances.
         distance_mm: viewing distance.
+        is_fine: False for half the steps and an error of 0.
     """
     mean = sum(factor * area.mean for factor, area in areas)
-    fine, coarse = (
+    found = [
         sum(factor**2 * filtered_variance(area, distance_mm, steps) for factor, area in areas)
-        for steps in (STEPS, STEPS // 2)
-    )
+        for steps in ((STEPS, STEPS // 2) if is_fine else (STEPS // 2,))
+    ]
+    fine, coarse = found[0], found[-1]
     value = 100.0 * math.sqrt(max(fine, 0.0)) / mean if mean > 0 else 0.0
     other = 100.0 * math.sqrt(max(coarse, 0.0)) / mean if mean > 0 else 0.0
     return Graininess(value, abs(value - other))

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.flakes import LitFlakes
+from nacre.bsdf.glints import LitFlakes
 from nacre.core.arrays import Array
 from nacre.core.jit import compiled
 
@@ -271,20 +271,21 @@ def _numbers(chance: float, excess: float) -> tuple[float, float, float]:
     return intensity, 100.0 * chance, intensity * math.sqrt(chance)
 
 
-def sparkle_statistics(areas: Sequence[Area], pixels: Pixels) -> Sparkle:
+def sparkle_statistics(areas: Sequence[Area], pixels: Pixels, is_fine: bool = True) -> Sparkle:
     """Return sparkle from the statistics of the flakes; its standard errors are those of the quadrature.
 
     Args:
         areas: parts of the surface, whose shares sum to 1.
         pixels: the camera.
+        is_fine: False for half the nodes, a quarter of the time, and errors of 0.
     """
     mean = sum(area.share * area.mean for area in areas)
     found = []
-    for effort in (1.0, 0.5):
+    for effort in (1.0, 0.5) if is_fine else (0.5,):
         tails = np.array([_tail(area, mean, pixels, effort) for area in areas])
         chance, excess = np.array([area.share for area in areas]) @ tails
         found.append(_numbers(float(chance), float(excess)))
-    fine, coarse = found
+    fine, coarse = found[0], found[-1]
     return Sparkle(*fine, *(abs(a - b) for a, b in zip(fine, coarse, strict=True)))
 
 

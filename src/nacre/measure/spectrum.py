@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from nacre.bsdf.bsdf import Bsdf, Spectrum
-from nacre.bsdf.grids import direction
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.microfacet import Microfacet
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.measure.evaluate import hemispherical
 
 UPWARD = np.array([0.0, 0.0, 1.0])

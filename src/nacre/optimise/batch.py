@@ -145,6 +145,9 @@ def _read(target: str | Path | Mapping[str, Any]) -> DesignTask:
     task = read_task(target)
     if task.targets[0].image is not None:
         raise NacreError(f"{task.context.source}: target[0].image: a picture is not a single colour; use nacre.design")
+    texture = next((target for target in task.targets if target.texture is not None), None)
+    if texture is not None:
+        raise NacreError(f"{texture.key}.quantity: a list of colours has no texture; remove it or use nacre.design")
     return task
 
 

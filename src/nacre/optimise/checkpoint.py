@@ -84,6 +84,3 @@ class Checkpointer:
 def unreadable(folder: Path) -> NacreError:
     """Return the error of a damaged checkpoint."""
     return NacreError(f"{folder / STATE}: cannot be read to resume; delete it to start afresh")
-
-
-__all__ = ["STATE", "Checkpointer", "unreadable"]

@@ -18,10 +18,11 @@ from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import named, plain, why_unreadable
 from nacre.light import lch_to_lab
 from nacre.optimise.targets import plausible
-from nacre.readers.colours.lab import named_lab
+from nacre.readers.colours.lab import check_scale, named_lab
 from nacre.readers.columns import knows
 from nacre.readers.headings import Meaning, meanings
 from nacre.readers.measurement import Measurement
+from nacre.readers.preamble import light_above
 from nacre.readers.registry import POSSIBLE, open_file, recognise
 from nacre.readers.table import srgb_of_hex
 from nacre.readers.text_table import TextTable, decode, find_delimiter, parse_tables, split
@@ -31,10 +32,10 @@ from nacre.recipe.model import show_value
 
 logger = logging.getLogger("nacre")
 MOST_UNIT_Y = 1.1  # up to which XYZ are relative to 1 for white, not 100
-LEAST_OF_8_BITS = 90.0  # a* and b* of all colours above it are values of 8 bits, of which 128 is neutral
 MAX_ROWS, MAX_BYTES = 100_000, 64 << 20
 DEFAULT_LIGHT = ("D65", "2deg")
-FORMS = ({"L", "a", "b"}, {"L", "C", "hue"}, {"X", "Y", "Z"}, {"hex"})
+MEASURED = ({"L", "a", "b"}, {"L", "C", "hue"}, {"X", "Y", "Z"})
+FORMS = (*MEASURED, {"hex"})
 COORDINATES = ("L", "a", "b", "C", "hue", "X", "Y", "Z", "hex", "hunter_L", "hunter_a", "hunter_b")
 
 
@@ -105,6 +106,8 @@ def _recognised_rows(path: Path, targets: int, light: tuple[str, str]) -> list[C
     if path.stat().st_size == 0:
         return []
     found = recognise(path)
+    if found and found[0][1].id == "other":
+        open_file(path)  # refuses it by name
     if not found or found[0][0] <= POSSIBLE or found[0][1].kind not in ("colours", "spectrum"):
         return []
     names, lab, said = named_lab(path, open_file(path), *light)
@@ -147,27 +150,17 @@ def _file_rows(path: Path, targets: int, light: tuple[str, str] | None, geometri
     if not lines:
         raise NacreError(f"{path}: contains no colours; write one per line: L, a, b, or name, L, a, b")
     rows = [_row(cells, targets, f"{path}: line {number}") for number, cells in lines]
-    _check_scale(np.concatenate([row.lab for row in rows]), path)
-    return rows
-
-
-def _check_scale(lab: Array, path: Path) -> None:
-    """Check that the numbers are CIELAB in the usual scale.
-
-    Raises:
-        RecipeError: all colours lie in the range that CIELAB has when scaled to 0..1 or to 8 bits.
-    """
-    if not len(lab):
-        return
-    if 0.0 < lab[:, 0].max() <= 1.0 and np.abs(lab[:, 1:]).max() <= 1.0:
-        raise RecipeError(
-            f"{path}: all numbers are at most 1, almost black; give L* from 0 to 100, a* and b* in the same scale"
-        )
-    if lab[:, 1:].min() >= LEAST_OF_8_BITS:
-        raise RecipeError(
-            f"{path}: a* and b* are at least {LEAST_OF_8_BITS:g} in all rows, as in 8-bit CIELAB; multiply the first "
-            "number by 100/255 and subtract 128 from the other two"
-        )
+    lab = np.concatenate([row.lab for row in rows])
+    check_scale(lab, path)
+    above = light_above([line for line in text.splitlines() if line.lstrip().startswith("#")])
+    if light is None or not above:
+        return rows
+    metadata = {"illuminant": light[0], "observer": light[1]} | above
+    columns = {name: lab[:, place] for place, name in enumerate("Lab")}
+    _, lab, said = named_lab(path, [Measurement(path, "table", "colours", columns, "", metadata)], *light)
+    if said:
+        logger.warning("%s: %s", path, "; ".join(said))
+    return [ColourRow(row.name, part) for row, part in zip(rows, np.split(lab, len(rows)), strict=True)]
 
 
 def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, light: tuple[str, str]) -> list[ColourRow]:
@@ -176,6 +169,8 @@ def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, ligh
     places = [i for i, cell in enumerate(heading) if any(each.quantity == "hex" for each in meanings(cell))]
     if len(places) != 1 or any(len(cells) <= places[0] for _, cells in lines):
         return []
+    if any({each.quantity for cell in heading for each in meanings(cell)} >= form for form in MEASURED):
+        return []  # measured colours precede their picture on a display
     cells = [row[places[0]].lstrip("#") for _, row in lines[1:]]
     if not cells or not all(_HEX.fullmatch(cell) for cell in cells):
         return []
@@ -217,7 +212,7 @@ def _rows_of_table(
         if said:
             logger.warning("%s: %s", table.path, "; ".join(said))
         if "L" in group.places:
-            _check_scale(lab, table.path)
+            check_scale(lab, table.path)
         for line, colour in zip(table.lines, lab, strict=True):
             plausible(colour, f"{table.path}: line {line}", colour.round(6).tolist())
         labs.append(lab)
@@ -299,16 +294,18 @@ def _light_of(measurement: Measurement) -> tuple[str, str]:
 
 
 def _measurement(table: TextTable, group: _Group, names: list[str], light: tuple[str, str] | None) -> Measurement:
-    """Return the colours of one group; lamp and observer are the target's unless a heading states others."""
-    light = light or DEFAULT_LIGHT
-    observer = f"{group.meaning.observer}deg" if group.meaning.observer else light[1]
-    metadata = {"illuminant": group.meaning.illuminant or light[0], "observer": observer, "names": names}
+    """Return the colours of one group; lamp and observer are the target's unless the table states others."""
+    above = light_above(table.titles)
+    lamp, view = light or DEFAULT_LIGHT
+    observer = f"{group.meaning.observer}deg" if group.meaning.observer else above.get("observer", view)
+    lamp = group.meaning.illuminant or above.get("illuminant", lamp)
+    metadata = {"illuminant": lamp, "observer": observer, "names": names}
     data: dict[str, Array] = {}
-    if "hex" in group.places:
+    if set(group.places) == {"hex"}:
         cells = table.column_text(group.places["hex"])
         data["srgb"] = np.array([srgb_of_hex(table.path, cell) for cell in cells])
         return Measurement(table.path, "table", "colours", data, "", metadata)
-    columns = {quantity: _column(table, place) for quantity, place in group.places.items()}
+    columns = {quantity: _column(table, place) for quantity, place in group.places.items() if quantity != "hex"}
     if "C" in columns and "a" not in columns:
         hue = columns["hue"] * (1.0 if group.hue_unit in ("", "deg") else UNITS[group.hue_unit][1])
         lab = np.asarray(lch_to_lab(np.stack([columns["L"], columns["C"], hue], axis=-1)))

@@ -66,6 +66,3 @@ def run(
     from nacre.optimise.relief.run import run as run_relief
 
     return run_relief(target, Path(target).stem if out is None else out, resume, progress, jobs)
-
-
-__all__ = ["run"]

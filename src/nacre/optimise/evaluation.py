@@ -23,7 +23,9 @@ from nacre.light import (
 )
 from nacre.material.material import Material
 from nacre.measure.geometry import Geometry
+from nacre.measure.texture import TextureQuantity
 from nacre.optimise.measurement import Measurement, evaluation_wavelengths, search_wavelengths, simulate_measurement
+from nacre.optimise.merit import texture_deviation
 from nacre.optimise.spec import LightSpec
 from nacre.optimise.targets import Target
 
@@ -41,11 +43,12 @@ class TargetResult:
 
     Attributes:
         target: the target.
-        lamp: name; None for a spectrum.
-        lab: `[3]`, colour reached; None for a spectrum.
-        target_lab: `[3]`, target colour, or the nearest one of a range; None for a spectrum.
-        distance: dE00, or a spectrum rms in per cent.
+        lamp: name; None for a spectrum and for texture.
+        lab: `[3]`, colour reached; None for a spectrum and for texture.
+        target_lab: `[3]`, target colour, or the nearest one of a range; None for a spectrum and for texture.
+        distance: dE00, a spectrum rms in per cent, or the deviation of texture in per cent.
         noise: Monte Carlo standard error of the distance.
+        number: number of texture that is reached.
     """
 
     target: Target
@@ -54,6 +57,7 @@ class TargetResult:
     target_lab: Array | None
     distance: float
     noise: float = 0.0
+    number: float | None = None
 
     @property
     def scaled(self) -> float:
@@ -65,10 +69,19 @@ class TargetResult:
         """Whether the distance is within the tolerance."""
         return self.distance <= self.target.tolerance
 
+    @property
+    def distance_text(self) -> str:
+        """Distance with its unit."""
+        if self.number is not None:
+            return f"{self.distance:.2g} % off, {self.number:.4g}"
+        return f"{self.distance:.2g} % rms" if self.lamp is None else f"dE00 {self.distance:.2f}"
+
     def document(self, observer: str) -> dict[str, Any]:
         """Return the result as JSON data."""
         found: dict[str, Any] = {"geometry": str(self.target.geometry), "lamp": self.lamp, "asked": self.target.asked}
-        if self.lab is None or self.lamp is None:
+        if self.number is not None:
+            found |= {"reached": {str(self.target.geometry): self.number}, "de00": None, "off_percent": self.distance}
+        elif self.lab is None or self.lamp is None:
             found |= {"reached": None, "de00": None, "rms_percent": self.distance}
         else:
             white = white_xyz(self.lamp, observer)
@@ -112,6 +125,8 @@ def evaluate(
             measured = simulate_measurement(material, geometries, fine, seed=seed)
         return results_of(measured, targets, light), measured
     estimates = [measured.factors]
+    texture = [row for row, geometry in enumerate(geometries) if isinstance(geometry, TextureQuantity)]
+    spectral = [row for row in range(len(geometries)) if row not in texture]
     while True:
         mean = replace(measured, factors=np.mean(estimates, axis=0))
         results = results_of(mean, targets, light)
@@ -122,8 +137,10 @@ def evaluate(
             if is_quiet or len(estimates) >= MAX_ESTIMATES or time.monotonic() - begun > seconds:
                 return results, mean
         for _ in range(max(1, len(estimates) // 2)):
-            more = simulate_measurement(material, geometries, grid, seed=seed + len(estimates))
-            estimates.append(more.factors)
+            factors = measured.factors.copy()
+            rows = [geometries[row] for row in spectral]
+            factors[spectral] = simulate_measurement(material, rows, grid, seed=seed + len(estimates)).factors
+            estimates.append(factors)
 
 
 def geometries_of(targets: Sequence[Target]) -> list[Geometry]:
@@ -154,6 +171,11 @@ def results_of(measured: Measurement, targets: Sequence[Target], light: LightSpe
         factors = measured.factors[geometries.index(target.geometry)]
         if target.spectrum is not None:
             found.append(TargetResult(target, None, None, None, _rms(grid, factors, target.spectrum)))
+            continue
+        if target.texture is not None:
+            number = float(factors.mean())
+            off = float(abs(texture_deviation(*target.texture, number)))
+            found.append(TargetResult(target, None, None, None, off, number=number))
             continue
         for lamp in light.illuminants[:1] if target.xyz is not None else light.illuminants:
             white = white_xyz(lamp, light.observer)
@@ -220,15 +242,3 @@ def objective(results: Sequence[TargetResult]) -> float:
 def rank(objective: float, tables: int) -> tuple[float, int, float]:
     """Return the solution sort key: of good ones those with fewer tables come first."""
     return (0.0, tables, objective) if objective <= EQUAL_OBJECTIVE else (1.0, 0, objective)
-
-
-__all__ = [
-    "TargetResult",
-    "evaluate",
-    "geometries_of",
-    "lab_hex",
-    "nearest_in_ranges",
-    "objective",
-    "rank",
-    "results_of",
-]

@@ -210,12 +210,12 @@ def applicable_geometry(materials: Sequence[Material], geometry: str | None, whe
 def target_gamut(task: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
     """Return the gamut at the first target colour, and the target colours there `[target, 3]` (CIELAB), for a report.
 
-    None if all targets are spectra, or if no point can be computed.
+    None if all targets are spectra or texture, or if no point can be computed.
 
     Args:
         seconds: time limit, unless the material is a thin film.
     """
-    colours = [target for target in task.targets if target.spectrum is None]
+    colours = [target for target in task.targets if target.spectrum is None and target.texture is None]
     if not colours:
         return None
     at, light = colours[0].geometry, (task.spec.light.illuminants[0], task.spec.light.observer)

@@ -17,11 +17,12 @@ from nacre.families.contract import is_direct
 from nacre.light import lamp_lines_nm, white_xyz
 from nacre.material.material import Material
 from nacre.measure.geometry import Geometry
+from nacre.measure.texture import TextureQuantity
 from nacre.optimise.evaluation import TargetResult, geometries_of
 from nacre.optimise.gamut import MIN_POINTS, gamut_chart, gamut_svg, target_gamut
 from nacre.optimise.measurement import evaluation_wavelengths, search_wavelengths, simulate_measurement
+from nacre.optimise.parameters import is_chosen
 from nacre.optimise.solutions import Solution
-from nacre.optimise.sparsify import is_chosen
 from nacre.optimise.task import DesignTask
 from nacre.optimise.yield_analysis import RMS_OF_1_PERCENT
 from nacre.plot.html import DPI, data_uri
@@ -129,7 +130,8 @@ def sheet_of(task: DesignTask, solution: Solution, number: int, design: Any) -> 
 
     light, material = task.spec.light, solution.material
     grid = _shown_wavelengths(material, light.illuminants)
-    rows = geometries_of(task.targets)
+    rows = [at for at in geometries_of(task.targets) if not isinstance(at, TextureQuantity)]
+    rows = rows or [Geometry.read(material.model.traits.default_geometry, "geometry")]
     angles, ribbon_rows, label = _ribbon(rows[0], material)
     seed = task.spec.search.seed
     measured = simulate_measurement(material, [*rows, *ribbon_rows], grid, seed=seed, memory={})
@@ -212,6 +214,8 @@ def _bars(solution: Solution, task: DesignTask) -> tuple[list[tuple[str, float]]
 
 
 def _distance(reached: TargetResult) -> str:
+    if reached.number is not None:
+        return f"{reached.distance_text} (within {reached.target.tolerance:g} %)"
     if reached.lamp is None:
         return f"rms {reached.distance:.2f} %"
     noise = f" \u00b1 {reached.noise:.2f}" if reached.noise else ""

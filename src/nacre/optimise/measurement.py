@@ -11,13 +11,14 @@ import numpy as np
 from nacre.bsdf.bsdf import Bsdf, Spectrum
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError, UnsupportedError
-from nacre.families.contract import search_model, values_at
+from nacre.families.contract import search_model, surrogate_radiance, values_at
 from nacre.light import default_wavelengths, lamp_lines_nm, spans_colour, with_lamp_lines
 from nacre.material.material import Material
+from nacre.measure.colours import WALK_NM
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.geometry import Geometry, aspecular_pairs, spectrum_at
 from nacre.measure.spectrum import bsdf_spectrum
-from nacre.measure.wavelengths import WALK_NM
+from nacre.measure.texture import TextureQuantity, check_texture, texture_values
 
 EVALUATION_STEP_NM = 1.0
 
@@ -51,7 +52,8 @@ def simulate_measurement(
 ) -> Measurement:
     """Simulate a measurement of a material.
 
-    Specular and transmitted factors agree with `nacre spectrum`, aspecular ones with `nacre report`.
+    Specular and transmitted factors agree with `nacre spectrum`, aspecular ones with `nacre report`. The row of a
+    `TextureQuantity` holds its number at every wavelength.
 
     Args:
         wavelengths_nm: ascending; default: the material defaults.
@@ -66,7 +68,9 @@ def simulate_measurement(
     if memory is not None:
         material = replace(material, model=search_model(material.model, memory, is_rough))
     model = material.model
-    asked = [geometry for geometry in geometries if geometry.kind != "aspecular"]
+    texture = [row for row, geometry in enumerate(geometries) if isinstance(geometry, TextureQuantity)]
+    spectral = [geometry for geometry in geometries if not isinstance(geometry, TextureQuantity)]
+    asked = [geometry for geometry in spectral if geometry.kind != "aspecular"]
     rows = [row for row, geometry in enumerate(geometries) if geometry.kind == "aspecular"]
     wi, wo = aspecular_pairs([geometries[row] for row in rows])
     few = None
@@ -82,7 +86,7 @@ def simulate_measurement(
     error: Array | None = None
     missing = []
     for row, geometry in enumerate(geometries):
-        if geometry.kind == "aspecular":
+        if geometry.kind == "aspecular" or row in texture:
             continue
         value = spectrum_at(spectra[geometry.polarisation], geometry)
         if value is None:
@@ -100,7 +104,39 @@ def simulate_measurement(
         if deviation is not None:
             error = np.zeros_like(factors)
             error[rows] = np.pi * deviation
+    if texture:
+        quantities = [geometry for geometry in geometries if isinstance(geometry, TextureQuantity)]
+        numbers, deviations = texture_values(material, quantities, seed, "final" if memory is None else "search")
+        factors[texture] = numbers[:, None]
+        if error is not None:
+            error[texture] = deviations[:, None]
     return Measurement(grid, factors, error, frozenset(missing))
+
+
+def surrogate_factors(
+    material: Material, geometries: Sequence[Geometry], wavelengths_nm: Array, is_fine: bool = True
+) -> tuple[Array, Array] | None:
+    """Return exact and approximate factors `[geometry, wavelength]` of a random walk's noise-free surrogate.
+
+    Numbers of texture belong to the exact part.
+
+    Returns:
+        None without a surrogate, or if a geometry is neither aspecular nor a `TextureQuantity`.
+    """
+    texture = [row for row, geometry in enumerate(geometries) if isinstance(geometry, TextureQuantity)]
+    rows = [row for row, geometry in enumerate(geometries) if geometry.kind == "aspecular"]
+    if len(texture) + len(rows) < len(geometries):
+        return None
+    wi, wo = aspecular_pairs([geometries[row] for row in rows])
+    found = surrogate_radiance(material.model, wi, wo, wavelengths_nm, is_fine)
+    if found is None:
+        return None
+    exact, rest = np.zeros((2, len(geometries), len(wavelengths_nm)))
+    exact[rows], rest[rows] = np.pi * found[0], np.pi * found[1]
+    if texture:
+        asked = [geometry for geometry in geometries if isinstance(geometry, TextureQuantity)]
+        exact[texture] = texture_values(material, asked, 0, "search" if is_fine else "scout")[0][:, None]
+    return exact, rest
 
 
 def _spectra(
@@ -179,7 +215,12 @@ def check_answers(materials: Sequence[Material], geometries: Sequence[Geometry],
         RecipeError: naming the target.
         NacreError: the first material cannot be computed.
     """
-    open_: set[Geometry] = set(geometries)
+    texture = [place for at, place in zip(geometries, where, strict=True) if isinstance(at, TextureQuantity)]
+    if texture:
+        check_texture(materials[0], texture[0])
+    open_: set[Geometry] = {at for at in geometries if not isinstance(at, TextureQuantity)}
+    if not open_:
+        return
     for number, material in enumerate(materials):
         try:
             open_ &= missing_geometries(material, geometries)
@@ -199,6 +240,7 @@ def missing_geometries(material: Material, geometries: Sequence[Geometry]) -> fr
     Raises:
         NacreError: the material cannot be computed.
     """
+    geometries = [geometry for geometry in geometries if not isinstance(geometry, TextureQuantity)]
     probe = _probe(material)
     if material.model.traits.is_quick:
         return simulate_measurement(material, geometries, probe).missing
@@ -223,12 +265,3 @@ def missing_geometries(material: Material, geometries: Sequence[Geometry]) -> fr
 def _probe(material: Material) -> Any:
     grid = np.asarray(material.model.wavelengths_nm)
     return grid[:: max(1, len(grid) // 3)]
-
-
-__all__ = [
-    "Measurement",
-    "check_answers",
-    "evaluation_wavelengths",
-    "search_wavelengths",
-    "simulate_measurement",
-]

@@ -18,9 +18,10 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.light import delta_e_2000, delta_e_2000_components, lab_to_lch, lch_to_lab, smooth_weights, xyz_to_lab
 
-Kind = Literal["colour", "hue", "chroma", "lightness", "spectrum"]
+Kind = Literal["colour", "hue", "chroma", "lightness", "spectrum", "texture"]
 
-KINDS: tuple[Kind, ...] = ("colour", "hue", "chroma", "lightness", "spectrum")
+KINDS: tuple[Kind, ...] = ("colour", "hue", "chroma", "lightness", "spectrum")  # those of a stack's compiled merit
+SINGLE: tuple[Kind, ...] = ("spectrum", "texture")  # without a lamp
 MEAN_SHARE = 1e-3  # of the mean in the objective: it decides between equal worst distances
 GRID_POINTS, GRID_ROUNDS = 17, 5  # of the search for the nearest range colour
 
@@ -43,10 +44,10 @@ class Operand:
         kind: property.
         lab: colour target, CIELAB under every lamp, each against its own white (kind "colour").
         xyz: colour target under the first lamp, Y = 1 for white, rather than `lab`.
-        low, high: ends of a range; None if open. A hue needs both, in degrees, and runs upward from the first to the
-            second, possibly through 0; 360 degrees or more allow every hue.
+        low, high: ends of a range, or of a number of texture; None if open. A hue needs both, in degrees, and runs
+            upward from the first to the second, possibly through 0; 360 degrees or more allow every hue.
         reflectance: target spectrum on the wavelengths of the merit function (kind "spectrum"); NaN if unspecified.
-        tolerance: allowed distance: dE00, or the rms in per cent for a spectrum.
+        tolerance: allowed distance: dE00, the rms in per cent for a spectrum, per cent of the end for texture.
         weight: 0 ignores the operand.
     """
 
@@ -72,8 +73,8 @@ class MeritFunction:
             colour that the same spectrum has in steps of 1 nm.
 
     Attributes:
-        terms: `[(operand, lamp)]`, indices, in the order of `distances`. A spectrum, and a colour given by XYZ, have
-            one term, under lamp 0.
+        terms: `[(operand, lamp)]`, indices, in the order of `distances`. A spectrum, texture, and a colour given by
+            XYZ have one term, under lamp 0.
         scale: `[term]`, weight / tolerance.
         colour_weights: `[lamp, wavelength, 3]`: XYZ are `spectra @ colour_weights[lamp]`.
         whites: `[lamp, 3]`, XYZ of R = 1.
@@ -103,7 +104,7 @@ class MeritFunction:
         for operand in self.operands:
             _check(operand, len(grid))
         self.rows = 1 + max(operand.row for operand in self.operands)
-        has_colour = any(operand.kind != "spectrum" for operand in self.operands)
+        has_colour = any(operand.kind not in SINGLE for operand in self.operands)
         self.colour_weights = np.stack(
             [smooth_weights(grid, lamp, observer) if has_colour else np.zeros((len(grid), 3)) for lamp in self.lamps]
         )
@@ -111,7 +112,7 @@ class MeritFunction:
         self.terms = [
             (number, lamp)
             for number, operand in enumerate(self.operands)
-            for lamp in range(1 if operand.kind == "spectrum" or operand.xyz is not None else len(self.lamps))
+            for lamp in range(1 if operand.kind in SINGLE or operand.xyz is not None else len(self.lamps))
         ]
         self.scale = np.array([self.operands[i].weight / self.operands[i].tolerance for i, _ in self.terms])
         self.lab = np.array([self._target_lab(self.operands[i], lamp) for i, lamp in self.terms])
@@ -144,7 +145,7 @@ class MeritFunction:
         )
 
     def distances(self, spectra: ArrayLike) -> Array:
-        """Return `[..., term]`: dE00, or a spectrum rms in per cent.
+        """Return `[..., term]`: dE00, a spectrum rms in per cent, or the deviation of texture in per cent.
 
         For a range of hue, chroma or lightness it is the dE00 to the nearest colour inside, 0 if inside.
 
@@ -165,6 +166,8 @@ class MeritFunction:
         if operand.kind == "spectrum":
             off = _spectrum_difference(operand, seen)
             return 100.0 * np.sqrt(np.mean(off * off, axis=-1))
+        if operand.kind == "texture":
+            return np.abs(texture_deviation(operand.low, operand.high, seen[..., operand.row, :].mean(axis=-1)))
         return _distance_to_range(operand, lab)
 
     def objective(self, d: ArrayLike) -> Array:
@@ -191,6 +194,9 @@ class MeritFunction:
             if operand.kind == "spectrum":
                 off = _spectrum_difference(operand, seen)
                 parts.append(scale * 100.0 / np.sqrt(off.shape[-1]) * off)
+            elif operand.kind == "texture":
+                value = seen[..., operand.row, :].mean(axis=-1)
+                parts.append(scale * texture_deviation(operand.low, operand.high, value)[..., None])
             elif operand.kind == "colour":
                 parts.append(scale * delta_e_2000_components(self.lab[number], lab))
             else:
@@ -206,11 +212,19 @@ def _spectrum_difference(operand: Operand, seen: Array) -> Array:
     return np.asarray(off * np.sqrt(len(known) / known.sum()))
 
 
+def texture_deviation(low: float | None, high: float | None, value: ArrayLike) -> Array:
+    """Return the deviation of numbers `[...]` from a range in per cent of its nearer end; 0 inside."""
+    found = np.asarray(value, dtype=float)
+    above = np.zeros_like(found) if high is None else np.maximum(found - high, 0.0) / (high or 1.0)
+    below = np.zeros_like(found) if low is None else np.minimum(found - low, 0.0) / (low or 1.0)
+    return 100.0 * np.asarray(above + below)
+
+
 def _check(operand: Operand, samples: int) -> None:
     """Raise a NacreError for an incomplete or contradictory operand."""
     kind, low, high = operand.kind, operand.low, operand.high
-    if kind not in KINDS:
-        raise NacreError(f'a target of kind "{kind}" is not known; choose from {", ".join(KINDS)}')
+    if kind not in (*KINDS, "texture"):
+        raise NacreError(f'a target of kind "{kind}" is not known; choose from {", ".join((*KINDS, "texture"))}')
     if operand.row < 0 or not operand.tolerance > 0.0 or not operand.weight >= 0.0:
         values = f"{operand.row}, {operand.tolerance:g}, {operand.weight:g}"
         raise NacreError(f"a target needs row >= 0, tolerance > 0 and weight >= 0; got {values}")
@@ -218,7 +232,7 @@ def _check(operand: Operand, samples: int) -> None:
         raise NacreError("a target colour is either lab or xyz")
     if kind == "hue" and (low is None or high is None):
         raise NacreError("a target hue needs both ends of its range, in degrees")
-    if kind in ("chroma", "lightness"):
+    if kind in ("chroma", "lightness", "texture"):
         if low is None and high is None:
             raise NacreError(f"a target {kind} needs a lower or an upper bound")
         if low is not None and high is not None and low > high:

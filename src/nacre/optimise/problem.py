@@ -20,9 +20,8 @@ from nacre.material.material import Material
 from nacre.optimise.evaluation import geometries_of
 from nacre.optimise.measurement import Measurement, search_wavelengths, simulate_measurement
 from nacre.optimise.merit import MeritFunction
-from nacre.optimise.parameters import point_of
+from nacre.optimise.parameters import changes_of, point_of, removable_tables, values_of
 from nacre.optimise.solutions import are_alike
-from nacre.optimise.sparsify import changes_of, removable_tables, values_of
 from nacre.optimise.targets import merit_function
 from nacre.optimise.task import DesignTask, total_thickness_nm
 
@@ -307,18 +306,3 @@ class Search(abc.ABC):
         if is_better:
             self.best, self.best_changes = objective, changes
         self.report(is_better)
-
-
-__all__ = [
-    "PENALTY",
-    "STOP_TOL",
-    "Archive",
-    "Budget",
-    "BudgetExhausted",
-    "Changes",
-    "OnProgress",
-    "Phase",
-    "Problem",
-    "Result",
-    "Search",
-]

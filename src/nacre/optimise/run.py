@@ -24,6 +24,7 @@ from nacre.optimise.methods import surrogate
 from nacre.optimise.methods.least_squares import LeastSquaresSearch
 from nacre.optimise.methods.successive_halving import SuccessiveHalvingSearch
 from nacre.optimise.methods.surrogate import SurrogateSearch
+from nacre.optimise.parameters import count_tables, is_chosen
 from nacre.optimise.problem import Budget, Problem, Result, Search
 from nacre.optimise.solutions import (
     SUMMARY,
@@ -37,7 +38,6 @@ from nacre.optimise.solutions import (
     folder_of,
     write_recipe,
 )
-from nacre.optimise.sparsify import count_tables, is_chosen
 from nacre.optimise.task import DesignTask, read_task, total_thickness_nm
 from nacre.optimise.tolerances import read_tolerances
 from nacre.optimise.yield_analysis import sensitivity, yield_of
@@ -337,8 +337,7 @@ def outcome(solutions: Sequence[Solution], status: str, seconds: float | None = 
     """
     best = solutions[0]
     worst = best.worst
-    unit = " % rms" if worst.lamp is None else ""
-    distance = f"{worst.distance:.2g}{unit}" if worst.lamp is None else f"dE00 {worst.distance:.2f}"
+    distance = worst.distance_text
     lamp = f" under {worst.lamp}" if worst.lamp is not None else ""
     where = f'"{worst.target.geometry}"{lamp}'
     if status == "met":
@@ -398,18 +397,3 @@ def document_of(solution: Solution, task: DesignTask) -> dict[str, Any]:
         "total_nm": solution.facts.get("total_nm"),
         "files": solution.facts.get("files", []),
     }
-
-
-__all__ = [
-    "Design",
-    "DesignProgress",
-    "Solution",
-    "budget_of",
-    "choose_search",
-    "document_of",
-    "evaluate_solution",
-    "outcome",
-    "run",
-    "tolerance_of",
-    "with_method_overrides",
-]

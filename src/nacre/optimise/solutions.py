@@ -308,16 +308,3 @@ def are_alike(one: Any, other: Any) -> bool:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-__all__ = [
-    "Design",
-    "DesignProgress",
-    "Solution",
-    "are_alike",
-    "check_folder",
-    "claim",
-    "clear_solutions",
-    "folder_of",
-    "write_recipe",
-]

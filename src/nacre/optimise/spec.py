@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 
+from nacre.measure.texture import QUANTITY_NAMES, Instrument
 from nacre.optimise.relief.target import TargetTable
 from nacre.readers.file_spec import FileSpec
 from nacre.recipe.keys import ByPath
@@ -19,13 +20,14 @@ Bounds = tuple[float, float]
 # alternatives for the colour of a target; the ranges may be combined
 COLOURS = ("colour", "lab", "lch", "xyz", "xyy", "spectrum", "image")
 RANGES = ("hue_deg", "chroma", "lightness")
+TEXTURE_TOLERANCE_PERCENT = 10.0  # default, about twice the error of a texture instrument
 PAIR = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
 
 
 class TargetEntry(RecipeModel):
     """One target: a geometry, a colour or spectrum, and its tolerance."""
 
-    one_of: ClassVar[tuple[str, ...]] = (*COLOURS, "|".join(RANGES), "directions")
+    one_of: ClassVar[tuple[str, ...]] = (*COLOURS, "|".join(RANGES), "directions", "quantity")
     forms: ClassVar[tuple[str, ...]] = (
         '{geometry = "specular 0", colour = "#c2185b", tolerance = 2.0}',
         '{geometry = "45as15", lab = [62, 30, -12]}',
@@ -33,6 +35,7 @@ class TargetEntry(RecipeModel):
         '{geometry = "transmitted 0", spectrum = "filter.csv", tolerance = 1.0}',
         '{directions = {kind = "image", image = "grey.png", range = 0.4}}',
         '{geometry = "specular 0", image = "photo.png"}',
+        '{quantity = "sparkle_45", value = 1.2, tolerance = 10}',
     )
 
     geometry: str | None = pydantic.Field(
@@ -96,10 +99,30 @@ class TargetEntry(RecipeModel):
         description="instead of geometry and colour: the picture that a relief shows over the directions",
         examples=[{"kind": "anti-mirror", "range": 0.5}],
     )
+    quantity: str | None = pydantic.Field(
+        json_schema_extra={"enum": list(QUANTITY_NAMES)},
+        default=None,
+        description="instead of geometry and colour: a number of texture, such as sparkle_45 (grade), intensity_15, "
+        "area_75 or graininess, of a pearl whose flakes have a diameter",
+        examples=["sparkle_45"],
+    )
+    value: Positive | str | Bounds | None = pydantic.Field(
+        default=None,
+        description='of quantity: the number, a bound such as ">=1.5", or both ends of a range',
+        examples=[1.2],
+    )
     tolerance: Positive = pydantic.Field(
-        default=1.0, description="allowed distance: dE00; for a spectrum the rms in per cent"
+        default=1.0,
+        description="allowed distance: dE00; for a spectrum the rms in per cent; for a quantity the deviation in per "
+        f"cent of its value (default {TEXTURE_TOLERANCE_PERCENT:g})",
     )
     weight: Positive = pydantic.Field(default=1.0, description="weight relative to the other targets")
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _texture_tolerance(cls, data: Any) -> Any:
+        is_texture = isinstance(data, Mapping) and "quantity" in data and "tolerance" not in data
+        return {**data, "tolerance": TEXTURE_TOLERANCE_PERCENT} if is_texture else data
 
     @pydantic.field_validator("chroma", "lightness", mode="before")
     @classmethod
@@ -110,13 +133,20 @@ class TargetEntry(RecipeModel):
 
     @pydantic.model_validator(mode="after")
     def _one_colour(self) -> TargetEntry:
-        given = [name for name in (*COLOURS, "directions") if getattr(self, name) is not None]
+        given = [name for name in (*COLOURS, "directions", "quantity") if getattr(self, name) is not None]
         ranges = [name for name in RANGES if getattr(self, name) is not None]
         if len(given) + bool(ranges) != 1:
             got = " and ".join([*given, *ranges]) or "nothing"
             raise ValueError(
-                f"gives {got}; a target has exactly one of {', '.join(COLOURS)}, or some of {', '.join(RANGES)}"
+                f"gives {got}; a target has exactly one of {', '.join(COLOURS)}, quantity, or some of "
+                f"{', '.join(RANGES)}"
             )
+        if (self.quantity is None) != (self.value is None):
+            raise ValueError(f"{'value' if self.value is None else 'quantity'} is missing; a texture target has both")
+        if self.quantity is not None:
+            if self.geometry is not None:
+                raise ValueError(f"has quantity and geometry; the name holds the angle: keep {self.quantity}")
+            return self
         if (self.geometry is None) == (self.directions is None):
             raise ValueError("has directions and geometry; keep one" if self.geometry else "geometry is missing")
         return self
@@ -239,6 +269,11 @@ class DesignSpec(RecipeModel):
     )
     target: Annotated[list[TargetEntry], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
         description="targets, a list of tables"
+    )
+    instrument: str | Instrument = pydantic.Field(
+        default=Instrument(),
+        description="lamp, camera and calibration of texture targets, a file or its keys",
+        examples=["instrument.toml"],
     )
     geometry: list[GeometrySpec] = pydantic.Field(
         default=[],

@@ -24,6 +24,7 @@ from nacre.light import (
     xyz_to_lab,
 )
 from nacre.measure.geometry import Geometry
+from nacre.measure.texture import Instrument, TextureQuantity, read_instrument
 from nacre.optimise.image.files import read_picture
 from nacre.optimise.merit import MeritFunction, Operand
 from nacre.optimise.spec import COLOURS, RANGES, LightSpec, TargetEntry
@@ -54,6 +55,7 @@ class Target:
         xyz: `[3]`, target under the first lamp, or None.
         ranges: "hue", "chroma", "lightness" -> (low, high), None where open.
         spectrum: wavelengths and target factors, `[2, wavelength]`, or None.
+        texture: (low, high) of a `TextureQuantity`, None where open, or None.
         image: a picture's colours `[row, column, 3]`, encoded sRGB in [0, 1], the first row on top, or None.
         tolerance: allowed distance.
         weight: relative to other targets.
@@ -69,6 +71,7 @@ class Target:
     xyz: Array | None = None
     ranges: dict[str, tuple[float | None, float | None]] | None = None
     spectrum: Array | None = None
+    texture: tuple[float | None, float | None] | None = None
     image: Array | None = None
 
     def with_lab(self, lab: Array) -> Target:
@@ -95,6 +98,8 @@ class Target:
             wanted = np.interp(wavelengths_nm, nm, values, left=np.nan, right=np.nan)
             wanted[_in_gaps(nm, wavelengths_nm)] = np.nan
             return [Operand(row, "spectrum", reflectance=wanted, **often)]
+        if self.texture is not None:
+            return [Operand(row, "texture", low=self.texture[0], high=self.texture[1], **often)]
         if self.ranges is not None:
             return [Operand(row, kind, low=low, high=high, **often) for kind, (low, high) in self.ranges.items()]  # type: ignore[arg-type]  # the kinds are those of `_ranges`
         if self.xyz is not None:
@@ -132,17 +137,25 @@ def read_targets(
     light: LightSpec,
     context: RecipeContext,
     named: Mapping[str, Geometry] | None = None,
+    instrument: str | Instrument | None = None,
 ) -> tuple[Target, ...]:
     """Resolve the targets of a file.
 
     Args:
         named: geometries by name.
+        instrument: of texture targets, a file or its keys.
 
     Raises:
         RecipeError: naming the target and what is allowed; or two incompatible colours for one geometry.
     """
     check_light(light, context)
-    targets = tuple(_target(spec, f"{context.source}: target[{i}]", context, named) for i, spec in enumerate(specs))
+    tool = read_instrument(context.path(instrument) if isinstance(instrument, str) else instrument)
+    targets = tuple(
+        _target(spec, f"{context.source}: target[{i}]", context, named)
+        if spec.quantity is None
+        else _texture_target(spec, f"{context.source}: target[{i}]", tool, (light.illuminants[0], light.observer))
+        for i, spec in enumerate(specs)
+    )
     _check_agreement(targets, light)
     _check_picture(targets, light, context)
     return targets
@@ -216,6 +229,45 @@ def plausible(lab: Array, where: str, given: Any) -> Array:
     return lab
 
 
+def _texture_target(spec: TargetEntry, key: str, tool: Instrument, light: tuple[str, str]) -> Target:
+    """Return the target of a number of texture."""
+    assert spec.quantity is not None
+    at = TextureQuantity.named(spec.quantity, f"{key}.quantity", tool, light)
+    if spec.polarisation != "both":
+        raise RecipeError(f'{key}.polarisation = "{spec.polarisation}" has no effect on {at}; remove it')
+    value = spec.value
+    asked = {"quantity": str(at), "value": list(value) if isinstance(value, tuple) else value}
+    if isinstance(value, int | float):
+        bounds: tuple[float | None, float | None] = (float(value), float(value))
+    else:
+        assert value is not None
+        bounds = _bounds(value, f"{key}.value", '">=1.5", "<=3" or [1.5, 3]')
+    if not any(bounds) or bounds[1] == 0.0:
+        raise RecipeError(f"{key}.value = {show_value(asked['value'])}: the deviation is in per cent of it; above 0")
+    return Target(at, asked, spec.tolerance, spec.weight, key, texture=bounds)
+
+
+def _bounds(given: str | tuple[float, float], where: str, forms: str) -> tuple[float | None, float | None]:
+    """Return the ends of ">=40", "<=20" or (20, 40).
+
+    Raises:
+        RecipeError: another form, or the ends cross.
+    """
+    if isinstance(given, str):
+        match = _BOUND.match(given)
+        try:
+            bound = float(match[2]) if match else float("nan")
+        except ValueError:
+            bound = float("nan")
+        if match is None or not bound >= 0:
+            raise RecipeError(f"{where} = {show_value(given)} cannot be read; write {forms}")
+        return (bound, None) if match[1] == ">=" else (None, bound)
+    low, high = given
+    if not 0 <= low <= high:
+        raise RecipeError(f"{where} = {show_value([low, high])}: the first number should not be above the second")
+    return given
+
+
 def _ranges(spec: TargetEntry, key: str) -> dict[str, tuple[float | None, float | None]]:
     found: dict[str, tuple[float | None, float | None]] = {}
     if spec.hue_deg is not None:
@@ -224,24 +276,8 @@ def _ranges(spec: TargetEntry, key: str) -> dict[str, tuple[float | None, float 
         found["hue"] = spec.hue_deg
     for name in ("chroma", "lightness"):
         given = getattr(spec, name)
-        if isinstance(given, str):
-            match = _BOUND.match(given)
-            try:
-                bound = float(match[2]) if match else float("nan")
-            except ValueError:
-                bound = float("nan")
-            if match is None or not bound >= 0:
-                raise RecipeError(
-                    f'{key}.{name} = {show_value(given)} cannot be read; write ">=40", "<=20" or [20, 40]'
-                )
-            found[name] = (bound, None) if match[1] == ">=" else (None, bound)
-        elif given is not None:
-            low, high = given
-            if not 0 <= low <= high:
-                raise RecipeError(
-                    f"{key}.{name} = {show_value(list(given))}: the first number should not be above the second"
-                )
-            found[name] = (low, high)
+        if given is not None:
+            found[name] = _bounds(given, f"{key}.{name}", '">=40", "<=20" or [20, 40]')
     return found
 
 
@@ -305,6 +341,3 @@ def merit_function(
     """Return the merit function of all targets, for spectra `[..., row, wavelength]`."""
     goals = [goal for target in targets for goal in target.goals(rows.index(target.geometry), wavelengths_nm)]
     return MeritFunction(goals, tuple(light.illuminants), light.observer, wavelengths_nm)
-
-
-__all__ = ["Target", "merit_function", "plausible", "read_targets", "srgb_to_lab"]

@@ -23,10 +23,9 @@ from nacre.optimise.spec import DesignSpec, LayersSpec
 from nacre.optimise.targets import Target, read_targets
 from nacre.optimise.tolerances import read_tolerances
 from nacre.recipe.fingerprint import fingerprint
-from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
+from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, RecipeModel, show_value, validate
 from nacre.recipe.path_tables import by_path
 from nacre.recipe.toml import parse_toml
-from nacre.recipe.units import LENGTH_UNITS_NM
 
 
 def total_thickness_nm(material: Material) -> float:
@@ -78,7 +77,6 @@ __all__ = ["check_limits", "total_thickness_nm"]
 
 # Reading a target: a file or dictionary becomes a checked task.
 
-LAYER_PATHS = ("layers", "substrate")
 OTHER = "other"  # in bounds by material: all that are not named
 
 
@@ -176,7 +174,8 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
     source = context.source
     base = _recipe(spec, context).with_parts_loaded([*spec.parameters, *spec.tolerance])
     refuse_place(base.model, f"{context.source}: recipe")
-    targets = read_targets(spec.target, spec.light, context, task_geometries(spec, base.data, context))
+    named = task_geometries(spec, base.data, context)
+    targets = read_targets(spec.target, spec.light, context, named, spec.instrument)
     if spec.layers is not None:
         check_layers(spec.layers, base, source)
         _check_total(spec, source)
@@ -350,17 +349,6 @@ def _check_geometries(target: DesignTask) -> None:
     for other in substrates(target.spec.layers)[1:] if target.spec.layers else ():
         tried.append(target.material.vary({"substrate": other}))
     rows = geometries_of(target.targets)
-    keys = [next(one.key for one in target.targets if one.geometry == at) + ".geometry" for at in rows]
+    firsts = [next(one for one in target.targets if one.geometry == at) for at in rows]
+    keys = [f"{one.key}.{'geometry' if one.texture is None else 'quantity'}" for one in firsts]
     check_answers(tried, rows, keys)
-
-
-__all__ = [
-    "DesignTask",
-    "bounds_of",
-    "is_design_task",
-    "is_relief_task",
-    "palette_name",
-    "read_data",
-    "read_task",
-    "substrates",
-]

@@ -11,12 +11,11 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.families.contract import surrogate_radiance
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
-from nacre.measure.geometry import Geometry, aspecular_pairs
+from nacre.measure.texture import TextureQuantity
 from nacre.optimise.evaluation import geometries_of
-from nacre.optimise.measurement import Measurement, search_wavelengths, simulate_measurement
+from nacre.optimise.measurement import Measurement, search_wavelengths, simulate_measurement, surrogate_factors
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.surrogate import Correction
 from nacre.optimise.spec import LightSpec
@@ -59,7 +58,7 @@ class Evaluator:
         grid = search_wavelengths(material, light.illuminants)
         correction = None
         if measured is not None and measured.error is not None and np.array_equal(measured.wavelengths_nm, grid):
-            found = _surrogate(material, geometries, grid)
+            found = surrogate_factors(material, geometries, grid)
             correction = None if found is None else Correction(measured.factors - found[0], found[1])
         return cls(material, targets, grid, merit_function(targets, geometries, light, grid), seed, correction)
 
@@ -75,7 +74,7 @@ class Evaluator:
         """
         made = self.material.vary({path: float(v) for path, v in zip(paths, row, strict=True)})
         geometries = geometries_of(self.targets)
-        if self.correction is not None and (found := _surrogate(made, geometries, self.grid)) is not None:
+        if self.correction is not None and (found := surrogate_factors(made, geometries, self.grid)) is not None:
             return self.correction.apply(*found)
         return simulate_measurement(made, geometries, self.grid, seed=self.seed, memory=self.cache).factors
 
@@ -92,20 +91,14 @@ class Evaluator:
                 return 0.0
         if self.has_spectra_only:
             return float(0.5 * 100.0 * np.sqrt(np.mean((seen[1] - seen[0]) ** 2, axis=-1)).max())
-        return float(0.5 * np.max(delta_e_2000(self.merit.labs(seen[0]), self.merit.labs(seen[1]))))
+        spectral = [row for row, at in enumerate(geometries_of(self.targets)) if not isinstance(at, TextureQuantity)]
+        labs = self.merit.labs(seen[:, spectral])
+        return float(0.5 * np.max(delta_e_2000(labs[0], labs[1]), initial=0.0))
 
     @property
     def has_spectra_only(self) -> bool:
         """Whether all targets are spectra."""
         return all(target.spectrum is not None for target in self.targets)
-
-
-def _surrogate(material: Material, geometries: Sequence[Geometry], grid: Array) -> tuple[Array, Array] | None:
-    """Return exact and approximate factors `[row, wavelength]` of the surrogate; None if there is none."""
-    if any(geometry.kind != "aspecular" for geometry in geometries):
-        return None
-    found = surrogate_radiance(material.model, *aspecular_pairs(geometries), grid, True)
-    return None if found is None else (np.pi * found[0], np.pi * found[1])
 
 
 def yield_of(
@@ -193,6 +186,3 @@ def sensitivity(
         if time.monotonic() - begun > seconds and evaluator.at_once([path], np.array([[value]])) is None:
             break
     return sorted(found, key=lambda entry: -entry[unit])
-
-
-__all__ = ["RMS_OF_1_PERCENT", "Evaluator", "sensitivity", "yield_of"]

@@ -26,7 +26,7 @@ from nacre.device.variant import polarised_variant, use_variant
 from nacre.picture import interrupt
 from nacre.picture.denoise import clean_albedo, denoised, inapplicable_reason
 from nacre.picture.images import RenderResult, count_clipped, develop
-from nacre.picture.lights.light_mixture import Lamp, read_lamps
+from nacre.picture.lights.emitter_plugins import Lamp, read_lamps
 from nacre.picture.lights.named import TURNING_LIGHTS, check_light, make_lights
 from nacre.picture.options import (
     COMPONENTS,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from nacre.core.errors import NacreError
-from nacre.picture.lights.environment_plugin import DistantEmitter
+from nacre.picture.lights.emitter_plugins import DistantEmitter
 from nacre.picture.plugin import WrappedIntegrator, dr, make_plugin, mi
 
 CIRCULAR = ("left", "right")

@@ -5,13 +5,13 @@ from .directions import bsdf_slice_figure as bsdf_slice_figure
 from .directions import lobe_figure as lobe_figure
 from .directions import scattering_figure as scattering_figure
 from .directions import slice_figure as slice_figure
-from .fits import FitPanel as FitPanel
-from .fits import fit_panels_figure as fit_panels_figure
 from .material import KINDS as KINDS
 from .material import data_figure as data_figure
 from .material import material_figure as material_figure
 from .material import save_index as save_index
 from .material import save_material as save_material
+from .measurements import FitPanel as FitPanel
+from .measurements import fit_panels_figure as fit_panels_figure
 from .polarisation import circular_figure as circular_figure
 from .polarisation import ellipsometry_figure as ellipsometry_figure
 from .polarisation import michel_levy_figure as michel_levy_figure

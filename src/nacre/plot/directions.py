@@ -288,8 +288,3 @@ def scattering_figure(data: Mapping[str, Any]) -> Figure:
         style.panel_title(axes, str(data.get("title", "")))
         style.small_print(figure, f"radius: log intensity, one decade a ring, {decades:g} in all")
     return figure
-
-
-__all__ = [
-    "bsdf_slice_figure", "lobe_figure", "scattering_figure", "slice_directions", "slice_figure",
-]  # fmt: skip

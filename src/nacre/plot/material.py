@@ -16,8 +16,8 @@ from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError, did_you_mean
 from nacre.material.material import Material, MaterialLike, as_material, recipe_provenance
+from nacre.measure.colours import colour_bsdf, colour_grid, colour_spectrum
 from nacre.measure.evaluate import evaluate_with_error
-from nacre.measure.wavelengths import colour_bsdf, colour_grid, colour_spectrum
 from nacre.plot import polarisation
 from nacre.plot.colours import chromaticity_figure, colour_map_figure
 from nacre.plot.directions import SLICE_NODES, bsdf_slice_figure, lobe_figure, scattering_figure

@@ -18,7 +18,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.lobes.table import from_half_difference
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.measure.wavelengths import colour_bsdf
+from nacre.measure.colours import colour_bsdf
 from nacre.plot.colours import draw_hue_circle, draw_locus, draw_track
 from nacre.plot.style import INK, LINES, house_style, new_figure, panel_title, shown_colours, small_print
 

@@ -64,7 +64,7 @@ WORDS: dict[str, str] = {
     "brechungszahl indicederefraction indicedirifrazione indicederefraccion realindex realn ren nreal nre "
     "realrefractiveindex realpartofn realpartn refractiveindexn nrefractiveindex refractiveindexreal indexn nindex "
     "rin refractiveindexrealpart realpartofrefractiveindex realpartoftherefractiveindex nprime ior "
-    "index_of_refraction",
+    "index_of_refraction reindex indexre",
     "k": "消衰係数 消光系数 "
     "kappa extinction extinctioncoefficient extinctioncoeff extcoeff extcoef extinctionk extinctioncoef "
     "extinctionindex extinktionskoeffizient extinktionskoeff extinktionskoeffizientk absorptionsindex "
@@ -72,7 +72,7 @@ WORDS: dict[str, str] = {
     "imaginarypartofn imagpartofn coefficientdextinction coefficientedextinction extinctioncoefficientk "
     "kextinctioncoefficient kextinction indexk kindex refractiveindeximaginary refractiveindeximag "
     "coeficientedeextincion coefficientediestinzione nprimeprime ndoubleprime imaginarypartofrefractiveindex "
-    "imaginarypartoftherefractiveindex refractiveindeximaginarypart imindex imagindex",
+    "imaginarypartoftherefractiveindex refractiveindeximaginarypart imindex imagindex indexim",
     "eps1": "eps1 epsilon1 e1 epsr epsre epsreal epsilonr epsilonreal epsilonre realeps realepsilon reeps reepsilon "
     "ree ereal epsprime epsilonprime eprime realpermittivity permittivityreal permittivityre repermittivity "
     "dielectricreal realpartofpermittivity realpartofepsilon realpartofeps realdielectric er1 "
@@ -89,13 +89,13 @@ WORDS: dict[str, str] = {
     "reflectance": "reflectance reflectivity reflection refl reflectanz reflektanz reflexion reflexionsgrad "
     "reflektivitat reflektion reflektans reflectancia reflectividad riflettanza riflessione riflettivita remission "
     "remissionsgrad remissionsfactor reflectancefactor reflectfactor reflectionfactor rfl reflectie 反射率 "
-    "коэффициентотражения spectralreflectance measuredreflectance facteurdereflexion refle absolutereflectance",
+    "коэффициентотражения reflect spectralreflectance measuredreflectance facteurdereflexion refle absolutereflectance",
     "transmittance": "transmittance transmission transmissivity trans transm transmissionsgrad transmittanz "
     "transmisson transmittancia transmitancia trasmittanza trasmissione transmissionfactor transmissie "
-    "transmissivitat transmisivity 透過率 透射率 пропускание spectraltransmittance measuredtransmittance",
-    "absorptance": "absorptance absorptionsgrad absorptanz absorbtance absorption",
+    "transmissivitat transmisivity 透過率 透射率 пропускание transmit spectraltransmittance measuredtransmittance",
+    "absorptance": "absorptance absorptionsgrad absorptanz absorbtance absorption absorb",
     "absorbance": "absorbance absorbanz absorbancia opticaldensity od abs absorbans assorbanza extinktion "
-    "absorption",
+    "absorption absorb",
     "counts": "counts intensity intensitat signal scope rawcounts rawintensity detector intensite intensidad "
     "rawsignal photoncounts intens int",
     "sample_counts": "sample samplecounts samplesignal probe",
@@ -265,6 +265,11 @@ _IN_CELLS = {
 _WITH_POLARISATION = re.compile(r"(R|T)[ _]?(s|p|TE|TM|S|P)")
 # Rs_45, Rp(60): an angle without its unit behind the polarisation
 _POLARISED_ANGLE = re.compile(r"(%?\s?[RT])[ _]?(s|p|TE|TM|S|P)[ _]?[\[(]?(\d{1,2}(?:\.\d+)?)[\])]?")
+# L*(-15): the geometry of a colour without its unit; 2 and 10 are observers
+_COLOUR_ANGLE = re.compile(r"([LabCh]\*?)\s?[\[(](-?(?:15|20|25|30|45|60|70|75|85|105|110))[\])]")
+# Psi_65, Delta 70.0: the angle of incidence without its unit
+_ELLIPSOMETRIC_ANGLE = re.compile(r"(Psi|psi|PSI|Ψ|ψ|Delta|delta|DELTA|Δ|∆)[ _@]{1,2}(\d{2}(?:\.\d+)?)")
+_LAMP_OBSERVER = re.compile(r"\s*([ACE])\s*[/,;]\s*(2|10)\s*°?\s*")
 _ANGLE = re.compile(r"@?\s*([-+]?\d+(?:[.,]\d+)?)\s*(?:°|º|deg|degrees?|grad)")
 _BRACKET = re.compile(r"[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
 _SUFFIX_UNIT = re.compile(
@@ -317,6 +322,12 @@ class Meaning:
     is_negated: bool = False
 
 
+def degrees(text: str) -> float | None:
+    """Return the angle of a heading that is an angle only, such as "15°" or "45 deg"; else None."""
+    match = _ANGLE.fullmatch(normal(text))
+    return float(match[1].replace(",", ".")) if match else None
+
+
 def polarisation_word(text: str) -> str | None:
     """Return "s", "p" or "unpolarised" for a cell of a polarisation column, or None."""
     word = re.sub(r"[\s_.-]+", "", normal(text).lower())
@@ -344,6 +355,11 @@ def meanings(heading: str, unit: str = "") -> tuple[Meaning, ...]:
         return ()
     if polarised := _POLARISED_ANGLE.fullmatch(text):
         text = f"{polarised[1]}_{polarised[2]} ({polarised[3]}°)"
+    if re.match(r"[kK]\s?/\s?[sS]\b", text):  # of Kubelka and Munk; neither k nor s polarisation
+        return ()
+    if geometry := _COLOUR_ANGLE.fullmatch(text) or _ELLIPSOMETRIC_ANGLE.fullmatch(text):
+        text = f"{geometry[1]} ({geometry[2]}°)"
+    text = re.sub(r"^(h\w{0,2}\*?)\s?[°º]$", r"\1 (°)", text)
     if re.match(r"-\s?[^\W\d_]", text):
         return tuple(replace(meaning, is_negated=True) for meaning in meanings(text[1:].strip(), unit))
     bare = parse_unit(text)
@@ -396,6 +412,8 @@ def _qualified(content: str, base: Meaning) -> Meaning | None:
     content = content.strip()
     if not content:
         return base
+    if lamp := _LAMP_OBSERVER.fullmatch(content):
+        return replace(base, illuminant=lamp[1], observer=lamp[2])
     unit = parse_unit(content)
     is_lamp = content.upper() in ("A", "C", "E")
     if unit is not None and not (content in ("s", "p") or (is_lamp and content != "A")):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nacre.readers.headings import meanings, polarisation_word
+from nacre.readers.headings import ILLUMINANT_WORDS, meanings, polarisation_word
 from nacre.readers.measurement import Measurement
 from nacre.readers.units import normal
 
@@ -23,6 +23,10 @@ _AT_ANGLE = re.compile(
 _OTHER_ANGLE = re.compile(
     r"polari[sz]er|analy[sz]er|azimuth|rotat|turned|detect|view|collect|retarder|plate", re.IGNORECASE
 )
+_LAMP = re.compile(
+    r"(?i)\b(?:illuminant|illumination|light source|lamp)\w*\W+([a-f]\d{1,2}|[ace]|fl\d{1,2}|tl84|cwf)\b"
+)
+_OBSERVER = re.compile(r"(?i)\bobserver\w*\W+(?:angle\W+)?(?:cie\W*)?(10|2|1931|1964)\b|\b(?:D\d\d|A)\s*/\s*(10|2)\b")
 _INCIDENCE = re.compile(r"aoi|inciden|einfall", re.IGNORECASE)
 _POLARISED = re.compile(r"(?<!['’])\b(s|p|TE|TM|un)[-\s]?(?:pol(?:\.|\b)|polari[sz](?:ed|ation))")
 
@@ -91,6 +95,23 @@ def _polarisations(text: str) -> list[str]:
     return [word for word in found if word]
 
 
+def light_above(titles: Sequence[str]) -> dict[str, str]:
+    """Return `illuminant` and `observer` of colours that lines above a table state.
+
+    Example:
+        >>> light_above(["ILLUMINANT\tD50", "Observer: 10°"])
+        {'illuminant': 'D50', 'observer': '10deg'}
+    """
+    found: dict[str, str] = {}
+    for title in titles:
+        lamp, view = _LAMP.search(title), _OBSERVER.search(title)
+        if lamp and (word := ILLUMINANT_WORDS.get(lamp[1].lower())):
+            found["illuminant"] = word
+        if view:
+            found["observer"] = "10deg" if (view[1] or view[2]) in ("10", "1964") else "2deg"
+    return found
+
+
 def with_preamble(measurement: Measurement, above: Preamble) -> Measurement:
     """Return a spectrum with the statements of the lines above it, which its own statements precede."""
     stated = {"angle_of_incidence_deg": above.angle_deg, "polarisation": above.polarisation}
@@ -103,6 +124,3 @@ def with_preamble(measurement: Measurement, above: Preamble) -> Measurement:
         return measurement
     said = f"angle or polarisation from {' and '.join(map(repr, above.lines))}"
     return replace(measurement, metadata={**measurement.metadata, **new}, assumed=(*measurement.assumed, said))
-
-
-__all__ = ["Preamble", "read_preamble", "with_preamble"]

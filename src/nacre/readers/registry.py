@@ -1,12 +1,13 @@
-"""Formats that nacre reads, and their recognition by content."""
+"""Formats that nacre reads, their recognition by content, and the description of unknown files."""
 
 from __future__ import annotations
 
+import difflib
 import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -16,7 +17,6 @@ from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import named, plain, why_unreadable
 from nacre.readers.file_head import FileHead as FileHead
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
-from nacre.readers.unknown import unknown_file
 
 HEAD_BYTES = 65536
 MAX_BYTES = 2 << 30
@@ -60,7 +60,6 @@ FORMATS: tuple[Format, ...] = (
     Format("merl", "MERL BRDF", "bsdf", "bsdf.merl"),
     Format("fred", "FRED tabulated scatter", "bsdf", "bsdf.fred"),
     Format("lighttools", "LightTools BSDF", "bsdf", "bsdf.lighttools"),
-    Format("other-bsdf", "LightTools mesh of intensity (refused)", "bsdf", "bsdf.others"),
     Format("rgl", "RGL tensor BSDF", "bsdf", "bsdf.rgl"),
     Format("speos", "Speos scattering or BSDF", "bsdf", "bsdf.speos"),
     Format("ssdd", "SSDD", "bsdf", "bsdf.ssdd"),
@@ -86,6 +85,7 @@ FORMATS: tuple[Format, ...] = (
     Format("usgs-splib", "USGS spectral library 7 (ASCII)", "spectrum", "spectra.usgs"),
     Format("woollam-intensity", "Woollam intensities (uR, uT, pR, sR)", "spectrum", "spectra.woollam_intensity"),
     Format("bruker-dpt", "Bruker data point table .dpt", "spectrum", "spectra.bruker_dpt"),
+    Format("qtx", "Datacolor QTX", "spectrum", "spectra.qtx"),
     Format("opus", "Bruker OPUS", "spectrum", "spectra.opus"),
     Format("grams-spc", "Galactic GRAMS .spc", "spectrum", "spectra.grams_spc"),
     Format(
@@ -121,6 +121,7 @@ FORMATS: tuple[Format, ...] = (
     Format("woollam-text", "Woollam WVASE text export", "ellipsometry", "ellipsometry.woollam_text"),
     Format("nacre-table", "orders, layer sheets, many designs, number maps of nacre (CSV)", "table", "own_tables"),
     Format("table", "text table", "table", "table"),
+    Format("other", "ABg, IES, AGF, Shimadzu SPM, Esri and Surfer grids, meshes (refused)", "table", "others"),
     Format("tmatrix", "T-matrix (.tmat.h5)", "tmatrix", "tmatrix"),
     Format("nacre-heights", "heights of nacre fabricate (CSV)", "heights", "heights.own_csv"),
     Format("sdf", "ISO 25178-71 surface data (.sdf), ASCII and binary", "heights", "heights.sdf"),
@@ -148,7 +149,6 @@ FORMATS: tuple[Format, ...] = (
     Format("spip", "text of SPIP, Attocube, NT-MDT Nova", "heights", "heights.spip"),
     Format("wyko", "Wyko Vision (.opd, .asc)", "heights", "heights.wyko"),
     Format("zygo-text", "Zygo MetroPro text (XYZ, ASCII)", "heights", "heights.zygo_text"),
-    Format("other-heights", "Shimadzu SPM, Esri grid (refused)", "heights", "heights.others"),
     Format("profile", "line profile (refused)", "heights", "heights.profile"),
 )
 
@@ -270,3 +270,69 @@ def _with_cut(measurement: Measurement) -> Measurement:
     if CUT in measurement.assumed:
         return measurement
     return replace(measurement, assumed=(*measurement.assumed, CUT))
+
+
+# first bytes -> what the file is
+_MAGIC: tuple[tuple[bytes, str], ...] = (
+    (b"PK\x03\x04", "a zip archive"),
+    (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an OLE file, as Excel 97 and older programs of instruments write"),
+    (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
+    (b"CDF\x01", "a NetCDF file"),
+    (b"CDF\x02", "a NetCDF file"),
+    (b"\x89PNG", "a PNG image"),
+    (b"\xff\xd8\xff", "a JPEG image"),
+    (b"GIF8", "a GIF image"),
+    (b"BM", "a BMP image"),
+    (b"II*\0", "a TIFF image"),
+    (b"MM\0*", "a TIFF image"),
+    (b"%PDF", "a PDF document"),
+    (b"{\\rtf", "an RTF document"),
+    (b"\x1f\x8b", "a gzip archive"),
+    (b"7z\xbc\xaf", "a 7z archive"),
+    (b"Rar!", "a RAR archive"),
+    (b"MATLAB 5.0", "a MATLAB file"),
+    (b"\x93NUMPY", "a NumPy array"),
+    (b"\x7fELF", "a program"),
+    (b"MZ", "a program"),
+    (b"SQLite format 3", "an SQLite database"),
+)
+_HEAD_PARTS = {b"[Content_Types].xml": "a spreadsheet or document of Office", b"xl/": "an Excel spreadsheet",
+               b"mimetypeapplication/vnd.oasis.opendocument": "an OpenDocument file"}  # fmt: skip
+EXPORT = (
+    "export text in the instrument's program (File, Save as or Export: ASCII, TXT, CSV, JCAMP-DX or ISO 25178 SDF), "
+    "with headings and units"
+)
+
+
+def appearance(head: FileHead) -> str:
+    """Return a description of a file's content."""
+    for magic, what in _MAGIC:
+        if head.data.startswith(magic):
+            inner = next((more for mark, more in _HEAD_PARTS.items() if mark in head.data), None)
+            return inner or what
+    start = head.text.lstrip()[:200].lower()
+    if not head.is_text:
+        return f"a binary file that begins with {head.data[:8].hex(' ')}"
+    if start.startswith("<!doctype html") or start.startswith("<html"):
+        return "a web page"
+    if start.startswith("<"):
+        return "an XML file"
+    if re.match(r"\{|\[\s*[\[{\"\d-]", start):
+        return "a JSON file"
+    lines = [line for line in head.lines if line.strip()]
+    first = lines[0].strip()[:60] if lines else ""
+    return f'text that begins with "{first}"'
+
+
+def unknown_file(head: FileHead, known: Sequence[str]) -> str:
+    """Return the one-line message for a file that no reader recognises; `known`: titles of all formats."""
+    words = {head.path.suffix.lstrip(".").lower()} | {
+        word.lower() for word in head.text[:400].split() if word.isalpha()
+    }
+    titles = {word.lower().strip("().,"): title for title in known for word in title.split()}
+    near = dict.fromkeys(
+        titles[close] for word in sorted(words) if len(word) > 3
+        for close in difflib.get_close_matches(word, titles, n=1, cutoff=0.9)
+    )  # fmt: skip
+    nearest = f"; nearest formats: {', '.join(list(near)[:3])}" if near else ""
+    return f"{head.path}: unknown format: {appearance(head)}{nearest}; {EXPORT}"

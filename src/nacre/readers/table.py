@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from nacre.core.errors import NacreError
+from nacre.readers.colours.lab import check_scale
 from nacre.readers.columns import (
     Column,
     Columns,
@@ -22,9 +23,9 @@ from nacre.readers.columns import (
 from nacre.readers.constants.convert import QUANTITIES as CONSTANTS
 from nacre.readers.constants.convert import constants
 from nacre.readers.ellipsometry.common import ellipsometry
-from nacre.readers.headings import SPECTRAL_QUANTITIES, meanings
+from nacre.readers.headings import SPECTRAL_QUANTITIES, degrees, meanings
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
-from nacre.readers.preamble import read_preamble
+from nacre.readers.preamble import light_above, read_preamble
 from nacre.readers.registry import POSSIBLE, FileHead
 from nacre.readers.spectra.tables import of_samples
 from nacre.readers.text_table import TextTable, decode
@@ -50,8 +51,9 @@ HEADERLESS: dict[Kind, dict[int, tuple[str, ...]]] = {
     "ellipsometry": {4: ("wavelength", "angle_of_incidence", "psi", "delta")},
     "colours": {3: ("L", "a", "b"), 4: ("name", "L", "a", "b")},
 }
+LEAST_OF_MAP = 8  # rows and columns of numbers that may be a height map
+DEVICE_COLOURS = {"hsv": "HSV", "hsb": "HSB", "hsl": "HSL", "hsi": "HSI", "cmyk": "CMYK"}
 CLEAR_INDEX = 7.5
-CHROMATIC = ("L", "a", "b", "C", "hue", "X", "Y", "Z", "hunter_L", "hunter_a", "hunter_b")
 
 
 def sniff(head: FileHead) -> float:
@@ -72,7 +74,8 @@ def has_usual_headings(head: FileHead) -> bool:
     names = tables[0].headings
     across = sum(bool(re.fullmatch(r"\D{0,12}\d{3,4}(\.\d+)?\s*(nm)?", name)) for name in names)
     waves = sum("wavelength" in {meaning.quantity for meaning in meanings(name)} for name in names)
-    return bool(names) and across < 5 and waves <= 1
+    has_angles = any(degrees(name) is not None for name in names)  # "15°" names a spectrum at this incidence
+    return bool(names) and across < 5 and waves <= 1 and not has_angles
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:
@@ -114,10 +117,17 @@ def kind_of(table: TextTable, options: ReadOptions) -> Kind:
             return options.expects
         if _looks_like_constants(table):
             return "constants"
+        cure = "state quantity or columns = [...]" if table.width == 2 else "name them: columns = [...]"
+        if table.width >= LEAST_OF_MAP <= len(table.rows):
+            cure += "; format = matrix reads heights"
         raise AmbiguousFileError(
-            f"{table.path}: line {table.lines[0]}: {table.width} columns without headings; state quantity (of two "
-            "columns) or columns = [...]",
-            "columns",
+            f"{table.path}: line {table.lines[0]}: {table.width} columns without headings; {cure}", "columns"
+        )
+    first_letters = "".join(re.sub(r"\W.*", "", name.strip())[:1].lower() for name in names if not _is_name(name))
+    if first_letters in DEVICE_COLOURS and all(len(re.sub(r"\W.*", "", n)) == 1 for n in names if not _is_name(n)):
+        raise NacreError(
+            f"{table.path}: holds {DEVICE_COLOURS[first_letters]}, coordinates of a device; give L*a*b*, XYZ, sRGB, "
+            "hexadecimal or spectra"
         )
     each = [
         {m.quantity for m in meanings(name, table.units[i] if i < table.width else "")} for i, name in enumerate(names)
@@ -138,6 +148,10 @@ def kind_of(table: TextTable, options: ReadOptions) -> Kind:
             f"{table.path}: the columns are {table.shown_headings}{said}; name them: columns = [...]", "columns"
         )
     return best
+
+
+def _is_name(heading: str) -> bool:
+    return any(meaning.quantity in ("name", "row_number") for meaning in meanings(heading))
 
 
 def _looks_like_constants(table: TextTable) -> bool:
@@ -342,7 +356,10 @@ def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
     """Return a table's rows; quantities at angles in the headings stand one angle after another."""
     nm = columns.spectral_nm(options)
     if nm is None:
-        raise NacreError(f"{columns.path}: no column of wavelengths; the columns are {columns.table.shown_headings}")
+        raise NacreError(
+            f"{columns.path}: no column of wavelengths; the columns are {columns.table.shown_headings}; add one, which "
+            'repeats a single wavelength, such as "wavelength_nm"'
+        )
     groups: dict[float | None, dict[str, Floats]] = {}
     for column in columns.found:
         quantity, error = column.meaning.quantity, "_error" if column.meaning.is_error else ""
@@ -358,6 +375,11 @@ def _ellipsometry(columns: Columns, options: ReadOptions) -> Measurement:
     found["wavelength_nm"] = np.tile(nm, len(groups))
     if angle is not None:
         found["angle_of_incidence_deg"] = columns.degrees(angle, options)
+    elif None in groups and options.angle_deg is None:
+        above = read_preamble(columns.table.titles)
+        if above.angle_deg is not None:
+            found["angle_of_incidence_deg"] = np.full(len(nm), above.angle_deg)
+            columns.assumed.append(f"angle of incidence from {' and '.join(map(repr, above.lines))}")
     elif None not in groups:
         found["angle_of_incidence_deg"] = np.repeat(np.array(list(groups), dtype=float), len(nm))
     return ellipsometry(columns.path, "table", found, options, assumed=columns.assumed, left_out=_left_out(columns))
@@ -367,6 +389,10 @@ def _plain(columns: Columns, kind: Kind) -> Measurement:
     """Return other tables: lengths in um, wave vectors in 1/um, colours as numbers with names, lamp and observer."""
     data: dict[str, np.ndarray] = {}
     metadata: dict[str, object] = {}
+    lamps = sorted({column.meaning.illuminant for column in columns.found if column.meaning.illuminant})
+    if len(lamps) > 1:
+        others = ", ".join(f'"{c.heading}"' for c in columns.found if c.meaning.illuminant not in ("", lamps[0]))
+        raise NacreError(f"{columns.path}: holds colours under {' and '.join(lamps)}; keep one: ignore = [{others}]")
     for column in columns.found:
         meaning = column.meaning
         name = meaning.quantity + ("" if meaning.number is None else str(meaning.number))
@@ -384,13 +410,17 @@ def _plain(columns: Columns, kind: Kind) -> Measurement:
         data[name] = values
         for key in ("illuminant", "observer"):
             if getattr(meaning, key):
-                metadata[key] = getattr(meaning, key)
+                metadata[key] = getattr(meaning, key) + ("deg" if key == "observer" else "")
     if all(name in data for name in "XYZ") and float(data["Y"].max()) <= 1.1:
         data |= {name: data[name] * 100.0 for name in "XYZ"}
         columns.assumed.append("Y of white = 1, because no Y is above 1.1")
     metadata |= {"names" if name == "name" else name: cells for name, cells in columns.texts.items()}
     if not data and "hex" not in columns.texts:
         raise NacreError(f"{columns.path}: no numbers; the columns are {columns.table.shown_headings}")
+    if kind == "colours" and all(name in data for name in "Lab"):
+        check_scale(np.stack([data[name] for name in "Lab"], axis=-1), columns.path)
+    if kind == "colours" and not lamps:
+        metadata |= light_above(columns.table.titles)
     if kind == "colours" and "hex" in columns.texts:
         data["srgb"] = np.array([srgb_of_hex(columns.path, cell) for cell in columns.texts["hex"]])
     return Measurement(columns.path, "table", kind, data, "", metadata, tuple(columns.assumed), _left_out(columns))

@@ -325,6 +325,8 @@ def find_delimiter(lines: Sequence[str]) -> str | None:
     for mark in (";", "\t", ",", None):
         found = [(len(cells), _numeric_share(cells)) for line in sample if len(cells := split(line, mark)) > 1]
         widths = Counter(width for width, share in found if share >= 0.5)
+        if not widths:  # names beside a colour such as #4a90d0
+            widths = Counter(len(cells) for line in sample if _has_colour(cells := split(line, mark)))
         if not widths:
             continue
         modal = widths.most_common(1)[0][0]
@@ -447,7 +449,14 @@ def _begins_with_names(found: Sequence[_Line], first_is_text: bool | None, knows
 
 
 def _is_data(cells: Sequence[str]) -> bool:
+    if _has_colour(cells):
+        return True
     return bool(cells) and _numeric_share(cells) >= 0.5 and any(_is_number(cell) for cell in cells)
+
+
+def _has_colour(cells: Sequence[str]) -> bool:
+    """Whether one of several cells is a colour such as #4a90d0."""
+    return len(cells) > 1 and any(len(cell) == 7 and _HEX.fullmatch(cell) for cell in cells)
 
 
 def _without_trailing_remark(text: str, delimiter: str | None) -> str:
@@ -541,6 +550,8 @@ def _table(
         for line in data:
             line.cells = line.cells[1:]
     width = max(len(line.cells) for line in data)
+    while len(data) > 2 and width > 2 and len(data[0].cells) == 1 and (delimiter or " ") not in data[0].text.strip():
+        above, data = [*above, data[0]], data[1:]  # a number of the preamble, such as a count
     headings, units, heading_line, used = _find_headings(above, width, delimiter, knows)
     if headings and len(headings) < width:
         extra = next(line for line in data if len(line.cells) > len(headings))
@@ -642,12 +653,14 @@ def _find_headings(
     """
     units: list[str] = []
     used: set[int] = set()
+    is_apart = False  # whether a number stands between the line and the rows
     for line in reversed(above[-6:]):
         text = line.text.strip()
         if line.is_remark:
             text = text.lstrip("#%!;*/'").strip()
+        empty = text.count(delimiter) if delimiter else 0  # "nm,," states the unit of the first column
         unit_cells = next(
-            (c for c in _splits(text, delimiter, width) if len(c) >= min(width, 2) and _is_unit_row(c)), None
+            (c for c in _splits(text, delimiter, width) if len(c) + empty >= min(width, 2) and _is_unit_row(c)), None
         )
         if (
             unit_cells is not None
@@ -658,6 +671,9 @@ def _find_headings(
             units, used = [unit_of(cell) for cell in unit_cells], {line.number}
             continue
         cells = _heading_cells(text, delimiter, width, knows, units, is_remark=line.is_remark)
+        if cells is not None and is_apart and not all(knows(cell, "") for cell in cells):
+            break  # "Number of Zones" above its number
+        is_apart = is_apart or line.is_data
         if cells is not None:
             return cells, units, line.number, used | {line.number}
         if not line.is_remark and not _is_mark(text):

@@ -21,11 +21,75 @@ from pydantic_core import PydanticCustomError, core_schema
 
 from nacre.core.errors import RecipeError, did_you_mean
 from nacre.core.files import real
-from nacre.recipe.error_messages import rule_of
 from nacre.recipe.fingerprint import file_digest
 from nacre.recipe.paths import NUMBERS, TEXTURE_KEYS
-from nacre.recipe.renamed_keys import renamed_hint
-from nacre.recipe.units import LENGTH_UNITS_NM, written_as_number
+
+LENGTH_UNITS_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
+_OTHER_LENGTHS_NM = {"å": 0.1, "angstrom": 0.1, "cm": 1e7, "m": 1e9}
+_DEGREES = ("deg", "degree", "degrees", "°")
+_MEASURE = re.compile(r"([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([^\W\d_]*|[%°])")
+
+
+def written_as_number(key: str, text: str) -> str | None:
+    """Return the correct recipe line, `key = number`, for a number given as text; None if the text is no measure.
+
+    A length retains its unit if recipes accept it; a number without unit has the key's unit.
+
+    Args:
+        key: last word of the key, such as `thickness_nm`.
+        text: the given text, such as "60 nm" or "0,06 µm".
+
+    Example:
+        >>> written_as_number("thickness_nm", "0,06 µm")
+        'thickness_um = 0.06'
+    """
+    match = _MEASURE.fullmatch(text.strip())
+    if match is None:
+        return None
+    number = match[1].replace(",", ".")
+    value, unit = float(number), match[2].lower().replace("µ", "u").replace("μ", "u")
+    stem, _, own = key.rpartition("_")
+    if own in LENGTH_UNITS_NM:
+        if unit in LENGTH_UNITS_NM:
+            return f"{stem}_{unit} = {value:.12g}"
+        if unit in _OTHER_LENGTHS_NM:
+            return f"{key} = {value * _OTHER_LENGTHS_NM[unit] / LENGTH_UNITS_NM[own]:.12g}"
+    elif own == "deg":
+        if unit in _DEGREES:
+            return f"{key} = {value:.12g}"
+    elif unit == "%":
+        return f"{key} = {value / 100:.12g}"
+    return None if unit else f"{key} = {value:.12g}"
+
+
+# Former key -> its present names; the same word may have different successors in different tables.
+RENAMED: dict[str, tuple[str, ...]] = {
+    "at": ("geometry",),
+    "counting": ("energy_balance",),
+    "free": ("parameters",),
+    "layers": ("max_layers",),
+    "levels": ("height_levels",),
+    "most": ("max_layers",),
+    "shakes": ("perturbed_restarts",),
+    "spread": ("tolerance",),
+    "time_limit_s": ("seconds",),
+    "total_nm": ("max_total_nm",),
+    "trusted": ("within_validity",),
+    "want": ("target",),
+    "within": ("tolerance",),
+}
+
+
+def renamed_hint(key: str, allowed: Iterable[str]) -> str:
+    """Return ' It is now called "x".' for a former key whose present name is allowed in its table, or an empty string.
+
+    Example:
+        >>> renamed_hint("within", ["geometry", "tolerance"])
+        ' It is now called "tolerance".'
+    """
+    known = set(allowed)
+    found = next((name for name in RENAMED.get(key, ()) if name in known), None)
+    return f' It is now called "{found}".' if found else ""
 
 
 @dataclass
@@ -459,3 +523,86 @@ def _models_in(annotation: Any) -> list[type[pydantic.BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
         return [annotation]
     return [m for arg in getattr(annotation, "__args__", ()) for m in _models_in(arg)]
+
+
+MAX_KEYS = 4  # in the message for a table without an example form
+
+
+def rule_of(error_type: str, context: Mapping[str, Any], given: Any, tables: Iterable[type[pydantic.BaseModel]]) -> str:
+    """Return the end of the sentence "it should ...".
+
+    Args:
+        error_type: pydantic's error name.
+        context: numbers and names of the error.
+        given: the value in the recipe.
+        tables: table models of the recipe, for their example forms.
+    """
+    if error_type in ("model_type", "model_attributes_type", "dataclass_type"):
+        name = context.get("class_name")
+        return f"be a table{next((_form(table) for table in tables if table.__name__ == name), '')}"
+    if error_type == "literal_error":
+        allowed = str(context["expected"]).replace("'", '"')
+        words = [word for word in allowed.split('"') if word.strip(" ,") not in ("", "or")]
+        one_of = "one of " if len(words) > 1 else ""
+        return f"be {one_of}{allowed}{('.' + hint) if (hint := did_you_mean(str(given), words)) else ''}"
+    if error_type in COUNTS:
+        word, key = COUNTS[error_type]
+        one, more = ("character", "characters") if error_type.startswith("string") else ("entry", "entries")
+        return f"have {word} {context[key]} {one if context[key] == 1 else more}"
+    if error_type in LIMITS:
+        word, key = LIMITS[error_type]
+        return f"be {word} {_short(context[key])}"
+    return WORDS[error_type]
+
+
+LIMITS = {
+    "greater_than": ("above", "gt"),
+    "greater_than_equal": ("at least", "ge"),
+    "less_than": ("below", "lt"),
+    "less_than_equal": ("at most", "le"),
+    "multiple_of": ("a multiple of", "multiple_of"),
+}
+COUNTS = {
+    "too_short": ("at least", "min_length"),
+    "too_long": ("at most", "max_length"),
+    "string_too_short": ("at least", "min_length"),
+    "string_too_long": ("at most", "max_length"),
+}
+WORDS = {
+    "bool_type": "be true or false",
+    "bool_parsing": "be true or false",
+    "float_type": "be a number",
+    "float_parsing": "be a number",
+    "finite_number": "be finite",
+    "int_type": "be a whole number",
+    "int_parsing": "be a whole number",
+    "int_parsing_size": "be a smaller whole number",
+    "int_from_float": "be a whole number",
+    "string_type": "be text",
+    "string_unicode": "be text",
+    "list_type": "be a list",
+    "tuple_type": "be a list",
+    "dict_type": "be a table",
+    "mapping_type": "be a table",
+    "invalid_key": "be text, as every key is",
+    "none_required": "be left out",
+    "recursion_loop": "not hold itself",
+    "is_instance_of": "be something else",
+}
+
+
+def _form(table: type[pydantic.BaseModel]) -> str:
+    forms = getattr(table, "forms", ())
+    if forms:
+        return f", such as {forms[0]}"
+    keys = [info.alias or name for name, info in table.model_fields.items()]
+    needed = [name for name, info in table.model_fields.items() if info.is_required()]
+    shown = needed or keys
+    if not shown:
+        return ""
+    more = ", ..." if len(keys) > len(shown[:MAX_KEYS]) else ""
+    return f" with the key{'s' * (len(shown) > 1 or bool(more))} {', '.join(shown[:MAX_KEYS])}{more}"
+
+
+def _short(number: Any) -> str:
+    return str(number) if isinstance(number, int) else f"{number:g}"

@@ -10,9 +10,8 @@ import pydantic
 
 from nacre.core.errors import RecipeError, did_you_mean
 from nacre.recipe.keys import ByPath
-from nacre.recipe.model import RecipeModel, show_value
+from nacre.recipe.model import RecipeModel, renamed_hint, show_value
 from nacre.recipe.paths import EVERY
-from nacre.recipe.renamed_keys import renamed_hint
 
 
 class BoundsSpec(RecipeModel):

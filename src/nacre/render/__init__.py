@@ -7,8 +7,7 @@ variant; `use_variant()` sets one.
 
 import lazy_loader
 
-from nacre.core.lazy import make_callable
-from nacre.core.packages import require
+from nacre.core.lazy import make_callable, require
 
 require("mitsuba", "drjit")
 

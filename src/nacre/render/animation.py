@@ -28,7 +28,7 @@ from nacre.material.material import Material, loaded
 from nacre.picture import interrupt
 from nacre.picture.denoise import inapplicable_reason
 from nacre.picture.images import read_provenance, write_picture
-from nacre.picture.lights.light_mixture import read_lamps
+from nacre.picture.lights.emitter_plugins import read_lamps
 from nacre.picture.options import KEYWORDS, read_background
 from nacre.picture.picture import render, resolve_material
 from nacre.recipe.fingerprint import file_digest, fingerprint

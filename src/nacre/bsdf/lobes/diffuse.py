@@ -7,11 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from nacre.bsdf.grids import interpolate
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.response import check_parameters, check_wavelengths, parameter_coordinates
 from nacre.bsdf.texture import ParameterAxis
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, interpolate
 from nacre.core.errors import UnsupportedError
 
 

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.bsdf.glints import check_glints
-from nacre.bsdf.grids import interpolate
 from nacre.bsdf.lobe import Lobe, SpecularResponse
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, interpolate
 from nacre.core.errors import UnsupportedError
 
 MATCHED = 1e-4  # smaller index differences between resins do not form an interface

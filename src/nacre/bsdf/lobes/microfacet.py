@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.facet_distributions import DISTRIBUTIONS, exits, masking, normal_density, normal_quadrature
-from nacre.bsdf.grids import interpolate, product_rule
+from nacre.bsdf.lobe import product_rule
 from nacre.bsdf.response import (
     InterfaceResponse,
     ResponseLobe,
@@ -19,7 +19,7 @@ from nacre.bsdf.response import (
     parameter_coordinates,
 )
 from nacre.bsdf.texture import Texture, places
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, interpolate
 from nacre.core.errors import UnsupportedError
 
 

@@ -9,11 +9,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.grids import interpolate
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.response import check_parameters
 from nacre.bsdf.texture import ParameterAxis, Texture, places
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, interpolate
 
 MAX_OVERLAP = 0.12  # largest angular width over the distance of neighbouring orders
 MIN_WAVELENGTH_NM = 200.0

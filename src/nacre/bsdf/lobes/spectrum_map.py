@@ -19,9 +19,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.grids import take_uniform
 from nacre.bsdf.lobe import Lobe
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, take_uniform
 from nacre.core.jit import compiled
 from nacre.core.parallel import parallel_for
 

@@ -18,10 +18,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from nacre.bsdf.grids import interpolate
 from nacre.bsdf.lobe import Lobe
-from nacre.core.arrays import Array
-from nacre.core.directions import from_half_difference as from_half_difference
+from nacre.core.arrays import Array, from_half_difference, interpolate
 
 COORDINATES = ("direction", "half", "specular")
 HALF_PI = np.pi / 2

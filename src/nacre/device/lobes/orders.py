@@ -25,8 +25,10 @@ from nacre.device.plugin import (
     flag,
     glossy_sample,
     is_radiance,
+    of_line,
     opaque,
     opaque_int,
+    pick_line,
     read,
     rotated_frame,
 )
@@ -167,15 +169,10 @@ class OrdersPlugin(LobePlugin[OrdersLobe]):
         wi = frame(si.wi, True)
         active = active & enabled[0] & ((dr.abs(wi.z) if self.transmits else wi.z) > MIN_COS)
         scale, _, node = self._scale(si, active)
-        lines = dr.size_v(mi.UnpolarizedSpectrum)
-        pick = dr.minimum(dr.floor(sample1 * lines), lines - 1.0)
-        rest = sample1 * lines - pick
+        line, rest = pick_line(sample1)
         where = self.axis.locate(si.wavelengths, active)
-        wavelength, low, part = si.wavelengths[0], where.low[0], where.fraction[0]
-        for i in range(1, lines):
-            wavelength = dr.select(pick == i, si.wavelengths[i], wavelength)
-            low, part = dr.select(pick == i, where.low[i], low), dr.select(pick == i, where.fraction[i], part)
-        wavelength = dr.maximum(wavelength, MIN_WAVELENGTH_NM)
+        wavelength = dr.maximum(of_line(si.wavelengths, line), MIN_WAVELENGTH_NM)
+        low, part = of_line(where.low, line), of_line(where.fraction, line)
         start = self._nearest(wi, node, low, part)
         order = dr.binary_search(
             0, self.order_count - 1, lambda i: read(self.cumulated, start + mi.UInt32(i), active) < rest

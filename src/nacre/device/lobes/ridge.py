@@ -3,20 +3,21 @@
 Sampling works in sines, with cos_o d omega_o = ds_x ds_y: the sine along the ridges from its Gaussian, then the
 sine across from a mixture of the envelope sinc^2 and grating orders (the order by the envelope's integral over its
 period, the position by the comb of N ridges). The mixture is averaged over the ray's wavelengths, one of which is
-drawn.
+drawn. The sine across tabulated ridges is drawn from the table.
 """
 
 from __future__ import annotations
 
+import abc
 import math
-from typing import Any
+from typing import Any, TypeVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.bsdf.lobes.ridge import Ridge
+from nacre.bsdf.lobes.ridge import LEAST_CHORD, Ridge, RidgeTable
 from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import (
     MIN_COS,
@@ -26,7 +27,10 @@ from nacre.device.plugin import (
     flag,
     glossy_sample,
     normal_number,
+    of_line,
     opaque,
+    opaque_int,
+    pick_line,
     read,
     replaced,
     rotated_frame,
@@ -42,17 +46,74 @@ MAX_COMB_CELLS = 1 << 18
 MAX_COMB_SHARE = 0.9
 
 
-class RidgePlugin(LobePlugin[Ridge]):
-    """f = fill R K(u, v) D_y / norm, above the surface only."""
+UNIFORM_SHARE = 0.1  # of the samples of a table, in place of the table
+RidgeT = TypeVar("RidgeT", Ridge, RidgeTable)
+
+
+class ReflectingRidges(LobePlugin[RidgeT]):
+    """Ridges along y of a frame rotated about the normal, which reflect above the surface only."""
+
+    spread: Any
+
+    def __init__(self, lobe: RidgeT) -> None:
+        self.components = (flag("GlossyReflection", "Anisotropic", "FrontSide"),)
+        self.axis = WavelengthAxis(lobe.wavelengths_nm)
+        self.rotation = DeviceTexture(lobe.rotation) if lobe.rotation else None
+
+    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Draw a direction; see the module docstring."""
+        frame = rotated_frame(self.rotation, si, active)
+        wi = frame(si.wi, True)
+        along = self.spread * normal_number(sample2[1])  # by inversion
+        x, y, active = self._draw(
+            si, wi, along - wi.y, *pick_line(sample1), sample2[0], active & enabled[0] & (wi.z > MIN_COS)
+        )
+        cos2 = 1.0 - x * x - y * y
+        active = active & (cos2 > MIN_COS)
+        wo = mi.Vector3f(x, y, dr.sqrt(dr.maximum(cos2, 0.0)))
+        value, pdf = self._eval_pdf(si, wi, wo, active)
+        return glossy_sample(frame(wo, False), value, pdf, active)
+
+    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
+        """Return `(value * cos wo, pdf)`."""
+        frame = rotated_frame(self.rotation, si, active)
+        wi, wo = frame(si.wi, True), frame(wo, True)
+        return self._eval_pdf(si, wi, wo, active & enabled[0] & (wi.z > MIN_COS) & (wo.z > MIN_COS))
+
+    def update(self, lobe: RidgeT) -> None:
+        """Replace the data.
+
+        Raises:
+            UnsupportedError: the rotation texture appeared or vanished, or tables changed shape.
+        """
+        if (lobe.rotation is None) != (self.rotation is None):
+            raise UnsupportedError("the rotation of the ridges appeared or vanished; build the scene again")
+        self.axis.update(lobe.wavelengths_nm)
+        if self.rotation is not None and lobe.rotation is not None:
+            self.rotation.update(lobe.rotation)
+
+    @abc.abstractmethod
+    def _draw(self, si: Any, wi: Any, y: Any, line: Any, rest: Any, number: Any, active: Any) -> Any:
+        """Draw the sine across the ridges at the sine `y` along them; return both and `active`.
+
+        Args:
+            line, rest: the chosen wavelength and a uniform number.
+            number: another uniform number.
+        """
+
+    @abc.abstractmethod
+    def _eval_pdf(self, si: Any, wi: Any, wo: Any, active: Any) -> tuple[Any, Any]: ...
+
+
+class RidgePlugin(ReflectingRidges[Ridge]):
+    """f = fill R K(u, v) D_y / norm."""
 
     kind = "ridge"
 
     def __init__(self, lobe: Ridge) -> None:
-        self.components = (flag("GlossyReflection", "Anisotropic", "FrontSide"),)
+        super().__init__(lobe)
         self.response = DeviceResponse(lobe.response)
-        self.axis = WavelengthAxis(lobe.wavelengths_nm)
         self.inverse_norm = DeviceTable(_row(lobe.norm))
-        self.rotation = DeviceTexture(lobe.rotation) if lobe.rotation else None
         self.deviation: Any = None
         self.fill: Any = None
         self._set_numbers(lobe)
@@ -74,46 +135,19 @@ class RidgePlugin(LobePlugin[Ridge]):
             lambda x: np.square(lobe.count * np.sinc(lobe.count * x) / np.sinc(x)) / lobe.count, 0.5, cells
         )
 
-    def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Draw a direction; see the module docstring."""
-        frame = rotated_frame(self.rotation, si, active)
-        wi = frame(si.wi, True)
-        active = active & enabled[0] & (wi.z > MIN_COS)
-        # along: a normal number by inversion
-        along = self.spread * normal_number(sample2[1])
-        sy = along - wi.y
-        limit = dr.sqrt(dr.maximum(1.0 - sy * sy, 0.0))
-        active = active & (limit > MIN_COS)
-        # across: one of the wavelengths, then order or envelope
-        lines = dr.size_v(mi.UnpolarizedSpectrum)
-        pick = dr.minimum(dr.floor(sample1 * lines), lines - 1.0)
-        rest = sample1 * lines - pick
-        wavelength = si.wavelengths[0]
-        for i in range(1, lines):
-            wavelength = dr.select(pick == i, si.wavelengths[i], wavelength)
-        wavelength = self._limited(wavelength)
+    def _draw(self, si: Any, wi: Any, y: Any, line: Any, rest: Any, number: Any, active: Any) -> Any:
+        """Draw from the order of the grating or the envelope, at one of the wavelengths."""
+        limit = dr.sqrt(dr.maximum(1.0 - y * y, 0.0))
+        wavelength = self._limited(of_line(si.wavelengths, line))
         share = self._comb_share(wi, wavelength)
         scale = math.pi * self.width / wavelength  # t per sine
         low, high = self.envelope.cdf((wi.x - limit) * scale), self.envelope.cdf((wi.x + limit) * scale)
-        across = self.envelope.invert(dr.lerp(low, high, sample2[0]), active) / scale
+        across = self.envelope.invert(dr.lerp(low, high, number), active) / scale
         period = wavelength / self.pitch
         order = dr.round(across / period)
-        use_comb = rest < share
         place = self.comb.invert(dr.clip(rest / dr.maximum(share, 1e-6), 0.0, 1.0), active)
-        sx = dr.select(use_comb, (order + place) * period, across) - wi.x
-        cos2 = 1.0 - sx * sx - sy * sy
-        active = active & (cos2 > MIN_COS)
-        wo = mi.Vector3f(sx, sy, dr.sqrt(dr.maximum(cos2, 0.0)))
-
-        value, pdf = self._eval_pdf(si, wi, wo, active)
-        return glossy_sample(frame(wo, False), value, pdf, active)
-
-    def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any, enabled: tuple[bool, ...]) -> Any:
-        """Return `(value * cos wo, pdf)`."""
-        frame = rotated_frame(self.rotation, si, active)
-        wi, wo = frame(si.wi, True), frame(wo, True)
-        active = active & enabled[0] & (wi.z > MIN_COS) & (wo.z > MIN_COS)
-        return self._eval_pdf(si, wi, wo, active)
+        x = dr.select(rest < share, (order + place) * period, across) - wi.x
+        return x, y, active & (limit > MIN_COS)
 
     def _eval_pdf(self, si: Any, wi: Any, wo: Any, active: Any) -> tuple[Any, Any]:
         psi = wi + wo
@@ -172,18 +206,10 @@ class RidgePlugin(LobePlugin[Ridge]):
         return dr.select(si.wi.z > 0.0, dr.mean(reflected) * self.fill, 0.0)
 
     def update(self, lobe: Ridge) -> None:
-        """Replace the data.
-
-        Raises:
-            UnsupportedError: the rotation texture appeared or vanished, or tables changed shape.
-        """
-        if (lobe.rotation is None) != (self.rotation is None):
-            raise UnsupportedError("the rotation of the ridges appeared or vanished; build the scene again")
+        """Replace the data; see `ReflectingRidges.update`."""
+        super().update(lobe)
         self.response.update(lobe.response)
         self.inverse_norm.update(_row(lobe.norm))
-        self.axis.update(lobe.wavelengths_nm)
-        if self.rotation is not None and lobe.rotation is not None:
-            self.rotation.update(lobe.rotation)
         self._set_numbers(lobe)
 
     def traverse(self, callback: Any, prefix: str) -> None:
@@ -247,3 +273,117 @@ def _sinc(x: Any) -> Any:
     """Return sin(x)/x, 1 at 0."""
     safe = dr.select(dr.abs(x) < 1e-3, mi.Float(1.0), x)
     return dr.select(dr.abs(x) < 1e-3, 1.0 - x * x / 6.0, dr.sin(safe) / safe)
+
+
+class RidgeTablePlugin(ReflectingRidges[RidgeTable]):
+    """f = fill D(a, b, c) / sqrt(1 - c^2) D_y."""
+
+    kind = "ridge-table"
+
+    def __init__(self, lobe: RidgeTable) -> None:
+        super().__init__(lobe)
+        self._set(lobe)
+
+    def _set(self, lobe: RidgeTable) -> None:
+        self.shape = lobe.power.shape
+        power = lobe.power if lobe.power.shape[3] > 1 else np.repeat(lobe.power, 2, axis=3)
+        alongs, sines, _, waves = power.shape
+        self.power = device_array(power)
+        self.along_nodes, self.sine_nodes = UniformNodes(alongs), UniformNodes(sines)
+        self.strides = [opaque_int(n) for n in (sines * sines * waves, sines * waves, waves)]
+        self.half = opaque(0.5 * (sines - 1))
+        self.cells = sines - 1  # part of the kernel: it sets the number of search steps
+        self.sine_count, self.wave_count = opaque_int(sines), opaque_int(waves)
+        self.spread, self.fill = opaque(lobe.spread_along), opaque(lobe.fill)
+        # density at the exits' nodes and probability of each cell between them, cumulated: [c, a, wavelength, exit]
+        rows = np.moveaxis(power, 3, 2).astype(float)
+        total = 0.5 * (rows[..., 1:] + rows[..., :-1]).sum(axis=-1, keepdims=True)
+        is_dark = total < 1e-12
+        shape = np.where(is_dark, 1.0, rows / np.where(is_dark, 1.0, total) * self.cells)
+        density = ((1.0 - UNIFORM_SHARE) * shape + UNIFORM_SHARE) / self.cells
+        share = 0.5 * (density[..., 1:] + density[..., :-1])
+        self.density = device_array(density)
+        self.cumulated = device_array(np.cumsum(share, axis=-1) / share.sum(axis=-1, keepdims=True))
+        self.albedo = device_array(lobe.fill * total.mean(axis=(2, 3)) * (2.0 / self.cells))
+
+    def _draw(self, si: Any, wi: Any, y: Any, line: Any, rest: Any, number: Any, active: Any) -> Any:
+        """Draw from the table at the nodes nearest to the light and to one of the wavelengths."""
+        _, chord = _along(wi.y, y)
+        where = self.axis.locate(si.wavelengths, active)
+        row = self._node(wi) * self.wave_count + _nearest(of_line(where.low, line), of_line(where.fraction, line))
+        start = row * mi.UInt32(self.cells)
+        drawn = dr.clip(number, 0.0, 0.9999999)
+        cell = dr.binary_search(0, self.cells - 1, lambda i: read(self.cumulated, start + mi.UInt32(i), active) < drawn)
+        cell = mi.UInt32(cell)
+        first = dr.select(cell > 0, read(self.cumulated, start + dr.maximum(cell, 1) - 1, active), 0.0)
+        last = read(self.cumulated, start + cell, active)
+        share = dr.clip((drawn - first) / dr.maximum(last - first, 1e-12), 0.0, 1.0)
+        # a linear density in the cell, by inversion
+        p_0, p_1 = self._ends(row, cell, active)
+        place = share * (p_0 + p_1) / (p_0 + dr.safe_sqrt(dr.lerp(p_0 * p_0, p_1 * p_1, share)))
+        return ((mi.Float(cell) + place) / self.half - 1.0) * chord, y, active
+
+    def _eval_pdf(self, si: Any, wi: Any, wo: Any, active: Any) -> tuple[Any, Any]:
+        c, chord = _along(wi.y, wo.y)
+        a, b = wi.x / chord, wo.x / chord
+        active = active & (dr.abs(a) <= 1.0) & (dr.abs(b) <= 1.0)
+        along = (wi.y + wo.y) / self.spread
+        gauss = dr.exp(-0.5 * along * along) / (self.spread * math.sqrt(2.0 * math.pi)) * wo.z / chord
+        where = self.axis.locate(si.wavelengths, active)
+        k, f_c = self.along_nodes.cell(c * self.along_nodes.last)
+        i, f_a = self.sine_nodes.cell((dr.clip(a, -1.0, 1.0) + 1.0) * self.half)
+        j, f_b = self.sine_nodes.cell((dr.clip(b, -1.0, 1.0) + 1.0) * self.half)
+        start = k * self.strides[0] + i * self.strides[1] + j * self.strides[2]
+        node = self._node(wi) * self.wave_count
+        value, density = mi.UnpolarizedSpectrum(0.0), mi.Float(0.0)
+        lines = dr.size_v(mi.UnpolarizedSpectrum)
+        for line in range(lines):
+            low, part = where.low[line], where.fraction[line]
+            planes = []
+            for plane in (start + low, start + low + self.strides[0]):
+                rows = []
+                for row in (plane, plane + self.strides[1]):
+                    ends = [
+                        dr.lerp(read(self.power, at, active), read(self.power, at + 1, active), part)
+                        for at in (row, row + self.strides[2])
+                    ]
+                    rows.append(dr.lerp(ends[0], ends[1], f_b))
+                planes.append(dr.lerp(rows[0], rows[1], f_a))
+            value[line] = dr.lerp(planes[0], planes[1], f_c)
+            p_0, p_1 = self._ends(node + _nearest(low, part), j, active)
+            density = density + dr.lerp(p_0, p_1, f_b) / lines
+        return value * (self.fill * gauss) & active, dr.select(active, density * self.half * gauss, 0.0)
+
+    def _node(self, wi: Any) -> Any:
+        """Return the number of the node nearest to a light direction, for light mirrored along the ridges."""
+        c, chord = _along(wi.y, -wi.y)
+        k = mi.UInt32(dr.round(c * self.along_nodes.last))
+        return k * self.sine_count + mi.UInt32(dr.round((dr.clip(wi.x / chord, -1.0, 1.0) + 1.0) * self.half))
+
+    def _ends(self, row: Any, cell: Any, active: Any) -> tuple[Any, Any]:
+        """Return the density at both ends of a cell."""
+        at = row * self.sine_count + cell
+        return read(self.density, at, active), read(self.density, at + 1, active)
+
+    def choice_weight(self, si: Any, active: Any) -> Any:
+        """Return the reflected light, averaged over wavelengths, at the nearest node."""
+        wi = rotated_frame(self.rotation, si, active)(si.wi, True)
+        return dr.select(wi.z > 0.0, read(self.albedo, self._node(wi), active), 0.0)
+
+    def update(self, lobe: RidgeTable) -> None:
+        """Replace the data; see `ReflectingRidges.update`."""
+        if lobe.power.shape != self.shape:
+            raise UnsupportedError("the table of the ridges changed its shape; build the scene again")
+        super().update(lobe)
+        self._set(lobe)
+
+
+def _along(y_i: Any, y_o: Any) -> tuple[Any, Any]:
+    """Return c and sqrt(1 - c^2)."""
+    c = dr.minimum(0.5 * dr.abs(y_i - y_o), 1.0)
+    return c, dr.sqrt(dr.maximum(1.0 - c * c, LEAST_CHORD**2))
+
+
+def _nearest(low: Any, part: Any) -> Any:
+    """Return the nearer of a wavelength cell's two nodes."""
+    return low + dr.select(part > 0.5, mi.UInt32(1), 0)

@@ -13,8 +13,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.table import TableLobe
+from nacre.core.arrays import direction
 from nacre.core.errors import UnsupportedError
 from nacre.device.plugin import (
     MIN_COS,

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nacre.bsdf.grids import direction
 from nacre.bsdf.lobes.diffuse import Diffuse
-from nacre.bsdf.lobes.ridge import Ridge, chord, gaussian, ridge_interference
-from nacre.bsdf.lobes.ridge_table import RidgeTable
+from nacre.bsdf.lobes.ridge import Ridge, RidgeTable, chord, gaussian, ridge_interference
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.texture import Texture
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 
 SAFETY = 1.002  # on the largest integral, which is evaluated on a grid
 SCAN_ACROSS = np.sin(np.radians([0, 5, 10, 20, 30, 40, 50, 60, 70, 80]))

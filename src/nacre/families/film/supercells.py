@@ -9,7 +9,7 @@ import numpy as np
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.lobe import Lobe
-from nacre.bsdf.lobes.ridge_table import RidgeTable
+from nacre.bsdf.lobes.ridge import RidgeTable
 from nacre.core.arrays import Array
 from nacre.families.contract import Traits
 from nacre.families.film.material import Film

@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.facet_distributions import Roughness
-from nacre.bsdf.grids import cell
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.lobes.specular import Specular
 from nacre.bsdf.lobes.table import TableLobe
 from nacre.bsdf.reciprocity import reciprocal_scaling
 from nacre.bsdf.response import InterfaceResponse
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, cell
 from nacre.core.parallel import in_threads
 from nacre.families.glass.medium import Medium, gauss_rule
 from nacre.families.glass.radiative_transfer import Slab, brdf_pairs, brdf_table, face

@@ -10,6 +10,7 @@ from nacre.matter.periodic.structure import Profile
 from nacre.recipe.model import RecipeContext
 
 MAX_POINTS = 20_000
+MAX_GAP = 1.5  # between the end of a table and the period, over its largest step
 
 
 def profile_of(shape: str, depth_nm: float, apex: float, top: float, bottom: float) -> Profile:
@@ -50,7 +51,7 @@ def read_profile(context: RecipeContext, key: str, name: str, period_nm: float, 
         depth_nm: scales the heights to this depth; None keeps them.
 
     Raises:
-        RecipeError: not a table of two columns, x does not ascend, or it is longer than the period.
+        RecipeError: not a table of two columns, x does not ascend, or it does not span the period.
     """
     from scipy.interpolate import CubicSpline
 
@@ -77,6 +78,10 @@ def read_profile(context: RecipeContext, key: str, name: str, period_nm: float, 
         raise context.fail(key, name, "does not ascend in x; allowed: finite numbers, x ascending")
     if x[-1] > period_nm * (1 + 1e-6):
         raise context.fail(key, name, f"spans {x[-1]:g} nm; allowed: at most the period, {period_nm:g} nm")
+    if period_nm - x[-1] > MAX_GAP * np.diff(x).max():
+        raise context.fail(
+            key, name, f"spans {x[-1]:g} nm of the period, {period_nm:g} nm; allowed: one period, both columns in nm"
+        )
     if x[-1] < period_nm * (1 - 1e-6):
         x, z = np.append(x, period_nm), np.append(z, z[0])
     z = z.copy()

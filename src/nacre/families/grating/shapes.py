@@ -49,6 +49,7 @@ OWN = {
 }
 MAX_PIXELS = 1024
 SAMPLES = 256  # a side, in the search for overlaps
+LEAST_EXTENT = 1e-3  # of a GDS drawing, over the period
 
 
 class ShapeSpec(RecipeModel):
@@ -211,7 +212,7 @@ class ShapeSpec(RecipeModel):
             a, b = [-w, w, w, h, h, w, w, -w, -w, -h, -h, -w], [-h, -h, -w, -w, w, w, h, h, w, w, -w, -w]
             polygons = [0.5 * np.column_stack([a, b])]
         if polygons is None:
-            polygons = self._gds(context, key)
+            polygons = self._gds(context, key, cell)
         shapes: list[Shape] = []
         for points in polygons:
             corners = points @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [x, y]
@@ -254,7 +255,7 @@ class ShapeSpec(RecipeModel):
 
         return Region(distance, ("image", inside.tobytes().hex(), inside.shape))
 
-    def _gds(self, context: RecipeContext, key: str) -> list[Array]:
+    def _gds(self, context: RecipeContext, key: str, cell: Cell) -> list[Array]:
         """Return the polygons of a GDS cell, in nm.
 
         Raises:
@@ -290,7 +291,15 @@ class ShapeSpec(RecipeModel):
         if not polygons:
             raise context.fail(f"{key}.layer", self.layer, f"holds no polygons in cell {top[0].name}")
         merged = gdstk.boolean(polygons, [], "or", precision=1e-3 * library.precision / library.unit)
-        return [np.asarray(p.points) * (library.unit / 1e-9) for p in merged]
+        drawn = [np.asarray(p.points) * (library.unit / 1e-9) for p in merged]
+        size = float(np.ptp(np.concatenate(drawn), axis=0).max()) if drawn else 0.0
+        if not LEAST_EXTENT * cell.period_x <= size <= 4.0 * max(cell.period_x, cell.period_y or 0.0):
+            raise context.fail(
+                f"{key}.gds", self.gds,
+                f"spans {size:g} nm in units of {library.unit:g} m; allowed: a drawing of the cell, "
+                f"{cell.period_x:g} nm across",
+            )  # fmt: skip
+        return drawn
 
 
 def _is_gds(data: bytes) -> bool:

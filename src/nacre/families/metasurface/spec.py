@@ -13,8 +13,7 @@ import pydantic
 from nacre.core.errors import MaterialRangeError
 from nacre.families.contract import Fabricable, Figure, OwnFormats, Writer
 from nacre.families.metasurface.ensemble.ensemble import EnsembleSettings
-from nacre.families.metasurface.exports import layer_sheet, layout, write_particle
-from nacre.families.metasurface.figures import FIGURES
+from nacre.families.metasurface.exports import FIGURES, layer_sheet, layout, write_particle
 from nacre.families.metasurface.material import Metasurface
 from nacre.families.metasurface.monolayer.arrangement import (
     ARRANGEMENTS,

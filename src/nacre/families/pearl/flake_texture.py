@@ -14,18 +14,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from threading import Lock
 
 import numpy as np
 
 from nacre.bsdf.facet_distributions import fresnel
-from nacre.bsdf.flakes import DiffuseFlakes, LitFlakes, mean_square, radius_quantiles
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.bsdf.glints import DiffuseFlakes, LitFlakes, mean_square, radius_quantiles
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
 from nacre.families.pearl.flake_normals import FlakeNormals, optical_number, orthonormal_basis
 from nacre.families.pearl.glints import DIFFRACTION, MIDDLE_UM, Glints, interface_bend
-from nacre.families.pearl.platelet import platelet_response
+from nacre.families.pearl.platelet import Platelet, platelet_response
 from nacre.families.pearl.strata import Flakes, Stratum, dye_response
+from nacre.families.pearl.surrogate import TRUNCATION
 
 DEPTH_NODES = 17
 COS_NODES = 257
@@ -35,6 +36,25 @@ LEAST = 1e-3  # share of the brightest flake, below which crossings are not tabu
 MOST_CROSSINGS = 200
 INDEX_NM = 550.0
 RESOLUTION = 0.51 / 2.3548  # standard deviation of an image point, half width at half maximum 0.51 wavelengths / NA
+
+
+MOST_TABLES = 128  # in memory, about 130 kB each
+_tables: dict[tuple[object, ...], tuple[Array, Array]] = {}
+_tables_lock = Lock()
+
+
+def _table(platelet: Platelet, container_n: Array, wavelengths_nm: Array) -> tuple[Array, Array]:
+    """Return a flake's unpolarised R and T `[cos, wavelength]`; recent ones are cached, as candidates share them."""
+    key = (*platelet.key, container_n.tobytes(), wavelengths_nm.tobytes())
+    found = _tables.get(key)
+    if found is None:
+        cos = np.linspace(0.0, 1.0, COS_NODES)
+        found = platelet_response(platelet, container_n, cos, wavelengths_nm, TRUNCATION).unpolarised()
+        with _tables_lock:
+            while len(_tables) >= MOST_TABLES:
+                _tables.pop(next(iter(_tables)))
+            _tables[key] = found
+    return found
 
 
 def visible_normals(normals: FlakeNormals, w: Array, nodes: int = NORMALS) -> tuple[Array, float]:
@@ -81,10 +101,9 @@ class FlakeTexture:
         at = np.array([INDEX_NM])
         self.index = [float(stratum.resin.n_complex(at)[0].real) for stratum in strata]
         self.absorption = [self._absorption(stratum) for stratum in strata]
-        cos = np.linspace(0.0, 1.0, COS_NODES)
-        self.cos = cos
+        self.cos = np.linspace(0.0, 1.0, COS_NODES)
         self.tables = [
-            [platelet_response(f.platelet, s.resin.n_complex(wavelengths_nm).real, cos, wavelengths_nm).unpolarised()
+            [_table(f.platelet, s.resin.n_complex(wavelengths_nm).real, wavelengths_nm)
              for f in s.kinds]
             for s in strata
         ]  # fmt: skip

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.compensation import interface_losses
-from nacre.bsdf.grids import direction
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.substrate import Substrate
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError
 from nacre.families.contract import EnergyDefect, Figure, Model, ResolvedFlakes, Strata, Surrogate, Traits
 from nacre.families.pearl.doubling import RELATIVE_ERROR

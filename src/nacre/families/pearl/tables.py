@@ -20,10 +20,9 @@ from scipy.sparse.linalg import splu
 
 from nacre.bsdf.facet_distributions import exits as facet_exits
 from nacre.bsdf.facet_distributions import fresnel, smith_masking, visible_normals
-from nacre.bsdf.grids import cell, interpolate, take_uniform
 from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.lobes.platelet_layer import PlateletLayer, surface_values
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, cell, interpolate, take_uniform
 from nacre.core.parallel import in_threads
 from nacre.families.pearl.glints import interface_bend
 from nacre.families.pearl.random_walk import (

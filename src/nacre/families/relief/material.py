@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf.bsdf import Bsdf
-from nacre.bsdf.grids import direction
+from nacre.core.arrays import direction
 from nacre.core.errors import UnsupportedError
 from nacre.families.contract import DirectEvaluation, Draft, ExcessEnergy, Fabricable, Figure, Model, Traits
 from nacre.families.relief.blocks import Blocks, blocks_of

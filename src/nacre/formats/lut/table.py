@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from nacre.bsdf.grids import interpolate
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, interpolate
 
 HORIZON = 1e-4  # smallest cosine in divisions
 

@@ -32,7 +32,7 @@ from nacre.matter.indices.models import (
     abbe_cauchy,
     cauchy_tail,
 )
-from nacre.recipe.units import written_as_number
+from nacre.recipe.model import written_as_number
 
 Extrapolation = Literal["error", "edge"]
 

@@ -168,6 +168,3 @@ class UrbachSpec(RecipeModel):
     amplitude: NotNegative = pydantic.Field(description="k at the edge", examples=[0.1])
     energy_ev: Positive = pydantic.Field(description="Urbach energy: k grows by e over it, in eV", examples=[0.15])
     edge_ev: Positive = pydantic.Field(description="photon energy of the edge, in eV", examples=[3.4])
-
-
-TermsSpec = TaucLorentzSpec | CodyLorentzSpec | GaussianSpec | BrendelBormannSpec | BSplineSpec

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
-from nacre.core.parallel import in_threads
+from nacre.core.jobs import in_workers
 from nacre.matter.periodic.orders import cached_solution, case_key, packed_solutions, unpacked_solutions
 from nacre.matter.periodic.solve import difference, method_of, size_count, solve_coarse
 from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle
@@ -112,7 +112,7 @@ def _solved_tables(
     if table_error is not None and _is_patterned(stack):
         probes = [(t, a, 0) for t, a in own[:: max(len(own) // PROBES, 1)]]  # the first wavelength needs most
         for step in range(size_count(stack)):
-            pairs = zip(in_threads(check, probes), in_threads(partial(work, step=step), probes), strict=True)
+            pairs = zip(in_workers(check, probes), in_workers(partial(work, step=step), probes), strict=True)
             if max(difference(*pair) for pair in pairs) <= table_error:
                 break
     found = _solved_rows(partial(work, step=step), cases, f"{key}-{step}" if key else "")
@@ -145,7 +145,7 @@ def _solved_tables(
     # the error of the coarse solutions, at a few directions
     some = cases[:: max(len(cases) // CHECKS, 1)] if _is_patterned(stack) else []
     error = 0.0
-    for (t, a, w), better in zip(some, in_threads(check, some), strict=True):
+    for (t, a, w), better in zip(some, in_workers(check, some), strict=True):
         error = max(error, difference(found[t, a, w], better))
     numbered = np.array(every, dtype=np.int64).reshape(-1, 2)
     made = OrderTables(mirror, passed, reflected, transmitted, numbered, lattice, error, 0.0)
@@ -164,21 +164,23 @@ def _solved_rows(
         stored = cached_arrays(f"{key}-{t}") if key else None
         if stored is not None:
             found |= zip(row, unpacked_solutions(stored), strict=True)
-    lock = threading.Lock()
+    missing = [case for case in cases if case not in found]
+    left = Counter(t for t, _, _ in missing)
     seconds = dict.fromkeys(rows, 0.0)
 
-    def kept(case: tuple[int, int, int]) -> None:
+    def timed(case: tuple[int, int, int]) -> tuple[OrderSolution, float]:
         start = time.perf_counter()
-        solution = work(case)
-        with lock:
-            found[case] = solution
-            t = case[0]
-            seconds[t] += time.perf_counter() - start
-            is_complete = all(each in found for each in rows[t])
-            if key and is_complete and seconds[t] > MIN_STORED_S:
-                cache_arrays(f"{key}-{t}", packed_solutions([found[each] for each in rows[t]]))
+        return work(case), time.perf_counter() - start
 
-    in_threads(kept, [case for case in cases if case not in found])
+    def keep(case: tuple[int, int, int], result: tuple[OrderSolution, float]) -> None:
+        t = case[0]
+        found[case] = result[0]
+        seconds[t] += result[1]
+        left[t] -= 1
+        if key and not left[t] and seconds[t] > MIN_STORED_S:
+            cache_arrays(f"{key}-{t}", packed_solutions([found[each] for each in rows[t]]))
+
+    in_workers(timed, missing, keep)
     return found
 
 
@@ -200,7 +202,7 @@ def _between(tables: OrderTables, stacks: list[PeriodicStack], wavelengths_nm: A
         for part in (tables.mirror, tables.reflected)
     )
     worst = 0.0
-    for (k, w), solution in zip(cases, in_threads(solved, cases), strict=True):
+    for (k, w), solution in zip(cases, in_workers(solved, cases), strict=True):
         exact = np.zeros(len(tables.orders))
         for number, value in zip(solution.reflected.numbers, solution.reflected.efficiency.mean(axis=1), strict=True):
             if not number.any():

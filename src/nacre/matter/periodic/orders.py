@@ -11,7 +11,7 @@ import numpy as np
 
 from nacre.core.disk_cache import cache_arrays, cached_arrays
 from nacre.core.errors import UnsupportedError
-from nacre.core.parallel import in_threads
+from nacre.core.jobs import in_workers
 from nacre.matter.periodic.solve import solve, solve_coarse
 from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Region
 from nacre.matter.periodic.types import Array
@@ -76,7 +76,7 @@ def solve_orders(
     tolerance: float | None = None,
     is_strict: bool = True,
 ) -> Orders:
-    """Solve all angles and wavelengths, in threads.
+    """Solve all angles and wavelengths, in threads or on a cluster.
 
     Args:
         stack_at: the structure at a wavelength in nm.
@@ -91,13 +91,22 @@ def solve_orders(
     phi = azimuth_rad + np.pi
     stacks = [stack_at(float(w)) for w in grid]
     cases = [(a, w) for a in range(len(angles)) for w in range(len(grid))]
-    found = in_threads(
-        lambda case: cached_solution(
-            stacks[case[1]], float(grid[case[1]]), float(angles[case[0]]), phi, tolerance, is_strict
-        ),
-        cases,
-    )
-    return gathered(cases, found, angles, azimuth_rad, grid)
+    keys = {(a, w): case_key(stacks[w], float(grid[w]), float(angles[a]), phi, tolerance) for a, w in cases}
+    stored = {case: cached_arrays(key) for case, key in keys.items() if key}
+    found = {case: _unpacked(arrays) for case, arrays in stored.items() if arrays is not None}
+
+    def timed(case: tuple[int, int]) -> tuple[OrderSolution, float]:
+        start = time.perf_counter()
+        made = solve(stacks[case[1]], float(grid[case[1]]), float(angles[case[0]]), phi, tolerance, is_strict)
+        return made, time.perf_counter() - start
+
+    def keep(case: tuple[int, int], result: tuple[OrderSolution, float]) -> None:
+        found[case] = result[0]
+        if keys[case] and result[1] > MIN_STORED_S:
+            cache_arrays(keys[case], _packed(result[0]))
+
+    in_workers(timed, [case for case in cases if case not in found], keep)
+    return gathered(cases, [found[case] for case in cases], angles, azimuth_rad, grid)
 
 
 def coarse_orders(
@@ -107,7 +116,7 @@ def coarse_orders(
     angles, grid = np.atleast_1d(angles_rad).astype(float), np.atleast_1d(wavelengths_nm).astype(float)
     stacks = [stack_at(float(w)) for w in grid]
     cases = [(a, w) for a in range(len(angles)) for w in range(len(grid))]
-    found = in_threads(
+    found = in_workers(
         lambda case: solve_coarse(stacks[case[1]], float(grid[case[1]]), float(angles[case[0]]), azimuth_rad + np.pi),
         cases,
     )

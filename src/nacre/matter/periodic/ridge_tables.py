@@ -62,7 +62,7 @@ def solved_case(case: RidgeCase, along: float) -> tuple[Array, Array]:
         along: component of the light direction along the ridges.
 
     Returns:
-        D `[a, b]` and `[draw, b]`; see `nacre.bsdf.lobes.ridge_table`.
+        D `[a, b]` and `[draw, b]`; see `nacre.bsdf.lobes.ridge`.
     """
     key = "ridges-" + hashlib.sha256(repr((VERSION, SINES, case, along)).encode()).hexdigest()
     stored = cached_arrays(key)

@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError
-from nacre.matter.stack.inputs import Powers, StackArrays, kernel_powers, part_of, prepare, run_kernel
-from nacre.matter.stack.roots import normal_component
+from nacre.matter.stack.inputs import Powers, StackArrays, kernel_powers, normal_component, part_of, prepare, run_kernel
 
 EXCESS = 0.02  # of R + T above 1, beyond which intensities do not add
 

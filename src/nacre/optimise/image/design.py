@@ -28,8 +28,7 @@ from nacre.optimise.html_report import PICTURE, REPORT
 from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, fine_grid, level_grid
 from nacre.optimise.image.files import ParameterMap, write_maps
 from nacre.optimise.image.matching import blurred, dither, has_same_hue, map_into_solid, match_colours
-from nacre.optimise.image.pixels import write_pixels
-from nacre.optimise.image.rgb import screen_rgb, srgb_lab
+from nacre.optimise.image.pixels import screen_rgb, srgb_lab, write_pixels
 from nacre.optimise.solutions import SUMMARY, Design, DesignProgress, Solution, claim, clear_solutions, write_recipe
 from nacre.optimise.task import DesignTask
 from nacre.optimise.thin_film.adapter import interrupt_flag

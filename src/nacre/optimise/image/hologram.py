@@ -28,7 +28,7 @@ from nacre.light import delta_e_2000, lab_to_xyz, smooth_weights, white_xyz, xyz
 from nacre.material.material import Material, load
 from nacre.optimise.evaluation import TargetResult
 from nacre.optimise.image.files import ParameterMap, write_maps
-from nacre.optimise.image.rgb import screen_rgb, srgb_lab
+from nacre.optimise.image.pixels import screen_rgb, srgb_lab
 from nacre.optimise.image.validation import PERIOD, TURN
 from nacre.optimise.solutions import SUMMARY, Design, Solution, claim, clear_solutions, write_recipe
 from nacre.optimise.targets import Target

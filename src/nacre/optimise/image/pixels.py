@@ -1,4 +1,4 @@
-"""The field of a picture made of pixels whose structures differ, as a mask."""
+"""Pixels of a picture: sRGB to CIELAB and back, and the mask of a field of pixels whose structures differ."""
 
 from __future__ import annotations
 
@@ -8,10 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
+from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.core.files import write_text
 from nacre.families.contract import Pixels
 from nacre.formats.pixel_fields import write_pixel_field
+from nacre.light import (
+    SRGB_WHITE_XYZ,
+    clip_to_srgb,
+    lab_to_xyz,
+    srgb_decode,
+    srgb_encode,
+    srgb_linear_to_xyz,
+    xyz_to_lab,
+    xyz_to_srgb_linear,
+)
 from nacre.material.material import Material
 from nacre.optimise.image.files import ParameterMap
 
@@ -57,3 +68,14 @@ def write_pixels(folder: Path, material: Material, maps: Sequence[ParameterMap])
             REPEATS,
         )
     return [f"{FIELD}.json", f"{FIELD}.gds", f"{FIELD}.oas"]
+
+
+def srgb_lab(rgb: Array) -> Array:
+    """Return CIELAB for encoded sRGB `[..., 3]` under its white (D65, 2 degree observer)."""
+    return np.asarray(xyz_to_lab(srgb_linear_to_xyz(srgb_decode(rgb)), SRGB_WHITE_XYZ))
+
+
+def screen_rgb(xyz: Array, white: Array) -> Array:
+    """Return the encoded sRGB with the same CIELAB values as XYZ `[..., 3]` under `white`, clipped to sRGB."""
+    shown = np.clip(lab_to_xyz(xyz_to_lab(xyz, white), SRGB_WHITE_XYZ), 0.0, None)
+    return np.asarray(srgb_encode(clip_to_srgb(xyz_to_srgb_linear(shown)).rgb))

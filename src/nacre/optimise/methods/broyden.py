@@ -107,6 +107,3 @@ def gauss_newton_step(run: Descent, weights: Array, columns: list[int], low: Arr
         step[is_free] = -np.linalg.solve(damped, gradient[is_free])
     longest = float(np.max(np.abs(step), initial=0.0))
     return step if longest <= MAX_STEP else step * (MAX_STEP / longest)
-
-
-__all__ = ["Descent", "descend", "gauss_newton_step"]

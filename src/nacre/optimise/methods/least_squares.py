@@ -341,15 +341,3 @@ class LeastSquaresSearch(Search):
             reweightings=options.reweightings,
         )
         self.archive.add(objective, problem.changes(point))
-
-
-__all__ = [
-    "LeastSquaresOptions",
-    "LeastSquaresSearch",
-    "LocalMinimum",
-    "is_distinct",
-    "minimise_residuals",
-    "refine",
-    "reweighted",
-    "sobol_points",
-]

@@ -166,6 +166,3 @@ class BasinHopping:
             return np.zeros_like(run.residuals) if found is None else (found - run.residuals) / steps[index]
 
         return np.stack(in_threads(column, columns), axis=1)
-
-
-__all__ = ["BasinHopping", "BasinHoppingOptions"]

@@ -259,6 +259,3 @@ class SuccessiveHalvingSearch(Search):
             found = self._evaluate(point, self.coarse)
             columns.append(np.zeros(len(base)) if found is None else (found - base) / step)
         return np.stack(columns, axis=1)
-
-
-__all__ = ["Fidelity", "SuccessiveHalvingOptions", "SuccessiveHalvingSearch"]

@@ -19,21 +19,23 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.core.parallel import single_threaded_blas
-from nacre.families.contract import Surrogate, surrogate_radiance
+from nacre.families.contract import Surrogate
 from nacre.light import delta_e_2000, lamp_lines_nm, with_lamp_lines
 from nacre.measure.evaluate import DEFAULT_SAMPLES, evaluate_with_error
-from nacre.measure.geometry import Geometry, aspecular_pairs
+from nacre.measure.geometry import aspecular_pairs
+from nacre.measure.texture import TextureQuantity
 from nacre.optimise.evaluation import geometries_of, rank
+from nacre.optimise.measurement import surrogate_factors
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.least_squares import is_distinct, refine
 from nacre.optimise.methods.local_minima import BasinHopping
+from nacre.optimise.parameters import count_tables, draws
 from nacre.optimise.problem import PENALTY, STOP_TOL, Budget, Changes, OnProgress, Phase, Problem, Result, Search
-from nacre.optimise.sparsify import count_tables, draws
 from nacre.optimise.task import DesignTask
 from nacre.recipe.paths import is_within
 
 SUBSET_NM = np.linspace(400.0, 700.0, 14)  # enough for flakes of spread thickness, at half the time
-COARSE_COST = 0.1  # of a coarse surrogate relative to a fine one
+COARSE_COST, TEXTURE_COST = 0.1, 0.5  # of a coarse surrogate relative to a fine one, without and with texture
 WALKS_PER_EVALUATION = 16_384  # Monte Carlo walks that cost as much as a fine surrogate
 
 
@@ -215,7 +217,9 @@ class SurrogateSearch(Search):
         super().__init__(problem.task.spec.search.solutions)
         self.problem = problem
         self.options = SurrogateOptions() if options is None else options
-        self.wi, self.wo = aspecular_pairs(problem.geometries)
+        self.rows = [row for row, at in enumerate(problem.geometries) if not isinstance(at, TextureQuantity)]
+        self.wi, self.wo = aspecular_pairs([problem.geometries[row] for row in self.rows])
+        self._coarse_cost = COARSE_COST if len(self.rows) == len(problem.geometries) else TEXTURE_COST
         self._grid, self._merit = problem.wavelengths_nm, problem.merit
         self._best_rank = (np.inf, 0, np.inf)
         self._correction: Correction | None = None
@@ -302,16 +306,16 @@ class SurrogateSearch(Search):
 
     def spectra(self, point: Array, grid: Array | None = None) -> Array | None:
         """Return `[row, wavelength]` of the corrected surrogate; None if it cannot be computed."""
-        self.charge(1.0 if self._is_fine else COARSE_COST)
+        self.charge(1.0 if self._is_fine else self._coarse_cost)
         wavelengths_nm = self._grid if grid is None else grid
         try:
-            model = self.problem.candidate(self.problem.changes(point)).model
-            found = surrogate_radiance(model, self.wi, self.wo, wavelengths_nm, self._is_fine)
+            made = self.problem.candidate(self.problem.changes(point))
+            found = surrogate_factors(made, self.problem.geometries, wavelengths_nm, self._is_fine)
         except (NacreError, ArithmeticError):
             return None
         if found is None:
             return None
-        exact, approximation = np.pi * found[0], np.pi * found[1]
+        exact, approximation = found
         correction = self._correction
         spectra = exact + approximation if correction is None else correction.apply(exact, approximation)
         return spectra if np.all(np.isfinite(spectra)) else None
@@ -345,21 +349,24 @@ class SurrogateSearch(Search):
         self._is_fine = True
         problem, seed = self.problem, self.problem.seed + len(self.error.estimates)
         try:
-            model = problem.candidate(problem.changes(point)).model
-            found = None
+            made = problem.candidate(problem.changes(point))
+            model, found = made.model, None
             if isinstance(model, Surrogate):
                 found = model.estimate_radiance(self.wi, self.wo, self._grid, walks, seed)
             if found is None:
                 samples = max(walks // 4, DEFAULT_SAMPLES)
                 bsdf = model.bsdf(self._grid)
                 found = evaluate_with_error(bsdf, self.wi, self.wo, samples=samples, seed=seed)  # type: ignore[assignment]
-            surrogate = surrogate_radiance(model, self.wi, self.wo, self._grid, True)
+            surrogate = surrogate_factors(made, problem.geometries, self._grid, True)
         except (NacreError, ArithmeticError):
             return PENALTY, 0.0
         assert found is not None and surrogate is not None
-        exact, approximation = np.pi * surrogate[0], np.pi * surrogate[1]
-        error = np.zeros_like(approximation) if found[1] is None else np.pi * found[1]
-        rest, error = self.error.combine(walks, exact, approximation, np.pi * found[0] - exact, error)
+        exact, approximation = surrogate
+        error, estimated = np.zeros_like(approximation), exact.copy()
+        estimated[self.rows] = np.pi * found[0]
+        if found[1] is not None:
+            error[self.rows] = np.pi * found[1]
+        rest, error = self.error.combine(walks, exact, approximation, estimated - exact, error)
         self._correction = Correction(rest, approximation)
         factors = exact + rest
         objective = float(self._merit.objective(self._merit.distances(factors)))
@@ -557,22 +564,11 @@ class SurrogateSearch(Search):
 
 def is_applicable(task: DesignTask) -> bool:
     """Whether a task has a surrogate at all of its geometries."""
-    geometries: list[Geometry] = geometries_of(task.targets)
-    if task.spec.layers is not None or any(geometry.kind != "aspecular" for geometry in geometries):
+    if task.spec.layers is not None:
         return False
-    wi, wo = aspecular_pairs(geometries)
     grid = np.asarray(task.material.model.wavelengths_nm)
+    grid = grid[:: max(len(grid) // 3, 1)]
     try:
-        return surrogate_radiance(task.material.model, wi, wo, grid[:: max(len(grid) // 3, 1)]) is not None
+        return surrogate_factors(task.material, geometries_of(task.targets), grid, False) is not None
     except NacreError:
         return False
-
-
-__all__ = [
-    "Correction",
-    "SurrogateError",
-    "SurrogateOptions",
-    "SurrogateSearch",
-    "is_applicable",
-    "wavelength_subset",
-]

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import RecipeError
 from nacre.core.files import read_text
 from nacre.core.jit import seconds_compiled

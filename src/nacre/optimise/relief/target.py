@@ -13,8 +13,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import pydantic
 
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
+from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.families.relief.coherence import CoherenceSpec

@@ -30,9 +30,9 @@ from nacre.optimise.task import DesignTask, bounds_of, palette_name, substrates
 from nacre.optimise.thin_film.problem import Medium, Slot, StackProblem
 from nacre.optimise.thin_film.search import StackSolution, default_evaluations, search
 from nacre.optimise.thin_film.search import many as many_stacks
+from nacre.recipe.model import LENGTH_UNITS_NM
 from nacre.recipe.path_tables import by_path
 from nacre.recipe.paths import EVERY
-from nacre.recipe.units import LENGTH_UNITS_NM
 
 ENGINE_GEOMETRIES = ("specular", "transmitted")
 SIDES = {"specular": "reflected", "transmitted": "transmitted"}
@@ -390,6 +390,3 @@ def interrupt_flag() -> Iterator[Callable[[], bool]]:
         yield seen.is_set
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-__all__ = ["ThinFilmSearch", "drawn_factors", "is_plain", "stack_factors", "thin_film_search", "thin_film_search_many"]

@@ -508,16 +508,3 @@ def _from_draws(engine: Engine, draws: Population, labs: Array, seed: int, numbe
         if island.best < target and (done := engine.finish(island.ordered()[0])).score < target:
             return done
     return min((engine.finish(one) for one in island.ordered()[:4]), key=lambda one: one.score)
-
-
-__all__ = [
-    "Engine",
-    "GeneticOptions",
-    "Stack",
-    "StackSolution",
-    "choose",
-    "default_evaluations",
-    "is_alike",
-    "many",
-    "search",
-]

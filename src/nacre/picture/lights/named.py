@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
 from nacre.core.files import plain, why_unreadable
 from nacre.light import illuminant as light_illuminant
-from nacre.picture.lights.environment_plugin import make_environment, spectrum_texture
+from nacre.picture.lights.emitter_plugins import Lamp, make_environment, spectrum_texture, sum_of_environments
 from nacre.picture.lights.environments import (
     BEAM_DEG,
     Environment,
@@ -28,7 +28,6 @@ from nacre.picture.lights.environments import (
     studio,
     unit_spectrum,
 )
-from nacre.picture.lights.light_mixture import Lamp, sum_of_environments
 from nacre.picture.paths import SOFT_LAMP_DEG, WITHIN_LAMP_DEG
 from nacre.picture.plugin import mi
 
@@ -130,7 +129,7 @@ def make_lights(lamps: Sequence[Lamp], illuminant: str = "D65", turn_deg: float 
     """Build lights in the current variant; the first one sets the white point.
 
     Args:
-        lamps: see `nacre.picture.lights.light_mixture.read_lamps`.
+        lamps: see `nacre.picture.lights.emitter_plugins.read_lamps`.
         illuminant: lamp spectrum. `sun`, `sky`, places and maps have their own spectra and the white
             point D65.
         turn_deg: common turn about the object.

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nacre.core.arrays import Array
-from nacre.core.directions import angles_deg
+from nacre.core.arrays import Array, angles_deg
 from nacre.core.errors import NacreError
 from nacre.readers.bsdf.samples import measurement as as_measurement
 from nacre.readers.bsdf.samples import pairs_of, pairs_of_half_angles, read_text

@@ -229,12 +229,6 @@ def _table(path: Path, options: ReadOptions) -> tuple[Heading, Array]:
     return known, np.array(table)
 
 
-def _meanings(cells: list[str]) -> int:
-    """Return how many columns of a row of headings are recognised; wavelengths and channels count once."""
-    known = heading(cells)
-    return len(known.place) + bool(known.waves) + bool(known.colour)
-
-
 def _number(path: Path, line: int, cell: str) -> float:
     try:
         number = float(cell)

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.core.arrays import Array
-from nacre.core.directions import from_half_difference
+from nacre.core.arrays import Array, from_half_difference
 from nacre.core.errors import NacreError
 from nacre.readers.bsdf.samples import COLOURS, DEGREES, pairs_of_half_angles, read_bytes
 from nacre.readers.measurement import Measurement, ReadOptions

@@ -14,10 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nacre.core.arrays import Array
-from nacre.core.directions import angles_deg, direction
+from nacre.core.arrays import Array, angles_deg, direction, interpolate
 from nacre.core.errors import NacreError
-from nacre.core.interpolation import interpolate
 from nacre.readers.bsdf.samples import measurement, read_bytes
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead

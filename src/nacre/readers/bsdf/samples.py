@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nacre.core.arrays import Array
-from nacre.core.directions import angles_deg, from_half_difference
+from nacre.core.arrays import Array, angles_deg, from_half_difference
 from nacre.core.errors import NacreError
 from nacre.core.files import plain, why_unreadable
 from nacre.core.memory import check_memory

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nacre.core.arrays import Array
-from nacre.core.directions import angles_deg
+from nacre.core.arrays import Array, angles_deg
 from nacre.core.errors import NacreError
 from nacre.readers.bsdf.samples import measurement as as_measurement
 from nacre.readers.bsdf.samples import numbers, pairs_of, read_text

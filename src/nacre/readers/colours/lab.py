@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError
+from nacre.core.errors import NacreError, RecipeError
 from nacre.light import (
     ILLUMINANTS,
     adapt_xyz,
@@ -21,6 +21,31 @@ from nacre.light import (
     xyz_to_lab,
 )
 from nacre.readers.measurement import Measurement
+
+LEAST_OF_8_BITS = 90.0  # a* and b* of all colours above it are values of 8 bits, of which 128 is neutral
+_COLOURS = {"spectra", "reflectance", "srgb", "L", "X"}
+MOST_L = 200.0  # L* of light far brighter than white, as of mirrors beside it
+
+
+def check_scale(lab: Array, path: Path) -> None:
+    """Check that the numbers are CIELAB in the usual scale.
+
+    Raises:
+        RecipeError: all colours lie in the range that CIELAB has when scaled to 0..1, to 8 or to 16 bits.
+    """
+    if not len(lab):
+        return
+    if lab[:, 0].max() > MOST_L:
+        raise RecipeError(f"{path}: L* reaches {lab[:, 0].max():g}; give L* from 0 to 100, a* and b* in the same scale")
+    if 0.0 < lab[:, 0].max() <= 1.0 and np.abs(lab[:, 1:]).max() <= 1.0:
+        raise RecipeError(
+            f"{path}: all numbers are at most 1, almost black; give L* from 0 to 100, a* and b* in the same scale"
+        )
+    if lab[:, 1:].min() >= LEAST_OF_8_BITS:
+        raise RecipeError(
+            f"{path}: a* and b* are at least {LEAST_OF_8_BITS:g} in all rows, as in 8-bit CIELAB; multiply the first "
+            "number by 100/255 and subtract 128 from the other two"
+        )
 
 
 def named_lab(
@@ -37,7 +62,10 @@ def named_lab(
     names: list[str] = []
     parts: list[Array] = []
     said: list[str] = []
-    for measurement in measurements:
+    usable = [each for each in measurements if _COLOURS & set(each.data)]
+    if usable and len(usable) < len(measurements):
+        said.append(f"{len(measurements) - len(usable)} spectra that hold no colour are not used")
+    for measurement in usable or measurements:
         lab, sentence = _lab(path, measurement, illuminant, observer)
         own = measurement.metadata.get("names") or [measurement.name] * len(lab)
         names += [str(name) for name in own]

@@ -53,7 +53,7 @@ def constants(columns: Columns, options: ReadOptions, nm: Floats, format_id: str
     nm, given = nm[~is_missing], {quantity: values[~is_missing] for quantity, values in given.items()}
     nm, given = sorted_by_wavelength(path, nm, given)
     n, k = _n_and_k(path, given, columns)
-    n, k = checked(path, nm, n, k, assumed)
+    n, k = checked(path, nm, n, k, assumed, "eps2" in given)
     data: dict[str, Floats] = {"wavelength_nm": nm, "n": n, "k": k}
     data |= {quantity: given[quantity] for quantity in ("eps1", "eps2") if quantity in given}
     return Measurement(path, format_id, "constants", data, name, {}, tuple(assumed), tuple(left_out))
@@ -88,8 +88,10 @@ def _n_and_k(path: Path, given: dict[str, Floats], columns: Columns) -> tuple[Fl
     return n, np.zeros_like(n) if k is None else k
 
 
-def checked(path: Path, nm: Floats, n: Floats, k: Floats, assumed: list[str]) -> tuple[Floats, Floats]:
-    """Refuse impossible constants; k that scatters about 0 is set to 0.
+def checked(
+    path: Path, nm: Floats, n: Floats, k: Floats, assumed: list[str], is_permittivity: bool = False
+) -> tuple[Floats, Floats]:
+    """Refuse impossible constants, which may follow from a permittivity; k that scatters about 0 is set to 0.
 
     Raises:
         NacreError: negative k beyond noise.
@@ -104,5 +106,7 @@ def checked(path: Path, nm: Floats, n: Floats, k: Floats, assumed: list[str]) ->
     if -k.min() <= NOISE_K:
         assumed.append(f"k scatters about 0 (least {k.min():g}); negative k are set to 0")
         return n, np.maximum(k, 0.0)
-    sign = 'if the file holds n - ik, name the columns, "-k" for k: columns = ["wavelength_nm", "n", "-k"]'
+    names = '"wavelength_nm", "eps1", "-eps2"' if is_permittivity else '"wavelength_nm", "n", "-k"'
+    form = "eps1 - i eps2" if is_permittivity else "n - ik"
+    sign = f"if the file holds {form}, name the columns: columns = [{names}]"
     raise NacreError(f"{path}: k = {k[at]:g} at {nm[at]:.6g} nm should be 0 or positive (n + ik); {sign}")

@@ -18,13 +18,25 @@ from nacre.readers.text_table import load_text
 from nacre.readers.units import SPECTRAL, UNITS, parse_unit
 
 QUANTITIES = {"NK": ("n", "k"), "E1E2": ("eps1", "eps2"), "N": ("n",)}
+# layers whose parameters are no table of n and k
+LAYERS = frozenset(
+    "GENOSC EMA CAUCHY SELLMEIER LORENTZ BSPLINE B-SPLINE TAUC-LORENTZ CODY-LORENTZ GRADED BIAXIAL UNIAXIAL ALLOY "
+    "SUPERLATTICE INTERMIX PARAMETRIC".split()
+)
 _UNITS = re.compile(r"^[^\S\n]*Units\s*=\s*([^,\s]+)\s*,\s*(\w+)", re.IGNORECASE | re.MULTILINE)
 _BEGIN = re.compile(r"^[^\S\n]*Begin of array.*$", re.IGNORECASE | re.MULTILINE)
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for a layer file with units and an array, or for the short form."""
-    return CERTAIN if (_UNITS.search(head.text) and _BEGIN.search(head.text)) or _short(head.lines) else 0.0
+    """Return 1 for a layer file with units and an array, the short form, or parameters."""
+    is_known = (_UNITS.search(head.text) and _BEGIN.search(head.text)) or _short(head.lines) or _layer(head.lines)
+    return CERTAIN if is_known else 0.0
+
+
+def _layer(lines: list[str]) -> str:
+    """Return the layer type of a file of parameters: its second line; else ""."""
+    word = lines[1].strip() if len(lines) > 2 else ""
+    return word if word.upper() in LAYERS else ""
 
 
 def _short(lines: list[str]) -> tuple[str, str] | None:
@@ -49,6 +61,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         name, body = found[1].strip() if found else "", text[begin.end() :]
     else:
         lines = re.split(r"\r\n|\r|\n", text)
+        if layer := _layer(lines):
+            raise NacreError(
+                f"{path}: is a layer of WVASE or CompleteEASE that holds the parameters of {layer}, not n and k; "
+                "export its optical constants as a table there"
+            )
         short = _short(lines)
         if short is None:
             raise NacreError(f"{path}: is no material file: units and columns are not stated")

@@ -11,7 +11,7 @@ from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
 MAGIC = b"AliconaImaging\0\r\n"
-TAG_BYTES, KEY_BYTES, VALUE_BYTES = 52, 20, 30
+TAG_BYTES, KEY_BYTES = 52, 20
 SAME = 1.5e-7  # relative, for the marker of holes in single precision
 
 

@@ -1,4 +1,4 @@
-"""A bare matrix of heights as text: no unit, no size."""
+"""A bare matrix of heights as text: no unit, no size; its first row and column may be coordinates."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.heights.surface import (
     asked_pitch,
@@ -17,7 +18,7 @@ from nacre.readers.heights.surface import (
     numbers,
     reads,
 )
-from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import POSSIBLE, FileHead
 
 LEAST_SIDE = 4
@@ -25,7 +26,20 @@ WIDE = 16  # columns from which a table without headings is more likely a map
 
 
 def _rows(text: str) -> list[str]:
-    return [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("#", "%", "//"))]
+    rows = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("#", "%", "//"))]
+    if rows and rows[0].lstrip(" ")[:1] in ("\t", ",", ";"):
+        rows[0] = f"nan{rows[0]}"  # the corner of the coordinates
+    return rows
+
+
+def _coordinate_steps(values: Array) -> tuple[float, float] | None:
+    """Return the steps of coordinates in the first row and the first column, or None if they are heights."""
+    if min(values.shape) <= LEAST_SIDE:
+        return None
+    steps = [np.diff(line) for line in (values[0, 1:], values[1:, 0])]
+    inner = [np.diff(line) for line in (values[1, 1:], values[1:, 1])]  # even in a plane, which has no coordinates
+    is_even = [bool(one[0] != 0 and np.allclose(one, one[0], rtol=1e-3)) for one in (*steps, *inner)]
+    return (abs(float(steps[0][0])), abs(float(steps[1][0]))) if is_even == [True, True, False, False] else None
 
 
 def sniff(head: FileHead) -> float:
@@ -72,5 +86,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     if not columns or values.size != columns * len(rows):
         raise NacreError(f"{path}: its rows hold different numbers of heights")
     check_shape((len(rows), columns))
-    factor, pitch = asked_unit(path, options), asked_pitch(path, options)
-    return [height_map(path, "matrix", values.reshape(len(rows), columns) * factor, pitch)]
+    values = values.reshape(len(rows), columns)
+    steps, factor = _coordinate_steps(values), asked_unit(path, options)
+    if steps is None:
+        return [height_map(path, "matrix", values * factor, asked_pitch(path, options))]
+    said = f"the first row and column are coordinates in steps of {steps[0]:g} and {steps[1]:g}"
+    if options.pitch_um is None:
+        raise AmbiguousFileError(f"{path}: {said} without a unit; state the steps in um: pitch_um", "pitch_um")
+    return [height_map(path, "matrix", values[1:, 1:] * factor, options.pitch_um, left_out=[said])]

@@ -15,7 +15,7 @@ from nacre.readers.registry import CERTAIN, FileHead
 MAGIC = b"VCA DATA\x01\x00\x00\x55"
 SCALARS = {1: "<?", 4: "<h", 5: "<H", 6: "<i", 7: "<I", 10: "<q", 11: "<Q", 12: "<f", 13: "<d"}
 NESTED, POSITIONS, END = (0x7D, 0x46, 0x47), 0x7C, 0x7F
-TIME_BYTES, UNIT_EXTRA = 9, 12
+TIME_BYTES = 9
 
 
 def sniff(head: FileHead) -> float:

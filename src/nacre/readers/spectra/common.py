@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ _QUANTITIES: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
         ("absorbance", r"absorban|absorb\b|log\s*\(?\s*1\s*/\s*[rt]|^abs\b|^abs$|^a$|^a\.u\.$|^od$|optical density|"
                        r"extin[ck]t|absorption|吸光度"),
         ("irradiance", r"irradiance|radiance|[uµμm]?w\s*/\s*(?:cm|m)|[uµμ]w|luminous|bestrahlung"),
-        ("counts", r"counts?\b|^scope|intensit|^adc|^dark$|^dn\b|single[ -]?beam|^raw\b|^energy"),
+        ("counts", r"counts?\b|\bcnts?\b|^scope|\bintens|^adc|^dark$|^dn\b|single[ -]?beam|^raw\b|^energy"),
         ("reflectance", r"reflect|r[ée]fle[ck]|rfl|^%?\s*r\s*%?$|^r\s*[\[(]?\s*%|^%\s*r\b|反射率|\bbrf\b|^refl"),
         ("transmittance", r"transmi|^%?\s*t\s*%?$|^t\s*[\[(]?\s*%|^%\s*t\b|透過率|^trans\b"),
     )
@@ -46,6 +46,14 @@ _OTHER_SCALE = re.compile(
     r"^1\s*-|\b[rt]\s*/\s*[a-z]|\bdb\b|‰|per ?mill?e|\bpp[mt]\b|"
     r"(?:^|[^a-z])[x×*]\s*10+\b|[a-z]\s*[×*]\s*10+\b|\b10+\s*[x×*]\s*[rt]|10\s*\^|\blog(?:10)?\b|\bln\b|\bsqrt\b|"
     r"\bdelta\b|[δ∆]|deriv|\bchange\b|normali[sz]|\ba\.\s?u\b|\barb(?:\b|itr)"
+)
+# other quantities over the wavelength; as a whole heading, since names of samples may contain these words
+_OTHER_QUANTITY = re.compile(
+    r"(?:(?:optical |colou?r |spectral |total )?(?:contrast|emissivity|emittance|emission|haze|gloss|phase|"
+    r"responsivity|sensitivity|fluorescence|photoluminescence|luminescence|pl|eqe|iqe|qe|"
+    r"quantum (?:efficiency|yield)|efficiency|"
+    r"ellipticity|dichroism|birefringence|retardance|depolari[sz]ation|anisotropy|noise|ratio|gain|enhancement)|"
+    r"[dδ∆]\s?([rt])\s*/\s*\1[0_]?)\s*(?:[\[(].*[\])])?"
 )
 _POWER = re.compile(r"reflect|r[ée]fle[ck]|transmi|absorptance|(?<![a-z])[rt](?![a-z])|反射率|透過率")
 _LOG_INVERSE = re.compile(r"log\s*\(?\s*1\s*/\s*[rt]")  # absorbance
@@ -269,14 +277,51 @@ def label_of(text: str) -> Label | None:
 
 
 def has_other_scale(text: str) -> bool:
-    """Whether a heading states a function of R or T, or a scale that is not read.
+    """Whether a heading states a function of R or T, another quantity, or a scale that is not read.
 
     Example:
         >>> [has_other_scale(text) for text in ("Reflectance (dB)", "1-R", "R (a.u.)", "R (%)", "delta", "log(1/R)")]
         [True, True, True, False, False, False]
     """
     low = " ".join(text.strip().strip('"').lower().replace("_", " ").split())
+    if _OTHER_QUANTITY.fullmatch(low):
+        return True
     return bool(_OTHER_SCALE.search(low)) and bool(_POWER.search(low)) and not _LOG_INVERSE.search(low)
+
+
+_X_KEY = re.compile(r"x(?:axis)?(?:units?|label)|axisunit1|xaxis|abscissa")
+_Y_KEY = re.compile(
+    r"y(?:axis)?(?:units?|label|type)|axis(?:unit|type)0|yaxis|ordinate|(?:data|spectrum|measurement|measuring|photometric)?"
+    r"(?:type|mode)|measurement"
+)
+
+
+def _key(text: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", text.lower())
+
+
+def is_axis_key(cell: str) -> bool:
+    """Whether a cell begins a line of the preamble, such as "AxisUnit[0]=" or "YUnits", not a line of headings."""
+    return cell[-1:] in ("=", ":") or bool(_X_KEY.fullmatch(_key(cell)) or _Y_KEY.fullmatch(_key(cell)))
+
+
+def stated_axes(lines: Sequence[str]) -> tuple[str | None, str]:
+    """Return the abscissa's unit and the words on the ordinate that `key: value` lines beside a table state.
+
+    Example:
+        >>> stated_axes(["#AxisUnit[1]=\t1/cm", "#AxisType[0]=\tIntens", "#AxisUnit[0]=\tCnt/sec"])
+        ('1/cm', 'Intens Cnt/sec')
+    """
+    unit: str | None = None
+    words: list[str] = []
+    for line in lines:
+        match = re.fullmatch(r"[\s#%;]*([^:=\t,;]{1,40}?)\s*[:=\t,;]+\s*(\S.*?)[\s;,]*", line)
+        key = _key(match[1]) if match else ""
+        if match and _X_KEY.fullmatch(key):
+            unit = unit or unit_named(match[2])
+        elif match and _Y_KEY.fullmatch(key):
+            words.append(match[2])
+    return unit, " ".join(words) if label_of(" ".join(words)) else ""
 
 
 def unit_named(text: str) -> str | None:
@@ -381,7 +426,9 @@ def by_size(path: Path, nm: Array, values: Array, notes: Notes, what: str, *, li
     raise AmbiguousFileError(f"{path}: {what}, and values up to {size:.4g} do not decide", "quantity", choices)
 
 
-def named_quantity(path: Path, options: ReadOptions, stated: str, nm: Array, values: Array, notes: Notes) -> Label:
+def named_quantity(
+    path: Path, options: ReadOptions, stated: str, nm: Array, values: Array, notes: Notes, unnamed: str = "no quantity"
+) -> Label:
     """Return the quantity that a file states by name; without a name, by size.
 
     Raises:
@@ -393,7 +440,7 @@ def named_quantity(path: Path, options: ReadOptions, stated: str, nm: Array, val
     if stated.strip():
         choices = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])
         raise AmbiguousFileError(f'{path}: "{stated.strip()}" is no known quantity of a spectrum', "quantity", choices)
-    return by_size(path, nm, values, notes, "no quantity")
+    return by_size(path, nm, values, notes, unnamed)
 
 
 def scale(path: Path, label: Label, nm: Array, values: Array, notes: Notes) -> float:
@@ -518,8 +565,3 @@ def check_count(path: Path, stated: float | str | None, got: int, what: str) -> 
         return
     if expected != got:
         raise NacreError(f"{path}: {what} states {expected} points, and {got} are there; the file is cut or damaged")
-
-
-def iterate_words(text: str) -> Iterator[str]:
-    """Yield the words of a text in lower case."""
-    yield from re.findall(r"[a-zà-ÿ]+", text.lower())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
 from nacre.readers.columns import interpret
-from nacre.readers.headings import SPECTRAL_QUANTITIES, meanings
+from nacre.readers.headings import SPECTRAL_QUANTITIES, degrees, meanings
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.preamble import read_preamble, with_preamble
 from nacre.readers.registry import FileHead
@@ -36,7 +36,7 @@ _NUMBER_HEADING = re.compile(r"^\D{0,12}?(\d{3,4}(?:\.\d+)?)\s*(?:nm)?$", re.IGN
 _BESIDE = re.compile(r"\b(rad|radiance|irr|irrad|irradiance|norm|dn|raw)\b", re.IGNORECASE)
 _OTHER = re.compile(
     r"psi|delta|\bn\b|\bk\b|eps|\be1\b|\be2\b|refractive|index of|theta|phi|bsdf|brdf|^[xyz]$|^l\*?$|height|"
-    r"^m\d\d$|aoi|angle|polari|^i[sc]'?$|^[nk][oe]$",
+    r"^m\d\d$|aoi|angle|polari|^i[sc]'?$|^[nk][oexyz]$",
     re.IGNORECASE,
 )
 
@@ -76,6 +76,9 @@ def _confidence(lines: Sequence[str], block: Block) -> float:
 
 def _is_other(heading: str) -> bool:
     """Whether a heading names a quantity of another class, such as n, eps1, Psi or an angle."""
+    label = common.label_of(heading)
+    if label is not None and label.quantity == "kubelka_munk":
+        return False
     return bool(_OTHER.search(heading.strip())) or any(meaning.quantity in OTHERS for meaning in meanings(heading))
 
 
@@ -101,14 +104,15 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     technique = next((line.split(",")[1] for line in text.lines[: block.start] if line.startswith("Technique,")), "")
     if technique.strip():
         metadata["Technique"] = technique.strip()
+    axis_unit, ordinate = common.stated_axes([*text.lines[: block.start], *text.lines[block.stop :]])
     if not names:
-        return [_plain(path, common.complete(path, block), options, notes)]
+        return [_plain(path, common.complete(path, block), options, notes, axis_unit, ordinate)]
     axes = [place for place, name in enumerate(names) if _WAVELENGTH.search(name)]
     pairs = [place for place in axes if place + 1 not in axes]
     if len(pairs) > 1:
         found_spectra = _pairs(path, text.lines, block, names, pairs, options, notes)
     else:
-        found_spectra = _columns(path, common.complete(path, block), names, metadata, options, notes)
+        found_spectra = _columns(path, common.complete(path, block), names, metadata, options, notes, ordinate)
     above = read_preamble(text.lines[: block.start])
     if options.angle_deg is not None:  # the user's statement precedes
         above = replace(above, angle_deg=None)
@@ -179,7 +183,8 @@ def _is_quantity(table: TextTable, place: int) -> bool:
     """Whether a heading may state a quantity, an error or a unit, and not only the name of a sample."""
     heading = table.headings[place]
     known = {meaning.quantity for meaning in meanings(heading, table.units[place])} - {*COLOUR_WORDS}
-    return bool(known or common.label_of(heading) or table.units[place]) or bool(
+    is_axis = bool(re.fullmatch(r"[nk][oexyz]", heading))
+    return bool(known or is_axis or common.label_of(heading) or table.units[place]) or bool(
         _PIXEL.match(heading) or _BESIDE.search(heading)
     )
 
@@ -199,6 +204,7 @@ def _headings(lines: Sequence[str], block: Block) -> list[str]:
             cells = common.cells(line, delimiter)
             if (
                 len(cells) > 1
+                and not common.is_axis_key(cells[0])
                 and (_axis(cells) is not None or abs(len(cells) - width) <= 1)
                 and len(cells) <= width + 1
             ):
@@ -243,13 +249,15 @@ def _plain_columns(table: Array) -> tuple[Array, Array | None] | None:
     return None
 
 
-def _plain(path: Path, table: Array, options: ReadOptions, notes: Notes) -> Measurement:
+def _plain(
+    path: Path, table: Array, options: ReadOptions, notes: Notes, axis_unit: str | None, ordinate: str
+) -> Measurement:
     columns = _plain_columns(table)
     if columns is None:
         raise AmbiguousFileError(f"{path}: {table.shape[1]} columns without headings", "columns")
-    unit = common.assumed_unit(path, table[:, 0], notes, options)
+    unit = common.option_unit(path, options) or axis_unit or common.assumed_unit(path, table[:, 0], notes, options)
     nm = common.nanometres(table[:, 0], unit)
-    label = common.option_label(path, options) or common.by_size(path, nm, columns[0], notes, "no heading")
+    label = common.named_quantity(path, options, ordinate, nm, columns[0], notes, "no heading")
     if columns[1] is not None:
         notes.assumed.append("the third column is the standard error, because it is small beside the second")
     return common.spectrum(
@@ -284,9 +292,19 @@ def _pairs(
 
 
 def _columns(
-    path: Path, table: Array, names: list[str], metadata: dict[str, str], options: ReadOptions, notes: Notes
+    path: Path,
+    table: Array,
+    names: list[str],
+    metadata: dict[str, str],
+    options: ReadOptions,
+    notes: Notes,
+    ordinate: str,
 ) -> list[Measurement]:
-    """Return one spectrum per column of values; a column of uncertainties belongs to the column before."""
+    """Return one spectrum per column of values; a column of uncertainties belongs to the column before.
+
+    Headings that are angles, such as "15°", are angles of incidence. `ordinate` states the quantity of an only column
+    whose heading does not.
+    """
     place = _axis(names)
     if place is None:
         if not _is_axis(table[:, 0]):
@@ -315,13 +333,22 @@ def _columns(
     technique = common.label_of(metadata.get("Technique", ""))
     if technique is not None and len(spectra) == 1 and names[spectra[0][0]] == "Processed":  # Wasatch Enlighten
         names[spectra[0][0]] = "Processed %" + technique.quantity if technique.factor is None else technique.quantity
+    said = [names[column] for column, _ in spectra]
+    if len(said) == 1 and ordinate and common.label_of(said[0]) is None and not common.has_other_scale(said[0]):
+        said = [ordinate]
     labels = _labels(
-        path, table[:, place], [(names[column], table[:, column]) for column, _ in spectra], options, notes
+        path, table[:, place], [(name, table[:, column]) for name, (column, _) in zip(said, spectra)], options, notes
     )
+    angles = [degrees(names[column]) for column, _ in spectra]
+    if None in angles or options.angle_deg is not None:
+        angles = [None] * len(spectra)
+    else:
+        notes.assumed.append("the headings are angles of incidence")
     return [
-        _one(path, table[:, place], table[:, column], names[place], label, names[column], metadata, options,
+        _one(path, table[:, place], table[:, column], names[place], label, names[column],
+             metadata if angle is None else {**metadata, "angle_of_incidence_deg": angle}, options,
              Notes(list(notes.assumed), list(notes.left_out)), error)
-        for (column, error), label in zip(spectra, labels, strict=True)
+        for (column, error), label, angle in zip(spectra, labels, angles, strict=True)
     ]  # fmt: skip
 
 
@@ -394,7 +421,7 @@ def _shown(columns: Sequence[tuple[str, Array]]) -> str:
 
 
 def _one(
-    path: Path, x: Array, y: Array, x_name: str, label: Label, title: str, metadata: dict[str, str],
+    path: Path, x: Array, y: Array, x_name: str, label: Label, title: str, metadata: Mapping[str, object],
     options: ReadOptions, notes: Notes, error: Array | None = None,
 ) -> Measurement:  # fmt: skip
     has_value = np.isfinite(x) & np.isfinite(y)

@@ -38,7 +38,6 @@ TABLES_S = 1.0  # seconds per wavelength
 # species at different heights need vertical translations: seconds per pattern, wave and
 # pair of multipoles, and per wavelength
 CARRYING_S, CARRIED_TABLES_S = 6.6e-9, 6e-5
-MOST_UNKNOWNS = 12_000  # 1.2 GB per matrix
 
 
 @dataclass(frozen=True)

@@ -273,9 +273,6 @@ def fill_rows(panels, targets, homes, waves, degree, far, self_count, rules, row
                         outer = inner
 
 
-__all__ = ["Array", "ComplexArray", "fill_rows", "gauss_table", "locate", "shapes"]
-
-
 @dataclass(frozen=True)
 class Mesh:
     """Body resolution: panels (core panels, if coated), polynomial degree, and quadrature nodes."""

@@ -6,6 +6,9 @@ export interface NacreTable {
   illuminant: string;
   parameter: { name: string; low: number; high: number } | null;
   is_two_sided: boolean;
+  /** The other material of a blend, and the share of the first one: a number, or a picture over uv. */
+  second: NacreTable | null;
+  share: number | null;
   errors_dE00: Record<string, Record<string, number>>;
   lost: string[];
 }

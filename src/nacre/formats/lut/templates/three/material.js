@@ -2,10 +2,11 @@
 import { CustomBlending, DoubleSide, FrontSide, OneFactor, OneMinusSrcAlphaFactor, ShaderMaterial, UniformsLib,
   UniformsUtils, Vector3 } from 'three';
 import { NacreEnvironment } from './environment.js';
-import { TABLE, position, textures } from './table.js';
+import { PARTS, TABLE, positions, textures } from './table.js';
 
 export { NacreEnvironment, TABLE };
 
+/** The look-ups of each part in GLSL. */
 const LOOK_UPS = @GLSL@;
 
 const VERTEX = /* glsl */`
@@ -42,7 +43,7 @@ void main() {
   #include <fog_vertex>
 }`;
 
-const FRAGMENT = /* glsl */`
+const HEAD = /* glsl */`
 varying vec3 vViewPosition;
 varying vec2 vNacreUv;
 #include <common>
@@ -53,13 +54,16 @@ varying vec2 vNacreUv;
 #include <shadowmap_pars_fragment>
 #include <logdepthbuf_pars_fragment>
 #include <clipping_planes_pars_fragment>
-${LOOK_UPS}
-uniform float nacrePosition;
 uniform vec3 nacreIrradiance[9];
 uniform vec3 nacreTurn;
 #ifdef NACRE_ENVIRONMENT
 uniform sampler2D nacreEnvironment;
 #endif
+`;
+
+/** The light that one material sends, behind its look-ups. */
+const PART = /* glsl */`
+uniform float nacrePosition;
 #ifdef NACRE_ALBEDO_BANDS
 uniform sampler2D nacreAlbedo;
 #endif
@@ -96,19 +100,43 @@ mat3 nacreFrame(vec3 n) {
   return mat3(t, cross(n, t), n);
 }
 
-void RE_Direct_Nacre(const in IncidentLight light, const in vec3 where, const in vec3 n, const in vec3 view,
-    const in vec3 coat, const in NacreSurface s, inout ReflectedLight sent) {
-  vec3 wi = light.direction * s.frame;
-  sent.directSpecular += light.color * nacreBrdf(wi, s.wo, s.p) * abs(wi.z);
+NacreSurface nacreSurface(vec3 normal, vec3 view) {
+  NacreSurface s;
+  s.frame = nacreFrame(normal);
+  s.wo = view * s.frame;
+#ifdef NACRE_ONE_SIDED
+  s.wo.z = max(s.wo.z, 1e-4);
+#endif
+  s.side = s.wo.z < 0.0 ? 1.0 : 0.0;
+  s.p = nacrePosition;
+#ifdef NACRE_MAP
+  if (nacrePosition < 0.0) s.p = texture2D(nacreMap, vNacreUv).r;
+#endif
+#ifdef NACRE_ROWS_AZIMUTH
+  s.row = dot(s.wo.xy, s.wo.xy) > 1e-12 ? s.wo.x * s.wo.x / dot(s.wo.xy, s.wo.xy) : 0.5;
+#else
+  s.row = s.p;
+#endif
+  return s;
 }
-void RE_IndirectDiffuse_Nacre(const in vec3 irradiance, const in vec3 where, const in vec3 n, const in vec3 view,
-    const in vec3 coat, const in NacreSurface s, inout ReflectedLight sent) {
+vec3 nacreLit(vec3 direction, NacreSurface s) {
+  vec3 wi = direction * s.frame;
+  return nacreBrdf(wi, s.wo, s.p) * abs(wi.z);
+}
+vec3 nacreEvenly(NacreSurface s) {
 #ifdef NACRE_ALBEDO_BANDS
-  sent.indirectDiffuse += irradiance / NACRE_PI * nacreView(nacreAlbedo, s, NACRE_ALBEDO_BANDS);
+  return nacreView(nacreAlbedo, s, NACRE_ALBEDO_BANDS);
+#else
+  return vec3(0.0);
 #endif
 }
-#define RE_Direct RE_Direct_Nacre
-#define RE_IndirectDiffuse RE_IndirectDiffuse_Nacre
+float nacreOpacity(NacreSurface s) {
+#ifdef NACRE_THROUGH_BANDS
+  return 1.0 - dot(nacreView(nacreThrough, s, NACRE_THROUGH_BANDS), vec3(0.2126, 0.7152, 0.0722));
+#else
+  return 1.0;
+#endif
+}
 
 #ifdef NACRE_ENVIRONMENT
 vec3 nacreTurned(vec3 w) { return vec3(nacreTurn.x * w.x + nacreTurn.y * w.z, w.y, nacreTurn.x * w.z - nacreTurn.y * w.x); }
@@ -186,50 +214,60 @@ vec3 nacreSurroundings(NacreSurface s) {
 }
 #endif
 
+`;
+
+/** The names of a part in GLSL: the second one has its own. */
+const named = (text, part) => (part === 0 ? text : text.replace(
+  /\b(nacre|Nacre|NACRE_)(?!(Environment|Turn|Irradiance|ENVIRONMENT)\b)/g, '$1B_'));
+/** A value in GLSL, or that of both parts by the share of the first one. */
+const both = (text) => (PARTS.length === 1 ? text.replaceAll('PART', 'first')
+  : `mix(${named(text, 1).replaceAll('PART', 'second')}, ${text.replaceAll('PART', 'first')}, s.share)`);
+
+const SHARE = TABLE.pictures.share ? 'texture2D(nacreShare, vNacreUv).r' : (TABLE.share ?? 1).toFixed(6);
+const FRAGMENT = /* glsl */`${HEAD}
+${PARTS.map((_, i) => named(LOOK_UPS[i] + PART, i)).join('\n')}
+${TABLE.pictures.share ? 'uniform sampler2D nacreShare;' : ''}
+struct NacreHere { float share; ${PARTS.map((_, i) => named(`NacreSurface ${i === 0 ? 'first' : 'second'};`, i)).join(' ')} };
+
+void RE_Direct_Nacre(const in IncidentLight light, const in vec3 where, const in vec3 n, const in vec3 view,
+    const in vec3 coat, const in NacreHere s, inout ReflectedLight sent) {
+  sent.directSpecular += light.color * ${both('nacreLit(light.direction, s.PART)')};
+}
+void RE_IndirectDiffuse_Nacre(const in vec3 irradiance, const in vec3 where, const in vec3 n, const in vec3 view,
+    const in vec3 coat, const in NacreHere s, inout ReflectedLight sent) {
+  sent.indirectDiffuse += irradiance / PI * ${both('nacreEvenly(s.PART)')};
+}
+#define RE_Direct RE_Direct_Nacre
+#define RE_IndirectDiffuse RE_IndirectDiffuse_Nacre
+
 void main() {
   #include <clipping_planes_fragment>
   #include <logdepthbuf_fragment>
   vec3 normal = normalize(vNormal);
   vec3 view = isOrthographic ? vec3(0.0, 0.0, 1.0) : normalize(vViewPosition);
-  NacreSurface material;
-  material.frame = nacreFrame(normal);
-  material.wo = view * material.frame;
-#ifdef NACRE_ONE_SIDED
-  material.wo.z = max(material.wo.z, 1e-4);
-#endif
-  material.side = material.wo.z < 0.0 ? 1.0 : 0.0;
-  material.p = nacrePosition;
-#ifdef NACRE_MAP
-  if (nacrePosition < 0.0) material.p = texture2D(nacreMap, vNacreUv).r;
-#endif
-#ifdef NACRE_ROWS_AZIMUTH
-  material.row = dot(material.wo.xy, material.wo.xy) > 1e-12 ? material.wo.x * material.wo.x / dot(material.wo.xy, material.wo.xy) : 0.5;
-#else
-  material.row = material.p;
-#endif
+  NacreHere material;
+  material.share = ${SHARE};
+  ${PARTS.map((_, i) => `material.${i === 0 ? 'first' : 'second'} = ${named('nacreSurface', i)}(normal, view);`).join(' ')}
   ReflectedLight reflectedLight = ReflectedLight(vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0));
   #include <lights_fragment_begin>
   vec3 sent = reflectedLight.directSpecular + reflectedLight.indirectDiffuse;
+  NacreHere s = material;
 #ifdef NACRE_ENVIRONMENT
-  sent += nacreSurroundings(material);
+  sent += ${both('nacreSurroundings(s.PART)')};
 #endif
 #ifndef NACRE_UNCLIPPED
   sent = max(sent, vec3(0.0));
 #endif
-  float opacity = 1.0;
-#ifdef NACRE_THROUGH_BANDS
-  opacity = 1.0 - dot(nacreView(nacreThrough, material, NACRE_THROUGH_BANDS), vec3(0.2126, 0.7152, 0.0722));
-#endif
-  gl_FragColor = vec4(sent, clamp(opacity, 0.0, 1.0));
+  gl_FragColor = vec4(sent, clamp(${both('nacreOpacity(s.PART)')}, 0.0, 1.0));
   #include <tonemapping_fragment>
   #include <colorspace_fragment>
   #include <fog_fragment>
 }`;
 
 /** How light that passes is mixed with what lies behind: the mean of the channels. */
-export const CLEAR = TABLE.pictures.through ? {
+export const CLEAR = PARTS.some((part) => part.pictures.through) ? {
   transparent: true, blending: CustomBlending, blendSrc: OneFactor, blendDst: OneMinusSrcAlphaFactor,
-  side: TABLE.is_two_sided ? DoubleSide : FrontSide,
+  side: PARTS.every((part) => part.is_two_sided) ? DoubleSide : FrontSide,
 } : {};
 
 export class NacreMaterial extends ShaderMaterial {
@@ -241,18 +279,21 @@ export class NacreMaterial extends ShaderMaterial {
    */
   constructor({ environment = null, value = null, tangents = false, unclipped = false } = {}) {
     const uniforms = UniformsUtils.merge([UniformsLib.lights, UniformsLib.fog, {
-      nacrePosition: { value: TABLE.parameter ? -1 : 0 }, nacreTurn: { value: new Vector3(1, 0, 1) },
+      nacreTurn: { value: new Vector3(1, 0, 1) },
       nacreIrradiance: { value: Array.from({ length: 9 }, () => new Vector3()) }, nacreEnvironment: { value: null },
     }]);
-    for (const [name, texture] of Object.entries(textures())) {
-      uniforms[`nacre${name[0].toUpperCase()}${name.slice(1)}`] = { value: texture };
+    for (const [i, part] of PARTS.entries()) {
+      uniforms[named('nacrePosition', i)] = { value: 0 };
+      for (const [name, texture] of Object.entries(textures(part))) {
+        uniforms[named(`nacre${name[0].toUpperCase()}${name.slice(1)}`, i)] = { value: texture };
+      }
     }
     super({ uniforms, vertexShader: VERTEX, fragmentShader: FRAGMENT, lights: true, fog: true, ...CLEAR });
     this.defines = { ...(tangents && { USE_TANGENT: '' }), ...(unclipped && { NACRE_UNCLIPPED: '' }) };
     this.type = 'NacreMaterial';
     this.name = TABLE.name;
     this.environment = environment;
-    if (value !== null) this.value = value;
+    this.value = value;
   }
   /** Light from all around, or null. */
   get environment() { return this._environment ?? null; }
@@ -266,7 +307,7 @@ export class NacreMaterial extends ShaderMaterial {
     this.needsUpdate = true;
   }
   /** Value of the number that varies over the surface; null: the recipe's map. */
-  set value(value) { this.uniforms.nacrePosition.value = value === null ? (TABLE.parameter ? -1 : 0) : position(value); }
+  set value(value) { positions(value).forEach((at, i) => { this.uniforms[named('nacrePosition', i)].value = at; }); }
   onBeforeRender() {
     const light = this._environment;
     if (light) this.uniforms.nacreTurn.value.set(Math.cos(light.rotation), Math.sin(light.rotation), light.intensity);

@@ -5,20 +5,21 @@ import { Fn, If, Loop, acos, abs, asin, atan, bool, cameraWorldMatrix, clamp, co
   inverseSqrt, length, log2, max, min, mix, normalViewGeometry, normalize, positionView, positionViewDirection, pow, reflect, select,
   sin, sqrt, tangentView, texture, uniform, uniformArray, uv, vec2, vec3, vec4 } from 'three/tsl';
 import { NacreEnvironment } from './environment.js';
-import { TABLE, position, textures } from './table.js';
+import { PARTS, TABLE, positions, textures } from './table.js';
 
 export { NacreEnvironment, TABLE };
 
-const { facets, pictures, gloss_alphas: glossAlphas } = TABLE;
 const SAMPLES = @SAMPLES@;
-const isRough = !!facets && facets.alpha[0] > 0;
-const isBent = !!facets && facets.transmits && !facets.straight;
-const isBrushed = isRough && facets.alpha[0] !== facets.alpha[1];
+const roughOf = ({ facets }) => !!facets && facets.alpha[0] > 0;
+const isBrushed = PARTS.some((part) => roughOf(part) && part.facets.alpha[0] !== part.facets.alpha[1]);
+const isClear = PARTS.some((part) => part.pictures.through);
+const isTwoSided = PARTS.every((part) => part.is_two_sided);
 
 const angle = (c) => acos(clamp(c, 0, 1)).mul(2 / Math.PI);
 
-/** The TSL functions of the table; `held` are its textures. All directions are in the frame of the surface, z the normal. */
-export function lookUps(held) {
+/** The TSL functions of a table; `held` are its textures. All directions are in the frame of the surface, z the normal. */
+export function lookUps(table, held) {
+  const { facets, pictures } = table, isRough = roughOf(table), isBent = !!facets && facets.transmits && !facets.straight;
   const texel = (name, x, y, band = float(0)) => {
     const { columns, rows, bands } = pictures[name];
     const across = clamp(x, 0, 1).mul(columns - 1).add(0.5).div(columns);
@@ -134,14 +135,16 @@ export function lookUps(held) {
 class NacreLighting extends LightingModel {
   constructor(material) { super(); this.material = material; }
   direct({ lightDirection, lightColor, reflectedLight }) {
-    const { frame: [t, b, n], wo, p } = this.material.surface;
-    const wi = vec3(dot(lightDirection, t), dot(lightDirection, b), dot(lightDirection, n)).toVar();
-    reflectedLight.directSpecular.addAssign(this.material.tables.brdf(wi, wo, p).mul(abs(wi.z)).mul(lightColor));
+    const sent = this.material.both(({ tables, surface: { frame: [t, b, n], wo, p } }) => {
+      const wi = vec3(dot(lightDirection, t), dot(lightDirection, b), dot(lightDirection, n)).toVar();
+      return tables.brdf(wi, wo, p).mul(abs(wi.z));
+    });
+    reflectedLight.directSpecular.addAssign(sent.mul(lightColor));
   }
   indirect(builder) {
-    const { wo, row, side } = this.material.surface, { irradiance, reflectedLight } = builder.context;
-    if (!pictures.albedo) return;
-    const albedo = this.material.tables.view('albedo', abs(wo.z), row, side);
+    const { irradiance, reflectedLight } = builder.context;
+    const albedo = this.material.both(({ table, tables, surface: { wo, row, side } }) => (
+      table.pictures.albedo ? tables.view('albedo', abs(wo.z), row, side) : vec3(0)));
     reflectedLight.indirectDiffuse.addAssign(irradiance.div(Math.PI).mul(albedo));
   }
 }
@@ -159,48 +162,56 @@ export class NacreNodeMaterial extends NodeMaterial {
     this.fog = true;
     this.tangents = tangents;
     this.unclipped = unclipped;
-    this.held = textures();
-    this.tables = lookUps(this.held);
-    this.positionUniform = uniform(TABLE.parameter ? -1 : 0);
+    this.parts = PARTS.map((table) => {
+      const held = textures(table);
+      return { table, held, tables: lookUps(table, held), position: uniform(0) };
+    });
     this.turnUniform = uniform(new Vector3(1, 0, 1)).onObjectUpdate((_, self) => {
       const light = this._environment;
       if (light) self.value.set(Math.cos(light.rotation), Math.sin(light.rotation), light.intensity);
     });
-    if (pictures.through) {
+    if (isClear) {
       this.transparent = true;
       this.blending = CustomBlending;
       this.blendSrc = OneFactor;
       this.blendDst = OneMinusSrcAlphaFactor;
-      this.side = TABLE.is_two_sided ? DoubleSide : FrontSide;
+      this.side = isTwoSided ? DoubleSide : FrontSide;
     }
     this.environment = environment;
-    if (value !== null) this.value = value;
+    this.value = value;
   }
   get environment() { return this._environment ?? null; }
   set environment(environment) { this._environment = environment; this.needsUpdate = true; }
-  set value(value) { this.positionUniform.value = value === null ? (TABLE.parameter ? -1 : 0) : position(value); }
+  set value(value) { positions(value).forEach((at, i) => { this.parts[i].position.value = at; }); }
   customProgramCacheKey() { return `${super.customProgramCacheKey()}-${this.id}-${this._environment?.texture.id ?? 0}`; }
 
   setupLightingModel() { return new NacreLighting(this); }
   setupLighting(builder) {
-    this.surface = this.surfaceHere();
-    const { wo, row, side } = this.surface;
+    for (const part of this.parts) part.surface = this.surfaceHere(part);
+    const { share } = this.parts[0].held;
+    this.share = share ? texture(share, uv()).level(0).r.toVar() : float(TABLE.share ?? 1);
     const lit = super.setupLighting(builder);
-    if (pictures.through) {
-      const clear = dot(this.tables.view('through', abs(wo.z), row, side), vec3(0.2126, 0.7152, 0.0722));
+    if (isClear) {
+      const clear = this.both(({ table, tables, surface: { wo, row, side } }) => (table.pictures.through
+        ? dot(tables.view('through', abs(wo.z), row, side), vec3(0.2126, 0.7152, 0.0722)) : float(0)));
       this.alphaHere = clamp(clear.oneMinus(), 0, 1);
     }
-    const sent = this._environment ? lit.add(this.surroundings()) : lit;
+    const sent = this._environment ? lit.add(this.both((part) => this.surroundings(part))) : lit;
     this.sentHere = sent.toVar();
     return this.sentHere;
   }
   setupOutput(builder, output) {
     const rgb = this.unclipped ? this.sentHere : max(this.sentHere, vec3(0)); // three's own output is clipped
-    return super.setupOutput(builder, vec4(rgb, pictures.through ? this.alphaHere : output.a));
+    return super.setupOutput(builder, vec4(rgb, isClear ? this.alphaHere : output.a));
+  }
+  /** A value of the one part, or of both by the share of the first one. */
+  both(value) {
+    const [first, second] = this.parts;
+    return second ? mix(value(second), value(first), this.share) : value(first);
   }
 
   /** Frame, direction of view in it, and what varies, at this point. */
-  surfaceHere() {
+  surfaceHere({ table, held, position }) {
     const n = normalize(normalViewGeometry).toVar(); // the outward one; normalView turns to the eye
     let t = select(abs(n.z).lessThan(0.9), cross(vec3(0, 0, 1), n), cross(vec3(1, 0, 0), n));
     if (this.tangents) t = tangentView;
@@ -211,19 +222,19 @@ export class NacreNodeMaterial extends NodeMaterial {
     }
     t = normalize(t.sub(n.mul(dot(t, n)))).toVar();
     const b = cross(n, t).toVar(), v = positionViewDirection, z = dot(v, n);
-    const wo = vec3(dot(v, t), dot(v, b), TABLE.is_two_sided ? z : max(z, 1e-4)).toVar();
-    let p = this.positionUniform;
-    if (this.held.map) p = select(p.lessThan(0), texture(this.held.map, uv()).level(0).r, p);
+    const wo = vec3(dot(v, t), dot(v, b), table.is_two_sided ? z : max(z, 1e-4)).toVar();
+    let p = position;
+    if (held.map) p = select(p.lessThan(0), texture(held.map, uv()).level(0).r, p);
     p = float(p).toVar();
     const flat = dot(wo.xy, wo.xy);
-    const row = TABLE.rows_azimuth ? select(flat.greaterThan(1e-12), wo.x.mul(wo.x).div(max(flat, 1e-12)), float(0.5)).toVar() : p;
+    const row = table.rows_azimuth ? select(flat.greaterThan(1e-12), wo.x.mul(wo.x).div(max(flat, 1e-12)), float(0.5)).toVar() : p;
     return { frame: [t, b, n], wo, p, row, side: select(wo.z.lessThan(0), float(1), float(0)) };
   }
 
 
   /** What reaches the eye from all around: sampled facets (Heitz 2018), spherical harmonics for the diffuse part. */
-  surroundings() {
-    const { frame: [t, b, n], wo, p, row, side } = this.surface, light = this._environment, turned = this.turnUniform;
+  surroundings({ table, tables, surface: { frame: [t, b, n], wo, p, row, side } }) {
+    const { facets, pictures } = table, isRough = roughOf(table), light = this._environment, turned = this.turnUniform;
     const rotate = (w) => vec3(turned.x.mul(w.x).add(turned.y.mul(w.z)), w.y, turned.x.mul(w.z).sub(turned.y.mul(w.x)));
     const toWorld = (w) => rotate(normalize(cameraWorldMatrix.mul(vec4(t.mul(w.x).add(b.mul(w.y)).add(n.mul(w.z)), 0)).xyz));
     const { width, height } = light.texture.image;
@@ -252,22 +263,22 @@ export class NacreNodeMaterial extends NodeMaterial {
     return Fn(() => {
       const sum = vec3(0).toVar();
       if (facets && !isRough) {
-        sum.addAssign(this.tables.mirror(wo, p).reflected.mul(incoming(vec3(wo.xy.negate(), wo.z), float(1e6))));
+        sum.addAssign(tables.mirror(wo, p).reflected.mul(incoming(vec3(wo.xy.negate(), wo.z), float(1e6))));
       }
       const sampled = (a, add) => Loop(SAMPLES, ({ i }) => {
         const m = visible(a, point(i)).toVar(), wi = reflect(up.negate(), m).toVar();
         If(wi.z.greaterThan(0), () => add(wi, visibleDensity(m, a).toVar()));
       });
       if (isRough) {
-        sampled(this.tables.alpha, (wi, density) => {
-          const f = this.tables.spread(turn(wi), turn(up), p);
+        sampled(tables.alpha, (wi, density) => {
+          const f = tables.spread(turn(wi), turn(up), p);
           sum.addAssign(f.mul(wi.z).div(density).mul(incoming(turn(wi), density)).div(SAMPLES));
         });
       }
-      for (const [k, alpha] of glossAlphas.entries()) {
+      for (const [k, alpha] of table.gloss_alphas.entries()) {
         const total = vec3(0).toVar(), weight = float(0).toVar();
         sampled(vec2(alpha, alpha), (wi, density) => { total.addAssign(incoming(turn(wi), density)); weight.addAssign(1); });
-        sum.addAssign(total.div(max(weight, 1)).mul(this.tables.view('gloss', abs(wo.z), row, float(k))).mul(max(flip, 0)));
+        sum.addAssign(total.div(max(weight, 1)).mul(tables.view('gloss', abs(wo.z), row, float(k))).mul(max(flip, 0)));
       }
       if (pictures.spread) {
         const d = toWorld(vec3(0, 0, flip)).toVar(), c = uniformArray(light.irradiance, 'vec3');
@@ -276,13 +287,13 @@ export class NacreNodeMaterial extends NodeMaterial {
           .add(c.element(4).mul(d.x.mul(d.y)).add(c.element(5).mul(d.y.mul(d.z))).add(c.element(7).mul(d.x.mul(d.z))).mul(1.092548))
           .add(c.element(6).mul(d.z.mul(d.z).mul(3).sub(1).mul(0.315392)))
           .add(c.element(8).mul(d.x.mul(d.x).sub(d.y.mul(d.y)).mul(0.546274)));
-        sum.addAssign(max(found, vec3(0)).div(Math.PI).mul(this.tables.view('spread', abs(wo.z), row, side)));
+        sum.addAssign(max(found, vec3(0)).div(Math.PI).mul(tables.view('spread', abs(wo.z), row, side)));
       }
       return sum;
     })();
   }
   dispose() {
-    for (const picture of Object.values(this.held)) picture.dispose();
+    for (const { held } of this.parts) for (const picture of Object.values(held)) picture.dispose();
     super.dispose();
   }
 }

@@ -2,8 +2,9 @@
 
 The flakes of the recipe (size, slope, number, depth, and what lies above them) give both, from their statistics
 (`nacre.measure.sparkle`, `nacre.measure.graininess`) or from drawn patches as the camera sees them. The mean luminance
-is that of the material's Bsdf. Instruments of the market map such quantities to scales that are not public: without
-measured pairs the scale is relative. `calibration` holds such pairs.
+is that of the noise-free surrogate of the material (doubling method) if it has one, else that of its Bsdf. Instruments
+of the market map such quantities to scales that are not public: without measured pairs the scale is relative.
+`calibration` holds such pairs. `TextureQuantity` stands for one number among the geometries of a design or a fit.
 """
 
 from __future__ import annotations
@@ -12,21 +13,20 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pydantic
 from pydantic import Field
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.grids import direction
-from nacre.core.arrays import Array
-from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
+from nacre.core.arrays import Array, direction
+from nacre.core.errors import NacreError, RecipeError, UnsupportedError, did_you_mean
 from nacre.core.files import read_text
-from nacre.families.contract import Mixed, Model, ResolvedFlakes, SingleFlakes
+from nacre.families.contract import Mixed, Model, ResolvedFlakes, SingleFlakes, Surrogate, surrogate_radiance
 from nacre.light import smooth_weights
-from nacre.material.material import Material
 from nacre.measure.evaluate import evaluate_with_error, hemispherical
+from nacre.measure.geometry import Geometry
 from nacre.measure.graininess import TILES, DiffuseArea, Graininess, graininess_patch, graininess_statistics
 from nacre.measure.sparkle import Area, Pixels, Sparkle, sparkle_patch, sparkle_statistics
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
@@ -36,13 +36,17 @@ ANGLES_DEG = (15.0, 45.0, 75.0)
 WAVELENGTHS_NM = np.arange(400.0, 701.0, 10.0)
 SAMPLES = 1 << 16  # random walks for a mean luminance
 HEMISPHERE_NODES = 160
+SEARCH_NM = np.linspace(400.0, 700.0, 9)  # the luminance of a search is within 1e-3
+HEMISPHERE_ORDER, SEARCH_ORDER = 16, 8  # Gauss nodes in sin theta, for a surrogate, which is isotropic
 LEAST_PASSED = 1e-3  # transmittance of all flakes, below which the base is not seen
 NORMAL = np.array([0.0, 0.0, 1.0])
 METHODS = ("statistics", "patch")
 QUANTITIES = ("sparkle", "intensity", "area", "graininess")
+QUANTITY_NAMES = (*(f"{name}_{angle:g}" for name in QUANTITIES[:3] for angle in ANGLES_DEG), "graininess")
 RELATIVE = "relative: not that of an instrument; give calibration = {...} with measured pairs"
 CALIBRATED = "calibrated by measured pairs"
 
+Fidelity = Literal["final", "search", "scout"]
 Degrees = Annotated[float, Field(gt=0.0, le=20.0)]
 Pair = tuple[float, float]
 
@@ -79,7 +83,7 @@ class Instrument(RecipeModel):
 
     @pydantic.model_validator(mode="after")
     def _check(self) -> Instrument:
-        names = [*QUANTITIES, *(f"{name}_{angle:g}" for name in QUANTITIES[:3] for angle in ANGLES_DEG)]
+        names = [*QUANTITIES[:3], *QUANTITY_NAMES]
         for name, pairs in self.calibration.items():
             if name not in names:
                 raise ValueError(
@@ -97,6 +101,44 @@ class Instrument(RecipeModel):
                 f"pixel_um = {self.pixel_um:g} is not allowed; field_mm = {self.field_mm:g} should hold 64 or more"
             )
         return self
+
+
+@dataclass(frozen=True)
+class TextureQuantity(Geometry):
+    """A number of texture in the place of a geometry; its "spectrum" is that number at every wavelength.
+
+    `kind` is "sparkle" (the grade), "intensity", "area" or "graininess", and `theta_deg` the angle of the lamp.
+
+    Attributes:
+        instrument: lamp, camera and calibration; None is the default.
+        light: illuminant and observer of the luminance.
+    """
+
+    instrument: Instrument | None = field(default=None, compare=False)
+    light: tuple[str, str] = field(default=("D65", "10deg"), compare=False)
+
+    @classmethod
+    def named(
+        cls, name: str, where: str, instrument: Instrument | None = None, light: tuple[str, str] = ("D65", "10deg")
+    ) -> TextureQuantity:
+        """Return the quantity "sparkle_45", "intensity_15", "area_75" or "graininess".
+
+        Raises:
+            RecipeError: another name.
+        """
+        if name not in QUANTITY_NAMES:
+            hint = did_you_mean(name, QUANTITY_NAMES)
+            raise RecipeError(f"{where} = {show_value(name)} is not known.{hint} Known: {', '.join(QUANTITY_NAMES)}")
+        kind, _, angle = name.partition("_")
+        return cls(kind, float(angle or 0.0), instrument=instrument, light=light)
+
+    def __str__(self) -> str:
+        return self.kind if self.kind == "graininess" else f"{self.kind}_{self.theta_deg:g}"
+
+    @property
+    def unit(self) -> str:
+        """Unit of the number."""
+        return "%" if self.kind in ("area", "graininess") else ""
 
 
 def read_instrument(source: str | Path | Mapping[str, Any] | Instrument | None) -> Instrument:
@@ -192,8 +234,75 @@ def calibrate(pairs: Sequence[Pair], value: float) -> tuple[float, bool]:
     return float(found), is_outside
 
 
+def texture_values(
+    material: Any, quantities: Sequence[TextureQuantity], seed: int = 0, fidelity: Fidelity = "final"
+) -> tuple[Array, Array]:
+    """Return numbers of texture `[quantity]` in closed form, calibrated where pairs are measured, and standard errors.
+
+    The tables of the flakes are cached, as most candidates of a search share them.
+
+    Args:
+        material: anything with `name`, `model` and `context`.
+        quantities: of one instrument and light.
+        seed: of random walks.
+        fidelity: "search" has half the nodes and 9 wavelengths, 0.05 CPU s, "scout" also means by two streams, 0.02.
+
+    Raises:
+        UnsupportedError: the material lacks flakes, or their diameters.
+    """
+    if not quantities:
+        return np.zeros(0), np.zeros(0)
+    tool = quantities[0].instrument or Instrument()
+    is_final = fidelity == "final"
+    scene = _Scene(material, *quantities[0].light, seed, fidelity, [str(each) for each in quantities])
+    pixels, cones = _camera(tool)
+    sparkle: dict[float, Sparkle] = {}
+    found = []
+    for each in quantities:
+        if each.kind == "graininess":
+            grain = graininess_statistics(scene.diffuse()[0], tool.distance_mm, is_final)
+            value, error = grain.value, grain.error
+        else:
+            if each.theta_deg not in sparkle:
+                areas, _ = scene.lit(math.radians(each.theta_deg), *cones)
+                sparkle[each.theta_deg] = sparkle_statistics(areas, pixels, is_final)
+            name = "grade" if each.kind == "sparkle" else each.kind
+            one = sparkle[each.theta_deg]
+            value, error = getattr(one, name), getattr(one, f"{name}_error")
+        pairs = _pairs(tool, str(each))
+        if pairs:
+            low, high = (calibrate(pairs, max(v, 0.0))[0] for v in (value - error, value + error))
+            value, error = calibrate(pairs, value)[0], 0.5 * (high - low)
+        found.append((value, error))
+    values, errors = np.array(found).T
+    return values, errors
+
+
+def check_texture(material: Any, where: str) -> None:
+    """Refuse a material without texture.
+
+    Raises:
+        RecipeError: it lacks flakes, or their diameters.
+    """
+    try:
+        _Scene(material, "D65", "10deg", 0)
+    except UnsupportedError as error:
+        raise RecipeError(f"{where}: {error}") from None
+
+
+def _camera(tool: Instrument) -> tuple[Pixels, tuple[float, float]]:
+    """Return an instrument's pixels, and the half angles of its lamp and camera in radians."""
+    cones = (math.radians(tool.lamp_deg / 2), math.radians(tool.camera_deg / 2))
+    return Pixels(tool.pixel_um, tool.field_mm, tool.threshold, tool.dark), cones
+
+
+def _pairs(tool: Instrument, name: str) -> tuple[Pair, ...] | None:
+    """Return the measured pairs of a quantity such as "sparkle_45"."""
+    return tool.calibration.get(name) or tool.calibration.get(name.rpartition("_")[0])
+
+
 def measure_texture(
-    material: Material,
+    material: Any,
     instrument: str | Path | Mapping[str, Any] | Instrument | None = None,
     method: str = "statistics",
     illuminant: str = "D65",
@@ -203,7 +312,7 @@ def measure_texture(
     """Compute sparkle and graininess of a pearl, or of a blend with pearls.
 
     Args:
-        material: each of its flakes has a diameter.
+        material: anything with `name`, `model` and `context`; each of its flakes has a diameter.
         instrument: lamp, camera and calibration, a TOML file or its keys; default: `Instrument()`.
         method: "statistics", in closed form, or "patch", from drawn flakes.
         illuminant, observer: of the luminance.
@@ -217,8 +326,7 @@ def measure_texture(
         raise NacreError(f'method = "{method}" is not known; known: {", ".join(METHODS)}')
     tool = read_instrument(instrument)
     scene = _Scene(material, illuminant, observer, seed)
-    pixels = Pixels(tool.pixel_um, tool.field_mm, tool.threshold, tool.dark)
-    cones = (math.radians(tool.lamp_deg / 2), math.radians(tool.camera_deg / 2))
+    pixels, cones = _camera(tool)
     sparkle, luminance, images = {}, {}, {}
     for number, angle in enumerate(ANGLES_DEG):
         areas, error = scene.lit(math.radians(angle), *cones)
@@ -259,7 +367,7 @@ def _calibrated(texture: Texture) -> tuple[dict[str, float], tuple[str, ...]]:
         values |= {f"sparkle_{label}": one.grade, f"intensity_{label}": one.intensity, f"area_{label}": one.area}
     found, outside = {}, []
     for name, value in values.items():
-        pairs = texture.instrument.calibration.get(name) or texture.instrument.calibration.get(name.rpartition("_")[0])
+        pairs = _pairs(texture.instrument, name)
         if pairs:
             found[name], is_outside = calibrate(pairs, value)
             outside += [name] if is_outside else []
@@ -269,43 +377,77 @@ def _calibrated(texture: Texture) -> tuple[dict[str, float], tuple[str, ...]]:
 class _Scene:
     """A material's parts with their flakes and mean luminances."""
 
-    def __init__(self, material: Material, illuminant: str, observer: str, seed: int) -> None:
-        self.seed = seed
-        weights = smooth_weights(WAVELENGTHS_NM, illuminant, observer)[:, 1]
+    def __init__(
+        self,
+        material: Any,
+        illuminant: str,
+        observer: str,
+        seed: int,
+        fidelity: Fidelity = "final",
+        names: Sequence[str] = QUANTITY_NAMES,
+    ) -> None:
+        self.seed, self.is_scout = seed, fidelity == "scout"
+        self.wavelengths_nm = WAVELENGTHS_NM if fidelity == "final" else SEARCH_NM
+        self.angles = [angle for angle in ANGLES_DEG if any(name.endswith(f"_{angle:g}") for name in names)]
+        order = HEMISPHERE_ORDER if fidelity == "final" else SEARCH_ORDER
+        node, weight = np.polynomial.legendre.leggauss(order if "graininess" in names else 1)
+        self.nodes = 0.5 * (node + 1.0)  # sines; the integral of f cos is pi times the mean over their squares
+        self.node_weights = weight * self.nodes
+        weights = smooth_weights(self.wavelengths_nm, illuminant, observer)[:, 1]
         self.weights = weights / weights.sum()
+        self.luminances: dict[int, tuple[Array, Array] | None] = {}
+        self.kept: list[Model] = []
         self.places = _places(material.model, 1.0, 1.0)
         self.flakes: dict[int, SingleFlakes] = {}
+        self.models = {id(model): model for _, parts in self.places for _, model in parts}
         self.bsdfs: dict[int, Bsdf] = {}
-        for _, parts in self.places:
-            for _, model in parts:
-                if id(model) in self.bsdfs:
-                    continue
-                if isinstance(model, ResolvedFlakes):
-                    try:
-                        self.flakes[id(model)] = model.single_flakes(WAVELENGTHS_NM, self.weights)
-                    except UnsupportedError as error:
-                        raise UnsupportedError(f"{material.context.source}: {error}") from None
-                self.bsdfs[id(model)] = model.bsdf(WAVELENGTHS_NM)
+        for key, model in self.models.items():
+            if isinstance(model, ResolvedFlakes):
+                try:
+                    self.flakes[key] = model.single_flakes(self.wavelengths_nm, self.weights)
+                except UnsupportedError as error:
+                    raise UnsupportedError(f"{material.context.source}: {error}") from None
         if not self.flakes:
             raise UnsupportedError(
                 f"{material.context.source}: a {material.model.traits.noun} has no flakes, and so no sparkle or "
                 "graininess; texture is known for pearls with platelets, and for blends with one"
             )
 
+    def _surrogate(self, model: Model) -> tuple[Array, Array] | None:
+        """Return the exact and approximate luminance along the normal at `angles`, then at `nodes`; None without."""
+        if id(model) not in self.luminances:
+            wi = direction(np.concatenate([np.radians(self.angles), np.arcsin(self.nodes)]))
+            wo = np.broadcast_to(NORMAL, wi.shape)
+            found = surrogate_radiance(model, wi, wo, self.wavelengths_nm, not self.is_scout)
+            parts = None if found is None else (np.pi * found[0] @ self.weights, np.pi * found[1] @ self.weights)
+            self.luminances[id(model)] = parts
+        return self.luminances[id(model)]
+
+    def _mean(self, model: Model, theta_rad: float) -> tuple[float, float]:
+        """Return the luminance factor along the normal under a lamp, and its standard error."""
+        found = self._surrogate(model) if math.degrees(theta_rad) in self.angles else None
+        if found is not None:
+            assert isinstance(model, Surrogate)
+            at = self.angles.index(math.degrees(theta_rad))
+            return float(found[0][at] + found[1][at]), (model.surrogate_error or 0.0) * float(found[1][at])
+        wi = direction(theta_rad)[None]
+        values, error = evaluate_with_error(self._bsdf(model), wi, NORMAL[None], samples=SAMPLES, seed=self.seed)
+        return float(np.pi * values[0] @ self.weights), 0.0 if error is None else float(np.pi * error[0] @ self.weights)
+
+    def _bsdf(self, model: Model) -> Bsdf:
+        if id(model) not in self.bsdfs:
+            self.bsdfs[id(model)] = model.bsdf(self.wavelengths_nm)
+        return self.bsdfs[id(model)]
+
     def lit(self, theta_rad: float, lamp_rad: float, camera_rad: float) -> tuple[list[Area], float]:
         """Return the surface's parts with their flakes under a lamp, and the standard error of the mean luminance."""
         flakes = {key: single.lit(theta_rad, lamp_rad, camera_rad) for key, single in self.flakes.items()}
-        wi, wo = direction(theta_rad)[None], NORMAL[None]
-        means, errors = {}, {}
-        for key, bsdf in self.bsdfs.items():
-            values, error = evaluate_with_error(bsdf, wi, wo, samples=SAMPLES, seed=self.seed)
-            means[key] = float(np.pi * values[0] @ self.weights)
-            errors[key] = 0.0 if error is None else float(np.pi * error[0] @ self.weights)
+        means = {key: self._mean(model, theta_rad) for key, model in self.models.items()}
         areas, variance = [], 0.0
         for share, parts in self.places:
             found = tuple(one.scaled(factor) for factor, m in parts if factor > 0 for one in flakes.get(id(m), []))
-            areas.append(Area(share, found, sum(factor * means[id(m)] for factor, m in parts)))
-        for key, deviation in errors.items():
+            areas.append(Area(share, found, sum(factor * means[id(m)][0] for factor, m in parts)))
+        for key, (_, deviation) in means.items():
             total = sum(share * factor for share, parts in self.places for factor, m in parts if id(m) == key)
             variance += (total * deviation) ** 2
         return areas, math.sqrt(variance)
@@ -329,21 +471,26 @@ class _Scene:
         return [*flakes, (1.0, rest)], mean
 
     def _diffuse_part(self, model: Model) -> DiffuseArea:
-        mean = self._hemisphere(self.bsdfs[id(model)])
+        mean = self._hemisphere(model)
         if id(model) not in self.flakes:
             return DiffuseArea((), mean)
         flakes = tuple(self.flakes[id(model)].diffuse())
         assert isinstance(model, ResolvedFlakes)
-        from_base = mean - self._hemisphere(model.over_black.bsdf(WAVELENGTHS_NM))
+        black = model.over_black
+        self.kept.append(black)  # so that its id stays its own
+        from_base = mean - self._hemisphere(black)
         passed = math.exp(-sum(f.coverage * (1.0 - _mean_transmittance(f.facing, f.transmittance)) for f in flakes))
         base = min(max(from_base / passed, 0.0), 1.0) if passed > LEAST_PASSED else 0.0
         return DiffuseArea(flakes, mean, base)
 
-    def _hemisphere(self, bsdf: Bsdf) -> float:
+    def _hemisphere(self, model: Model) -> float:
         """Return the luminance factor along the normal under diffuse light: the hemispherical reflectance."""
+        found = self._surrogate(model)
+        if found is not None:
+            return float(self.node_weights @ (found[0] + found[1])[len(self.angles) :])
         total = sum(
             hemispherical(lobe, NORMAL, nodes=HEMISPHERE_NODES, seed=self.seed)[0] @ self.weights
-            for lobe in bsdf.lobes
+            for lobe in self._bsdf(model).lobes
             if not lobe.is_delta
         )
         return float(total)

@@ -1,12 +1,15 @@
 """Choose pigments, a dye and their concentrations for measured colours of an effect paint.
 
-All combinations of the library's ingredients are refined on a two-stream model of the paint; the best ones are
-corrected by the doubling method at their own point and refined again until they rest (space mapping: Bandler et
-al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)). Answers are evaluated by a random walk.
+The library of pigments and dyes and the paint to match are files. All combinations of the library's ingredients are
+refined on a two-stream model of the paint; the best ones are corrected by the doubling method at their own point and
+refined again until they rest (space mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
+Texture enters after the first stage, linear in the logarithms of the fractions about the start of each refinement.
+Answers are evaluated by a random walk.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import time
@@ -14,9 +17,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+import pydantic
+from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError, UnsupportedError
@@ -24,19 +29,161 @@ from nacre.core.files import check_room, check_writable, read_text, write_text
 from nacre.families.contract import Surrogate, surrogate_radiance
 from nacre.light import lamp_lines_nm, spectrum_to_xyz, with_lamp_lines
 from nacre.material.material import Material, material
+from nacre.measure.colours import WALK_NM
 from nacre.measure.geometry import Geometry, aspecular_pairs, named_geometries
-from nacre.measure.wavelengths import WALK_NM
+from nacre.measure.texture import Fidelity, Instrument, TextureQuantity, texture_values
 from nacre.optimise.evaluation import geometries_of
-from nacre.optimise.formulation.spec import MOST_ANSWERS, DyeSpec, FormulationSpec, LibrarySpec, PigmentSpec
 from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.least_squares import minimise_residuals, sobol_points
 from nacre.optimise.methods.surrogate import Correction
 from nacre.optimise.solutions import NEED_BYTES, RECIPE, clear_solutions, folder_of, write_recipe
+from nacre.optimise.spec import LightSpec, TargetEntry
 from nacre.optimise.targets import Target, merit_function, read_targets
 from nacre.optimise.task import read_data
-from nacre.recipe.model import RecipeContext, validate
+from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, RecipeModel, validate
+from nacre.recipe.path_tables import GeometrySpec
 from nacre.recipe.toml import parse_toml
-from nacre.recipe.units import LENGTH_UNITS_NM
+
+LEAST_TEXTURE, TEXTURE_STEP = 1e-9, 0.05  # relative step of a volume fraction for derivatives of texture
+MOST_ANSWERS = 20
+Positive = Annotated[float, pydantic.Field(gt=0.0)]
+Fraction = Annotated[float, pydantic.Field(ge=0.0, le=0.3)]
+
+
+class ResinSpec(RecipeModel):
+    """Price and density of the resin, dry."""
+
+    forms: ClassVar[tuple[str, ...]] = ("{cost_per_kg = 4, density_kg_l = 1.1}",)
+
+    cost_per_kg: Annotated[float, pydantic.Field(ge=0.0)] = pydantic.Field(default=0.0, description="price of 1 kg")
+    density_kg_l: Positive = pydantic.Field(default=1.1, description="density in kg/l")
+
+
+class IngredientSpec(RecipeModel):
+    """Name, bounds, price and density of an ingredient."""
+
+    name: str = pydantic.Field(min_length=1, max_length=80, description="name", examples=["silver fine"])
+    volume_fraction: tuple[Fraction, Fraction] = pydantic.Field(
+        description="bounds of the volume fraction in the dry stratum", examples=[[0, 0.03]]
+    )
+    cost_per_kg: Annotated[float, pydantic.Field(ge=0.0)] = pydantic.Field(
+        default=0.0, description="price of 1 kg", examples=[45]
+    )
+    density_kg_l: Positive = pydantic.Field(default=1.0, description="density in kg/l", examples=[3.1])
+
+    @pydantic.model_validator(mode="after")
+    def _ascending(self) -> IngredientSpec:
+        low, high = self.volume_fraction
+        if not low < high:
+            raise ValueError(f"volume_fraction = [{low:g}, {high:g}]: the bounds cross")
+        return self
+
+
+class PigmentSpec(IngredientSpec):
+    """A pigment of flakes."""
+
+    forms: ClassVar[tuple[str, ...]] = (
+        '{name = "silver", volume_fraction = [0, 0.03], cost_per_kg = 45, density_kg_l = 2.6, '
+        'platelet = {coatings = [{material = "Al", thickness_nm = 60}]}}',
+    )
+
+    platelet: dict[str, Any] = pydantic.Field(
+        description="the flake, as an entry of [[strata.platelets]] without volume_fraction",
+        examples=[{"coatings": [{"material": "Al", "thickness_nm": 60}]}],
+    )
+
+
+class DyeSpec(IngredientSpec):
+    """A dissolved dye."""
+
+    forms: ClassVar[tuple[str, ...]] = (
+        '{name = "red", volume_fraction = [0, 0.02], cost_per_kg = 30, dye = {material = {n = 1.5, k = 0.02}}}',
+    )
+
+    dye: dict[str, Any] = pydantic.Field(
+        description="the dye, as strata.dye of a recipe without volume_fraction and radius_nm",
+        examples=[{"material": {"n": 1.5, "k": 0.02}}],
+    )
+
+
+class LibrarySpec(RecipeModel):
+    """Library of ingredients."""
+
+    example: ClassVar[Mapping[str, Any]] = {
+        "resin": {"cost_per_kg": 4, "density_kg_l": 1.1},
+        "pigment": [
+            {"name": "silver", "volume_fraction": [0, 0.03], "cost_per_kg": 45, "density_kg_l": 2.6,
+             "platelet": {"coatings": [{"material": "Al", "thickness_nm": 60}]}}
+        ],
+        "dye": [{"name": "red", "volume_fraction": [0, 0.02], "cost_per_kg": 30, "dye": {"material": "Fe2O3"}}],
+    }  # fmt: skip
+
+    resin: ResinSpec = pydantic.Field(default=ResinSpec(), description="price and density of the resin")
+    pigment: Annotated[list[PigmentSpec], pydantic.Field(max_length=64)] = pydantic.Field(
+        default=[], description="pigments", examples=[[]]
+    )
+    dye: Annotated[list[DyeSpec], pydantic.Field(max_length=64)] = pydantic.Field(
+        default=[], description="dissolved dyes", examples=[[]]
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _names(self) -> LibrarySpec:
+        names = [entry.name for entry in (*self.pigment, *self.dye)]
+        if not names:
+            raise ValueError("the library is empty; add [[pigment]] or [[dye]]")
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f'the name "{name}" occurs twice')
+        return self
+
+
+class FormulationSearch(RecipeModel):
+    """Search size."""
+
+    forms: ClassVar[tuple[str, ...]] = ("{solutions = 3, seconds = 60, max_pigments = 2}",)
+
+    max_pigments: Annotated[int, pydantic.Field(ge=0, le=5)] = pydantic.Field(
+        default=2, description="largest number of pigments of a paint, beside at most one dye"
+    )
+    solutions: Annotated[int, pydantic.Field(ge=1, le=MOST_ANSWERS)] = pydantic.Field(
+        default=3, description="number of answers, of different ingredients"
+    )
+    seconds: Positive = pydantic.Field(default=120.0, description="time limit")
+    seed: Annotated[int, pydantic.Field(ge=0, le=2**32 - 1)] = pydantic.Field(default=0, description="seed")
+
+
+class FormulationSpec(RecipeModel):
+    """Target file of `nacre formulate`: the paint without pigments, the library and the measured colours."""
+
+    example: ClassVar[Mapping[str, Any]] = {
+        "library": "pigments.toml",
+        "recipe": {
+            "family": "pearl", "base": {"albedo": 0.1}, "strata": [{"resin": {"n": 1.5}, "thickness_um": 40}]
+        },
+        "target": [{"geometry": "45as15", "lab": [62, 30, -12]}, {"geometry": "45as45", "lab": [31, 12, -8]}],
+    }  # fmt: skip
+
+    library: str | LibrarySpec = pydantic.Field(
+        description="file of the library, or the library as a table", examples=["pigments.toml"]
+    )
+    recipe: dict[str, Any] = pydantic.Field(
+        description="the pearl without pigments and dye: resin, thickness and base",
+        examples=[{"family": "pearl", "strata": [{"resin": {"n": 1.5}, "thickness_um": 40}]}],
+    )
+    target: Annotated[list[TargetEntry], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
+        description="measured colours at aspecular geometries, and measured texture"
+    )
+    instrument: str | Instrument = pydantic.Field(
+        default=Instrument(),
+        description="lamp, camera and calibration of texture targets, a file or its keys",
+        examples=["instrument.toml"],
+    )
+    geometry: list[GeometrySpec] = pydantic.Field(
+        default=[], description="geometries by name", examples=[[{"name": "door", "at": "45as60az125.3"}]]
+    )
+    light: LightSpec = pydantic.Field(default=LightSpec(), description="lamps and observer")
+    search: FormulationSearch = pydantic.Field(default=FormulationSearch(), description="size of the search")
+
 
 LEAST = 1e-4  # of the upper bound: a fraction of 0 is no recipe
 STARTS = 2  # of each combination
@@ -55,6 +202,8 @@ MOST_COMBINATIONS = 5000
 COLOUR_NOISE = 0.2  # of measured L*, a* and b*: repeatability of a good spectrophotometer
 RELATIVE_STEP = 0.02  # of a volume fraction, for derivatives
 SUMMARY = "formulation.json"
+STARTED = "started"  # status while answers are written, so that a killed run blocks no other
+TextureModel = Callable[[Sequence[float] | Array], Array]
 
 
 @dataclass(frozen=True)
@@ -93,8 +242,10 @@ class Formula:
         cost_per_kg, cost_per_m2: of the dry stratum, in the library's currency.
         de00: `[geometry]`, by the random walk; for a spectrum the rms in per cent.
         lab: `[geometry, 3]` under the first lamp.
+        texture: quantity of a target -> number and its deviation from the target in per cent.
         contrast_ratio: luminance at 45/0 over black, relative to that over white of albedo 0.8.
         is_met: whether every target is within its tolerance.
+        distance: mean of weight x distance / tolerance over the targets.
     """
 
     material: Material
@@ -107,6 +258,8 @@ class Formula:
     contrast_ratio: float
     is_met: bool
     amount_errors: dict[str, float] = field(default_factory=dict)
+    texture: dict[str, tuple[float, float]] = field(default_factory=dict)
+    distance: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -168,20 +321,40 @@ class Task:
         key = next(key for key in stratum if key.startswith("thickness_"))
         return float(stratum[key]) * LENGTH_UNITS_NM[key.rpartition("_")[2]] / 1e3
 
+    @property
+    def quantities(self) -> tuple[TextureQuantity, ...]:
+        """Texture targets, the last geometries."""
+        return tuple(at for at in self.geometries if isinstance(at, TextureQuantity))
+
+    @property
+    def colour_geometries(self) -> tuple[Geometry, ...]:
+        """Geometries with a colour or a spectrum."""
+        return self.geometries[: len(self.geometries) - len(self.quantities)]
+
+    @property
+    def is_colour(self) -> NDArray[np.bool_]:
+        """`[term]` of the merit function: whether it is of a colour or a spectrum."""
+        return np.array([self.merit.operands[index].kind != "texture" for index, _ in self.merit.terms], dtype=bool)
+
     def with_colours(self, labs: Mapping[str, Array]) -> Task:
-        """Return the task with other colours at its geometries, by label.
+        """Return the task with other colours at its geometries, by label, and without texture.
 
         Raises:
             NacreError: a geometry of the task lacks a colour.
         """
         targets = []
-        for target, label in zip(self.targets, self.labels, strict=True):
+        for target, label in zip(self.targets, self.labels):  # texture comes last
             lab = labs.get(label, labs.get(str(target.geometry)))
             if lab is None:
                 raise NacreError(f'the batch has no colour at "{label}"; it has {", ".join(labs)}')
             targets.append(target.with_lab(lab))
-        merit = merit_function(targets, self.geometries, self.spec.light, self.merit.wavelengths_nm)
-        return replace(self, targets=tuple(targets), merit=merit)
+        return self.with_targets(targets)
+
+    def with_targets(self, targets: Sequence[Target]) -> Task:
+        """Return the task with other targets."""
+        rows = tuple(geometries_of(targets))
+        merit = merit_function(targets, rows, self.spec.light, self.merit.wavelengths_nm)
+        return replace(self, targets=tuple(targets), geometries=rows, merit=merit)
 
     def rms(self, factors: Array) -> float:
         """Return the rms of the residuals, in tolerances."""
@@ -189,8 +362,8 @@ class Task:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Geometry of each target as the file names it."""
-        return tuple(str(entry.geometry) for entry in self.spec.target)
+        """Geometry of each colour target as the file names it."""
+        return tuple(str(entry.geometry) for entry in self.spec.target if entry.quantity is None)
 
 
 def read_formulation(target: str | Path | Mapping[str, Any]) -> Task:
@@ -220,8 +393,13 @@ def read_formulation(target: str | Path | Mapping[str, Any]) -> Task:
     except NacreError as error:
         raise RecipeError(f"{source}: recipe: {str(error).removeprefix('recipe: ')}") from None
     named = named_geometries([entry.model_dump() for entry in spec.geometry], f"{source}: geometry")
-    targets = read_targets(spec.target, spec.light, context, named)
+    targets = read_targets(spec.target, spec.light, context, named, spec.instrument)
+    targets = tuple(sorted(targets, key=lambda each: each.texture is not None))
+    if targets[0].texture is not None:
+        raise RecipeError(f"{source}: target: a formulation needs at least one colour, at a geometry such as 45as15")
     for each in targets:
+        if each.texture is not None:
+            continue
         if each.geometry.kind != "aspecular" or each.image is not None:
             raise RecipeError(f'{each.key}.geometry = "{each.geometry}" is not aspecular; write such as "45as15"')
     geometries = tuple(geometries_of(targets))
@@ -299,32 +477,67 @@ class _Paint:
         """Return a point's volume fractions."""
         return [each.fraction(float(unit)) for each, unit in zip(self.ingredients, point, strict=True)]
 
-    def factors(self, fractions: Sequence[float] | Array, is_fine: bool) -> tuple[Array, Array]:
+    def factors(
+        self, fractions: Sequence[float] | Array, is_fine: bool, texture: TextureModel | None = None
+    ) -> tuple[Array, Array]:
         """Return the exact and approximate part of the factors, `[geometry, wavelength]` each.
+
+        Args:
+            texture: in place of the exact numbers of texture; the rows are 0 without it unless `is_fine`.
 
         Raises:
             UnsupportedError: the paint has no noise-free model.
         """
-        model = self.made(fractions).model
+        made = self.made(fractions)
         grid = self.task.merit.wavelengths_nm
-        found = surrogate_radiance(model, *aspecular_pairs(self.task.geometries), grid, is_fine)
+        found = surrogate_radiance(made.model, *aspecular_pairs(self.task.colour_geometries), grid, is_fine)
         if found is None:
             raise UnsupportedError(
                 f"{self.task.context.source}: recipe: this paint has no noise-free model, which a formulation needs: "
                 "an isotropic GGX or smooth interface and flakes without rotation and anisotropy"
             )
-        return np.pi * found[0], np.pi * found[1]
+        exact, rest = (np.zeros((len(self.task.geometries), len(grid))) for _ in found)
+        count = len(self.task.colour_geometries)
+        exact[:count], rest[:count] = np.pi * found[0], np.pi * found[1]
+        if self.task.quantities and (texture or is_fine):
+            exact[count:] = (texture(fractions) if texture else self.texture(made, "search"))[:, None]
+        return exact, rest
+
+    def texture(self, made: Material, fidelity: Fidelity) -> Array:
+        """Return the numbers of texture `[quantity]`; 0 without flakes."""
+        if not made.data["strata"][0].get("platelets"):
+            return np.zeros(len(self.task.quantities))
+        return texture_values(made, self.task.quantities, fidelity=fidelity)[0]
+
+    def texture_model(self, at: Array) -> TextureModel | None:
+        """Return numbers of texture `[quantity]` by volume fractions, as products of powers about a point."""
+        if not self.task.quantities:
+            return None
+        centre = np.array(self.fractions(at))
+        value = self.texture(self.made(centre), "search")
+        steps = centre * (1.0 + TEXTURE_STEP * np.vstack([np.zeros(len(centre)), np.eye(len(centre))]))
+        logs = np.log(np.maximum([self.texture(self.made(each), "scout") for each in steps], LEAST_TEXTURE))
+        powers = (logs[1:] - logs[0]) / np.log1p(TEXTURE_STEP)
+        return lambda fractions: np.asarray(value * np.exp(np.clip(np.log(fractions / centre) @ powers, -3.0, 3.0)))
 
     def fit(self, start: Array, correction: Correction | None, steps: int) -> tuple[float, Array]:
         """Return the rms distance in tolerances and the point of the nearest match of the two-stream model."""
 
+        texture = self.texture_model(start) if steps > SCOUT_STEPS else lambda fractions: self.ends
+
         def residuals(point: Array) -> Array:
-            exact, rest = self.factors(self.fractions(point), False)
+            exact, rest = self.factors(self.fractions(point), False, texture)
             seen = exact + rest if correction is None else correction.apply(exact, rest)
             return np.asarray(self.task.merit.residuals(seen))
 
         found = minimise_residuals(residuals, start, max_nfev=steps)
         return float(np.sqrt(np.mean(residuals(found.point) ** 2))), found.point
+
+    @property
+    def ends(self) -> Array:
+        """Numbers of texture that meet their targets, `[quantity]`."""
+        ends = [target.texture for target in self.task.targets if target.texture is not None]
+        return np.array([high if low is None else low for low, high in ends], dtype=float)
 
     def polished(self, start: Array) -> tuple[float, Array]:
         """Return rms distance and point by space mapping, then by least squares of the doubling method if far."""
@@ -332,8 +545,10 @@ class _Paint:
         if rms < GOOD_RMS:
             return rms, point
 
+        texture = self.texture_model(point)
+
         def residuals(at: Array) -> Array:
-            exact, rest = self.factors(self.fractions(at), True)
+            exact, rest = self.factors(self.fractions(at), True, texture)
             return np.asarray(self.task.merit.residuals(exact + rest))
 
         inside = np.clip(point, EDGE, 1.0 - EDGE)  # an ingredient at a bound may come back
@@ -399,14 +614,19 @@ class _Search:
             better = self._stage(tried[:most], refined, share, solutions)
             tried = better or tried
         formulas = [_formula(paint, paint.fractions(point)) for _, paint, point in tried[:solutions]]
-        ranked = tuple(sorted(formulas, key=lambda each: float(np.mean(each.de00))))
+        ranked = tuple(sorted(formulas, key=lambda each: each.distance))
         return Formulation(ranked, self.task.labels, count, self.status, time.monotonic() - self.begun)
 
     def _scout(self, kind: tuple[int, tuple[tuple[PigmentSpec, ...], DyeSpec | None]]) -> tuple[float, Array, _Paint]:
         number, (pigments, dye) = kind
         paint = _paint(self.task, pigments, dye)
         starts = sobol_points(len(paint.ingredients), STARTS, [self.task.spec.search.seed, number])
-        return (*min((paint.fit(start, None, SCOUT_STEPS) for start in starts), key=lambda pair: pair[0]), paint)
+        rms, point = min((paint.fit(start, None, SCOUT_STEPS) for start in starts), key=lambda pair: pair[0])
+        if self.task.quantities:  # ranks paints that differ in their texture only
+            made = paint.made(paint.fractions(point))
+            exact, rest = paint.factors(paint.fractions(point), False, lambda _: paint.texture(made, "scout"))
+            rms = self.task.rms(exact + rest)
+        return rms, point, paint
 
     def _stage(
         self, entries: Iterable[Any], refined: Callable[[Any], tuple[float, Array, _Paint]], share: float, least: int
@@ -457,7 +677,9 @@ def _formula(paint: _Paint, fractions: Sequence[float]) -> Formula:
     task = paint.task
     made = paint.made(fractions)
     merit = task.merit
-    seen = np.pi * _reference(made, task)
+    seen = np.concatenate([np.pi * _reference(made, task), np.zeros((len(task.quantities), len(merit.wavelengths_nm)))])
+    numbers = paint.texture(made, "final") if task.quantities else np.zeros(0)
+    seen[len(task.colour_geometries) :] = numbers[:, None]
     names = [each.entry.name for each in paint.ingredients]
     amounts = dict(zip(names, map(float, fractions), strict=True))
     resin = task.library.resin
@@ -475,11 +697,16 @@ def _formula(paint: _Paint, fractions: Sequence[float]) -> Formula:
         mass_shares=shares,
         cost_per_kg=cost,
         cost_per_m2=cost * density * task.thickness_um / 1e3,  # kg/l = kg/m2 for each mm
-        de00=distances,
-        lab=np.asarray(merit.labs(seen))[:, 0],
+        de00=distances[task.is_colour],
+        lab=np.asarray(merit.labs(seen))[: len(task.colour_geometries), 0],
         contrast_ratio=_contrast_ratio(made, task),
         is_met=bool(np.all(distances <= limits)),
+        distance=float(np.mean(distances * merit.scale)),
         amount_errors=dict(zip(names, map(float, _amount_errors(paint, fractions)), strict=True)),
+        texture={
+            str(at): (float(number), float(off))
+            for at, number, off in zip(task.quantities, numbers, distances[~task.is_colour], strict=True)
+        },
     )
 
 
@@ -490,7 +717,8 @@ def _amount_errors(paint: _Paint, fractions: Sequence[float]) -> Array:
     """
 
     def labs(at: Array) -> Array:
-        return np.ravel(paint.task.merit.labs(sum(paint.factors(at, True))))
+        seen = sum(paint.factors(at, True, lambda _: paint.ends))
+        return np.ravel(paint.task.merit.labs(seen)[: len(paint.task.colour_geometries)])
 
     centre = np.asarray(fractions, dtype=float)
     steps = RELATIVE_STEP * centre
@@ -503,7 +731,7 @@ def _amount_errors(paint: _Paint, fractions: Sequence[float]) -> Array:
 
 def _reference(made: Material, task: Task) -> Array:
     """Return the BRDF `[geometry, wavelength]` by a random walk, or by the doubling method if there is none."""
-    pairs, grid = aspecular_pairs(task.geometries), task.merit.wavelengths_nm
+    pairs, grid = aspecular_pairs(task.colour_geometries), task.merit.wavelengths_nm
     assert isinstance(made.model, Surrogate)  # as `factors` says
     walked = made.model.estimate_radiance(*pairs, grid, WALKS, task.spec.search.seed)
     if walked is not None:
@@ -553,6 +781,7 @@ def rematch(target: str | Path | Mapping[str, Any] | Task, amounts: Mapping[str,
     seen = _paint(task.with_colours(batch), pigments, dye)
     start = np.array([each.unit(amounts[each.entry.name]) for each in seen.ingredients])
     made = np.array(seen.fractions(seen.corrected(start)[1]))
+    task = task.with_targets([each for each in task.targets if each.texture is None])
     paint = _paint(task, pigments, dye)
     exact, rest = paint.factors(made, True)
     before = np.asarray(task.merit.distances(exact + rest))
@@ -616,6 +845,7 @@ def formulation_document(found: Formulation) -> dict[str, Any]:
                 "de00": each.de00.tolist(),
                 "mean_de00": float(np.mean(each.de00)),
                 "lab": each.lab.tolist(),
+                "texture": {name: {"value": v, "off_percent": off} for name, (v, off) in each.texture.items()},
                 "contrast_ratio": each.contrast_ratio,
                 "met": each.is_met,
             }
@@ -646,13 +876,18 @@ def check_answers(folder: Path) -> None:
 def write_formulation(found: Formulation, folder: Path) -> None:
     """Write `formulation.json`, `recipe.toml` of the first answer, and `2/recipe.toml` and so on of the others.
 
-    Further answers of an earlier formulation in the folder are removed.
+    Further answers of an earlier formulation in the folder are removed. Until all are written, `status` is "started".
 
     Raises:
         NacreError: the folder cannot be written or holds other files of these names.
     """
     check_answers(folder)
     document = formulation_document(found)
+    folder.mkdir(parents=True, exist_ok=True)
+    earlier: dict[str, Any] = {"formulas": []}
+    with contextlib.suppress(OSError, ValueError, TypeError):
+        earlier |= json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+    write_text(folder / SUMMARY, json.dumps({**earlier, "status": STARTED}) + "\n")
     for number, each in enumerate(found.formulas, start=1):
         names = write_recipe(folder_of(folder, number), each.material, {}, {}, each.material)[1]
         document["formulas"][number - 1]["files"] = names

@@ -1,1 +1,0 @@
-"""Formulation: pigments, dyes and concentrations of an effect paint from a library."""

@@ -1,0 +1,253 @@
+"""Forms of ellipsometers, spectrometers, colour programs and profilers that were once misread, as generated texts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nacre.core.errors import NacreError
+from nacre.optimise.colour_list import read_colours
+from nacre.readers.heights.maps import read_map
+from nacre.readers.measurement import AmbiguousFileError, ReadOptions
+from nacre.readers.registry import open_file
+
+NM = range(400, 701, 20)
+
+
+def written(folder: Path, name: str, text: str) -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def rows(*columns: float, delimiter: str = ",") -> str:
+    return "".join(delimiter.join([f"{nm}", *(f"{c + nm / 1e5:.5f}" for c in columns)]) + "\n" for nm in NM)
+
+
+@pytest.mark.parametrize(
+    ("head", "quantity", "first", "nm"),
+    [
+        ("#Type,transmittance\n#XUnit,nm_vac\n#YUnit,percent\n[Data]\n", "transmittance", 0.3, 400.0),
+        ("#AxisUnit[1]=\t1/cm\n#AxisType[0]=\tIntens\n#AxisUnit[0]=\tCnt/sec\n", "counts", 30.0, 1e7 / 400),
+        ("X-Axis Unit: nm\nMode: Reflectance\nY-Axis Unit: %\n", "reflectance", 0.3, 400.0),
+    ],
+)
+def test_keys_beside_a_table_state_its_axes(head: str, quantity: str, first: float, nm: float, tmp_path: Path) -> None:
+    (found,) = open_file(written(tmp_path, "s.txt", head + rows(30.0, delimiter="\t")))
+    at = int(np.argmin(np.abs(found.data["wavelength_nm"] - nm)))
+    np.testing.assert_allclose(found.data["wavelength_nm"][at], nm)
+    np.testing.assert_allclose(found.data[quantity][at], first, rtol=1e-3)
+
+
+def test_text_below_a_table_states_counts(tmp_path: Path) -> None:
+    (found,) = open_file(written(tmp_path, "s.asc", rows(2.0, delimiter="\t") + "\nModel:\tX1\nData Type:\tCounts\n"))
+    assert "counts" in found.data
+
+
+@pytest.mark.parametrize("heading", ["Contrast", "dR/R", "ΔT/T", "EQE (%)", "Emissivity", "Haze (%)"])
+def test_another_quantity_is_no_reflectance(heading: str, tmp_path: Path) -> None:
+    path = written(tmp_path, "s.csv", f"Wavelength (nm),{heading}\n" + rows(0.3))
+    with pytest.raises(AmbiguousFileError):
+        open_file(path)
+    (found,) = open_file(path, ReadOptions(quantity="reflectance"))
+    np.testing.assert_allclose(found.data["reflectance"][0], 0.304)
+
+
+def test_ratios_of_kubelka_and_munk_are_named(tmp_path: Path) -> None:
+    (found,) = open_file(written(tmp_path, "s.csv", "Wavelength (nm),K/S\n" + rows(0.3)))
+    assert set(found.data) == {"wavelength_nm", "kubelka_munk"}
+
+
+def test_headings_that_are_angles(tmp_path: Path) -> None:
+    path = written(tmp_path, "s.csv", "Wavelength (nm),0°,15°,45 deg\n" + rows(0.3, 0.4, 0.5))
+    for options in (ReadOptions(), ReadOptions(expects="spectrum", assumed_quantity="reflectance")):  # of a fit
+        found = open_file(path, options)
+        assert [each.metadata["angle_of_incidence_deg"] for each in found] == [0.0, 15.0, 45.0]
+        np.testing.assert_allclose(found[2].data["reflectance"][0], 0.504)
+
+
+def test_a_report_of_a_coating_in_two_polarisations(tmp_path: Path) -> None:
+    head = "Coating : AR\nAngle of Incidence: 30.000000\n\n "
+    head += "Wavelength S-Reflect P-Reflect S-Transmit P-Transmit S-Absorb\n"
+    body = "".join(f" {nm / 1000:.6f} 0.2 0.1 0.7 0.85 0.1\n" for nm in NM)
+    found = {each.metadata["polarisation"]: each for each in open_file(written(tmp_path, "c.txt", head + body))}
+    assert {each.metadata["angle_of_incidence_deg"] for each in found.values()} == {30.0}
+    np.testing.assert_allclose(found["s"].data["reflectance"], 0.2)
+    np.testing.assert_allclose(found["p"].data["transmittance"], 0.85)
+    assert not any("absorbance" in each.data for each in found.values())
+
+
+def test_spectra_of_qtx(tmp_path: Path) -> None:
+    text = (
+        "[STANDARD_DATA 0]\r\nSTD_NAME=Blue\r\nSTD_REFLPOINTS=4\r\nSTD_REFLINTERVAL=100\r\nSTD_REFLLOW=400\r\n"
+        "STD_R=10,20,30,40\r\n[BATCH_DATA 0 0]\r\nBAT_NAME=B\r\nBAT_REFLPOINTS=4\r\nBAT_REFLINTERVAL=100\r\n"
+        "BAT_REFLLOW=400\r\nBAT_R=11,21,31,41\r\n"
+    )
+    found = open_file(written(tmp_path, "s.qtx", text))
+    assert [each.name for each in found] == ["Blue", "B"]
+    np.testing.assert_allclose(found[1].data["reflectance"], [0.11, 0.21, 0.31, 0.41])
+    np.testing.assert_allclose(found[1].data["wavelength_nm"], [400, 500, 600, 700])
+    with pytest.raises(NacreError):
+        open_file(written(tmp_path, "cut.qtx", text.replace("10,20,30,40", "10,20,30")))
+
+
+@pytest.mark.parametrize("layer", ["GENOSC", "ema", "CAUCHY"])
+def test_layers_of_parameters_are_refused_by_name(layer: str, tmp_path: Path) -> None:
+    with pytest.raises(NacreError, match=layer):
+        open_file(written(tmp_path, "l.mat", f"a layer\n{layer}\n1 2 0 0\n6.5 120.7 0.001 0 1.5 0\n 0.7 5.0 0.02\n"))
+
+
+def test_a_first_row_of_angles_twice_each(tmp_path: Path) -> None:
+    def text(delta: float) -> str:
+        body = "".join(f"{nm}\t{20 + nm / 100}\t{delta}\t{18 + nm / 100}\t{delta - 2}\t\n" for nm in NM)
+        return "\t65\t65\t70\t70\t\n" + body
+
+    (found,) = open_file(written(tmp_path, "e.txt", text(150.0)))
+    np.testing.assert_allclose(np.unique(found.data["angle_of_incidence_deg"]), [65, 70])
+    np.testing.assert_allclose(found.data["psi_deg"][[0, len(NM)]], [24.0, 22.0])
+    np.testing.assert_allclose(found.data["delta_deg"][[0, len(NM)]], [150.0, 148.0])
+    with pytest.raises(AmbiguousFileError):  # two reflectances in per cent have such values, too
+        open_file(written(tmp_path, "r.txt", text(50.0)))
+
+
+@pytest.mark.parametrize(
+    "head",
+    ["Wavelength (nm),Psi_65,Delta_65\n", "Wavelength (nm),Psi 65.0,Delta 65.0\n", "# AOI = 65 deg\nnm,Psi,Delta\n"],
+)
+def test_the_angle_of_psi_and_delta_in_headings_or_above(head: str, tmp_path: Path) -> None:
+    (found,) = open_file(written(tmp_path, "e.csv", head + rows(30.0, 120.0)))
+    np.testing.assert_allclose(found.data["angle_of_incidence_deg"], 65.0)
+    np.testing.assert_allclose(found.data["psi_deg"][0], 30.004)
+
+
+def test_constants_headed_by_parts_of_the_index_or_a_single_unit(tmp_path: Path) -> None:
+    text = "# wavelength(m) Re(index) Im(index)\n4e-7 1.5 0.01\n5e-7 1.4 0.02\n6e-7 1.3 0.03\n"
+    (found,) = open_file(written(tmp_path, "n.txt", text))
+    np.testing.assert_allclose([found.data["n"][0], found.data["k"][0]], [1.5, 0.01])
+    (found,) = open_file(written(tmp_path, "u.csv", "wl,n,k\nmicrons,,\n0.4,1.47,0\n0.5,1.46,0\n0.7,1.45,0\n"))
+    np.testing.assert_allclose(found.data["wavelength_nm"], [400, 500, 700])
+
+
+@pytest.mark.parametrize("heading", ["H,S,V", "H,S,L", "C,M,Y,K"])
+def test_coordinates_of_devices_are_no_cielab(heading: str, tmp_path: Path) -> None:
+    values = ",".join(["50"] * len(heading.split(",")))
+    path = written(tmp_path, "c.csv", f"name,{heading}\nred,{values}\nblue,{values}\n")
+    for read in (open_file, lambda each: read_colours(each, 1)):
+        with pytest.raises(NacreError):
+            read(path)
+
+
+@pytest.mark.parametrize("values", ["0.6,0.2,0.1", "34900,53000,50000", "140,170,180"])
+def test_colours_of_another_scale(values: str, tmp_path: Path) -> None:
+    with pytest.raises(NacreError):
+        open_file(written(tmp_path, "c.csv", f"name,L,a,b\none,{values}\ntwo,{values}\n"))
+
+
+def test_angles_and_lamps_of_colours_in_short_forms(tmp_path: Path) -> None:
+    (found,) = open_file(written(tmp_path, "b.csv", "Name;L*(-15);a*(-15);b*(-15)\nred;80,1;20;10\n"))
+    assert "L_-15deg" in found.data
+    head = "Name,L*(D65/10),a*(D65/10),b*(D65/10),L*(A/10),a*(A/10),b*(A/10)\n"
+    path = written(tmp_path, "i.csv", head + "red,50,40,20,55,45,25\n")
+    with pytest.raises(NacreError):
+        open_file(path)
+    (found,) = open_file(path, ReadOptions(ignore=("L*(D65/10)", "a*(D65/10)", "b*(D65/10)")))
+    assert (found.metadata["illuminant"], found.metadata["observer"], found.data["L"][0]) == ("A", "10deg", 55.0)
+    (found,) = open_file(written(tmp_path, "h.csv", "Name,L*,C*,h°\nred,53.2,104.5,40\n"))
+    np.testing.assert_allclose(found.data["hue_deg"], 40.0)
+
+
+@pytest.mark.parametrize("body", ["No\tName\tX\tY\tZ\n1\tA1\t96.42\t100\t82.49\n2\tA2\t48.21\t50\t41.25\n", None])
+def test_the_lamp_above_a_list_of_colours(body: str | None, tmp_path: Path) -> None:
+    """White under D50 (its XYZ, or L* = 100) stays white under D65."""
+    text = f"ILLUMINANT\tD50\nOBSERVER\t2\n{body}" if body else "# Illuminant: D50, observer 2\n100,0,0\n"
+    row = read_colours(written(tmp_path, "w.txt", text), 1, ("D65", "2deg"))[0]
+    np.testing.assert_allclose(row.lab, [[100.0, 0.0, 0.0]], atol=0.02)
+
+
+def test_measured_colours_precede_their_picture(tmp_path: Path) -> None:
+    path = written(tmp_path, "n.csv", "Name,L*,a*,b*,HEX\nred,50,60,40,#00FF00\n")
+    np.testing.assert_allclose(read_colours(path, 1)[0].lab, [[50.0, 60.0, 40.0]])
+
+
+def test_colours_beside_words(tmp_path: Path) -> None:
+    path = written(tmp_path, "r.csv", "Code;HEX;English\nRAL 1000;#BEBD7F;Green beige\nRAL 1001;#C2B078;Beige\n")
+    (found,) = open_file(path, ReadOptions(ignore=("English",)))
+    np.testing.assert_allclose(found.data["srgb"][0], np.array([0xBE, 0xBD, 0x7F]) / 255)
+
+
+@pytest.mark.parametrize("corner", ["", "0"])
+def test_coordinates_around_a_matrix_of_heights(corner: str, tmp_path: Path) -> None:
+    z = np.sin(np.arange(20)[:, None] / 3) + np.cos(np.arange(18) / 2)
+    text = "\n".join(
+        [",".join([corner, *(f"{i * 0.5}" for i in range(18))])]
+        + [",".join([f"{j * 0.5}", *(f"{value:.4f}" for value in row)]) for j, row in enumerate(z)]
+    )
+    path = written(tmp_path, "m.csv", text + "\n")
+    with pytest.raises(AmbiguousFileError):
+        open_file(path, ReadOptions(unit="um"))
+    (found,) = open_file(path, ReadOptions(unit="um", pitch_um=(0.5, 0.5)))
+    assert found.data["height_um"].shape == (20, 18)
+    plane = written(tmp_path, "p.txt", "\n".join(" ".join(f"{i + j}" for i in range(9)) for j in range(9)) + "\n")
+    (found,) = open_file(plane, ReadOptions(unit="um", pitch_um=(1.0, 1.0), format="matrix"))
+    assert found.data["height_um"].shape == (9, 9)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "ABGF BLACK\n 0.001 0.002 1.5\n",
+        "IESNA:LM-63-2002\nTILT=NONE\n1 1000 1 3 1 1 2 0 0 0\n",
+        "DSAA\n4 4\n0 1\n0 1\n0 1\n1 2 3 4\n",
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n",
+        "CC GLASSES\nNM N-BK7 2 517642 1.5168 64.17 0 0\nED 7.1 8.3\nCD 1.03961212 6.0E-3 2.3E-1 2E-2\n",
+        "SiO2 Density=2.2\n Energy(eV), Delta, Beta\n 100 1e-3 1e-4\n110 1e-3 1e-4\n",
+    ],
+)
+def test_files_of_other_programs_are_refused(text: str, tmp_path: Path) -> None:
+    path = written(tmp_path, "f.txt", text)
+    said = set()
+    for read in (open_file, read_map, lambda each: read_colours(each, 1)):
+        with pytest.raises(NacreError) as raised:
+            read(path)
+        assert not isinstance(raised.value, AmbiguousFileError)
+        said.add(str(raised.value))
+    assert len(said) == 1  # the same cause wherever the file stands
+
+
+def test_the_unit_of_z_does_not_change_the_unit_of_x_and_y(tmp_path: Path) -> None:
+    points = "".join(f"{i / 1e3}\t{j / 1e3}\t{np.sin(i) + j}\n" for j in range(6) for i in range(6))
+    path = written(tmp_path, "p.txt", "X (mm)\tY (mm)\tZ\n" + points)
+    with pytest.raises(AmbiguousFileError):
+        open_file(path)
+    (found,) = open_file(path, ReadOptions(unit="um"))
+    np.testing.assert_allclose(found.metadata["pitch_um"], [1.0, 1.0])
+    np.testing.assert_allclose(
+        np.ptp(found.data["height_um"]), np.ptp([np.sin(i) + j for i in range(6) for j in range(6)])
+    )
+
+
+def test_a_map_over_a_wafer_is_no_height_map(tmp_path: Path) -> None:
+    points = "".join(f"{i}\t{j}\t{500 + i}\n" for j in range(6) for i in range(6))
+    path = written(tmp_path, "m.txt", "Thickness # 1 in nm vs. Position\nX (cm)\tY (cm)\tZ\n" + points)
+    with pytest.raises(NacreError) as raised:
+        open_file(path, ReadOptions(unit="nm"))
+    assert not isinstance(raised.value, AmbiguousFileError)
+
+
+def test_ratios_of_anisotropic_samples_in_woollam_files(tmp_path: Path) -> None:
+    head = "film\nVASEmethod[EllipsometerType=4, Anisotropic]\nOriginal[x.dat]\nnm\n"
+    body = "".join(f"AnE\t{nm}\t55\t40\t120\t0.01\t0.02\nAps\t{nm}\t55\t1\t20\t0.01\t0.02\n" for nm in NM)
+    (found,) = open_file(written(tmp_path, "a.dat", head + body))
+    np.testing.assert_allclose(found.data["psi_deg"], 40.0)
+    np.testing.assert_allclose(found.data["delta_deg"], 120.0)
+    assert found.left_out
+
+
+def test_a_number_below_a_title_ends_the_preamble(tmp_path: Path) -> None:
+    text = "Number of Zones\n1\n" + "".join(f"{angle}\t20.5\t170.5\n" for angle in range(50, 60))
+    path = written(tmp_path, "z.txt", text)
+    with pytest.raises(AmbiguousFileError) as raised:
+        open_file(path)
+    assert raised.value.option == "columns"
