@@ -1,7 +1,7 @@
 """Render the pictures that README and gallery show, and store them small in docs/images.
 
-`python docs/make_images.py` makes all; names after it make some: `hero`, `glass`, `sem`, `afm`, `gallery`, or names of
-the gallery. `--demo DIR` takes the gallery's and the hero's from what `make demo OUT=DIR` made, which shows the same.
+`python docs/make_images.py` makes all; names after it make some: `hero`, `glass`, `sem`, `afm`, `feather`,
+`layer-off`, `car-paint`, `gallery`, or names of the gallery. `--demo DIR` takes the gallery's and the hero's from what `make demo OUT=DIR` made, which shows the same.
 They are committed, so that the documentation builds in minutes; make them anew when a picture has changed.
 """
 
@@ -218,6 +218,47 @@ def make_feather(scratch: Path) -> Path:
         return _beside(Image.open("feather.png").convert("RGB"), Path("fitted.toml"), IMAGES / "feather.jpg")
 
 
+def make_layer_off(scratch: Path) -> Path:
+    """Draw the spectra of the page: of the recipe, of the run and of the recipe as it was made."""
+    from nacre.cli import run
+    from nacre.plot.style import house_style, new_figure
+
+    page = (Path(__file__).parent / "howto" / "layer-that-was-off.md").read_text(encoding="utf-8")
+    with contextlib.chdir(scratch):
+        Path("antireflex.toml").write_text(page.split("```toml\n")[1].split("```")[0], encoding="utf-8")
+        for line in page.split("```bash\n")[1].split("```")[0].strip().splitlines():
+            if run(line.split()[1:]):
+                raise SystemExit(f"failed: {line}")
+        nm = np.arange(380.0, 781.0, 2.0)
+        run_data = nacre.read("run.csv").data
+        with house_style():
+            figure = new_figure(5.2, 2.8)
+            axes = figure.subplots()
+            for name, style in (("antireflex.toml", "--"), ("as-made.toml", "-")):
+                found = nacre.spectrum(nacre.load(name), 0.0, nm).parts()["specular_reflectance"][0]
+                axes.plot(nm, 100 * found, style, label={"--": "recipe", "-": "as made, by the diagnosis"}[style])
+            axes.plot(run_data["wavelength_nm"], 100 * run_data["reflectance"], ".", color="0.3", ms=3, label="run")
+            axes.set(xlim=(380, 780), ylim=(0, None), xlabel="wavelength (nm)", ylabel="reflectance (%)")
+            axes.legend(frameon=False)
+            figure.savefig("layer-off.png", dpi=140)
+        return _save(Image.open("layer-off.png").convert("RGB"), IMAGES / "layer-off.jpg")
+
+
+def make_car_paint(scratch: Path) -> Path:
+    """Draw what the camera sees of the two silvers of the page, which differ in their diameter."""
+    from nacre.measure.texture import measure_texture
+    from nacre.plot import texture_figure
+
+    page = (Path(__file__).parent / "howto" / "car-paint.md").read_text(encoding="utf-8")
+    recipe = scratch / "coarse.toml"
+    recipe.write_text(page.split("# coarse.toml\n")[1].split("```")[0], encoding="utf-8")
+    coarse = nacre.load(recipe)
+    both = [("12 \u00b5m", coarse.vary({"strata[0].platelets[0].diameter_um": 12})), ("34 \u00b5m", coarse)]
+    figure = texture_figure([(name, measure_texture(made, method="patch").pictures) for name, made in both])
+    figure.savefig(scratch / "car-paint.png", dpi=110)
+    return _save(Image.open(scratch / "car-paint.png").convert("RGB"), IMAGES / "car-paint.jpg")
+
+
 def _run_page(name: str, made: str, scratch: Path) -> Path:
     """Run the program of a page, which writes the file `made`, in `scratch`; return the page's recipe there."""
     page = (Path(__file__).parent / "howto" / f"{name}.md").read_text(encoding="utf-8")
@@ -272,6 +313,10 @@ def main(names: list[str], demo: Path | None = None) -> None:
         make_afm(scratch)
     if not names or "feather" in names:
         make_feather(scratch)
+    if not names or "layer-off" in names:
+        make_layer_off(scratch)
+    if not names or "car-paint" in names:
+        make_car_paint(scratch)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ where there is no NVIDIA GPU.
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -30,6 +31,13 @@ os.environ.setdefault("NUMBA_NUM_THREADS", str(min(8, os.cpu_count() or 1)))
 # a suite started in the background of a shell inherits an ignored interrupt, and its children from it: what an
 # interrupt does could then not be tested, and a render that waits for one would never end
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# tests and the commands that they start import hundreds of modules: compiled ones are kept
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
+# what imports leave in memory lives to the end: collecting garbage among it takes more time than the imports do
+gc.disable()
 
 # tests measure pictures as they were rendered; those of the denoiser ask for it
 os.environ["NACRE_DENOISE"] = "0"
@@ -64,6 +72,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     whole = {name.partition("::")[0] for name in slow} <= files
     if gone := [name for name, found in slow.items() if not found and whole]:
         raise pytest.UsageError(f"{SLOW_CASES.name}: no such case: {', '.join(gone)}")
+
+
+def pytest_collection_finish() -> None:
+    """Collect garbage from here on, but never again among what imports left."""
+    gc.freeze()
+    gc.enable()
 
 
 def _why_no_render() -> str:
@@ -112,6 +126,8 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None, Any, Any]:
     if _not_rendered:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
     result = yield
+    gc.collect()
+    gc.freeze()  # pytest and the interpreter collect several times while they end
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if _not_rendered and reporter is not None:
         reporter.write_line(f"FAILED: {len(_not_rendered)} rendering tests could not run: {_not_rendered[0]}", red=True)

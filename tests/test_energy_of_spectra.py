@@ -112,7 +112,7 @@ def test_random_pearls_send_out_no_more_than_arrives() -> None:
 
 @pytest.mark.full
 def test_many_random_films_send_out_no_more_than_arrives() -> None:
-    check_films(range(12, 300))
+    check_films(range(12, 100))
 
 
 @pytest.mark.full

@@ -1,15 +1,14 @@
-"""Mutated recipes of every family and mutated targets: a material or one clear line, never a traceback, never slow."""
+"""Mutated recipes of every family and mutated targets: a material or one clear line, never a traceback."""
 
 from __future__ import annotations
 
 import random
-import time
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers_fuzz import HANG_S, mutate
+from helpers_fuzz import mutate
 
 from nacre.core.errors import NacreError
 from nacre.families.registry import FAMILIES, family_names, family_spec
@@ -47,7 +46,6 @@ def throw(count: int, folder: Path, sources: list[Path], read: Any, seed: int) -
     for number in range(count):
         text = mutate(generator.choice(read_in), generator)
         path.write_bytes(text.encode("utf-8", "surrogatepass"))
-        start = time.perf_counter()
         try:
             read(path)
             accepted += 1
@@ -57,7 +55,6 @@ def throw(count: int, folder: Path, sources: list[Path], read: Any, seed: int) -
             assert "Traceback" not in str(error)
         except Exception as error:
             raise AssertionError(f"mutation {number} (seed {seed}):\n{text}") from error
-        assert time.perf_counter() - start < HANG_S, f"mutation {number} (seed {seed}) is slow:\n{text}"
     assert {p.name for p in folder.iterdir()} == {"self.toml"}
     return accepted, refused
 

@@ -172,3 +172,24 @@ def test_a_design_finds_the_diameter_of_a_sparkle(tmp_path: Path) -> None:
     result = found.solutions[0].targets[1]
     assert result.is_met and result.number == pytest.approx(1.5, rel=0.1)
     assert found.summary["solutions"][0]["targets"][1]["off_percent"] < 10.0
+
+
+def test_a_sweep_stores_texture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    zarr = pytest.importorskip("zarr")
+    (tmp_path / "paint.toml").write_text(dump_toml(PAINT))
+    plan = {
+        "recipe": "paint.toml",
+        "axes": {"strata[0].platelets[0].diameter_um": [15, 40]},
+        "measure": {"angles_deg": [0], "texture": ["sparkle_45", "graininess"]},
+    }
+    (tmp_path / "sweep.toml").write_text(dump_toml(plan))
+    store = tmp_path / "sweep.zarr"
+    assert run(["sweep", str(tmp_path / "sweep.toml"), "-o", str(store), "--jobs", "1"]) == 0
+    found = zarr.open_group(str(store), mode="r")["texture"][...]
+    wide = as_material(PAINT).vary({"strata[0].platelets[0].diameter_um": 40})
+    np.testing.assert_allclose(found[1], texture_values(wide, quantities("sparkle_45", "graininess"))[0], rtol=1e-9)
+    assert np.all(found[1] > found[0])  # coarser flakes sparkle more and are grainier
+    capsys.readouterr()
+    (tmp_path / "sweep.toml").write_text(dump_toml(plan | {"measure": {"texture": ["sparkle_50"]}}))
+    assert run(["sweep", str(tmp_path / "sweep.toml"), "-o", str(tmp_path / "other.zarr")]) == 2
+    assert "measure.texture" in capsys.readouterr().err

@@ -2,7 +2,7 @@
 
 What a fence is for stands in its language: `toml` is a file whose first line is a comment with its name, as is `text`
 with such a line, `bash` are commands, `python` is one program a page. Anything else is only shown. To be quick the
-same commands run with small pictures, few frames and short searches; nothing else is changed.
+same commands run with small pictures, few frames, short searches and, unless written, spectra of two wavelengths.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ NAME = re.compile(r"#\s*([\w./-]+\.(?:toml|csv))\s*$")
 QUICK_RENDER = ["--size", "24x24", "--spp", "1"]
 QUICK_FRAMES = ["--frames", "2"]
 QUICK_SEARCH_S = 2
+RANGE = re.compile(r"^(\d+):(\d+):\d+$")
 NOT_RUN_HERE = ("nacre demo", "nacre studio")  # they have tests of their own
 
 
@@ -82,6 +83,8 @@ def _run_line(line: str) -> None:
         words = [w for i, w in enumerate(words) if w not in ("--size", "--spp", "--frames") and
                  words[i - 1] not in ("--size", "--spp", "--frames")]  # fmt: skip
         words += QUICK_RENDER + (QUICK_FRAMES if "--animate" in words else [])
+    if words[1] == "spectrum" and "-o" not in words:  # a written spectrum may be read by the next command
+        words = [RANGE.sub(lambda m: f"{m[1]}:{m[2]}:{int(m[2]) - int(m[1])}", word) for word in words]
     assert run(words[1:]) == 0, line
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 from nacre.recipe.toml import dump_toml
 
-HANG_S = 5.0
 STRANGE: list[Any] = [
     0, -1, 1, 2, 1e-300, 1e300, -1e300, float("inf"), float("nan"), 10**30, 0.5, 1.0000001, True, False, "", " ", "Si",
     "TiO3", "a" * 3000, "../../etc/passwd", "/dev/zero", "/", ".", "x.png", "\x00", "ggx", "nan", [], [[]], [1, 2],

@@ -23,7 +23,11 @@ class ImportGraph:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.files = {self._module(path): path for path in sorted(root.rglob("*.py"))}
-        self.trees = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in self.files.items()}
+
+    @cached_property
+    def trees(self) -> dict[str, ast.Module]:
+        """The syntax trees of the files, parsed on first use."""
+        return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in self.files.items()}
 
     def _module(self, path: Path) -> str:
         parts = [self.root.name, *path.relative_to(self.root).with_suffix("").parts]

@@ -172,7 +172,7 @@ def test_and_their_values_at_a_few_pairs(substrate):
     )  # other sums over the azimuth
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.7])
+@pytest.mark.parametrize("turn", [0.7])
 def test_values_at_a_few_pairs_are_those_of_the_lobe_between_its_angles(turn):
     layer = dimers(4.3 + 0.07j, films=((1.46, 120.0),))
     lobe = lobes(layer, 64, turn=turn)[1]

@@ -87,7 +87,7 @@ def _planted(true, block, generator, follows=0.0, count=24):
 @pytest.mark.parametrize("transmits_below", [False, True])
 def test_a_planted_ratio_is_found_through_the_speckle_and_its_errors_are_its_own(transmits_below):
     scores = []
-    for seed in range(3):
+    for seed in range(2):
         g, true = np.random.default_rng(seed), some_ratio(transmits_below, seed)
         patterns, light, model = [], np.zeros(ANGLES**2), np.zeros(ANGLES**2)
         for _ in range(12):
@@ -473,7 +473,7 @@ def test_each_endless_pattern_of_lossless_spheres_sends_out_what_arrives(substra
         )
         particles = [dataclasses.replace(particles[0], share=0.6), small]
     layer = Monolayer(below, tuple(particles), hard_disk_structure(density, 0.2, 7 * below.wavenumber))
-    one = _patterns(layer, density, 0.2, 30, 2)
+    one = _patterns(layer, density, 0.2, 16, 1)
     k, low = below.wavenumber, below.index_below
     for cell in one.supercells:
         wave = orders(cell.period, 0.97 * k)[::7]

@@ -56,8 +56,7 @@ def walk() -> Layered:
 # -- the factor ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("width", [0.05, 0.2, 1.0])
-@pytest.mark.parametrize("slope", [(0.0, 0.0), (0.6, -0.3)])
+@pytest.mark.parametrize(("width", "slope"), [(0.05, (0.6, -0.3)), (0.2, (0.0, 0.0)), (1.0, (0.6, -0.3))])
 def test_the_mean_over_the_surface_is_one(width: float, slope: tuple[float, float]) -> None:
     """Ten layings of many points: within 3.5 standard errors, and 1 %, which those are below."""
     points = int(8_000 / width)

@@ -239,10 +239,8 @@ def test_a_changed_table_changes_the_picture(mi: Any) -> None:
 
 
 @pytest.mark.full
-def test_a_hundred_renders_take_no_more_memory_or_time_than_ten(mi: Any) -> None:
+def test_a_hundred_renders_take_no_more_memory_than_ten(mi: Any) -> None:
     """Reusing the scene stays flat (mitsuba3 issue 563 grew with each render)."""
-    import time
-
     import drjit as dr
 
     target = _made(bsdf_of("rough glass"))
@@ -250,23 +248,19 @@ def test_a_hundred_renders_take_no_more_memory_or_time_than_ten(mi: Any) -> None
     bsdfs = [bsdf_of("rough glass", **{"layers[0].thickness_nm": t}) for t in (90.0, 120.0)]
     from nacre.device.bsdf import update_bsdf
 
-    def run(n: int) -> float:
-        start = time.process_time()
+    def run(n: int) -> None:
         for k in range(n):
             update_bsdf(target, bsdfs[k % 2])
             dr.eval(mi.render(built, spp=2, seed=k))
         dr.sync_thread()
         gc.collect()
-        return (time.process_time() - start) / n
 
     run(10)
     registered = len(dr.kernel_history()) if dr.flag(dr.JitFlag.KernelHistory) else 0
-    memory, early = _resident(), min(run(10), run(10))
-    run(80)
-    late = min(run(10), run(10))
+    memory = _resident()
+    run(90)
     assert registered == 0
     assert _resident() - memory <= 20e6
-    assert late <= 1.5 * early
 
 
 def _resident() -> float:

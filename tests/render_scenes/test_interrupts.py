@@ -15,18 +15,18 @@ import pytest
 import nacre
 from nacre.cli.common import STOPPED
 
-SOON_S = 3.0
-# a render whose material takes long in compiled code, which no signal breaks off: it tells when it has begun
+# a render whose material stays for ever in compiled code, which no signal breaks off: it tells when it has begun
 SLOW = """
+import ctypes
 import sys
-import numpy as np
 from nacre.cli import main
 from nacre.material.material import Material
 
 def bsdf(self, *arguments, **options):
     print("solving", flush=True)
-    np.linalg.svd(np.random.default_rng(0).random((6000, 6000)))
-    raise AssertionError("solved before anybody interrupted it")
+    lock, mutex = ctypes.CDLL(None).pthread_mutex_lock, ctypes.create_string_buffer(64)
+    lock(mutex)
+    lock(mutex)
 
 Material.bsdf = bsdf
 main(sys.argv[1:])
@@ -42,12 +42,12 @@ def test_before_the_first_pass_a_render_leaves_at_once(tmp_path: Path) -> None:
         assert process.stdout is not None
         assert process.stdout.readline() == "solving\n"
         time.sleep(0.5)
-        asked = time.perf_counter()
         process.send_signal(signal.SIGINT)
-        told = process.communicate(timeout=60)[1]
-        took = time.perf_counter() - asked
+        try:
+            told = process.communicate(timeout=60)[1]
+        finally:
+            process.kill()
     assert process.returncode == 130
-    assert took < SOON_S
     assert told == f"{STOPPED}\n"
     assert list(tmp_path.iterdir()) == []
 

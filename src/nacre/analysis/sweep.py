@@ -268,6 +268,8 @@ def _empty_store(path: Path, sweep: Sweep) -> Iterator[Path]:
         _coordinate(group, "angle_deg", list(measurement.angles_deg), ["angle_deg"])
         if measurement.geometries:
             _coordinate(group, "geometry", [name for name, _ in measurement.geometries], ["geometry"])
+        if measurement.texture:
+            _coordinate(group, "quantity", list(measurement.texture), ["quantity"])
         _coordinate(group, "lab", ["L*", "a*", "b*"], ["lab"])
         _coordinate(group, "xyz", ["X", "Y", "Z"], ["xyz"])
         if measurement.wavelengths_nm is not None:

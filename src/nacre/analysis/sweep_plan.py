@@ -25,6 +25,7 @@ from nacre.light import lab_to_xyz, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material, load
 from nacre.measure.colours import colour_spectrum, geometry_colours, recipe_geometries
 from nacre.measure.geometry import Geometry
+from nacre.measure.texture import TextureQuantity, check_texture, texture_values
 from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.keys import ByPath
 from nacre.recipe.model import RecipeContext, RecipeModel, show_value, validate
@@ -233,6 +234,7 @@ class Measurement:
         wavelengths_nm: grid of stored spectra, or None to store colours only.
         parts: parts of the spectrum.
         geometries: (name, geometry) at which colours are stored as well.
+        texture: quantities of texture, such as "sparkle_45".
     """
 
     angles_deg: tuple[float, ...] = (0.0, 15.0, 30.0, 45.0, 60.0)
@@ -241,6 +243,7 @@ class Measurement:
     wavelengths_nm: tuple[float, ...] | None = None
     parts: tuple[str, ...] = ("specular_reflectance",)
     geometries: tuple[tuple[str, str], ...] = ()
+    texture: tuple[str, ...] = ()
 
     def layout(self) -> dict[str, tuple[tuple[str, ...], tuple[int, ...]]]:
         """Return a point's arrays: name -> (dimension names, shape)."""
@@ -254,6 +257,8 @@ class Measurement:
         if self.geometries:
             for space in ("lab", "xyz"):
                 arrays[f"{space}_{AT_GEOMETRIES}"] = (("geometry", space), (len(self.geometries), 3))
+        if self.texture:
+            arrays |= {name: (("quantity",), (len(self.texture),)) for name in ("texture", "texture_error")}
         return arrays
 
     def take(self, material: Material, seed: int) -> dict[str, Array]:
@@ -279,6 +284,10 @@ class Measurement:
             rows = [Geometry.read(at, name) for name, at in self.geometries]
             lab = geometry_colours(material, rows, self.illuminant, self.observer, seed=seed)
             arrays[f"lab_{AT_GEOMETRIES}"], arrays[f"xyz_{AT_GEOMETRIES}"] = lab, np.asarray(lab_to_xyz(lab, white))
+        if self.texture:
+            light = (self.illuminant, self.observer)
+            asked = [TextureQuantity.named(name, "measure.texture", light=light) for name in self.texture]
+            arrays["texture"], arrays["texture_error"] = texture_values(material, asked, seed)
         return arrays
 
 
@@ -322,6 +331,12 @@ class MeasureSpec(RecipeModel):
         description="geometries at which colours are stored as well, or names of the recipe's [[geometry]]; default: "
         "all of these names",
         examples=[["45as15", "45as110", "door"]],
+    )
+    texture: list[str] = pydantic.Field(
+        default=[],
+        description="numbers of texture to store, of a pearl whose flakes have a diameter: sparkle_15, intensity_45, "
+        "area_75, graininess",
+        examples=[["sparkle_45", "graininess"]],
     )
 
 
@@ -368,7 +383,7 @@ class Sweep:
         )
         return fingerprint(
             self.material.fingerprint, self.files, axes=axes, fractions=fractions, mode=self.points.mode,
-            measurement=asdict(self.measurement),
+            measurement={key: value for key, value in asdict(self.measurement).items() if key != "texture" or value},
         )  # fmt: skip
 
 
@@ -429,7 +444,11 @@ def _measurement(spec: MeasureSpec, material: Material, source: str) -> Measurem
     named = recipe_geometries(material)
     asked = list(named) if spec.geometries is None else spec.geometries
     geometries = tuple((name, str(Geometry.read(name, f"{source}: measure.geometries", named))) for name in asked)
+    for name in spec.texture:
+        TextureQuantity.named(name, f"{source}: measure.texture")
+    if spec.texture:
+        check_texture(material, f"{source}: measure.texture")
     return Measurement(
         tuple(spec.angles_deg), spec.illuminant, spec.observer, None if grid is None else tuple(grid), tuple(parts),
-        geometries,
+        geometries, tuple(spec.texture),
     )  # fmt: skip

@@ -20,7 +20,6 @@ from nacre.core.errors import UnsupportedError
 from nacre.formats.thin_film import ThinFilm
 from nacre.light import delta_e_2000, lab_to_xyz, spectrum_to_xyz, srgb_linear_to_xyz, xyz_to_lab, xyz_to_srgb_linear
 from nacre.material.material import Material, material_from_data
-from nacre.matter.stack.solve import powers
 
 ANGLES_DEG = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0])
 THICKNESSES_NM = np.concatenate([np.arange(0.0, 1000.0, 20.0), np.arange(1000.0, 2001.0, 40.0)])
@@ -70,10 +69,10 @@ def fit_thin_film(material: Material) -> ThinFilmFit:
     grid = spectrum.wavelengths_nm
     target = np.asarray(xyz_to_lab(spectrum_to_xyz(reflectance, grid)))
     transmits = spectrum.specular_transmittance is not None and float(spectrum.specular_transmittance.max()) > 1e-3
-    candidates = [_fit_metal(target, reflectance, grid)]
-    candidates.append(_fit_dielectric(target, grid, transmits))
-    # a transmitting material stays a dielectric, even if a metal matches its reflection better
-    film, residual = candidates[1] if transmits else min(candidates, key=lambda c: float(c[1].mean()))
+    candidates = [_fit_dielectric(target, grid, transmits)]
+    if not transmits:  # a transmitting material stays a dielectric, even if a metal matches its reflection better
+        candidates.insert(0, _fit_metal(target, reflectance, grid))
+    film, residual = min(candidates, key=lambda c: float(c[1].mean()))
     film = ThinFilm(**{**film.__dict__, "roughness": _roughness(material)})
     return ThinFilmFit(film, ANGLES_DEG, residual, _lost(material, bsdf, film))
 
@@ -110,12 +109,11 @@ def _fit_share(material: Material, share: float, covering: Material) -> ThinFilm
 def film_lab(film: ThinFilm, wavelengths_nm: Array) -> Array:
     """Return the Lab of a thin film's mirror direction at `ANGLES_DEG`, `[angle, 3]`."""
     if not film.is_metal:
-        values = _reflectance(film.film_ior, film.thickness_nm, film.base_ior, wavelengths_nm)
+        values = _reflectance(film.film_ior, film.thickness_nm, np.array(film.base_ior), wavelengths_nm)
         return np.asarray(xyz_to_lab(spectrum_to_xyz(values, wavelengths_nm)))
-    rgb = np.empty((len(ANGLES_DEG), 3))
-    for channel, f0 in enumerate(film.base_rgb):
-        values = _reflectance(film.film_ior, film.thickness_nm, _base_index(f0), wavelengths_nm)
-        rgb[:, channel] = xyz_to_srgb_linear(spectrum_to_xyz(values, wavelengths_nm))[:, channel]
+    bases = np.array([_base_index(f0) for f0 in film.base_rgb])
+    values = _reflectance(film.film_ior, film.thickness_nm, bases, wavelengths_nm)
+    rgb = np.diagonal(xyz_to_srgb_linear(spectrum_to_xyz(values, wavelengths_nm)), axis1=0, axis2=2)
     return np.asarray(xyz_to_lab(srgb_linear_to_xyz(rgb)))
 
 
@@ -125,10 +123,20 @@ def _base_index(f0: float) -> float:
     return float((1 + root) / (1 - root))
 
 
-def _reflectance(n_film: float, thickness_nm: float, n_base: float, wavelengths_nm: Array) -> Array:
-    n = np.array([[1.0], [n_film], [n_base]], dtype=complex)
-    found = powers(n, [thickness_nm], wavelengths_nm, np.radians(ANGLES_DEG))
-    return np.asarray((found.R_s + found.R_p) / 2)
+def _reflectance(n_film: float, thickness_nm: float, n_base: Array, wavelengths_nm: Array) -> Array:
+    """Return Airy's unpolarised reflectance of a lossless film, `[..., angle, wavelength]`; `n_base` is `[...]`."""
+    sine = np.sin(np.radians(ANGLES_DEG))
+    indices = [np.ones(1), np.array([n_film]), n_base[..., None]]
+    above, inside, below = (np.sqrt(1.0 - (sine / n) ** 2) for n in indices)
+    phase = np.cos(4.0 * np.pi * n_film * thickness_nm * inside[:, None] / wavelengths_nm)
+    total = np.zeros((*n_base.shape, *phase.shape))
+    for power in (1, -1):  # s, p: admittances n cos and cos / n
+        first, second, third = (n**power * c for n, c in zip(indices, (above, inside, below), strict=True))
+        upper = ((first - second) / (first + second))[:, None]
+        lower = ((second - third) / (second + third))[..., None]
+        mixed = 2.0 * upper * lower * phase
+        total += (upper**2 + lower**2 + mixed) / (1.0 + (upper * lower) ** 2 + mixed)
+    return 0.5 * total
 
 
 def _residual(film: ThinFilm, target: Array, grid: Array) -> Array:

@@ -26,6 +26,7 @@ from nacre.bsdf.lobes.microfacet import Microfacet, local_azimuth
 from nacre.bsdf.response import InterfaceResponse
 from nacre.core.arrays import Array, cell, direction, node_coordinate, take_uniform
 from nacre.core.errors import UnsupportedError
+from nacre.core.quadrature import gauss_legendre
 
 LOSS_NODES = 41  # over sqrt(cos): 3e-4 of energy at alpha 0.1 ... 1
 MOST_AZIMUTH_NODES = 49  # over cos^2 of the azimuth: 4 alpha_x/alpha_y + 1, since the loss varies faster with it
@@ -221,7 +222,7 @@ def _mean(loss: Array) -> Array:
 
     Integrates the linear interpolant itself: the lobe's loss and return then cancel to rounding.
     """
-    x, weight = np.polynomial.legendre.leggauss(256)
+    x, weight = gauss_legendre(256)
     s, weight = 0.5 * (x + 1.0), 0.5 * weight
     at = take_uniform(loss, s, 1)
     # 2 mu dmu = 4 s^3 ds

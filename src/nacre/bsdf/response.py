@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.texture import ParameterAxis, places
 from nacre.core.arrays import Array, interpolate, node_coordinate, take_at
+from nacre.core.quadrature import gauss_legendre
 
 ROUNDING = 1e-9  # largest rounding below 0
 TABLES = ("reflectance", "transmittance", "reflectance_inside", "total")
@@ -159,7 +160,7 @@ class InterfaceResponse:
     @cached_property
     def hemispherical(self) -> tuple[Array, Array, Array, Array]:
         """Cosine-weighted means `(R, T)` from outside and `(R, T)` from inside, each `[*params, wavelength]`."""
-        nodes, weights = np.polynomial.legendre.leggauss(64)
+        nodes, weights = gauss_legendre(64)
         cos, weights = 0.5 * (nodes + 1), weights * 0.5
         outside = [
             np.einsum("c,...cl->...l", 2 * weights * cos, self.over_cosine(table, cos))

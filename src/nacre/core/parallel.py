@@ -42,7 +42,7 @@ def in_threads(
     """
     every = list(items)
     with single_threaded_blas(), ThreadPoolExecutor(jobs or available_jobs()) as pool:
-        results = []
+        results: list[Result] = []
         for result in pool.map(work, every):
             if keep is not None:
                 keep(every[len(results)], result)

@@ -215,6 +215,8 @@ class _Grid:
         all_rows = np.concatenate(rows)
         place = tuple(np.searchsorted(a, all_rows[:, i]) for i, a in enumerate(axes))
         shape = (*(len(a) for a in axes), values.shape[1])
+        if len(np.unique(np.ravel_multi_index(place, shape[:3]))) < MIN_FILLED * np.prod(shape[:3]):
+            return None  # before a grid of mostly empty nodes takes gigabytes
         known = np.isfinite(table)
         total, count = np.zeros(shape), np.zeros(shape)
         np.add.at(total, place, np.where(known, table, 0.0))

@@ -18,6 +18,7 @@ from nacre.bsdf.tabulate import is_transparent
 from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.core.arrays import Array, interpolate, take_uniform
 from nacre.core.errors import UnsupportedError
+from nacre.core.quadrature import gauss_legendre
 from nacre.families.contract import Diffracting, Model, Pixels, Traits
 from nacre.families.grating.outlines import outlines
 from nacre.matter.indices.constant import OpticalConstant
@@ -34,7 +35,7 @@ def _diffuse(lost: Array, wavelengths_nm: Array) -> Diffuse:
     """Return a reciprocal lobe that spreads the light lost from the orders, `[theta, wavelength]`, over all exits."""
     cosines = np.linspace(0.0, 1.0, MIRROR_NODES)
     entry = interpolate(lost, (np.arccos(cosines) / (0.5 * np.pi) * (len(lost) - 1),))
-    x, weight = np.polynomial.legendre.leggauss(64)
+    x, weight = gauss_legendre(64)
     mu = 0.5 * (x + 1.0)
     mean = np.einsum("q,ql->l", weight * mu, take_uniform(entry, mu, 0))
     return Diffuse(wavelengths_nm, np.where(mean > 0.0, 1.0 / np.maximum(mean, 1e-12), 0.0), entry)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from nacre.bsdf.facet_distributions import fresnel
 from nacre.core.arrays import Array
 from nacre.core.parallel import single_threaded_blas
+from nacre.core.quadrature import gauss_legendre
 from nacre.families.pearl.random_walk import Medium
 
 NODES, AZIMUTHS, TERMS = 22, 18, 12
@@ -99,7 +100,7 @@ def _directions(asked: tuple[float, ...], index: float) -> tuple[Single, Single]
 
     The rule is split at the critical angle, as the interface reflectance jumps.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(NODES // 2)
+    nodes, weights = gauss_legendre(NODES // 2)
     critical = np.arcsin(1.0 / index)
     ends = [(0.0, critical), (critical, np.pi / 2.0)]
     angle = np.concatenate([low + (high - low) / 2.0 * (nodes + 1.0) for low, high in ends])

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from nacre.core.arrays import Array, ComplexArray
+from nacre.core.quadrature import gauss_legendre
 from nacre.matter.indices.models import EV_NM, EVERYWHERE_NM, Dispersion, Oscillators
 
 PANEL_NODES = 24  # of the quadrature between two break points
@@ -269,7 +270,7 @@ def kramers_kronig(absorption: Callable[[Array], Array], energy_ev: Array, break
         breaks_ev: energies near which eps2 has kinks or peaks.
     """
     e = np.asarray(energy_ev, dtype=float)
-    x, weight = np.polynomial.legendre.leggauss(PANEL_NODES)
+    x, weight = gauss_legendre(PANEL_NODES)
     x, weight = 0.5 * (x + 1.0), 0.5 * weight
     marks = sorted({float(b) for b in breaks_ev if b > 0})
     marks = [*marks, *(0.5 * (a + b) for a, b in zip(marks[:-1], marks[1:]))]

@@ -18,6 +18,7 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg
 
+from nacre.core.quadrature import gauss_legendre
 from nacre.matter.periodic.types import Array
 
 GRADING = 0.18  # ratio of the sizes of neighbouring elements
@@ -138,19 +139,13 @@ def assemble(period: float, edges: Array, degrees: tuple[int, ...]) -> LineMesh:
 
 
 @lru_cache(maxsize=256)
-def gauss(count: int) -> tuple[Array, Array]:
-    """Return Gauss-Legendre nodes and weights on [-1, 1]."""
-    return np.polynomial.legendre.leggauss(count)
-
-
-@lru_cache(maxsize=256)
 def gauss_values(degree: int, count: int) -> tuple[Array, Array]:
     """Return the continuous functions, and the Legendre polynomials of the derivatives, at the nodes of `gauss`.
 
     Returns:
         `[degree + 1, point]`, and `[degree, point]` orthonormal on an interval of length 1.
     """
-    x, _ = gauss(count)
+    x, _ = gauss_legendre(count)
     legendre = np.polynomial.legendre.legvander(x, degree - 1) * np.sqrt(2.0 * np.arange(degree) + 1.0)
     return shape_values(degree, x), np.ascontiguousarray(legendre.T)
 
@@ -158,7 +153,7 @@ def gauss_values(degree: int, count: int) -> tuple[Array, Array]:
 @lru_cache(maxsize=64)
 def _reference(degree: int) -> tuple[Array, Array]:
     """Return the mass matrix and the derivatives (in orthonormal Legendre polynomials) on [0, 1]."""
-    _, w = gauss(degree + 1)
+    _, w = gauss_legendre(degree + 1)
     values, _ = gauss_values(degree, degree + 1)
     mass = (values * (0.5 * w)) @ values.T
     slopes = np.zeros((degree, degree + 1))
@@ -234,7 +229,7 @@ def _plane_waves(mesh: LineMesh, alpha: Array, phase: complex) -> tuple[Array, A
     for k, degree in enumerate(mesh.degrees):
         a, h = mesh.edges[k], mesh.edges[k + 1] - mesh.edges[k]
         count = degree + 8 + int(0.5 * h * np.max(np.abs(alpha)))
-        x, w = gauss(count)
+        x, w = gauss_legendre(count)
         values, legendre = gauss_values(degree, count)
         waves = np.exp(1j * np.outer(a + 0.5 * h * (x + 1.0), alpha)) * (0.5 * h * w)[:, None]
         smooth[mesh.places[k]] += values @ waves
@@ -309,7 +304,7 @@ def _reflections(basis: LineBasis) -> tuple[Array, Array]:
     """Return x -> -x in both spaces, as matrices between the functions of the basis."""
     mesh = basis.mesh
     count = 2 * (max(mesh.degrees) // 2 + 2)  # even: no point lies at 0, which rounding might move to the other end
-    x, w = gauss(count)
+    x, w = gauss_legendre(count)
     points, weights = [], []
     smooth = np.zeros((len(mesh.degrees) * count, mesh.size + 1))
     flat = np.zeros((len(mesh.degrees) * count, mesh.size))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from nacre.core.quadrature import gauss_legendre
 from nacre.matter.periodic.lamellar_modes import layer_modes, line_modes
 from nacre.matter.periodic.line_basis import (
     LineBasis,
     LineMesh,
     assemble,
-    gauss,
     gauss_values,
     line_basis,
     line_mesh,
@@ -289,7 +289,7 @@ def _projected(
     total = np.zeros((mesh.size + 1, len(alpha)), dtype=complex)
     for k, degree in enumerate(mesh.degrees):
         a, h = mesh.edges[k], mesh.edges[k + 1] - mesh.edges[k]
-        x, w = gauss(degree + 20)
+        x, w = gauss_legendre(degree + 20)
         at = a + 0.5 * h * (x + 1.0)
         height = depth * profile.height(at / mesh.period % 1.0)
         waves = np.exp(1j * (np.outer(at, alpha) + np.outer(height, beta))) * (0.5 * h * w)[:, None]

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from nacre.matter.periodic.line_basis import LineMesh, folded, gauss, gauss_values
+from nacre.core.quadrature import gauss_legendre
+from nacre.matter.periodic.line_basis import LineMesh, folded, gauss_values
 from nacre.matter.periodic.types import Array
 
 SAME_BETA = 1e-5  # modes nearer than this (over k0) are combined to plane waves
@@ -45,7 +46,7 @@ def operators(mesh: LineMesh, slope_at: Callable[[Array], Array], phase: complex
     blocks: list[list[Array]] = [[], [], [], [], []]
     for k, degree in enumerate(mesh.degrees):
         a, h = mesh.edges[k], mesh.edges[k + 1] - mesh.edges[k]
-        x, w = gauss(degree + 8)
+        x, w = gauss_legendre(degree + 8)
         weight = 0.5 * h * w
         f, legendre = gauss_values(degree, degree + 8)
         d = mesh.slopes[k].T @ legendre / np.sqrt(h)

@@ -22,6 +22,7 @@ from scipy.fft import fft, ifft, rfft
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
+from nacre.core.quadrature import gauss_legendre
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.monolayer.translation_sums import (
     NeighbourGeometry,
@@ -223,19 +224,19 @@ def _mixed(between: Array, sent: ComplexArray) -> ComplexArray:
 def _nodes(surface: Substrate, reach: float) -> tuple[Array, Array]:
     """Nodes and weights for int kappa dkappa: propagating above, only in denser media, and near fields."""
     fringes = surface.inner_wavenumber * float(np.sum(surface.thicknesses_nm))
-    x, weight = _gauss(int(10 + 1.2 * reach + fringes))
+    x, weight = gauss_legendre(int(10 + 1.2 * reach + fringes))
     angle, weight = np.pi / 4 * (1 + x), np.pi / 4 * weight
     kappa, weights = [np.sin(angle)], [weight * np.sin(angle) * np.cos(angle)]
     edge = 1.0
     for index in _denser(surface):
-        x, weight = _gauss(int(8 + fringes))
+        x, weight = gauss_legendre(int(8 + fringes))
         middle, half = (edge + index) / 2, (index - edge) / 2
         angle = np.pi / 2 * (1 + x)
         at = middle - half * np.cos(angle)
         kappa.append(at)
         weights.append(np.pi / 2 * weight * half * np.sin(angle) * at)
         edge = index
-    x, weight = _gauss(NEAR_NODES)
+    x, weight = gauss_legendre(NEAR_NODES)
     share = (1 + x) / 2
     far = STEEP / reach
     at = edge + far * share**2
@@ -249,7 +250,3 @@ def _denser(surface: Substrate) -> list[float]:
     clear = [n for n in surface.indices if abs(n.imag) < LOSSLESS_K]
     found = {float(n.real) / surface.inner_index for n in clear}
     return sorted(index for index in found if index > 1.0 + LEAST_STEP)
-
-
-def _gauss(count: int) -> tuple[Array, Array]:
-    return np.polynomial.legendre.leggauss(count)

@@ -17,6 +17,7 @@ from scipy.special import j0, j1
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
+from nacre.core.quadrature import gauss_legendre
 
 _VIRIAL = (0.1280, 0.0018, -0.0507, -0.0533, -0.0410)
 SCALE_STEPS = 1 << 50  # steps in A between 1 and 2
@@ -63,7 +64,7 @@ def _overlap_rule(q_reduced: bytes) -> tuple[Array, Array, Array]:
     """Nodes and weights for int_0^1 dx, and J0(Q x) there, `[q, node]`, for any packing."""
     q = np.frombuffer(q_reduced)
     # the integrand oscillates Q/2pi times: about pi nodes per period are exact to rounding
-    x, weight = np.polynomial.legendre.leggauss(int(24 + 0.55 * q.max()))
+    x, weight = gauss_legendre(int(24 + 0.55 * q.max()))
     x, weight = (x + 1) / 2, weight / 2
     return x, weight, j0(np.outer(q, x))
 
@@ -109,7 +110,7 @@ def baus_colot(q_reduced: ArrayLike, packing: float) -> Array:
 @lru_cache(maxsize=1)
 def _indirect_rule() -> tuple[Array, Array]:
     # Gauss panels: a sum with step h leaves an offset h^2/12 times the slope at Q = 0 in g
-    x, weight = np.polynomial.legendre.leggauss(16)
+    x, weight = gauss_legendre(16)
     edges = np.concatenate([np.arange(0.0, 100.0, 1.0), np.arange(100.0, 601.0, 2.0)])
     half = np.diff(edges)[:, None] / 2
     return ((edges[:-1] + edges[1:])[:, None] / 2 + half * x).ravel(), (half * weight).ravel()
@@ -184,7 +185,7 @@ class CoreCorrection:
 @lru_cache(maxsize=1)
 def _core_rule() -> tuple[Array, Array]:
     """Nodes and weights for int_0^1 dx."""
-    x, weight = np.polynomial.legendre.leggauss(60)
+    x, weight = gauss_legendre(60)
     return (x + 1) / 2, weight / 2
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import jv
 
 from nacre.core.arrays import Array, ComplexArray
+from nacre.core.quadrature import gauss_legendre
 from nacre.families.metasurface.monolayer.structure import Structure
 from nacre.families.metasurface.tmatrix.full_tmatrix import multipole_index, with_negative_orders
 from nacre.families.metasurface.tmatrix.special_functions import (
@@ -121,7 +122,7 @@ def unfolded(q: ComplexArray, order: int) -> ComplexArray:
 def translation_coefficients(order: int) -> ComplexArray:
     """c_p for the direct translation, `[n, n', p]`: W = sum_p c_p h_p(kr) P_p^mu(cos), mu from the pair."""
     index = multipole_index(order)
-    w, weight = np.polynomial.legendre.leggauss(4 * order + 6)
+    w, weight = gauss_legendre(4 * order + 6)
     b = plane_wave_vectors(w, order, order)
     right = with_negative_orders(b, index)
     left = with_negative_orders(adjoint(b), index)
@@ -148,14 +149,8 @@ def pair_orders(order: int) -> IntArray:
     return np.abs(m[None, :] - m[:, None])
 
 
-@lru_cache(maxsize=256)
-def _gauss(count: int) -> tuple[Array, Array]:
-    """Cached Gauss-Legendre nodes and weights on [-1, 1]."""
-    return np.polynomial.legendre.leggauss(count)
-
-
 def panels(edges: Array, count: int) -> tuple[Array, Array]:
-    x, weight = _gauss(count)
+    x, weight = gauss_legendre(count)
     half = np.diff(edges) / 2
     middle = (edges[1:] + edges[:-1]) / 2
     return (middle[:, None] + half[:, None] * x).ravel(), (half[:, None] * weight).ravel()

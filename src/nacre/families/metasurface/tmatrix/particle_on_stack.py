@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
+from nacre.core.quadrature import gauss_legendre
 from nacre.families.metasurface.tmatrix.axisymmetric import multipole_order
 from nacre.families.metasurface.tmatrix.special_functions import adjoint, mirrored, plane_wave_vectors
 from nacre.families.metasurface.tmatrix.substrate import Substrate
@@ -43,7 +44,7 @@ def truncated_reflection_operator(
 
     4 int_0^cut kap dkap/(k kz) e^(2ikzd) sum_pol Bdag(kz) R B(-kz), on a contour below the guided modes.
     """
-    x, weight = np.polynomial.legendre.leggauss(nodes)
+    x, weight = gauss_legendre(nodes)
     angle = np.pi * (x + 1) / 2  # nodes are dense at both contour ends
     kappa = cut * (1 - np.cos(angle)) / 2 - 1j * DETOUR * np.sin(angle)
     slope = (cut * np.sin(angle) / 2 - 1j * DETOUR * np.cos(angle)) * np.pi / 2
@@ -81,7 +82,7 @@ class MultipoleConvergenceError(UnsupportedError):
 @lru_cache(maxsize=64)
 def _path_rule(count: int) -> tuple[Array, Array]:
     """Nodes and weights for int_0^1 du for the path w = 1 + i tmax u^2."""
-    x, weights = np.polynomial.legendre.leggauss(count)
+    x, weights = gauss_legendre(count)
     return (x + 1) / 2, weights / 2
 
 

@@ -1,0 +1,19 @@
+"""Long Gauss-Legendre rules against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nacre.core.quadrature import EIGENVALUE_NODES, gauss_legendre
+
+
+@pytest.mark.parametrize("count", [3, EIGENVALUE_NODES, EIGENVALUE_NODES + 1, 400, 1999])
+def test_rules_integrate_polynomials_and_waves(count: int) -> None:
+    x, weight = gauss_legendre(count)
+    assert np.all(np.diff(x) > 0) and np.all(weight > 0)
+    for power in (0, 2, 4):
+        assert weight @ x**power == pytest.approx(2 / (power + 1), rel=1e-12)
+    if count > 3:  # four nodes a period and more
+        wave = 0.5 * count
+        assert weight @ np.cos(wave * x) == pytest.approx(2 * np.sin(wave) / wave, abs=1e-12)
