@@ -471,7 +471,9 @@ class Film(Model, Polarised):
                 transmitted = passed
         if self.ridges is not None or self.base_albedo > 0:
             if polarisation != "both":
-                raise UnsupportedError("ridges and a diffuse base are known for unpolarised light only")
+                raise UnsupportedError(
+                    f'polarisation = "{polarisation}" is not allowed with ridges or a diffuse base; allowed: "both"'
+                )
             bsdf = self.bsdf(lam)  # also refuses a hidden base
             if self.ridges is not None:
                 directions = direction(np.minimum(theta, np.radians(89.99)))

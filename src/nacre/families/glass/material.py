@@ -26,9 +26,10 @@ from nacre.families.glass.composite import Composite, EffectiveDispersion
 from nacre.families.glass.medium import SIZES, Medium, mixture_power, percus_yevick, schulz_sizes
 from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_pairs, with_one_index
 from nacre.families.glass.random_walk import Face, walk
-from nacre.families.glass.rough_interface import GRAZING, RoughInterface
 from nacre.families.glass.tables import (
+    GRAZING,
     THETA_NODES,
+    RoughInterface,
     behind_rough,
     diffuse_table,
     face_lobe,
