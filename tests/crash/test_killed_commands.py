@@ -89,6 +89,31 @@ MANY = """recipe = "smooth.toml"
 geometry = "specular 0"
 colour = "#336699"
 """
+PAINT = """[recipe]
+family = "pearl"
+base = {albedo = 0.1}
+strata = [{resin = {n = 1.5}, thickness_um = 40}]
+[library]
+resin = {cost_per_kg = 4, density_kg_l = 1.0}
+[[library.pigment]]
+name = "silver"
+volume_fraction = [0, 0.03]
+cost_per_kg = 45
+density_kg_l = 2.5
+platelet = {coatings = [{material = "Al", thickness_nm = 60}]}
+[[library.dye]]
+name = "red"
+volume_fraction = [0, 0.02]
+cost_per_kg = 40
+density_kg_l = 1.5
+dye = {material = "Fe2O3"}
+[[target]]
+geometry = "45as45"
+lab = [50, 5, 5]
+tolerance = 0.3
+[search]
+solutions = 2
+"""
 BYSTANDER = "notes.txt"
 MOST_ATTEMPTS = 20  # a kill: what takes some milliseconds alone on a quick machine is often over before it comes
 OLD = b"what was here before\n"
@@ -151,7 +176,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what the commands read."""
     folder = tmp_path_factory.mktemp("inputs")
     texts = {"film": FILM, "smooth": SMOOTH, "meta": METASURFACE, "relief": RELIEF, "sweep": SWEEP, "target": TARGET}
-    texts |= {"many": MANY, "grating": GRATING}
+    texts |= {"many": MANY, "grating": GRATING, "paint": PAINT, "other": SMOOTH.replace("120", "260")}
     for name, text in texts.items():
         (folder / f"{name}.toml").write_text(text)
     np.save(folder / "heights.npy", np.random.default_rng(1).random((24, 24)) * 0.3)
@@ -214,6 +239,98 @@ def test_a_killed_command_leaves_the_old_output_or_the_new_one(
     assert names(folder) == names(reference)
     check_after_kill(folder, reference, {})
     assert (folder / BYSTANDER).read_bytes() == OLD
+
+
+@pytest.mark.parametrize("name", ["lut", "three"])
+def test_a_killed_export_leaves_the_old_folder_or_the_new_one(
+    name: str, warm: Forker, inputs: Path, tmp_path: Path
+) -> None:
+    """The folder of an earlier export is replaced as a whole: at no moment is it gone, or mixed."""
+    new, old = (["export", f"{recipe}.toml", "--to", name, "-o", "out"] for recipe in ("smooth", "other"))
+    chance = random.Random(name)
+    reference, folder = fresh(inputs, tmp_path / "reference"), fresh(inputs, tmp_path / "killed")
+    warm.run(new, reference)
+    seconds = warm.run(new, reference)
+    wanted = contents(reference)
+    warm.run(old, folder)
+    before = contents(folder)
+    differing = {path for path in wanted if wanted[path] != before.get(path)}
+    assert differing
+    killed = 0
+    for _ in range(MOST_ATTEMPTS):
+        if killed == 3:
+            break
+        is_killed = warm.kill(new, folder, chance, seconds)
+        now = contents(folder)
+        assert set(now) == set(before)
+        assert {path for path in now if now[path] != before[path]} in (set(), differing)
+        if now != before:
+            warm.run(old, folder)
+        killed += is_killed
+    assert killed == 3
+    warm.run(new, folder)
+    assert names(folder) == names(reference)
+
+
+def test_killed_copies_of_examples_go_on(warm: Forker, inputs: Path, tmp_path: Path) -> None:
+    chance, arguments = random.Random(8), ["examples", "-o", "out"]
+    reference, folder = fresh(inputs, tmp_path / "reference"), fresh(inputs, tmp_path / "killed")
+    warm.run(arguments, reference)
+    shutil.rmtree(reference / "out")
+    seconds, killed = warm.run(arguments, reference), 0
+    for _ in range(4 * MOST_ATTEMPTS):
+        if killed == 4:
+            break
+        killed += warm.kill(arguments, folder, chance, seconds)
+        for path, content in contents(folder).items():
+            assert content == (reference / path).read_bytes()
+        if names(folder) >= names(reference):  # all were there before the kill
+            shutil.rmtree(folder / "out")
+    assert killed == 4
+    warm.run(arguments, folder)
+    assert names(folder) == names(reference)
+
+
+def test_a_killed_formulation_blocks_no_other(warm: Forker, inputs: Path, tmp_path: Path) -> None:
+    chance, arguments = random.Random(9), ["formulate", "paint.toml", "-o", "out"]
+    reference, folder = fresh(inputs, tmp_path / "reference"), fresh(inputs, tmp_path / "killed")
+    seconds, killed = warm.run(arguments, reference), 0
+    for _ in range(MOST_ATTEMPTS):
+        if killed == 2:
+            break
+        before = contents(folder)
+        killed += warm.kill(arguments, folder, chance, seconds)
+        check_after_kill(folder, reference, before)
+    assert killed == 2
+    shutil.rmtree(folder / "out", ignore_errors=True)  # as if killed while the answers were written
+    shutil.copytree(reference / "out", folder / "out")
+    summary = folder / "out" / "formulation.json"
+    summary.write_text(json.dumps(json.loads(summary.read_text()) | {"status": "started"}))
+    warm.start(["formulate", "paint.toml", "--batch", "notes.txt", "--made", "out"], folder)
+    status, said = warm.finish()
+    assert status == 2 and len(said.strip().splitlines()) == 1
+    warm.run(arguments, folder)
+    assert names(folder) == names(reference)
+    assert json.loads(summary.read_text())["status"] == "done"
+
+
+def test_a_killed_tolerance_leaves_no_worker(warm: Forker, inputs: Path, tmp_path: Path) -> None:
+    chance = random.Random(10)
+    arguments = ["tolerance", "smooth.toml", "--tolerance", "layers[0].thickness_nm=5", "--draws", "200"]
+    arguments += ["--jobs", "2", "-o", "out.json"]
+    reference, folder = fresh(inputs, tmp_path / "reference"), fresh(inputs, tmp_path / "killed")
+    seconds, killed = warm.run(arguments, reference), 0
+    for _ in range(MOST_ATTEMPTS):
+        if killed == 3:
+            break
+        before = contents(folder)
+        killed += warm.kill(arguments, folder, chance, seconds)
+        assert not warm.survivors(), "workers live on without their command"
+        check_after_kill(folder, reference, before)
+    assert killed == 3
+    warm.run(arguments, folder)
+    assert names(folder) == names(reference)
+    assert (folder / "out.json").read_bytes() == (reference / "out.json").read_bytes()
 
 
 def done_points(store: Path) -> dict[str, int]:

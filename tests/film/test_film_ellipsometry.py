@@ -10,12 +10,9 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.analysis.ellipsometry import EllipsometricResponse, averaged_mueller
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.matter.stack.stack import Layer, Stack
 from nacre.readers.registry import open_file
-from nacre.recipe.path_tables import InstrumentSpec
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "reference" / "ellipsometry"
 PSI_BAR, DELTA_BAR = 0.0005, 0.005  # degrees: half of the last digit of the files
@@ -33,43 +30,52 @@ def table(name: str, lam: Any) -> Any:
     return np.sqrt(np.interp(lam, 1e3 * rows[:, 0], eps.real) + 1j * np.interp(lam, 1e3 * rows[:, 0], eps.imag))
 
 
-def cauchy(a: float, b: float, lam: Any) -> Any:
-    return a + b / (lam / 1e3) ** 2 + 0j
+def file_of(name: str) -> dict[str, str]:
+    return {"file": str(SHARED / f"nk_{name}.csv")}
 
 
-def mixture(first: Any, second: Any, share: float) -> Any:
-    return np.sqrt((1 - share) * first**2 + share * second**2)
+def recipes(folder: Path, lam: Any, shift: float) -> dict[str, dict[str, Any]]:
+    """Return the structures as recipes, whose tables are interpolated to the wavelengths as WVASE does.
 
+    A mixture of needles along the field (L = 0) is that of the permittivities.
+    """
 
-def structures(lam: Any, shift: float = 0.0) -> dict[str, tuple[Any, list[tuple[Any, float]]]]:
-    silica, water = table("silica", lam), cauchy(1.3242 + shift, 0.003064, lam)
-    polymer = cauchy(1.47, 0.00495, lam)
+    def written(name: str) -> dict[str, str]:
+        rows = (f"{w},{n.real!r},{n.imag!r}\n" for w, n in zip(lam, map(complex, table(name, lam)), strict=True))
+        (folder / f"{name}.csv").write_text("wavelength (nm),n,k\n" + "".join(rows))
+        return {"file": str(folder / f"{name}.csv")}
+
+    def film(ambient: Any, *layers: tuple[Any, float]) -> dict[str, Any]:
+        rows = [{"material": material, "thickness_nm": nm} for material, nm in layers]
+        return {"family": "film", "ambient": ambient, "substrate": written("silicon"), "layers": rows}
+
+    def mixture(first: Any, second: Any, share: float) -> dict[str, Any]:
+        return {"mix": [first, second], "volume_fractions": [1 - share, share], "depolarisation": 0.0}
+
+    silica, water = (written("silica"), 2.0), {"cauchy": [1.3242 + shift, 0.003064]}
+    polymer = mixture({"cauchy": [1.47, 0.00495]}, water, 0.5)
     return {
-        "2nmSiO2_117nmAu": (1.0, [(table("gold", lam), 117.0), (silica, 2.0)]),
-        "2nmSiO2_65nmAl2O3": (1.0, [(table("aluminium_oxide", lam), 65.0), (silica, 2.0)]),
-        "2nmSiO2_20nmPNIPAM_50EMA": (water, [(mixture(polymer, water, 0.5), 20.0), (silica, 2.0)]),
-        "3nmSiO2_30EMA": (table("water", lam), [(mixture(silica, table("water", lam), 0.3), 3.0)]),
+        "2nmSiO2_117nmAu": film({"n": 1.0}, (written("gold"), 117.0), silica),
+        "2nmSiO2_65nmAl2O3": film({"n": 1.0}, (written("aluminium_oxide"), 65.0), silica),
+        "2nmSiO2_20nmPNIPAM_50EMA": film(water, (polymer, 20.0), silica),
+        "3nmSiO2_30EMA": film(written("water"), (mixture(silica[0], written("water"), 0.3), 3.0)),
     }
 
 
 @pytest.mark.parametrize("name", ["2nmSiO2_117nmAu", "2nmSiO2_65nmAl2O3", "2nmSiO2_20nmPNIPAM_50EMA", "3nmSiO2_30EMA"])
-def test_the_files_of_known_structures_are_reproduced(name: str) -> None:
+def test_the_files_of_known_structures_are_reproduced_by_recipe_files(name: str, tmp_path: Path) -> None:
     if not SHARED.exists():
         pytest.skip("the shared reference data are not here")
     data = open_file(next(SHARED.glob(f"*{name}*")))[0].data
-    lam, angle = data["wavelength_nm"], data["angle_of_incidence_deg"][:1]
-    found, moved = (computed(*structures(lam, shift)[name], lam, angle) for shift in (0.0, WATER_STEP))
-    for ours, rounded, theirs, bar in (
-        (found.psi_deg, moved.psi_deg, data["psi_deg"], PSI_BAR),
-        (found.delta_deg, moved.delta_deg, data["delta_deg"], DELTA_BAR),
-    ):
-        excess = np.abs(ours[0] - theirs) - np.abs(ours[0] - rounded[0])
+    lam, angle, found = data["wavelength_nm"], data["angle_of_incidence_deg"][:1], []
+    for shift in (0.0, WATER_STEP):
+        recipe = tmp_path / "recipe.toml"
+        recipe.write_text(nacre.material(recipes(tmp_path, lam, shift)[name]).text, encoding="utf-8")
+        found.append(nacre.ellipsometry(str(recipe), angle, lam))
+    for quantity, bar in (("psi_deg", PSI_BAR), ("delta_deg", DELTA_BAR)):
+        ours, rounded = (getattr(each, quantity)[0] for each in found)
+        excess = np.abs(ours - data[quantity]) - np.abs(ours - rounded)
         assert np.max(excess) <= bar + ROUNDED
-
-
-def computed(ambient: Any, layers: list[tuple[Any, float]], lam: Any, angle: Any) -> EllipsometricResponse:
-    stack = Stack(ambient, [Layer(n, d) for n, d in layers], table("silicon", lam))
-    return EllipsometricResponse(lam, angle, averaged_mueller(stack, angle, lam, 0.0, InstrumentSpec()))
 
 
 def test_a_bare_substrate_returns_its_permittivity() -> None:
@@ -150,10 +156,6 @@ def test_what_has_no_specular_reflection_is_refused() -> None:
             nacre.ellipsometry({**WAFER, "instrument": wrong})
     with pytest.raises(NacreError):
         nacre.ellipsometry(WAFER, [90.0])
-
-
-def file_of(name: str) -> dict[str, str]:
-    return {"file": str(SHARED / f"nk_{name}.csv")}
 
 
 LORENTZ = [

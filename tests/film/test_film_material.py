@@ -55,9 +55,9 @@ def test_a_smooth_clear_film_loses_nothing(recipe: dict) -> None:
 
 @pytest.mark.parametrize("distribution", ["ggx", "beckmann", "blinn", "ashikhmin-shirley"])
 @pytest.mark.parametrize("recipe", [GLASS, FREE, {**GLASS, "base": {"albedo": 1.0}}, {**GLASS, "ambient": {"n": 1.7}}])
-@pytest.mark.parametrize("compensate", [False, True])
-def test_a_rough_film_never_makes_light(distribution: str, recipe: dict, compensate: bool) -> None:
-    surface = {"distribution": distribution, "roughness": [0.2, 0.35], "compensate": compensate}
+def test_a_rough_film_never_makes_light(distribution: str, recipe: dict) -> None:
+    """Without compensation it gives back less."""
+    surface = {"distribution": distribution, "roughness": [0.2, 0.35], "compensate": True}
     assert np.max(both_sides(film(**recipe, surface=surface).bsdf(LAM))) <= FURNACE_LIMIT
 
 

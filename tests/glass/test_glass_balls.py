@@ -104,6 +104,12 @@ def _ball_of(fraction: float) -> tuple[Any, Any, float]:
     return inside, inside.index / made.effective_index(LAM).real, made.radius_nm
 
 
+def test_dense_balls_state_how_much_a_gap_at_the_faces_reflects() -> None:
+    """The relative errors of the reflectance against traced balls, `python -m validation glass_balls`, in per cent."""
+    thin, dense = (nacre.material(paint(fraction)).model.warnings for fraction in (0.05, 0.3))
+    assert not thin and len(dense) == 1 and "10 %" in dense[0] and "30 %" in dense[0]
+
+
 def test_a_ball_without_contrast_is_not_there() -> None:
     same = {"material": {"n": 1.5}, "radius_nm": 125, "volume_fraction": 0.55}
     made = balls(paint(spheres=same, matrix={"n": 1.5}, absorber={"k": 0.0}))

@@ -473,7 +473,7 @@ def test_each_endless_pattern_of_lossless_spheres_sends_out_what_arrives(substra
         )
         particles = [dataclasses.replace(particles[0], share=0.6), small]
     layer = Monolayer(below, tuple(particles), hard_disk_structure(density, 0.2, 7 * below.wavenumber))
-    one = _patterns(layer, density, 0.2, 16, 1)
+    one = _patterns(layer, density, 0.2, 30, 1)
     k, low = below.wavenumber, below.index_below
     for cell in one.supercells:
         wave = orders(cell.period, 0.97 * k)[::7]

@@ -103,7 +103,7 @@ def test_passed_on_light_is_reciprocal_between_its_nodes_already():
 def test_the_nodes_of_passed_on_light_are_enough(substrate, films, monkeypatch):
     """Also of the radiance towards grazing, where the power falls as the cosine."""
     layer = ladder(500.0, 90.0, SILVER, substrate, 0.1, 0.1, films=films, lmax=2)
-    mu = np.cos(np.radians([0.5, 20.0, 40.0, 55.0, 70.0, 80.0, 86.0, 89.0]))
+    mu = np.cos(np.radians([0.5, 40.0, 70.0, 86.0, 89.0]))
     lit = layer.illuminate(mu)
     few = diffuse.ladder_power(layer, [(lit, mu)], 8)
     monkeypatch.setattr(diffuse, "NODES", (24, 12, 14))

@@ -9,6 +9,7 @@ import pytest
 
 from nacre.core.errors import NacreError
 from nacre.optimise.colour_list import read_colours
+from nacre.readers.heights.maps import read_map
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
 from nacre.readers.registry import open_file
 
@@ -60,9 +61,11 @@ def test_ratios_of_kubelka_and_munk_are_named(tmp_path: Path) -> None:
 
 
 def test_headings_that_are_angles(tmp_path: Path) -> None:
-    found = open_file(written(tmp_path, "s.csv", "Wavelength (nm),0°,15°,45 deg\n" + rows(0.3, 0.4, 0.5)))
-    assert [each.metadata["angle_of_incidence_deg"] for each in found] == [0.0, 15.0, 45.0]
-    np.testing.assert_allclose(found[2].data["reflectance"][0], 0.504)
+    path = written(tmp_path, "s.csv", "Wavelength (nm),0°,15°,45 deg\n" + rows(0.3, 0.4, 0.5))
+    for options in (ReadOptions(), ReadOptions(expects="spectrum", assumed_quantity="reflectance")):  # of a fit
+        found = open_file(path, options)
+        assert [each.metadata["angle_of_incidence_deg"] for each in found] == [0.0, 15.0, 45.0]
+        np.testing.assert_allclose(found[2].data["reflectance"][0], 0.504)
 
 
 def test_a_report_of_a_coating_in_two_polarisations(tmp_path: Path) -> None:
@@ -203,6 +206,48 @@ def test_coordinates_around_a_matrix_of_heights(corner: str, tmp_path: Path) -> 
     ],
 )
 def test_files_of_other_programs_are_refused(text: str, tmp_path: Path) -> None:
+    path = written(tmp_path, "f.txt", text)
+    said = set()
+    for read in (open_file, read_map, lambda each: read_colours(each, 1)):
+        with pytest.raises(NacreError) as raised:
+            read(path)
+        assert not isinstance(raised.value, AmbiguousFileError)
+        said.add(str(raised.value))
+    assert len(said) == 1  # the same cause wherever the file stands
+
+
+def test_the_unit_of_z_does_not_change_the_unit_of_x_and_y(tmp_path: Path) -> None:
+    points = "".join(f"{i / 1e3}\t{j / 1e3}\t{np.sin(i) + j}\n" for j in range(6) for i in range(6))
+    path = written(tmp_path, "p.txt", "X (mm)\tY (mm)\tZ\n" + points)
+    with pytest.raises(AmbiguousFileError):
+        open_file(path)
+    (found,) = open_file(path, ReadOptions(unit="um"))
+    np.testing.assert_allclose(found.metadata["pitch_um"], [1.0, 1.0])
+    np.testing.assert_allclose(
+        np.ptp(found.data["height_um"]), np.ptp([np.sin(i) + j for i in range(6) for j in range(6)])
+    )
+
+
+def test_a_map_over_a_wafer_is_no_height_map(tmp_path: Path) -> None:
+    points = "".join(f"{i}\t{j}\t{500 + i}\n" for j in range(6) for i in range(6))
+    path = written(tmp_path, "m.txt", "Thickness # 1 in nm vs. Position\nX (cm)\tY (cm)\tZ\n" + points)
     with pytest.raises(NacreError) as raised:
-        open_file(written(tmp_path, "f.txt", text))
+        open_file(path, ReadOptions(unit="nm"))
     assert not isinstance(raised.value, AmbiguousFileError)
+
+
+def test_ratios_of_anisotropic_samples_in_woollam_files(tmp_path: Path) -> None:
+    head = "film\nVASEmethod[EllipsometerType=4, Anisotropic]\nOriginal[x.dat]\nnm\n"
+    body = "".join(f"AnE\t{nm}\t55\t40\t120\t0.01\t0.02\nAps\t{nm}\t55\t1\t20\t0.01\t0.02\n" for nm in NM)
+    (found,) = open_file(written(tmp_path, "a.dat", head + body))
+    np.testing.assert_allclose(found.data["psi_deg"], 40.0)
+    np.testing.assert_allclose(found.data["delta_deg"], 120.0)
+    assert found.left_out
+
+
+def test_a_number_below_a_title_ends_the_preamble(tmp_path: Path) -> None:
+    text = "Number of Zones\n1\n" + "".join(f"{angle}\t20.5\t170.5\n" for angle in range(50, 60))
+    path = written(tmp_path, "z.txt", text)
+    with pytest.raises(AmbiguousFileError) as raised:
+        open_file(path)
+    assert raised.value.option == "columns"

@@ -168,6 +168,62 @@ def test_a_grating_depolarises(polarised: Any) -> None:
     np.testing.assert_array_equal(value, 0.0)
 
 
+FLAKES = {
+    "volume_fraction": 0.05,
+    "substrate": {"material": "mica", "thickness_nm": 400.0},
+    "coatings": [{"material": "TiO2", "thickness_nm": 100.0}],
+    "normal_deviation": 0.15,
+}
+LINES = {"thickness_nm": 60, "material": "air", "shapes": [{"shape": "line", "material": METAL, "width_nm": 300}]}
+DEPOLARISING: dict[str, dict[str, Any]] = {
+    "pearl": {"strata": [{"resin": "PET", "thickness_um": 20.0, "platelets": [FLAKES]}], "base": {"albedo": 0.3}},
+    "glass": {
+        "thickness_um": 20, "matrix": "air", "base": {"albedo": 0.0},
+        "spheres": {"material": {"n": 1.6}, "radius_nm": 112, "volume_fraction": 0.5},
+    },
+    "metasurface": {
+        "substrate": "glass", "particle": {"material": "Ag", "radius_nm": 55.0},
+        "monolayer": {"density_per_um2": 6.0, "packing": 0.3},
+    },
+    "relief": {"feature_um": 0.8, "coating": "Al", "blur_um": 0.2, "coherence": {"sigma": 2.6}},
+    "grating": {"substrate": {"n": 1.5}, "layers": [LINES], "lattice": {"period_nm": 700}},
+}  # fmt: skip
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("family", DEPOLARISING)
+def test_families_without_mueller_matrices_render_as_depolarising_and_say_so_once(
+    family: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The Stokes layers of a sphere under circular light hold power only; random walks have no scalar variant."""
+    from nacre.device.bsdf import _say_unpolarised, make_bsdf
+    from nacre.picture.polarisers import polarised_light
+
+    _say_unpolarised.cache_clear()
+    recipe: dict[str, Any] = {"family": family} | DEPOLARISING[family]
+    if family == "relief":
+        recipe["heights"] = str(tmp_path / "heights.npy")
+        np.save(recipe["heights"], 0.5 * np.random.default_rng(0).random((8, 8)))
+    bsdf, before = nacre.material(recipe).bsdf(np.array([400.0, 500.0, 600.0, 700.0])), mi.variant()
+    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
+    camera = {"type": "orthographic", "film": film}
+    caplog.clear()
+    try:
+        for variant in ("scalar", "llvm_ad") if family not in ("pearl", "glass") else ("llvm_ad",):
+            mi.set_variant(f"{variant}_spectral_polarized")
+            light = polarised_light(mi.load_dict({"type": "constant"}), "right")
+            camera["to_world"] = mi.ScalarTransform4f().look_at([0, -5, 1], [0, 0, 0], [0, 0, 1])
+            ball = {"type": "sphere", "bsdf": make_bsdf(bsdf)}
+            scene = mi.load_dict({"type": "scene", "camera": camera, "ball": ball, "light": light})
+            integrator = mi.load_dict({"type": "stokes", "nested": {"type": "path", "max_depth": 2}})
+            stokes = np.array(mi.render(scene, integrator=integrator, spp=4))[1:3, 1:3]
+            assert np.abs(stokes[..., 3:6]).max() > 0.0  # RGB of S0; those of S1, S2 and S3 follow
+            np.testing.assert_array_equal(stokes[..., 6:], 0.0)
+    finally:
+        mi.set_variant(before or "scalar_spectral")
+    assert [record.levelname for record in caplog.records].count("WARNING") == 1
+
+
 PLATE = {
     "material": {"ordinary": {"n": 1.5}, "extraordinary": {"n": 1.7}, "axis_polar_deg": 70, "axis_azimuth_deg": 25},
     "thickness_nm": 250,

@@ -150,8 +150,18 @@ def test_psi_delta_and_reflectance_are_fitted_together(tmp_path: Path, capsys: p
     assert low <= document["numbers"][0]["value"] <= high
     assert [m["kind"] for m in document["measurements"]] == ["ellipsometry", "spectrum"]
     assert document["correlation"] == [[1.0]]
+    assert document["numbers"][0]["at_bound"] is False
     assert nacre.load(fitted_recipe).get("layers[0].thickness_nm") == document["numbers"][0]["value"]
     assert "<img" in (tmp_path / "fit.html").read_text()
+
+
+def test_a_number_at_its_bound_is_marked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    thick = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 30.0}]}
+    table, recipe = write_table(tmp_path / "t.csv", 1.0, (70.0,), thick), tmp_path / "r.toml"
+    recipe.write_text('family = "film"\nsubstrate = "Si"\nlayers = [{material = "SiO2", thickness_nm = 2}]\n')
+    arguments = ["fit", str(table), str(recipe), "--parameter", "layers[0].thickness_nm=0:20", "--json"]
+    assert run([*arguments, "-o", str(tmp_path / "f.toml")]) == 0
+    assert json.loads(capsys.readouterr().out)["numbers"][0]["at_bound"] is True
 
 
 def test_the_methods_of_intervals_agree_where_the_problem_is_linear() -> None:

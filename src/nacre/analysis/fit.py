@@ -73,6 +73,7 @@ UNIT_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
 FAR_RMS, MOST_TURNS = 0.1, 4  # relative rms from which further samples are drawn for starts
 REWEIGHTINGS = 2  # of several measurements
 INSTRUMENT = "instrument."
+BOUND_TOL = 1e-3  # relative to the bounds
 POOR_RMS, BETTER = 0.03, 0.7  # relative rms of a fit that suggests a wrong Delta sign, and the gain by the other
 
 
@@ -237,6 +238,11 @@ def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[P
     if not table:
         raise RecipeError(f"{source}: nothing is free; add a [fit] table or use --parameter PATH=LOW:HIGH")
     return read_parameters(table, material, source, "fit", MAX_PARAMETERS, words=False)
+
+
+def is_at_bound(number: FittedNumber, bounds: Parameter) -> bool:
+    """Return whether a fitted number lies at one of its bounds."""
+    return bool(min(number.value - bounds.low, bounds.high - number.value) <= BOUND_TOL * (bounds.high - bounds.low))
 
 
 def _number(text: str) -> float:

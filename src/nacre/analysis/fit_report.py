@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from nacre.analysis.ellipsometry_data import EllipsometryData
-from nacre.analysis.fit import Fit, FittedNumber, Measured
+from nacre.analysis.fit import Fit, Measured, is_at_bound
 from nacre.analysis.fit_data import ColourData, Data, Joint, parts_of
 from nacre.analysis.measured import POLARISED
 from nacre.core.arrays import Array
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 LIGHT = ("D65", "10deg")
 MAX_CURVES = 5  # with many measured angles: those with the largest residuals
 RIBBON_DEG = np.linspace(0.0, 80.0, 41)
-BOUND_TOL = 1e-3  # relative to the bounds
 LEGEND = ("measured", "fitted")
 
 
@@ -43,15 +42,11 @@ def write_fit_page(path: str | Path, fit: Fit, measured: Data, free: Sequence[Pa
         "fit_report.html",
         title=f"{fit.material.name}, fitted",
         fit=fit,
-        numbers=[(number, bounds, _is_at_bound(number, bounds)) for number, bounds in zip(fit.numbers, free)],
+        numbers=[(number, bounds, is_at_bound(number, bounds)) for number, bounds in zip(fit.numbers, free)],
         count=measured.values.size,
         figure=data_uri(_figure(fit, measured, free), DPI),
     )
     write_text(Path(path), page)
-
-
-def _is_at_bound(number: FittedNumber, bounds: Parameter) -> bool:
-    return min(number.value - bounds.low, bounds.high - number.value) <= BOUND_TOL * (bounds.high - bounds.low)
 
 
 def _figure(fit: Fit, measured: Data, free: Sequence[Parameter]) -> Figure:

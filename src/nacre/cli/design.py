@@ -409,10 +409,13 @@ def _percent(share: float) -> str:
 def _rematch(task: Any, batch: str, made: Path, answer: int, as_json: bool) -> None:
     from nacre.core.files import read_text
     from nacre.optimise.colour_list import read_colours
-    from nacre.optimise.formulation import SUMMARY, rematch
+    from nacre.optimise.formulation import STARTED, SUMMARY, rematch
 
     try:
-        amounts = json.loads(read_text(made / SUMMARY, "formulation"))["formulas"][answer - 1]["volume_fractions"]
+        document = json.loads(read_text(made / SUMMARY, "formulation"))
+        if document["status"] == STARTED:
+            raise NacreError(f"{made / SUMMARY}: its answers were not all written; run nacre formulate again")
+        amounts = document["formulas"][answer - 1]["volume_fractions"]
     except (ValueError, KeyError, IndexError, TypeError):
         raise NacreError(f"{made / SUMMARY}: has no answer {answer}") from None
     light = (task.spec.light.illuminants[0], task.spec.light.observer)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,7 +67,7 @@ def fit(
 
     Several measurements are of one sample; each is weighted by its own residual.
     """
-    from nacre.analysis.fit import fit_parameters, other_sign, read_measurements, run_fit
+    from nacre.analysis.fit import fit_parameters, is_at_bound, other_sign, read_measurements, run_fit
     from nacre.analysis.fit_data import checked_range, parts_of
     from nacre.analysis.ties import read_ties
     from nacre.core.files import atomic_path, check_writable, short_name, write_text
@@ -115,10 +116,11 @@ def fit(
         from nacre.analysis.fit_report import write_fit_page
 
         write_fit_page(page, result, measured, numbers)
+    at_bound = [is_at_bound(number, bounds) for number, bounds in zip(result.numbers, numbers, strict=True)]
     if as_json:
-        click.echo(json.dumps({**_document(result), "recipe": str(path)}))
+        click.echo(json.dumps({**_document(result, at_bound), "recipe": str(path)}))
     else:
-        _print(result)
+        _print(result, at_bound)
     common.note(str(path))
 
 
@@ -126,11 +128,12 @@ def _finite(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)
 
 
-def _document(result: Fit) -> dict[str, Any]:
+def _document(result: Fit, at_bound: Sequence[bool]) -> dict[str, Any]:
     return {
         "numbers": [
             {"path": n.path, "value": n.value, "half_width_95": _finite(n.half_width), "determined": n.is_determined,
-             "interval_95": [_finite(end) for end in n.interval], "interval_method": n.method} for n in result.numbers
+             "interval_95": [_finite(end) for end in n.interval], "interval_method": n.method, "at_bound": at_end}
+            for n, at_end in zip(result.numbers, at_bound, strict=True)
         ],
         "tied": dict(result.tied),
         "correlation": [[_finite(value) for value in row] for row in result.correlation],
@@ -144,15 +147,15 @@ def _document(result: Fit) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _print(result: Fit) -> None:
-    for n in result.numbers:
+def _print(result: Fit, at_bound: Sequence[bool]) -> None:
+    for n, at_end in zip(result.numbers, at_bound, strict=True):
         if not n.is_determined:
             tail = "not determined by these data"
         elif n.method == "linear":
             tail = f"+- {n.half_width:.3g} (95 %)"
         else:
             tail = f"{n.interval[0]:.6g} to {n.interval[1]:.6g} (95 %, {n.method})"
-        click.echo(f"{n.path:44s} {n.value:12.6g}  {tail}")
+        click.echo(f"{n.path:44s} {n.value:12.6g}  {tail}{', at its bound' if at_end else ''}")
     for path, value in result.tied.items():
         click.echo(f"{path:44s} {value:12.6g}  tied")
     if len(result.numbers) > 1:

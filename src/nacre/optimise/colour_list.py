@@ -106,6 +106,8 @@ def _recognised_rows(path: Path, targets: int, light: tuple[str, str]) -> list[C
     if path.stat().st_size == 0:
         return []
     found = recognise(path)
+    if found and found[0][1].id == "other":
+        open_file(path)  # refuses it by name
     if not found or found[0][0] <= POSSIBLE or found[0][1].kind not in ("colours", "spectrum"):
         return []
     names, lab, said = named_lab(path, open_file(path), *light)

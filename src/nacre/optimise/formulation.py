@@ -9,6 +9,7 @@ Answers are evaluated by a random walk.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import time
@@ -201,6 +202,7 @@ MOST_COMBINATIONS = 5000
 COLOUR_NOISE = 0.2  # of measured L*, a* and b*: repeatability of a good spectrophotometer
 RELATIVE_STEP = 0.02  # of a volume fraction, for derivatives
 SUMMARY = "formulation.json"
+STARTED = "started"  # status while answers are written, so that a killed run blocks no other
 TextureModel = Callable[[Sequence[float] | Array], Array]
 
 
@@ -874,13 +876,18 @@ def check_answers(folder: Path) -> None:
 def write_formulation(found: Formulation, folder: Path) -> None:
     """Write `formulation.json`, `recipe.toml` of the first answer, and `2/recipe.toml` and so on of the others.
 
-    Further answers of an earlier formulation in the folder are removed.
+    Further answers of an earlier formulation in the folder are removed. Until all are written, `status` is "started".
 
     Raises:
         NacreError: the folder cannot be written or holds other files of these names.
     """
     check_answers(folder)
     document = formulation_document(found)
+    folder.mkdir(parents=True, exist_ok=True)
+    earlier: dict[str, Any] = {"formulas": []}
+    with contextlib.suppress(OSError, ValueError, TypeError):
+        earlier |= json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+    write_text(folder / SUMMARY, json.dumps({**earlier, "status": STARTED}) + "\n")
     for number, each in enumerate(found.formulas, start=1):
         names = write_recipe(folder_of(folder, number), each.material, {}, {}, each.material)[1]
         document["formulas"][number - 1]["files"] = names

@@ -25,6 +25,8 @@ PROGRAMS = (
      "a glass catalogue of Zemax (.agf) with coefficients", "nacre indices search GLASS finds tabulated glasses"),
     (r"(?i)\A(?:.*\n){0,3}\s*energy\s*\(eV\)\W+delta\W+beta\s*\n", "delta and beta of X-rays (n = 1 - delta + i beta)",
      "constants of light are needed"),
+    (r"\A.{0,60} vs\. Position\s*\n\s*X \(", "a map over a wafer by CompleteEASE, not of heights",
+     "the data of one point are read"),
 )  # fmt: skip
 
 

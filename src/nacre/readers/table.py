@@ -23,7 +23,7 @@ from nacre.readers.columns import (
 from nacre.readers.constants.convert import QUANTITIES as CONSTANTS
 from nacre.readers.constants.convert import constants
 from nacre.readers.ellipsometry.common import ellipsometry
-from nacre.readers.headings import SPECTRAL_QUANTITIES, meanings
+from nacre.readers.headings import SPECTRAL_QUANTITIES, degrees, meanings
 from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
 from nacre.readers.preamble import light_above, read_preamble
 from nacre.readers.registry import POSSIBLE, FileHead
@@ -74,7 +74,8 @@ def has_usual_headings(head: FileHead) -> bool:
     names = tables[0].headings
     across = sum(bool(re.fullmatch(r"\D{0,12}\d{3,4}(\.\d+)?\s*(nm)?", name)) for name in names)
     waves = sum("wavelength" in {meaning.quantity for meaning in meanings(name)} for name in names)
-    return bool(names) and across < 5 and waves <= 1
+    has_angles = any(degrees(name) is not None for name in names)  # "15°" names a spectrum at this incidence
+    return bool(names) and across < 5 and waves <= 1 and not has_angles
 
 
 def read(path: Path, options: ReadOptions) -> list[Measurement]:

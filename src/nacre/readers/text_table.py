@@ -550,6 +550,8 @@ def _table(
         for line in data:
             line.cells = line.cells[1:]
     width = max(len(line.cells) for line in data)
+    while len(data) > 2 and width > 2 and len(data[0].cells) == 1 and (delimiter or " ") not in data[0].text.strip():
+        above, data = [*above, data[0]], data[1:]  # a number of the preamble, such as a count
     headings, units, heading_line, used = _find_headings(above, width, delimiter, knows)
     if headings and len(headings) < width:
         extra = next(line for line in data if len(line.cells) > len(headings))
@@ -651,6 +653,7 @@ def _find_headings(
     """
     units: list[str] = []
     used: set[int] = set()
+    is_apart = False  # whether a number stands between the line and the rows
     for line in reversed(above[-6:]):
         text = line.text.strip()
         if line.is_remark:
@@ -668,6 +671,9 @@ def _find_headings(
             units, used = [unit_of(cell) for cell in unit_cells], {line.number}
             continue
         cells = _heading_cells(text, delimiter, width, knows, units, is_remark=line.is_remark)
+        if cells is not None and is_apart and not all(knows(cell, "") for cell in cells):
+            break  # "Number of Zones" above its number
+        is_apart = is_apart or line.is_data
         if cells is not None:
             return cells, units, line.number, used | {line.number}
         if not line.is_remark and not _is_mark(text):

@@ -48,6 +48,7 @@ MIDDLE = np.array([0.5, 0.5])
 AMPLITUDE_CUTOFF = 1e-5  # round-trip amplitude below which deeper layers are neglected
 CUTOFF_WAVELENGTHS = 48
 SPREAD_STEP_NM = 5.0
+SHOWN_ERROR = 0.02  # stated error of R and T from which a warning says so
 ERROR_MARGIN = 2.0  # of the stated error: the check has a few hundred angles
 BASE_COSINES = 513  # at most, of the film over a diffuse base
 BYTES_PER_LAYER = 64  # and wavelength: indices, phases and copies
@@ -281,7 +282,7 @@ class Film(Model, Polarised):
             return self._aligned(cast("AnisotropicTables", tables))
         response, notes = self._response(tables)
         if varies_visibly:
-            notes = {**notes, "warnings": [AZIMUTH_NOTE]}
+            notes = {**notes, "warnings": [*notes.get("warnings", ()), AZIMUTH_NOTE]}
         if self.ridges is not None:
             lobe = self.ridges.lobe(_from_the_front(response))
             lobes: list[Lobe] = [lobe]
@@ -300,7 +301,7 @@ class Film(Model, Polarised):
         d = self._middle_nm
         over = tables.over_azimuth(d)
         mean = mean_over_azimuth(over)
-        notes = {"angle_table": _stated(mean, tables.error_of(mean, d))}
+        notes = _stated(mean, tables.error_of(mean, d))
         if self.surface.is_smooth:
             return Bsdf((AlignedSpecular(over, 0.0),), notes)
         rough = self._surface_lobe(mean)
@@ -327,7 +328,7 @@ class Film(Model, Polarised):
         d, varying = self._middle_nm, self._varying
         if not varying:
             response, error = tables.with_error(d)
-            return response, {"angle_table": _stated(response, error)}
+            return response, _stated(response, error)
         if len(varying) > 2:
             raise UnsupportedError(f"{len(varying)} thicknesses vary over the surface; at most two can")
         axes, notes = [], {}
@@ -348,7 +349,7 @@ class Film(Model, Polarised):
         for i, values in zip(varying, grid, strict=True):
             thicknesses[..., i] = values
         response, error = tables.with_parameters(thicknesses, tuple(axes))
-        return response, {"varying": notes, "angle_table": _stated(response, error)}
+        return response, {"varying": notes, **_stated(response, error)}
 
     @property
     def _varying(self) -> list[int]:
@@ -471,7 +472,9 @@ class Film(Model, Polarised):
                 transmitted = passed
         if self.ridges is not None or self.base_albedo > 0:
             if polarisation != "both":
-                raise UnsupportedError("ridges and a diffuse base are known for unpolarised light only")
+                raise UnsupportedError(
+                    f'polarisation = "{polarisation}" is not allowed with ridges or a diffuse base; allowed: "both"'
+                )
             bsdf = self.bsdf(lam)  # also refuses a hidden base
             if self.ridges is not None:
                 directions = direction(np.minimum(theta, np.radians(89.99)))
@@ -501,9 +504,16 @@ def _only_transmitting(response: InterfaceResponse, passed: Array) -> InterfaceR
     return dataclasses.replace(response, cos_outside=cos, total_nodes=None, **tables)
 
 
-def _stated(response: InterfaceResponse, error: float) -> dict[str, float]:
-    """Return the note on a table over angle: its nodes, and the largest error of R and T found, with a margin."""
-    return {"cosines": len(response.cos_outside), "largest_error": round(min(ERROR_MARGIN * error, 1.0), 6)}
+def _stated(response: InterfaceResponse, error: float) -> dict[str, Any]:
+    """Return the notes on a table over angle: its nodes, the largest error of R and T with a margin, and a warning."""
+    largest = round(min(ERROR_MARGIN * error, 1.0), 6)
+    found: dict[str, Any] = {"angle_table": {"cosines": len(response.cos_outside), "largest_error": largest}}
+    if largest > SHOWN_ERROR:
+        line = (
+            f"R and T of the table over angle are off by up to {largest:.2g} at single angles, as near a critical one"
+        )
+        found["warnings"] = [f"{line}; nacre spectrum solves each angle"]
+    return found
 
 
 def _grid(low: float, high: float, step: float) -> Array:

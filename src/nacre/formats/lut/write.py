@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import dataclasses
 import json
 import os
 import re
 import secrets
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from importlib.resources import files
@@ -29,6 +31,7 @@ from nacre.light import clip_to_srgb, srgb_decode, srgb_encode
 
 MANIFEST = "table.json"
 MAX_CODE = 65535
+_HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux, RENAME_SWAP of macOS
 DISTRIBUTIONS = ("ggx", "beckmann", "blinn", "ashikhmin-shirley")  # by shader number
 MAX_REFLECTANCE = 1.5  # images with brighter colours show light, not reflectance
 
@@ -76,6 +79,17 @@ def _is_ours(folder: Path) -> bool:
     return isinstance(known, list) and {entry.name for entry in folder.iterdir()} <= {*map(str, known), MANIFEST}
 
 
+def _exchanged(one: Path, other: Path) -> bool:
+    """Exchange two folders in one step, which a killed process does not leave half done; False: not possible here."""
+    names = os.fsencode(one), os.fsencode(other)
+    library = ctypes.CDLL(None) if sys.platform in ("linux", "darwin") else None
+    if exchange := getattr(library, "renameat2", None):
+        return exchange(_HERE, names[0], _HERE, names[1], _EXCHANGE) == 0
+    if exchange := getattr(library, "renamex_np", None):
+        return exchange(*names, _EXCHANGE) == 0
+    return False
+
+
 @contextlib.contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
     """Yield a temporary folder that replaces `path` if the block succeeds.
@@ -93,6 +107,8 @@ def new_folder(path: Path) -> Iterator[Path]:
     old: Path | None = None
     try:
         yield made
+        if path.exists() and _exchanged(made, path):
+            return
         if path.exists():
             old = Path(tempfile.mkdtemp(prefix=temporary_prefix(path), dir=parent))
             path.rename(old / "old")

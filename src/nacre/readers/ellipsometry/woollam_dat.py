@@ -27,6 +27,11 @@ POWERS = {
     "ut": ("transmittance", "both"), "st": ("transmittance", "s"), "pt": ("transmittance", "p"),
 }  # fmt: skip
 DEPOLARISATION = "dpole"
+PSI_DELTA = (
+    "",
+    "e",
+    "ane",
+)  # AnE: r_pp / r_ss of an anisotropic sample, beside Aps = r_ps / r_pp and Asp = r_sp / r_ss
 ROW = re.compile(r"\s*([A-Za-z]\w*)?\s*[-+.\deE]+\s+[-+.\deE]+\s+[-+.\d]")
 MUELLER = re.compile(r"mm([1-4])([1-4])$")
 
@@ -62,7 +67,7 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     left_out = [f"{len(rows)} rows of {word}" for word, rows in found.items() if not _is_known(word)]
     results = []
     for word, rows in found.items():
-        if word in ("", "e"):
+        if word in PSI_DELTA:
             table = same_length(path, rows)
             columns = psi_delta_columns(path, table, unit, trig)
             results.append(
@@ -93,7 +98,7 @@ def _rows(path: Path, lines: Sequence[str], first: int) -> dict[str, list[tuple[
 
 
 def _is_known(word: str) -> bool:
-    return word in ("", "e", DEPOLARISATION) or word in POWERS or bool(MUELLER.match(word))
+    return word in (*PSI_DELTA, DEPOLARISATION) or word in POWERS or bool(MUELLER.match(word))
 
 
 def psi_delta_columns(path: Path, table: Array, unit: str, trig: bool) -> dict[str, Array]:

@@ -20,6 +20,8 @@ def read_map(path: str | Path, options: ReadOptions | None = None) -> Measuremen
     options = options or ReadOptions()
     found = recognise(path)
     maps = [entry for _, entry in found if entry.kind == "heights"]
+    if found and found[0][1].id == "other":
+        open_file(path, options)  # refuses it by name
     if not maps or (found[0][1].kind != "heights" and found[0][0] >= 1.0):
         what = f"is {found[0][1].title}, " if found else "is "
         raise NacreError(f"{path}: {what}no height map that nacre reads; export it as .sdf, .gwy or text matrix")

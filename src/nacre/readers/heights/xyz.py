@@ -17,7 +17,7 @@ TOLERANCE = 1e-3  # of a step, for positions on a grid
 HEADING = re.compile(
     r"^\W*x(_\w\w?)?\b[^\n]*?\by(_\w\w?)?\b[^\n]*?\b(z|h|height|höhe)(_\w\w?)?\b[^\n]*$", re.IGNORECASE
 )
-UNIT = re.compile(r"(?:[\[(/]\s*|_)((?:[num]?m)|µm|μm|Å|A)\b")
+UNIT = re.compile(r"(?:[\[(/]\s*|_)((?:[nucm]?m)|µm|μm|Å|A)\b")
 
 
 def _parts(text: str) -> tuple[str, list[str]]:
@@ -76,8 +76,10 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     if values.size != 3 * len(rows) or not rows:
         raise NacreError(f"{path}: its rows do not all hold x, y and z")
     x, y, z = values.reshape(-1, 3).T
-    named = [length_um(unit) for unit in UNIT.findall(heading)]
-    factors = named if len(named) == 3 and None not in named else [asked_unit(path, options, "x, y and z")] * 3
+    named = _units(heading)
+    missing_units = [axis for axis, unit in zip("xyz", named, strict=True) if unit is None]
+    asked = asked_unit(path, options, " and ".join(missing_units)) if missing_units else 1.0
+    factors = [asked if unit is None else unit for unit in named]
     column, columns, dx = _places(x, path)
     row, count, dy = _places(y, path)
     heights = np.full((count, columns), np.nan)
@@ -88,9 +90,18 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         raise NacreError(f"{path}: its points are no grid: {len(z)} of {heights.size} nodes are given")
     missing = int(np.isnan(heights).sum())
     assumed = [f"{missing} of {heights.size} points of the grid are not in the file and are holes"] if missing else []
-    units = [float(f or 0.0) for f in factors]
-    pitch = dx * units[0], dy * units[1]
-    return [height_map(path, "xyz", heights * units[2], pitch, metadata={"rows": "y ascending"}, assumed=assumed)]
+    pitch = dx * factors[0], dy * factors[1]
+    return [height_map(path, "xyz", heights * factors[2], pitch, metadata={"rows": "y ascending"}, assumed=assumed)]
+
+
+def _units(heading: str) -> list[float | None]:
+    """Return the unit of x, y and z in um, None where the heading states none."""
+    found = [length_um(unit) for unit in UNIT.findall(heading)]
+    cells = [cell for cell in re.split(r"[\t,;]+|\s{2,}", heading.strip()) if cell.strip()]
+    if len(found) == 3 or len(cells) != 3:
+        return found if len(found) == 3 else [None] * 3
+    each = [UNIT.search(cell) for cell in cells]
+    return [length_um(match[1]) if match else None for match in each]
 
 
 def _places(values: Array, path: Path) -> tuple[np.ndarray, int, float]:
