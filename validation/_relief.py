@@ -10,8 +10,8 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.parallel import single_threaded_blas
 from nacre.families.relief.coherence import Coherence
+from nacre.families.relief.diffraction_orders import coating_reflectance
 from nacre.families.relief.plane_cut import CutGeometry, plan_cut
-from nacre.families.relief.prefactor import coating_reflectance
 from nacre.families.relief.surface import Tile
 from nacre.matter.indices.library import index
 from nacre.optimise.relief.merit import ConvergedMeasurement, Evaluator, Problem, measure_design

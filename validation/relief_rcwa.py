@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 import nacre
-from nacre.families.relief.prefactor import brdf_factor, difference_cosine, fresnel_reflectance
-from nacre.families.relief.validity import COEFFICIENTS, OUTSIDE_DE00, SINUSOID, expected_de00, mean_feature_nm
+from nacre.families.relief.diffraction_orders import brdf_factor, difference_cosine, fresnel_reflectance
+from nacre.families.relief.surface import COEFFICIENTS, OUTSIDE_DE00, SINUSOID, expected_de00, mean_feature_nm
 from nacre.light import delta_e_2000, xyz_to_lab
 from nacre.light.tristimulus import white_xyz, xyz_weights
 from validation._film import canvas
@@ -124,7 +124,7 @@ def colour_errors(group: dict[str, Any], cases: list[dict[str, Any]]) -> tuple[f
 
 
 def scales(group: dict[str, Any]) -> tuple[float, float]:
-    """Mean slope, and feature over wavelength, of a grating, as `nacre.families.relief.validity` has them."""
+    """Mean slope, and feature over wavelength, of a grating, as `nacre.families.relief.surface` has them."""
     feature = 0.5 * group["period_um"]
     return group["depth_um"] / feature, feature / MIDDLE_UM
 

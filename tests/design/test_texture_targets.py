@@ -13,7 +13,14 @@ import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.material.material import as_material
-from nacre.measure.texture import QUANTITY_NAMES, TextureQuantity, measure_texture, read_instrument, texture_values
+from nacre.measure.texture import (
+    QUANTITY_NAMES,
+    TextureQuantity,
+    _Scene,
+    measure_texture,
+    read_instrument,
+    texture_values,
+)
 from nacre.optimise.formulation import _paint, formulate, read_formulation
 from nacre.optimise.merit import MeritFunction, Operand
 from nacre.optimise.task import read_task
@@ -193,3 +200,10 @@ def test_a_sweep_stores_texture(tmp_path: Path, capsys: pytest.CaptureFixture[st
     (tmp_path / "sweep.toml").write_text(dump_toml(plan | {"measure": {"texture": ["sparkle_50"]}}))
     assert run(["sweep", str(tmp_path / "sweep.toml"), "-o", str(tmp_path / "other.zarr")]) == 2
     assert "measure.texture" in capsys.readouterr().err
+
+
+def test_means_of_texture_need_no_random_walk() -> None:
+    found = _Scene(as_material(PAINT), "D65", "10deg", 0, "scout")
+    for angle in (15.0, 45.0, 75.0):
+        found.lit(np.radians(angle), 0.02, 0.02)
+    assert not found.bsdfs

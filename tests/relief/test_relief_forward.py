@@ -12,8 +12,11 @@ import pytest
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.diffraction_orders import (
     _step_limit,
+    brdf_factor,
     choose_sampling,
+    coating_reflectance,
     coefficients,
+    fresnel_reflectance,
     height_gradient,
     is_fft_cheaper,
     line_basis,
@@ -27,7 +30,6 @@ from nacre.families.relief.plane_cut import (
     node_count,
     plan_cut,
 )
-from nacre.families.relief.prefactor import brdf_factor, coating_reflectance, fresnel_reflectance
 from nacre.families.relief.surface import Tile, blur_matrix
 
 _spec = importlib.util.spec_from_file_location("helpers_relief", Path(__file__).with_name("helpers_relief.py"))

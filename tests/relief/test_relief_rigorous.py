@@ -10,7 +10,7 @@ from validation._crossed import by_coordinates, by_plane_waves
 from validation._gratings import lamellar, sliced, smooth
 from validation.relief_rcwa import scalar_orders
 
-from nacre.families.relief.prefactor import fresnel_reflectance
+from nacre.families.relief.diffraction_orders import fresnel_reflectance
 
 SILVER, GLASS = 0.06 + 3.6j, 1.5 + 0.0j
 SAMPLES = 1024

@@ -12,8 +12,7 @@ import pytest
 import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError
-from nacre.families.relief.surface import Tile
-from nacre.families.relief.validity import OUTSIDE_DE00, assess, expected_de00, largest_depth_nm, mean_feature_nm
+from nacre.families.relief.surface import OUTSIDE_DE00, Tile, assess, expected_de00, largest_depth_nm, mean_feature_nm
 from nacre.optimise.relief.adapter import read_relief
 from nacre.recipe.model import RecipeContext
 

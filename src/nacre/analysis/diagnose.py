@@ -6,7 +6,8 @@ Algorithms, chapter 28): exactly one cause deviates, for each cause; and all cau
 posteriori and posterior covariance come from Gauss-Newton.
 
 A diagnosis evaluates a film thousands of times. If its numbers move the thicknesses of one coherent stack linearly,
-all points are one call of the batched solver (`nacre.matter.stack.solve.powers`)."""
+all points are one call of the batched solver (`nacre.matter.stack.solve.powers`).
+"""
 
 from __future__ import annotations
 

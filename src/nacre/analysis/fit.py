@@ -242,7 +242,7 @@ def fit_parameters(material: Material, options: tuple[str, ...] = ()) -> tuple[P
 
 def is_at_bound(number: FittedNumber, bounds: Parameter) -> bool:
     """Return whether a fitted number lies at one of its bounds."""
-    return min(number.value - bounds.low, bounds.high - number.value) <= BOUND_TOL * (bounds.high - bounds.low)
+    return bool(min(number.value - bounds.low, bounds.high - number.value) <= BOUND_TOL * (bounds.high - bounds.low))
 
 
 def _number(text: str) -> float:

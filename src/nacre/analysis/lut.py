@@ -497,7 +497,10 @@ def _refuse(bsdf: Bsdf) -> None:
     scattering = [lobe for lobe in bsdf.lobes if not isinstance(lobe, Microfacet | Specular)]
     names = dict.fromkeys(name for lobe in bsdf.lobes for name in lobe.varying)
     if any(isinstance(lobe, MaskedLobe) for lobe in bsdf.lobes):
-        raise UnsupportedError(f"{', '.join(names)} blends whole materials over the surface; export each by itself")
+        raise UnsupportedError(
+            f"{', '.join(names)} blends whole materials over the surface; export each by itself, or a blend to "
+            "three or gltf"
+        )
     if len(names) > 1:
         raise UnsupportedError(f"{', '.join(names)} vary over the surface, and a table holds one; --set the others")
     if names and scattering:

@@ -2,7 +2,8 @@
 
 The header contains format and version, the tree of lobes, each array's shape, type, axes and checksum, the units
 and the provenance. Declared sizes are checked before memory is allocated, and file content is never executed.
-Lobes are checked on loading: field types, invariants, and a trial evaluation."""
+Lobes are checked on loading: field types, invariants, and a trial evaluation.
+"""
 
 from __future__ import annotations
 

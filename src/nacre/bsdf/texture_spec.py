@@ -7,7 +7,7 @@ import logging
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
@@ -18,8 +18,11 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import plain, why_unreadable
 from nacre.core.memory import check_memory
-from nacre.recipe.images import LARGEST_16_BIT, opacity, upright
 from nacre.recipe.model import RecipeContext, RecipeModel
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
 
 logger = logging.getLogger("nacre")
 
@@ -211,3 +214,22 @@ def read_grey(path: Path, where: str, longest_side: int = MAX_IMAGE_PIXELS) -> N
             "image of this type: scale its values, and give the values of black and white by min and max"
         )
     return np.clip(values, 0.0, 1.0)
+
+
+LARGEST_16_BIT = 65535.0
+
+
+def upright(image: Image) -> Image:
+    """Return an image turned by its EXIF orientation."""
+    from PIL import ImageOps
+
+    turned = ImageOps.exif_transpose(image)
+    return image if turned is None else turned
+
+
+def opacity(image: Image) -> Array | None:
+    """Return the opacity of each pixel `[row, column]` in [0, 1], or None if all pixels are opaque."""
+    if "A" not in image.getbands() and ("transparency" not in image.info or image.mode[0] in "IF"):
+        return None
+    alpha = np.asarray(image.convert("RGBA").getchannel("A"), dtype=float) / 255.0
+    return alpha if alpha.min() < 1.0 else None

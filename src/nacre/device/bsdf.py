@@ -2,7 +2,8 @@
 
 A new lobe needs one line here and one in `nacre.bsdf.registry`; a lobe of another package names its plugin in
 its entry point. Plugins do not import this file: those that contain other lobes receive `make_plugin`.
-For the RGB variants of Mitsuba, lobes are projected to linear sRGB."""
+For the RGB variants of Mitsuba, lobes are projected to linear sRGB.
+"""
 
 from __future__ import annotations
 

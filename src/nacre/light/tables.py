@@ -1,7 +1,8 @@
 """Illuminants and observers: the 1 nm tables behind every colour computation, and its wavelength grid.
 
 The tables ship with the package (`tools/make_light_tables.py` writes them from colour-science) and are read on
-first use."""
+first use.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Fabrication data of a material: layer tables, particle layouts, height maps.
 
-Families provide these objects; `nacre.formats.drawings` writes them to the usual file formats.
+Families provide these objects; `nacre.formats.fabrication` writes them to the usual file formats.
 
 View from the light's side: x to the right, y up, heights towards the light.
 """

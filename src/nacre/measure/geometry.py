@@ -1,7 +1,8 @@
 """Measurement geometries by name: mirror direction, hemisphere, aspecular angles, gloss and haze apertures.
 
 Light is incident at `theta_i` in the plane phi = 0. Aspecular angles are counted from the mirror direction towards the
-light: at 45 degrees incidence, 45 degrees aspecular is the normal, and 110 lies on the light's side."""
+light: at 45 degrees incidence, 45 degrees aspecular is the normal, and 110 lies on the light's side.
+"""
 
 from __future__ import annotations
 

@@ -425,10 +425,10 @@ class _Scene:
 
     def _mean(self, model: Model, theta_rad: float) -> tuple[float, float]:
         """Return the luminance factor along the normal under a lamp, and its standard error."""
-        found = self._surrogate(model) if math.degrees(theta_rad) in self.angles else None
-        if found is not None:
+        at = next((k for k, a in enumerate(self.angles) if math.isclose(math.radians(a), theta_rad)), None)
+        found = None if at is None else self._surrogate(model)
+        if at is not None and found is not None:
             assert isinstance(model, Surrogate)
-            at = self.angles.index(math.degrees(theta_rad))
             return float(found[0][at] + found[1][at]), (model.surrogate_error or 0.0) * float(found[1][at])
         wi = direction(theta_rad)[None]
         values, error = evaluate_with_error(self._bsdf(model), wi, NORMAL[None], samples=SAMPLES, seed=self.seed)

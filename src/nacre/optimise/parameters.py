@@ -1,7 +1,8 @@
 """Optimisation parameters: recipe numbers with bounds and words with choices, addressed by path.
 
 Fits, designs and gamuts share them. A search point lies in the unit cube between the bounds. A parameter
-at 0, such as the amount of a pigment, may remove its table."""
+at 0, such as the amount of a pigment, may remove its table.
+"""
 
 from __future__ import annotations
 

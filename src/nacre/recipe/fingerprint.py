@@ -5,7 +5,8 @@ used only while it is the same. A change of code that changes no numbers changes
 when the numbers of one family change, and `OPTICS_VERSION` when those of the shared optics (`matter`, `bsdf`, `light`,
 `measure`), or intermediate results that a family caches, change.
 
-The files that a Mitsuba scene or a glTF names are found in its parsed content, as the loaders see it."""
+The files that a Mitsuba scene or a glTF names are found in its parsed content, as the loaders see it.
+"""
 
 from __future__ import annotations
 

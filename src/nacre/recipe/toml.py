@@ -1,7 +1,8 @@
 """Recipes as TOML: reading, writing, editing with preserved comments, and normalisation.
 
 TOML files, Python dictionaries and `--set` pass through `plain_data`. Later code meets no unbounded nesting, no integer
-beyond 64 bits and no numpy types. `open_parts` and `open_all` replace the files that a recipe names by tables."""
+beyond 64 bits and no numpy types. `open_parts` and `open_all` replace the files that a recipe names by tables.
+"""
 
 from __future__ import annotations
 

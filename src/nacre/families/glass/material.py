@@ -26,9 +26,10 @@ from nacre.families.glass.composite import Composite, EffectiveDispersion
 from nacre.families.glass.medium import SIZES, Medium, mixture_power, percus_yevick, schulz_sizes
 from nacre.families.glass.radiative_transfer import AZIMUTHS, Slab, brdf_pairs, with_one_index
 from nacre.families.glass.random_walk import Face, walk
-from nacre.families.glass.rough_interface import GRAZING, RoughInterface
 from nacre.families.glass.tables import (
+    GRAZING,
     THETA_NODES,
+    RoughInterface,
     behind_rough,
     diffuse_table,
     face_lobe,
@@ -116,7 +117,8 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
                       default=0.0)  # fmt: skip
         if densest <= DENSE_BALLS[0][0]:
             return ()
-        per_cent = np.interp(densest, *zip(*DENSE_BALLS, strict=True))
+        fractions, errors = np.array(DENSE_BALLS).T
+        per_cent = float(np.interp(densest, fractions, errors))
         return (
             f"photonic balls of {100 * densest:.3g} % by volume: the reflectance is up to {per_cent:.2g} % too low "
             "(relative) if whole balls leave a gap at the faces, and within 3 % if the faces cut balls",

@@ -1,7 +1,8 @@
 """The metasurface: a disordered monolayer of resonant particles on a layered substrate.
 
 The mean field is chosen within its measured validity range, else an ensemble; `mean_field_errors.toml` holds the
-mean-field error for every system compared with multi-sphere solutions."""
+mean-field error for every system compared with multi-sphere solutions.
+"""
 
 from __future__ import annotations
 

@@ -22,15 +22,19 @@ from numpy.typing import ArrayLike, NDArray
 from nacre.core.arrays import Array
 from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.diffraction_orders import (
+    LEAST_COSINE,
     Coefficients,
     LineBasis,
+    Prefactor,
     RealArray,
+    brdf_factor,
     coefficients,
+    difference_cosine,
     height_gradient,
     line_basis,
+    outgoing,
     reflection,
 )
-from nacre.families.relief.prefactor import LEAST_COSINE, Prefactor, brdf_factor, difference_cosine, outgoing
 from nacre.families.relief.surface import Tile
 
 

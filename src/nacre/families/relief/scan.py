@@ -25,7 +25,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates, spline_filter, zoom
 
 from nacre.core.arrays import Array
-from nacre.families.relief.validity import SINUSOID, Validity, expected_de00, mean_feature_nm
+from nacre.families.relief.surface import SINUSOID, Validity, expected_de00, mean_feature_nm
 from nacre.readers.heights.roughness import autocovariance
 
 Statistics = Literal["scan", "random", "isotropic"]

@@ -19,9 +19,15 @@ from nacre.core.errors import UnsupportedError
 from nacre.core.memory import check_memory
 from nacre.core.parallel import available_jobs, in_threads
 from nacre.families.relief.coherence import Coherence
-from nacre.families.relief.diffraction_orders import Sampling, choose_sampling, is_fft_cheaper, line_basis, line_power
+from nacre.families.relief.diffraction_orders import (
+    Prefactor,
+    Sampling,
+    choose_sampling,
+    is_fft_cheaper,
+    line_basis,
+    line_power,
+)
 from nacre.families.relief.plane_cut import Reflectance, chebyshev_nodes, interpolation_weights, node_count, window_norm
-from nacre.families.relief.prefactor import Prefactor
 from nacre.families.relief.scan import Scan, ScanLines
 from nacre.families.relief.surface import Array, Tile
 

@@ -9,7 +9,8 @@ r_p = (n2^2 kz1 - n1^2 kz2) / (n2^2 kz1 + n1^2 kz2), so r_p = -r_s at normal inc
 r_s, r_p, t_s, t_p.
 
 Compiling the kernel takes about 10 s, loading it half a second. A process that has not loaded it and solves one film
-uses the same recursion in NumPy (`solve_uncompiled`), 1 µs a point and layer; results agree to rounding."""
+uses the same recursion in NumPy (`solve_uncompiled`), 1 µs a point and layer; results agree to rounding.
+"""
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nacre.bsdf.texture_spec import LARGEST_16_BIT, opacity, upright
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
 from nacre.core.files import atomic_path, plain, why_unreadable
@@ -19,7 +20,6 @@ from nacre.core.memory import check_memory
 from nacre.formats.calibration import LARGEST_GREY
 from nacre.formats.height_fields import write_png16, write_tiff16
 from nacre.formats.number_maps import DEFAULT_PIXEL_UM
-from nacre.recipe.images import LARGEST_16_BIT, opacity, upright
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -19,11 +19,10 @@ from nacre.core.arrays import Array, direction
 from nacre.core.errors import RecipeError
 from nacre.core.files import read_text
 from nacre.core.jit import seconds_compiled
+from nacre.families.relief.diffraction_orders import coating_reflectance
 from nacre.families.relief.material import Relief
 from nacre.families.relief.plane_cut import CutGeometry
-from nacre.families.relief.prefactor import coating_reflectance
-from nacre.families.relief.surface import Tile
-from nacre.families.relief.validity import largest_depth_nm
+from nacre.families.relief.surface import Tile, largest_depth_nm
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, lab_to_xyz, white_xyz, xyz_to_srgb_linear
 from nacre.material.material import load
 from nacre.measure.geometry import aspecular_pairs

@@ -5,7 +5,8 @@ sum_k w_k(d) S_k(lambda) with any tabulated S_k, including fluorescent lines. Di
 by luminance and by the cosine on a floor.
 
 Mitsuba accepts one environment per scene. The mixture samples a direction from one part and uses the mixture
-density, therefore every part is sampled, however small."""
+density, therefore every part is sampled, however small.
+"""
 
 from __future__ import annotations
 

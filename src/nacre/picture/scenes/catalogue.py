@@ -1,7 +1,8 @@
 """The scenes: objects, grounds, camera and default light.
 
 Scenes are data; `nacre.picture.built_scene` builds them in Mitsuba. Surfaces other than the subject have flat or
-measured spectra, never up-sampled RGB, therefore all colour comes from the material and the light."""
+measured spectra, never up-sampled RGB, therefore all colour comes from the material and the light.
+"""
 
 from __future__ import annotations
 
