@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-import nacre
 from nacre.bsdf.bsdf import Bsdf
 from nacre.core.errors import NacreError
 from nacre.material.material import material
-from nacre.recipe.toml import dump_toml
 
 ALLOWED = 0.005  # of R and T, the issue's bar, unless the file states more
 ANGLES = 2000  # the issue's
@@ -101,23 +98,6 @@ def test_a_varying_gap_states_its_error(tmp_path: Any) -> None:
     assert note["cosines"] == 129 and note["largest_error"] > ALLOWED
     bsdf.save(tmp_path / "gap.nacre")
     assert Bsdf.load(tmp_path / "gap.nacre").provenance["angle_table"] == note
-
-
-def test_commands_that_use_a_coarse_table_state_its_error(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A film with an error that matters warns once it is solved, read from the cache, or compiled; others do not."""
-    clear = {"family": "film", "ambient": {"n": 1.5}, "substrate": {"n": 1.5}}
-    gap = {"material": "air", "thickness_nm": {"formula": "1500 + 500*v"}}
-    (tmp_path / "gap.toml").write_text(dump_toml({**clear, "layers": [gap]}))
-    for name in ("gap.toml", "gap.nacre"):
-        caplog.clear()
-        solved = nacre.load(tmp_path / name).bsdf()
-        solved.save(tmp_path / "gap.nacre")
-        stated = solved.provenance["angle_table"]["largest_error"]
-        assert any(f"{stated:.2g}" in each.getMessage() for each in caplog.records)
-    caplog.clear()
-    (tmp_path / "fine.toml").write_text(dump_toml({**clear, "layers": [{"material": "air", "thickness_nm": 2000}]}))
-    nacre.load(tmp_path / "fine.toml").bsdf()
-    assert not caplog.records
 
 
 def test_a_thin_incoherent_metal_is_refused() -> None:

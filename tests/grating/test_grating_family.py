@@ -393,15 +393,15 @@ def test_an_interrupted_table_resumes_at_the_next_angle(tmp_path: Path, monkeypa
     }  # fmt: skip
     lam = np.array([600.0])
     stacks = nacre.load(made).model.stacks(lam)
-    solve, solved = order_tables.solve_coarse, []
+    solve, solved = order_tables.solve_many, []
 
-    def counted(*case: Any) -> Any:
+    def counted(cases: Any, step: int = 0) -> Any:
         if len(solved) == 120:
             raise KeyboardInterrupt
-        solved.append(case)
-        return solve(*case)
+        solved.extend(cases)
+        return solve(cases, step)
 
-    monkeypatch.setattr(order_tables, "solve_coarse", counted)
+    monkeypatch.setattr(order_tables, "solve_many", counted)
     with pytest.raises(KeyboardInterrupt):
         order_tables.order_tables(stacks, lam, None)
     solved.clear()
@@ -409,7 +409,7 @@ def test_an_interrupted_table_resumes_at_the_next_angle(tmp_path: Path, monkeypa
     nodes = order_tables.THETAS["profile"] * (order_tables.AZIMUTHS["profile"] // 4 + 1)
     assert len(solved) < nodes - 80  # at most one angle of each thread is solved again
     monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "other"))
-    monkeypatch.setattr(order_tables, "solve_coarse", solve)
+    monkeypatch.setattr(order_tables, "solve_many", solve)
     whole = order_tables.order_tables(stacks, lam, None)
     assert np.array_equal(resumed.reflected, whole.reflected)
     assert np.array_equal(resumed.mirror, whole.mirror)

@@ -163,10 +163,9 @@ class Material:
             traits = self.model.traits
             check_memory(float(traits.bytes_per_wavelength) * grid.size, f"a {traits.noun} at {grid.size} wavelengths")
         if isinstance(self.model, StoredBsdf) or self.context.ambient is not None:
-            found = self.model.bsdf(grid)  # solved already, or part of another material, which is cached as a whole
-        else:
-            key = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
-            found = cached(key, lambda: self.model.bsdf(grid), _load_entry, _save_entry if keep else _discard)
+            return self.model.bsdf(grid)  # solved already, or part of another material, which is cached as a whole
+        key = fingerprint(self.fingerprint, {}, wavelengths_nm=grid)
+        found = cached(key, lambda: self.model.bsdf(grid), _load_entry, _save_entry if keep else _discard)
         for warning in found.provenance.get("warnings", ()):
             _warn_once(self.context.source, warning)
         return found

@@ -48,7 +48,6 @@ MIDDLE = np.array([0.5, 0.5])
 AMPLITUDE_CUTOFF = 1e-5  # round-trip amplitude below which deeper layers are neglected
 CUTOFF_WAVELENGTHS = 48
 SPREAD_STEP_NM = 5.0
-SHOWN_ERROR = 0.02  # stated error of R and T from which a warning says so
 ERROR_MARGIN = 2.0  # of the stated error: the check has a few hundred angles
 BASE_COSINES = 513  # at most, of the film over a diffuse base
 BYTES_PER_LAYER = 64  # and wavelength: indices, phases and copies
@@ -505,15 +504,9 @@ def _only_transmitting(response: InterfaceResponse, passed: Array) -> InterfaceR
 
 
 def _stated(response: InterfaceResponse, error: float) -> dict[str, Any]:
-    """Return the notes on a table over angle: its nodes, the largest error of R and T with a margin, and a warning."""
+    """Return the note on a table over angle: its nodes, and the largest error of R and T found, with a margin."""
     largest = round(min(ERROR_MARGIN * error, 1.0), 6)
-    found: dict[str, Any] = {"angle_table": {"cosines": len(response.cos_outside), "largest_error": largest}}
-    if largest > SHOWN_ERROR:
-        line = (
-            f"R and T of the table over angle are off by up to {largest:.2g} at single angles, as near a critical one"
-        )
-        found["warnings"] = [f"{line}; nacre spectrum solves each angle"]
-    return found
+    return {"angle_table": {"cosines": len(response.cos_outside), "largest_error": largest}}
 
 
 def _grid(low: float, high: float, step: float) -> Array:

@@ -117,7 +117,8 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
                       default=0.0)  # fmt: skip
         if densest <= DENSE_BALLS[0][0]:
             return ()
-        per_cent = np.interp(densest, *zip(*DENSE_BALLS, strict=True))
+        fractions, errors = np.array(DENSE_BALLS).T
+        per_cent = float(np.interp(densest, fractions, errors))
         return (
             f"photonic balls of {100 * densest:.3g} % by volume: the reflectance is up to {per_cent:.2g} % too low "
             "(relative) if whole balls leave a gap at the faces, and within 3 % if the faces cut balls",

@@ -17,8 +17,8 @@ from nacre.matter.periodic.crossed_modes import (
     rectangle_permittivity,
     series,
 )
+from nacre.matter.periodic.lamellar_solver import is_patterned
 from nacre.matter.periodic.line_basis import Axis, LineBasis, assemble, line_basis, parity_axis, regions, whole_axis
-from nacre.matter.periodic.line_solver import incident_wave, is_patterned
 from nacre.matter.periodic.scattering_matrix import Modes, Slab, scatter, uniform_modes
 from nacre.matter.periodic.structure import (
     Cell,
@@ -30,6 +30,7 @@ from nacre.matter.periodic.structure import (
     Region,
     check_unknowns,
     empty_orders,
+    incident_wave,
     order_set,
     propagating,
 )
@@ -201,7 +202,7 @@ def _joined(
         fields = np.zeros((len(numbers), 2, 2), dtype=complex)
         for k, (m, n) in enumerate(numbers):
             fields[k] = sum(getattr(answer, name)[int(m), int(n)] for answer in answers) @ incident
-        return order_set(numbers, vectors, fields, index, is_up, (phi_rad, k_z, stack.cover))
+        return order_set(numbers, vectors, fields, index, is_up, (phi_rad, k_z))
 
     transmitted = side("down", stack.substrate.real, False) if stack.is_clear else empty_orders()
     size = sum(answer.unknowns for answer in answers)

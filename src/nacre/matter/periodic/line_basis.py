@@ -100,7 +100,7 @@ def line_mesh(period: float, walls: Array, wave_numbers: Array, level: int) -> L
     return _mesh(float(period), tuple(walls), tuple(np.round(wave_numbers, 9)), level)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=512)
 def _mesh(period: float, walls: tuple[float, ...], wave_numbers: tuple[float, ...], level: int) -> LineMesh:
     starts = np.array(walls)
     ends = np.append(starts[1:], starts[0] + period)
@@ -120,7 +120,12 @@ def _mesh(period: float, walls: tuple[float, ...], wave_numbers: tuple[float, ..
             waves = turns + 1.5 * turns ** (1.0 / 3.0) + (1 + level) * min(1.0, turns)
             degrees.append(max(degree, int(np.ceil(waves)) + (2 if near == layers else 0)))
         edges.extend(a + inner * (b - a))
-    return assemble(period, np.array(edges), tuple(degrees))
+    return _assembled(period, tuple(edges), tuple(degrees))
+
+
+@lru_cache(maxsize=64)
+def _assembled(period: float, edges: tuple[float, ...], degrees: tuple[int, ...]) -> LineMesh:
+    return assemble(period, np.array(edges), degrees)
 
 
 def assemble(period: float, edges: Array, degrees: tuple[int, ...]) -> LineMesh:

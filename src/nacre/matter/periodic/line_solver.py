@@ -6,6 +6,7 @@ import numpy as np
 
 from nacre.core.quadrature import gauss_legendre
 from nacre.matter.periodic.lamellar_modes import layer_modes, line_modes
+from nacre.matter.periodic.lamellar_solver import flat_orders, is_patterned, values_at
 from nacre.matter.periodic.line_basis import (
     LineBasis,
     LineMesh,
@@ -34,27 +35,13 @@ from nacre.matter.periodic.structure import (
     Rectangle,
     check_unknowns,
     empty_orders,
+    incident_wave,
     order_set,
     propagating,
 )
 from nacre.matter.periodic.types import Array
 
-NORMAL = 1e-14  # smaller wave numbers along the lines are zero
 GRADING = 0.18
-
-
-def incident_wave(stack: PeriodicStack, theta_rad: float, phi_rad: float) -> tuple[Array, float, Array]:
-    """Return the transverse wave vector over k0 `[2]`, k_z / k0, and (E_x, E_y) `[2, in]` of unit s and p waves."""
-    sine, cosine = np.sin(theta_rad), np.cos(theta_rad)
-    c, s = np.cos(phi_rad), np.sin(phi_rad)
-    transverse = stack.cover * sine * np.array([c, s])
-    transverse[np.abs(transverse) < NORMAL] = 0.0
-    return transverse, float(stack.cover * cosine), np.array([[-s, -cosine * c], [c, -cosine * s]])
-
-
-def is_patterned(layer: PatternLayer) -> bool:
-    """Whether a layer has a shape of another permittivity."""
-    return any(epsilon != layer.epsilon for _, epsilon in layer.shapes)
 
 
 def solve_lines(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, level: int) -> OrderSolution:
@@ -62,7 +49,7 @@ def solve_lines(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: floa
     transverse, k_z, incident = incident_wave(stack, theta_rad, phi_rad)
     patterned = [layer for layer in stack.layers if is_patterned(layer)]
     if not patterned:
-        return _flat(stack, k0, transverse, k_z, incident, phi_rad)
+        return flat_orders(stack, k0, theta_rad, phi_rad)
     mesh = _mesh_of(stack, patterned, k0, level)
     check_unknowns(2 * mesh.size, k0)
     basis = line_basis(mesh, transverse[0], 1.001 * stack.reach)
@@ -96,34 +83,11 @@ def solve_lines(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: floa
         numbers, waves = propagating(stack, k0, transverse, index)
         at = np.array([places[int(m)] for m in numbers[:, 0]], dtype=int)
         fields = np.stack([amplitudes[at], amplitudes[size + at]], axis=1)
-        return order_set(numbers, waves, fields, index, is_up, (phi_rad, k_z, stack.cover))
+        return order_set(numbers, waves, fields, index, is_up, (phi_rad, k_z))
 
     reflected = side(up, stack.cover, True)
     transmitted = side(down, stack.substrate.real, False) if stack.is_clear else empty_orders()
     return OrderSolution(reflected, transmitted, np.inf, size, "lines")
-
-
-def _flat(
-    stack: PeriodicStack, k0: float, transverse: Array, k_z: float, incident: Array, phi_rad: float
-) -> OrderSolution:  # fmt: skip
-    """Return the orders of unpatterned layers: all but the zero order are dark."""
-    alpha, beta = transverse[:1], transverse[1:]
-    up, down = scatter(
-        uniform_modes(stack.cover**2, alpha, beta),
-        [uniform_modes(layer.epsilon, alpha, beta) for layer in stack.layers],
-        [layer.thickness_nm * k0 for layer in stack.layers],
-        uniform_modes(stack.substrate**2, alpha, beta),
-        incident.astype(complex),
-    )
-
-    def side(amplitudes: Array, index: float, is_up: bool) -> OrderSet:
-        numbers, waves = propagating(stack, k0, transverse, index)
-        fields = np.zeros((len(numbers), 2, 2), dtype=complex)
-        fields[np.all(numbers == 0, axis=1)] = amplitudes
-        return order_set(numbers, waves, fields, index, is_up, (phi_rad, k_z, stack.cover))
-
-    transmitted = side(down, stack.substrate.real, False) if stack.is_clear else empty_orders()
-    return OrderSolution(side(up, stack.cover, True), transmitted, 0.0, 1, "lines")
 
 
 def _mesh_of(stack: PeriodicStack, patterned: list[PatternLayer], k0: float, level: int) -> LineMesh:
@@ -133,22 +97,12 @@ def _mesh_of(stack: PeriodicStack, patterned: list[PatternLayer], k0: float, lev
     starts, middles = regions(period, np.array([x for line in lines for x in (line.x_0, line.x_1)]))
     numbers = np.full(len(starts), stack.reach)
     for layer in patterned:
-        numbers = np.maximum(numbers, np.sqrt(_values_at(layer, middles, period).astype(complex)).real)
+        numbers = np.maximum(numbers, np.sqrt(values_at(layer, middles, period).astype(complex)).real)
     return line_mesh(period * k0, starts * k0, numbers, level)
 
 
-def _values_at(layer: PatternLayer, x: Array, period: float) -> Array:
-    """Return the permittivity at points across the lines."""
-    values = np.full(len(x), complex(layer.epsilon))
-    for shape, epsilon in layer.shapes:
-        assert isinstance(shape, Rectangle)
-        middle, half = 0.5 * (shape.x_0 + shape.x_1), 0.5 * (shape.x_1 - shape.x_0)
-        values[np.abs((x - middle + 0.5 * period) % period - 0.5 * period) < half] = epsilon
-    return values
-
-
 def _element_values(basis: LineBasis, layer: PatternLayer, k0: float) -> Array:
-    values = _values_at(layer, basis.mesh.centers / k0, basis.mesh.period / k0)
+    values = values_at(layer, basis.mesh.centers / k0, basis.mesh.period / k0)
     return values.real if np.all(values.imag == 0.0) else values
 
 

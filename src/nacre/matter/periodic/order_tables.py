@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
 from nacre.core.jobs import in_workers
+from nacre.matter.periodic.line_tables import azimuth_nodes
 from nacre.matter.periodic.orders import cached_solution, case_key, packed_solutions, unpacked_solutions
-from nacre.matter.periodic.solve import difference, method_of, size_count, solve_coarse
-from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle
+from nacre.matter.periodic.solve import difference, method_of, size_count, solve_many
+from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Rectangle
 
 MAX_THETA = float(np.radians(89.5))  # light beyond is taken as here
-THETAS = {"lines": 16, "profile": 16, "rectangles": 10, "fourier": 10}  # nodes from 0 to 90 degrees
-AZIMUTHS = {"lines": 48, "profile": 48, "rectangles": 16, "fourier": 12}  # of a whole turn, a multiple of 4
+THETAS = {"lines": 24, "profile": 16, "rectangles": 10, "fourier": 10}  # nodes from 0 to 90 degrees
+AZIMUTHS = {"lines": 288, "profile": 48, "rectangles": 16, "fourier": 12}  # of a whole turn, a multiple of 4
 FEW = 12, 16  # nodes of tables whose size follows from an error: larger solutions, fewer of them
 CHECKS = 6  # directions at which the error is estimated
 BETWEEN, BETWEEN_SEED = 6, 40  # directions at which the error between nodes is found
@@ -84,7 +85,8 @@ def _solved_tables(
 ) -> OrderTables:
     stack = stacks[0]
     method = method_of(stack)
-    if not _is_patterned(stack):
+    is_patterned = _is_patterned(stack)
+    if not is_patterned:
         thetas, azimuths = 64, 4
     elif table_error is None:
         thetas, azimuths = THETAS[method], AZIMUTHS[method]
@@ -93,69 +95,95 @@ def _solved_tables(
     angles = np.minimum(np.linspace(0.0, 0.5 * np.pi, thetas), MAX_THETA)
     images = _images(stack)
     source = _sources(thetas, azimuths, images)
-    own = [node for node, (first, _) in source.items() if node == first]
-    cases = [(t, a, w) for t, a in own for w in range(len(wavelengths_nm))]
+    own = sorted({a for _, a in source if source[0, a][0] == (0, a)})
+    grid = 2.0 * np.pi / azimuths * np.array(own)
+    # lines: the nodes follow the anomalies, and the table is interpolated from them
+    uneven = {
+        (t, w): azimuth_nodes(each, float(wavelengths_nm[w]), float(angles[t]), float(grid[-1]))
+        for w, each in enumerate(stacks)
+        for t in range(thetas)
+        if is_patterned and method == "lines" and table_error is None
+    }  # fmt: skip
+    places = {(t, w): uneven[t, w].azimuths if uneven else grid for w in range(len(stacks)) for t in range(thetas)}
+    cases = [(t, a, w) for (t, w), nodes in sorted(places.items()) for a in range(len(nodes))]
 
-    def work(case: tuple[int, int, int], step: int = 0) -> OrderSolution:
+    def wave(case: tuple[int, int, int]) -> tuple[PeriodicStack, float, float, float]:
         t, a, w = case
-        phi = 2.0 * np.pi * a / azimuths + np.pi
-        return solve_coarse(stacks[w], float(wavelengths_nm[w]), float(angles[t]), phi, step)
+        return stacks[w], float(wavelengths_nm[w]), float(angles[t]), float(places[t, w][a]) + np.pi
+
+    def work(part: list[tuple[int, int, int]], step: int = 0) -> list[OrderSolution]:
+        return solve_many([wave(case) for case in part], step)
 
     def check(case: tuple[int, int, int]) -> OrderSolution:
-        t, a, w = case
-        phi = 2.0 * np.pi * a / azimuths + np.pi
-        return cached_solution(
-            stacks[w], float(wavelengths_nm[w]), float(angles[t]), phi, tolerance, is_strict=False
-        )  # fmt: skip
+        return cached_solution(*wave(case), tolerance, is_strict=False)
 
     step = 0
-    if table_error is not None and _is_patterned(stack):
-        probes = [(t, a, 0) for t, a in own[:: max(len(own) // PROBES, 1)]]  # the first wavelength needs most
+    if table_error is not None and is_patterned:
+        # the first wavelength needs most
+        probes = [case for case in cases if case[2] == 0][:: max(len(own) * thetas // PROBES, 1)]
         for step in range(size_count(stack)):
-            pairs = zip(in_workers(check, probes), in_workers(partial(work, step=step), probes), strict=True)
+            pairs = zip(in_workers(check, probes), work(probes, step), strict=True)
             if max(difference(*pair) for pair in pairs) <= table_error:
                 break
-    found = _solved_rows(partial(work, step=step), cases, f"{key}-{step}" if key else "")
+    batch = max(map(len, places.values())) if method == "lines" and step == 0 else 1
+    found = _solved_rows(partial(work, step=step), cases, batch, f"{key}-{step}" if key else "")
     numbers = {
         (int(m), int(n)) for s in found.values() for side in (s.reflected, s.transmitted) for m, n in side.numbers
     }
-    every = sorted({(m * x, n * y) for m, n in numbers for x, y in {(1, 1), *images}} - {(0, 0)})
-    place = {number: k for k, number in enumerate(every)}
-    shape = (thetas, azimuths + 1, len(wavelengths_nm))
-    mirror, passed = np.zeros(shape), np.zeros(shape)
-    reflected, transmitted = (
-        np.zeros((thetas, azimuths + 1, len(every), len(wavelengths_nm)), dtype=np.float32) for _ in range(2)
-    )
-    for (t, a), ((first, second), (x, y)) in source.items():
-        for w in range(len(wavelengths_nm)):
-            solution = found[first, second, w]
-            for side, target, others in (
-                (solution.reflected, mirror, reflected), (solution.transmitted, passed, transmitted)
-            ):  # fmt: skip
-                mean = np.maximum(side.efficiency.mean(axis=1), 0.0)
-                for (m, n), value in zip(side.numbers, mean, strict=True):
-                    if m == 0 and n == 0:
-                        target[t, a, w] = value
-                    else:
-                        others[t, a, place[int(m) * x, int(n) * y], w] = value
-    for part in (mirror, passed, reflected, transmitted):
-        part[:, -1] = part[:, 0]
+    every = sorted({(m * x, n * y) for m, n in numbers for x, y in {(1, 1), *images}} | {(0, 0)})
+    tables = []
+    for name in ("reflected", "transmitted"):
+        table = np.zeros((thetas, len(own), len(every), len(stacks)))
+        for (t, w), nodes in places.items():
+            row = _row([getattr(found[t, a, w], name) for a in range(len(nodes))], every)
+            table[t, :, :, w] = np.maximum(uneven[t, w].interpolate(row, grid), 0.0) if uneven else row
+        tables.append(_whole(table, source, own, every, azimuths))
+    zero = every.index((0, 0))
+    mirror, passed = (np.ascontiguousarray(table[:, :, zero]) for table in tables)
+    reflected, transmitted = (np.delete(table, zero, axis=2).astype(np.float32) for table in tables)
     cell = stack.cell
     lattice = cell.wave_vectors(np.array([[1, 0], [0, 1]])) / (2.0 * np.pi)
     # the error of the coarse solutions, at a few directions
-    some = cases[:: max(len(cases) // CHECKS, 1)] if _is_patterned(stack) else []
+    some = cases[:: max(len(cases) // CHECKS, 1)] if is_patterned else []
     error = 0.0
-    for (t, a, w), better in zip(some, in_workers(check, some), strict=True):
-        error = max(error, difference(found[t, a, w], better))
-    numbered = np.array(every, dtype=np.int64).reshape(-1, 2)
+    for case, better in zip(some, in_workers(check, some), strict=True):
+        error = max(error, difference(found[case], better))
+    numbered = np.array([number for number in every if number != (0, 0)], dtype=np.int64).reshape(-1, 2)
     made = OrderTables(mirror, passed, reflected, transmitted, numbered, lattice, error, 0.0)
     return replace(made, between=_between(made, stacks, wavelengths_nm, step)) if some else made
 
 
+def _row(sides: list[OrderSet], every: list[tuple[int, int]]) -> Array:
+    """Return the efficiencies for unpolarised light `[azimuth, order]`; 0 for orders that do not propagate."""
+    place = {number: k for k, number in enumerate(every)}
+    row = np.zeros((len(sides), len(every)))
+    for values, side in zip(row, sides, strict=True):
+        at = [place[m, n] for m, n in side.numbers.tolist()]
+        values[at] = np.maximum(side.efficiency.mean(axis=1), 0.0)
+    return row
+
+
+def _whole(
+    table: Array, source: dict[tuple[int, int], tuple[tuple[int, int], tuple[int, int]]], own: list[int],
+    every: list[tuple[int, int]], azimuths: int,
+) -> Array:  # fmt: skip
+    """Return a table over the whole turn from its solved azimuths, by mirror images."""
+    place = {number: k for k, number in enumerate(every)}
+    found = np.empty((table.shape[0], azimuths + 1, *table.shape[2:]))
+    for a in range(azimuths + 1):
+        (_, first), (x, y) = source[0, a % azimuths]
+        found[:, a] = table[:, own.index(first)][:, [place[m * x, n * y] for m, n in every]]
+    return found
+
+
 def _solved_rows(
-    work: Callable[[tuple[int, int, int]], OrderSolution], cases: list[tuple[int, int, int]], key: str
-) -> dict[tuple[int, int, int], OrderSolution]:
-    """Solve all cases; each incidence angle is stored once complete, so that an interrupted table resumes there."""
+    work: Callable[[list[tuple[int, int, int]]], list[OrderSolution]], cases: list[tuple[int, int, int]], batch: int,
+    key: str,
+) -> dict[tuple[int, int, int], OrderSolution]:  # fmt: skip
+    """Solve all cases, up to `batch` azimuths at once.
+
+    Each incidence angle is stored once complete, so that an interrupted table resumes there.
+    """
     rows: dict[int, list[tuple[int, int, int]]] = {}
     for case in cases:
         rows.setdefault(case[0], []).append(case)
@@ -164,23 +192,27 @@ def _solved_rows(
         stored = cached_arrays(f"{key}-{t}") if key else None
         if stored is not None:
             found |= zip(row, unpacked_solutions(stored), strict=True)
-    missing = [case for case in cases if case not in found]
-    left = Counter(t for t, _, _ in missing)
+    alike: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
+    for t, a, w in cases:
+        if (t, a, w) not in found:
+            alike.setdefault((t, w), []).append((t, a, w))
+    parts = [row[k : k + batch] for row in alike.values() for k in range(0, len(row), batch)]
+    left = Counter(part[0][0] for part in parts)
     seconds = dict.fromkeys(rows, 0.0)
 
-    def timed(case: tuple[int, int, int]) -> tuple[OrderSolution, float]:
+    def timed(part: list[tuple[int, int, int]]) -> tuple[list[OrderSolution], float]:
         start = time.perf_counter()
-        return work(case), time.perf_counter() - start
+        return work(part), time.perf_counter() - start
 
-    def keep(case: tuple[int, int, int], result: tuple[OrderSolution, float]) -> None:
-        t = case[0]
-        found[case] = result[0]
+    def keep(part: list[tuple[int, int, int]], result: tuple[list[OrderSolution], float]) -> None:
+        t = part[0][0]
+        found.update(zip(part, result[0], strict=True))
         seconds[t] += result[1]
         left[t] -= 1
         if key and not left[t] and seconds[t] > MIN_STORED_S:
             cache_arrays(f"{key}-{t}", packed_solutions([found[each] for each in rows[t]]))
 
-    in_workers(timed, missing, keep)
+    in_workers(timed, parts, keep)
     return found
 
 
@@ -195,7 +227,7 @@ def _between(tables: OrderTables, stacks: list[PeriodicStack], wavelengths_nm: A
     def solved(case: tuple[int, int]) -> OrderSolution:
         k, w = case
         theta, phi = 0.5 * np.pi * (t[k] + 0.5) / thetas, 2.0 * np.pi * (a[k] + 0.5) / azimuths + np.pi
-        return solve_coarse(stacks[w], float(wavelengths_nm[w]), float(theta), float(phi), step)
+        return solve_many([(stacks[w], float(wavelengths_nm[w]), float(theta), float(phi))], step)[0]
 
     mirror, others = (
         np.mean([part[t + i, a + j] for i in (0, 1) for j in (0, 1)], axis=0)

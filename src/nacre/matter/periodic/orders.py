@@ -12,11 +12,11 @@ import numpy as np
 from nacre.core.disk_cache import cache_arrays, cached_arrays
 from nacre.core.errors import UnsupportedError
 from nacre.core.jobs import in_workers
-from nacre.matter.periodic.solve import solve, solve_coarse
+from nacre.matter.periodic.solve import method_of, solve, solve_many
 from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Region
 from nacre.matter.periodic.types import Array
 
-VERSION = 5  # raised when numbers change, which invalidates stored solutions
+VERSION = 6  # raised when numbers change, which invalidates stored solutions
 MIN_STORED_S = 0.2  # solutions that take less are not stored
 
 
@@ -116,11 +116,14 @@ def coarse_orders(
     angles, grid = np.atleast_1d(angles_rad).astype(float), np.atleast_1d(wavelengths_nm).astype(float)
     stacks = [stack_at(float(w)) for w in grid]
     cases = [(a, w) for a in range(len(angles)) for w in range(len(grid))]
+    # lines are solved faster in one call
+    size = len(cases) if all(method_of(stack) == "lines" for stack in stacks) else 1
+    parts = [cases[k : k + size] for k in range(0, len(cases), size)]
+    phi = azimuth_rad + np.pi
     found = in_workers(
-        lambda case: solve_coarse(stacks[case[1]], float(grid[case[1]]), float(angles[case[0]]), azimuth_rad + np.pi),
-        cases,
+        lambda part: solve_many([(stacks[w], float(grid[w]), float(angles[a]), phi) for a, w in part]), parts
     )
-    return gathered(cases, found, angles, azimuth_rad, grid)
+    return gathered(cases, [each for part in found for each in part], angles, azimuth_rad, grid)
 
 
 def cached_solution(

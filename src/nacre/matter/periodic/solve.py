@@ -5,12 +5,13 @@ The structure determines the method. Two truncations estimate the error, and the
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from nacre.matter.periodic.crossed_solver import FOURIER_STEPS, RECTANGLE_STEPS, solve_fourier, solve_rectangles
+from nacre.matter.periodic.lamellar_solver import solve_lamellar
 from nacre.matter.periodic.line_solver import solve_lines, solve_profile
 from nacre.matter.periodic.structure import NotConvergedError, OrderSolution, PeriodicStack, Rectangle
 from nacre.matter.periodic.types import Array
@@ -53,20 +54,33 @@ RUNS: dict[str, tuple[Callable[..., OrderSolution], tuple[int, ...]]] = {
 
 
 def size_count(stack: PeriodicStack) -> int:
-    """Return the number of sizes that are tried."""
-    return len(RUNS[method_of(stack)][1])
+    """Return the number of sizes of `solve_coarse`."""
+    method = method_of(stack)
+    return len(RUNS[method][1]) + (method == "lines")
 
 
 def solve_coarse(
     stack: PeriodicStack, wavelength_nm: float, theta_rad: float, phi_rad: float, step: int = 0
 ) -> OrderSolution:
-    """Return the orders at one size, without an estimate of their error, for tables over directions.
+    """Return the orders at one size, without an estimate of their error.
 
     Args:
         step: number of the size, 0 for the smallest.
     """
-    run, sizes = RUNS[method_of(stack)]
-    return run(stack, 2.0 * np.pi / wavelength_nm, theta_rad, phi_rad, sizes[step])
+    return solve_many([(stack, wavelength_nm, theta_rad, phi_rad)], step)[0]
+
+
+def solve_many(cases: Sequence[tuple[PeriodicStack, float, float, float]], step: int = 0) -> list[OrderSolution]:
+    """Return `solve_coarse` of many cases; lines of the smallest size at once, which takes a tenth of the time."""
+    waves = [(stack, 2.0 * np.pi / wavelength, theta, phi) for stack, wavelength, theta, phi in cases]
+    methods = [method_of(case[0]) for case in waves]
+    together = [k for k, method in enumerate(methods) if method == "lines" and step == 0]
+    found = dict(zip(together, solve_lamellar([waves[k] for k in together]), strict=True))
+    for k, (wave, method) in enumerate(zip(waves, methods, strict=True)):
+        if k not in found:
+            run, sizes = RUNS[method]
+            found[k] = run(*wave, sizes[step - (method == "lines")])
+    return [found[k] for k in range(len(waves))]
 
 
 def solve(

@@ -11,6 +11,7 @@ from nacre.core.errors import NacreError
 from nacre.matter.periodic.types import Array
 
 MAX_UNKNOWNS = 1500  # of one system: some ten seconds
+NORMAL = 1e-14  # smaller transverse wave numbers are zero
 CLEAR_K = 1e-6  # a substrate with a smaller k transmits orders
 
 
@@ -169,6 +170,15 @@ def check_unknowns(count: int, k0: float) -> None:
         )
 
 
+def incident_wave(stack: PeriodicStack, theta_rad: float, phi_rad: float) -> tuple[Array, float, Array]:
+    """Return the transverse wave vector over k0 `[2]`, k_z / k0, and (E_x, E_y) `[2, in]` of unit s and p waves."""
+    sine, cosine = np.sin(theta_rad), np.cos(theta_rad)
+    c, s = np.cos(phi_rad), np.sin(phi_rad)
+    transverse = stack.cover * sine * np.array([c, s])
+    transverse[np.abs(transverse) < NORMAL] = 0.0
+    return transverse, float(stack.cover * cosine), np.array([[-s, -cosine * c], [c, -cosine * s]])
+
+
 def propagating(stack: PeriodicStack, k0: float, transverse: Array, index: float) -> tuple[Array, Array]:
     """Return the numbers `[order, 2]` and the transverse wave vectors over k0 `[order, 2]` of orders in a medium."""
     cell = stack.cell
@@ -184,17 +194,18 @@ def order_set(
     numbers: Array,
     transverse: Array,
     tangential: Array,
-    index: float,
+    index: Array | float,
     is_up: bool,
-    incident: tuple[float, float, float],
+    incident: tuple[Array | float, Array | float],
 ) -> OrderSet:
     """Return orders from their tangential fields.
 
     Args:
         tangential: `[order, 2, in]`, E_x and E_y.
-        incident: azimuth of the transverse part of the incident wave, its k_z / k0 (positive), and cover index.
+        index: of the medium, or `[order]`.
+        incident: azimuth of the transverse part of the incident wave, and its k_z / k0 (positive), or `[order]`.
     """
-    azimuth, k_z_in, _ = incident
+    azimuth, k_z_in = incident
     length = np.hypot(transverse[:, 0], transverse[:, 1])
     is_normal = length < 1e-12
     safe = np.where(is_normal, 1.0, length)

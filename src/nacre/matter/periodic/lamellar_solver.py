@@ -1,0 +1,392 @@
+"""Orders of layers of lines, conical incidence included, for many wavelengths and directions at once.
+
+E_y, E_z and H_x take continuous piecewise polynomials across the lines, E_x, H_y and H_z discontinuous ones (see
+`line_basis`); plane waves join the cover and the substrate by their integrals with these functions. With
+e = (E_x, E_y), f = (H_y, -H_x), the derivative G, the masses M and M_e (weighted by epsilon) of the continuous
+functions, D = epsilon, and b = k_y, the fields obey
+
+    de/dz = i P f,  P = [[1 - G M_e^-1 G*, i b G M_e^-1], [-i b M_e^-1 G*, M^-1 - b^2 M_e^-1]],
+    df/dz = i Q e,  Q = [[D - b^2, -i b G], [i b G*, M_e - G* G]].
+
+P Q separates into the LSM modes (H_x = 0), a scalar problem for E_x, and the LSE modes (E_x = 0; Li, J. Mod. Opt. 40,
+553 (1993)), as the exact equations do. Without loss P and Q are Hermitian, so that energy and reciprocity hold at any
+size. The tangents of `slab` take a tenth of the time of eigenvectors. Arrays begin with the axis of the cases.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from nacre.core.quadrature import gauss_legendre
+from nacre.matter.periodic.line_basis import LineMesh, assemble, gauss_values, regions
+from nacre.matter.periodic.scattering_matrix import outgoing_root, scatter, tangent_over_root, uniform_modes
+from nacre.matter.periodic.structure import (
+    OrderSet,
+    OrderSolution,
+    PatternLayer,
+    PeriodicStack,
+    Rectangle,
+    check_unknowns,
+    empty_orders,
+    incident_wave,
+    order_set,
+    propagating,
+)
+from nacre.matter.periodic.types import Array
+
+Case = tuple[PeriodicStack, float, float, float]
+Blocks = list[list[Array]]
+LARGEST_TANGENT = 1e4  # of a layer at a resonance between its faces: more loses digits, and two halves take its place
+GRAZING = 1e-13  # smaller squares of k_z / k0 are this
+FINENESS = 18.0  # plane waves to each side, in a period or a wavelength
+RESOLUTION = 0.09  # plane waves to each side over (degree + 1)^2 / length: with it the errors of both cancel most
+CHUNK = 5e5  # numbers in one matrix of all cases
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """Both spaces of polynomials with the Bloch phases of each case, on a period of length 1.
+
+    Attributes:
+        mesh: the elements.
+        region: `[function]`, the element of each discontinuous function.
+        mass: `[element, node, node]`, before periodicity.
+        phase: `[case]`.
+        slope: `[case, function, function]`, G.
+        alpha, numbers: `[case, wave]`, of plane waves, over k0, and their orders.
+        flat, smooth: `[case, function, wave]`, their integrals with discontinuous and with continuous functions.
+    """
+
+    mesh: LineMesh
+    region: Array
+    mass: Array
+    phase: Array
+    slope: Array
+    alpha: Array
+    numbers: Array
+    flat: Array
+    smooth: Array
+
+    def masses(self, values: Array) -> Array:
+        """Return `[case, function, function]` with weights `[case, element]`."""
+        full = np.tensordot(values, self.mass, axes=1).astype(complex)
+        last = len(self.mesh.edges) - 1
+        full[:, 0] += self.phase.conj()[:, None] * full[:, last]
+        full[:, :, 0] += self.phase[:, None] * full[:, :, last]
+        keep = np.delete(np.arange(full.shape[1]), last)
+        return full[:, keep[:, None], keep]
+
+
+def is_patterned(layer: PatternLayer) -> bool:
+    """Whether a layer has a shape of another permittivity."""
+    return any(epsilon != layer.epsilon for _, epsilon in layer.shapes)
+
+
+def solve_lamellar(cases: Sequence[Case]) -> list[OrderSolution]:
+    """Return the orders of lamellar layers for each (stack, k0, theta, phi), to some 3e-4, with metal 1e-3."""
+    found: dict[int, OrderSolution] = {}
+    groups: dict[object, list[int]] = {}
+    for k, (stack, k0, theta, phi) in enumerate(cases):
+        if any(is_patterned(layer) for layer in stack.layers):
+            shapes = tuple(tuple(shape for shape, _ in layer.shapes) for layer in stack.layers)
+            groups.setdefault((stack.cell, shapes, bool(incident_wave(stack, theta, phi)[0][1])), []).append(k)
+        else:
+            found[k] = flat_orders(stack, k0, theta, phi)
+    for group in groups.values():
+        stacks = {id(stack): stack for stack in (cases[k][0] for k in group)}
+        starts, middles = _walls(cases[group[0]][0])
+        values = {name: _values(stack, middles) for name, stack in stacks.items()}
+        meshes: dict[LineMesh, list[int]] = {}
+        for k in group:
+            stack, k0 = cases[k][:2]
+            meshes.setdefault(_mesh(starts / stack.cell.period_x, values[id(stack)], stack, k0), []).append(k)
+        for mesh, members in meshes.items():
+            check_unknowns(2 * mesh.size, cases[members[0]][1])
+            step = max(1, int(CHUNK / (2 * mesh.size) ** 2))
+            for first in range(0, len(members), step):
+                part = members[first : first + step]
+                epsilon = np.array([values[id(cases[k][0])] for k in part])
+                found |= zip(part, _solved([cases[k] for k in part], mesh, epsilon), strict=True)
+    return [found[k] for k in range(len(cases))]
+
+
+def _walls(stack: PeriodicStack) -> tuple[Array, Array]:
+    lines = [s for layer in stack.layers for s, _ in layer.shapes if isinstance(s, Rectangle)]
+    return regions(stack.cell.period_x, np.array([x for line in lines for x in (line.x_0, line.x_1)]))
+
+
+def _mesh(starts: Array, values: Array, stack: PeriodicStack, k0: float) -> LineMesh:
+    """Return one element between neighbouring walls of any layer, on a period of length 1.
+
+    The fields at the edges of the walls are singular. Polynomials of degree p on a length h resolve them to some
+    h / p^2, and each element is made to resolve them alike; it also resolves the waves of the largest index in it.
+
+    Args:
+        starts: walls over the period.
+        values: permittivity `[layer, region]`.
+    """
+    length = k0 * stack.cell.period_x
+    sizes = np.diff(starts, append=starts[0] + 1.0)
+    turns = 0.5 * length * sizes * np.maximum(np.sqrt(values).real.max(axis=0), stack.reach)
+    # a polynomial needs half a degree for each radian, and a few more to converge
+    waves = turns + 1.5 * turns ** (1.0 / 3.0) + 2.0 * np.minimum(1.0, turns)
+    edges = np.sqrt(FINENESS * max(1.0, length / (2.0 * np.pi)) * sizes / RESOLUTION) - 1.0
+    # even degrees: fewer meshes, and more cases share one
+    degrees = 2 * np.ceil(0.5 * np.maximum(waves, edges)).astype(int)
+    return _assembled(tuple(starts.tolist()), tuple(np.maximum(degrees, 2).tolist()))
+
+
+@lru_cache(maxsize=64)
+def _assembled(starts: tuple[float, ...], degrees: tuple[int, ...]) -> LineMesh:
+    return assemble(1.0, np.array([*starts, starts[0] + 1.0]), degrees)
+
+
+def _values(stack: PeriodicStack, middles: Array) -> Array:
+    """Return the permittivity `[layer, region]`."""
+    return np.array([values_at(layer, middles, stack.cell.period_x) for layer in stack.layers])
+
+
+def values_at(layer: PatternLayer, x: Array, period: float) -> Array:
+    """Return the permittivity at points across the lines."""
+    values = np.full(len(x), complex(layer.epsilon))
+    for shape, epsilon in layer.shapes:
+        assert isinstance(shape, Rectangle)
+        middle, half = 0.5 * (shape.x_0 + shape.x_1), 0.5 * (shape.x_1 - shape.x_0)
+        values[np.abs((x - middle + 0.5 * period) % period - 0.5 * period) < half] = epsilon
+    return values
+
+
+def _solved(cases: list[Case], mesh: LineMesh, values: Array) -> list[OrderSolution]:
+    """Solve cases that share a mesh; `values` are the permittivities `[case, layer, region]`."""
+    stacks = [case[0] for case in cases]
+    incidences = [incident_wave(stack, theta, phi) for stack, _, theta, phi in cases]
+    k0, transverse = np.array([case[1] for case in cases]), np.array([each[0] for each in incidences])
+    incident, k_y = np.array([each[2] for each in incidences]).astype(complex), transverse[:, 1]
+    length = k0 * stacks[0].cell.period_x
+    resolved = RESOLUTION * np.mean((np.array(mesh.degrees) + 1.0) ** 2 / np.diff(mesh.edges))
+    reach = max(stack.reach for stack in stacks) * length.max() / (2.0 * np.pi)
+    space = _space(mesh, int(np.ceil(max(resolved, reach + 2.0))), length, transverse[:, 0])
+    above, below = (
+        _admittance(np.array(index) ** 2 + 0j, space.alpha, k_y[:, None])
+        for index in ([s.cover for s in stacks], [s.substrate for s in stacks])
+    )
+    states: list[tuple[Array, ...]] = []
+    for at in range(values.shape[1]):
+        depth = np.array([stack.layers[at].thickness_nm for stack in stacks]) * k0
+        states += _states(space, values[:, at], depth, k_y)
+    # incident e of each plane wave: that of order 0
+    wave = np.where(space.numbers[:, None, :, None] == 0, incident[:, :, None], 0.0)
+    joints = space.flat, space.smooth
+    if np.any(k_y):
+        up, down = _through(joints, above, [_joined(space, k_y, *s) for s in states], below, wave)
+    else:  # E_x and E_y are apart
+        apart = []
+        for k, joint in enumerate(joints):
+            layers = [(1j * q @ t, 1j * t @ p) for t, p, q in (s[3 * k : 3 * k + 3] for s in states)]
+            apart.append(_through((joint,), [[above[k][k]]], layers, [[below[k][k]]], wave[:, [k]]))
+        up, down = (np.concatenate(both, axis=1) for both in zip(*apart, strict=True))
+    reflected = _sides(cases, incidences, space, up - wave, True)
+    transmitted = _sides(cases, incidences, space, down, False)
+    return [OrderSolution(r, t, np.inf, mesh.size, "lines") for r, t in zip(reflected, transmitted, strict=True)]
+
+
+@lru_cache(maxsize=32)
+def _fixed(mesh: LineMesh, half: int) -> tuple[Array, Array, Array, Array, Array]:
+    """Return what is common to all phases.
+
+    Returns:
+        mass: `[region, node, node]` before periodicity, and slope: `[function, node]`.
+        points: `[point]`, for the integrals.
+        weighted: `[node, point]`, the continuous functions.
+        waves: `[point, wave]`, plane waves of orders -half to half.
+    """
+    nodes = mesh.size + 1
+    mass, slope = np.zeros((len(mesh.degrees), nodes, nodes)), np.zeros((mesh.size, nodes))
+    points, weighted, row = [], [], 0
+    for k, degree in enumerate(mesh.degrees):
+        here, h = mesh.places[k], mesh.edges[k + 1] - mesh.edges[k]
+        mass[k][np.ix_(here, here)] = mesh.mass[k]
+        slope[row : row + degree, here] = mesh.slopes[k]
+        order = degree // 2 + 6 + int(0.5 * np.pi * h * half) + 2
+        x, w = gauss_legendre(order)
+        wide = np.zeros((nodes, order))
+        wide[here] = gauss_values(degree, order)[0] * (0.5 * h * w)
+        points.append(mesh.edges[k] + 0.5 * h * (x + 1.0))
+        weighted.append(wide)
+        row += degree
+    at = np.concatenate(points)
+    return mass, slope, at, np.hstack(weighted), np.exp(2j * np.pi * np.outer(at, np.arange(-half, half + 1)))
+
+
+def _space(mesh: LineMesh, half: int, length: Array, alpha_0: Array) -> Space:
+    """Return both spaces with `half` plane waves to each side; `length` is the period times k0."""
+    last = len(mesh.edges) - 1
+    mass, slope, points, weighted, waves = _fixed(mesh, half)
+    phase = np.exp(1j * alpha_0 * length)
+    shift = -np.round(alpha_0 * length / (2.0 * np.pi)).astype(int)
+    numbers = np.arange(-half, half + 1) + shift[:, None]
+    alpha = alpha_0[:, None] + 2.0 * np.pi * numbers / length[:, None]
+    smooth = (weighted * np.exp(1j * np.outer(alpha[:, half] * length, points))[:, None]) @ waves
+    flat = _flat_integrals(mesh, alpha * length[:, None], smooth)
+    smooth[:, 0] += phase.conj()[:, None] * smooth[:, last]
+    slopes = np.repeat(slope[None].astype(complex), len(length), axis=0)
+    slopes[:, :, 0] += phase[:, None] * slope[:, last]
+    return Space(
+        mesh, np.repeat(np.arange(len(mesh.degrees)), mesh.degrees), mass, phase,
+        np.delete(slopes, last, axis=2) / length[:, None, None], alpha, numbers, flat, np.delete(smooth, last, axis=1),
+    )  # fmt: skip
+
+
+def _flat_integrals(mesh: LineMesh, turns: Array, smooth: Array) -> Array:
+    """Return the integrals with discontinuous functions: the constants, and the derivatives of the bubbles.
+
+    Args:
+        turns: wave numbers times the period `[case, wave]`.
+        smooth: integrals with the continuous functions `[case, node, wave]`.
+    """
+    rows = []
+    for k, places in enumerate(mesh.places):
+        h = mesh.edges[k + 1] - mesh.edges[k]
+        constant = np.sqrt(h) * np.sinc(turns * (0.5 * h / np.pi)) * np.exp(1j * turns * mesh.centers[k])
+        rows += [constant[:, None], (-1j * np.sqrt(h)) * turns[:, None] * smooth[:, places[2:]]]
+    return np.concatenate(rows, axis=1)
+
+
+def _admittance(epsilon: Array, alpha: Array, k_y: Array) -> Blocks:
+    """Return f / e `[2][2][case, wave]` of plane waves that go up."""
+    squared = epsilon[:, None] - alpha**2 - k_y**2
+    gamma = outgoing_root(np.where(np.abs(squared) < GRAZING, GRAZING, squared))
+    mixed = alpha * k_y / gamma
+    return [[(epsilon[:, None] - k_y**2) / gamma, mixed], [mixed, (epsilon[:, None] - alpha**2) / gamma]]
+
+
+def _states(space: Space, values: Array, depth: Array, k_y: Array) -> list[tuple[Array, ...]]:
+    """Return T, P and Q of the LSM problem and T, P and Q of the LSE problem, at k_y = 0 but for T; once or twice.
+
+    Args:
+        values: permittivity `[case, region]`.
+        depth: `[case]`, thickness times k0.
+    """
+    identity = np.eye(len(space.region))
+    up, masses = space.slope.conj().swapaxes(1, 2), space.masses(values)
+    p_x = identity - space.slope @ np.linalg.solve(masses, up)
+    q_x = values[:, space.region][:, :, None] * identity
+    p_y, q_y = np.linalg.inv(space.masses(np.ones_like(values))), masses - up @ space.slope
+    squared = np.concatenate([p_x @ q_x, p_y @ q_y]) - np.tile(k_y**2, 2)[:, None, None] * identity
+    for count in (1, 2):
+        half = np.tile(0.5 * depth / count, 2)[:, None, None]
+        tangent = half * tangent_over_root(half**2 * squared)
+        if np.abs(tangent).max() < LARGEST_TANGENT * np.abs(half).max():
+            break
+    t_x, t_y = np.split(tangent, 2)
+    return [(t_x, p_x, q_x, t_y, p_y, q_y)] * count
+
+
+def _joined(
+    space: Space, k_y: Array, t_x: Array, p_x: Array, q_x: Array, t_y: Array, p_y: Array, q_y: Array
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return f / e of the even state and e / f of the odd one of a layer in conical incidence."""
+    b = k_y[:, None, None]
+    up = space.slope.conj().swapaxes(1, 2)
+    masses = q_y + up @ space.slope
+    mixed = np.linalg.solve(q_y, -1j * b * up)  # E_y over E_x of the LSM modes
+    tangent = _blocks([[t_x, 0.0 * t_x], [mixed @ t_x - t_y @ mixed, t_y]])
+    inverse = np.linalg.inv(masses)
+    crossed = 1j * b * space.slope @ inverse
+    p = _blocks([[p_x, crossed], [-1j * b * inverse @ up, p_y - b**2 * inverse]])
+    q = _blocks([[q_x - b**2 * np.eye(len(space.region)), -1j * b * space.slope], [1j * b * up, q_y]])
+    return 1j * q @ tangent, 1j * tangent @ p
+
+
+def _blocks(rows: Blocks) -> Array:
+    return np.concatenate([np.concatenate(row, axis=2) for row in rows], axis=1)
+
+
+def _through(
+    joints: Sequence[Array], above: Blocks, layers: list[tuple[Array, Array]], below: Blocks, wave: Array
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return the total e of plane waves at the upper and at the lower face, `[case, component, wave, in]`.
+
+    Args:
+        joints: integrals of each component with the plane waves.
+        layers: f / e of the even state and e / f of the odd one, from the top down.
+        wave: incident e, in the same form.
+    """
+    adjoint = [joint.conj().swapaxes(1, 2) for joint in joints]
+
+    def surface(y: Blocks) -> Array:
+        return _blocks([[a * y[i][j][:, None] @ b for j, b in enumerate(adjoint)] for i, a in enumerate(joints)])
+
+    def found(e: Array) -> Array:
+        return np.stack([a @ part for a, part in zip(adjoint, np.split(e, len(adjoint), axis=1), strict=True)], axis=1)
+
+    admittance = -surface(below)
+    identity = np.eye(admittance.shape[1])
+    steps: list[tuple[Array, Array]] = []
+    magnetic = admittance
+    for even, odd in reversed(layers):
+        if steps:
+            admittance = np.linalg.solve(steps[-1][1].swapaxes(1, 2), magnetic.swapaxes(1, 2)).swapaxes(1, 2)
+        partner = np.linalg.solve(identity + admittance @ odd, even + admittance)  # f of the odd state, per even e
+        opposed = odd @ partner
+        magnetic = even + partner
+        steps.append((opposed, identity + opposed))
+    source = np.concatenate(
+        [
+            sum(a @ (y[..., None] * wave[:, j]) for j, y in enumerate(row))
+            for a, row in zip(joints, above, strict=True)
+        ], axis=1,
+    )  # fmt: skip
+    amplitudes = np.linalg.solve(surface(above) @ steps[-1][1] - magnetic, 2.0 * source)
+    top = lower = steps[-1][1] @ amplitudes
+    for opposed, electric in reversed(steps):
+        amplitudes = np.linalg.solve(electric, lower)
+        lower = amplitudes - opposed @ amplitudes
+    return found(top), found(lower)
+
+
+def _sides(
+    cases: list[Case], incidences: list[tuple[Array, float, Array]], space: Space, fields: Array, is_up: bool
+) -> list[OrderSet]:  # fmt: skip
+    """Return the orders that propagate on one side, for e of the plane waves `[case, component, wave, in]`."""
+    k_y = np.array([each[0][1] for each in incidences])
+    index = np.array([s.cover if is_up else s.substrate.real if s.is_clear else 0.0 for s, _, _, _ in cases])
+    case, wave = np.nonzero(index[:, None] ** 2 - space.alpha**2 - k_y[:, None] ** 2 > GRAZING)
+    numbers = np.stack([space.numbers[case, wave], np.zeros(len(case), dtype=int)], axis=1)
+    k_z = np.array([each[1] for each in incidences])[case]
+    azimuth = np.array([phi for _, _, _, phi in cases])[case]
+    found = order_set(
+        numbers, np.stack([space.alpha[case, wave], k_y[case]], axis=1), fields[case, :, wave], index[case], is_up,
+        (azimuth, k_z),
+    )  # fmt: skip
+    ends = np.searchsorted(case, np.arange(len(cases) + 1))
+    return [
+        OrderSet(found.numbers[a:b], found.direction[a:b], found.jones[a:b], found.efficiency[a:b])
+        for a, b in zip(ends[:-1], ends[1:], strict=True)
+    ]
+
+
+def flat_orders(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float) -> OrderSolution:
+    """Return the orders of unpatterned layers: all but the zero order are dark."""
+    transverse, k_z, incident = incident_wave(stack, theta_rad, phi_rad)
+    alpha, beta = transverse[:1], transverse[1:]
+    up, down = scatter(
+        uniform_modes(stack.cover**2, alpha, beta),
+        [uniform_modes(layer.epsilon, alpha, beta) for layer in stack.layers],
+        [layer.thickness_nm * k0 for layer in stack.layers],
+        uniform_modes(stack.substrate**2, alpha, beta),
+        incident.astype(complex),
+    )
+
+    def side(amplitudes: Array, index: float, is_up: bool) -> OrderSet:
+        numbers, waves = propagating(stack, k0, transverse, index)
+        fields = np.zeros((len(numbers), 2, 2), dtype=complex)
+        fields[np.all(numbers == 0, axis=1)] = amplitudes
+        return order_set(numbers, waves, fields, index, is_up, (phi_rad, k_z))
+
+    transmitted = side(down, stack.substrate.real, False) if stack.is_clear else empty_orders()
+    return OrderSolution(side(up, stack.cover, True), transmitted, 0.0, 1, "lines")

@@ -1,0 +1,129 @@
+"""The fast solver of lines: reference gratings, exact laws, resonances, and batches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers_grating import recipe, reference
+
+import nacre
+from nacre.core.parallel import single_threaded_blas
+from nacre.matter.periodic.lamellar_solver import solve_lamellar
+from nacre.matter.periodic.scattering_matrix import tangent_over_root
+from nacre.matter.periodic.solve import difference, solve_coarse, solve_many
+from nacre.matter.periodic.structure import Cell, OrderSolution, PatternLayer, PeriodicStack, Rectangle
+
+Wave = tuple[PeriodicStack, float, float, float]
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Solve as the product does: matrices are too small for several threads."""
+    with single_threaded_blas():
+        yield
+
+
+def wave(made: dict[str, Any], wavelength_nm: float, theta_deg: float, phi_deg: float) -> Wave:
+    model: Any = nacre.load(made).model
+    stack = model.stacks(np.array([wavelength_nm]))[0]
+    return stack, wavelength_nm, float(np.radians(theta_deg)), float(np.radians(phi_deg))
+
+
+def lines(*layers: tuple[float, complex, float], period: float = 420.0, substrate: complex = 1.5) -> PeriodicStack:
+    """Return ridges of a thickness, a permittivity and a width, in air."""
+    made = [
+        PatternLayer(d, 1.0, ((Rectangle(-0.5 * width, 0.5 * width), epsilon),)) for d, epsilon, width in layers
+    ]  # fmt: skip
+    return PeriodicStack(Cell(period), 1.0, tuple(made), substrate)
+
+
+def total(found: OrderSolution) -> np.ndarray:
+    return found.reflected.efficiency.sum(axis=0) + found.transmitted.efficiency.sum(axis=0)
+
+
+def test_one_small_size_reaches_the_bars_of_the_reference() -> None:
+    z = reference()
+    worst = {False: 0.0, True: 0.0}
+    chosen = [i for i in range(len(z["shape"])) if str(z["shape"][i]) == "lamellar"]
+    waves = [
+        wave(recipe(i), 1e3 * float(z["wavelength"][i]), float(z["theta_deg"][i]), float(z["phi_deg"][i]))
+        for i in chosen
+    ]  # fmt: skip
+    for i, found in zip(chosen, solve_many(waves), strict=True):
+        sides = found.reflected, found.transmitted
+        values = [dict(zip(s.numbers[:, 0].tolist(), s.efficiency, strict=True)) for s in sides]
+        for k in range(int(z["order_start"][i]), int(z["order_stop"][i])):
+            change = values[int(z["order_side"][k])][int(z["order_m"][k])] - z["order_efficiency"][k]
+            worst[bool(z["is_metal"][i])] = max(worst[bool(z["is_metal"][i])], float(np.abs(change).max()))
+    assert worst[False] <= 3e-4 and worst[True] <= 1.5e-3  # the bars of converged solutions
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.6])
+def test_energy_holds_at_the_smallest_size(phi: float) -> None:
+    # two ridges that do not align, deep against the wavelength
+    stack = lines((900.0, 6.0, 130.0), (40.0, 2.1, 250.0))
+    found = solve_lamellar([(stack, 2.0 * np.pi / w, 0.5, phi) for w in np.linspace(380.0, 800.0, 12)])
+    assert max(np.abs(total(each) - 1.0).max() for each in found) <= 1e-8
+
+
+def test_orders_are_reciprocal_at_the_smallest_size() -> None:
+    stack = lines((150.0, complex(-30.0, 8.0), 500.0), period=1100.0, substrate=complex(1.0, 6.0))
+    k0 = 2.0 * np.pi / 550.0
+    there = solve_lamellar([(stack, k0, 0.4, 0.7)])[0].reflected
+    back = [(stack, k0, float(np.arccos(d[2])), float(np.arctan2(-d[1], -d[0]))) for d in there.direction]
+    for number, jones, found in zip(there.numbers, there.efficiency, solve_lamellar(back), strict=True):
+        again = found.reflected.efficiency[np.all(found.reflected.numbers == number, axis=1)][0]
+        assert again.mean() == pytest.approx(jones.mean(), abs=1e-8)
+
+
+@pytest.mark.parametrize("phi", [0.0, np.pi, 0.8])
+def test_amplitudes_approach_those_of_the_finer_solver(phi: float) -> None:
+    stack = lines((110.0, 5.0, 170.0), (60.0, 2.25, 300.0))
+    coarse, fine = (solve_coarse(stack, 530.0, 0.4, phi, step) for step in (0, 2))
+    assert difference(coarse, fine) <= 3e-4
+    for a, b in ((coarse.reflected, fine.reflected), (coarse.transmitted, fine.transmitted)):
+        assert np.array_equal(a.numbers, b.numbers)
+        assert np.abs(a.direction - b.direction).max() <= 1e-12
+        assert np.abs(a.jones - b.jones).max() <= 3e-3  # of amplitudes; the smallest efficiencies are their squares
+
+
+def test_a_half_wave_film_is_no_pole() -> None:
+    # a film of half a wave between two patterns: the tangent of its uniform mode is infinite
+    grating = PatternLayer(80.0, 1.0, ((Rectangle(-90.0, 90.0), 4.0),))
+    film = PatternLayer(125.0, 4.0)
+    stack = lines((80.0, 4.0, 180.0))
+    full = PeriodicStack(stack.cell, 1.0, (grating, film), 1.5)
+    found = solve_lamellar([(full, 2.0 * np.pi / 500.0, 0.0, 0.0)])[0]
+    assert np.abs(total(found) - 1.0).max() <= 1e-8
+    assert difference(found, solve_coarse(full, 500.0, 0.0, 0.0, 2)) <= 3e-4
+
+
+def test_a_grazing_order_is_finite() -> None:
+    stack = lines((100.0, complex(-40.0, 9.0), 200.0), period=400.0)
+    found = solve_many([(stack, w, 0.0, 0.0) for w in (400.0, 400.001)])
+    assert all(np.all(np.isfinite(f.reflected.jones)) for f in found)
+    assert all(np.all(total(f) <= 1.0) for f in found)
+
+
+def test_a_batch_equals_its_cases() -> None:
+    stacks = [lines((120.0, complex(e, 0.1), 200.0)) for e in (4.0, 12.0, 30.0)] + [PeriodicStack(
+        lines().cell, 1.0, (PatternLayer(90.0, 2.0),), 1.5
+    )]  # fmt: skip
+    waves = [(s, w, t, p) for s in stacks for w in (420.0, 700.0) for t, p in ((0.0, 0.0), (0.9, 0.0), (0.9, 2.0))]
+    for one, many in zip([solve_many([w])[0] for w in waves], solve_many(waves), strict=True):
+        assert np.array_equal(one.reflected.numbers, many.reflected.numbers)
+        assert difference(one, many) <= 1e-10
+
+
+def test_tangents_of_a_wide_spectrum() -> None:
+    g = np.random.default_rng(3)
+    vectors = np.linalg.qr(g.normal(size=(30, 30)))[0]
+    values = np.concatenate([g.uniform(-5.0, 40.0, 8), -np.logspace(1.0, 7.0, 22)])
+    u = (vectors * values) @ vectors.T
+    root = np.sqrt(values.astype(complex))
+    expected = (vectors * (np.tan(root) / root)) @ vectors.T
+    # the rounding of u itself moves its small eigenvalues by 1e-9
+    assert np.abs(tangent_over_root(u) - expected).max() <= 1e-5 * np.abs(expected).max()
