@@ -231,6 +231,14 @@ def test_a_table_of_heights_spans_the_period(tmp_path: Path, span: float, is_all
         nacre.material(made, tmp_path)
 
 
+def test_tables_of_directions_state_that_they_miss_narrow_orders() -> None:
+    from nacre.formats.lobes import lost_parts
+
+    found = nacre.material(compact_disc()).bsdf(np.array([550.0]))
+    flat = nacre.material({"family": "film", "substrate": "Al"}).bsdf(np.array([550.0]))
+    assert len(lost_parts(found)) == len(lost_parts(flat)) + 1
+
+
 def test_disorder_moves_light_from_orders_to_a_diffuse_part() -> None:
     lam = np.array([500.0, 600.0])
     wi = np.array([0.0, 0.0, 1.0])

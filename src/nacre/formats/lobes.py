@@ -8,6 +8,7 @@ import numpy as np
 
 from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import is_isotropic as is_isotropic
+from nacre.bsdf.lobes.orders import OrdersLobe
 from nacre.bsdf.lobes.table import TableLobe
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import UnsupportedError
@@ -25,7 +26,14 @@ MAX_COMPARED = 20_000
 
 
 def lost_parts(bsdf: Bsdf) -> list[str]:
-    return delta_lost(bsdf) + (["transmission and the lower side"] if bsdf.transmits else [])
+    lost = delta_lost(bsdf) + (["transmission and the lower side"] if bsdf.transmits else [])
+    return lost + narrow_lost(bsdf)
+
+
+def narrow_lost(bsdf: Bsdf) -> list[str]:
+    """Return the remark on diffraction orders, whose width a grid of directions does not resolve."""
+    widths = [np.degrees(lobe.width) for lobe in bsdf.lobes if isinstance(lobe, OrdersLobe)]
+    return [f"orders {min(widths):.2g} degrees wide between the directions of the file's grid"] if widths else []
 
 
 def delta_lost(bsdf: Bsdf) -> list[str]:

@@ -14,6 +14,7 @@ from nacre.bsdf import Bsdf
 from nacre.core.arrays import Array, direction
 from nacre.core.files import atomic_path
 from nacre.formats.export_formats import refuse_unsuitable
+from nacre.formats.lobes import narrow_lost
 from nacre.readers.bsdf.rgl import MAGIC, TYPES, Warp
 from nacre.readers.bsdf.rgl import RglBsdf as RglBsdf
 from nacre.readers.bsdf.rgl import read_tensor as read_tensor
@@ -128,7 +129,7 @@ def write_rgl(path: str | Path, bsdf: Bsdf, description: str = "", **options: An
         lost.append("transmission and the lower side are left out")
     if np.any(bsdf.specular(np.radians([0.0, 45.0, 80.0])).reflectance > 1e-6):
         lost.append("the mirror-like (delta) part is left out")
-    return lost
+    return lost + narrow_lost(bsdf)
 
 
 def _f_cos(bsdf: Bsdf, grid: Array, wi: Array, m: Array) -> Array:
