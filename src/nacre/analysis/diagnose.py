@@ -479,7 +479,7 @@ class _Row:
 
 @dataclass(frozen=True, eq=False)
 class StackBatch:
-    """Values of observations as functions of the thicknesses.
+    """Observed values as functions of the thicknesses.
 
     Attributes:
         thicknesses_nm: `[layer]`, of the recipe.
@@ -562,7 +562,7 @@ def _coherent_stack(made: Material) -> Stack | None:
 
 
 def _rows(observations: Sequence[Any], stack: Stack) -> tuple[_Row, ...] | None:
-    """Return the spectra of the observations, or None if one is no reflectance of a smooth surface."""
+    """Return the observed spectra, or None if one is not a reflectance of a smooth surface."""
     rows = []
     known: dict[bytes, ComplexArray] = {}
     for each in observations:

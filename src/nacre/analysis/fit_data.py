@@ -1,4 +1,4 @@
-"""Data of a fit: several measurements of one sample, and CIELAB colours at several geometries."""
+"""Fit data: several measurements of one sample, and CIELAB colours at several geometries."""
 
 from __future__ import annotations
 

@@ -287,7 +287,7 @@ class Scatter:
 
 
 def _mirrors(bsdf: Bsdf, steady: Bsdf | None, powers: Array, to_rgb: ToRgb) -> list[Gloss]:
-    """Return the glossy part of scattered light in three channels, over `VIEW_DEG`, as factors of white mirrors.
+    """Return the glossy part of scattered light in three channels, over `VIEW_DEG`, relative to white mirrors.
 
     Args:
         steady: the same material without noise, if it has such a form.
@@ -346,7 +346,7 @@ def _smooth(values: Array) -> Array:
 
 
 def _lobe(steady: Bsdf | None, transmits: bool, to_rgb: ToRgb) -> tuple[Picture | None, tuple[str, ...]]:
-    """Return the texture of scattered light without noise, if any, and descriptions of lost properties."""
+    """Return the noise-free scattered texture, if any, and descriptions of lost properties."""
     lost = ("GLSL: light that is scattered to the other side",) if transmits else ()
     about = "scattered light, pi f 2 cos_i cos_o / (cos_i + cos_o), over half angle, difference angle and its azimuth"
     if steady is None:

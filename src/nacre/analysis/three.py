@@ -88,7 +88,7 @@ def _share(mask: Texture) -> Share:
 
 
 def even_pictures(table: LightTable) -> tuple[dict[str, Picture], tuple[float, ...]]:
-    """Return colours under uniform light over the angle of view, and the roughness of each band of "gloss".
+    """Return colours under uniform light over the view angle, and the roughness of each "gloss" band.
 
     "albedo": all reflected light; "through": directly transmitted light; "spread": scattered light in all directions,
     each with a band for each side; "gloss": about the mirror direction, with a band for each width. A closure's colour

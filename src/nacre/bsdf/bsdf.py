@@ -144,7 +144,7 @@ class Spectrum:
 def is_isotropic(bsdf: Bsdf) -> bool:
     """Whether the values are invariant under rotation about the normal, tested at a few pairs.
 
-    The lobes of orders of a grating are too narrow for this test and are never invariant.
+    The lobes of grating orders are too narrow for this test and are never invariant.
     """
     if any(lobe.kind == "orders" for lobe in bsdf.lobes):
         return False

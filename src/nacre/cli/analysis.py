@@ -315,7 +315,7 @@ def runsheet(
     recipe: str, wavelength_nm: float, angle_deg: float, quantity: str, noise: float, as_json: bool,
     outputs: tuple[str, ...], changes: tuple[str, ...],
 ) -> None:  # fmt: skip
-    """Print the optical monitor signal, turning points and stop criterion of each layer of RECIPE."""
+    """Print each layer's optical monitor signal, turning points and stop criterion."""
     from nacre.analysis.run_sheet import make_run_sheet, run_sheet_csv, run_sheet_document, run_sheet_text
     from nacre.core.files import check_writable, write_text
 

@@ -174,7 +174,7 @@ FORMULAS: dict[str, Callable[[ArrayLike, ArrayLike], Array]] = {
 def colour_difference(
     lab: ArrayLike, other: ArrayLike, formula: str = "ciede2000", aspecular_deg: ArrayLike | None = None
 ) -> Array:
-    """Return the difference `[...]` of colours from a standard `lab` by a formula of `FORMULAS`, or "din6175-2".
+    """Return colour differences `[...]` from a standard `lab` by a formula of `FORMULAS`, or "din6175-2".
 
     Args:
         aspecular_deg: `[...]`, for "din6175-2" only.

@@ -127,7 +127,7 @@ REFERENCE_NM = 550.0
 
 
 def colour_step_nm(optical_thickness_nm: float = 0.0, finesse: float = 1.0) -> float:
-    """Return the wavelength step at which a stack's colour is within 0.5 dE00 of a grid of 1 nm or finer.
+    """Return the wavelength step at which a stack's colour is within 0.5 dE00 of a 1 nm or finer grid.
 
     Film fringes repeat every lambda^2 / (2 n d). The step samples each fringe 20 times at 550 nm, or 40 times if high
     finesse sharpens it.

@@ -23,7 +23,7 @@ STANDARD_LIGHT = ("C", "2deg")  # for gloss and haze: ISO 2813, ASTM D523, E430 
 FLOP_LIGHT = ("D65", "10deg")  # ASTM E2194, with the angles of Alman's index
 ASPECULAR_DEG = (-15.0, 15.0, 25.0, 45.0, 75.0, 110.0)  # ASTM E2194 and E2539, and the sixth angle of newer devices
 GLOSS_BLACK_GLASS_INDEX = 1.567  # ISO 2813: refractive index at 587.6 nm
-# ISO 2813: full angles of the receptor in the plane of incidence and across it
+# ISO 2813: full receptor angles in the incidence plane and across it
 GLOSS_APERTURES_DEG = {20.0: (1.80, 3.60), 60.0: (4.40, 11.70), 85.0: (4.00, 6.00)}
 HAZE_INCIDENCE_DEG = 30.0  # ASTM E430, test method B: reflection haze 2 degrees off the specular direction
 HAZE_OFFSET_DEG = 2.0
@@ -58,7 +58,7 @@ def rectangular_aperture(centre_deg: float, in_plane_deg: float, across_deg: flo
     along, along_weight = _graded(np.radians(in_plane_deg) / 2, nodes)
     across, across_weight = _graded(np.radians(across_deg) / 2, nodes)
     a, b = np.meshgrid(along, across, indexing="ij")
-    # a rotates in the plane of incidence, b out of it along a great circle
+    # a rotates in the incidence plane, b out of it along a great circle
     polar = np.radians(centre_deg) + a
     wo = np.stack([-np.sin(polar) * np.cos(b), np.sin(b), np.cos(polar) * np.cos(b)], axis=-1).reshape(-1, 3)
     weight = (along_weight[:, None] * across_weight[None, :] * np.cos(b)).ravel()

@@ -105,7 +105,7 @@ class Instrument(RecipeModel):
 
 @dataclass(frozen=True)
 class TextureQuantity(Geometry):
-    """A number of texture in the place of a geometry; its "spectrum" is that number at every wavelength.
+    """A texture value in place of a geometry; its "spectrum" is that number at every wavelength.
 
     `kind` is "sparkle" (the grade), "intensity", "area" or "graininess", and `theta_deg` the angle of the lamp.
 
@@ -239,7 +239,7 @@ def texture_values(
 ) -> tuple[Array, Array]:
     """Return numbers of texture `[quantity]` in closed form, calibrated where pairs are measured, and standard errors.
 
-    The tables of the flakes are cached, as most candidates of a search share them.
+    Flake tables are cached, as most search candidates share them.
 
     Args:
         material: anything with `name`, `model` and `context`.

@@ -3,7 +3,7 @@
 The library of pigments and dyes and the paint to match are files. All combinations of the library's ingredients are
 refined on a two-stream model of the paint; the best ones are corrected by the doubling method at their own point and
 refined again until they rest (space mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
-Texture enters after the first stage, linear in the logarithms of the fractions about the start of each refinement.
+Texture enters after the first stage, linear in the log fractions about each refinement's start.
 Answers are evaluated by a random walk.
 """
 
@@ -44,7 +44,7 @@ from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, RecipeModel, vali
 from nacre.recipe.path_tables import GeometrySpec
 from nacre.recipe.toml import parse_toml
 
-LEAST_TEXTURE, TEXTURE_STEP = 1e-9, 0.05  # relative step of a volume fraction for derivatives of texture
+LEAST_TEXTURE, TEXTURE_STEP = 1e-9, 0.05  # relative volume fraction step for texture derivatives
 MOST_ANSWERS = 20
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 Fraction = Annotated[float, pydantic.Field(ge=0.0, le=0.3)]
@@ -510,7 +510,7 @@ class _Paint:
         return texture_values(made, self.task.quantities, fidelity=fidelity)[0]
 
     def texture_model(self, at: Array) -> TextureModel | None:
-        """Return numbers of texture `[quantity]` by volume fractions, as products of powers about a point."""
+        """Return texture values `[quantity]` by volume fractions, as products of powers about a point."""
         if not self.task.quantities:
             return None
         centre = np.array(self.fractions(at))

@@ -213,7 +213,7 @@ def _spectrum_difference(operand: Operand, seen: Array) -> Array:
 
 
 def texture_deviation(low: float | None, high: float | None, value: ArrayLike) -> Array:
-    """Return the deviation of numbers `[...]` from a range in per cent of its nearer end; 0 inside."""
+    """Return by how many per cent of the nearer end numbers `[...]` leave a range; 0 inside."""
     found = np.asarray(value, dtype=float)
     above = np.zeros_like(found) if high is None else np.maximum(found - high, 0.0) / (high or 1.0)
     below = np.zeros_like(found) if low is None else np.minimum(found - low, 0.0) / (low or 1.0)

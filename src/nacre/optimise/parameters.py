@@ -265,7 +265,7 @@ def changes_of(material: Material, parameters: Sequence[Parameter], values: Sequ
 
 
 def values_of(material: Material, parameters: Sequence[Parameter], changes: Mapping[str, Any]) -> list[Any] | None:
-    """Return the parameter values of recipe changes, the inverse of `changes_of`; None if they do not fit."""
+    """Return parameter values from recipe changes, the inverse of `changes_of`; None if they do not fit."""
     try:
         data = material.vary(changes).data
     except NacreError:

@@ -230,7 +230,7 @@ def plausible(lab: Array, where: str, given: Any) -> Array:
 
 
 def _texture_target(spec: TargetEntry, key: str, tool: Instrument, light: tuple[str, str]) -> Target:
-    """Return the target of a number of texture."""
+    """Return the target for a texture value."""
     assert spec.quantity is not None
     at = TextureQuantity.named(spec.quantity, f"{key}.quantity", tool, light)
     if spec.polarisation != "both":

@@ -1,4 +1,4 @@
-"""Figures of measured data (spectra, ellipsometric angles, constants, height maps, colours) and of fits to them."""
+"""Figures: measured data (spectra, ellipsometric angles, constants, height maps, colours) and fits to them."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ PROGRAMS = (
 
 
 def sniff(head: FileHead) -> float:
-    """Return 1 for the first lines of one of the programs."""
+    """Return 1 for the first lines that one of these programs writes."""
     return CERTAIN if _program(head.text[:LENGTH]) else 0.0
 
 

@@ -119,7 +119,7 @@ def _of_gltf(path: Path) -> set[Path]:
 
 
 def _of_scene(path: Path) -> set[Path]:
-    """Return the files of a scene and of the scenes that it includes, which share parameters and folders."""
+    """Return a scene's files and those that it includes, which share parameters and folders."""
     names: set[str] = set()
     folders, parameters, read = {path.parent}, dict[str, str](), set[Path]()
     todo = [path]

@@ -142,7 +142,7 @@ def _item(value: Any) -> Any:
 
 
 def open_parts(data: Mapping[str, Any], paths: Iterable[str], folder: Path) -> dict[str, Any]:
-    """Return a copy of a recipe with a table in place of every nested file that a path leads into.
+    """Return a recipe copy with a table in place of every nested file that a path leads into.
 
     `first.layers[0].thickness_nm` inlines the recipe that `first = {recipe = "film.toml"}` names.
 
@@ -160,7 +160,7 @@ def open_parts(data: Mapping[str, Any], paths: Iterable[str], folder: Path) -> d
 
 
 def open_all(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a copy of a recipe with tables in place of all nested files, at any depth.
+    """Return a recipe copy with tables in place of all nested files, at any depth.
 
     Raises:
         RecipeError: a nested recipe cannot be read.
@@ -213,7 +213,7 @@ def _moved(value: Any, folder: Path) -> Any:
 
 
 def plain_data(data: Any, source: str) -> dict[str, Any]:
-    """Return a copy of a recipe's dictionary with Python types in place of numpy types.
+    """Copy a recipe's dictionary, with Python types in place of numpy types.
 
     Raises:
         RecipeError: not a table, a key that is not text, too deep nesting, or an integer of over 64 bits.

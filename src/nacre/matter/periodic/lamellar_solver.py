@@ -1,4 +1,4 @@
-"""Orders of layers of lines, conical incidence included, for many wavelengths and directions at once.
+"""Orders of line layers, conical incidence included, for many wavelengths and directions at once.
 
 E_y, E_z and H_x take continuous piecewise polynomials across the lines, E_x, H_y and H_z discontinuous ones (see
 `line_basis`); plane waves join the cover and the substrate by their integrals with these functions. With
@@ -289,7 +289,7 @@ def _states(space: Space, values: Array, depth: Array, k_y: Array) -> list[tuple
 def _joined(
     space: Space, k_y: Array, t_x: Array, p_x: Array, q_x: Array, t_y: Array, p_y: Array, q_y: Array
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Return f / e of the even state and e / f of the odd one of a layer in conical incidence."""
+    """Return a layer's f / e in the even state and e / f in the odd one, at conical incidence."""
     b = k_y[:, None, None]
     up = space.slope.conj().swapaxes(1, 2)
     masses = q_y + up @ space.slope

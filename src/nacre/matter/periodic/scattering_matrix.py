@@ -146,7 +146,7 @@ def tangent_over_root(u: Array) -> Array:
         return np.asarray(found)
     thin = 0.5**doublings
     even, odd = (1j / thin) * (u @ above), (1j * thin) * above
-    # reflectances of the even and of the odd state, whose mean and half difference are those of the slab
+    # reflectances in the even and odd states; their mean and half difference are the slab's
     symmetric, opposite = np.linalg.solve(below - even, below + even), -np.linalg.solve(below - odd, below + odd)
     reflected, passed = 0.5 * (symmetric + opposite), 0.5 * (symmetric - opposite)
     for _ in range(doublings):

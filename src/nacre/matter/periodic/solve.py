@@ -54,7 +54,7 @@ RUNS: dict[str, tuple[Callable[..., OrderSolution], tuple[int, ...]]] = {
 
 
 def size_count(stack: PeriodicStack) -> int:
-    """Return the number of sizes of `solve_coarse`."""
+    """Return how many sizes `solve_coarse` has."""
     method = method_of(stack)
     return len(RUNS[method][1]) + (method == "lines")
 
@@ -71,7 +71,7 @@ def solve_coarse(
 
 
 def solve_many(cases: Sequence[tuple[PeriodicStack, float, float, float]], step: int = 0) -> list[OrderSolution]:
-    """Return `solve_coarse` of many cases; lines of the smallest size at once, which takes a tenth of the time."""
+    """Return `solve_coarse` for many cases; lines with the smallest size at once, in a tenth of the time."""
     waves = [(stack, 2.0 * np.pi / wavelength, theta, phi) for stack, wavelength, theta, phi in cases]
     methods = [method_of(case[0]) for case in waves]
     together = [k for k, method in enumerate(methods) if method == "lines" and step == 0]

@@ -1,4 +1,4 @@
-"""Pixels of a picture: sRGB to CIELAB and back, and the mask of a field of pixels whose structures differ."""
+"""Picture pixels: sRGB to CIELAB and back, and the mask for pixels whose structures differ."""
 
 from __future__ import annotations
 

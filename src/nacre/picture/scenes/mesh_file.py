@@ -30,7 +30,7 @@ def creased(
 ) -> tuple[NDArray[np.int64], Array, NDArray[np.int64]]:
     """Return normals, and split vertices along sharp edges.
 
-    The normal of a face's corner is the mean of the normals of all faces at its position within `crease_deg` of the
+    A face corner's normal is the mean normal over all faces at its position within `crease_deg` of the
     face, weighted by their angles there.
 
     Returns:
@@ -74,7 +74,7 @@ def _corner_angles(corners: Array) -> Array:
 
 
 def _within(order: NDArray[np.int64], counts: NDArray[np.int64], unit: Array, weight: Array, cosine: float) -> Array:
-    """Return the weighted sum of face normals at each corner, over faces within the angle of the corner's own."""
+    """Return the weighted sum of face normals at each corner, over faces within the angle from the corner's own."""
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     repeat = np.repeat(counts, counts)  # partners of each sorted corner
     first = np.repeat(np.arange(len(order)), repeat)

@@ -34,7 +34,7 @@ def sniff(head: FileHead) -> float:
 
 
 def _layer(lines: list[str]) -> str:
-    """Return the layer type of a file of parameters: its second line; else ""."""
+    """Return the layer type in a parameter file: its second line; else ""."""
     word = lines[1].strip() if len(lines) > 2 else ""
     return word if word.upper() in LAYERS else ""
 

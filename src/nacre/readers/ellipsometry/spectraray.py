@@ -35,7 +35,7 @@ def sniff(head: FileHead) -> float:
 
 
 def _bare_angles(lines: list[str]) -> list[float]:
-    """Return the angles of a first line that holds each of them twice or sixteen times behind an empty cell."""
+    """Return the angles in a first line that holds each twice or sixteen times behind an empty cell."""
     match = BARE.match(lines[0].rstrip("\t,; ")) if len(lines) > 2 else None
     found = (numbers(match[1]) or []) if match else []
     sizes = {len(list(same)) for _, same in groupby(found)}

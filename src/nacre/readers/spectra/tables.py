@@ -300,9 +300,9 @@ def _columns(
     notes: Notes,
     ordinate: str,
 ) -> list[Measurement]:
-    """Return one spectrum per column of values; a column of uncertainties belongs to the column before.
+    """Return one spectrum per value column; an uncertainty column belongs to the column before.
 
-    Headings that are angles, such as "15°", are angles of incidence. `ordinate` states the quantity of an only column
+    Headings that are angles, such as "15°", are incidence angles. `ordinate` states the quantity of an only column
     whose heading does not.
     """
     place = _axis(names)
