@@ -1,8 +1,9 @@
 """Render the pictures that README and gallery show, and store them small in docs/images.
 
 `python docs/make_images.py` makes all; names after it make some: `hero`, `glass`, `sem`, `afm`, `feather`,
-`layer-off`, `car-paint`, `gallery`, or names of the gallery. `--demo DIR` takes the gallery's and the hero's from what `make demo OUT=DIR` made, which shows the same.
-They are committed, so that the documentation builds in minutes; make them anew when a picture has changed.
+`layer-off`, `car-paint`, `gallery`, or names of the gallery. `--demo DIR` takes the pictures of gallery and hero from
+the folder of `make demo OUT=DIR`. The pictures are committed, so the documentation builds in minutes; make them anew
+when one has changed.
 """
 
 from __future__ import annotations
@@ -219,7 +220,7 @@ def make_feather(scratch: Path) -> Path:
 
 
 def make_layer_off(scratch: Path) -> Path:
-    """Draw the spectra of the page: of the recipe, of the run and of the recipe as it was made."""
+    """Draw the page's spectra: of the recipe, the run, and the recipe as made."""
     from nacre.cli import run
     from nacre.plot.style import house_style, new_figure
 
@@ -245,7 +246,7 @@ def make_layer_off(scratch: Path) -> Path:
 
 
 def make_car_paint(scratch: Path) -> Path:
-    """Draw what the camera sees of the two silvers of the page, which differ in their diameter."""
+    """Draw the camera pictures of the page's two silvers, which differ in flake diameter."""
     from nacre.measure.texture import measure_texture
     from nacre.plot import texture_figure
 

@@ -58,7 +58,7 @@ def write_painting(path: Path) -> None:
 
 
 def write_pane(path: Path) -> None:
-    """Write a pane of glass with a disc of moth-eye, whose ridges reflect hardly any light."""
+    """Write a glass pane with a disc of moth-eye structure, which reflects hardly any light."""
     path.write_text(
         'family = "blend"\nmask = {formula = "step(sqrt((u - 0.5)^2 + (v - 0.5)^2), 0.3)"}\n'
         f'first = {{recipe = "{(RECIPES / "moth-eye.toml").as_posix()}"}}\n'
