@@ -11,6 +11,7 @@ from nacre.core.errors import NacreError
 from nacre.optimise.colour_list import read_colours
 from nacre.readers.heights.maps import read_map
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
+from nacre.readers.preamble import light_above
 from nacre.readers.registry import open_file
 
 NM = range(400, 701, 20)
@@ -66,6 +67,39 @@ def test_headings_that_are_angles(tmp_path: Path) -> None:
         found = open_file(path, options)
         assert [each.metadata["angle_of_incidence_deg"] for each in found] == [0.0, 15.0, 45.0]
         np.testing.assert_allclose(found[2].data["reflectance"][0], 0.504)
+
+
+def test_aspecular_angles_as_headings_are_no_incidence(tmp_path: Path) -> None:
+    found = open_file(written(tmp_path, "s.csv", "Wavelength (nm),-15°,15°,110°\n" + rows(0.3, 0.4, 0.5)))
+    assert not any("angle_of_incidence_deg" in each.metadata for each in found)
+
+
+@pytest.mark.parametrize("heading", ["LightIntensity", "RawIntensity", "Lichtintensität", "rel_intensity"])
+def test_an_intensity_in_one_word_is_no_reflectance(heading: str, tmp_path: Path) -> None:
+    (found,) = open_file(written(tmp_path, "s.csv", f"Wavelength (nm),{heading}\n" + rows(0.3)))
+    assert "counts" in found.data
+
+
+@pytest.mark.parametrize(
+    ("line", "lamp"),
+    [("Light source: a halogen lamp", None), ("Illumination: A diffuse sphere", None), ("Illuminant A 2 deg", "A"),
+     ("Illuminant: C, observer: 2", "C"), ("Illuminant A and observer 1964", "A"), ("illuminant\td65", "D65")],
+)  # fmt: skip
+def test_an_article_is_no_illuminant(line: str, lamp: str | None) -> None:
+    assert light_above([line]).get("illuminant") == lamp
+
+
+def test_a_chosen_format_without_its_heading(tmp_path: Path) -> None:
+    with pytest.raises(NacreError):
+        open_file(written(tmp_path, "s.txt", "a\n" + rows(30.0)), ReadOptions(format="spectraray"))
+
+
+def test_rows_of_heights_that_begin_with_a_tab(tmp_path: Path) -> None:
+    z = np.sin(np.outer(np.arange(6.0), np.arange(7.0)) * 1.3)
+    text = "".join("\t" + "\t".join(f"{value:.6f}" for value in row) + "\n" for row in z)
+    path = written(tmp_path, "m.txt", text)
+    (found,) = open_file(path, ReadOptions(format="matrix", unit="um", pitch_um=(0.1, 0.1)))
+    np.testing.assert_allclose(found.data["height_um"], z, atol=1e-5)
 
 
 def test_a_report_of_a_coating_in_two_polarisations(tmp_path: Path) -> None:

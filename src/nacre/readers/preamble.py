@@ -24,7 +24,8 @@ _OTHER_ANGLE = re.compile(
     r"polari[sz]er|analy[sz]er|azimuth|rotat|turned|detect|view|collect|retarder|plate", re.IGNORECASE
 )
 _LAMP = re.compile(
-    r"(?i)\b(?:illuminant|illumination|light source|lamp)\w*\W+([a-f]\d{1,2}|[ace]|fl\d{1,2}|tl84|cwf)\b"
+    r"(?i)\b(?:illuminant|illumination|light source|lamp)\w*\W+"
+    r"([a-f]\d{1,2}|(?-i:[ACE])(?!\s+(?!observer|and|with|for|cie)[a-z])|fl\d{1,2}|tl84|cwf)\b"  # not an article
 )
 _OBSERVER = re.compile(r"(?i)\bobserver\w*\W+(?:angle\W+)?(?:cie\W*)?(10|2|1931|1964)\b|\b(?:D\d\d|A)\s*/\s*(10|2)\b")
 _INCIDENCE = re.compile(r"aoi|inciden|einfall", re.IGNORECASE)

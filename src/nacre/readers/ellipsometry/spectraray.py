@@ -52,7 +52,9 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
     """
     lines = text_lines(path)
     bare = _bare_angles(lines)
-    start = 0 if bare else next(i for i, line in enumerate(lines) if HEADING.match(line))
+    start = 0 if bare else next((i for i, line in enumerate(lines) if HEADING.match(line)), None)
+    if start is None:
+        raise NacreError(f"{path}: has no heading of {MAKER}, such as ; WAVELENGTH 70 70")
     match = HEADING.match(lines[start])
     angles = bare or numbers(match[2] if match else "") or []
     rows = []

@@ -27,7 +27,8 @@ WIDE = 16  # columns from which a table without headings is more likely a map
 
 def _rows(text: str) -> list[str]:
     rows = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("#", "%", "//"))]
-    if rows and rows[0].lstrip(" ")[:1] in ("\t", ",", ";"):
+    empty = [row.lstrip(" ")[:1] in ("\t", ",", ";") for row in rows[:2]]
+    if empty == [True, False]:
         rows[0] = f"nan{rows[0]}"  # the corner of the coordinates
     return rows
 

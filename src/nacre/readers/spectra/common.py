@@ -34,7 +34,7 @@ _QUANTITIES: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
         ("absorbance", r"absorban|absorb\b|log\s*\(?\s*1\s*/\s*[rt]|^abs\b|^abs$|^a$|^a\.u\.$|^od$|optical density|"
                        r"extin[ck]t|absorption|吸光度"),
         ("irradiance", r"irradiance|radiance|[uµμm]?w\s*/\s*(?:cm|m)|[uµμ]w|luminous|bestrahlung"),
-        ("counts", r"counts?\b|\bcnts?\b|^scope|\bintens|^adc|^dark$|^dn\b|single[ -]?beam|^raw\b|^energy"),
+        ("counts", r"counts?\b|\bcnts?\b|^scope|\bintens|intensit|^adc|^dark$|^dn\b|single[ -]?beam|^raw\b|^energy"),
         ("reflectance", r"reflect|r[ée]fle[ck]|rfl|^%?\s*r\s*%?$|^r\s*[\[(]?\s*%|^%\s*r\b|反射率|\bbrf\b|^refl"),
         ("transmittance", r"transmi|^%?\s*t\s*%?$|^t\s*[\[(]?\s*%|^%\s*t\b|透過率|^trans\b"),
     )

@@ -340,7 +340,8 @@ def _columns(
         path, table[:, place], [(name, table[:, column]) for name, (column, _) in zip(said, spectra)], options, notes
     )
     angles = [degrees(names[column]) for column, _ in spectra]
-    if None in angles or options.angle_deg is not None:
+    is_incidence = all(angle is not None and 0.0 <= angle < 90.0 for angle in angles)  # 110 and -15 are aspecular
+    if not is_incidence or options.angle_deg is not None:
         angles = [None] * len(spectra)
     else:
         notes.assumed.append("the headings are angles of incidence")
