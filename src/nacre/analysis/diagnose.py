@@ -1,12 +1,12 @@
 """Diagnosis of a finished coating run: which number of the recipe was off, from spectra or colours.
 
-Bayesian inference with the recipe's `[tolerance]` as Gaussian prior and Gaussian measurement noise. Two models are
+Bayesian inference with the recipe's `[tolerance]` as Gaussian prior and Gaussian measurement noise. The models are
 compared by their evidence in Laplace's approximation (MacKay 2003, Information Theory, Inference, and Learning
-Algorithms, chapter 28): exactly one cause deviates, for each cause; and all causes deviate at once, whose maximum a
-posteriori and posterior covariance come from Gauss-Newton.
+Algorithms, chapter 28). In the first, exactly one cause deviates; in the second, all causes deviate at once, and
+Gauss-Newton gives the maximum a posteriori and the posterior covariance.
 
-A diagnosis evaluates a film thousands of times. If its numbers move the thicknesses of one coherent stack linearly,
-all points are one call of the batched solver (`nacre.matter.stack.solve.powers`).
+A diagnosis evaluates a film thousands of times. If its numbers change the thicknesses of one coherent stack linearly,
+the batched solver computes all points in one call (`nacre.matter.stack.solve.powers`).
 """
 
 from __future__ import annotations
@@ -160,7 +160,7 @@ class Diagnosis:
         advice = f" {self.advice}" if self.advice else ""
         if self.verdict == "ambiguous":
             names = ", ".join(f"{s.name} ({s.probability:.2f})" for s in likely)
-            return f"The cause cannot be told apart from this measurement: {names}.{advice}"
+            return f"The measurement does not distinguish these causes: {names}.{advice}"
         if self.verdict == "several causes":
             sure = np.flatnonzero((self.factor_errors < DETERMINED) & (np.abs(self.factors) > 2 * self.factor_errors))
             moved = ", ".join(f"{self.names[i]} {self.factors[i]:+.2f} +- {self.factor_errors[i]:.2f}" for i in sure)

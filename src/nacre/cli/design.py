@@ -414,7 +414,7 @@ def _rematch(task: Any, batch: str, made: Path, answer: int, as_json: bool) -> N
     try:
         document = json.loads(read_text(made / SUMMARY, "formulation"))
         if document["status"] == STARTED:
-            raise NacreError(f"{made / SUMMARY}: its answers were not all written; run nacre formulate again")
+            raise NacreError(f"{made / SUMMARY}: is incomplete; run nacre formulate again")
         amounts = document["formulas"][answer - 1]["volume_fractions"]
     except (ValueError, KeyError, IndexError, TypeError):
         raise NacreError(f"{made / SUMMARY}: has no answer {answer}") from None

@@ -229,7 +229,7 @@ def diagnose(
         click.echo(json.dumps(diagnosis_document(result)))
         return
     click.echo(result.text)
-    click.echo("  single cause                                  probability   deviations        chi-squared")
+    click.echo("  single cause                                  probability   deviation / sigma chi-squared")
     for each in result.suspects[:10]:
         click.echo(f"    {each.name:44s} {each.probability:8.3f}   {each.factor:+7.2f} +- {each.factor_error:.2f}"
                    f"   {each.chi2:10.1f}")  # fmt: skip

@@ -15,7 +15,7 @@ EIGENVALUE_NODES = 100  # numpy solves a dense eigenvalue problem, a quarter of 
 def gauss_legendre(count: int) -> tuple[Array, Array]:
     """Return nodes on [-1, 1], ascending, and weights, both `[count]` and read-only.
 
-    Long rules follow from Newton steps on the Legendre polynomial from Tricomi's estimates of its roots.
+    Long rules come from Newton steps on the Legendre polynomial, which start at Tricomi's estimates.
 
     Example:
         >>> x, weight = gauss_legendre(300)

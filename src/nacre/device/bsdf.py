@@ -181,7 +181,7 @@ def make_plugin(lobe: Lobe) -> LobePlugin[Any]:
 LINEAR_KINDS = ("specular", "microfacet", "diffuse", "table", "aligned-specular", "aligned-microfacet")
 CHANNELS = np.array([1.0, 2.0, 3.0])  # in place of wavelengths: red, green, blue
 NODES = (64, 46, 37)  # of a table: root of the half angle, difference angle, its azimuth
-HORIZON = 1e-3  # least cosine at a node
+HORIZON = 1e-3  # smallest cosine at a node
 
 
 def projected_to_rgb(bsdf: Bsdf) -> Bsdf:
@@ -192,7 +192,7 @@ def projected_to_rgb(bsdf: Bsdf) -> Bsdf:
     difference angles if it is isotropic and reflects only.
 
     Raises:
-        UnsupportedError: a lobe has neither form, such as a random walk or the orders of a grating.
+        UnsupportedError: a lobe allows neither, such as a random walk or the orders of a grating.
     """
     matrix = spectrum_to_rgb_matrix(bsdf.wavelengths_nm)
     return dataclasses.replace(
@@ -214,13 +214,13 @@ def _tabulated(lobe: Lobe, matrix: Array) -> TableLobe:
     """Return the table of a lobe in three channels.
 
     Raises:
-        UnsupportedError: it is random, transmits, reflects as a mirror, or depends on the azimuth.
+        UnsupportedError: it is random, transmits, reflects specularly, or depends on the azimuth.
     """
     mirror = lobe.specular(np.linspace(0.1, 1.0, 5)).reflectance
     reason = (
         'is a random walk (not with quality = "fast")' if lobe.is_stochastic
         else "transmits light" if lobe.transmits
-        else "reflects as a mirror too" if mirror.max() > 0.0
+        else "also reflects specularly" if mirror.max() > 0.0
         else "depends on the azimuth" if not is_isotropic(Bsdf((lobe,)))
         else ""
     )  # fmt: skip

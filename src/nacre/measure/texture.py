@@ -477,7 +477,7 @@ class _Scene:
         flakes = tuple(self.flakes[id(model)].diffuse())
         assert isinstance(model, ResolvedFlakes)
         black = model.over_black
-        self.kept.append(black)  # so that its id stays its own
+        self.kept.append(black)  # so that its id is not reused
         from_base = mean - self._hemisphere(black)
         passed = math.exp(-sum(f.coverage * (1.0 - _mean_transmittance(f.facing, f.transmittance)) for f in flakes))
         base = min(max(from_base / passed, 0.0), 1.0) if passed > LEAST_PASSED else 0.0

@@ -48,7 +48,7 @@ class TargetResult:
         target_lab: `[3]`, target colour, or the nearest one of a range; None for a spectrum and for texture.
         distance: dE00, a spectrum rms in per cent, or the deviation of texture in per cent.
         noise: Monte Carlo standard error of the distance.
-        number: number of texture that is reached.
+        number: texture value reached.
     """
 
     target: Target

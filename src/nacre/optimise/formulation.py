@@ -2,8 +2,8 @@
 
 The library of pigments and dyes and the paint to match are files. All combinations of the library's ingredients are
 refined on a two-stream model of the paint; the best ones are corrected by the doubling method at their own point and
-refined again until they rest (space mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
-Texture enters after the first stage, linear in the log fractions about each refinement's start.
+refined again until they converge (space mapping: Bandler et al., IEEE Trans. Microwave Theory Tech. 42, 2536 (1994)).
+After the first stage texture is a product of powers of the volume fractions about each refinement's start.
 Answers are evaluated by a random walk.
 """
 
@@ -231,7 +231,7 @@ class Ingredient:
 
 @dataclass(frozen=True)
 class Formula:
-    """An answer.
+    """One formulation.
 
     Attributes:
         material: the paint's recipe.

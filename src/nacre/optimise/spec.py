@@ -102,13 +102,13 @@ class TargetEntry(RecipeModel):
     quantity: str | None = pydantic.Field(
         json_schema_extra={"enum": list(QUANTITY_NAMES)},
         default=None,
-        description="instead of geometry and colour: a number of texture, such as sparkle_45 (grade), intensity_15, "
-        "area_75 or graininess, of a pearl whose flakes have a diameter",
+        description="instead of geometry and colour: sparkle, its intensity or area at a lamp angle in degrees, or "
+        "graininess, of a pearl whose flakes have a diameter",
         examples=["sparkle_45"],
     )
     value: Positive | str | Bounds | None = pydantic.Field(
         default=None,
-        description='of quantity: the number, a bound such as ">=1.5", or both ends of a range',
+        description='with quantity: the number, a bound such as ">=1.5", or both ends of a range',
         examples=[1.2],
     )
     tolerance: Positive = pydantic.Field(
@@ -145,7 +145,7 @@ class TargetEntry(RecipeModel):
             raise ValueError(f"{'value' if self.value is None else 'quantity'} is missing; a texture target has both")
         if self.quantity is not None:
             if self.geometry is not None:
-                raise ValueError(f"has quantity and geometry; the name holds the angle: keep {self.quantity}")
+                raise ValueError(f"has quantity and geometry; {self.quantity} states the angle, remove geometry")
             return self
         if (self.geometry is None) == (self.directions is None):
             raise ValueError("has directions and geometry; keep one" if self.geometry else "geometry is missing")

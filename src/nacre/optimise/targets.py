@@ -241,9 +241,9 @@ def _texture_target(spec: TargetEntry, key: str, tool: Instrument, light: tuple[
         bounds: tuple[float | None, float | None] = (float(value), float(value))
     else:
         assert value is not None
-        bounds = _bounds(value, f"{key}.value", '">=1.5", "<=3" or [1.5, 3]')
+        bounds = _bounds(value, f"{key}.value", '1.5, ">=1.5", "<=3" or [1.5, 3]')
     if not any(bounds) or bounds[1] == 0.0:
-        raise RecipeError(f"{key}.value = {show_value(asked['value'])}: the deviation is in per cent of it; above 0")
+        raise RecipeError(f"{key}.value = {show_value(asked['value'])} is not above 0; deviations are relative to it")
     return Target(at, asked, spec.tolerance, spec.weight, key, texture=bounds)
 
 
@@ -264,7 +264,7 @@ def _bounds(given: str | tuple[float, float], where: str, forms: str) -> tuple[f
         return (bound, None) if match[1] == ">=" else (None, bound)
     low, high = given
     if not 0 <= low <= high:
-        raise RecipeError(f"{where} = {show_value([low, high])}: the first number should not be above the second")
+        raise RecipeError(f"{where} = {show_value([low, high])} is not two ascending numbers from 0")
     return given
 
 

@@ -46,7 +46,7 @@ MAX_COMB_CELLS = 1 << 18
 MAX_COMB_SHARE = 0.9
 
 
-UNIFORM_SHARE = 0.1  # of the samples of a table, in place of the table
+UNIFORM_SHARE = 0.1  # share of samples that are drawn uniformly, not from the table
 RidgeT = TypeVar("RidgeT", Ridge, RidgeTable)
 
 

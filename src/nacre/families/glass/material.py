@@ -112,7 +112,7 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """How much dense balls, whole at the faces, reflect beyond the model."""
+        """Error of the reflectance of dense balls that are whole at the faces."""
         densest = max((each.composite.volume_fraction for each in self.layers if isinstance(each.composite, Balls)),
                       default=0.0)  # fmt: skip
         if densest <= DENSE_BALLS[0][0]:

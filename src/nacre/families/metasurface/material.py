@@ -211,7 +211,7 @@ PER_WAVELENGTH = {"wavelengths_nm", "wavenumbers", "index_below", "table"} | {
 }
 FEW_ANGLES, LEAST_COS = 48, 0.05  # direct evaluation: angle count and smallest cosine
 FEW_ALIGNED_ANGLES = 24  # the same for aligned particles, at all azimuths
-INSIDE = f"the mean field is taken of particles inside a layer, where the ensemble says that it is {EMBEDDED_ERROR}"
+INSIDE = f"the mean field is used for particles inside a layer; compared with the ensemble it is {EMBEDDED_ERROR}"
 
 
 class MetasurfaceWarning(UserWarning):

@@ -80,7 +80,7 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _exchanged(one: Path, other: Path) -> bool:
-    """Exchange two folders in one step, which a killed process does not leave half done; False: not possible here."""
+    """Exchange two folders atomically; return False if this system cannot."""
     names = os.fsencode(one), os.fsencode(other)
     library = ctypes.CDLL(None) if sys.platform in ("linux", "darwin") else None
     if exchange := getattr(library, "renameat2", None):

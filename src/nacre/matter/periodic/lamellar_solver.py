@@ -40,10 +40,10 @@ from nacre.matter.periodic.types import Array
 
 Case = tuple[PeriodicStack, float, float, float]
 Blocks = list[list[Array]]
-LARGEST_TANGENT = 1e4  # of a layer at a resonance between its faces: more loses digits, and two halves take its place
-GRAZING = 1e-13  # smaller squares of k_z / k0 are this
-FINENESS = 18.0  # plane waves to each side, in a period or a wavelength
-RESOLUTION = 0.09  # plane waves to each side over (degree + 1)^2 / length: with it the errors of both cancel most
+LARGEST_TANGENT = 1e4  # larger ones, at a resonance between a layer's faces, lose digits; two halves replace the layer
+GRAZING = 1e-13  # least square of k_z / k0
+FINENESS = 18.0  # plane waves to each side, per period or per wavelength, whichever is shorter
+RESOLUTION = 0.09  # plane waves to each side over (degree + 1)^2 / length; both truncation errors cancel most
 CHUNK = 5e5  # numbers in one matrix of all cases
 
 
@@ -87,7 +87,7 @@ def is_patterned(layer: PatternLayer) -> bool:
 
 
 def solve_lamellar(cases: Sequence[Case]) -> list[OrderSolution]:
-    """Return the orders of lamellar layers for each (stack, k0, theta, phi), to some 3e-4, with metal 1e-3."""
+    """Return the orders of lamellar layers for each (stack, k0, theta, phi), within some 3e-4, with metal 1.5e-3."""
     found: dict[int, OrderSolution] = {}
     groups: dict[object, list[int]] = {}
     for k, (stack, k0, theta, phi) in enumerate(cases):
@@ -183,7 +183,7 @@ def _solved(cases: list[Case], mesh: LineMesh, values: Array) -> list[OrderSolut
     joints = space.flat, space.smooth
     if np.any(k_y):
         up, down = _through(joints, above, [_joined(space, k_y, *s) for s in states], below, wave)
-    else:  # E_x and E_y are apart
+    else:  # E_x and E_y decouple
         apart = []
         for k, joint in enumerate(joints):
             layers = [(1j * q @ t, 1j * t @ p) for t, p, q in (s[3 * k : 3 * k + 3] for s in states)]
@@ -265,7 +265,7 @@ def _admittance(epsilon: Array, alpha: Array, k_y: Array) -> Blocks:
 
 
 def _states(space: Space, values: Array, depth: Array, k_y: Array) -> list[tuple[Array, ...]]:
-    """Return T, P and Q of the LSM problem and T, P and Q of the LSE problem, at k_y = 0 but for T; once or twice.
+    """Return T, P and Q of the LSM and LSE problems, P and Q at k_y = 0; twice if the layer is halved.
 
     Args:
         values: permittivity `[case, region]`.

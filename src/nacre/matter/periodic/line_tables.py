@@ -1,8 +1,8 @@
 """Azimuths at which the orders of lines are solved for a table, and the interpolation between them.
 
-As an order begins to propagate, efficiencies change as the root of the distance: a Rayleigh anomaly. Between two
-anomalies, at azimuths a and b, they are smooth in s, where azimuth = (a + b) / 2 + (b - a) / 2 sin(pi s / 2): the root
-becomes linear at both ends. Chebyshev polynomials in s then need a few nodes.
+Near a Rayleigh anomaly, at which an order begins to propagate, efficiencies change as the square root of the distance.
+Between anomalies at azimuths a and b they are smooth in s, with azimuth = (a + b) / 2 + (b - a) / 2 sin(pi s / 2),
+which makes the square root linear at both ends. Chebyshev polynomials in s then need few nodes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from nacre.matter.periodic.structure import PeriodicStack
 from nacre.matter.periodic.types import Array
 
 LEAST_NODES = 4  # between two anomalies
-NODES_PER_RAD = 6.4  # beyond those: one for 9 degrees
+NODES_PER_RAD = 6.4  # further nodes: one per 9 degrees
 CLOSEST_RAD = float(np.radians(1.0))  # an anomaly nearer than this to the last one is smoothed
 
 

@@ -167,7 +167,7 @@ def _whole(
     table: Array, source: dict[tuple[int, int], tuple[tuple[int, int], tuple[int, int]]], own: list[int],
     every: list[tuple[int, int]], azimuths: int,
 ) -> Array:  # fmt: skip
-    """Return a table over the whole turn from its solved azimuths, by mirror images."""
+    """Return a table over the whole turn from its solved azimuths, by mirror symmetry."""
     place = {number: k for k, number in enumerate(every)}
     found = np.empty((table.shape[0], azimuths + 1, *table.shape[2:]))
     for a in range(azimuths + 1):

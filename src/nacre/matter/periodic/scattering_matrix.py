@@ -19,7 +19,7 @@ from nacre.matter.periodic.types import Array
 
 Solver = Callable[[Array], Array]
 SHORT_RULE = 3  # doublings
-FRACTION_REACH = 16.0  # of |u|: the fraction of tan(sqrt u) / sqrt u is exact to 1e-8 there; energy holds anyhow
+FRACTION_REACH = 16.0  # of |u|: the fraction of tan(sqrt u) / sqrt u is exact to 1e-8 there; energy is always conserved
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,11 +39,11 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         name = section.get("NAME") or str(place)
         key = next((key for key in ("R", "T") if key in section), None)
         if key is None:
-            raise AmbiguousFileError(f'{path}: "{name}" has neither R nor T, a spectrum in per cent', "spectrum")
+            raise AmbiguousFileError(f'{path}: "{name}" lacks R or T, a spectrum in per cent', "spectrum")
         values = [common.number(cell) for cell in re.split(r"[,;\s]+", section[key]) if cell]
         start, step = (common.number(section.get(word, "")) for word in ("REFLLOW", "REFLINTERVAL"))
         if start is None or not step or None in values:
-            raise NacreError(f'{path}: "{name}" lacks REFLLOW or REFLINTERVAL, or {key} holds a word')
+            raise NacreError(f'{path}: "{name}" lacks REFLLOW or REFLINTERVAL, or {key} holds text')
         common.check_count(path, section.get("REFLPOINTS"), len(values), f'"{name}"')
         label = Label("reflectance" if key == "R" else "transmittance", 0.01)
         metadata = {word.lower(): section[word] for word in ("VIEWING", "DATETIME", "GLOSS") if section.get(word)}

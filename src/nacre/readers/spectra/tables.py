@@ -302,8 +302,8 @@ def _columns(
 ) -> list[Measurement]:
     """Return one spectrum per value column; an uncertainty column belongs to the column before.
 
-    Headings that are angles, such as "15°", are incidence angles. `ordinate` states the quantity of an only column
-    whose heading does not.
+    Headings that are angles, such as "15°", are incidence angles. `ordinate` states the quantity of a single
+    column whose heading does not.
     """
     place = _axis(names)
     if place is None:
