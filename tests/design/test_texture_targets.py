@@ -23,7 +23,10 @@ from nacre.measure.texture import (
 )
 from nacre.optimise.formulation import _paint, formulate, read_formulation
 from nacre.optimise.merit import MeritFunction, Operand
+from nacre.optimise.methods.surrogate import SurrogateError
 from nacre.optimise.task import read_task
+from nacre.optimise.tolerances import Tolerance
+from nacre.optimise.yield_analysis import sensitivity, yield_of
 from nacre.recipe.toml import dump_toml
 
 SEARCH_ERROR, SCOUT_ERROR = 0.03, 0.15  # far below the tolerance of 10 %, and enough for a ranking
@@ -210,3 +213,26 @@ def test_means_of_texture_need_no_random_walk() -> None:
     for angle in (15.0, 45.0, 75.0):
         found.lit(np.radians(angle), 0.02, 0.02)
     assert not found.bsdfs
+
+
+def test_effects_on_texture_alone_are_in_per_cent_of_it() -> None:
+    task = read_task(DESIGN)
+    path = "strata[0].platelets[0].diameter_um"
+    asked = (task.targets, task.spec.light, 0, 5.0)
+    ends = [texture_values(task.material.vary({path: d}), quantities("sparkle_45"))[0][0] for d in (19.8, 20.2)]
+    expected = 50.0 * (ends[1] - ends[0]) / np.mean(ends)
+    (found,) = sensitivity(task.material, [path], *asked)
+    assert found["texture_percent_of_1_percent"] == pytest.approx(expected, rel=0.2)
+    result = yield_of(task.material, [Tolerance(path, 20.0, 0.2)], *asked)
+    assert result["costs"][0]["moves"] == pytest.approx(expected, rel=0.2)
+
+
+def test_rows_of_texture_do_not_make_estimates_alike() -> None:
+    weights = []
+    for rows in (0, 3):
+        error = SurrogateError(None)
+        for level, rest in ((1.0, 1.0), (1.2, 0.0)):
+            one = np.vstack([np.full((1, 4), level), np.zeros((rows, 4))])
+            found = error.combine(1000, 0.0 * one, one, rest * one, 0.1 * one)
+        weights.append(found[0][0, 0])
+    assert weights[0] == pytest.approx(weights[1])

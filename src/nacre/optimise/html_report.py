@@ -24,7 +24,7 @@ from nacre.optimise.measurement import evaluation_wavelengths, search_wavelength
 from nacre.optimise.parameters import is_chosen
 from nacre.optimise.solutions import Solution
 from nacre.optimise.task import DesignTask
-from nacre.optimise.yield_analysis import RMS_OF_1_PERCENT
+from nacre.optimise.yield_analysis import COLOUR, RMS, TEXTURE, effect_unit
 from nacre.plot.html import DPI, data_uri
 from nacre.recipe.paths import numbers_of
 
@@ -203,13 +203,14 @@ def _short(value: Any) -> str:
 
 def _bars(solution: Solution, task: DesignTask) -> tuple[list[tuple[str, float]], str]:
     details = solution.facts.get("yield")
-    unit = "rms % " if all(one.spectrum is not None for one in task.targets) else "dE00 "
+    kind = effect_unit(task.targets)
+    unit = {RMS: "rms % ", TEXTURE: "% ", COLOUR: "dE00 "}[kind]
     if details is not None:
         return [(c["path"], c["moves"]) for c in details["costs"]], f"{unit}of one standard deviation"
     found = solution.facts.get("sensitivity", [])
     count = len([p for p in numbers_of(solution.material.data) if is_chosen(p, solution.changes, task.parameters)])
     part = f"\n({len(found)} of {count} numbers, in the time)" if 0 < len(found) < count else ""
-    moves = [(s["path"], s.get("de00_of_1_percent", s.get(RMS_OF_1_PERCENT))) for s in found]
+    moves = [(s["path"], s[f"{kind}_of_1_percent"]) for s in found]
     return moves, f"{unit}of a change of 1 %{part}"
 
 

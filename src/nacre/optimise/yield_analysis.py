@@ -24,7 +24,7 @@ from nacre.optimise.thin_film.adapter import drawn_factors
 from nacre.optimise.tolerances import Tolerance, draw, wilson_interval
 
 DRAWS, MIN_DRAWS = 256, 16
-RMS_OF_1_PERCENT = "rms_percent_of_1_percent"
+RMS, TEXTURE, COLOUR = "rms_percent", "texture_percent", "de00"  # units of effects
 RELATIVE_STEP = 0.01  # of the reported sensitivity
 
 
@@ -79,7 +79,7 @@ class Evaluator:
         return simulate_measurement(made, geometries, self.grid, seed=self.seed, memory=self.cache).factors
 
     def effect(self, path: str, value: float, step: float) -> float:
-        """Return half the largest change between value - step and value + step, dE00 or rms in per cent."""
+        """Return half the largest change between value - step and value + step, in `unit`."""
         if step <= 0.0:
             return 0.0
         ends = np.array([[max(value - step, 0.0) if value >= 0 else value - step], [value + step]])
@@ -89,16 +89,26 @@ class Evaluator:
                 seen = np.stack([self.one([path], row) for row in ends])
             except NacreError:
                 return 0.0
-        if self.has_spectra_only:
+        if self.unit == TEXTURE:
+            numbers = seen.mean(axis=-1)
+            return float(50.0 * np.max(np.abs(numbers[1] - numbers[0]) / np.maximum(numbers.mean(axis=0), 1e-12)))
+        if self.unit == RMS:
             return float(0.5 * 100.0 * np.sqrt(np.mean((seen[1] - seen[0]) ** 2, axis=-1)).max())
         spectral = [row for row, at in enumerate(geometries_of(self.targets)) if not isinstance(at, TextureQuantity)]
         labs = self.merit.labs(seen[:, spectral])
         return float(0.5 * np.max(delta_e_2000(labs[0], labs[1]), initial=0.0))
 
     @property
-    def has_spectra_only(self) -> bool:
-        """Whether all targets are spectra."""
-        return all(target.spectrum is not None for target in self.targets)
+    def unit(self) -> str:
+        """Unit of effects; see `effect_unit`."""
+        return effect_unit(self.targets)
+
+
+def effect_unit(targets: Sequence[Target]) -> str:
+    """Return `RMS` if all targets are spectra, `TEXTURE` if all are texture, else `COLOUR`."""
+    if all(target.spectrum is not None for target in targets):
+        return RMS
+    return TEXTURE if all(target.texture is not None for target in targets) else COLOUR
 
 
 def yield_of(
@@ -170,7 +180,8 @@ def sensitivity(
 ) -> list[dict[str, Any]]:
     """Return the effect of a change of 1 % of each parameter, largest first.
 
-    In dE00, `de00_of_1_percent`; in per cent rms for targets that are all spectra, `rms_percent_of_1_percent`.
+    In dE00, `de00_of_1_percent`; in per cent rms for targets that are all spectra, `rms_percent_of_1_percent`; in per
+    cent of the number for targets that are all texture, `texture_percent_of_1_percent`.
 
     Args:
         seconds: time limit, after which no further parameter of an expensive material is tried.
@@ -179,7 +190,7 @@ def sensitivity(
     begun = time.monotonic()
     evaluator = Evaluator.of(material, targets, light, seed, measured)
     found: list[dict[str, Any]] = []
-    unit = RMS_OF_1_PERCENT if evaluator.has_spectra_only else "de00_of_1_percent"
+    unit = f"{evaluator.unit}_of_1_percent"
     for path in paths:
         value = float(material.get(path))
         found.append({"path": path, "value": value, unit: evaluator.effect(path, value, RELATIVE_STEP * abs(value))})

@@ -334,8 +334,6 @@ class IndexSpec(RecipeModel):
         return made.with_extrapolation(self.extrapolate)
 
     def _table(self, name: str, context: RecipeContext) -> Dispersion:
-        # readers are loaded when a file is read
-        pass
         from nacre.readers.constants.spd_pair import other_of_pair
 
         path = context.path(name)
