@@ -11,7 +11,7 @@ import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.core.errors import NacreError
+from nacre.core.errors import NacreError, RecipeError
 from nacre.material.material import as_material
 from nacre.measure.texture import (
     QUANTITY_NAMES,
@@ -122,6 +122,10 @@ def test_materials_without_flakes_or_diameters_have_no_texture_target() -> None:
         read_task(DESIGN | {"recipe": film, "parameters": {"layers[0].thickness_nm": [10, 300]}})
     with pytest.raises(NacreError, match="quantity"):
         nacre.design.many(DESIGN, [(50, 0, 0)])
+    paint = formulation([1.0, 1.0])
+    del paint["library"]["pigment"][1]["platelet"]["diameter_um"]
+    with pytest.raises(RecipeError, match=r"coarse.*diameter_um"):
+        read_formulation(paint)
 
 
 def test_a_formulation_models_texture_about_a_point() -> None:

@@ -441,6 +441,11 @@ def _paint(task: Task, pigments: Sequence[PigmentSpec], dye: DyeSpec | None) -> 
     data = {**task.start.data, "strata": [dict(task.start.data["strata"][0])]}
     stratum = data["strata"][0]
     ingredients = []
+    for pigment in pigments if task.quantities else ():
+        if "diameter_um" not in pigment.platelet:
+            raise RecipeError(
+                f'{task.context.source}: library: "{pigment.name}": diameter_um is missing; texture targets need it'
+            )
     if pigments:
         stratum["platelets"] = [
             p.platelet | {"volume_fraction": p.volume_fraction[1] / len(pigments)} for p in pigments

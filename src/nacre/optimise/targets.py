@@ -264,7 +264,7 @@ def _bounds(given: str | tuple[float, float], where: str, forms: str) -> tuple[f
         return (bound, None) if match[1] == ">=" else (None, bound)
     low, high = given
     if not 0 <= low <= high:
-        raise RecipeError(f"{where} = {show_value([low, high])} is not two ascending numbers from 0")
+        raise RecipeError(f"{where} = {show_value([low, high])} is not two ascending numbers of at least 0")
     return given
 
 
