@@ -10,8 +10,10 @@ import pytest
 from helpers_grating import recipe, reference
 
 import nacre
+from nacre.core.arrays import interpolate
 from nacre.core.parallel import single_threaded_blas
 from nacre.matter.periodic.lamellar_solver import solve_lamellar
+from nacre.matter.periodic.order_tables import order_tables
 from nacre.matter.periodic.scattering_matrix import tangent_over_root
 from nacre.matter.periodic.solve import difference, solve_coarse, solve_many
 from nacre.matter.periodic.structure import Cell, OrderSolution, PatternLayer, PeriodicStack, Rectangle
@@ -127,3 +129,18 @@ def test_tangents_of_a_wide_spectrum() -> None:
     expected = (vectors * (np.tan(root) / root)) @ vectors.T
     # the rounding of u itself moves its small eigenvalues by 1e-9
     assert np.abs(tangent_over_root(u) - expected).max() <= 1e-5 * np.abs(expected).max()
+
+
+def test_a_table_states_the_error_near_plasmons(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The largest difference found between nodes is at least that of the ninth of ten directions."""
+    monkeypatch.setenv("NACRE_CACHE", "off")
+    silver, wavelength = complex(0.16, 3.4) ** 2, 650.0
+    stack = lines((40.0, silver, 300.0), period=800.0, substrate=complex(0.16, 3.4))
+    table = order_tables([stack], np.array([wavelength]), None)
+    generator = np.random.default_rng(5)
+    theta, azimuth = np.arccos(generator.uniform(0.2, 1.0, 60)), 2.0 * np.pi * generator.random(60)
+    thetas, azimuths = (size - 1 for size in table.mirror.shape[:2])
+    seen = interpolate(table.mirror, (theta / (0.5 * np.pi) * thetas, azimuth / (2.0 * np.pi) * azimuths))[:, 0]
+    solved = solve_many([(stack, wavelength, float(t), float(a) + np.pi) for t, a in zip(theta, azimuth, strict=True)])
+    exact = [float(s.reflected.efficiency[np.all(s.reflected.numbers == 0, axis=1)].mean()) for s in solved]
+    assert table.between > np.quantile(np.abs(seen - exact), 0.9)

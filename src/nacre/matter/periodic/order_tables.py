@@ -26,6 +26,7 @@ AZIMUTHS = {"lines": 288, "profile": 48, "rectangles": 16, "fourier": 12}  # of 
 FEW = 12, 16  # nodes of tables whose size follows from an error: larger solutions, fewer of them
 CHECKS = 6  # directions at which the error is estimated
 BETWEEN, BETWEEN_SEED = 6, 40  # directions at which the error between nodes is found
+BETWEEN_LINES = 48  # plasmons of metal lines fill few directions
 PROBES = 4  # directions that set the size
 MIN_STORED_S = 2.0  # tables that take less are not stored
 
@@ -39,7 +40,7 @@ class OrderTables:
         reflected, transmitted: `[theta, azimuth, order, wavelength]`, the other orders.
         orders: `[order, 2]`.
         lattice: `[2, 2]`, their wave vectors over 2 pi, in 1/nm.
-        error: largest estimated efficiency error at the nodes.
+        error: largest estimated efficiency error at the solved directions.
         between: largest error found between the nodes, at a few directions.
     """
 
@@ -220,9 +221,10 @@ def _between(tables: OrderTables, stacks: list[PeriodicStack], wavelengths_nm: A
     """Return the largest error of a reflected efficiency at a few directions in the middle of four nodes."""
     thetas, azimuths = tables.mirror.shape[0] - 1, tables.mirror.shape[1] - 1
     generator = np.random.default_rng(BETWEEN_SEED)
-    t = generator.integers(0, max(int(0.85 * thetas), 1), BETWEEN)  # to 76 degrees
-    a = generator.integers(0, azimuths, BETWEEN)
-    cases = [(k, w) for k in range(BETWEEN) for w in range(0, len(wavelengths_nm), max(len(wavelengths_nm) // 2, 1))]
+    count = BETWEEN_LINES if method_of(stacks[0]) == "lines" and step == 0 else BETWEEN
+    t = generator.integers(0, max(int(0.85 * thetas), 1), count)  # to 76 degrees
+    a = generator.integers(0, azimuths, count)
+    cases = [(k, w) for k in range(count) for w in range(0, len(wavelengths_nm), max(len(wavelengths_nm) // 2, 1))]
 
     def solved(case: tuple[int, int]) -> OrderSolution:
         k, w = case
