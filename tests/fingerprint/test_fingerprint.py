@@ -21,6 +21,7 @@ from nacre.analysis.sweep_plan import load_sweep
 from nacre.core.errors import NacreError
 from nacre.core.jobs import Workers
 from nacre.families.film.material import Film
+from nacre.families.grating.material import Grating
 from nacre.recipe.fingerprint import file_digest, file_stamp
 
 INDEX = "wavelength_nm,n\n300,{n}\n900,{n}\n"
@@ -135,6 +136,14 @@ def test_a_model_of_another_version_is_another_material(tmp_path: Path, monkeypa
     before = nacre.load(path).fingerprint
     monkeypatch.setattr(Film, "version", Film.version + 1)  # of a nested recipe's family
     assert nacre.load(path).fingerprint != before
+
+
+def test_results_of_gratings_in_larger_bases_are_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    recipe = {"family": "grating", "substrate": "Al", "lattice": {"period_nm": 800}, "layers": [{"material": "air",
+              "thickness_nm": 100, "shapes": [{"shape": "line", "material": "Al", "width_nm": 400}]}]}  # fmt: skip
+    before = nacre.material(recipe).fingerprint
+    monkeypatch.setattr(Grating, "version", 1)
+    assert nacre.material(recipe).fingerprint != before
 
 
 def test_a_comment_in_the_package_changes_no_fingerprint(tmp_path: Path) -> None:
