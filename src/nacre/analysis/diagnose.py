@@ -164,10 +164,10 @@ class Diagnosis:
         if self.verdict == "several causes":
             sure = np.flatnonzero((self.factor_errors < DETERMINED) & (np.abs(self.factors) > 2 * self.factor_errors))
             moved = ", ".join(f"{self.names[i]} {self.factors[i]:+.2f} +- {self.factor_errors[i]:.2f}" for i in sure)
-            rest = int(np.sum(self.factor_errors >= DETERMINED))
+            known = int(np.sum(self.factor_errors < DETERMINED))
             return (
                 "No single cause explains the measurement; several deviate, in standard deviations of their tolerance: "
-                f"{moved or 'none is determined'}. {rest} of {len(self.names)} causes are not determined.{advice}"
+                f"{moved or 'none significantly'}. {known} of {len(self.names)} causes are determined.{advice}"
             )
         return (
             f"No deviation within the tolerances explains the measurement: chi-squared {self.all_chi2:.0f} of "

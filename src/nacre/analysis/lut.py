@@ -350,7 +350,7 @@ def _lobe(steady: Bsdf | None, transmits: bool, to_rgb: ToRgb) -> tuple[Picture 
     lost = ("GLSL: light that is scattered to the other side",) if transmits else ()
     about = "scattered light, pi f 2 cos_i cos_o / (cos_i + cos_o), over half angle, difference angle and its azimuth"
     if steady is None:
-        return None, (*lost, "GLSL: scattered light, a random walk whose recipe has no form without noise")
+        return None, (*lost, "GLSL: scattered light, a random walk without a noise-free form")
     wi, wo = lobe_directions(*LOBE_SHAPE)
     weight = np.pi * lobe_weight(wi, wo)[..., None]
     return Picture(_evaluated(steady, wi, wo, to_rgb) * weight, about), lost
@@ -498,8 +498,7 @@ def _refuse(bsdf: Bsdf) -> None:
     names = dict.fromkeys(name for lobe in bsdf.lobes for name in lobe.varying)
     if any(isinstance(lobe, MaskedLobe) for lobe in bsdf.lobes):
         raise UnsupportedError(
-            f"{', '.join(names)} blends whole materials over the surface; export each by itself, or a blend to "
-            "three or gltf"
+            f"{', '.join(names)} blends materials over the surface; export each by itself, or use --to three or gltf"
         )
     if len(names) > 1:
         raise UnsupportedError(f"{', '.join(names)} vary over the surface, and a table holds one; --set the others")

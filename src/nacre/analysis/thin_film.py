@@ -57,8 +57,8 @@ def fit_thin_film(material: Material) -> ThinFilmFit:
     bsdf = material.bsdf()
     if any(isinstance(lobe, MaskedLobe) for lobe in bsdf.lobes):
         raise UnsupportedError(
-            f"{material.context.source}: mask blends whole materials over the surface; export each by itself, or "
-            "to three or gltf"
+            f"{material.context.source}: mask blends materials over the surface; export each by itself, or "
+            "use --to three or gltf"
         )
     spectrum = material.spectrum(np.radians(ANGLES_DEG))
     reflectance = spectrum.specular_reflectance

@@ -26,7 +26,7 @@ def export_three(material: Material, folder: Path, illuminant: str, progress: Ca
     """Write a package for three.js; return its facts.
 
     Raises:
-        UnsupportedError: a table cannot represent the material, or its scattered light has no form without noise.
+        UnsupportedError: a table cannot represent the material, or its scattered light has no noise-free form.
         NacreError: the folder cannot be written.
     """
     check_folder(folder)
@@ -66,7 +66,7 @@ def _part(material: Material, illuminant: str, progress: Callable[[str], None]) 
     scatters = any(closure.kind == "diffuse" for closure in table.closures)
     if scatters and "lobe" not in table.pictures:
         raise UnsupportedError(
-            f"{material.context.source}: scatters by a random walk that has no form without noise, which a "
+            f"{material.context.source}: scatters by a random walk without a noise-free form, which a "
             "shader needs; export a lut, whose colours over the angle of view three.js can use"
         )
     progress("colours under uniform light")

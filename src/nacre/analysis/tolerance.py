@@ -81,7 +81,7 @@ def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tupl
         given.append((path.strip(), text.strip()))
     table = with_options(table, given, "--tolerance")
     if not table:
-        raise RecipeError(f"{source}: no spread is given; add a [tolerance] table or use --tolerance PATH=VALUE")
+        raise RecipeError(f"{source}: no tolerance is given; add a [tolerance] table or use --tolerance PATH=VALUE")
     return read_tolerances(table, material, source)
 
 

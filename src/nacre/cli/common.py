@@ -145,7 +145,7 @@ def solving_on(workers: Any, material: Any) -> Iterator[None]:
     if workers.cluster is not None and not isinstance(material.model, Diffracting):
         noun = material.model.traits.noun
         raise NacreError(
-            f"--cluster: a {noun} is solved on this machine; a cluster solves the orders of gratings, and --animate"
+            f"--cluster: a {noun} is solved on this machine; a cluster computes grating orders and --animate frames"
         )
     with on_cluster(workers):
         yield

@@ -351,7 +351,7 @@ def _print_curve(beside: Path) -> None:
 @click.option("--batch", default=None, metavar="COLOURS.csv",
               help="Correct a batch with these colours (geometry, L*, a*, b*) by additions; needs --made.")  # fmt: skip
 @click.option("--made", default=None, metavar="FOLDER", help="Formulation that the batch was made by.")
-@click.option("--answer", type=click.IntRange(1, 20), default=1, show_default=True, help="Its answer.")
+@click.option("--answer", type=click.IntRange(1, 20), default=1, show_default=True, help="Number of its answer.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common.cache_option
 @common.jobs_option
