@@ -78,7 +78,7 @@ def landscape(size: int) -> np.ndarray:
     return np.clip(picture + grain, 0.0, 1.0)
 
 
-def main(quick: bool = False, path: str | Path = HERE / "wants" / "photo.png", size: int = 450) -> Path:
+def main(quick: bool = False, path: str | Path = HERE / "targets" / "photo.png", size: int = 450) -> Path:
     """Draw the picture into a file; return its path."""
     pixels = landscape(64 if quick else size)
     Image.fromarray(np.round(255.0 * pixels).astype(np.uint8)).save(path, optimize=True)
@@ -87,7 +87,7 @@ def main(quick: bool = False, path: str | Path = HERE / "wants" / "photo.png", s
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("path", nargs="?", default=str(HERE / "wants" / "photo.png"))
+    parser.add_argument("path", nargs="?", default=str(HERE / "targets" / "photo.png"))
     parser.add_argument("--size", type=int, default=450)
     parser.add_argument("--quick", action="store_true")
     chosen = parser.parse_args()

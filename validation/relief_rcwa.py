@@ -1,4 +1,4 @@
-"""Reliefs against Maxwell's equations: where scalar diffraction holds, drawn on half of the gratings, judged on half.
+"""Reliefs against Maxwell's equations: where scalar diffraction holds, fitted on half the gratings, tested on half.
 
 The gratings and both solvers' efficiencies are kept in `validation/data` (`_relief_cases.py` draws them,
 `_relief_cases_make.py` solves them); ten of the cases, drawn by the day, are solved again here. A case counts where two

@@ -738,9 +738,9 @@ def _reference(made: Material, task: Task) -> Array:
     """Return the BRDF `[geometry, wavelength]` by a random walk, or by the doubling method if there is none."""
     pairs, grid = aspecular_pairs(task.colour_geometries), task.merit.wavelengths_nm
     assert isinstance(made.model, Surrogate)  # as `factors` says
-    walked = made.model.estimate_radiance(*pairs, grid, WALKS, task.spec.search.seed)
-    if walked is not None:
-        return walked[0]
+    estimate = made.model.estimate_radiance(*pairs, grid, WALKS, task.spec.search.seed)
+    if estimate is not None:
+        return estimate[0]
     found = surrogate_radiance(made.model, *pairs, grid, True)
     assert found is not None
     return found[0] + found[1]
