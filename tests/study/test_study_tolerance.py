@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,11 @@ import nacre
 from nacre.analysis.tolerance import recipe_tolerances, run_tolerance
 from nacre.core.errors import NacreError, RecipeError
 from nacre.light import delta_e_2000
+from nacre.optimise.spec import LightSpec, TargetEntry
+from nacre.optimise.targets import read_targets
 from nacre.optimise.tolerances import draw, read_tolerances
+from nacre.optimise.yield_analysis import Evaluator, _costs
+from nacre.recipe.model import RecipeContext
 
 FILM = {
     "family": "film",
@@ -152,3 +157,20 @@ def test_a_number_of_repeats_has_no_tolerance() -> None:
     with pytest.raises(RecipeError):
         recipe_tolerances(made, ("layers[0].repeat=1",))
     assert recipe_tolerances(made, ("layers[0].layers[0].thickness_nm=1",))[0].nominal == 60.0
+
+
+def test_the_effect_of_an_angle_near_zero_reaches_to_both_sides(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = anisotropic({"material": PLATE | {"axis_azimuth_deg": 2.0}, "thickness_nm": 2.0})
+    paths = ("layers[0].material.axis_azimuth_deg", "layers[0].thickness_nm")
+    seen: dict[str, list[float]] = {path: [] for path in paths}
+
+    def recorded(self: Evaluator, asked: Sequence[str], values: Any) -> Any:
+        seen[asked[0]] += [float(value) for value in values[:, 0]]
+        return np.full((2, 1, len(self.grid)), 0.5)
+
+    monkeypatch.setattr(Evaluator, "at_once", recorded)
+    light, context = LightSpec(), RecipeContext("target")
+    targets = read_targets([TargetEntry(geometry="specular 0", lab=(50, 0, 0))], light, context)
+    evaluator = Evaluator.of(made, targets, light, 0, None)
+    _costs(evaluator, recipe_tolerances(made, [f"{path}=5" for path in paths]))
+    assert seen == {paths[0]: [-3.0, 7.0], paths[1]: [0.0, 7.0]}

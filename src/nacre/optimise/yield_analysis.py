@@ -78,11 +78,12 @@ class Evaluator:
             return self.correction.apply(*found)
         return simulate_measurement(made, geometries, self.grid, seed=self.seed, memory=self.cache).factors
 
-    def effect(self, path: str, value: float, step: float) -> float:
+    def effect(self, path: str, value: float, step: float, is_signed: bool = False) -> float:
         """Return half the largest change between value - step and value + step, in `unit`."""
         if step <= 0.0:
             return 0.0
-        ends = np.array([[max(value - step, 0.0) if value >= 0 else value - step], [value + step]])
+        is_cut = value >= 0 and not is_signed
+        ends = np.array([[max(value - step, 0.0) if is_cut else value - step], [value + step]])
         seen = self.at_once([path], ends)
         if seen is None:
             try:
@@ -162,7 +163,9 @@ def _costs(evaluator: Evaluator, tolerances: Sequence[Tolerance]) -> list[dict[s
     found: list[dict[str, Any]] = []
     for t in tolerances:
         sigma = abs(t.standard_deviation)
-        found.append({"path": t.path, "deviation": sigma, "moves": evaluator.effect(t.path, t.nominal, sigma)})
+        found.append(
+            {"path": t.path, "deviation": sigma, "moves": evaluator.effect(t.path, t.nominal, sigma, t.is_signed)}
+        )
     total = sum(entry["moves"] ** 2 for entry in found) or 1.0
     for entry in found:
         entry["share"] = entry["moves"] ** 2 / total
