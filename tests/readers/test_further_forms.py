@@ -94,6 +94,13 @@ def test_a_chosen_format_without_its_heading(tmp_path: Path) -> None:
         open_file(written(tmp_path, "s.txt", "a\n" + rows(30.0)), ReadOptions(format="spectraray"))
 
 
+def test_a_tilt_in_a_preamble_is_no_luminaire(tmp_path: Path) -> None:
+    (found,) = open_file(written(tmp_path, "s.csv", "TILT = 0\nWavelength (nm),Reflectance (%)\n" + rows(30.0)))
+    assert "reflectance" in found.data
+    with pytest.raises(NacreError):
+        open_file(written(tmp_path, "l.ies", "[TEST] 1\nTILT=NONE\n1 1000 1 3 1 1 2 0 0 0\n1 1 50\n"))
+
+
 def test_rows_of_heights_that_begin_with_a_tab(tmp_path: Path) -> None:
     z = np.sin(np.outer(np.arange(6.0), np.arange(7.0)) * 1.3)
     text = "".join("\t" + "\t".join(f"{value:.6f}" for value in row) + "\n" for row in z)
