@@ -16,7 +16,8 @@ _HEIGHTS = "export ISO 25178 .sdf, or Gwyddion's ASCII matrix"
 PROGRAMS = (
     (r"(?m)^[^\S\n]*SphereMesh:\s*\d", "a BSDF of LightTools (mesh of intensity)", _BSDF),
     (r"(?m)^ABGF(?:_NAME)?\s+\S", "a list of ABg parameters of Zemax, without sampled values", _BSDF),
-    (r"(?m)\A\s*IESNA|^TILT=(?:NONE|INCLUDE)\b", "a luminaire (IES LM-63), not a material", "a lamp's spectrum is read as a table"),
+    (r"(?m)\A\s*IESNA|^TILT=(?:NONE|INCLUDE)\b", "a luminaire (IES LM-63), not a material",
+     "a lamp's spectrum is read as a table"),
     (r"\A\s*Shimadzu SPM File Format", "a height map of Shimadzu SPM", _HEIGHTS),
     (r"(?i)\A\s*ncols\s+\d+\s+nrows\s+\d+", "a height map of Esri (ASCII grid)", _HEIGHTS),
     (r"\ADSAA\s", "a height map of Surfer (DSAA grid)", _HEIGHTS),
