@@ -94,6 +94,12 @@ def test_a_chosen_format_without_its_heading(tmp_path: Path) -> None:
         open_file(written(tmp_path, "s.txt", "a\n" + rows(30.0)), ReadOptions(format="spectraray"))
 
 
+@pytest.mark.parametrize("heading", ["Wavelength (nm):\tTransmittance (%):", "Wavelength:\tT (%)", "Wavelength:\t%T:"])
+def test_headings_that_end_in_a_colon(heading: str, tmp_path: Path) -> None:
+    (found,) = open_file(written(tmp_path, "s.txt", heading + "\n" + rows(30.0, delimiter="\t")))
+    np.testing.assert_allclose(found.data["transmittance"][0], 0.30004)
+
+
 def test_a_tilt_in_a_preamble_is_no_luminaire(tmp_path: Path) -> None:
     (found,) = open_file(written(tmp_path, "s.csv", "TILT = 0\nWavelength (nm),Reflectance (%)\n" + rows(30.0)))
     assert "reflectance" in found.data

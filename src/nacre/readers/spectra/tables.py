@@ -204,7 +204,7 @@ def _headings(lines: Sequence[str], block: Block) -> list[str]:
             cells = common.cells(line, delimiter)
             if (
                 len(cells) > 1
-                and not common.is_axis_key(cells[0])
+                and (not common.is_axis_key(cells[0]) or _are_headings(cells))
                 and (_axis(cells) is not None or abs(len(cells) - width) <= 1)
                 and len(cells) <= width + 1
             ):
@@ -227,6 +227,11 @@ def _is_axis(x: Array) -> bool:
         return False
     steps = np.diff(finite)
     return bool((np.all(steps > 0) or np.all(steps < 0)) and finite.min() >= MIN_NM and finite.max() <= MAX_NM)
+
+
+def _are_headings(cells: Sequence[str]) -> bool:
+    """Whether "Wavelength:" begins a line of headings: a quantity follows, not a unit or a mode alone."""
+    return bool(_WAVELENGTH.match(cells[0])) and any(common.label_of(cell.rstrip(" :")) for cell in cells[1:])
 
 
 def _plain_columns(table: Array) -> tuple[Array, Array | None] | None:
