@@ -54,6 +54,12 @@ def test_a_word_that_is_none_of_the_allowed_gets_a_hint() -> None:
         validate(family_spec("film", "here"), data, RecipeContext("r"))
 
 
+def test_an_unknown_key_is_compared_with_those_of_its_own_table_first() -> None:
+    data = {"family": "grating", "substrate": "glass", "lattice": {"period_nm": 300}, "orders": {"spread": 0.3}}
+    with pytest.raises(RecipeError, match=r'"spread_deg"'):
+        validate(family_spec("grating", "here"), data, RecipeContext("r"))
+
+
 @pytest.mark.parametrize(
     ("text", "hint"),
     [

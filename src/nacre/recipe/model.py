@@ -387,11 +387,11 @@ def _is_texture(data: Any, location: tuple[int | str, ...]) -> bool:
     """Whether an unknown key belongs to a texture or formula in place of a number."""
     if location[-1] not in TEXTURE_KEYS:
         return False
-    holder = _walked(data, location[:-1])
+    holder = _value_at(data, location[:-1])
     return isinstance(holder, Mapping) and set(holder) <= set(TEXTURE_KEYS)
 
 
-def _walked(data: Any, location: Iterable[int | str]) -> Any:
+def _value_at(data: Any, location: Iterable[int | str]) -> Any:
     """Return the value at a pydantic location, which also names members of unions."""
     holder = data
     for part in location:
@@ -406,7 +406,7 @@ def _own_spelling(data: Any, location: tuple[int | str, ...]) -> tuple[int | str
     """Return a location with the length units of the recipe."""
     spelt: list[int | str] = []
     for part in location:
-        holder = _walked(data, spelt)
+        holder = _value_at(data, spelt)
         ways = spellings(part) if isinstance(part, str) and isinstance(holder, Mapping) else ()
         spelt.append(next((way for way in ways if way in holder), part))
     return tuple(spelt)
@@ -437,7 +437,7 @@ def _first_line(
         here = [name for name in places if f"{table}.{name}".lstrip(".") in places[name]]
         if hint := renamed_hint(word, here):
             return f"{context.source}: key {key} is not known.{hint}"
-        hint = did_you_mean(word, sorted(places))
+        hint = did_you_mean(word, sorted(here)) or did_you_mean(word, sorted(places))
         meant = next((name for name in places if hint == did_you_mean(name, [name])), None)
         if meant is not None and f"{table}.{meant}".lstrip(".") not in places[meant]:
             hint = f' Did you mean "{places[meant][0]}"?'  # a key of another table needs its place

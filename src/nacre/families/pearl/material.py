@@ -148,13 +148,13 @@ class Pearl(Model, Strata, Surrogate, EnergyDefect, ResolvedFlakes):
         first = self.strata[0]
         faces = [first.surface, *([self.base.surface] if method == DEFECT else [])]
         normals = [] if method == DEFECT else [flakes.normals for flakes in first.flakes]
-        is_walked = method != SURROGATE
+        is_random_walk = method != SURROGATE
         reasons = {
             "it has several strata": len(self.strata) > 1,
             "its base is not a diffuse one": method in (TABLES, ESTIMATE) and self.base.kind != "diffuse",
             "its base is another material": method == DEFECT and self.base.kind in ("lobes", "strata"),
-            "its dye scatters": is_walked and first.dye is not None and first.dye.radius is not None,
-            "its interface is compensated": is_walked and any(f.compensate and not f.is_smooth for f in faces),
+            "its dye scatters": is_random_walk and first.dye is not None and first.dye.radius is not None,
+            "its interface is compensated": is_random_walk and any(f.compensate and not f.is_smooth for f in faces),
             "its interface is anisotropic": any(face.alpha_x != face.alpha_y for face in faces),
             "its interface is of the Beckmann kind": any(f.alpha_x > 0 and f.distribution != "ggx" for f in faces),
             "its flakes are anisotropic": any(not each.is_isotropic for each in normals),
