@@ -163,7 +163,7 @@ class SurrogateError:
         """Return the mean rest and its error at the last point, by the estimates at points of similar radiance."""
         total, rest, square = 0.0, np.zeros_like(approximation), np.zeros_like(approximation)
         floor = np.maximum(approximation, 1e-9)
-        count = max(np.count_nonzero(approximation > 1e-9), 1)  # rows of texture have no approximate part
+        count = max(int(np.count_nonzero(approximation > 1e-9)), 1)  # rows of texture have no approximate part
         for walks, other, found, error in self.estimates:
             difference = float(np.sum(np.abs(np.log(floor / np.maximum(other, 1e-9))))) / count
             weight = walks * np.exp(-((difference / self.similarity) ** 2))
