@@ -212,6 +212,16 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {name: path.read_bytes() for name, path in visible(folder).items()}
 
 
+def checked_kill(
+    warm: Forker, arguments: list[str], folder: Path, reference: Path, chance: random.Random, seconds: float
+) -> bool:
+    """Kill a command at a random moment and check its files; False if it ended before."""
+    before = contents(folder)
+    is_killed = warm.kill(arguments, folder, chance, seconds)
+    check_after_kill(folder, reference, before)
+    return is_killed
+
+
 @pytest.mark.render
 @pytest.mark.parametrize("name", CASES)
 def test_a_killed_command_leaves_the_old_output_or_the_new_one(
@@ -231,9 +241,7 @@ def test_a_killed_command_leaves_the_old_output_or_the_new_one(
             for made in set(visible(folder)) - set(visible(inputs)):
                 (folder / made).unlink()
             (folder / case.makes).write_bytes(OLD)
-        before = contents(folder)
-        killed += warm.kill(arguments, folder, chance, seconds)
-        check_after_kill(folder, reference, before)
+        killed += checked_kill(warm, arguments, folder, reference, chance, seconds)
     assert killed == case.kills, "the command ended before it could be killed"
     warm.run(arguments, folder)
     assert names(folder) == names(reference)
@@ -298,9 +306,7 @@ def test_a_killed_formulation_blocks_no_other(warm: Forker, inputs: Path, tmp_pa
     for _ in range(MOST_ATTEMPTS):
         if killed == 2:
             break
-        before = contents(folder)
-        killed += warm.kill(arguments, folder, chance, seconds)
-        check_after_kill(folder, reference, before)
+        killed += checked_kill(warm, arguments, folder, reference, chance, seconds)
     assert killed == 2
     shutil.rmtree(folder / "out", ignore_errors=True)  # as if killed while the answers were written
     shutil.copytree(reference / "out", folder / "out")
@@ -323,10 +329,8 @@ def test_a_killed_tolerance_leaves_no_worker(warm: Forker, inputs: Path, tmp_pat
     for _ in range(MOST_ATTEMPTS):
         if killed == 3:
             break
-        before = contents(folder)
-        killed += warm.kill(arguments, folder, chance, seconds)
+        killed += checked_kill(warm, arguments, folder, reference, chance, seconds)
         assert not warm.survivors(), "workers live on without their command"
-        check_after_kill(folder, reference, before)
     assert killed == 3
     warm.run(arguments, folder)
     assert names(folder) == names(reference)
