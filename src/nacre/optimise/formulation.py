@@ -37,7 +37,7 @@ from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.least_squares import minimise_residuals, sobol_points
 from nacre.optimise.methods.surrogate import Correction
 from nacre.optimise.solutions import NEED_BYTES, RECIPE, clear_solutions, folder_of, write_recipe
-from nacre.optimise.spec import LightSpec, TargetEntry
+from nacre.optimise.spec import InstrumentKey, LightSpec, TargetEntry
 from nacre.optimise.targets import Target, merit_function, read_targets
 from nacre.optimise.task import read_data
 from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, RecipeModel, validate
@@ -173,11 +173,7 @@ class FormulationSpec(RecipeModel):
     target: Annotated[list[TargetEntry], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
         description="measured colours at aspecular geometries, and measured texture"
     )
-    instrument: str | Instrument = pydantic.Field(
-        default=Instrument(),
-        description="lamp, camera and calibration of texture targets, a file or its keys",
-        examples=["instrument.toml"],
-    )
+    instrument: InstrumentKey = Instrument()
     geometry: list[GeometrySpec] = pydantic.Field(
         default=[], description="geometries by name", examples=[[{"name": "door", "at": "45as60az125.3"}]]
     )

@@ -16,6 +16,12 @@ from nacre.recipe.path_tables import GeometrySpec, ParameterSpec, ToleranceSpec
 
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 Triple = tuple[float, float, float]
+InstrumentKey = Annotated[
+    str | Instrument,
+    pydantic.Field(
+        description="lamp, camera and calibration of texture targets, a file or its keys", examples=["instrument.toml"]
+    ),
+]
 Bounds = tuple[float, float]
 # alternatives for the colour of a target; the ranges may be combined
 COLOURS = ("colour", "lab", "lch", "xyz", "xyy", "spectrum", "image")
@@ -270,11 +276,7 @@ class DesignSpec(RecipeModel):
     target: Annotated[list[TargetEntry], pydantic.Field(min_length=1, max_length=200)] = pydantic.Field(
         description="targets, a list of tables"
     )
-    instrument: str | Instrument = pydantic.Field(
-        default=Instrument(),
-        description="lamp, camera and calibration of texture targets, a file or its keys",
-        examples=["instrument.toml"],
-    )
+    instrument: InstrumentKey = Instrument()
     geometry: list[GeometrySpec] = pydantic.Field(
         default=[],
         description="geometries by name for the targets, in addition to those of the recipe",
