@@ -15,9 +15,8 @@ from nacre.core.errors import NacreError, RecipeError
 from nacre.core.jobs import START_WORKERS_S, Workers, run_jobs
 from nacre.light import delta_e_2000
 from nacre.material.material import Material
-from nacre.measure import geometry as instruments
 from nacre.measure.colours import geometry_colours, recipe_geometries
-from nacre.measure.geometry import Geometry
+from nacre.measure.geometry import ASPECULAR_DEG, Geometry
 from nacre.optimise.tolerances import Component, Tolerance, components, draw, read_tolerances, wilson_interval
 from nacre.recipe.path_tables import by_path, with_options
 
@@ -225,7 +224,7 @@ class ColourProbe:
         few = material.values_at(wi, wi, np.array([550.0]))  # cheap for materials that scatter
         scatters = few is not None or any(not lobe.is_delta for lobe in material.bsdf().lobes)
         self.geometry = "aspecular, 45 degree incidence" if scatters else "mirror direction"
-        self.angles_deg = tuple(instruments.ASPECULAR_DEG if scatters else SPECULAR_ANGLES_DEG)
+        self.angles_deg = tuple(ASPECULAR_DEG if scatters else SPECULAR_ANGLES_DEG)
         self._at = [
             Geometry("aspecular", LIGHT_DEG, a) if scatters else Geometry("specular", a) for a in self.angles_deg
         ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -223,8 +223,8 @@ def texture_deviation(low: float | None, high: float | None, value: ArrayLike) -
 def _check(operand: Operand, samples: int) -> None:
     """Raise a NacreError for an incomplete or contradictory operand."""
     kind, low, high = operand.kind, operand.low, operand.high
-    if kind not in (*KINDS, "texture"):
-        raise NacreError(f'a target of kind "{kind}" is not known; choose from {", ".join((*KINDS, "texture"))}')
+    if kind not in (kinds := get_args(Kind)):
+        raise NacreError(f'a target of kind "{kind}" is not known; choose from {", ".join(kinds)}')
     if operand.row < 0 or not operand.tolerance > 0.0 or not operand.weight >= 0.0:
         values = f"{operand.row}, {operand.tolerance:g}, {operand.weight:g}"
         raise NacreError(f"a target needs row >= 0, tolerance > 0 and weight >= 0; got {values}")

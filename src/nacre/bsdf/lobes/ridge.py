@@ -63,8 +63,7 @@ class Ridge(ResponseLobe):
             raise ValueError("norm must be positive, one number for each wavelength")
         if not (self.pitch_nm > 0 and self.width_nm > 0 and self.height_deviation_nm >= 0 and self.count >= 1):
             raise ValueError("pitch_nm, width_nm and count must be positive")
-        if not (self.spread_along > 0 and 0 <= self.fill <= 1):
-            raise ValueError("spread_along must be positive and fill in [0, 1]")
+        _check_spread(self.spread_along, self.fill)
 
     @property
     def transmits(self) -> bool:
@@ -202,8 +201,7 @@ class RidgeTable(Lobe):
             raise ValueError("power needs as many nodes in a as in b, and two or more in each coordinate")
         if np.any(self.power < 0.0) or not np.array_equal(self.power, np.swapaxes(self.power, 1, 2)):
             raise ValueError("power must not be negative and must be symmetric in a and b")
-        if not (self.spread_along > 0 and 0 <= self.fill <= 1):
-            raise ValueError("spread_along must be positive and fill in [0, 1]")
+        _check_spread(self.spread_along, self.fill)
 
     @property
     def transmits(self) -> bool:
@@ -257,6 +255,11 @@ class RidgeTable(Lobe):
         return RidgeTable(
             self.wavelengths_nm[::step], self.power[..., ::step], self.spread_along, self.fill, self.rotation
         )
+
+
+def _check_spread(spread_along: float, fill: float) -> None:
+    if not (spread_along > 0 and 0 <= fill <= 1):
+        raise ValueError("spread_along must be positive and fill in [0, 1]")
 
 
 def _rotated(w: Array, angle: Array) -> tuple[Array, Array]:
