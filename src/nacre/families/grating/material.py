@@ -27,7 +27,7 @@ from nacre.matter.periodic.orders import Orders, check_polarisation, coarse_orde
 from nacre.matter.periodic.slices import COARSE, Wall, sliced
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Shape
 
-MIRROR_NODES = 65
+MIRROR_NODES = 129
 NODE_RATIO = 0.12  # of neighbouring nodes of a period, at least
 
 
