@@ -97,7 +97,7 @@ class Grating(Model, Diffracting, Pixels):
         is_coarse: solve once at the smallest size, for searches among many similar materials.
     """
 
-    version = 2  # lines in smaller bases, tables between Rayleigh anomalies
+    version = 3  # tables from responses
     traits = Traits(noun="grating", default_parts=("specular_reflectance", "diffuse_reflectance"), takes_ambient=True)
 
     ambient: OpticalConstant

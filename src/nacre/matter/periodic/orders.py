@@ -16,7 +16,7 @@ from nacre.matter.periodic.solve import method_of, solve, solve_many
 from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Region
 from nacre.matter.periodic.types import Array
 
-VERSION = 7  # raised when numbers change, which invalidates stored solutions
+VERSION = 8  # raised when numbers change, which invalidates stored solutions
 MIN_STORED_S = 0.2  # solutions that take less are not stored
 
 
