@@ -15,6 +15,7 @@ import numpy as np
 
 from nacre._version import __version__
 from nacre.bsdf import Bsdf
+from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
@@ -161,7 +162,8 @@ def make_report(
     )
     aspecular = replace(aspecular, aspecular_deg=aspecular.angles_deg)
     mirror = bsdf.specular(np.radians(SPECULAR_ANGLES_DEG)).reflectance
-    spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm)
+    mixes = isinstance(material.model, Polarised) and material.model.mixes_polarisations
+    spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm, "mueller" if mixes else "both")
     parts = {name: _luminous(value, spectrum.wavelengths_nm, *light) for name, value in spectrum.parts().items()}
     lost = energy_defect(material.model, np.radians([0.0, 45.0]), spectrum.wavelengths_nm, seed)
     if lost is not None:
@@ -195,7 +197,7 @@ def make_report(
         transmission_haze=transmission_haze(bsdf, samples=samples, seed=seed) if bsdf.transmits else None,
         noise=0.0 if error is None else float(np.pi * error.max()),
         surface=dict(material.model.surface_figures),
-        selective=_selective(material, bsdf.wavelengths_nm),
+        selective=_selective(spectrum),
         provenance={"nacre": __version__, "recipe": material.text, "seed": seed, "samples": samples},
     )
 
@@ -251,13 +253,12 @@ def flop_index(lightness_15: float, lightness_45: float, lightness_110: float) -
     return float(FLOP_FACTOR * (lightness_15 - lightness_110) ** FLOP_POWER / lightness_45**FLOP_BASE)
 
 
-def _selective(material: Material, wavelengths_nm: Array) -> dict[str, SelectiveBand]:
-    """Return the bands of selective reflection by incidence angle."""
-    if not isinstance(material.model, Polarised) or not material.model.mixes_polarisations:
+def _selective(spectrum: Spectrum) -> dict[str, SelectiveBand]:
+    """Return the bands of selective reflection by incidence angle, of spectra with Mueller matrices."""
+    if spectrum.mueller_reflected is None:
         return {}
-    spectrum = material.spectrum(np.radians([0.0, 45.0]), wavelengths_nm, "mueller")
-    assert spectrum.mueller_reflected is not None  # as mixes_polarisations says
-    bands = [selective_band(circular_reflection(m), wavelengths_nm) for m in spectrum.mueller_reflected]
+    lam = spectrum.wavelengths_nm
+    bands = [selective_band(circular_reflection(m), lam) for m in spectrum.mueller_reflected]
     return {angle: band for angle, band in zip(("0", "45"), bands, strict=True) if band is not None}
 
 
