@@ -19,7 +19,7 @@ from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
-from nacre.families.contract import Polarised, energy_defect
+from nacre.families.contract import Diffracting, Polarised, energy_defect
 from nacre.light import (
     colour_difference,
     lab_to_lch,
@@ -41,6 +41,7 @@ from nacre.measure.texture import Texture
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 FLOP_FACTOR, FLOP_POWER, FLOP_BASE = 2.69, 1.11, 0.86  # Alman's flop index
 MIRROR_THRESHOLD = 1e-6
+DARK = 1e-6  # Y of a geometry without light
 APERTURE_WALKS, LEAST_SAMPLES = (
     1 << 15,
     64,
@@ -100,6 +101,7 @@ class Report:
         surface: roughness of a measured surface, such as `sq_um`.
         texture: sparkle and graininess, if asked for.
         selective: band in which one hand of circular light is reflected, at "0" and "45" degrees, if there is one.
+        order_width_deg: standard deviation of each order of a grating; None for other materials.
     """
 
     name: str
@@ -118,6 +120,17 @@ class Report:
     selective: dict[str, SelectiveBand] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
     texture: Texture | None = None
+    order_width_deg: float | None = None
+
+    @property
+    def dark_geometries(self) -> tuple[str, ...]:
+        """Geometries outside the mirror direction that no order of a grating reaches."""
+        if self.order_width_deg is None:
+            return ()
+        tables = (self.aspecular, *([] if self.geometries is None else [self.geometries]))
+        return tuple(
+            label for table in tables for label, xyz in zip(table.labels, table.xyz, strict=True) if xyz[1] < DARK
+        )
 
     @property
     def tables(self) -> dict[str, ColourTable]:
@@ -198,6 +211,9 @@ def make_report(
         noise=0.0 if error is None else float(np.pi * error.max()),
         surface=dict(material.model.surface_figures),
         selective=_selective(spectrum),
+        order_width_deg=float(np.degrees(material.model.order_width_rad))
+        if isinstance(material.model, Diffracting)
+        else None,
         provenance={"nacre": __version__, "recipe": material.text, "seed": seed, "samples": samples},
     )
 
