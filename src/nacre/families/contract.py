@@ -312,6 +312,11 @@ class ExpensiveMethod(abc.ABC):
 
     @property
     @abc.abstractmethod
+    def is_distributed(self) -> bool:
+        """Whether the model uses the expensive method, selected or named, so that a cluster can share its work."""
+
+    @property
+    @abc.abstractmethod
     def replaced_method(self) -> str:
         """Name of the expensive method that was replaced in this model, or empty."""
 
