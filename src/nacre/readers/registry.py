@@ -16,7 +16,8 @@ from xml.etree.ElementTree import ParseError
 
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.core.files import named, plain, why_unreadable
-from nacre.readers.measurement import AmbiguousFileError, FileHead, Kind, Measurement, ReadOptions
+from nacre.readers.measurement import AmbiguousFileError, Kind, Measurement, ReadOptions
+from nacre.readers.measurement import FileHead as FileHead
 
 HEAD_BYTES = 65536
 MAX_BYTES = 2 << 30
