@@ -71,8 +71,8 @@ class Channels:
                 places.append(first + at)
                 signs.append(np.full(len(at), -1.0 if component == axis else 1.0))
                 first += len(at)
-        place, sign = np.concatenate(places), np.concatenate(signs)
-        return np.asarray(sign[:, None] * response[..., place[:, None], place] * sign)
+        to, sign = np.concatenate(places), np.concatenate(signs)
+        return np.asarray(sign[:, None] * response[..., to[:, None], to] * sign)
 
 
 def channels_of(stack: PeriodicStack, wavelength_nm: float) -> Channels:
@@ -194,10 +194,10 @@ class Fit:
         found, first = [], 0
         for (numbers, _), (xx, xy, yy) in zip(sides, admittance, strict=True):
             count = len(numbers)
-            x, y = e[:, first : first + count], e[:, first + count : first + 2 * count]
+            e_x, e_y = e[:, first : first + count], e[:, first + count : first + 2 * count]
             first += 2 * count
-            flux = np.abs(x) ** 2 * xx[..., None] + np.abs(y) ** 2 * yy[..., None]
-            flux = flux + 2.0 * (x.conj() * y).real * xy[..., None]
+            flux = np.abs(e_x) ** 2 * xx[..., None] + np.abs(e_y) ** 2 * yy[..., None]
+            flux = flux + 2.0 * (e_x.conj() * e_y).real * xy[..., None]
             found.append(flux.real.mean(axis=-1) / k_z[:, None])
         return number, np.where(_propagates(of, inside, 0), found[0], 0.0), np.where(
             _propagates(of, inside, 1), found[1], 0.0
