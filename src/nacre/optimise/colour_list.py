@@ -252,8 +252,8 @@ def _without_texture(table: TextTable, quantities: Sequence[str]) -> tuple[TextT
     keep = [place for place in range(len(table.headings)) if place not in places.values()]
     rest = replace(
         table,
-        headings=[table.headings[place] for place in keep],
-        units=[table.units[place] for place in keep],
+        headings=tuple(table.headings[place] for place in keep),
+        units=tuple(table.units[place] for place in keep),
         rows=[[row[place] for place in keep] for row in table.rows],
     )
     return rest, [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
