@@ -199,8 +199,8 @@ def diagnose(
         NacreError: the material cannot be computed, nothing is measured, or the noise is not positive.
     """
     stated = [noise] * len(observations) if np.ndim(noise) == 0 else list(noise)  # type: ignore[arg-type, call-overload]
-    noises = [np.broadcast_to(n, np.size(o.values)) for n, o in zip(stated, observations, strict=True)]
-    if not observations or not all(np.all(each > 0) for each in noises):
+    noises = [np.asarray(each, dtype=float) for each in stated]
+    if not observations or len(noises) != len(observations) or not all(np.all(each > 0) for each in noises):
         raise NacreError("a diagnosis needs at least one observation, and noise above 0")
     causes = components([each for each in tolerances if each.deviation != 0])
     if not causes:
@@ -271,7 +271,9 @@ class _Likelihood:
         samples: int | None,
         seed: int,
     ) -> None:
-        self.causes, self.observations, self.noise = causes, observations, np.concatenate(noises)
+        self.causes, self.observations = causes, observations
+        sizes = [np.size(each.values) for each in observations]
+        self.noise = np.concatenate([np.broadcast_to(n, size) for n, size in zip(noises, sizes, strict=True)])
         self.names = tuple(cause.name for cause in causes)
         self.samples, self.seed = samples, seed
         self.points = sum(np.size(each.values) for each in observations)

@@ -209,6 +209,7 @@ def diagnose(
     from nacre.analysis.fit_data import checked_range, parts_of
     from nacre.analysis.tolerance import recipe_tolerances
     from nacre.core.files import check_writable, write_text
+    from nacre.optimise.measurement import check_answers
     from nacre.readers.measurement import ReadOptions
 
     *measurements, recipe = files
@@ -230,7 +231,9 @@ def diagnose(
     )
     parts: list[Any] = [each.resolved(material) if hasattr(each, "resolved") else each for each in parts_of(data)]
     for part in parts:
-        if part.kind == "texture":
+        if part.kind == "colours":
+            check_answers([material], part.geometries, [f"{part.name or '--lab'}: geometry"] * len(part.geometries))
+        elif part.kind == "texture":
             _note_remarks(part)
     result = run(
         material, recipe_tolerances(material, tolerances), parts,
