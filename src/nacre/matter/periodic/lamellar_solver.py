@@ -45,7 +45,6 @@ GRAZING = 1e-13  # least square of k_z / k0
 FINENESS = 18.0  # plane waves to each side, per period or per wavelength, whichever is shorter
 RESOLUTION = 0.09  # plane waves to each side over (degree + 1)^2 / length; both truncation errors cancel most
 CHUNK = 5e5  # numbers in one matrix of all cases
-CALL = 4e4  # size cubed of cases that take as long as the calls for one mesh do
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +106,7 @@ def solve_lamellar(cases: Sequence[Case]) -> list[OrderSolution]:
         own = _meshes(starts, each, [cases[k][0] for k in group], np.array([cases[k][1] for k in group]))
         for k, mesh in zip(group, own, strict=True):
             meshes.setdefault(mesh, []).append(k)
-        for mesh, members in _merged(meshes).items():
+        for mesh, members in meshes.items():
             check_unknowns(2 * mesh.size, cases[members[0]][1])
             step = max(1, int(CHUNK / (2 * mesh.size) ** 2))
             for first in range(0, len(members), step):
@@ -116,23 +115,6 @@ def solve_lamellar(cases: Sequence[Case]) -> list[OrderSolution]:
                 solved = _solved([cases[k] for k in part], [incidences[k] for k in part], mesh, epsilon)
                 found |= zip(part, solved, strict=True)
     return [found[k] for k in range(len(cases))]
-
-
-def _merged(meshes: dict[LineMesh, list[int]]) -> dict[LineMesh, list[int]]:
-    """Return the cases by mesh, those of a mesh with few cases with the next finer one, if that takes less time."""
-    found: dict[LineMesh, list[int]] = {}
-    for mesh in sorted(meshes, key=lambda each: -each.size):
-        finer = next(
-            (
-                other
-                for other in reversed(found)
-                if all(a >= b for a, b in zip(other.degrees, mesh.degrees, strict=True))
-                and len(meshes[mesh]) * (other.size**3 - mesh.size**3) < CALL
-            ),
-            mesh,
-        )
-        found.setdefault(finer, []).extend(meshes[mesh])
-    return found
 
 
 def _walls(stack: PeriodicStack) -> tuple[Array, Array]:
@@ -207,8 +189,7 @@ def _solved(
         light = np.concatenate([wave[:, [0]], wave[:, [1]]])
         found = _scattered((np.concatenate(joints),), [[outer]], layers, [[inner]], light)
         up, down = (np.concatenate(np.split(side, 2), axis=1) for side in found)
-    reflected = _sides(cases, incidences, space, up - wave, True)
-    transmitted = _sides(cases, incidences, space, down, False)
+    reflected, transmitted = _sides(cases, incidences, space, np.concatenate([up - wave, down]))
     return [OrderSolution(r, t, np.inf, mesh.size, "lines") for r, t in zip(reflected, transmitted, strict=True)]
 
 
@@ -453,24 +434,31 @@ def _through(
 
 
 def _sides(
-    cases: list[Case], incidences: list[tuple[Array, float, Array]], space: Space, fields: Array, is_up: bool
-) -> list[OrderSet]:  # fmt: skip
-    """Return the orders that propagate on one side, for e of the plane waves `[case, component, wave, in]`."""
+    cases: list[Case], incidences: list[tuple[Array, float, Array]], space: Space, fields: Array
+) -> tuple[list[OrderSet], list[OrderSet]]:
+    """Return the orders that propagate, for e of the plane waves `[side and case, component, wave, in]`."""
+    count = len(cases)
     k_y = np.array([each[0][1] for each in incidences])
-    index = np.array([s.cover if is_up else s.substrate.real if s.is_clear else 0.0 for s, _, _, _ in cases])
-    case, wave = np.nonzero(index[:, None] ** 2 - space.alpha**2 - k_y[:, None] ** 2 > GRAZING)
+    index = np.array(
+        [s.cover for s, _, _, _ in cases] + [s.substrate.real if s.is_clear else 0.0 for s, _, _, _ in cases]
+    )  # fmt: skip
+    squares = (space.alpha**2 + k_y[:, None] ** 2)[None]
+    row, wave = np.nonzero((index.reshape(2, count, 1) ** 2 - squares).reshape(2 * count, -1) > GRAZING)
+    case = row % count
     numbers = np.stack([space.numbers[case, wave], np.zeros(len(case), dtype=int)], axis=1)
     k_z = np.array([each[1] for each in incidences])[case]
     azimuth = np.array([phi for _, _, _, phi in cases])[case]
-    found = order_set(
-        numbers, np.stack([space.alpha[case, wave], k_y[case]], axis=1), fields[case, :, wave], index[case], is_up,
-        (azimuth, k_z),
-    )  # fmt: skip
-    ends = np.searchsorted(case, np.arange(len(cases) + 1))
-    return [
+    transverse = np.stack([space.alpha[case, wave], k_y[case]], axis=1)
+    found = order_set(numbers, transverse, fields[row, :, wave], index[row], True, (azimuth, k_z))
+    is_down = row >= count
+    found.direction[is_down, 2] *= -1.0
+    found.jones[is_down, 1] *= -1.0
+    ends = np.searchsorted(row, np.arange(2 * count + 1))
+    sets = [
         OrderSet(found.numbers[a:b], found.direction[a:b], found.jones[a:b], found.efficiency[a:b])
         for a, b in zip(ends[:-1], ends[1:], strict=True)
     ]
+    return sets[:count], sets[count:]
 
 
 def flat_orders(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float) -> OrderSolution:
