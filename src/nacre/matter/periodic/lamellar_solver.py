@@ -87,7 +87,7 @@ def is_patterned(layer: PatternLayer) -> bool:
 
 
 def solve_lamellar(cases: Sequence[Case]) -> list[OrderSolution]:
-    """Return the orders of lamellar layers for each (stack, k0, theta, phi), within 3e-4, with metal 4e-3."""
+    """Return the orders of lamellar layers for each (stack, k0, theta, phi), within 3e-4, with metal 1.5e-3."""
     found: dict[int, OrderSolution] = {}
     groups: dict[object, list[int]] = {}
     incidences = [incident_wave(stack, theta, phi) for stack, _, theta, phi in cases]
