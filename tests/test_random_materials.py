@@ -15,6 +15,7 @@ from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.spectrum import directional_hemispherical
 
 QUICK, FULL = 10, 200
+QUICK_RELIEFS = 4  # each takes a second
 BLOCKS = [range(start, start + 38) for start in range(QUICK, FULL, 38)]  # side by side
 GRID_NM = np.array([420.0, 550.0, 680.0])  # physics is tested at a few wavelengths; colours are tested elsewhere
 ENERGY_BAR = 1.002
@@ -104,8 +105,13 @@ def test_ten_random_films() -> None:
     check_films(range(QUICK))
 
 
+def test_four_random_reliefs(tmp_path: Path) -> None:
+    check_reliefs(range(QUICK_RELIEFS), tmp_path)
+
+
+@pytest.mark.full
 def test_ten_random_reliefs(tmp_path: Path) -> None:
-    check_reliefs(range(QUICK), tmp_path)
+    check_reliefs(range(QUICK_RELIEFS, QUICK), tmp_path)
 
 
 def test_ten_random_metasurfaces() -> None:
