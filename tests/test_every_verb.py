@@ -298,10 +298,10 @@ def test_fit(both: Both) -> None:
     rows = "".join(f"{w:g},0,{v}\n" for w, v in ((400, 0.2), (700, 0.3)))
     column = "specular_reflectance" if both.recipe.stem in ("film", "metasurface", "blend") else "diffuse_reflectance"
     (both.recipe.parent / "seen.csv").write_text(f"wavelength_nm,angle_deg,{column}\n{rows}")
-    arguments = ["fit", "seen.csv", str(both.recipe), "--starts", "0", "--samples", str(SAMPLES), "--intervals",
+    arguments = ["fit", "seen.csv", str(both.recipe), "--starts", "1", "--samples", str(SAMPLES), "--intervals",
                  "linear", "--json", "-o", str(both.command / "fitted.toml")]  # fmt: skip
     found = both.ask(
-        lambda: nacre.fit("seen.csv", both.recipe, starts=0, samples=SAMPLES, intervals="linear"), arguments
+        lambda: nacre.fit("seen.csv", both.recipe, starts=1, samples=SAMPLES, intervals="linear"), arguments
     )
     assert found is not None
     values = [number["value"] for number in json.loads(found[1])["numbers"]]
