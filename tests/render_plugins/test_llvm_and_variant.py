@@ -452,7 +452,8 @@ for variant in ("scalar_spectral", "scalar_rgb"):
     from nacre.device.bsdf import make_bsdf
     bsdf, context, point = make_bsdf(blend), mi.BSDFContext(), mi.SurfaceInteraction3f()
     point.wi, point.wavelengths = mi.Vector3f(0.6, 0.0, 0.8), [450.0, 500.0, 550.0, 600.0][: len(point.wavelengths)]
-    print(*(c for wo in ([0.0, 0.0, 0.0], [-0.6, 0.0, 0.8]) for c in np.ravel(bsdf.eval(context, point, wo))))
+    for wo in (mi.Vector3f(0.0, 0.0, 0.0), mi.Vector3f(-0.6, 0.0, 0.8)):
+        print(*np.ravel(bsdf.eval(context, point, wo)))
 """
 
 
@@ -461,6 +462,5 @@ def test_a_scalar_variant_gives_no_light_where_no_direction_was_drawn() -> None:
     """Scalars cannot be divided by 0; a failed draw of one lobe is evaluated by the other lobes."""
     done = python(SCALAR_BLEND, dict(os.environ))
     assert done.returncode == 0, done.stderr
-    for line in done.stdout.splitlines()[-2:]:
-        nothing, light = np.split(np.array(line.split(), dtype=float), 2)
-        assert np.all(nothing == 0.0) and np.all(light > 0.1)
+    values = [np.array(line.split(), dtype=float) for line in done.stdout.splitlines()[-4:]]
+    assert all(np.all(nothing == 0.0) for nothing in values[::2]) and all(np.all(light > 0.1) for light in values[1::2])
