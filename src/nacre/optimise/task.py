@@ -128,18 +128,11 @@ class DesignTask:
         return found
 
 
-def is_design_task(data: Mapping[str, Any]) -> bool:
-    """Whether the dictionary of a target file has a list of targets, not the single `[target]` of a relief."""
-    if "target" in data:
-        return not isinstance(data["target"], Mapping)
-    if "family" in data:  # a recipe
-        return "want" in data
-    return bool(set(data) & {"parameters", "layers", "recipe", "tolerance", "want"})
-
-
 def is_relief_task(data: Mapping[str, Any]) -> bool:
-    """Whether a target file varies the heights of a relief, or has a picture over directions."""
+    """Whether a target has one `[target]` table, varies the heights of a relief, or has a picture over directions."""
     free, targets = data.get("parameters"), data.get("target")
+    if isinstance(targets, Mapping):
+        return "recipe" not in data
     pictures = isinstance(targets, list) and any(isinstance(one, Mapping) and "directions" in one for one in targets)
     return pictures or (isinstance(free, Mapping) and "heights" in free)
 
@@ -167,7 +160,11 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
         RecipeError: naming file, key, value and what is allowed.
         NacreError: the recipe cannot be computed.
     """
-    data, context = read_data(target)
+    return check_task(*read_data(target))
+
+
+def check_task(data: dict[str, Any], context: RecipeContext) -> DesignTask:
+    """Check the tables of a target file; see `read_task`."""
     if isinstance(data.get("target"), Mapping):
         raise RecipeError(f"{context.source}: [target] is of a relief; write [[target]]")
     spec: DesignSpec = validate(DesignSpec, data, context)
