@@ -69,12 +69,10 @@ def design(
 
 def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bool, workers: Workers) -> None:
     """Design for each row of a CSV and print the results."""
-    from nacre.material.examples import resolve_recipe_path
     from nacre.optimise.batch import SUMMARY, TABLE, design_batch
 
     with _Screen() as screen:
-        path = resolve_recipe_path(Path(target))
-        found = design_batch(path, labs, folder, resume=resume, workers=workers, progress=screen.count)
+        found = design_batch(target, labs, folder, resume=resume, workers=workers, progress=screen.count)
     if as_json:
         click.echo((folder / SUMMARY).read_text(encoding="utf-8"), nl=False)
     else:
