@@ -206,7 +206,7 @@ def gamut(
 ) -> None:  # fmt: skip
     """Show the colours that RECIPE reaches with its parameters, in a*b* and xy, and their share of all colours."""
     from nacre.core.files import check_writable, short_name, write_text
-    from nacre.optimise.gamut import find_gamut, gamut_chart, gamut_page, parse_parameters
+    from nacre.optimise.gamut import find_gamut, gamut_chart, gamut_page
 
     path = Path(output) if output else None if as_json else Path(f"{short_name(recipe)}-gamut.png")
     if path is not None:
@@ -214,7 +214,7 @@ def gamut(
             raise NacreError(f"-o {path}: the suffix must be .png, .pdf, .svg, .json or .html")
         check_writable(path)
     material = common.load_material(recipe, changes)
-    found = find_gamut(material, parse_parameters(parameters), geometry, **search)
+    found = find_gamut(material, parameters, geometry, **search)
     if path is not None:
         if path.suffix == ".json":
             write_text(path, json.dumps(found.document(), indent=1) + "\n")

@@ -47,6 +47,7 @@ from nacre.optimise.yield_analysis import sensitivity, yield_of
 from nacre.recipe.paths import numbers_of
 
 DESIGN_KEYS = {"parameters", "layers", "recipe", "tolerance", "want"}  # of target files; [want] is a former name
+DICTIONARY = "target"  # folder name for a dictionary
 RESUMED_SEED = 1_000_003  # seed offset of each resumed search
 
 
@@ -101,9 +102,13 @@ def run(
     Example: `nacre.design("violet.toml", "violet").best.targets[0].distance`.
     """
     begun = time.monotonic()
-    task = target if isinstance(target, DesignTask | ReliefTask) else read_target(target)
-    folder = Path(task.name if out is None else out)
+    if isinstance(target, DesignTask | ReliefTask):
+        name = target.name
+    else:
+        name = DICTIONARY if isinstance(target, Mapping) else named(target).stem
+    folder = Path(name if out is None else out)
     check_room(folder, NEED_BYTES)
+    task = target if isinstance(target, DesignTask | ReliefTask) else read_target(target)
     if isinstance(task, ReliefTask):
         check_folder(folder, task.context, (*WRITTEN, *FILES))
     else:
@@ -132,13 +137,14 @@ def read_target(target: str | Path | Mapping[str, Any]) -> DesignTask | ReliefTa
     data, context = read_data(target if isinstance(target, Mapping) else resolve_recipe_path(named(target)))
     if is_relief_task(data):
         return read_relief(data, context)
-    if "target" not in data and not set(data) & DESIGN_KEYS:
-        name = Path(context.source).name
+    if "target" not in data and "family" in data and "want" not in data:
         raise RecipeError(
-            f'{context.source}: is a recipe; write a target with recipe = "{name}", [parameters] and [[target]] '
-            "(nacre keys design)"
-            if "family" in data
-            else f"{context.source}: has no targets; add [[target]] tables (nacre keys design), or [target] of a relief"
+            f'{context.source}: is a recipe; write a target with recipe = "{Path(context.source).name}", [parameters] and '
+            "[[target]] (nacre keys design)"
+        )
+    if "target" not in data and not set(data) & DESIGN_KEYS:
+        raise RecipeError(
+            f"{context.source}: has no targets; add [[target]] tables (nacre keys design), or [target] of a relief"
         )
     return check_task(data, context)
 

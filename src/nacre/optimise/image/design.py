@@ -130,7 +130,8 @@ def design_picture(
     def report(worst: float) -> None:
         if progress is not None:
             spent = time.monotonic() - begun
-            progress(DesignProgress(worst, spent, max(total - spent, 0.0)))
+            said = f"mean distance at {worst:.3g} of its tolerance"
+            progress(DesignProgress(worst, spent, max(total - spent, 0.0), description=said))
 
     report(float("inf"))
     sampler = _sampler(task)
