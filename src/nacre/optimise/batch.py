@@ -23,18 +23,23 @@ from nacre.core.files import check_room, read_text, write_text
 from nacre.core.jobs import START_WORKERS_S, Workers, run_jobs
 from nacre.optimise.colour_list import ColourRow, read_colours
 from nacre.optimise.evaluation import TargetResult, evaluate
-from nacre.optimise.relief.task import ReliefTask
 from nacre.optimise.run import (
     budget_of,
     choose_search,
     document_of,
     evaluate_solution,
-    read_target,
     tolerance_of,
     with_method_overrides,
 )
 from nacre.optimise.solutions import NEED_BYTES, RECIPE, Solution, write_recipe
-from nacre.optimise.task import DesignTask, palette_name, total_thickness_nm
+from nacre.optimise.task import (
+    DesignTask,
+    check_task,
+    is_relief_task,
+    palette_name,
+    read_data,
+    total_thickness_nm,
+)
 from nacre.optimise.thin_film.adapter import thin_film_search_many
 from nacre.recipe.fingerprint import file_digest
 
@@ -139,9 +144,12 @@ def _collector(
 
 
 def _read(target: str | Path | Mapping[str, Any]) -> DesignTask:
-    task = read_target(target)
-    if isinstance(task, ReliefTask):
-        raise NacreError(f"{task.context.source}: heights are designed for one target at a time; use nacre.design")
+    data, context = read_data(target)
+    if not isinstance(data.get("target"), list):
+        raise NacreError(f"{context.source}: has no [[target]]; add one, whose colour is replaced")
+    if is_relief_task(data):
+        raise NacreError(f"{context.source}: relief heights are designed for one target at a time; use nacre.design")
+    task = check_task(data, context)
     if task.targets[0].image is not None:
         raise NacreError(f"{task.context.source}: target[0].image: a picture is not a single colour; use nacre.design")
     texture = next((target for target in task.targets if target.texture is not None), None)

@@ -14,7 +14,6 @@ from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import check_room, named, output_folder, read_text
 from nacre.families.contract import is_direct, method_overrides
-from nacre.material.examples import resolve_recipe_path
 from nacre.material.material import Material
 from nacre.optimise.checkpoint import Checkpointer, DesignFolder
 from nacre.optimise.evaluation import evaluate, objective, rank
@@ -134,13 +133,13 @@ def read_target(target: str | Path | Mapping[str, Any]) -> DesignTask | ReliefTa
         RecipeError: naming file, key, value and what is allowed.
         NacreError: the recipe cannot be computed.
     """
-    data, context = read_data(target if isinstance(target, Mapping) else resolve_recipe_path(named(target)))
+    data, context = read_data(target)
     if is_relief_task(data):
         return read_relief(data, context)
     if "target" not in data and "family" in data and "want" not in data:
         raise RecipeError(
-            f'{context.source}: is a recipe; write a target with recipe = "{Path(context.source).name}", [parameters] and '
-            "[[target]] (nacre keys design)"
+            f'{context.source}: is a recipe; write a target with recipe = "{Path(context.source).name}", [parameters] '
+            "and [[target]] (nacre keys design)"
         )
     if "target" not in data and not set(data) & DESIGN_KEYS:
         raise RecipeError(

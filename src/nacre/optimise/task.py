@@ -11,7 +11,8 @@ from typing import Any
 
 from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
-from nacre.core.files import read_text
+from nacre.core.files import named, read_text
+from nacre.material.examples import resolve_recipe_path
 from nacre.material.material import Material, load, material
 from nacre.matter.indices.spec import IndexSpec
 from nacre.measure.geometry import Geometry, named_geometries
@@ -138,14 +139,14 @@ def is_relief_task(data: Mapping[str, Any]) -> bool:
 
 
 def read_data(target: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], RecipeContext]:
-    """Return a copy of the tables of a target file, and its location.
+    """Return a copy of the tables of a target file, which may be named as an example, and its location.
 
     Raises:
         NacreError: the file cannot be read, or is no TOML.
     """
     if isinstance(target, Mapping):
         return copy.deepcopy(dict(target)), RecipeContext("target", Path().resolve(), "")
-    path = Path(target)
+    path = resolve_recipe_path(named(target))
     text = read_text(path, "target")
     return parse_toml(text, str(path)), RecipeContext(str(path), path.parent.resolve(), text)
 
