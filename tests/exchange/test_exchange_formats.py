@@ -19,7 +19,8 @@ from nacre.formats.lobes import gonio_grid, merl_lobe
 from nacre.formats.measured_lobes import measured_table, rgb_basis
 from nacre.formats.rgl import RglBsdf, Warp, read_tensor, rgl_fields, write_tensor
 from nacre.formats.thin_film import ThinFilm, read_gltf, read_materialx, write_gltf, write_materialx
-from nacre.formats.zemax import read_zemax, scatter_direction, write_zemax, zemax_table
+from nacre.formats.zemax import write_zemax, zemax_table
+from nacre.readers.bsdf.ray_tracers import read_zemax_table, scatter_direction
 from nacre.recipe.toml import dump_toml
 
 ROUGH_FILM = {
@@ -178,7 +179,7 @@ def test_the_spectrum_of_a_colour_that_reflects_no_more_than_white_does_so_at_ev
 def test_a_zemax_table_round_trips_and_looks_where_its_format_says(tmp_path: Path, film: nacre.Bsdf) -> None:
     table = zemax_table(film, 550.0, step_deg=15.0)
     write_zemax(tmp_path / "z.bsdf", table)
-    again = read_zemax(tmp_path / "z.bsdf")
+    again = read_zemax_table(tmp_path / "z.bsdf")
     np.testing.assert_allclose(again.values, table.values, rtol=1e-6)
     mirror = scatter_direction(np.array(30.0), np.array(0.0), np.array(0.0))
     np.testing.assert_allclose(mirror, [-0.5, 0, np.sqrt(0.75)], atol=1e-12)

@@ -12,7 +12,7 @@ import pytest
 
 import nacre
 from nacre.cli import run
-from nacre.formats.zemax import read_zemax, scatter_direction
+from nacre.readers.bsdf.ray_tracers import read_zemax_table, scatter_direction
 
 DATA = Path(__file__).parent / "data"
 BLACK = DATA / "anodised_black_632nm.bsdf"
@@ -33,7 +33,7 @@ def brought(tmp_path: Path):
 def test_a_measured_table_holds_the_totals_that_its_own_program_stated() -> None:
     from nacre.formats.zemax import _total
 
-    table = read_zemax(BLACK)
+    table = read_zemax_table(BLACK)
     assert (table.spectral_content, table.scatter_type, table.values.shape) == ("Monochrome", "BRDF", (1, 4, 19, 21))
     i, a, r = np.meshgrid(table.incidence_deg, table.azimuth_deg, table.radial_deg, indexing="ij")
     cos_o = scatter_direction(i, a, r)[..., 2]
@@ -47,7 +47,7 @@ def test_a_measured_table_holds_the_totals_that_its_own_program_stated() -> None
 
 def test_a_measured_table_becomes_a_material_of_its_reflectance(brought) -> None:
     bsdf = brought(BLACK.name).bsdf()
-    table = read_zemax(BLACK)
+    table = read_zemax_table(BLACK)
     for theta, stated in zip(table.incidence_deg, table.tis[0], strict=True):
         wi = np.array([np.sin(np.radians(theta)), 0.0, np.cos(np.radians(theta))])
         total = sum(lobe.hemispherical(wi)[0] for lobe in bsdf.lobes)

@@ -312,7 +312,7 @@ def _stopping(monkeypatch, after):
         return solve(self, number)
 
     monkeypatch.setattr(Ensemble, "solve", once)
-    monkeypatch.setattr(interpolation, "in_threads", lambda work, items: [work(item) for item in items])
+    monkeypatch.setattr(interpolation, "in_workers", lambda work, items, keep: [keep(i, work(i)) for i in items])
     return solved
 
 

@@ -16,7 +16,7 @@ from nacre.formats.gonio_csv import GonioData, gonio_data
 from nacre.formats.measured_files import write_astm, write_brdf_json, write_speos
 from nacre.formats.measured_lobes import measured_table
 from nacre.formats.rgl import RglBsdf, rgl_fields, write_tensor
-from nacre.readers.bsdf.zemax import read_zemax, scatter_direction
+from nacre.readers.bsdf.ray_tracers import read_zemax_table, scatter_direction
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
 from nacre.readers.registry import open_file
 
@@ -253,7 +253,7 @@ def test_a_zemax_table_has_its_values_at_its_nodes(tmp_path: Path) -> None:
     path = tmp_path / "x.bsdf"
     data = Path(__file__).parents[1] / "exchange" / "data" / "anodised_black_632nm.bsdf"
     path.write_bytes(data.read_bytes())
-    table, bsdf = read_zemax(path), nacre.import_(path, tmp_path / "x.toml").bsdf()
+    table, bsdf = read_zemax_table(path), nacre.import_(path, tmp_path / "x.toml").bsdf()
     i, a, r = np.meshgrid(table.incidence_deg, table.azimuth_deg, table.radial_deg, indexing="ij")
     wo = scatter_direction(i, a, r)
     up = (wo[..., 2] > 1e-6) & (r > 0)

@@ -9,7 +9,7 @@ import pytest
 
 from nacre.core.errors import NacreError
 from nacre.optimise.colour_list import read_colours
-from nacre.readers.heights.maps import read_map
+from nacre.readers.heights.surface import read_map
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
 from nacre.readers.preamble import light_above
 from nacre.readers.registry import open_file

@@ -17,8 +17,7 @@ import tifffile
 from scipy.io import netcdf_file
 
 from nacre.core.errors import NacreError
-from nacre.readers.heights.roughness import filled, roughness
-from nacre.readers.heights.surface import length_um
+from nacre.readers.heights.surface import filled, length_um, roughness
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
 from nacre.readers.registry import open_file, recognise
 from nacre.readers.report import write_measurements

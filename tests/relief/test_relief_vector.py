@@ -50,6 +50,19 @@ def test_vertical_walls_are_those_of_a_grating(tmp_path: Path) -> None:
     assert turned.reflected_direction[..., :2] == pytest.approx(np.stack([-y, x], axis=-1), abs=1e-9, nan_ok=True)
 
 
+def test_spectra_depend_on_azimuth_and_hand(tmp_path: Path) -> None:
+    across = relief(tmp_path).spectrum(0.4, [500.0], "s", azimuth_deg=20)
+    along = relief(tmp_path, LINES.T).spectrum(0.4, [500.0], "s", azimuth_deg=110)
+    assert along.diffuse_reflectance == pytest.approx(across.diffuse_reflectance, abs=1e-9)
+    left, right, mean = (
+        relief(tmp_path).spectrum(0.4, [500.0], kind, azimuth_deg=20).diffuse_reflectance
+        for kind in ("left", "right", "both")
+    )
+    assert 0.5 * (left + right) == pytest.approx(mean, rel=1e-9)
+    with pytest.raises(UnsupportedError):
+        relief(tmp_path).spectrum(0.4, [500.0], "mueller")
+
+
 def test_blur_rounds_the_walls_continuously(tmp_path: Path) -> None:
     """The solver of profiles tends to that of vertical walls."""
     values = [

@@ -11,6 +11,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
+
 from nacre.core.jobs import SINGLE_THREADED
 
 START_TIMEOUT_S = 60.0
@@ -55,3 +57,23 @@ def dask_over_tcp(folder: Path, workers: int, *options: str, protocol: str = "tc
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+
+
+class KillsOneWorker:
+    """Kill one of the workers of `dask_over_tcp` at the first progress, for `on_progress` and `progress`.
+
+    Attributes:
+        killed: how many were.
+    """
+
+    def __init__(self) -> None:
+        self.killed = 0
+
+    def __call__(self, done: int, total: int, *_: float) -> None:
+        """Kill one, once."""
+        if self.killed or done == total:
+            return
+        workers = [child for child in psutil.Process().children() if "distributed.cli.dask_worker" in child.cmdline()]
+        workers[0].kill()
+        workers[0].wait()
+        self.killed += 1

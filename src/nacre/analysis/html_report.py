@@ -121,6 +121,8 @@ def _document(report: Report) -> dict[str, Any]:
         "hemispherical": _clean(report.hemispherical),
         "largest_standard_error": report.noise,
         "selective_reflection": {angle: dict(band.__dict__) for angle, band in report.selective.items()},
+        "order_width_deg": report.order_width_deg,
+        "dark_geometries": list(report.dark_geometries),
         "texture": None if report.texture is None else _clean(texture_document(report.texture)),
         "provenance": report.provenance,
     }
@@ -211,6 +213,12 @@ def report_numbers(report: Report) -> list[tuple[str, str]]:
             f"{band.hand} circular, {band.low_nm:.0f} to {band.high_nm:.0f} nm: R = {band.reflectance:.3f} at "
             f"{band.peak_nm:.0f} nm, the other hand {band.other_reflectance:.3f}, |g| = {band.dissymmetry:.2f}",
         ))  # fmt: skip
+    if report.order_width_deg is not None:
+        rows.append(
+            ("standard deviation of an order", f"{report.order_width_deg:.3g} degrees; wider apertures average")
+        )
+    if report.dark_geometries:
+        rows.append(("no diffraction order leaves at", ", ".join(report.dark_geometries)))
     if report.noise > 0:
         rows.append(("largest standard error of pi f", f"{report.noise:.2g}"))
     if report.texture is not None:

@@ -416,9 +416,9 @@ def _on_own_nodes(source: Path, form: str) -> tuple[TableLobe, list[str]]:
         return merl_lobe(table), [RGB_REMARK, *remarks]
     if form == "zemax":
         from nacre.formats.lobes import zemax_lobe
-        from nacre.formats.zemax import read_zemax
+        from nacre.readers.bsdf.ray_tracers import read_zemax_table
 
-        zemax = read_zemax(source)
+        zemax = read_zemax_table(source)
         if len(zemax.incidence_deg) < 2:
             raise UnsupportedError(
                 f"has one incidence, {zemax.incidence_deg[0]:g} degrees, and determines no BRDF by itself; state a "

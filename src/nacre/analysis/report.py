@@ -15,10 +15,11 @@ import numpy as np
 
 from nacre._version import __version__
 from nacre.bsdf import Bsdf
+from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
-from nacre.families.contract import Polarised, energy_defect
+from nacre.families.contract import Diffracting, Polarised, energy_defect
 from nacre.light import (
     colour_difference,
     lab_to_lch,
@@ -40,6 +41,7 @@ from nacre.measure.texture import Texture
 SPECULAR_ANGLES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 FLOP_FACTOR, FLOP_POWER, FLOP_BASE = 2.69, 1.11, 0.86  # Alman's flop index
 MIRROR_THRESHOLD = 1e-6
+DARK = 1e-6  # Y of a geometry without light
 APERTURE_WALKS, LEAST_SAMPLES = (
     1 << 15,
     64,
@@ -99,6 +101,7 @@ class Report:
         surface: roughness of a measured surface, such as `sq_um`.
         texture: sparkle and graininess, if asked for.
         selective: band in which one hand of circular light is reflected, at "0" and "45" degrees, if there is one.
+        order_width_deg: standard deviation of each order of a grating; None for other materials.
     """
 
     name: str
@@ -117,6 +120,17 @@ class Report:
     selective: dict[str, SelectiveBand] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
     texture: Texture | None = None
+    order_width_deg: float | None = None
+
+    @property
+    def dark_geometries(self) -> tuple[str, ...]:
+        """Geometries outside the mirror direction that no order of a grating reaches."""
+        if self.order_width_deg is None:
+            return ()
+        tables = (self.aspecular, *([] if self.geometries is None else [self.geometries]))
+        return tuple(
+            label for table in tables for label, xyz in zip(table.labels, table.xyz, strict=True) if xyz[1] < DARK
+        )
 
     @property
     def tables(self) -> dict[str, ColourTable]:
@@ -166,7 +180,8 @@ def make_report(
     )
     aspecular = replace(aspecular, aspecular_deg=aspecular.angles_deg)
     mirror = bsdf.specular(np.radians(SPECULAR_ANGLES_DEG)).reflectance
-    spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm)
+    mixes = isinstance(material.model, Polarised) and material.model.mixes_polarisations
+    spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm, "mueller" if mixes else "both")
     parts = {name: _luminous(value, spectrum.wavelengths_nm, *light) for name, value in spectrum.parts().items()}
     lost = energy_defect(material.model, np.radians([0.0, 45.0]), spectrum.wavelengths_nm, seed)
     if lost is not None:
@@ -200,7 +215,10 @@ def make_report(
         transmission_haze=transmission_haze(bsdf, samples=samples, seed=seed) if bsdf.transmits else None,
         noise=0.0 if error is None else float(np.pi * error.max()),
         surface=dict(material.model.surface_figures),
-        selective=_selective(material, bsdf.wavelengths_nm),
+        selective=_selective(spectrum),
+        order_width_deg=float(np.degrees(material.model.order_width_rad))
+        if isinstance(material.model, Diffracting)
+        else None,
         provenance={"nacre": __version__, "recipe": material.text, "seed": seed, "samples": samples},
     )
 
@@ -256,13 +274,12 @@ def flop_index(lightness_15: float, lightness_45: float, lightness_110: float) -
     return float(FLOP_FACTOR * (lightness_15 - lightness_110) ** FLOP_POWER / lightness_45**FLOP_BASE)
 
 
-def _selective(material: Material, wavelengths_nm: Array) -> dict[str, SelectiveBand]:
-    """Return the bands of selective reflection by incidence angle."""
-    if not isinstance(material.model, Polarised) or not material.model.mixes_polarisations:
+def _selective(spectrum: Spectrum) -> dict[str, SelectiveBand]:
+    """Return the bands of selective reflection by incidence angle, of spectra with Mueller matrices."""
+    if spectrum.mueller_reflected is None:
         return {}
-    spectrum = material.spectrum(np.radians([0.0, 45.0]), wavelengths_nm, "mueller")
-    assert spectrum.mueller_reflected is not None  # as mixes_polarisations says
-    bands = [selective_band(circular_reflection(m), wavelengths_nm) for m in spectrum.mueller_reflected]
+    lam = spectrum.wavelengths_nm
+    bands = [selective_band(circular_reflection(m), lam) for m in spectrum.mueller_reflected]
     return {angle: band for angle, band in zip(("0", "45"), bands, strict=True) if band is not None}
 
 

@@ -134,18 +134,20 @@ def cluster_options(function: Callable[..., None]) -> Callable[..., None]:
 
 @contextlib.contextmanager
 def solving_on(workers: Any, material: Any) -> Iterator[None]:
-    """Solve a grating's orders on the cluster of `cluster_options`.
+    """Solve a grating's orders or a metasurface's ensemble on the cluster of `cluster_options`.
 
     Raises:
-        NacreError: the material has no orders, or the options do not suit the cluster.
+        NacreError: the material has neither, or the options do not suit the cluster.
     """
     from nacre.core.jobs import on_cluster
-    from nacre.families.contract import Diffracting
+    from nacre.families.contract import Diffracting, ExpensiveMethod
 
-    if workers.cluster is not None and not isinstance(material.model, Diffracting):
-        noun = material.model.traits.noun
+    model = material.model
+    is_shared = isinstance(model, Diffracting) or (isinstance(model, ExpensiveMethod) and model.is_distributed)
+    if workers.cluster is not None and not is_shared:
         raise NacreError(
-            f"--cluster: a {noun} is solved on this machine; a cluster computes grating orders and --animate frames"
+            f"--cluster: this {model.traits.noun} is solved on this machine; a cluster computes grating orders, "
+            "metasurface ensembles and --animate frames"
         )
     with on_cluster(workers):
         yield

@@ -80,6 +80,11 @@ def on_cluster(workers: Workers) -> Iterator[None]:
         _cluster.pop()
 
 
+def is_on_cluster() -> bool:
+    """Whether `in_workers` computes on a cluster."""
+    return bool(_cluster)
+
+
 def in_workers(
     work: Callable[[Any], Any], items: Sequence[Any], keep: Callable[[Any, Any], None] | None = None
 ) -> list[Any]:

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
+import numpy as np
 from numpy.typing import NDArray
 
 from nacre.bsdf import Bsdf
@@ -36,6 +37,7 @@ from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError, did_you_mean
 from nacre.light import default_wavelengths
 from nacre.matter.drawings import Drawer
+from nacre.matter.periodic.order_tables import MAX_THETA
 from nacre.matter.periodic.orders import Orders
 
 if TYPE_CHECKING:
@@ -125,6 +127,11 @@ class Model(abc.ABC):
     def surface_figures(self) -> Mapping[str, float]:
         """Figures of a measured surface for reports: name with its unit -> value."""
         return {}
+
+
+# Stokes vectors of unit power, over the frame (p, s)
+STOKES = {"p": (1.0, 1.0, 0.0, 0.0), "s": (1.0, -1.0, 0.0, 0.0), "both": (1.0, 0.0, 0.0, 0.0),
+          "mueller": (1.0, 0.0, 0.0, 0.0), "right": (1.0, 0.0, 0.0, 1.0), "left": (1.0, 0.0, 0.0, -1.0)}  # fmt: skip
 
 
 class Polarised(abc.ABC):
@@ -305,6 +312,11 @@ class ExpensiveMethod(abc.ABC):
 
     @property
     @abc.abstractmethod
+    def is_distributed(self) -> bool:
+        """Whether the model uses the expensive method, selected or named, so that a cluster can share its work."""
+
+    @property
+    @abc.abstractmethod
     def replaced_method(self) -> str:
         """Name of the expensive method that was replaced in this model, or empty."""
 
@@ -314,8 +326,14 @@ class ExpensiveMethod(abc.ABC):
         """Recipe changes, by path, that select the replacement explicitly; solution files contain them."""
 
 
-class Diffracting(abc.ABC):
-    """A periodic material, whose light leaves in orders."""
+class Diffracting(Model, Polarised):
+    """A periodic material, whose light leaves in orders.
+
+    Attributes:
+        has_mirror: the zero order is specular; otherwise it is as wide as the others, and diffuse.
+    """
+
+    has_mirror: ClassVar[bool] = False
 
     @property
     @abc.abstractmethod
@@ -331,6 +349,52 @@ class Diffracting(abc.ABC):
             azimuth_rad: of the direction to the light.
             wavelengths_nm: `[wavelength]`; default: `wavelengths_nm` of the model.
         """
+
+    def transmits_orders(self, wavelengths_nm: Array) -> bool:
+        """Whether transmitted orders are part of the spectra."""
+        return False
+
+    @property
+    def mixes_polarisations(self) -> bool:
+        """Whether s light may be reflected as p light: the mirror of a grating, in conical incidence."""
+        return self.has_mirror
+
+    def spectrum(
+        self, theta_rad: Array, wavelengths_nm: Array | None = None, polarisation: str = "both", seed: int = 0
+    ) -> Spectrum:
+        """Return `polarised_spectrum` for light from the azimuth 0."""
+        return self.polarised_spectrum(theta_rad, wavelengths_nm, polarisation)
+
+    def polarised_spectrum(
+        self,
+        theta_rad: Array,
+        wavelengths_nm: Array | None = None,
+        polarisation: str = "both",
+        azimuth_rad: float = 0.0,
+    ) -> Spectrum:
+        """Return the sums over orders, specular for the zero order of a mirror, diffuse for all others."""
+        if polarisation not in STOKES or (polarisation == "mueller" and not self.has_mirror):
+            known = ", ".join(name for name in STOKES if self.has_mirror or name != "mueller")
+            raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use {known}')
+        theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
+        found = self.diffraction_orders(np.minimum(theta, MAX_THETA), azimuth_rad, wavelengths_nm)
+        lam, is_zero = found.wavelengths_nm, np.all(found.numbers == 0, axis=1)
+        is_specular = is_zero & self.has_mirror
+        matrices = found.mueller()
+        powers = [np.nan_to_num(m[..., 0, :] @ np.array(STOKES[polarisation])) for m in matrices]
+        back, through = ([p[..., part].sum(axis=-1) for part in (is_specular, ~is_specular)] for p in powers)
+        is_clear = self.transmits_orders(lam)
+        is_full = polarisation == "mueller"
+        return Spectrum(
+            lam,
+            np.degrees(theta),
+            back[0] if self.has_mirror else None,
+            through[0] if self.has_mirror and is_clear else None,
+            back[1],
+            through[1] if is_clear else None,
+            mueller_reflected=matrices[0][:, :, is_zero][:, :, 0] if is_full else None,
+            mueller_transmitted=np.nan_to_num(matrices[1][:, :, is_zero][:, :, 0]) if is_full and is_clear else None,
+        )
 
 
 class Pixels(abc.ABC):

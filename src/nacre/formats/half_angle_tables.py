@@ -18,7 +18,7 @@ from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path, reraise_as_oserror
 from nacre.formats.export_formats import refuse_unsuitable
 from nacre.light import spectrum_to_rgb_linear
-from nacre.readers.bsdf.merl import SCALE, SHAPE, bin_angles, bin_remarks, is_up, read_raw
+from nacre.readers.bsdf.databases import SCALE, SHAPE, bin_angles, bin_remarks, is_up, read_raw
 
 MIN_COS = 1e-4  # bins below the horizon are 0
 

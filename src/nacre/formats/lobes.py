@@ -18,8 +18,8 @@ from nacre.formats.half_angle_tables import SHAPE
 from nacre.formats.measured_lobes import ANISOTROPIC, periodic_turns, rgb_basis
 from nacre.formats.zemax import ZemaxBsdf
 from nacre.light import default_wavelengths, xyz_to_srgb_linear
+from nacre.readers.bsdf.ray_tracers import scatter_direction
 from nacre.readers.bsdf.rgl import RglBsdf
-from nacre.readers.bsdf.zemax import scatter_direction
 
 RGL_TURNS, RGL_INCIDENCES, RGL_RADIALS, RGL_AZIMUTHS, RGL_WAVELENGTHS = 24, 18, 48, 33, 48
 MAX_COMPARED = 20_000

@@ -17,8 +17,7 @@ from nacre.core.errors import UnsupportedError
 from nacre.core.files import atomic_path
 from nacre.formats.export_formats import refuse_unsuitable
 from nacre.light import spectrum_to_xyz
-from nacre.readers.bsdf.zemax import CHANNELS, ZemaxBsdf, scatter_direction
-from nacre.readers.bsdf.zemax import read_zemax as read_zemax
+from nacre.readers.bsdf.ray_tracers import CHANNELS, ZemaxBsdf, scatter_direction
 
 
 def zemax_table(bsdf: Bsdf, wavelength_nm: float | None = None, step_deg: float = 5.0) -> ZemaxBsdf:

@@ -19,7 +19,7 @@ import numpy as np
 from nacre.core.errors import NacreError
 from nacre.core.files import plain, why_unreadable
 from nacre.core.memory import check_memory
-from nacre.readers.file_head import utf_16_order
+from nacre.readers.measurement import utf_16_order
 from nacre.readers.units import Floats, normal, parse_unit
 
 MAX_BYTES = 1 << 30

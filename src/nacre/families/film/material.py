@@ -34,7 +34,7 @@ from nacre.core.arrays import Array, direction, take_uniform
 from nacre.core.errors import UnsupportedError
 from nacre.core.memory import check_memory
 from nacre.core.quadrature import gauss_legendre
-from nacre.families.contract import Model, Polarised, Traits
+from nacre.families.contract import STOKES, Model, Polarised, Traits
 from nacre.families.film.ridges import Ridges, remainder
 from nacre.light import default_wavelengths, delta_e_2000
 from nacre.light.tables import STEPS_NM
@@ -51,9 +51,6 @@ SPREAD_STEP_NM = 5.0
 ERROR_MARGIN = 2.0  # of the stated error: the check has a few hundred angles
 BASE_COSINES = 513  # at most, of the film over a diffuse base
 BYTES_PER_LAYER = 64  # and wavelength: indices, phases and copies
-# Stokes vectors of unit power
-STOKES = {"p": (1.0, 1.0, 0.0, 0.0), "s": (1.0, -1.0, 0.0, 0.0), "both": (1.0, 0.0, 0.0, 0.0),
-          "mueller": (1.0, 0.0, 0.0, 0.0), "right": (1.0, 0.0, 0.0, 1.0), "left": (1.0, 0.0, 0.0, -1.0)}  # fmt: skip
 AZIMUTH_NOTE = (
     "its reflectance depends on the azimuth of the light; pictures and the Bsdf hold the mean over the azimuth, "
     "spectra are exact"

@@ -8,7 +8,6 @@ from functools import partial
 import numpy as np
 
 from nacre.bsdf import Bsdf
-from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
@@ -19,11 +18,11 @@ from nacre.bsdf.texture import ParameterAxis, Texture, parse_formula
 from nacre.core.arrays import Array, interpolate, take_uniform
 from nacre.core.errors import UnsupportedError
 from nacre.core.quadrature import gauss_legendre
-from nacre.families.contract import Diffracting, Model, Pixels, Traits
+from nacre.families.contract import Diffracting, Pixels, Traits
 from nacre.families.grating.outlines import outlines
 from nacre.matter.indices.constant import OpticalConstant
-from nacre.matter.periodic.order_tables import MAX_THETA, OrderTables, in_common, order_tables
-from nacre.matter.periodic.orders import Orders, check_polarisation, coarse_orders, solve_orders, summed
+from nacre.matter.periodic.order_tables import OrderTables, in_common, order_tables
+from nacre.matter.periodic.orders import Orders, coarse_orders, solve_orders
 from nacre.matter.periodic.slices import COARSE, Wall, sliced
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Shape
 
@@ -86,7 +85,7 @@ class GratingLayer:
 
 
 @dataclass(frozen=True, eq=False)
-class Grating(Model, Diffracting, Pixels):
+class Grating(Diffracting, Pixels):
     """A periodic structure of layers, or of a profile, on a substrate.
 
     Attributes:
@@ -97,6 +96,7 @@ class Grating(Model, Diffracting, Pixels):
         is_coarse: solve once at the smallest size, for searches among many similar materials.
     """
 
+    has_mirror = True
     version = 2  # lines in smaller bases, tables between Rayleigh anomalies
     traits = Traits(noun="grating", default_parts=("specular_reflectance", "diffuse_reflectance"), takes_ambient=True)
 
@@ -153,6 +153,10 @@ class Grating(Model, Diffracting, Pixels):
         if self.is_coarse:
             return coarse_orders(lambda w: stacks[w], theta_rad, azimuth, lam)
         return solve_orders(lambda w: stacks[w], theta_rad, azimuth, lam, self.tolerance)
+
+    def transmits_orders(self, wavelengths_nm: Array) -> bool:
+        """Whether the substrate is clear."""
+        return is_transparent(self.substrate.n_complex(wavelengths_nm))
 
     @property
     def pitch_nm(self) -> tuple[float, float]:
@@ -268,26 +272,3 @@ class Grating(Model, Diffracting, Pixels):
             lam, cosines, reflected, passed, np.zeros_like(reflected), total, eta, transmits, parameters=axes
         )
         return Specular(response)
-
-    def spectrum(
-        self, theta_rad: Array, wavelengths_nm: Array | None = None, polarisation: str = "both", seed: int = 0
-    ) -> Spectrum:
-        """Return the zero order (specular) and all others (diffuse), for light from azimuth 0.
-
-        Raises:
-            UnsupportedError: the polarisation is not known.
-        """
-        check_polarisation(polarisation)
-        theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
-        found = self.diffraction_orders(np.minimum(theta, MAX_THETA), 0.0, wavelengths_nm)
-        is_zero = np.all(found.numbers == 0, axis=1)
-        lam = found.wavelengths_nm
-        transmits = is_transparent(self.substrate.n_complex(lam))
-        return Spectrum(
-            lam,
-            np.degrees(theta),
-            summed(found.reflected[:, :, is_zero], polarisation),
-            summed(found.transmitted[:, :, is_zero], polarisation) if transmits else None,
-            summed(found.reflected[:, :, ~is_zero], polarisation),
-            summed(found.transmitted[:, :, ~is_zero], polarisation) if transmits else None,
-        )

@@ -393,6 +393,11 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         return EXPENSIVE_METHOD if self.correction == AUTO and self._choice[0] == ENSEMBLE else ""
 
     @property
+    def is_distributed(self) -> bool:
+        """Whether an ensemble is used."""
+        return self.chosen_correction[0] == ENSEMBLE
+
+    @property
     def replaced_method(self) -> str:
         """The ensemble, if the mean field replaces it in a search."""
         return EXPENSIVE_METHOD if self.is_replaced and self._choice[0] == ENSEMBLE else ""

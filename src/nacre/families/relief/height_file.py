@@ -16,8 +16,7 @@ from nacre.core.files import plain, why_unreadable
 from nacre.core.memory import check_memory
 from nacre.families.relief.scan import Scan, Statistics
 from nacre.families.relief.surface import Tile
-from nacre.readers.heights.roughness import MOST_HOLES, filled, plane, roughness, without_plane
-from nacre.readers.heights.surface import length_um
+from nacre.readers.heights.surface import MOST_HOLES, filled, length_um, plane, roughness, without_plane
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
 from nacre.recipe.model import RecipeContext
 
@@ -102,7 +101,7 @@ class HeightOptions:
         return Heights(heights, pitch, is_periodic, False, remarks)
 
     def _instrument(self, path: Path, context: RecipeContext) -> Heights:
-        from nacre.readers.heights.maps import read_map
+        from nacre.readers.heights.surface import read_map
 
         pitch = None if self.feature_um is None else (self.feature_um, self.feature_um)
         try:
@@ -157,10 +156,10 @@ class HeightOptions:
 
 
 def _is_scan_image(path: Path) -> bool:
-    from nacre.readers.heights import jpk
+    from nacre.readers.heights import scanning_probe
     from nacre.readers.registry import head_of
 
-    return path.suffix.lower() != ".png" and jpk.sniff(head_of(path)) > 0
+    return path.suffix.lower() != ".png" and scanning_probe.sniff_jpk(head_of(path)) > 0
 
 
 def _array(path: Path, name: str, context: RecipeContext) -> Array:

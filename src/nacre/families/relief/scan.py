@@ -26,7 +26,7 @@ from scipy.ndimage import map_coordinates, spline_filter, zoom
 
 from nacre.core.arrays import Array
 from nacre.families.relief.surface import SINUSOID, Validity, expected_de00, mean_feature_nm
-from nacre.readers.heights.roughness import autocovariance
+from nacre.readers.heights.surface import autocovariance
 
 Statistics = Literal["scan", "random", "isotropic"]
 RealArray = NDArray[Any]

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nacre.bsdf.bsdf import Bsdf, Spectrum
+from nacre.bsdf.bsdf import Bsdf
 from nacre.bsdf.lobes.orders import OrdersLobe, limited_width
 from nacre.bsdf.texture import Texture, parse_formula
 from nacre.core.arrays import Array
-from nacre.families.contract import Diffracting, Fabricable, Figure, Model, Traits
+from nacre.families.contract import Diffracting, Fabricable, Figure, Traits
 from nacre.families.relief.blocks import Blocks
 from nacre.families.relief.lines import Lines
 from nacre.families.relief.material import Relief
 from nacre.matter.drawings import Drawer
-from nacre.matter.periodic.order_tables import MAX_THETA, order_tables
-from nacre.matter.periodic.orders import Orders, check_polarisation, solve_orders, summed
+from nacre.matter.periodic.order_tables import order_tables
+from nacre.matter.periodic.orders import Orders, solve_orders
 from nacre.matter.periodic.solve import LARGEST_ERROR
 from nacre.matter.periodic.structure import NotConvergedError, PeriodicStack
 
@@ -28,7 +28,7 @@ QUARTER = 0.5 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
-class VectorRelief(Model, Diffracting, Fabricable):
+class VectorRelief(Diffracting, Fabricable):
     """A relief of lines or of blocks, solved rigorously.
 
     Attributes:
@@ -126,20 +126,6 @@ class VectorRelief(Model, Diffracting, Fabricable):
         rotation = Texture(QUARTER, QUARTER, formula=parse_formula(repr(QUARTER))) if self._is_turned else None
         lobe = OrdersLobe(lam, power, table.lattice, orders, width, rotation)
         return Bsdf((lobe,), {"optics": "vector", "estimated_error": float(f"{table.error:.2g}")})
-
-    def spectrum(
-        self, theta_rad: Array, wavelengths_nm: Array | None = None, polarisation: str = "both", seed: int = 0
-    ) -> Spectrum:
-        """Return the sum of all orders as diffuse light, for light from azimuth 0.
-
-        Raises:
-            UnsupportedError: the polarisation is not known.
-        """
-        check_polarisation(polarisation)
-        theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
-        found = self.diffraction_orders(np.minimum(theta, MAX_THETA), 0.0, wavelengths_nm)
-        diffuse = summed(found.reflected, polarisation)
-        return Spectrum(found.wavelengths_nm, np.degrees(theta), None, None, diffuse)
 
     @property
     def _is_turned(self) -> bool:

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from nacre.core.disk_cache import cache_arrays, cached_arrays
-from nacre.core.errors import UnsupportedError
 from nacre.core.jobs import in_workers
 from nacre.matter.periodic.solve import method_of, solve, solve_many
 from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Region
 from nacre.matter.periodic.types import Array
+from nacre.matter.stack.solve import mueller
 
 VERSION = 7  # raised when numbers change, which invalidates stored solutions
 MIN_STORED_S = 0.2  # solutions that take less are not stored
@@ -48,24 +48,22 @@ class Orders:
     transmitted_direction: Array
     error: Array
 
+    def mueller(self) -> tuple[Array, Array]:
+        """Return the Mueller matrices of reflection and transmission over (p, s), `[angle, wavelength, order, 4, 4]`.
 
-def check_polarisation(polarisation: str) -> None:
-    """Check the polarisation of a sum over orders.
-
-    Raises:
-        UnsupportedError: it is not known.
-    """
-    if polarisation not in ("s", "p", "both"):
-        raise UnsupportedError(f'polarisation = "{polarisation}" is not known; use s, p or both')
-
-
-def summed(efficiency: Array, polarisation: str) -> Array:
-    """Sum efficiencies `[angle, wavelength, order, (s, p)]` over orders to `[angle, wavelength]`.
-
-    `polarisation` is "s", "p", or "both" for the mean over s and p.
-    """
-    both = np.nan_to_num(efficiency).sum(axis=2)
-    return np.asarray({"s": both[..., 0], "p": both[..., 1]}.get(polarisation, both.mean(axis=-1)))
+        They count power through the surface; the elements of S0 and S1 are the stored efficiencies.
+        """
+        is_zero = np.all(self.numbers == 0, axis=1)
+        k_z = self.reflected_direction[:, :, is_zero, 2]
+        found = []
+        for name in ("reflected", "transmitted"):
+            jones = getattr(self, f"{name}_jones")[..., ::-1, ::-1]
+            ratio = np.abs(getattr(self, f"{name}_direction")[..., 2] / k_z)
+            matrix = mueller(jones) * ratio[..., None, None]
+            power = getattr(self, name)
+            matrix[..., 0, 0], matrix[..., 0, 1] = power.mean(axis=-1), 0.5 * (power[..., 1] - power[..., 0])
+            found.append(matrix)
+        return found[0], found[1]
 
 
 def solve_orders(

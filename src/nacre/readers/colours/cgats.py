@@ -1,4 +1,4 @@
-"""CGATS.17 and its kin: ISO 28178, Argyll (CTI1 to CTI3, CCSS), ProfileMaker (LGOROWLENGTH)."""
+"""CGATS.17 and its relatives (ISO 28178, Argyll, ProfileMaker), and the text of iccDEV."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ import numpy as np
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
-from nacre.readers.colours.common import colours, illuminant_in, observer_in, spectra_scale
+from nacre.readers.colours.lab import colours, illuminant_in, observer_in, spectra_scale
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
-from nacre.readers.spectra.common import number, read_text
+from nacre.readers.spectra.common import blocks, number, read_text
+
+# CGATS.17 and its kin: ISO 28178, Argyll (CTI1 to CTI3, CCSS), ProfileMaker (LGOROWLENGTH).
 
 _FIRST = re.compile(r"\s*(CGATS(\.\d+)?|CTI[123]|ISO28178|LGOROWLENGTH|CCSS|CCMX|CAL|IT8(\.\d/\d)?|ECI2002|NCLR)\b")
 _TOKEN = re.compile(r'"([^"]*)"|(\S+)')
 _BAND = re.compile(
     r"(?:SPECTRAL|SPEC|NM|R|SPECTRAL_NM|SPECTRAL_DEC|SPECTRAL_PCT|SPECTRAL_NM_DEC)_?(?:NM)?_?(\d{3,4}(?:\.\d+)?)"
 )
-_NAMES = ("SAMPLE_NAME", "SAMPLENAME", "SAMPLE_ID", "SAMPLEID", "SAMPLE_LOC", "STRING")
+_CGATS_NAMES = ("SAMPLE_NAME", "SAMPLENAME", "SAMPLE_ID", "SAMPLEID", "SAMPLE_LOC", "STRING")
 _COLOURS = {"LAB": ("L", "a", "b"), "XYZ": ("X", "Y", "Z")}
 _POLAR = {"LAB": ("LAB_L", "LAB_C", "LAB_H"), "XYZ": ("XYY_X", "XYY_Y", "XYY_CAPY")}
 _FIELDS = {"LAB": ("LAB_L", "LAB_A", "LAB_B"), "XYZ": ("XYZ_X", "XYZ_Y", "XYZ_Z")}
@@ -52,14 +54,14 @@ class Table:
     kin: str = ""
 
 
-def sniff(head: FileHead) -> float:
+def sniff_cgats(head: FileHead) -> float:
     """Return 1 if a line begins with BEGIN_DATA, or if a short head begins with the name of a CGATS format."""
     first = next((line for line in head.lines if line.strip()), "")
     has_format = any(line.strip().upper().startswith("BEGIN_DATA") for line in head.lines)
     return CERTAIN if has_format or (_FIRST.match(first) and len(head.lines) < 40) else 0.0
 
 
-def read(path: Path, options: ReadOptions) -> list[Measurement]:
+def read_cgats(path: Path, options: ReadOptions) -> list[Measurement]:
     """Read L*a*b*, XYZ and spectra of the tables.
 
     Raises:
@@ -82,7 +84,9 @@ def read(path: Path, options: ReadOptions) -> list[Measurement]:
         table.kin = first
         measurement = measurement_of(path, table)
         if measurement is None:
-            spaces = dict.fromkeys(name.split("_")[0] for name in table.fields if "_" in name and name not in _NAMES)
+            spaces = dict.fromkeys(
+                name.split("_")[0] for name in table.fields if "_" in name and name not in _CGATS_NAMES
+            )
             empty.append(" and ".join(spaces) or "no fields")
         else:
             found.append(measurement)
@@ -209,10 +213,10 @@ def measurement_of(path: Path, table: Table) -> Measurement | None:
         assumed.append("X, Y, Z are of the light that a display emits, relative to its white")
     if table.kin == "CTI1":
         assumed.append("a target that is to be measured: its X, Y, Z are expected values, not measured ones")
-    others = [name for name in table.fields if name not in used | set(_NAMES) and not _BAND.fullmatch(name)]
+    others = [name for name in table.fields if name not in used | set(_CGATS_NAMES) and not _BAND.fullmatch(name)]
     if others:
         left_out.append(f"the fields {', '.join(others)[:200]}")
-    key = next((name for name in _NAMES if name in place), None)
+    key = next((name for name in _CGATS_NAMES if name in place), None)
     names = [row[place[key]] if key else str(count) for count, row in enumerate(table.rows, start=1)]
     illuminant, observer = _light(table.keywords)
     metadata: dict[str, object] = {word.lower(): table.keywords[word] for word in _METADATA if table.keywords.get(word)}
@@ -263,3 +267,49 @@ def _number(path: Path, row: list[str], at: int, name: str) -> float:
     if value is None or not np.isfinite(value):
         raise NacreError(f'{path}: row "{row[0][:20]}": {name} = "{row[at][:40]}" is not a number')
     return value
+
+
+# iccDEV apply data: a signature of the colour space, the encoding, and rows of numbers.
+
+_SIGNATURE = re.compile(r"\s*'(.{4,6})'\s*(?:;.*)?$")
+_ICC_TEXT_NAMES = {"Lab ": ("L", "a", "b"), "XYZ ": ("X", "Y", "Z")}
+
+
+def sniff_icc_text(head: FileHead) -> float:
+    """Return 1 for a quoted signature above a line of the encoding (icEncode...)."""
+    lines = [line for line in head.lines[:10] if line.strip()]
+    is_signed = len(lines) > 1 and bool(_SIGNATURE.match(lines[0])) and lines[1].strip().startswith("icEncode")
+    return CERTAIN if is_signed else 0.0
+
+
+def read_icc_text(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read L*a*b* or XYZ under D50, as ICC defines it.
+
+    Raises:
+        NacreError: spectra (the file states no wavelengths), device values, or another encoding.
+    """
+    lines = [line for line in read_text(path).lines if line.strip()]
+    match = _SIGNATURE.match(lines[0])
+    signature = match[1] if match else ""
+    if re.fullmatch(r"[a-z]{2}[0-9a-fA-F]{4}", signature):
+        raise NacreError(
+            f"{path}: holds spectra of {int(signature[2:], 16)} samples, but no wavelengths; write a table of them"
+        )
+    if signature not in _ICC_TEXT_NAMES:
+        raise NacreError(f"{path}: holds '{signature}' only; L*a*b*, XYZ or spectra with wavelengths are needed")
+    encoding = lines[1].split(";")[0].strip()
+    if encoding not in ("icEncodeValue", "icEncodeFloat") or (encoding == "icEncodeFloat" and signature == "Lab "):
+        raise NacreError(f"{path}: the encoding {encoding} is not read; allowed: icEncodeValue")
+    found = blocks(lines[2:], least_rows=1, least_columns=3)
+    if (
+        len(found) != 1
+        or found[0].table.shape[1] != 3
+        or np.isnan(found[0].table).any()
+        or found[0].stop < len(lines) - 2
+    ):
+        raise NacreError(f"{path}: should hold rows of three numbers below its two lines of format")
+    scale = 100.0 if encoding == "icEncodeFloat" else 1.0
+    data = {name: found[0].table[:, place] * scale for place, name in enumerate(_ICC_TEXT_NAMES[signature])}
+    names = [str(place) for place in range(1, len(found[0].table) + 1)]
+    return [colours(path, "icc-text", names, data, assumed=["D50 and the observer 2deg, as ICC defines the space"],
+                    illuminant="D50", observer="2deg")]  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 
 from nacre.core.errors import NacreError
 from nacre.readers.colours.cgats import Table, measurement_of
-from nacre.readers.colours.common import SRGB, colours, illuminant_in
+from nacre.readers.colours.lab import SRGB, colours, illuminant_in
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import LIKELY, FileHead
 from nacre.readers.spectra.common import number, read_text

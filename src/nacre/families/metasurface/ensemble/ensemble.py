@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,10 +120,9 @@ class Ensemble:
         """Compute the tables shared by all patterns."""
         _ = self.lattice, self.model
 
-    def forget(self) -> None:
-        """Release the tables."""
-        for name in ("coupling", "lattice", "model"):
-            self.__dict__.pop(name, None)
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the tables out; a worker process computes its own."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("coupling", "lattice", "model")}
 
     def _sides(self, cell: Supercell) -> list[tuple[Side, Side]]:
         """View and incident directions, above and then below."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import threading
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
+from nacre.core.jobs import in_workers, is_on_cluster
 from nacre.core.memory import check_memory
-from nacre.core.parallel import available_jobs, in_threads
+from nacre.core.parallel import available_jobs
 from nacre.core.progress import announce, duration
 from nacre.families.metasurface.ensemble.ensemble import REACH, Ensemble, EnsembleSettings, middle_sizes, same_order
 from nacre.families.metasurface.ensemble.supercells import (
@@ -141,11 +143,12 @@ def interpolate_ensemble(
         UnsupportedError: the ensemble is too large for the memory.
     """
     size = settings.spheres * 2 * settings.multipole_order * (settings.multipole_order + 2)
-    check_memory(
-        3.0 * 8.0 * size**2 * available_jobs(),
-        f"{source}: model.ensemble.spheres = {settings.spheres} of order {settings.multipole_order}",
-        "take fewer spheres, or fewer --jobs",
-    )
+    if not is_on_cluster():
+        check_memory(
+            3.0 * 8.0 * size**2 * available_jobs(),
+            f"{source}: model.ensemble.spheres = {settings.spheres} of order {settings.multipole_order}",
+            "take fewer spheres, or fewer --jobs",
+        )
     solved_at = node_wavelengths(np.atleast_1d(np.asarray(wavelengths_nm, dtype=float)))
     first = layer(float(solved_at[0]))
     structure = first.structure
@@ -179,9 +182,10 @@ def interpolate_ensemble(
             parts.append(f"{done_before} {noun} of these {'is' if done_before == 1 else 'are'} cached")
         kept = f" ({', '.join(parts)})" if parts else ""
         noun = "wavelength" if len(missing) == 1 else "wavelengths"
+        time = "on a cluster" if is_on_cluster() else f"about {duration(seconds)}"
         announce(
             f"{source}: {because}{settings.realisations} patterns of {settings.spheres} particles at {len(missing)} "
-            f"{noun}{kept}: about {duration(seconds)}",
+            f"{noun}{kept}: {time}",
             seconds,
         )
         for n, solved in _solve([ensembles[n] for n in missing], [keys[n] for n in missing], missing, cached):
@@ -194,7 +198,7 @@ def interpolate_ensemble(
 def _solve(
     ensembles: list[Ensemble], keys: list[str], names: list[int], cached: list[dict[int, dict[Block, Sums]]]
 ) -> list[tuple[int, tuple[Ratio, Array]]]:
-    """Solve all patterns for all wavelengths, and fit each wavelength after its last pattern.
+    """Solve all patterns for all wavelengths, in threads or on a cluster; fit each wavelength after its last pattern.
 
     Each pattern is cached until the fit, for a resumed run.
 
@@ -203,38 +207,57 @@ def _solve(
         cached: patterns already solved for each.
     """
     solved = [dict(patterns) for patterns in cached]
-    lock = threading.Lock()
     out: list[tuple[int, tuple[Ratio, Array]]] = []
-    prepared = [threading.Lock() for _ in ensembles]
 
     def fit(n: int) -> None:
         ratio, errors = ensembles[n].ratio([solved[n][k] for k in range(len(solved[n]))])
-        solved[n].clear()
-        ensembles[n].forget()
+        for one in solved[n].values():
+            one.clear()  # the list of results still holds it
+        _tables.pop(keys[n], None)
         _store(keys[n], ratio, errors)
         drop_arrays(_pattern_key(keys[n], k) for k in range(len(ensembles[n].supercells)))
-        with lock:
-            out.append((names[n], (ratio, errors)))
+        out.append((names[n], (ratio, errors)))
 
-    def work(item: tuple[int, int]) -> None:
-        n, number = item
-        with prepared[n]:  # the first thread computes the tables
-            ensembles[n].prepare()
-        one = ensembles[n].solve(number)
-        with lock:
-            solved[n][number] = one
-            is_last = len(solved[n]) == len(ensembles[n].supercells)
-        if is_last:
+    def keep(item: tuple[int, str, Ensemble, int], one: dict[Block, Sums]) -> None:
+        n, key, ensemble, number = item
+        solved[n][number] = one
+        if len(solved[n]) == len(ensemble.supercells):
             fit(n)
         else:
-            cache_arrays(_pattern_key(keys[n], number), as_arrays(one))
+            cache_arrays(_pattern_key(key, number), as_arrays(one))
 
-    items = [(n, k) for n, one in enumerate(ensembles) for k in range(len(one.supercells)) if k not in cached[n]]
     for n, one in enumerate(ensembles):
         if len(cached[n]) == len(one.supercells):
             fit(n)
-    in_threads(work, items)
+    items = [
+        (n, keys[n], one, k)
+        for n, one in enumerate(ensembles)
+        for k in range(len(one.supercells))
+        if k not in cached[n]
+    ]
+    try:
+        in_workers(_solve_pattern, items, keep)
+    finally:
+        for key in keys:
+            _tables.pop(key, None)
     return out
+
+
+# ensembles with their tables, by key, each with a lock: in a worker process each item arrives as a new object
+_tables: OrderedDict[str, tuple[Ensemble, threading.Lock]] = OrderedDict()
+_tables_lock = threading.Lock()
+
+
+def _solve_pattern(item: tuple[int, str, Ensemble, int]) -> dict[Block, Sums]:
+    _, key, ensemble, number = item
+    with _tables_lock:
+        one, lock = _tables.setdefault(key, (ensemble, threading.Lock()))
+        _tables.move_to_end(key)
+        while len(_tables) > max(2, available_jobs()):
+            _tables.popitem(last=False)
+    with lock:  # the first thread computes the tables
+        one.prepare()
+    return one.solve(number)
 
 
 def _pattern_key(key: str, number: int) -> str:

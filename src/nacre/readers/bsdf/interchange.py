@@ -1,0 +1,389 @@
+"""Interchange formats of scatter data: ASTM E1392, SSDD, universal BRDF (JSON), WINDOW XML."""
+
+from __future__ import annotations
+
+import json
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nacre.core.arrays import Array, angles_deg
+from nacre.core.errors import NacreError
+from nacre.readers.bsdf.ray_tracers import scatter_direction
+from nacre.readers.bsdf.samples import (
+    DEGREES,
+    measurement,
+    pairs_of,
+    pairs_of_half_angles,
+    read_bytes,
+    read_text,
+    unsigned,
+    wavelengths_in_nm,
+)
+from nacre.readers.bsdf.samples import measurement as as_measurement
+from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.registry import CERTAIN, FileHead
+
+# ASTM E1392 text: `NUM_POINTS`, `VARS=theta_i,phi_i,theta_s,phi_s,...`, then comma-separated rows.
+#
+# Other variables are values: one, R, G, B, X, Y, Z, or wavelengths such as 550nm. The standard's files hold angles in
+# radians; files in degrees exist and are recognised by their range.
+
+ASTM_E1392_ANGLES = ("theta_i", "phi_i", "theta_s", "phi_s")
+_VARS = re.compile(r"\s*VARS\s*[= ]\s*(.*)", re.IGNORECASE)
+_WAVE = re.compile(r"[a-z_ ]*(\d+(?:\.\d+)?)\s*(nm|um)", re.IGNORECASE)
+
+
+def sniff_astm_e1392(head: FileHead) -> float:
+    """Recognise the line of variables."""
+    return CERTAIN if any(re.match(r"\s*VARS\s*=?\s*theta_i", line, re.IGNORECASE) for line in head.lines) else 0.0
+
+
+def read_astm_e1392(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read the pairs.
+
+    Raises:
+        NacreError: the head or a row is invalid, or the row count contradicts NUM_POINTS.
+    """
+    lines = read_text(path).splitlines()
+    start = next((i for i, line in enumerate(lines) if _VARS.match(line)), None)
+    if start is None:
+        raise NacreError(f"{path}: has no line VARS=theta_i,phi_i,theta_s,phi_s,...")
+    match = _VARS.match(lines[start])
+    names = [name.strip() for name in (match[1] if match else "").split(",") if name.strip()]
+    if tuple(n.lower() for n in names[:4]) != ASTM_E1392_ANGLES or len(names) < 5:
+        raise NacreError(f"{path}: VARS = {','.join(names)[:80]} is not theta_i,phi_i,theta_s,phi_s and values")
+    table = _rows(path, lines, start + 1, len(names))
+    said = next((int(m[1]) for line in lines[:start] if (m := re.match(r"\s*NUM_POINTS\s*=?\s*(\d+)", line))), None)
+    if said is not None and said != len(table):
+        raise NacreError(f"{path}: NUM_POINTS = {said}, but the file has {len(table)} rows")
+    is_degrees = options.unit == "deg" or (
+        options.unit != "rad" and float(np.abs(table[:, [0, 2]]).max()) > np.pi / 2 * (1 + 1e-3)
+    )
+    angles = table[:, :4] if is_degrees else np.degrees(table[:, :4])
+    assumed = [f"angles are in {'degrees' if is_degrees else 'radians'} by their range"] if options.unit is None else []
+    theta_i, phi_i = unsigned(angles[:, 0], angles[:, 1])
+    theta_o, phi_o = unsigned(angles[:, 2], angles[:, 3])
+    angles = np.stack([theta_i, phi_i, theta_o, phi_o], axis=-1)
+    colour, waves, notes = _channels(path, names[4:])
+    metadata = {"scatter": "btdf" if any("btdf" in n.lower() for n in names[4:]) else "brdf", "vars": names}
+    head = [line.strip() for line in lines[:start] if line.strip()]
+    return [
+        as_measurement(path, "astm_e1392", angles, waves, table[:, 4:], metadata | {"head": head}, colour=colour,
+                       assumed=[*assumed, *notes])
+    ]  # fmt: skip
+
+
+def _rows(path: Path, lines: list[str], start: int, width: int) -> Array:
+    table = []
+    for number, line in enumerate(lines[start:], start=start + 1):
+        cells = [cell for cell in re.split(r"[,;\s]+", line.strip()) if cell]
+        if not cells or line.lstrip().startswith("#"):
+            continue
+        try:
+            row = [float(cell) for cell in cells]
+        except ValueError:
+            raise NacreError(f'{path}: line {number}: "{line.strip()[:40]}" is not a row of numbers') from None
+        if len(row) != width:
+            raise NacreError(f"{path}: line {number} has {len(row)} numbers, VARS names {width}")
+        table.append(row)
+    if not table:
+        raise NacreError(f"{path}: holds no rows")
+    return np.array(table)
+
+
+def _channels(path: Path, names: list[str]) -> tuple[str | None, Array | None, list[str]]:
+    """Return the colour space, or the wavelengths, of the value columns."""
+    upper = [{"RED": "R", "GREEN": "G", "BLUE": "B"}.get(name.upper(), name.upper()) for name in names]
+    for colour in ("rgb", "xyz"):
+        if upper == list(colour.upper()):
+            return colour, None, []
+    waves = [_WAVE.fullmatch(name) for name in names]
+    if all(waves):
+        return None, np.array([float(m[1]) * (1e3 if m[2].lower() == "um" else 1.0) for m in waves if m]), []
+    if len(names) == 1:
+        return None, None, ["the file names no wavelength; one value stands for all"]
+    raise NacreError(
+        f"{path}: the columns {', '.join(names)[:80]} are not known; allowed: one value, R,G,B, X,Y,Z, or wavelengths"
+    )
+
+
+# SSDD (surface scattering distribution data, version 0.2): up to four blocks of BRDF, BTDF and specular data.
+#
+# Parameter 0 varies fastest. Source: the format's specification in the documentation of libbsdf.
+
+TYPES = ("brdf", "btdf", "specular_reflectance", "specular_transmittance")
+CHANNELS = {"monochrome": 1, "rgb": 3, "xyz": 3}
+FLOAT_BYTES = 4
+
+
+def sniff_ssdd(head: FileHead) -> float:
+    """Recognise the version line followed by a data type."""
+    lines = [line for line in head.lines if line.strip() and not line.startswith("#")]
+    is_headed = bool(lines) and re.match(r"VERSION\s+\d", lines[0]) is not None
+    return CERTAIN if is_headed and any(line.startswith("DATA_TYPE") for line in lines) else 0.0
+
+
+def read_ssdd(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read all blocks.
+
+    Raises:
+        NacreError: a block is incomplete or unknown.
+    """
+    data, place = read_bytes(path, 8.0), 0
+    found: list[Measurement] = []
+    entries: dict[str, str] = {}
+    while place < len(data):
+        end = data.find(b"\n", place)
+        end = len(data) if end < 0 else end
+        line = data[place:end].decode("utf-8", "replace").partition("# ")[0].strip()
+        place = end + 1
+        name, _, value = line.partition(" ")
+        if not name or name.startswith("#"):
+            continue
+        entries[name] = value.strip()
+        if name == "DATA":
+            try:
+                measured, place = _block_ssdd(path, entries, data, place)
+            except (ValueError, KeyError, IndexError):
+                kind = entries.get("DATA_TYPE", "?")[:40]
+                raise NacreError(f"{path}: block {kind} is incomplete or damaged") from None
+            found.append(measured)
+            entries = {key: entries[key] for key in ("VERSION", "SOFTWARE", "DATE") if key in entries}
+    if not found:
+        raise NacreError(f"{path}: holds no data block")
+    return found
+
+
+def _block_ssdd(path: Path, entries: dict[str, str], data: bytes, place: int) -> tuple[Measurement, int]:
+    kind, model = entries["DATA_TYPE"].lower(), entries["COLOR_MODEL"].lower()
+    if kind not in TYPES:
+        raise ValueError(kind)
+    waves = np.array([float(w) for w in entries["WAVELENGTH_LIST"].split()]) if model == "spectrum" else None
+    channels = len(waves) if waves is not None else CHANNELS[model]
+    axes = [np.array([float(w) for w in entries.get(f"PARAM{i}_LIST", "0").split()]) for i in range(4)]
+    if kind.startswith("specular"):
+        axes[2:] = [np.zeros(1), np.zeros(1)]
+    count = int(np.prod([len(a) for a in axes])) * channels
+    values, place = _values(entries["DATA"].lower(), data, place, count)
+    # parameter 0 varies fastest: [param3, param2, param1, param0, channel]
+    values = values.reshape(*(len(a) for a in axes[::-1]), channels)
+    grids = list(np.meshgrid(*axes[::-1], indexing="ij"))[::-1]
+    values = values.reshape(-1, channels)
+    metadata = {"scatter": "btdf" if kind in ("btdf", "specular_transmittance") else "brdf", "colour_model": model,
+                "data_type": kind, "reduction": entries.get("REDUCTION_TYPE", ""),
+                "shape": tuple(len(a) for a in axes)}  # fmt: skip
+    metadata |= {key.lower(): entries[key] for key in ("SOURCE_TYPE", "DEVICE", "MEASUREMENT_DATE") if key in entries}
+    name, colour = entries.get("NAME", ""), model if model in ("rgb", "xyz") else None
+    if kind.startswith("specular"):
+        quantity = "reflectance" if kind.endswith("reflectance") else "transmittance"
+        table = {"theta_i_deg": np.repeat(grids[0].ravel(), channels)}
+        if waves is not None:
+            table["wavelength_nm"] = np.tile(waves, grids[0].size)
+        table[f"specular_{quantity}"] = values.ravel()
+        return Measurement(path, "ssdd", "bsdf", table, name, metadata), place
+    angles = _angles(entries.get("PARAM_TYPE", "").lower(), grids, entries, axes[0])
+    return as_measurement(path, "ssdd", angles, waves, values, metadata, name=name, colour=colour), place
+
+
+def _values(mode: str, data: bytes, place: int, count: int) -> tuple[Array, int]:
+    """Return the block's numbers and the place after them."""
+    if mode == "binary":
+        return np.frombuffer(data, "<f4", count, place).astype(float), place + FLOAT_BYTES * count
+    if mode != "ascii":
+        raise ValueError(mode)
+    numbers: list[float] = []
+    while len(numbers) < count and place < len(data):
+        end = data.find(b"\n", place)
+        end = len(data) if end < 0 else end
+        numbers += [float(w) for w in data[place:end].partition(b"#")[0].split()]
+        place = end + 1
+    if len(numbers) != count:
+        raise ValueError("count")
+    return np.array(numbers), place
+
+
+def _angles(kind: str, grids: list[Array], entries: dict[str, str], incidence: Array) -> Array:
+    """Return direction pairs in degrees."""
+    first, second, third, fourth = grids
+    if kind == "spherical_coordinate_system":
+        return pairs_of(first, second, third, fourth % 360.0)
+    if kind == "half_difference_coordinate_system":
+        return pairs_of_half_angles(*(np.radians(g).ravel() for g in grids))
+    if kind != "specular_coordinate_system":
+        raise ValueError(kind)
+    offsets = [float(w) for w in entries.get("PARAM4_LIST", "").split()] or np.zeros(len(incidence))
+    mirror = first + np.interp(first, incidence, offsets)
+    # spherical coordinates turned to the mirror direction: azimuth 0 points from it towards the normal, 90 to +y
+    out = angles_deg(scatter_direction(mirror, -fourth, third))
+    return pairs_of(first, second, out[..., 0], (out[..., 1] + second) % 360.0)
+
+
+# Universal BRDF files (JSON of the BiRD and BxDiff projects): `data.variables` name the columns of `data.values`.
+#
+# Variables are theta_i, phi_i, theta_r, phi_r (deg or rad), BRDF and uBRDF (sr-1), and optionally a wavelength. Source:
+# the JSON schema of BiRDview.
+
+BRDF_JSON_ANGLES = (("theta_i",), ("phi_i",), ("theta_r", "theta_s", "theta_o"), ("phi_r", "phi_s", "phi_o"))
+WAVES = ("wavelength", "lambda", "wavelength_i", "lambda_i")
+
+
+def sniff_brdf_json(head: FileHead) -> float:
+    """Recognise the keys of the data section."""
+    text = head.data[:65536]
+    is_json = text.lstrip(b"\xef\xbb\xbf \r\n\t")[:1] == b"{"
+    return CERTAIN if is_json and b'"theta_i"' in text and b'"variables"' in text else 0.0
+
+
+def read_brdf_json(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read the values.
+
+    Raises:
+        NacreError: not valid JSON, or variables are missing or not numbers.
+    """
+    try:
+        document = json.loads(read_text(path))
+        variables = document["data"]["variables"]
+        rows, names = document["data"]["values"], [str(v["name"]) for v in variables]
+        units = {name: str(v.get("unit", "")) for name, v in zip(names, variables, strict=True)}
+        head = document.get("metadata", {})
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        raise NacreError(f"{path}: is not a universal BRDF file, or is damaged") from None
+    place = {name.lower(): i for i, name in enumerate(names)}
+    angles = np.stack([_column(path, rows, names, place, units, among) for among in BRDF_JSON_ANGLES], axis=-1)
+    theta_i, phi_i = unsigned(angles[:, 0], angles[:, 1])
+    theta_o, phi_o = unsigned(angles[:, 2], angles[:, 3])
+    value = _column(path, rows, names, place, units, ("brdf", "btdf", "bsdf"))
+    scatter = "btdf" if "btdf" in place else "brdf"
+    metadata: dict[str, Any] = {"scatter": scatter, "variables": names, "head": head}
+    made = measurement(path, "brdf_json", np.stack([theta_i, phi_i, theta_o, phi_o], axis=-1), None, value[:, None],
+                       metadata, name=str(head.get("name", "")) if isinstance(head, dict) else "")  # fmt: skip
+    data, assumed = dict(made.data), list(made.assumed)
+    wave = next((name for name in WAVES if name in place), None)
+    if wave is not None:
+        column = _column(path, rows, names, place, units, (wave,))
+        data["wavelength_nm"], notes = wavelengths_in_nm(path, column, units[names[place[wave]]].lower() or None)
+        assumed += notes
+    else:
+        assumed.append("the file names no wavelength; one value stands for all")
+    error = next((name for name in ("ubrdf", "ubtdf", "ubsdf") if name in place), None)
+    if error is not None:
+        data["bsdf_error"] = _column(path, rows, names, place, units, (error,))
+    used = {*sum(BRDF_JSON_ANGLES, ()), *WAVES, "brdf", "btdf", "bsdf", "ubrdf", "ubtdf", "ubsdf"}
+    left = [f"variable {name} was not read" for name in names if name.lower() not in used]
+    ordered = {key: data[key] for key in (*DEGREES, "wavelength_nm", "bsdf", "bsdf_error") if key in data}
+    return [Measurement(path, made.format, made.kind, ordered, made.name, made.metadata, tuple(assumed),
+                        (*made.left_out, *left))]  # fmt: skip
+
+
+def _column(
+    path: Path, rows: Any, names: list[str], place: dict[str, int], units: dict[str, str], among: tuple[str, ...]
+) -> Array:
+    """Return a variable's numbers, angles in degrees."""
+    name = next((n for n in among if n in place), None)
+    if name is None:
+        raise NacreError(f"{path}: variable {among[0]} is missing; the file has {', '.join(names)[:80]}")
+    try:
+        column = np.array([float(row[place[name]]) for row in rows])
+    except (ValueError, TypeError, IndexError):
+        raise NacreError(f"{path}: variable {name} holds something that is not a number") from None
+    if not len(column):
+        raise NacreError(f"{path}: holds no values")
+    unit = units[names[place[name]]].lower()
+    return np.degrees(column) if unit.startswith("rad") else column
+
+
+# BSDF matrices of WINDOW and Radiance (`<WindowElement>` XML) in a basis of patches such as Klems'.
+#
+# A block gives a matrix, a row for each outgoing and a column for each incident patch, in 1/sr. Directions are those of
+# the patches' centres, with azimuths as the basis counts them.
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Centres of a basis' patches in degrees, each `[patch]`."""
+
+    theta: Array
+    phi: Array
+
+
+def sniff_window_xml(head: FileHead) -> float:
+    """Recognise the root element, which a line of a log may precede."""
+    return CERTAIN if b"<WindowElement" in head.data else 0.0
+
+
+def read_window_xml(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read every block of every wavelength range.
+
+    Raises:
+        NacreError: not valid XML, a basis of another kind (tensor trees), or a matrix that does not fit its basis.
+    """
+    text = read_text(path)
+    text = text[max(text.find("<?xml"), 0) :]
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise NacreError(f"{path}: holds a document type declaration, which this format does not use")
+    try:
+        # the default namespace differs between versions
+        root = ET.fromstring(re.sub(r'\sxmlns="[^"]*"', "", text, count=1))
+    except ET.ParseError:
+        raise NacreError(f"{path}: is not valid XML, or is damaged") from None
+    bases = {_text(node, "AngleBasisName"): _basis(path, node) for node in root.iter("AngleBasis")}
+    structure = next((node.text or "" for node in root.iter("IncidentDataStructure")), "Columns").strip()
+    if structure not in ("Columns", "Rows") or not bases:
+        raise NacreError(
+            f"{path}: IncidentDataStructure = {structure or 'none'} is not a matrix of patches; "
+            "convert a tensor tree by Radiance's bsdf2klems"
+        )
+    name = next((node.text or "" for node in root.iter("Name")), "").strip()
+    found = []
+    for data in root.iter("WavelengthData"):
+        label = _text(data, "Wavelength")
+        for block in data.iter("WavelengthDataBlock"):
+            found.append(_block_window_xml(path, name, label, block, bases, structure == "Columns"))
+    if not found:
+        raise NacreError(f"{path}: holds no block of scattering data")
+    return found
+
+
+def _text(node: ET.Element, name: str) -> str:
+    return (node.findtext(name) or "").strip()
+
+
+def _basis(path: Path, node: ET.Element) -> Basis:
+    theta, phi = [], []
+    try:
+        for ring in node.iter("AngleBasisBlock"):
+            low, high = (float(ring.findtext(f"ThetaBounds/{end}Theta") or "") for end in ("Lower", "Upper"))
+            count = int(ring.findtext("nPhis") or "")
+            theta += [0.0 if count == 1 and low == 0 else 0.5 * (low + high)] * count
+            phi += [360.0 * k / count for k in range(count)]
+    except ValueError:
+        raise NacreError(f"{path}: an angle basis is incomplete") from None
+    return Basis(np.array(theta), np.array(phi))
+
+
+def _block_window_xml(
+    path: Path, name: str, label: str, block: ET.Element, bases: dict[str, Basis], has_columns: bool
+) -> Measurement:
+    side = _text(block, "WavelengthDataDirection")
+    try:
+        columns, rows = (bases[_text(block, f"{end}AngleBasis")] for end in ("Column", "Row"))
+        words = re.split(r"[,\s]+", _text(block, "ScatteringData").strip(", \n"))
+        matrix = np.array([float(word) for word in words]).reshape(len(rows.theta), len(columns.theta))
+    except (KeyError, ValueError):
+        raise NacreError(f"{path}: block {label} {side} does not fit its angle basis") from None
+    incident, out = (columns, rows) if has_columns else (rows, columns)
+    values = matrix if has_columns else matrix.T
+    is_through = "transmission" in side.lower()
+    theta_o = 180.0 - out.theta if is_through else out.theta
+    angles = pairs_of(incident.theta[None], incident.phi[None], theta_o[:, None], out.phi[:, None])
+    metadata = {"scatter": "btdf" if is_through else "brdf", "direction": side, "wavelength_range": label,
+                "shape": values.shape}  # fmt: skip
+    assumed = ["azimuths of incident and outgoing patches are as the basis counts them",
+               f"the values are means over the range {label or 'of the file'}"]  # fmt: skip
+    return measurement(path, "window_xml", angles, None, values.reshape(-1, 1), metadata,
+                       name=f"{name} {label} {side}".strip(), assumed=assumed)  # fmt: skip

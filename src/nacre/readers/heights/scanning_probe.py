@@ -1,0 +1,596 @@
+"""Maps of scanning probe microscopes, in the formats of makers and of their programs."""
+
+from __future__ import annotations
+
+import logging
+import re
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nacre.core.errors import NacreError
+from nacre.readers.hdf5 import HDF5_MAGIC, dataset, opened
+from nacre.readers.heights.surface import (
+    array,
+    asked_pitch,
+    asked_unit,
+    check_end,
+    check_shape,
+    chosen,
+    decoded,
+    height_map,
+    length_um,
+    numbers,
+    quantity_um,
+    reads,
+)
+from nacre.readers.measurement import Measurement, ReadOptions
+from nacre.readers.registry import CERTAIN, LIKELY, FileHead
+
+# Bruker, Veeco and Digital Instruments Nanoscope files (.spm, or a number as suffix): text head, integers.
+
+NANOSCOPE_MAGICS = (b"\\*File list", b"\\*EC File list", b"?*File list")
+NANOSCOPE_IMAGES = ("ciao image list", "afm image list", "stm image list", "nca image list", "image list")
+FOUR_BYTES_FROM = 0x09200000  # version from which integers have four bytes whatever the head says
+VALUE = re.compile(r"(?P<kind>[VCS])\s*(?:\[(?P<soft>[^\]]*)\])?\s*(?:\((?P<lsb>[^)]*)\))?\s*(?P<rest>.*)")
+NUMBER = re.compile(r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(.*)")
+
+Section = dict[str, str]
+
+
+def sniff_nanoscope(head: FileHead) -> float:
+    """Return 1 for the first line of the format."""
+    return CERTAIN if head.data.startswith(NANOSCOPE_MAGICS) else 0.0
+
+
+def _sections(data: bytes) -> list[tuple[str, Section]]:
+    found: list[tuple[str, Section]] = []
+    for line in data.split(b"\x1a")[0].decode("latin-1").splitlines():
+        if line.startswith(("\\*", "?*")):
+            name = line[2:].strip().lower()
+            if name == "file list end":
+                break
+            found.append((name, {}))
+        elif line.startswith("\\") and found:
+            key, _, value = line[1:].partition(": ")
+            found[-1][1][key.strip().lower()] = value.strip()
+    return found
+
+
+def _scale_um(image: Section, scanner: Mapping[str, str], bits: int) -> float | None:
+    """Return um per integer, or None if the channel holds no lengths.
+
+    The full range of the integers is the hard value of the Z scale, times the sensitivity that it names.
+    """
+    text = image.get("@2:z scale", image.get("@4:z scale"))
+    if text is None:
+        raise NacreError('has no "@2:Z scale": Nanoscope versions up to 4.2 are not read; save it as .gwy or .sdf')
+    scale = VALUE.match(text)
+    hard = NUMBER.match(scale["rest"].strip()) if scale else None
+    if scale is None or hard is None:
+        raise ValueError(f"Z scale is {text[:40]}")
+    per_lsb, unit = float(hard[1]) / 2.0**bits, hard[2].strip()
+    if scale["soft"]:
+        soft = VALUE.match(scanner.get(f"@{scale['soft'].lower()}", ""))
+        value = NUMBER.match(soft["rest"].strip()) if soft else None
+        if value is None:
+            return None
+        per_lsb *= float(value[1])
+        unit = value[2].split("/")[0].strip() if "/" in value[2] else ""
+    factor = length_um(unit) if unit else None
+    return None if factor is None else per_lsb * factor
+
+
+def _size_um(image: Section, scan: Mapping[str, str]) -> tuple[float, float]:
+    words = image.get("scan size", scan.get("scan size", "")).split()
+    numbers = [float(w) for w in words if NUMBER.fullmatch(w)]
+    factor = length_um(words[-1])
+    if not numbers or factor is None:
+        raise ValueError(f'scan size is "{" ".join(words)}"')
+    width, height = numbers[0] * factor, numbers[-1] * factor
+    slow = scan.get("slow axis size", "").split()
+    if len(slow) == 2 and (unit := length_um(slow[1])) is not None:
+        height = float(slow[0]) * unit
+    return width, height
+
+
+@reads
+def read_nanoscope(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read the channels that are heights; the last line measured is the first of the file.
+
+    Raises:
+        NacreError: force curves, or no channel of heights.
+    """
+    data = path.read_bytes()
+    sections = _sections(data)
+    merged: dict[str, str] = {}
+    for name, fields in sections:
+        if name not in NANOSCOPE_IMAGES:
+            merged.update(fields)
+    if merged.get("start context") == "FOL" or merged.get("operating mode") == "Force":
+        raise NacreError(f"{path}: holds force curves, no height map")
+    version = int(next((f["version"] for n, f in sections if n.endswith("file list") and "version" in f), "0"), 16)
+    maps, others = [], []
+    for name, image in sections:
+        if name not in NANOSCOPE_IMAGES:
+            continue
+        title = re.search(r'"([^"]*)"', image.get("@2:image data", image.get("@4:image data", "")))
+        channel = title[1] if title else name
+        direction = image.get("line direction", "")
+        columns, rows = int(image["samps/line"]), int(image["number of lines"])
+        size = int(image.get("bytes/pixel", "2"))
+        length = int(image["data length"])
+        if int(image["data offset"]) + length > len(data):
+            raise ValueError(f'channel "{channel}" ends after the file')
+        held = 4 if version >= FOUR_BYTES_FROM and length >= 4 * columns * rows else size
+        try:
+            scale = _scale_um(image, merged, 8 * size)
+        except NacreError as error:
+            raise NacreError(f"{path}: {error}") from None
+        if scale is None:
+            others.append(f'"{channel}"')
+            continue
+        width, height = _size_um(image, merged)
+        raw = array(data, "<i4" if held == 4 else "<i2", (rows, columns), int(image["data offset"]))
+        label = channel if direction in ("", "Trace") else f"{channel} ({direction})"
+        aspect = _aspect(image)
+        pitch = width / columns, (height if height != width or aspect == 1.0 else height / aspect) / rows
+        maps.append(height_map(path, "nanoscope", raw[::-1] * scale, pitch, label, {"date": merged.get("date", "")}))
+    left = tuple(f"channel {name}: no height" for name in others)
+    return [_with(one, left) for one in chosen(path, maps, others, options)]
+
+
+def _aspect(image: Section) -> float:
+    """Return width over height of the scan, which one number for its size leaves open."""
+    words = image.get("aspect ratio", "1:1").split(":")
+    return float(words[0]) / float(words[1]) if len(words) == 2 else 1.0
+
+
+def _with(one: Measurement, left: tuple[str, ...]) -> Measurement:
+    from dataclasses import replace
+
+    return replace(one, left_out=left)
+
+
+# WSxM images (.top, .stp) of Nanotec: text head, then rows of numbers, and their export as an ASCII matrix.
+
+WSXM_TYPES = {"short": "<i2", "integer": "<i4", "float": "<f4", "double": "<f8"}
+
+
+def sniff_wsxm(head: FileHead) -> float:
+    """Return 1 for the first line of the format, except for an export of points x, y, z."""
+    is_points = b"ASCII XYZ" in head.data[:200]
+    return CERTAIN if head.data.startswith(b"WSxM file copyright") and not is_points else 0.0
+
+
+@reads
+def read_wsxm(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read one map; the file runs from the lower right point to the upper left one.
+
+    The range of integers is the Z amplitude; other numbers are in its unit.
+    """
+    data = path.read_bytes()
+    if b"ASCII Matrix" in data[:200]:
+        return [_matrix(path, decoded(data), options)]
+    found = re.search(rb"Image header size:\s*(\d+)", data[:400])
+    if found is None:
+        raise ValueError("it states no size of its head")
+    size = int(found[1])
+    head = data[:size].decode("latin-1")
+    fields: dict[str, str] = {}
+    for line in head.splitlines():
+        name, colon, value = line.partition(":")
+        if colon:
+            fields.setdefault(name.strip(), value.strip())
+    kind = fields.get("Image Data Type", "short").lower()
+    if kind not in WSXM_TYPES:
+        raise ValueError(f'numbers of type "{kind}"')
+    rows, columns = int(fields["Number of rows"]), int(fields["Number of columns"])
+    raw = array(data, WSXM_TYPES[kind], (rows, columns), size)[::-1, ::-1].astype(float)
+    amplitude = fields["Z Amplitude"].split()
+    unit = length_um(amplitude[1]) if len(amplitude) > 1 else None
+    if unit is None:
+        raise NacreError(f"{path}: holds no heights: its Z amplitude is {fields['Z Amplitude']}")
+    scale = unit
+    if kind in ("short", "integer"):
+        span = float(np.ptp(raw))
+        scale = float(amplitude[0]) * unit / span if span > 0 else 0.0
+    width = quantity_um(fields["X Amplitude"])
+    height = quantity_um(fields.get("Y Amplitude", fields["X Amplitude"]))
+    name = fields.get("Acquisition channel", "")
+    return [height_map(path, "wsxm", raw * scale, (width / columns, height / rows), name)]
+
+
+def _matrix(path: Path, text: str, options: ReadOptions) -> Measurement:
+    """Read an ASCII matrix: lengths of its sides, then rows in the picture's order."""
+    check_end(text, path)
+    fields: dict[str, str] = {}
+    rows = []
+    for line in text.splitlines()[2:]:
+        name, colon, value = line.partition(":")
+        if colon:
+            fields[name.strip()] = value.strip()
+        elif line.strip():
+            rows.append(line)
+    values = numbers("\n".join(rows) + "\n", path)
+    if not rows or values.size % len(rows):
+        raise ValueError("its rows are not all as long")
+    heights = values.reshape(len(rows), -1)
+    amplitude = fields.get("Z Amplitude", "").split()
+    unit = (length_um(amplitude[1]) if len(amplitude) > 1 else None) or asked_unit(path, options, "heights")
+    width = quantity_um(fields["X Amplitude"])
+    pitch = width / heights.shape[1], quantity_um(fields.get("Y Amplitude", fields["X Amplitude"])) / len(rows)
+    return height_map(path, "wsxm", heights * unit, pitch)
+
+
+# JPK image scans (.jpk, .jpk-qi-image): TIFF files, one page per channel after a thumbnail.
+
+GRID_U, GRID_V, REFLECT = 0x8042, 0x8043, 0x8045
+RETRACE, CHANNEL = 0x8051, 0x8052
+SLOTS, DEFAULT, JPK_FIRST, STRIDE = 0x8080, 0x8081, 0x8090, 0x30
+NAME, UNIT, TYPE, FACTOR, OFFSET = 0x00, 0x12, 0x13, 0x14, 0x15
+
+
+def sniff_jpk(head: FileHead) -> float:
+    """Return 1 for a TIFF whose first page has the tags of a scan grid."""
+    if head.data[:4] not in (b"II*\0", b"MM\0*"):
+        return 0.0
+    import tifffile
+
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # damage ends in one line of ours
+    try:
+        with tifffile.TiffFile(head.path) as file:
+            tags = file.pages.first.tags
+            return CERTAIN if GRID_U in tags and GRID_V in tags else 0.0
+    except (tifffile.TiffFileError, OSError, ValueError, IndexError, KeyError):
+        return 0.0
+
+
+def _tag(page: Any, code: int, default: Any = None) -> Any:
+    found = page.tags.get(code)
+    value = default if found is None else found.value
+    return value.decode("latin-1").strip("\0 ") if isinstance(value, bytes) else value
+
+
+@reads
+def read_jpk(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read the channels in units of length with a linear scale; the first line of the grid is the lowest."""
+    import tifffile
+
+    maps, others = [], []
+    try:
+        with tifffile.TiffFile(path) as file:
+            first = file.pages.first
+            size = float(_tag(first, GRID_U)) * 1e6, float(_tag(first, GRID_V)) * 1e6
+            for page in file.pages[1:]:
+                name = _tag(page, CHANNEL)
+                if name is None:
+                    continue
+                name = f"{name} (retrace)" if _tag(page, RETRACE, 0) else str(name)
+                default = _tag(page, DEFAULT, "")
+                starts = [JPK_FIRST + k * STRIDE for k in range(int(_tag(page, SLOTS, 0)))]
+                slot = next((s for s in starts if _tag(page, s + NAME) == default), None)
+                unit = "" if slot is None else str(_tag(page, slot + UNIT, ""))
+                factor = length_um(unit)
+                if slot is None or factor is None or _tag(page, slot + TYPE) != "LinearScaling":
+                    others.append(f'"{name}" in {unit or "no unit"}')
+                    continue
+                raw = page.asarray().astype(float)
+                values = (raw * float(_tag(page, slot + FACTOR)) + float(_tag(page, slot + OFFSET, 0.0))) * factor
+                values = values if _tag(page, REFLECT, _tag(first, REFLECT, 0)) else values[::-1]
+                pitch = size[0] / values.shape[1], size[1] / values.shape[0]
+                left = ("thumbnail",)
+                maps.append(height_map(path, "jpk", values, pitch, name, left_out=left))
+    except tifffile.TiffFileError as error:
+        raise ValueError(str(error)) from None
+    return chosen(path, maps, others, options)
+
+
+# Igor binary waves (.ibw) of version 5, as Asylum Research writes them: one layer per channel.
+
+BIN_BYTES, WAVE_BYTES = 64, 320
+IBW_TYPES = {2: "f4", 4: "f8", 8: "i1", 16: "i2", 32: "i4", 0x48: "u1", 0x50: "u2", 0x60: "u4"}
+LENGTH_CHANNELS = ("height", "zsensor", "topography", "rawz")
+
+
+def _order(data: bytes) -> str | None:
+    """Return the byte order of a wave of version 5, whose 16-bit sum over both heads is zero."""
+    for order in "<>":
+        if len(data) >= BIN_BYTES + WAVE_BYTES and struct.unpack_from(order + "h", data)[0] == 5:
+            total = np.frombuffer(data, order + "i2", (BIN_BYTES + WAVE_BYTES) // 2).astype(np.int64).sum()
+            if total & 0xFFFF == 0:
+                return order
+    return None
+
+
+def sniff_ibw(head: FileHead) -> float:
+    """Return 1 for version 5 with its checksum."""
+    return CERTAIN if _order(head.data) else 0.0
+
+
+@reads
+def read_ibw(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read the channels of heights; the first index runs along x, the second upward along y."""
+    data = path.read_bytes()
+    order = _order(data)
+    if order is None:
+        raise ValueError("its checksum is wrong")
+    _, _, _, formula, note, _, *label_sizes = struct.unpack_from(order + "hhiiii" + "4i" + "4i", data)
+    labels_sizes = label_sizes[4:]
+    start = BIN_BYTES
+    (kind,) = struct.unpack_from(order + "h", data, start + 16)
+    dims = struct.unpack_from(order + "4i", data, start + 68)
+    steps = struct.unpack_from(order + "4d", data, start + 84)
+    unit_z = data[start + 148 : start + 152].split(b"\0")[0].decode("latin-1")
+    unit_x = data[start + 152 : start + 156].split(b"\0")[0].decode("latin-1")
+    if kind not in IBW_TYPES:
+        raise ValueError(f"numbers of type {kind}")
+    if dims[1] == 0:
+        raise NacreError(f"{path}: holds a profile of {dims[0]} points; heights are a map")
+    layers = max(dims[2], 1)
+    check_shape((dims[1], dims[0]))
+    count = dims[0] * dims[1] * layers
+    values = np.frombuffer(data, order + IBW_TYPES[kind], count, start + WAVE_BYTES).reshape(layers, dims[1], dims[0])
+    tail = start + WAVE_BYTES + values.nbytes + formula
+    names = _labels(data[tail + note + sum(struct.unpack_from(order + "2i", data, 16)) :], labels_sizes, layers)
+    lateral = length_um(unit_x)
+    pitch = (abs(steps[0]) * lateral, abs(steps[1]) * lateral) if lateral else None
+    maps, others = [], []
+    for k, name in enumerate(names):
+        is_length = layers == 1 or any(word in name.lower() for word in LENGTH_CHANNELS)
+        vertical = length_um(unit_z) if unit_z else None
+        if not is_length or (unit_z and vertical is None):
+            others.append(f'"{name}"')
+            continue
+        factor = asked_unit(path, options) if vertical is None else vertical
+        apart = asked_pitch(path, options) if pitch is None else pitch
+        maps.append(height_map(path, "ibw", values[k][::-1].astype(float) * factor, apart, name))
+    return chosen(path, maps, others, options)
+
+
+def _labels(data: bytes, sizes: list[int], layers: int) -> list[str]:
+    """Return the names of the layers: labels of the third dimension, 32 bytes each after one for the dimension."""
+    block = data[sum(sizes[:2]) :][: sizes[2]]
+    names = [block[32 * k : 32 * k + 32].split(b"\0")[0].decode("latin-1") for k in range(1, layers + 1)]
+    return [name or f"channel {k + 1}" for k, name in enumerate(names)]
+
+
+# TopoStats files (.topostats): HDF5 with the flattened image in nm.
+
+TOPOSTATS_IMAGES = ("image", "image_original")
+TOPOSTATS_KEY, MAX_BYTES = b"pixel_to_nm_scaling", 64 << 20
+
+
+def sniff_topostats(head: FileHead) -> float:
+    """Return 1 for HDF5 with `topostats_file_version` or an image and a scale from pixels to nm."""
+    if not head.data.startswith(HDF5_MAGIC):
+        return 0.0
+    # names of later groups stand behind the traces of grains
+    data = head.data if TOPOSTATS_KEY in head.data or head.size > MAX_BYTES else head.path.read_bytes()
+    return CERTAIN if TOPOSTATS_KEY in data else 0.0
+
+
+@reads
+def read_topostats(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read the flattened image, or the original one if there is no other."""
+    with opened(path) as file:
+        scale: Any = dataset(file, "pixel_to_nm_scaling")
+        name, image = next(((n, d) for n in TOPOSTATS_IMAGES if (d := dataset(file, n)) is not None), ("", None))
+        if scale is None or image is None or image.ndim != 2:
+            raise ValueError("it holds no image with pixel_to_nm_scaling")
+        pitch = float(np.ravel(scale[()])[0]) * 1e-3
+        heights = np.asarray(image[()], dtype=float) * 1e-3
+    left = [other for other in TOPOSTATS_IMAGES if other != name]
+    return [height_map(path, "topostats", heights, (pitch, pitch), name, left_out=left)]
+
+
+# Classic NetCDF files (.nc) with one two-dimensional variable of heights over x and y, as SurfaceTopography writes.
+
+NETCDF_MAGICS = (b"CDF\x01", b"CDF\x02")
+
+
+def sniff_netcdf(head: FileHead) -> float:
+    """Return 1 for classic NetCDF with heights, a fair confidence for any other."""
+    if not head.data.startswith(NETCDF_MAGICS):
+        return 0.0
+    return CERTAIN if b"height" in head.data else LIKELY
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _unit(variable: Any) -> str:
+    return _text(getattr(variable, "unit", getattr(variable, "units", "")))
+
+
+@reads
+def read_netcdf(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read every variable over two axes; the first axis is x if it has the name x, else the rows."""
+    from scipy.io import netcdf_file
+
+    maps, others = [], []
+    with netcdf_file(path, "r", mmap=False) as file:
+        for name, variable in file.variables.items():
+            if len(variable.dimensions) != 2:
+                continue
+            unit = _unit(variable)
+            factor = length_um(unit) if unit else asked_unit(path, options)
+            if factor is None:
+                others.append(f'"{name}" in {unit}')
+                continue
+            is_x_first = variable.dimensions[0].lower().startswith("x")
+            values = np.array(variable[:], dtype=float) * factor
+            axes = [variable.dimensions[k] for k in ((0, 1) if is_x_first else (1, 0))]
+            values = values.T if is_x_first else values
+            pitch = [_pitch_um(file.variables.get(axis), axis, count) for axis, count in zip(axes, values.shape[::-1])]
+            pair = (pitch[0], pitch[1]) if None not in pitch else asked_pitch(path, options)
+            if None in pair:
+                raise NacreError(f"{path}: states no positions of its points")
+            maps.append(height_map(path, "netcdf", values, (float(pair[0] or 0), float(pair[1] or 0)), name))
+    return chosen(path, maps, others, options)
+
+
+def _pitch_um(axis: Any, name: str, count: int) -> float | None:
+    """Return the point distance from the length of the axis or its positions."""
+    unit = None if axis is None else length_um(_unit(axis))
+    if axis is None or unit is None:
+        return None
+    length = getattr(axis, "length", None)
+    if length is not None:
+        return float(np.ravel(length)[0]) * unit / count
+    positions = np.array(axis[:], dtype=float)
+    steps = np.diff(positions)
+    if not np.allclose(steps, steps.mean(), rtol=1e-3):
+        raise ValueError(f"its positions along {name} are not equally spaced")
+    return abs(float(steps.mean())) * unit
+
+
+# BCR-STM and BCRF files of Image Metrology SPIP: a text head of fixed size, then integers or floats.
+
+BCR_FIRST = "fileformat"
+KINDS = {"bcrstm": "i2", "bcrf": "f4"}
+VOID = {"i2": 32767.0, "f4": 1.7e38}  # from this value
+
+
+def _encoding(data: bytes) -> str:
+    return "utf-16-le" if data[:2] == b"\xff\xfe" or data[1:2] == b"\0" else "latin-1"
+
+
+def sniff_bcr(head: FileHead) -> float:
+    """Return 1 for `fileformat = bcrstm` or `bcrf`, in one or two bytes a character."""
+    first = head.data[:80].decode(_encoding(head.data), "replace").lstrip("\ufeff").lower()
+    key, equals, value = first.partition("=")
+    return CERTAIN if equals and key.strip() == BCR_FIRST and value.strip().startswith("bcr") else 0.0
+
+
+@reads
+def read_bcr(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read one map: floats in `zunit`, or integers times `bit2nm`; sides in `xunit` and `yunit`; nm unless stated."""
+    data = path.read_bytes()
+    encoding = _encoding(data)
+    width = 2 if encoding == "utf-16-le" else 1
+    keys = _keys(data[: 8192 * width].decode(encoding, "replace"))
+    start = int(keys["headersize"]) * width
+    kind = next((form for name, form in KINDS.items() if keys[BCR_FIRST].startswith(name)), None)
+    if kind is None:
+        raise ValueError(f"its format is {keys[BCR_FIRST][:30]}")
+    order = ">" if keys.get("intelmode", "1") == "0" else "<"
+    shape = int(keys["ypixels"]), int(keys["xpixels"])
+    values = array(data, order + kind, shape, start).astype(float)
+    values[values >= VOID[kind]] = np.nan
+    units = [length_um(keys.get(f"{axis}unit", "nm")) for axis in "xyz"]
+    if None in units:
+        raise NacreError(f"{path}: its axes are in {', '.join(keys.get(f'{a}unit', 'nm') for a in 'xyz')}, no lengths")
+    x, y, z = (float(unit or 0.0) for unit in units)
+    pitch = float(keys["xlength"]) * x / shape[1], float(keys["ylength"]) * y / shape[0]
+    scale = float(keys.get("bit2nm", 1.0)) if kind == "i2" else 1.0
+    return [height_map(path, "bcr", values * scale * z, pitch)]
+
+
+def _keys(text: str) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for line in text.lstrip("\ufeff").splitlines():
+        name, equals, value = line.partition("=")
+        if equals and not line.startswith(("%", "#")):
+            found.setdefault(name.strip().lower(), value.strip())
+    return found
+
+
+# Text maps with a head of keys: SPIP and Attocube (`x-pixels`, `x-length`), and Nova of NT-MDT (`NX`, `Scale X`).
+#
+# Lengths of SPIP are in nm unless a key says otherwise. Without `z-unit`, `Bit2nm` gives the heights in nm.
+
+SPIP_FIRST = re.compile(
+    r"\s*#?\s*(File Format\s*=\s*ASCII\s*$|Daisy frame view snapshot)", re.IGNORECASE | re.MULTILINE
+)
+SPIP_KEY = re.compile(r"\s*#?\s*([A-Za-z][\w \-]*?)\s*[=:]\s*(.*?)\s*$")
+LONGEST = 400  # characters of a key and its value
+START = re.compile(r"\s*#?\s*Start of Data\s*:?\s*$", re.IGNORECASE)
+
+
+def sniff_spip(head: FileHead) -> float:
+    """Return 1 for a first line that one of the programs writes."""
+    return CERTAIN if SPIP_FIRST.match(head.text[:200].lstrip("\ufeff")) else 0.0
+
+
+@reads
+def read_spip(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read one map, and the mask for void points that may follow it.
+
+    Raises:
+        AmbiguousFileError: the file names no unit of its heights, or no lengths.
+        NacreError: the values are no lengths, or their number differs from the head.
+    """
+    text = decoded(path.read_bytes())
+    check_end(text, path)
+    keys, rows = _parts(text)
+    shape = _count(keys, "y-pixels", "ny"), _count(keys, "x-pixels", "nx")
+    check_shape(shape)
+    count = shape[0] * shape[1]
+    values = numbers("\n".join(rows) + "\n", path)
+    void = int(keys.get("voidpixels") or 0)
+    if values.size not in (count, 2 * count) or (values.size == 2 * count) != bool(void):
+        raise ValueError(f"its head states {shape[0]} x {shape[1]} heights, and {values.size} numbers follow")
+    heights = values[:count].reshape(shape) * _factor(path, keys, options)
+    if void:
+        heights[values[count:].reshape(shape) != 0] = np.nan
+    name = keys.get("display", keys.get("channel name", ""))
+    return [height_map(path, "spip", heights, _pitch(path, keys, shape, options), name)]
+
+
+def _parts(text: str) -> tuple[dict[str, str], list[str]]:
+    """Return the head's keys in lower case, and the number rows."""
+    keys: dict[str, str] = {}
+    lines = text.lstrip("\ufeff").splitlines()
+    for place, line in enumerate(lines):
+        if START.match(line):
+            return keys, lines[place + 1 :]
+        found = SPIP_KEY.match(line[:LONGEST])
+        if found:
+            keys[found[1].lower()] = found[2]
+        elif re.match(r"\s*[-+.\d]", line):
+            return keys, lines[place:]
+    return keys, []
+
+
+def _count(keys: dict[str, str], *names: str) -> int:
+    found = next((keys[name] for name in names if name in keys), None)
+    if found is None:
+        raise ValueError(f"its head lacks {names[0]}")
+    return int(found)
+
+
+def _length(path: Path, unit: str) -> float:
+    factor = length_um(unit)
+    if factor is None:
+        raise NacreError(f"{path}: is a map of values in {unit[:20]}; heights are lengths")
+    return factor
+
+
+def _factor(path: Path, keys: dict[str, str], options: ReadOptions) -> float:
+    """Return um per value."""
+    unit = keys.get("z-unit") or keys.get("unit data")
+    if unit:
+        is_scaled = keys.get("datascaleneeded", "no").lower() == "yes"
+        return _length(path, unit) * (float(keys.get("scale data", 1.0)) if is_scaled else 1.0)
+    if "bit2nm" in keys:
+        return float(keys["bit2nm"]) * 1e-3
+    return asked_unit(path, options)
+
+
+def _pitch(path: Path, keys: dict[str, str], shape: tuple[int, int], options: ReadOptions) -> tuple[float, float]:
+    units = [keys.get(name) or keys.get(nova) or "" for name, nova in (("x-unit", "unit x"), ("y-unit", "unit y"))]
+    units[1] = units[1] or units[0]
+    if "x-length" in keys and "y-length" in keys:
+        sides = [abs(float(keys[f"{axis}-length"])) * _length(path, unit or "nm") for axis, unit in zip("xy", units)]
+        return sides[0] / shape[1], sides[1] / shape[0]
+    if "scale x" in keys and units[0]:
+        steps = [
+            abs(float(keys.get(f"scale {axis}", keys["scale x"]))) * _length(path, u) for axis, u in zip("xy", units)
+        ]
+        return steps[0], steps[1]
+    return asked_pitch(path, options)

@@ -1,0 +1,347 @@
+"""Heights as plain text: matrices, points, and tables of nacre; line profiles are refused."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+
+from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
+from nacre.readers.heights.surface import (
+    asked_pitch,
+    asked_unit,
+    check_end,
+    check_shape,
+    decoded,
+    height_map,
+    length_um,
+    numbers,
+    quantity_um,
+    reads,
+)
+from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.registry import CERTAIN, LIKELY, POSSIBLE, FileHead
+
+# CSV of heights that `nacre fabricate --to csv` writes: one period, a row of the file per x.
+
+START = re.compile(r"# feature heights in um, row = x(?:; feature_um = (\S+))?$")
+
+
+def sniff_nacre_heights(head: FileHead) -> float:
+    """Return 1 for the first line of the command."""
+    return CERTAIN if head.lines and START.match(head.lines[0]) else 0.0
+
+
+@reads
+def read_nacre_heights(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Return the heights as a picture, x to the right and y upward.
+
+    The side of a feature is that of the first line, of the description beside the file (`FILE.json`), or of the option
+    `pitch_um`.
+
+    Raises:
+        NacreError: rows of different lengths.
+        AmbiguousFileError: the side of a feature is not known.
+    """
+    text = decoded(path.read_bytes())
+    check_end(text, path)
+    head, *rows = [line for line in text.splitlines() if line.strip()]
+    width = len(rows[0].split(",")) if rows else 0
+    values = numbers("\n".join(rows) + "\n", path)
+    if not width or values.size != width * len(rows):
+        raise NacreError(f"{path}: its rows hold different numbers of heights")
+    check_shape((width, len(rows)))
+    stated = START.match(head)
+    feature_um = float(stated[1]) if stated and stated[1] else _described(path)
+    pitch = (feature_um, feature_um) if feature_um else asked_pitch(path, options)
+    picture = values.reshape(len(rows), width).T[::-1]
+    return [height_map(path, "nacre-heights", picture, pitch, metadata={"is_period": True})]
+
+
+def _described(path: Path) -> float | None:
+    """Return `feature_um`, the feature size, from the JSON description beside the file, if it exists."""
+    try:
+        with path.with_name(path.name + ".json").open("rb") as file:
+            return float(json.loads(file.read(1 << 20))["feature_um"])
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
+
+
+# Text matrices of digital holographic microscopes: phase in radians with a factor to metres in the head.
+
+SIZE = re.compile(r"\s*h\s*=\s*(\d+)\s+w\s*=\s*(\d+)\s*$")
+FACTOR = re.compile(r"height conversion factor\s*\(->\s*(\w+)\)\s*=\s*(\S+)")
+
+
+def sniff_holography(head: FileHead) -> float:
+    """Return 1 for a first line with h and w, followed by the pixel size."""
+    lines = head.lines[:4]
+    return CERTAIN if len(lines) > 1 and SIZE.match(lines[0]) and "pixel size" in lines[1] else 0.0
+
+
+@reads
+def read_holography(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read one map; h is the row count, w the column count."""
+    text = decoded(path.read_bytes())
+    check_end(text, path)
+    lines = text.splitlines()
+    size = SIZE.match(lines[0])
+    assert size is not None
+    shape = int(size[1]), int(size[2])
+    check_shape(shape)
+    head = [line for line in lines[1:6] if "=" in line]
+    fields = dict(line.split("=", 1) for line in head)
+    pitch = quantity_um(fields["pixel size"])
+    unit = fields.get("data unit", "").strip()
+    factor = length_um(unit)
+    if factor is None:
+        found = next((m for line in head if (m := FACTOR.search(line))), None)
+        named = length_um(found[1]) if found else None
+        if found is None or named is None:
+            raise NacreError(f"{path}: gives heights in {unit or 'no unit'} without a factor to metres")
+        factor = float(found[2]) * named
+    values = numbers("\n".join(lines[1 + len(head) :]) + "\n", path)
+    if values.size != shape[0] * shape[1]:
+        raise ValueError(f"its head states {shape[0]} x {shape[1]} heights, and {values.size} follow")
+    facts = {"unit_in_file": unit, "um_per_unit": factor}
+    return [height_map(path, "holography", values.reshape(shape) * factor, (pitch, pitch), metadata=facts)]
+
+
+# Points x y z of a rectangular grid as text, in any order.
+
+TOLERANCE = 1e-3  # of a step, for positions on a grid
+XYZ_HEADING = re.compile(
+    r"^\W*x(_\w\w?)?\b[^\n]*?\by(_\w\w?)?\b[^\n]*?\b(z|h|height|höhe)(_\w\w?)?\b[^\n]*$", re.IGNORECASE
+)
+UNIT = re.compile(r"(?:[\[(/]\s*|_)((?:[nucm]?m)|µm|μm|Å|A)\b")
+
+
+def _parts(text: str) -> tuple[str, list[str]]:
+    """Return the heading, if there is one, and the rows."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    heading = ""
+    while lines and not re.match(r"\s*[-+.\d]", lines[0]):
+        line = lines.pop(0)
+        cells = re.split(r"[\s,;]+", line.strip(" \t#"))
+        are_units = bool(heading) and len(cells) == 3 and all(length_um(cell) is not None for cell in cells)
+        # a unit line below the names
+        heading = f"{heading} {' '.join(f'({cell})' for cell in cells)}" if are_units else line
+    return heading, lines
+
+
+def sniff_xyz(head: FileHead) -> float:
+    """Return a fair confidence for three columns with a heading x, y, z or with two columns on a grid."""
+    if b"\0" in head.data[:4096]:
+        return 0.0
+    heading, rows = _parts(decoded(head.data))
+    if heading and not XYZ_HEADING.match(heading):
+        return 0.0
+    rows = rows[:-1] if len(head.data) < head.size else rows
+    try:
+        values = numbers("\n".join(rows[:4000]) + "\n", head.path)
+    except NacreError:
+        return 0.0
+    rows = rows[:4000]
+    if len(rows) > 4 and len(rows[-1].replace(",", " ").split()) < 3:  # cut; `read` refuses it
+        values, rows = values[: 3 * (len(rows) - 1)], rows[:-1]
+    if len(rows) < 4 or values.size != 3 * len(rows):
+        return 0.0
+    if heading:
+        return LIKELY
+    x, y = values.reshape(-1, 3)[:, :2].T
+    repeats = min(len(x) / len(np.unique(x)), len(y) / len(np.unique(y)))
+    # on a grid, one coordinate repeats along a row and the other from row to row
+    is_line = max(len(x) / len(np.unique(x)), len(y) / len(np.unique(y))) > 1.5 and (
+        repeats > 1.5 or len(head.data) < head.size
+    )
+    return LIKELY if is_line else 0.0
+
+
+@reads
+def read_xyz(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read points on a grid; missing ones are holes. Rows run along y, ascending.
+
+    Raises:
+        AmbiguousFileError: the file names no unit and none is given.
+        NacreError: the points are on no grid.
+    """
+    text = decoded(path.read_bytes())
+    check_end(text, path)
+    heading, rows = _parts(text)
+    values = numbers("\n".join(rows) + "\n", path)
+    if values.size != 3 * len(rows) or not rows:
+        raise NacreError(f"{path}: its rows do not all hold x, y and z")
+    x, y, z = values.reshape(-1, 3).T
+    named = _units(heading)
+    missing_units = [axis for axis, unit in zip("xyz", named, strict=True) if unit is None]
+    asked = asked_unit(path, options, " and ".join(missing_units)) if missing_units else 1.0
+    factors = [asked if unit is None else unit for unit in named]
+    column, columns, dx = _places(x, path)
+    row, count, dy = _places(y, path)
+    heights = np.full((count, columns), np.nan)
+    if len(np.unique(row * columns + column)) != len(z):
+        raise NacreError(f"{path}: gives a point of its grid twice")
+    heights[row, column] = z
+    if np.isnan(heights).mean() > 0.5:
+        raise NacreError(f"{path}: its points are no grid: {len(z)} of {heights.size} nodes are given")
+    missing = int(np.isnan(heights).sum())
+    assumed = [f"{missing} of {heights.size} points of the grid are not in the file and are holes"] if missing else []
+    pitch = dx * factors[0], dy * factors[1]
+    return [height_map(path, "xyz", heights * factors[2], pitch, metadata={"rows": "y ascending"}, assumed=assumed)]
+
+
+def _units(heading: str) -> list[float | None]:
+    """Return the unit of x, y and z in um, None where the heading states none."""
+    found = [length_um(unit) for unit in UNIT.findall(heading)]
+    cells = [cell for cell in re.split(r"[\t,;]+|\s{2,}", heading.strip()) if cell.strip()]
+    if len(found) == 3 or len(cells) != 3:
+        return found if len(found) == 3 else [None] * 3
+    each = [UNIT.search(cell) for cell in cells]
+    return [length_um(match[1]) if match else None for match in each]
+
+
+def _places(values: Array, path: Path) -> tuple[np.ndarray, int, float]:
+    """Return each coordinate's place on a uniform axis, their number, and the step."""
+    known = np.unique(values)
+    if not np.all(np.isfinite(known)):
+        raise NacreError(f"{path}: gives a position that is not finite")
+    gaps = np.diff(known)
+    step = float(np.median(gaps[gaps > 0.5 * gaps.max()])) if len(gaps) else 0.0
+    if step <= 0:
+        raise NacreError(f"{path}: holds a profile of {len(values)} points; heights are a map")
+    exact = (values - known[0]) / step
+    # the step from the whole length, so that rounded positions do not add up
+    count = int(round(float(exact.max()))) + 1
+    step = float(known[-1] - known[0]) / (count - 1)
+    exact = (values - known[0]) / step
+    places = np.round(exact).astype(np.int64)
+    if np.abs(exact - places).max() > max(TOLERANCE * 50, TOLERANCE * count) or count > 65536:
+        raise NacreError(f"{path}: its points are on no rectangular grid")
+    return places, count, step
+
+
+# A bare matrix of heights as text: no unit, no size; its first row and column may be coordinates.
+
+LEAST_SIDE = 4
+WIDE = 16  # columns from which a table without headings is more likely a map
+
+
+def _rows(text: str) -> list[str]:
+    rows = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(("#", "%", "//"))]
+    empty = [row.lstrip(" ")[:1] in ("\t", ",", ";") for row in rows[:2]]
+    if empty == [True, False]:
+        rows[0] = f"nan{rows[0]}"  # the corner of the coordinates
+    return rows
+
+
+def _coordinate_steps(values: Array) -> tuple[float, float] | None:
+    """Return the steps of coordinates in the first row and the first column, or None if they are heights."""
+    if min(values.shape) <= LEAST_SIDE:
+        return None
+    steps = [np.diff(line) for line in (values[0, 1:], values[1:, 0])]
+    inner = [np.diff(line) for line in (values[1, 1:], values[1:, 1])]  # even in a plane, which has no coordinates
+    is_even = [bool(one[0] != 0 and np.allclose(one, one[0], rtol=1e-3)) for one in (*steps, *inner)]
+    return (abs(float(steps[0][0])), abs(float(steps[1][0]))) if is_even == [True, True, False, False] else None
+
+
+def sniff_matrix(head: FileHead) -> float:
+    """Return a low confidence for rows of equally many numbers, lower if the first column rises as an abscissa."""
+    if b"\0" in head.data[:4096]:
+        return 0.0
+    rows = _rows(decoded(head.data))[:9]
+    is_cut = len(head.data) < head.size
+    rows = rows[:-1] if is_cut and len(rows) < 9 and len(rows) > 1 else rows
+    try:
+        values = [numbers(row + "\n", head.path) for row in rows]
+    except NacreError:
+        return 0.0
+    columns = len(values[0]) if values else 0
+    is_long_row = is_cut and columns > 1000
+    if columns < LEAST_SIDE or (len(values) < LEAST_SIDE and not is_long_row):
+        return 0.0
+    if any(len(v) != columns for v in values):
+        return 0.0
+    first = np.diff([v[0] for v in values])
+    rises = len(first) > 2 and bool(np.all(first > 0) or np.all(first < 0))
+    rest = np.abs(np.stack(values)[:, 1:])
+    is_abscissa = rises and np.ptp(first) < 0.5 * abs(first[0]) and min(v[0] for v in values) > np.nanmax(rest)
+    if is_abscissa and columns < WIDE:
+        return 0.0
+    if columns >= WIDE:
+        return 0.5 * POSSIBLE if is_abscissa else 2.0 * POSSIBLE
+    # without a column that rises or falls the numbers are no table over a coordinate
+    return 0.5 * POSSIBLE if rises else 1.5 * POSSIBLE
+
+
+@reads
+def read_matrix(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Read the matrix with the unit and the pitch of the options.
+
+    Raises:
+        AmbiguousFileError: one of them is not given.
+    """
+    text = decoded(path.read_bytes())
+    check_end(text, path)
+    rows = _rows(text)
+    columns = len(numbers(rows[0] + "\n" if rows else "", path))
+    values = numbers("\n".join(rows) + "\n", path)
+    if not columns or values.size != columns * len(rows):
+        raise NacreError(f"{path}: its rows hold different numbers of heights")
+    check_shape((len(rows), columns))
+    values = values.reshape(len(rows), columns)
+    steps, factor = _coordinate_steps(values), asked_unit(path, options)
+    if steps is None:
+        return [height_map(path, "matrix", values * factor, asked_pitch(path, options))]
+    said = f"the first row and column are coordinates in steps of {steps[0]:g} and {steps[1]:g}"
+    if options.pitch_um is None:
+        raise AmbiguousFileError(f"{path}: {said} without a unit; state the steps in um: pitch_um", "pitch_um")
+    return [height_map(path, "matrix", values[1:, 1:] * factor, options.pitch_um, left_out=[said])]
+
+
+# Line profiles of stylus instruments, which are no height maps: recognised in order to be refused by name.
+
+PROFILE_HEADING = re.compile(
+    r"^\W*(x|lateral|distance|position|scan length|länge)[ _]*[\[(/]*(microns?|u?m|nm|mm|[µμ]m)?\W*[,;\t ]+\W*"
+    r"(y\d?|z|height|raw|total profile|höhe|profile)\b[^,;\t]*$",
+    re.IGNORECASE,
+)
+# Dektak, below its scan parameters: "Lateral um,Raw Micrometer,"
+DEEPER = re.compile(
+    r"^\W*(lateral|scan length)\b[^,;\t]{0,12}[,;\t]\W*(raw|total profile|profile|height)\b", re.IGNORECASE
+)
+THREE = re.compile(r"\s*[-+.\d]\S*[\s,;]+[-+.\d]\S*[\s,;]+[-+.\dN]\S*\s*$")  # points x y z
+LARGEST_M = 0.01  # a length in metres below 1 cm: no abscissa of a spectrum begins at 0 and ends there
+
+
+def sniff_profile(head: FileHead) -> float:
+    """Return a fair confidence for lateral positions and heights under such a heading, or in metres from 0."""
+    if b"\0" in head.data[:4096]:
+        return 0.0
+    lines = [line for line in decoded(head.data).splitlines() if line.strip()]
+    if lines and PROFILE_HEADING.match(lines[0]) and not THREE.match(lines[1] if len(lines) > 1 else ""):
+        return LIKELY
+    if any(DEEPER.match(line) for line in lines[1:100]):
+        return LIKELY
+    rows = lines[:200]
+    try:
+        values = numbers("\n".join(rows) + "\n", head.path)
+    except NacreError:
+        return 0.0
+    if len(rows) < 10 or values.size != 2 * len(rows):
+        return 0.0
+    steps = np.diff(values[::2])
+    is_even = steps.min() > 0 and np.ptp(steps) < 1e-2 * steps.mean()
+    return LIKELY if is_even and values[0] == 0.0 and values[-2] < LARGEST_M else 0.0
+
+
+@reads
+def read_profile(path: Path, options: ReadOptions) -> list[Measurement]:
+    """Refuse the profile.
+
+    Raises:
+        NacreError: always.
+    """
+    raise NacreError(f"{path}: is a line profile; nacre reads maps of heights: export the area scan, as .sdf or matrix")

@@ -1,0 +1,79 @@
+"""Spectra of gratings from any azimuth and in any polarisation, and what instruments measure of narrow orders."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.analysis.html_report import report_json
+from nacre.core.errors import UnsupportedError
+
+THETA, LAM = np.radians([0.0, 35.0]), np.array([450.0, 600.0])
+GROOVES: dict[str, Any] = {
+    "family": "grating", "substrate": "Al", "profile": {"shape": "sinusoidal", "depth_nm": 130},
+    "lattice": {"period_nm": 1100}, "wavelengths": {"min_nm": 400, "max_nm": 700, "step_nm": 100},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("substrate", ["Si", {"n": 1.5}])
+def test_an_unpatterned_grating_has_the_mueller_matrices_of_a_film(substrate: Any) -> None:
+    layers = [{"thickness_nm": 120, "material": "TiO2"}]
+    film = nacre.material({"family": "film", "substrate": substrate, "layers": layers})
+    flat = nacre.material(
+        {"family": "grating", "substrate": substrate, "layers": layers, "lattice": {"period_nm": 300}}
+    )
+    wanted = film.spectrum(THETA, LAM, "mueller", azimuth_deg=40)
+    found = flat.spectrum(THETA, LAM, "mueller", azimuth_deg=40)
+    assert set(found.matrices()) == set(wanted.matrices())
+    for name, matrix in wanted.matrices().items():
+        np.testing.assert_allclose(found.matrices()[name], matrix, atol=1e-9)
+
+
+def test_all_polarisations_of_a_grating_agree() -> None:
+    grooves = nacre.material(GROOVES)
+    found = {
+        kind: grooves.spectrum(THETA, LAM, kind, azimuth_deg=40)
+        for kind in ("s", "p", "left", "right", "both", "mueller")
+    }
+    mean = found["both"]
+    for first, second in (("s", "p"), ("left", "right")):
+        for name, values in mean.parts().items():
+            pair = 0.5 * (found[first].parts()[name] + found[second].parts()[name])
+            np.testing.assert_allclose(pair, values, rtol=1e-9)
+    matrix = found["mueller"].mueller_reflected
+    assert matrix is not None
+    assert found["right"].specular_reflectance == pytest.approx(matrix[..., 0, 0] + matrix[..., 0, 3], rel=1e-9)
+    assert found["s"].specular_reflectance == pytest.approx(matrix[..., 0, 0] - matrix[..., 0, 1], rel=1e-9)
+    # conical incidence mixes s and p, and the two hands differ: Jones matrices pass power on as they are
+    rows = nacre.orders(GROOVES, 35.0, 40.0, LAM)
+    jones = rows.reflected_jones[0, :, np.flatnonzero(np.all(rows.numbers == 0, axis=1))[0]]
+    hand = np.array([-1j, 1.0]) / np.sqrt(2.0)  # (s, p) of right circular light
+    assert found["right"].specular_reflectance is not None
+    assert found["right"].specular_reflectance[1] == pytest.approx(np.sum(np.abs(jones @ hand) ** 2, axis=-1), abs=1e-6)
+
+
+def test_a_turned_grating_is_lit_from_the_turned_azimuth() -> None:
+    turned = nacre.material(GROOVES | {"orientation": {"turn_deg": 25}}).spectrum(THETA, LAM, "s", azimuth_deg=65)
+    straight = nacre.material(GROOVES).spectrum(THETA, LAM, "s", azimuth_deg=40)
+    for name, values in straight.parts().items():
+        np.testing.assert_allclose(turned.parts()[name], values, atol=1e-9)
+
+
+def test_a_report_names_the_geometries_without_orders() -> None:
+    line = {"shape": "line", "material": "Al", "width_nm": 90}
+    fine = {"layers": [{"thickness_nm": 20, "material": "air", "shapes": [line]}], "lattice": {"period_nm": 200}}
+    made = {key: value for key, value in GROOVES.items() if key != "profile"} | fine | {"orders": {"spread_deg": 0.7}}
+    found = nacre.report(nacre.material(made))
+    document = report_json([found])["reports"][0]
+    assert document["dark_geometries"] == document["aspecular"]["geometries"]
+    assert document["order_width_deg"] == pytest.approx(0.7)
+    soap = nacre.report("soap")
+    assert soap.dark_geometries == () and soap.order_width_deg is None
+
+
+def test_an_unknown_polarisation_is_refused() -> None:
+    with pytest.raises(UnsupportedError):
+        nacre.material(GROOVES).spectrum(THETA, LAM, "z", azimuth_deg=40)
