@@ -30,7 +30,7 @@ from nacre.light import (
     xyz_to_lab,
 )
 from nacre.light.colour_differences import DIN_6175
-from nacre.material.material import Material, MaterialLike, as_material
+from nacre.material.material import MaterialLike, as_material
 from nacre.measure import geometry
 from nacre.measure.colours import colour_bsdf, recipe_geometries
 from nacre.measure.evaluate import evaluate_with_error, hemispherical

@@ -43,13 +43,13 @@ def design(
     """
     import os
 
-    from nacre.core.files import check_writable
+    from nacre.core.files import check_room
     from nacre.optimise.run import run
+    from nacre.optimise.solutions import NEED_BYTES
 
     name = Path(target).stem
     folder = Path(output or (name if labs is None else f"{name}-{Path(labs).stem}"))
-    if not folder.exists():
-        check_writable(folder)
+    check_room(folder, NEED_BYTES)
     if labs is not None:
         _design_many(target, labs, folder, resume, as_json, workers)
         return

@@ -12,7 +12,7 @@ from typing import Any
 
 from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
-from nacre.core.files import check_room, named, output_folder, read_text
+from nacre.core.files import check_room, output_folder, read_text
 from nacre.families.contract import is_direct, method_overrides
 from nacre.material.material import Material
 from nacre.optimise.checkpoint import Checkpointer, DesignFolder
@@ -46,7 +46,6 @@ from nacre.optimise.yield_analysis import sensitivity, yield_of
 from nacre.recipe.paths import numbers_of
 
 DESIGN_KEYS = {"parameters", "layers", "recipe", "tolerance", "want"}  # of target files; [want] is a former name
-DICTIONARY = "target"  # folder name for a dictionary
 RESUMED_SEED = 1_000_003  # seed offset of each resumed search
 
 
@@ -101,13 +100,9 @@ def run(
     Example: `nacre.design("violet.toml", "violet").best.targets[0].distance`.
     """
     begun = time.monotonic()
-    if isinstance(target, DesignTask | ReliefTask):
-        name = target.name
-    else:
-        name = DICTIONARY if isinstance(target, Mapping) else named(target).stem
-    folder = Path(name if out is None else out)
-    check_room(folder, NEED_BYTES)
     task = target if isinstance(target, DesignTask | ReliefTask) else read_target(target)
+    folder = Path(task.name if out is None else out)
+    check_room(folder, NEED_BYTES)
     if isinstance(task, ReliefTask):
         check_folder(folder, task.context, (*WRITTEN, *FILES))
     else:
