@@ -30,7 +30,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array, floats
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
-from nacre.core.files import DESIGN_RECIPE, check_writable, short_name
+from nacre.core.files import DESIGN_RECIPE, check_output, check_writable, short_name
 from nacre.core.jobs import Workers
 from nacre.families.contract import Diffracting, Model, fabrications
 from nacre.formats.export_formats import FOLDERS
@@ -250,9 +250,7 @@ def fit(
         NacreError: the measurement cannot be read, or there is no parameter.
     """
     if report is not None:
-        if Path(report).suffix != ".html":
-            raise NacreError(f"{report}: the suffix must be .html")
-        check_writable(report)
+        check_output(report, ".html", option="")
     paths = [measurement] if isinstance(measurement, str | Path) else list(measurement)
     stated = ReadOptions(angle_deg=angle_deg, delta_convention=delta_convention)
     material, measured = as_material(thing), read_measurements(paths, stated, range_nm, colours)

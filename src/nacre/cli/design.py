@@ -43,12 +43,14 @@ def design(
     """
     import os
 
-    from nacre.core.files import check_room
+    from nacre.core.files import check_room, check_writable
     from nacre.optimise.run import run
     from nacre.optimise.solutions import NEED_BYTES
 
     name = Path(target).stem
     folder = Path(output or (name if labs is None else f"{name}-{Path(labs).stem}"))
+    if not folder.exists():
+        check_writable(folder)
     check_room(folder, NEED_BYTES)
     if labs is not None:
         _design_many(target, labs, folder, resume, as_json, workers)
@@ -205,14 +207,12 @@ def gamut(
     changes: tuple[str, ...], **search: Any,
 ) -> None:  # fmt: skip
     """Show the colours that RECIPE reaches with its parameters, in a*b* and xy, and their share of all colours."""
-    from nacre.core.files import check_writable, short_name, write_text
+    from nacre.core.files import check_output, short_name, write_text
     from nacre.optimise.gamut import find_gamut, gamut_chart, gamut_page
 
     path = Path(output) if output else None if as_json else Path(f"{short_name(recipe)}-gamut.png")
     if path is not None:
-        if path.suffix not in (".png", ".pdf", ".svg", ".json", ".html"):
-            raise NacreError(f"-o {path}: the suffix must be .png, .pdf, .svg, .json or .html")
-        check_writable(path)
+        check_output(path, ".png", ".pdf", ".svg", ".json", ".html")
     material = common.load_material(recipe, changes)
     found = find_gamut(material, parameters, geometry, **search)
     if path is not None:
