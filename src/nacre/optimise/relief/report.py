@@ -344,7 +344,7 @@ def _warnings(problem: Problem, summary: dict[str, Any], steep_deg: float) -> li
         notes.append(f"1 % of the surface is steeper than {steep_deg:.0f} degrees; expect some shadowing.")
     if summary["loss_black"] <= summary["loss_fixed"]:
         notes.append(
-            f"Geometry the intensity scale {summary['scale_fixed']:g} an all-black image has a lower loss "
+            f"At the intensity scale {summary['scale_fixed']:g} an all-black image has a lower loss "
             f"({summary['loss_black']:.4f}) than this design: use the free loss, or change the scale."
         )
     if problem.intensity_scale is None and summary["brightness"] < problem.brightness_floor:
