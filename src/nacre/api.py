@@ -43,7 +43,7 @@ from nacre.material.spatial_variation import number_maps
 from nacre.matter.drawings import DrawingRequest
 from nacre.matter.periodic.orders import Orders
 from nacre.measure.evaluate import HasBsdf, evaluate_with_error
-from nacre.measure.texture import Texture, measure_texture
+from nacre.measure.texture import Instrument, Texture, measure_texture
 from nacre.optimise.formulation import Formulation, check_answers, write_formulation
 from nacre.optimise.formulation import formulate as run_formulation
 from nacre.optimise.gamut import find_gamut as gamut
@@ -204,7 +204,7 @@ def tolerance(
 def diagnose(
     thing: MaterialLike,
     observations: Iterable[Observation],
-    noise: float | Sequence[float],
+    noise: float | Sequence[float | Array],
     tolerances: Iterable[str] = (),
     **options: Any,
 ) -> Diagnosis:
@@ -213,8 +213,8 @@ def diagnose(
     Args:
         thing: a material or a path: the recipe as intended.
         observations: `nacre.analysis.diagnose.SpectrumObservation` and `ColourObservation`, or measurements that
-            `nacre.analysis.fit.read_measurement` read.
-        noise: standard deviation of the measured values, one number or one per observation.
+            `nacre.analysis.fit.read_measurement` read; `nacre.analysis.fit_data.stated_texture` makes those of texture.
+        noise: standard deviation of the measured values, one number or one (or an array) per observation.
         tolerances: such as "layers[0].thickness_nm=2%", in addition to those of the recipe's `[tolerance]`.
         options: further arguments of `nacre.analysis.diagnose.diagnose`.
 
@@ -229,6 +229,7 @@ def fit(
     measurement: str | Path | Sequence[str | Path], thing: MaterialLike, parameters: Iterable[str] = (), *,
     starts: int = 4, ties: Iterable[str] = (), range_nm: tuple[float, float] | None = None,
     report: str | Path | None = None, colours: Mapping[str, Sequence[float]] | None = None,
+    texture: Mapping[str, float] | None = None, instrument: str | Path | Mapping[str, Any] | Instrument | None = None,
     angle_deg: float | None = None, delta_convention: str | None = None,
     **options: Any,
 ) -> Fit:  # fmt: skip
@@ -243,6 +244,7 @@ def fit(
         ties: such as "layers[2].thickness_nm=layers[0].thickness_nm", in addition to those of the recipe's `[ties]`.
         range_nm: other wavelengths of the measurements are ignored.
         colours: measured CIELAB by geometry ("45as15" or a name of `[[geometry]]`), D65, 10 degree observer.
+        texture: measured numbers, such as {"sparkle_45": 1.2}; instrument: lamp, camera, calibration of texture.
         report: HTML file that compares measurement and fit.
         angle_deg, delta_convention: properties that an ellipsometer's file does not state.
 
@@ -253,7 +255,7 @@ def fit(
         check_output(report, ".html", option="")
     paths = [measurement] if isinstance(measurement, str | Path) else list(measurement)
     stated = ReadOptions(angle_deg=angle_deg, delta_convention=delta_convention)
-    material, measured = as_material(thing), read_measurements(paths, stated, range_nm, colours)
+    material, measured = as_material(thing), read_measurements(paths, stated, range_nm, colours, texture, instrument)
     numbers = fit_parameters(material, tuple(parameters))
     tied = read_ties(material, [number.path for number in numbers], tuple(ties))
     found = run_fit(material, measured, numbers, starts=starts, ties=tied, **options)

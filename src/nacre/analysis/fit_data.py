@@ -1,22 +1,30 @@
-"""Fit data: several measurements of one sample, and CIELAB colours at several geometries."""
+"""Fit data: several measurements of one sample, CIELAB at several geometries, and numbers of texture."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from types import SimpleNamespace
+from typing import Any, Protocol
 
 import numpy as np
 
+from nacre.analysis.measured import MAX_POWER, MIN_POWER, RELATIVE_FLOOR
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError
-from nacre.families.contract import Model, is_direct, surrogate_radiance
+from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+from nacre.core.files import plain
+from nacre.families.contract import Diffracting, Model, is_direct, surrogate_radiance
 from nacre.light import default_wavelengths, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material
 from nacre.measure.colours import geometry_colours, recipe_geometries
 from nacre.measure.geometry import Geometry, aspecular_pairs
+from nacre.measure.texture import Instrument, TextureQuantity, check_texture, read_instrument, texture_values
 from nacre.optimise.colour_list import read_colours
+from nacre.readers.measurement import Measurement
+from nacre.readers.text_table import decode, split
+from nacre.recipe.model import show_value
 
 
 class Data(Protocol):
@@ -24,7 +32,7 @@ class Data(Protocol):
 
     @property
     def kind(self) -> str:
-        """`spectrum`, `gonio`, `ellipsometry` or `joint`."""
+        """`spectrum`, `gonio`, `ellipsometry`, `orders`, `colours` or `joint`."""
         ...
 
     @property
@@ -130,6 +138,12 @@ def name_of(data: Data, path: str | Path) -> str:
 
 
 LIGHT = ("D65", "10deg")
+# column of a table of orders -> the side, and weights of s and p
+EFFICIENCIES = {
+    f"{side}{end}": (side, np.array(weights))
+    for side in ("reflected", "transmitted")
+    for end, weights in (("_s", (1.0, 0.0)), ("_p", (0.0, 1.0)), ("", (0.5, 0.5)))
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +201,104 @@ class ColourData:
         return np.full(self.values.shape, float(np.sqrt(np.mean(self.values**2))) or 1.0)
 
 
+@dataclass(frozen=True, eq=False)
+class OrdersData:
+    """Measured efficiencies of diffraction orders.
+
+    Attributes:
+        columns: `[value]`, names of `EFFICIENCIES`.
+        cases: `[value, 5]`: wavelength in nm, angle of incidence and azimuth in degrees, m and n.
+        values: `[value]`.
+        name: file, for reports.
+        remarks: columns that are not used.
+    """
+
+    columns: tuple[str, ...]
+    cases: Array
+    values: Array
+    name: str = ""
+    remarks: tuple[str, ...] = ()
+    kind: str = "orders"
+
+    @property
+    def wavelengths_nm(self) -> Array:
+        """Wavelengths."""
+        return np.unique(self.cases[:, 0])
+
+    def model(self, material: Material, samples: int | None, seed: int) -> Array:
+        """Return a material's efficiencies `[value]`, 0 for an order that does not propagate.
+
+        Raises:
+            UnsupportedError: the material has no orders.
+        """
+        model, lam, angles = material.model, self.wavelengths_nm, np.unique(self.cases[:, 1])
+        if not isinstance(model, Diffracting):
+            raise UnsupportedError(f"{self.name}: a {model.traits.noun} has no diffraction orders; allowed: a grating")
+        found = np.zeros(len(self.values))
+        for azimuth in np.unique(self.cases[:, 2]):
+            solved = model.diffraction_orders(np.radians(angles), float(np.radians(azimuth)), lam)
+            place = {(int(m), int(n)): k for k, (m, n) in enumerate(solved.numbers)}
+            for row in np.flatnonzero(self.cases[:, 2] == azimuth):
+                order = place.get((int(self.cases[row, 3]), int(self.cases[row, 4])))
+                if order is not None:
+                    side, weights = EFFICIENCIES[self.columns[row]]
+                    at = np.searchsorted(angles, self.cases[row, 1]), np.searchsorted(lam, self.cases[row, 0]), order
+                    found[row] = np.nan_to_num(getattr(solved, side)[at]) @ weights
+        return found
+
+    def surrogate(self, model: Model) -> Array | None:
+        """Return None: orders are free of noise."""
+        return None
+
+    def noise_scale(self, weights: str) -> Array:
+        """Return the relative noise of the values: proportional to them, or equal."""
+        rms = float(np.sqrt(np.mean(self.values**2))) or 1.0
+        return (
+            np.maximum(np.abs(self.values), RELATIVE_FLOOR * rms)
+            if weights == "relative"
+            else np.full(self.values.shape, rms)
+        )
+
+    def curves(self, fitted: Array) -> tuple[tuple[str, Array, Array, Array], ...]:
+        """Return for each order, angle and column: label, wavelengths, measured and fitted values."""
+        groups: dict[str, list[int]] = {}
+        for row, (column, (_, angle, azimuth, m, n)) in enumerate(zip(self.columns, self.cases, strict=True)):
+            turned = f", azimuth {azimuth:g}\u00b0" if azimuth else ""
+            label = f"{column.replace('_', ' ')} ({m:g}, {n:g}), {angle:g}\u00b0{turned}"
+            groups.setdefault(label, []).append(row)
+        return tuple((label, self.cases[at, 0], self.values[at], fitted[at]) for label, at in groups.items())
+
+
+def orders_measurement(path: Path, found: Measurement, range_nm: tuple[float, float] | None) -> OrdersData:
+    """Return efficiencies of a table as `nacre orders` writes it; the column `azimuth_deg` may be absent.
+
+    Raises:
+        NacreError: an unknown column, no efficiency, or one that is impossible.
+    """
+    data = dict(found.data)
+    keys = ("wavelength_nm", "angle_deg", "azimuth_deg", "m", "n")
+    unknown = [name for name in (*data, *found.metadata) if name not in (*keys, *EFFICIENCIES, "table")]
+    if unknown:
+        raise NacreError(f"{path}: column {unknown[0]} is not known; allowed: {', '.join((*keys, *EFFICIENCIES))}")
+    first = data["wavelength_nm"]
+    cases = np.stack([data.get(key, np.zeros(len(first))) for key in keys], axis=1)
+    used = np.isfinite(cases).all(axis=1)
+    if range_nm is not None:
+        used &= (first >= range_nm[0]) & (first <= range_nm[1])
+    rows = [(name, k) for name in data if name in EFFICIENCIES for k in np.flatnonzero(used & np.isfinite(data[name]))]
+    values = np.array([data[name][k] for name, k in rows], dtype=float)
+    if not len(values):
+        raise NacreError(f"{path}: holds no efficiency of an order; allowed columns: {', '.join(EFFICIENCIES)}")
+    wrong = next((k for k, value in enumerate(values) if not MIN_POWER <= value <= MAX_POWER), None)
+    if wrong is not None:
+        name, row = rows[wrong]
+        raise NacreError(f"{path}: {name} = {values[wrong]:g} at {first[row]:g} nm is not possible; allowed: 0 to 1")
+    at = cases[[k for _, k in rows]]
+    if np.any(at[:, 0] <= 0) or np.any((at[:, 1] < 0) | (at[:, 1] >= 90)):
+        raise NacreError(f"{path}: wavelength_nm must be positive and angle_deg in [0, 90)")
+    return OrdersData(tuple(name for name, _ in rows), at, values, str(path), found.left_out)
+
+
 def stated_colours(stated: Mapping[str, Sequence[float]]) -> ColourData:
     """Return colours from a table geometry -> L*, a*, b*; D65, 10 degree observer.
 
@@ -210,3 +322,122 @@ def colour_measurement(path: Path) -> ColourData:
         if not row.name:
             raise NacreError(f"{path}: colour {number} has no geometry; write 45as15,L*,a*,b* in each row")
     return ColourData(tuple(row.name for row in rows), np.array([row.lab[0] for row in rows]), LIGHT, str(path))
+
+
+_TEXTURE = re.compile(r"(?:sparkle|intensity|area)_[\d.]+|graininess")
+_GEOMETRY = re.compile(r"[\d.]+as[-+\d.]|(?:specular|transmitted|diffuse|hemispherical)\s+[\d.]+$")
+MOST_TEXTURE_BYTES = 1 << 14
+TEXTURE_NOISE_PERCENT = 5.0  # repeatability of instruments at several places of a panel
+LEAST_TEXTURE_RMS = 0.02  # relative residual below which a fit gives texture no more weight
+NOT_CALIBRATED = "texture is compared on a relative scale; numbers of an instrument need its calibration (--instrument)"
+
+
+@dataclass(frozen=True, eq=False)
+class TextureData:
+    """Measured sparkle and graininess.
+
+    Attributes:
+        quantities: `[quantity]`, of one instrument.
+        values: `[quantity]`, above 0.
+        name: file, for reports.
+        remarks: sentences about the data.
+    """
+
+    quantities: tuple[TextureQuantity, ...]
+    values: Array
+    name: str = ""
+    remarks: tuple[str, ...] = ()
+    kind: str = "texture"
+    least_rms: float = LEAST_TEXTURE_RMS
+
+    @property
+    def wavelengths_nm(self) -> Array:
+        """The visible range, over which luminance is a sum."""
+        return default_wavelengths()
+
+    def resolved(self, material: Material) -> TextureData:
+        """Return the data itself.
+
+        Raises:
+            RecipeError: the material lacks texture.
+        """
+        check_texture(material, self.name or f'texture "{self.quantities[0]}"')
+        return self
+
+    def model(self, material: Material, samples: int | None, seed: int) -> Array:
+        """Return the material's numbers `[quantity]`."""
+        return texture_values(material, self.quantities, seed, "search")[0]
+
+    def surrogate(self, model: Model) -> Array | None:
+        """Return the same numbers, which need no random walk."""
+        thing: Any = SimpleNamespace(name="", model=model, context=SimpleNamespace(source="the recipe"))
+        return None if is_direct(model) else texture_values(thing, self.quantities, 0, "search")[0]
+
+    def noise_scale(self, weights: str) -> Array:
+        """Return the noise, which is relative to each value."""
+        return self.values
+
+
+def stated_texture(stated: Mapping[str, float], instrument: Any = None, name: str = "") -> TextureData:
+    """Return texture data from quantity, such as "sparkle_45", -> measured number.
+
+    Args:
+        instrument: lamp, camera and calibration, a TOML file or its keys.
+        name: file, for messages.
+
+    Raises:
+        RecipeError: a quantity is not known, or its number is not finite and above 0.
+    """
+    tool = instrument if isinstance(instrument, Instrument) else read_instrument(instrument)
+    where = name or "texture"
+    quantities = tuple(TextureQuantity.named(each, where, tool) for each in stated)
+    for label, value in stated.items():
+        if not 0.0 < value < np.inf:
+            raise RecipeError(f"{where}: {label} = {value:g} is not a measured number; allowed: above 0")
+    remarks = () if all(each.is_calibrated for each in quantities) else (NOT_CALIBRATED,)
+    return TextureData(quantities, np.array(list(stated.values()), dtype=float), name, remarks)
+
+
+def _labelled_rows(path: Path) -> tuple[str | None, list[tuple[int, list[str]]]]:
+    """Return the delimiter, and line number and cells of a short text file; no rows of another file."""
+    try:
+        with plain(path).open("rb") as file:
+            lines = decode(file.read(MOST_TEXTURE_BYTES)).splitlines()
+    except (OSError, UnicodeDecodeError):
+        return None, []
+    rows = [(number, line.strip()) for number, line in enumerate(lines, 1) if line.strip() and line.strip()[0] != "#"]
+    mark = next((mark for mark in ";\t," if any(mark in line for _, line in rows)), None)
+    return mark, [(number, cells) for number, line in rows if (cells := split(line, mark))]
+
+
+def is_geometry_list(path: Path) -> bool:
+    """Return whether a file without a heading lists geometries with L*, a*, b*: `45as15, 60, 1, 2`."""
+    _, rows = _labelled_rows(path)
+    return bool(rows) and len(rows[0][1]) == 4 and _GEOMETRY.match(rows[0][1][0]) is not None
+
+
+def texture_measurement(path: Path, instrument: Any = None) -> TextureData | None:
+    """Read a table `quantity, value` such as `sparkle_45, 1.2`; None for other files.
+
+    Raises:
+        RecipeError: a row is not a quantity and a number above 0, or a quantity stands twice.
+    """
+    mark, cells = _labelled_rows(path)
+    if len(cells) > 1 and cells[0][1][0].lower() in ("quantity", "name"):
+        cells.pop(0)
+    if not any(_TEXTURE.fullmatch(row[0]) for _, row in cells):
+        return None
+    found: dict[str, float] = {}
+    for number, row in cells:
+        where = f"{path}: line {number}"
+        if not _TEXTURE.fullmatch(row[0]):
+            raise RecipeError(f"{where}: {show_value(row[0])} is no texture quantity; put colours into another file")
+        if row[0] in found:
+            raise RecipeError(f"{where}: {row[0]} stands twice")
+        try:
+            (text,) = row[1:]
+            found[row[0]] = float(text.replace(",", ".") if mark != "," else text)
+        except ValueError:
+            said = show_value(", ".join(row))
+            raise RecipeError(f"{where}: {said} should be a quantity and a number, such as sparkle_45, 1.2") from None
+    return stated_texture(found, instrument, str(path))

@@ -288,6 +288,27 @@ def read_labs(texts: Sequence[str]) -> dict[str, tuple[float, ...]]:
     return found
 
 
+def read_texture(texts: Sequence[str]) -> dict[str, float]:
+    """Return quantity -> measured number from options `QUANTITY=VALUE`.
+
+    Raises:
+        NacreError: one cannot be read, or a quantity occurs twice.
+    """
+    found: dict[str, float] = {}
+    for text in texts:
+        quantity, _, value = text.partition("=")
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not quantity.strip() or not math.isfinite(number):
+            raise NacreError(f'--texture "{text}" cannot be read; write it like sparkle_45=1.2')
+        if quantity.strip() in found:
+            raise NacreError(f'--texture "{text}": the quantity occurs twice')
+        found[quantity.strip()] = number
+    return found
+
+
 ASK_S = 60.0  # longer work needs confirmation on a terminal
 PACE_S = 30.0  # between lines without a terminal
 LONG_COMPILE_S = 1.0

@@ -87,8 +87,10 @@ def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bo
         for row, solution in pairs:
             worst = solution.worst
             missed = "" if solution.is_met else f", not reached (tolerance {worst.target.tolerance:g})"
-            click.echo(f"  {row['name'] or row['folder']}: dE00 {worst.distance:.2f} at {worst.target.geometry} under "
-                       f"{worst.lamp}{missed}   {solution.recipe.parent if solution.recipe else ''}")  # fmt: skip
+            light = "" if worst.lamp is None else f" under {worst.lamp}"
+            name = row["name"] or row["folder"]
+            click.echo(f"  {name}: {worst.distance_text} at {worst.target.geometry}{light}{missed}"
+                       f"   {solution.recipe.parent if solution.recipe else ''}")  # fmt: skip
     common.note(f"{folder}: {TABLE}; nacre render {folder / found.rows[0]['folder']}")
 
 

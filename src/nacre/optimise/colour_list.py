@@ -7,7 +7,7 @@ import logging
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,14 +49,20 @@ class ColourRow:
     Attributes:
         name: may be empty.
         lab: `[target, 3]`.
+        texture: quantity, such as "sparkle_45", -> number in the column with its name.
     """
 
     name: str
     lab: Array
+    texture: dict[str, float] = field(default_factory=dict)
 
 
 def read_colours(
-    labs: Any, targets: int, light: tuple[str, str] | None = None, geometries: Sequence[str] = ()
+    labs: Any,
+    targets: int,
+    light: tuple[str, str] | None = None,
+    geometries: Sequence[str] = (),
+    quantities: Sequence[str] = (),
 ) -> list[ColourRow]:
     """Return target colours from a file, or from an array `[n, 3]` or `[n, target, 3]`.
 
@@ -74,6 +80,7 @@ def read_colours(
         light: illuminant and observer of the targets; other ones in headings are adapted by Bradford's transform, and
             a warning says so. Default: those of the headings.
         geometries: of the targets, "specular 15"; colours at several angles are assigned by them.
+        quantities: of texture targets, "sparkle_45", that columns of a table with headings may name.
 
     Raises:
         RecipeError: an entry is not a colour; with its line.
@@ -81,7 +88,9 @@ def read_colours(
     """
     if isinstance(labs, str | Path):
         path = named(labs)
-        return _recognised_rows(path, targets, light or DEFAULT_LIGHT) or _file_rows(path, targets, light, geometries)
+        return _recognised_rows(path, targets, light or DEFAULT_LIGHT) or _file_rows(
+            path, targets, light, geometries, quantities
+        )
     found = floats(labs, "labs")
     if found.size == 0 and found.shape[:1] == (0,):
         return []
@@ -116,7 +125,9 @@ def _recognised_rows(path: Path, targets: int, light: tuple[str, str]) -> list[C
     return [ColourRow(name, np.repeat(colour[None], targets, axis=0)) for name, colour in zip(names, lab, strict=True)]
 
 
-def _file_rows(path: Path, targets: int, light: tuple[str, str] | None, geometries: Sequence[str]) -> list[ColourRow]:
+def _file_rows(
+    path: Path, targets: int, light: tuple[str, str] | None, geometries: Sequence[str], quantities: Sequence[str]
+) -> list[ColourRow]:
     try:
         with plain(path).open("rb") as file:
             data = file.read(MAX_BYTES + 1)
@@ -139,7 +150,9 @@ def _file_rows(path: Path, targets: int, light: tuple[str, str] | None, geometri
     if count > MAX_ROWS:
         raise NacreError(f"{path}: contains {count} rows; at most {MAX_ROWS} are allowed")
     if table is not None:
-        return _rows_of_table(table, targets, light, geometries)
+        table, numbers = _without_texture(table, quantities)
+        found = _rows_of_table(table, targets, light, geometries)
+        return [replace(row, texture=each) for row, each in zip(found, numbers, strict=True)] if numbers else found
     if lines and not any(_number(cell) is not None for cell in lines[0][1]):
         number, heading = lines.pop(0)
         if lines or not _names_colours(heading):
@@ -219,6 +232,32 @@ def _rows_of_table(
         labs.append(lab)
     stacked = np.stack(labs if len(labs) == targets else labs * targets, axis=1)
     return [ColourRow(one, lab) for one, lab in zip(names, stacked, strict=True)]
+
+
+def _without_texture(table: TextTable, quantities: Sequence[str]) -> tuple[TextTable, list[dict[str, float]]]:
+    """Return a table without its columns of texture, and the numbers of each row.
+
+    Raises:
+        RecipeError: a quantity stands twice, or a number is not above 0.
+    """
+    places = {heading: place for place, heading in enumerate(table.headings) if heading in quantities}
+    if not places:
+        return table, []
+    if len(places) < sum(heading in quantities for heading in table.headings):
+        raise RecipeError(f"{table.path}: line {table.heading_line}: a quantity of texture stands twice")
+    columns = {name: _column(table, place) for name, place in places.items()}
+    for name, column in columns.items():
+        for line, value in zip(table.lines, column, strict=True):
+            if value <= 0:
+                raise RecipeError(f"{table.path}: line {line}: {name} = {value:g} is not above 0")
+    keep = [place for place in range(len(table.headings)) if place not in places.values()]
+    rest = replace(
+        table,
+        headings=tuple(table.headings[place] for place in keep),
+        units=tuple(table.units[place] for place in keep),
+        rows=[[row[place] for place in keep] for row in table.rows],
+    )
+    return rest, [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 @dataclass(frozen=True)
