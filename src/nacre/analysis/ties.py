@@ -66,9 +66,7 @@ def read_ties(material: Material, free: Iterable[str], options: tuple[str, ...] 
     moving = set(free)
     for path in parsed:
         if path in moving:
-            raise RecipeError(
-                f"{source}: ties.{path}: the number is free or has a tolerance too; keep one"
-            )
+            raise RecipeError(f"{source}: ties.{path}: the number is free or has a tolerance too; keep one")
     fixed = {}
     for path in parsed:
         _number(material, path, f"ties.{path}")
