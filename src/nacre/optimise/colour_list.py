@@ -119,9 +119,7 @@ def _recognised_rows(path: Path, targets: int, light: tuple[str, str]) -> list[C
         open_file(path)  # refuses it by name
     if not found or found[0][0] <= POSSIBLE or found[0][1].kind not in ("colours", "spectrum"):
         return []
-    names, lab, said = named_lab(path, open_file(path), *light)
-    if said:
-        logger.warning("%s: %s", path, "; ".join(said))
+    names, lab = _adapted(path, open_file(path), light)
     for number, colour in enumerate(lab, start=1):
         plausible(colour, f"{path}: colour {number}", colour.round(3).tolist())
     return [ColourRow(name, np.repeat(colour[None], targets, axis=0)) for name, colour in zip(names, lab, strict=True)]
@@ -170,10 +168,16 @@ def _file_rows(
         return rows
     metadata = {"illuminant": light[0], "observer": light[1]} | above
     columns = {name: lab[:, place] for place, name in enumerate("Lab")}
-    _, lab, said = named_lab(path, [Measurement(path, "table", "colours", columns, "", metadata)], *light)
+    _, lab = _adapted(path, [Measurement(path, "table", "colours", columns, "", metadata)], light)
+    return [ColourRow(row.name, part) for row, part in zip(rows, np.split(lab, len(rows)), strict=True)]
+
+
+def _adapted(path: Path, measurements: Sequence[Measurement], light: tuple[str, str]) -> tuple[list[str], Array]:
+    """Return names and CIELAB `[colour, 3]` under the light; warn about the conversion."""
+    names, lab, said = named_lab(path, measurements, *light)
     if said:
         logger.warning("%s: %s", path, "; ".join(said))
-    return [ColourRow(row.name, part) for row, part in zip(rows, np.split(lab, len(rows)), strict=True)]
+    return names, lab
 
 
 def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, light: tuple[str, str]) -> list[ColourRow]:
@@ -192,9 +196,7 @@ def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, ligh
     names = [row[name] if name is not None else "" for _, row in lines[1:]]
     data = {"srgb": np.array([srgb_of_hex(path, f"#{each}") for each in digits])}
     metadata = {"illuminant": light[0], "observer": light[1], "names": names}
-    _, lab, said = named_lab(path, [Measurement(path, "table", "colours", data, "", metadata)], *light)
-    if said:
-        logger.warning("%s: %s", path, "; ".join(said))
+    _, lab = _adapted(path, [Measurement(path, "table", "colours", data, "", metadata)], light)
     return [ColourRow(one, np.repeat(each[None], targets, axis=0)) for one, each in zip(names, lab, strict=True)]
 
 
@@ -221,9 +223,8 @@ def _rows_of_table(
     labs = []
     for group in groups:
         measurement = _measurement(table, group, names, light)
-        _, lab, said = named_lab(table.path, [measurement], *(light or _light_of(measurement)))
-        if said:
-            logger.warning("%s: %s", table.path, "; ".join(said))
+        own = measurement.metadata["illuminant"], measurement.metadata["observer"]
+        _, lab = _adapted(table.path, [measurement], light or own)
         if "L" in group.places:
             check_scale(lab, table.path)
         for line, colour in zip(table.lines, lab, strict=True):
@@ -326,10 +327,6 @@ def _for_targets(table: TextTable, groups: list[_Group], targets: int, geometrie
         return [groups[angles.index(angle)] for angle in wanted]
     logger.warning("%s: the colours at %s degrees are taken for the targets in this order", table.path, angles)
     return groups
-
-
-def _light_of(measurement: Measurement) -> tuple[str, str]:
-    return measurement.metadata["illuminant"], measurement.metadata["observer"]
 
 
 def _measurement(table: TextTable, group: _Group, names: list[str], light: tuple[str, str] | None) -> Measurement:

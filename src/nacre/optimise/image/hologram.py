@@ -8,7 +8,6 @@ an order of the angular width w falls to a share s of its light at the distance 
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from nacre._version import __version__
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError
-from nacre.core.files import atomic_path, real, write_text
+from nacre.core.files import atomic_path, real
 from nacre.families.contract import Diffracting, Pixels
 from nacre.formats.pixel_fields import write_pixel_field
 from nacre.light import delta_e_2000, lab_to_xyz, smooth_weights, white_xyz, xyz_to_lab
@@ -30,7 +29,7 @@ from nacre.optimise.evaluation import TargetResult
 from nacre.optimise.image.files import ParameterMap, write_maps
 from nacre.optimise.image.pixels import screen_rgb, srgb_lab
 from nacre.optimise.image.validation import PERIOD, TURN
-from nacre.optimise.solutions import SUMMARY, Design, Solution, claim, clear_solutions, write_recipe
+from nacre.optimise.solutions import Design, Solution, claim, clear_solutions, conclude, write_recipe
 from nacre.optimise.targets import Target
 from nacre.optimise.task import DesignTask
 
@@ -222,8 +221,7 @@ def design_hologram(task: DesignTask, folder: Path, begun: float) -> Design:
         "solutions": [{"recipe": str(path), "worst": solution.worst.scaled, "changes": changes} | facts],
         "light": task.spec.light.model_dump(), "target": task.fingerprint, "nacre": __version__,
     }  # fmt: skip
-    write_text(folder / SUMMARY, json.dumps(summary, indent=2, default=str) + "\n")
-    return Design(folder, status, message, summary["seconds"], [solution], summary)
+    return conclude(folder, summary, [solution])
 
 
 def _preview_names(count: int) -> list[str]:

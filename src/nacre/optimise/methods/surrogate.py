@@ -30,7 +30,7 @@ from nacre.optimise.merit import MeritFunction
 from nacre.optimise.methods.least_squares import is_distinct, refine
 from nacre.optimise.methods.local_minima import BasinHopping
 from nacre.optimise.parameters import count_tables, draws
-from nacre.optimise.problem import PENALTY, STOP_TOL, Budget, Changes, OnProgress, Phase, Problem, Result, Search
+from nacre.optimise.problem import PENALTY, STOP_TOL, Changes, Phase, Problem, Search
 from nacre.optimise.task import DesignTask
 from nacre.recipe.paths import is_within
 
@@ -229,16 +229,6 @@ class SurrogateSearch(Search):
         self._unconfirmed = (np.inf, np.zeros(0))  # best by the surrogate, if no estimate follows in time
         self._is_fine = False
 
-    @single_threaded_blas()  # the candidates would query the thread count one by one
-    def run(
-        self,
-        budget: Budget | None = None,
-        on_progress: OnProgress | None = None,
-        known: Sequence[Mapping[str, Any]] = (),
-    ) -> Result:
-        """Search; see `Search.run`."""
-        return super().run(budget, on_progress, known)
-
     @property
     def is_met(self) -> bool:
         """Whether the best solution is good enough to stop, within the noise."""
@@ -257,6 +247,7 @@ class SurrogateSearch(Search):
         material, parameters = self.problem.material, self.problem.parameters
         return sorted(self.archive.solutions, key=lambda one: rank(one[0], count_tables(material, parameters, one[1])))
 
+    @single_threaded_blas()  # the candidates would query the thread count one by one
     def _search(self, known: Sequence[Mapping[str, Any]]) -> None:
         starts = [point for changes in known if (point := self.problem.point_of(changes)) is not None]
         own = self._allowed(self.problem.nominal_point())
