@@ -37,7 +37,7 @@ from nacre.measure.gloss import Gloss, find_gloss
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.studio.graded import Grades, grades_of, is_undrawn
 from nacre.studio.incidence import UNPOLARISED, Incidence, mixes_polarisations, spectrum_from
-from nacre.studio.latest_only_worker import SupersededError
+from nacre.studio.subprocess_jobs import SupersededError
 
 LAMPS = ("D65", "A", "F11")
 PROBE_RAD, PROBE_NM = np.array([0.0]), np.array([450.0, 550.0, 650.0])

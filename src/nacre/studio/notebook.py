@@ -21,8 +21,7 @@ from nacre.formats.lut.write import template
 from nacre.light import ILLUMINANTS
 from nacre.material.material import Material, MaterialLike, as_material
 from nacre.studio.appearance import appearances
-from nacre.studio.latest_only_worker import LatestOnlyWorker
-from nacre.studio.subprocess_jobs import failure_text
+from nacre.studio.subprocess_jobs import LatestOnlyWorker, failure_text
 from nacre.studio.surroundings import ALPHAS, ROWS, blurred_surroundings
 
 TABLES = "table.glsl"

@@ -13,7 +13,7 @@ from pydantic import Field
 from nacre.bsdf.substrate_spec import OF_OTHER_FAMILY, SubstrateSpec, Widths, interface_roughness, nested_strata
 from nacre.core.errors import NacreError, RecipeError
 from nacre.families.pearl.flake_normals import FlakeNormals, rotation_matrix
-from nacre.families.pearl.glints import Glints
+from nacre.families.pearl.flake_texture import Glints
 from nacre.families.pearl.material import MIN_DEVIATION, Pearl
 from nacre.families.pearl.platelet import Coating, Platelet
 from nacre.families.pearl.strata import Dye, Flakes, Stratum

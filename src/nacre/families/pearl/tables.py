@@ -24,7 +24,7 @@ from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.lobes.platelet_layer import PlateletLayer, surface_values
 from nacre.core.arrays import Array, cell, interpolate, take_uniform
 from nacre.core.parallel import in_threads
-from nacre.families.pearl.glints import interface_bend
+from nacre.families.pearl.flake_texture import interface_bend
 from nacre.families.pearl.random_walk import (
     ANY_ANGLE,
     CHUNKS,

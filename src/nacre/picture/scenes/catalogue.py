@@ -18,10 +18,10 @@ from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
 from nacre.light import table_wavelengths_nm
 from nacre.picture.camera import View
-from nacre.picture.filters import noise
 from nacre.picture.lights.emitter_plugins import spectrum_texture
 from nacre.picture.lights.environments import WOOD, edge, peak
 from nacre.picture.plugin import mi
+from nacre.picture.samples import noise
 from nacre.picture.shapes import backdrop
 from nacre.picture.shapes.mesh import Mesh, rotation
 

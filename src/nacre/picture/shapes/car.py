@@ -12,8 +12,22 @@ from collections.abc import Callable
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.picture.shapes.implicit import smooth_max, smooth_min, superellipse, surface_net
-from nacre.picture.shapes.mesh import Mesh, bspline, curve, merge, on_sphere, parametric, revolve, rotation, split, tube
+from nacre.picture.shapes.mesh import (
+    Mesh,
+    bspline,
+    curve,
+    merge,
+    on_sphere,
+    parametric,
+    revolve,
+    rotation,
+    smooth_max,
+    smooth_min,
+    split,
+    superellipse,
+    surface_net,
+    tube,
+)
 from nacre.picture.shapes.printed import text_mask
 
 FRONT_AXLE, REAR_AXLE = 1.32, -1.30

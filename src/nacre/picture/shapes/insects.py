@@ -12,17 +12,19 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.picture.shapes.backdrop import tile
-from nacre.picture.shapes.implicit import ellipsoid, smooth_min, surface_net
 from nacre.picture.shapes.mesh import (
     Mesh,
     bspline,
     curve,
+    ellipsoid,
     face_normals,
     merge,
     on_sphere,
     parametric,
     quad,
     revolve,
+    smooth_min,
+    surface_net,
     tube,
     two_triangles,
 )

@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from nacre.core.arrays import Array
-from nacre.picture.shapes.implicit import smooth_max, surface_net
 from nacre.picture.shapes.mesh import (
     Mesh,
     bspline,
@@ -20,6 +19,8 @@ from nacre.picture.shapes.mesh import (
     parametric,
     revolve,
     rotation,
+    smooth_max,
+    surface_net,
 )
 
 # speedshape, tail to nose: half width, half height, height of the spine

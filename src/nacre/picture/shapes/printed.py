@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from nacre.core.arrays import Array
-from nacre.picture.filters import noise
+from nacre.picture.samples import noise
 from nacre.picture.shapes.mesh import Mesh, merge, on_circle, parametric, quad, rotation
 
 # banknote: drawing (in heights of the note), then geometry
