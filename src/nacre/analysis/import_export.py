@@ -1,7 +1,5 @@
 """Export and import of materials, with a description of the lost properties."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

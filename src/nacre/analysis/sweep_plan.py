@@ -1,7 +1,5 @@
 """Sweep files: the recipe, the points and their order, and the quantities to store."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

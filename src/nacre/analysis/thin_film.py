@@ -5,8 +5,6 @@ film of constant index on a base of constant index (dielectric) or of constant r
 spectral approximation of the renderer adds to the residual.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass

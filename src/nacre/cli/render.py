@@ -1,7 +1,5 @@
 """Commands that show a material: render, demo, studio."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Fabrication files: height images, solids, masks, layouts, layer tables."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Multi-level masks: GDSII and OASIS, one layer a level, the tile as one cell repeated by an array reference."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

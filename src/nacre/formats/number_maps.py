@@ -1,7 +1,5 @@
 """Maps of numbers over an area, and height fields, as files for fabrication."""
 
-from __future__ import annotations
-
 import json
 import re
 import struct

@@ -8,8 +8,6 @@ halves give the noise; highlights present in both are restored. Pixels must not 
 picture needs the box filter; the denoiser takes grain through a wider filter for texture.
 """
 
-from __future__ import annotations
-
 import copy
 import functools
 import math

@@ -7,8 +7,6 @@ Karras, "Stratified sampling for stochastic transparency", 2011). The index coun
 depend on the division into passes.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """Figures of any material by name, as drawn by `nacre plot`."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

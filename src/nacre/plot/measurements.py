@@ -1,7 +1,5 @@
 """Figures: measured data (spectra, ellipsometric angles, constants, height maps, colours) and fits to them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

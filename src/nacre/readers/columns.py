@@ -4,8 +4,6 @@ A reader states the quantities that it can use. Of these a heading may state one
 does not have is an error, unless the user names the columns or ignores them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A file of measured data in a recipe or target: its name, or a table that also says what the file does not state."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, ClassVar
 

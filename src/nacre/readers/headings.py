@@ -4,8 +4,6 @@
 meaning is an error of the reader.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 import unicodedata

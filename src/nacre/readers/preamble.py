@@ -1,7 +1,5 @@
 """Incidence angle and polarisation in the lines above a table, such as "AOI = 45 deg" or "s-polarized"."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

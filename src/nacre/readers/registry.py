@@ -1,7 +1,5 @@
 """Formats that nacre reads, their recognition by content, and the description of unknown files."""
 
-from __future__ import annotations
-
 import difflib
 import re
 import struct

@@ -1,7 +1,5 @@
 """Units in files of other programs: their spellings, conversion, and readings of numbers without a unit."""
 
-from __future__ import annotations
-
 import unicodedata
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

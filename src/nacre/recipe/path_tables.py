@@ -1,7 +1,5 @@
 """Tables whose keys are recipe paths: `[fit]`, `[tolerance]` and a sweep's axes."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal

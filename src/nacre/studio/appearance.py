@@ -6,8 +6,6 @@ reflectance at the view angle (reciprocity allows this). Layered films are solve
 drafted with few angles and wavelengths, at a quality adapted to the machine.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json

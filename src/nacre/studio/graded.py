@@ -1,7 +1,5 @@
 """Numbers that vary over the surface, for the preview: a map, and the material at nodes of their ranges."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ Messages to the view: `room` (surroundings and shader tables, sent on request), 
 `error`. Messages from the view: `ready`, and `vary` with a slider's path and value.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import posixpath

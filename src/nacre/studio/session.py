@@ -4,8 +4,6 @@ The server is stateless: each request carries the recipe's text and the edits si
 continues previous sessions.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

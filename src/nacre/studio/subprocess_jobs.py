@@ -5,8 +5,6 @@ and may return bytes. The job is cancelled when the client disconnects (stdin cl
 interrupts it, and a job that handles `KeyboardInterrupt` then finishes with its current best result.
 """
 
-from __future__ import annotations
-
 import _thread
 import asyncio
 import contextlib

@@ -4,8 +4,6 @@ Directions from below are inverted at the origin and handled as directions from 
 invariant under x, y -> -x, -y), with the tables of the other side.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, cast

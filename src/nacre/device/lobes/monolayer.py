@@ -6,8 +6,6 @@ wavelength's exact |q|. Directions are drawn from a coarse exit table (`bilinear
 this table depends only on the azimuth difference and is averaged over the rotation; the weights contain the rest.
 """
 
-from __future__ import annotations
-
 import abc
 import dataclasses
 import math

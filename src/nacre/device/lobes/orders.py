@@ -5,8 +5,6 @@ Gaussian offset in direction cosines, with cos_o d omega_o = d wo_t. The density
 light from below, orders are drawn at the direction above that the zero order would take.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -6,8 +6,6 @@ period, the position by the comb of N ridges). The mixture is averaged over the 
 drawn. The sine across tabulated ridges is drawn from the table.
 """
 
-from __future__ import annotations
-
 import abc
 import math
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """The smooth interface on the device: specular reflection and refraction, weighted by the tables."""
 
-from __future__ import annotations
-
 import abc
 from typing import Any, TypeVar
 

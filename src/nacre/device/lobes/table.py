@@ -3,8 +3,6 @@
 Nearly Lambertian tables use cosine-weighted sampling instead, at half the cost and equal noise.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Particle recipe: spheres, cylinders, spheroids, T-matrix files, or a mixture."""
 
-from __future__ import annotations
-
 import fnmatch
 import os
 from collections.abc import Mapping

@@ -4,8 +4,6 @@ A size distribution and a mixture are the same for the optics: particles with nu
 arrangement. All take the highest multipole order that any needs.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 from dataclasses import dataclass, field, replace

@@ -9,8 +9,6 @@ The stated error comes from independent walks at three incidences, in bins indep
 product between two independent differences has a noise-free mean.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

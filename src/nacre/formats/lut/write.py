@@ -1,7 +1,5 @@
 """Write a folder of colour tables: images, shaders, a Blender script, a MaterialX graph and an index page."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import dataclasses

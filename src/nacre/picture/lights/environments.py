@@ -6,8 +6,6 @@ distinguished as in the real place. Light bounces once, plus a grey share for fu
 wood and leaf reflectances are smooth curves with edges at 570, 550 and 690 nm; daylight is sun, haze and blue sky.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 

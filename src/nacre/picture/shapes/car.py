@@ -5,8 +5,6 @@ sections. Wheel arches are subtracted with rounded edges; panes are cut along ex
 lengths are in metres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

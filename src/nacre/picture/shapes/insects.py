@@ -1,7 +1,5 @@
 """Natural objects: butterfly, beetle and feather, with hairs, pin and label."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Manufactured objects: speedshape, knob, bottle, film in a ring, cuff, strip of balls, camera lens."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -3,8 +3,6 @@
 On all sheets u runs across and v upward. Drawings have their first row at the top.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Mapping, Sequence
 

@@ -5,8 +5,6 @@ or reflectance factors (pi times the BSDF); headings after a `#`. In-plane scans
 mirror direction from the data.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Interchange formats of scatter data: ASTM E1392, SSDD, universal BRDF (JSON), WINDOW XML."""
 
-from __future__ import annotations
-
 import json
 import re
 import xml.etree.ElementTree as ET

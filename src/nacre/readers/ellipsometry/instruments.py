@@ -1,7 +1,5 @@
 """Text files of ellipsometers: Accurion, Film Sense, Horiba, regress-pro, SpectraRay, nacre's CSV."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Gwyddion's files: native (.gwy), ASCII matrix, and Simple Field (.gsf)."""
 
-from __future__ import annotations
-
 import re
 import struct
 from pathlib import Path

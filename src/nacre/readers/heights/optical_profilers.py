@@ -1,7 +1,5 @@
 """Maps of optical profilers and laser microscopes, in formats of makers."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

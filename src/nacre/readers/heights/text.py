@@ -1,7 +1,5 @@
 """Heights as plain text: matrices, points, and tables of nacre; line profiles are refused."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

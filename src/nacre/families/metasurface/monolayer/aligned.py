@@ -11,8 +11,6 @@ short Fourier series in both azimuths. S has rings sharper than the azimuth step
 harmonics over the difference, which is exact for particle patterns with few harmonics.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
