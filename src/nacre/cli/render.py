@@ -96,11 +96,7 @@ SCENES = (
 )
 @click.option("--frames", type=click.IntRange(2, 100_000), default=48, show_default=True)
 @click.option(
-    "-o",
-    "output",
-    default=None,
-    metavar="FILE",
-    help="png, jpg, webp, exr, gif, mp4. Default: RECIPE.png, .gif.",
+    "-o", "output", default=None, metavar="FILE", help="png, jpg, webp, exr, gif, mp4. Default: RECIPE.png, .gif."
 )
 @common.set_option
 @common.cache_option

@@ -324,11 +324,7 @@ def _form(data: Any) -> str:
 
 
 def _solve(
-    material: Material,
-    illuminant: str,
-    is_superseded: Callable[[], bool],
-    quality: Quality,
-    incidence: Incidence,
+    material: Material, illuminant: str, is_superseded: Callable[[], bool], quality: Quality, incidence: Incidence
 ) -> Appearance:
     start = time.perf_counter()
     angles_deg, grid = quality.angles_deg, quality.wavelengths_nm

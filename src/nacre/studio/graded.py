@@ -15,12 +15,7 @@ from nacre.recipe.model import validate
 
 MAP_SIZE = 256  # texels along each side of the map
 NODES = {(True, 1): (48,), (True, 2): (24, 6), (False, 1): (5,), (False, 2): (3, 3)}  # by speed and count of ranges
-DRAWN = (
-    "thickness_nm",
-    "thickness_um",
-    "thickness_mm",
-    "mask",
-)  # rotations change no colour of a table
+DRAWN = ("thickness_nm", "thickness_um", "thickness_mm", "mask")  # rotations change no colour of a table
 MAX_VARYING = 2
 
 

@@ -295,12 +295,7 @@ _PRINTED: dict[str, tuple[Any, ...]] = {
     "plate": ("car", "plate_print"),
     "margins": ("insects", "margin_print"),
 }
-_GROUNDS = {
-    "banknote": printed_note,
-    "deck": wood,
-    "pass": printed_pass,
-    "boards": boards,
-}
+_GROUNDS = {"banknote": printed_note, "deck": wood, "pass": printed_pass, "boards": boards}
 
 
 def plain_material(name: str) -> dict[str, Any]:
