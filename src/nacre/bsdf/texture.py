@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import RecipeError, UnsupportedError
-from nacre.recipe.paths import with_values
+from nacre.recipe.named_numbers import with_values
 
 MAX_FORMULA_LENGTH = 1000
 MAX_FORMULA_NODES = 200

@@ -53,15 +53,8 @@ from nacre.matter.indices.library import lone_axes
 from nacre.measure.spectrum import bsdf_spectrum
 from nacre.recipe.fingerprint import file_digest, fingerprint
 from nacre.recipe.model import RecipeContext, RecipeModel, validate
-from nacre.recipe.paths import (
-    NUMBERS,
-    find_by_path,
-    named_numbers,
-    numbers_of,
-    refuse_new_number,
-    set_by_path,
-    varying_numbers,
-)
+from nacre.recipe.named_numbers import named_numbers, refuse_new_number
+from nacre.recipe.paths import NUMBERS, find_by_path, numbers_of, set_by_path, varying_numbers
 from nacre.recipe.toml import dump_toml, open_all, open_parts, parse_toml, plain_data
 
 logger = logging.getLogger("nacre")

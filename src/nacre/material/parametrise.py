@@ -16,7 +16,8 @@ from pydantic_core import SchemaValidator, core_schema
 
 from nacre.core.errors import NacreError, RecipeError
 from nacre.recipe.model import RecipeContext, RecipeModel, Snapshot, length_factor, scale_length, spellings
-from nacre.recipe.paths import NUMBERS, find_by_path, path_keys, refuse_new_number, set_by_path
+from nacre.recipe.named_numbers import refuse_new_number
+from nacre.recipe.paths import NUMBERS, find_by_path, path_keys, set_by_path
 from nacre.recipe.toml import plain_data
 
 Keys = tuple[Any, ...]  # of a place in nested tables and lists

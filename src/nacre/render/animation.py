@@ -32,7 +32,8 @@ from nacre.picture.lights.emitter_plugins import read_lamps
 from nacre.picture.options import KEYWORDS, read_background
 from nacre.picture.picture import render, resolve_material
 from nacre.recipe.fingerprint import file_digest, fingerprint
-from nacre.recipe.paths import NUMBERS, TIME, uses_time
+from nacre.recipe.named_numbers import TIME, uses_time
+from nacre.recipe.paths import NUMBERS
 
 TURNS = ("light", "view")
 MOTIONS = (*TURNS, "time")
