@@ -32,18 +32,8 @@ from nacre.matter.indices.laws import (
     TaucLorentz,
     Term,
 )
-from nacre.matter.indices.models import (
-    FRACTION_ERROR,
-    SPHERE,
-    Cauchy,
-    Constant,
-    Dispersion,
-    Mixture,
-    Oscillators,
-    Sellmeier,
-    Table,
-    abbe_cauchy,
-)
+from nacre.matter.indices.mixtures import FRACTION_ERROR, SPHERE, Mixture
+from nacre.matter.indices.models import Cauchy, Constant, Dispersion, Oscillators, Sellmeier, Table, abbe_cauchy
 from nacre.matter.stack.inputs import CLEAR_K
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
 from nacre.readers.registry import open_file
