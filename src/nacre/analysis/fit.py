@@ -33,6 +33,7 @@ from nacre.analysis.fit_data import (
     colour_measurement,
     joined,
     name_of,
+    orders_measurement,
     parts_of,
     stated_colours,
 )
@@ -53,6 +54,7 @@ from nacre.optimise.methods.least_squares import (
 )
 from nacre.optimise.parameters import Parameter, nominal_point, read_parameters, values_at
 from nacre.readers.measurement import AmbiguousFileError, Measurement, ReadOptions
+from nacre.readers.own_tables import ORDERS
 from nacre.readers.registry import open_file
 from nacre.recipe.path_tables import by_path, with_options
 
@@ -168,7 +170,8 @@ def read_measurement(
 ) -> Data:
     """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, a gonio CSV, or an instrument's file.
 
-    A colour list holds CIELAB (D65, 10 degree observer) at the geometries that their names state.
+    A table of `nacre orders` holds efficiencies. A colour list holds CIELAB (D65, 10 degree observer) at the
+    geometries that its names state.
 
     Spectrum columns may be in per cent and wavelengths in um, as their headings say. Rows without a measured value
     are ignored.
@@ -186,6 +189,8 @@ def read_measurement(
         return colour_measurement(path)
     if found[0].kind == "bsdf":
         return gonio_measurement(path, found[0])
+    if found[0].metadata.get("table") == ORDERS:
+        return orders_measurement(path, found[0], range_nm)
     chosen = [m for m in found if m.kind == "ellipsometry" and ("depolarisation" not in m.data or "psi_deg" in m.data)]
     if chosen:
         is_stated = options.delta_convention is not None

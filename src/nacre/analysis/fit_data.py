@@ -9,14 +9,16 @@ from typing import Protocol
 
 import numpy as np
 
+from nacre.analysis.measured import MAX_POWER, MIN_POWER, RELATIVE_FLOOR
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError
-from nacre.families.contract import Model, is_direct, surrogate_radiance
+from nacre.core.errors import NacreError, UnsupportedError
+from nacre.families.contract import Diffracting, Model, is_direct, surrogate_radiance
 from nacre.light import default_wavelengths, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material
 from nacre.measure.colours import geometry_colours, recipe_geometries
 from nacre.measure.geometry import Geometry, aspecular_pairs
 from nacre.optimise.colour_list import read_colours
+from nacre.readers.measurement import Measurement
 
 
 class Data(Protocol):
@@ -24,7 +26,7 @@ class Data(Protocol):
 
     @property
     def kind(self) -> str:
-        """`spectrum`, `gonio`, `ellipsometry` or `joint`."""
+        """`spectrum`, `gonio`, `ellipsometry`, `orders`, `colours` or `joint`."""
         ...
 
     @property
@@ -130,6 +132,12 @@ def name_of(data: Data, path: str | Path) -> str:
 
 
 LIGHT = ("D65", "10deg")
+# column of a table of orders -> the side, and weights of s and p
+EFFICIENCIES = {
+    f"{side}{end}": (side, np.array(weights))
+    for side in ("reflected", "transmitted")
+    for end, weights in (("_s", (1.0, 0.0)), ("_p", (0.0, 1.0)), ("", (0.5, 0.5)))
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +193,104 @@ class ColourData:
     def noise_scale(self, weights: str) -> Array:
         """Return the relative noise of the values: equal for L*, a* and b* at all geometries."""
         return np.full(self.values.shape, float(np.sqrt(np.mean(self.values**2))) or 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class OrdersData:
+    """Measured efficiencies of diffraction orders.
+
+    Attributes:
+        columns: `[value]`, names of `EFFICIENCIES`.
+        cases: `[value, 5]`: wavelength in nm, angle of incidence and azimuth in degrees, m and n.
+        values: `[value]`.
+        name: file, for reports.
+        remarks: columns that are not used.
+    """
+
+    columns: tuple[str, ...]
+    cases: Array
+    values: Array
+    name: str = ""
+    remarks: tuple[str, ...] = ()
+    kind: str = "orders"
+
+    @property
+    def wavelengths_nm(self) -> Array:
+        """Wavelengths."""
+        return np.unique(self.cases[:, 0])
+
+    def model(self, material: Material, samples: int | None, seed: int) -> Array:
+        """Return a material's efficiencies `[value]`, 0 for an order that does not propagate.
+
+        Raises:
+            UnsupportedError: the material has no orders.
+        """
+        model, lam, angles = material.model, self.wavelengths_nm, np.unique(self.cases[:, 1])
+        if not isinstance(model, Diffracting):
+            raise UnsupportedError(f"{self.name}: a {model.traits.noun} has no diffraction orders; allowed: a grating")
+        found = np.zeros(len(self.values))
+        for azimuth in np.unique(self.cases[:, 2]):
+            solved = model.diffraction_orders(np.radians(angles), float(np.radians(azimuth)), lam)
+            place = {(int(m), int(n)): k for k, (m, n) in enumerate(solved.numbers)}
+            for row in np.flatnonzero(self.cases[:, 2] == azimuth):
+                order = place.get((int(self.cases[row, 3]), int(self.cases[row, 4])))
+                if order is not None:
+                    side, weights = EFFICIENCIES[self.columns[row]]
+                    at = np.searchsorted(angles, self.cases[row, 1]), np.searchsorted(lam, self.cases[row, 0]), order
+                    found[row] = np.nan_to_num(getattr(solved, side)[at]) @ weights
+        return found
+
+    def surrogate(self, model: Model) -> Array | None:
+        """Return None: orders are free of noise."""
+        return None
+
+    def noise_scale(self, weights: str) -> Array:
+        """Return the relative noise of the values: proportional to them, or equal."""
+        rms = float(np.sqrt(np.mean(self.values**2))) or 1.0
+        return (
+            np.maximum(np.abs(self.values), RELATIVE_FLOOR * rms)
+            if weights == "relative"
+            else np.full(self.values.shape, rms)
+        )
+
+    def curves(self, fitted: Array) -> tuple[tuple[str, Array, Array, Array], ...]:
+        """Return for each order, angle and column: label, wavelengths, measured and fitted values."""
+        groups: dict[str, list[int]] = {}
+        for row, (column, (_, angle, azimuth, m, n)) in enumerate(zip(self.columns, self.cases, strict=True)):
+            turned = f", azimuth {azimuth:g}\u00b0" if azimuth else ""
+            label = f"{column.replace('_', ' ')} ({m:g}, {n:g}), {angle:g}\u00b0{turned}"
+            groups.setdefault(label, []).append(row)
+        return tuple((label, self.cases[at, 0], self.values[at], fitted[at]) for label, at in groups.items())
+
+
+def orders_measurement(path: Path, found: Measurement, range_nm: tuple[float, float] | None) -> OrdersData:
+    """Return efficiencies of a table as `nacre orders` writes it; the column `azimuth_deg` may be absent.
+
+    Raises:
+        NacreError: an unknown column, no efficiency, or one that is impossible.
+    """
+    data = dict(found.data)
+    keys = ("wavelength_nm", "angle_deg", "azimuth_deg", "m", "n")
+    unknown = [name for name in (*data, *found.metadata) if name not in (*keys, *EFFICIENCIES, "table")]
+    if unknown:
+        raise NacreError(f"{path}: column {unknown[0]} is not known; allowed: {', '.join((*keys, *EFFICIENCIES))}")
+    first = data["wavelength_nm"]
+    cases = np.stack([data.get(key, np.zeros(len(first))) for key in keys], axis=1)
+    used = np.isfinite(cases).all(axis=1)
+    if range_nm is not None:
+        used &= (first >= range_nm[0]) & (first <= range_nm[1])
+    rows = [(name, k) for name in data if name in EFFICIENCIES for k in np.flatnonzero(used & np.isfinite(data[name]))]
+    values = np.array([data[name][k] for name, k in rows], dtype=float)
+    if not len(values):
+        raise NacreError(f"{path}: holds no efficiency of an order; allowed columns: {', '.join(EFFICIENCIES)}")
+    wrong = next((k for k, value in enumerate(values) if not MIN_POWER <= value <= MAX_POWER), None)
+    if wrong is not None:
+        name, row = rows[wrong]
+        raise NacreError(f"{path}: {name} = {values[wrong]:g} at {first[row]:g} nm is not possible; allowed: 0 to 1")
+    at = cases[[k for _, k in rows]]
+    if np.any(at[:, 0] <= 0) or np.any((at[:, 1] < 0) | (at[:, 1] >= 90)):
+        raise NacreError(f"{path}: wavelength_nm must be positive and angle_deg in [0, 90)")
+    return OrdersData(tuple(name for name, _ in rows), at, values, str(path), found.left_out)
 
 
 def stated_colours(stated: Mapping[str, Sequence[float]]) -> ColourData:

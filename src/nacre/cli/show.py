@@ -140,13 +140,16 @@ def _by_polarisation(efficiency: np.ndarray) -> dict[str, Any]:
 
 
 def _orders_csv(found: Any, angles_deg: np.ndarray) -> str:
-    lines = ["wavelength_nm,angle_deg,m,n,reflected_s,reflected_p,transmitted_s,transmitted_p"]
+    azimuth = np.degrees(found.azimuth_rad)
+    names = ["wavelength_nm,angle_deg,m,n,reflected_s,reflected_p,transmitted_s,transmitted_p"]
+    lines = [",".join([*names, *(["azimuth_deg"] if azimuth else [])])]
     for a, angle in enumerate(angles_deg):
         for w, wavelength in enumerate(found.wavelengths_nm):
             for o, (m, n) in enumerate(found.numbers):
                 values = [*found.reflected[a, w, o], *found.transmitted[a, w, o]]
                 if not np.all(np.isnan(values)):
                     shown = ["" if np.isnan(v) else f"{v:.9g}" for v in values]
+                    shown += [f"{azimuth:.9g}"] if azimuth else []
                     lines.append(",".join([f"{wavelength:.6g}", f"{angle:.6g}", str(m), str(n), *shown]))
     return "\n".join(lines) + "\n"
 

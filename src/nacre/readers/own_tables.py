@@ -15,9 +15,10 @@ from nacre.core.files import read_text
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import CERTAIN, FileHead
 
+ORDERS = "diffraction orders"
 # first headings -> the table
 STARTS = {
-    ("wavelength_nm", "angle_deg", "m", "n", "reflected_s"): "diffraction orders",
+    ("wavelength_nm", "angle_deg", "m", "n"): ORDERS,
     ("position", "material", "thickness_nm", "thickness_min_nm"): "layer sheet",
     ("name", "folder", "L", "a", "b", "reached_L"): "many designs",
 }
