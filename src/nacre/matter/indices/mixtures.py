@@ -4,6 +4,8 @@ Inclusions are ellipsoids with depolarisation factors L along their axes (sphere
 orientation, a single factor for aligned ellipsoids in a field along the axis of that factor.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
