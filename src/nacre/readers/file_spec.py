@@ -14,11 +14,6 @@ class FileSpec(RecipeModel):
 
     noun: ClassVar[str] = "measured file"
     shorthands: ClassVar[tuple[Mapping[str, Any], ...]] = ({"type": "string"},)
-    forms: ClassVar[tuple[str, ...]] = (
-        '"data.csv"',
-        '{file = "data.csv", unit = "um"}',
-        '{file = "data.csv", ignore = ["remark"]}',
-    )
 
     file: str = pydantic.Field(description="the file, beside the recipe", examples=["data.csv"])
     columns: tuple[str, ...] = pydantic.Field(

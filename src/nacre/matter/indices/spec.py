@@ -85,10 +85,6 @@ class OscillatorSpec(RecipeModel):
 class LorentzSpec(RecipeModel):
     """Bound oscillators on a constant background `eps_inf`; if `drude` is also given, leave its `eps_inf` at 1."""
 
-    forms: ClassVar[tuple[str, ...]] = (
-        "{eps_inf = 2.2, oscillators = [{strength = 0.05, resonance_ev = 2.2, damping_ev = 0.3}]}",
-    )
-
     oscillators: tuple[OscillatorSpec, ...] = pydantic.Field(
         min_length=1, max_length=50, description="the bound oscillators, a list of tables"
     )
@@ -114,23 +110,6 @@ class IndexSpec(RecipeModel):
         {"enum": list(BY_NAME)},
         {"type": "string", "description": "a named optical constant, or shelf/book/page of refractiveindex.info"},
         {"type": "number", "minimum": 0, "description": "a constant index"},
-    )
-    forms: ClassVar[tuple[str, ...]] = (
-        '"SiO2"',
-        "1.5",
-        "{n = 1.56, k = 0.06}",
-        "{cauchy = [1.45, 0.004]}",
-        "{sellmeier = [1.0396, 0.006, 0.2318, 0.02]}",
-        "{n_d = 1.575, abbe = 30}",
-        "{drude = {plasma_ev = 9.0, damping_ev = 0.07}}",
-        "{lorentz = {oscillators = [{strength = 1.0, resonance_ev = 4.2}]}}",
-        "{tauc_lorentz = {gap_ev = 1.6, oscillators = [{amplitude_ev = 100, resonance_ev = 4, damping_ev = 1.8}]}}",
-        "{cauchy = [1.45, 0.004], urbach = {amplitude = 0.1, energy_ev = 0.15, edge_ev = 3.4}}",
-        '{file = "nk.csv"}',
-        '{mix = ["TiO2", "air"], volume_fractions = [0.8, 0.2], model = "bruggeman"}',
-        '{file = "eps.txt", columns = ["energy_eV", "e1", "e2"]}',
-        '{rii = "main/Ag/Johnson"}',
-        '{name = "TiO2", extrapolate = "edge"}',
     )
 
     name: str | None = pydantic.Field(
@@ -545,10 +524,6 @@ class BandSpec(RecipeModel):
 class TaucLorentzSpec(RecipeModel):
     """Tauc-Lorentz bands (Jellison & Modine 1996) with one gap, on a constant `eps_inf`."""
 
-    forms: ClassVar[tuple[str, ...]] = (
-        "{gap_ev = 1.6, oscillators = [{amplitude_ev = 100, resonance_ev = 4.0, damping_ev = 1.8}]}",
-    )
-
     gap_ev: NotNegative = pydantic.Field(description="gap, below which nothing is absorbed, in eV", examples=[1.6])
     oscillators: tuple[BandSpec, ...] = pydantic.Field(min_length=1, max_length=20, description="the bands")
     eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background")
@@ -560,10 +535,6 @@ class TaucLorentzSpec(RecipeModel):
 
 class CodyLorentzSpec(RecipeModel):
     """Cody-Lorentz bands (Ferlauto et al. 2002) with one gap and an Urbach tail, on a constant `eps_inf`."""
-
-    forms: ClassVar[tuple[str, ...]] = (
-        "{gap_ev = 1.6, transition_ev = 1, oscillators = [{amplitude_ev = 80, resonance_ev = 4, damping_ev = 1.8}]}",
-    )
 
     gap_ev: NotNegative = pydantic.Field(description="gap, in eV", examples=[1.6])
     transition_ev: Positive = pydantic.Field(
@@ -601,10 +572,6 @@ class PeakSpec(RecipeModel):
 class GaussianSpec(RecipeModel):
     """Gaussian absorption bands with their Kramers-Kronig partner, on a constant `eps_inf`."""
 
-    forms: ClassVar[tuple[str, ...]] = (
-        "{eps_inf = 2.2, oscillators = [{amplitude = 2.0, resonance_ev = 3.0, width_ev = 0.4}]}",
-    )
-
     oscillators: tuple[PeakSpec, ...] = pydantic.Field(min_length=1, max_length=50, description="the bands")
     eps_inf: Positive = pydantic.Field(default=1.0, description="permittivity of the background")
 
@@ -629,10 +596,6 @@ class SpreadOscillatorSpec(RecipeModel):
 class BrendelBormannSpec(RecipeModel):
     """Brendel-Bormann oscillators on a constant `eps_inf`."""
 
-    forms: ClassVar[tuple[str, ...]] = (
-        "{oscillators = [{strength = 0.5, resonance_ev = 2.5, damping_ev = 0.2, spread_ev = 0.3}]}",
-    )
-
     oscillators: tuple[SpreadOscillatorSpec, ...] = pydantic.Field(
         min_length=1, max_length=50, description="the oscillators"
     )
@@ -645,10 +608,6 @@ class BrendelBormannSpec(RecipeModel):
 
 class BSplineSpec(RecipeModel):
     """Imaginary permittivity as a cubic B-spline over energy; the real part follows by Kramers-Kronig."""
-
-    forms: ClassVar[tuple[str, ...]] = (
-        "{knots_ev = [2.5, 3.5, 4.5, 5.5, 6.5], values = [0, 0.1, 1.2, 2.0, 1.0], eps_inf = 1.5}",
-    )
 
     knots_ev: tuple[Positive, ...] = pydantic.Field(
         min_length=4,
