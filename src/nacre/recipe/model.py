@@ -296,7 +296,8 @@ def _forms_of(package: str) -> dict[str, dict[str, Any]]:
 class RecipeModel(pydantic.BaseModel):
     """A table of a recipe: unknown keys are refused, numbers are finite, lengths may have any unit.
 
-    A field named `<quantity>_nm` (or `_um`, `_mm`) may be written with any the three suffixes.
+    A field named `<quantity>_nm` (or `_um`, `_mm`) may be written with any the three suffixes. The `forms.toml` of a
+    package may give `forms`, `example` and `shorthands` of its models.
     """
 
     # of a family: a small complete recipe, for the reference and the tests of all families
