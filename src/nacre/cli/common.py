@@ -12,6 +12,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
@@ -177,6 +178,20 @@ def set_option(function: F) -> F:
         "--set", "changes", multiple=True, metavar="PATH=VALUE",
         help="Change one value of the recipe, such as layers[0].thickness_nm=420. May be repeated.",
     )(function)  # fmt: skip
+
+
+def check_output(path: str | Path, *suffixes: str) -> None:
+    """Check that a file can be written before a command computes.
+
+    Raises:
+        NacreError: it has none of the suffixes, or its folder cannot be written.
+    """
+    from nacre.core.files import check_writable
+
+    if Path(path).suffix not in suffixes:
+        *others, last = suffixes
+        raise NacreError(f"-o {path}: the suffix must be {', '.join(others)}{' or ' * bool(others)}{last}")
+    check_writable(path)
 
 
 def load_material(recipe: str, changes: tuple[str, ...] = ()) -> Any:

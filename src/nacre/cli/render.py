@@ -9,6 +9,7 @@ import click
 from nacre.cli import common
 from nacre.cli.common import STATUS_INTERRUPTED, STOPPED
 from nacre.core.errors import NacreError
+from nacre.core.files import check_writable, short_name
 
 MOVIES = (".gif", ".mp4")
 SCENES = (
@@ -107,7 +108,6 @@ def render(
     workers: Any, **settings: Any,
 ) -> None:  # fmt: skip
     """Render a material on an object."""
-    from nacre.core.files import check_writable, short_name
     from nacre.picture.images import STILL_SUFFIXES
     from nacre.picture.interrupt import leaving_at_once
 
