@@ -14,19 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, did_you_mean
+from nacre.light import spaces
 from nacre.light.colour_differences import delta_e_76, delta_e_2000
-from nacre.light.spaces import (
-    RGB_TO_XYZ,
-    SRGB_WHITE_XYZ,
-    XYZ_TO_RGB,
-    lab_f,
-    lab_f_inverse,
-    lab_to_lch,
-    srgb_encode,
-    srgb_to_hex,
-    xyz_to_lab,
-    xyz_to_srgb_linear,
-)
 from nacre.light.tables import Illuminant
 from nacre.light.tristimulus import spectrum_to_xyz, weighted_sum, white_xyz, xyz_weights
 
@@ -55,9 +44,9 @@ def spectrum_to_rgb_matrix(
     weights = xyz_weights(wavelengths_nm, illuminant, observer)
     name = illuminant if isinstance(illuminant, str) else illuminant.name
     if adaptation != "none" and (name.upper(), observer) == ("D65", "2deg"):
-        return weights @ XYZ_TO_RGB.T
-    adapt = adaptation_matrix(white_xyz(illuminant, observer), SRGB_WHITE_XYZ, adaptation)
-    return weights @ adapt.T @ XYZ_TO_RGB.T
+        return weights @ spaces.XYZ_TO_RGB.T
+    adapt = adaptation_matrix(white_xyz(illuminant, observer), spaces.SRGB_WHITE_XYZ, adaptation)
+    return weights @ adapt.T @ spaces.XYZ_TO_RGB.T
 
 
 def spectrum_to_rgb_linear(
@@ -87,7 +76,7 @@ def spectrum_to_srgb(
         >>> spectrum_to_srgb(np.full(81, 0.5), np.arange(380.0, 781.0, 5.0)).round(3).tolist()
         [0.735, 0.735, 0.735]
     """
-    return srgb_encode(
+    return spaces.srgb_encode(
         clip_to_srgb(spectrum_to_rgb_linear(values, wavelengths_nm, illuminant, observer, adaptation)).rgb
     )
 
@@ -103,8 +92,8 @@ def swatch_hex(xyz: ArrayLike, white: ArrayLike) -> str:
         >>> swatch_hex(white_xyz("A"), white_xyz("A"))
         '#ffffff'
     """
-    adapted = np.clip(adapt_xyz(np.clip(xyz, 0.0, None), white, SRGB_WHITE_XYZ), 0.0, None)
-    return srgb_to_hex(srgb_encode(clip_to_srgb(xyz_to_srgb_linear(adapted)).rgb))
+    adapted = np.clip(adapt_xyz(np.clip(xyz, 0.0, None), white, spaces.SRGB_WHITE_XYZ), 0.0, None)
+    return spaces.srgb_to_hex(spaces.srgb_encode(clip_to_srgb(spaces.xyz_to_srgb_linear(adapted)).rgb))
 
 
 # Half an 8-bit step at the dark end, the finest step of linear light: a smaller excess over the gamut is invisible
@@ -177,21 +166,21 @@ def outside_srgb(rgb: Array) -> NDArray[np.bool_]:
 
 def _lower_chroma(rgb: Array) -> Array:
     """Clip colours `[n, 3]` outside the gamut."""
-    f = lab_f(rgb @ RGB_TO_XYZ.T / SRGB_WHITE_XYZ)
+    f = spaces.lab_f(rgb @ spaces.RGB_TO_XYZ.T / spaces.SRGB_WHITE_XYZ)
     fy = f[:, 1]
-    grey = lab_f_inverse(fy)
+    grey = spaces.lab_f_inverse(fy)
     result = np.repeat(np.clip(grey, 0.0, 1.0)[:, None], 3, axis=1)
     rows = np.flatnonzero((grey > 0.0) & (grey < 1.0))
     if len(rows) == 0:
         return result
-    fy, y = fy[rows], grey[rows] * SRGB_WHITE_XYZ[1]
+    fy, y = fy[rows], grey[rows] * spaces.SRGB_WHITE_XYZ[1]
     dx, dz = f[rows, 0] - fy, f[rows, 2] - fy
     good, bad = np.zeros(len(rows)), np.ones(len(rows))
 
     def at(scale: Array) -> list[Array]:
-        x = lab_f_inverse(fy + scale * dx) * SRGB_WHITE_XYZ[0]
-        z = lab_f_inverse(fy + scale * dz) * SRGB_WHITE_XYZ[2]
-        return [m[0] * x + m[1] * y + m[2] * z for m in XYZ_TO_RGB]
+        x = spaces.lab_f_inverse(fy + scale * dx) * spaces.SRGB_WHITE_XYZ[0]
+        z = spaces.lab_f_inverse(fy + scale * dz) * spaces.SRGB_WHITE_XYZ[2]
+        return [m[0] * x + m[1] * y + m[2] * z for m in spaces.XYZ_TO_RGB]
 
     parts = PARTS if len(rows) <= FEW else 2
     inner = np.arange(1, parts)[:, None] / parts
@@ -285,7 +274,7 @@ def illuminant_shift(
     reference = white_xyz("D65", observer)
     first = _adapted_lab(values, wavelengths_nm, illuminant_from, observer, reference)
     second = _adapted_lab(values, wavelengths_nm, illuminant_to, observer, reference)
-    lch_first, lch_second = lab_to_lch(first), lab_to_lch(second)
+    lch_first, lch_second = spaces.lab_to_lch(first), spaces.lab_to_lch(second)
     turn = lch_second[..., 2] - lch_first[..., 2]
     return IlluminantShift(
         lab_from=first,
@@ -320,11 +309,11 @@ def metamerism(
     white = white_xyz(illuminant_to, observer)
     second = spectrum_to_xyz(values, wavelengths_nm, illuminant_to, observer)
     second_other = spectrum_to_xyz(other, wavelengths_nm, illuminant_to, observer) * ratio
-    return delta_e_2000(xyz_to_lab(second, white), xyz_to_lab(second_other, white))
+    return delta_e_2000(spaces.xyz_to_lab(second, white), spaces.xyz_to_lab(second_other, white))
 
 
 def _adapted_lab(
     values: ArrayLike, wavelengths_nm: ArrayLike, light: str | Illuminant, observer: str, reference: Array
 ) -> Array:
     xyz = spectrum_to_xyz(values, wavelengths_nm, light, observer)
-    return xyz_to_lab(adapt_xyz(xyz, white_xyz(light, observer), reference), reference)
+    return spaces.xyz_to_lab(adapt_xyz(xyz, white_xyz(light, observer), reference), reference)

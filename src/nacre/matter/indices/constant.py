@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import Any, Literal
@@ -22,18 +22,8 @@ from numpy.typing import ArrayLike
 
 from nacre.core.arrays import Array, ComplexArray, floats
 from nacre.core.errors import MaterialRangeError, NacreError, UnknownMaterialError, did_you_mean
+from nacre.matter.indices import models
 from nacre.matter.indices.database import catalogue, find_page, load_entry
-from nacre.matter.indices.models import (
-    Cauchy,
-    Clear,
-    Constant,
-    Continued,
-    Dispersion,
-    Joined,
-    Spliced,
-    abbe_cauchy,
-    cauchy_tail,
-)
 from nacre.recipe.model import written_as_number
 
 Extrapolation = Literal["error", "edge"]
@@ -67,7 +57,7 @@ class OpticalConstant:
     """
 
     name: str
-    model: Dispersion
+    model: models.Dispersion
     source: str = ""
     splice: str = ""
     title: str = ""
@@ -115,7 +105,7 @@ class OpticalConstant:
 
     def without_absorption(self) -> OpticalConstant:
         """Return the same constant with k = 0."""
-        return replace(self, model=Clear(self.model))
+        return replace(self, model=models.Clear(self.model))
 
     def describe(self) -> IndexDescription:
         """Return the data of `nacre indices show`."""
@@ -169,7 +159,7 @@ def constant(value: complex, name: str | None = None) -> OpticalConstant:
         raise NacreError(
             f"a refractive index of {value:g} is not allowed; n and k of n + ik are 0 or positive, not both 0"
         )
-    made = OpticalConstant(name or _show(value), Constant(value.real, value.imag), "given")
+    made = OpticalConstant(name or _show(value), models.Constant(value.real, value.imag), "given")
     made.n_complex([550.0])
     return made
 
@@ -280,7 +270,7 @@ class Default:
 
     name: str
     title: str
-    build: Callable[[], Dispersion]
+    build: Callable[[], models.Dispersion]
     source: str
     splice: str = ""
     aliases: tuple[str, ...] = ()
@@ -289,34 +279,34 @@ class Default:
 def _default(name: str, data: Mapping[str, Any]) -> Default:
     """Return a material of `materials.toml`, which describes the forms."""
 
-    def made(build: Callable[[], Dispersion], source: str, splice: str = "") -> Default:
+    def made(build: Callable[[], models.Dispersion], source: str, splice: str = "") -> Default:
         return Default(name, data["title"], build, source, splice, tuple(data.get("aliases", ())))
 
     match data:
         case {"n": n, "source": source}:
-            return made(lambda: Constant(n), f"n = {n:g}: {source}")
+            return made(lambda: models.Constant(n), f"n = {n:g}: {source}")
         case {"abbe": [n_d, abbe]}:
             source = f"n_d = {n_d:g}, Abbe number {abbe:g}: Guillen et al. 2020, table A1"
             splice = "no database entry; the two-term Cauchy formula through n_d and the Abbe number, no absorption"
-            return made(lambda: abbe_cauchy(n_d, abbe), source, splice)
+            return made(lambda: models.abbe_cauchy(n_d, abbe), source, splice)
         case {"cauchy": coefficients, "source": source, "splice": splice}:
-            return made(lambda: Cauchy(tuple(coefficients)), source, splice)
+            return made(lambda: models.Cauchy(tuple(coefficients)), source, splice)
         case {"n_entry": n_key, "k_entry": k_key}:
             splice = "n and k come from two entries, since the entry with the better n lacks k"
             joined = f"{n_key} (n) and {k_key} (k)"
-            return made(lambda: Joined(load_entry(n_key).model, load_entry(k_key).model), joined, splice)
-        case {"entry": key, "tail_nm": tail_nm, "splice": splice}:
-            return made(lambda: _with_tail(load_entry(key).model, tail_nm), key, splice)
+            return made(lambda: models.Joined(load_entry(n_key).model, load_entry(k_key).model), joined, splice)
+        case {"entry": key, "tail_nm": [first, second, third], "splice": splice}:
+            return made(lambda: _with_tail(load_entry(key).model, (first, second, third)), key, splice)
         case {"entry": key, "continued": remark}:
             splice = f"the entry's formula is continued to 360 nm; {remark}"
-            return made(lambda: Continued(load_entry(key).model, *COLOUR_RANGE_NM), key, splice)
+            return made(lambda: models.Continued(load_entry(key).model, *COLOUR_RANGE_NM), key, splice)
         case _:
             return made(lambda: load_entry(data["entry"]).model, data["entry"])
 
 
-def _with_tail(published: Dispersion, tail_nm: Sequence[float]) -> Dispersion:
-    tail = cauchy_tail(published, tuple(tail_nm), COLOUR_RANGE_NM[0])
-    return Spliced(tail, published, published.range_nm[0])
+def _with_tail(published: models.Dispersion, tail_nm: tuple[float, float, float]) -> models.Dispersion:
+    tail = models.cauchy_tail(published, tail_nm, COLOUR_RANGE_NM[0])
+    return models.Spliced(tail, published, published.range_nm[0])
 
 
 DEFAULTS: tuple[Default, ...] = tuple(
