@@ -325,7 +325,7 @@ _BUILT_HERE: dict[str, Parts] = {"sphere": _sphere, "panel": _panel, "bubbles": 
 
 def _scene(name: str, data: Mapping[str, Any]) -> Scene:
     """Return a scene of `scenes.toml`."""
-    made = dict(data)
+    made: dict[str, Any] = dict(data)
     for key in ("parts", "props"):
         if key in made:
             made[key] = _parts(*made[key]) if isinstance(made[key], list) else _BUILT_HERE[made[key]]
@@ -333,7 +333,9 @@ def _scene(name: str, data: Mapping[str, Any]) -> Scene:
         if key in made:
             view = made[key]
             made[key] = View(**{**view, "origin": tuple(view["origin"]), "target": tuple(view["target"])})
-    return Scene(name, **{key: tuple(value) if key == "size" else value for key, value in made.items()})
+    if "size" in made:
+        made["size"] = tuple(made["size"])
+    return Scene(name, **made)
 
 
 SCENES: dict[str, Scene] = {name: _scene(name, data) for name, data in _DATA["scenes"].items()}
