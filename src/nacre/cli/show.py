@@ -12,7 +12,7 @@ import numpy as np
 
 from nacre.cli import common
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.core.files import atomic_path, check_writable, plain, short_name, why_unreadable, write_text
+from nacre.core.files import atomic_path, check_output, check_writable, plain, short_name, why_unreadable, write_text
 from nacre.formats.export_formats import EXPORTS, FOLDERS, export_remarks
 
 PLOT_KINDS = (
@@ -51,7 +51,7 @@ def spectrum(
     from nacre.material.material import recipe_provenance
 
     if output:
-        common.check_output(output, ".csv", ".json")
+        check_output(output, ".csv", ".json")
     angles = common.angles(angles_deg)
     grid = common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
@@ -90,7 +90,7 @@ def orders(
     from nacre.material.material import recipe_provenance
 
     if output:
-        common.check_output(output, ".csv", ".json")
+        check_output(output, ".csv", ".json")
     if not np.isfinite(azimuth_deg):
         raise NacreError(f"--azimuth-deg = {azimuth_deg} must be finite")
     angles = common.angles(angles_deg)
@@ -197,7 +197,7 @@ def evaluate(
     from nacre.material.material import recipe_provenance
     from nacre.measure.evaluate import evaluate_with_error
 
-    common.check_output(output, ".npz")
+    check_output(output, ".npz")
     wi, wo, uv = _read_directions(directions)
     grid = common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
@@ -274,7 +274,7 @@ def plot(
         given = "--kind is missing" if kind is None else f"--kind {kind} is not for {Path(recipe).name}"
         raise NacreError(f"{given}; choose one of {', '.join(allowed)}")
     path = Path(output) if output else Path(f"{short_name(recipe)}-{kind}.png")
-    common.check_output(path, ".png", ".pdf", ".svg")
+    check_output(path, ".png", ".pdf", ".svg")
     angles = None if angles_deg is None else common.angles(angles_deg)
     if is_sweep:
         from nacre.analysis.sweep_results import save_sweep_figure
@@ -333,7 +333,7 @@ def compile_(
     """Solve RECIPE and store its BSDF for repeated rendering."""
 
     path = Path(output) if output else Path(f"{short_name(recipe)}.nacre")
-    common.check_output(path, ".nacre")
+    check_output(path, ".nacre")
     if path.exists() and Path(recipe).exists() and path.samefile(recipe):
         raise UnsupportedError(f"{recipe}: is compiled already")
     material = common.load_material(recipe, changes)
@@ -424,7 +424,7 @@ def import_(
     from nacre.readers.measurement import ReadOptions
 
     path = Path(output) if output else Path(f"{Path(file).stem}.toml")
-    common.check_output(path, ".toml")
+    check_output(path, ".toml")
     options = ReadOptions(quantity=quantity, unit=unit, ignore=ignore, spectrum=material)
     for line in import_material(Path(file), path, options=options, law=law):
         common.note(line)
