@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import nacre
+from nacre.analysis.fit_data import stated_texture
+from nacre.analysis.tolerance import recipe_tolerances, run_tolerance
 from nacre.cli import run
 from nacre.core.errors import NacreError, RecipeError
 from nacre.material.material import as_material
@@ -21,6 +23,8 @@ from nacre.measure.texture import (
     read_instrument,
     texture_values,
 )
+from nacre.optimise.batch import _targets, design_batch
+from nacre.optimise.colour_list import read_colours
 from nacre.optimise.formulation import _paint, formulate, read_formulation
 from nacre.optimise.merit import MeritFunction, Operand
 from nacre.optimise.methods.surrogate import SurrogateError
@@ -120,7 +124,7 @@ def test_materials_without_flakes_or_diameters_have_no_texture_target() -> None:
     film = {"family": "film", "substrate": "Al", "layers": [{"material": "SiO2", "thickness_nm": 100}]}
     with pytest.raises(NacreError, match="quantity"):
         read_task(DESIGN | {"recipe": film, "parameters": {"layers[0].thickness_nm": [10, 300]}})
-    with pytest.raises(NacreError, match="quantity"):
+    with pytest.raises(NacreError, match="colour"):
         nacre.design.many(DESIGN, [(50, 0, 0)])
     paint = formulation([1.0, 1.0])
     del paint["library"]["pigment"][1]["platelet"]["diameter_um"]
@@ -236,3 +240,109 @@ def test_rows_of_texture_do_not_make_estimates_alike() -> None:
             found = error.combine(1000, 0.0 * one, one, rest * one, 0.1 * one)
         weights.append(found[0][0, 0])
     assert weights[0] == pytest.approx(weights[1])
+
+
+DIAMETER = "strata[0].platelets[0].diameter_um"
+
+
+def test_a_batch_keeps_texture_targets_and_takes_those_of_its_list(tmp_path: Path) -> None:
+    colour = {"geometry": "45as45", "lab": [50, 0, 0], "tolerance": 90}
+    target = DESIGN | {"target": [colour, DESIGN["target"][0] | {"tolerance": 60}]}
+    target["search"] = {"seconds": 5, "solutions": 1, "evaluations": 2}
+    path = tmp_path / "list.csv"
+    path.write_text("name,L*,a*,b*,sparkle_45\nfine,60,0,0,1.1\ncoarse,55,0,0,2.2\n")
+    batch = design_batch(target, path, tmp_path / "out")
+    asked = [solution.targets[1].target.texture for solution in batch.solutions]
+    assert asked == [(1.1, 1.1), (2.2, 2.2)]
+    assert [row["texture"]["sparkle_45"] for row in batch.rows] == [1.1, 2.2]
+    again = design_batch(target, path, tmp_path / "out", resume=True)
+    assert [s.targets[1].number for s in again.solutions] == [s.targets[1].number for s in batch.solutions]
+    path.write_text("name,L*,a*,b*\nplain,60,0,0\n")
+    rows = read_colours(path, 1, ("D65", "10deg"), ["45as45"], ["sparkle_45"])
+    assert rows[0].texture == {}
+    assert _targets(read_task(target), rows[0])[1].texture == (1.5, 1.5)
+
+
+@pytest.mark.parametrize("cell", ["0", "-1", "much"])
+def test_a_list_with_a_bad_texture_number_is_refused_by_its_line(cell: str, tmp_path: Path) -> None:
+    path = tmp_path / "list.csv"
+    path.write_text(f"name,L*,a*,b*,sparkle_45\nfine,60,0,0,1.1\ncoarse,55,0,0,{cell}\n")
+    with pytest.raises(RecipeError, match="line 3"):
+        read_colours(path, 1, ("D65", "10deg"), ["45as45"], ["sparkle_45"])
+
+
+def test_a_tolerance_states_the_spread_of_texture() -> None:
+    spread = as_material(PAINT | {"tolerance": {DIAMETER: {"percent": 5}}})
+    found = run_tolerance(
+        spread, recipe_tolerances(spread), draws=12, samples=256, geometries=("45as45",),
+        texture={"sparkle_45": 10.0, "graininess": 1e-3},
+    )  # fmt: skip
+    sparkle, grain = found.texture
+    assert sparkle.nominal == pytest.approx(measure_texture(spread).sparkle["45"].grade)
+    ends = [texture_values(spread.vary({DIAMETER: d}), quantities("sparkle_45"))[0][0] for d in (19.0, 21.0)]
+    assert sparkle.sensitivities[DIAMETER] == pytest.approx(50.0 * (ends[1] - ends[0]) / sparkle.nominal, rel=0.1)
+    assert np.std(sparkle.off_percent) == pytest.approx(abs(sparkle.sensitivities[DIAMETER]), rel=0.6)
+    assert np.max(found.delta_e) < 1e-9  # a diameter does not change colours
+    assert found.yield_share == 0.0  # graininess leaves its limit in every draw
+
+
+@pytest.mark.parametrize("asked", [{"sparkle_45": 0.0}, {"sparkle_45": float("nan")}, {"sparkel": 5.0}])
+def test_a_bad_limit_of_texture_is_refused(asked: dict[str, float]) -> None:
+    spread = as_material(PAINT | {"tolerance": {DIAMETER: {"percent": 5}}})
+    with pytest.raises(RecipeError, match="texture"):
+        run_tolerance(spread, recipe_tolerances(spread), draws=2, texture=asked)
+    film = as_material({"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 100}]})
+    with pytest.raises(RecipeError, match="texture"):
+        run_tolerance(film, recipe_tolerances(film, ("layers[0].thickness_nm=2",)), draws=2, texture={"sparkle_45": 5})
+
+
+def test_a_fit_finds_the_diameter_from_a_file_of_texture(tmp_path: Path) -> None:
+    made = as_material(PAINT).vary({DIAMETER: 27.0})
+    numbers = texture_values(made, quantities("sparkle_45", "graininess"), 0, "search")[0]
+    path = tmp_path / "texture.csv"
+    path.write_text(f"quantity;value\nsparkle_45;{numbers[0]:.6f}\ngraininess;{numbers[1]:.6f}\n".replace(".", ","))
+    found = nacre.fit(path, PAINT, (f"{DIAMETER}=10:50",), starts=0)
+    assert found.numbers[0].value == pytest.approx(27.0, rel=1e-3) and found.numbers[0].is_determined
+
+
+def test_a_fit_compares_texture_on_the_scale_of_the_instrument() -> None:
+    data = stated_texture({"sparkle_45": 10.0}, {"calibration": {"sparkle": [[1, 10]]}})
+    plain = stated_texture({"sparkle_45": 1.0})
+    made = as_material(PAINT)
+    np.testing.assert_allclose(data.model(made, None, 0), 10.0 * plain.model(made, None, 0))
+    assert plain.remarks and not data.remarks
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        "sparkle_45,1.2\nsparkle_45,1.3",
+        "sparkle_45,-1",
+        "sparkle_45,nan",
+        "sparkle_45",
+        "sparkle_45,1,2",
+        "sparkle_50,1.2",
+        "sparkle_45,1.2\n45as15,60,0,0",
+    ],
+)
+def test_a_bad_file_of_texture_is_refused_in_one_line(
+    rows: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "texture.csv").write_text(rows)
+    (tmp_path / "paint.toml").write_text(dump_toml(PAINT | {"tolerance": {DIAMETER: 2}}))
+    files = [str(tmp_path / "texture.csv"), str(tmp_path / "paint.toml")]
+    for command in (["fit", *files, "--parameter", f"{DIAMETER}=10:50"], ["diagnose", *files]):
+        assert run(command) == 2
+        message = capsys.readouterr().err.strip()
+        assert "texture.csv" in message and "\n" not in message
+
+
+@pytest.mark.full
+def test_a_diagnosis_names_the_diameter_that_texture_shows() -> None:
+    spread = as_material(PAINT | {"tolerance": {DIAMETER: {"percent": 10}, "strata[0].thickness_um": {"percent": 3}}})
+    data = stated_texture({"sparkle_45": 1.0, "graininess": 1.0}).quantities
+    values = texture_values(spread.vary({DIAMETER: 26.0}), data, 0, "search")[0]
+    seen = stated_texture({str(q): float(v) for q, v in zip(data, values, strict=True)})
+    found = nacre.diagnose(spread, [seen], [0.02 * seen.values])
+    assert found.suspects[0].name == DIAMETER and found.suspects[0].probability > 0.95
+    assert found.suspects[0].factor == pytest.approx(3.0, abs=0.5)  # 6 of 20 um, 10 % each

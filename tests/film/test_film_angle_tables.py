@@ -71,12 +71,12 @@ def check(seeds: range) -> None:
 
 
 def test_random_films_have_the_stated_errors() -> None:
-    check(range(40))
+    check(range(20))
 
 
 @pytest.mark.full
 def test_five_hundred_random_films_have_the_stated_errors() -> None:
-    check(range(40, 540))
+    check(range(20, 540))
 
 
 def test_a_gap_between_prisms_is_right_beside_its_critical_angle() -> None:

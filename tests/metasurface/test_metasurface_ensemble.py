@@ -11,6 +11,7 @@ from validation.metasurface_ensembles import light
 
 from nacre.bsdf import Bsdf
 from nacre.core.errors import NacreError
+from nacre.core.parallel import in_threads
 from nacre.core.progress import on_progress
 from nacre.families.metasurface import material as model_selection
 from nacre.families.metasurface.ensemble import interpolation
@@ -176,7 +177,7 @@ def _ensemble(name, realisations):
 
 def _ratio(layer, density, packing, spheres, realisations):
     one = _patterns(layer, density, packing, spheres, realisations)
-    ratio, errors = one.ratio(interpolation.in_threads(one.solve, range(realisations)))
+    ratio, errors = one.ratio(in_threads(one.solve, range(realisations)))
     return layer, ratio, errors, one
 
 

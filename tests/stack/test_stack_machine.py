@@ -53,6 +53,21 @@ def test_kernels_work_where_no_cache_can_be_written(tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
+def test_of_two_processes_one_compiles_a_kernel(tmp_path: Path) -> None:
+    (tmp_path / "kernel.py").write_text(
+        "from nacre.core.jit import compiled\n\n@compiled()\ndef inner(x):\n    return 2 * x\n\n"
+        "@compiled()\ndef outer(x):\n    return inner(x) + 1\n"
+    )
+    code = "from kernel import outer; outer(3); print(sum(outer.stats.cache_misses.values()))"
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{SOURCE.parent}"}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    both = [
+        subprocess.Popen([sys.executable, "-c", code], env=environment, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    assert sorted(process.communicate(timeout=300)[0].strip() for process in both) == ["0", "1"]
+
+
 def test_numba_is_imported_by_the_first_call_of_a_kernel_and_not_before() -> None:
     code = (
         "import sys, nacre; from nacre.bsdf.glints import mix; from nacre.bsdf.lobes.platelet_layer import sparkle\n"

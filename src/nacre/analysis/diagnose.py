@@ -20,6 +20,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import ndtri
 
+from nacre.analysis.ties import tied_maker, with_ties
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.contract import SpecularStack
@@ -179,7 +180,7 @@ def diagnose(
     material: Material,
     tolerances: Sequence[Tolerance],
     observations: Sequence[Observation],
-    noise: float | Sequence[float],
+    noise: float | Sequence[float | Array],
     *,
     seed: int = 0,
     samples: int | None = None,
@@ -191,20 +192,21 @@ def diagnose(
         material: the recipe as intended.
         tolerances: from `recipe_tolerances`; their standard deviations are the prior.
         observations: measured spectra and colours.
-        noise: standard deviation of the measured values: one number, or one per observation.
+        noise: standard deviation of the measured values: one number, or one (or an array) per observation.
         samples, seed: of random walks.
         progress: called with (done, total) causes.
 
     Raises:
         NacreError: the material cannot be computed, nothing is measured, or the noise is not positive.
     """
-    noises = np.broadcast_to(np.asarray(noise, dtype=float), (len(observations),))
-    if not observations or not np.all(noises > 0):
+    stated = [noise] * len(observations) if np.ndim(noise) == 0 else list(noise)  # type: ignore[arg-type, call-overload]
+    noises = [np.asarray(each, dtype=float) for each in stated]
+    if not observations or len(noises) != len(observations) or not all(np.all(each > 0) for each in noises):
         raise NacreError("a diagnosis needs at least one observation, and noise above 0")
     causes = components([each for each in tolerances if each.deviation != 0])
     if not causes:
         raise NacreError("a diagnosis needs at least one number with a tolerance above 0")
-    material = material.with_parts_loaded(each.path for each in tolerances)
+    material = with_ties(material.with_parts_loaded(each.path for each in tolerances))
     likelihood = _Likelihood(material, causes, observations, noises, samples, seed)
     singles = []
     for number in range(len(causes)):
@@ -266,15 +268,17 @@ class _Likelihood:
         material: Material,
         causes: Sequence[Component],
         observations: Sequence[Observation],
-        noises: Array,
+        noises: Sequence[Array],
         samples: int | None,
         seed: int,
     ) -> None:
-        self.causes, self.observations, self.noises = causes, observations, noises
+        self.causes, self.observations = causes, observations
+        sizes = [np.size(each.values) for each in observations]
+        self.noise = np.concatenate([np.broadcast_to(n, size) for n, size in zip(noises, sizes, strict=True)])
         self.names = tuple(cause.name for cause in causes)
         self.samples, self.seed = samples, seed
         self.points = sum(np.size(each.values) for each in observations)
-        self._make = material.parametrise(t.path for cause in causes for t in cause.tolerances)
+        self._make = tied_maker(material, dict.fromkeys(t.path for cause in causes for t in cause.tolerances))
         # with the observations, so that no other object takes their ids
         self._batches: dict[tuple[int, ...], tuple[tuple[Observation, ...], StackBatch | None]] = {}
 
@@ -310,8 +314,7 @@ class _Likelihood:
         """Return the normalised residuals `[value]`, or `[point, value]` of factors `[point, cause]`."""
         found = self.predict(np.atleast_2d(factors), self.observations)
         measured = np.concatenate([np.ravel(each.values) for each in self.observations])
-        noise = np.repeat(self.noises, [np.size(each.values) for each in self.observations])
-        rows: Array = (found - measured) / noise
+        rows: Array = (found - measured) / self.noise
         return rows if np.ndim(factors) == 2 else rows[0]
 
     def chi2(self, factors: Array) -> float:
@@ -438,8 +441,11 @@ def _first_pair(likelihood: _Likelihood, serves: Callable[[Sequence[SpectrumObse
         return "Add a spectrum of the reflectance."
     for angle in FURTHER_DEG:
         pair = [SpectrumObservation(grids[0], np.zeros(0), angle, polarisation) for polarisation in "sp"]
-        if serves(pair, float(likelihood.noises.min())):
-            return f"Add s and p at {angle:g} degrees."
+        try:
+            if serves(pair, float(likelihood.noise.min())):
+                return f"Add s and p at {angle:g} degrees."
+        except UnsupportedError:  # a coating that scatters has no polarised reflectance
+            return ""
     return ""
 
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from nacre.core.arrays import Array, ComplexArray, floats, wavelength_grid
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.contract import SpecularStack
-from nacre.material.material import Material
+from nacre.material.material import Material, MaterialLike, as_material
 from nacre.matter.stack.incoherent import incoherent_coherence, incoherent_powers
 from nacre.matter.stack.solve import solve
 from nacre.matter.stack.stack import Stack
@@ -128,16 +128,19 @@ def instrument_of(material: Material) -> InstrumentSpec:
 
 
 def compute_ellipsometry(
-    material: Material,
-    angles_deg: ArrayLike,
+    thing: MaterialLike,
+    angles_deg: ArrayLike = (65.0, 70.0, 75.0),
     wavelengths_nm: ArrayLike | None = None,
     azimuth_deg: float | None = None,
     instrument: InstrumentSpec | None = None,
 ) -> EllipsometricResponse:
-    """Return the ellipsometry of a material's specular reflection.
+    """Return Psi, Delta, N, C, S and Mueller matrices of a material with a stack, each `[angle, wavelength]`.
+
+    The convention is rho = r_p / r_s = tan(Psi) exp(i Delta) for fields exp(+i w t), r_p = -r_s at normal incidence:
+    Delta of a bare metal or wafer lies between 0 and 180 degrees.
 
     Args:
-        material: of a family with a stack.
+        thing: a material or a path.
         angles_deg: incidence angles, `[angle]`, above 0 and below 90.
         wavelengths_nm: `[wavelength]`; default: chosen by the material.
         azimuth_deg: azimuth of the direction to the light, from u; default: that of the instrument.
@@ -146,7 +149,14 @@ def compute_ellipsometry(
     Raises:
         UnsupportedError: the material lacks a specular stack.
         NacreError: an angle outside (0, 90), or an optical constant that is not known at a wavelength.
+
+    Example:
+        >>> wafer = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 2}]}
+        >>> found = nacre.ellipsometry(wafer, [70.0], [632.8])
+        >>> round(float(found.psi_deg[0, 0])), round(float(found.delta_deg[0, 0]))
+        (11, 174)
     """
+    material = as_material(thing)
     stack = specular_stack(material)
     angles = np.atleast_1d(floats(angles_deg, "angles_deg"))
     if not angles.size or not np.all((angles > 0) & (angles < 90)):

@@ -30,15 +30,19 @@ from nacre.analysis.fit_data import (
     ColourData,
     Data,
     Joint,
+    TextureData,
     colour_measurement,
+    is_geometry_list,
     joined,
     name_of,
     orders_measurement,
     parts_of,
     stated_colours,
+    stated_texture,
+    texture_measurement,
 )
 from nacre.analysis.measured import Measured, gonio_measurement, spectrum_measurement
-from nacre.analysis.ties import Ties, read_ties
+from nacre.analysis.ties import INSTRUMENT, Ties, read_ties
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
 from nacre.families.contract import is_direct
@@ -74,7 +78,6 @@ THICKNESS = re.compile(r"(thickness|height|gap)_(nm|um|mm)$")
 UNIT_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
 FAR_RMS, MOST_TURNS = 0.1, 4  # relative rms from which further samples are drawn for starts
 REWEIGHTINGS = 2  # of several measurements
-INSTRUMENT = "instrument."
 BOUND_TOL = 1e-3  # relative to the bounds
 POOR_RMS, BETTER = 0.03, 0.7  # relative rms of a fit that suggests a wrong Delta sign, and the gain by the other
 
@@ -149,11 +152,15 @@ def read_measurements(
     options: ReadOptions | None = None,
     range_nm: tuple[float, float] | None = None,
     colours: Mapping[str, Sequence[float]] | None = None,
+    texture: Mapping[str, float] | None = None,
+    instrument: Any = None,
 ) -> Data:
-    """Read the measurements of one sample: ellipsometer files, spectrometers and goniometers, and colours.
+    """Read the measurements of one sample: ellipsometers, spectrometers, goniometers, colours and texture.
 
     Args:
         colours: geometry -> CIELAB under D65 with the 10 degree observer.
+        texture: quantity, such as "sparkle_45", -> measured number.
+        instrument: of texture, a TOML file or its keys.
         options: properties that the files do not state.
         range_nm: rows of other wavelengths are ignored.
 
@@ -161,17 +168,24 @@ def read_measurements(
         NacreError: with the file and the problem.
         AmbiguousFileError: a file can be read in several ways.
     """
-    found = [part for path in paths for part in parts_of(read_measurement(path, options, range_nm))]
-    return joined([*found, stated_colours(colours)] if colours else found)
+    found = [part for path in paths for part in parts_of(read_measurement(path, options, range_nm, instrument))]
+    found += [stated_colours(colours)] if colours else []
+    found += [stated_texture(texture, instrument)] if texture else []
+    if instrument is not None and not any(isinstance(part, TextureData) for part in found):
+        raise NacreError("instrument: the measurements state no texture; add sparkle_45 or another quantity")
+    return joined(found)
 
 
 def read_measurement(
-    path: str | Path, options: ReadOptions | None = None, range_nm: tuple[float, float] | None = None
+    path: str | Path,
+    options: ReadOptions | None = None,
+    range_nm: tuple[float, float] | None = None,
+    instrument: Any = None,
 ) -> Data:
     """Read a measurement: a spectrum CSV as `nacre spectrum` writes it, a gonio CSV, or an instrument's file.
 
     A table of `nacre orders` holds efficiencies. A colour list holds CIELAB (D65, 10 degree observer) at the
-    geometries that its names state.
+    geometries that its names state, a table of texture rows such as `sparkle_45, 1.2`.
 
     Spectrum columns may be in per cent and wavelengths in um, as their headings say. Rows without a measured value
     are ignored.
@@ -183,6 +197,11 @@ def read_measurement(
     path = Path(path)
     if path.suffix.lower() == ".toml":
         raise NacreError(f"{path}: is a recipe; give the measurement, a CSV, first, and then the recipe")
+    texture = texture_measurement(path, instrument)
+    if texture is not None:
+        return texture
+    if is_geometry_list(path):
+        return colour_measurement(path)
     options = replace(options or ReadOptions(), expects="spectrum")
     found = open_file(path, options)
     if found[0].kind == "colours":
@@ -296,7 +315,9 @@ def run_fit(
     tied = read_ties(material, [number.path for number in free]) if ties is None else ties
     paths = [*(parameter.path for parameter in free), *tied.expressions]
     material = material.at_low_fidelity().with_parts_loaded(paths)
-    measured = joined([p.resolved(material) if isinstance(p, ColourData) else p for p in parts_of(measured)])
+    measured = joined(
+        [p.resolved(material) if isinstance(p, ColourData | TextureData) else p for p in parts_of(measured)]
+    )
     problem = _Problem(material, measured, free, tied, samples, seed, weights)
     minima: list[LocalMinimum] = []
     for turn in range(MOST_TURNS):
@@ -419,8 +440,8 @@ class _Problem:
             if np.all(residual == 0.0):
                 break
             level = float(np.sqrt(np.mean(residual**2)))
-            for place in self._measured.places:
-                own = float(np.sqrt(np.mean(residual[place] ** 2)))
+            for part, place in zip(self._measured.parts, self._measured.places, strict=True):
+                own = max(float(np.sqrt(np.mean(residual[place] ** 2))), getattr(part, "least_rms", 0.0))
                 self._scale[place] *= max(own, 1e-3 * level) / level
             refined = self.refine(end.point)
             if refined is None:

@@ -1,24 +1,30 @@
-"""Fit data: several measurements of one sample, and CIELAB colours at several geometries."""
+"""Fit data: several measurements of one sample, CIELAB at several geometries, and numbers of texture."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from types import SimpleNamespace
+from typing import Any, Protocol
 
 import numpy as np
 
 from nacre.analysis.measured import MAX_POWER, MIN_POWER, RELATIVE_FLOOR
 from nacre.core.arrays import Array
-from nacre.core.errors import NacreError, UnsupportedError
+from nacre.core.errors import NacreError, RecipeError, UnsupportedError
+from nacre.core.files import plain
 from nacre.families.contract import Diffracting, Model, is_direct, surrogate_radiance
 from nacre.light import default_wavelengths, spectrum_to_xyz, white_xyz, xyz_to_lab
 from nacre.material.material import Material
 from nacre.measure.colours import geometry_colours, recipe_geometries
 from nacre.measure.geometry import Geometry, aspecular_pairs
+from nacre.measure.texture import Instrument, TextureQuantity, check_texture, read_instrument, texture_values
 from nacre.optimise.colour_list import read_colours
 from nacre.readers.measurement import Measurement
+from nacre.readers.text_table import decode, split
+from nacre.recipe.model import show_value
 
 
 class Data(Protocol):
@@ -316,3 +322,122 @@ def colour_measurement(path: Path) -> ColourData:
         if not row.name:
             raise NacreError(f"{path}: colour {number} has no geometry; write 45as15,L*,a*,b* in each row")
     return ColourData(tuple(row.name for row in rows), np.array([row.lab[0] for row in rows]), LIGHT, str(path))
+
+
+_TEXTURE = re.compile(r"(?:sparkle|intensity|area)_[\d.]+|graininess")
+_GEOMETRY = re.compile(r"[\d.]+as[-+\d.]|(?:specular|transmitted|diffuse|hemispherical)\s+[\d.]+$")
+MOST_TEXTURE_BYTES = 1 << 14
+TEXTURE_NOISE_PERCENT = 5.0  # repeatability of instruments at several places of a panel
+LEAST_TEXTURE_RMS = 0.02  # relative residual below which a fit gives texture no more weight
+NOT_CALIBRATED = "texture is compared on a relative scale; numbers of an instrument need its calibration (--instrument)"
+
+
+@dataclass(frozen=True, eq=False)
+class TextureData:
+    """Measured sparkle and graininess.
+
+    Attributes:
+        quantities: `[quantity]`, of one instrument.
+        values: `[quantity]`, above 0.
+        name: file, for reports.
+        remarks: sentences about the data.
+    """
+
+    quantities: tuple[TextureQuantity, ...]
+    values: Array
+    name: str = ""
+    remarks: tuple[str, ...] = ()
+    kind: str = "texture"
+    least_rms: float = LEAST_TEXTURE_RMS
+
+    @property
+    def wavelengths_nm(self) -> Array:
+        """The visible range, over which luminance is a sum."""
+        return default_wavelengths()
+
+    def resolved(self, material: Material) -> TextureData:
+        """Return the data itself.
+
+        Raises:
+            RecipeError: the material lacks texture.
+        """
+        check_texture(material, self.name or f'texture "{self.quantities[0]}"')
+        return self
+
+    def model(self, material: Material, samples: int | None, seed: int) -> Array:
+        """Return the material's numbers `[quantity]`."""
+        return texture_values(material, self.quantities, seed, "search")[0]
+
+    def surrogate(self, model: Model) -> Array | None:
+        """Return the same numbers, which need no random walk."""
+        thing: Any = SimpleNamespace(name="", model=model, context=SimpleNamespace(source="the recipe"))
+        return None if is_direct(model) else texture_values(thing, self.quantities, 0, "search")[0]
+
+    def noise_scale(self, weights: str) -> Array:
+        """Return the noise, which is relative to each value."""
+        return self.values
+
+
+def stated_texture(stated: Mapping[str, float], instrument: Any = None, name: str = "") -> TextureData:
+    """Return texture data from quantity, such as "sparkle_45", -> measured number.
+
+    Args:
+        instrument: lamp, camera and calibration, a TOML file or its keys.
+        name: file, for messages.
+
+    Raises:
+        RecipeError: a quantity is not known, or its number is not finite and above 0.
+    """
+    tool = instrument if isinstance(instrument, Instrument) else read_instrument(instrument)
+    where = name or "texture"
+    quantities = tuple(TextureQuantity.named(each, where, tool) for each in stated)
+    for label, value in stated.items():
+        if not 0.0 < value < np.inf:
+            raise RecipeError(f"{where}: {label} = {value:g} is not a measured number; allowed: above 0")
+    remarks = () if all(each.is_calibrated for each in quantities) else (NOT_CALIBRATED,)
+    return TextureData(quantities, np.array(list(stated.values()), dtype=float), name, remarks)
+
+
+def _labelled_rows(path: Path) -> tuple[str | None, list[tuple[int, list[str]]]]:
+    """Return the delimiter, and line number and cells of a short text file; no rows of another file."""
+    try:
+        with plain(path).open("rb") as file:
+            lines = decode(file.read(MOST_TEXTURE_BYTES)).splitlines()
+    except (OSError, UnicodeDecodeError):
+        return None, []
+    rows = [(number, line.strip()) for number, line in enumerate(lines, 1) if line.strip() and line.strip()[0] != "#"]
+    mark = next((mark for mark in ";\t," if any(mark in line for _, line in rows)), None)
+    return mark, [(number, cells) for number, line in rows if (cells := split(line, mark))]
+
+
+def is_geometry_list(path: Path) -> bool:
+    """Return whether a file without a heading lists geometries with L*, a*, b*: `45as15, 60, 1, 2`."""
+    _, rows = _labelled_rows(path)
+    return bool(rows) and len(rows[0][1]) == 4 and _GEOMETRY.match(rows[0][1][0]) is not None
+
+
+def texture_measurement(path: Path, instrument: Any = None) -> TextureData | None:
+    """Read a table `quantity, value` such as `sparkle_45, 1.2`; None for other files.
+
+    Raises:
+        RecipeError: a row is not a quantity and a number above 0, or a quantity stands twice.
+    """
+    mark, cells = _labelled_rows(path)
+    if len(cells) > 1 and cells[0][1][0].lower() in ("quantity", "name"):
+        cells.pop(0)
+    if not any(_TEXTURE.fullmatch(row[0]) for _, row in cells):
+        return None
+    found: dict[str, float] = {}
+    for number, row in cells:
+        where = f"{path}: line {number}"
+        if not _TEXTURE.fullmatch(row[0]):
+            raise RecipeError(f"{where}: {show_value(row[0])} is no texture quantity; put colours into another file")
+        if row[0] in found:
+            raise RecipeError(f"{where}: {row[0]} stands twice")
+        try:
+            (text,) = row[1:]
+            found[row[0]] = float(text.replace(",", ".") if mark != "," else text)
+        except ValueError:
+            said = show_value(", ".join(row))
+            raise RecipeError(f"{where}: {said} should be a quantity and a number, such as sparkle_45, 1.2") from None
+    return stated_texture(found, instrument, str(path))

@@ -10,7 +10,7 @@ import numpy as np
 
 from nacre.analysis.ellipsometry_data import EllipsometryData
 from nacre.analysis.fit import Fit, Measured, is_at_bound
-from nacre.analysis.fit_data import ColourData, Data, Joint, OrdersData, parts_of
+from nacre.analysis.fit_data import ColourData, Data, Joint, OrdersData, TextureData, parts_of
 from nacre.analysis.measured import POLARISED
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError
@@ -50,7 +50,7 @@ def write_fit_page(path: str | Path, fit: Fit, measured: Data, free: Sequence[Pa
 
 
 def _figure(fit: Fit, measured: Data, free: Sequence[Parameter]) -> Figure:
-    if isinstance(measured, Joint | EllipsometryData | ColourData | OrdersData):
+    if isinstance(measured, Joint | EllipsometryData | ColourData | TextureData | OrdersData):
         from nacre.plot import fit_panels_figure
 
         return fit_panels_figure(_panels(fit, measured), f"{fit.material.name}, fitted")
@@ -68,7 +68,7 @@ def _figure(fit: Fit, measured: Data, free: Sequence[Parameter]) -> Figure:
     )
 
 
-def _panels(fit: Fit, measured: Joint | EllipsometryData | ColourData | OrdersData) -> list[FitPanel]:
+def _panels(fit: Fit, measured: Data) -> list[FitPanel]:
     """Return Psi and Delta, or the other quantities, of each measurement."""
     from nacre.plot import FitPanel
 
@@ -85,6 +85,10 @@ def _panels(fit: Fit, measured: Joint | EllipsometryData | ColourData | OrdersDa
             place_of = np.arange(len(part.labels), dtype=float)
             drawn = tuple((f"{c}*", place_of, part.values[:, i], fitted[:, i]) for i, c in enumerate("Lab"))
             panels.append(FitPanel(", ".join(part.labels)[:60], "Geometry", "CIELAB", drawn))
+        elif isinstance(part, TextureData):
+            place_of = np.arange(len(part.values), dtype=float)
+            drawn = (("texture", place_of, part.values, fitted),)
+            panels.append(FitPanel(", ".join(map(str, part.quantities))[:60], "Quantity", "Texture", drawn))
         elif isinstance(part, OrdersData):
             panels.append(FitPanel(Path(part.name).name[:24], "Wavelength (nm)", "Efficiency", part.curves(fitted)))
         elif part.kind == "spectrum":

@@ -1,4 +1,4 @@
-"""Tolerance analysis: colour distribution, yield and sensitivities under manufacturing tolerances (Monte Carlo)."""
+"""Tolerance analysis: distribution of colour and texture, yield and sensitivities under tolerances (Monte Carlo)."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nacre.analysis.report import SPECULAR_ANGLES_DEG
+from nacre.analysis.ties import tied_maker, with_ties
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.jobs import START_WORKERS_S, Workers, run_jobs
@@ -17,6 +18,7 @@ from nacre.light import delta_e_2000
 from nacre.material.material import Material
 from nacre.measure.colours import geometry_colours, recipe_geometries
 from nacre.measure.geometry import ASPECULAR_DEG, Geometry
+from nacre.measure.texture import TextureQuantity, check_texture, texture_values
 from nacre.optimise.tolerances import Component, Tolerance, components, draw, read_tolerances, wilson_interval
 from nacre.recipe.path_tables import by_path, with_options
 
@@ -38,10 +40,12 @@ class ToleranceResult:
         lab: `[draw, angle, 3]`.
         delta_e: `[draw, angle]`, dE00 to the nominal colour.
         limit: dE00 limit for the yield.
-        yield_share: draw share within the limit at every angle; `yield_interval`: its 95 % interval.
+        yield_share: draw share within the limit at every angle, and within those of texture; `yield_interval`: its 95 %
+            interval.
         sensitivities: (path or group, dE00 per standard deviation at the worst angle, variance share), largest first.
         contributions: (source, dE00 per standard deviation at the worst angles, variance share) of the causes of one
             source together, largest first.
+        texture: of each quantity asked for.
         failed: draws that could not be computed; they count as outside the limit.
         clipped: path -> share of draws that were cut off at 0.
     """
@@ -59,6 +63,26 @@ class ToleranceResult:
     clipped: dict[str, float]
     labels: tuple[str, ...] = ()
     contributions: tuple[tuple[str, float, float], ...] = ()
+    texture: tuple[TextureSpread, ...] = ()
+
+
+@dataclass(frozen=True)
+class TextureSpread:
+    """Distribution of one texture quantity.
+
+    Attributes:
+        quantity: such as "sparkle_45".
+        nominal: its value, as in a report.
+        off_percent: `[draw]`, deviation from it in per cent; NaN if a draw failed.
+        limit_percent: largest accepted deviation.
+        sensitivities: path or group -> per cent per standard deviation.
+    """
+
+    quantity: str
+    nominal: float
+    off_percent: Array
+    limit_percent: float
+    sensitivities: dict[str, float]
 
 
 def recipe_tolerances(material: Material, options: tuple[str, ...] = ()) -> tuple[Tolerance, ...]:
@@ -95,6 +119,7 @@ def run_tolerance(
     observer: str = "10deg",
     samples: int | None = None,
     geometries: Sequence[str] = (),
+    texture: Mapping[str | TextureQuantity, float] | None = None,
     workers: Workers | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ToleranceResult:
@@ -109,6 +134,8 @@ def run_tolerance(
         limit: dE00 within which a material passes, at every geometry.
         geometries: "45as15", "specular 0", or names of the recipe's `[[geometry]]`; default: those of the recipe, or
             else the standard angles.
+        texture: quantity, such as "sparkle_45", -> largest accepted deviation in per cent; `TextureQuantity` names an
+            instrument too.
         workers: processes or cluster that measure the draws of long runs; the result does not depend on them.
         progress: called with (done, total): draws, and two materials per sensitivity.
 
@@ -117,40 +144,50 @@ def run_tolerance(
     """
     if not 1 <= draws <= MAX_DRAWS:
         raise NacreError(f"--draws = {draws} must lie in [1, {MAX_DRAWS}]")
-    if not limit > 0:
-        raise NacreError(f"--limit = {limit} must be above 0")
-    material = material.at_low_fidelity().with_parts_loaded(each.path for each in tolerances)
+    if not 0 < limit < np.inf:
+        raise NacreError(f"--limit = {limit} must be above 0, and finite")
+    material = with_ties(material.at_low_fidelity().with_parts_loaded(each.path for each in tolerances))
     own = recipe_geometries(material)
     chosen = {name.strip(): Geometry.read(name, "geometry", own) for name in geometries} or own
-    measure = ColourProbe(material, illuminant, observer, samples, seed, chosen)
-    nominal = measure(material)
+    colour = ColourProbe(material, illuminant, observer, samples, seed, chosen)
+    quantities = _quantities(material, texture or {}, (illuminant, observer))
+    measure = _Probe(colour, tuple(quantities), seed)
+    nominal, sought = measure.parts(measure(material))
+    for each, value in zip(quantities, sought, strict=True):
+        if value <= 0:
+            raise NacreError(f'texture: "{each}" = 0 for the recipe as it is; deviations are relative to it')
     generator = np.random.default_rng(seed)
     causes = components(tolerances)
     drawn = draw(tolerances, generator, draws)
     values = drawn.values
-    lab = np.full((draws, *nominal.shape), np.nan)
+    flat = np.full((draws, measure.size), np.nan)
     total = draws + 2 * len(causes)
     trials = _Trials(material, tuple(values), measure)
     drawn_values = list(np.stack(list(values.values()), axis=1))
     found = run_jobs(_measure_draw, trials, drawn_values, workers, start_workers_s=START_WORKERS_S)
     for done, (index, colours) in enumerate(found, start=1):
         if colours is not None:
-            lab[index] = colours  # otherwise it remains NaN and counts as failed
+            flat[index] = colours  # otherwise it remains NaN and counts as failed
         if progress:
             progress(done, total)
-    changes = []
+    moves = []
     for number, each in enumerate(causes, start=1):
-        changes.append(_sensitivity(material, each, measure, nominal))
+        moves.append(_sensitivity(trials, {t.path: t.nominal for t in tolerances}, each, nominal, sought))
         if progress:
             progress(draws + 2 * number, total)
+    changes = [change for change, _ in moves]
+    lab, numbers = measure.parts(flat)
     variance = sum(change**2 for change in changes) or 1.0
     ranked = sorted(zip(causes, changes, strict=True), key=lambda pair: -pair[1])
     delta = np.asarray(delta_e_2000(np.broadcast_to(nominal, lab.shape), lab))
-    good = int(np.sum(np.nan_to_num(delta, nan=np.inf).max(axis=1) <= limit))
+    off = 100.0 * (numbers / sought - 1.0)
+    is_good = np.nan_to_num(delta, nan=np.inf).max(axis=1) <= limit
+    is_good &= np.all(np.abs(np.nan_to_num(off, nan=np.inf)) <= list(quantities.values()), axis=1)
+    good = int(np.sum(is_good))
     return ToleranceResult(
-        geometry=measure.geometry,
-        angles_deg=np.asarray(measure.angles_deg),
-        labels=measure.labels,
+        geometry=colour.geometry,
+        angles_deg=np.asarray(colour.angles_deg),
+        labels=colour.labels,
         nominal_lab=nominal,
         lab=lab,
         delta_e=delta,
@@ -161,6 +198,40 @@ def run_tolerance(
         contributions=_contributions(causes, changes),
         clipped=drawn.clipped,
         failed=int(np.sum(np.isnan(delta).any(axis=1))),
+        texture=_texture_spreads(
+            material, quantities, seed, off, {c.name: m for c, (_, m) in zip(causes, moves, strict=True)}
+        ),
+    )
+
+
+def _quantities(
+    material: Material, texture: Mapping[str | TextureQuantity, float], light: tuple[str, str]
+) -> dict[TextureQuantity, float]:
+    """Return texture quantities and their limits.
+
+    Raises:
+        RecipeError: a quantity is not known, or the material lacks texture.
+    """
+    found = {}
+    for name, limit in texture.items():
+        each = TextureQuantity.named(name, "texture", light=light) if isinstance(name, str) else name
+        if each in found:
+            raise RecipeError(f'texture: "{each}" occurs twice')
+        if not 0 < limit < np.inf:
+            raise RecipeError(f'texture: "{each}" = {limit:g} is not a limit in per cent; allowed: above 0')
+        found[each] = float(limit)
+    if found:
+        check_texture(material, f'texture: "{next(iter(found))}"')
+    return found
+
+
+def _texture_spreads(
+    material: Material, quantities: Mapping[TextureQuantity, float], seed: int, off: Array, moves: Mapping[str, Array]
+) -> tuple[TextureSpread, ...]:
+    values = texture_values(material, list(quantities), seed)[0]
+    return tuple(
+        TextureSpread(str(each), float(values[i]), off[:, i], limit, {name: float(m[i]) for name, m in moves.items()})
+        for i, (each, limit) in enumerate(quantities.items())
     )
 
 
@@ -180,12 +251,12 @@ class _Trials:
 
     material: Material
     paths: tuple[str, ...]
-    measure: ColourProbe
+    measure: _Probe
 
     @cached_property
     def make(self) -> Callable[[Mapping[str, Any]], Material]:
         """Function from values to materials, compiled once in each process."""
-        return self.material.parametrise(self.paths)
+        return tied_maker(self.material, self.paths)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without the compiled function."""
@@ -193,7 +264,7 @@ class _Trials:
 
 
 def _measure_draw(trials: _Trials, values: Array) -> Array | None:
-    """Return the colours of one draw; None if it cannot be computed. Runs in a worker."""
+    """Return the numbers of one draw; None if it cannot be computed. Runs in a worker."""
     try:
         return trials.measure(trials.make(dict(zip(trials.paths, map(float, values), strict=True))))
     except NacreError:
@@ -235,22 +306,54 @@ class ColourProbe:
         return geometry_colours(material, self._at, *self._options)
 
 
-def _sensitivity(material: Material, cause: Component, measure: ColourProbe, nominal: Array) -> float:
-    """Return the dE00 per standard deviation at the worst angle, from a central difference and the curvature.
+@dataclass(frozen=True)
+class _Probe:
+    """Measures colours and texture as one row of numbers."""
+
+    colour: ColourProbe
+    texture: tuple[TextureQuantity, ...]
+    seed: int
+
+    @property
+    def size(self) -> int:
+        """Length of a row."""
+        return 3 * len(self.colour.labels) + len(self.texture)
+
+    def __call__(self, material: Material) -> Array:
+        """Return CIELAB of all geometries, then the quantities in the accuracy of a search."""
+        numbers = texture_values(material, self.texture, self.seed, "search")[0]
+        return np.concatenate([np.ravel(self.colour(material)), numbers])
+
+    def parts(self, rows: Array) -> tuple[Array, Array]:
+        """Return colours `[..., geometry, 3]` and texture `[..., quantity]` of rows."""
+        count = len(self.colour.labels)
+        return rows[..., : 3 * count].reshape(*rows.shape[:-1], count, 3), rows[..., 3 * count :]
+
+
+def _sensitivity(
+    trials: _Trials, numbers: Mapping[str, float], cause: Component, nominal: Array, sought: Array
+) -> tuple[float, Array]:
+    """Return changes per standard deviation, from a central difference and the curvature.
 
     For y = a x + c x^2 and normal x, the variance is a^2 + 2 c^2: an axis at a symmetric angle has a = 0.
+
+    Returns:
+        dE00 at the worst angle, and the signed slopes of texture `[quantity]` in per cent.
     """
     low, high = cause.values(-SENSITIVITY_STEP), cause.values(SENSITIVITY_STEP)
     if low == high:
-        return 0.0
+        return 0.0, np.zeros(len(sought))
     # a number that ends at 0 moves by less than the full step
     step = min((high[t.path] - low[t.path]) / t.standard_deviation for t in cause.tolerances if t.deviation != 0)
-    below, above = (measure(material.vary(values)) for values in (low, high))
+    measure = trials.measure
+    (below, fewer), (above, more) = (
+        measure.parts(measure(trials.make({**numbers, **values}))) for values in (low, high)
+    )
     changes = [delta_e_2000(nominal, nominal + (above - below) / step)]
     if np.isclose(step, 2 * SENSITIVITY_STEP):
         bend = (above + below - 2 * nominal) / (2 * SENSITIVITY_STEP**2)
         changes.append(delta_e_2000(nominal, nominal + np.sqrt(2.0) * bend))
-    return float(np.max(np.linalg.norm(changes, axis=0)))
+    return float(np.max(np.linalg.norm(changes, axis=0))), 100.0 * (more - fewer) / step / sought
 
 
 def tolerance_document(result: ToleranceResult, tolerances: tuple[Tolerance, ...]) -> dict[str, Any]:
@@ -281,5 +384,21 @@ def tolerance_document(result: ToleranceResult, tolerances: tuple[Tolerance, ...
             {"source": source, "delta_e_of_one_deviation": change, "share_of_variance": share}
             for source, change, share in result.contributions
         ],
+        "texture": [_texture_document(each) for each in result.texture],
         "tolerances": [each.__dict__ for each in tolerances],
+    }
+
+
+def _texture_document(spread: TextureSpread) -> dict[str, Any]:
+    off = spread.off_percent[~np.isnan(spread.off_percent)]
+    has_any = len(off) > 0
+    return {
+        "quantity": spread.quantity,
+        "nominal": spread.nominal,
+        "mean_off_percent": float(off.mean()) if has_any else None,
+        "deviation_percent": float(off.std()) if has_any else None,
+        "off_percent_95": float(np.percentile(np.abs(off), 95)) if has_any else None,
+        "limit_percent": spread.limit_percent,
+        "within_limit": float(np.mean(np.abs(np.nan_to_num(spread.off_percent, nan=np.inf)) <= spread.limit_percent)),
+        "percent_of_one_deviation": spread.sensitivities,
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ from nacre.core.jobs import Workers
 
 if TYPE_CHECKING:
     from nacre.material.material import Material
-    from nacre.measure.texture import Texture
+    from nacre.measure.texture import Texture, TextureQuantity
 
 
 def _progress_bar(description: str) -> Any:
@@ -103,7 +103,7 @@ def report(
     """Report colour, flop, gloss, haze and totals of one RECIPE, or of two side by side."""
     from nacre.analysis.html_report import dump_json, report_html, report_text
     from nacre.analysis.report import compare, compare_with_colours, make_report, read_geometries
-    from nacre.core.files import check_writable, write_text
+    from nacre.core.files import check_output, write_text
     from nacre.core.parallel import on_progress
     from nacre.light.colour_differences import check_formula
 
@@ -116,9 +116,7 @@ def report(
     check_formula(formula)
     add_texture = _texture(more["has_texture"], more["patch"], more["instrument"], illuminant, observer, seed)
     if output:
-        if Path(output).suffix not in (".txt", ".json", ".html"):
-            raise NacreError(f"-o {output}: the suffix must be .txt, .json or .html")
-        check_writable(output)
+        check_output(output, ".txt", ".json", ".html")
     materials = [common.load_material(recipe, changes) for recipe in recipes]
     reports = []
     textures = [add_texture(material) for material in materials]  # refuses a material without flakes early
@@ -240,6 +238,12 @@ def _limits(texts: tuple[str, ...]) -> dict[str, float]:
     "--geometry", "geometries", multiple=True, metavar="45as15",
     help="Geometry, such as 45as15 or specular 0, or a name of the recipe's [[geometry]]; default: the named ones.",
 )  # fmt: skip
+@click.option(
+    "--texture", "quantities", multiple=True, metavar="QUANTITY[=PERCENT]",
+    help="Texture of a coating with flakes, such as sparkle_45 or graininess=5, and its largest accepted deviation "
+    "(10 %).",
+)  # fmt: skip
+@click.option("--instrument", default=None, metavar="FILE.toml", help="Lamp, camera and calibration of texture.")
 @click.option("--samples", type=click.IntRange(1, 10**8), default=None, help=common.WALKS)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("-o", "output", default=None, metavar="FILE.json", help="Also write the numbers, as JSON.")
@@ -250,23 +254,22 @@ def _limits(texts: tuple[str, ...]) -> dict[str, float]:
 def tolerance(
     recipe: str, tolerances: tuple[str, ...], draws: int, limit: float, seed: int, illuminant: str,
     geometries: tuple[str, ...], samples: int | None, as_json: bool, output: str | None, changes: tuple[str, ...],
-    workers: Workers,
+    workers: Workers, **more: Any,
 ) -> None:  # fmt: skip
     """Compute colour variation, yield and ranked sensitivities from the manufacturing tolerances of RECIPE."""
     from nacre.analysis.tolerance import recipe_tolerances, run_tolerance, tolerance_document
-    from nacre.core.files import check_writable, write_text
+    from nacre.core.files import check_output, write_text
 
     if output:
-        if Path(output).suffix != ".json":
-            raise NacreError(f"-o {output}: the suffix must be .json")
-        check_writable(output)
+        check_output(output, ".json")
+    texture = _texture_limits(more["quantities"], more["instrument"], illuminant)
     material = common.load_material(recipe, changes)
     found = recipe_tolerances(material, tolerances)
     with _progress_bar("tolerance") as bar:
         task = bar.add_task("tolerance", total=draws, info="")
         result = run_tolerance(
             material, found, draws=draws, limit=limit, seed=seed, illuminant=illuminant, samples=samples,
-            geometries=geometries, workers=workers,
+            geometries=geometries, texture=texture, workers=workers,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )  # fmt: skip
     document = tolerance_document(result, found)
@@ -283,7 +286,14 @@ def tolerance(
                document["delta_e_2000_95"], strict=True)  # fmt: skip
     for label, lab, median, high95 in rows:
         click.echo(f"  {label:14s}  {lab[0]:7.2f} {lab[1]:7.2f} {lab[2]:7.2f}     {median:8.2f}  {high95:8.2f}")
-    click.echo(f"  yield within dE00 {limit:g} at all geometries: {100 * document['yield']:.1f} %"
+    for spread in document["texture"]:
+        click.echo(
+            f"  {spread['quantity']:14s}  {spread['nominal']:7.4g}, 95 % of the draws within "
+            f"{_dash(spread['off_percent_95'])} %; limit {spread['limit_percent']:g} %: "
+            f"{100 * spread['within_limit']:.1f} % pass"
+        )
+    also = " and texture within its limits" if document["texture"] else ""
+    click.echo(f"  yield within dE00 {limit:g} at all geometries{also}: {100 * document['yield']:.1f} %"
                f"  (95 %: {100 * low:.1f} to {100 * high:.1f} %)")  # fmt: skip
     if document["failed_draws"]:
         click.echo(f"  {document['failed_draws']} draws could not be computed and count as outside")
@@ -295,6 +305,44 @@ def tolerance(
     click.echo("  contributions of the sources:")
     for source, change, share in result.contributions:
         click.echo(f"    {source:44s} {change:8.3f}  {100 * share:5.1f} %")
+    for spread in document["texture"]:
+        click.echo(f"  sensitivities of {spread['quantity']} (% of one standard deviation):")
+        for path, change in spread["percent_of_one_deviation"].items():
+            click.echo(f"    {path:44s} {change:+8.3f}")
+
+
+def _dash(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2g}"
+
+
+def _texture_limits(
+    texts: Sequence[str], instrument: str | None, illuminant: str
+) -> dict[str | TextureQuantity, float]:
+    """Return the quantities of `QUANTITY[=PERCENT]` with their limits.
+
+    Raises:
+        NacreError: one is not known, occurs twice, or has no limit above 0.
+    """
+    from nacre.measure.texture import TextureQuantity, read_instrument
+    from nacre.optimise.spec import TEXTURE_TOLERANCE_PERCENT
+
+    if instrument and not texts:
+        raise NacreError("--instrument needs --texture")
+    tool = read_instrument(instrument)
+    found: dict[str | TextureQuantity, float] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        each = TextureQuantity.named(name.strip(), "--texture", tool, (illuminant, "10deg"))
+        try:
+            limit = float(value.removesuffix("%")) if equals else TEXTURE_TOLERANCE_PERCENT
+        except ValueError:
+            limit = math.nan
+        if not 0.0 < limit < math.inf:
+            raise NacreError(f"--texture {text}: write QUANTITY or QUANTITY=PERCENT, above 0, such as graininess=5")
+        if each in found:
+            raise NacreError(f"--texture {text}: the quantity occurs twice")
+        found[each] = limit
+    return found
 
 
 SUFFIXES = (".txt", ".csv", ".json", ".png", ".pdf", ".svg")
@@ -317,12 +365,10 @@ def runsheet(
 ) -> None:  # fmt: skip
     """Print each layer's optical monitor signal, turning points and stop criterion."""
     from nacre.analysis.run_sheet import make_run_sheet, run_sheet_csv, run_sheet_document, run_sheet_text
-    from nacre.core.files import check_writable, write_text
+    from nacre.core.files import check_output, write_text
 
     for output in outputs:
-        if Path(output).suffix not in SUFFIXES:
-            raise NacreError(f"-o {output}: the suffix must be one of {', '.join(SUFFIXES)}")
-        check_writable(output)
+        check_output(output, *SUFFIXES)
     material = common.load_material(recipe, changes)
     sheet = make_run_sheet(material, wavelength_nm, angle_deg, quantity, noise)
     document = run_sheet_document(sheet)
@@ -371,13 +417,11 @@ def ellipsometry(
     Horiba (Is = S, Ic = C). The recipe's [instrument] table averages over bandwidth, cone and thickness spread.
     """
     from nacre.analysis.ellipsometry import compute_ellipsometry, ellipsometry_document
-    from nacre.core.files import check_writable, write_text
+    from nacre.core.files import check_output, write_text
     from nacre.material.material import recipe_provenance
 
     if output:
-        if Path(output).suffix not in (".csv", ".json"):
-            raise NacreError(f"-o {output}: the suffix must be .csv or .json")
-        check_writable(output)
+        check_output(output, ".csv", ".json")
     angles, grid = common.angles(angles_deg), common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
     found = compute_ellipsometry(material, angles, grid, azimuth_deg)

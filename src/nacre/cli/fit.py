@@ -42,6 +42,9 @@ if TYPE_CHECKING:
               show_default=True, help="Method of the 95 % intervals.")  # fmt: skip
 @click.option("--lab", "labs", multiple=True, metavar="GEOMETRY=L,a,b",
               help="A measured colour, such as 45as15=62,30,-12; D65, 10 degree observer.")  # fmt: skip
+@click.option("--texture", "texture", multiple=True, metavar="QUANTITY=VALUE",
+              help="Measured sparkle or graininess, such as sparkle_45=1.2.")  # fmt: skip
+@click.option("--instrument", default=None, metavar="FILE.toml", help="Lamp, camera and calibration of texture.")
 @click.option("--range-nm", default=None, metavar="LOW:HIGH", help="Ignore other wavelengths of the measurements.")
 @click.option("--angle-deg", type=float, default=None, help="Angle of incidence that a file does not state.")
 @click.option("--delta-convention", type=click.Choice(["positive", "negative", "positive-shifted", "negative-shifted"]),
@@ -61,40 +64,39 @@ if TYPE_CHECKING:
 @common.jobs_option
 def fit(
     files: tuple[str, ...], parameters: tuple[str, ...], ties: tuple[str, ...], as_json: bool, residual: str | None,
-    page: str | None, output: str | None, range_nm: str | None, labs: tuple[str, ...], **options: Any,
+    page: str | None, output: str | None, range_nm: str | None, labs: tuple[str, ...], texture: tuple[str, ...],
+    instrument: str | None, **options: Any,
 ) -> None:  # fmt: skip
-    """Fit parameters of RECIPE to each MEASUREMENT: ellipsometer files, spectra, gonio CSV, colours.
+    """Fit parameters of RECIPE to each MEASUREMENT: ellipsometer files, spectra, gonio CSV, colours, texture.
 
     Several measurements are of one sample; each is weighted by its own residual.
     """
     from nacre.analysis.fit import fit_parameters, is_at_bound, other_sign, read_measurements, run_fit
     from nacre.analysis.fit_data import checked_range, parts_of
     from nacre.analysis.ties import read_ties
-    from nacre.core.files import atomic_path, check_writable, short_name, write_text
+    from nacre.core.files import atomic_path, check_output, short_name, write_text
     from nacre.readers.measurement import ReadOptions
     from nacre.recipe.toml import edit_toml
 
     *measurements, recipe = files
-    if not measurements and not labs:
+    if not measurements and not labs and not texture:
         raise NacreError("give the measurements and then the recipe: nacre fit MEASUREMENT... RECIPE")
     colours = common.read_labs(labs)
     path = Path(output) if output else Path(f"{short_name(recipe)}-fitted.toml")
     asked = ((path, ".toml"), (residual and Path(residual), ".npz"), (page and Path(page), ".html"))
     for target, suffix in asked:
         if target:
-            if target.suffix != suffix:
-                raise NacreError(f"{target}: the suffix must be {suffix}")
-            check_writable(target)
+            check_output(target, suffix, option="")
     names = ("angle_deg", "delta_convention", "spectrum", "quantity", "unit")
     stated = {name: options.pop(name) for name in names}
     stated |= {name: common.words(options.pop(name)) for name in ("columns", "ignore")}
-    measured = read_measurements(measurements, ReadOptions(**stated), checked_range(range_nm), colours)
+    measured = read_measurements(measurements, ReadOptions(**stated), checked_range(range_nm), colours,
+                                 common.read_texture(texture), instrument)  # fmt: skip
     material = common.load_material(recipe)
     numbers = fit_parameters(material, parameters)
     tied = read_ties(material, [number.path for number in numbers], ties)
     for part in parts_of(measured):
-        for remark in getattr(part, "remarks", ()):
-            common.note(f"{getattr(part, 'name', '')}: {remark}")
+        _note_remarks(part)
     result = run_fit(
         material, measured, numbers, ties=tied,
         progress=lambda what, best: common.note(f"{what}: relative rms {best:.4g}"), **options,
@@ -168,6 +170,7 @@ def _print(result: Fit, at_bound: Sequence[bool]) -> None:
     click.echo(f"relative rms {result.relative_rms:.4g}, {result.evaluations} evaluations")
 
 
+TEXTURE_NOISE_PERCENT = 5.0  # repeatability over several places of a panel
 LAB_NOISE = 0.2  # repeatability of a good spectrophotometer, with room for its position
 
 
@@ -177,8 +180,13 @@ LAB_NOISE = 0.2  # repeatability of a good spectrophotometer, with room for its 
               help="Standard deviation of the measured spectra, absolute.")  # fmt: skip
 @click.option("--lab", "labs", multiple=True, metavar="GEOMETRY=L,a,b",
               help="A measured colour, such as 'specular 5=62,30,-12'; D65, 10 degree observer.")  # fmt: skip
+@click.option("--texture", "texture", multiple=True, metavar="QUANTITY=VALUE",
+              help="Measured sparkle or graininess, such as sparkle_45=1.2.")  # fmt: skip
+@click.option("--instrument", default=None, metavar="FILE.toml", help="Lamp, camera and calibration of texture.")
 @click.option("--lab-noise", type=float, default=LAB_NOISE, show_default=True, metavar="SIGMA",
               help="Standard deviation of measured L, a and b.")  # fmt: skip
+@click.option("--texture-noise", type=float, default=TEXTURE_NOISE_PERCENT, show_default=True, metavar="PERCENT",
+              help="Standard deviation of measured texture, relative to it.")  # fmt: skip
 @click.option("--tolerance", "tolerances", multiple=True, metavar="PATH=VALUE",
               help="Standard deviation of a number, as for `nacre tolerance`.")  # fmt: skip
 @click.option("--range-nm", default=None, metavar="LOW:HIGH", help="Ignore other wavelengths of the measurements.")
@@ -190,38 +198,43 @@ LAB_NOISE = 0.2  # repeatability of a good spectrophotometer, with room for its 
 @common.jobs_option
 def diagnose(
     files: tuple[str, ...], noise: float, labs: tuple[str, ...], lab_noise: float, tolerances: tuple[str, ...],
-    range_nm: str | None, angle_deg: float | None, quantity: str | None, as_json: bool, output: str | None,
+    range_nm: str | None, as_json: bool, output: str | None, **more: Any,
 ) -> None:  # fmt: skip
     """Estimate which number of RECIPE was off in a finished run, from measured spectra and colours."""
-    from nacre.analysis.diagnose import ColourObservation, diagnosis_document
     from nacre.analysis.diagnose import diagnose as run
-    from nacre.analysis.fit import read_measurement
+    from nacre.analysis.diagnose import diagnosis_document
+    from nacre.analysis.fit import read_measurements
     from nacre.analysis.fit_data import checked_range, parts_of
     from nacre.analysis.tolerance import recipe_tolerances
-    from nacre.core.files import check_writable, write_text
+    from nacre.core.files import check_output, write_text
+    from nacre.optimise.measurement import check_answers
     from nacre.readers.measurement import ReadOptions
 
     *measurements, recipe = files
-    for option, sigma in (("--noise", noise), ("--lab-noise", lab_noise)):
+    texture_noise = more["texture_noise"]
+    for option, sigma in (("--noise", noise), ("--lab-noise", lab_noise), ("--texture-noise", texture_noise)):
         if not 0.0 < sigma < math.inf:
             raise NacreError(f"{option} = {sigma:g} should be a finite number above 0")
-    if not measurements and not labs:
+    texture, instrument = common.read_texture(more["texture"]), more["instrument"]
+    if not measurements and not labs and not texture:
         raise NacreError("nothing is measured; name a file of a spectrum before the recipe, or use --lab")
     if output is not None:
-        if Path(output).suffix != ".toml":
-            raise NacreError(f"-o {output}: the suffix must be .toml")
-        check_writable(output)
+        check_output(output, ".toml")
     material = common.load_material(recipe, ())
-    options = ReadOptions(quantity=quantity, angle_deg=angle_deg)
-    range_ = checked_range(range_nm)
-    spectra = [part for path in measurements for part in parts_of(read_measurement(path, options, range_))]
-    colours = [ColourObservation(geometry, np.array(lab)) for geometry, lab in common.read_labs(labs).items()]
-    result = run(
-        material,
-        recipe_tolerances(material, tolerances),
-        [*spectra, *colours],
-        [lab_noise if part.kind == "colours" else noise for part in spectra] + [lab_noise] * len(colours),
+    options = ReadOptions(quantity=more["quantity"], angle_deg=more["angle_deg"])
+    data = read_measurements(
+        measurements, options, checked_range(range_nm), common.read_labs(labs), texture, instrument
     )
+    parts: list[Any] = [each.resolved(material) if hasattr(each, "resolved") else each for each in parts_of(data)]
+    for part in parts:
+        if part.kind == "colours":
+            check_answers([material], part.geometries, [f"{part.name or '--lab'}: geometry"] * len(part.geometries))
+        elif part.kind == "texture":
+            _note_remarks(part)
+    result = run(
+        material, recipe_tolerances(material, tolerances), parts,
+        [_noise(part, noise, lab_noise, texture_noise) for part in parts],
+    )  # fmt: skip
     if output is not None:
         write_text(output, result.material.text)
         common.note(output)
@@ -234,6 +247,16 @@ def diagnose(
         click.echo(f"    {each.name:44s} {each.probability:8.3f}   {each.factor:+7.2f} +- {each.factor_error:.2f}"
                    f"   {each.chi2:10.1f}")  # fmt: skip
     click.echo(f"  {result.points} measured values; chi-squared of the recipe as it is: {result.nominal_chi2:.1f}")
+
+
+def _note_remarks(part: Any) -> None:
+    for remark in getattr(part, "remarks", ()):
+        common.note(f"{part.name}: {remark}" if part.name else remark)
+
+
+def _noise(part: Any, noise: float, lab_noise: float, texture_percent: float) -> Any:
+    """Return the standard deviation of one observation, or those of its values."""
+    return {"colours": lab_noise, "texture": 0.01 * texture_percent * part.values}.get(part.kind, noise)
 
 
 commands: dict[str, click.Command] = {"fit": fit, "diagnose": diagnose}

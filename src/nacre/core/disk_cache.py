@@ -12,7 +12,7 @@ import stat
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from nacre.core.errors import NacreError
 from nacre.core.files import atomic_path
@@ -161,9 +161,10 @@ def cache_arrays(key: str, arrays: Mapping[str, NDArray[np.float64]]) -> None:
     folder = _private_folder()
     if folder is None:
         return
+    named: dict[str, Any] = {KEY: np.array(key), **arrays}
     with contextlib.suppress(NacreError, OSError):
         with atomic_path(folder / f"{key}{ARRAYS}") as temporary, temporary.open("wb") as file:
-            np.savez(file, allow_pickle=False, **{KEY: np.array(key)}, **arrays)
+            np.savez(file, **named)
         _evict(folder)
 
 

@@ -22,6 +22,7 @@ _lock = threading.RLock()
 _compile_listeners: list[Callable[[float], None]] = []
 _seconds_compiled = 0.0
 _spared_work = 0.0
+LONGEST_COMPILATION_S = 120.0  # after which a process compiles what another one seems to compile
 
 
 def compiled(**options: Any) -> Callable[[Function], Any]:
@@ -145,11 +146,39 @@ def _dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
 
     _register_listener()
     try:
-        return numba.njit(cache=True, **options)(function)
+        return _compiled_by_one(numba.njit(cache=True, **options)(function))
     except RuntimeError as error:
         if "cannot cache" not in str(error):
             raise
         return numba.njit(**options)(function)
+
+
+def _compiled_by_one(dispatcher: Any) -> Any:
+    """Let one process at a time compile a kernel; the others wait, and load it from the disk cache."""
+    from filelock import FileLock, Timeout
+    from numba.core.compiler_lock import global_compiler_lock
+
+    compile_, load, function = dispatcher.compile, dispatcher._cache.load_overload, dispatcher.py_func
+    name = f"{function.__module__}.{function.__qualname__}.lock"
+    held = FileLock(Path(dispatcher.stats.cache_path, name), timeout=LONGEST_COMPILATION_S)
+
+    def load_or_hold(*key: Any) -> Any:
+        found = load(*key)
+        if found is None:
+            with contextlib.suppress(OSError, NotImplementedError, Timeout):  # a file system without locks
+                held.acquire()
+                found = load(*key)
+        return found
+
+    def compile_once(signature: Any) -> Any:
+        with global_compiler_lock:  # taken before the file, as nested kernels do
+            try:
+                return compile_(signature)
+            finally:
+                held.release()
+
+    dispatcher._cache.load_overload, dispatcher.compile = load_or_hold, compile_once
+    return dispatcher
 
 
 def _global_names(code: CodeType) -> Iterator[str]:

@@ -129,6 +129,16 @@ SHADERS = {
     ),
 }  # fmt: skip
 METAL_DEFAULT = {"gltf_pbr": 1.0}
+WITHOUT_EFFECT = {  # values, also the defaults, at which inputs change nothing
+    1.0: ("specular", "specular_weight", "specular_color", "opacity", "geometry_opacity"),
+    0.0: (
+        "diffuse_roughness", "base_diffuse_roughness", "specular_anisotropy", "specular_roughness_anisotropy",
+        "specular_rotation", "anisotropy_strength", "coat", "coat_weight", "clearcoat", "emission",
+        "emission_luminance", "emissive", "subsurface", "subsurface_weight", "sheen", "sheen_color", "fuzz_weight",
+    ),
+}  # fmt: skip
+FILM_NODES = ("thin_film_bsdf", "LamaIridescence")
+THICKEST_UM = 10.0  # thicker films do not interfere: early OpenPBR files state nanometres
 
 
 def rounded(metal: float, clear: float, weight: float) -> list[str]:
@@ -278,7 +288,28 @@ def read_materialx(path: str | Path, name: str | None = None) -> ThinFilm:
         raise NacreError(f"{path}: is not a MaterialX document, or is damaged") from None
     except ValueError as error:
         raise NacreError(f"{path}: a value of its shader is not a number ({str(error)[:60]})") from None
-    raise NacreError(f"{path}: no {', '.join(SHADERS)} has a thin film")
+    raise NacreError(f"{path}: {_without_film(root, [node for node, _ in followed])}")
+
+
+def _without_film(root: ET.Element, shaders: Sequence[ET.Element]) -> str:
+    """Return the reason that a document has no film which can be read."""
+    for node in shaders:
+        weight = SHADERS[node.tag].film_weight
+        if any(entry.get("name") == SHADERS[node.tag].thickness[0] for entry in node.findall("input")) and weight:
+            return f"{weight} of {node.get('name', node.tag)} is 0 (also the default): there is no film"
+    allowed = f"allowed: the thin films of {', '.join(SHADERS)}"
+    for node in root.iter():
+        is_film = node.tag in FILM_NODES or any(i.get("name") == "thinfilm_thickness" for i in node.findall("input"))
+        if is_film and node.tag != "nodedef":
+            return f"the film of the node {node.get('name', node.tag)} ({node.tag}) cannot be read; {allowed}"
+    return f"no {', '.join(SHADERS)} has a thin film"
+
+
+def _is_neutral(entry: ET.Element) -> bool:
+    """Whether an input has no effect."""
+    value = next((value for value, names in WITHOUT_EFFECT.items() if entry.get("name") in names), None)
+    given = entry.get("value")
+    return value is not None and given is not None and all(float(number) == value for number in given.split(","))
 
 
 def _followed(node: ET.Element, document: Document) -> tuple[ET.Element, dict[str, Number]]:
@@ -327,9 +358,11 @@ def _materialx_film(node: ET.Element, images: Mapping[str, Number], space: str, 
     unit = inputs[key].get("unit", "") if key in inputs else ""
     if key in connected and default == 0.0:
         default = 300.0
-    thickness = number(key, default) * (
-        LENGTHS_NM.get(unit, shader.film_nm) if key not in connected else shader.film_nm
-    )
+    scale = shader.film_nm if key in connected else LENGTHS_NM.get(unit, shader.film_nm)
+    thickness = number(key, default) * scale
+    if scale == 1e3 and not unit and thickness > 1e3 * THICKEST_UM:
+        thickness /= scale
+        remarks.append(f"{key} = {thickness:g} was read in nanometres: {thickness:g} micrometres do not interfere")
     varied = None
     if key in images:
         low, high = (shader.film_nm * end for end in images[key].ends)
@@ -337,8 +370,9 @@ def _materialx_film(node: ET.Element, images: Mapping[str, Number], space: str, 
         connected.remove(key)
     elif key in connected:
         remarks.append(f"{key} is given by a node; {thickness:g} nm was taken")
-    not_read = connected + sorted(name for name in inputs if name not in shader.names and name not in connected)
-    if metal < 0.5 and clear <= 0 and base > 0 and shader.colour[0] not in not_read:
+    unread = (name for name, entry in inputs.items() if name not in shader.names and not _is_neutral(entry))
+    not_read = connected + sorted(set(unread) - set(connected))
+    if metal < 0.5 and clear <= 0 and base > 0 and rgb != (0.0, 0.0, 0.0) and shader.colour[0] not in not_read:
         not_read.insert(0, shader.colour[0])  # scattering below a dielectric surface
     if metal < 0.5 and clear > 0 and shader.colour[0] in inputs and shader.colour[0] not in not_read:
         if node.tag == "gltf_pbr" and rgb != (1.0, 1.0, 1.0):

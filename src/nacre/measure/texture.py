@@ -136,6 +136,11 @@ class TextureQuantity(Geometry):
         return self.kind if self.kind == "graininess" else f"{self.kind}_{self.theta_deg:g}"
 
     @property
+    def is_calibrated(self) -> bool:
+        """Whether measured pairs map the number to the scale of the instrument."""
+        return self.instrument is not None and _pairs(self.instrument, str(self)) is not None
+
+    @property
     def unit(self) -> str:
         """Unit of the number."""
         return "%" if self.kind in ("area", "graininess") else ""

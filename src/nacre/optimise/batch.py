@@ -32,7 +32,15 @@ from nacre.optimise.run import (
     with_method_overrides,
 )
 from nacre.optimise.solutions import NEED_BYTES, RECIPE, Solution, write_recipe
-from nacre.optimise.task import DesignTask, is_relief_task, palette_name, read_data, read_task, total_thickness_nm
+from nacre.optimise.targets import Target
+from nacre.optimise.task import (
+    DesignTask,
+    check_task,
+    is_relief_task,
+    palette_name,
+    read_data,
+    total_thickness_nm,
+)
 from nacre.optimise.thin_film.adapter import thin_film_search_many
 from nacre.recipe.fingerprint import file_digest
 
@@ -75,7 +83,8 @@ def many(
             `search.seconds` is per design; a stack without `[tolerance]` and `max_layers = "fewest"` takes some
             hundredths of a second.
         labs: `[n, 3]`, CIELAB for all targets, or `[n, target, 3]`, one for each; or a CSV file with L, a, b
-            or name, L, a, b (see `nacre.optimise.colour_list`).
+            or name, L, a, b (see `nacre.optimise.colour_list`). Texture targets keep their value unless a column of
+            the file has their name, such as sparkle_45.
         out: a folder for the solutions, one folder each, with many.csv and many.json.
         resume: reuse solutions in `out` for the same colours and target.
         workers: processes or cluster for designs that are not solved together as stacks; default: one process per core.
@@ -102,12 +111,10 @@ def design_batch(
     """As `many`, with table rows. After an interrupt the folder contains the finished designs."""
     task = _read(target)
     light = task.spec.light
-    geometries = [str(one.geometry) for one in task.targets]
-    rows = read_colours(labs, len(task.targets), (light.illuminants[0], light.observer), geometries)
-    tasks = [
-        replace(task, targets=tuple(one.with_lab(lab) for one, lab in zip(task.targets, row.lab, strict=True)))
-        for row in rows
-    ]
+    geometries = [str(one.geometry) for one in task.targets if one.texture is None]
+    names = [str(one.geometry) for one in task.targets if one.texture is not None]
+    rows = read_colours(labs, len(geometries), (light.illuminants[0], light.observer), geometries, names)
+    tasks = [replace(task, targets=_targets(task, row)) for row in rows]
     if out is None:
         solutions: dict[int, Solution] = {}
         _solve(task, tasks, range(len(rows)), _collector(solutions, len(rows), progress), workers)
@@ -125,6 +132,15 @@ def design_batch(
     return BatchDesign([solutions[number] for number in range(len(rows))], folder.rows, folder.folder)
 
 
+def _targets(task: DesignTask, row: ColourRow) -> tuple[Target, ...]:
+    """Return the targets with the colours of a row, and with its texture where it states one."""
+    labs = iter(row.lab)
+    return tuple(
+        one.with_lab(next(labs)) if one.texture is None else one.with_number(row.texture.get(str(one.geometry)))
+        for one in task.targets
+    )
+
+
 def _collector(
     solutions: dict[int, Solution], total: int, progress: Progress | None
 ) -> Callable[[int, Solution], None]:
@@ -138,16 +154,15 @@ def _collector(
 
 def _read(target: str | Path | Mapping[str, Any]) -> DesignTask:
     data, context = read_data(target)
-    if is_relief_task(data):
-        raise NacreError(f"{context.source}: relief heights are designed for one target at a time; use nacre.design")
     if not isinstance(data.get("target"), list):
         raise NacreError(f"{context.source}: has no [[target]]; add one, whose colour is replaced")
-    task = read_task(target)
+    if is_relief_task(data):
+        raise NacreError(f"{context.source}: relief heights are designed for one target at a time; use nacre.design")
+    task = check_task(data, context)
     if task.targets[0].image is not None:
         raise NacreError(f"{task.context.source}: target[0].image: a picture is not a single colour; use nacre.design")
-    texture = next((target for target in task.targets if target.texture is not None), None)
-    if texture is not None:
-        raise NacreError(f"{texture.key}.quantity: a list of colours has no texture; remove it or use nacre.design")
+    if all(target.texture is not None for target in task.targets):
+        raise NacreError(f"{task.context.source}: has texture targets only; add one with a colour, which is replaced")
     return task
 
 
@@ -187,7 +202,7 @@ def _search(source: str, task: DesignTask) -> Solution:
 
     Raises:
         KeyboardInterrupt: on an interrupt.
-        RecipeError: no candidate could be computed.
+        RecipeError: all candidates fail.
     """
     search = choose_search(task, task.spec.search.seed)
     budget = budget_of(task, search)
@@ -210,7 +225,7 @@ class _BatchFolder:
         resume: reuse solutions in the folder.
 
     Raises:
-        RecipeError: there are no rows, or the folder contains foreign files or another target's solutions.
+        RecipeError: the list is empty, or the folder contains foreign files or another target's solutions.
         NacreError: the folder cannot be written.
     """
 
@@ -239,6 +254,7 @@ class _BatchFolder:
             for number, (name, row) in enumerate(zip(self.names, rows, strict=True)):
                 one = earlier_rows.get(name, {})
                 is_same = one.get("lab") == row.lab.tolist() and one.get("name") == row.name
+                is_same = is_same and one.get("texture", {}) == row.texture
                 if is_same and (folder / name / RECIPE).is_file():
                     self._documents[number] = one
         self._is_planned = bool(earlier) and planned | set(earlier_rows) >= set(self.names)
@@ -290,7 +306,7 @@ class _BatchFolder:
         document = {
             "name": row.name, "folder": self.names[number], "lab": row.lab.tolist(), "met": solution.is_met,
             "recipe_digest": file_digest(path),
-        }  # fmt: skip
+        } | ({"texture": row.texture} if row.texture else {})  # fmt: skip
         self._documents[number] = document | document_of(written, task)
         if time.monotonic() - self._last > WRITE_INTERVAL_S:
             self.write("running")
@@ -305,9 +321,17 @@ class _BatchFolder:
             return None
 
     def _read(self, number: int, one: dict[str, Any], task: DesignTask) -> Solution:
-        pairs = [(target, lamp) for target in task.targets for lamp in task.spec.light.illuminants]
+        pairs = [
+            (target, lamp)
+            for target in task.targets
+            for lamp in (task.spec.light.illuminants if target.texture is None else [None])
+        ]
         results = [
-            TargetResult(target, lamp, np.array(r["reached"]["lab"]), np.array(r["asked_lab"]), r["de00"], r["noise"])
+            TargetResult(target, None, None, None, r["off_percent"], r["noise"], r["reached"][str(target.geometry)])
+            if lamp is None
+            else TargetResult(
+                target, lamp, np.array(r["reached"]["lab"]), np.array(r["asked_lab"]), r["de00"], r["noise"]
+            )
             for (target, lamp), r in zip(pairs, one["targets"], strict=True)
         ]
         facts = {key: one[key] for key in ("sensitivity", "total_nm", "files") if one.get(key)}
@@ -318,7 +342,7 @@ class _BatchFolder:
         return Solution(path, self.task.material.vary(one["changes"]), one["changes"], results, facts)
 
     def write(self, status: str) -> None:
-        """Write table and summary; remove solutions for colours that are no longer listed.
+        """Write table and summary; remove solutions for colours that left the list.
 
         Raises:
             NacreError: a file cannot be written.
@@ -377,15 +401,18 @@ def folder_names(names: Sequence[str]) -> list[str]:
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return a CSV with each row's worst target and its solution's parameters."""
     paths = list(dict.fromkeys(path for row in rows for path in row["changes"]))
+    quantities = [t["geometry"] for t in rows[0]["targets"] if t["lamp"] is None] if rows else []
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*HEADINGS, *paths])
+    writer.writerow([*HEADINGS, *(f"reached_{name}" for name in quantities), *paths])
     for row in rows:
-        worst = max(row["targets"], key=lambda target: target["de00"] / target["tolerance"])
+        colours = [target for target in row["targets"] if target["lamp"] is not None]
+        worst = max(colours, key=lambda target: target["de00"] / target["tolerance"])
         cells = [row["name"], row["folder"]]
         cells += [f"{value:.3f}" for value in (*worst["asked_lab"], *worst["reached"]["lab"])]
         cells += [f"{worst['de00']:.4f}", worst["geometry"], worst["lamp"], "yes" if row["met"] else "no"]
         cells.append("" if row.get("total_nm") is None else f"{row['total_nm']:.2f}")
+        cells += [f"{t['reached'][t['geometry']]:.4g}" for t in row["targets"] if t["lamp"] is None]
         writer.writerow([*cells, *(_cell(row["changes"].get(path, "")) for path in paths)])
     return stream.getvalue()
 

@@ -7,7 +7,7 @@ import logging
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,14 +49,20 @@ class ColourRow:
     Attributes:
         name: may be empty.
         lab: `[target, 3]`.
+        texture: quantity, such as "sparkle_45", -> number in the column with its name.
     """
 
     name: str
     lab: Array
+    texture: dict[str, float] = field(default_factory=dict)
 
 
 def read_colours(
-    labs: Any, targets: int, light: tuple[str, str] | None = None, geometries: Sequence[str] = ()
+    labs: Any,
+    targets: int,
+    light: tuple[str, str] | None = None,
+    geometries: Sequence[str] = (),
+    quantities: Sequence[str] = (),
 ) -> list[ColourRow]:
     """Return target colours from a file, or from an array `[n, 3]` or `[n, target, 3]`.
 
@@ -74,6 +80,7 @@ def read_colours(
         light: illuminant and observer of the targets; other ones in headings are adapted by Bradford's transform, and
             a warning says so. Default: those of the headings.
         geometries: of the targets, "specular 15"; colours at several angles are assigned by them.
+        quantities: of texture targets, "sparkle_45", that columns of a table with headings may name.
 
     Raises:
         RecipeError: an entry is not a colour; with its line.
@@ -81,7 +88,9 @@ def read_colours(
     """
     if isinstance(labs, str | Path):
         path = named(labs)
-        return _recognised_rows(path, targets, light or DEFAULT_LIGHT) or _file_rows(path, targets, light, geometries)
+        return _recognised_rows(path, targets, light or DEFAULT_LIGHT) or _file_rows(
+            path, targets, light, geometries, quantities
+        )
     found = floats(labs, "labs")
     if found.size == 0 and found.shape[:1] == (0,):
         return []
@@ -110,15 +119,15 @@ def _recognised_rows(path: Path, targets: int, light: tuple[str, str]) -> list[C
         open_file(path)  # refuses it by name
     if not found or found[0][0] <= POSSIBLE or found[0][1].kind not in ("colours", "spectrum"):
         return []
-    names, lab, said = named_lab(path, open_file(path), *light)
-    if said:
-        logger.warning("%s: %s", path, "; ".join(said))
+    names, lab = _adapted(path, open_file(path), light)
     for number, colour in enumerate(lab, start=1):
         plausible(colour, f"{path}: colour {number}", colour.round(3).tolist())
     return [ColourRow(name, np.repeat(colour[None], targets, axis=0)) for name, colour in zip(names, lab, strict=True)]
 
 
-def _file_rows(path: Path, targets: int, light: tuple[str, str] | None, geometries: Sequence[str]) -> list[ColourRow]:
+def _file_rows(
+    path: Path, targets: int, light: tuple[str, str] | None, geometries: Sequence[str], quantities: Sequence[str]
+) -> list[ColourRow]:
     try:
         with plain(path).open("rb") as file:
             data = file.read(MAX_BYTES + 1)
@@ -141,7 +150,9 @@ def _file_rows(path: Path, targets: int, light: tuple[str, str] | None, geometri
     if count > MAX_ROWS:
         raise NacreError(f"{path}: contains {count} rows; at most {MAX_ROWS} are allowed")
     if table is not None:
-        return _rows_of_table(table, targets, light, geometries)
+        table, numbers = _without_texture(table, quantities)
+        found = _rows_of_table(table, targets, light, geometries)
+        return [replace(row, texture=each) for row, each in zip(found, numbers, strict=True)] if numbers else found
     if lines and not any(_number(cell) is not None for cell in lines[0][1]):
         number, heading = lines.pop(0)
         if lines or not _names_colours(heading):
@@ -157,14 +168,20 @@ def _file_rows(path: Path, targets: int, light: tuple[str, str] | None, geometri
         return rows
     metadata = {"illuminant": light[0], "observer": light[1]} | above
     columns = {name: lab[:, place] for place, name in enumerate("Lab")}
-    _, lab, said = named_lab(path, [Measurement(path, "table", "colours", columns, "", metadata)], *light)
-    if said:
-        logger.warning("%s: %s", path, "; ".join(said))
+    _, lab = _adapted(path, [Measurement(path, "table", "colours", columns, "", metadata)], light)
     return [ColourRow(row.name, part) for row, part in zip(rows, np.split(lab, len(rows)), strict=True)]
 
 
+def _adapted(path: Path, measurements: Sequence[Measurement], light: tuple[str, str]) -> tuple[list[str], Array]:
+    """Return names and CIELAB `[colour, 3]` under the light; warn about the conversion."""
+    names, lab, said = named_lab(path, measurements, *light)
+    if said:
+        logger.warning("%s: %s", path, "; ".join(said))
+    return names, lab
+
+
 def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, light: tuple[str, str]) -> list[ColourRow]:
-    """Return the colours in a column "hex", with or without #, three or six digits; empty if there is none."""
+    """Return the colours in a column "hex", with or without #, three or six digits; empty without one."""
     heading = lines[0][1] if lines else []
     places = [i for i, cell in enumerate(heading) if any(each.quantity == "hex" for each in meanings(cell))]
     if len(places) != 1 or any(len(cells) <= places[0] for _, cells in lines):
@@ -179,9 +196,7 @@ def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, ligh
     names = [row[name] if name is not None else "" for _, row in lines[1:]]
     data = {"srgb": np.array([srgb_of_hex(path, f"#{each}") for each in digits])}
     metadata = {"illuminant": light[0], "observer": light[1], "names": names}
-    _, lab, said = named_lab(path, [Measurement(path, "table", "colours", data, "", metadata)], *light)
-    if said:
-        logger.warning("%s: %s", path, "; ".join(said))
+    _, lab = _adapted(path, [Measurement(path, "table", "colours", data, "", metadata)], light)
     return [ColourRow(one, np.repeat(each[None], targets, axis=0)) for one, each in zip(names, lab, strict=True)]
 
 
@@ -208,9 +223,8 @@ def _rows_of_table(
     labs = []
     for group in groups:
         measurement = _measurement(table, group, names, light)
-        _, lab, said = named_lab(table.path, [measurement], *(light or _light_of(measurement)))
-        if said:
-            logger.warning("%s: %s", table.path, "; ".join(said))
+        own = measurement.metadata["illuminant"], measurement.metadata["observer"]
+        _, lab = _adapted(table.path, [measurement], light or own)
         if "L" in group.places:
             check_scale(lab, table.path)
         for line, colour in zip(table.lines, lab, strict=True):
@@ -218,6 +232,32 @@ def _rows_of_table(
         labs.append(lab)
     stacked = np.stack(labs if len(labs) == targets else labs * targets, axis=1)
     return [ColourRow(one, lab) for one, lab in zip(names, stacked, strict=True)]
+
+
+def _without_texture(table: TextTable, quantities: Sequence[str]) -> tuple[TextTable, list[dict[str, float]]]:
+    """Return a table without its columns of texture, and the numbers of each row.
+
+    Raises:
+        RecipeError: a quantity stands twice, or a number is not above 0.
+    """
+    places = {heading: place for place, heading in enumerate(table.headings) if heading in quantities}
+    if not places:
+        return table, []
+    if len(places) < sum(heading in quantities for heading in table.headings):
+        raise RecipeError(f"{table.path}: line {table.heading_line}: a quantity of texture stands twice")
+    columns = {name: _column(table, place) for name, place in places.items()}
+    for name, column in columns.items():
+        for line, value in zip(table.lines, column, strict=True):
+            if value <= 0:
+                raise RecipeError(f"{table.path}: line {line}: {name} = {value:g} is not above 0")
+    keep = [place for place in range(len(table.headings)) if place not in places.values()]
+    rest = replace(
+        table,
+        headings=tuple(table.headings[place] for place in keep),
+        units=tuple(table.units[place] for place in keep),
+        rows=[[row[place] for place in keep] for row in table.rows],
+    )
+    return rest, [dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 @dataclass(frozen=True)
@@ -289,10 +329,6 @@ def _for_targets(table: TextTable, groups: list[_Group], targets: int, geometrie
     return groups
 
 
-def _light_of(measurement: Measurement) -> tuple[str, str]:
-    return measurement.metadata["illuminant"], measurement.metadata["observer"]
-
-
 def _measurement(table: TextTable, group: _Group, names: list[str], light: tuple[str, str] | None) -> Measurement:
     """Return the colours of one group; lamp and observer are the target's unless the table states others."""
     above = light_above(table.titles)
@@ -350,7 +386,7 @@ def _cells(text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _is_named_row(line: str) -> bool:
-    """Whether a line is a colour whose name starts with #, as "#1;52;-30;28", and no remark."""
+    """Whether a line is a colour whose name starts with #, as "#1;52;-30;28", not a remark."""
     cells = [_with_point(cell.strip()) for cell in split(line, find_delimiter([line]))]
     return len(cells) > 3 and line[1:2].strip() != "" and all(_number(cell) is not None for cell in cells[1:])
 

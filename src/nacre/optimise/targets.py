@@ -79,6 +79,12 @@ class Target:
         asked = {"lab": [float(v) for v in lab]}
         return replace(self, asked=asked, lab=np.asarray(lab, float), xyz=None, ranges=None, spectrum=None)
 
+    def with_number(self, value: float | None) -> Target:
+        """Return the texture target with another value; None keeps its own."""
+        if value is None:
+            return self
+        return replace(self, asked={**self.asked, "value": value}, texture=(value, value))
+
     def target_lab(self, white: Array) -> Array | None:
         """Return the target colour against a lamp's white; None for a range or a spectrum."""
         if self.xyz is not None:

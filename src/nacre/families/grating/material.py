@@ -26,7 +26,7 @@ from nacre.matter.periodic.orders import Orders, coarse_orders, solve_orders
 from nacre.matter.periodic.slices import COARSE, Wall, sliced
 from nacre.matter.periodic.structure import Cell, PatternLayer, PeriodicStack, Profile, Shape
 
-MIRROR_NODES = 65
+MIRROR_NODES = 129
 NODE_RATIO = 0.12  # of neighbouring nodes of a period, at least
 
 
@@ -97,7 +97,7 @@ class Grating(Diffracting, Pixels):
     """
 
     has_mirror = True
-    version = 2  # lines in smaller bases, tables between Rayleigh anomalies
+    version = 3  # tables from responses
     traits = Traits(noun="grating", default_parts=("specular_reflectance", "diffuse_reflectance"), takes_ambient=True)
 
     ambient: OpticalConstant

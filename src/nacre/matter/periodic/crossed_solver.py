@@ -19,7 +19,7 @@ from nacre.matter.periodic.crossed_modes import (
 )
 from nacre.matter.periodic.lamellar_solver import is_patterned
 from nacre.matter.periodic.line_basis import Axis, LineBasis, assemble, line_basis, parity_axis, regions, whole_axis
-from nacre.matter.periodic.scattering_matrix import Modes, Slab, scatter, uniform_modes
+from nacre.matter.periodic.scattering_matrix import Modes, Slab, respond, scatter, uniform_modes
 from nacre.matter.periodic.structure import (
     Cell,
     OrderSet,
@@ -43,16 +43,15 @@ ROUNDING = 1e-13  # of matrices whose elements are below 1
 SYMMETRIC = 1e-9  # smaller transverse wave numbers keep a mirror symmetry
 
 
+Content = Callable[[int, int], tuple[Array, Array]]  # (m, n) -> amplitude of an order in each function of E_x and E_y
+Parts = tuple[Components, list[Modes | Slab], Content]
+
+
 def solve_rectangles(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, degree: int) -> OrderSolution:
     """Return the orders of layers of rectangles by tensor products of piecewise polynomials."""
     transverse, _, _ = incident_wave(stack, theta_rad, phi_rad)
-    cell = stack.cell
-    assert cell.period_y is not None
     boxes = _boxes(stack)
-    bases: list[LineBasis] = []
-    elements = zip(_elements(stack, k0, degree), (cell.period_x, cell.period_y), transverse, strict=True)
-    for (edges, degrees), period, first in elements:
-        bases.append(line_basis(assemble(period * k0, edges, degrees), float(first), 1.001 * stack.reach))
+    bases = _bases(stack, k0, transverse, degree, (stack.reach, stack.reach))
     symmetric = tuple(
         abs(first) < SYMMETRIC and all(_is_even(b, axis) for b in boxes) for axis, first in enumerate(transverse)
     )
@@ -62,8 +61,32 @@ def solve_rectangles(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad:
             whole_axis(basis) if parity is None else parity_axis(basis, parity)
             for basis, parity in zip(bases, parities, strict=True)
         )
-        answers.append(_rectangle_class(stack, k0, transverse, (axes[0], axes[1])))
+        answers.append(_solved(stack, k0, transverse, *_rectangle_class(stack, k0, (axes[0], axes[1]))))
     return _joined(stack, k0, theta_rad, phi_rad, answers, "rectangles")
+
+
+def rectangle_response(
+    stack: PeriodicStack, k0: float, transverse: Array, degree: int, upper: Array, lower: Array
+) -> Array:  # fmt: skip
+    """Return the response of `order_responses` of layers of rectangles."""
+    waves = np.abs(transverse + stack.cell.wave_vectors(np.concatenate([upper, lower])) / k0).max(axis=0)
+    bases = _bases(stack, k0, transverse, degree, (float(waves[0]), float(waves[1])))
+    return _response(
+        stack, k0, *_rectangle_class(stack, k0, (whole_axis(bases[0]), whole_axis(bases[1]))), upper, lower
+    )
+
+
+def _bases(
+    stack: PeriodicStack, k0: float, transverse: Array, degree: int, reach: tuple[float, float]
+) -> list[LineBasis]:  # fmt: skip
+    """Return the functions along both axes; orders to `reach` are plane waves."""
+    cell = stack.cell
+    assert cell.period_y is not None
+    elements = zip(_elements(stack, k0, degree), (cell.period_x, cell.period_y), transverse, reach, strict=True)
+    return [
+        line_basis(assemble(period * k0, edges, degrees), float(first), 1.001 * max(most, stack.reach))
+        for (edges, degrees), period, first, most in elements
+    ]
 
 
 def _boxes(stack: PeriodicStack) -> list[Rectangle]:
@@ -128,7 +151,7 @@ class _Answer:
     unknowns: int
 
 
-def _rectangle_class(stack: PeriodicStack, k0: float, transverse: Array, axes: tuple[Axis, Axis]) -> _Answer:
+def _rectangle_class(stack: PeriodicStack, k0: float, axes: tuple[Axis, Axis]) -> Parts:
     x, y = axes
     cell = stack.cell
     shape = (len(x.alpha), len(y.alpha))
@@ -162,12 +185,31 @@ def _rectangle_class(stack: PeriodicStack, k0: float, transverse: Array, axes: t
             np.kron(x.discontinuous[i], y.continuous[j])[of.x], np.kron(x.continuous[i], y.discontinuous[j])[of.y]
         )  # fmt: skip
 
-    return _solved(stack, k0, transverse, of, modes, content)
+    return of, modes, content
+
+
+def _response(
+    stack: PeriodicStack, k0: float, of: Components, modes: Sequence[Modes | Slab], content: Content, upper: Array,
+    lower: Array,
+) -> Array:  # fmt: skip
+    """Return the response of orders at both faces, for functions of which each channel is one."""
+    outside, drives = [], []
+    indices = stack.cover, stack.substrate.real
+    size = len(of.x) + len(of.y)
+    for numbers, index in zip((upper, lower), (stack.cover, stack.substrate), strict=True):
+        both = [content(int(m), int(n)) for m, n in numbers]
+        drive = np.zeros((size, 2 * len(both)))
+        for k, (in_x, in_y) in enumerate(both):
+            drive[: len(of.x), k], drive[len(of.x) :, len(both) + k] = np.abs(in_x), np.abs(in_y)
+        held = of.x[np.argmax(drive[: len(of.x), : len(both)], axis=0)] if both else np.zeros(0, dtype=int)
+        outside.append(uniform_modes(index**2, of.alpha, of.beta, (of.x, of.y), (held, index.real)))
+        drives.append(drive.astype(complex))
+    depths = [layer.thickness_nm * k0 for layer in stack.layers]
+    return respond(outside[0], modes, depths, outside[1], (drives[0], drives[1]), indices)
 
 
 def _solved(
-    stack: PeriodicStack, k0: float, transverse: Array, of: Components, modes: Sequence[Modes | Slab],
-    content: Callable[[int, int], tuple[Array, Array]],
+    stack: PeriodicStack, k0: float, transverse: Array, of: Components, modes: Sequence[Modes | Slab], content: Content
 ) -> _Answer:  # fmt: skip
     """Join the layers for light with E_x = 1 and with E_y = 1 in order (0, 0), and read the orders."""
     first, second = content(0, 0)
@@ -218,6 +260,37 @@ def _bounded(y: float, cell: Cell) -> float:
 def solve_fourier(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, radius: int) -> OrderSolution:
     """Return the orders of layers of any shapes by Fourier series."""
     transverse, _, _ = incident_wave(stack, theta_rad, phi_rad)
+    orders, layers = _circle(stack, k0, transverse, radius)
+    symmetric = tuple(
+        abs(first) < SYMMETRIC
+        and stack.cell.is_rectangular
+        and all(
+            _is_even_series(layer, shapes, stack.cell, axis, 2 * int(np.abs(orders).max()))
+            for layer, shapes in zip(stack.layers, layers, strict=True)
+            if shapes
+        )
+        for axis, first in enumerate(transverse)
+    )
+    answers = [
+        _solved(stack, k0, transverse, *_fourier_class(stack, k0, transverse, layers, orders, parities))
+        for parities in _classes(symmetric)
+    ]
+    return _joined(stack, k0, theta_rad, phi_rad, answers, "fourier")
+
+
+def fourier_response(
+    stack: PeriodicStack, k0: float, transverse: Array, radius: int, upper: Array, lower: Array
+) -> Array:  # fmt: skip
+    """Return the response of `order_responses` of layers of any shapes."""
+    orders, layers = _circle(stack, k0, transverse, radius, np.concatenate([upper, lower]))
+    parts = _fourier_class(stack, k0, transverse, layers, orders, (None, None))
+    return _response(stack, k0, *parts, upper, lower)
+
+
+def _circle(
+    stack: PeriodicStack, k0: float, transverse: Array, radius: int, least: Array | None = None
+) -> tuple[Array, list[tuple[_Keyed, ...] | None]]:  # fmt: skip
+    """Return the orders in a circle, `least` among them, and the shapes of each layer."""
     cell = stack.cell
     assert cell.period_y is not None
     # orders within a circle of wave numbers, as many as a square lattice of this cell would have in that radius
@@ -230,24 +303,11 @@ def solve_fourier(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: fl
     grid = np.arange(-count, count + 1)
     orders = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
     vectors = cell.wave_vectors(orders)
-    keep = np.hypot(vectors[:, 0], vectors[:, 1]) <= reach * (1.0 + 1e-9)
-    orders = orders[keep]
+    if least is not None:
+        reach = max(reach, float(np.hypot(*cell.wave_vectors(least).T).max()))
+    orders = orders[np.hypot(vectors[:, 0], vectors[:, 1]) <= reach * (1.0 + 1e-9)]
     check_unknowns(2 * len(orders) // (1 + sum(np.abs(transverse) < SYMMETRIC)), k0)
-    layers = [_regions(layer) if is_patterned(layer) else None for layer in stack.layers]
-    symmetric = tuple(
-        abs(first) < SYMMETRIC
-        and cell.is_rectangular
-        and all(
-            _is_even_series(layer, shapes, cell, axis, 2 * count)
-            for layer, shapes in zip(stack.layers, layers, strict=True)
-            if shapes
-        )
-        for axis, first in enumerate(transverse)
-    )
-    answers = [
-        _fourier_class(stack, k0, transverse, layers, orders, parities) for parities in _classes(symmetric)
-    ]  # fmt: skip
-    return _joined(stack, k0, theta_rad, phi_rad, answers, "fourier")
+    return orders, [_regions(layer) if is_patterned(layer) else None for layer in stack.layers]
 
 
 def _regions(layer: PatternLayer) -> tuple[_Keyed, ...]:
@@ -341,7 +401,7 @@ def _pattern(
 def _fourier_class(
     stack: PeriodicStack, k0: float, transverse: Array, layers: list[tuple[_Keyed, ...] | None], orders: Array,
     parities: Parities,
-) -> _Answer:  # fmt: skip
+) -> Parts:  # fmt: skip
     key = tuple((int(m), int(n)) for m, n in orders)
     functions = _functions(key, parities)
     vectors = stack.cell.wave_vectors(functions.numbers) / k0 + transverse
@@ -360,7 +420,7 @@ def _fourier_class(
         at = functions.places.get((m, n))
         return (np.zeros(len(of.x)), np.zeros(len(of.y))) if at is None else (map_x[at], map_y[at])
 
-    return _solved(stack, k0, transverse, of, modes, content)
+    return of, modes, content
 
 
 def _plain(value: complex) -> complex | float:

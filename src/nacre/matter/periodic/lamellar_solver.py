@@ -166,32 +166,80 @@ def _solved(cases: list[Case], mesh: LineMesh, values: Array) -> list[OrderSolut
     incidences = [incident_wave(stack, theta, phi) for stack, _, theta, phi in cases]
     k0, transverse = np.array([case[1] for case in cases]), np.array([each[0] for each in incidences])
     incident, k_y = np.array([each[2] for each in incidences]).astype(complex), transverse[:, 1]
-    length = k0 * stacks[0].cell.period_x
-    resolved = RESOLUTION * np.mean((np.array(mesh.degrees) + 1.0) ** 2 / np.diff(mesh.edges))
-    reach = max(stack.reach for stack in stacks) * length.max() / (2.0 * np.pi)
-    space = _space(mesh, int(np.ceil(max(resolved, reach + 2.0))), length, transverse[:, 0])
-    above, below = (
-        _admittance(np.array(index) ** 2 + 0j, space.alpha, k_y[:, None])
-        for index in ([s.cover for s in stacks], [s.substrate for s in stacks])
-    )
-    states: list[tuple[Array, ...]] = []
-    for at in range(values.shape[1]):
-        depth = np.array([stack.layers[at].thickness_nm for stack in stacks]) * k0
-        states += _states(space, values[:, at], depth, k_y)
+    space = _space_of(stacks, mesh, k0, transverse[:, 0])
+    above, below = _outside(stacks, space, k_y)
+    states = _layer_states(stacks, space, values, k0, k_y)
     # incident e of each plane wave: that of order 0
     wave = np.where(space.numbers[:, None, :, None] == 0, incident[:, :, None], 0.0)
     joints = space.flat, space.smooth
     if np.any(k_y):
-        up, down = _through(joints, above, [_joined(space, k_y, *s) for s in states], below, wave)
+        up, down = _scattered(joints, above, [_joined(space, k_y, *s) for s in states], below, wave)
     else:  # E_x and E_y decouple
         apart = []
         for k, joint in enumerate(joints):
             layers = [(1j * q @ t, 1j * t @ p) for t, p, q in (s[3 * k : 3 * k + 3] for s in states)]
-            apart.append(_through((joint,), [[above[k][k]]], layers, [[below[k][k]]], wave[:, [k]]))
+            apart.append(_scattered((joint,), [[above[k][k]]], layers, [[below[k][k]]], wave[:, [k]]))
         up, down = (np.concatenate(both, axis=1) for both in zip(*apart, strict=True))
     reflected = _sides(cases, incidences, space, up - wave, True)
     transmitted = _sides(cases, incidences, space, down, False)
     return [OrderSolution(r, t, np.inf, mesh.size, "lines") for r, t in zip(reflected, transmitted, strict=True)]
+
+
+def lamellar_responses(stack: PeriodicStack, k0: float, transverse: Array, upper: Array, lower: Array) -> Array:
+    """Return the responses of `order_responses` of lines `[case, channel, channel]`.
+
+    Args:
+        transverse: `[case, 2]`, k_y not 0.
+        upper, lower: numbers of the orders that are channels.
+    """
+    starts, middles = _walls(stack)
+    values = _values(stack, middles)
+    mesh = _mesh(starts / stack.cell.period_x, values, stack, k0)
+    check_unknowns(2 * mesh.size, k0)
+    count = len(transverse)
+    stacks, k_y = [stack] * count, transverse[:, 1]
+    space = _space_of(stacks, mesh, np.full(count, k0), transverse[:, 0], int(np.abs([*upper, *lower]).max()))
+    joints, last = (space.flat, space.smooth), space.numbers.shape[1]
+    sides, drives = _outside(stacks, space, k_y), []
+    for side, numbers, index in zip(sides, (upper, lower), (stack.cover, stack.substrate.real), strict=True):
+        at = numbers + last // 2
+        for i, j in np.ndindex(2, 2):
+            side[i][j][:, at] = index if i == j else 0.0
+        empty = np.zeros((count, mesh.size, len(at)))
+        drives.append(_blocks([[joints[0][:, :, at], empty], [empty, joints[1][:, :, at]]]))
+    top, bottom = drives
+    states = _layer_states(stacks, space, np.repeat(values[None], count, axis=0), np.full(count, k0), k_y)
+    upper_face, lower_face = _through(
+        _surface(joints, sides[0]), [_joined(space, k_y, *s) for s in states], _surface(joints, sides[1]),
+        np.concatenate([top, np.zeros_like(bottom)], axis=2), np.concatenate([np.zeros_like(top), bottom], axis=2),
+    )  # fmt: skip
+    return _blocks([[top.conj().swapaxes(1, 2) @ upper_face], [bottom.conj().swapaxes(1, 2) @ lower_face]])
+
+
+def _space_of(stacks: list[PeriodicStack], mesh: LineMesh, k0: Array, alpha_0: Array, least: int = 0) -> Space:
+    length = k0 * stacks[0].cell.period_x
+    resolved = RESOLUTION * np.mean((np.array(mesh.degrees) + 1.0) ** 2 / np.diff(mesh.edges))
+    reach = max(stack.reach for stack in stacks) * length.max() / (2.0 * np.pi)
+    return _space(mesh, int(np.ceil(max(resolved, reach + 2.0, least))), length, alpha_0)
+
+
+def _outside(stacks: list[PeriodicStack], space: Space, k_y: Array) -> tuple[Blocks, Blocks]:
+    """Return the admittances of the plane waves in the cover and in the substrate."""
+    above, below = (
+        _admittance(np.array(index) ** 2 + 0j, space.alpha, k_y[:, None])
+        for index in ([s.cover for s in stacks], [s.substrate for s in stacks])
+    )
+    return above, below
+
+
+def _layer_states(
+    stacks: list[PeriodicStack], space: Space, values: Array, k0: Array, k_y: Array
+) -> list[tuple[Array, ...]]:  # fmt: skip
+    states: list[tuple[Array, ...]] = []
+    for at in range(values.shape[1]):
+        depth = np.array([stack.layers[at].thickness_nm for stack in stacks]) * k0
+        states += _states(space, values[:, at], depth, k_y)
+    return states
 
 
 @lru_cache(maxsize=32)
@@ -306,47 +354,76 @@ def _blocks(rows: Blocks) -> Array:
     return np.concatenate([np.concatenate(row, axis=2) for row in rows], axis=1)
 
 
-def _through(
+def _surface(joints: Sequence[Array], y: Blocks) -> Array:
+    """Return f / e of plane waves in the functions."""
+    return _blocks(
+        [[a * y[i][j][:, None] @ b.conj().swapaxes(1, 2) for j, b in enumerate(joints)] for i, a in enumerate(joints)]
+    )
+
+
+def _scattered(
     joints: Sequence[Array], above: Blocks, layers: list[tuple[Array, Array]], below: Blocks, wave: Array
 ) -> tuple[Array, Array]:  # fmt: skip
     """Return the total e of plane waves at the upper and at the lower face, `[case, component, wave, in]`.
 
     Args:
         joints: integrals of each component with the plane waves.
-        layers: f / e of the even state and e / f of the odd one, from the top down.
         wave: incident e, in the same form.
     """
-    adjoint = [joint.conj().swapaxes(1, 2) for joint in joints]
-
-    def surface(y: Blocks) -> Array:
-        return _blocks([[a * y[i][j][:, None] @ b for j, b in enumerate(adjoint)] for i, a in enumerate(joints)])
-
-    def found(e: Array) -> Array:
-        return np.stack([a @ part for a, part in zip(adjoint, np.split(e, len(adjoint), axis=1), strict=True)], axis=1)
-
-    admittance = -surface(below)
-    identity = np.eye(admittance.shape[1])
-    steps: list[tuple[Array, Array]] = []
-    magnetic = admittance
-    for even, odd in reversed(layers):
-        if steps:
-            admittance = np.linalg.solve(steps[-1][1].swapaxes(1, 2), magnetic.swapaxes(1, 2)).swapaxes(1, 2)
-        partner = np.linalg.solve(identity + admittance @ odd, even + admittance)  # f of the odd state, per even e
-        opposed = odd @ partner
-        magnetic = even + partner
-        steps.append((opposed, identity + opposed))
     source = np.concatenate(
         [
             sum(a @ (y[..., None] * wave[:, j]) for j, y in enumerate(row))
             for a, row in zip(joints, above, strict=True)
         ], axis=1,
     )  # fmt: skip
-    amplitudes = np.linalg.solve(surface(above) @ steps[-1][1] - magnetic, 2.0 * source)
-    top = lower = steps[-1][1] @ amplitudes
-    for opposed, electric in reversed(steps):
+    faces = _through(_surface(joints, above), layers, _surface(joints, below), 2.0 * source)
+    upper, lower = (
+        np.stack(
+            [a.conj().swapaxes(1, 2) @ part for a, part in zip(joints, np.split(e, len(joints), axis=1), strict=True)],
+            axis=1,
+        )
+        for e in faces
+    )  # fmt: skip
+    return upper, lower
+
+
+def _through(
+    above: Array, layers: list[tuple[Array, Array]], below: Array, source: Array, lower_source: Array | None = None
+) -> tuple[Array, Array]:  # fmt: skip
+    """Return e at the upper and at the lower face `[case, function, in]` for sources of f at both.
+
+    Args:
+        above, below: f / e of the waves that leave.
+        layers: f / e of the even state and e / f of the odd one, from the top down.
+    """
+    size = above.shape[1]
+    identity = np.eye(size)
+    driven = np.zeros((len(above), size, 0)) if lower_source is None else lower_source
+    steps: list[tuple[Array, Array, Array, Array]] = []
+    admittance, magnetic = -below, -below
+    for even, odd in reversed(layers):
+        if steps:
+            admittance = np.linalg.solve(steps[-1][0].swapaxes(1, 2), magnetic.swapaxes(1, 2)).swapaxes(1, 2)
+            driven = driven - admittance @ steps[-1][2]
+        # f of the odd state, per even e and per source
+        partner = np.linalg.solve(
+            identity + admittance @ odd, np.concatenate([even + admittance, driven], axis=2)
+        )  # fmt: skip
+        partner, driven = partner[:, :, :size], partner[:, :, size:]
+        opposed, offset = odd @ partner, odd @ driven
+        magnetic = even + partner
+        steps.append((identity + opposed, opposed, offset, driven))
+    electric, _, offset, driven = steps[-1]
+    if lower_source is not None:
+        source = source + driven - above @ offset
+    amplitudes = np.linalg.solve(above @ electric - magnetic, source)
+    top = lower = electric @ amplitudes + (offset if offset.shape[2] else 0.0)
+    for electric, opposed, offset, _ in reversed(steps):
+        if offset.shape[2]:
+            lower = lower - offset
         amplitudes = np.linalg.solve(electric, lower)
-        lower = amplitudes - opposed @ amplitudes
-    return found(top), found(lower)
+        lower = amplitudes - opposed @ amplitudes - (offset if offset.shape[2] else 0.0)
+    return top, lower
 
 
 def _sides(

@@ -25,7 +25,7 @@ from nacre.matter.periodic.profile_coordinates import (
     scatter_profile,
     state,
 )
-from nacre.matter.periodic.scattering_matrix import Modes, scatter, uniform_modes
+from nacre.matter.periodic.scattering_matrix import Modes, respond, scatter, uniform_modes
 from nacre.matter.periodic.structure import (
     OrderSet,
     OrderSolution,
@@ -47,25 +47,11 @@ GRADING = 0.18
 def solve_lines(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: float, level: int) -> OrderSolution:
     """Return the orders of lamellar layers by the piecewise-polynomial modal method."""
     transverse, k_z, incident = incident_wave(stack, theta_rad, phi_rad)
-    patterned = [layer for layer in stack.layers if is_patterned(layer)]
-    if not patterned:
+    if not any(is_patterned(layer) for layer in stack.layers):
         return flat_orders(stack, k0, theta_rad, phi_rad)
-    mesh = _mesh_of(stack, patterned, k0, level)
-    check_unknowns(2 * mesh.size, k0)
-    basis = line_basis(mesh, transverse[0], 1.001 * stack.reach)
+    basis, layers = _basis_and_layers(stack, k0, transverse, level)
     alpha = basis.alpha
     beta = np.full_like(alpha, transverse[1])
-    solved: dict[PatternLayer, Modes] = {}
-    layers = []
-    for layer in stack.layers:
-        key = PatternLayer(0.0, layer.epsilon, layer.shapes)
-        if key not in solved:
-            solved[key] = (
-                layer_modes(line_modes(alpha, *basis.permittivity(_element_values(basis, layer, k0))), transverse[1])
-                if is_patterned(layer)
-                else uniform_modes(layer.epsilon, alpha, beta)
-            )
-        layers.append(solved[key])
     size = len(alpha)
     zero = int(np.flatnonzero(basis.numbers[: basis.resolved] == 0)[0])
     wave = np.zeros((2 * size, 2), dtype=complex)
@@ -88,6 +74,50 @@ def solve_lines(stack: PeriodicStack, k0: float, theta_rad: float, phi_rad: floa
     reflected = side(up, stack.cover, True)
     transmitted = side(down, stack.substrate.real, False) if stack.is_clear else empty_orders()
     return OrderSolution(reflected, transmitted, np.inf, size, "lines")
+
+
+def _basis_and_layers(
+    stack: PeriodicStack, k0: float, transverse: Array, level: int, reach: float = 0.0
+) -> tuple[LineBasis, list[Modes]]:  # fmt: skip
+    """Return the functions, and the modes of each layer in them; orders to `reach` are plane waves."""
+    mesh = _mesh_of(stack, [layer for layer in stack.layers if is_patterned(layer)], k0, level)
+    check_unknowns(2 * mesh.size, k0)
+    basis = line_basis(mesh, transverse[0], max(1.001 * stack.reach, reach))
+    alpha = basis.alpha
+    beta = np.full_like(alpha, transverse[1])
+    solved: dict[PatternLayer, Modes] = {}
+    layers = []
+    for layer in stack.layers:
+        key = PatternLayer(0.0, layer.epsilon, layer.shapes)
+        if key not in solved:
+            solved[key] = (
+                layer_modes(line_modes(alpha, *basis.permittivity(_element_values(basis, layer, k0))), transverse[1])
+                if is_patterned(layer)
+                else uniform_modes(layer.epsilon, alpha, beta)
+            )
+        layers.append(solved[key])
+    return basis, layers
+
+
+def line_response(
+    stack: PeriodicStack, k0: float, transverse: Array, level: int, upper: Array, lower: Array
+) -> Array:  # fmt: skip
+    """Return the response of `order_responses` of lines."""
+    numbers = upper[:, 0], lower[:, 0]
+    waves = transverse[0] + np.concatenate(numbers) * (2.0 * np.pi / (k0 * stack.cell.period_x))
+    basis, layers = _basis_and_layers(stack, k0, transverse, level, 1.001 * float(np.abs(waves).max()))
+    size, beta = len(basis.alpha), np.full_like(basis.alpha, transverse[1])
+    places = {int(m): k for k, m in enumerate(basis.numbers[: basis.resolved])}
+    held = [np.array([places[int(m)] for m in side], dtype=int) for side in numbers]
+    indices = stack.cover, stack.substrate.real
+    outside = [
+        uniform_modes(index**2, basis.alpha, beta, held=(at, real))
+        for index, at, real in zip((stack.cover, stack.substrate), held, indices, strict=True)
+    ]
+    one = np.eye(2 * size, dtype=complex)
+    drives = [one[:, np.concatenate([at, size + at])] for at in held]
+    depths = [layer.thickness_nm * k0 for layer in stack.layers]
+    return respond(outside[0], layers, depths, outside[1], (drives[0], drives[1]), indices)
 
 
 def _mesh_of(stack: PeriodicStack, patterned: list[PatternLayer], k0: float, level: int) -> LineMesh:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from functools import partial
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +14,34 @@ from numpy.typing import NDArray
 from nacre.core.arrays import Array
 from nacre.core.disk_cache import cache_arrays, cached_arrays, drop_arrays
 from nacre.core.jobs import in_workers
-from nacre.matter.periodic.line_tables import azimuth_nodes
+from nacre.core.parallel import in_threads
+from nacre.matter.periodic.order_responses import (
+    EXPENSIVE,
+    LEAST_NODES,
+    TAIL,
+    Counts,
+    Fit,
+    channels_of,
+    fitted,
+    next_counts,
+    nodes,
+    responses,
+    solved_nodes,
+)
 from nacre.matter.periodic.orders import cached_solution, case_key, packed_solutions, unpacked_solutions
 from nacre.matter.periodic.solve import difference, method_of, size_count, solve_many
-from nacre.matter.periodic.structure import OrderSet, OrderSolution, PeriodicStack, Rectangle
+from nacre.matter.periodic.structure import OrderSolution, PeriodicStack, Rectangle, propagating
 
 MAX_THETA = float(np.radians(89.5))  # light beyond is taken as here
-THETAS = {"lines": 24, "profile": 16, "rectangles": 10, "fourier": 10}  # nodes from 0 to 90 degrees
-AZIMUTHS = {"lines": 288, "profile": 48, "rectangles": 16, "fourier": 12}  # of a whole turn, a multiple of 4
+FITTED, PROFILE = (91, (1152, 576, 288, 144, 72)), (16, 48)  # nodes from 0 to 90 degrees, and of a whole turn
+MOST_NUMBERS, MOST_WORK = 2.4e7, 2e10  # of the tables, and of the linear systems of all directions, their sizes cubed
 FEW = 12, 16  # nodes of tables whose size follows from an error: larger solutions, fewer of them
 CHECKS = 6  # directions at which the error is estimated
 BETWEEN, BETWEEN_SEED = 6, 40  # directions at which the error between nodes is found
 BETWEEN_LINES = 48  # plasmons of metal lines fill few directions
 PROBES = 4  # directions that set the size
 MIN_STORED_S = 2.0  # tables that take less are not stored
+MIN_PART_S = 0.5  # nor are their parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,147 +86,210 @@ def order_tables(
             float(stored["error"]), float(stored["between"]),
         )  # fmt: skip
     start = time.perf_counter()
-    made = _solved_tables(stacks, wavelengths_nm, tolerance, table_error, key)
+    parts = Parts(key)
+    made = _solved_tables(stacks, wavelengths_nm, tolerance, table_error, parts)
     if key and time.perf_counter() - start > MIN_STORED_S:
         cache_arrays(key, {each.name: np.asarray(getattr(made, each.name)) for each in fields(made)})
-        steps, thetas = range(size_count(stacks[0])), range(len(made.mirror))
-        drop_arrays(f"{key}-{step}-{t}" for step in steps for t in thetas)
+        parts.drop()
     return made
 
 
 def _solved_tables(
-    stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: float | None, table_error: float | None, key: str
+    stacks: list[PeriodicStack], wavelengths_nm: Array, tolerance: float | None, table_error: float | None, parts: Parts
 ) -> OrderTables:
     stack = stacks[0]
     method = method_of(stack)
-    is_patterned = _is_patterned(stack)
+    is_patterned = stack.profile is not None or any(layer.shapes for layer in stack.layers)
+    is_fitted = is_patterned and method != "profile"
     if not is_patterned:
         thetas, azimuths = 64, 4
-    elif table_error is None:
-        thetas, azimuths = THETAS[method], AZIMUTHS[method]
-    else:
+    elif table_error is not None:
         thetas, azimuths = FEW
+    else:
+        thetas, azimuths = _size(stacks, wavelengths_nm) if is_fitted else PROFILE
     angles = np.minimum(np.linspace(0.0, 0.5 * np.pi, thetas), MAX_THETA)
     images = _images(stack)
     source = _sources(thetas, azimuths, images)
     own = sorted({a for _, a in source if source[0, a][0] == (0, a)})
     grid = 2.0 * np.pi / azimuths * np.array(own)
-    # lines: the nodes follow the anomalies, and the table is interpolated from them
-    uneven = {
-        (t, w): azimuth_nodes(each, float(wavelengths_nm[w]), float(angles[t]), float(grid[-1]))
-        for w, each in enumerate(stacks)
-        for t in range(thetas)
-        if is_patterned and method == "lines" and table_error is None
-    }  # fmt: skip
-    places = {(t, w): uneven[t, w].azimuths if uneven else grid for w in range(len(stacks)) for t in range(thetas)}
-    cases = [(t, a, w) for (t, w), nodes in sorted(places.items()) for a in range(len(nodes))]
+    directions = [(t, a) for t in angles.tolist() for a in grid.tolist()] if is_patterned else []
 
-    def wave(case: tuple[int, int, int]) -> tuple[PeriodicStack, float, float, float]:
-        t, a, w = case
-        return stacks[w], float(wavelengths_nm[w]), float(angles[t]), float(places[t, w][a]) + np.pi
+    def wave(theta: float, azimuth: float, w: int) -> tuple[PeriodicStack, float, float, float]:
+        return stacks[w], float(wavelengths_nm[w]), theta, azimuth + np.pi
 
-    def work(part: list[tuple[int, int, int]], step: int = 0) -> list[OrderSolution]:
-        return solve_many([wave(case) for case in part], step)
-
-    def check(case: tuple[int, int, int]) -> OrderSolution:
-        return cached_solution(*wave(case), tolerance, is_strict=False)
+    def check(case: tuple[float, float, int]) -> OrderSolution:
+        return cached_solution(*wave(*case), tolerance, is_strict=False)
 
     step = 0
-    if table_error is not None and is_patterned:
+    if table_error is not None and directions:
         # the first wavelength needs most
-        probes = [case for case in cases if case[2] == 0][:: max(len(own) * thetas // PROBES, 1)]
+        probes = [(t, a, 0) for t, a in directions[:: max(len(directions) // PROBES, 1)]]
+        better = in_workers(check, probes)
         for step in range(size_count(stack)):
-            pairs = zip(in_workers(check, probes), work(probes, step), strict=True)
+            pairs = zip(better, solve_many([wave(*case) for case in probes], step), strict=True)
             if max(difference(*pair) for pair in pairs) <= table_error:
                 break
-    batch = max(map(len, places.values())) if method == "lines" and step == 0 else 1
-    found = _solved_rows(partial(work, step=step), cases, batch, f"{key}-{step}" if key else "")
-    numbers = {
-        (int(m), int(n)) for s in found.values() for side in (s.reflected, s.transmitted) for m, n in side.numbers
-    }
-    every = sorted({(m * x, n * y) for m, n in numbers for x, y in {(1, 1), *images}} | {(0, 0)})
-    tables = []
-    for name in ("reflected", "transmitted"):
-        table = np.zeros((thetas, len(own), len(every), len(stacks)))
-        for (t, w), nodes in places.items():
-            row = _row([getattr(found[t, a, w], name) for a in range(len(nodes))], every)
-            table[t, :, :, w] = np.maximum(uneven[t, w].interpolate(row, grid), 0.0) if uneven else row
-        tables.append(_whole(table, source, own, every, azimuths))
+    if is_fitted:
+        rows = _fitted_rows(stacks, wavelengths_nm, images, step, (angles, grid), parts)
+    else:
+
+        def solved(item: tuple[float, int]) -> dict[str, Array]:
+            return packed_solutions(solve_many([wave(item[0], a, item[1]) for a in grid.tolist()], step))
+
+        items = {f"{step}-{t}-{w}": (float(angles[t]), w) for t in range(thetas) for w in range(len(stacks))}
+        found = parts.solved(solved, items)
+        rows = [
+            [_listed(unpacked_solutions(found[f"{step}-{t}-{w}"])) for t in range(thetas)] for w in range(len(stacks))
+        ]  # fmt: skip
+    tables, every = _gathered(rows, len(angles), len(own), images)
+    reflected, transmitted = (_whole(table, source, own, every, azimuths) for table in tables)
     zero = every.index((0, 0))
-    mirror, passed = (np.ascontiguousarray(table[:, :, zero]) for table in tables)
-    reflected, transmitted = (np.delete(table, zero, axis=2).astype(np.float32) for table in tables)
-    cell = stack.cell
-    lattice = cell.wave_vectors(np.array([[1, 0], [0, 1]])) / (2.0 * np.pi)
+    lattice = stack.cell.wave_vectors(np.array([[1, 0], [0, 1]])) / (2.0 * np.pi)
     # the error of the coarse solutions, at a few directions
-    some = cases[:: max(len(cases) // CHECKS, 1)] if is_patterned else []
-    error = 0.0
-    for case, better in zip(some, in_workers(check, some), strict=True):
-        error = max(error, difference(found[case], better))
-    numbered = np.array([number for number in every if number != (0, 0)], dtype=np.int64).reshape(-1, 2)
-    made = OrderTables(mirror, passed, reflected, transmitted, numbered, lattice, error, 0.0)
+    some = directions[:: max(len(directions) // CHECKS, 1)]
+    cases = [(t, a, k * len(stacks) // len(some)) for k, (t, a) in enumerate(some)]
+    pairs = zip(solve_many([wave(*case) for case in cases], step), in_workers(check, cases), strict=True)
+    error = max((difference(*pair) for pair in pairs), default=0.0)
+    made = OrderTables(
+        reflected[:, :, zero].astype(float), transmitted[:, :, zero].astype(float), np.delete(reflected, zero, axis=2),
+        np.delete(transmitted, zero, axis=2), np.array([n for n in every if any(n)], dtype=np.int64).reshape(-1, 2),
+        lattice, error, 0.0,
+    )  # fmt: skip
     return replace(made, between=_between(made, stacks, wavelengths_nm, step)) if some else made
 
 
-def _row(sides: list[OrderSet], every: list[tuple[int, int]]) -> Array:
-    """Return the efficiencies for unpolarised light `[azimuth, order]`; 0 for orders that do not propagate."""
-    place = {number: k for k, number in enumerate(every)}
-    row = np.zeros((len(sides), len(every)))
-    for values, side in zip(row, sides, strict=True):
-        at = [place[m, n] for m, n in side.numbers.tolist()]
-        values[at] = np.maximum(side.efficiency.mean(axis=1), 0.0)
+def _size(stacks: list[PeriodicStack], wavelengths_nm: Array) -> tuple[int, int]:
+    """Return the nodes of a fitted table: as many azimuths as memory and time allow."""
+    thetas, choices = FITTED
+    stack, count = stacks[0], len(stacks)
+    orders = len(propagating(stack, 2.0 * np.pi / float(wavelengths_nm[0]), np.zeros(2), stack.cover + stack.reach)[0])
+    work = sum(channels_of(*case).size ** 3 for case in zip(stacks, wavelengths_nm.tolist(), strict=True))
+    images = 1 + len(_images(stack))
+    for azimuths in choices:
+        directions = thetas * azimuths
+        if (
+            1 + stack.is_clear
+        ) * directions * orders * count <= MOST_NUMBERS and directions / images * work <= MOST_WORK:
+            break
+    return thetas, azimuths
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Parts of a table, stored under a key (if any) so that an interrupted table resumes.
+
+    Attributes:
+        used: labels of all parts.
+    """
+
+    key: str
+    used: list[str] = field(default_factory=list)
+
+    def solved(self, work: Callable[[Any], dict[str, Array]], items: dict[str, Any]) -> dict[str, dict[str, Array]]:
+        """Return `work(item)` by label."""
+        self.used.extend(items)
+        stored = {label: cached_arrays(f"{self.key}-{label}") if self.key else None for label in items}
+        found = {label: arrays for label, arrays in stored.items() if arrays is not None}
+
+        def timed(label: str) -> tuple[dict[str, Array], float]:
+            start = time.perf_counter()
+            return work(items[label]), time.perf_counter() - start
+
+        def keep(label: str, result: tuple[dict[str, Array], float]) -> None:
+            if self.key and result[1] > MIN_PART_S:
+                cache_arrays(f"{self.key}-{label}", result[0])
+
+        left = [label for label in items if label not in found]
+        return found | {label: arrays for label, (arrays, _) in zip(left, in_workers(timed, left, keep), strict=True)}
+
+    def drop(self) -> None:
+        """Remove all parts."""
+        drop_arrays(f"{self.key}-{label}" for label in self.used)
+
+
+Row = list[tuple[NDArray[np.int64], Array]]  # of both sides: numbers `[order, 2]` and efficiencies `[..., order]`
+
+
+def _fitted_rows(
+    stacks: list[PeriodicStack], wavelengths_nm: Array, images: list[tuple[int, int]], step: int,
+    directions: tuple[Array, Array], parts: Parts,
+) -> list[list[Row]]:  # fmt: skip
+    """Return the rows of each wavelength and angle, from responses at few wave vectors."""
+    channels = [channels_of(*case) for case in zip(stacks, wavelengths_nm.tolist(), strict=True)]
+    tail = TAIL[method_of(stacks[0]) in EXPENSIVE]
+
+    def solved(item: tuple[int, Counts, Array]) -> dict[str, Array]:
+        w, counts, numbers = item
+        u = np.stack([nodes(count)[at] for count, at in zip(counts, numbers.T, strict=True)], axis=1)
+        found = responses(channels[w], u @ channels[w].span, step)
+        return {"real": found.real, "imag": found.imag}
+
+    fits: dict[int, Fit] = {}
+    left: dict[int, Counts] = dict.fromkeys(range(len(stacks)), LEAST_NODES)
+    while left:
+        items: dict[str, tuple[int, Counts, Array]] = {}
+        for w, counts in left.items():
+            every = solved_nodes(counts, images)
+            for i in range(every[-1, 0] + 1):
+                items[f"{step}-{w}-{counts[0]}x{counts[1]}-{i}"] = (w, counts, every[every[:, 0] == i])
+        found = parts.solved(solved, items)
+        for w, counts in left.items():
+            own = [found[label] for label, item in items.items() if item[0] == w]
+            values = np.concatenate([each["real"] + 1j * each["imag"] for each in own])
+            fits[w] = fitted(channels[w], values, counts, images)
+        more = {w: next_counts(fits[w], tail) for w in left}
+        left = {w: counts for w, counts in more.items() if counts is not None}
+    angles, azimuths = directions
+    across = -np.stack([np.cos(azimuths), np.sin(azimuths)], axis=1)
+
+    def row(case: tuple[int, int]) -> Row:
+        w, t = case
+        return fits[w].orders(stacks[w].cover * np.sin(angles[t]) * across)
+
+    cases = [(w, t) for w in range(len(stacks)) for t in range(len(angles))]
+    rows = in_threads(row, cases)
+    return [rows[k : k + len(angles)] for k in range(0, len(rows), len(angles))]
+
+
+def _listed(solutions: list[OrderSolution]) -> Row:
+    """Return the efficiencies for unpolarised light at the azimuths of one angle and wavelength."""
+    row = []
+    for sides in ([each.reflected for each in solutions], [each.transmitted for each in solutions]):
+        every = np.unique(np.concatenate([side.numbers for side in sides]), axis=0).astype(np.int64)
+        values = np.zeros((len(sides), len(every)))
+        place = {(m, n): k for k, (m, n) in enumerate(every.tolist())}
+        for k, side in enumerate(sides):
+            at = [place[m, n] for m, n in side.numbers.tolist()]
+            values[k, at] = np.maximum(side.efficiency.mean(axis=1), 0.0)
+        row.append((every, values))
     return row
 
 
+def _gathered(
+    rows: list[list[Row]], thetas: int, azimuths: int, images: list[tuple[int, int]]
+) -> tuple[list[NDArray[np.float32]], list[tuple[int, int]]]:
+    """Return `[theta, azimuth, order, wavelength]` of both sides, and the orders, their mirror images included."""
+    seen = {tuple(number) for row in rows for sides in row for numbers, _ in sides for number in numbers.tolist()}
+    every = sorted({(m * x, n * y) for m, n in seen for x, y in {(1, 1), *images}} | {(0, 0)})
+    place = {number: k for k, number in enumerate(every)}
+    tables = [np.zeros((thetas, azimuths, len(every), len(rows)), dtype=np.float32) for _ in range(2)]
+    for w, row in enumerate(rows):
+        for t, sides in enumerate(row):
+            for table, (numbers, values) in zip(tables, sides, strict=True):
+                table[t, :, [place[m, n] for m, n in numbers.tolist()], w] = values.T
+    return tables, every
+
+
 def _whole(
-    table: Array, source: dict[tuple[int, int], tuple[tuple[int, int], tuple[int, int]]], own: list[int],
+    table: NDArray[np.float32], source: dict[tuple[int, int], tuple[tuple[int, int], tuple[int, int]]], own: list[int],
     every: list[tuple[int, int]], azimuths: int,
-) -> Array:  # fmt: skip
+) -> NDArray[np.float32]:  # fmt: skip
     """Return a table over the whole turn from its solved azimuths, by mirror symmetry."""
     place = {number: k for k, number in enumerate(every)}
-    found = np.empty((table.shape[0], azimuths + 1, *table.shape[2:]))
+    found = np.empty((table.shape[0], azimuths + 1, *table.shape[2:]), dtype=np.float32)
     for a in range(azimuths + 1):
         (_, first), (x, y) = source[0, a % azimuths]
         found[:, a] = table[:, own.index(first)][:, [place[m * x, n * y] for m, n in every]]
-    return found
-
-
-def _solved_rows(
-    work: Callable[[list[tuple[int, int, int]]], list[OrderSolution]], cases: list[tuple[int, int, int]], batch: int,
-    key: str,
-) -> dict[tuple[int, int, int], OrderSolution]:  # fmt: skip
-    """Solve all cases, up to `batch` azimuths at once.
-
-    Each incidence angle is stored once complete, so that an interrupted table resumes there.
-    """
-    rows: dict[int, list[tuple[int, int, int]]] = {}
-    for case in cases:
-        rows.setdefault(case[0], []).append(case)
-    found: dict[tuple[int, int, int], OrderSolution] = {}
-    for t, row in rows.items():
-        stored = cached_arrays(f"{key}-{t}") if key else None
-        if stored is not None:
-            found |= zip(row, unpacked_solutions(stored), strict=True)
-    alike: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
-    for t, a, w in cases:
-        if (t, a, w) not in found:
-            alike.setdefault((t, w), []).append((t, a, w))
-    parts = [row[k : k + batch] for row in alike.values() for k in range(0, len(row), batch)]
-    left = Counter(part[0][0] for part in parts)
-    seconds = dict.fromkeys(rows, 0.0)
-
-    def timed(part: list[tuple[int, int, int]]) -> tuple[list[OrderSolution], float]:
-        start = time.perf_counter()
-        return work(part), time.perf_counter() - start
-
-    def keep(part: list[tuple[int, int, int]], result: tuple[list[OrderSolution], float]) -> None:
-        t = part[0][0]
-        found.update(zip(part, result[0], strict=True))
-        seconds[t] += result[1]
-        left[t] -= 1
-        if key and not left[t] and seconds[t] > MIN_STORED_S:
-            cache_arrays(f"{key}-{t}", packed_solutions([found[each] for each in rows[t]]))
-
-    in_workers(timed, parts, keep)
     return found
 
 
@@ -276,10 +352,6 @@ def _sources(
                     source[t, a] = (other, signs)
                     break
     return source
-
-
-def _is_patterned(stack: PeriodicStack) -> bool:
-    return stack.profile is not None or any(layer.shapes for layer in stack.layers)
 
 
 def _images(stack: PeriodicStack) -> list[tuple[int, int]]:

@@ -45,11 +45,18 @@ def outgoing_root(squared: Array) -> Array:
     return np.where(gamma.imag < 0.0, -gamma, gamma)
 
 
-def uniform_modes(epsilon: complex, alpha: Array, beta: Array, kept: tuple[Array, Array] | None = None) -> Modes:
+def uniform_modes(
+    epsilon: complex,
+    alpha: Array,
+    beta: Array,
+    kept: tuple[Array, Array] | None = None,
+    held: tuple[Array, float] | None = None,
+) -> Modes:
     """Return the modes of a homogeneous medium in a basis of plane waves: W is the unit matrix.
 
     Args:
         kept: which of the plane waves have a component E_x (and H_y), and E_y (and H_x); default: all.
+        held: numbers of plane waves that have a constant admittance instead, and its value.
     """
     squared = epsilon - alpha**2 - beta**2
     gamma = outgoing_root(np.where(np.abs(squared) < 1e-13, 1e-13, squared))
@@ -57,6 +64,10 @@ def uniform_modes(epsilon: complex, alpha: Array, beta: Array, kept: tuple[Array
     with_x, with_y = kept if kept is not None else (np.arange(size), np.arange(size))
     xx, xy = (-alpha * beta / gamma)[:, None], (-(epsilon - alpha**2) / gamma)[:, None]
     yx = ((epsilon - beta**2) / gamma)[:, None]
+    square = np.full((size, 1), complex(epsilon))  # V^2 = -epsilon
+    if held is not None:
+        at, value = held
+        xx[at], xy[at], yx[at], square[at] = 0.0, -value, value, value**2
 
     def spread(part: Array, places: Array) -> Array:
         full = np.zeros((size, part.shape[1]), dtype=complex)
@@ -68,10 +79,7 @@ def uniform_modes(epsilon: complex, alpha: Array, beta: Array, kept: tuple[Array
         return np.concatenate([(xx * x + xy * y)[with_y], (yx * x - xx * y)[with_x]])
 
     def solve_h(h: Array) -> Array:
-        x, y = (
-            spread(h[: len(with_y)], with_y) / -epsilon,
-            spread(h[len(with_y) :], with_x) / -epsilon,
-        )  # V^2 = -epsilon
+        x, y = spread(h[: len(with_y)], with_y) / -square, spread(h[len(with_y) :], with_x) / -square
         return np.concatenate([(xx * x + xy * y)[with_x], (yx * x - xx * y)[with_y]])
 
     return Modes(np.concatenate([gamma[with_x], gamma[with_y]]), _same, solve_h, _same, apply_h)
@@ -182,6 +190,26 @@ def scatter(
     for downward in reversed(down):
         amplitudes = downward(amplitudes)
     return upward, amplitudes
+
+
+def respond(
+    cover: Modes, layers: Sequence[Modes | Slab], depths: list[float], substrate: Modes,
+    channels: tuple[Array, Array], indices: tuple[float, float],
+) -> Array:  # fmt: skip
+    """Return E in channels for sources of (H_y, -H_x) in them, upper face first.
+
+    Args:
+        channels: amplitudes of each channel of both faces, `[mode, channel]`, orthonormal.
+        indices: the channels' admittances above and below.
+    """
+    top, bottom = channels
+    up, down = scatter(cover, layers, depths, substrate, top)
+    back, through = scatter(substrate, layers[::-1], depths[::-1], cover, bottom)
+    above, below = top.conj().T, bottom.conj().T
+    weights = 0.5 / np.repeat(indices, [top.shape[1], bottom.shape[1]])
+    return np.asarray(
+        np.block([[above @ (top + up), above @ through], [below @ down, below @ (bottom + back)]]) * weights
+    )
 
 
 def _through_modes(modes: Modes, depth: float, electric: Array, magnetic: Array) -> tuple[Array, Array, Solver]:

@@ -1,0 +1,158 @@
+"""Responses of periodic structures: equal to the solvers at each direction, smooth between, mirrored."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.core.parallel import single_threaded_blas
+from nacre.matter.periodic import order_tables
+from nacre.matter.periodic.order_responses import (
+    LEAST_NODES,
+    TAIL,
+    Channels,
+    Fit,
+    channels_of,
+    fitted,
+    next_counts,
+    nodes,
+    responses,
+    solved_nodes,
+)
+from nacre.matter.periodic.solve import solve_coarse
+from nacre.matter.periodic.structure import OrderSolution, PeriodicStack
+
+Numbers = dict[tuple[int, int], float]
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Solve as the product does: matrices are too small for several threads."""
+    with single_threaded_blas():
+        yield
+
+
+def stack_of(shape: dict[str, Any], wavelength_nm: float, substrate: Any, lattice: dict[str, Any]) -> PeriodicStack:
+    layer = {"thickness_nm": 110, "material": "air", "shapes": [shape]}
+    made = {"family": "grating", "substrate": substrate, "lattice": lattice,
+            "layers": [layer, {"thickness_nm": 40, "material": "SiO2"}]}  # fmt: skip
+    model: Any = nacre.load(made).model
+    return model.stacks(np.array([wavelength_nm]))[0]  # type: ignore[no-any-return]
+
+
+STRUCTURES = {
+    # shape, wavelength in nm, substrate, lattice, size; tensor products take more plane waves, which moves their error
+    "lines": ({"shape": "line", "width_nm": 230, "center_nm": [20, 0]}, 520.0, {"n": 1.5}, {"period_nm": 600}, 0),
+    "finer lines": ({"shape": "line", "width_nm": 230}, 520.0, "Al", {"period_nm": 600}, 1),
+    "rectangles": ({"shape": "rectangle", "width_nm": 150, "length_nm": 120}, 650.0, {"n": 1.5}, {"period_nm": 300}, 0),
+    "discs": ({"shape": "disc", "diameter_nm": 150}, 650.0, "glass",
+              {"period_nm": 320, "kind": "hexagonal"}, 0),
+}  # fmt: skip
+
+
+def both_sides(found: OrderSolution) -> list[Numbers]:
+    return [
+        {(int(m), int(n)): float(v) for (m, n), v in zip(side.numbers, side.efficiency.mean(axis=1), strict=True)}
+        for side in (found.reflected, found.transmitted)
+    ]
+
+
+def of_fit(fit: Fit, transverse: np.ndarray) -> list[Numbers]:
+    return [
+        {(int(m), int(n)): float(v) for (m, n), v in zip(numbers, values[0], strict=True)}
+        for numbers, values in fit.orders(transverse[None])
+    ]
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_a_response_gives_the_orders_of_the_solver(name: str) -> None:
+    shape, wavelength, substrate, lattice, step = STRUCTURES[name]
+    stack = stack_of({"material": "Si"} | shape, wavelength, substrate, lattice)
+    theta, phi = 0.9, 2.0  # beyond the cell of the reciprocal lattice for the lines
+    channels = channels_of(stack, wavelength)
+    transverse = stack.cover * np.sin(theta) * np.array([np.cos(phi), np.sin(phi)])
+    inverse = np.linalg.pinv(channels.lattice)
+    inside = transverse - np.rint(transverse @ inverse) @ channels.lattice
+    fit = Fit(channels, responses(channels, inside[None], step)[None])
+    exact = both_sides(solve_coarse(stack, wavelength, theta, phi, step))
+    allowed = 1e-8 if name in ("lines", "discs") else 1e-3
+    for found, expected in zip(of_fit(fit, transverse), exact, strict=True):
+        assert set(found) == {number for number, value in expected.items() if value > 0.0}
+        assert all(abs(found[number] - expected[number]) < allowed for number in found)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_mirror_images_of_responses(axis: int) -> None:
+    stack = stack_of({"shape": "line", "width_nm": 230, "material": "Al"}, 520.0, {"n": 1.5}, {"period_nm": 600})
+    channels = channels_of(stack, 520.0)
+    waves = np.array([[0.21, 0.37], [0.21, 0.37]])
+    waves[1, axis] *= -1.0
+    one, other = responses(channels, waves)
+    assert np.abs(channels.mirrored(one, axis) - other).max() < 1e-9 * np.abs(one).max()
+
+
+def fitted_lines(channels: Channels, images: list[tuple[int, int]]) -> Fit:
+    counts = LEAST_NODES
+    while True:
+        at = solved_nodes(counts, images)
+        u = np.stack([nodes(count)[k] for count, k in zip(counts, at.T, strict=True)], axis=1)
+        fit = fitted(channels, responses(channels, u @ channels.span), counts, images)
+        more = next_counts(fit, TAIL[False])
+        if more is None:
+            return fit
+        counts = more
+
+
+def test_plasmons_and_anomalies_lie_between_few_solutions() -> None:
+    # silver lines: plasmons of a width below one degree; the last direction is an anomaly, sin(theta) = 650 / 800 - 1
+    silver = {"n": 0.16, "k": 3.4}
+    line = {"shape": "line", "width_nm": 300, "material": silver}
+    made = {"family": "grating", "substrate": silver, "lattice": {"period_nm": 800},
+            "layers": [{"thickness_nm": 40, "material": "air", "shapes": [line]}]}  # fmt: skip
+    model: Any = nacre.load(made).model
+    stack = model.stacks(np.array([650.0]))[0]
+    fit = fitted_lines(channels_of(stack, 650.0), [(-1, 1), (1, -1), (-1, -1)])
+    assert fit.coefficients.shape[0] * fit.coefficients.shape[1] <= 400  # of 100 or fewer solutions
+    generator = np.random.default_rng(7)
+    thetas = [*np.arccos(generator.uniform(0.1, 1.0, 40)), *np.radians(np.linspace(9.0, 13.0, 20)), np.arcsin(0.1875)]
+    phis = [*(2.0 * np.pi * generator.random(40)), *np.zeros(21)]
+    for theta, phi in zip(thetas, phis, strict=True):
+        found = of_fit(fit, np.sin(theta) * np.array([np.cos(phi), np.sin(phi)]))[0]
+        for number, value in both_sides(solve_coarse(stack, 650.0, float(theta), float(phi)))[0].items():
+            assert abs(found.get(number, 0.0) - value) < 2e-3
+
+
+def test_a_table_of_lines_resumes(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NACRE_CACHE", str(tmp_path))
+    for name in ("MIN_STORED_S", "MIN_PART_S"):
+        monkeypatch.setattr(order_tables, name, 0.0)
+    monkeypatch.setattr(order_tables, "FITTED", (12, (24,)))
+    lam = np.array([500.0, 600.0])
+    stacks = [
+        stack_of({"shape": "line", "width_nm": 230, "material": "Al"}, float(w), {"n": 1.5}, {"period_nm": 600})
+        for w in lam
+    ]  # fmt: skip
+    solved: list[int] = []
+    limit = 4.0
+
+    def counted(channels: Channels, waves: np.ndarray, step: int = 0) -> np.ndarray:
+        if len(solved) >= limit:
+            raise KeyboardInterrupt
+        solved.append(len(waves))
+        return responses(channels, waves, step)
+
+    monkeypatch.setattr(order_tables, "responses", counted)
+    with pytest.raises(KeyboardInterrupt):
+        order_tables.order_tables(stacks, lam, None)
+    limit, before = np.inf, len(solved)
+    resumed = order_tables.order_tables(stacks, lam, None)
+    again = len(solved) - before
+    monkeypatch.setenv("NACRE_CACHE", str(tmp_path / "other"))
+    solved.clear()
+    whole = order_tables.order_tables(stacks, lam, None)
+    assert again < len(solved)
+    assert np.array_equal(resumed.reflected, whole.reflected) and np.array_equal(resumed.mirror, whole.mirror)
