@@ -39,6 +39,18 @@ def grey() -> Any:
     return use_variant().load_dict({"type": "diffuse", "reflectance": 0.5})
 
 
+def test_a_mesh_of_several_materials_says_that_one_recipe_covers_them(tmp_path: Path, caplog: Any) -> None:
+    corners = "".join(f"v {x} {y} 0\n" for y in (0, 1) for x in (0, 1))
+    for name, second in (("one", "back"), ("two", "camera")):
+        (tmp_path / f"{name}.mtl").write_text("newmtl back\nKd 1 0 0\nnewmtl camera\nKd 0 0 1\n")
+        faces = f"usemtl back\nf 1 2 3\nusemtl {second}\nf 2 4 3\n"
+        (tmp_path / f"{name}.obj").write_text(f"mtllib {name}.mtl\n" + corners + faces)
+    read_mesh(tmp_path / "one.obj")
+    assert not caplog.records
+    read_mesh(tmp_path / "two.obj")
+    assert len(caplog.records) == 1 and "camera" in caplog.records[0].getMessage()
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".glb", ".off"])
 def test_a_mesh_of_any_format_becomes_a_subject(tmp_path: Path, suffix: str, grey: Any) -> None:
     import trimesh

@@ -251,7 +251,7 @@ def _of_core(core: str, base: Meaning) -> tuple[Meaning, ...]:
     found = _of_words(core, base)
     if found:
         return found
-    match = _SUFFIX_UNIT.fullmatch(core)
+    match = _SUFFIX_UNIT.fullmatch(core) or re.fullmatch(r"(\w{3,}.*?)\s*/\s*(m)", core)
     if match:
         unit = parse_unit(re.sub("per[_ ]", "1/", re.sub("per[_ ]cent", "percent", match[2].lower()))) or parse_unit(
             match[2]
