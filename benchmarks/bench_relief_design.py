@@ -60,25 +60,25 @@ def target_data(designs: Any, i: int, time_limit_s: float | None) -> dict[str, A
     }
 
 
-def checked(designs: Any, i: int, time_limit_s: float | None) -> tuple[Any, Any]:
-    """Return the checked target and its context."""
-    from nacre.optimise.relief.target import TargetSpec
-    from nacre.recipe.model import RecipeContext, validate
+def checked(designs: Any, i: int, time_limit_s: float | None, **target: float) -> Any:
+    """Return the checked task, with changes of the target."""
+    from nacre.optimise.relief.task import read_relief
+    from nacre.recipe.model import RecipeContext
 
+    data = target_data(designs, i, time_limit_s)
     context = RecipeContext("published", REFERENCE / "targets")
-    return validate(TargetSpec, target_data(designs, i, time_limit_s), context), context
+    return read_relief({**data, "target": {**data["target"], **target}}, context)
 
 
-def time_to_beat(spec: Any, context: Any, published: Any) -> tuple[float, Any]:
+def time_to_beat(task: Any, published: Any) -> tuple[float, Any]:
     """Run a design and return when it first measured below the published one, in seconds, and its last losses.
 
     The best design so far is measured every second of search; measuring counts as time.
     """
     from nacre.optimise.relief.merit import measure_design
-    from nacre.optimise.relief.run import design
+    from nacre.optimise.run import run
 
     begun = time.monotonic()
-    problem = spec.build(context)
     first = [np.inf]
     last_look = [begun]
 
@@ -86,14 +86,13 @@ def time_to_beat(spec: Any, context: Any, published: Any) -> tuple[float, Any]:
         now = time.monotonic()
         if np.isfinite(first[0]) or now - last_look[0] < 1.0:
             return
-        heights = progress.best_x.reshape(problem.features, -1) * problem.height_max_nm
-        losses = measure_design(problem, heights).losses
+        losses = measure_design(task.problem, 1e3 * progress.changes["heights"]).losses
         last_look[0] = time.monotonic()
         if losses.fixed < published.fixed and losses.free < published.free:
             first[0] = last_look[0] - begun
 
     with tempfile.TemporaryDirectory() as folder:
-        result = design(spec, context, folder, progress=look)
+        result = run(task, folder, progress=look)
     done = time.monotonic() - begun
     summary = result.summary
     if summary["loss_fixed"] < published.fixed and summary["loss_free"] < published.free:
@@ -119,11 +118,10 @@ def main(arguments: list[str] | None = None) -> int:
         designs = {name: data[name] for name in data.files}
     rows = []
     for i in options.designs or (range(len(designs["pixel_um"])) if options.all else SOME):
-        spec, context = checked(designs, i, limit_s)
-        problem = spec.build(context)
+        task = checked(designs, i, limit_s)
         with single_threaded_blas():
-            published = measure_design(problem, 1e3 * designs["feature_height"][i].astype(float)).losses
-        seconds, ours = time_to_beat(spec, context, published)
+            published = measure_design(task.problem, 1e3 * designs["feature_height"][i].astype(float)).losses
+        seconds, ours = time_to_beat(task, published)
         rows.append(
             {
                 "design": str(designs["name"][i]),

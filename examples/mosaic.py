@@ -25,9 +25,9 @@ from scipy.optimize import nnls
 from nacre.core.arrays import Array
 from nacre.core.errors import UnsupportedError
 from nacre.formats.calibration import PUBLISHED_CALIBRATION, Calibration
-from nacre.formats.height_fields import write_png16_rows
+from nacre.formats.number_maps import write_png16_rows
 from nacre.optimise.relief.merit import measure_design
-from nacre.optimise.relief.search import Search
+from nacre.optimise.relief.search import ReliefSearch
 from nacre.optimise.relief.target import TargetSpec
 from nacre.recipe.model import RecipeContext, validate
 
@@ -181,8 +181,8 @@ def patch(colour: str, features: int, starts: int) -> tuple[Any, Any]:
     }  # fmt: skip
     context = RecipeContext("examples/mosaic.py", HERE)
     problem = validate(TargetSpec, data, context).build(context)
-    heights_nm = Search(problem, starts, seed=1, workers=2).run() * problem.height_max_nm
-    return heights_nm / 1e3, measure_design(problem, heights_nm).rgb.mean(axis=0)
+    heights_um = ReliefSearch(problem, starts, seed=1, workers=2).run().solutions[0][1]["heights"]
+    return heights_um, measure_design(problem, 1e3 * heights_um).rgb.mean(axis=0)
 
 
 def colour_wheel(pixels: int) -> np.ndarray:

@@ -117,7 +117,7 @@ def main(job: dict[str, Any]) -> None:
     cycles.blur_glossy = 0.0
     for name in ("max", "glossy", "transmission", "diffuse", "transparent_max"):
         setattr(cycles, f"{name}_bounces", 64)
-    cycles.pixel_filter_type = "BOX"
+    cycles.pixel_filter_type, cycles.seed = "BOX", job.get("seed", 0)
     thing = load_mesh(job["mesh"])
     if job["shader"] == "extension":
         install(job)

@@ -15,7 +15,7 @@ from nacre.families.relief.plane_cut import CutGeometry, plan_cut
 from nacre.families.relief.surface import Tile
 from nacre.matter.indices.library import index
 from nacre.optimise.relief.merit import ConvergedMeasurement, Evaluator, Problem, measure_design
-from nacre.optimise.relief.search import Search
+from nacre.optimise.relief.search import ReliefSearch
 from nacre.optimise.relief.target import TargetSpec
 from nacre.recipe.model import RecipeContext, validate
 from validation.relief_published_renders import REFERENCE, load
@@ -105,7 +105,8 @@ def problem_of(target: dict[str, Any], **process: Any) -> Problem:
 
 def short_design(problem: Problem, starts: int = STARTS, seed: int = 1) -> Array:
     """Return heights in nm of a search that is always the same: a few starts, the usual stages, no clock."""
-    return Search(problem, starts, seed, workers=2).run(None) * problem.height_max_nm
+    result = ReliefSearch(problem, starts, seed, workers=2).run()
+    return np.asarray(1e3 * result.solutions[0][1]["heights"])
 
 
 def measured(problem: Problem, heights_nm: Array) -> ConvergedMeasurement:

@@ -32,11 +32,11 @@ from benchmarks import bench_relief_design as tool
 import numpy as np
 from nacre.optimise.relief.merit import measure_design
 from nacre.core.parallel import single_threaded_blas
-from nacre.optimise.relief.search import Search
+from nacre.optimise.relief.search import ReliefSearch
 with np.load(tool.REFERENCE / "published_designs.npz") as data:
     designs = {name: data[name] for name in data.files}
-problem = tool.checked(designs, int(sys.argv[1]), None)[0].build(tool.checked(designs, 0, None)[1])
-heights = Search(problem, 8, 1, workers=2).run(None) * problem.height_max_nm
+problem = tool.checked(designs, int(sys.argv[1]), None).problem
+heights = 1e3 * ReliefSearch(problem, 8, 1, workers=2).run().solutions[0][1]["heights"]
 with single_threaded_blas():
     ours = measure_design(problem, heights).losses
 seconds = time.monotonic() - begun

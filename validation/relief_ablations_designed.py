@@ -16,7 +16,7 @@ from nacre.core.arrays import Array
 from nacre.families.relief.plane_cut import CutGeometry, plan_cut
 from nacre.families.relief.surface import Tile
 from nacre.optimise.relief.merit import Problem
-from nacre.optimise.relief.run import robustness
+from nacre.optimise.relief.report import robustness
 from validation._relief import STARTS, display, measured, picture, problem_of, sheet, short_design, spectra_of
 
 CIRCLE = {"kind": "diffuse", "colour": "inv_disk_iri", "iridescent_range": 0.09}

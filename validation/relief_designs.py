@@ -27,7 +27,7 @@ TRAINED = 0.106  # half width of the square inside the disc in which the uniform
 
 def main(out_dir: Path, tool: ModuleType = bench_relief_design) -> list[dict[str, Any]]:
     """Design all targets; return rows and write target | published | ours at the fixed and at the best scale."""
-    from nacre.optimise.relief.run import design
+    from nacre.optimise.run import run
 
     out_dir = Path(out_dir)
     out_dir.mkdir(parents=True, exist_ok=True)
@@ -38,13 +38,12 @@ def main(out_dir: Path, tool: ModuleType = bench_relief_design) -> list[dict[str
     strips: list[list[tuple[str, Any]]] = []
 
     def compare(i: int, claim: str, **target: float) -> tuple[float, float]:
-        spec, context = tool.checked(designs, i, TIME_LIMIT_S)
-        spec = spec.model_copy(update={"target": spec.target.model_copy(update=target)})
-        problem = spec.build(context)
+        task = tool.checked(designs, i, TIME_LIMIT_S, **target)
+        problem = task.problem
         with tempfile.TemporaryDirectory() as folder:
-            result = design(spec, context, folder)
+            result = run(task, folder)
         published = measured(problem, 1e3 * designs["feature_height"][i].astype(float))
-        ours = measured(problem, 1e3 * result.heights_um)
+        ours = measured(problem, 1e3 * result.best.changes["heights"])
         a, b = published.losses, ours.losses
         ratio = b.fixed / a.fixed, b.free / a.free
         theirs_seen, ours_seen = (picture(problem, m.rgb) for m in (published, ours))

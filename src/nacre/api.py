@@ -6,6 +6,7 @@ pictures, `nacre.plot` figures, `nacre.design` structures.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -16,11 +17,11 @@ from numpy.typing import ArrayLike
 
 from nacre.analysis.diagnose import Diagnosis, Observation
 from nacre.analysis.diagnose import diagnose as run_diagnosis
-from nacre.analysis.ellipsometry import EllipsometricResponse, compute_ellipsometry
+from nacre.analysis.ellipsometry import compute_ellipsometry as ellipsometry
 from nacre.analysis.fit import Fit, fit_parameters, read_measurements, run_fit
 from nacre.analysis.import_export import export_material, import_material
-from nacre.analysis.report import Report, make_report
-from nacre.analysis.run_sheet import RunSheet, make_run_sheet
+from nacre.analysis.report import make_report as report
+from nacre.analysis.run_sheet import make_run_sheet as runsheet
 from nacre.analysis.sweep import run_sweep
 from nacre.analysis.sweep_plan import load_sweep
 from nacre.analysis.ties import read_ties
@@ -29,7 +30,7 @@ from nacre.bsdf import Bsdf
 from nacre.bsdf.bsdf import Spectrum
 from nacre.core.arrays import Array, floats
 from nacre.core.errors import NacreError, UnsupportedError, did_you_mean
-from nacre.core.files import DESIGN_RECIPE, check_writable, short_name
+from nacre.core.files import DESIGN_RECIPE, check_output, check_writable, short_name
 from nacre.core.jobs import Workers
 from nacre.families.contract import Diffracting, Model, fabrications
 from nacre.formats.export_formats import FOLDERS
@@ -45,7 +46,7 @@ from nacre.measure.evaluate import HasBsdf, evaluate_with_error
 from nacre.measure.texture import Instrument, Texture, measure_texture
 from nacre.optimise.formulation import Formulation, check_answers, write_formulation
 from nacre.optimise.formulation import formulate as run_formulation
-from nacre.optimise.gamut import Gamut, find_gamut, parse_parameters
+from nacre.optimise.gamut import find_gamut as gamut
 from nacre.readers.measurement import Measurement, ReadOptions
 from nacre.readers.registry import open_file
 
@@ -175,114 +176,10 @@ def orders(
     return model.diffraction_orders(theta, float(np.radians(azimuth)), grid)
 
 
-def ellipsometry(
-    thing: MaterialLike,
-    angles_deg: ArrayLike = (65.0, 70.0, 75.0),
-    wavelengths_nm: ArrayLike | None = None,
-    azimuth_deg: float | None = None,
-) -> EllipsometricResponse:
-    """Return Psi, Delta, N, C, S and Mueller matrices of a material with a stack, each `[angle, wavelength]`.
-
-    The convention is rho = r_p / r_s = tan(Psi) exp(i Delta) for fields exp(+i w t), r_p = -r_s at normal incidence:
-    Delta of a bare metal or wafer lies between 0 and 180 degrees. The recipe's `[instrument]` table averages.
-
-    Args:
-        thing: a material or a path.
-        angles_deg: incidence angles, above 0 and below 90.
-        wavelengths_nm: default: chosen by the material.
-        azimuth_deg: azimuth of the direction to the light, from u.
-
-    Raises:
-        NacreError: the material lacks a stack, or an optical constant is not known at a wavelength.
-
-    Example:
-        >>> wafer = {"family": "film", "substrate": "Si", "layers": [{"material": "SiO2", "thickness_nm": 2}]}
-        >>> found = nacre.ellipsometry(wafer, [70.0], [632.8])
-        >>> round(float(found.psi_deg[0, 0])), round(float(found.delta_deg[0, 0]))
-        (11, 174)
-    """
-    return compute_ellipsometry(as_material(thing), angles_deg, wavelengths_nm, azimuth_deg)
-
-
-def report(
-    thing: MaterialLike,
-    *,
-    illuminant: str = "D65",
-    observer: str = "10deg",
-    samples: int | None = None,
-    seed: int = 0,
-    geometries: Sequence[str] = (),
-) -> Report:
-    """Measure a material in the standard geometries: Lab at 15 to 110 degrees, flop, gloss, haze, totals.
-
-    Args:
-        thing: a material, or a recipe path, `.nacre` file or design folder, an example's name or a recipe's
-            table.
-        illuminant, observer: of the colours.
-        samples, seed: of random walks.
-        geometries: further aspecular geometries, "45as25az90" or "NAME=45as25az90".
-
-    Raises:
-        NacreError: the material cannot be loaded or measured.
-
-    Example:
-        >>> round(nacre.report("gold").gloss["60"] / 100) >= 1
-        True
-    """
-    return make_report(as_material(thing), illuminant, observer, samples, seed, geometries)
-
-
-def runsheet(
-    thing: MaterialLike,
-    wavelength_nm: float = 550.0,
-    angle_deg: float = 0.0,
-    quantity: str = "reflectance",
-    noise: float = 0.001,
-) -> RunSheet:
-    """Return the optical monitor signal of each layer of a film while it grows, with turning points and stop criteria.
-
-    Args:
-        thing: a material or a path.
-        wavelength_nm, angle_deg: of the monitor light.
-        quantity: "reflectance" or "transmittance" into the substrate.
-        noise: the signal's standard deviation.
-
-    Raises:
-        UnsupportedError: the material lacks a coherent stack.
-        NacreError: a value is not allowed.
-
-    Example:
-        >>> layer = {"material": {"n": 2.2}, "thickness_nm": 62.5}  # a quarter wave
-        >>> nacre.runsheet({"family": "film", "substrate": {"n": 1.52}, "layers": [layer]}, 550.0).layers[0].stop
-        'turning point'
-    """
-    return make_run_sheet(as_material(thing), wavelength_nm, angle_deg, quantity, noise)
-
-
-def texture(
-    thing: MaterialLike,
-    *,
-    instrument: str | Path | Mapping[str, Any] | Instrument | None = None,
-    method: str = "statistics",
-    illuminant: str = "D65",
-    observer: str = "10deg",
-    seed: int = 0,
-) -> Texture:
-    """Compute sparkle at 15, 45 and 75 degrees and graininess of a pearl, or of a blend with pearls.
-
-    The scale is relative unless the instrument's `calibration` holds measured pairs.
-
-    Args:
-        thing: a material, or a recipe path, an example's name or a recipe's table.
-        instrument: lamp, camera and calibration: a TOML file, or its keys as a table.
-        method: "statistics", in closed form, or "patch", from drawn flakes; then `images` holds the camera's pictures.
-        illuminant, observer: of the luminance.
-        seed: of random walks and drawn flakes.
-
-    Raises:
-        NacreError: the material lacks flakes, or one lacks `diameter_um`; the instrument is not valid.
-    """
-    return measure_texture(as_material(thing), instrument, method, illuminant, observer, seed)
+@functools.wraps(measure_texture)
+def texture(thing: MaterialLike, *arguments: Any, **options: Any) -> Texture:
+    """As `measure_texture`, for a material, or a recipe path, an example's name or a recipe's table."""
+    return measure_texture(as_material(thing), *arguments, **options)
 
 
 def tolerance(
@@ -355,9 +252,7 @@ def fit(
         NacreError: the measurement cannot be read, or there is no parameter.
     """
     if report is not None:
-        if Path(report).suffix != ".html":
-            raise NacreError(f"{report}: the suffix must be .html")
-        check_writable(report)
+        check_output(report, ".html", option="")
     paths = [measurement] if isinstance(measurement, str | Path) else list(measurement)
     stated = ReadOptions(angle_deg=angle_deg, delta_convention=delta_convention)
     material, measured = as_material(thing), read_measurements(paths, stated, range_nm, colours, texture, instrument)
@@ -394,48 +289,6 @@ def formulate(
     if out is not None:
         write_formulation(found, Path(out))
     return found
-
-
-def gamut(
-    thing: MaterialLike,
-    parameters: Iterable[str] | Mapping[str, Any] = (),
-    geometry: str | None = None,
-    *,
-    points: int = 1000,
-    seconds: float = 60.0,
-    illuminant: str = "D65",
-    observer: str = "10deg",
-    tolerance: float = 2.0,
-    samples: int | None = None,
-    seed: int = 0,
-) -> Gamut:
-    """Return the colours that a material reaches with its parameters at a geometry, and their structures.
-
-    Args:
-        thing: a material or a path.
-        parameters: such as "layers[0].thickness_nm=50:400" or "substrate=Al,Ag"; or a table as a design's
-            `[parameters]`.
-        geometry: "specular 0", "transmitted 0", "diffuse 0", "hemispherical 0" or "45as15"; None: "45as15" for a
-            pearl, "45as45" for a photonic glass, "specular 0" for other families.
-        points: number of materials.
-        seconds: time limit, after which the colours found so far are returned.
-        tolerance: dE00 up to which a colour counts as reached.
-        illuminant, observer: of the colours.
-        samples, seed: of random walks; the seed also determines the materials.
-
-    Raises:
-        NacreError: there is no parameter, or the geometry is not known.
-
-    Example:
-        >>> film = {"family": "film", "substrate": "Ti", "layers": [{"material": "TiO2", "thickness_nm": 100}]}
-        >>> 0 < nacre.gamut(film, ["layers[0].thickness_nm=0:400"], points=20).share_of_srgb < 1
-        True
-    """
-    table = parameters if isinstance(parameters, Mapping) else parse_parameters(parameters)
-    return find_gamut(
-        as_material(thing), table, geometry, points=points, seconds=seconds, illuminant=illuminant, observer=observer,
-        tolerance=tolerance, samples=samples, seed=seed,
-    )  # fmt: skip
 
 
 def sweep(

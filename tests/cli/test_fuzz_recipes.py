@@ -13,6 +13,7 @@ from helpers_fuzz import mutate
 from nacre.core.errors import NacreError
 from nacre.families.registry import FAMILIES, family_names, family_spec
 from nacre.material.material import load
+from nacre.optimise.run import read_target
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 QUICK, FULL = 500, 10_000
@@ -57,13 +58,6 @@ def throw(count: int, folder: Path, sources: list[Path], read: Any, seed: int) -
             raise AssertionError(f"mutation {number} (seed {seed}):\n{text}") from error
     assert {p.name for p in folder.iterdir()} == {"self.toml"}
     return accepted, refused
-
-
-def read_target(path: Path) -> None:
-    from nacre.optimise.relief.run import load_target
-
-    spec, context = load_target(path)
-    spec.build(context)
 
 
 @pytest.mark.parametrize("family", ["film", "pearl", "metasurface", "relief"])

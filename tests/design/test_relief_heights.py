@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import nacre
-from nacre.cli.design import _print_relief
+from nacre.cli.design import _print_solutions
 from nacre.core.errors import RecipeError
 from nacre.families.relief.material import Relief
-from nacre.optimise.relief.adapter import read_relief
-from nacre.optimise.relief.run import load_target
-from nacre.optimise.relief.search import Search
+from nacre.optimise.relief.search import ReliefSearch
+from nacre.optimise.relief.task import read_relief
+from nacre.optimise.run import read_target
 from nacre.optimise.task import is_relief_task
 from nacre.recipe.model import RecipeContext
 
@@ -46,8 +46,7 @@ def test_both_target_forms_give_the_same_problem(tmp_path):
     text = (EXAMPLES / "star.toml").read_text(encoding="utf-8").replace('spectrum = "published-8"\n', "")
     (tmp_path / "star.toml").write_text(text, encoding="utf-8")
     (tmp_path / "star.png").write_bytes((EXAMPLES / "star.png").read_bytes())
-    older, context = load_target(tmp_path / "star.toml")
-    problem, ours = older.build(context), _read(_target({"directions": PICTURE})).problem
+    problem, ours = read_target(tmp_path / "star.toml").problem, _read(_target({"directions": PICTURE})).problem
     assert np.array_equal(problem.target, ours.target)
     for name in (
         "features",
@@ -132,15 +131,13 @@ def test_a_relief_reaches_its_target_colour_and_writes_all_files(tmp_path):
 
 
 def test_the_command_prints_the_distance_of_each_colour(capsys):
-    losses = {"loss_fixed": 0.5, "loss_free": 0.1, "scale_free": 1.0, "evaluations": 3, "seconds": 1.0}
-    results = [
-        {"geometry": "directions", "lamp": None, **losses},
-        {"geometry": "30as20", "lamp": "D65", "de00": 35.4, "tolerance": 8.0, "met": False},
-        {"geometry": "45as10", "lamp": "A", "de00": 1.2, "tolerance": 8.0, "met": True},
-    ]
-    summary = {**losses, "solutions": [{"targets": results}]}
-    _print_relief(SimpleNamespace(summary=summary, folder="out"), "t.toml", False)
-    _print_relief(SimpleNamespace(summary=losses, folder="out"), "t.toml", False)  # a target of the other form
+    def reached(geometry, lamp, is_met, distance):
+        asked = SimpleNamespace(geometry=geometry, tolerance=8.0)
+        return SimpleNamespace(target=asked, lamp=lamp, is_met=is_met, distance_text=f"dE00 {distance:.2f}")
+
+    results = [reached("30as20", "D65", False, 35.4), reached("45as10", "A", True, 1.2)]
+    solution = SimpleNamespace(targets=results)
+    _print_solutions(SimpleNamespace(message="loss", seconds=1, solutions=[solution], summary={"loss_fixed": 0.5}))
     missed, met = capsys.readouterr().out.splitlines()[1:3]
     assert "dE00 35.40 at 30as20 under D65" in missed and "8" in missed
     assert met.strip() == "dE00 1.20 at 45as10 under A"
@@ -154,12 +151,12 @@ def test_the_final_evaluation_time_is_reserved(tmp_path, monkeypatch):
         time.sleep(0.5)
         return np.zeros((len(wi), len(wavelengths_nm)))
 
-    def run(self, limit, tell):
-        limits.append(limit)
+    def run(self, budget, *_):
+        limits.append(budget.seconds)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Relief, "values_at", slow)
-    monkeypatch.setattr(Search, "run", run)
+    monkeypatch.setattr(ReliefSearch, "run", run)
     with pytest.raises(KeyboardInterrupt):
         nacre.design({**_target(COLOUR), "search": {"seconds": 20}}, tmp_path / "out")
     assert 0.25 * 20 <= limits[0] <= 20 - 3 - 0.5 - 0.5

@@ -15,7 +15,7 @@ from nacre.families.relief.coherence import Coherence
 from nacre.families.relief.plane_cut import CutGeometry
 from nacre.formats.calibration import PUBLISHED_CALIBRATION
 from nacre.optimise.relief.merit import Problem, View, published_weights
-from nacre.optimise.relief.run import robustness
+from nacre.optimise.relief.report import robustness
 
 _PATH = Path(__file__).resolve().parents[2] / "examples" / "mosaic.py"
 _SPEC = importlib.util.spec_from_file_location("example_mosaic", _PATH)

@@ -16,7 +16,7 @@ from nacre.families.relief.plane_cut import CutGeometry
 from nacre.matter.indices.constant import named_constant
 from nacre.optimise.relief import refine as refinement
 from nacre.optimise.relief.merit import Evaluator, Problem, View
-from nacre.optimise.relief.run import run
+from nacre.optimise.run import run
 
 LAM = np.array([450.0, 600.0])
 SHALLOW = 0.1  # of the brightest pixel: edges and polarisation at a period of eight wavelengths
@@ -70,7 +70,7 @@ def test_heights_move_towards_the_target(levels: int, monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(refinement, "vector_rgb", picture)
     given = np.array([[100.0, 0.0], [0.0, 100.0]])
-    found = refinement.refine(asked, given, named_constant("Al"), None)
+    found = refinement.refine(asked, given, named_constant("Al"))
     assert found.after.free < 0.1 * found.before.free and found.evaluations > 4
     assert found.heights_nm[0, 0] == found.heights_nm[1, 1]
     assert np.abs(found.heights_nm - [[60.0, 20.0], [20.0, 60.0]]).max() < 4.0
@@ -98,5 +98,5 @@ def test_a_design_ends_with_heights_by_vectors(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "out" / "design.json").read_text())
     assert summary["vector"]["evaluations"] >= 1
     assert summary["vector"]["loss_free"] <= summary["vector"]["loss_free_before"]
-    assert np.load(tmp_path / "out" / "height.npy") == pytest.approx(found.heights_um)
+    assert np.load(tmp_path / "out" / "height.npy") == pytest.approx(found.best.changes["heights"])
     assert 'optics = "vector"' in (tmp_path / "out" / "recipe.toml").read_text()

@@ -10,7 +10,7 @@ from PIL import Image
 
 from nacre.core.errors import RecipeError
 from nacre.optimise.relief import pictures
-from nacre.optimise.relief.run import load_target
+from nacre.optimise.run import read_target
 
 BASE = """
 family = "relief"
@@ -29,19 +29,16 @@ EXAMPLES = [path for path in EXAMPLES if "[target]" in path.read_text().splitlin
 def built(folder: Path, target: str, search: str = "", base: str = BASE) -> np.ndarray:
     path = folder / "t.toml"
     path.write_text(f"{base}{target}\n[search]\n{search}\n")
-    spec, context = load_target(path)
-    problem = spec.build(context)
-    return problem.views[0].target
+    return read_target(path).problem.views[0].target
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=[p.stem for p in EXAMPLES])
 def test_example_targets_are_valid(path: Path) -> None:
-    spec, context = load_target(path)
-    assert spec.build(context).target.max() > 0.3
+    assert read_target(path).problem.target.max() > 0.3
 
 
 def test_every_published_kind_has_an_example() -> None:
-    kinds = {load_target(path)[0].target.kind for path in EXAMPLES}
+    kinds = {read_target(path).spec.target.kind for path in EXAMPLES}
     assert {"anti-mirror", "anisotropic-anti-mirror", "gaussian", "uniform", "image", "inverted-image"} <= kinds
 
 
@@ -113,8 +110,7 @@ def test_a_free_scale_has_a_brightness_floor_of_its_own(tmp_path: Path) -> None:
     def floor(more: str) -> float:
         path = tmp_path / "t.toml"
         path.write_text(f'{BASE}kind = "uniform"\nrange = 0.25\n{more}\n')
-        spec, context = load_target(path)
-        return spec.build(context).brightness_floor
+        return read_target(path).problem.brightness_floor
 
     # a white slice of 0.5 x 0.5 that holds 5 % of the light has a BRDF of 0.05 / 0.25
     assert floor("") == pytest.approx(0.2)
@@ -125,7 +121,7 @@ def test_a_length_may_carry_any_unit(tmp_path: Path) -> None:
     base = BASE.replace("feature_um = 0.8", "feature_nm = 800")
     path = tmp_path / "t.toml"
     path.write_text(base + 'kind = "uniform"\nrange = 0.2\n')
-    assert load_target(path)[0].feature_um == pytest.approx(0.8)
+    assert read_target(path).spec.feature_um == pytest.approx(0.8)
 
 
 def stroke(size: tuple[int, int]) -> np.ndarray:

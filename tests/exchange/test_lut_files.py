@@ -17,9 +17,14 @@ import pytest
 from numpy.typing import NDArray
 
 import nacre
+from nacre.analysis.lut import make_table
+from nacre.bsdf.lobes.specular import Specular
 from nacre.cli import run
 from nacre.core.errors import NacreError, UnsupportedError
-from nacre.light import srgb_decode
+from nacre.light import spectrum_to_rgb_matrix, srgb_decode
+from nacre.light.tables import illuminant
+from nacre.light.tristimulus import weighted_sum
+from nacre.measure.colours import colour_bsdf
 from nacre.recipe.toml import dump_toml
 
 LAYERS = [{"material": "TiO2", "thickness_nm": 60}]
@@ -232,3 +237,30 @@ def test_a_compiled_film_is_exported_as_its_recipe(tmp_path: Path) -> None:
     film.bsdf(np.arange(380.0, 781.0, 20.0)).save(tmp_path / "film.nacre")
     nacre.export(nacre.load(tmp_path / "film.nacre"), "lut", tmp_path / "t")
     assert manifest(tmp_path / "t")
+
+
+def test_light_that_crosses_a_clear_body_has_the_colour_of_both_films() -> None:
+    """<T T> in each channel, not <T> <T>: light inside came through the film; uniform light stays uniform."""
+    pairs = [{"material": m, "thickness_nm": d} for m, d in (("TiO2", 51.9), ("SiO2", 94.2))] * 5
+    material = nacre.material({"family": "film", "substrate": {"n": 1.5}, "layers": pairs})
+    table = make_table(material)
+    lamp = illuminant("D65")
+    bsdf = colour_bsdf(material, lamp.name)
+    passed = next(lobe for lobe in bsdf.lobes if isinstance(lobe, Specular)).response.transmittance[-1]
+    matrix = spectrum_to_rgb_matrix(bsdf.wavelengths_nm, lamp)
+    through, behind, mirror = (
+        table.pictures[n].values[0, 0, 0] for n in ("through", "through-behind", "mirror-behind")
+    )
+    both = np.asarray(weighted_sum(passed**2, matrix))
+    is_inside = both > 0  # colours outside sRGB are clipped
+    assert is_inside.any() and np.all(np.abs(both - through * through)[is_inside] > 0.02)
+    np.testing.assert_allclose((through * behind)[is_inside], both[is_inside], atol=1e-6)
+    lossless = nacre.material(
+        {"family": "film", "substrate": {"n": 1.5}, "layers": [{"material": {"n": 2.3}, "thickness_nm": 300}]}
+    )
+    pictures = make_table(lossless).pictures
+    for end in ("", "-behind"):
+        total = pictures[f"mirror{end}"].values + (
+            pictures[f"through{end}"].values if f"through{end}" in pictures else 0
+        )
+        np.testing.assert_allclose(total, 1.0, atol=2e-3)

@@ -138,3 +138,43 @@ def test_the_librarys_own_definitions_hold_no_film_or_are_refused(tmp_path: Path
             read_materialx(path)
         except NacreError as error:
             assert str(path) in str(error)
+
+
+def test_inputs_without_effect_are_not_called_lost(tmp_path: Path) -> None:
+    neutral = (
+        '<input name="specular_color" type="color3" value="1, 1, 1"/><input name="coat_weight" type="float" value="0"/>'
+    )
+    found = read_materialx(written(tmp_path, OPEN_PBR.format(inputs=neutral)))
+    assert not found.not_read
+    lossy = neutral.replace("1, 1, 1", "1, 0.5, 1").replace('value="0"', 'value="0.2"')
+    assert read_materialx(written(tmp_path, OPEN_PBR.format(inputs=lossy))).not_read == (
+        "coat_weight",
+        "specular_color",
+    )
+
+
+def test_thicknesses_of_early_open_pbr_files_are_nanometres(tmp_path: Path) -> None:
+    """The OpenPBR examples of MaterialX 1.38 say 420; the unit has been the micrometre since 1.39."""
+    value = '<input name="thin_film_thickness" type="float" value="{}"{}/>'
+    early = read_materialx(written(tmp_path, OPEN_PBR.format(inputs=value.format("420", ""))))
+    assert early.thickness_nm == pytest.approx(420.0) and len(early.remarks) == 1
+    assert read_materialx(
+        written(tmp_path, OPEN_PBR.format(inputs=value.format("0.42", "")))
+    ).thickness_nm == pytest.approx(420)
+    stated = read_materialx(written(tmp_path, OPEN_PBR.format(inputs=value.format("420", ' unit="micrometer"'))))
+    assert stated.thickness_nm == pytest.approx(420e3)
+
+
+@pytest.mark.parametrize(
+    ("document", "named"),
+    [
+        (OPEN_PBR.format(inputs=THICKNESS).replace("thin_film_weight", "coat_weight"), "S"),
+        ('<thin_film_bsdf name="film" type="BSDF"/>', "thin_film_bsdf"),
+        ('<LamaIridescence name="film" type="BSDF"/>', "LamaIridescence"),
+        ('<b name="c" type="BSDF"><input name="thinfilm_thickness" type="float" value="400"/></b>', "c"),
+    ],
+)  # fmt: skip
+def test_a_document_without_a_film_that_can_be_read_names_the_node(document: str, named: str, tmp_path: Path) -> None:
+    path = written(tmp_path, document)
+    with pytest.raises(NacreError, match=rf"\b{named}\b"):
+        read_materialx(path)

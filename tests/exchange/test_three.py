@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +13,7 @@ import numpy as np
 import pytest
 from helpers_browser import FLAGS, find_chromium
 from numpy.typing import NDArray
+from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
 import nacre
@@ -70,8 +73,15 @@ MATERIALS: dict[str, Any] = {
     },
 }  # fmt: skip
 KINDS = ("shader", "node", "gpu")  # ShaderMaterial; NodeMaterial in WebGL 2; NodeMaterial in WebGPU
-# WebGPU drawn by the CPU
-GPU_FLAGS = ["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--enable-features=Vulkan,WebGPU"]
+GPU_FLAGS = [  # WebGPU drawn by the CPU, and its canvas without a screen
+    "--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--enable-features=Vulkan,WebGPU",
+    "--use-vulkan=swiftshader", "--disable-vulkan-surface",
+]  # fmt: skip
+# of the canvas in the frame that draws it
+PICTURE = """() => new Promise((done) => {
+  dispatchEvent(new Event('resize'));
+  requestAnimationFrame(() => done(document.querySelector('canvas').toDataURL()));
+})"""
 QUICK = ("brushed and varying",)
 DRAW = """async ([kind, pairs, even]) => {
   const isNode = kind !== 'shader';
@@ -143,12 +153,12 @@ def material_of(name: str) -> Any:
     return nacre.load(given).vary({"quality": "fast"}) if isinstance(given, str) else nacre.material(given)
 
 
-def opened(page: Page, folder: Path) -> None:
-    """Open the example page from disk until it has drawn, in WebGL: a WebGPU canvas needs a screen."""
+def opened(page: Page, folder: Path, search: str = "?webgl") -> None:
+    """Open the example page from disk until it has drawn, in WebGL, or in WebGPU with an empty `search`."""
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.on("console", lambda line: errors.append(line.text) if line.type == "error" else None)
-    page.goto((folder / "index.html").resolve().as_uri() + "?webgl")
+    page.goto((folder / "index.html").resolve().as_uri() + search)
     page.wait_for_function("document.body.dataset.drawn || document.getElementById('error').textContent")
     assert errors == [] and page.text_content("#error") == ""
 
@@ -191,6 +201,20 @@ def test_both_materials_have_the_colours_of_nacre(name: str, page: Page, tmp_pat
     for kind in KINDS:
         gap = difference(np.pi * drawn(page, kind, wi, wo, p), wanted)
         assert np.median(gap) <= MEDIAN and gap.max() <= WORST
+
+
+def test_the_example_page_draws_the_same_picture_in_webgpu_and_webgl(page: Page, tmp_path: Path) -> None:
+    nacre.export(nacre.material(MATERIALS["rough film"]), "three", tmp_path / "t")
+    pictures = []
+    for search, backend in (("", "WebGPU"), ("?webgl", "WebGL 2")):
+        opened(page, tmp_path / "t", search)
+        assert page.text_content("#backend") == backend
+        content = base64.b64decode(page.evaluate(PICTURE).partition(",")[2])
+        pictures.append(np.asarray(Image.open(io.BytesIO(content)).convert("RGBA"), dtype=float))
+    one, other = pictures
+    is_ball = other[..., 3] == 255
+    assert 0.05 < is_ball.mean() < 0.9 and other[is_ball, :3].max() > 100
+    assert np.abs(one - other).mean() < 1.0  # edges differ by their samples
 
 
 @pytest.mark.full

@@ -85,6 +85,7 @@ def test_a_stage_holds_the_network_of_the_document(name: str, files: Any, librar
     bound, _ = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath("/Root/Sphere")).ComputeBoundMaterial()
     surface, *_ = bound.ComputeSurfaceSource("mtlx")
     assert surface
+    assert bound.GetPrim().GetAttribute("config:mtlx:version").Get() == document.get("version")
     shaders = [UsdShade.Shader(prim) for prim in stage.Traverse() if prim.IsA(UsdShade.Shader)]
     nodes = [e for e in document.iter() if e.find("input") is not None and e.tag != "surfacematerial"]
     assert {s.GetPrim().GetName() for s in shaders} == {str(e.get("name")) for e in nodes}
@@ -103,6 +104,24 @@ def test_a_stage_holds_the_network_of_the_document(name: str, files: Any, librar
                 assert given.Get() == pytest.approx(float(str(entry.get("value"))), rel=1e-6)
             elif entry.get("type") == "filename":
                 assert (path.parent / given.Get().path).is_file()
+                assert given.Get().path.startswith("./")  # without it, a search path
+                assert Path(given.Get().resolvedPath) == (path.parent / given.Get().path).resolve()
+            elif entry.get("type") == "string":
+                assert given.Get() == entry.get("value")  # such as wrap modes
+            if not given.HasConnectedSource():
+                is_colour = "color3" in (entry.get("type"), node.get("type") if entry.get("type") == "filename" else "")
+                assert given.GetAttr().GetColorSpace() == (document.get("colorspace") if is_colour else "")
+
+
+def test_a_stage_that_refers_to_a_table_finds_its_pictures(files: Any, tmp_path: Path) -> None:
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    from pxr import Usd
+
+    stage = Usd.Stage.CreateNew(str(tmp_path / "scene.usda"))
+    stage.OverridePrim("/Thing").GetReferences().AddReference(str(files["graph varying"][1]))
+    found = [prim.GetAttribute("inputs:file").Get() for prim in stage.Traverse() if prim.HasAttribute("inputs:file")]
+    assert {Path(each.resolvedPath).name for each in found} == {"map.png", "mirror.exr"}
+    assert all(Path(each.resolvedPath).is_file() for each in found)
 
 
 def test_a_binary_name_is_refused(tmp_path: Path) -> None:

@@ -286,7 +286,7 @@ def test_a_file_changed_while_a_sweep_runs_is_not_read_again(tmp_path: Path) -> 
 
 
 def test_a_search_is_not_resumed_with_another_calibration(tmp_path: Path) -> None:
-    from nacre.optimise.relief.run import load_target, target_fingerprint
+    from nacre.optimise.run import read_target
 
     curve = write(tmp_path / "curve.csv", "0,0\n255,10\n")
     target = write(
@@ -303,8 +303,7 @@ def test_a_search_is_not_resumed_with_another_calibration(tmp_path: Path) -> Non
     )
 
     def fingerprint() -> str:
-        spec, context = load_target(target)
-        return target_fingerprint(spec, spec.build(context), context)
+        return read_target(target).fingerprint
 
     before = fingerprint()
     assert fingerprint() == before

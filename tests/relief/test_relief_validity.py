@@ -13,7 +13,7 @@ import nacre
 from nacre.cli import run
 from nacre.core.errors import NacreError
 from nacre.families.relief.surface import OUTSIDE_DE00, Tile, assess, expected_de00, largest_depth_nm, mean_feature_nm
-from nacre.optimise.relief.adapter import read_relief
+from nacre.optimise.relief.task import read_relief
 from nacre.recipe.model import RecipeContext
 
 RECIPE = {"family": "relief", "feature_um": 1.0, "blur_um": 0.2, "coherence": {"sigma": 1.5}}

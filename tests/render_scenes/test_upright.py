@@ -378,7 +378,6 @@ def test_a_drawing_stands_on_the_screen_as_a_design_aims_at_it(tmp_path: Path) -
 
 @pytest.mark.full
 def test_a_designed_letter_reads_as_drawn_on_the_screen_and_in_the_preview(tmp_path: Path) -> None:
-    from nacre.optimise.relief.run import run
     from nacre.picture.screen import HALF_WIDTH
 
     drawn = letter(tmp_path / "r.png")
@@ -387,7 +386,7 @@ def test_a_designed_letter_reads_as_drawn_on_the_screen_and_in_the_preview(tmp_p
         '[coherence]\nsigma = 2.0\n[target]\nkind = "image"\nimage = "r.png"\nrange = 0.25\nresolution = 24\n'
         "image_scale = 2.0\n[search]\nstarts = 1\nseconds = 40\nseed = 1\n"
     )
-    run(tmp_path / "r.toml", tmp_path / "out")
+    nacre.design(tmp_path / "r.toml", tmp_path / "out")
     screen = nacre.render.render(nacre.load(tmp_path / "out"), scene="screen", size=(128, 128)).xyz[..., 1]
     # the letter reaches u = 2 x 0.0625 x image_scale, the picture's edge the screen's half width and its margin
     half = 2 * 0.0625 * 2.0 / (HALF_WIDTH * 1.06)

@@ -59,6 +59,33 @@ def test_the_report_comes_while_the_page_stays_free_and_can_be_cancelled(page: P
     expect(page.locator("#report-tables")).to_contain_text("gloss 60 degrees")
 
 
+PEARL = """family = "pearl"
+strata = [{resin = {n = 1.5}, thickness_um = 20, platelets = [{volume_fraction = 0.01, diameter_um = 25, coatings = [{material = "Al", thickness_nm = 60}], normal_deviation = 0.12}]}]
+"""  # noqa: E501
+
+
+@pytest.mark.full
+def test_angles_and_texture_follow_the_recipe(page: Page) -> None:
+    def sparkle() -> float:
+        cell = page.locator("#angles-tables table").nth(1).locator("tbody tr").nth(1).locator("td").last
+        return float(cell.inner_text().split()[0])
+
+    page.locator("#angles-box summary").click()
+    expect(page.locator("#angles-state")).to_contain_text("mirror direction")
+    page.get_by_role("tab", name="TOML").click()
+    page.locator("#text").fill(PEARL)
+    tables = page.locator("#angles-tables")
+    expect(tables.locator("table").first.locator("tbody tr")).to_have_count(10)
+    expect(tables).to_contain_text("45as60az-125.3")
+    expect(tables.locator("table").last).to_contain_text("\u00b1")  # standard errors, once the recipe rests
+    fine = sparkle()
+    page.locator("#text").fill(PEARL.replace("diameter_um = 25", "diameter_um = 50"))
+    until(page, lambda: sparkle() > 1.5 * fine)
+    page.locator("#text").fill(PEARL.replace("diameter_um = 25, ", ""))
+    expect(page.locator("#angles-state")).to_contain_text("diameter_um")
+    expect(tables.locator("table")).to_have_count(1)
+
+
 @pytest.mark.full
 def test_files_are_made_by_keyboard_and_come_as_downloads(page: Page, server: Server) -> None:
     page.get_by_role("button", name="Create a file").focus()

@@ -18,11 +18,13 @@ from starlette.testclient import TestClient
 
 import nacre
 from nacre.light import delta_e_2000
+from nacre.measure.colours import geometry_colours
+from nacre.measure.geometry import Geometry
 from nacre.studio.folder import OpenedFolder
 from nacre.studio.server import make_app
 
 
-@pytest.mark.parametrize("place", ["/api/report", "/api/formats", "/api/file", "/api/mesh?name=a.obj"])
+@pytest.mark.parametrize("place", ["/api/report", "/api/angles", "/api/formats", "/api/file", "/api/mesh?name=a.obj"])
 def test_without_the_token_nothing_is_made(folder: Path, place: str) -> None:
     app = make_app(OpenedFolder.of(str(folder)), TOKEN, PORT)
     with TestClient(app, base_url=f"http://127.0.0.1:{PORT}") as stranger:
@@ -144,3 +146,41 @@ def test_the_page_offers_every_scene_for_its_pictures() -> None:
     page = files("nacre.studio").joinpath("page/index.html").read_text(encoding="utf-8")
     choice = page.partition('<select id="file-scene">')[2].partition("</select>")[0]
     assert set(re.findall("<option>([a-z]+)</option>", choice)) == set(SCENE_NAMES)
+
+
+PEARL = """family = "pearl"
+strata = [{resin = {n = 1.5}, thickness_um = 20, platelets = [{volume_fraction = 0.01, diameter_um = 25, coatings = [{material = "Al", thickness_nm = 60}], normal_deviation = 0.12}]}]
+[[geometry]]
+name = "door"
+at = "45as30az90"
+"""  # noqa: E501
+
+
+def test_the_panel_of_angles_has_the_numbers_of_the_commands(client: TestClient, folder: Path) -> None:
+    question = {"recipe": {"text": PEARL, "name": "pearl.toml"}, "lamp": "A", "fine": True}
+    found = client.post("/api/angles", json=question).json()
+    (folder / "pearl.toml").write_text(PEARL)
+    pearl = nacre.load(folder / "pearl.toml")
+    labs = {row["geometry"]: row["lab"] for row in found["colours"]}
+    assert {"45as-15", "45as110", "45as25az90", "45as60az-125.3", "door"} <= set(labs)
+    at = [Geometry.read(text, "geometry") for text in ("45as15", "45as60az125.3", "45as30az90")]
+    walk = geometry_colours(pearl, at, "A")
+    own = [labs[name] for name in ("45as15", "45as60az125.3", "door")]
+    assert np.max(delta_e_2000(walk, np.array(own))) < 1.5  # noise of the walk, and the surrogate's error
+    texture = nacre.texture(pearl, illuminant="A")
+    values = found["texture"]["values"]
+    assert values["sparkle_45"] == pytest.approx([texture.sparkle["45"].grade, texture.sparkle["45"].grade_error])
+    assert values["graininess"] == pytest.approx([texture.graininess.value, texture.graininess.error])
+    draft = client.post("/api/angles", json=question | {"fine": False}).json()
+    assert draft["texture"]["values"]["sparkle_45"] == [pytest.approx(values["sparkle_45"][0], rel=0.03), None]
+
+
+def test_the_panel_of_angles_states_why_it_has_no_numbers(client: TestClient) -> None:
+    bare = PEARL.replace(", diameter_um = 25", "")
+    found = client.post("/api/angles", json={"recipe": {"text": bare, "name": "pearl.toml"}}).json()
+    assert len(found["colours"]) == 11 and "diameter_um" in found["texture"]["reason"]
+    film = client.post("/api/angles", json={"recipe": {"text": FILM, "name": "film.toml"}}).json()
+    assert film["colours"] == [] and film["texture"]["reason"]
+    for recipe in ({"text": "family = 1", "name": "film.toml"}, {"text": FILM, "name": "../secret.toml"}, None):
+        answer = client.post("/api/angles", json={"recipe": recipe})
+        assert answer.status_code == 422 and "\n" not in answer.json()["error"]

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import ndtri
 
+from nacre.analysis.ties import tied_maker, with_ties
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.contract import SpecularStack
@@ -205,7 +206,7 @@ def diagnose(
     causes = components([each for each in tolerances if each.deviation != 0])
     if not causes:
         raise NacreError("a diagnosis needs at least one number with a tolerance above 0")
-    material = material.with_parts_loaded(each.path for each in tolerances)
+    material = with_ties(material.with_parts_loaded(each.path for each in tolerances))
     likelihood = _Likelihood(material, causes, observations, noises, samples, seed)
     singles = []
     for number in range(len(causes)):
@@ -277,7 +278,7 @@ class _Likelihood:
         self.names = tuple(cause.name for cause in causes)
         self.samples, self.seed = samples, seed
         self.points = sum(np.size(each.values) for each in observations)
-        self._make = material.parametrise(t.path for cause in causes for t in cause.tolerances)
+        self._make = tied_maker(material, dict.fromkeys(t.path for cause in causes for t in cause.tolerances))
         # with the observations, so that no other object takes their ids
         self._batches: dict[tuple[int, ...], tuple[tuple[Observation, ...], StackBatch | None]] = {}
 

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from nacre.analysis import intervals as ci
-from nacre.analysis.ellipsometry_data import EllipsometryData, ellipsometry_data
+from nacre.analysis.ellipsometry import EllipsometryData, ellipsometry_data
 from nacre.analysis.fit_data import (
     ColourData,
     Data,
@@ -42,7 +42,7 @@ from nacre.analysis.fit_data import (
     texture_measurement,
 )
 from nacre.analysis.measured import Measured, gonio_measurement, spectrum_measurement
-from nacre.analysis.ties import Ties, read_ties
+from nacre.analysis.ties import INSTRUMENT, Ties, read_ties
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, RecipeError
 from nacre.families.contract import is_direct
@@ -78,7 +78,6 @@ THICKNESS = re.compile(r"(thickness|height|gap)_(nm|um|mm)$")
 UNIT_NM = {"nm": 1.0, "um": 1e3, "mm": 1e6}
 FAR_RMS, MOST_TURNS = 0.1, 4  # relative rms from which further samples are drawn for starts
 REWEIGHTINGS = 2  # of several measurements
-INSTRUMENT = "instrument."
 BOUND_TOL = 1e-3  # relative to the bounds
 POOR_RMS, BETTER = 0.03, 0.7  # relative rms of a fit that suggests a wrong Delta sign, and the gain by the other
 

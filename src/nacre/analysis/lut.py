@@ -53,6 +53,7 @@ NODES = 64  # of the quadrature over facets, per coordinate
 AZIMUTH_ROWS = 9
 AZIMUTHS = 6  # over a quarter turn, for anisotropic facets
 STEEPEST = np.radians(89.5)  # below grazing incidence
+LEAST_PASSED = 1e-3  # mean transmittance below which the light inside a body is taken as white
 LEAST_SEEN = 1e-4  # visible share of facets below which the colour of the previous angle is used
 ToRgb = Callable[[Array], Array]
 
@@ -66,6 +67,28 @@ def coloured(response: InterfaceResponse, to_rgb: ToRgb) -> InterfaceResponse:
         transmittance=to_rgb(response.transmittance),
         reflectance_inside=to_rgb(response.reflectance_inside),
         total=to_rgb(response.total),
+        relative_index=None,
+    )
+
+
+def entered(response: InterfaceResponse, to_rgb: ToRgb) -> InterfaceResponse:
+    """Return an interface in three channels for the light inside a body that came through the same interface.
+
+    This light has the spectrum of the transmittance T: its reflectance R has the colour <T R> / <T>, and T has
+    <T T> / <T>. Products of the channel means <T> alone hold too little light that crosses a body, and too much that
+    stays inside. Under uniform light both are exact.
+    """
+    plain, passed = coloured(response, to_rgb), response.transmittance
+    is_seen = plain.transmittance > LEAST_PASSED
+    share = np.where(is_seen, plain.transmittance, 1.0)
+
+    def weighted(table: Array, otherwise: Array) -> Array:
+        return np.where(is_seen, np.clip(to_rgb(passed * table) / share, 0.0, 1.0), otherwise)
+
+    return dataclasses.replace(
+        plain,
+        transmittance=weighted(passed, plain.transmittance),
+        reflectance_inside=weighted(response.reflectance_inside, plain.reflectance_inside),
     )
 
 
@@ -556,14 +579,18 @@ def _bake_interface(
     bends = rough is not None and rough.transmits
     facets = Facets(distribution, alpha, response.eta, response.flipped, response.transmits, not bends)
     pictures["facet"] = Picture(facet_bands(response), "what a facet reflects and passes, over the angle to the light")
+    is_body = response.transmits and response.eta > 1.0 and not response.flipped
+    within = entered(lobe.response, to_rgb) if is_body else response
     if rough is not None:
         exchange = None if rough.exchange is None else to_rgb(rough.exchange)
         rough = dataclasses.replace(rough, response=coloured(rough.response, to_rgb), exchange=exchange)
         _add_loss(rough, pictures)
     names: dict[str, list[str | None]] = {"mirror": [], "through": []}
     for is_behind in (False, True) if response.transmits else (False,):
-        views = rough_view(rough, is_behind) if rough else smooth_view(response, is_behind)
-        passed = views.passed if bends or rough is None else smooth_view(response, is_behind).passed
+        seen = within if is_behind else response
+        facet = rough and (dataclasses.replace(rough, response=seen) if is_behind and is_body else rough)
+        views = rough_view(facet, is_behind) if facet else smooth_view(seen, is_behind)
+        passed = views.passed if bends or rough is None else smooth_view(seen, is_behind).passed
         for name, values, what in (("mirror", views.reflected, "reflects"), ("through", passed, "passes")):
             title = name + ("-behind" if is_behind else "")
             if values.max() <= MIN_REFLECTANCE:

@@ -30,10 +30,10 @@ from nacre.light import (
     xyz_to_lab,
 )
 from nacre.light.colour_differences import DIN_6175
-from nacre.material.material import Material
+from nacre.material.material import MaterialLike, as_material
 from nacre.measure import geometry
 from nacre.measure.colours import colour_bsdf, recipe_geometries
-from nacre.measure.evaluate import evaluate_with_error, hemispherical
+from nacre.measure.evaluate import evaluate_with_error, hemispherical, warn_of_table
 from nacre.measure.geometry import Geometry, aspecular_pairs
 from nacre.measure.polarisation import SelectiveBand, circular_reflection, selective_band
 from nacre.measure.texture import Texture
@@ -140,26 +140,31 @@ class Report:
 
 
 def make_report(
-    material: Material,
+    thing: MaterialLike,
     illuminant: str = "D65",
     observer: str = "10deg",
     samples: int | None = None,
     seed: int = 0,
     geometries: Sequence[str] = (),
 ) -> Report:
-    """Measure a material in the standard geometries.
+    """Measure a material in the standard geometries: Lab at 15 to 110 degrees, flop, gloss, haze, totals.
 
     Args:
-        material: the material.
-        illuminant, observer: of the colours; usually D65 and 10 degrees.
+        thing: a material, or a recipe path, `.nacre` file or design folder, an example's name or a recipe's table.
+        illuminant, observer: of the colours.
         samples, seed: of random walks.
         geometries: further aspecular geometries, "45as25az90" or "NAME=45as25az90", in addition to the aspecular ones
             of the recipe's `[[geometry]]`.
 
     Raises:
-        NacreError: the material cannot be computed.
+        NacreError: the material cannot be loaded or measured.
         RecipeError: a geometry is not aspecular, or behind the surface.
+
+    Example:
+        >>> round(nacre.report("gold").gloss["60"] / 100) >= 1
+        True
     """
+    material = as_material(thing)
     own = {name: at for name, at in recipe_geometries(material).items() if at.kind == "aspecular"}
     named = own | read_geometries(geometries)
     refuse_place(material.model, f"{material.context.source}: report")
@@ -174,6 +179,7 @@ def make_report(
         "aspecular, 45 degree incidence", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *light, labels
     )
     aspecular = replace(aspecular, aspecular_deg=aspecular.angles_deg)
+    warn_of_table(bsdf, np.radians([*SPECULAR_ANGLES_DEG, *geometry.GLOSS_APERTURES_DEG]))
     mirror = bsdf.specular(np.radians(SPECULAR_ANGLES_DEG)).reflectance
     mixes = isinstance(material.model, Polarised) and material.model.mixes_polarisations
     spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm, "mueller" if mixes else "both")

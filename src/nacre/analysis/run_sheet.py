@@ -17,7 +17,7 @@ import numpy as np
 from nacre.core.arrays import Array
 from nacre.core.errors import NacreError, UnsupportedError
 from nacre.families.contract import SpecularStack
-from nacre.material.material import Material
+from nacre.material.material import MaterialLike, as_material
 from nacre.matter.stack.stack import Layer, Stack, index_of
 
 QUANTITIES = ("reflectance", "transmittance")
@@ -79,15 +79,16 @@ class RunSheet:
 
 
 def make_run_sheet(
-    material: Material,
+    thing: MaterialLike,
     wavelength_nm: float = 550.0,
     angle_deg: float = 0.0,
     quantity: str = "reflectance",
     noise: float = 0.001,
 ) -> RunSheet:
-    """Return the monitor signal of every layer of a film, from the substrate outward.
+    """Return the optical monitor signal of each layer of a film while it grows, with turning points and stop criteria.
 
     Args:
+        thing: a material or a path.
         wavelength_nm, angle_deg: of the monitor light, which is unpolarised.
         quantity: "reflectance" or "transmittance" (into the substrate).
         noise: the signal's standard deviation.
@@ -95,7 +96,13 @@ def make_run_sheet(
     Raises:
         UnsupportedError: the material lacks a coherent stack.
         NacreError: a value is not allowed, or an index is not known at the wavelength.
+
+    Example:
+        >>> layer = {"material": {"n": 2.2}, "thickness_nm": 62.5}  # a quarter wave
+        >>> nacre.runsheet({"family": "film", "substrate": {"n": 1.52}, "layers": [layer]}, 550.0).layers[0].stop
+        'turning point'
     """
+    material = as_material(thing)
     for name, value, is_valid, rule in (
         ("wavelength_nm", wavelength_nm, wavelength_nm > 0, "above 0"),
         ("angle_deg", angle_deg, 0 <= angle_deg < 90, "from 0 up to 90"),

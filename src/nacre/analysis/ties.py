@@ -1,11 +1,9 @@
-"""Ties: recipe numbers that a fit computes from others, such as `layers[2].thickness_nm = layers[0].thickness_nm`."""
-
-from __future__ import annotations
+"""Ties: recipe numbers that are computed from others, such as `layers[2].thickness_nm = layers[0].thickness_nm`."""
 
 import ast
 import operator
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from nacre.core.errors import NacreError, RecipeError
@@ -16,6 +14,7 @@ _OPERATORS: dict[type[ast.AST], Callable[..., float]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
     ast.Pow: operator.pow, ast.USub: operator.neg, ast.UAdd: operator.pos,
 }  # fmt: skip
+INSTRUMENT = "instrument."  # numbers of the ellipsometer, not of the material
 FORM = "write it like layers[0].thickness_nm, or 2*numbers.d + 5"
 
 
@@ -54,7 +53,7 @@ def read_ties(material: Material, free: Iterable[str], options: tuple[str, ...] 
         RecipeError: an expression or path that does not exist, a tied path that is free too, or ties that form a ring.
     """
     source = material.context.source
-    table = by_path(material.data.get("ties", {}), set(), source, "ties")
+    table = _table(material)
     given = []
     for option in options:
         path, equals, text = option.partition("=")
@@ -65,7 +64,7 @@ def read_ties(material: Material, free: Iterable[str], options: tuple[str, ...] 
     moving = set(free)
     for path in parsed:
         if path in moving:
-            raise RecipeError(f"{source}: ties.{path}: the number is a parameter of the fit too; keep one of the two")
+            raise RecipeError(f"{source}: ties.{path}: the number is free or has a tolerance too; keep one")
     fixed = {}
     for path in parsed:
         _number(material, path, f"ties.{path}")
@@ -82,6 +81,40 @@ def read_ties(material: Material, free: Iterable[str], options: tuple[str, ...] 
     except NacreError as error:
         raise RecipeError(f"{source}: {error}") from None
     return tied
+
+
+def with_ties(material: Material, changed: Iterable[str] = ()) -> Material:
+    """Return a material whose tied numbers are computed; ties of `changed` numbers are left out.
+
+    Raises:
+        RecipeError: see `read_ties`.
+    """
+    changed = set(changed)
+    table = {path: text for path, text in _table(material).items() if path not in changed}
+    if not table:
+        return material
+    bare = replace(material, data={**material.data, "ties": table})
+    found = {path: v for path, v in read_ties(bare, ()).values({}).items() if not path.startswith(INSTRUMENT)}
+    return material.vary(found) if found else material
+
+
+def tied_maker(material: Material, paths: Iterable[str]) -> Callable[[Mapping[str, Any]], Material]:
+    """Return `material.parametrise(paths)`; its function also computes the tied numbers.
+
+    Raises:
+        RecipeError: see `read_ties`.
+    """
+    paths = list(paths)
+    ties = read_ties(material, paths)
+    tied = [path for path in ties.expressions if not path.startswith(INSTRUMENT)]
+    make = material.parametrise([*paths, *tied])
+    if not tied:
+        return make
+    return lambda values: make({p: v for p, v in ties.values(values).items() if not p.startswith(INSTRUMENT)})
+
+
+def _table(material: Material) -> dict[str, Any]:
+    return dict(by_path(material.data.get("ties", {}), set(), material.context.source, "ties"))
 
 
 def _number(material: Material, path: str, where: str) -> float:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nacre.analysis.report import SPECULAR_ANGLES_DEG
+from nacre.analysis.ties import tied_maker, with_ties
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.jobs import START_WORKERS_S, Workers, run_jobs
@@ -145,7 +146,7 @@ def run_tolerance(
         raise NacreError(f"--draws = {draws} must lie in [1, {MAX_DRAWS}]")
     if not 0 < limit < np.inf:
         raise NacreError(f"--limit = {limit} must be above 0, and finite")
-    material = material.at_low_fidelity().with_parts_loaded(each.path for each in tolerances)
+    material = with_ties(material.at_low_fidelity().with_parts_loaded(each.path for each in tolerances))
     own = recipe_geometries(material)
     chosen = {name.strip(): Geometry.read(name, "geometry", own) for name in geometries} or own
     colour = ColourProbe(material, illuminant, observer, samples, seed, chosen)
@@ -171,7 +172,7 @@ def run_tolerance(
             progress(done, total)
     moves = []
     for number, each in enumerate(causes, start=1):
-        moves.append(_sensitivity(material, each, measure, nominal, sought))
+        moves.append(_sensitivity(trials, {t.path: t.nominal for t in tolerances}, each, nominal, sought))
         if progress:
             progress(draws + 2 * number, total)
     changes = [change for change, _ in moves]
@@ -255,7 +256,7 @@ class _Trials:
     @cached_property
     def make(self) -> Callable[[Mapping[str, Any]], Material]:
         """Function from values to materials, compiled once in each process."""
-        return self.material.parametrise(self.paths)
+        return tied_maker(self.material, self.paths)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without the compiled function."""
@@ -330,7 +331,7 @@ class _Probe:
 
 
 def _sensitivity(
-    material: Material, cause: Component, measure: _Probe, nominal: Array, sought: Array
+    trials: _Trials, numbers: Mapping[str, float], cause: Component, nominal: Array, sought: Array
 ) -> tuple[float, Array]:
     """Return changes per standard deviation, from a central difference and the curvature.
 
@@ -344,7 +345,10 @@ def _sensitivity(
         return 0.0, np.zeros(len(sought))
     # a number that ends at 0 moves by less than the full step
     step = min((high[t.path] - low[t.path]) / t.standard_deviation for t in cause.tolerances if t.deviation != 0)
-    (below, fewer), (above, more) = (measure.parts(measure(material.vary(values))) for values in (low, high))
+    measure = trials.measure
+    (below, fewer), (above, more) = (
+        measure.parts(measure(trials.make({**numbers, **values}))) for values in (low, high)
+    )
     changes = [delta_e_2000(nominal, nominal + (above - below) / step)]
     if np.isclose(step, 2 * SENSITIVITY_STEP):
         bend = (above + below - 2 * nominal) / (2 * SENSITIVITY_STEP**2)

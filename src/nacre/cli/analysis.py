@@ -103,7 +103,7 @@ def report(
     """Report colour, flop, gloss, haze and totals of one RECIPE, or of two side by side."""
     from nacre.analysis.html_report import dump_json, report_html, report_text
     from nacre.analysis.report import compare, compare_with_colours, make_report, read_geometries
-    from nacre.core.files import check_writable, write_text
+    from nacre.core.files import check_output, write_text
     from nacre.core.parallel import on_progress
     from nacre.light.colour_differences import check_formula
 
@@ -116,9 +116,7 @@ def report(
     check_formula(formula)
     add_texture = _texture(more["has_texture"], more["patch"], more["instrument"], illuminant, observer, seed)
     if output:
-        if Path(output).suffix not in (".txt", ".json", ".html"):
-            raise NacreError(f"-o {output}: the suffix must be .txt, .json or .html")
-        check_writable(output)
+        check_output(output, ".txt", ".json", ".html")
     materials = [common.load_material(recipe, changes) for recipe in recipes]
     reports = []
     textures = [add_texture(material) for material in materials]  # refuses a material without flakes early
@@ -260,12 +258,10 @@ def tolerance(
 ) -> None:  # fmt: skip
     """Compute colour variation, yield and ranked sensitivities from the manufacturing tolerances of RECIPE."""
     from nacre.analysis.tolerance import recipe_tolerances, run_tolerance, tolerance_document
-    from nacre.core.files import check_writable, write_text
+    from nacre.core.files import check_output, write_text
 
     if output:
-        if Path(output).suffix != ".json":
-            raise NacreError(f"-o {output}: the suffix must be .json")
-        check_writable(output)
+        check_output(output, ".json")
     texture = _texture_limits(more["quantities"], more["instrument"], illuminant)
     material = common.load_material(recipe, changes)
     found = recipe_tolerances(material, tolerances)
@@ -319,7 +315,9 @@ def _dash(value: float | None) -> str:
     return "-" if value is None else f"{value:.2g}"
 
 
-def _texture_limits(texts: Sequence[str], instrument: str | None, illuminant: str) -> dict[TextureQuantity, float]:
+def _texture_limits(
+    texts: Sequence[str], instrument: str | None, illuminant: str
+) -> dict[str | TextureQuantity, float]:
     """Return the quantities of `QUANTITY[=PERCENT]` with their limits.
 
     Raises:
@@ -330,7 +328,8 @@ def _texture_limits(texts: Sequence[str], instrument: str | None, illuminant: st
 
     if instrument and not texts:
         raise NacreError("--instrument needs --texture")
-    tool, found = read_instrument(instrument), {}
+    tool = read_instrument(instrument)
+    found: dict[str | TextureQuantity, float] = {}
     for text in texts:
         name, equals, value = text.partition("=")
         each = TextureQuantity.named(name.strip(), "--texture", tool, (illuminant, "10deg"))
@@ -366,12 +365,10 @@ def runsheet(
 ) -> None:  # fmt: skip
     """Print each layer's optical monitor signal, turning points and stop criterion."""
     from nacre.analysis.run_sheet import make_run_sheet, run_sheet_csv, run_sheet_document, run_sheet_text
-    from nacre.core.files import check_writable, write_text
+    from nacre.core.files import check_output, write_text
 
     for output in outputs:
-        if Path(output).suffix not in SUFFIXES:
-            raise NacreError(f"-o {output}: the suffix must be one of {', '.join(SUFFIXES)}")
-        check_writable(output)
+        check_output(output, *SUFFIXES)
     material = common.load_material(recipe, changes)
     sheet = make_run_sheet(material, wavelength_nm, angle_deg, quantity, noise)
     document = run_sheet_document(sheet)
@@ -420,13 +417,11 @@ def ellipsometry(
     Horiba (Is = S, Ic = C). The recipe's [instrument] table averages over bandwidth, cone and thickness spread.
     """
     from nacre.analysis.ellipsometry import compute_ellipsometry, ellipsometry_document
-    from nacre.core.files import check_writable, write_text
+    from nacre.core.files import check_output, write_text
     from nacre.material.material import recipe_provenance
 
     if output:
-        if Path(output).suffix not in (".csv", ".json"):
-            raise NacreError(f"-o {output}: the suffix must be .csv or .json")
-        check_writable(output)
+        check_output(output, ".csv", ".json")
     angles, grid = common.angles(angles_deg), common.wavelengths(wavelengths_nm)
     material = common.load_material(recipe, changes)
     found = compute_ellipsometry(material, angles, grid, azimuth_deg)

@@ -180,7 +180,7 @@ def set_option(function: F) -> F:
 
 
 def load_material(recipe: str, changes: tuple[str, ...] = ()) -> Any:
-    """Load a recipe, a .nacre file or a design folder, and apply `--set` changes.
+    """Load a recipe, a .nacre file or a design folder, and apply `--set` changes; numbers tied to them follow.
 
     Raises:
         NacreError: see `nacre.load`, or a change cannot be read.
@@ -188,7 +188,14 @@ def load_material(recipe: str, changes: tuple[str, ...] = ()) -> Any:
     from nacre.material.material import load
 
     material = load(recipe)
-    return material.vary(dict(parse_change(change) for change in changes)) if changes else material
+    if not changes:
+        return material
+    made = material.vary(dict(parse_change(change) for change in changes))
+    if not made.data.get("ties"):
+        return made
+    from nacre.analysis.ties import with_ties
+
+    return with_ties(made, [parse_change(change)[0] for change in changes])
 
 
 def parse_change(text: str) -> tuple[str, Any]:

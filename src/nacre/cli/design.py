@@ -11,6 +11,7 @@ import click
 from nacre.cli import common
 from nacre.cli.common import COMPILING, LONG_COMPILE_S
 from nacre.core.errors import NacreError
+from nacre.core.files import check_output, check_room, check_writable, read_text, short_name, write_text
 from nacre.core.jobs import Workers
 
 MAX_LISTED = 20  # colours of a batch
@@ -43,13 +44,14 @@ def design(
     """
     import os
 
-    from nacre.core.files import check_writable
-    from nacre.optimise.entry import run
+    from nacre.optimise.run import run
+    from nacre.optimise.solutions import NEED_BYTES
 
     name = Path(target).stem
     folder = Path(output or (name if labs is None else f"{name}-{Path(labs).stem}"))
     if not folder.exists():
         check_writable(folder)
+    check_room(folder, NEED_BYTES)
     if labs is not None:
         _design_many(target, labs, folder, resume, as_json, workers)
         return
@@ -60,22 +62,19 @@ def design(
         result = run(target, folder, resume, screen.show, int(jobs) if jobs else None)
     if as_json:
         click.echo(json.dumps(result.summary, default=str))
-    if hasattr(result, "solutions"):
-        _print_solutions(result, as_json)
-    else:
-        _print_relief(result, target, as_json)
-    if "interrupted" in (result.summary.get("status"), result.summary.get("interrupted") and "interrupted"):
+    if not as_json:
+        _print_solutions(result)
+    _print_next(result, target)
+    if result.status == "interrupted":
         raise KeyboardInterrupt
 
 
 def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bool, workers: Workers) -> None:
     """Design for each row of a CSV and print the results."""
-    from nacre.material.examples import resolve_recipe_path
     from nacre.optimise.batch import SUMMARY, TABLE, design_batch
 
     with _Screen() as screen:
-        path = resolve_recipe_path(Path(target))
-        found = design_batch(path, labs, folder, resume=resume, workers=workers, progress=screen.count)
+        found = design_batch(target, labs, folder, resume=resume, workers=workers, progress=screen.count)
     if as_json:
         click.echo((folder / SUMMARY).read_text(encoding="utf-8"), nl=False)
     else:
@@ -95,43 +94,38 @@ def _design_many(target: str, labs: str, folder: Path, resume: bool, as_json: bo
     common.note(f"{folder}: {TABLE}; nacre render {folder / found.rows[0]['folder']}")
 
 
-def _print_relief(result: Any, target: str, as_json: bool) -> None:
-    """Print the result of a relief design and the next commands."""
+def _print_solutions(result: Any) -> None:
+    """Print the outcome of a design and one line per solution; of a relief one line per colour."""
+    click.echo(f"{result.message} ({result.seconds:.1f} s)")
+    for number, solution in enumerate(result.solutions, start=1):
+        if "loss_fixed" in result.summary:
+            for one in solution.targets:
+                missed = "" if one.is_met else f", not reached so far (tolerance {one.target.tolerance:g})"
+                click.echo(f"  {one.distance_text} at {one.target.geometry} under {one.lamp}{missed}")
+            continue
+        worst = solution.worst
+        share = solution.yield_share
+        made = "" if share is None else f", yield {100 * share:.0f} %"
+        total = solution.facts.get("total_nm")
+        thick = "" if total is None else f", {total:.0f} nm in all"
+        click.echo(f"  {number}  {worst.distance_text} at {worst.target.geometry}{thick}{made}"
+                   f"   {solution.recipe.parent}")  # fmt: skip
+
+
+def _print_next(result: Any, target: str) -> None:
+    """Print the next commands."""
     from nacre.formats.calibration import PUBLISHED
 
-    if not as_json:
-        s = result.summary
-        click.echo(
-            f"loss {s['loss_fixed']:.5f} at the fixed scale, {s['loss_free']:.5f} at the best one "
-            f"(scale {s['scale_free']:.4g}); {s['evaluations']} evaluations in {s['seconds']:.1f} s"
-        )
-        for row in result.summary.get("solutions", [{"targets": []}])[0]["targets"]:
-            if row.get("de00") is not None:
-                missed = "" if row["met"] else f", not reached so far (tolerance {row['tolerance']:g})"
-                click.echo(f"  dE00 {row['de00']:.2f} at {row['geometry']} under {row['lamp']}{missed}")
-    if result.summary.get("outside"):
-        common.note(f"{result.folder}: {result.summary['outside']}")
-    curve = result.summary.get("calibration")
-    if curve and curve != PUBLISHED:
-        curve = Path(target).parent / curve
-    target_format = f"png16 --calibration {curve}" if curve else "png16"
-    common.note(f"{result.folder}: nacre render {result.folder}; nacre fabricate {result.folder} --to {target_format}")
-
-
-def _print_solutions(result: Any, as_json: bool) -> None:
-    """Print the outcome of a design and one line per solution."""
-    if not as_json:
-        click.echo(f"{result.message} ({result.seconds:.1f} s)")
-        for number, solution in enumerate(result.solutions, start=1):
-            worst = solution.worst
-            share = solution.yield_share
-            made = "" if share is None else f", yield {100 * share:.0f} %"
-            total = solution.facts.get("total_nm")
-            thick = "" if total is None else f", {total:.0f} nm in all"
-            click.echo(f"  {number}  {worst.distance_text} at {worst.target.geometry}{thick}{made}"
-                       f"   {solution.recipe.parent}")  # fmt: skip
+    follow = f"nacre report {result.folder}"
+    if "loss_fixed" in result.summary:
+        curve = result.summary["calibration"]
+        if curve and curve != PUBLISHED:
+            curve = Path(target).parent / curve
+        follow = f"nacre fabricate {result.folder} --to png16" + (f" --calibration {curve}" if curve else "")
+        if result.summary.get("outside"):
+            common.note(f"{result.folder}: {result.summary['outside']}")
     written = "report.html; " if (result.folder / "report.html").is_file() else ""
-    common.note(f"{result.folder}: {written}nacre render {result.folder}; nacre report {result.folder}")
+    common.note(f"{result.folder}: {written}nacre render {result.folder}; {follow}")
 
 
 class _Screen:
@@ -171,18 +165,8 @@ class _Screen:
 
     def show(self, progress: Any) -> None:
         """Show the search's progress."""
-        if self._status and hasattr(progress, "worst"):
-            self._status.update(
-                f"worst target at {progress.worst:.3g} of its tolerance, {progress.seconds:.0f} s, "
-                f"{progress.seconds_left:.0f} s left"
-            )
-        elif self._status:
-            left = "" if progress.seconds_left is None else f", {progress.seconds_left:.0f} s left"
-            stage = f"{progress.stage} ({progress.stage_number} of {progress.stage_count})"
-            self._status.update(
-                f"{stage}: loss {progress.best_value:.5f}, "
-                f"{progress.evaluations} evaluations, {progress.seconds:.0f} s{left}"
-            )
+        if self._status:
+            self._status.update(f"{progress.description}, {progress.seconds:.0f} s, {progress.seconds_left:.0f} s left")
 
 
 @click.command()
@@ -225,16 +209,13 @@ def gamut(
     changes: tuple[str, ...], **search: Any,
 ) -> None:  # fmt: skip
     """Show the colours that RECIPE reaches with its parameters, in a*b* and xy, and their share of all colours."""
-    from nacre.core.files import check_writable, short_name, write_text
-    from nacre.optimise.gamut import find_gamut, gamut_chart, gamut_page, parse_parameters
+    from nacre.optimise.gamut import find_gamut, gamut_chart, gamut_page
 
     path = Path(output) if output else None if as_json else Path(f"{short_name(recipe)}-gamut.png")
     if path is not None:
-        if path.suffix not in (".png", ".pdf", ".svg", ".json", ".html"):
-            raise NacreError(f"-o {path}: the suffix must be .png, .pdf, .svg, .json or .html")
-        check_writable(path)
+        check_output(path, ".png", ".pdf", ".svg", ".json", ".html")
     material = common.load_material(recipe, changes)
-    found = find_gamut(material, parse_parameters(parameters), geometry, **search)
+    found = find_gamut(material, parameters, geometry, **search)
     if path is not None:
         if path.suffix == ".json":
             write_text(path, json.dumps(found.document(), indent=1) + "\n")
@@ -290,7 +271,6 @@ def fabricate(
 ) -> None:  # fmt: skip
     """Write the files to make a design or a material."""
     from nacre.api import fabricate as write
-    from nacre.core.files import check_writable, short_name
     from nacre.formats.fabrication import SUFFIXES
     from nacre.formats.number_maps import SUFFIXES as MAP_SUFFIXES
 
@@ -409,7 +389,6 @@ def _percent(share: float) -> str:
 
 
 def _rematch(task: Any, batch: str, made: Path, answer: int, as_json: bool) -> None:
-    from nacre.core.files import read_text
     from nacre.optimise.colour_list import read_colours
     from nacre.optimise.formulation import STARTED, SUMMARY, rematch
 

@@ -74,7 +74,7 @@ def fit(
     from nacre.analysis.fit import fit_parameters, is_at_bound, other_sign, read_measurements, run_fit
     from nacre.analysis.fit_data import checked_range, parts_of
     from nacre.analysis.ties import read_ties
-    from nacre.core.files import atomic_path, check_writable, short_name, write_text
+    from nacre.core.files import atomic_path, check_output, short_name, write_text
     from nacre.readers.measurement import ReadOptions
     from nacre.recipe.toml import edit_toml
 
@@ -86,9 +86,7 @@ def fit(
     asked = ((path, ".toml"), (residual and Path(residual), ".npz"), (page and Path(page), ".html"))
     for target, suffix in asked:
         if target:
-            if target.suffix != suffix:
-                raise NacreError(f"{target}: the suffix must be {suffix}")
-            check_writable(target)
+            check_output(target, suffix, option="")
     names = ("angle_deg", "delta_convention", "spectrum", "quantity", "unit")
     stated = {name: options.pop(name) for name in names}
     stated |= {name: common.words(options.pop(name)) for name in ("columns", "ignore")}
@@ -208,7 +206,7 @@ def diagnose(
     from nacre.analysis.fit import read_measurements
     from nacre.analysis.fit_data import checked_range, parts_of
     from nacre.analysis.tolerance import recipe_tolerances
-    from nacre.core.files import check_writable, write_text
+    from nacre.core.files import check_output, write_text
     from nacre.optimise.measurement import check_answers
     from nacre.readers.measurement import ReadOptions
 
@@ -221,9 +219,7 @@ def diagnose(
     if not measurements and not labs and not texture:
         raise NacreError("nothing is measured; name a file of a spectrum before the recipe, or use --lab")
     if output is not None:
-        if Path(output).suffix != ".toml":
-            raise NacreError(f"-o {output}: the suffix must be .toml")
-        check_writable(output)
+        check_output(output, ".toml")
     material = common.load_material(recipe, ())
     options = ReadOptions(quantity=more["quantity"], angle_deg=more["angle_deg"])
     data = read_measurements(

@@ -297,26 +297,16 @@ def _plot(folder: Path, out: Path, spec: PlotSpec) -> Item:
 def _design(folder: Path, out: Path, spec: DesignSpec, is_quick: bool) -> Item:
     path = out / Path(spec.target).stem
     seconds = spec.seconds / (3 if is_quick else 1)
-    from nacre.optimise.task import is_design_task
+    from nacre.optimise.task import is_relief_task
 
-    if is_design_task(parse_toml(read_text(folder / spec.target, "target"), spec.target)):
-
-        def make_wants() -> None:
-            from nacre.optimise.run import run
-            from nacre.optimise.task import read_task
-
-            run(read_task(folder / spec.target).within_seconds(seconds), path)
-
-        return Item(spec.title, path / "report.png", seconds + 3, make_wants)
+    data = parse_toml(read_text(folder / spec.target, "target"), spec.target)
 
     def make() -> None:
-        from nacre.optimise.relief.run import design, load_target
+        from nacre.optimise.run import read_target, run
 
-        target, context = load_target(folder / spec.target)
-        search = target.search.model_copy(update={"seconds": seconds})
-        design(target.model_copy(update={"search": search}), context, path)
+        run(read_target(folder / spec.target).within_seconds(seconds), path)
 
-    return Item(spec.title, path, seconds + 3, make)
+    return Item(spec.title, path if is_relief_task(data) else path / "report.png", seconds + 3, make)
 
 
 def _find(folder: Path, out: Path, recipe: str) -> Any:

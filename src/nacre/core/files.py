@@ -263,6 +263,19 @@ def check_writable(path: str | Path) -> Path:
     return folder
 
 
+def check_output(path: str | Path, *suffixes: str, option: str = "-o ") -> None:
+    """Check that a file has one of the suffixes and can be written.
+
+    Raises:
+        NacreError: another suffix, or as `check_writable`.
+    """
+    if named(path).suffix not in suffixes:
+        *first, last = suffixes
+        allowed = f"{', '.join(first)} or {last}" if first else last
+        raise NacreError(f"{option}{path}: the suffix must be {allowed}")
+    check_writable(path)
+
+
 def check_room(folder: str | Path, need: int) -> None:
     """Check that a folder, which may not exist yet, can be written.
 

@@ -10,8 +10,6 @@ from typing import Any
 from nacre.core.lazy import make_callable
 
 _PLACES = {
-    "DesignResult": "nacre.optimise.relief.run",
-    "design": "nacre.optimise.relief.run",
     "Design": "nacre.optimise.solutions",
     "Solution": "nacre.optimise.solutions",
     "many": "nacre.optimise.batch",
@@ -25,4 +23,4 @@ def __getattr__(name: str) -> Any:
     return getattr(importlib.import_module(_PLACES[name]), name)
 
 
-make_callable(__name__, "nacre.optimise.entry:run")  # nacre.design("target.toml", "folder")
+make_callable(__name__, "nacre.optimise.run:run")  # nacre.design("target.toml", "folder")

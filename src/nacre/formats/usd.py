@@ -1,7 +1,8 @@
 """Materials as USD text (.usda): a MaterialX network as UsdShade prims.
 
 A node becomes a `Shader` prim whose `info:id` is the name of its node definition in the MaterialX standard library; the
-material's output is `outputs:mtlx:surface`, as UsdMtlx writes it. Nodes of a graph lie in a `NodeGraph` prim.
+material's output is `outputs:mtlx:surface`, as UsdMtlx writes it, with the version of MaterialX (without it, readers
+take 1.38) and the colour space of its colours. Nodes of a graph lie in a `NodeGraph` prim.
 """
 
 from __future__ import annotations
@@ -52,9 +53,11 @@ def usd_text(document: ET.Element, comment: str = "") -> str:
         '    upAxis = "Y"', ")", "", 'def Xform "Root"', "{",
         f'    def Sphere "{SPHERE}" (', '        prepend apiSchemas = ["MaterialBindingAPI"]', "    )", "    {",
         "        double radius = 1", f"        rel material:binding = <{base}>", "    }", "",
-        f'    def Material "{name}"', "    {",
+        f'    def Material "{name}" (', '        prepend apiSchemas = ["MaterialXConfigAPI"]', "    )", "    {",
+        f"        string config:mtlx:version = {_quoted(document.get('version', '1.39'))}",
         f"        token outputs:mtlx:surface.connect = <{base}/{surface}.outputs:out>",
     ]  # fmt: skip
+    space = document.get("colorspace", "")
     for element in document:
         if element.tag == "nodegraph":
             lines += ["", f'        def NodeGraph "{element.get("name")}"', "        {"]
@@ -63,14 +66,14 @@ def usd_text(document: ET.Element, comment: str = "") -> str:
                 lines.append(f"            token outputs:{output.get('name')}.connect = <{source}>")
             for node in element:
                 if node.tag != "output":
-                    lines += _shader(node, owners, base, " " * 12)
+                    lines += _shader(node, owners, base, space, " " * 12)
             lines.append("        }")
         elif isinstance(element.tag, str) and element.tag != "surfacematerial":
-            lines += _shader(element, owners, base, " " * 8)
+            lines += _shader(element, owners, base, space, " " * 8)
     return "\n".join([*lines, "    }", "}", ""])
 
 
-def _shader(node: ET.Element, owners: dict[str, str], base: str, indent: str) -> list[str]:
+def _shader(node: ET.Element, owners: dict[str, str], base: str, space: str, indent: str) -> list[str]:
     kind, output = str(node.tag), node.get("type", "")
     definition = DEFINITIONS.get((kind, output)) or (f"ND_{kind}" if output == "BSDF" else f"ND_{kind}_{output}")
     lines = ["", f'{indent}def Shader "{node.get("name")}"', indent + "{"]
@@ -83,7 +86,9 @@ def _shader(node: ET.Element, owners: dict[str, str], base: str, indent: str) ->
         elif source:
             lines.append(f"{left}.connect = <{owners.get(source, base)}/{source}.outputs:out>")
         else:
-            lines.append(f"{left} = {_value(entry.get('type', ''), entry.get('value', ''))}")
+            is_colour = "color3" in (entry.get("type"), output if entry.get("type") == "filename" else "")
+            meaning = f" ( colorSpace = {_quoted(entry.get('colorspace', space))} )" if is_colour and space else ""
+            lines.append(f"{left} = {_value(entry.get('type', ''), entry.get('value', ''))}{meaning}")
     lines.append(f"{indent}    {TYPES[output]} outputs:out")
     return [*lines, indent + "}"]
 

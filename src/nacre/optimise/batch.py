@@ -33,7 +33,14 @@ from nacre.optimise.run import (
 )
 from nacre.optimise.solutions import NEED_BYTES, RECIPE, Solution, write_recipe
 from nacre.optimise.targets import Target
-from nacre.optimise.task import DesignTask, is_relief_task, palette_name, read_data, read_task, total_thickness_nm
+from nacre.optimise.task import (
+    DesignTask,
+    check_task,
+    is_relief_task,
+    palette_name,
+    read_data,
+    total_thickness_nm,
+)
 from nacre.optimise.thin_film.adapter import thin_film_search_many
 from nacre.recipe.fingerprint import file_digest
 
@@ -147,11 +154,11 @@ def _collector(
 
 def _read(target: str | Path | Mapping[str, Any]) -> DesignTask:
     data, context = read_data(target)
-    if is_relief_task(data):
-        raise NacreError(f"{context.source}: relief heights are designed for one target at a time; use nacre.design")
     if not isinstance(data.get("target"), list):
         raise NacreError(f"{context.source}: has no [[target]]; add one, whose colour is replaced")
-    task = read_task(target)
+    if is_relief_task(data):
+        raise NacreError(f"{context.source}: relief heights are designed for one target at a time; use nacre.design")
+    task = check_task(data, context)
     if task.targets[0].image is not None:
         raise NacreError(f"{task.context.source}: target[0].image: a picture is not a single colour; use nacre.design")
     if all(target.texture is not None for target in task.targets):
@@ -195,7 +202,7 @@ def _search(source: str, task: DesignTask) -> Solution:
 
     Raises:
         KeyboardInterrupt: on an interrupt.
-        RecipeError: no candidate could be computed.
+        RecipeError: all candidates fail.
     """
     search = choose_search(task, task.spec.search.seed)
     budget = budget_of(task, search)
@@ -218,7 +225,7 @@ class _BatchFolder:
         resume: reuse solutions in the folder.
 
     Raises:
-        RecipeError: there are no rows, or the folder contains foreign files or another target's solutions.
+        RecipeError: the list is empty, or the folder contains foreign files or another target's solutions.
         NacreError: the folder cannot be written.
     """
 
@@ -335,7 +342,7 @@ class _BatchFolder:
         return Solution(path, self.task.material.vary(one["changes"]), one["changes"], results, facts)
 
     def write(self, status: str) -> None:
-        """Write table and summary; remove solutions for colours that are no longer listed.
+        """Write table and summary; remove solutions for colours that left the list.
 
         Raises:
             NacreError: a file cannot be written.

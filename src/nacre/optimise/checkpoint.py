@@ -1,10 +1,11 @@
-"""Checkpoints: the search state on disk, from which `--resume` continues."""
+"""Design folders: the best solution and the search state on disk, from which `--resume` continues."""
 
 from __future__ import annotations
 
+import abc
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ import numpy as np
 
 from nacre.core.errors import NacreError, RecipeError
 from nacre.core.files import read_text, write_text
+from nacre.optimise.problem import Budget, Changes, Result, Search
+from nacre.optimise.solutions import Design, DesignProgress, claim, write_summary
 
 STATE = "search.json"
 WRITE_INTERVAL_S = 2.0
@@ -84,3 +87,70 @@ class Checkpointer:
 def unreadable(folder: Path) -> NacreError:
     """Return the error of a damaged checkpoint."""
     return NacreError(f"{folder / STATE}: cannot be read to resume; delete it to start afresh")
+
+
+class DesignFolder(abc.ABC):
+    """A search at work, and the folder that always holds its best solution.
+
+    Attributes:
+        folder: of the files.
+        search: the method.
+        checkpointer: of the search state.
+        seconds: time limit.
+    """
+
+    search: Search
+
+    def __init__(
+        self,
+        folder: Path,
+        checkpointer: Checkpointer,
+        begun: float,
+        seconds: float,
+        progress: Callable[[DesignProgress], None] | None,
+    ) -> None:
+        self.folder, self.checkpointer, self.begun, self.seconds = folder, checkpointer, begun, seconds
+        self._progress, self._written = progress, Changes()
+
+    @abc.abstractmethod
+    def budget(self) -> Budget:
+        """Return the budget of the search."""
+
+    @abc.abstractmethod
+    def write_best(self, worst: float, changes: Changes) -> dict[str, Any]:
+        """Write the files of the best solution so far; return its part of design.json."""
+
+    @abc.abstractmethod
+    def finish(self, result: Result) -> Design:
+        """Evaluate the solutions with the reference model, write them and the report."""
+
+    @property
+    def spent_s(self) -> float:
+        """Time since the start of the design."""
+        return time.monotonic() - self.begun
+
+    @property
+    def left_s(self) -> float:
+        """Time until the limit."""
+        return self.seconds - self.spent_s
+
+    def update(self, worst: float, changes: Changes) -> None:
+        """Write a better solution if the last one was written some time ago, and report progress."""
+        if changes and changes is not self._written and self.checkpointer.is_due:
+            self._written = changes
+            claim(self.folder)
+            part = self.write_best(worst, changes)
+            write_summary(self.folder, {"status": "running", "seconds": round(self.spent_s, 3), **part})
+            self.save([changes])
+        if self._progress is not None:
+            left, evaluations = max(self.left_s, 0.0), self.search.budget.used
+            self._progress(DesignProgress(worst, self.spent_s, left, evaluations, self.search.description, changes))
+
+    def save(self, solutions: Sequence[Changes]) -> None:
+        """Write the checkpoint.
+
+        Raises:
+            NacreError: the folder cannot be written.
+        """
+        candidates, progress = self.search.state(solutions)
+        self.checkpointer.update(candidates, **progress)

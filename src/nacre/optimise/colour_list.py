@@ -119,9 +119,7 @@ def _recognised_rows(path: Path, targets: int, light: tuple[str, str]) -> list[C
         open_file(path)  # refuses it by name
     if not found or found[0][0] <= POSSIBLE or found[0][1].kind not in ("colours", "spectrum"):
         return []
-    names, lab, said = named_lab(path, open_file(path), *light)
-    if said:
-        logger.warning("%s: %s", path, "; ".join(said))
+    names, lab = _adapted(path, open_file(path), light)
     for number, colour in enumerate(lab, start=1):
         plausible(colour, f"{path}: colour {number}", colour.round(3).tolist())
     return [ColourRow(name, np.repeat(colour[None], targets, axis=0)) for name, colour in zip(names, lab, strict=True)]
@@ -170,14 +168,20 @@ def _file_rows(
         return rows
     metadata = {"illuminant": light[0], "observer": light[1]} | above
     columns = {name: lab[:, place] for place, name in enumerate("Lab")}
-    _, lab, said = named_lab(path, [Measurement(path, "table", "colours", columns, "", metadata)], *light)
-    if said:
-        logger.warning("%s: %s", path, "; ".join(said))
+    _, lab = _adapted(path, [Measurement(path, "table", "colours", columns, "", metadata)], light)
     return [ColourRow(row.name, part) for row, part in zip(rows, np.split(lab, len(rows)), strict=True)]
 
 
+def _adapted(path: Path, measurements: Sequence[Measurement], light: tuple[str, str]) -> tuple[list[str], Array]:
+    """Return names and CIELAB `[colour, 3]` under the light; warn about the conversion."""
+    names, lab, said = named_lab(path, measurements, *light)
+    if said:
+        logger.warning("%s: %s", path, "; ".join(said))
+    return names, lab
+
+
 def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, light: tuple[str, str]) -> list[ColourRow]:
-    """Return the colours in a column "hex", with or without #, three or six digits; empty if there is none."""
+    """Return the colours in a column "hex", with or without #, three or six digits; empty without one."""
     heading = lines[0][1] if lines else []
     places = [i for i, cell in enumerate(heading) if any(each.quantity == "hex" for each in meanings(cell))]
     if len(places) != 1 or any(len(cells) <= places[0] for _, cells in lines):
@@ -192,9 +196,7 @@ def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, ligh
     names = [row[name] if name is not None else "" for _, row in lines[1:]]
     data = {"srgb": np.array([srgb_of_hex(path, f"#{each}") for each in digits])}
     metadata = {"illuminant": light[0], "observer": light[1], "names": names}
-    _, lab, said = named_lab(path, [Measurement(path, "table", "colours", data, "", metadata)], *light)
-    if said:
-        logger.warning("%s: %s", path, "; ".join(said))
+    _, lab = _adapted(path, [Measurement(path, "table", "colours", data, "", metadata)], light)
     return [ColourRow(one, np.repeat(each[None], targets, axis=0)) for one, each in zip(names, lab, strict=True)]
 
 
@@ -221,9 +223,8 @@ def _rows_of_table(
     labs = []
     for group in groups:
         measurement = _measurement(table, group, names, light)
-        _, lab, said = named_lab(table.path, [measurement], *(light or _light_of(measurement)))
-        if said:
-            logger.warning("%s: %s", table.path, "; ".join(said))
+        own = measurement.metadata["illuminant"], measurement.metadata["observer"]
+        _, lab = _adapted(table.path, [measurement], light or own)
         if "L" in group.places:
             check_scale(lab, table.path)
         for line, colour in zip(table.lines, lab, strict=True):
@@ -328,10 +329,6 @@ def _for_targets(table: TextTable, groups: list[_Group], targets: int, geometrie
     return groups
 
 
-def _light_of(measurement: Measurement) -> tuple[str, str]:
-    return measurement.metadata["illuminant"], measurement.metadata["observer"]
-
-
 def _measurement(table: TextTable, group: _Group, names: list[str], light: tuple[str, str] | None) -> Measurement:
     """Return the colours of one group; lamp and observer are the target's unless the table states others."""
     above = light_above(table.titles)
@@ -389,7 +386,7 @@ def _cells(text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _is_named_row(line: str) -> bool:
-    """Whether a line is a colour whose name starts with #, as "#1;52;-30;28", and no remark."""
+    """Whether a line is a colour whose name starts with #, as "#1;52;-30;28", not a remark."""
     cells = [_with_point(cell.strip()) for cell in split(line, find_delimiter([line]))]
     return len(cells) > 3 and line[1:2].strip() != "" and all(_number(cell) is not None for cell in cells[1:])
 

@@ -33,7 +33,7 @@ from nacre.light import (
     xyz_to_xyy,
     xyz_weights,
 )
-from nacre.material.material import Material
+from nacre.material.material import Material, MaterialLike, as_material
 from nacre.matter.stack.solve import powers
 from nacre.measure.colours import recipe_geometries
 from nacre.measure.geometry import Geometry
@@ -139,8 +139,8 @@ def _number_or_text(text: str) -> float | str:
 
 
 def find_gamut(
-    material: Material,
-    table: Mapping[str, Any],
+    thing: MaterialLike,
+    parameters: Iterable[str] | Mapping[str, Any] = (),
     geometry: str | None = None,
     *,
     points: int = 1000,
@@ -157,19 +157,29 @@ def find_gamut(
     One half is drawn evenly, the other near each hue's most extreme colours.
 
     Args:
-        table: path -> bounds or choices, as in a design's parameters.
+        thing: a material or a path.
+        parameters: such as "layers[0].thickness_nm=50:400" or "substrate=Al,Ag"; or a table as a design's
+            `[parameters]`.
         geometry: "specular 0", "45as15" and so on, as in a target; None: the family's default geometry (mirror
             direction for a film, 45 degrees for a photonic glass, near the mirror direction for a pearl or a relief),
             or another one that applies.
         points: material count.
-        seconds: time limit.
+        seconds: time limit, after which the colours found so far are returned.
+        illuminant, observer: of the colours.
         tolerance: dE00 within which a colour counts as reached.
-        samples: random walks.
+        samples, seed: of random walks; the seed also determines the materials.
         progress: called with (done, points).
 
     Raises:
-        NacreError: the geometry or a path is not known, or no point can be computed.
+        NacreError: the geometry or a path is not known, or all points fail.
+
+    Example:
+        >>> film = {"family": "film", "substrate": "Ti", "layers": [{"material": "TiO2", "thickness_nm": 100}]}
+        >>> 0 < nacre.gamut(film, ["layers[0].thickness_nm=0:400"], points=20).share_of_srgb < 1
+        True
     """
+    material = as_material(thing)
+    table = parameters if isinstance(parameters, Mapping) else parse_parameters(parameters)
     source = material.context.source
     if not MIN_POINTS <= points <= MAX_POINTS:
         raise NacreError(f"--points = {points} must lie in [{MIN_POINTS}, {MAX_POINTS}]")
@@ -177,12 +187,12 @@ def find_gamut(
         raise NacreError(f"--tolerance = {tolerance:g} must be above 0")
     check_light(LightSpec(illuminants=[illuminant], observer=observer), RecipeContext(source))
     material = material.at_low_fidelity().with_parts_loaded(table)
-    parameters = read_parameters(dict(table), material, source)
-    if not parameters:
+    free = read_parameters(dict(table), material, source)
+    if not free:
         raise RecipeError(f"{source}: nothing is free; use --parameter PATH=LOW:HIGH")
-    at = applicable_geometry([material, *_variants(material, parameters)], geometry, f"{source}: geometry")
+    at = applicable_geometry([material, *_variants(material, free)], geometry, f"{source}: geometry")
     draws = (points, seconds, seed)
-    return _parameter_gamut(material, parameters, at, (illuminant, observer), draws, tolerance, samples, progress)
+    return _parameter_gamut(material, free, at, (illuminant, observer), draws, tolerance, samples, progress)
 
 
 def applicable_geometry(materials: Sequence[Material], geometry: str | None, where: str) -> Geometry:
@@ -210,7 +220,7 @@ def applicable_geometry(materials: Sequence[Material], geometry: str | None, whe
 def target_gamut(task: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
     """Return the gamut at the first target colour, and the target colours there `[target, 3]` (CIELAB), for a report.
 
-    None if all targets are spectra or texture, or if no point can be computed.
+    None if all targets are spectra or texture, or if all points fail.
 
     Args:
         seconds: time limit, unless the material is a thin film.
@@ -248,7 +258,7 @@ def _parameter_gamut(
         draws: point count, time limit in seconds, seed.
 
     Raises:
-        NacreError: no point can be computed.
+        NacreError: all points fail.
     """
     from scipy.stats import qmc
 

@@ -293,11 +293,25 @@ class Search(abc.ABC):
                 raise BudgetExhausted
             self.budget.used += cost
 
+    @property
+    def description(self) -> str:
+        """The best objective in words."""
+        return f"worst target at {self.best:.3g} of its tolerance"
+
+    def state(self, solutions: Sequence[Changes]) -> tuple[Sequence[Changes], dict[str, Any]]:
+        """Return the content of a checkpoint: solutions, which `run` tries first, and progress."""
+        return solutions, {}
+
+    def is_report_due(self, is_forced: bool = False) -> bool:
+        """Whether progress is reported now: at intervals unless forced."""
+        return self._on_progress is not None and (
+            is_forced or time.monotonic() - self._reported_at > PROGRESS_INTERVAL_S
+        )
+
     def report(self, is_forced: bool = False) -> None:
         """Report progress, at intervals unless forced."""
-        now = time.monotonic()
-        if self._on_progress is not None and (is_forced or now - self._reported_at > PROGRESS_INTERVAL_S):
-            self._reported_at = now
+        if self._on_progress is not None and self.is_report_due(is_forced):
+            self._reported_at = time.monotonic()
             self._on_progress(self.best, self.best_changes)
 
     def record(self, objective: float, changes: Changes) -> None:

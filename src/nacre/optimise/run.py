@@ -1,4 +1,4 @@
-"""Run a design: optimise, re-evaluate with the reference model, and write results atomically."""
+"""`nacre.design(target, out)`: optimise, re-evaluate with the reference model, and write results atomically."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from nacre._version import __version__
 from nacre.core.errors import NacreError, RecipeError
-from nacre.core.files import output_folder, read_text, write_text
+from nacre.core.files import check_room, output_folder, read_text
 from nacre.families.contract import is_direct, method_overrides
 from nacre.material.material import Material
-from nacre.optimise.checkpoint import Checkpointer
+from nacre.optimise.checkpoint import Checkpointer, DesignFolder
 from nacre.optimise.evaluation import evaluate, objective, rank
 from nacre.optimise.image.validation import is_hologram
 from nacre.optimise.methods import surrogate
@@ -25,24 +23,29 @@ from nacre.optimise.methods.least_squares import LeastSquaresSearch
 from nacre.optimise.methods.successive_halving import SuccessiveHalvingSearch
 from nacre.optimise.methods.surrogate import SurrogateSearch
 from nacre.optimise.parameters import count_tables, is_chosen
-from nacre.optimise.problem import Budget, Problem, Result, Search
+from nacre.optimise.problem import Budget, Changes, Problem, Result, Search
+from nacre.optimise.relief.report import FILES, ReliefFolder
+from nacre.optimise.relief.task import ReliefTask, read_relief
 from nacre.optimise.solutions import (
+    NEED_BYTES,
     SUMMARY,
+    WRITTEN,
     Design,
     DesignProgress,
     Solution,
     are_alike,
     check_folder,
     claim,
-    clear_solutions,
+    conclude,
     folder_of,
     write_recipe,
 )
-from nacre.optimise.task import DesignTask, read_task, total_thickness_nm
+from nacre.optimise.task import DesignTask, check_task, is_relief_task, read_data, total_thickness_nm
 from nacre.optimise.tolerances import read_tolerances
 from nacre.optimise.yield_analysis import sensitivity, yield_of
 from nacre.recipe.paths import numbers_of
 
+DESIGN_KEYS = {"parameters", "layers", "recipe", "tolerance", "want"}  # of target files; [want] is a former name
 RESUMED_SEED = 1_000_003  # seed offset of each resumed search
 
 
@@ -71,53 +74,90 @@ SHARES = TimeShares()
 
 
 def run(
-    target: str | Path | Mapping[str, Any] | DesignTask,
+    target: str | Path | Mapping[str, Any] | DesignTask | ReliefTask,
     out: str | Path | None = None,
-    *,
     resume: bool = False,
     progress: Callable[[DesignProgress], None] | None = None,
+    jobs: int | None = None,
 ) -> Design:
-    """Design a material for a target file.
+    """Design a material for a target.
 
     The folder holds recipe.toml and design.json from the first seconds on, each written atomically; an interrupt ends
     the search with the best solution so far.
 
     Args:
-        target: a TOML file with `[[target]]`, a dictionary with the same keys, or the result of `read_task`.
-        out: created if it does not exist; default: the target name file.
-        resume: continue from the solutions of a stopped run.
-        progress: called after improvements and at intervals.
+        target: a TOML file with `[[target]]` (any family) or with `[target]` (a relief), the name of an example, a
+            dictionary with the same keys, or the result of `read_target`.
+        out: folder, created if it does not exist; default: the target name.
+        resume: continue a stopped run of the same target.
+        progress: called after improvements and at intervals, one call at a time, possibly from worker threads.
+        jobs: threads of a relief search; default: all cores.
 
     Raises:
-        RecipeError: the target file is not usable.
+        RecipeError: the target is invalid.
         NacreError: the folder cannot be written, or holds another target's search.
+
+    Example: `nacre.design("violet.toml", "violet").best.targets[0].distance`.
     """
     begun = time.monotonic()
-    task = target if isinstance(target, DesignTask) else read_task(target)
-    spec = task.spec.search
-    folder = Path(out) if out is not None else Path(task.name)
-    check_folder(folder, task.material, spec.solutions)
+    task = target if isinstance(target, DesignTask | ReliefTask) else read_target(target)
+    folder = Path(task.name if out is None else out)
+    check_room(folder, NEED_BYTES)
+    if isinstance(task, ReliefTask):
+        check_folder(folder, task.context, (*WRITTEN, *FILES))
+    else:
+        check_folder(folder, task.material.context, solutions=task.spec.search.solutions)
     checkpointer = Checkpointer.open(folder, task.fingerprint, resume)
-    previous_best = _previous_best(folder) if checkpointer.solutions else None
-    is_picture = task.targets[0].image is not None
-    search = None if is_picture else choose_search(task, spec.seed + RESUMED_SEED * (checkpointer.runs - 1))
     with output_folder(folder):
-        if search is None:
-            from nacre.optimise.image.design import design_picture
-            from nacre.optimise.image.hologram import design_hologram
+        if isinstance(task, ReliefTask):
+            return _search(ReliefFolder(task, folder, checkpointer, begun, progress, jobs), task.context.source)
+        if task.targets[0].image is None:
+            return _search(RecipeFolder(task, folder, checkpointer, begun, progress), task.context.source)
+        from nacre.optimise.image.design import design_picture
+        from nacre.optimise.image.hologram import design_hologram
 
-            if is_hologram(task.material, task.parameters):
-                return design_hologram(task, folder, begun)
-            return design_picture(task, folder, begun, progress)
-        writer = _Writer(task, folder, begun, checkpointer, progress)
-        result = search.run(budget_of(task, search, time.monotonic() - begun), writer.update, checkpointer.solutions)
-        if not result.solutions and result.status == "interrupted":
-            raise KeyboardInterrupt  # before there was a solution
-        if not result.solutions:
-            raise RecipeError(f"{task.context.source}: the recipe cannot be computed anywhere in its bounds")
-        claim(folder)
-        checkpointer.update([changes for _, changes in result.solutions])
-        return _finish(task, result, previous_best, writer)
+        if is_hologram(task.material, task.parameters):
+            return design_hologram(task, folder, begun)
+        return design_picture(task, folder, begun, progress)
+
+
+def read_target(target: str | Path | Mapping[str, Any]) -> DesignTask | ReliefTask:
+    """Read and check a target: a file, the name of an example, or a dictionary.
+
+    Raises:
+        RecipeError: naming file, key, value and what is allowed.
+        NacreError: the recipe cannot be computed.
+    """
+    data, context = read_data(target)
+    if is_relief_task(data):
+        return read_relief(data, context)
+    if "target" not in data and "family" in data and "want" not in data:
+        raise RecipeError(
+            f'{context.source}: is a recipe; write a target with recipe = "{Path(context.source).name}", [parameters] '
+            "and [[target]] (nacre keys design)"
+        )
+    if "target" not in data and not set(data) & DESIGN_KEYS:
+        raise RecipeError(
+            f"{context.source}: has no targets; add [[target]] tables (nacre keys design), or [target] of a relief"
+        )
+    return check_task(data, context)
+
+
+def _search(work: DesignFolder, source: str) -> Design:
+    """Search, write the checkpoint, and finish.
+
+    Raises:
+        KeyboardInterrupt: before there was a solution.
+        RecipeError: all candidates fail.
+    """
+    result = work.search.run(work.budget(), work.update, work.checkpointer.solutions)
+    if not result.solutions and result.status == "interrupted":
+        raise KeyboardInterrupt
+    if not result.solutions:
+        raise RecipeError(f"{source}: the recipe cannot be computed anywhere in its bounds")
+    claim(work.folder)
+    work.save([changes for _, changes in result.solutions])
+    return work.finish(result)
 
 
 def choose_search(task: DesignTask, seed: int) -> Search:
@@ -154,48 +194,36 @@ def budget_of(task: DesignTask, search: Search, spent_s: float = 0.0) -> Budget:
     return Budget(spec.evaluations or search.default_evaluations, seconds, reserved_s)
 
 
-class _Writer:
-    """Keeps the folder up to date during the search."""
+class RecipeFolder(DesignFolder):
+    """Design of recipe parameters or of a stack at work."""
 
     def __init__(
         self,
         task: DesignTask,
         folder: Path,
-        begun: float,
         checkpointer: Checkpointer,
+        begun: float,
         progress: Callable[[DesignProgress], None] | None,
     ) -> None:
-        self.task, self.folder, self.begun, self.checkpointer = task, folder, begun, checkpointer
-        self.progress, self.best = progress, np.inf
+        super().__init__(folder, checkpointer, begun, task.spec.search.seconds, progress)
+        self.task = task
+        self.search = choose_search(task, task.spec.search.seed + RESUMED_SEED * (checkpointer.runs - 1))
+        self._previous_best = _previous_best(folder) if checkpointer.solutions else None
 
-    @property
-    def spent_s(self) -> float:
-        """Time since the start of the design."""
-        return time.monotonic() - self.begun
+    def budget(self) -> Budget:
+        """Return the budget of the search."""
+        return budget_of(self.task, self.search, self.spent_s)
 
-    @property
-    def left_s(self) -> float:
-        """Time until the limit."""
-        return self.task.spec.search.seconds - self.spent_s
+    def write_best(self, worst: float, changes: Changes) -> dict[str, Any]:
+        """Write the recipe."""
+        start = self.task.material
+        final = with_method_overrides(start, changes)
+        path, files = write_recipe(self.folder, start, final, {}, start.vary(changes))
+        return {"solutions": [{"recipe": str(path), "files": files, "changes": changes, "worst": worst}]}
 
-    def update(self, worst: float, changes: dict[str, Any]) -> None:
-        """Write a better solution if the last one was written some time ago, and report progress."""
-        if worst < self.best and changes and self.checkpointer.is_due:
-            self.best = worst
-            start = self.task.material
-            final = with_method_overrides(start, changes)
-            claim(self.folder)
-            path, files = write_recipe(self.folder, start, final, {}, start.vary(changes))
-            solution = {"recipe": str(path), "files": files, "changes": changes, "worst": worst}
-            self.write({"status": "running", "seconds": round(self.spent_s, 3), "solutions": [solution]})
-            self.checkpointer.update([changes])
-        if self.progress is not None:
-            self.progress(DesignProgress(worst, self.spent_s, max(self.left_s, 0.0)))
-
-    def write(self, summary: Mapping[str, Any]) -> None:
-        """Write design.json and remove further earlier solutions."""
-        clear_solutions(self.folder, len(summary["solutions"]))
-        write_text(self.folder / SUMMARY, json.dumps(summary, indent=2, default=str) + "\n")
+    def finish(self, result: Result) -> Design:
+        """Evaluate the solutions, sort and write them, and the report."""
+        return _finish(self.task, result, self._previous_best, self)
 
 
 def _previous_best(folder: Path) -> dict[str, Any] | None:
@@ -207,7 +235,7 @@ def _previous_best(folder: Path) -> dict[str, Any] | None:
     return changes if isinstance(changes, dict) else None
 
 
-def _finish(task: DesignTask, result: Result, previous_best: dict[str, Any] | None, writer: _Writer) -> Design:
+def _finish(task: DesignTask, result: Result, previous_best: dict[str, Any] | None, writer: RecipeFolder) -> Design:
     """Evaluate the solutions with the reference model, sort and write them.
 
     Args:
@@ -353,7 +381,7 @@ def outcome(solutions: Sequence[Solution], status: str, seconds: float | None = 
     )
 
 
-def _report(task: DesignTask, solutions: list[Solution], result: Result, writer: _Writer) -> Design:
+def _report(task: DesignTask, solutions: list[Solution], result: Result, writer: RecipeFolder) -> Design:
     """Write design.json and the HTML report."""
     best = solutions[0]
     status = "interrupted" if result.status == "interrupted" else "met" if best.is_met else "out of reach"
@@ -372,16 +400,16 @@ def _report(task: DesignTask, solutions: list[Solution], result: Result, writer:
         "target": task.fingerprint,
         "nacre": __version__,
     }
-    design = Design(writer.folder, status, message, summary["seconds"], solutions, summary)
-    writer.write(summary)
     from nacre.optimise.html_report import write_page
 
-    with contextlib.suppress(KeyboardInterrupt):
-        # an interrupt does not wait for the whole report
-        seconds = SHARES.min_report_s if result.status == "interrupted" else max(writer.left_s, SHARES.min_report_s)
-        write_page(writer.folder, task, design, seconds, writer.begun)
-    writer.write(summary)
-    return replace(design, seconds=summary["seconds"])
+    # an interrupt does not wait for the whole report
+    seconds = SHARES.min_report_s if result.status == "interrupted" else max(writer.left_s, SHARES.min_report_s)
+    return conclude(
+        writer.folder,
+        summary,
+        solutions,
+        lambda design: write_page(writer.folder, task, design, seconds, writer.begun),
+    )
 
 
 def document_of(solution: Solution, task: DesignTask) -> dict[str, Any]:

@@ -7,8 +7,8 @@ import copy
 import json
 import os
 import shutil
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from nacre.core.files import atomic_path, plain, read_text, write_text
 from nacre.material.material import Material
 from nacre.optimise.evaluation import TargetResult
 from nacre.recipe.fingerprint import file_digest
+from nacre.recipe.model import RecipeContext
 from nacre.recipe.paths import set_by_path
 from nacre.recipe.toml import dump_toml, edit_toml, parse_toml
 
@@ -91,13 +92,19 @@ class DesignProgress:
     """Design progress.
 
     Attributes:
-        worst: largest weight x distance / tolerance so far; below 1 all targets are met.
+        worst: largest weight x distance / tolerance so far; below 1 all targets are met. Of a relief its loss.
         seconds, seconds_left: spent and left.
+        evaluations: spent.
+        description: the state in words.
+        changes: recipe changes of the best solution.
     """
 
     worst: float
     seconds: float
     seconds_left: float
+    evaluations: float = 0.0
+    description: str = ""
+    changes: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +113,8 @@ class Design:
 
     Attributes:
         folder: of its files; None if they were not written.
-        status: "met", "out of reach" (the budget ended before all targets were met) or "interrupted".
+        status: "met", "out of reach" (the budget ended before all targets were met) or "interrupted"; of a relief
+            "done", "time limit" or "interrupted".
         message: the outcome as a sentence.
         seconds: wall time.
         solutions: best first.
@@ -240,10 +248,44 @@ def clear_solutions(out: Path, keep: int, summary: str = SUMMARY, key: str = "so
             folder.rmdir()
 
 
-def check_folder(out: Path, start: Material, solutions: int = 1) -> None:
+def write_summary(out: Path, summary: Mapping[str, Any]) -> None:
+    """Write design.json and remove further earlier solutions.
+
+    Raises:
+        NacreError: the folder cannot be written.
+    """
+    clear_solutions(out, len(summary["solutions"]))
+    write_text(out / SUMMARY, json.dumps(summary, indent=2, default=str) + "\n")
+
+
+def conclude(
+    out: Path,
+    summary: dict[str, Any],
+    solutions: list[Solution],
+    write_page: Callable[[Design], None] = lambda _: None,
+) -> Design:
+    """Write design.json and the report of a finished design; an interrupt does not wait for the report.
+
+    Args:
+        summary: content of design.json; `write_page` may complete it.
+
+    Raises:
+        NacreError: the folder cannot be written.
+    """
+    design = Design(out, summary["status"], summary["message"], summary["seconds"], solutions, summary)
+    write_summary(out, summary)
+    with contextlib.suppress(KeyboardInterrupt):
+        write_page(design)
+    write_summary(out, summary)
+    return replace(design, seconds=summary["seconds"])
+
+
+def check_folder(out: Path, start: RecipeContext, names: Sequence[str] = WRITTEN, solutions: int = 1) -> None:
     """Refuse a folder in which a design would overwrite its start recipe or foreign files.
 
     Args:
+        start: location of the start recipe.
+        names: files beside the best solution.
         solutions: number that may be written.
 
     Raises:
@@ -251,15 +293,15 @@ def check_folder(out: Path, start: Material, solutions: int = 1) -> None:
     """
     if out.exists() and not out.is_dir():
         raise RecipeError(f"{out}: is a file; the answers need a folder, choose another with -o")
-    used = {Path(start.context.source).resolve(), *start.context.dependencies}
-    if start.context.text and (out / RECIPE).resolve() in used:
+    used = {Path(start.source).resolve(), *start.dependencies}
+    if start.text and (out / RECIPE).resolve() in used:
         raise RecipeError(f"{out}: holds the recipe that the design starts from; choose another folder with -o")
     earlier = _earlier(out)
-    names = [] if earlier is not None else [*WRITTEN, *(f"{n}/{RECIPE}" for n in range(2, solutions + 1))]
-    foreign = [name for name in names if (out / name).exists()]
+    written = [] if earlier is not None else [*names, *(f"{n}/{RECIPE}" for n in range(2, solutions + 1))]
+    foreign = [name for name in written if (out / name).exists()]
     later = [folder_of(out, number) for number in range(2, solutions + 1)]
     foreign += [folder.name for folder in later if os.path.lexists(folder) and not folder.is_dir()]
-    for file in start.context.dependencies:
+    for file in start.dependencies:
         beside = out / file.name
         is_another = beside.exists() and beside.resolve() != file and file_digest(beside) != file_digest(file)
         if is_another and file.name not in (earlier or ()):
@@ -279,7 +321,7 @@ def claim(out: Path) -> None:
 
 
 def _earlier(out: Path) -> set[str] | None:
-    """Return the files of the best solution of a design in a folder; None if there is no design."""
+    """Return the files of the best solution of a design in a folder; None without a design."""
     try:
         summary = json.loads(plain(out / SUMMARY).read_text(encoding="utf-8"))
         if not set(summary) & {"solutions", "loss_fixed"}:  # the latter of a relief

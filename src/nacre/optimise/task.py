@@ -11,7 +11,8 @@ from typing import Any
 
 from nacre.bsdf.texture import refuse_place
 from nacre.core.errors import NacreError, RecipeError, did_you_mean
-from nacre.core.files import read_text
+from nacre.core.files import named, read_text
+from nacre.material.examples import resolve_recipe_path
 from nacre.material.material import Material, load, material
 from nacre.matter.indices.spec import IndexSpec
 from nacre.measure.geometry import Geometry, named_geometries
@@ -54,6 +55,8 @@ def check_limits(spec: DesignSpec, base: Material, free: Sequence[Parameter], so
         raise RecipeError(
             f"{source}: limits.height_levels = {spec.limits.height_levels}: only for pictures; no target is an image"
         )
+    if not spec.limits.dither:
+        raise RecipeError(f"{source}: limits.dither = false: only for pictures; no target is an image")
     if spec.layers is not None:
         return
     if spec.limits.max_layers is not None:
@@ -128,31 +131,24 @@ class DesignTask:
         return found
 
 
-def is_design_task(data: Mapping[str, Any]) -> bool:
-    """Whether the dictionary of a target file has a list of targets, not the single `[target]` of a relief."""
-    if "target" in data:
-        return not isinstance(data["target"], Mapping)
-    if "family" in data:  # a recipe
-        return "want" in data
-    return bool(set(data) & {"parameters", "layers", "recipe", "tolerance", "want"})
-
-
 def is_relief_task(data: Mapping[str, Any]) -> bool:
-    """Whether a target file varies the heights of a relief, or has a picture over directions."""
+    """Whether a target has one `[target]` table, varies the heights of a relief, or has a picture over directions."""
     free, targets = data.get("parameters"), data.get("target")
+    if isinstance(targets, Mapping):
+        return "recipe" not in data
     pictures = isinstance(targets, list) and any(isinstance(one, Mapping) and "directions" in one for one in targets)
     return pictures or (isinstance(free, Mapping) and "heights" in free)
 
 
 def read_data(target: str | Path | Mapping[str, Any]) -> tuple[dict[str, Any], RecipeContext]:
-    """Return a copy of the tables of a target file, and its location.
+    """Return a copy of the tables of a target file, which may be named as an example, and its location.
 
     Raises:
         NacreError: the file cannot be read, or is no TOML.
     """
     if isinstance(target, Mapping):
         return copy.deepcopy(dict(target)), RecipeContext("target", Path().resolve(), "")
-    path = Path(target)
+    path = resolve_recipe_path(named(target))
     text = read_text(path, "target")
     return parse_toml(text, str(path)), RecipeContext(str(path), path.parent.resolve(), text)
 
@@ -167,7 +163,11 @@ def read_task(target: str | Path | Mapping[str, Any]) -> DesignTask:
         RecipeError: naming file, key, value and what is allowed.
         NacreError: the recipe cannot be computed.
     """
-    data, context = read_data(target)
+    return check_task(*read_data(target))
+
+
+def check_task(data: dict[str, Any], context: RecipeContext) -> DesignTask:
+    """Check the tables of a target file; see `read_task`."""
     if isinstance(data.get("target"), Mapping):
         raise RecipeError(f"{context.source}: [target] is of a relief; write [[target]]")
     spec: DesignSpec = validate(DesignSpec, data, context)

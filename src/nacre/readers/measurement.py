@@ -1,7 +1,5 @@
 """Contents of one measured spectrum, map, material or colour list, in canonical names and units."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -140,5 +138,7 @@ class FileHead:
         sample = self.data[:4096]
         if sample.startswith(PRINTABLE_MAGIC):
             return False
+        if self.size <= len(sample):
+            sample = sample.rstrip(b"\0")  # padding
         controls = sum(byte < 9 or 13 < byte < 32 for byte in sample.replace(b"\0", b""))
         return sample.count(0) <= 0.1 * len(sample) and controls <= 0.02 * len(sample)

@@ -25,7 +25,8 @@ from nacre.formats.lut.write import template
 from nacre.material.examples import examples
 from nacre.matter.indices import library
 from nacre.studio import folder
-from nacre.studio.design_request import list_parameters, read_design
+from nacre.studio.angles import angle_tables
+from nacre.studio.design_jobs import list_parameters, read_design
 from nacre.studio.downloads import formats_of, read_file, read_picture, read_report, unpacked
 from nacre.studio.edit import line_of
 from nacre.studio.form import family_form
@@ -79,7 +80,9 @@ class Studio:
     meshes: MeshStore = field(default_factory=MeshStore)
     slot: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(MAX_SOLVERS))
     limits: dict[str, asyncio.Semaphore] = field(
-        default_factory=lambda: {group: asyncio.Semaphore(MAX_JOBS) for group in ("design", "stream", "result")}
+        default_factory=lambda: {
+            group: asyncio.Semaphore(MAX_JOBS) for group in ("design", "stream", "result", "angles")
+        }
     )
     sessions: set[Session] = field(default_factory=set)
     running: dict[tuple[str, str], StreamingJob] = field(default_factory=dict)
@@ -111,7 +114,7 @@ def routes() -> list[BaseRoute]:
     }  # fmt: skip
     post = {
         "/api/save": save, "/api/report": report, "/api/mesh": mesh, "/api/measurement": measurement, "/api/scan": scan,
-        "/api/formats": formats, "/api/file": file,
+        "/api/angles": angles, "/api/formats": formats, "/api/file": file,
         "/api/parameters": parameters, "/api/stop": stop, **{f"/api/{name}": _streaming(name) for name in JOBS},
     }  # fmt: skip
     return [
@@ -237,6 +240,14 @@ async def report(request: Request) -> Response:
     question = read_report(await _body(request), _studio(request).opened)
     found = await _result(request, "report", "nacre.studio.downloads:report", question)
     return Response(found, media_type="application/json")
+
+
+async def angles(request: Request) -> Response:
+    """Answer colours at the geometries of multi-angle instruments, and texture."""
+    body = await _body(request)
+    placed, lamp = folder.read_recipe(body.get("recipe"), _studio(request).opened), folder.read_lamp(body)
+    async with _studio(request).limits["angles"]:
+        return JSONResponse(await asyncio.to_thread(angle_tables, placed, lamp, bool(body.get("fine"))))
 
 
 async def formats(request: Request) -> Response:

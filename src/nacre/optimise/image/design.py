@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import textwrap
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,9 +26,9 @@ from nacre.optimise.gamut import colour_chart
 from nacre.optimise.html_report import PICTURE, REPORT
 from nacre.optimise.image.colour_grid import ColourGrid, ColourSampler, fine_grid, level_grid
 from nacre.optimise.image.files import ParameterMap, write_maps
-from nacre.optimise.image.matching import blurred, dither, has_same_hue, map_into_solid, match_colours
+from nacre.optimise.image.matching import blurred, dither, has_same_hue, map_into_solid, match_colours, nearest_colours
 from nacre.optimise.image.pixels import screen_rgb, srgb_lab, write_pixels
-from nacre.optimise.solutions import SUMMARY, Design, DesignProgress, Solution, claim, clear_solutions, write_recipe
+from nacre.optimise.solutions import Design, DesignProgress, Solution, claim, clear_solutions, conclude, write_recipe
 from nacre.optimise.task import DesignTask
 from nacre.optimise.thin_film.adapter import interrupt_flag
 from nacre.plot.html import DPI, data_uri
@@ -95,6 +94,12 @@ def make_picture(
         found = match_colours(asked, np.asarray(xyz_to_lab(grid.xyz, white)), target.tolerance)
         points, distance = found.points[inverse], found.distance[inverse]
         is_mapped, keeps_hue = found.is_mapped[inverse], found.keeps_hue[inverse]
+    elif not task.spec.limits.dither:
+        grid = level_grid(sampler, levels)
+        lab = np.asarray(xyz_to_lab(grid.flat_xyz, white))
+        nearest, off = nearest_colours(asked, lab)
+        points, distance, is_mapped = nearest[inverse], off[inverse], (off > target.tolerance)[inverse]
+        keeps_hue = has_same_hue(asked, lab[nearest])[inverse]
     else:
         grid = level_grid(sampler, levels)
         mapped, moved = map_into_solid(asked, grid.flat_xyz, white, target.tolerance)
@@ -131,7 +136,8 @@ def design_picture(
     def report(worst: float) -> None:
         if progress is not None:
             spent = time.monotonic() - begun
-            progress(DesignProgress(worst, spent, max(total - spent, 0.0)))
+            said = f"mean distance at {worst:.3g} of its tolerance"
+            progress(DesignProgress(worst, spent, max(total - spent, 0.0), description=said))
 
     report(float("inf"))
     sampler = _sampler(task)
@@ -156,16 +162,7 @@ def design_picture(
         "target": task.fingerprint,
         "nacre": __version__,
     }
-    design = Design(folder, status, message, summary["seconds"], [solution], summary)
-    _write_summary(folder, summary)
-    with contextlib.suppress(KeyboardInterrupt):
-        _write_report(folder, task, design, picture, begun)
-    _write_summary(folder, summary)
-    return replace(design, seconds=summary["seconds"])
-
-
-def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
-    write_text(folder / SUMMARY, json.dumps(summary, indent=2, default=str) + "\n")
+    return conclude(folder, summary, [solution], lambda design: _write_report(folder, task, design, picture, begun))
 
 
 def _sampler(task: DesignTask, is_final: bool = False) -> ColourSampler:
@@ -198,7 +195,7 @@ def _figures(task: DesignTask, picture: PictureDesign) -> dict[str, Any]:
         "share_out_of_reach": count / mapped.size,
         "share_hue_kept": float(picture.keeps_hue[mapped].mean()) if count else 1.0,
         "levels": levels,
-        "seen_from_afar": levels is not None,
+        "seen_from_afar": levels is not None and task.spec.limits.dither,
         "nodes": picture.grid.nodes,
         "de00_of_spline": picture.grid.error,
         "maps": [
@@ -235,7 +232,7 @@ def _write(task: DesignTask, folder: Path, picture: PictureDesign, facts: dict[s
     map_files = write_maps(folder, picture.maps, {"nacre": __version__, "target": task.fingerprint})
     changes: dict[str, Any] = {m.path: m.texture for m in picture.maps}
     if isinstance(task.material.model, Pixels):
-        # each pixel is a structure of its own: the recipe is the middle one, the field is a drawing
+        # each pixel is its own structure: the recipe is the middle one, the field is a drawing
         changes = {m.path: float(np.median(m.values)) for m in picture.maps}
         map_files = [*map_files, *write_pixels(folder, task.material, picture.maps)]
     path, files = write_recipe(folder, task.material, changes, {})

@@ -24,6 +24,7 @@ from nacre.families.relief.surface import Tile
 from nacre.families.relief.vector import VectorRelief
 from nacre.matter.indices.constant import OpticalConstant
 from nacre.matter.periodic.structure import MAX_UNKNOWNS
+from nacre.optimise.problem import BudgetExhausted
 from nacre.optimise.relief.merit import Losses, Problem, View, exact_losses, objective
 from nacre.recipe.model import RecipeContext
 
@@ -40,6 +41,7 @@ class Refinement:
         before, after: losses of the picture by Maxwell's equations.
         evaluations: solved candidates.
         seconds: its time.
+        is_interrupted: whether an interrupt ended it.
     """
 
     heights_nm: Array
@@ -47,6 +49,7 @@ class Refinement:
     after: Losses
     evaluations: int
     seconds: float
+    is_interrupted: bool = False
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -80,15 +83,13 @@ def refine(
     problem: Problem,
     heights_nm: Array,
     coating: OpticalConstant,
-    seconds: float | None,
-    progress: Callable[[int, float], None] | None = None,
+    is_over: Callable[[], bool] = lambda: False,
 ) -> Refinement:
-    """Improve the heights of a design within a time limit; an interrupt ends it with the best heights so far.
+    """Improve the heights of a design; an interrupt ends it with the best heights so far.
 
     Args:
         heights_nm: `[x, y]`, in [0, `problem.height_max_nm`].
-        seconds: time limit; the picture of the given heights is solved in any case.
-        progress: called with the evaluation count and the best objective.
+        is_over: polled between candidates; the picture of the given heights is solved in any case.
 
     Raises:
         NacreError: the heights cannot be solved.
@@ -105,13 +106,14 @@ def refine(
 
     best, rgb = merit(values)
     first = exact_losses(rgb, problem.target, problem.intensity_scale)
+    is_interrupted = False
     count, step = 1, FIRST_STEP * top if grid is None else float(grid[1])
     try:
         while grid is not None or step >= LAST_STEP * top:  # on levels it ends when none improves
             improved = False
             for k, sign in ((k, sign) for k in range(len(values)) for sign in (1.0, -1.0)):
-                if seconds is not None and time.monotonic() - start > seconds:
-                    raise TimeoutError
+                if is_over():
+                    raise BudgetExhausted
                 moved = values.copy()
                 moved[k] = np.clip(values[k] + sign * step, 0.0, top)
                 if grid is not None:
@@ -125,16 +127,16 @@ def refine(
                 count += 1
                 if value < best:
                     best, values, rgb, improved = value, moved, seen, True
-                if progress is not None:
-                    progress(count, best)
             if not improved:
                 if grid is not None:
                     break
                 step *= 0.5
-    except (TimeoutError, KeyboardInterrupt):
+    except BudgetExhausted:
         pass
+    except KeyboardInterrupt:
+        is_interrupted = True
     last = exact_losses(rgb, problem.target, problem.intensity_scale)
-    return Refinement(values[groups], first, last, count, time.monotonic() - start)
+    return Refinement(values[groups], first, last, count, time.monotonic() - start, is_interrupted)
 
 
 def vector_rgb(problem: Problem, heights_nm: Array, coating: OpticalConstant) -> Array:

@@ -7,20 +7,30 @@ short. Starts run in parallel threads and do not share state, so the thread coun
 
 from __future__ import annotations
 
+import base64
+import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
 
 from nacre.core.arrays import Array
+from nacre.core.errors import NacreError
 from nacre.core.parallel import single_threaded_blas
+from nacre.matter.indices.constant import OpticalConstant
+from nacre.optimise.checkpoint import Checkpointer, unreadable
+from nacre.optimise.problem import BudgetExhausted, Changes, Search
 from nacre.optimise.relief.merit import Evaluator, Problem
+from nacre.optimise.relief.refine import Refinement, refine
 
+logger = logging.getLogger("nacre")
+
+HEIGHTS = "heights"
 # random start ranges, relative to the allowed range, about its middle
 AMPLITUDES = (0.5, 0.25, 1.0, 0.12)
 NOISE_DRAWS = 6
@@ -30,6 +40,7 @@ CORRECTIONS = 20  # L-BFGS-B memory
 PERTURBATIONS = (0.08, 0.15, 0.05)
 PERTURBED_COPIES = 2
 LEVELS_SHARE = 0.3  # time limit share reserved for rounding to levels
+SCALAR_SHARE = 0.5  # time limit share before a vector refinement
 # penalty weights between levels, in turn; the logarithmic objective is about 1
 LEVEL_PENALTIES = (0.02, 0.1, 0.5, 2.0)
 LEVEL_ITERATIONS = 25
@@ -82,98 +93,137 @@ class Candidate:
     stage: int = 0
     done: int = 0
 
-
-@dataclass(frozen=True)
-class Progress:
-    """Search progress report.
-
-    Attributes:
-        stage, stage_number, stage_count: current stage; numbers from 1.
-        best_value: best loss, a weighted mean between fixed and free.
-        evaluations, seconds: used so far.
-        seconds_left: until the time limit, or None.
-        best_x: best relative heights so far, flat.
-    """
-
-    stage: str
-    stage_number: int
-    stage_count: int
-    best_value: float
-    evaluations: int
-    seconds: float
-    seconds_left: float | None
-    best_x: Array = field(repr=False)
+    @property
+    def document(self) -> dict[str, Any]:
+        """The state as JSON data."""
+        return {**vars(self), "x": base64.b64encode(self.x.tobytes()).decode()}
 
 
-class Stopped(Exception):
-    """Raised inside a worker to abort the optimiser; the candidate retains its best point."""
-
-
-class Search:
-    """Resumable search.
+class ReliefSearch(Search):
+    """Resumable search for heights; `changes` of a solution are the heights `[x, y]` in um.
 
     Attributes:
         problem: the problem.
         candidates: starts that were not discarded.
         plan, stage: the stages, and the current index.
-        seconds, evaluations: used so far, including earlier runs.
-        stop_reason: "time limit" or "interrupted"; "" while running or if all stages before the perturbed restarts
-            are complete.
+        refinement: result of the vector refinement.
+
+    Args:
+        coating: refine the heights by Maxwell's equations, with this coating, in the second half of the time.
     """
 
-    def __init__(self, problem: Problem, starts: int, seed: int, workers: int = 1, perturbed_restarts: int = 0) -> None:
-        self.problem, self.seed, self.workers = problem, seed, workers
+    default_evaluations = np.inf
+
+    def __init__(
+        self,
+        problem: Problem,
+        starts: int,
+        seed: int,
+        workers: int = 1,
+        perturbed_restarts: int = 0,
+        coating: OpticalConstant | None = None,
+    ) -> None:
+        super().__init__(1)
+        self.problem, self.seed, self.workers, self.coating = problem, seed, workers, coating
         self.plan = stages(problem, perturbed_restarts)
-        self.stage = self.evaluations = 0
-        self.seconds = 0.0
-        self.stop_reason = ""
+        self.stage = self.earlier_evaluations = 0
         self.candidates = [Candidate(_random_start(problem.features, seed, k)) for k in range(starts)]
+        self.refinement: Refinement | None = None
+        self._final: Array | None = None
         self._stop = threading.Event()
-        self._lock = threading.Lock()
-        self._deadline = np.inf
-        self._start_time = 0.0
-        self._progress: Callable[[Progress], None] | None = None
+        self._end_time = np.inf
 
     @property
-    def best(self) -> Candidate:
+    def leader(self) -> Candidate:
         """Candidate with the lowest objective; the first among equals, whatever the thread order."""
         return min(self.candidates, key=lambda c: (-c.stage, c.value))
 
-    def stop(self) -> None:
-        """Ask the workers to stop; safe from any thread or signal handler."""
-        self._stop.set()
+    @property
+    def evaluations(self) -> float:
+        """Evaluations, those of earlier runs included."""
+        return self.earlier_evaluations + self.budget.used
 
-    def _is_over(self) -> bool:
-        return self._stop.is_set() or time.monotonic() > self._deadline
+    @property
+    def is_met(self) -> bool:
+        """False: the stages end the search."""
+        return False
 
-    def run(self, time_limit_s: float | None = None, progress: Callable[[Progress], None] | None = None) -> Array:
-        """Run to the end, the time limit or an interrupt; return the best relative heights `[n, n]`.
+    @property
+    def description(self) -> str:
+        """Stage and best loss, a weighted mean between fixed and free."""
+        stage = min(self.stage, len(self.plan) - 1)
+        return f"{self.plan[stage].name} ({stage + 1} of {len(self.plan)}): loss {self.best:.5f}"
 
-        A KeyboardInterrupt stops the workers cleanly.
+    def state(self, solutions: Sequence[Changes]) -> tuple[Sequence[Changes], dict[str, Any]]:
+        """Return all candidates, the stage and the evaluations, from which `restore` continues."""
+        return [c.document for c in self.candidates], {"stage": self.stage, "evaluations": self.evaluations}
+
+    def restore(self, checkpointer: Checkpointer) -> None:
+        """Continue from a checkpoint, if there is one.
+
+        Raises:
+            NacreError: it is damaged.
         """
-        self._start_time = time.monotonic() - self.seconds
-        reserved_s = LEVELS_SHARE * (time_limit_s or 0.0) if self.problem.levels else 0.0
-        self._deadline = np.inf if time_limit_s is None else time.monotonic() + time_limit_s - reserved_s
-        self._progress = progress
-        with single_threaded_blas():
-            while self.stage < len(self.plan):
-                self._run_stage(self.plan[self.stage])
-                if self._is_over():
-                    # a design without its perturbed restarts is complete
-                    cut = "" if self.plan[self.stage].perturbs else "time limit"
-                    self.stop_reason = self.stop_reason or ("interrupted" if self._stop.is_set() else cut)
-                    break
-                self.stage += 1
-            best = self.best.x.reshape(self.problem.features, -1)
-            if self.problem.levels:
-                self._deadline += reserved_s
-                best = self._round(best)
-        self.seconds = time.monotonic() - self._start_time
-        return best
+        if not checkpointer.progress:
+            return
+        try:
+            stage, evaluations = (checkpointer.progress[key] for key in ("stage", "evaluations"))
+            candidates = [
+                Candidate(np.frombuffer(base64.b64decode(c["x"])).copy(), float(c["value"]), c["stage"], c["done"])
+                for c in checkpointer.solutions
+            ]
+            if not candidates or any(one.x.shape != (self.problem.features**2,) for one in candidates):
+                raise ValueError
+        except (KeyError, TypeError, ValueError):
+            raise unreadable(checkpointer.folder) from None
+        self.stage, self.earlier_evaluations, self.candidates = stage, evaluations, candidates
 
-    def _run_stage(self, stage: Stage) -> None:
-        if stage.perturbs and self.best.stage < self.stage:
-            self.candidates = [replace(self.best, stage=self.stage, done=0) for _ in range(stage.keep)]
+    def solutions(self) -> list[tuple[float, Changes]]:
+        """Return the best heights, on the levels of the process."""
+        leader = self.leader
+        x = leader.x.reshape(self.problem.features, -1) if self._final is None else self._final
+        if self.problem.levels:
+            x = round_to_levels(x, self.problem.levels)
+        return [(float(np.exp(leader.value)), {HEIGHTS: x * (self.problem.height_max_nm / 1e3)})]
+
+    def report(self, is_forced: bool = False) -> None:
+        """Report the best candidate so far, at intervals unless forced."""
+        with self._lock:
+            if self.is_report_due(is_forced):
+                [(self.best, self.best_changes)] = self.solutions()
+                super().report(is_forced=True)
+
+    def _search(self, known: Sequence[Mapping[str, Any]]) -> None:
+        self._stop.clear()
+        limit = self.budget.seconds * (1.0 if self.coating is None else SCALAR_SHARE)
+        begun = time.monotonic()
+        self._end_time = begun + limit * (1.0 - LEVELS_SHARE if self.problem.levels else 1.0)
+        self.report(is_forced=True)
+        with single_threaded_blas():
+            is_complete = self._run_stages()
+            if self.problem.levels:
+                self._end_time = begun + limit
+                self._final = self._on_levels()
+        if self.coating is not None:
+            self._refine(self.coating)
+        if not is_complete:
+            raise BudgetExhausted
+
+    def _run_stages(self) -> bool:
+        """Run the stages; return whether the design is complete, which it is without its perturbed restarts."""
+        while self.stage < len(self.plan):
+            stage = self.plan[self.stage]
+            # evaluations are counted between stages, so that the thread order does not change the result
+            if self.budget.used >= self.budget.evaluations or not self._run_stage(stage):
+                return stage.perturbs
+            self.report(is_forced=True)
+            self.stage += 1
+        return True
+
+    def _run_stage(self, stage: Stage) -> bool:
+        """Return whether the stage ended before its time."""
+        if stage.perturbs and self.leader.stage < self.stage:
+            self.candidates = [replace(self.leader, stage=self.stage, done=0) for _ in range(stage.keep)]
         elif stage.keep:
             self.candidates = sorted(self.candidates, key=lambda c: c.value)[: stage.keep]
         waiting = [c for c in self.candidates if c.stage <= self.stage]
@@ -189,13 +239,15 @@ class Search:
                 if c.done < stage.iterations
             ]
             try:
-                wait(tasks, return_when=FIRST_EXCEPTION)
-            except KeyboardInterrupt:
-                self.stop_reason = "interrupted"
-                self.stop()
-        for task in tasks:
-            if not task.cancelled():
-                task.result()
+                for task in wait(tasks, return_when=FIRST_EXCEPTION).done:
+                    task.result()
+            except BaseException:
+                self._stop.set()
+                raise
+        return all(c.done >= stage.iterations for c in waiting)
+
+    def _is_over(self) -> bool:
+        return self._stop.is_set() or self.budget.is_over(np.inf, self._end_time)
 
     def _descend(self, candidate: Candidate, number: int, evaluator: Evaluator, stage: Stage) -> None:
         """Continue one candidate, which always stores its best point."""
@@ -210,10 +262,10 @@ class Search:
         def value_and_gradient(x: Array) -> tuple[float, Array]:
             nonlocal best_value
             if self._is_over():
-                raise Stopped
+                raise BudgetExhausted
             value, gradient = evaluate(x)
             with self._lock:
-                self.evaluations += 1
+                self.budget.used += 1
             if value < best_value:
                 best_value = value
                 candidate.x, candidate.value = x.copy(), value
@@ -221,36 +273,33 @@ class Search:
 
         def callback(_: Array) -> None:
             candidate.done += 1
-            self._report(stage)
+            self.report()
 
         options = {"maxiter": stage.iterations - candidate.done, "maxcor": CORRECTIONS, "ftol": 1e-7}
         try:
             _minimise(value_and_gradient, start, options, callback)
             candidate.done = stage.iterations
-        except Stopped:
+        except BudgetExhausted:
             pass
 
-    def _report(self, stage: Stage) -> None:
-        if self._progress is None:
-            return
-        now = time.monotonic()
-        with self._lock:
-            best = self.best
-            self.seconds = now - self._start_time
-            left = None if not np.isfinite(self._deadline) else max(self._deadline - now, 0.0)
-            loss, number = float(np.exp(best.value)), self.stage + 1
-            self._progress(
-                Progress(stage.name, number, len(self.plan), loss, self.evaluations, self.seconds, left, best.x.copy())
-            )
-
-    def _round(self, heights: Array) -> Array:
-        levels = self.problem.levels
-        if self.stop_reason == "interrupted":
-            return round_to_levels(heights, levels)
+    def _on_levels(self) -> Array:
         evaluator = Evaluator(self.problem, self.problem.search_upsamplings()[1])
-        result = optimise_levels(evaluator, heights, levels, self._is_over)
-        self.evaluations += evaluator.evaluations
-        return result
+        x = self.leader.x.reshape(self.problem.features, -1)
+        found = optimise_levels(evaluator, x, self.problem.levels, self._is_over)
+        self.budget.used += evaluator.evaluations
+        return found
+
+    def _refine(self, coating: OpticalConstant) -> None:
+        """Refine by Maxwell's equations; if the heights cannot be solved, the scalar design stays."""
+        [(_, changes)] = self.solutions()
+        try:
+            self.refinement = refine(self.problem, 1e3 * changes[HEIGHTS], coating, self.budget.is_over)
+        except NacreError as error:
+            logger.warning("not refined by Maxwell's equations: %s", error)
+            return
+        self._final = self.refinement.heights_nm / self.problem.height_max_nm
+        if self.refinement.is_interrupted:
+            raise KeyboardInterrupt
 
 
 def _minimise(

@@ -1,6 +1,7 @@
 // The page: the recipe on the left, the object in the middle, colours and spectra on the right.
 
 import { comparedLab, isStale, initCompare, question, showHistory, handlesAnswer } from "./compare.js";
+import { initAngles, updateAngles } from "./angles.js";
 import { $, api, app, el, shortName, setStatus } from "./common.js";
 import { listRecipes, initFiles, open, saveHere, welcome } from "./files.js";
 import { updateTolerance, initTolerance } from "./tolerance.js";
@@ -46,6 +47,7 @@ function onAnswer(answer, isNewest) {
   setStatus(answer.draft ? "draft" : "settled", answer.draft ? "Draft with few angles and wavelengths; solving in full" : `Solved in ${took}`, false);
   if (isOurs) restartRendering();
   updateDesign(answer);
+  updateAngles();
   if (!answer.draft) updateTolerance();
   if (!answer.draft && isStale()) app.socket.ask();
 }
@@ -186,6 +188,7 @@ function listen() {
   initRendering();
   initIncidence();
   initReport();
+  initAngles();
   initDownloads();
   initObjects();
   initSurroundings();

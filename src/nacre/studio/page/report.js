@@ -23,18 +23,18 @@ async function measure() {
   }
 }
 
-const cells = (tag, values, scope) => values.map((value) => {
+export const cells = (tag, values, scope) => values.map((value) => {
   const made = value instanceof Node ? el(tag, {}, value) : el(tag, { textContent: value });
   if (scope) made.scope = scope;
   return made;
 });
 
 function tables({ colours, numbers }, side) {
-  const made = colours.map(({ what, angles_deg, lab, srgb, travel_ab }) => {
+  const made = colours.map(({ kind, what, angles_deg, geometries, lab, srgb, travel_ab }) => {
     const rows = angles_deg.map((angle, i) => {
       const chip = el("span", { className: "chip", title: srgb[i] });
       chip.style.background = srgb[i];
-      return el("tr", {}, ...cells("th", [`${angle}°`], "row"), ...cells("td", [...lab[i].map((v) => v.toFixed(1)), chip]));
+      return el("tr", {}, ...cells("th", [kind === "geometries" ? geometries[i] : `${angle}°`], "row"), ...cells("td", [...lab[i].map((v) => v.toFixed(1)), chip]));
     });
     return el("table", {}, el("caption", { textContent: `${side}${what}; travel in a*b* ${travel_ab.toFixed(1)}` }),
       el("thead", {}, el("tr", {}, ...cells("th", ["angle", "L*", "a*", "b*", "sRGB"], "col"))), el("tbody", {}, ...rows));
@@ -45,8 +45,8 @@ function tables({ colours, numbers }, side) {
 
 function differences({ reports, differences: found }) {
   return Object.entries(found ?? {}).map(([name, values]) => {
-    const angles = reports[0].colours.find(({ kind }) => kind === name)?.angles_deg ?? [];
-    const rows = values.map((value, i) => el("tr", {}, ...cells("th", [`${angles[i]}°`], "row"), ...cells("td", [value.toFixed(2)])));
+    const { angles_deg = [], geometries = [] } = reports[0].colours.find(({ kind }) => kind === name) ?? {};
+    const rows = values.map((value, i) => el("tr", {}, ...cells("th", [name === "geometries" ? geometries[i] : `${angles_deg[i]}°`], "row"), ...cells("td", [value.toFixed(2)])));
     return el("table", {}, el("caption", { textContent: `CIEDE2000 between A and B, ${name}` }), el("tbody", {}, ...rows));
   });
 }

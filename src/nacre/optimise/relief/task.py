@@ -1,4 +1,4 @@
-"""Targets with free relief heights: translated to the gradient search over all heights.
+"""Read and check targets of a relief: pictures over directions and colours, for the gradient search over all heights.
 
 A target picture over directions is a view of that search; a target colour at one pair of directions is a small uniform
 view. The search works with display values under D65; the solution's colours are then evaluated as for any family.
@@ -7,8 +7,8 @@ view. The search works with display values under D65; the solution's colours are
 from __future__ import annotations
 
 import copy
-import time
-from collections.abc import Callable, Mapping
+import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,22 +18,16 @@ import numpy as np
 from nacre.core.arrays import Array, direction
 from nacre.core.errors import RecipeError
 from nacre.core.files import read_text
-from nacre.core.jit import seconds_compiled
 from nacre.families.relief.diffraction_orders import coating_reflectance
-from nacre.families.relief.material import Relief
 from nacre.families.relief.plane_cut import CutGeometry
-from nacre.families.relief.surface import Tile, largest_depth_nm
+from nacre.families.relief.surface import largest_depth_nm
 from nacre.light import SRGB_WHITE_XYZ, adapt_xyz, lab_to_xyz, white_xyz, xyz_to_srgb_linear
-from nacre.material.material import load
-from nacre.measure.geometry import aspecular_pairs
-from nacre.optimise.evaluation import geometries_of, results_of
-from nacre.optimise.measurement import evaluation_wavelengths, simulate_measurement
 from nacre.optimise.relief.merit import GAMMA, Problem, View, default_weights
-from nacre.optimise.relief.run import DesignResult, design
 from nacre.optimise.relief.target import LARGEST_TILE_FEATURES, TargetSpec
 from nacre.optimise.spec import DesignSpec
 from nacre.optimise.targets import Target, read_targets
-from nacre.optimise.task import read_data, task_geometries
+from nacre.optimise.task import task_geometries
+from nacre.recipe.fingerprint import fingerprint
 from nacre.recipe.model import RecipeContext, show_value, validate
 from nacre.recipe.toml import parse_toml
 
@@ -46,30 +40,70 @@ FAMILY = "relief"
 
 
 @dataclass(frozen=True)
-class ReliefTarget:
-    """Validated relief target.
+class ReliefTask:
+    """Checked relief target.
 
     Attributes:
         spec: gradient search target.
         context: target file context.
         problem: design problem.
-        asked: the whole target.
+        asked: the whole target of a file with `[[target]]`.
         colours: target colours at directions.
     """
 
     spec: TargetSpec
     context: RecipeContext
     problem: Problem
-    asked: DesignSpec
-    colours: tuple[Target, ...]
+    asked: DesignSpec | None = None
+    colours: tuple[Target, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """A short name."""
+        return Path(self.context.source).stem
+
+    @property
+    def seconds(self) -> float:
+        """Time limit."""
+        return np.inf if self.spec.search.seconds is None else self.spec.search.seconds
+
+    @property
+    def evaluations(self) -> float:
+        """Limit of evaluations."""
+        return np.inf if self.asked is None else self.asked.search.evaluations or np.inf
+
+    def within_seconds(self, seconds: float) -> ReliefTask:
+        """Return the task with another time limit."""
+        search = self.spec.search.model_copy(update={"seconds": seconds})
+        return replace(self, spec=self.spec.model_copy(update={"search": search}))
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of everything that defines the task, without the time limit."""
+        target = hashlib.sha256(np.ascontiguousarray(self.problem.target).tobytes()).hexdigest()
+        return fingerprint(self.spec.model_dump(exclude={"search": {"seconds"}}), self.context.files, target=target)
+
+    @property
+    def pictures(self) -> list[dict[str, Any]]:
+        """The pictures over directions, as in the file."""
+        tables = [self.spec.target, *self.spec.targets]
+        if self.asked is not None:
+            tables = [target.directions for target in self.asked.target if target.directions is not None]
+        return [table.model_dump(exclude_none=True, exclude_defaults=True) for table in tables]
 
 
-def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget:
-    """Validate a target with free heights.
+def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTask:
+    """Check a target with one `[target]`, or with free heights.
 
     Raises:
         RecipeError: with file, key, value and allowed values.
     """
+    if isinstance(data.get("target"), Mapping):
+        if data.get("family", FAMILY) != FAMILY:
+            allowed = 'cannot be designed by gradient; targets are for family = "relief"'
+            raise context.fail("family", data["family"], allowed)
+        only: TargetSpec = validate(TargetSpec, dict(data), context)
+        return ReliefTask(only, context, only.build(context))
     spec: DesignSpec = validate(DesignSpec, copy.deepcopy(dict(data)), context)
     source = context.source
     recipe = _recipe(spec, context)
@@ -114,7 +148,7 @@ def read_relief(data: Mapping[str, Any], context: RecipeContext) -> ReliefTarget
         raise RecipeError(str(error).replace(f"{source}: target.", f"{source}: {place}.")) from None
     if colours:
         problem = _with_colours(problem, relief, colours, spec, bool(pictures))
-    return ReliefTarget(relief, context, problem, spec, colours)
+    return ReliefTask(relief, context, problem, spec, colours)
 
 
 def _recipe(spec: DesignSpec, context: RecipeContext) -> dict[str, Any]:
@@ -215,71 +249,3 @@ def _with_colours(
 def _linear_rgb(lab: Array, white: Array) -> Array:
     xyz = adapt_xyz(np.clip(lab_to_xyz(lab, white), 0.0, None), white, SRGB_WHITE_XYZ)
     return np.clip(np.asarray(xyz_to_srgb_linear(xyz)), 0.0, None)
-
-
-def run_relief(
-    target: str | Path | Mapping[str, Any],
-    out: str | Path | None = None,
-    *,
-    resume: bool = False,
-    progress: Callable[[Any], None] | None = None,
-    jobs: int | None = None,
-) -> DesignResult:
-    """Design a relief for a target with free heights; the folder has the usual relief files.
-
-    `solutions` in `design.json` contains the colours reached.
-
-    Raises:
-        RecipeError: the target is not usable.
-        NacreError: the folder cannot be written, or contains another target's search.
-    """
-    start_time = time.monotonic()
-    data, context = read_data(target)
-    read = read_relief(data, context)
-    return design(
-        read.spec,
-        context,
-        Path(context.source).stem if out is None else out,
-        resume=resume,
-        progress=progress,
-        jobs=jobs,
-        problem=read.problem,
-        start_time=start_time,
-        evaluation_s=_evaluation_seconds(read),
-        evaluate=lambda folder, summary: {"solutions": [_solution(read, folder, summary)]},
-    )
-
-
-def _evaluation_seconds(read: ReliefTarget) -> float:
-    """Return the final evaluation time, measured with random heights; also compiles the kernels."""
-    if not read.colours:
-        return 0.0
-    spec = read.spec
-    heights_nm = 1e3 * spec.height_max_um * np.random.default_rng(0).random((spec.features, spec.features))
-    tile = Tile(heights_nm, 1e3 * spec.feature_um, 1e3 * spec.blur_um)
-    relief = Relief(tile, spec.coherence.build(), spec.coating.build(read.context), spec.chosen_prefactor)
-    start, compiled = time.monotonic(), seconds_compiled()
-    relief.values_at(*aspecular_pairs(geometries_of(read.colours)), relief.wavelengths_nm)
-    return time.monotonic() - start - (seconds_compiled() - compiled)
-
-
-def _solution(read: ReliefTarget, folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Evaluate the finished relief at the target colours' directions."""
-    light, recipe = read.asked.light, folder / "recipe.toml"
-    losses = {name: summary[name] for name in ("loss_fixed", "loss_free")}
-    results = [
-        {
-            "at": "directions",
-            "lamp": None,
-            "asked": table.model_dump(exclude_none=True, exclude_defaults=True),
-            **losses,
-        }
-        for table in (target.directions for target in read.asked.target)
-        if table is not None
-    ]
-    if read.colours:
-        relief = load(recipe)
-        grid = evaluation_wavelengths(relief, light.illuminants)
-        seen = simulate_measurement(relief, geometries_of(read.colours), grid, memory={})
-        results += [r.document(light.observer) for r in results_of(seen, read.colours, light)]
-    return {"recipe": str(recipe), "targets": results, "yield": None}

@@ -1,0 +1,56 @@
+"""Tied numbers follow in tolerances, diagnoses and `--set`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nacre
+from nacre.analysis.diagnose import SpectrumObservation
+from nacre.analysis.tolerance import recipe_tolerances, run_tolerance
+from nacre.cli import common, run
+from nacre.recipe.toml import dump_toml
+
+FIRST, LAST = "layers[0].thickness_nm", "layers[2].thickness_nm"
+FILM: dict[str, Any] = {
+    "family": "film",
+    "substrate": "Si",
+    "layers": [{"material": m, "thickness_nm": d} for m, d in (("SiO2", 100), ("TiO2", 50), ("SiO2", 90))],
+    "tolerance": {FIRST: 3},
+    "ties": {LAST: f"{FIRST} - 10"},
+}
+GRID = np.linspace(400.0, 700.0, 31)
+
+
+def test_a_draw_moves_tied_numbers_along() -> None:
+    film = nacre.material(FILM)
+    found = run_tolerance(film, recipe_tolerances(film), draws=8, seed=4, geometries=("specular 0",))
+    free = nacre.material({key: value for key, value in FILM.items() if key != "ties"})
+    both = {path: {"deviation": 3, "group": "one"} for path in (FIRST, LAST)}
+    same = nacre.material({**free.data, "tolerance": both})
+    expected = run_tolerance(same, recipe_tolerances(same), draws=8, seed=4, geometries=("specular 0",))
+    np.testing.assert_allclose(found.lab, expected.lab, atol=1e-9)
+    np.testing.assert_allclose(found.sensitivities[0][1], expected.sensitivities[0][1], rtol=1e-9)
+
+
+def test_a_diagnosis_moves_tied_numbers_along() -> None:
+    film = nacre.material(FILM)
+    run_ = film.vary({FIRST: 106.0, LAST: 96.0})
+    seen = SpectrumObservation(GRID, run_.spectrum(0.0, GRID).specular_reflectance[0])
+    found = nacre.diagnose(film, [seen], 0.003)
+    assert found.suspects[0].changes[FIRST] == pytest.approx(6.0, abs=0.1)
+    assert found.verdict == "one cause" and found.material.get(LAST) == pytest.approx(96.0, abs=0.1)
+
+
+def test_set_moves_tied_numbers_along(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "film.toml"
+    path.write_text(dump_toml(FILM))
+    assert common.load_material(str(path), (f"{FIRST}=120",)).get(LAST) == 110.0
+    assert common.load_material(str(path), (f"{FIRST}=120", f"{LAST}=70")).get(LAST) == 70
+    assert common.load_material(str(path)).get(LAST) == 90
+    assert run(["tolerance", str(path), "--tolerance", f"{LAST}=2", "--draws", "2"]) == 2
+    message = capsys.readouterr().err.strip()
+    assert f"ties.{LAST}" in message and "\n" not in message
