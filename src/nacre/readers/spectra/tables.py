@@ -1,7 +1,5 @@
 """Spectral tables: pairs of columns (Cary), wavelengths down or across, without headings, with uncertainties."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
