@@ -318,7 +318,9 @@ def _dash(value: float | None) -> str:
     return "-" if value is None else f"{value:.2g}"
 
 
-def _texture_limits(texts: Sequence[str], instrument: str | None, illuminant: str) -> dict[TextureQuantity, float]:
+def _texture_limits(
+    texts: Sequence[str], instrument: str | None, illuminant: str
+) -> dict[str | TextureQuantity, float]:
     """Return the quantities of `QUANTITY[=PERCENT]` with their limits.
 
     Raises:
@@ -329,7 +331,8 @@ def _texture_limits(texts: Sequence[str], instrument: str | None, illuminant: st
 
     if instrument and not texts:
         raise NacreError("--instrument needs --texture")
-    tool, found = read_instrument(instrument), {}
+    tool = read_instrument(instrument)
+    found: dict[str | TextureQuantity, float] = {}
     for text in texts:
         name, equals, value = text.partition("=")
         each = TextureQuantity.named(name.strip(), "--texture", tool, (illuminant, "10deg"))

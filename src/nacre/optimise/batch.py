@@ -202,7 +202,7 @@ def _search(source: str, task: DesignTask) -> Solution:
 
     Raises:
         KeyboardInterrupt: on an interrupt.
-        RecipeError: no candidate could be computed.
+        RecipeError: all candidates fail.
     """
     search = choose_search(task, task.spec.search.seed)
     budget = budget_of(task, search)
@@ -225,7 +225,7 @@ class _BatchFolder:
         resume: reuse solutions in the folder.
 
     Raises:
-        RecipeError: there are no rows, or the folder contains foreign files or another target's solutions.
+        RecipeError: the list is empty, or the folder contains foreign files or another target's solutions.
         NacreError: the folder cannot be written.
     """
 
@@ -342,7 +342,7 @@ class _BatchFolder:
         return Solution(path, self.task.material.vary(one["changes"]), one["changes"], results, facts)
 
     def write(self, status: str) -> None:
-        """Write table and summary; remove solutions for colours that are no longer listed.
+        """Write table and summary; remove solutions for colours that left the list.
 
         Raises:
             NacreError: a file cannot be written.

@@ -183,7 +183,7 @@ def _adapted(
 
 
 def _hex_rows(path: Path, lines: list[tuple[int, list[str]]], targets: int, light: tuple[str, str]) -> list[ColourRow]:
-    """Return the colours in a column "hex", with or without #, three or six digits; empty if there is none."""
+    """Return the colours in a column "hex", with or without #, three or six digits; empty without one."""
     heading = lines[0][1] if lines else []
     places = [i for i, cell in enumerate(heading) if any(each.quantity == "hex" for each in meanings(cell))]
     if len(places) != 1 or any(len(cells) <= places[0] for _, cells in lines):
@@ -391,7 +391,7 @@ def _cells(text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _is_named_row(line: str) -> bool:
-    """Whether a line is a colour whose name starts with #, as "#1;52;-30;28", and no remark."""
+    """Whether a line is a colour whose name starts with #, as "#1;52;-30;28", not a remark."""
     cells = [_with_point(cell.strip()) for cell in split(line, find_delimiter([line]))]
     return len(cells) > 3 and line[1:2].strip() != "" and all(_number(cell) is not None for cell in cells[1:])
 

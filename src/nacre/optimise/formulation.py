@@ -44,7 +44,7 @@ from nacre.recipe.model import LENGTH_UNITS_NM, RecipeContext, RecipeModel, vali
 from nacre.recipe.path_tables import GeometrySpec
 from nacre.recipe.toml import parse_toml
 
-LEAST = 1e-4  # of the upper bound: a fraction of 0 is no recipe
+LEAST = 1e-4  # of the upper bound: a recipe needs a fraction above 0
 STARTS = 2  # of each combination
 SCOUT_STEPS, COARSE_STEPS, FINE_STEPS = 7, 25, 12  # of least squares
 SECOND = 10  # combinations refined on the two-stream model, for each answer
@@ -63,7 +63,7 @@ RELATIVE_STEP = 0.02  # of a volume fraction, for derivatives
 LEAST_TEXTURE, TEXTURE_STEP = 1e-9, 0.05  # relative volume fraction step for texture derivatives
 MOST_ANSWERS = 20
 SUMMARY = "formulation.json"
-STARTED = "started"  # status while answers are written, so that a killed run blocks no other
+STARTED = "started"  # status while answers are written, so that a killed run does not block the next
 Positive = Annotated[float, pydantic.Field(gt=0.0)]
 Fraction = Annotated[float, pydantic.Field(ge=0.0, le=0.3)]
 
@@ -432,7 +432,7 @@ def _paint(task: Task, pigments: Sequence[PigmentSpec], dye: DyeSpec | None) -> 
 
     Raises:
         RecipeError: an ingredient is not valid.
-        UnsupportedError: the paint has no noise-free model.
+        UnsupportedError: the paint lacks a noise-free model.
     """
     data = {**task.start.data, "strata": [dict(task.start.data["strata"][0])]}
     stratum = data["strata"][0]
@@ -487,7 +487,7 @@ class _Paint:
             texture: in place of the exact numbers of texture; the rows are 0 without it unless `is_fine`.
 
         Raises:
-            UnsupportedError: the paint has no noise-free model.
+            UnsupportedError: the paint lacks a noise-free model.
         """
         made = self.made(fractions)
         grid = self.task.merit.wavelengths_nm
@@ -587,7 +587,7 @@ def formulate(
 
     Raises:
         RecipeError: the file or its library is not valid.
-        UnsupportedError: the paint has no noise-free model.
+        UnsupportedError: the paint lacks a noise-free model.
     """
     task = target if isinstance(target, Task) else read_formulation(target)
     return _Search(task, progress).run()
@@ -767,7 +767,7 @@ def rematch(target: str | Path | Mapping[str, Any] | Task, amounts: Mapping[str,
         batch: geometry -> measured CIELAB `[3]`.
 
     Raises:
-        NacreError: an ingredient is not in the library, or a geometry has no colour.
+        NacreError: an ingredient is not in the library, or a geometry lacks a colour.
     """
     task = target if isinstance(target, Task) else read_formulation(target)
     pigments = [entry for entry in task.library.pigment if entry.name in amounts]

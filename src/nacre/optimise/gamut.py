@@ -171,7 +171,7 @@ def find_gamut(
         progress: called with (done, points).
 
     Raises:
-        NacreError: the geometry or a path is not known, or no point can be computed.
+        NacreError: the geometry or a path is not known, or all points fail.
 
     Example:
         >>> film = {"family": "film", "substrate": "Ti", "layers": [{"material": "TiO2", "thickness_nm": 100}]}
@@ -220,7 +220,7 @@ def applicable_geometry(materials: Sequence[Material], geometry: str | None, whe
 def target_gamut(task: DesignTask, seconds: float) -> tuple[Gamut, Array] | None:
     """Return the gamut at the first target colour, and the target colours there `[target, 3]` (CIELAB), for a report.
 
-    None if all targets are spectra or texture, or if no point can be computed.
+    None if all targets are spectra or texture, or if all points fail.
 
     Args:
         seconds: time limit, unless the material is a thin film.
@@ -258,7 +258,7 @@ def _parameter_gamut(
         draws: point count, time limit in seconds, seed.
 
     Raises:
-        NacreError: no point can be computed.
+        NacreError: all points fail.
     """
     from scipy.stats import qmc
 

@@ -148,7 +148,7 @@ def _search(work: DesignFolder, source: str) -> Design:
 
     Raises:
         KeyboardInterrupt: before there was a solution.
-        RecipeError: no candidate could be computed.
+        RecipeError: all candidates fail.
     """
     result = work.search.run(work.budget(), work.update, work.checkpointer.solutions)
     if not result.solutions and result.status == "interrupted":

@@ -321,7 +321,7 @@ def claim(out: Path) -> None:
 
 
 def _earlier(out: Path) -> set[str] | None:
-    """Return the files of the best solution of a design in a folder; None if there is no design."""
+    """Return the files of the best solution of a design in a folder; None without a design."""
     try:
         summary = json.loads(plain(out / SUMMARY).read_text(encoding="utf-8"))
         if not set(summary) & {"solutions", "loss_fixed"}:  # the latter of a relief

@@ -226,7 +226,7 @@ def _write(task: DesignTask, folder: Path, picture: PictureDesign, facts: dict[s
     map_files = write_maps(folder, picture.maps, {"nacre": __version__, "target": task.fingerprint})
     changes: dict[str, Any] = {m.path: m.texture for m in picture.maps}
     if isinstance(task.material.model, Pixels):
-        # each pixel is a structure of its own: the recipe is the middle one, the field is a drawing
+        # each pixel is its own structure: the recipe is the middle one, the field is a drawing
         changes = {m.path: float(np.median(m.values)) for m in picture.maps}
         map_files = [*map_files, *write_pixels(folder, task.material, picture.maps)]
     path, files = write_recipe(folder, task.material, changes, {})

@@ -1,9 +1,9 @@
 """Dot-matrix holograms: a picture seen under a lamp becomes maps of the turn and the grating period.
 
 Each pixel is three dots side by side, one for each of three wavelengths; two pictures take turns row by row. A dot
-sends one wavelength to the viewer: its wave vector is g = q / lambda, with q the sum of the transverse directions to
-the light and to the viewer. A dot is dimmed by a small turn of its lattice, which moves its order away from the viewer:
-an order of the angular width w falls to a share s of its light at the distance w sqrt(-2 ln s).
+sends one wavelength to the viewer: its wave vector is g = q / lambda, with q the sum over the transverse directions to
+the light and to the viewer. A dot is dimmed by a small lattice turn, which moves its order away from the viewer:
+an order with angular width w falls to a share s at the distance w sqrt(-2 ln s).
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from nacre.optimise.targets import Target
 from nacre.optimise.task import DesignTask
 
 PRIMARIES_NM = (612.0, 545.0, 464.0)  # wavelengths whose mixtures contain sRGB
-LEVELS = 64  # brightnesses of a dot
+LEVELS = 64  # dot brightnesses
 DARK = 1e-5  # share at which a dot counts as dark
 FIELD = "hologram"
-APART = 8.0  # least distance of the wave vectors of two pictures, in widths of an order
+APART = 8.0  # least distance between two pictures' wave vectors, in order widths
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +49,8 @@ class Channel:
         turn_deg: of a bright dot.
         length: |q|.
         periods_nm: `[3]`.
-        primaries: `[3, 3]`, XYZ of a bright dot of each wavelength, in arbitrary units.
-        shares: `[row, column, 3]`, brightness of each dot.
+        primaries: `[3, 3]`, XYZ of a bright dot by wavelength, in arbitrary units.
+        shares: `[row, column, 3]`, dot brightness.
         reached: `[row, column, 3]`, XYZ, on the picture's scale.
     """
 
@@ -107,7 +107,7 @@ def make_channel(task: DesignTask, number: int) -> Channel:
     efficiency, turn = max(found, key=lambda pair: float(np.min(pair[0])))
     if not np.all(efficiency > 0.0):
         raise RecipeError(f'{target.key}.geometry = "{target.geometry}": the grating sends no light to the viewer')
-    # an order is Gaussian over the wavelength, of the width w times the period
+    # an order is Gaussian over the wavelength, w times as wide as the period
     density = _monochromatic(task)
     primaries = density * (efficiency * periods)[:, None]
     shares, reached = _shares(task, target, primaries)
@@ -276,7 +276,7 @@ def _write_mask(task: DesignTask, folder: Path, turns: Array, periods: Array) ->
         model = task.material.vary({PERIOD: float(period)}).model
         shapes = model.pixel_polygons() if isinstance(model, Pixels) else []
         lines = [(layer, float(c[:, 0].min()), float(c[:, 0].max())) for layer, c in shapes]
-        # of a continuous profile the half of the period that is raised
+        # the raised half period of a continuous profile
         cells.append(_lines(lines or [(1, -0.25 * period, 0.25 * period)], float(period), float(turn), side))
     numbers: NDArray[np.int64] = index.reshape(turns.shape).astype(np.int64)
     for suffix in (".gds", ".oas"):

@@ -27,8 +27,8 @@ from nacre.material.material import Material
 from nacre.optimise.image.files import ParameterMap
 
 FIELD = "pixels"
-STEP_NM = 1.0  # sizes are rounded to the grid of the mask
-REPEATS = 4  # periods of a pixel along each side
+STEP_NM = 1.0  # sizes are rounded to the mask grid
+REPEATS = 4  # periods along each pixel side
 MAX_KINDS = 20_000
 
 

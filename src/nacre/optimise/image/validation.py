@@ -15,7 +15,7 @@ from nacre.optimise.targets import Target
 MAX_PARAMETERS = 2
 PERIOD, TURN = "lattice.period_nm", "orientation.turn_deg"
 HOLOGRAM = f"{PERIOD} and {TURN} together"
-MAX_CHANNELS = 2  # pictures of a hologram
+MAX_CHANNELS = 2  # pictures in a hologram
 
 
 def is_hologram(base: Material, parameters: Sequence[Parameter]) -> bool:

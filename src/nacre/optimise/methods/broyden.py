@@ -53,7 +53,7 @@ def descend(
         residuals: of a point; None if they cannot be computed.
         jacobian: of a descent at its point, `[residual, parameter]`.
         columns: parameter indices.
-        low: lower bounds of these parameters.
+        low: lower bounds for these parameters.
         ftol: relative step gain below which the descent has converged.
         is_enough: asked after each successful step.
     """

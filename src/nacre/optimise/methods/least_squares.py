@@ -22,7 +22,7 @@ from nacre.optimise.problem import PENALTY, STOP_TOL, Problem, Search
 
 SCOUTS_PER_PARAMETER = 24
 STEP = 1e-4  # finite difference, relative to the bounds: far above rounding, far below an interference fringe
-STOCHASTIC_STEP = 1e-2  # with Monte Carlo noise of a fixed seed, which is not smooth
+STOCHASTIC_STEP = 1e-2  # with Monte Carlo noise at a fixed seed, which is not smooth
 INSIDE = 1e-6  # scipy requires a start inside the bounds
 
 
@@ -68,7 +68,7 @@ def minimise_residuals(
         max_nfev: step count.
         low, high: bounds.
         jacobian: replaces finite differences.
-        tol: relative tolerance of point and loss.
+        tol: relative tolerance for point and loss.
     """
     from scipy.optimize import least_squares
 
@@ -173,12 +173,12 @@ class LeastSquaresOptions:
     """Options of `LeastSquaresSearch`.
 
     Attributes:
-        scouts_per_parameter, min_scouts, max_scouts: size of the Sobol draw.
+        scouts_per_parameter, min_scouts, max_scouts: Sobol draw size.
         scout_share: budget share for it.
         max_nfev, reweightings: see `refine`.
         max_noise: Monte Carlo colour noise, in tolerances, that does not disturb the search.
-        max_samples: largest number of Monte Carlo samples.
-        perturbations: standard deviations of restarts near the best solutions, of the bounds.
+        max_samples: most Monte Carlo samples.
+        perturbations: standard deviations for restarts near the best solutions, relative to the bounds.
         min_start_distance: between starts, relative to the bounds.
     """
 
@@ -260,7 +260,7 @@ class LeastSquaresSearch(Search):
     def _increase_samples(self) -> bool:
         """Take four times the samples and refine anew, until the noise is small; return whether that was done.
 
-        In steps of four: another sample count needs another kernel, which takes seconds to compile.
+        In fours: another sample count needs another kernel, which takes seconds to compile.
         """
         if self.samples is None or self.samples >= self.sufficient_samples:
             return False

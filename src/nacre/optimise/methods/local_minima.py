@@ -1,7 +1,7 @@
 """Basin hopping over interference orders: interleaved descents, and restarts from the minima next to the best one.
 
 Lengths interfere: a coating thicker by half a wavelength has nearly the same spectrum, and no descent crosses the ridge
-between. Hence the merit is scanned along each length of a good minimum, and new descents begin at the other minima of
+between. Hence the merit is scanned along each length at a good minimum, and new descents begin at the other minima of
 the scan. Minima with equal residuals count once, wherever they are: parameters without effect may have any value.
 """
 
@@ -23,14 +23,14 @@ class BasinHoppingOptions:
     """Options of `BasinHopping`.
 
     Attributes:
-        first_gain: expected reduction of the rms by the first steps.
-        steps: of one turn of a descent.
-        turn_gain: remaining share of the squares below which a descent has another turn.
+        first_gain: expected rms reduction by the first steps.
+        steps: in one turn of a descent.
+        turn_gain: remaining squares' share below which a descent has another turn.
         ftol: relative step gain that ends a descent.
-        min_difference: of residuals of two minima, relative to the smaller.
+        min_difference: between two minima's residuals, relative to the smaller.
         minima_per_hop: new minima before the next hop.
         scan_points: along a length; about a tenth of a wavelength for a coating.
-        min_hop: distance of a new start from the minimum, of the bounds.
+        min_hop: distance from a new start to the minimum, relative to the bounds.
         step: finite difference, relative to the bounds.
     """
 
@@ -50,8 +50,8 @@ class BasinHopping:
 
     Args:
         residuals: of a point; None if they cannot be computed.
-        columns: parameter indices of a point that may move.
-        low: lower bound of each parameter.
+        columns: indices of parameters that may move.
+        low: lower parameter bounds.
         lengths: parameter indices that interfere.
         variants: further starts from a good minimum, such as without one of its tables.
         structure: of a point; descents begin from all structures in turn.

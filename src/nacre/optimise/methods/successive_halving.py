@@ -1,7 +1,7 @@
 """Successive halving for expensive, smooth models such as metasurfaces.
 
-A candidate costs a tenth of a second or more. Each round evaluates a Sobol draw at low fidelity, starts descents from
-the best points, and after every few steps drops the worse half of them. All of this uses few wavelengths; the
+A candidate costs 0.1 s or more. Each round evaluates a Sobol draw at low fidelity, starts descents from
+the best points, and after every few steps drops the worse half. All this uses few wavelengths; the
 survivors converge on the final evaluation wavelengths, with Jacobians on the few.
 """
 
@@ -25,7 +25,7 @@ from nacre.optimise.methods.broyden import Descent, descend
 from nacre.optimise.methods.least_squares import is_distinct, reweighted
 from nacre.optimise.problem import STOP_TOL, Problem, Search
 
-COARSE_NM = np.linspace(400.0, 700.0, 11)  # colours of smooth spectra are right to some tenths of dE00
+COARSE_NM = np.linspace(400.0, 700.0, 11)  # smooth spectra have colours within a few 0.1 dE00
 DRAFT_NM = np.linspace(400.0, 700.0, 9)
 DRAFT_COST = 0.6  # of a draft relative to a candidate on as many wavelengths
 
@@ -35,17 +35,17 @@ class SuccessiveHalvingOptions:
     """Options of `SuccessiveHalvingSearch`.
 
     Attributes:
-        draws, draw_share: draft evaluations of a round, and their budget share.
-        second_draws, min_second_draws: of them that are evaluated again on the coarse wavelengths.
-        population_size: descents at the start of a round.
-        categorical_share: one of so many starts is reserved for the categorical choices in turn, whatever its merit.
+        draws, draw_share: draft evaluations per round, and their budget share.
+        second_draws, min_second_draws: drafts that are evaluated again on the coarse wavelengths.
+        population_size: descents at a round's start.
+        categorical_share: one in so many starts is reserved for the categorical choices in turn, whatever its merit.
         min_start_distance: between starts, relative to the bounds.
         step: finite difference, relative to the bounds.
         rung_steps, final_steps: steps before each halving, and to converge.
         reweightings: descents with weights on the worst terms.
         enough: share of the stopping tolerance at which a descent ends.
         promote_tol: objective on coarse wavelengths below which a descent converges at once on all.
-        perturbation: standard deviation of restarts near the best solutions, of the bounds.
+        perturbation: standard deviation for restarts near the best solutions, relative to the bounds.
     """
 
     draws: int = 512
@@ -91,7 +91,7 @@ class SuccessiveHalvingSearch(Search):
         self.options = SuccessiveHalvingOptions() if options is None else options
         lamps = problem.task.spec.light.illuminants
         own = np.asarray(problem.material.model.wavelengths_nm)
-        # target spectra are compared on all of their wavelengths
+        # target spectra are compared on all their wavelengths
         is_smooth = bool(own[0] <= COARSE_NM[0] and own[-1] >= COARSE_NM[-1])
         is_smooth = is_smooth and all(target.spectrum is None for target in problem.task.targets)
         fine = np.asarray(evaluation_wavelengths(problem.material, lamps))

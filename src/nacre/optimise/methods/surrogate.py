@@ -45,24 +45,24 @@ class SurrogateOptions:
 
     Attributes:
         scout_share, exploration_share: of the budget of a round.
-        fine_share: of the budget for scouts and descents if the surrogate error is known.
+        fine_share: budget share for scouts and descents if the surrogate error is known.
         fine_starts: scouts that start fine descents.
-        starts, starts_per_structure: refinements of a round if the error is unknown.
-        best_starts: of them that are corrected by estimates.
-        scout_refinements, scout_walks, scout_radius: refinements of each start, walks of their estimates, and the
+        starts, starts_per_structure: refinements per round if the error is unknown.
+        best_starts: refinements that are corrected by estimates.
+        scout_refinements, scout_walks, scout_radius: refinements per start, walks for their estimates, and the
             trust radius of the correction, of the bounds.
         max_nfev, corrected_nfev: refinement steps, without and with a known error.
         step: finite difference, relative to the bounds.
         trust_radius, radius_shrink, min_radius: of the correction, of the bounds.
-        min_amount: least amount of an optional table that is present, of its bounds.
+        min_amount: least amount in an optional table that is present, relative to its bounds.
         first_walks, max_walks: of an estimate.
         corrections: refinements between estimates.
         max_noise, noise_share: acceptable colour noise in tolerances, and relative to the objective.
         good_rms, poor_objective: rms in tolerances of a minimum that is corrected at once, and objective beyond which a
             minimum must improve quickly.
-        gain, max_idle: smaller improvements of the objective, and how many of them end the work on a minimum.
-        max_start_ratio: rms of a start relative to the best one.
-        unconfirmed_ratio: objective of the surrogate relative to the best estimate at which it becomes a solution.
+        gain, max_idle: smaller objective improvements, and how many end the work on a minimum.
+        max_start_ratio: start rms relative to the best one.
+        unconfirmed_ratio: surrogate objective relative to the best estimate at which it becomes a solution.
         hopeless_ratio: objective relative to the best one at which a minimum is given up.
         small_amount, removal_cost: amounts that are tried without, of their bounds, and the objective that may cost.
         idle_rounds: rounds without improvement that end the search.
@@ -132,8 +132,8 @@ class SurrogateError:
     Attributes:
         relative: standard error for the approximate part; None if unknown.
         exact_error: of the exact part, which uses coarser tables than the walk.
-        similarity: mean log difference of two approximations whose estimates apply to each other.
-        estimates: walks, approximation, rest and its error of each estimate.
+        similarity: mean log difference between two approximations whose estimates apply to each other.
+        estimates: walks, approximation, rest and its error per estimate.
     """
 
     relative: float | None
@@ -163,7 +163,7 @@ class SurrogateError:
         """Return the mean rest and its error at the last point, by the estimates at points of similar radiance."""
         total, rest, square = 0.0, np.zeros_like(approximation), np.zeros_like(approximation)
         floor = np.maximum(approximation, 1e-9)
-        count = max(int(np.count_nonzero(approximation > 1e-9)), 1)  # rows of texture have no approximate part
+        count = max(int(np.count_nonzero(approximation > 1e-9)), 1)  # texture rows have no approximate part
         for walks, other, found, error in self.estimates:
             difference = float(np.sum(np.abs(np.log(floor / np.maximum(other, 1e-9))))) / count
             weight = walks * np.exp(-((difference / self.similarity) ** 2))
@@ -192,7 +192,7 @@ def wavelength_subset(
     grid, merit = whole
     targets = problem.task.targets
     if SUBSET_NM[0] < grid[0] or SUBSET_NM[-1] > grid[-1] or any(target.spectrum is not None for target in targets):
-        return whole  # a target spectrum is compared on all of its wavelengths
+        return whole  # a target spectrum is compared on all its wavelengths
     subset = SUBSET_NM
     for lamp in problem.task.spec.light.illuminants:
         subset = with_lamp_lines(subset, lamp) if len(lamp_lines_nm(lamp)) else subset
@@ -283,7 +283,7 @@ class SurrogateSearch(Search):
         parameters = self.problem.parameters
         for i, table in self.problem.removable.items():
             found[i] = 0.0 if found[i] < self.options.min_amount else found[i]
-            if found[i] == 0.0:  # the contents of a removed table do not distinguish points
+            if found[i] == 0.0:  # a removed table's contents do not distinguish points
                 found[[j for j, p in enumerate(parameters) if j != i and is_within(p.path, table)]] = 0.5
         return found
 
@@ -364,7 +364,7 @@ class SurrogateSearch(Search):
         objective = float(self._merit.objective(self._merit.distances(factors)))
         moved = delta_e_2000(self._merit.labs(factors), self._merit.labs(factors + error)).max(axis=-1)
         noise = float(np.max(moved / problem.tolerances()))
-        # the noise is added: a lucky estimate of few walks should not win
+        # the noise is added: a lucky estimate from few walks should not win
         ranking = rank(objective + noise, sum(self._structure(point)))
         changes = problem.changes(point)
         if ranking < self._best_rank:
@@ -451,7 +451,7 @@ class SurrogateSearch(Search):
         found.sort(key=lambda pair: pair[0])
         for rms, point in found[1 : self.solution_count]:
             if rms <= options.poor_objective and not self.is_met:
-                self.estimate(point, options.first_walks)  # one of the other solutions
+                self.estimate(point, options.first_walks)  # another solution
         return found[: options.best_starts]
 
     def _residuals(self, point: Array) -> Array | None:

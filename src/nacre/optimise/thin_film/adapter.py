@@ -48,7 +48,7 @@ class ThinFilmSearch(Search):
     def __init__(self, task: DesignTask, seed: int) -> None:
         super().__init__(task.spec.search.solutions)
         self.task, self.seed = task, seed
-        self.entries: dict[str, Any] = {}  # name of a medium -> its recipe entry
+        self.entries: dict[str, Any] = {}  # medium name -> its recipe entry
         self.problem = self._problem()
         self.default_evaluations = default_evaluations(self.problem)
         self._found: list[tuple[float, Changes]] = []
@@ -249,15 +249,15 @@ def thin_film_search_many(
     """Find the best changes for some of many tasks that differ only in their colours.
 
     Args:
-        targets: all of them.
-        which: numbers of those that are sought.
-        take: called with the number of each and its changes, from threads.
+        targets: all.
+        which: target numbers that are sought.
+        take: called with each number and its changes, from threads.
 
     Returns:
-        False, with nothing done, where the free numbers are not those of a stack.
+        False, with nothing done, where the free numbers are not a stack's.
 
     Raises:
-        RecipeError: as of `film_search`.
+        RecipeError: as `film_search`.
     """
     one = thin_film_search(targets[0] if targets else target, target.spec.search.seed)
     if one is None:
@@ -313,7 +313,7 @@ def _is_of_stack(number: Parameter) -> bool:
 def engine_wavelengths(targets: Sequence[Target]) -> Array:
     """Return the search wavelengths: those of colours, or of the spectra without colours.
 
-    The final evaluation uses the wavelengths of a target spectrum, hence the search does too if there are enough.
+    The final evaluation uses a target spectrum's wavelengths, hence the search does too if there are enough.
     """
     spectra = [one.spectrum for one in targets if one.spectrum is not None]
     if not spectra:

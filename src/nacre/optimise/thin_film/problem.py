@@ -46,18 +46,18 @@ class StackProblem:
     """A stack to be designed.
 
     Attributes:
-        merit: merit function; its rows are those of `angles_rad`.
-        palette: materials of the layers.
+        merit: merit function; its rows are `angles_rad`.
+        palette: layer materials.
         substrates: alternatives below the layers.
         angles_rad: `[row]`, in the ambient.
         sides: `[row]`, "reflected" or "transmitted" (into the substrate), unpolarised.
-        ambient: real index of the medium above, a number or `[wavelength]`.
+        ambient: real index above, a number or `[wavelength]`.
         max_layers: largest layer count (open stack).
         bounds_nm: name -> (low, high), of the palette (open stack).
-        slots: the layers of a given stack from the top, which replace `max_layers` and `bounds_nm`.
+        slots: a given stack's layers from the top, which replace `max_layers` and `bounds_nm`.
         max_total_nm: largest total thickness.
         prefer_few_layers: whether fewer layers win at equal merit.
-        relative_tolerance, absolute_tolerance_nm: standard deviations of the thicknesses, as a share and in nm:
+        relative_tolerance, absolute_tolerance_nm: thickness standard deviations, as a share and in nm:
             one number or one per slot.
 
     Raises:

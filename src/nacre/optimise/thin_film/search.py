@@ -38,7 +38,7 @@ from nacre.optimise.thin_film.merit_kernel import compile_merit
 from nacre.optimise.thin_film.problem import StackProblem
 
 YIELD_SEED, SETTLING_SEED = 21, 22  # the reported yield has draws of its own
-SIMILAR = 0.2  # relative thickness difference within which stacks of the same materials are one solution
+SIMILAR = 0.2  # relative thickness difference within which stacks with the same materials are one solution
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class GeneticOptions:
     """Options of `search`.
 
     Attributes:
-        population_size: structures of an island.
-        offspring: stacks of a batch; `batches` of them, each with its own seed, are a generation.
+        population_size: structures per island.
+        offspring: stacks per batch; `batches` batches, each with its own seed, are a generation.
         fresh_share: offspring drawn anew.
         margin: of the tolerance, by which ranges are narrowed.
         search_share, robust_search_share: of the budget before the refinement; with manufacturing tolerances.
@@ -55,12 +55,12 @@ class GeneticOptions:
         compile_share: of the time limit that remains if kernels are compiled first.
         stall_generations, min_gain: generations without that relative gain end an island.
         merge_every: every such island is populated by the best of all.
-        finalists, final_steps: stacks refined on all wavelengths, and steps of each.
-        yield_draws: samples of the yield.
-        stop_failure: share of failing samples at which a search for yield ends.
+        finalists, final_steps: stacks refined on all wavelengths, and steps for each.
+        yield_draws: yield samples.
+        stop_failure: failing share at which a search for yield ends.
         settling_steps, settling_size: random steps towards a higher yield, their first and smallest relative size.
-        equal_objective: difference of objectives within which fewer layers win.
-        shared_draws: stacks drawn for many targets together; of them `shared_starts` are refined per target, then
+        equal_objective: objective difference within which fewer layers win.
+        shared_draws: stacks drawn for many targets together; `shared_starts` are refined per target, then
             up to `shared_generations` of `shared_offspring` follow.
     """
 
@@ -94,11 +94,11 @@ class StackSolution:
     """One solution.
 
     Attributes:
-        materials: names of the layers from the top.
+        materials: layer names from the top.
         thicknesses_nm: `[layer]`.
         substrate: name.
         d: `[term]`, distances on all wavelengths (`MeritFunction.distances`).
-        objective: `MeritFunction.objective` of them.
+        objective: their `MeritFunction.objective`.
         yield_share: manufactured sample share that meet all targets, or None without tolerances.
     """
 
@@ -405,7 +405,7 @@ def choose(engine: Engine, found: Sequence[Stack], solutions: int, end_time: flo
     """Refine the best stacks on all wavelengths and return distinct ones, best first."""
     options, problem = engine.options, engine.problem
     ordered = sorted({id(one): one for one in found}.values(), key=lambda one: one.score)
-    if problem.has_tolerance:  # a refinement would leave the middle of the tolerance region
+    if problem.has_tolerance:  # a refinement would leave the tolerance region's middle
         first = ordered[: 2 * solutions + 2]
         finished = [engine.solution(one) for one in first]
         if first:
@@ -439,9 +439,9 @@ def many(
     No time limit: a seed gives the same result everywhere.
 
     Args:
-        merits: of colours as in `problem.merit`, in the same order of rows and lamps.
-        on_progress: called with the number of each merit function and its solution, from threads.
-        which: numbers of the merit functions to solve, with the same results as if all were; default: all.
+        merits: for colours as in `problem.merit`, with the same rows and lamps.
+        on_progress: called with each merit function's number and its solution, from threads.
+        which: merit function numbers to solve, with the same results as if all were; default: all.
 
     Raises:
         NacreError: merit functions of another shape, or not of colours only.
