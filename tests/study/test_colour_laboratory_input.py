@@ -100,7 +100,7 @@ def test_a_wrong_colour_list_is_refused_in_one_line(
         ("cost_per_kg", pigment(cost_per_kg=float("nan"))),
         ("volume_fraction", pigment(volume_fraction=[0.03, 0.01])),
         ("silver", {"library": {"pigment": [SILVER, SILVER]}}),
-        ("45as15", {"target": [PAINT["target"][0], PAINT["target"][0]]}),
+        ("45as15", {"target": [PAINT["target"][0], PAINT["target"][0] | {"lab": [90, 0, 0]}]}),
     ],
 )
 def test_a_wrong_library_or_target_is_refused_before_any_search(

@@ -344,6 +344,7 @@ def formulate(
     targets: tuple[str, ...], output: str | None, batch: str | None, made: str | None, answer: int, as_json: bool
 ) -> None:  # fmt: skip
     """Choose pigments, a dye and concentrations from a library for the measured colours of each TARGET."""
+    from nacre.core.files import check_writable
     from nacre.optimise.formulation import check_answers, formulation_document, read_formulation, write_formulation
     from nacre.optimise.formulation import formulate as run
 
@@ -358,6 +359,9 @@ def formulate(
     folders = [Path(output or Path(target).stem) for target in targets]
     if len(targets) > 1:
         folders = [Path(output or ".") / Path(target).stem for target in targets]
+        if output and not Path(output).exists():
+            check_writable(output)
+            Path(output).mkdir()
     for target, folder in zip(targets, folders, strict=True):
         if folders.count(folder) > 1:
             raise NacreError(f"{target}: another target has the folder {folder} too; rename one")
