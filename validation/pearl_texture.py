@@ -77,7 +77,7 @@ def main(out: Path) -> list[dict[str, Any]]:
     rows.append(row(f"graininess of {PAINTS} paints: mean ratio of closed form and patch", f"within {BIAS:g} of 1",
                     f"{ratio:.3f}; {share:.2f} within two joint errors", abs(ratio - 1) <= BIAS, FIGURE))  # fmt: skip
     closed_s, patch_s = np.array(times).T
-    rows.append(row("CPU seconds of a paint, closed form: median, largest", f"<= {CLOSED_S:g}",
+    rows.append(row("CPU seconds of a paint, closed form: median, largest", f"at most {CLOSED_S:g}",
                     f"{np.median(closed_s):.2f}, {max(closed_s):.2f}", max(closed_s) <= CLOSED_S, FIGURE))  # fmt: skip
     rows.append(row("CPU seconds of a paint, drawn patch: median, largest", f"at most {PATCH_S:g}",
                     f"{np.median(patch_s):.2f}, {patch_s.max():.2f}", patch_s.max() <= PATCH_S, FIGURE))  # fmt: skip
