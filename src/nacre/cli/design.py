@@ -343,8 +343,8 @@ def formulate(
     target: str, output: str | None, batch: str | None, made: str | None, answer: int, as_json: bool
 ) -> None:  # fmt: skip
     """Choose pigments, a dye and concentrations from a library for the measured colours of TARGET."""
+    from nacre.optimise.formulation import check_answers, formulation_document, read_formulation
     from nacre.optimise.formulation import formulate as run
-    from nacre.optimise.formulation import formulation_document, read_formulation
 
     if (batch is None) != (made is None):
         raise NacreError("--batch and --made belong together: the colours of a batch, and its formulation")
@@ -353,6 +353,7 @@ def formulate(
         _rematch(task, batch, Path(made), answer, as_json)
         return
     folder = Path(output or Path(target).stem)
+    check_answers(folder)
     found = run(
         task,
         folder,
