@@ -9,11 +9,13 @@ import pytest
 from random_recipes import random_film, random_metasurface, random_pearl, random_relief
 
 import nacre
+from nacre.bsdf import Bsdf
 from nacre.families.registry import FAMILIES, family_names, family_spec
 from nacre.measure.evaluate import evaluate_with_error
 from nacre.measure.spectrum import directional_hemispherical
 
 QUICK, FULL = 10, 200
+QUICK_RELIEFS = 4  # each takes a second
 BLOCKS = [range(start, start + 38) for start in range(QUICK, FULL, 38)]  # side by side
 GRID_NM = np.array([420.0, 550.0, 680.0])  # physics is tested at a few wavelengths; colours are tested elsewhere
 ENERGY_BAR = 1.002
@@ -35,10 +37,9 @@ def pairs(g: np.random.Generator, count: int, both_sides: bool) -> tuple[np.ndar
     return wi, wo
 
 
-def check(material: nacre.Material, eta: float, seed: int) -> None:
+def check(bsdf: Bsdf, eta: float, seed: int) -> None:
     """Check one deterministic material."""
     g = np.random.default_rng(1000 + seed)
-    bsdf = material.bsdf(GRID_NM)
     wi, wo = pairs(g, 40, bsdf.transmits)
     there, back = bsdf.evaluate(wi, wo), bsdf.evaluate(wo, wi)
     assert np.all(np.isfinite(there)) and np.all(there >= 0), seed
@@ -57,22 +58,22 @@ def check_films(seeds: range) -> None:
         substrate = data["substrate"]
         clear = isinstance(substrate, dict)
         index = substrate["n"] if clear else None
-        material = nacre.material(data)
+        bsdf = nacre.material(data).bsdf(GRID_NM)
         # a named substrate may be clear too; its bending is that of the contract's one relative index
-        response = getattr(material.bsdf(GRID_NM).lobes[0], "response", None)
+        response = getattr(bsdf.lobes[0], "response", None)
         eta = index if index is not None else (response.eta if response is not None else 1.0)
-        check(material, float(eta), seed)
+        check(bsdf, float(eta), seed)
 
 
 def check_reliefs(seeds: range, folder: Path) -> None:
     for seed in seeds:
-        check(nacre.material(random_relief(np.random.default_rng(seed), folder), folder), 1.0, seed)
+        check(nacre.material(random_relief(np.random.default_rng(seed), folder), folder).bsdf(GRID_NM), 1.0, seed)
 
 
 def check_metasurfaces(seeds: range) -> None:
     for seed in seeds:
         data = random_metasurface(np.random.default_rng(seed))
-        check(nacre.material(data), data["substrate"]["n"], seed)
+        check(nacre.material(data).bsdf(GRID_NM), data["substrate"]["n"], seed)
 
 
 def check_pearls(seeds: range, samples: int) -> None:
@@ -97,15 +98,20 @@ def test_families_of_other_packages_keep_energy_and_reciprocity() -> None:
     outside = [name for name in family_names() if name not in FAMILIES]
     assert outside
     for name in outside:
-        check(nacre.material(family_spec(name, "here").example), 1.0, 0)
+        check(nacre.material(family_spec(name, "here").example).bsdf(GRID_NM), 1.0, 0)
 
 
 def test_ten_random_films() -> None:
     check_films(range(QUICK))
 
 
+def test_four_random_reliefs(tmp_path: Path) -> None:
+    check_reliefs(range(QUICK_RELIEFS), tmp_path)
+
+
+@pytest.mark.full
 def test_ten_random_reliefs(tmp_path: Path) -> None:
-    check_reliefs(range(QUICK), tmp_path)
+    check_reliefs(range(QUICK_RELIEFS, QUICK), tmp_path)
 
 
 def test_ten_random_metasurfaces() -> None:
@@ -122,8 +128,9 @@ def test_blocks_and_the_first_ten_are_two_hundred() -> None:
 
 
 @pytest.mark.full
-def test_two_hundred_random_films() -> None:
-    check_films(range(QUICK, FULL))
+@pytest.mark.parametrize("seeds", BLOCKS)
+def test_two_hundred_random_films(seeds: range) -> None:
+    check_films(seeds)
 
 
 @pytest.mark.full

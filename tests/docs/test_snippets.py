@@ -24,6 +24,7 @@ NAME = re.compile(r"#\s*([\w./-]+\.(?:toml|csv))\s*$")
 QUICK_RENDER = ["--size", "24x24", "--spp", "1"]
 QUICK_FRAMES = ["--frames", "2"]
 QUICK_SEARCH_S = 2
+QUICK_ENSEMBLE = "[model.ensemble]\nspheres = 20\nrealisations = 4\n"
 RANGE = re.compile(r"^(\d+):(\d+):\d+$")
 NOT_RUN_HERE = ("nacre demo", "nacre studio")  # they have tests of their own
 
@@ -66,6 +67,8 @@ def _write(text: str) -> None:
         data = tomllib.loads(text)
         if "family" in data and "target" not in data:
             nacre.load(match[1])
+        if data.get("family") == "metasurface" and "model" not in data:
+            Path(match[1]).write_text(f"{text}\n{QUICK_ENSEMBLE}", encoding="utf-8")
 
 
 def _run_line(line: str) -> None:

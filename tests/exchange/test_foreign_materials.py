@@ -65,6 +65,21 @@ def test_everything_else_of_a_gltf_material_is_named(tmp_path: Path) -> None:
     assert any("0.4" in line for line in found.remarks) and any("0.2" in line for line in found.remarks)
 
 
+@pytest.mark.parametrize(
+    ("film", "base"),
+    [
+        ({"iridescenceFactor": 1.5}, {}), ({"iridescenceFactor": -0.1}, {}),
+        ({"iridescenceFactor": 1, "iridescenceThicknessMaximum": -5}, {}),
+        ({"iridescenceFactor": 1}, {"metallicFactor": 2}),
+    ],
+)  # fmt: skip
+def test_shares_and_lengths_outside_their_range_are_refused(
+    film: dict[str, Any], base: dict[str, Any], tmp_path: Path
+) -> None:
+    with pytest.raises(NacreError):
+        read_gltf(gltf(tmp_path / "x.gltf", {"film": film, "base": base}))
+
+
 SHADER = (
     '<materialx version="1.39" colorspace="{space}"><{kind} name="s" type="surfaceshader">{inputs}</{kind}></materialx>'
 )
@@ -88,6 +103,7 @@ def shader(path: Path, kind: str, space: str = "lin_rec709", **inputs: str) -> P
         ),
         ("standard_surface", {"thin_film_thickness": 'value="300"'}, 300.0),
         ("standard_surface", {"thin_film_thickness": 'value="0.3" unit="micrometer"'}, 300.0),
+        ("standard_surface", {"thin_film_thickness": 'value="0.00001" unit="inch"'}, 254.0),
         ("gltf_pbr", {"iridescence": 'value="1"', "iridescence_thickness": 'value="300"'}, 300.0),
     ],
 )

@@ -10,6 +10,7 @@ import pytest
 from nacre.bsdf.bsdf import Bsdf
 from nacre.core.errors import NacreError
 from nacre.material.material import material
+from nacre.measure.spectrum import bsdf_spectrum
 
 ALLOWED = 0.005  # of R and T, the issue's bar, unless the file states more
 ANGLES = 2000  # the issue's
@@ -40,43 +41,51 @@ def random_film(seed: int) -> dict[str, Any]:
     return {"family": "film", "ambient": ambient, "substrate": substrate, "layers": layers}
 
 
-def largest_error(recipe: dict[str, Any]) -> tuple[float, float]:
-    """Return the largest error of R and T at 2,000 angles, and the error that the file states.
-
-    A single angle is left out: the dip of a guided mode of almost no loss is narrower than any spacing of a check, and
-    than the 0.045 degrees between these angles.
-    """
+def differences(recipe: dict[str, Any], angles: int = ANGLES) -> tuple[Any, Any, dict[str, Any]]:
+    """Return the differences of R and T from the solution over angle, from both sides; the stated ones; the note."""
     model: Any = material(recipe).model
     lam = model.wavelengths_nm
     lam = lam[:: -(-len(lam) // MOST_WAVELENGTHS)]
-    theta = np.radians((np.arange(ANGLES) + 0.37) * 90.0 / ANGLES)
-    bsdf, exact = model.bsdf(lam), model.spectrum(theta, lam)
-    found = bsdf.specular(theta)
-    error = np.abs(found.reflectance - exact.specular_reflectance)
-    if exact.specular_transmittance is not None:
-        error = np.maximum(error, np.abs(found.transmittance - exact.specular_transmittance))
-    return float(np.sort(error.max(axis=1))[-2]), float(bsdf.provenance["angle_table"]["largest_error"])
+    theta = np.radians((np.arange(angles) + 0.37) * 90.0 / angles)
+    bsdf = model.bsdf(lam)
+    error, stated = [], []
+    for below in (False, True)[: 2 if bsdf.transmits else 1]:
+        at = np.pi - theta if below else theta
+        found, exact = bsdf.specular(at), model.stack.reversed() if below else model.stack
+        powers = exact.powers(theta, lam)
+        parts = [found.reflectance - powers.reflectance]
+        if bsdf.transmits:
+            parts.append(found.transmittance - powers.transmittance)
+        error.append(np.abs(np.stack(parts)).max(axis=(0, 2)))
+        stated.append(bsdf.angle_error(at))
+    return np.concatenate(error), np.concatenate(stated), dict(bsdf.provenance["angle_table"])
 
 
-def check(seeds: range) -> None:
+def largest_error(recipe: dict[str, Any]) -> tuple[float, float]:
+    """Return the largest error of R and T, and the error that the file states."""
+    error, _, note = differences(recipe)
+    return float(error.max()), float(note["largest_error"])
+
+
+def check(seeds: range, angles: int = ANGLES) -> None:
     solved = 0
     for seed in seeds:
         try:
-            error, stated = largest_error(random_film(seed))
+            error, stated, _ = differences(random_film(seed), angles)
         except NacreError:  # an incoherent layer in which intensities do not add, a clear medium that absorbs
             continue
         solved += 1
-        assert error <= max(ALLOWED, stated), seed
+        assert np.all(error <= np.maximum(ALLOWED, stated)), seed
     assert solved >= 0.8 * len(seeds)
 
 
 def test_random_films_have_the_stated_errors() -> None:
-    check(range(40))
+    check(range(20))
 
 
 @pytest.mark.full
 def test_five_hundred_random_films_have_the_stated_errors() -> None:
-    check(range(40, 540))
+    check(range(20, 540))
 
 
 def test_a_gap_between_prisms_is_right_beside_its_critical_angle() -> None:
@@ -89,6 +98,41 @@ def test_a_plasmon_beyond_the_critical_angle_is_resolved() -> None:
     silver = {"material": "Ag", "thickness_nm": 50}
     error, stated = largest_error({"family": "film", "ambient": {"n": 1.5}, "substrate": "air", "layers": [silver]})
     assert error <= ALLOWED and stated <= ALLOWED
+
+
+def test_a_dispersive_dense_side_has_the_critical_angle_of_each_wavelength() -> None:
+    film: dict[str, Any] = {"family": "film", "layers": [{"material": "TiO2", "thickness_nm": 300}]}
+    for sides in ({"ambient": "air", "substrate": "BK7"}, {"ambient": "BK7", "substrate": "air"}):
+        error, stated, note = differences({**film, **sides})
+        assert error.max() <= ALLOWED and stated.max() <= ALLOWED and not note["ranges"]
+
+
+def test_media_equal_at_one_wavelength_only_have_a_critical_angle() -> None:
+    model: Any = material({"family": "film", "substrate": "BK7", "layers": []}).model
+    same = round(float(model.stack.indices(np.array([570.0]))[-1, 0].real), 4)
+    error, stated, note = differences({"family": "film", "ambient": {"n": same}, "substrate": "BK7", "layers": []})
+    assert np.all(error <= np.maximum(ALLOWED, stated))
+    assert sum(r["to_deg"] - r["from_deg"] for r in note["ranges"]) < 0.5
+
+
+def test_a_guided_mode_seen_at_one_angle_is_found_or_its_error_stated_there() -> None:
+    error, stated, note = differences(random_film(80))
+    assert np.all(error <= np.maximum(ALLOWED, stated))
+    assert note["largest_error"] > ALLOWED
+    narrow = [r["to_deg"] - r["from_deg"] for r in note["ranges"]]
+    assert max(narrow) < 0.3  # stated at the dips only
+
+
+def test_a_warning_appears_only_where_a_result_uses_an_affected_angle(caplog: Any) -> None:
+    gap = {"material": "air", "thickness_nm": {"formula": "1500 + 500*v"}}
+    recipe = {"family": "film", "ambient": {"n": 1.5}, "substrate": {"n": 1.5}, "layers": [gap]}
+    bsdf = material(recipe).bsdf()
+    inside = max(bsdf.provenance["angle_table"]["ranges"], key=lambda one: one["error"])
+    bsdf_spectrum(bsdf, np.radians([0.5, 80.0]))
+    assert not caplog.records
+    angle = 0.5 * (inside["from_deg"] + inside["to_deg"])
+    bsdf_spectrum(bsdf, np.radians([angle if inside["side"] == "ambient" else 180.0 - angle]))
+    assert len(caplog.records) == 1
 
 
 def test_a_varying_gap_states_its_error(tmp_path: Any) -> None:

@@ -103,7 +103,7 @@ def test_the_fast_form_is_transfer_tabulated() -> None:
 @pytest.mark.parametrize("roughness", [0.0, 0.1, 0.4])
 def test_a_lossless_fast_glass_over_white_stays_white(roughness: float) -> None:
     white = {"absorber": {"k": 0.0}, "quality": "fast", "base": {"albedo": 1.0}, "surface": {"roughness": roughness}}
-    bsdf = nacre.material({**GLASS, **white}).bsdf(LAM)
+    bsdf = nacre.material({**GLASS, **white}).bsdf(LAM[::3])
     for theta in (0.0, 0.6, 1.1, 1.4):
         back, _ = directional_hemispherical(bsdf, direction(np.array([theta])))
         np.testing.assert_allclose(back, 1.0, atol=3e-3)
@@ -134,7 +134,7 @@ def test_the_fast_form_of_a_rough_face_keeps_what_the_walk_keeps(compensate: boo
     surface = {"roughness": 0.3, "compensate": compensate}
     white = {**GLASS, "absorber": {"k": 0.0}, "base": {"albedo": 1.0}, "surface": surface}
     walked = nacre.material(white).spectrum([0.0, 0.6, 1.1], LAM).diffuse_reflectance
-    fast = nacre.material({**white, "quality": "fast"}).bsdf(LAM)
+    fast = nacre.material({**white, "quality": "fast"}).bsdf(LAM[:1])
     found = np.stack([directional_hemispherical(fast, direction(np.array([t])))[0][0] for t in (0.0, 0.6, 1.1)])
     assert walked is not None
     # nothing absorbs, so all wavelengths are alike and their mean has half of the walk's noise

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from nacre.bsdf.glints import COVERAGE, WIDTH, factors, glint_species, mean_rati
 from nacre.bsdf.lobes.layered import Layered
 from nacre.bsdf.lobes.platelet_layer import PlateletLayer
 from nacre.core.errors import RecipeError
+from nacre.families.pearl import tables as pearl_tables
 from nacre.material.material import material
 
 LAM = np.array([450.0, 550.0, 650.0, 700.0])
@@ -39,11 +41,19 @@ def pair(count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.tile(WI, (count, 1)), np.tile(WO, (count, 1))
 
 
-@pytest.fixture(scope="module")
-def fast() -> PlateletLayer:
-    found = material({**PAINT, "quality": "fast"}).bsdf(LAM).lobes[0]
+def tables_of(recipe: dict[str, Any]) -> PlateletLayer:
+    """Return the tables of a third of the walks, which suffices for glints."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("WALKS", "BASE_WALKS", "SINGLES", "PRODUCTS", "CHECK_WALKS", "CHECK_SINGLES"):
+            patch.setattr(pearl_tables, name, getattr(pearl_tables, name) // 3)
+        found = material({**recipe, "quality": "fast"}).bsdf(LAM).lobes[0]
     assert isinstance(found, PlateletLayer)
     return found
+
+
+@pytest.fixture(scope="module")
+def fast() -> PlateletLayer:
+    return tables_of(PAINT)
 
 
 @pytest.fixture(scope="module")
@@ -310,8 +320,7 @@ def test_the_fast_route_draws_by_the_density_that_it_states(roughness: float, mi
     # a second kind of flake, in an interface that spreads light or does not
     kinds = [FLAKE, {**FLAKE, "diameter_um": 60, "normal_deviation": 0.3}]
     stratum = {**PAINT["strata"][0], "roughness": roughness, "platelets": kinds}
-    lobe = material({**PAINT, "strata": [stratum], "quality": "fast"}).bsdf(LAM).lobes[0]
-    assert isinstance(lobe, PlateletLayer)
+    lobe = tables_of({**PAINT, "strata": [stratum]})
     plugin = make_plugin(lobe)
     side, cells, draws = 800, 8, 400_000
     edge = (np.arange(side) + 0.5) / side * 2.0 - 1.0

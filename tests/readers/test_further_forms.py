@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from nacre.core.errors import NacreError
+from nacre.material.material import material
 from nacre.optimise.colour_list import read_colours
 from nacre.readers.heights.surface import read_map
 from nacre.readers.measurement import AmbiguousFileError, ReadOptions
@@ -54,6 +56,80 @@ def test_another_quantity_is_no_reflectance(heading: str, tmp_path: Path) -> Non
         open_file(path)
     (found,) = open_file(path, ReadOptions(quantity="reflectance"))
     np.testing.assert_allclose(found.data["reflectance"][0], 0.304)
+
+
+@pytest.mark.parametrize(
+    ("headings", "columns"),
+    [
+        ("I,I0", (200.0, 1000.0)), ("Sample,White,Dark", (280.0, 1000.0, 100.0)), ("Sample A,Sample B", (400.0, 900.0)),
+        ("Sample,Background", (0.2, 0.9)),
+    ],
+)  # fmt: skip
+def test_signals_of_a_detector_are_no_reflectance(headings: str, columns: tuple[float, ...], tmp_path: Path) -> None:
+    with pytest.raises(AmbiguousFileError):
+        open_file(written(tmp_path, "s.csv", f"Wavelength (nm),{headings}\n" + rows(*columns)))
+
+
+@pytest.mark.parametrize("heading", ["Absorbance (mAU)", "mOD", "Abs (mAbs)"])
+def test_thousandths_of_an_absorbance(heading: str, tmp_path: Path) -> None:
+    (found,) = open_file(written(tmp_path, "s.csv", f"Wavelength (nm),{heading}\n" + rows(700.0)))
+    np.testing.assert_allclose(found.data["absorbance"][0], 0.7, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("line", "key", "value"),
+    [
+        ("Polarizer angle: 90 deg", "polarisation", "s"), ("Polarisatorwinkel = 0°", "polarisation", "p"),
+        ("AOI = 785.398 mrad", "angle_of_incidence_deg", 45.0), ("Polarizer angle: 30", "polarisation", None),
+    ],
+)  # fmt: skip
+def test_a_polariser_and_small_units_above_a_table(line: str, key: str, value: object, tmp_path: Path) -> None:
+    (found,) = open_file(written(tmp_path, "s.csv", line + "\nWavelength (nm),R (%)\n" + rows(30.0)))
+    stated = found.metadata.get(key)
+    assert stated == (pytest.approx(value) if isinstance(value, float) else value)
+
+
+NAMED = np.array([[0.95, 2.5], [1.05, 3.0], [1.15, 3.5]])  # n and k at 450, 550 and 650 nm
+
+
+@pytest.mark.parametrize(
+    ("head", "scale", "delimiter", "encoding"),
+    [
+        ("Wellenlänge [nm];Brechzahl n;Extinktionskoeffizient k", "1", ";", "cp1252"),
+        ("Longueur d'onde (nm)\tIndice n\tIndice k", "1", "\t", "cp1252"),
+        ("Longitud de onda (nm)\tn\tk", "1", "\t", "utf-16"),
+        ("Photon energy (meV),n,k", "1239841.984/x", ",", "utf-8"),
+        ("omega (rad/fs),n,k", "1883.651567/x", ",", "utf-8"),
+        ("Frequency (PHz),n,k", "299.792458/x", ",", "utf-8"),
+        ("Wavelength (Å),n,k", "x*10", ",", "utf-8"),
+        ("Wavelength/m,n,k", "x*1e-9", ",", "utf-8"),
+        ("Wavenumber (cm⁻¹),n,k", "1e7/x", ",", "utf-8"),
+        ('"Wavelength, nm","Index, n","Extinction, k"', "1", ",", "utf-8"),
+        ("T (K),Wavelength (nm),n,k", "T", ",", "utf-8"),
+    ],
+)
+def test_optical_constants_as_laboratories_write_them(
+    head: str, scale: str, delimiter: str, encoding: str, tmp_path: Path
+) -> None:
+    scales = {"1239841.984/x": 1239841.984, "1883.651567/x": 1883.651567, "299.792458/x": 299.792458, "1e7/x": 1e7}
+    factors = {"x*10": 10.0, "x*1e-9": 1e-9}
+    lines = [head]
+    for nm in NM:
+        x = scales[scale] / nm if scale in scales else nm * factors.get(scale, 1.0)
+        cells = [f"{x:.10g}", f"{0.5 + nm / 1000:.6g}", f"{3 + (nm - 550) / 200:.6g}"]
+        lines.append(delimiter.join(["293", *cells] if scale == "T" else cells))
+    path = tmp_path / "nk.csv"
+    path.write_bytes(("\n".join(lines) + "\n").encode(encoding))
+    film: Any = material({"family": "film", "substrate": {"file": str(path)}, "layers": []}).model
+    found = film.stack.indices(np.array([450.0, 550.0, 650.0]))[-1]
+    np.testing.assert_allclose(np.stack([found.real, found.imag], axis=-1), NAMED, rtol=4e-3)
+
+
+def test_padding_behind_a_text_is_no_binary_file(tmp_path: Path) -> None:
+    path = tmp_path / "s.csv"
+    path.write_bytes(("Wavelength (nm),R (%)\n" + rows(30.0)).encode() + bytes(60))
+    (found,) = open_file(path)
+    assert len(found.data["reflectance"]) == len(NM)
 
 
 def test_ratios_of_kubelka_and_munk_are_named(tmp_path: Path) -> None:
@@ -246,7 +322,6 @@ def test_coordinates_around_a_matrix_of_heights(corner: str, tmp_path: Path) -> 
     [
         "ABGF BLACK\n 0.001 0.002 1.5\n",
         "IESNA:LM-63-2002\nTILT=NONE\n1 1000 1 3 1 1 2 0 0 0\n",
-        "DSAA\n4 4\n0 1\n0 1\n0 1\n1 2 3 4\n",
         "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n",
         "CC GLASSES\nNM N-BK7 2 517642 1.5168 64.17 0 0\nED 7.1 8.3\nCD 1.03961212 6.0E-3 2.3E-1 2E-2\n",
         "SiO2 Density=2.2\n Energy(eV), Delta, Beta\n 100 1e-3 1e-4\n110 1e-3 1e-4\n",

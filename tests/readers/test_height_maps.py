@@ -495,3 +495,51 @@ def test_text_of_other_programs_is_refused_by_name(tmp_path: Path, text: str) ->
     assert recognise(path)[0][1].id == "other"
     with pytest.raises(NacreError):
         open_file(path)
+
+
+GRID = np.array([[0.1, 0.2, 0.3], [0.4, np.nan, 0.6]])  # rows from the top
+HOLE = 1.70141e38
+
+
+def surfer(kind: str) -> bytes:
+    """A grid of 3 x 2 nodes, 0.5 x 2 apart, rows from the bottom."""
+    rows = np.where(np.isnan(GRID), HOLE, GRID)[::-1]
+    if kind == "text":
+        lines = [" ".join(f"{value:g}" for value in row) for row in rows]
+        return ("DSAA\r\n3 2\r\n10 11\r\n-1 1\r\n0.1 0.6\r\n" + "\r\n".join(lines) + "\r\n").encode()
+    if kind == "6":
+        return b"DSBB" + struct.pack("<2h6d", 3, 2, 10, 11, -1, 1, 0.1, 0.6) + rows.astype("<f4").tobytes()
+    if kind == "7":
+        grid = struct.pack("<2i8d", 2, 3, 10, -1, 0.5, 2, 0.1, 0.6, 0, HOLE)
+        body = rows.astype("<f8").tobytes()
+        return b"DSRB" + struct.pack("<2i", 4, 1) + b"GRID" + struct.pack("<i", 72) + grid + b"DATA" + struct.pack(
+            "<i", len(body)
+        ) + body  # fmt: skip
+    lines = [" ".join(f"{value:g}" for value in row) for row in np.where(np.isnan(GRID), -9999, GRID)]
+    head = "ncols 3\nnrows 2\nxllcorner 10\nyllcorner -1\ndx 0.5\ndy 2\nNODATA_value -9999\n"
+    return (head + "\n".join(lines) + "\n").encode()
+
+
+@pytest.mark.parametrize("kind", ["text", "6", "7", "esri"])
+def test_grids_of_surfer_and_esri(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.grd"
+    path.write_bytes(surfer(kind))
+    with pytest.raises(AmbiguousFileError):
+        open_file(path)
+    (found,) = open_file(path, ReadOptions(unit="nm"))
+    np.testing.assert_allclose(found.data["height_um"], GRID * 1e-3, rtol=1e-6)
+    assert found.metadata["pitch_um"] == pytest.approx((0.5e-3, 2e-3)) and found.assumed
+    (found,) = open_file(path, ReadOptions(unit="um", pitch_um=(0.8, 0.8)))
+    assert found.metadata["pitch_um"] == (0.8, 0.8)
+    for end in (30, -9):
+        path.write_bytes(surfer(kind)[:end])
+        with pytest.raises(NacreError):
+            open_file(path, ReadOptions(unit="nm"))
+
+
+def test_a_turned_grid_is_refused(tmp_path: Path) -> None:
+    turned = bytearray(surfer("7"))
+    turned[12 + 8 + 56 : 12 + 8 + 64] = struct.pack("<d", 30.0)
+    (tmp_path / "a.grd").write_bytes(turned)
+    with pytest.raises(NacreError):
+        open_file(tmp_path / "a.grd", ReadOptions(unit="nm"))

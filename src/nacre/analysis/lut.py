@@ -67,6 +67,7 @@ def coloured(response: InterfaceResponse, to_rgb: ToRgb) -> InterfaceResponse:
         transmittance=to_rgb(response.transmittance),
         reflectance_inside=to_rgb(response.reflectance_inside),
         total=to_rgb(response.total),
+        relative_index=None,
     )
 
 

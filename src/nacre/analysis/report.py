@@ -33,7 +33,7 @@ from nacre.light.colour_differences import DIN_6175
 from nacre.material.material import MaterialLike, as_material
 from nacre.measure import geometry
 from nacre.measure.colours import colour_bsdf, recipe_geometries
-from nacre.measure.evaluate import evaluate_with_error, hemispherical
+from nacre.measure.evaluate import evaluate_with_error, hemispherical, warn_of_table
 from nacre.measure.geometry import Geometry, aspecular_pairs
 from nacre.measure.polarisation import SelectiveBand, circular_reflection, selective_band
 from nacre.measure.texture import Texture
@@ -179,6 +179,7 @@ def make_report(
         "aspecular, 45 degree incidence", geometry.ASPECULAR_DEG, np.pi * factor, bsdf, *light, labels
     )
     aspecular = replace(aspecular, aspecular_deg=aspecular.angles_deg)
+    warn_of_table(bsdf, np.radians([*SPECULAR_ANGLES_DEG, *geometry.GLOSS_APERTURES_DEG]))
     mirror = bsdf.specular(np.radians(SPECULAR_ANGLES_DEG)).reflectance
     mixes = isinstance(material.model, Polarised) and material.model.mixes_polarisations
     spectrum = material.spectrum(np.radians([0.0, 45.0]), bsdf.wavelengths_nm, "mueller" if mixes else "both")

@@ -6,8 +6,10 @@ high finesse, and slowly elsewhere. Intervals between nodes are dyadic, so that 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,23 +22,81 @@ UNIFORM_LEVELS = 7, 9
 FINE_ERROR = 1e-4  # of R and T, where 513 nodes suffice
 ALLOWED_ERROR = 1.5e-3  # midway between nodes, where more are needed
 CHECKED_ERROR = 2.5e-3  # at the check's angles, which refine further
-CHECK_ROUNDS = 12
+CHECK_ROUNDS = 16
+ERROR_MARGIN = 2.0  # of stated errors: checks have a few hundred angles
+STATED_FROM = 5e-3  # larger errors of R and T are stated with their range of angles
+JOINED_DEG = 0.1  # ranges closer than this are one
 Solve = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
 class Tabulated:
-    """Values on nodes over angle, and the largest interpolation error at the check's angles.
+    """Values on nodes over angle, and the interpolation errors found.
 
     Attributes:
         nodes: `[node]`, ascending from 0 to 1, uniform or dyadic.
         values: `[node, ...]`.
-        error: the largest absolute error found.
+        checked: `[point]`, coordinates with a known error.
+        errors: `[point, wavelength]`, the largest absolute errors there.
     """
 
     nodes: Array
     values: Array
-    error: float
+    checked: Array
+    errors: Array
+
+
+@dataclass(frozen=True)
+class AngleErrors:
+    """Errors found in R or T, by side: angles in rad, and the errors, each `[point, wavelength]`.
+
+    Attributes:
+        outside, inside: for light in the rarer and in the denser medium.
+    """
+
+    outside: tuple[Array, Array]
+    inside: tuple[Array, Array] = (np.zeros((0, 1)), np.zeros((0, 1)))
+
+    def stated(self, flipped: bool = False, more: float = 0.0) -> dict[str, Any]:
+        """Return the note for `provenance["angle_table"]`: the largest error, and the ranges of larger ones.
+
+        Args:
+            flipped: whether the ambient is the denser medium.
+            more: a further error at all angles.
+        """
+        names = ("substrate", "ambient") if flipped else ("ambient", "substrate")
+        pairs = list(zip(names, (self.outside, self.inside), strict=True))
+        ranges = [one for side, (at, error) in pairs for one in _ranges(side, at, ERROR_MARGIN * (error + more))]
+        largest = max(float(error.max(initial=0.0)) for _, (_, error) in pairs) + more
+        return {"largest_error": round(min(ERROR_MARGIN * largest, 1.0), 6), "ranges": ranges}
+
+
+def _ranges(side: str, theta: Array, error: Array) -> list[dict[str, Any]]:
+    """Return ranges of angles with errors above `STATED_FROM`, up to the next smaller error on both sides."""
+    theta, error = np.broadcast_arrays(np.degrees(theta), error)
+    order = np.argsort(theta, axis=0, kind="stable")
+    theta, error = (np.take_along_axis(part, order, axis=0) for part in (theta, error))
+    row = np.zeros((1, theta.shape[1]))
+    theta, error = np.concatenate([row, theta, row + 90.0]), np.concatenate([row, error, row])
+    points, columns = np.nonzero(error > STATED_FROM)
+    low, high = theta[points - 1, columns], theta[points + 1, columns]
+    found: list[dict[str, Any]] = []
+    for i in np.argsort(low, kind="stable"):
+        one: dict[str, Any] = {
+            "side": side,
+            "from_deg": float(low[i]),
+            "to_deg": float(high[i]),
+            "error": float(error[points[i], columns[i]]),
+        }
+        if found and one["from_deg"] <= found[-1]["to_deg"] + JOINED_DEG:
+            last = found.pop()
+            one |= {"from_deg": last["from_deg"], **{key: max(one[key], last[key]) for key in ("to_deg", "error")}}
+        found.append(one)
+    for one in found:
+        one["from_deg"] = math.floor(1e3 * one["from_deg"]) / 1e3
+        one["to_deg"] = math.ceil(1e3 * one["to_deg"]) / 1e3
+        one["error"] = round(min(one["error"], 1.0), 6)
+    return found
 
 
 class _Nodes:
@@ -52,7 +112,7 @@ class _Nodes:
         middle = (self.at[intervals] + self.at[intervals + 1]) // 2
         values = self.solve(middle / UNITS)
         linear = 0.5 * (self.values[intervals] + self.values[intervals + 1])
-        return middle, values, _largest(values - linear)
+        return middle, values, _by_wavelength(values - linear)
 
     def insert(self, at: NDArray[np.intp], values: Array) -> None:
         """Add solved nodes."""
@@ -61,12 +121,13 @@ class _Nodes:
         self.values = np.concatenate([self.values, values])[order]
 
     def errors(self, where: Array, exact: Array) -> Array:
-        """Return the interpolation errors at `where`, `[point]`."""
-        return _largest(interpolate(self.values, (node_coordinate(self.at / UNITS, where),)) - exact)
+        """Return the interpolation errors at `where`, `[point, wavelength]`."""
+        return _by_wavelength(interpolate(self.values, (node_coordinate(self.at / UNITS, where),)) - exact)
 
-    def result(self, error: float) -> Tabulated:
-        """Return the nodes and values."""
-        return Tabulated(self.at / UNITS, self.values, error)
+    def result(self, *found: tuple[Array, Array]) -> Tabulated:
+        """Return the nodes, the values, and `(coordinates, errors)`."""
+        checked, errors = (np.concatenate(part) for part in zip(*found, strict=True))
+        return Tabulated(self.at / UNITS, self.values, checked, errors)
 
 
 def tabulate(
@@ -102,16 +163,17 @@ def tabulate(
         worst = float(error.max())
         found = nodes.errors(check, exact)
         if max(worst, float(found.max())) <= fine_error or 2 * len(every) + 1 > most:
-            return nodes.result(max(worst, float(found.max())))
+            return nodes.result((check, found), (middle / UNITS, error))
         if level < last - 1 or max(worst, float(found.max())) <= ALLOWED_ERROR:
             nodes.insert(middle, values)
             if level == last - 1:
-                return nodes.result(float(nodes.errors(check, exact).max()))
+                return nodes.result((check, nodes.errors(check, exact)))
     nodes.few_error = few_error
-    _bisect(nodes, middle, values, error, most)
+    _bisect(nodes, middle, values, error.max(axis=1), most)
     if len(further):
         check, exact = np.concatenate([check, further]), np.concatenate([exact, solve(further)])
-    return nodes.result(_refine_at_check(nodes, most, check, exact))
+    _refine_at_check(nodes, most, check, exact)
+    return nodes.result((check, nodes.errors(check, exact)), _curvature_errors(nodes.at, nodes.values))
 
 
 def _bisect(nodes: _Nodes, middle: NDArray[np.intp], values: Array, error: Array, most: int) -> None:
@@ -129,7 +191,8 @@ def _bisect(nodes: _Nodes, middle: NDArray[np.intp], values: Array, error: Array
         halves = halves[np.diff(nodes.at)[halves] > 1]
         if not len(halves):
             return
-        middle, values, error = nodes.midpoints(halves)
+        middle, values, found = nodes.midpoints(halves)
+        error = found.max(axis=1)
 
 
 def _balance(nodes: _Nodes, most: int) -> NDArray[np.intp]:
@@ -150,10 +213,10 @@ def _balance(nodes: _Nodes, most: int) -> NDArray[np.intp]:
     return np.flatnonzero(fresh[:-1] | fresh[1:])
 
 
-def _refine_at_check(nodes: _Nodes, most: int, check: Array, exact: Array) -> float:
-    """Halve intervals in which the check finds larger errors; return the largest that is left."""
+def _refine_at_check(nodes: _Nodes, most: int, check: Array, exact: Array) -> None:
+    """Halve intervals in which the check finds larger errors."""
     for _ in range(CHECK_ROUNDS):
-        error = nodes.errors(check, exact)
+        error = nodes.errors(check, exact).max(axis=1)
         bad = error > CHECKED_ERROR
         if not np.any(bad) or len(nodes.at) >= most:
             break
@@ -163,32 +226,33 @@ def _refine_at_check(nodes: _Nodes, most: int, check: Array, exact: Array) -> fl
         if not len(wide):
             break
         _bisect(nodes, *_with_certain_split(nodes, wide), most)
-    return max(float(nodes.errors(check, exact).max()), _curvature_error(nodes))
 
 
-def _curvature_error(nodes: _Nodes) -> float:
-    """Return the largest error of linear interpolation by the second differences between equal intervals."""
-    return _second_difference_error(np.diff(nodes.at), nodes.values)
-
-
-def response_error(response: InterfaceResponse) -> float:
-    """Estimate the largest interpolation error in R or T for a tabulated interface, from second differences."""
-    width = np.rint(np.diff(response.cos_outside) * UNITS)
+def response_errors(response: InterfaceResponse) -> AngleErrors:
+    """Estimate the interpolation errors in R and T for a tabulated interface, from second differences."""
+    at = np.rint(response.cos_outside * UNITS)
     tables = (response.reflectance, response.transmittance, response.reflectance_inside)
-    return max(_second_difference_error(width, np.moveaxis(table, -2, 0)) for table in tables)
+    found = [_curvature_errors(at, np.moveaxis(table, -2, 0)) for table in tables]
+    theta = np.arccos(np.concatenate([cos for cos, _ in found]))
+    errors = np.concatenate([error for _, error in found])
+    return AngleErrors((theta[:, None], errors), (np.arcsin(np.sin(theta[:, None]) / response.eta), errors))
 
 
-def _second_difference_error(width: Array, values: Array) -> float:
+def _curvature_errors(at: Array, values: Array) -> tuple[Array, Array]:
+    """Return coordinates and errors of linear interpolation there, by second differences between equal intervals."""
+    width = np.diff(at)
     middle = np.flatnonzero(width[1:] == width[:-1]) + 1
     second = values[middle - 1] - 2.0 * values[middle] + values[middle + 1]
-    return float(_largest(second).max(initial=0.0)) / 8.0 if len(middle) else 0.0
+    return at[middle] / UNITS, _by_wavelength(second) / 8.0
 
 
 def _with_certain_split(nodes: _Nodes, wide: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array, Array]:
     """Return the midpoints of intervals, to be inserted whatever their own error."""
     middle, values, error = nodes.midpoints(wide)
-    return middle, values, np.maximum(error, 2 * ALLOWED_ERROR)
+    return middle, values, np.maximum(error.max(axis=1), 2 * ALLOWED_ERROR)
 
 
-def _largest(difference: Array) -> Array:
-    return np.asarray(np.max(np.abs(difference.reshape(len(difference), -1)), axis=1))
+def _by_wavelength(difference: Array) -> Array:
+    """Return the largest magnitudes `[point, wavelength]` of `[point, ..., wavelength]`."""
+    shape = (len(difference), math.prod(difference.shape[1:-1]), difference.shape[-1])
+    return np.asarray(np.abs(difference).reshape(shape).max(axis=1))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.bsdf.angle_nodes import STATED_FROM
 from nacre.bsdf.file import describe_lobes, read_lobes, write_lobes
 from nacre.bsdf.lobe import Lobe, SpecularResponse, specular_at
 from nacre.bsdf.polarisation import InterfacePolarisation
@@ -97,6 +98,37 @@ class Bsdf:
         return SpecularResponse(
             np.sum([p.reflectance for p in parts], axis=0), np.sum([p.transmittance for p in parts], axis=0)
         )
+
+    def angle_error(self, theta_rad: Array | float) -> Array:
+        """Return the stated error of the tables' R and T at incidence `theta_rad` (> pi/2: from behind), or 0."""
+        note = self.provenance.get("angle_table", {})
+        degrees = np.degrees(np.asarray(theta_rad, dtype=float))
+        largest = float(note.get("largest_error", 0.0))
+        if "ranges" not in note:
+            return np.full(degrees.shape, largest)
+        error = np.full(degrees.shape, min(largest, STATED_FROM))
+        for one in note["ranges"]:
+            own = degrees if one["side"] == "ambient" else 180.0 - degrees
+            is_within = (own >= one["from_deg"]) & (own <= one["to_deg"])
+            error = np.where(is_within, np.maximum(error, one["error"]), error)
+        return error
+
+    def error_ranges(self, theta_rad: Array | None = None, least_deg: float = 0.0) -> str:
+        """Return the angles with an error above 0.005 in R or T as text; "" if there are none.
+
+        Args:
+            theta_rad: only ranges that include one of these incidences; default: all.
+            least_deg: only if the ranges together are this wide.
+        """
+        ranges = self.provenance.get("angle_table", {}).get("ranges", ())
+        if theta_rad is not None:
+            degrees = np.degrees(theta_rad)
+            own = {"ambient": degrees, "substrate": 180.0 - degrees}
+            ranges = [r for r in ranges if np.any((own[r["side"]] >= r["from_deg"]) & (own[r["side"]] <= r["to_deg"]))]
+        if not ranges or sum(r["to_deg"] - r["from_deg"] for r in ranges) < least_deg:
+            return ""
+        named = [f"{r['error']:.2g} from {r['from_deg']:g} to {r['to_deg']:g} degrees ({r['side']})" for r in ranges]
+        return "R and T of the table over angle are inexact by up to " + ", ".join(named)
 
 
 @dataclass(frozen=True, eq=False)

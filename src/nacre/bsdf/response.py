@@ -20,6 +20,7 @@ from nacre.bsdf.texture import ParameterAxis, places
 from nacre.core.arrays import Array, interpolate, node_coordinate, take_at
 from nacre.core.quadrature import gauss_legendre
 
+SIDES = "reflectance_inside", "reflectance", "transmittance"
 ROUNDING = 1e-9  # largest rounding below 0
 TABLES = ("reflectance", "transmittance", "reflectance_inside", "total")
 FINEST_LEVEL = 16  # smallest interval of irregular nodes over angle: 2^-16
@@ -48,6 +49,7 @@ class InterfaceResponse:
             is on the -z side. Users of the tables then negate the z of all directions first.
         parameters: the texture-driven axes, in the order of the leading axes.
         total_nodes: `[x]`, the ascending nodes of `total`; unset: uniform.
+        relative_index: `[wavelength]`, n_inside/n_outside at each wavelength; unset: `eta` at all of them.
     """
 
     wavelengths_nm: Array
@@ -61,8 +63,9 @@ class InterfaceResponse:
     flipped: bool = False
     parameters: tuple[ParameterAxis, ...] = ()
     total_nodes: Array | None = None
+    relative_index: Array | None = None
 
-    OMITTED_UNSET: ClassVar[tuple[str, ...]] = ("total_nodes",)
+    OMITTED_UNSET: ClassVar[tuple[str, ...]] = ("total_nodes", "relative_index")
     AXES: ClassVar[dict[str, str]] = {
         "wavelengths_nm": "wavelength",
         "cos_outside": "cos",
@@ -71,6 +74,7 @@ class InterfaceResponse:
         "reflectance_inside": "*params cos wavelength",
         "total": "*params x wavelength",
         "total_nodes": "x",
+        "relative_index": "wavelength",
     }
 
     def check(self) -> None:
@@ -99,6 +103,8 @@ class InterfaceResponse:
             if self.total_nodes.shape != self.total.shape[-2:-1]:
                 raise ValueError("total_nodes has a wrong shape")
             check_angle_nodes("total_nodes", self.total_nodes)
+        if self.relative_index is not None and self.relative_index.shape != full[-1:]:
+            raise ValueError("relative_index has a wrong shape")
         if not 1.0 <= self.eta < 100.0 or (self.eta > 1.0 and self.total.shape[-2] < 2):
             raise ValueError("eta is below 1, or total has no nodes")
 
@@ -156,6 +162,26 @@ class InterfaceResponse:
                 transmitted = np.where(is_total, 0.0, transmitted)
             reflected = np.where(inside[..., None], behind, reflected)
         return reflected, transmitted
+
+    def resolved(self, cos: Array, inside: NDArray[np.bool_], uv: Array | None = None) -> tuple[Array, Array]:
+        """As `lookup`, with the refraction and critical angle of each wavelength, which rays of one `eta` lack."""
+        if self.relative_index is None or not np.any(inside):
+            return self.lookup(cos, inside, uv)
+        cos, inside = np.broadcast_arrays(np.clip(np.abs(cos), 0.0, 1.0), inside)
+        eta, is_inside, own = self.relative_index, inside[..., None], cos[..., None]
+        critical = np.sqrt(np.maximum(0.0, 1.0 - 1.0 / eta**2)) * (eta > 1.0)
+        is_total = is_inside & (own < critical)
+        outer = np.where(is_inside, np.sqrt(np.maximum(0.0, 1.0 - eta**2 * (1.0 - own**2))), own)
+        x = 2.0 / np.pi * np.arccos(np.clip(own / np.maximum(critical, 1e-12), 0.0, 1.0))
+        leading = [c[..., None] for c in parameter_coordinates(self.parameters, uv, cos.shape)]
+
+        def at(table: Array, nodes: Array, where: Array) -> Array:
+            each = (*leading, node_coordinate(nodes, where), np.arange(self.size))
+            return interpolate(table, tuple(np.broadcast_to(c, where.shape) for c in each))
+
+        behind, front, passed = (at(getattr(self, name), self.cos_outside, outer) for name in SIDES)
+        reflected = np.where(is_total, at(self.total, self.nodes_beyond, x), np.where(is_inside, behind, front))
+        return reflected, np.where(is_total, 0.0, passed)
 
     @cached_property
     def hemispherical(self) -> tuple[Array, Array, Array, Array]:

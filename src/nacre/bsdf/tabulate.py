@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from nacre.bsdf.angle_nodes import ALLOWED_ERROR, tabulate
-from nacre.bsdf.response import InterfaceResponse, is_uniform
+from nacre.bsdf.angle_nodes import ALLOWED_ERROR, AngleErrors, Tabulated, tabulate
+from nacre.bsdf.response import FINEST_LEVEL, InterfaceResponse, is_uniform
 from nacre.bsdf.texture import ParameterAxis
 from nacre.core.arrays import Array, ComplexArray
 from nacre.core.errors import UnsupportedError
@@ -17,17 +17,20 @@ from nacre.light import delta_e_2000, spans_colour, spectrum_to_xyz, white_xyz, 
 from nacre.matter.stack import solve as solver
 from nacre.matter.stack.incoherent import incoherent_powers
 from nacre.matter.stack.inputs import clear_ambient
+from nacre.matter.stack.modes import narrow_resonances
 
 TRANSPARENT_K = 1e-4  # 1 mm of the substrate then transmits more than 10 % at 550 nm
 SAME_INDEX = 1e-3  # smaller index differences refract invisibly little
-MOST_COS_NODES, LEAST_COS_NODES = 2049, 129
+MOST_COS_NODES, LEAST_COS_NODES = 4097, 129
 COS_NODES_VARYING, MOST_COS_NODES_VARYING = 65, 129
 PROBED_NODES = 3  # of each varying number, at which nodes over angle are chosen
 TOTAL_NODES = 129
+FLANKS = np.array([-3.3, -1.1, 0.0, 1.1, 3.3]) / 2**FINEST_LEVEL  # about a narrow resonance
+METALLIC_K = 0.1  # media with a larger k guide no narrow modes by total reflection
 CHECKED_ANGLES, LEAST_CHECKED = 450, 90
 FEW_COSINES = np.array([1.0, 0.7, 0.4, 0.1])
 LOSSLESS = 1e-9
-MOST_CRITICAL, BESIDE = 24, np.array([-1.0, -0.3, -0.1, -0.02, 0.0, 0.02, 0.1, 0.3, 1.0]) / 512
+MOST_CRITICAL, BESIDE = 48, np.array([-0.3, -0.04, 0.0, 0.04, 0.3]) / 512
 DISPERSED_ANGLES, CRITICAL_QUANTILES = 60, (0.0, 0.25, 0.5, 0.75, 1.0)
 COLOUR_ERROR = 0.5  # dE00 midway between parameter nodes
 PARAMETER_NODES = (9, 17, 33, 65, 129, 257, 513)
@@ -57,11 +60,13 @@ class StackTables:
             self.n[-1] = self.n[-1].real
         self.incoherent = list(incoherent)
         self.transmits = transmits
-        ratio = self.n[-1].real / self.n[0].real
-        relative = float(np.interp(570.0, self.wavelengths_nm, ratio)) if transmits else 1.0
-        self.flipped = relative < 1.0 - SAME_INDEX
+        ratio = self.n[-1].real / self.n[0].real if transmits else np.ones(len(self.wavelengths_nm))
+        relative = float(np.interp(570.0, self.wavelengths_nm, ratio))
+        bends = bool(np.max(np.abs(ratio - 1.0)) > SAME_INDEX)
+        self.flipped = bends and relative < 1.0
         relative = 1.0 / relative if self.flipped else relative
-        self.eta = relative if relative > 1.0 + SAME_INDEX else 1.0
+        self.eta = max(relative, 1.0 + SAME_INDEX) if bends else 1.0
+        self.relative_index = (1.0 / ratio if self.flipped else ratio) if bends and np.ptp(ratio) > 0.0 else None
 
     def outside(self, thicknesses_nm: Array, cos_outside: Array) -> tuple[Array, Array]:
         """Return R and T `[*params, cos, wavelength]` for light in the rarer medium."""
@@ -116,11 +121,10 @@ class StackTables:
         """Tabulate on nodes over angle that follow the optics; see `nacre.bsdf.angle_nodes`."""
         return self.with_error(thicknesses_nm)[0]
 
-    def with_error(self, thicknesses_nm: Array) -> tuple[InterfaceResponse, float]:
-        """Tabulate as `adaptive`, and return the largest difference of R or T from the solution.
+    def with_error(self, thicknesses_nm: Array) -> tuple[InterfaceResponse, AngleErrors]:
+        """Tabulate as `adaptive`, and return the differences of R or T from the solution.
 
-        The difference is found at several hundred angles from both sides. In the denser medium it includes that of the
-        one refractive index `eta` of all wavelengths, which moves the critical angle.
+        They are found at several hundred angles from both sides.
         """
         d = np.asarray(thicknesses_nm, dtype=float)
         count = len(self.wavelengths_nm)
@@ -132,23 +136,25 @@ class StackTables:
         angles: Array = np.linspace(0.0, 0.5 * np.pi, 2 * checked + 1)[1::2]
         is_clear = self.transmits and self._is_lossless(d)
         critical, beyond_critical = self._critical()
-        check, further = np.concatenate([np.cos(angles), critical]), np.cos(0.5 * (angles[1:] + angles[:-1]))
+        narrow, narrow_beyond = self._resonances(d, angles, is_clear)
+        check = np.concatenate([np.cos(angles), critical, narrow])
+        further = np.cos(0.5 * (angles[1:] + angles[:-1]))
         sides = tabulate(lambda cos: self._sides(d, cos, is_clear), most, check, further)
         total = np.ones((TOTAL_NODES if self.eta > 1.0 and self.transmits else 0, count))
         beyond = np.linspace(0.0, 1.0, len(total)) if len(total) else None
-        error = sides.error
+        outer = None
         if self.eta > 1.0 and self.transmits and not is_clear:
             x = np.concatenate([angles[::3] / (0.5 * np.pi), beyond_critical])
-            further = 0.5 * (x[1:] + x[:-1])
-            found = tabulate(lambda at: self._beyond(d, at), most, x, further, fine_error=ALLOWED_ERROR)
-            total, beyond, error = found.values, found.nodes, max(error, found.error)
+            x, further = np.concatenate([x, narrow_beyond]), 0.5 * (x[1:] + x[:-1])
+            outer = tabulate(lambda at: self._beyond(d, at), most, x, further, fine_error=ALLOWED_ERROR)
+            total, beyond = outer.values, outer.nodes
         reflected, passed, behind = np.moveaxis(sides.values, 1, 0)
         response = self._response(sides.nodes, reflected, passed, behind, total, beyond)
-        return response, max(error, self._error_in_denser(response, d, angles[::3]))
+        return response, self._errors(sides, outer, self._errors_in_denser(response, d, angles[::3]))
 
     def with_parameters(
         self, thicknesses_nm: Array, parameters: tuple[ParameterAxis, ...]
-    ) -> tuple[InterfaceResponse, float]:
+    ) -> tuple[InterfaceResponse, AngleErrors]:
         """Tabulate varying thicknesses on nodes over angle chosen at some of them; see `with_error`.
 
         Args:
@@ -166,7 +172,26 @@ class StackTables:
         chosen = tabulate(
             lambda cos: self._sides(probed, cos, is_clear), most, check, check[:0], levels, fine_error=ALLOWED_ERROR
         )
-        return self._on_nodes(d, chosen.nodes, parameters), chosen.error
+        outer = None
+        if self.eta > 1.0 and self.transmits and not is_clear:
+            beyond = np.linspace(0.0, 1.0, TOTAL_NODES)
+            nodes, middle = self._beyond(probed, beyond), 0.5 * (beyond[1:] + beyond[:-1])
+            difference = self._beyond(probed, middle) - 0.5 * (nodes[1:] + nodes[:-1])
+            outer = Tabulated(beyond, nodes, middle, np.abs(difference).max(axis=1))
+        return self._on_nodes(d, chosen.nodes, parameters), self._errors(chosen, outer)
+
+    def _errors(self, sides: Tabulated, beyond: Tabulated | None, *more: tuple[Array, Array]) -> AngleErrors:
+        """Collect errors by angle; those of conjugate angles count on both sides."""
+        outside = np.arccos(np.clip(sides.checked, 0.0, 1.0))[:, None]
+        if not self.transmits:
+            return AngleErrors((outside, sides.errors))
+        eta = np.full(len(self.wavelengths_nm), self.eta) if self.relative_index is None else self.relative_index
+        inside = [(np.arcsin(np.minimum(np.sin(outside) / eta, 1.0)), sides.errors), *more]
+        if beyond is not None:
+            critical = np.sqrt(np.maximum(0.0, 1.0 - 1.0 / eta**2))
+            inside.append((np.arccos(critical * np.cos(0.5 * np.pi * beyond.checked)[:, None]), beyond.errors))
+        angles, errors = (np.concatenate(part) for part in zip(*inside, strict=True))
+        return AngleErrors((outside, sides.errors), (angles, errors))
 
     def _on_nodes(
         self, thicknesses_nm: Array, cos: Array, parameters: tuple[ParameterAxis, ...] = ()
@@ -202,22 +227,45 @@ class StackTables:
             flipped=self.flipped,
             parameters=parameters,
             total_nodes=None if beyond is None or is_uniform(beyond) else beyond,
+            relative_index=self.relative_index,
         )
 
     def _critical(self) -> tuple[Array, Array]:
         """Return cosines outside, and coordinates beyond the critical angle, beside the layers' critical angles."""
         rare = (self.n[-1] if self.flipped else self.n[0]).real
         dense = (self.n[0] if self.flipped else self.n[-1]).real
-        layers = np.unique(self.n[1:-1, :: max(1, len(rare) // 2)].real, axis=0) ** 2
-        rare, dense = rare[:: max(1, len(rare) // 2)] ** 2, dense[:: max(1, len(dense) // 2)] ** 2
+        layers = np.unique(np.concatenate([self.n[1:-1].real, dense[None]]), axis=0) ** 2
+        rare, dense = rare**2, dense**2
         outside = np.sqrt(1.0 - np.minimum(layers / rare, 1.0)).ravel()
         found = [outside]
         if self.eta > 1.0:
             share = np.clip((layers - rare) / np.maximum(dense - rare, 1e-12), 0.0, 1.0)
             found.append(2.0 / np.pi * np.arcsin(np.sqrt(share)).ravel())
-        found = [np.unique(np.round(at[(at > 0.0) & (at < 1.0)], 5))[:MOST_CRITICAL] for at in found]
+        found = [np.unique(np.round(at[(at > 0.0) & (at < 1.0)], 6)) for at in found]
+        found = [at[:: -(-len(at) // MOST_CRITICAL) or 1] for at in found]
         beside = [np.clip(at[:, None] + BESIDE, 0.0, 1.0).ravel() for at in found]
         return beside[0], beside[-1]
+
+    def _resonances(self, d: Array, angles: Array, is_clear: bool) -> tuple[Array, Array]:
+        """Return cosines outside, and coordinates beyond the critical angle, of guided modes and narrow fringes."""
+        n, d = self._from_outside(d)
+        rare, dense = n[0].real, n[-1].real
+        if not len(d) or any(self.incoherent) or np.min(n[1:-1].real) >= np.max(rare) and (is_clear or self.eta == 1.0):
+            return np.zeros(0), np.zeros(0)
+        below = np.sin(angles)[:, None] * rare
+        runs = [below]
+        if self.eta > 1.0 and self.transmits and not is_clear:
+            runs.append(in_plane_beyond(rare, dense, angles / (0.5 * np.pi)))
+        kappa = np.concatenate(runs)
+        clear = np.where(n.imag < METALLIC_K, n.real, np.inf)
+        kappa = kappa[np.any(kappa > np.min(clear, axis=0), axis=1)]
+        wave, at = narrow_resonances(n, d, self.wavelengths_nm, kappa).T
+        wave = wave.astype(int)
+        is_below = at < rare[wave]
+        cos = np.sqrt(1.0 - np.square(at[is_below] / rare[wave[is_below]]))
+        wave, at = wave[~is_below], at[~is_below]
+        share = (at**2 - rare[wave] ** 2) / np.maximum(dense[wave] ** 2 - rare[wave] ** 2, 1e-12)
+        return _with_flanks(cos), _with_flanks(2.0 / np.pi * np.arcsin(np.sqrt(np.clip(share, 0.0, 1.0))))
 
     def _is_lossless(self, thicknesses_nm: Array) -> bool:
         """Whether R + T = 1 from outside at a few angles: R is then equal from both sides."""
@@ -245,18 +293,25 @@ class StackTables:
         reflected, _ = self.inside(d, in_plane_beyond(rare, dense, x))
         return np.moveaxis(np.where(x[:, None] == 1.0, 1.0, reflected), -2, 0)
 
-    def _error_in_denser(self, response: InterfaceResponse, d: Array, angles: Array) -> float:
-        """Return the largest difference of R or T from the solution for light in the denser medium."""
+    def _errors_in_denser(self, response: InterfaceResponse, d: Array, angles: Array) -> tuple[Array, Array]:
+        """Return angles, and the largest differences of R or T from the solution for light in the denser medium."""
         if not self.transmits or self.eta == 1.0:
-            return 0.0
+            return np.zeros((0, len(self.wavelengths_nm))), np.zeros((0, len(self.wavelengths_nm)))
         dense = (self.n[0] if self.flipped else self.n[-1]).real
         rare = (self.n[-1] if self.flipped else self.n[0]).real
         # the largest differences lie between the critical angles of the wavelengths and that of all
         critical = np.arcsin(np.clip([1.0 / self.eta, *np.quantile(rare / dense, CRITICAL_QUANTILES)], 0.0, 1.0))
         theta = np.concatenate([angles, np.linspace(critical.min(), critical.max(), DISPERSED_ANGLES), critical])
         exact = self.inside(d, np.sin(theta)[:, None] * dense)
-        found = response.lookup(np.cos(theta), np.ones(len(theta), dtype=bool))
-        return max(float(np.max(np.abs(a - np.clip(b, 0.0, 1.0)))) for a, b in zip(found, exact, strict=True))
+        found = response.resolved(np.cos(theta), np.ones(len(theta), dtype=bool))
+        error = np.abs(np.stack(found) - np.clip(np.stack(exact), 0.0, 1.0)).max(axis=0)
+        return np.broadcast_to(theta[:, None], error.shape), error
+
+
+def _with_flanks(at: Array) -> Array:
+    """Return values in [0, 1] and points beside them, which differ by more than half the narrowest interval."""
+    at = np.sort(np.clip(at[:, None] + FLANKS, 0.0, 1.0).ravel())
+    return at[np.diff(at, prepend=-1.0) > 0.5 ** (FINEST_LEVEL + 1)] if len(at) else at
 
 
 def in_plane_beyond(rare: Array, dense: Array, x: Array) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from nacre.bsdf.angle_nodes import AngleErrors
 from nacre.bsdf.response import InterfaceResponse
 from nacre.bsdf.tabulate import COLOUR_ERROR, StackTables, reflected_lab
 from nacre.bsdf.texture import ParameterAxis
@@ -175,21 +176,21 @@ class AnisotropicTables(StackTables):
         self.wavelengths_nm = waves
         return enough
 
-    def with_error(self, thicknesses_nm: Array) -> tuple[InterfaceResponse, float]:
-        """Tabulate on uniform cosines, and return the largest difference of R from the solution at a few angles."""
+    def with_error(self, thicknesses_nm: Array) -> tuple[InterfaceResponse, AngleErrors]:
+        """Tabulate on uniform cosines, and return the differences of R from the solution at a few angles."""
         d = np.asarray(thicknesses_nm, dtype=float)
         response = self.build(d, self.cos_nodes)
-        return response, self.error_of(response, d)
+        return response, self.errors_of(response, d)
 
-    def error_of(self, response: InterfaceResponse, thicknesses_nm: Array) -> float:
-        """Return the largest error in R for tables averaged over the azimuth."""
+    def errors_of(self, response: InterfaceResponse, thicknesses_nm: Array) -> AngleErrors:
+        """Return the errors in R of tables averaged over the azimuth, for light from the ambient."""
         exact = self.outside(np.asarray(thicknesses_nm, dtype=float), CHECKED_COSINES)[0]
         found = response.lookup(CHECKED_COSINES, np.full(len(CHECKED_COSINES), self.flipped))[0]
-        return float(np.max(np.abs(found - exact)))
+        return AngleErrors((np.arccos(CHECKED_COSINES)[:, None], np.abs(found - exact)))
 
     def with_parameters(
         self, thicknesses_nm: Array, parameters: tuple[ParameterAxis, ...]
-    ) -> tuple[InterfaceResponse, float]:
+    ) -> tuple[InterfaceResponse, AngleErrors]:
         """Tabulate varying thicknesses; see `with_error`."""
         d = np.asarray(thicknesses_nm, dtype=float)
         middle = d[tuple(size // 2 for size in d.shape[:-1])]

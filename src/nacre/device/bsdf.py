@@ -34,6 +34,7 @@ from nacre.light import spectrum_to_rgb_matrix
 
 # The renderer samples wavelengths from 360 to 830 nm; nearly the whole luminance is in this range.
 VISIBLE_NM = (400.0, 700.0)
+SEEN_DEG = 1.0  # narrower errors of tables over angle are too small a part of a picture
 
 
 def make_bsdf(
@@ -71,6 +72,8 @@ def make_bsdf(
             grid[0],
             grid[-1],
         )
+    if inexact := bsdf.error_ranges(least_deg=SEEN_DEG):
+        logger.warning("%s", inexact)
     formula = place_formula(bsdf)
     if formula is not None and object_frame is None:
         raise UnsupportedError(
@@ -252,6 +255,8 @@ def _projected(thing: Any, matrix: Array) -> Any:
             changes[field.name] = _projected(value, matrix)
         elif field.name == "wavelengths_nm":
             changes[field.name] = CHANNELS
+        elif field.name == "relative_index":
+            changes[field.name] = None
         elif isinstance(value, np.ndarray) and axes.get(field.name, "").endswith("wavelength"):
             is_spectral = value.shape[-1] == len(matrix)
             changes[field.name] = np.maximum(value @ matrix, 0.0) if is_spectral else value

@@ -64,7 +64,8 @@ class Ggx(Facets):
     def weight(self, wi: Any, wo: Any, m: Any, wi_m: Any, wo_m: Any) -> Any:
         """Return G1(wo)."""
         cos = dr.abs(wo.z)
-        return 2.0 * cos / (cos + dr.sqrt(dr.fma(cos, cos, self._stretched(wo))))
+        length = cos + dr.sqrt(dr.fma(cos, cos, self._stretched(wo)))
+        return 2.0 * cos / dr.maximum(length, TINY)  # 0 where no direction was drawn: scalars cannot be divided by 0
 
 
 class Beckmann(Facets):

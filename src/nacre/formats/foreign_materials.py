@@ -28,7 +28,8 @@ GLB_MAGIC, GLB_JSON = b"glTF", b"JSON"
 THICKNESS_TEXTURE = "iridescenceThicknessTexture"
 IRIDESCENCE = "KHR_materials_iridescence"
 GLTF_READ = (IRIDESCENCE, "KHR_materials_ior", "KHR_materials_transmission")
-LENGTHS_NM = {"nanometer": 1.0, "micron": 1e3, "micrometer": 1e3, "millimeter": 1e6, "centimeter": 1e7, "meter": 1e9}
+LENGTHS_NM = {"nanometer": 1.0, "micron": 1e3, "micrometer": 1e3, "millimeter": 1e6, "centimeter": 1e7, "meter": 1e9,
+              "kilometer": 1e12, "inch": 2.54e7, "foot": 3.048e8, "yard": 9.144e8, "mile": 1.609344e12}  # fmt: skip
 # to linear Rec. 709 (D65); ACES white by Bradford's transform
 MATRICES = {
     "ap1": ((1.70505, -0.62179, -0.08326), (-0.13026, 1.14080, -0.01055), (-0.02400, -0.12897, 1.15297)),
@@ -219,17 +220,31 @@ def _number(part: Mapping[str, Any], key: str, default: float) -> float:
     return float(value)
 
 
+def check_shares(path: Path, **shares: float) -> None:
+    """Check that shares lie between 0 and 1.
+
+    Raises:
+        NacreError: names the first that does not.
+    """
+    for key, value in shares.items():
+        if not 0.0 <= value <= 1.0:
+            raise NacreError(f"{path}: {key} = {value:g} is not allowed; it is a share from 0 to 1")
+
+
 def _gltf_film(material: Mapping[str, Any], remarks: list[str], path: Path, document: Mapping[str, Any]) -> ThinFilm:
     extensions = material["extensions"]
     film, base = extensions[IRIDESCENCE], material.get("pbrMetallicRoughness", {})
     colour = [float(c) for c in base.get("baseColorFactor", [1, 1, 1, 1])]
     metal, clear = float(base.get("metallicFactor", 1.0)), extensions.get("KHR_materials_transmission", {})
     share, weight = float(clear.get("transmissionFactor", 0.0)), _number(film, "iridescenceFactor", 0.0)
+    check_shares(path, metallicFactor=metal, transmissionFactor=share, iridescenceFactor=weight)
     thinnest, thickest = (
         _number(film, f"iridescenceThickness{end}", default)
         for end, default in (("Minimum", 100.0), ("Maximum", 400.0))
     )
     thickness, varied = thickest, None
+    if min(thinnest, thickest) < 0:
+        raise NacreError(f"{path}: the iridescence thickness of {min(thinnest, thickest):g} nm is negative")
     film_ior = _number(film, "iridescenceIor", 1.3)
     if not film_ior >= 1.0:
         raise NacreError(f"{path}: iridescenceIor = {film_ior:g} is not allowed; glTF has indices from 1")
@@ -281,7 +296,7 @@ def read_materialx(path: str | Path, name: str | None = None) -> ThinFilm:
         if films:
             names = [node.get("name") or node.tag for node, _ in films]
             place, remarks = chosen(names, name, path)
-            return _materialx_film(*films[place], root.get("colorspace", ""), remarks)
+            return _materialx_film(*films[place], root.get("colorspace", ""), remarks, path)
     except OSError as error:
         raise NacreError(f"{path}: {why_unreadable(error)}") from None
     except (ET.ParseError, UnicodeDecodeError):
@@ -335,7 +350,9 @@ def _has_film(node: ET.Element) -> bool:
     return entry is not None and (entry.get("value") is None or float(entry.get("value", "0")) > 0)
 
 
-def _materialx_film(node: ET.Element, images: Mapping[str, Number], space: str, remarks: list[str]) -> ThinFilm:
+def _materialx_film(
+    node: ET.Element, images: Mapping[str, Number], space: str, remarks: list[str], path: Path
+) -> ThinFilm:
     shader, inputs = SHADERS[node.tag], {str(i.get("name")): i for i in node.findall("input")}
     connected = sorted(name for name, entry in inputs.items() if entry.get("value") is None)
     key, default = shader.thickness
@@ -352,10 +369,14 @@ def _materialx_film(node: ET.Element, images: Mapping[str, Number], space: str, 
     clear = number(shader.transmission, 0.0)
     weight = number(shader.film_weight, 1.0)
     base = number(*shader.base) if shader.base else 1.0
+    shares = {shader.metal: metal, shader.transmission: clear, shader.film_weight: weight}
+    check_shares(path, **{key: value for key, value in shares.items() if key})
     remarks = [*remarks, *rounded(metal, clear, weight)]
     rgb, said = _colour(inputs.get(shader.colour[0]), shader.colour[1], space)
     remarks += said
     unit = inputs[key].get("unit", "") if key in inputs else ""
+    if unit and unit not in LENGTHS_NM:
+        raise NacreError(f"{path}: {key} has the unit {unit[:20]}; allowed: {', '.join(LENGTHS_NM)}")
     if key in connected and default == 0.0:
         default = 300.0
     scale = shader.film_nm if key in connected else LENGTHS_NM.get(unit, shader.film_nm)

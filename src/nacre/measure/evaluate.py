@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any, Protocol
 
 import numpy as np
@@ -9,10 +10,13 @@ from numpy.typing import ArrayLike
 
 from nacre.bsdf import Bsdf, Lobe
 from nacre.bsdf.lobes.masked import MaskedLobe
+from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.bsdf.texture import refuse_place
 from nacre.core.arrays import Array, floats
 from nacre.core.errors import UnsupportedError
 from nacre.core.memory import check_memory
+
+logger = logging.getLogger("nacre")
 
 BYTES_PER_VALUE = 40  # per pair and wavelength: the sum, the values of one lobe, and intermediate results
 UNIT_TOLERANCE = 1e-3  # of a vector's length
@@ -49,6 +53,8 @@ def evaluate_with_error(
     check_memory(float(BYTES_PER_VALUE) * pairs * count, f"{pairs} pairs of directions x {count} wavelengths")
     total = np.zeros((*wi_array.shape[:-1], len(bsdf.wavelengths_nm)))
     variance: Array | None = None
+    if any(isinstance(lobe, Microfacet) for lobe in bsdf.lobes):
+        warn_of_table(bsdf, _facet_angles(wi_array, wo_array))
     for lobe in bsdf.lobes:
         if lobe.is_stochastic:
             unmasked_lobe, share = unmasked(lobe, uv_array, wi_array.shape[:-1])
@@ -61,6 +67,20 @@ def evaluate_with_error(
         else:
             total = total + lobe.evaluate(wi_array, wo_array, uv_array)
     return total, None if variance is None else np.sqrt(variance)
+
+
+def warn_of_table(bsdf: Bsdf, theta_rad: Array) -> None:
+    """Warn of incidences `theta_rad` (> pi/2: from behind) at which the tables over angle are inexact."""
+    if found := bsdf.error_ranges(theta_rad):
+        logger.warning("%s; the command spectrum has no such error", found)
+
+
+def _facet_angles(wi: Array, wo: Array) -> Array:
+    """Return the incidence on facets that mirror `wi` to `wo` on the same side, > pi/2 from behind."""
+    is_mirrored = wi[..., 2] * wo[..., 2] > 0.0
+    wi, wo = wi[is_mirrored], wo[is_mirrored]
+    cos = np.sqrt(np.clip(0.5 * (1.0 + np.sum(wi * wo, axis=-1)), 0.0, 1.0))
+    return np.asarray(np.arccos(np.where(wi[..., 2] < 0.0, -cos, cos)))
 
 
 def _directions(wi: ArrayLike, wo: ArrayLike) -> tuple[Array, Array]:

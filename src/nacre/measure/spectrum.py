@@ -9,9 +9,7 @@ from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.diffuse import Diffuse
 from nacre.bsdf.lobes.microfacet import Microfacet
 from nacre.core.arrays import Array, direction
-from nacre.measure.evaluate import hemispherical
-
-UPWARD = np.array([0.0, 0.0, 1.0])
+from nacre.measure.evaluate import hemispherical, warn_of_table
 
 
 def directional_hemispherical(bsdf: Bsdf, wi: Array, uv: Array | None = None, nodes: int = 64) -> tuple[Array, Array]:
@@ -53,6 +51,7 @@ def bsdf_spectrum(
         nodes: of the quadrature, per coordinate; a random walk uses `nodes`^2 paths.
     """
     theta = np.atleast_1d(np.asarray(theta_rad, dtype=float))
+    warn_of_table(bsdf, theta)
     delta = bsdf.specular(theta, uv)
     reflected, transmitted = delta.reflectance, delta.transmittance
     rest: list[Lobe] = []
@@ -60,7 +59,7 @@ def bsdf_spectrum(
     for lobe in bsdf.lobes:
         if isinstance(lobe, Microfacet):
             w = lobe.local_frame(direction(theta), uv)
-            more = lobe.facet_powers(w, np.broadcast_to(UPWARD, w.shape), uv)
+            more = lobe.response.resolved(np.abs(w[..., 2]), w[..., 2] < 0, uv)
             reflected, transmitted = reflected + more[0], transmitted + more[1]
         elif isinstance(lobe, Diffuse) and lobe.under_smooth is not None:
             bases.append(lobe)

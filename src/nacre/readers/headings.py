@@ -61,7 +61,7 @@ WORDS: dict[str, str] = {
     "angular_frequency": "angularfrequency angfreq angularfreq omega kreisfrequenz pulsation circularfrequency",
     "n": "屈折率 折射率 "
     "refractiveindex refractiveindices refindex refrindex refrind indexofrefraction brechungsindex brechzahl "
-    "brechungszahl indicederefraction indicedirifrazione indicederefraccion realindex realn ren nreal nre "
+    "brechungszahl indicen indicederefraction indicedirifrazione indicederefraccion realindex realn ren nreal nre "
     "realrefractiveindex realpartofn realpartn refractiveindexn nrefractiveindex refractiveindexreal indexn nindex "
     "rin refractiveindexrealpart realpartofrefractiveindex realpartoftherefractiveindex nprime ior "
     "index_of_refraction reindex indexre",
@@ -72,7 +72,7 @@ WORDS: dict[str, str] = {
     "imaginarypartofn imagpartofn coefficientdextinction coefficientedextinction extinctioncoefficientk "
     "kextinctioncoefficient kextinction indexk kindex refractiveindeximaginary refractiveindeximag "
     "coeficientedeextincion coefficientediestinzione nprimeprime ndoubleprime imaginarypartofrefractiveindex "
-    "imaginarypartoftherefractiveindex refractiveindeximaginarypart imindex imagindex indexim",
+    "imaginarypartoftherefractiveindex refractiveindeximaginarypart imindex imagindex indexim indicek",
     "eps1": "eps1 epsilon1 e1 epsr epsre epsreal epsilonr epsilonreal epsilonre realeps realepsilon reeps reepsilon "
     "ree ereal epsprime epsilonprime eprime realpermittivity permittivityreal permittivityre repermittivity "
     "dielectricreal realpartofpermittivity realpartofepsilon realpartofeps realdielectric er1 "
@@ -488,7 +488,7 @@ def _of_core(core: str, base: Meaning) -> tuple[Meaning, ...]:
     found = _of_words(core, base)
     if found:
         return found
-    match = _SUFFIX_UNIT.fullmatch(core)
+    match = _SUFFIX_UNIT.fullmatch(core) or re.fullmatch(r"(\w{3,}.*?)\s*/\s*(m)", core)
     if match:
         unit = parse_unit(re.sub("per[_ ]", "1/", re.sub("per[_ ]cent", "percent", match[2].lower()))) or parse_unit(
             match[2]

@@ -140,5 +140,7 @@ class FileHead:
         sample = self.data[:4096]
         if sample.startswith(PRINTABLE_MAGIC):
             return False
+        if self.size <= len(sample):
+            sample = sample.rstrip(b"\0")  # padding
         controls = sum(byte < 9 or 13 < byte < 32 for byte in sample.replace(b"\0", b""))
         return sample.count(0) <= 0.1 * len(sample) and controls <= 0.02 * len(sample)

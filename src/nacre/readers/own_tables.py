@@ -103,8 +103,6 @@ PROGRAMS = (
     (r"(?m)\A\s*IESNA|^TILT=(?:NONE|INCLUDE)\b", "a luminaire (IES LM-63), not a material",
      "a lamp's spectrum is read as a table"),
     (r"\A\s*Shimadzu SPM File Format", "a height map of Shimadzu SPM", _HEIGHTS),
-    (r"(?i)\A\s*ncols\s+\d+\s+nrows\s+\d+", "a height map of Esri (ASCII grid)", _HEIGHTS),
-    (r"\ADSAA\s", "a height map of Surfer (DSAA grid)", _HEIGHTS),
     (r"\A(?:ply\s+format|solid\b[^\n]*\n\s*facet)", "a mesh", "nacre render takes it with --shape"),
     (r"(?m)\A(?:CC[^\n]*\n)*NM .*\n(?:.*\n)*?CD [-+\d.]",
      "a glass catalogue of Zemax (.agf) with coefficients", "nacre indices search GLASS finds tabulated glasses"),

@@ -13,7 +13,7 @@ from nacre.readers.measurement import Measurement
 from nacre.readers.units import normal
 
 _KEY_VALUE = re.compile(r"[\s#%!;*/']*([^:=\t;,]{1,40}?)\s*[:=\t;,]+\s*(\S.*?)[\s;,]*")
-_VALUE = re.compile(r"([-+]?\d+(?:[.,]\d+)?)\s*(°|º|deg\w*\.?|grad|rad\w*)?")
+_VALUE = re.compile(r"([-+]?\d+(?:[.,]\d+)?)\s*(°|º|deg\w*\.?|grad|rad\w*|mrad)?")
 _DEGREES = r"(\d+(?:[.,]\d+)?)\s*(?:°|º|deg(?:rees?)?\b)(?!\s*[CF]\b)"
 _AT_ANGLE = re.compile(
     rf"(?:\bat|\baoi|incidence|incident|incidence angle|einfallswinkel)\s*(?:of|angle|=|:)?\s*{_DEGREES}"
@@ -30,6 +30,7 @@ _LAMP = re.compile(
 _OBSERVER = re.compile(r"(?i)\bobserver\w*\W+(?:angle\W+)?(?:cie\W*)?(10|2|1931|1964)\b|\b(?:D\d\d|A)\s*/\s*(10|2)\b")
 _INCIDENCE = re.compile(r"aoi|inciden|einfall", re.IGNORECASE)
 _POLARISED = re.compile(r"(?<!['’])\b(s|p|TE|TM|un)[-\s]?(?:pol(?:\.|\b)|polari[sz](?:ed|ation))")
+POLARISERS = {0.0: "p", 90.0: "s"}  # angles from the plane of incidence
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,9 @@ def _angles(text: str) -> list[float]:
         value, stated = _VALUE.fullmatch(match[2]), {each.quantity: each.unit for each in meanings(match[1])}
         if value and "angle_of_incidence" in stated:
             angle, unit = float(value[1].replace(",", ".")), value[2] or stated["angle_of_incidence"] or "deg"
-            return [float(np.degrees(angle)) if unit.startswith("rad") else angle]
+            if unit.startswith(("rad", "mrad")):
+                angle = float(np.degrees(angle)) * (1e-3 if unit == "mrad" else 1.0)
+            return [angle]
     return [
         float((found[1] or found[2]).replace(",", "."))
         for found in _AT_ANGLE.finditer(text)
@@ -89,7 +92,11 @@ def _angles(text: str) -> list[float]:
 
 def _polarisations(text: str) -> list[str]:
     match = _KEY_VALUE.fullmatch(text)
-    if match and "polarisation" in {each.quantity for each in meanings(match[1])}:
+    keys = {each.quantity for each in meanings(match[1])} if match else set()
+    if match and "polariser" in keys and (turn := _VALUE.fullmatch(match[2])):
+        angle = float(turn[1].replace(",", ".")) % 180.0
+        return [POLARISERS[angle]] if angle in POLARISERS and (turn[2] or "").startswith(("deg", "°", "º")) else []
+    if match and "polarisation" in keys:
         word = polarisation_word(match[2])
         return [word] if word else []
     found = (polarisation_word("unpolarised" if each[1] == "un" else each[1]) for each in _POLARISED.finditer(text))

@@ -47,6 +47,7 @@ UNITS: dict[str, tuple[str, float]] = {
     "1": ("number", 1.0),
     "arbitrary": ("number", 1.0),  # of unknown scale
     "%": ("number", 0.01),
+    "milli": ("number", 1e-3),
     "counts": ("counts", 1.0),
     "px": ("pixels", 1.0),
     "s": ("time", 1.0),
@@ -93,6 +94,7 @@ _SPELLINGS = {
     "1": "1 - -- none unitless dimensionless ratio factor fraction abs.",
     "arbitrary": "a.u. au arb.units arb.unit arb.u. arb. arb arbitrary arbitraryunits arbitraryunit w.e. u.a.",
     "%": "% percent per-cent percents pct prozent pourcent percentage porcentaje procent",
+    "milli": "mau mod mabs mo.d. ma.u.",
     "counts": "counts count cts dn adc digitalnumbers",
     "px": "px pixel pixels pix pixl",
     "s": "s sec secs second seconds",

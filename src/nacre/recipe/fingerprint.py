@@ -25,7 +25,7 @@ import numpy as np
 
 from nacre.core.files import real
 
-OPTICS_VERSION = 1
+OPTICS_VERSION = 2
 MAX_HASHED_BYTES = 4 << 30  # larger files, which no reader takes, are identified by size and time
 
 

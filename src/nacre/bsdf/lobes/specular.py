@@ -49,7 +49,7 @@ class Specular(InterfaceLobe):
         """Return reflectance and transmittance `[..., wavelength]` for light at `cos_i` (< 0: from behind)."""
         cos_i = np.asarray(cos_i, dtype=float)
         inside = (cos_i < 0) != self.response.flipped
-        return SpecularResponse(*self.response.lookup(np.abs(cos_i), inside, uv))
+        return SpecularResponse(*self.response.resolved(np.abs(cos_i), inside, uv))
 
 
 @dataclass(frozen=True)

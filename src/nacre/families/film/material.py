@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from nacre.bsdf import Bsdf
+from nacre.bsdf.angle_nodes import AngleErrors
 from nacre.bsdf.bsdf import Spectrum
 from nacre.bsdf.compensation import aligned_transmittance, compensate, facet_transmittance
 from nacre.bsdf.facet_distributions import SMOOTH_BELOW, Roughness
@@ -48,7 +49,6 @@ MIDDLE = np.array([0.5, 0.5])
 AMPLITUDE_CUTOFF = 1e-5  # round-trip amplitude below which deeper layers are neglected
 CUTOFF_WAVELENGTHS = 48
 SPREAD_STEP_NM = 5.0
-ERROR_MARGIN = 2.0  # of the stated error: the check has a few hundred angles
 BASE_COSINES = 513  # at most, of the film over a diffuse base
 BYTES_PER_LAYER = 64  # and wavelength: indices, phases and copies
 AZIMUTH_NOTE = (
@@ -297,7 +297,7 @@ class Film(Model, Polarised):
         d = self._middle_nm
         over = tables.over_azimuth(d)
         mean = mean_over_azimuth(over)
-        notes = _stated(mean, tables.error_of(mean, d))
+        notes = _stated(mean, tables.errors_of(mean, d))
         if self.surface.is_smooth:
             return Bsdf((AlignedSpecular(over, 0.0),), notes)
         rough = self._surface_lobe(mean)
@@ -323,8 +323,8 @@ class Film(Model, Polarised):
         """Return the tables of the smooth film, with an axis for each varying thickness."""
         d, varying = self._middle_nm, self._varying
         if not varying:
-            response, error = tables.with_error(d)
-            return response, _stated(response, error)
+            response, errors = tables.with_error(d)
+            return response, _stated(response, errors)
         if len(varying) > 2:
             raise UnsupportedError(f"{len(varying)} thicknesses vary over the surface; at most two can")
         axes, notes = [], {}
@@ -344,8 +344,8 @@ class Film(Model, Polarised):
         thicknesses = np.broadcast_to(d, (*grid[0].shape, len(d))).copy()
         for i, values in zip(varying, grid, strict=True):
             thicknesses[..., i] = values
-        response, error = tables.with_parameters(thicknesses, tuple(axes))
-        return response, {"varying": notes, **_stated(response, error)}
+        response, errors = tables.with_parameters(thicknesses, tuple(axes))
+        return response, {"varying": notes, **_stated(response, errors)}
 
     @property
     def _varying(self) -> list[int]:
@@ -500,10 +500,9 @@ def _only_transmitting(response: InterfaceResponse, passed: Array) -> InterfaceR
     return dataclasses.replace(response, cos_outside=cos, total_nodes=None, **tables)
 
 
-def _stated(response: InterfaceResponse, error: float) -> dict[str, Any]:
-    """Return the note on a table over angle: its nodes, and the largest error of R and T found, with a margin."""
-    largest = round(min(ERROR_MARGIN * error, 1.0), 6)
-    return {"angle_table": {"cosines": len(response.cos_outside), "largest_error": largest}}
+def _stated(response: InterfaceResponse, errors: AngleErrors) -> dict[str, Any]:
+    """Return the note on a table over angle: its nodes, and the errors of R and T found."""
+    return {"angle_table": {"cosines": len(response.cos_outside), **errors.stated(response.flipped)}}
 
 
 def _grid(low: float, high: float, step: float) -> Array:
@@ -527,8 +526,14 @@ def _from_the_front(response: InterfaceResponse) -> InterfaceResponse:
     """Return the response without transmission and without light from the substrate."""
     zero = np.zeros_like(response.reflectance)
     if response.flipped:
-        return dataclasses.replace(response, reflectance=zero, transmittance=zero, transmits=False)
+        return dataclasses.replace(response, reflectance=zero, transmittance=zero, transmits=False, relative_index=None)
     empty = np.zeros((*response.total.shape[:-2], 0, response.total.shape[-1]))
     return dataclasses.replace(
-        response, transmittance=zero, reflectance_inside=zero, total=empty, eta=1.0, transmits=False
+        response,
+        transmittance=zero,
+        reflectance_inside=zero,
+        total=empty,
+        eta=1.0,
+        transmits=False,
+        relative_index=None,
     )

@@ -279,10 +279,8 @@ class Glass(Model, Strata, Surrogate, SearchFidelity):
             "the polar angle)"
         )
         logger.info("%s", note)
-        largest = min(incidence_error(lobes, medium, slabs, self.surface), 1.0)
-        return Bsdf(
-            lobes, {"notes": [note], "angle_table": {"angles": THETA_NODES, "largest_error": round(largest, 6)}}
-        )
+        stated = incidence_error(lobes, medium, slabs, self.surface).stated()
+        return Bsdf(lobes, {"notes": [note], "angle_table": {"angles": THETA_NODES, **stated}})
 
     def _layered(self, lam: Array, is_own_grid: bool, is_in_air: bool = True) -> Layered:
         """Return the layered lobe: the glass enters as a scattering dye."""

@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.bsdf.angle_nodes import AngleErrors
 from nacre.bsdf.compensation import once, returns
 from nacre.bsdf.facet_distributions import Roughness
 from nacre.bsdf.lobe import Lobe
@@ -146,7 +147,6 @@ CHECK_PAIRS = 300
 NOISE_SHARE = 0.6  # of the check's noise, added to the stated error
 BETWEEN = np.array([0.25, 0.5, 0.75])  # angles within a cell at which the table over incidence is checked
 FACE_DEG = (0.0, 15.0, 30.0, 45.0, 55.0, 65.0, 72.0, 78.0, 83.0, 86.5, 89.0)  # incidences for a rough face
-ERROR_MARGIN = 2.0  # of the stated error: the check has a hundred angles
 
 
 def diffuse_table(medium: Medium, slabs: list[Slab]) -> TableLobe:
@@ -218,8 +218,10 @@ def interpolation_error(table: TableLobe, medium: Medium, slabs: list[Slab]) -> 
     return np.asarray(np.sqrt(np.sum(weight * difference**2, axis=0) / np.sum(weight * exact**2, axis=0)))
 
 
-def incidence_error(lobes: tuple[Lobe, TableLobe], medium: Medium, slabs: list[Slab], surface: Roughness) -> float:
-    """Return the largest reflectance error over incidence between the nodes, absolute, with a margin.
+def incidence_error(
+    lobes: tuple[Lobe, TableLobe], medium: Medium, slabs: list[Slab], surface: Roughness
+) -> AngleErrors:
+    """Return the reflectance errors over incidence between the nodes, absolute.
 
     The table is linear in the incidence angle, the smooth face in its cosine. The exact reflectance is that of
     transfer, behind a rough face with the factors of `RoughInterface`.
@@ -242,7 +244,7 @@ def incidence_error(lobes: tuple[Lobe, TableLobe], medium: Medium, slabs: list[S
     if interface is not None:
         kept = np.array([interface.internal_factor(slab) for slab in slabs])
         exact = exact * (interface.over_smooth(cos) * interface.escape)[:, None] * kept
-    return ERROR_MARGIN * (float(np.max(np.abs(found - exact))) + _face_error(front, medium, interface))
+    return AngleErrors((at[:, None], np.abs(found - exact) + _face_error(front, medium, interface)))
 
 
 def _face_error(front: Lobe, medium: Medium, interface: RoughInterface | None) -> float:

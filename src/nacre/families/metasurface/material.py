@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import math
 import tomllib
 import warnings
 from collections import OrderedDict
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nacre.bsdf.angle_nodes import response_error
+from nacre.bsdf.angle_nodes import response_errors
 from nacre.bsdf.bsdf import Bsdf, Spectrum
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.response import ResponseLobe
@@ -203,7 +202,6 @@ LOW_WAVELENGTHS = 1.65  # total height over wavelength that 64 angles resolve: 6
 REPORTED_EXCESS = 0.01  # energy excess above which a warning is logged
 SAME_INDEX = 1e-3
 MAX_CACHED_GRIDS = 4  # wavelength grids with a cached ensemble
-ERROR_MARGIN = 2.0  # of the stated error of tables: the check has a few angles
 CHECKED_DEG, CHECKED_BANDS = (20.0, 52.0, 74.0, 84.0, 88.5), 2
 CHECK_NODES = 32
 PER_WAVELENGTH = {"wavelengths_nm", "wavenumbers", "index_below", "table"} | {
@@ -558,9 +556,9 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
             lobes, excess = tabulate_aligned(
                 lam, lambda w: self._aligned(layer(w)), self.structure, aligned_grids(grids), eta, self._turn_rad
             )
-            error = math.nan  # estimated from the finished table
+            errors = None  # estimated from the finished table
         else:
-            lobes, excess, error = tabulate(lam, layer, self.structure, grids, eta)
+            lobes, excess, errors = tabulate(lam, layer, self.structure, grids, eta)
         notes: dict[str, Any] = {
             "energy_excess": round(excess, 6),
             "coverage": self.coverage,
@@ -578,9 +576,9 @@ class Metasurface(Model, DirectEvaluation, SearchFidelity, ExpensiveMethod, Exce
         self._convergence.report(self.body is not None)
         specular = lobes[0]
         assert isinstance(specular, ResponseLobe)
-        error = response_error(specular.response) if math.isnan(error) else error
-        largest = min(ERROR_MARGIN * (error + self._diffuse_error(lobes[1], layer)), 1.0)
-        notes["angle_table"] = {"cosines": len(specular.response.cos_outside), "largest_error": round(largest, 6)}
+        errors = response_errors(specular.response) if errors is None else errors
+        stated = errors.stated(more=self._diffuse_error(lobes[1], layer))
+        notes["angle_table"] = {"cosines": len(specular.response.cos_outside), **stated}
         return Bsdf(lobes, notes)
 
     def _diffuse_error(self, lobe: Lobe, layer: Callable[[float], Monolayer]) -> float:

@@ -29,8 +29,7 @@ NPY_MAGIC = b"\x93NUMPY"
 # a seam without a counterpart inside: its mean step over the largest mean step of neighbouring rows
 OPEN_SEAM = 8.0
 OPEN_SEAM_OF_MANY = 2.0  # above the number of features of a period
-# the range of heights in metres that are taken as um: below the size of an atom, above rounding
-METRES_UM, ROUNDING_UM = 2e-5, 1e-12
+TINY_UM, ROUNDING_UM = 1e-3, 1e-12  # range from which heights in um are rather mm or m
 # range over feature from which heights in um are rather nm
 NANOMETRES_ASPECT, NANOMETRES_UM = 20.0, 10.0
 KEYS = {"unit": "height_unit", "pitch_um": "feature_um", "channel": "channel"}
@@ -130,10 +129,10 @@ class HeightOptions:
         span = float(np.ptp(heights)) if heights.size and np.isfinite(heights).all() else 0.0
         if self.height_unit is not None:
             return
-        if ROUNDING_UM < span < METRES_UM:
+        if ROUNDING_UM < span < TINY_UM:
             raise context.fail(
-                "heights", self.name, f"spans {span:.3g} um, less than an atom: if these are metres, add "
-                'height_unit = "m"; if not, height_unit = "um"',
+                "heights", self.name, f"spans {span:.3g} um, less than a nanometre: if these are "
+                'metres or millimetres, add height_unit = "m" or "mm"; if not, height_unit = "um"',
             )  # fmt: skip
         if span > NANOMETRES_UM and span > NANOMETRES_ASPECT * self.feature_um and span < 1e3 * MAX_HEIGHT_UM:
             raise context.fail(

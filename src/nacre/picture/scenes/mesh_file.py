@@ -107,12 +107,14 @@ class Triangles:
         vertices, normals: `[N, 3]` in the scene's coordinates.
         uv: `[N, 2]`, v up, or None.
         faces: `[M, 3]`.
+        material: name of its material, or "".
     """
 
     vertices: NDArray[np.float64]
     normals: NDArray[np.float64]
     uv: NDArray[np.float64] | None
     faces: NDArray[np.int64]
+    material: str = ""
 
 
 def read_triangles(path: Path, is_alone: bool = False) -> list[Triangles]:
@@ -190,6 +192,7 @@ def _triangles(part: Any, transform: NDArray[np.float64], uv_white: float, creas
         raise IndexError("a face has a corner that is no vertex")
     if np.linalg.det(transform[:3, :3]) < 0:
         faces = faces[:, ::-1]
+    material = str(getattr(getattr(part.visual, "material", None), "name", None) or "")
     uv = getattr(part.visual, "uv", None)
     if uv is not None:
         uv = np.asarray(uv, dtype=np.float64)
@@ -199,9 +202,9 @@ def _triangles(part: Any, transform: NDArray[np.float64], uv_white: float, creas
         uv = np.stack([uv[:, 0], uv_white - (1.0 - uv[:, 1]) % (uv_white + 1.0)], axis=1) / uv_white
     if "vertex_normals" in part._cache.cache:  # from the file; `trimesh` computes others on demand
         normals = np.asarray(part.vertex_normals, dtype=np.float64) @ np.linalg.inv(transform[:3, :3])
-        return Triangles(vertices, normals, uv, faces)
+        return Triangles(vertices, normals, uv, faces, material)
     of, normals, faces = creased(vertices, faces, crease_deg)
-    return Triangles(vertices[of], normals, None if uv is None else uv[of], faces)
+    return Triangles(vertices[of], normals, None if uv is None else uv[of], faces, material)
 
 
 def with_materials(content: bytes, suffix: str) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from nacre.picture.camera import View
 from nacre.picture.scenes.catalogue import MESH_SUFFIXES, SHAPES, Part, Scene
 from nacre.picture.scenes.mesh_file import Triangles, read_triangles
 from nacre.picture.shapes.mesh import Mesh, face_normals, merge, open_seam, outward
+
+logger = logging.getLogger("nacre")
 
 MAX_MESH_BYTES = 1 << 30
 MAX_FACES = 20_000_000
@@ -96,6 +99,10 @@ def read_mesh(path: Path, up: str | None = None, is_alone: bool = False) -> Mesh
     count = sum(len(part.faces) for part in parts)
     if count > MAX_FACES:
         raise NacreError(f"shape {path}: {count} triangles; at most {MAX_FACES}")
+    names = sorted({part.material for part in parts})
+    if len(names) > 1:
+        shown = ", ".join(name or "none" for name in names[:4])
+        logger.warning("shape %s has the materials %s; the recipe covers them all", path, shown)
     turn = TO_Z_UP[up or ("y" if path.suffix.lower() in Y_UP else "z")]
     if not all(map(_is_sound, parts)) or not any(np.ptp(part.vertices, axis=0).max() > 0 for part in parts):
         raise NacreError(f"shape {path}: its vertices are not finite, all at one place, or missing")

@@ -31,8 +31,8 @@ _QUANTITIES: tuple[tuple[str, re.Pattern[str]], ...] = tuple(
         ("error", r"variance|std|stdev|sigma|uncertain|error|deviation|^u\(|^sd$|^±|^[dδ]\s?[rta]$"),
         ("kubelka_munk", r"kubelka|k/s|^km$"),
         ("absorptance", r"absorptance"),
-        ("absorbance", r"absorban|absorb\b|log\s*\(?\s*1\s*/\s*[rt]|^abs\b|^abs$|^a$|^a\.u\.$|^od$|optical density|"
-                       r"extin[ck]t|absorption|吸光度"),
+        ("absorbance", r"absorban|absorb\b|log\s*\(?\s*1\s*/\s*[rt]|^abs\b|^m?abs$|^a$|^a\.u\.$|^m?od$|^mau$|"
+                       r"optical density|extin[ck]t|absorption|吸光度"),
         ("irradiance", r"irradiance|radiance|[uµμm]?w\s*/\s*(?:cm|m)|[uµμ]w|luminous|bestrahlung"),
         ("counts", r"counts?\b|\bcnts?\b|^scope|\bintens|intensit|^adc|^dark$|^dn\b|single[ -]?beam|^raw\b|^energy"),
         ("reflectance", r"reflect|r[ée]fle[ck]|rfl|^%?\s*r\s*%?$|^r\s*[\[(]?\s*%|^%\s*r\b|反射率|\bbrf\b|^refl"),
@@ -254,6 +254,9 @@ def key_values(lines: Sequence[str], marks: str = ":=\t") -> dict[str, str]:
     return found
 
 
+_MILLI = re.compile(r"\bm(?:au|abs|od)\b")
+
+
 def label_of(text: str) -> Label | None:
     """Return the quantity and the scale that a label names, or None.
 
@@ -272,7 +275,7 @@ def label_of(text: str) -> Label | None:
                     return None
                 is_per_cent = bool(_PER_CENT.search(low))
                 return Label(name, 0.01 if is_per_cent else 1.0 if _FACTOR.search(low) else None)
-            return Label(name, 1.0)
+            return Label(name, 1e-3 if name == "absorbance" and _MILLI.search(low) else 1.0)
     return None
 
 
@@ -405,6 +408,9 @@ def typical(nm: Array, values: Array) -> float:
     return float(np.percentile(chosen, 95)) if chosen.size else 0.0
 
 
+MOST_UNNAMED = 300.0  # per cent; larger numbers without a heading may be counts
+
+
 def by_size(path: Path, nm: Array, values: Array, notes: Notes, what: str, *, likely: str = "reflectance") -> Label:
     """Return the quantity of values without a heading: a factor up to 1.1, per cent from 5 on.
 
@@ -413,13 +419,13 @@ def by_size(path: Path, nm: Array, values: Array, notes: Notes, what: str, *, li
         likely: quantity that is assumed.
 
     Raises:
-        AmbiguousFileError: sizes between, as of absorbance, or above 1000, as of counts.
+        AmbiguousFileError: sizes between, as of absorbance, or larger ones, as of counts.
     """
     size = typical(nm, values)
     if size <= 1.1 and np.nanmax(np.abs(values)) < 1.5:
         notes.assumed.append(f"{what}: {likely} as a factor, because the values are at most {size:.3g}")
         return Label(likely, 1.0)
-    if 5 <= size <= 1000:
+    if 5 <= size <= (1000 if "no quantity" not in what else MOST_UNNAMED):
         notes.assumed.append(f"{what}: {likely} in per cent, because the values are up to {size:.4g}")
         return Label(likely, 0.01)
     choices = ("reflectance (%)", "reflectance (1)", *QUANTITIES[1:])

@@ -33,6 +33,7 @@ _WAVELENGTH = re.compile(
 _UNIT = re.compile(r"[\[(]?\s*(nm|[uµμ]m|cm-1|1/cm|eV|%|1|-|a\.?u\.?|counts|)\s*[\])]?", re.IGNORECASE)
 _PIXEL = re.compile(r"^(pixel|index|point|no\.?|#|id)$", re.IGNORECASE)
 _NUMBER_HEADING = re.compile(r"^\D{0,12}?(\d{3,4}(?:\.\d+)?)\s*(?:nm)?$", re.IGNORECASE)
+_RAW = {"dark", "i0", "background", "baseline", "dunkel", "dunkelspektrum", "noir"}
 _BESIDE = re.compile(r"\b(rad|radiance|irr|irrad|irradiance|norm|dn|raw)\b", re.IGNORECASE)
 _OTHER = re.compile(
     r"psi|delta|\bn\b|\bk\b|eps|\be1\b|\be2\b|refractive|index of|theta|phi|bsdf|brdf|^[xyz]$|^l\*?$|height|"
@@ -396,6 +397,14 @@ def _labels(
         raise AmbiguousFileError(
             f'{path}: "{scaled[:40]}" is another function or scale of a reflectance, or is in arbitrary units; convert '
             "it, or state the quantity of the numbers as they are",
+            "quantity",
+            common.QUANTITIES,
+        )
+    words = {word for heading, _ in columns for word in re.split(r"[^a-z0-9]+", heading.lower())}
+    if stated is None and len(columns) > 1 and words & _RAW:
+        raise AmbiguousFileError(
+            f"{path}: the columns{_shown(columns)} are signals of a sample and of a reference or of darkness; divide "
+            "them, or state the quantity of one column and ignore the others",
             "quantity",
             common.QUANTITIES,
         )

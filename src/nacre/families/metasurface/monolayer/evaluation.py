@@ -8,6 +8,7 @@ the neighbour table.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nacre.bsdf.angle_nodes import AngleErrors
 from nacre.bsdf.angle_nodes import tabulate as tabulate_nodes
 from nacre.bsdf.lobe import Lobe
 from nacre.bsdf.lobes.monolayer import Harmonic, PolarGrid, pack_triangle
@@ -144,14 +146,14 @@ class SpecularTables:
         beyond: `[x]`, nodes beyond the critical angle.
         sides: `[node, 3, wavelength]`, R, T and R from inside.
         total: `[x, wavelength]`, R from inside beyond the critical angle.
-        error: the largest interpolation error found.
+        errors: the interpolation errors found.
     """
 
     cosines: Array
     beyond: Array
     sides: Array
     total: Array
-    error: float
+    errors: AngleErrors
 
     def at(self, band: int) -> tuple[Array, Array, Array, Array]:
         """Return R, T, R from inside and R beyond the critical angle at one wavelength, each `[node]`."""
@@ -188,10 +190,17 @@ class SpecularTables:
 
         angles = (np.arange(CHECKED_ANGLES) + 0.5) / CHECKED_ANGLES
         above = tabulate_nodes(outside, MOST_NODES, np.cos(np.pi / 2 * angles), angles[:0], (6, 7), *ACCEPTED)
+        outside_errors = np.arccos(np.clip(above.checked, 0.0, 1.0))[:, None], above.errors
         if not (transmits and eta > 1.0):
-            return cls(above.nodes, np.zeros(0), above.values, np.zeros((0, len(layers))), above.error)
+            errors = AngleErrors(outside_errors, outside_errors) if transmits else AngleErrors(outside_errors)
+            return cls(above.nodes, np.zeros(0), above.values, np.zeros((0, len(layers))), errors)
         below = tabulate_nodes(beyond, MOST_NODES, angles[::2], angles[:0], (4, 5), *ACCEPTED)
-        return cls(above.nodes, below.nodes, above.values, below.values, max(above.error, below.error))
+        index = np.array([layer.surface.index_below for layer in layers])
+        conjugate = np.arcsin(np.minimum(np.sin(outside_errors[0]) / index, 1.0))
+        critical = np.sqrt(np.maximum(1 - 1 / index**2, 0.0))
+        angles = np.concatenate([conjugate, np.arccos(critical * np.cos(np.pi / 2 * below.checked)[:, None])])
+        errors = AngleErrors(outside_errors, (angles, np.concatenate([above.errors, below.errors])))
+        return cls(above.nodes, below.nodes, above.values, below.values, errors)
 
 
 def solve_wavelength(layer: Monolayer, grids: Grids, eta: float, solved: SpecularTables, band: int) -> WavelengthResult:
@@ -288,11 +297,11 @@ def tabulate(
     grids: Grids,
     eta: float,
     jobs: int | None = None,
-) -> tuple[tuple[Lobe, ...], float, float]:
+) -> tuple[tuple[Lobe, ...], float, AngleErrors]:
     """Solve all wavelengths in parallel.
 
     Returns:
-        the two lobes, the largest raw energy excess over 1, and the largest interpolation error of the specular one.
+        the two lobes, the largest raw energy excess over 1, and the interpolation errors of the specular one.
     """
     layers = in_threads(lambda wavelength: monolayer(float(wavelength)), wavelengths_nm, jobs)
     tables = SpecularTables.solve(layers, grids, eta, jobs)
@@ -310,8 +319,9 @@ def tabulate(
     harmonic = Harmonic(
         wavelengths_nm, above, below, across, free(0), free(1), free(2), *grids.counts, eta, k, index, step, s
     )
-    specular = Specular(interface_response(results, wavelengths_nm, grids, eta, (tables.cosines, tables.beyond)))
-    return (specular, harmonic), max(r.excess for r in results), tables.error
+    response = interface_response(results, wavelengths_nm, grids, eta, (tables.cosines, tables.beyond))
+    specular = Specular(dataclasses.replace(response, relative_index=index) if eta > 1.0 else response)
+    return (specular, harmonic), max(r.excess for r in results), tables.errors
 
 
 def column(results: Sequence[Any], name: str) -> NDArray:
